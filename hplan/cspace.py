@@ -1,0 +1,384 @@
+r"""Analytic C-space: closed-form intervals of forbidden joint angles, link by link (the paper's equations 1-3).
+
+A link of length :math:`L` turns about its near joint. A disc of radius :math:`R` (obstacle grown by the link's
+half-width) stands at distance :math:`\rho` from the joint, at bearing :math:`\varphi`. The link's axis meets it for
+
+.. math::
+    |\theta - \varphi| \le \begin{cases}
+        \arcsin(R / \rho)                                & \rho^2 \le L^2 + R^2 \quad (1) \\
+        \arccos\frac{L^2 + \rho^2 - R^2}{2 L \rho}       & \rho \le L + R \quad (2) \\
+        \text{never}                                     & \text{beyond} \quad (3)
+    \end{cases}
+
+and always where :math:`\rho \le R`. That is exact for a capsule link. The paper puts case 3 at
+:math:`\rho > \sqrt{L^2 + w^2} + r`, the reach of a rectangle's corner (model `paper`); the model `rectangle` solves
+the rectangle itself. Angles run counter-clockwise from +x of the arm plane, bearings by arctan2(y, x); the paper
+prints arctan(x / y), with which no slice of its own example has a path.
+
+A rounded polygon is met in one interval too: the hull of the intervals of its corner discs and of the points where
+its straight sides leave the link's reach.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numba as nb
+import numpy as np
+
+from hplan.arrays import BoolArray, FloatArray, IntArray, WordArray, frozen
+from hplan.grid import Grid, Occupancy
+from hplan.robot import PlanarArm
+from hplan.section import LINK_MODELS, ArmSections
+
+_CAPSULE, _PAPER, _RECTANGLE = range(len(LINK_MODELS))
+_ALL = np.uint64(0xFFFFFFFFFFFFFFFF)
+
+
+def joint_grid(arm: PlanarArm, step: float | FloatArray) -> Grid:
+    """Grid over the joint range of the planar joints.
+
+    Args:
+        arm: The planar chain.
+        step: Largest spacing [rad], one number or one for each joint.
+
+    Raises:
+        OptionError: A step that is not positive, or too small.
+    """
+    return Grid.over(arm.lower, arm.upper, step)
+
+
+def occupancy(arm: PlanarArm, sections: ArmSections, grid: Grid) -> Occupancy:
+    """Occupancy of the joint grid: which nodes make some link meet some section.
+
+    For `n` joints of `N` nodes each: one interval a section for the first link, `N` for the second, `N**(n - 1)`
+    for the last, whose rows are filled by interval.
+
+    Args:
+        arm: The planar chain.
+        sections: Obstacles cut by the arm plane.
+        grid: Grid over the planar joints.
+    """
+    words = _fill(
+        np.array(grid.shape),
+        grid.lower,
+        grid.step,
+        arm.lengths,
+        arm.half_widths,
+        arm.signs,
+        arm.offsets,
+        LINK_MODELS.index(sections.link_model),
+        sections.link_start,
+        sections.vertex_start,
+        sections.vertices,
+        sections.radii,
+        sections.bounds,
+    )
+    return Occupancy(grid, frozen(words))
+
+
+@nb.njit(cache=True, inline="always")
+def _disc_half_angle(rho: float, length: float, radius: float) -> float:
+    """Equations (1) and (2) for rho > radius; -1 where the disc is out of reach."""
+    if rho > length + radius:
+        return -1.0
+    if rho * rho <= length * length + radius * radius:
+        return math.asin(radius / rho)
+    cosine = (length * length + rho * rho - radius * radius) / (2.0 * length * rho)
+    return math.acos(min(1.0, cosine))
+
+
+@nb.njit(cache=True)
+def _rectangle_half_angles(
+    rho: float, length: float, half_width: float, radius: float
+) -> tuple[float, float]:
+    """Smallest and largest |bearing| at which a disc meets a rectangle [0, length] x [-w, w]; -1 where never.
+
+    The rectangle grown by the disc's radius reaches to `extent(a)` in direction `a`, which rises from `a = 0` to
+    the corner and falls from there to `a = pi`; each branch below inverts one of its pieces.
+    """
+    corner = math.hypot(length, half_width)
+    if rho > corner + radius:
+        return -1.0, -1.0
+    if rho <= radius:
+        return 0.0, math.pi
+    to_corner = math.atan2(half_width, length)
+    lowest = 0.0
+    if rho > length + radius:
+        if rho <= math.hypot(length + radius, half_width):
+            lowest = math.acos((length + radius) / rho)
+        else:
+            lowest = to_corner - _arc(rho, corner, radius)
+    if rho <= math.hypot(radius, half_width):
+        highest = math.pi - math.acos(radius / rho)
+    elif rho <= half_width + radius:
+        sine = (rho * rho + half_width * half_width - radius * radius) / (2.0 * rho * half_width)
+        highest = math.pi - math.asin(min(1.0, sine))
+    elif rho <= math.hypot(length, half_width + radius):
+        highest = math.asin((half_width + radius) / rho)
+    else:
+        highest = to_corner + _arc(rho, corner, radius)
+    return lowest, highest
+
+
+@nb.njit(cache=True, inline="always")
+def _arc(rho: float, centre: float, radius: float) -> float:
+    """Angle between the directions to a circle's centre and to its point at distance rho."""
+    cosine = (rho * rho + centre * centre - radius * radius) / (2.0 * rho * centre)
+    return math.acos(max(-1.0, min(1.0, cosine)))
+
+
+@nb.njit(cache=True)
+def _polygon_interval(
+    vertices: FloatArray,
+    first: int,
+    last: int,
+    radius: float,
+    px: float,
+    py: float,
+    cos: float,
+    sin: float,
+    length: float,
+) -> tuple[int, float, float]:
+    """Angles, relative to the direction (cos, sin), at which a link from (px, py) meets a rounded polygon.
+
+    Returns 0 (never), 1 (between the two angles, the second may pass pi) or 2 (always).
+    """
+    count = last - first
+    # The joint is inside the set if it is inside the polygon or within `radius` of an edge.
+    inside = count >= 3
+    reference = 0.0
+    low, high = 1.0, 0.0
+    for i in range(count):
+        j = i + 1 if i + 1 < count else 0
+        ax = cos * (vertices[first + i, 0] - px) + sin * (vertices[first + i, 1] - py)
+        ay = cos * (vertices[first + i, 1] - py) - sin * (vertices[first + i, 0] - px)
+        rho = math.hypot(ax, ay)
+        if rho <= radius:
+            return 2, 0.0, 0.0
+        half = _disc_half_angle(rho, length, radius)
+        if half >= 0.0:
+            low, high, reference = _widen(low, high, reference, math.atan2(ay, ax), half)
+        if count == 1:
+            break
+        ex = cos * (vertices[first + j, 0] - px) + sin * (vertices[first + j, 1] - py) - ax
+        ey = cos * (vertices[first + j, 1] - py) - sin * (vertices[first + j, 0] - px) - ay
+        edge = math.hypot(ex, ey)
+        ux, uy = ex / edge, ey / edge
+        height = ux * ay - uy * ax  # the joint is at -height to the left of the edge
+        along = -(ux * ax + uy * ay)
+        if height > 0.0:
+            inside = False
+        if 0.0 <= along <= edge and abs(height) <= radius:
+            return 2, 0.0, 0.0
+        # Where the two straight sides of this edge's capsule leave the reach.
+        for side in (-1.0, 1.0):
+            offset = height + side * radius
+            if abs(offset) < length:
+                chord = math.sqrt(length * length - offset * offset)
+                for direction in (-1.0, 1.0):
+                    t = along + direction * chord
+                    if 0.0 <= t <= edge:
+                        x = ax + t * ux - side * radius * uy
+                        y = ay + t * uy + side * radius * ux
+                        low, high, reference = _widen(low, high, reference, math.atan2(y, x), 0.0)
+        if count == 2:
+            continue
+    if inside and count >= 3:
+        return 2, 0.0, 0.0
+    if low > high:
+        return 0, 0.0, 0.0
+    return 1, low, high
+
+
+@nb.njit(cache=True, inline="always")
+def _widen(
+    low: float, high: float, reference: float, centre: float, half: float
+) -> tuple[float, float, float]:
+    """Add centre +- half to an interval that is narrower than pi in all, unrolled about its first centre."""
+    if low > high:
+        return centre - half, centre + half, centre
+    if centre - reference > math.pi:
+        centre -= 2.0 * math.pi
+    elif centre - reference < -math.pi:
+        centre += 2.0 * math.pi
+    return min(low, centre - half), max(high, centre + half), reference
+
+
+@nb.njit(cache=True)
+def _mark(
+    rows: WordArray,
+    r: int,
+    low: float,
+    high: float,
+    lower: float,
+    step: float,
+    count: int,
+    sign: float,
+    offset: float,
+) -> None:
+    """Clear the bits of row `r` whose joint angle gives a relative link angle in [low, high] (mod 2 pi)."""
+    if sign < 0.0:
+        low, high = offset - high, offset - low
+    else:
+        low, high = low - offset, high - offset
+    turn = 2.0 * math.pi
+    if high < lower or low > lower:
+        shift = turn * math.ceil((lower - high) / turn)
+        low, high = low + shift, high + shift
+    upper = lower + step * (count - 1)
+    while low <= upper:
+        first = max(0, math.ceil((low - lower) / step))
+        last = min(count - 1, math.floor((high - lower) / step))
+        if first <= last:
+            for word in range(first >> 6, (last >> 6) + 1):
+                mask = _ALL
+                if word == first >> 6:
+                    mask &= _ALL << np.uint64(first & 63)
+                if word == last >> 6:
+                    mask &= _ALL >> np.uint64(63 - (last & 63))
+                rows[r, word] &= ~mask
+        low, high = low + turn, high + turn
+
+
+@nb.njit(cache=True)
+def _fill_link(
+    rows: WordArray,
+    alive: BoolArray,
+    px: FloatArray,
+    py: FloatArray,
+    cos: FloatArray,
+    sin: FloatArray,
+    length: float,
+    half_width: float,
+    sign: float,
+    offset: float,
+    lower: float,
+    step: float,
+    count: int,
+    model: int,
+    first_section: int,
+    last_section: int,
+    vertex_start: IntArray,
+    vertices: FloatArray,
+    radii: FloatArray,
+    bounds: FloatArray,
+) -> None:
+    """Free bits of one link's rows: its joint at (px, py), the link before it along (cos, sin).
+
+    A row whose earlier links collide (not `alive`) is occupied whole.
+    """
+    words = rows.shape[1]
+    corner = math.hypot(length, half_width)
+    reach = corner if model == _RECTANGLE else length
+    tail = _ALL >> np.uint64((64 - count) & 63)
+    for r in range(rows.shape[0]):
+        blocked = not alive[r]
+        for w in range(words):
+            rows[r, w] = np.uint64(0) if blocked else (tail if w == words - 1 else _ALL)
+        if blocked:
+            continue
+        for s in range(first_section, last_section):
+            dx, dy = bounds[s, 0] - px[r], bounds[s, 1] - py[r]
+            limit = reach + bounds[s, 2]
+            square = dx * dx + dy * dy
+            if square > limit * limit:
+                continue
+            radius = radii[s]
+            # The forbidden angles: `state` 0 none, 1 [low, high], 2 all, 3 [low, high] and its mirror image.
+            state, low, high, bearing = 0, 0.0, 0.0, 0.0
+            if vertex_start[s + 1] - vertex_start[s] > 1:
+                state, low, high = _polygon_interval(
+                    vertices, vertex_start[s], vertex_start[s + 1], radius, px[r], py[r], cos[r], sin[r], length
+                )  # fmt: skip
+            else:
+                rho = math.sqrt(square)
+                bearing = math.atan2(cos[r] * dy - sin[r] * dx, cos[r] * dx + sin[r] * dy)
+                if rho <= radius:
+                    state = 2
+                elif model == _RECTANGLE:
+                    low, high = _rectangle_half_angles(rho, length, half_width, radius)
+                    if high >= 0.0:
+                        state = 3 if low > 0.0 else 1
+                        low = low if low > 0.0 else -high
+                elif model == _CAPSULE or rho <= corner + radius - half_width:
+                    high = _disc_half_angle(rho, length, radius)
+                    low = -high
+                    state = 1 if high >= 0.0 else 0
+            if state == 2:
+                for w in range(words):
+                    rows[r, w] = np.uint64(0)
+                break
+            if state != 0:
+                _mark(rows, r, bearing + low, bearing + high, lower, step, count, sign, offset)
+            if state == 3:
+                _mark(rows, r, bearing - high, bearing - low, lower, step, count, sign, offset)
+
+
+@nb.njit(cache=True)
+def _advance(
+    rows: WordArray,
+    px: FloatArray,
+    py: FloatArray,
+    cos: FloatArray,
+    sin: FloatArray,
+    length: float,
+    sign: float,
+    offset: float,
+    lower: float,
+    step: float,
+    count: int,
+) -> tuple[BoolArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+    """The next link's rows: which are alive, the position of its joint, the direction of this link."""
+    size = rows.shape[0] * count
+    alive = np.empty(size, dtype=np.bool_)
+    next_px, next_py = np.empty(size), np.empty(size)
+    next_cos, next_sin = np.empty(size), np.empty(size)
+    turn_cos, turn_sin = np.empty(count), np.empty(count)
+    for b in range(count):
+        angle = sign * (lower + b * step) + offset
+        turn_cos[b], turn_sin[b] = math.cos(angle), math.sin(angle)
+    for r in range(rows.shape[0]):
+        for b in range(count):
+            i = r * count + b
+            alive[i] = (rows[r, b >> 6] >> np.uint64(b & 63)) & np.uint64(1) != np.uint64(0)
+            c = cos[r] * turn_cos[b] - sin[r] * turn_sin[b]
+            s = sin[r] * turn_cos[b] + cos[r] * turn_sin[b]
+            next_cos[i], next_sin[i] = c, s
+            next_px[i] = px[r] + length * c
+            next_py[i] = py[r] + length * s
+    return alive, next_px, next_py, next_cos, next_sin
+
+
+@nb.njit(cache=True)
+def _fill(
+    shape: IntArray,
+    lower: FloatArray,
+    step: FloatArray,
+    lengths: FloatArray,
+    half_widths: FloatArray,
+    signs: FloatArray,
+    offsets: FloatArray,
+    model: int,
+    link_start: IntArray,
+    vertex_start: IntArray,
+    vertices: FloatArray,
+    radii: FloatArray,
+    bounds: FloatArray,
+) -> WordArray:
+    """Free bits of all rows, link by link."""
+    px, py, sin = np.zeros(1), np.zeros(1), np.zeros(1)
+    cos, alive = np.ones(1), np.ones(1, dtype=np.bool_)
+    rows = np.empty((1, (shape[0] + 63) >> 6), dtype=np.uint64)
+    for k in range(len(shape)):
+        if k > 0:
+            alive, px, py, cos, sin = _advance(
+                rows, px, py, cos, sin, lengths[k - 1], signs[k - 1], offsets[k - 1], lower[k - 1], step[k - 1],
+                shape[k - 1],
+            )  # fmt: skip
+            rows = np.empty((len(alive), (shape[k] + 63) >> 6), dtype=np.uint64)
+        _fill_link(
+            rows, alive, px, py, cos, sin, lengths[k], half_widths[k], signs[k], offsets[k], lower[k], step[k],
+            shape[k], model, link_start[k], link_start[k + 1], vertex_start, vertices, radii, bounds,
+        )  # fmt: skip
+    return rows

@@ -1,0 +1,211 @@
+"""Every error that hplan raises on purpose, under one root.
+
+An error carries its facts as attributes (`data` gathers them for the report), so that a program can act on
+*which joint*, *which obstacle*, *how deep* without reading the sentence. `exit_status` is what the command line
+returns for it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, ClassVar
+
+
+class HplanError(Exception):
+    """Root of all hplan errors.
+
+    Attributes:
+        data: The facts of the error, ready for JSON.
+        exit_status: Exit status of the command line for this error.
+    """
+
+    exit_status: ClassVar[int] = 1
+
+    def __init__(self, message: str, **data: Any) -> None:
+        """Store the sentence and its facts."""
+        super().__init__(message)
+        self.message = message
+        self.data: dict[str, Any] = data
+
+    @property
+    def kind(self) -> str:
+        """Name of the error, as the report gives it."""
+        return type(self).__name__
+
+    def as_dict(self) -> dict[str, Any]:
+        """The error as the report's `error` object: `kind`, `message` and the facts."""
+        return {"kind": self.kind, "message": self.message, **self.data}
+
+
+class InputError(HplanError):
+    """What was handed in cannot be used: a file, a value, an option."""
+
+    exit_status = 2
+
+
+class RobotFileError(InputError):
+    """A robot file (URDF or limits YAML) is missing, unreadable or malformed."""
+
+    def __init__(self, path: Path | str, reason: str) -> None:
+        """Name the file and what is wrong with it."""
+        super().__init__(f"robot file {path}: {reason}", path=str(path), reason=reason)
+        self.path = Path(path)
+        self.reason = reason
+
+
+class RobotFamilyError(InputError):
+    """A well-formed URDF that is not of the family: optional yaw, then parallel revolute joints.
+
+    `element` names the joint, link or frame at fault.
+    """
+
+    def __init__(self, robot: str, element: str, reason: str) -> None:
+        """Name the robot, the element of it and what the family asks for."""
+        super().__init__(
+            f"robot {robot!r} is not a planar arm on an optional yaw: {element}: {reason}",
+            robot=robot,
+            element=element,
+            reason=reason,
+        )
+        self.robot = robot
+        self.element = element
+        self.reason = reason
+
+
+class SceneError(InputError):
+    """A scene, or a scene file, that does not say what it should.
+
+    `where` is the key path (`obstacles[0].radius`), `line` its 1-based line in the file where that is known.
+    """
+
+    def __init__(
+        self,
+        reason: str,
+        *,
+        path: Path | str | None = None,
+        where: str | None = None,
+        line: int | None = None,
+        value: Any = None,
+    ) -> None:
+        """Name the file, the key, its line and the value."""
+        place = "scene" if path is None else f"scene file {path}"
+        if line is not None:
+            place += f", line {line}"
+        if where:
+            place += f", {where}"
+        super().__init__(
+            f"{place}: {reason}",
+            path=None if path is None else str(path),
+            where=where,
+            line=line,
+            value=None if value is None else repr(value),
+            reason=reason,
+        )
+        self.path = None if path is None else Path(path)
+        self.where = where
+        self.line = line
+        self.value = value
+        self.reason = reason
+
+
+class JointLimitError(InputError):
+    """A configuration outside the joint limits."""
+
+    def __init__(self, which: str, joint: str, value: float, lower: float, upper: float) -> None:
+        """Name the configuration (`start`, `goal`, `waypoint 3`), the joint, its value and its limits [rad]."""
+        super().__init__(
+            f"{which}: joint {joint!r} is at {value:.6g} rad, outside its limits [{lower:.6g}, {upper:.6g}] rad",
+            which=which,
+            joint=joint,
+            value_rad=value,
+            lower_rad=lower,
+            upper_rad=upper,
+        )
+        self.which = which
+        self.joint = joint
+        self.value = value
+        self.lower = lower
+        self.upper = upper
+
+
+class ConfigurationInCollisionError(InputError):
+    """Start or goal touches an obstacle, or comes closer to it than the clearance asked for."""
+
+    def __init__(self, which: str, link: str, obstacle: str, depth_m: float) -> None:
+        """Name the configuration, the link, the obstacle and by how much the clearance is missed [m]."""
+        super().__init__(
+            f"{which} is in collision: link {link!r} is {1e3 * depth_m:.3g} mm too deep in obstacle {obstacle!r}",
+            which=which,
+            link=link,
+            obstacle=obstacle,
+            depth_m=depth_m,
+        )
+        self.which = which
+        self.link = link
+        self.obstacle = obstacle
+        self.depth_m = depth_m
+
+
+class OptionError(InputError):
+    """An option or argument outside its range."""
+
+    def __init__(self, option: str, value: Any, expected: str) -> None:
+        """Name the option, the value given and what would be right."""
+        super().__init__(
+            f"{option} = {value!r}: expected {expected}",
+            option=option,
+            value=repr(value),
+            expected=expected,
+        )
+        self.option = option
+        self.value = value
+        self.expected = expected
+
+
+class OutputError(InputError):
+    """A result cannot be written where it was asked for."""
+
+    def __init__(self, path: Path | str, reason: str) -> None:
+        """Name the path and the system's reason."""
+        super().__init__(f"cannot write {path}: {reason}", path=str(path), reason=reason)
+        self.path = Path(path)
+        self.reason = reason
+
+
+class NoPathError(HplanError):
+    """No path exists on the grid; this was shown by flooding all that the start reaches.
+
+    `blockers` lists what bounds the reached region, largest part first, each a mapping with `obstacle`, `link`,
+    `cells` and `slices_deg` (first and last value of the last planned joint at which it blocks).
+    """
+
+    exit_status = 3
+
+    def __init__(
+        self, message: str, *, reached_cells: int, blockers: Sequence[Mapping[str, Any]] = ()
+    ) -> None:
+        """Store how many cells the start reaches and what bounds them."""
+        super().__init__(
+            message, reached_cells=reached_cells, blockers=[dict(blocker) for blocker in blockers]
+        )
+        self.reached_cells = reached_cells
+        self.blockers = tuple(dict(blocker) for blocker in blockers)
+
+
+class TimingError(HplanError):
+    """A path that cannot be timed under the limits; `joint` is the one at fault where it is known."""
+
+    exit_status = 4
+
+    def __init__(self, message: str, *, joint: str | None = None, cause: str | None = None) -> None:
+        """Name the joint and the cause."""
+        super().__init__(message, joint=joint, cause=cause)
+        self.joint = joint
+        self.cause = cause
+
+
+class CertificationError(HplanError):
+    """A motion whose safety could not be proved; `data` says where and by how much."""
+
+    exit_status = 5

@@ -1,0 +1,192 @@
+"""The scene file: YAML (and so JSON) to `Scene` and back, with the line of every fault."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Hashable, Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+from pydantic import ValidationError
+
+from hplan.errors import SceneError
+from hplan.files import write_text
+from hplan.resources import scenes_dir
+from hplan.scene import Scene
+
+
+def default_scene_path() -> Path:
+    """File of the reference scene, Table 1 of the paper."""
+    return scenes_dir() / "table-1.yaml"
+
+
+def load_scene(path: Path | str | None = None) -> Scene:
+    """Read a scene file (YAML, and so JSON).
+
+    Args:
+        path: The file; None for the reference scene.
+
+    Raises:
+        SceneError: Missing or malformed file, unknown or repeated key, value of the wrong kind or range; names the
+            key and its line.
+    """
+    path = default_scene_path() if path is None else Path(path)
+    try:
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise SceneError(error.strerror or str(error), path=path) from error
+    except UnicodeDecodeError as error:
+        raise SceneError("it is not UTF-8 text", path=path) from error
+    return parse_scene(text, path=path)
+
+
+def parse_scene(text: str, *, path: Path | str | None = None) -> Scene:
+    """Read a scene from YAML text; `path` is named in errors.
+
+    Raises:
+        SceneError: As `load_scene`.
+    """
+    try:
+        loader = _Loader(text)
+        node = loader.get_single_node()
+        content = None if node is None else loader.construct_document(node)
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark
+        raise SceneError(
+            f"malformed YAML: {error.problem}",
+            path=path,
+            line=None if mark is None else mark.line + 1,
+        ) from error
+    except (yaml.YAMLError, ValueError) as error:
+        raise SceneError(f"malformed YAML: {error}", path=path) from error
+    if not isinstance(content, dict) or node is None:
+        raise SceneError("expected a mapping of keys (format, name, start, goal, ...)", path=path)
+    try:
+        return Scene.model_validate(_tuples(content))
+    except ValidationError as error:
+        first = min(error.errors(), key=lambda item: item["type"] != "extra_forbidden")
+        steps = _present_steps(content, first["loc"])
+        raise SceneError(
+            _plain_message(first),
+            path=path,
+            where=_dotted(steps),
+            line=_line_of(node, steps),
+            value=None if isinstance(first["input"], dict) else first["input"],
+        ) from error
+
+
+def dump_scene(scene: Scene) -> str:
+    """The scene as YAML text that `parse_scene` reads back to an equal scene."""
+    content = scene.model_dump(mode="json", by_alias=True, exclude_none=True)
+    return yaml.dump(content, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=100)
+
+
+def save_scene(scene: Scene, path: Path | str) -> Path:
+    """Write a scene file; a file of that name is replaced whole or not at all.
+
+    Raises:
+        OutputError: The file cannot be written.
+    """
+    return write_text(path, dump_scene(scene))
+
+
+class _Loader(yaml.SafeLoader):
+    """Safe YAML that refuses repeated keys and reads `1e-2` as a number, as YAML 1.2 and JSON do."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
+        seen: dict[Any, int] = {}
+        for key_node, _ in node.value:
+            key = self.construct_object(key_node)  # type: ignore[no-untyped-call]
+            line = key_node.start_mark.line + 1
+            if isinstance(key, Hashable) and key in seen:
+                raise yaml.MarkedYAMLError(
+                    problem=f"key {key!r} stands on line {seen[key]} already",
+                    problem_mark=key_node.start_mark,
+                )
+            seen[key] = line
+        return super().construct_mapping(node, deep=deep)
+
+
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float",
+    re.compile(r"^[-+]?[0-9]+(\.[0-9]*)?[eE][-+]?[0-9]+$"),
+    list("-+0123456789"),
+)
+
+
+class _Dumper(yaml.SafeDumper):
+    """Block style for keys, one line for each list of numbers."""
+
+
+def _represent_list(dumper: yaml.SafeDumper, items: list[Any]) -> yaml.Node:
+    flat = all(isinstance(item, (int, float, str)) for item in items)
+    return dumper.represent_sequence("tag:yaml.org,2002:seq", items, flow_style=flat)
+
+
+_Dumper.add_representer(list, _represent_list)
+
+
+def _tuples(value: Any) -> Any:
+    """YAML lists as tuples, whole numbers as floats where a float may stand: what strict validation wants."""
+    if isinstance(value, list):
+        return tuple(_tuples(item) for item in value)
+    if isinstance(value, dict):
+        return {key: _tuples(item) for key, item in value.items()}
+    return value
+
+
+def _present_steps(content: Any, location: Sequence[int | str]) -> list[int | str]:
+    """The part of pydantic's location that stands in the file (it adds the tag of a union, and keys not there)."""
+    steps: list[int | str] = []
+    for step in location:
+        if isinstance(content, dict):
+            if step in content:
+                content = content[step]
+            elif content.get("kind") == step:
+                continue
+            else:
+                steps.append(step)
+                break
+        elif isinstance(content, (list, tuple)) and isinstance(step, int) and step < len(content):
+            content = content[step]
+        else:
+            break
+        steps.append(step)
+    return steps
+
+
+def _dotted(steps: Sequence[int | str]) -> str:
+    text = "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in steps)
+    return text.lstrip(".")
+
+
+def _line_of(node: yaml.Node, steps: Sequence[int | str]) -> int:
+    """1-based line of the deepest node along `steps` that the file holds."""
+    line = node.start_mark.line
+    for step in steps:
+        if isinstance(node, yaml.MappingNode):
+            pairs = [(key, value) for key, value in node.value if key.value == step]
+            if not pairs:
+                break
+            line, node = pairs[0][0].start_mark.line, pairs[0][1]
+        elif isinstance(node, yaml.SequenceNode) and isinstance(step, int):
+            node = node.value[step]
+            line = node.start_mark.line
+    return int(line) + 1
+
+
+def _plain_message(fault: Any) -> str:
+    """Pydantic's message in the scene file's own words."""
+    kind, value = fault["type"], fault["input"]
+    if kind == "extra_forbidden":
+        return "unknown key"
+    if kind == "missing":
+        return "too few values" if isinstance(fault["loc"][-1], int) else "this key is missing"
+    if kind == "union_tag_not_found":
+        return "this key is missing: kind (sphere, capsule or box)"
+    if kind == "union_tag_invalid":
+        return f"kind is {fault['ctx']['tag']!r}, expected one of {fault['ctx']['expected_tags']}"
+    message = str(fault["msg"]).removeprefix("Value error, ")
+    message = message[0].lower() + message[1:]
+    return message if isinstance(value, dict) else f"{message} (got {value!r})"

@@ -1,0 +1,75 @@
+"""What a search returns: the path, and what it took, stage by stage."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+from hplan.arrays import BoolArray, IntArray
+
+#: What carried the path: the union of the slice paths, or the dense search after it.
+Fallback = Literal["none", "dense"]
+
+
+@dataclass(frozen=True)
+class Expansions:
+    """Nodes taken from the open list, each counted once a stage.
+
+    Attributes:
+        layers: All slice searches together.
+        sparse: Search on the union of the slice paths.
+        fallback: Dense search.
+        flooded: Nodes reached by bit-parallel flooding, which settles what is connected; not expansions.
+    """
+
+    layers: int = 0
+    sparse: int = 0
+    fallback: int = 0
+    flooded: int = 0
+
+    @property
+    def total(self) -> int:
+        """Sum of all expansions."""
+        return self.layers + self.sparse + self.fallback
+
+
+@dataclass(frozen=True)
+class StageTimes:
+    """Wall-clock time of each stage [s]."""
+
+    layers: float = 0.0
+    sparse: float = 0.0
+    fallback: float = 0.0
+
+    @property
+    def total(self) -> float:
+        """Sum of all stages [s]."""
+        return self.layers + self.sparse + self.fallback
+
+
+@dataclass(frozen=True, eq=False)
+class SearchResult:
+    """A path over grid nodes and how it was found.
+
+    Attributes:
+        path: (m, d) node indices from start to goal, or None where none exists (shown by flooding).
+        cost: Length of the path, each axis weighed by the grid's step (rad for a joint grid); inf without a path.
+        expansions: Expansions by stage.
+        times: Times by stage.
+        feasible_slices: (slices,) whether each slice has a path of its own from the start's to the goal's place in
+            it; None for the dense search.
+        slice_paths: For each searched slice its path as (m, d) node indices; empty for the dense search.
+        restored_slices: Slices without a path of their own that were given part of a neighbour's.
+        sparse_nodes: Nodes of the sparse graph.
+        fallback: What was needed beyond the sparse graph.
+    """
+
+    path: IntArray | None
+    cost: float
+    expansions: Expansions
+    times: StageTimes
+    feasible_slices: BoolArray | None = None
+    slice_paths: dict[int, IntArray] = field(default_factory=dict)
+    restored_slices: tuple[int, ...] = ()
+    sparse_nodes: int = 0
+    fallback: Fallback = "none"

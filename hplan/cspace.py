@@ -89,9 +89,7 @@ def _disc_half_angle(rho: float, length: float, radius: float) -> float:
 
 
 @nb.njit(cache=True)
-def _rectangle_half_angles(
-    rho: float, length: float, half_width: float, radius: float
-) -> tuple[float, float]:
+def _rectangle_half_angles(rho: float, length: float, half_width: float, radius: float) -> tuple[float, float]:
     """Smallest and largest |bearing| at which a disc meets a rectangle [0, length] x [-w, w]; -1 where never.
 
     The rectangle grown by the disc's radius reaches to `extent(a)` in direction `a`, which rises from `a = 0` to
@@ -192,9 +190,7 @@ def _polygon_interval(
 
 
 @nb.njit(cache=True, inline="always")
-def _widen(
-    low: float, high: float, reference: float, centre: float, half: float
-) -> tuple[float, float, float]:
+def _widen(low: float, high: float, reference: float, centre: float, half: float) -> tuple[float, float, float]:
     """Add centre +- half to an interval that is narrower than pi in all, unrolled about its first centre."""
     if low > high:
         return centre - half, centre + half, centre

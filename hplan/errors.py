@@ -182,13 +182,9 @@ class NoPathError(HplanError):
 
     exit_status = 3
 
-    def __init__(
-        self, message: str, *, reached_cells: int, blockers: Sequence[Mapping[str, Any]] = ()
-    ) -> None:
+    def __init__(self, message: str, *, reached_cells: int, blockers: Sequence[Mapping[str, Any]] = ()) -> None:
         """Store how many cells the start reaches and what bounds them."""
-        super().__init__(
-            message, reached_cells=reached_cells, blockers=[dict(blocker) for blocker in blockers]
-        )
+        super().__init__(message, reached_cells=reached_cells, blockers=[dict(blocker) for blocker in blockers])
         self.reached_cells = reached_cells
         self.blockers = tuple(dict(blocker) for blocker in blockers)
 

@@ -177,9 +177,7 @@ class Robot:
                 expected=self.dof,
                 got=int(values.size),
             )
-        for joint, value, lower, upper in zip(
-            self.joint_names, values, self.lower, self.upper, strict=True
-        ):
+        for joint, value, lower, upper in zip(self.joint_names, values, self.lower, self.upper, strict=True):
             if not lower - 1e-9 <= value <= upper + 1e-9:
                 raise JointLimitError(which, joint, float(value), float(lower), float(upper))
         return readonly(np.clip(values, self.lower, self.upper))
@@ -267,9 +265,7 @@ def read_models(urdf_path: Path) -> tuple[pin.Model, pin.GeometryModel, pin.Geom
     return models
 
 
-def read_limits(
-    path: Path, joint_names: tuple[str, ...]
-) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
+def read_limits(path: Path, joint_names: tuple[str, ...]) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
     """Read acceleration [rad/s^2] and, where given, jerk limits [rad/s^3] in the order of `joint_names`.
 
     Raises:
@@ -279,9 +275,7 @@ def read_limits(
         content = yaml.safe_load(path.read_text(encoding="utf-8"))
         limits = LimitsFile.model_validate(content)
     except OSError as error:
-        raise RobotFileError(
-            path, f"{error.strerror}; it gives the acceleration limits, which URDF cannot"
-        ) from error
+        raise RobotFileError(path, f"{error.strerror}; it gives the acceleration limits, which URDF cannot") from error
     except (yaml.YAMLError, UnicodeDecodeError) as error:
         raise RobotFileError(path, f"malformed YAML: {error}") from error
     except ValidationError as error:
@@ -320,9 +314,7 @@ def _check_links_and_joints(path: Path, root: ET.Element) -> None:
             element = joint.find(end)
             link = None if element is None else element.get("link")
             if link not in links:
-                raise RobotFileError(
-                    path, f"joint {joint.get('name')!r}: its {end} link {link!r} does not exist"
-                )
+                raise RobotFileError(path, f"joint {joint.get('name')!r}: its {end} link {link!r} does not exist")
 
 
 def _joint_range(model: pin.Model) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -330,9 +322,7 @@ def _joint_range(model: pin.Model) -> tuple[NDArray[np.float64], NDArray[np.floa
     upper = np.array(model.upperPositionLimit, dtype=np.float64)
     for name, low, high in zip(tuple(model.names)[1:], lower, upper, strict=True):
         if not (np.isfinite(low) and np.isfinite(high) and low < high):
-            raise RobotFamilyError(
-                model.name, f"joint {name!r}", f"limits [{low:g}, {high:g}] rad are no finite range"
-            )
+            raise RobotFamilyError(model.name, f"joint {name!r}", f"limits [{low:g}, {high:g}] rad are no finite range")
     return lower, upper
 
 
@@ -351,9 +341,7 @@ def _limit(model: pin.Model, values: Any, what: str) -> NDArray[np.float64]:
 class _FamilyReader:
     """Reads the planar chain out of Pinocchio's models at q = 0, refusing what is not of the family."""
 
-    def __init__(
-        self, model: pin.Model, collision_model: pin.GeometryModel, tool_frame: str
-    ) -> None:
+    def __init__(self, model: pin.Model, collision_model: pin.GeometryModel, tool_frame: str) -> None:
         self.robot_name = model.name
         self._check_joints(model)
         if not model.existFrame(tool_frame):
@@ -380,9 +368,7 @@ class _FamilyReader:
         for index in range(1, model.njoints):
             name, kind = model.names[index], model.joints[index].shortname()
             if kind.startswith("JointModelRUB"):
-                raise self._fault(
-                    f"joint {name!r}", "it is continuous; make it revolute with limits"
-                )
+                raise self._fault(f"joint {name!r}", "it is continuous; make it revolute with limits")
             if kind not in _REVOLUTE:
                 raise self._fault(f"joint {name!r}", f"it is a {kind}; only revolute joints")
             if model.parents[index] != index - 1:
@@ -391,9 +377,7 @@ class _FamilyReader:
     def _joint_axes(self, model: pin.Model) -> NDArray[np.float64]:
         """(joints, 3) rotation axes at q = 0 in the base frame."""
         pin.computeJointJacobians(model, self.data, np.zeros(model.nq))
-        jacobian = pin.getJointJacobian(
-            model, self.data, model.njoints - 1, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
-        )
+        jacobian = pin.getJointJacobian(model, self.data, model.njoints - 1, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
         return np.array(jacobian[3:].T, dtype=np.float64)
 
     def _find_yaw(self, model: pin.Model, axes: NDArray[np.float64]) -> bool:
@@ -402,15 +386,11 @@ class _FamilyReader:
             return False
         name = model.names[1]
         if not np.allclose(np.abs(axes[0, 2]), 1.0, atol=1e-9):
-            raise self._fault(
-                f"joint {name!r}", "it is not parallel to the next joint and not vertical either"
-            )
+            raise self._fault(f"joint {name!r}", "it is not parallel to the next joint and not vertical either")
         if axes[0, 2] < 0.0:
             raise self._fault(f"joint {name!r}", "the yaw axis points down; turn it to +z")
         if abs(axes[1, 2]) > 1e-9:
-            raise self._fault(
-                f"joint {model.names[2]!r}", "it is not perpendicular to the yaw axis"
-            )
+            raise self._fault(f"joint {model.names[2]!r}", "it is not perpendicular to the yaw axis")
         return True
 
     def _read_plane(
@@ -431,9 +411,7 @@ class _FamilyReader:
         up = up / np.linalg.norm(up) if np.linalg.norm(up) > 1e-6 else np.array([0.0, 1.0, 0.0])
         forward = np.cross(up, normal)
         reach = float(forward @ (points[-1] - points[0]))
-        lead = (
-            reach if abs(reach) > GEOMETRY_TOLERANCE else float(forward[np.argmax(np.abs(forward))])
-        )
+        lead = reach if abs(reach) > GEOMETRY_TOLERANCE else float(forward[np.argmax(np.abs(forward))])
         if lead < 0.0:
             forward = -forward
         normal = np.cross(forward, up)
@@ -449,9 +427,7 @@ class _FamilyReader:
             )
         steps = np.diff(points, axis=0) @ np.stack([forward, up], axis=1)
         lengths = np.linalg.norm(steps, axis=1)
-        self.link_names = tuple(
-            self._link_name(model, index) for index in range(first + 1, model.njoints)
-        )
+        self.link_names = tuple(self._link_name(model, index) for index in range(first + 1, model.njoints))
         for name, length in zip(self.link_names, lengths, strict=True):
             if length < GEOMETRY_TOLERANCE:
                 raise self._fault(f"link {name!r}", "it has no length")
@@ -486,8 +462,7 @@ class _FamilyReader:
             if not shapes:
                 raise self._fault(f"link {name!r}", "it has no collision geometry")
             radii = [
-                _enclosing_radius(shape, self.data.oMi[joint], points[index], points[index + 1])
-                for shape in shapes
+                _enclosing_radius(shape, self.data.oMi[joint], points[index], points[index + 1]) for shape in shapes
             ]
             widths.append(max(radii))
         self.half_widths = np.array(widths)
@@ -509,9 +484,7 @@ def _enclosing_radius(
     return float(np.max(np.linalg.norm(world - start - along[:, None] * axis, axis=1))) + rounding
 
 
-def _outline(
-    shape: pin.GeometryObject, *, rim_from_outside: bool
-) -> tuple[NDArray[np.float64], float]:
+def _outline(shape: pin.GeometryObject, *, rim_from_outside: bool) -> tuple[NDArray[np.float64], float]:
     """Points and a rounding radius whose hull holds the shape.
 
     Exact but for the rim of a cylinder, a 64-gon: on the rim where the cylinder lies along the link (every rim

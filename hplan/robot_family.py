@@ -240,9 +240,7 @@ def _along(axis: _Axis, start: float, end: float) -> tuple[_Vector, float]:
     return centers[axis], end - start
 
 
-def _round(
-    name: str, axis: _Axis, start: float, end: float, radius: float, material: str | None = None
-) -> _Shape:
+def _round(name: str, axis: _Axis, start: float, end: float, radius: float, material: str | None = None) -> _Shape:
     """A cylinder around a coordinate axis, from `start` to `end` on it [m]."""
     center, length = _along(axis, start, end)
     return _Shape(name, "cylinder", center, (radius, length), axis, material)
@@ -353,9 +351,7 @@ def _gripper(link: str, length: float, half_width: float, unit: float) -> list[_
     return shapes
 
 
-def _arm_visuals(
-    link: str, length: float, half_width: float, next_half_width: float | None
-) -> list[_Shape]:
+def _arm_visuals(link: str, length: float, half_width: float, next_half_width: float | None) -> list[_Shape]:
     """Housing, tube and collars of an arm link, then the fork for the next joint or the gripper."""
     w = half_width
     unit = min(w, length / 6)  # a stubby link gets its fittings shortened, so that they fit on it
@@ -404,9 +400,7 @@ def _base_visuals(spec: ArmSpec) -> list[_Shape]:
     return [
         _round("pedestal_foot", "z", 0.0, 0.04 * height, radius, "graphite"),
         _round("pedestal_skirt", "z", 0.04 * height, 0.07 * height, 0.82 * radius, "steel"),
-        _round(
-            "pedestal_column", "z", 0.07 * height, top - 0.05 * height, 0.62 * radius, "warm_white"
-        ),
+        _round("pedestal_column", "z", 0.07 * height, top - 0.05 * height, 0.62 * radius, "warm_white"),
         _round("pedestal_flange", "z", top - 0.05 * height, top, 0.76 * radius, "graphite"),
     ]
 
@@ -524,9 +518,7 @@ def _arm_link(spec: ArmSpec, index: int) -> Any:
     )
 
 
-def _revolute(
-    spec: ArmSpec, name: str, parent: str, child: str, xyz: _Vector, axis: _Vector
-) -> Any:
+def _revolute(spec: ArmSpec, name: str, parent: str, child: str, xyz: _Vector, axis: _Vector) -> Any:
     import yourdfpy
 
     k = spec.joint_names.index(name)
@@ -549,9 +541,7 @@ def _revolute(
 def _fixed(name: str, parent: str, child: str, xyz: _Vector) -> Any:
     import yourdfpy
 
-    return yourdfpy.Joint(
-        name=name, type="fixed", parent=parent, child=child, origin=_transform(xyz)
-    )
+    return yourdfpy.Joint(name=name, type="fixed", parent=parent, child=child, origin=_transform(xyz))
 
 
 def _joints(spec: ArmSpec) -> list[Any]:
@@ -565,9 +555,7 @@ def _joints(spec: ArmSpec) -> list[Any]:
         else _fixed("turret_mount", "base_link", "turret", ground)
     ]
     parent, xyz = "turret", (0.0, 0.0, spec.shoulder_height)
-    for name, child, length in zip(
-        spec.planar_joint_names, spec.arm_link_names, spec.link_lengths, strict=True
-    ):
+    for name, child, length in zip(spec.planar_joint_names, spec.arm_link_names, spec.link_lengths, strict=True):
         # About -y, a positive angle lifts the arm in the x-z plane.
         joints.append(_revolute(spec, name, parent, child, xyz, (0.0, -1.0, 0.0)))
         parent, xyz = child, (length, 0.0, 0.0)
@@ -593,8 +581,7 @@ def build_robot(spec: ArmSpec) -> Any:
         yourdfpy.Link(name="tool0"),
     ]
     materials = [
-        yourdfpy.Material(name=name, color=yourdfpy.Color(rgba=np.array(rgba)))
-        for name, rgba in _PALETTE.items()
+        yourdfpy.Material(name=name, color=yourdfpy.Color(rgba=np.array(rgba))) for name, rgba in _PALETTE.items()
     ]
     return yourdfpy.Robot(name=spec.name, links=links, joints=_joints(spec), materials=materials)
 
@@ -638,14 +625,11 @@ def _header_lines(spec: ArmSpec) -> list[str]:
         names, argument = "ArmSpec, write_robot", "spec"
     links = ", ".join(
         f"{name} {length:g} (radius {radius:g})"
-        for name, length, radius in zip(
-            spec.arm_link_names, spec.link_lengths, spec.link_half_widths, strict=True
-        )
+        for name, length, radius in zip(spec.arm_link_names, spec.link_lengths, spec.link_half_widths, strict=True)
     )
     count = "1 revolute joint" if spec.n_links == 1 else f"{spec.n_links} revolute joints"
     prose = [
-        f"{spec.name}: {'a yaw about the vertical, then ' if spec.has_yaw else ''}{count}"
-        " in one vertical plane.",
+        f"{spec.name}: {'a yaw about the vertical, then ' if spec.has_yaw else ''}{count} in one vertical plane.",
         f"Link lengths and capsule radii [m]: {links}. All links point along +x at zero; positive"
         f" angles lift the arm. The shoulder axis is {spec.shoulder_height:g} m above the ground.",
         "Metres, kilograms, radians. Each arm link collides as an exact capsule: a cylinder and two"
@@ -675,9 +659,7 @@ def _sections(spec: ArmSpec, root: ET.Element) -> Iterator[tuple[str, list[ET.El
     links = {link.get("name"): link for link in root.findall("link")}
     yield "Pedestal: origin on the ground, z up", [links["base_link"]]
     titles = ["Turret: its frame is base_link's, turned by the yaw" if spec.has_yaw else "Turret"]
-    titles += [
-        f"{name}: link {i} of {spec.n_links}" for i, name in enumerate(spec.arm_link_names, start=1)
-    ]
+    titles += [f"{name}: link {i} of {spec.n_links}" for i, name in enumerate(spec.arm_link_names, start=1)]
     titles.append("Tool point, between the fingers")
     for title, joint, name in zip(titles, root.findall("joint"), spec.link_names[1:], strict=True):
         yield title, [joint, links[name]]
@@ -833,9 +815,7 @@ def cross_check(urdf_path: Path | str, samples: int = 100, seed: int = 0) -> Cro
     )
 
 
-def _frame_deviations(
-    model: Any, reader: Any, frames: Sequence[str], samples: int, seed: int
-) -> tuple[float, float]:
+def _frame_deviations(model: Any, reader: Any, frames: Sequence[str], samples: int, seed: int) -> tuple[float, float]:
     """Largest distance [m] and angle [rad] between the two readers' placements."""
     import pinocchio as pin
 
@@ -882,6 +862,5 @@ def _masses_equal(model: Any, reader: Any) -> bool:
         if link.inertial is not None and link.inertial.mass is not None:
             totals[joint] += link.inertial.mass
     return all(
-        math.isclose(inertia.mass, total, rel_tol=1e-12)
-        for inertia, total in zip(model.inertias, totals, strict=True)
+        math.isclose(inertia.mass, total, rel_tol=1e-12) for inertia, total in zip(model.inertias, totals, strict=True)
     )

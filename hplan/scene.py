@@ -24,9 +24,7 @@ Name: TypeAlias = Annotated[str, Field(min_length=1)]
 class _Strict(BaseModel):
     """Immutable, no unknown keys, no NaN or infinity, no text where a number belongs."""
 
-    model_config = ConfigDict(
-        extra="forbid", frozen=True, allow_inf_nan=False, populate_by_name=True, strict=True
-    )
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, populate_by_name=True, strict=True)
 
 
 class Sphere(_Strict):
@@ -94,9 +92,7 @@ class Box(_Strict):
     def core(self) -> FloatArray:
         """(8, 3) corners; the obstacle is their hull."""
         signs = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
-        corners: FloatArray = (
-            np.array(self.center) + (0.5 * signs * np.array(self.size)) @ self.rotation.T
-        )
+        corners: FloatArray = np.array(self.center) + (0.5 * signs * np.array(self.size)) @ self.rotation.T
         return corners
 
     @property

@@ -143,10 +143,7 @@ def planar_sections(
 ) -> ArmSections:
     """Sections of obstacles given in the arm plane itself, not yet grown by any link."""
     growth = half_widths if link_model != "rectangle" else np.zeros_like(half_widths)
-    per_link = [
-        [(i, RoundedPolygon(s.vertices, s.radius + float(w))) for i, s in enumerate(sections)]
-        for w in growth
-    ]
+    per_link = [[(i, RoundedPolygon(s.vertices, s.radius + float(w))) for i, s in enumerate(sections)] for w in growth]
     default = tuple(f"section {index}" for index in range(len(sections)))
     return _flatten(per_link, default if names is None else tuple(names), link_model)
 
@@ -189,9 +186,7 @@ def _support(reach: FloatArray, heights: FloatArray, radius: float) -> float:
     crossing = np.abs(slopes) > _IN_PLANE
     candidates.extend((reach[second] - reach[first])[crossing] / slopes[crossing])
     tilts = np.array(candidates)
-    values = np.max(reach[:, None] + heights[:, None] * tilts, axis=0) + radius * np.hypot(
-        1.0, tilts
-    )
+    values = np.max(reach[:, None] + heights[:, None] * tilts, axis=0) + radius * np.hypot(1.0, tilts)
     return float(values.min())
 
 
@@ -226,9 +221,7 @@ def _turn(a: tuple[float, float], b: tuple[float, float], c: tuple[float, float]
     return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
 
 
-def _beside_rectangle(
-    core: FloatArray, radius: float, half_width: float, name: str
-) -> RoundedPolygon | None:
+def _beside_rectangle(core: FloatArray, radius: float, half_width: float, name: str) -> RoundedPolygon | None:
     """What a box link of the given half-width (both ways) meets of a ball: a disc, not grown by the link."""
     if len(core) != 1:
         raise OptionError("link_model", "rectangle", f"only spheres as obstacles; {name!r} is none")

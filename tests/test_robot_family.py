@@ -127,9 +127,7 @@ def test_shipped_masses_and_inertias():
     upper_arm = model.inertias[model.getJointId("shoulder")]
     np.testing.assert_allclose(upper_arm.lever, [0.5, 0, 0], atol=1e-12)
     across = 6.0 * (3 * 0.05**2 + 1.0) / 12
-    np.testing.assert_allclose(
-        upper_arm.inertia, np.diag([6.0 * 0.05**2 / 2, across, across]), atol=1e-9
-    )
+    np.testing.assert_allclose(upper_arm.inertia, np.diag([6.0 * 0.05**2 / 2, across, across]), atol=1e-9)
 
 
 def test_shipped_static_torques_leave_room():
@@ -167,9 +165,7 @@ def test_collision_shapes_of_a_link_are_its_exact_capsule():
         q = rng.uniform(model.lowerPositionLimit, model.upperPositionLimit)
         pin.updateGeometryPlacements(model, data, collision_model, collision_data, q)
         pin.updateFramePlacements(model, data)
-        for link, length, half_width in zip(
-            HARVESTER.arm_link_names, lengths, half_widths, strict=True
-        ):
+        for link, length, half_width in zip(HARVESTER.arm_link_names, lengths, half_widths, strict=True):
             placement = data.oMf[model.getFrameId(link)]
             start, end = placement.translation, placement.act(np.array([length, 0.0, 0.0]))
             center = start + rng.uniform(0.5, 2.0) * direction(rng) + rng.random() * (end - start)
@@ -185,9 +181,7 @@ def test_collision_shapes_of_a_link_are_its_exact_capsule():
                     coal.DistanceRequest(),
                     coal.DistanceResult(),
                 )
-                for shape, pose in zip(
-                    collision_model.geometryObjects, collision_data.oMg, strict=True
-                )
+                for shape, pose in zip(collision_model.geometryObjects, collision_data.oMg, strict=True)
                 if shape.name.startswith(f"{link}_")
             )
             assert measured == pytest.approx(expected, abs=1e-9)
@@ -272,9 +266,7 @@ def test_other_members(n, has_yaw, tmp_path):
     model = pin.buildModelFromUrdf(str(urdf))
     assert model.nq == model.nv == n + has_yaw
     assert tuple(model.names)[1:] == spec.joint_names
-    np.testing.assert_allclose(
-        tool_position(model, [0.0] * model.nq), [sum(spec.link_lengths), 0, 0.6], atol=1e-12
-    )
+    np.testing.assert_allclose(tool_position(model, [0.0] * model.nq), [sum(spec.link_lengths), 0, 0.6], atol=1e-12)
     check = cross_check(urdf, samples=10)
     assert check.max_position_deviation < 1e-12
     assert check.frames == spec.link_names
@@ -290,9 +282,7 @@ def test_names():
 
 
 def test_spec_takes_any_sequence_of_numbers():
-    assert replace(arm(2), link_lengths=[1, 2]) == replace(
-        arm(2), link_lengths=np.array([1.0, 2.0])
-    )
+    assert replace(arm(2), link_lengths=[1, 2]) == replace(arm(2), link_lengths=np.array([1.0, 2.0]))
     assert replace(arm(2), link_lengths=[1, 2]).link_lengths == (1.0, 2.0)
 
 
@@ -340,9 +330,7 @@ def specs(draw: st.DrawFn) -> ArmSpec:
     )
 
 
-@settings(
-    max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
+@settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(spec=specs())
 def test_any_spec_survives_the_files(spec, tmp_path):
     urdf, limits_path = write_robot(spec, tmp_path / "arm.urdf")
@@ -445,9 +433,7 @@ def test_cross_check_finds_a_missing_file(tmp_path):
 
 
 def test_cross_check_refuses_a_continuous_joint(tmp_path):
-    text = urdf_text(HARVESTER).replace(
-        '"base_yaw" type="revolute"', '"base_yaw" type="continuous"'
-    )
+    text = urdf_text(HARVESTER).replace('"base_yaw" type="revolute"', '"base_yaw" type="continuous"')
     path = tmp_path / "arm.urdf"
     path.write_text(text)
     with pytest.raises(RobotFileError, match="base_yaw"):

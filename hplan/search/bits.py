@@ -22,9 +22,7 @@ def _unary_bit_operation(name: str, *flags: bool) -> Any:
             del context, signature
             word_type = ir.IntType(64)
             signature_types = [word_type, *(ir.IntType(1) for _ in flags)]
-            function = builder.module.declare_intrinsic(
-                name, [word_type], ir.FunctionType(word_type, signature_types)
-            )
+            function = builder.module.declare_intrinsic(name, [word_type], ir.FunctionType(word_type, signature_types))
             return builder.call(function, [arguments[0], *(ir.IntType(1)(int(f)) for f in flags)])
 
         return types.int64(types.uint64), generate

@@ -12,9 +12,7 @@ from hplan.search.lattice import Lattice, astar
 from hplan.search.result import Expansions, SearchResult, StageTimes
 
 
-def dense_search(
-    occupancy: Occupancy, start: ArrayLike, goal: ArrayLike, *, octile: bool = False
-) -> SearchResult:
+def dense_search(occupancy: Occupancy, start: ArrayLike, goal: ArrayLike, *, octile: bool = False) -> SearchResult:
     """Shortest path over all free nodes, each joined to all its neighbours (26 in 3-D).
 
     Args:

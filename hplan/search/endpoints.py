@@ -19,9 +19,7 @@ def checked_node(occupancy: Occupancy, index: ArrayLike, which: str) -> IntArray
     node = np.asarray(index)
     shape = occupancy.grid.shape
     if node.shape != (len(shape),) or not np.issubdtype(node.dtype, np.integer):
-        raise InputError(
-            f"{which}: expected {len(shape)} whole numbers, got {index!r}", which=which
-        )
+        raise InputError(f"{which}: expected {len(shape)} whole numbers, got {index!r}", which=which)
     if (node < 0).any() or (node >= shape).any():
         raise InputError(
             f"{which}: node {node.tolist()} is outside the grid of shape {shape}",
@@ -29,7 +27,5 @@ def checked_node(occupancy: Occupancy, index: ArrayLike, which: str) -> IntArray
             node=node.tolist(),
         )
     if not occupancy.is_free(node):
-        raise InputError(
-            f"{which}: node {node.tolist()} is occupied", which=which, node=node.tolist()
-        )
+        raise InputError(f"{which}: node {node.tolist()} is occupied", which=which, node=node.tolist())
     return node.astype(np.int64)

@@ -42,9 +42,7 @@ def flood_from(lattice: Lattice, free: WordArray, row: int, bit: int) -> tuple[W
 
 
 @nb.njit(cache=True)
-def _flood(
-    free: WordArray, reached: WordArray, row_offsets: IntArray, across: bool
-) -> tuple[WordArray, int]:
+def _flood(free: WordArray, reached: WordArray, row_offsets: IntArray, across: bool) -> tuple[WordArray, int]:
     """Grow `reached` inside `free`; `across` lets it pass from bit to bit as well."""
     rows, words = free.shape
     margin = 0
@@ -77,13 +75,7 @@ def _flood(
                     carry = np.uint64(0)
                     for word in range(words):
                         above = front[word + 1] << top if word + 1 < words else np.uint64(0)
-                        spread = (
-                            front[word]
-                            | (front[word] << one)
-                            | (front[word] >> one)
-                            | carry
-                            | above
-                        )
+                        spread = front[word] | (front[word] << one) | (front[word] >> one) | carry | above
                         carry = front[word] >> top
                         grown = spread & free[row, word]
                         if grown & ~reached[row, word] != np.uint64(0):

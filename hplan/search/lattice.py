@@ -272,17 +272,13 @@ def _astar(
                     continue
                 other = ranks[beside, there >> 6] + popcount(word & (mask - one))
                 new = base + move_costs[move, turn]
-                if (
-                    new >= cost[other] - tolerance
-                ):  # closed nodes are never improved: both bounds are consistent
+                if new >= cost[other] - tolerance:  # closed nodes are never improved: both bounds are consistent
                     continue
                 cost[other] = new
                 parent[other] = node
                 place[other] = beside * bit_count + there
                 ahead = _bound(row_coordinates, step, beside, there, goal_row, goal_bit, octile)
-                key = math.floor((new + ahead) * scale + 0.5) + min(
-                    0.9, 0.1 * ahead / max(whole, 1e-12)
-                )
+                key = math.floor((new + ahead) * scale + 0.5) + min(0.9, 0.1 * ahead / max(whole, 1e-12))
                 hole = slot[other]
                 if hole < 0:
                     hole = size

@@ -52,9 +52,7 @@ def restore(
     return parts
 
 
-def _carry(
-    occupancy: Occupancy, path: IntArray, slices: list[int], *, head: bool
-) -> Iterator[tuple[int, IntArray]]:
+def _carry(occupancy: Occupancy, path: IntArray, slices: list[int], *, head: bool) -> Iterator[tuple[int, IntArray]]:
     """Carry a path's head (or tail) from slice to slice, cut before the first contact in each."""
     kept = path if head else path[::-1]
     words, shape = occupancy.free_words, occupancy.grid.shape

@@ -22,9 +22,7 @@ from hplan.search.restoration import restore
 from hplan.search.result import Expansions, Fallback, SearchResult, StageTimes
 
 
-def two_level_search(
-    occupancy: Occupancy, start: ArrayLike, goal: ArrayLike, *, octile: bool = True
-) -> SearchResult:
+def two_level_search(occupancy: Occupancy, start: ArrayLike, goal: ArrayLike, *, octile: bool = True) -> SearchResult:
     """Search every slice of the last axis between start and goal, then the union of their paths.
 
     Args:
@@ -67,9 +65,7 @@ def two_level_search(
         path=path,
         cost=cost if path is not None else math.inf,
         expansions=Expansions(layers.expansions, sparse_expansions, fallback_expansions, flooded),
-        times=StageTimes(
-            layers_done - begin, sparse_done - layers_done, time.perf_counter() - sparse_done
-        ),
+        times=StageTimes(layers_done - begin, sparse_done - layers_done, time.perf_counter() - sparse_done),
         feasible_slices=layers.feasible,
         slice_paths=layers.paths,
         restored_slices=tuple(sorted(parts)),

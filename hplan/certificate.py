@@ -1,0 +1,243 @@
+r"""The proof that comes with a trajectory.
+
+Between two rows the controller is taken to follow the cubic that has the rows' positions and velocities (`cubic
+Hermite`); a trajectory of hplan is exactly that curve. On it
+
+- **clearance** is shown over continuous time: coal gives the signed distance of every link at some instant, the hull
+  of the cubic's derivative bounds how far any point of the link can move before the next one, and the distance minus
+  that bound must stay positive all the way (conservative advancement);
+- **position, velocity and acceleration** are bounded exactly: the acceleration is linear between rows, the velocity
+  has its extremes at rows or where the acceleration is zero, the position within the hull of the Bezier points;
+- **torque** is inverse dynamics at the rows and in the middle between them.
+
+Assumed: rigid links inside their capsules, obstacles where the scene says, tracking within `tracking_error` [rad] a
+joint. Not covered: flexing, the base's own motion, contact forces, what is not in the scene.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from hplan.arrays import FloatArray
+from hplan.collision import CollisionScene, Contact
+from hplan.errors import InputError, OptionError
+from hplan.robot import Robot
+from hplan.scene import Scene
+from hplan.trajectory import Trajectory
+
+#: Use of a limit up to which it counts as kept.
+LIMIT_TOLERANCE = 1.001
+
+#: Clearance below which the proof gives up [m]: steps would become too small.
+SMALLEST_STEP = 1e-6
+
+
+@dataclass(frozen=True)
+class LimitUse:
+    """Largest share of each limit that the trajectory uses; position: 1 at a limit, over 1 outside.
+
+    Attributes:
+        position: Largest distance from the middle of the joint range, as a share of half the range.
+        velocity: Largest |velocity| / limit.
+        acceleration: Largest |acceleration| / limit.
+        torque: Largest |torque| / limit.
+    """
+
+    position: float
+    velocity: float
+    acceleration: float
+    torque: float
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """What was shown of a trajectory.
+
+    Attributes:
+        verified: Whether everything asked for was shown.
+        min_clearance_m: Distance that every link is shown to keep from every obstacle at all times [m]; inf without
+            obstacles, negative (the depth found) in contact.
+        nearest: Link and obstacle at the smallest distance that was evaluated.
+        limit_use: Largest use of each limit.
+        checks: Number of configurations at which distances were evaluated.
+        violations: What was not shown, in words; empty when verified.
+    """
+
+    verified: bool
+    min_clearance_m: float
+    nearest: Contact | None
+    limit_use: LimitUse
+    checks: int
+    violations: tuple[str, ...]
+
+
+def certify(
+    robot: Robot,
+    scene: Scene,
+    trajectory: Trajectory,
+    *,
+    tracking_error: float = 0.0,
+    judge: CollisionScene | None = None,
+) -> Certificate:
+    """Judge a trajectory, wherever it comes from.
+
+    Args:
+        robot: The arm.
+        scene: Obstacles and the clearance to keep.
+        trajectory: The timed motion; its joints are the robot's.
+        tracking_error: Largest deviation of any joint from the trajectory [rad].
+        judge: The scene in coal, where it is already there.
+
+    Returns:
+        The certificate; read `verified`.
+
+    Raises:
+        InputError: The trajectory has other joints than the robot.
+        OptionError: A tracking error that is negative or not finite.
+    """
+    if trajectory.joint_names != robot.joint_names:
+        raise InputError(
+            f"the trajectory moves {', '.join(trajectory.joint_names)}; the robot has {', '.join(robot.joint_names)}"
+        )
+    if not (np.isfinite(tracking_error) and tracking_error >= 0.0):
+        raise OptionError("tracking_error", tracking_error, "a finite number of radians >= 0")
+    judge = CollisionScene(robot, scene.solids) if judge is None else judge
+    bezier = _bezier(trajectory)
+    use = _limit_use(robot, trajectory, bezier, tracking_error)
+    clearance, nearest, checks = _clearance(robot, bezier, judge, tracking_error, scene.clearance)
+    violations = [
+        f"{what} reaches {share:.4f} of its limit"
+        for what, share in vars(use).items()
+        if not share <= (LIMIT_TOLERANCE if what != "position" else 1.0 + 1e-6)
+    ]
+    if not clearance > scene.clearance and nearest is not None:
+        violations.append(
+            f"link {nearest.link!r} comes to {1e3 * nearest.distance_m:.3g} mm of obstacle {nearest.obstacle!r}"
+            f" (needed: more than {1e3 * scene.clearance:.3g} mm, with the bound on motion)"
+        )
+    return Certificate(not violations, clearance, nearest, use, checks, tuple(violations))
+
+
+def _bezier(trajectory: Trajectory) -> FloatArray:
+    """(rows - 1, 4, dof) Bezier points of the cubics between rows; one constant piece for a single row."""
+    q, v = trajectory.position, trajectory.velocity
+    if len(q) == 1:
+        return np.repeat(q[:, None, :], 4, axis=1)
+    third = np.diff(trajectory.time)[:, None] / 3.0
+    return np.stack([q[:-1], q[:-1] + third * v[:-1], q[1:] - third * v[1:], q[1:]], axis=1)
+
+
+def _limit_use(robot: Robot, trajectory: Trajectory, bezier: FloatArray, tracking_error: float) -> LimitUse:
+    middle, half = 0.5 * (robot.lower + robot.upper), 0.5 * (robot.upper - robot.lower)
+    position = (np.abs(bezier - middle).max(axis=(0, 1)) + tracking_error) / half
+    if tracking_error == 0.0 and len(trajectory.time) == 1:
+        position = np.abs(trajectory.position[0] - middle) / half
+    duration = np.diff(trajectory.time)[:, None] if len(trajectory.time) > 1 else np.ones((1, 1))
+    # Derivatives of the cubic: velocity (quadratic, three Bezier points), acceleration (linear, its two ends).
+    velocity = 3.0 * np.diff(bezier, axis=1) / duration[:, None]
+    acceleration = 2.0 * np.diff(velocity, axis=1) / duration[:, None]
+    peak = np.abs(velocity[:, [0, 2]]).max(axis=(0, 1))
+    start, end = acceleration[:, 0], acceleration[:, 1]
+    turning = start * end < 0.0
+    share = np.where(turning, start / np.where(turning, start - end, 1.0), 0.0)
+    inner = velocity[:, 0] + duration * share * (start + 0.5 * share * (end - start))
+    peak = np.maximum(peak, np.abs(inner).max(axis=0))
+    return LimitUse(
+        position=float(position.max()),
+        velocity=_share(peak, robot.velocity_limit),
+        acceleration=_share(np.abs(acceleration).max(axis=(0, 1)), robot.acceleration_limit),
+        torque=_share(_torques(robot.model, bezier, velocity, acceleration), robot.torque_limit),
+    )
+
+
+def _share(peak: FloatArray, limit: FloatArray) -> float:
+    """Largest share of a limit; a joint that does not move may have a limit of zero."""
+    idle = (peak <= 1e-9) & (limit <= 0.0)
+    return float(np.where(idle, 0.0, peak / np.where(limit > 0.0, limit, 1e-300)).max())
+
+
+def _torques(model: pin.Model, bezier: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> FloatArray:
+    """(dof,) largest |torque| at the rows and in the middle between them."""
+    data = model.createData()
+    middle_q = (bezier[:, 0] + 3.0 * bezier[:, 1] + 3.0 * bezier[:, 2] + bezier[:, 3]) / 8.0
+    middle_v = (velocity[:, 0] + 2.0 * velocity[:, 1] + velocity[:, 2]) / 4.0
+    q = np.concatenate([bezier[:, 0], middle_q, bezier[:, 3]])
+    v = np.concatenate([velocity[:, 0], middle_v, velocity[:, 2]])
+    a = np.concatenate([acceleration[:, 0], 0.5 * (acceleration[:, 0] + acceleration[:, 1]), acceleration[:, 1]])
+    torque = np.array([pin.rnea(model, data, *row) for row in zip(q, v, a, strict=True)])
+    return np.asarray(np.abs(torque).max(axis=0))
+
+
+def _clearance(
+    robot: Robot, bezier: FloatArray, judge: CollisionScene, tracking_error: float, needed: float
+) -> tuple[float, Contact | None, int]:
+    """Clearance shown over the whole motion, the nearest pair evaluated, and the number of evaluations."""
+    if not judge.obstacle_names:
+        return float("inf"), None, 0
+    rows = len(bezier)
+    bounds = _piece_bounds(robot, bezier)
+    travel = np.concatenate([np.zeros((1, bounds.shape[1])), np.cumsum(bounds, axis=0)])
+    stations = np.arange(rows + 1, dtype=np.float64)
+    slack = _sway(robot, tracking_error)
+    shown, nearest = np.inf, None
+    at, checks = 0.0, 0
+    while True:
+        piece = min(int(at), rows - 1)
+        distances = judge.distances(_cubic(bezier[piece], at - piece))
+        checks += 1
+        if nearest is None or distances.min() < nearest.distance_m:
+            link, obstacle = np.unravel_index(int(distances.argmin()), distances.shape)
+            nearest = Contact(judge.link_names[link], judge.obstacle_names[obstacle], float(distances.min()))
+        free = distances.min(axis=1) - slack
+        spare = free - needed
+        if spare.min() <= SMALLEST_STEP:
+            return float(free.min()), nearest, checks
+        if at >= rows:
+            return float(min(shown, free.min())), nearest, checks
+        # Half of what is spare may be used up before the next look: what is left is shown to remain.
+        ahead = rows * 1.0
+        for k, part in enumerate(0.5 * spare):
+            here = np.interp(at, stations, travel[:, k])
+            if travel[-1, k] - here > part:
+                row = int(np.searchsorted(travel[:, k], here + part, side="right")) - 1
+                ahead = min(ahead, row + (here + part - travel[row, k]) / (travel[row + 1, k] - travel[row, k]))
+        shown = min(shown, float((needed + 0.5 * spare).min()))
+        at = max(ahead, np.nextafter(at, np.inf))
+
+
+def _cubic(points: FloatArray, t: float) -> FloatArray:
+    u = 1.0 - t
+    value: FloatArray = u**3 * points[0] + 3.0 * u * u * t * points[1] + 3.0 * u * t * t * points[2] + t**3 * points[3]
+    return value
+
+
+def _piece_bounds(robot: Robot, bezier: FloatArray) -> FloatArray:
+    """(pieces, links) largest distance that any axis point of a link can travel within each cubic [m].
+
+    A point of link k moves by no more than the sum over links i <= k of length times turn of the absolute angle, plus
+    yaw times the largest distance from the yaw axis; the turns are bounded by the hull of the derivative.
+    """
+    arm = robot.arm
+    rates = 3.0 * np.abs(np.cumsum(arm.signs * np.diff(bezier[..., robot.arm_slice], axis=1), axis=2)).max(axis=1)
+    bounds: FloatArray = np.cumsum(arm.lengths * rates, axis=1)
+    if robot.has_yaw:
+        swing = 3.0 * np.abs(np.diff(bezier[..., 0], axis=1)).max(axis=1)
+        bounds = bounds + swing[:, None] * _yaw_radius(robot)
+    return bounds
+
+
+def _yaw_radius(robot: Robot) -> FloatArray:
+    """(links,) largest distance of each link's axis from the yaw axis [m]."""
+    radius: FloatArray = np.hypot(*robot.plane_origin[:2]) + np.cumsum(robot.arm.lengths)
+    return radius
+
+
+def _sway(robot: Robot, tracking_error: float) -> FloatArray:
+    """(links,) how far an axis point of each link is from its place when every joint is off by the error [m]."""
+    arm = robot.arm
+    turns = tracking_error * np.arange(1, arm.link_count + 1)
+    sway: FloatArray = np.cumsum(arm.lengths * turns)
+    return sway + (tracking_error * _yaw_radius(robot) if robot.has_yaw else 0.0)

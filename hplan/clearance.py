@@ -1,0 +1,310 @@
+r"""Clearance of the arm in 3-D, and motions shown clear over continuous time.
+
+Clearance at a configuration is only a sample. It becomes a proof with a bound on motion: while a joint-space segment
+is traversed, no axis point of link :math:`k` moves farther than
+
+.. math:: |\Delta q_0| \, \varrho_k + \sum_{i \le k} L_i \, |\Delta \varphi_i|,
+
+with :math:`\varphi_i` the absolute angle of link :math:`i` in the plane and :math:`\varrho_k` its largest distance
+from the yaw axis. So a link with clearance :math:`d` stays clear for the part of the motion whose bound is below
+:math:`d` (conservative advancement). Distances are exact for capsule links against balls, capsules and boxes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numba as nb
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hplan.arrays import FloatArray, readonly
+from hplan.robot import Robot
+from hplan.scene import Box, Capsule, Sphere
+
+#: Columns of a solid: kind, radius, bounding centre (3) and radius, then 15 numbers of its kind.
+_POINT, _SEGMENT, _BOX = 0.0, 1.0, 2.0
+
+
+@dataclass(frozen=True, eq=False)
+class ClearanceField:
+    """Arm and obstacles as flat arrays, ready for the kernels.
+
+    Attributes:
+        chain: (links, 4) rows: length, half-width [m], sign, zero offset.
+        base: (8,) shoulder position and the plane's horizontal axis at yaw 0 (its upward axis is z or, for a
+            horizontal plane, y), 1 where joint 0 is a yaw, and 1 for an upright plane.
+        solids: (obstacles, 21) balls, capsules, boxes, grown by the clearance to keep.
+    """
+
+    chain: FloatArray
+    base: FloatArray
+    solids: FloatArray
+
+    @classmethod
+    def of(cls, robot: Robot, obstacles: Sequence[Sphere | Capsule | Box], *, clearance: float = 0.0) -> ClearanceField:
+        """The field of a robot among obstacles, each grown by `clearance` [m]."""
+        arm = robot.arm
+        upright = float(abs(robot.plane_axes[1, 2]) > 0.5)
+        base = [*robot.plane_origin, *robot.plane_axes[0], float(robot.has_yaw), upright]
+        rows = [_solid_row(obstacle, clearance) for obstacle in obstacles]
+        return cls(
+            chain=readonly(np.column_stack([arm.lengths, arm.half_widths, arm.signs, arm.offsets])),
+            base=readonly(base),
+            solids=readonly(np.array(rows).reshape(-1, 21)),
+        )
+
+    def link_clearances(self, q: ArrayLike) -> FloatArray:
+        """Clearance of each link at one configuration.
+
+        Args:
+            q: (dof,) configuration.
+
+        Returns:
+            (links,) distances to the nearest obstacle [m], inf without obstacles. Negative in contact; the depth is
+            exact for balls and for capsules whose axis is not crossed, a lower bound of the depth otherwise.
+        """
+        result = np.empty(len(self.chain))
+        _link_clearances(np.asarray(q, dtype=np.float64), self.chain, self.base, self.solids, result)
+        return result
+
+    def clearance(self, q: ArrayLike) -> float:
+        """Least clearance of any link at one configuration [m]."""
+        return float(self.link_clearances(q).min())
+
+    def is_clear(self, path: ArrayLike, margin: float) -> bool:
+        """Whether the straight joint-space motions between waypoints are shown to keep at least a positive clearance.
+
+        Args:
+            path: (m, dof) waypoints.
+            margin: Clearance asked for wherever it is evaluated [m]; bounds the work near contact. Positive.
+        """
+        points = np.ascontiguousarray(path, dtype=np.float64)
+        return bool(_path_is_clear(points, self.chain, self.base, self.solids, margin))
+
+
+def _solid_row(obstacle: Sphere | Capsule | Box, clearance: float) -> FloatArray:
+    row = np.zeros(21)
+    core = obstacle.core
+    centre = 0.5 * (core.min(axis=0) + core.max(axis=0))
+    row[1] = obstacle.rounding + clearance
+    row[2:5] = centre
+    row[5] = np.linalg.norm(core - centre, axis=1).max() + row[1]
+    if isinstance(obstacle, Sphere):
+        row[0], row[6:9] = _POINT, obstacle.center
+    elif isinstance(obstacle, Capsule):
+        row[0], row[6:9], row[9:12] = _SEGMENT, obstacle.start, obstacle.end
+    else:
+        row[0], row[6:9] = _BOX, 0.5 * np.array(obstacle.size)
+        row[9:18] = obstacle.rotation.T.ravel()  # rows: the box's axes in base_link
+    return row
+
+
+@nb.njit(cache=True, inline="always")
+def _point_segment(
+    cx: float, cy: float, cz: float, ax: float, ay: float, az: float, ux: float, uy: float, uz: float
+) -> float:
+    """Distance of a point from the segment a, a + u."""
+    dx, dy, dz = cx - ax, cy - ay, cz - az
+    square = ux * ux + uy * uy + uz * uz
+    t = 0.0
+    if square > 0.0:
+        t = min(1.0, max(0.0, (dx * ux + dy * uy + dz * uz) / square))
+    dx, dy, dz = dx - t * ux, dy - t * uy, dz - t * uz
+    return math.sqrt(dx * dx + dy * dy + dz * dz)
+
+
+@nb.njit(cache=True)
+def _segment_segment(
+    ax: float, ay: float, az: float, ux: float, uy: float, uz: float,
+    bx: float, by: float, bz: float, vx: float, vy: float, vz: float,
+) -> float:  # fmt: skip
+    """Distance between the segments a, a + u and b, b + v.
+
+    Closest points by clamping (Ericson, Real-Time Collision Detection, 5.1.9).
+    """
+    rx, ry, rz = ax - bx, ay - by, az - bz
+    uu, vv = ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz
+    vr = vx * rx + vy * ry + vz * rz
+    if uu <= 1e-18 and vv <= 1e-18:
+        return math.sqrt(rx * rx + ry * ry + rz * rz)
+    s, t = 0.0, 0.0
+    if uu <= 1e-18:
+        t = min(1.0, max(0.0, vr / vv))
+    else:
+        ur = ux * rx + uy * ry + uz * rz
+        if vv <= 1e-18:
+            s = min(1.0, max(0.0, -ur / uu))
+        else:
+            uv = ux * vx + uy * vy + uz * vz
+            determinant = uu * vv - uv * uv
+            if determinant > 1e-12 * uu * vv:
+                s = min(1.0, max(0.0, (uv * vr - ur * vv) / determinant))
+            t = (uv * s + vr) / vv
+            if t < 0.0:
+                t = 0.0
+                s = min(1.0, max(0.0, -ur / uu))
+            elif t > 1.0:
+                t = 1.0
+                s = min(1.0, max(0.0, (uv - ur) / uu))
+    dx, dy, dz = rx + s * ux - t * vx, ry + s * uy - t * vy, rz + s * uz - t * vz
+    return math.sqrt(dx * dx + dy * dy + dz * dz)
+
+
+@nb.njit(cache=True, inline="always")
+def _beyond(x: float, half: float) -> float:
+    """How far, with sign, a coordinate is outside [-half, half]."""
+    return x - half if x > half else (x + half if x < -half else 0.0)
+
+
+@nb.njit(cache=True)
+def _segment_box(
+    ax: float, ay: float, az: float, ux: float, uy: float, uz: float, hx: float, hy: float, hz: float
+) -> float:  # fmt: skip
+    """Distance of the segment a, a + u from the box of half sizes h, in the box's frame.
+
+    The squared distance is convex and piecewise quadratic along the segment; its derivative is piecewise linear and
+    changes sign between two of the at most eight breakpoints (faces crossed, ends).
+    """
+    low, high = 0.0, 1.0
+    slope_low = 2.0 * (_beyond(ax, hx) * ux + _beyond(ay, hy) * uy + _beyond(az, hz) * uz)
+    slope_high = 2.0 * (_beyond(ax + ux, hx) * ux + _beyond(ay + uy, hy) * uy + _beyond(az + uz, hz) * uz)
+    t = 0.0
+    if slope_low >= 0.0:
+        t = 0.0
+    elif slope_high <= 0.0:
+        t = 1.0
+    else:
+        for axis in range(3):
+            a = ax if axis == 0 else (ay if axis == 1 else az)
+            u = ux if axis == 0 else (uy if axis == 1 else uz)
+            h = hx if axis == 0 else (hy if axis == 1 else hz)
+            if u == 0.0:
+                continue
+            for side in (-1.0, 1.0):
+                x = (side * h - a) / u
+                if low < x < high:
+                    px, py, pz = ax + x * ux, ay + x * uy, az + x * uz
+                    slope = 2.0 * (_beyond(px, hx) * ux + _beyond(py, hy) * uy + _beyond(pz, hz) * uz)
+                    if slope >= 0.0:
+                        high, slope_high = x, slope
+                    else:
+                        low, slope_low = x, slope
+        t = low - slope_low * (high - low) / (slope_high - slope_low)
+    dx, dy, dz = _beyond(ax + t * ux, hx), _beyond(ay + t * uy, hy), _beyond(az + t * uz, hz)
+    return math.sqrt(dx * dx + dy * dy + dz * dz)
+
+
+@nb.njit(cache=True)
+def _link_clearances(
+    q: FloatArray, chain: FloatArray, base: FloatArray, solids: FloatArray, result: FloatArray
+) -> None:
+    """Clearance of each link at one configuration."""
+    first = 1 if base[6] > 0.0 else 0
+    yaw_cos, yaw_sin = 1.0, 0.0
+    if first:
+        yaw_cos, yaw_sin = math.cos(q[0]), math.sin(q[0])
+    fx, fy = yaw_cos * base[3] - yaw_sin * base[4], yaw_sin * base[3] + yaw_cos * base[4]
+    x, y, z = yaw_cos * base[0] - yaw_sin * base[1], yaw_sin * base[0] + yaw_cos * base[1], base[2]
+    angle = 0.0
+    for k in range(chain.shape[0]):
+        angle += chain[k, 2] * q[first + k] + chain[k, 3]
+        along, up = chain[k, 0] * math.cos(angle), chain[k, 0] * math.sin(angle)
+        ux, uy, uz = along * fx, along * fy, up
+        if base[7] == 0.0:
+            uy, uz = uy + up, 0.0
+        mx, my, mz = x + 0.5 * ux, y + 0.5 * uy, z + 0.5 * uz
+        half_length = 0.5 * chain[k, 0]
+        least = math.inf
+        for s in range(solids.shape[0]):
+            dx, dy, dz = solids[s, 2] - mx, solids[s, 3] - my, solids[s, 4] - mz
+            within = least + half_length + solids[s, 5]
+            if dx * dx + dy * dy + dz * dz > within * within:
+                continue  # its bounding ball is farther than the nearest so far
+            kind = solids[s, 0]
+            if kind == _POINT:
+                distance = _point_segment(solids[s, 6], solids[s, 7], solids[s, 8], x, y, z, ux, uy, uz)
+            elif kind == _SEGMENT:
+                distance = _segment_segment(
+                    x, y, z, ux, uy, uz, solids[s, 6], solids[s, 7], solids[s, 8],
+                    solids[s, 9] - solids[s, 6], solids[s, 10] - solids[s, 7], solids[s, 11] - solids[s, 8],
+                )  # fmt: skip
+            else:
+                ox, oy, oz = x - solids[s, 2], y - solids[s, 3], z - solids[s, 4]
+                distance = _segment_box(
+                    ox * solids[s, 9] + oy * solids[s, 10] + oz * solids[s, 11],
+                    ox * solids[s, 12] + oy * solids[s, 13] + oz * solids[s, 14],
+                    ox * solids[s, 15] + oy * solids[s, 16] + oz * solids[s, 17],
+                    ux * solids[s, 9] + uy * solids[s, 10] + uz * solids[s, 11],
+                    ux * solids[s, 12] + uy * solids[s, 13] + uz * solids[s, 14],
+                    ux * solids[s, 15] + uy * solids[s, 16] + uz * solids[s, 17],
+                    solids[s, 6],
+                    solids[s, 7],
+                    solids[s, 8],
+                )
+            least = min(least, distance - solids[s, 1])
+        result[k] = least - chain[k, 1]
+        x, y, z = x + ux, y + uy, z + uz
+
+
+@nb.njit(cache=True)
+def motion_bounds(turns: FloatArray, chain: FloatArray, base: FloatArray, result: FloatArray) -> None:
+    """Largest displacement of any axis point of each link for joint turns of at most |turns| with these signs.
+
+    Args:
+        turns: (dof,) joint displacements.
+        chain: As in `ClearanceField`.
+        base: As in `ClearanceField`.
+        result: (links,) bounds, written [m].
+    """
+    first = 1 if base[6] > 0.0 else 0
+    swing = abs(turns[0]) if first else 0.0
+    radius = math.hypot(base[0], base[1])
+    absolute, bound = 0.0, 0.0
+    for k in range(chain.shape[0]):
+        absolute += chain[k, 2] * turns[first + k]
+        bound += chain[k, 0] * abs(absolute)
+        radius += chain[k, 0]
+        result[k] = bound + swing * radius
+
+
+@nb.njit(cache=True)
+def _path_is_clear(path: FloatArray, chain: FloatArray, base: FloatArray, solids: FloatArray, margin: float) -> bool:
+    """Conservative advancement along every segment of a polyline."""
+    for i in range(path.shape[0] - 1):
+        if not segment_is_clear(path[i], path[i + 1], chain, base, solids, margin):
+            return False
+    return True
+
+
+@nb.njit(cache=True)
+def segment_is_clear(
+    start: FloatArray, end: FloatArray, chain: FloatArray, base: FloatArray, solids: FloatArray, margin: float
+) -> bool:
+    """Whether the straight joint-space motion is shown clear; `margin` is asked for wherever it is evaluated."""
+    links, dof = chain.shape[0], start.shape[0]
+    turns = end - start
+    bounds, clear, q = np.empty(links), np.empty(links), np.empty(dof)
+    motion_bounds(turns, chain, base, bounds)
+    # The middle first: where a motion fails it often fails there.
+    for i in range(dof):
+        q[i] = start[i] + 0.5 * turns[i]
+    _link_clearances(q, chain, base, solids, clear)
+    if clear.min() < margin:
+        return False
+    t = 0.0
+    while True:
+        for i in range(dof):
+            q[i] = start[i] + t * turns[i]
+        _link_clearances(q, chain, base, solids, clear)
+        advance = 1.0
+        for k in range(links):
+            if clear[k] < margin:
+                return False
+            if bounds[k] * advance > clear[k]:
+                advance = clear[k] / bounds[k]
+        if t >= 1.0:
+            return True
+        t = min(1.0, t + advance)

@@ -1,0 +1,242 @@
+"""The command line: plan a scene, write what the controller needs, say how it went.
+
+Heavy imports wait until the arguments are understood.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hplan.errors import HplanError, OutputError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from hplan.pipeline import PlanResult
+    from hplan.robot import Robot
+    from hplan.scene import Scene
+
+#: Files of a finished job; the report comes last, so that it never speaks of files that are not there.
+TRAJECTORY, PAGE, REPORT = "trajectory.csv", "scene.html", "report.json"
+
+_EXIT_STATUS = """\
+exit status:
+  0  done
+  2  bad input
+  3  no path exists (shown on the grid)
+  4  the motion cannot be timed
+  5  the motion is not certified
+"""
+
+_STAGE_WORDS = {
+    "load": "reading robot and scene",
+    "cspace": "computing the C-space",
+    "search": "searching slices and sparse graph",
+    "postprocess": "smoothing the path",
+    "timing": "timing the motion",
+    "certificate": "proving clearance and limits",
+    "export": "writing files",
+}
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line; returns the exit status."""
+    arguments = _parser().parse_args(argv)
+    from rich.console import Console
+
+    console, errors = Console(highlight=False), Console(stderr=True, highlight=False)
+    names: dict[str, str | None] = {"scene": None, "robot": None}
+    try:
+        folder = _prepare(arguments.out)
+        try:
+            robot, scene, result = _run(arguments, folder, errors, names)
+        except HplanError as error:
+            _write_failure(folder, error, names)
+            raise
+    except HplanError as error:
+        _show_error(errors, error)
+        return error.exit_status
+    if not arguments.quiet:
+        _show_summary(console, result, folder)
+    if arguments.view:
+        _view(console, robot, scene, result)
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="plan_and_time.py" if sys.argv[0].endswith("plan_and_time.py") else "hplan",
+        description="Plan a collision-free motion of a harvesting arm, time it, certify it, and write it for the "
+        "controller: trajectory.csv, report.json and an animated scene.html.",
+        epilog=_EXIT_STATUS,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add = parser.add_argument
+    add("scene", nargs="?", type=Path, help="scene file (default: the paper's reference scene, Table 1)")
+    add("--out", type=Path, default=Path("out"), metavar="DIR", help="folder to write into (default: out)")
+    add("--robot", type=Path, metavar="URDF", help="robot (default: the harvester that ships with hplan)")
+    add("--limits", type=Path, metavar="YAML", help="acceleration limits (default: NAME.limits.yaml beside the URDF)")
+    add("--method", choices=("two-level", "dense"), default="two-level", help="search (default: two-level)")
+    add("--link-model", choices=("capsule", "paper", "rectangle"), default="capsule", help="default: capsule")
+    add("--step", type=float, default=1.0, metavar="DEG", help="spacing of the joint grid (default: 1)")
+    add("--rate", type=float, default=250.0, metavar="HZ", help="rows per second in the CSV (default: 250)")
+    add("--speed", type=float, default=1.0, metavar="SHARE", help="share of full speed, in (0, 1] (default: 1)")
+    add("--tracking-error", type=float, default=0.0, metavar="DEG", help="joint deviation that the proof covers")
+    add("--uncertified", action="store_true", help="write the motion even if it is not certified; the report says so")
+    add("--view", action="store_true", help="serve the animated scene until interrupted")
+    add("--quiet", action="store_true", help="no progress, no summary")
+    return parser
+
+
+def _prepare(folder: Path) -> Path:
+    """Make the output folder and see that it can be written, before any work."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        probe = folder / ".hplan-probe"
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        raise OutputError(folder, error.strerror or str(error)) from error
+    return folder
+
+
+def _run(
+    arguments: argparse.Namespace, folder: Path, errors: Console, names: dict[str, str | None]
+) -> tuple[Robot, Scene, PlanResult]:
+    """Load, plan and write."""
+    with _progress(errors, arguments.quiet) as progress:
+        progress("load")
+        import math
+
+        from hplan.pipeline import PlanOptions, plan, with_export_time
+        from hplan.report import write_report
+        from hplan.robot import load_robot
+        from hplan.scene_file import load_scene
+        from hplan.trajectory import write_csv
+        from hplan.view.page import write_page
+
+        options = PlanOptions(
+            method=arguments.method,
+            step_deg=arguments.step,
+            link_model=arguments.link_model,
+            rate_hz=arguments.rate,
+            speed=arguments.speed,
+            tracking_error=math.radians(arguments.tracking_error),
+            certify=not arguments.uncertified,
+        )
+        robot = load_robot(arguments.robot, limits=arguments.limits)
+        names["robot"] = robot.name
+        scene = load_scene(arguments.scene)
+        names["scene"] = scene.name
+        result = plan(robot, scene, options, progress=progress)
+        progress("export")
+        begin = time.perf_counter()
+        write_csv(result.trajectory, folder / TRAJECTORY)
+        write_page(robot, scene, result.trajectory, folder / PAGE)
+        result = with_export_time(result, time.perf_counter() - begin)
+        write_report(result.report, folder / REPORT)
+    return robot, scene, result
+
+
+class _progress:  # noqa: N801 - used as a function that opens a context
+    """A status line on the terminal that names the stage; nothing where there is no terminal, or none wanted."""
+
+    def __init__(self, console: Console, quiet: bool) -> None:
+        self._status = None if quiet or not console.is_terminal else console.status("starting")
+
+    def __enter__(self) -> Callable[[str], None]:
+        if self._status is not None:
+            self._status.start()
+        return self._show
+
+    def __exit__(self, *_: object) -> None:
+        if self._status is not None:
+            self._status.stop()
+
+    def _show(self, stage: str) -> None:
+        if self._status is not None:
+            self._status.update(_STAGE_WORDS.get(stage, stage))
+
+
+def _write_failure(folder: Path, error: HplanError, names: dict[str, str | None]) -> None:
+    """The report of a failed job; a trajectory of an earlier job in the same folder must not be taken for its result."""
+    from hplan.report import failure_report, write_report
+
+    for name in (TRAJECTORY, PAGE):
+        (folder / name).unlink(missing_ok=True)
+    if not isinstance(error, OutputError):
+        write_report(failure_report(error, scene=names["scene"], robot=names["robot"]), folder / REPORT)
+
+
+def _show_error(console: Console, error: HplanError) -> None:
+    from rich.markup import escape
+
+    console.print(f"[bold red]error[/] ({error.kind}): {escape(error.message)}", soft_wrap=True)
+    for blocker in error.data.get("blockers", ())[:5]:
+        low, high = blocker["slices_deg"]
+        console.print(
+            f"  {escape(blocker['obstacle'])} against {escape(blocker['link'])}: {blocker['cells']} border nodes, "
+            f"last joint {low:g} to {high:g} deg",
+            soft_wrap=True,
+        )
+
+
+def _show_summary(console: Console, result: PlanResult, folder: Path) -> None:
+    from rich import box
+    from rich.markup import escape
+    from rich.table import Table
+
+    report = result.report
+    planner, expansions, path = report["planner"], report["planner"]["expansions"], report["path"]
+    motion, proof, times = report["trajectory"], report["certificate"], report["time_ms"]
+    table = Table(box=box.SIMPLE_HEAD, show_header=False, pad_edge=False, title_justify="left")
+    table.title = f"[bold]{escape(report['scene'])}[/] with [bold]{escape(report['robot'])}[/]"
+    table.add_column(style="dim")
+    table.add_column()
+    add: Callable[[str, str], Any] = table.add_row
+    add("search", f"{planner['method']}, {planner['points']} points, cost {planner['cost_deg']:.6f} deg")
+    add(
+        "expansions",
+        f"{expansions['total']} (layers {expansions['layers']}, sparse {expansions['sparse']}, "
+        f"fallback {expansions['fallback']}; {expansions['flooded_cells']} cells flooded)",
+    )
+    add("path", f"{path['length_deg']:.2f} deg, from {path['length_deg_grid']:.2f} deg on the grid")
+    add("motion", f"[bold]{motion['duration_s']:.3f} s[/], {motion['samples']} rows at {motion['rate_hz']:g} Hz")
+    use = proof["limit_use"]
+    add("limits", ", ".join(f"{name} {100 * share:.1f} %" for name, share in use.items()))
+    add("clearance", _clearance_words(proof))
+    add("certificate", "[bold green]verified[/]" if proof["verified"] else "[bold red]NOT verified[/]")
+    add(
+        "time",
+        f"[bold]{times['total']:.1f} ms[/]: "
+        + ", ".join(f"{stage} {times[stage]:.1f}" for stage in times if stage != "total" and times[stage] >= 0.05),
+    )
+    add("written", ", ".join(escape(str(folder / name)) for name in (TRAJECTORY, REPORT, PAGE)))
+    console.print(table)
+
+
+def _clearance_words(proof: dict[str, Any]) -> str:
+    nearest = proof["nearest"]
+    if nearest is None:
+        return "no obstacles"
+    shown = f"at least {1e3 * proof['min_clearance_m']:.2f} mm shown at all times"
+    return f"{shown}; nearest {nearest['link']} to {nearest['obstacle']}, {1e3 * nearest['distance_m']:.2f} mm"
+
+
+def _view(console: Console, robot: Robot, scene: Scene, result: PlanResult) -> None:
+    """Serve the scene until interrupted."""
+    from hplan.view.page import serve
+
+    server = serve(robot, scene, result.trajectory)
+    console.print(f"serving the scene at {server.url} (interrupt to stop)")
+    try:
+        server.wait()
+    except KeyboardInterrupt:
+        pass
+    finally:
+        server.close()

@@ -1,0 +1,54 @@
+"""Start and goal joined to the grid: the nearest free node that a straight motion, shown clear, leads to."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+
+from hplan.arrays import FloatArray, IntArray
+from hplan.clearance import ClearanceField
+from hplan.grid import Occupancy
+
+#: A configuration this near to a node stands on it [steps].
+ON_NODE = 1e-6
+
+#: How many nodes away a joint may be led, to either side.
+REACH = 2
+
+
+def nearest_node(
+    occupancy: Occupancy, q: FloatArray, template: FloatArray, planar: slice, field: ClearanceField, margin: float
+) -> IntArray | None:
+    """The free node nearest to a configuration that a straight motion shown clear leads to.
+
+    Args:
+        occupancy: Which nodes are free.
+        q: (d,) planar joint angles.
+        template: (dof,) configuration that holds the other joints.
+        planar: Where the planar joints stand in it.
+        field: Arm and obstacles.
+        margin: Clearance asked for wherever the motion is evaluated [m].
+
+    Returns:
+        The (d,) node index, or None where no node within `REACH` steps will do.
+    """
+    grid = occupancy.grid
+    position = grid.position(q)
+    nearest = grid.nearest(q)
+    if np.abs(position - nearest).max() <= ON_NODE:
+        return nearest if occupancy.is_free(nearest) else None
+    low, high = np.floor(position).astype(int) - REACH + 1, np.ceil(position).astype(int) + REACH - 1
+    ranges = [range(max(0, a), min(count - 1, b) + 1) for a, b, count in zip(low, high, grid.shape, strict=True)]
+    nodes = np.array(list(itertools.product(*ranges)), dtype=np.int64)
+    order = np.argsort(np.linalg.norm((nodes - position) * grid.step, axis=1), kind="stable")
+    here = np.array(template)
+    here[planar] = q
+    for node in nodes[order]:
+        if not occupancy.is_free(node):
+            continue
+        there = here.copy()
+        there[planar] = grid.coordinates(node)
+        if field.is_clear(np.stack([here, there]), margin):
+            return np.asarray(node)
+    return None

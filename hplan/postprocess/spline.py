@@ -1,0 +1,184 @@
+"""The smooth path: a clamped cubic B-spline in joint space.
+
+Its second derivative is continuous, so no jump of acceleration comes from geometry. Every span is a cubic Bezier
+piece that lies in the hull of its four control points, and so the whole path is within the joint limits as soon as
+the control points are; the hull of a piece's derivative bounds its motion, which is what shows it clear.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numba as nb
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hplan.arrays import FloatArray, frozen, readonly
+from hplan.clearance import ClearanceField, _link_clearances
+
+
+@dataclass(frozen=True, eq=False)
+class SplinePath:
+    """A path from its first control point to its last; the parameter runs about as the joint-space length.
+
+    Attributes:
+        control: (n, dof) control points, n >= 4.
+        knots: (n + 4,) clamped knots.
+    """
+
+    control: FloatArray
+    knots: FloatArray
+
+    @classmethod
+    def through(cls, control: ArrayLike) -> SplinePath:
+        """The spline with these control points, its knots averaged from the control polygon's length.
+
+        Averaging (de Boor, A Practical Guide to Splines, XIII) makes the parameter follow the length.
+        """
+        points = readonly(control)
+        station = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+        inner = (station[1:-3] + station[2:-2] + station[3:-1]) / 3.0
+        return cls(points, readonly(np.concatenate([[0.0] * 4, inner, [station[-1]] * 4])))
+
+    @cached_property
+    def breaks(self) -> FloatArray:
+        """(pieces + 1,) parameters where pieces meet."""
+        return readonly(self.knots[3:-3])
+
+    @cached_property
+    def pieces(self) -> FloatArray:
+        """(pieces, 4, dof) Bezier control points of the spans."""
+        return frozen(bezier_pieces(self.control, self.knots))
+
+    @property
+    def end(self) -> float:
+        """Last parameter; the first is 0."""
+        return float(self.knots[-1])
+
+    def evaluate(self, s: ArrayLike, derivative: int = 0) -> FloatArray:
+        """Points or derivatives with respect to the parameter.
+
+        Args:
+            s: (...) parameters in [0, end]; clipped to it.
+            derivative: 0, 1 or 2.
+
+        Returns:
+            (..., dof) values.
+        """
+        parameters = np.clip(np.asarray(s, dtype=np.float64), 0.0, self.end)
+        span = np.clip(np.searchsorted(self.breaks, parameters, side="right") - 1, 0, len(self.pieces) - 1)
+        width = (self.breaks[span + 1] - self.breaks[span])[..., None]
+        t = (parameters - self.breaks[span])[..., None] / width
+        u = 1.0 - t
+        b = np.moveaxis(self.pieces[span], -2, 0)
+        value: FloatArray
+        if derivative == 0:
+            value = u**3 * b[0] + 3.0 * u**2 * t * b[1] + 3.0 * u * t**2 * b[2] + t**3 * b[3]
+        elif derivative == 1:
+            value = 3.0 * (u**2 * (b[1] - b[0]) + 2.0 * u * t * (b[2] - b[1]) + t**2 * (b[3] - b[2])) / width
+        else:
+            value = 6.0 * (u * (b[2] - 2.0 * b[1] + b[0]) + t * (b[3] - 2.0 * b[2] + b[1])) / width**2
+        return value
+
+    @cached_property
+    def length(self) -> float:
+        """Joint-space length, by Gauss-Legendre quadrature on each piece."""
+        nodes, weights = np.polynomial.legendre.leggauss(8)
+        width = np.diff(self.breaks)
+        s = self.breaks[:-1, None] + 0.5 * (nodes + 1.0) * width[:, None]
+        speed = np.linalg.norm(self.evaluate(s, 1), axis=-1)
+        return float((0.5 * width[:, None] * weights * speed).sum())
+
+    def is_clear(self, field: ClearanceField, margin: float) -> bool:
+        """Whether the whole path is shown clear; `margin` [m] is asked for wherever it is evaluated."""
+        return not first_contact(self.pieces, field, margin).any()
+
+
+def first_contact(pieces: FloatArray, field: ClearanceField, margin: float) -> FloatArray:
+    """(pieces,) True for each Bezier piece that is not shown clear."""
+    return np.array([not piece_is_clear(piece, field.chain, field.base, field.solids, margin) for piece in pieces])
+
+
+@nb.njit(cache=True)
+def bezier_piece(control: FloatArray, knots: FloatArray, span: int, result: FloatArray) -> None:
+    """Bezier control points of the span between knots[span] and knots[span + 1], by blossoming.
+
+    The blossom of a span is de Boor's recursion with another argument on each level; its values at the span's ends
+    taken 3, 2, 1, 0 times are the Bezier points.
+    """
+    dof = control.shape[1]
+    low, high = knots[span], knots[span + 1]
+    for which in range(4):
+        for joint in range(dof):
+            d0, d1 = control[span - 3, joint], control[span - 2, joint]
+            d2, d3 = control[span - 1, joint], control[span, joint]
+            x = high if which > 0 else low
+            a = (x - knots[span - 2]) / (knots[span + 1] - knots[span - 2])
+            b = (x - knots[span - 1]) / (knots[span + 2] - knots[span - 1])
+            c = (x - knots[span]) / (knots[span + 3] - knots[span])
+            d0, d1, d2 = d0 + a * (d1 - d0), d1 + b * (d2 - d1), d2 + c * (d3 - d2)
+            x = high if which > 1 else low
+            a = (x - knots[span - 1]) / (knots[span + 1] - knots[span - 1])
+            b = (x - knots[span]) / (knots[span + 2] - knots[span])
+            d0, d1 = d0 + a * (d1 - d0), d1 + b * (d2 - d1)
+            x = high if which > 2 else low
+            a = (x - low) / (high - low)
+            result[which, joint] = d0 + a * (d1 - d0)
+
+
+@nb.njit(cache=True)
+def bezier_pieces(control: FloatArray, knots: FloatArray) -> FloatArray:
+    """Bezier control points of all spans."""
+    spans = control.shape[0] - 3
+    pieces = np.empty((spans, 4, control.shape[1]))
+    for i in range(spans):
+        bezier_piece(control, knots, i + 3, pieces[i])
+    return pieces
+
+
+@nb.njit(cache=True)
+def piece_bounds(piece: FloatArray, chain: FloatArray, base: FloatArray, result: FloatArray) -> None:
+    """Largest speed of any axis point of each link while a piece's own parameter runs from 0 to 1 [m].
+
+    As `clearance.motion_bounds`, from the hull of the derivative: each absolute link angle turns no faster than at the
+    fastest of the derivative's three control points.
+    """
+    first = 1 if base[6] > 0.0 else 0
+    swing = 0.0
+    if first:
+        for c in range(3):
+            swing = max(swing, 3.0 * abs(piece[c + 1, 0] - piece[c, 0]))
+    radius = np.hypot(base[0], base[1])
+    turn0, turn1, turn2, bound = 0.0, 0.0, 0.0, 0.0
+    for k in range(chain.shape[0]):
+        turn0 += chain[k, 2] * (piece[1, first + k] - piece[0, first + k])
+        turn1 += chain[k, 2] * (piece[2, first + k] - piece[1, first + k])
+        turn2 += chain[k, 2] * (piece[3, first + k] - piece[2, first + k])
+        bound += 3.0 * chain[k, 0] * max(abs(turn0), abs(turn1), abs(turn2))
+        radius += chain[k, 0]
+        result[k] = bound + swing * radius
+
+
+@nb.njit(cache=True)
+def piece_is_clear(piece: FloatArray, chain: FloatArray, base: FloatArray, solids: FloatArray, margin: float) -> bool:
+    """Conservative advancement along a Bezier piece; `margin` is asked for wherever it is evaluated."""
+    links, dof = chain.shape[0], piece.shape[1]
+    bounds, clear, q = np.empty(links), np.empty(links), np.empty(dof)
+    piece_bounds(piece, chain, base, bounds)
+    t = 0.0
+    while True:
+        u = 1.0 - t
+        w0, w1, w2, w3 = u * u * u, 3.0 * u * u * t, 3.0 * u * t * t, t * t * t
+        for i in range(dof):
+            q[i] = w0 * piece[0, i] + w1 * piece[1, i] + w2 * piece[2, i] + w3 * piece[3, i]
+        _link_clearances(q, chain, base, solids, clear)
+        advance = 1.0
+        for k in range(links):
+            if clear[k] < margin:
+                return False
+            if bounds[k] * advance > clear[k]:
+                advance = clear[k] / bounds[k]
+        if t >= 1.0:
+            return True
+        t = min(1.0, t + advance)

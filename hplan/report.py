@@ -1,0 +1,89 @@
+"""What a plan took and gave, as the numbers of `report.json`."""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from hplan.errors import HplanError
+from hplan.files import write_text
+
+#: Stages of a plan, in order.
+STAGES = ("cspace", "layers", "sparse", "fallback", "postprocess", "timing", "certificate", "export")
+
+#: Packages whose versions a report names.
+_PACKAGES = ("hplan", "pin", "coal", "toppra", "numba", "numpy")
+
+
+class StageClock:
+    """Wall-clock time of each stage [s]; a stage entered again adds up."""
+
+    def __init__(self) -> None:
+        """Start the clock of the whole."""
+        self._begin = time.perf_counter()
+        self.seconds = dict.fromkeys(STAGES, 0.0)
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Time what runs inside as part of a stage."""
+        begin = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.add(name, time.perf_counter() - begin)
+
+    def add(self, name: str, seconds: float) -> None:
+        """Add time that was measured elsewhere."""
+        self.seconds[name] += seconds
+
+    def as_ms(self) -> dict[str, float]:
+        """Times by stage and in all [ms]."""
+        table = {name: round(1e3 * seconds, 4) for name, seconds in self.seconds.items()}
+        return {**table, "total": round(1e3 * (time.perf_counter() - self._begin), 4)}
+
+
+def versions() -> dict[str, str]:
+    """Versions of hplan and of what it stands on."""
+    found = {}
+    for package in _PACKAGES:
+        try:
+            found[package] = metadata.version(package)
+        except metadata.PackageNotFoundError:
+            found[package] = "not installed as a package"
+    return found
+
+
+def failure_report(error: HplanError, *, scene: str | None, robot: str | None) -> dict[str, Any]:
+    """The report of a plan that failed."""
+    return {
+        "status": "failed",
+        "scene": scene,
+        "robot": robot,
+        "error": error.as_dict(),
+        "versions": versions(),
+    }
+
+
+def write_report(report: dict[str, Any], path: Path | str) -> Path:
+    """Write a report as JSON; what is not finite becomes null, as JSON knows no infinity.
+
+    Raises:
+        OutputError: The file cannot be written.
+    """
+    return write_text(path, json.dumps(_plain(report), indent=2, allow_nan=False) + "\n")
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

@@ -273,7 +273,7 @@ def motion_bounds(turns: FloatArray, chain: FloatArray, base: FloatArray, result
 @nb.njit(cache=True)
 def _path_is_clear(path: FloatArray, chain: FloatArray, base: FloatArray, solids: FloatArray, margin: float) -> bool:
     """Conservative advancement along every segment of a polyline."""
-    for i in range(path.shape[0] - 1):
+    for i in range(path.shape[0] - 1):  # noqa: SIM110 - numba has no generators
         if not segment_is_clear(path[i], path[i + 1], chain, base, solids, margin):
             return False
     return True

@@ -164,7 +164,7 @@ class _progress:  # noqa: N801 - used as a function that opens a context
 
 
 def _write_failure(folder: Path, error: HplanError, names: dict[str, str | None]) -> None:
-    """The report of a failed job; a trajectory of an earlier job in the same folder must not be taken for its result."""
+    """The report of a failed job; an earlier job's trajectory in the folder must not be taken for its result."""
     from hplan.report import failure_report, write_report
 
     for name in (TRAJECTORY, PAGE):

@@ -14,7 +14,7 @@ from hplan.arrays import BoolArray, FloatArray
 from hplan.errors import ConfigurationInCollisionError
 from hplan.grid import Grid
 from hplan.robot import Robot
-from hplan.scene import Capsule, Scene, Sphere, Box
+from hplan.scene import Box, Capsule, Sphere
 
 
 @dataclass(frozen=True)
@@ -72,17 +72,17 @@ class CollisionScene:
         return np.asarray(pin.computeCollisionsInParallel(1, pool, q, True, False), dtype=np.bool_)
 
 
-def check_clear(robot: Robot, scene: Scene, q: FloatArray, which: str, judge: CollisionScene) -> float:
-    """Clearance of a configuration beyond the scene's own [m], inf without obstacles.
+def check_clear(judge: CollisionScene, q: FloatArray, clearance: float, which: str) -> float:
+    """What a configuration has beyond the clearance to keep [m], inf without obstacles.
 
     Raises:
-        ConfigurationInCollisionError: It touches an obstacle, or comes closer than the scene's clearance; names link,
-            obstacle and depth.
+        ConfigurationInCollisionError: It touches an obstacle, or comes closer than `clearance`; names link, obstacle
+            and depth.
     """
     nearest = judge.nearest(q)
     if nearest is None:
         return float("inf")
-    beyond = nearest.distance_m - scene.clearance
+    beyond = nearest.distance_m - clearance
     if beyond <= 0.0:
         raise ConfigurationInCollisionError(which, nearest.link, nearest.obstacle, -beyond)
     return beyond

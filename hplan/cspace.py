@@ -27,12 +27,16 @@ import numba as nb
 import numpy as np
 
 from hplan.arrays import BoolArray, FloatArray, IntArray, WordArray, frozen
+from hplan.errors import InputError
 from hplan.grid import Grid, Occupancy
 from hplan.robot import PlanarArm
 from hplan.section import LINK_MODELS, ArmSections
 
 _CAPSULE, _PAPER, _RECTANGLE = range(len(LINK_MODELS))
 _ALL = np.uint64(0xFFFFFFFFFFFFFFFF)
+
+#: A joint closer than this to a rounded polygon is in it: bearings of points beside it would be noise [m].
+_TOUCHING = 1e-12
 
 
 def joint_grid(arm: PlanarArm, step: float | FloatArray) -> Grid:
@@ -58,7 +62,16 @@ def occupancy(arm: PlanarArm, sections: ArmSections, grid: Grid) -> Occupancy:
         arm: The planar chain.
         sections: Obstacles cut by the arm plane.
         grid: Grid over the planar joints.
+
+    Raises:
+        InputError: The grid or the sections are not those of an arm with this many links.
     """
+    links = arm.link_count
+    if len(grid.shape) != links or len(sections.link_start) != links + 1:
+        raise InputError(
+            f"occupancy: the arm has {links} links, the grid {len(grid.shape)} axes and the sections are for "
+            f"{len(sections.link_start) - 1} links",
+        )
     words = _fill(
         np.array(grid.shape),
         grid.lower,
@@ -143,7 +156,6 @@ def _polygon_interval(
     Returns 0 (never), 1 (between the two angles, the second may pass pi) or 2 (always).
     """
     count = last - first
-    # The joint is inside the set if it is inside the polygon or within `radius` of an edge.
     inside = count >= 3
     reference = 0.0
     low, high = 1.0, 0.0
@@ -152,37 +164,35 @@ def _polygon_interval(
         ax = cos * (vertices[first + i, 0] - px) + sin * (vertices[first + i, 1] - py)
         ay = cos * (vertices[first + i, 1] - py) - sin * (vertices[first + i, 0] - px)
         rho = math.hypot(ax, ay)
-        if rho <= radius:
+        if rho <= radius + _TOUCHING:
             return 2, 0.0, 0.0
         half = _disc_half_angle(rho, length, radius)
         if half >= 0.0:
             low, high, reference = _widen(low, high, reference, math.atan2(ay, ax), half)
-        if count == 1:
-            break
         ex = cos * (vertices[first + j, 0] - px) + sin * (vertices[first + j, 1] - py) - ax
         ey = cos * (vertices[first + j, 1] - py) - sin * (vertices[first + j, 0] - px) - ay
         edge = math.hypot(ex, ey)
-        ux, uy = ex / edge, ey / edge
-        height = ux * ay - uy * ax  # the joint is at -height to the left of the edge
-        along = -(ux * ax + uy * ay)
-        if height > 0.0:
-            inside = False
-        if 0.0 <= along <= edge and abs(height) <= radius:
-            return 2, 0.0, 0.0
-        # Where the two straight sides of this edge's capsule leave the reach.
-        for side in (-1.0, 1.0):
-            offset = height + side * radius
-            if abs(offset) < length:
-                chord = math.sqrt(length * length - offset * offset)
-                for direction in (-1.0, 1.0):
-                    t = along + direction * chord
-                    if 0.0 <= t <= edge:
-                        x = ax + t * ux - side * radius * uy
-                        y = ay + t * uy + side * radius * ux
-                        low, high, reference = _widen(low, high, reference, math.atan2(y, x), 0.0)
-        if count == 2:
+        if edge == 0.0:
             continue
-    if inside and count >= 3:
+        ux, uy = ex / edge, ey / edge
+        outward = ux * ay - uy * ax  # how far the joint stands to the right of the edge
+        along = -(ux * ax + uy * ay)
+        if outward > 0.0:
+            inside = False
+        if 0.0 <= along <= edge and abs(outward) <= radius + _TOUCHING:
+            return 2, 0.0, 0.0
+        # Where the straight side to the right of this edge leaves the reach. (Two vertices make two edges, there and
+        # back, and so both sides of a stadium.)
+        distance = outward - radius
+        if abs(distance) < length:
+            chord = math.sqrt(length * length - distance * distance)
+            for direction in (-1.0, 1.0):
+                t = along + direction * chord
+                if 0.0 <= t <= edge:
+                    x = ax + t * ux + radius * uy
+                    y = ay + t * uy - radius * ux
+                    low, high, reference = _widen(low, high, reference, math.atan2(y, x), 0.0)
+    if inside:
         return 2, 0.0, 0.0
     if low > high:
         return 0, 0.0, 0.0

@@ -12,19 +12,29 @@ from hplan.errors import OutputError
 def write_text(path: Path | str, text: str) -> Path:
     """Write a file by way of a temporary one beside it, so that nothing half-written is ever seen.
 
+    A link is followed; what exists and is no ordinary file (a folder, a device) is left alone.
+
     Raises:
         OutputError: The file cannot be written.
     """
     path = Path(path)
-    temporary: str | None = None
+    temporary: Path | None = None
     try:
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+        target = path.resolve()
+        if target.exists() and not target.is_file():
+            raise OutputError(path, "it is a folder" if target.is_dir() else "it is no ordinary file")
+        handle, name = tempfile.mkstemp(dir=target.parent, prefix=".hplan-")
+        temporary = Path(name)
         with os.fdopen(handle, "w", encoding="utf-8", newline="") as stream:
             stream.write(text)
-        Path(temporary).chmod(0o644)
-        Path(temporary).replace(path)
-    except OSError as error:
+        temporary.chmod(0o644)
+        temporary.replace(target)
+        temporary = None
+    except (OSError, RuntimeError) as error:  # RuntimeError: links in a circle, before Python 3.13
+        raise OutputError(path, getattr(error, "strerror", None) or str(error)) from error
+    except ValueError as error:
+        raise OutputError(path, f"its text or its name cannot be written: {error}") from error
+    finally:
         if temporary is not None:
-            Path(temporary).unlink(missing_ok=True)
-        raise OutputError(path, error.strerror or str(error)) from error
+            temporary.unlink(missing_ok=True)
     return path

@@ -37,7 +37,7 @@ class Grid:
     def over(cls, lower: ArrayLike, upper: ArrayLike, step: ArrayLike) -> Grid:
         """The grid whose first and last nodes are the limits.
 
-        Where a range is no whole number of steps, its step is made smaller until it is.
+        Where a range is no whole number of steps, its step is made smaller until it is. Equal limits give one node.
 
         Args:
             lower: (d,) lower limits.
@@ -45,18 +45,23 @@ class Grid:
             step: Largest spacing, one number or (d,).
 
         Raises:
-            OptionError: A step that is not positive and finite, or a grid of more than `MAX_NODES` nodes.
+            OptionError: A step that is not positive and finite, limits in the wrong order or not finite, or a grid of
+                more than `MAX_NODES` nodes.
         """
         low = np.array(lower, dtype=np.float64)
         high = np.array(upper, dtype=np.float64)
-        steps = np.broadcast_to(np.asarray(step, dtype=np.float64), low.shape)
-        if not (np.isfinite(steps).all() and (steps > 0.0).all()):
-            raise OptionError("step", step, "a positive finite spacing")
-        counts = np.maximum(1.0, np.ceil((high - low) / steps - 1e-9))
+        steps = np.asarray(step, dtype=np.float64)
+        if steps.shape not in ((), low.shape) or not (np.isfinite(steps).all() and (steps > 0.0).all()):
+            raise OptionError("step", step, f"a positive finite spacing, one number or {low.size}")
+        if low.ndim != 1 or low.shape != high.shape or not (np.isfinite(high - low).all() and (low <= high).all()):
+            raise OptionError("limits", (low.tolist(), high.tolist()), "finite lower limits, none above the upper one")
+        counts = np.where(low < high, np.maximum(1.0, np.ceil((high - low) / steps - 1e-9)), 0.0)
         if float(np.prod(counts + 1.0)) > MAX_NODES:
             raise OptionError("step", step, f"a spacing that gives at most {MAX_NODES} nodes")
         shape = tuple(int(count) + 1 for count in counts)
-        return cls(readonly(low), readonly((high - low) / counts), shape)
+        return cls(
+            readonly(low), readonly(np.where(counts > 0.0, (high - low) / np.maximum(1.0, counts), steps)), shape
+        )
 
     @property
     def size(self) -> int:

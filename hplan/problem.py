@@ -69,7 +69,7 @@ def pose_problem(robot: Robot, scene: Scene, judge: CollisionScene) -> Problem:
         )
     if robot.has_yaw:
         locked[0] = True
-    spare = min(check_clear(robot, scene, start, "start", judge), check_clear(robot, scene, goal, "goal", judge))
+    spare = min(check_clear(judge, start, scene.clearance, "start"), check_clear(judge, goal, scene.clearance, "goal"))
     return Problem(
         start=start,
         goal=readonly(np.where(locked, start, goal)),
@@ -86,7 +86,7 @@ def _joints(scene: Scene, which: str) -> FloatArray:
     joints = target.joints()
     if joints is None:
         raise InputError(
-            f"{which}: a tool position or a fruit needs inverse kinematics, which is not available yet; give joints_deg",
+            f"{which}: a tool position or a fruit needs inverse kinematics, not available yet; give joints_deg",
             which=which,
         )
     return joints

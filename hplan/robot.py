@@ -6,10 +6,11 @@ What URDF cannot say (acceleration, jerk) stands in a limits YAML beside it.
 
 from __future__ import annotations
 
+import math
 import xml.etree.ElementTree as ET
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -20,6 +21,7 @@ from pydantic import BaseModel, ConfigDict, PositiveFloat, ValidationError
 from hplan.arrays import FloatArray, readonly
 from hplan.errors import InputError, JointLimitError, RobotFamilyError, RobotFileError
 from hplan.resources import urdf_dir
+from hplan.yaml_text import read_yaml
 
 #: Lengths below this are zero, offsets below this are on the plane [m].
 GEOMETRY_TOLERANCE = 1e-6
@@ -30,7 +32,7 @@ _REVOLUTE = ("JointModelRX", "JointModelRY", "JointModelRZ", "JointModelRevolute
 class LimitsFile(BaseModel):
     """The limits YAML: what URDF has no word for, by joint name."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, strict=True)
 
     format: str
     acceleration_rad_s2: dict[str, PositiveFloat]
@@ -166,17 +168,22 @@ class Robot:
         """Return `q` as a read-only (dof,) array.
 
         Raises:
-            InputError: Wrong number of joints, or a value that is not finite.
+            InputError: No list of numbers, wrong number of joints, or a value that is not finite.
             JointLimitError: Outside the joint limits (by more than 1e-9 rad; closer values are clipped).
         """
-        values = np.array(q, dtype=np.float64)
+        expected = f"{which}: expected {self.dof} joint values ({', '.join(self.joint_names)})"
+        try:
+            values = np.array(q, dtype=np.float64)
+        except (TypeError, ValueError) as error:
+            raise InputError(f"{expected}, got {q!r}", which=which, expected=self.dof) from error
         if values.shape != (self.dof,):
-            raise InputError(
-                f"{which}: expected {self.dof} joint values ({', '.join(self.joint_names)}), got {values.size}",
-                which=which,
-                expected=self.dof,
-                got=int(values.size),
-            )
+            got = str(values.size) if values.ndim == 1 else f"an array of shape {values.shape}"
+            raise InputError(f"{expected}, got {got}", which=which, expected=self.dof, shape=list(values.shape))
+        for joint, value in zip(self.joint_names, values, strict=True):
+            if not np.isfinite(value):
+                raise InputError(
+                    f"{which}: joint {joint!r} is at {value}, expected a finite number", which=which, joint=joint
+                )
         for joint, value, lower, upper in zip(self.joint_names, values, self.lower, self.upper, strict=True):
             if not lower - 1e-9 <= value <= upper + 1e-9:
                 raise JointLimitError(which, joint, float(value), float(lower), float(upper))
@@ -232,9 +239,9 @@ def load_robot(
         tool_frame=tool_frame,
         lower=readonly(lower),
         upper=readonly(upper),
-        velocity_limit=readonly(_limit(model, model.velocityLimit, "velocity")),
+        velocity_limit=readonly(model.velocityLimit),
         acceleration_limit=readonly(acceleration),
-        torque_limit=readonly(_limit(model, model.effortLimit, "effort")),
+        torque_limit=readonly(model.effortLimit),
         jerk_limit=None if jerk is None else readonly(jerk),
     )
 
@@ -252,16 +259,18 @@ def read_models(urdf_path: Path) -> tuple[pin.Model, pin.GeometryModel, pin.Geom
         root = ET.parse(urdf_path).getroot()
     except OSError as error:
         raise RobotFileError(urdf_path, error.strerror or str(error)) from error
-    except ET.ParseError as error:
+    except (ET.ParseError, LookupError, ValueError) as error:  # the last two: an encoding that Python does not know
         raise RobotFileError(urdf_path, f"malformed XML: {error}") from error
     if root.tag != "robot":
         raise RobotFileError(urdf_path, f"the root element is <{root.tag}>, expected <robot>")
     _check_links_and_joints(urdf_path, root)
+    _check_numbers(urdf_path, root)
     try:
         models: tuple[pin.Model, pin.GeometryModel, pin.GeometryModel]
         models = pin.buildModelsFromUrdf(str(urdf_path), package_dirs=[str(urdf_path.parent)])
     except (ValueError, RuntimeError) as error:
-        raise RobotFileError(urdf_path, f"Pinocchio refuses it: {error}") from error
+        reason = f"Pinocchio refuses it: {error} (its reader's own words, if any, are on the terminal)"
+        raise RobotFileError(urdf_path, reason) from error
     return models
 
 
@@ -272,16 +281,19 @@ def read_limits(path: Path, joint_names: tuple[str, ...]) -> tuple[NDArray[np.fl
         RobotFileError: Missing or malformed file, a joint missing or unknown, a limit that is not positive.
     """
     try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+        content, _ = read_yaml(path.read_text(encoding="utf-8"))
         limits = LimitsFile.model_validate(content)
     except OSError as error:
         raise RobotFileError(path, f"{error.strerror}; it gives the acceleration limits, which URDF cannot") from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise RobotFileError(path, f"malformed YAML: {error}") from error
+    except UnicodeDecodeError as error:
+        raise RobotFileError(path, "it is not UTF-8 text") from error
+    except yaml.MarkedYAMLError as error:
+        line = "" if error.problem_mark is None else f"line {error.problem_mark.line + 1}: "
+        raise RobotFileError(path, f"{line}malformed YAML: {error.problem}") from error
     except ValidationError as error:
         first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"])
-        raise RobotFileError(path, f"{where}: {first['msg']} (got {first['input']!r})") from error
+        where = "".join(f"{part}: " for part in first["loc"])
+        raise RobotFileError(path, f"{where}{first['msg']} (got {first['input']!r})") from error
     if limits.format != "hplan-limits/1":
         raise RobotFileError(path, f"format is {limits.format!r}, expected 'hplan-limits/1'")
 
@@ -300,7 +312,9 @@ def read_limits(path: Path, joint_names: tuple[str, ...]) -> tuple[NDArray[np.fl
 
 
 def _check_links_and_joints(path: Path, root: ET.Element) -> None:
-    """Refuse what Pinocchio would refuse without a reason, or take in silence."""
+    """Refuse what Pinocchio would refuse without a reason, or take in silence: names and what joins what."""
+    if not root.get("name"):
+        raise RobotFileError(path, "the robot has no name")
     links = [link.get("name") for link in root.findall("link")]
     joints = [joint.get("name") for joint in root.findall("joint")]
     for kind, names in (("link", links), ("joint", joints)):
@@ -315,27 +329,65 @@ def _check_links_and_joints(path: Path, root: ET.Element) -> None:
             link = None if element is None else element.get("link")
             if link not in links:
                 raise RobotFileError(path, f"joint {joint.get('name')!r}: its {end} link {link!r} does not exist")
+        if joint.find("mimic") is not None:
+            raise RobotFileError(path, f"joint {joint.get('name')!r} mimics another; every joint must move by itself")
+
+
+def _check_numbers(path: Path, root: ET.Element) -> None:
+    """The same for the numbers that safety depends on: sizes of collision geometry, masses, joint limits."""
+    for link in root.findall("link"):
+        where = f"link {link.get('name')!r}"
+        for mass in link.findall("inertial/mass"):
+            _number(path, where, mass, "value", "not negative", lambda value: value >= 0.0)
+        for collision in link.findall("collision"):
+            shape = collision.find("geometry/*")
+            if shape is None:
+                raise RobotFileError(path, f"{where}: a <collision> has no geometry")
+            for attribute in ("radius", "length", "size"):
+                if attribute in shape.attrib:
+                    _number(path, where, shape, attribute, "positive", lambda value: value > 0.0)
+    for joint in root.findall("joint"):
+        if joint.get("type") != "revolute":
+            continue
+        where = f"joint {joint.get('name')!r}"
+        limit = joint.find("limit")
+        if limit is None:
+            raise RobotFileError(path, f"{where}: it has no <limit>")
+        for attribute in sorted(limit.attrib.keys() & {"lower", "upper"}):
+            _number(path, where, limit, attribute, "in radians", math.isfinite)
+        for attribute in ("velocity", "effort"):
+            _number(path, where, limit, attribute, "positive", lambda value: value > 0.0)
+
+
+def _number(
+    path: Path,
+    where: str,
+    element: ET.Element,
+    attribute: str,
+    expected: str,
+    accepts: Callable[[float], bool],
+) -> None:
+    """Require an attribute that holds a finite number, or several with spaces between, that `accepts` lets pass."""
+    text = element.get(attribute)
+    if text is None:
+        raise RobotFileError(path, f"{where}: <{element.tag}> has no {attribute}")
+    try:
+        values = [float(word) for word in text.split()]
+    except ValueError:
+        values = []
+    if not values or not all(math.isfinite(value) and accepts(value) for value in values):
+        reason = f"{where}: {attribute} of <{element.tag}> is {text!r}, expected a finite number that is {expected}"
+        raise RobotFileError(path, reason)
 
 
 def _joint_range(model: pin.Model) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     lower = np.array(model.lowerPositionLimit, dtype=np.float64)
     upper = np.array(model.upperPositionLimit, dtype=np.float64)
     for name, low, high in zip(tuple(model.names)[1:], lower, upper, strict=True):
-        if not (np.isfinite(low) and np.isfinite(high) and low < high):
-            raise RobotFamilyError(model.name, f"joint {name!r}", f"limits [{low:g}, {high:g}] rad are no finite range")
+        if not low < high:
+            reason = f"its lower limit {low:g} rad is not below its upper limit {high:g} rad"
+            raise RobotFamilyError(model.name, f"joint {name!r}", reason)
     return lower, upper
-
-
-def _limit(model: pin.Model, values: Any, what: str) -> NDArray[np.float64]:
-    limit = np.array(values, dtype=np.float64)
-    for name, value in zip(tuple(model.names)[1:], limit, strict=True):
-        if not (np.isfinite(value) and value >= 0.0):
-            raise RobotFamilyError(
-                model.name,
-                f"joint {name!r}",
-                f"its {what} limit is {value:g}, expected a finite number >= 0",
-            )
-    return limit
 
 
 class _FamilyReader:
@@ -357,7 +409,7 @@ class _FamilyReader:
         points = [self.data.oMi[i].translation.copy() for i in range(first + 1, model.njoints)]
         points.append(self.data.oMf[tool_id].translation.copy())
         self._read_plane(model, axes[first:], np.array(points), first)
-        self._read_half_widths(model, collision_model, np.array(points), first)
+        self._read_half_widths(collision_model, np.array(points), first)
 
     def _fault(self, element: str, reason: str) -> RobotFamilyError:
         return RobotFamilyError(self.robot_name, element, reason)
@@ -367,7 +419,7 @@ class _FamilyReader:
             raise self._fault("joints", "it has no moving joint")
         for index in range(1, model.njoints):
             name, kind = model.names[index], model.joints[index].shortname()
-            if kind.startswith("JointModelRUB"):
+            if kind.startswith("JointModelRUB") or "Unbounded" in kind:
                 raise self._fault(f"joint {name!r}", "it is continuous; make it revolute with limits")
             if kind not in _REVOLUTE:
                 raise self._fault(f"joint {name!r}", f"it is a {kind}; only revolute joints")
@@ -378,7 +430,11 @@ class _FamilyReader:
         """(joints, 3) rotation axes at q = 0 in the base frame."""
         pin.computeJointJacobians(model, self.data, np.zeros(model.nq))
         jacobian = pin.getJointJacobian(model, self.data, model.njoints - 1, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
-        return np.array(jacobian[3:].T, dtype=np.float64)
+        axes = np.array(jacobian[3:].T, dtype=np.float64)
+        for index, axis in enumerate(axes):
+            if abs(np.linalg.norm(axis) - 1.0) > 1e-9:
+                raise self._fault(f"joint {model.names[index + 1]!r}", "its axis has no direction")
+        return axes
 
     def _find_yaw(self, model: pin.Model, axes: NDArray[np.float64]) -> bool:
         """True where joint 0 is vertical and the others are not parallel to it."""
@@ -449,7 +505,6 @@ class _FamilyReader:
 
     def _read_half_widths(
         self,
-        model: pin.Model,
         collision_model: pin.GeometryModel,
         points: NDArray[np.float64],
         first: int,
@@ -461,10 +516,11 @@ class _FamilyReader:
             shapes = [g for g in collision_model.geometryObjects if g.parentJoint == joint]
             if not shapes:
                 raise self._fault(f"link {name!r}", "it has no collision geometry")
-            radii = [
-                _enclosing_radius(shape, self.data.oMi[joint], points[index], points[index + 1]) for shape in shapes
-            ]
-            widths.append(max(radii))
+            placement, start, end = self.data.oMi[joint], points[index], points[index + 1]
+            try:
+                widths.append(max(_enclosing_radius(shape, placement, start, end) for shape in shapes))
+            except TypeError as error:
+                raise self._fault(f"link {name!r}", str(error)) from error
         self.half_widths = np.array(widths)
 
 
@@ -477,8 +533,10 @@ def _enclosing_radius(
     """Largest distance of a shape's points from the segment `start`-`end` [m]."""
     placement = joint_placement * shape.placement
     axis = end - start
-    aligned = float(np.linalg.norm(np.cross(placement.rotation[:, 2], axis / np.linalg.norm(axis))))
-    corners, rounding = _outline(shape, rim_from_outside=aligned > 1e-9)
+    unit = axis / np.linalg.norm(axis)
+    tilt = np.linalg.norm(np.cross(placement.rotation[:, 2], unit))
+    aside = np.linalg.norm(np.cross(placement.translation - start, unit))
+    corners, rounding = _outline(shape, rim_from_outside=bool(tilt > 1e-9 or aside > 1e-9))
     world = corners @ placement.rotation.T + placement.translation
     along = np.clip((world - start) @ axis / (axis @ axis), 0.0, 1.0)
     return float(np.max(np.linalg.norm(world - start - along[:, None] * axis, axis=1))) + rounding
@@ -487,8 +545,8 @@ def _enclosing_radius(
 def _outline(shape: pin.GeometryObject, *, rim_from_outside: bool) -> tuple[NDArray[np.float64], float]:
     """Points and a rounding radius whose hull holds the shape.
 
-    Exact but for the rim of a cylinder, a 64-gon: on the rim where the cylinder lies along the link (every rim
-    point is then equally far from the axis), around it (0.12 % larger) where it does not.
+    Exact but for the rim of a cylinder, a 64-gon: on the rim where the cylinder lies about the link's axis (every
+    rim point is then equally far from it), around it (0.12 % larger) where it does not.
     """
     geometry = shape.geometry
     kind = type(geometry).__name__
@@ -507,4 +565,4 @@ def _outline(shape: pin.GeometryObject, *, rim_from_outside: bool) -> tuple[NDAr
         return signs * np.asarray(geometry.halfSide), 0.0
     if hasattr(geometry, "vertices"):
         return np.asarray(geometry.vertices(), dtype=np.float64), 0.0
-    raise RobotFamilyError(shape.name, "collision geometry", f"shape {kind} is not supported")
+    raise TypeError(f"shape {kind} is not supported")

@@ -8,14 +8,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Annotated, Literal, TypeAlias
+from typing import Annotated, Final, Literal, TypeAlias
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, model_validator
+from pydantic_core import PydanticCustomError
 
 from hplan.arrays import FloatArray
 
-FORMAT = "hplan-scene/1"
+FORMAT: Final = "hplan-scene/1"
 
 Vector: TypeAlias = tuple[float, float, float]
 Name: TypeAlias = Annotated[str, Field(min_length=1)]
@@ -140,6 +141,11 @@ class Goal(Start):
     fruit: str | None = None
 
 
+def _fault(message: str, *below: int | str) -> PydanticCustomError:
+    """A fault of the scene as a whole that shows at one place; `scene_file` finds its line by `below`."""
+    return PydanticCustomError("scene", "{message}", {"message": message, "below": below})
+
+
 class Scene(_Strict):
     """Everything around the arm, and what it is asked to do.
 
@@ -165,12 +171,13 @@ class Scene(_Strict):
     @model_validator(mode="after")
     def _names_are_unique(self) -> Scene:
         seen: set[str] = set()
-        for item in (*self.obstacles, *self.fruits):
-            if item.name in seen:
-                raise ValueError(f"two obstacles are called {item.name!r}; names must differ")
-            seen.add(item.name)
-        if self.goal.fruit is not None and self.goal.fruit not in {f.name for f in self.fruits}:
-            raise ValueError(f"goal.fruit names {self.goal.fruit!r}, which is not among the fruits")
+        for key, items in (("obstacles", self.obstacles), ("fruits", self.fruits)):
+            for index, item in enumerate(items):
+                if item.name in seen:
+                    raise _fault(f"two obstacles are called {item.name!r}; names must differ", key, index, "name")
+                seen.add(item.name)
+        if self.goal.fruit is not None and self.goal.fruit not in {fruit.name for fruit in self.fruits}:
+            raise _fault(f"{self.goal.fruit!r} is not among the fruits", "goal", "fruit")
         return self
 
     @property

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Hashable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +13,7 @@ from hplan.errors import SceneError
 from hplan.files import write_text
 from hplan.resources import scenes_dir
 from hplan.scene import Scene
+from hplan.yaml_text import read_yaml, write_yaml
 
 
 def default_scene_path() -> Path:
@@ -48,25 +48,17 @@ def parse_scene(text: str, *, path: Path | str | None = None) -> Scene:
         SceneError: As `load_scene`.
     """
     try:
-        loader = _Loader(text)
-        node = loader.get_single_node()
-        content = None if node is None else loader.construct_document(node)
+        content, node = read_yaml(text)
     except yaml.MarkedYAMLError as error:
-        mark = error.problem_mark
-        raise SceneError(
-            f"malformed YAML: {error.problem}",
-            path=path,
-            line=None if mark is None else mark.line + 1,
-        ) from error
-    except (yaml.YAMLError, ValueError) as error:
-        raise SceneError(f"malformed YAML: {error}", path=path) from error
+        line = None if error.problem_mark is None else error.problem_mark.line + 1
+        raise SceneError(f"malformed YAML: {error.problem}", path=path, line=line) from error
     if not isinstance(content, dict) or node is None:
         raise SceneError("expected a mapping of keys (format, name, start, goal, ...)", path=path)
     try:
-        return Scene.model_validate(_tuples(content))
+        return Scene.model_validate(content)
     except ValidationError as error:
         first = min(error.errors(), key=lambda item: item["type"] != "extra_forbidden")
-        steps = _present_steps(content, first["loc"])
+        steps = _present_steps(content, (*first["loc"], *first.get("ctx", {}).get("below", ())))
         raise SceneError(
             _plain_message(first),
             path=path,
@@ -79,7 +71,7 @@ def parse_scene(text: str, *, path: Path | str | None = None) -> Scene:
 def dump_scene(scene: Scene) -> str:
     """The scene as YAML text that `parse_scene` reads back to an equal scene."""
     content = scene.model_dump(mode="json", by_alias=True, exclude_none=True)
-    return yaml.dump(content, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=100)
+    return write_yaml(content)
 
 
 def save_scene(scene: Scene, path: Path | str) -> Path:
@@ -89,51 +81,6 @@ def save_scene(scene: Scene, path: Path | str) -> Path:
         OutputError: The file cannot be written.
     """
     return write_text(path, dump_scene(scene))
-
-
-class _Loader(yaml.SafeLoader):
-    """Safe YAML that refuses repeated keys and reads `1e-2` as a number, as YAML 1.2 and JSON do."""
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
-        seen: dict[Any, int] = {}
-        for key_node, _ in node.value:
-            key = self.construct_object(key_node)  # type: ignore[no-untyped-call]
-            line = key_node.start_mark.line + 1
-            if isinstance(key, Hashable) and key in seen:
-                raise yaml.MarkedYAMLError(
-                    problem=f"key {key!r} stands on line {seen[key]} already",
-                    problem_mark=key_node.start_mark,
-                )
-            seen[key] = line
-        return super().construct_mapping(node, deep=deep)
-
-
-_Loader.add_implicit_resolver(
-    "tag:yaml.org,2002:float",
-    re.compile(r"^[-+]?[0-9]+(\.[0-9]*)?[eE][-+]?[0-9]+$"),
-    list("-+0123456789"),
-)
-
-
-class _Dumper(yaml.SafeDumper):
-    """Block style for keys, one line for each list of numbers."""
-
-
-def _represent_list(dumper: yaml.SafeDumper, items: list[Any]) -> yaml.Node:
-    flat = all(isinstance(item, (int, float, str)) for item in items)
-    return dumper.represent_sequence("tag:yaml.org,2002:seq", items, flow_style=flat)
-
-
-_Dumper.add_representer(list, _represent_list)
-
-
-def _tuples(value: Any) -> Any:
-    """YAML lists as tuples, whole numbers as floats where a float may stand: what strict validation wants."""
-    if isinstance(value, list):
-        return tuple(_tuples(item) for item in value)
-    if isinstance(value, dict):
-        return {key: _tuples(item) for key, item in value.items()}
-    return value
 
 
 def _present_steps(content: Any, location: Sequence[int | str]) -> list[int | str]:
@@ -148,7 +95,7 @@ def _present_steps(content: Any, location: Sequence[int | str]) -> list[int | st
             else:
                 steps.append(step)
                 break
-        elif isinstance(content, (list, tuple)) and isinstance(step, int) and step < len(content):
+        elif isinstance(content, tuple) and isinstance(step, int) and step < len(content):
             content = content[step]
         else:
             break
@@ -166,10 +113,10 @@ def _line_of(node: yaml.Node, steps: Sequence[int | str]) -> int:
     line = node.start_mark.line
     for step in steps:
         if isinstance(node, yaml.MappingNode):
-            pairs = [(key, value) for key, value in node.value if key.value == step]
-            if not pairs:
+            found = [(key, value) for key, value in node.value if key.value == step]
+            if not found:
                 break
-            line, node = pairs[0][0].start_mark.line, pairs[0][1]
+            line, node = found[0][0].start_mark.line, found[0][1]
         elif isinstance(node, yaml.SequenceNode) and isinstance(step, int):
             node = node.value[step]
             line = node.start_mark.line
@@ -188,5 +135,22 @@ def _plain_message(fault: Any) -> str:
     if kind == "union_tag_invalid":
         return f"kind is {fault['ctx']['tag']!r}, expected one of {fault['ctx']['expected_tags']}"
     message = str(fault["msg"]).removeprefix("Value error, ")
+    for theirs, ours in _WORDS.items():
+        message = message.replace(theirs, ours)
     message = message[0].lower() + message[1:]
-    return message if isinstance(value, dict) else f"{message} (got {value!r})"
+    return message if isinstance(value, dict) else f"{message} (got {_short(value)})"
+
+
+#: Pydantic's words for what a scene file calls otherwise.
+_WORDS = {
+    "valid tuple": "list",
+    "valid dictionary or object to extract fields from": "mapping of keys",
+    "valid string": "text",
+    "Tuple should have": "list should have",
+    " after validation": "",
+}
+
+
+def _short(value: Any) -> str:
+    text = repr(list(value) if isinstance(value, tuple) else value)
+    return text if len(text) <= 60 else f"{text[:57]}..."

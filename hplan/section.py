@@ -7,10 +7,10 @@ by a radius, and every :math:`S` is given as a *rounded polygon*: the hull of a 
 - Core of one point (sphere) at distance :math:`s` from the plane: a disc of radius
   :math:`\sqrt{(r + w)^2 - s^2}`, exact.
 - Any core that lies in the plane: the same core, exact.
-- Any other core: a polygon around :math:`S`. Its support in direction :math:`u` is, by convex duality,
-  :math:`h_S(u) = \min_\lambda \max_k (u + \lambda n) \cdot (c_k - o) + R \sqrt{1 + \lambda^2}`, exact in each of
-  `DIRECTIONS` directions; between them the polygon stands outside by at most :math:`1 - \cos(\pi / \text{DIRECTIONS})`
-  of the section's radius of curvature (0.5 % for 32).
+- Any other core: a polygon around :math:`S`. The section's support in direction :math:`u` is that of its projection
+  along the plane onto :math:`(u, n)`: where the hull of a few points in 2-D, grown by :math:`R`, crosses the axis, in
+  closed form. `DIRECTIONS` tangents are drawn, and more between any two whose corner may stand outside :math:`S` by
+  more than `SECTION_ERROR`.
 """
 
 from __future__ import annotations
@@ -29,8 +29,17 @@ from hplan.robot import Robot
 LinkModel: TypeAlias = Literal["capsule", "paper", "rectangle"]
 LINK_MODELS: tuple[LinkModel, ...] = ("capsule", "paper", "rectangle")
 
-#: Sides of the polygon around a section that has no closed form.
-DIRECTIONS = 32
+#: Tangents drawn around a section that has no closed form, before corners are cut.
+DIRECTIONS = 16
+
+#: No point of such a polygon is farther than this outside the section [m].
+SECTION_ERROR = 1e-3
+
+#: Corners are cut this many times at most: enough for sections of 10 km.
+_MAX_HALVINGS = 24
+
+#: Outward shift of tangents, above all rounding errors, so that these err to the safe side [m].
+_OUTWARD = 1e-12
 
 #: Cores closer to the plane than this lie in it [m].
 _IN_PLANE = 1e-12
@@ -52,7 +61,7 @@ class ConvexObstacle(Protocol):
         """Radius about the core [m]."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class RoundedPolygon:
     """The hull of `vertices` grown by `radius`: a planar convex set.
 
@@ -113,8 +122,7 @@ def arm_sections(
     Raises:
         OptionError: Unknown link model, a negative clearance, or `rectangle` with an obstacle that is no sphere.
     """
-    if link_model not in LINK_MODELS:
-        raise OptionError("link_model", link_model, f"one of {', '.join(LINK_MODELS)}")
+    _check_link_model(link_model)
     if not (np.isfinite(clearance) and clearance >= 0.0):
         raise OptionError("clearance", clearance, "a finite number of metres >= 0")
     origin, axes = robot.plane_at(yaw)
@@ -141,11 +149,21 @@ def planar_sections(
     link_model: LinkModel = "capsule",
     names: Sequence[str] | None = None,
 ) -> ArmSections:
-    """Sections of obstacles given in the arm plane itself, not yet grown by any link."""
-    growth = half_widths if link_model != "rectangle" else np.zeros_like(half_widths)
-    per_link = [[(i, RoundedPolygon(s.vertices, s.radius + float(w))) for i, s in enumerate(sections)] for w in growth]
+    """Sections of obstacles given in the arm plane itself, not yet grown by any link.
+
+    Raises:
+        OptionError: Unknown link model, or `rectangle` with a section that is no disc.
+    """
+    _check_link_model(link_model)
+    hulls = [RoundedPolygon(_convex_hull(section.vertices), section.radius) for section in sections]
     default = tuple(f"section {index}" for index in range(len(sections)))
-    return _flatten(per_link, default if names is None else tuple(names), link_model)
+    names = default if names is None else tuple(names)
+    if link_model == "rectangle":
+        for name, hull in zip(names, hulls, strict=True):
+            _require_disc(hull.vertices, name)
+    growth = half_widths if link_model != "rectangle" else np.zeros_like(half_widths)
+    per_link = [[(i, RoundedPolygon(h.vertices, h.radius + float(w))) for i, h in enumerate(hulls)] for w in growth]
+    return _flatten(per_link, names, link_model)
 
 
 def plane_section(core: FloatArray, radius: float) -> RoundedPolygon | None:
@@ -165,38 +183,65 @@ def plane_section(core: FloatArray, radius: float) -> RoundedPolygon | None:
         return RoundedPolygon(readonly(_convex_hull(core[:, :2])), radius)
     if len(core) == 1:
         return RoundedPolygon(readonly(core[:, :2]), float(np.sqrt(radius**2 - heights[0] ** 2)))
-    angles = 2.0 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
-    directions = np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    supports = np.array([_support(core[:, :2] @ u, heights, radius) for u in directions])
-    return RoundedPolygon(readonly(_convex_hull(_corners(directions, supports))), 0.0)
+    return RoundedPolygon(readonly(_convex_hull(_tangent_polygon(core, radius))), 0.0)
 
 
-def _support(reach: FloatArray, heights: FloatArray, radius: float) -> float:
-    """min over lambda of max_k(reach_k + lambda heights_k) + radius sqrt(1 + lambda^2).
+def _tangent_polygon(core: FloatArray, radius: float) -> FloatArray:
+    """Corners of a polygon of tangents around the section, at most `SECTION_ERROR` outside it.
 
-    The function is convex; its minimum is at a stationary point of one term or where two terms cross. Every lambda
-    gives an upper bound, so rounding errs to the safe side.
+    A tangent halfway between two others that cuts their corner off at depth d shows that none of what the corner
+    covers is farther than 2 d from the section: the section touches all three.
     """
-    candidates = [0.0]
-    if radius > 0.0:
-        inside = np.abs(heights) < radius
-        candidates.extend(-heights[inside] / np.sqrt(radius**2 - heights[inside] ** 2))
-    first, second = np.triu_indices(len(reach), k=1)
-    slopes = heights[first] - heights[second]
-    crossing = np.abs(slopes) > _IN_PLANE
-    candidates.extend((reach[second] - reach[first])[crossing] / slopes[crossing])
-    tilts = np.array(candidates)
-    values = np.max(reach[:, None] + heights[:, None] * tilts, axis=0) + radius * np.hypot(1.0, tilts)
-    return float(values.min())
+    angles = 2.0 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
+    supports = _supports(core, angles, radius)
+    for _ in range(_MAX_HALVINGS):
+        corners = _corners(angles, supports)
+        between = angles + 0.5 * np.diff(angles, append=2.0 * np.pi)
+        cut = _supports(core, between, radius)
+        depth = np.sum(corners * _unit(between), axis=1) - cut
+        coarse = 2.0 * depth > SECTION_ERROR
+        if not coarse.any():
+            break
+        order = np.argsort(np.concatenate([angles, between[coarse]]))
+        angles = np.concatenate([angles, between[coarse]])[order]
+        supports = np.concatenate([supports, cut[coarse]])[order]
+    return corners
 
 
-def _corners(directions: FloatArray, supports: FloatArray) -> FloatArray:
-    """Where each half-plane's edge meets the next one's."""
-    following = np.roll(directions, -1, axis=0)
-    next_supports = np.roll(supports, -1)
-    turn = directions[:, 0] * following[:, 1] - directions[:, 1] * following[:, 0]
-    x = (supports * following[:, 1] - next_supports * directions[:, 1]) / turn
-    y = (next_supports * directions[:, 0] - supports * following[:, 0]) / turn
+def _unit(angles: FloatArray) -> FloatArray:
+    return np.stack([np.cos(angles), np.sin(angles)], axis=1)
+
+
+def _supports(core: FloatArray, angles: FloatArray, radius: float) -> FloatArray:
+    """Support of the section in directions at the given angles.
+
+    Seen along the plane the core's points stand at `reach` (along the direction) and `heights`; the section ends
+    where the last of the arcs about them, or of the sides that join two arcs, crosses height 0.
+    """
+    heights = core[:, 2]
+    reach = core[:, :2] @ _unit(angles).T
+    near = np.abs(heights) <= radius
+    arcs = reach[near] + np.sqrt(radius**2 - heights[near] ** 2)[:, None]
+    first, second = np.triu_indices(len(core), k=1)
+    rise = heights[second] - heights[first]
+    slanted = np.abs(rise) > _IN_PLANE
+    first, second, rise = first[slanted], second[slanted], rise[slanted, None]
+    run = reach[second] - reach[first]
+    outward = radius / np.hypot(rise, run)  # the side's normal points to larger reach
+    place = -(heights[first, None] - np.copysign(outward, rise) * run) / rise
+    sides = reach[first] + place * run + outward * np.abs(rise)
+    sides[(place < 0.0) | (place > 1.0)] = -np.inf
+    supports: FloatArray = np.max(np.concatenate([arcs, sides]), axis=0) + _OUTWARD
+    return supports
+
+
+def _corners(angles: FloatArray, supports: FloatArray) -> FloatArray:
+    """Where each tangent meets the next one."""
+    tangents = _unit(angles)
+    following, next_supports = np.roll(tangents, -1, axis=0), np.roll(supports, -1)
+    turn = tangents[:, 0] * following[:, 1] - tangents[:, 1] * following[:, 0]
+    x = (supports * following[:, 1] - next_supports * tangents[:, 1]) / turn
+    y = (next_supports * tangents[:, 0] - supports * following[:, 0]) / turn
     return np.stack([x, y], axis=1)
 
 
@@ -223,12 +268,23 @@ def _turn(a: tuple[float, float], b: tuple[float, float], c: tuple[float, float]
 
 def _beside_rectangle(core: FloatArray, radius: float, half_width: float, name: str) -> RoundedPolygon | None:
     """What a box link of the given half-width (both ways) meets of a ball: a disc, not grown by the link."""
-    if len(core) != 1:
-        raise OptionError("link_model", "rectangle", f"only spheres as obstacles; {name!r} is none")
+    _require_disc(core, name)
     beyond = max(0.0, abs(float(core[0, 2])) - half_width)
     if beyond > radius:
         return None
     return RoundedPolygon(readonly(core[:, :2]), float(np.sqrt(radius**2 - beyond**2)))
+
+
+def _check_link_model(link_model: str) -> None:
+    if link_model not in LINK_MODELS:
+        raise OptionError("link_model", link_model, f"one of {', '.join(LINK_MODELS)}")
+
+
+def _require_disc(points: FloatArray, name: str) -> None:
+    if len(points) != 1:
+        raise OptionError(
+            "link_model", "rectangle", f"another model, as this one takes only balls and {name!r} is none"
+        )
 
 
 def _flatten(
@@ -253,3 +309,19 @@ def _flatten(
         obstacle_of=readonly([index for index, _ in sections], np.int64),
         obstacle_names=names,
     )
+
+
+def only(sections: ArmSections, link: int, obstacle: int) -> ArmSections:
+    """The same arm facing one obstacle with one link: for finding out which of them blocks."""
+    first, last = int(sections.link_start[link]), int(sections.link_start[link + 1])
+    kept = [s for s in range(first, last) if sections.obstacle_of[s] == obstacle]
+    polygons = [
+        (
+            obstacle,
+            RoundedPolygon(sections.vertices[slice(*sections.vertex_start[s : s + 2])], float(sections.radii[s])),
+        )
+        for s in kept
+    ]
+    links = len(sections.link_start) - 1
+    per_link = [polygons if k == link else [] for k in range(links)]
+    return _flatten(per_link, sections.obstacle_names, sections.link_model)

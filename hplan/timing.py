@@ -1,8 +1,8 @@
 r"""Time along a path: the fastest under velocity, acceleration and torque limits (toppra), sampled for a controller.
 
-toppra finds the path speed on a grid of path parameters that holds the ends of the spline's pieces. Its constraints are discretised by
-interpolation, which keeps the limits between grid points as well. The samples :math:`q_k = q(s(k h))` of that motion
-are then taken as control points of a uniform cubic B-spline in time, and the rows of the trajectory are its knots:
+toppra finds the path speed on a grid of path parameters that holds the ends of the spline's pieces. Its constraints
+are discretised by interpolation, which keeps the limits between grid points as well. The samples
+:math:`q_k = q(s(k h))` of that motion are then taken as control points of a uniform cubic B-spline in time, and the rows of the trajectory are its knots:
 
 .. math::
     x_k = \tfrac16 (q_{k-1} + 4 q_k + q_{k+1}), \quad
@@ -11,8 +11,8 @@ are then taken as control points of a uniform cubic B-spline in time, and the ro
 
 These are averages of the motion's own position, velocity and acceleration over :math:`\pm h`, so the limits hold for
 them too. Between rows the acceleration is linear, so limits at the rows are limits in between, and a controller that
-interpolates with cubic (position and velocity) or quintic (acceleration as well) polynomials runs exactly this motion. It
-takes two to three periods longer than toppra's and starts and ends with acceleration zero.
+interpolates with cubic (position and velocity) or quintic (acceleration as well) polynomials runs exactly this
+motion. It takes two to three periods longer than toppra's and starts and ends with acceleration zero.
 """
 
 from __future__ import annotations
@@ -100,7 +100,7 @@ def time_path(
         return resting(model, path.evaluate(0.0))
     grid = _grid(path, grid_points)
     _check_limits(path, model, limits, grid, names)
-    speed = _path_speed(path, model, limits, grid, names)
+    speed = _path_speed(path, model, limits, grid)
     return _sample(path, model, names, grid, speed, limits, 1.0 / rate_hz)
 
 
@@ -149,9 +149,7 @@ def _check_limits(
         )
 
 
-def _path_speed(
-    path: GeometricPath, model: pin.Model, limits: Limits, grid: FloatArray, names: tuple[str, ...]
-) -> FloatArray:
+def _path_speed(path: GeometricPath, model: pin.Model, limits: Limits, grid: FloatArray) -> FloatArray:
     """Path speed ds/dt at the grid points, by toppra."""
     import toppra
     from toppra import algorithm, constraint
@@ -230,7 +228,7 @@ def _sample(
         duration = arrival[-1] * stretch
         rows = int(np.ceil(duration / period - 1e-9)) + 3
         # The motion begins one period after the first row; one control point stands before it and one after the end.
-        clock = (np.arange(-1, rows + 1) - 1.0) * period / stretch
+        clock = np.asarray((np.arange(-1, rows + 1) - 1.0) * period / stretch, dtype=np.float64)
         q = path.evaluate(_parameter_at(clock, grid, speed, arrival))
         velocity = (q[2:] - q[:-2]) / (2.0 * period)
         acceleration = (q[2:] - 2.0 * q[1:-1] + q[:-2]) / period**2
@@ -242,7 +240,7 @@ def _sample(
     position = (q[:-2] + 4.0 * q[1:-1] + q[2:]) / 6.0
     data = model.createData()
     torque = np.array([pin.rnea(model, data, *row) for row in zip(position, velocity, acceleration, strict=True)])
-    return Trajectory(names, np.arange(rows) * period, position, velocity, acceleration, torque)
+    return Trajectory(names, np.arange(rows, dtype=np.float64) * period, position, velocity, acceleration, torque)
 
 
 def _largest_use(values: FloatArray, limit: FloatArray) -> float:

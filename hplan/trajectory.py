@@ -42,9 +42,11 @@ class Trajectory:
         """Check shapes, values and time, and make the arrays read-only."""
         time = readonly(self.time)
         object.__setattr__(self, "time", time)
+        if time.ndim != 1 or len(time) == 0 or time[0] != 0.0 or not np.isfinite(time).all():
+            raise InputError("trajectory: time must be a list of finite values that starts at 0")
+        if not (np.diff(time) > 0.0).all():
+            raise InputError(f"trajectory: time does not increase at sample {int(np.argmin(np.diff(time) > 0.0)) + 1}")
         shape = (len(time), len(self.joint_names))
-        if len(time) == 0 or time[0] != 0.0 or not (np.diff(time) > 0.0).all():
-            raise InputError("trajectory: time must start at 0 and increase strictly")
         for name in ("position", "velocity", "acceleration", "torque"):
             values = readonly(getattr(self, name))
             if values.shape != shape:
@@ -80,9 +82,11 @@ def write_csv(trajectory: Trajectory, path: Path | str) -> Path:
         axis=2,
     )
     table = np.column_stack([trajectory.time, columns.reshape(trajectory.samples, -1)]) + 0.0
-    lines = [",".join(csv_header(trajectory.joint_names))]
-    lines.extend(",".join(map(repr, row)) for row in table.tolist())
-    return write_text(path, "\r\n".join(lines) + "\r\n")
+    text = io.StringIO(newline="")
+    writer = csv.writer(text)
+    writer.writerow(csv_header(trajectory.joint_names))
+    writer.writerows(table.tolist())
+    return write_text(path, text.getvalue())
 
 
 def read_csv(path: Path | str) -> Trajectory:
@@ -93,37 +97,42 @@ def read_csv(path: Path | str) -> Trajectory:
             does not increase strictly from 0; names the line.
     """
     path = Path(path)
+
+    def fault(line: int, reason: str) -> InputError:
+        return InputError(f"trajectory file {path}, line {line}: {reason}", path=str(path), line=line, reason=reason)
+
     try:
-        rows = list(csv.reader(io.StringIO(path.read_text(encoding="utf-8"))))
+        with path.open(encoding="utf-8-sig", newline="") as stream:
+            reader = csv.reader(stream, strict=True)
+            rows = [(reader.line_num, row) for row in reader]
     except OSError as error:
         raise InputError(f"trajectory file {path}: {error.strerror}", path=str(path)) from error
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"trajectory file {path}: {error}", path=str(path)) from error
-    header = rows[0] if rows else []
+    except UnicodeDecodeError as error:
+        raise InputError(f"trajectory file {path}: it is not UTF-8 text", path=str(path)) from error
+    except csv.Error as error:
+        raise fault(reader.line_num, str(error)) from error
+    header = rows[0][1] if rows else []
     suffix = f"_{QUANTITIES[0]}"
     joints = tuple(name.removesuffix(suffix) for name in header if name.endswith(suffix))
     if not joints or header != csv_header(joints):
-        raise InputError(
-            f"trajectory file {path}, line 1: expected time_s and, for each joint, "
-            f"{', '.join('NAME_' + quantity for quantity in QUANTITIES)}",
-            path=str(path),
-            line=1,
-        )
+        quantities = ", ".join("NAME_" + quantity for quantity in QUANTITIES)
+        raise fault(1, f"expected the columns time_s and, for each joint, {quantities}")
+    if len(rows) == 1:
+        raise fault(1, "no samples follow the header")
     table = np.empty((len(rows) - 1, len(header)))
-    for number, row in enumerate(rows[1:]):
-        try:
-            table[number] = [float(cell) for cell in row]
-        except ValueError as error:
-            raise InputError(
-                f"trajectory file {path}, line {number + 2}: {error}",
-                path=str(path),
-                line=number + 2,
-            ) from error
-        if not all(map(math.isfinite, table[number])):
-            raise InputError(
-                f"trajectory file {path}, line {number + 2}: a value is not finite",
-                path=str(path),
-                line=number + 2,
-            )
+    for number, (line, row) in enumerate(rows[1:]):
+        if len(row) != len(header):
+            raise fault(line, f"{len(row)} values, expected {len(header)}")
+        for column, cell in enumerate(row):
+            try:
+                table[number, column] = float(cell)
+            except ValueError:
+                raise fault(line, f"{header[column]} is {cell!r}, expected a number") from None
+            if not math.isfinite(table[number, column]):
+                raise fault(line, f"{header[column]} is {cell!r}, expected a finite number")
+        if number == 0 and table[0, 0] != 0.0:
+            raise fault(line, f"time_s is {row[0]}, expected 0 in the first sample")
+        if number > 0 and not table[number, 0] > table[number - 1, 0]:
+            raise fault(line, f"time_s is {row[0]}, no later than in the sample before")
     columns = table[:, 1:].reshape(len(table), len(joints), len(QUANTITIES))
     return Trajectory(joints, table[:, 0], *(columns[:, :, i] for i in range(len(QUANTITIES))))

@@ -1,0 +1,125 @@
+"""YAML as hplan's files use it: what JSON has, with comments; plain values as in YAML 1.2.
+
+PyYAML follows YAML 1.1, where `010` is 8, `1:30` is 90, `no` is False, `1e-2` is text and a repeated key replaces the
+first in silence. None of that belongs in a file that moves a robot.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from typing import Any
+
+import yaml
+
+_TRUTH = {"true": True, "True": True, "TRUE": True, "false": False, "False": False, "FALSE": False}
+
+#: Type of a plain value: its pattern, the characters it may begin with, and what it means.
+_PLAIN: dict[str, tuple[str, list[str], Callable[[str], Any]]] = {
+    "null": (r"~|null|Null|NULL|", ["~", "n", "N", ""], lambda _: None),
+    "bool": (r"true|True|TRUE|false|False|FALSE", list("tTfF"), _TRUTH.__getitem__),
+    "int": (r"[-+]?[0-9]+", list("-+0123456789"), int),
+    "float": (
+        r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?|[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)",
+        list("-+.0123456789"),
+        lambda text: float(re.sub(r"\.(?=[iInN])", "", text)),
+    ),
+}
+
+
+def read_yaml(text: str) -> tuple[Any, yaml.Node | None]:
+    """Read one document.
+
+    Returns:
+        The content (mappings as dict, lists as tuple) and its node, which knows the lines; (None, None) if empty.
+
+    Raises:
+        yaml.MarkedYAMLError: Malformed text, a repeated key, an alias, or a tag that is none of JSON's types.
+    """
+    try:
+        loader = _Loader(text)
+        node = loader.get_single_node()
+        return (None, None) if node is None else (loader.construct_document(node), node)
+    except RecursionError as error:
+        raise yaml.MarkedYAMLError(problem="it is nested too deeply") from error
+    except yaml.reader.ReaderError as error:
+        raise yaml.MarkedYAMLError(problem=f"character {error.character!r} cannot stand in YAML") from error
+
+
+def write_yaml(content: Any) -> str:
+    """Text that `read_yaml` reads back to equal content, lists of plain values on one line."""
+    return yaml.dump(content, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=100)
+
+
+class _Loader(yaml.SafeLoader):
+    """Reads JSON's types and nothing else."""
+
+    yaml_implicit_resolvers = {}  # noqa: RUF012
+    yaml_constructors = {}  # noqa: RUF012
+
+    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
+        if self.check_event(yaml.AliasEvent):
+            event = self.peek_event()  # type: ignore[no-untyped-call]
+            raise yaml.MarkedYAMLError(problem=f"alias *{event.anchor}: write it out", problem_mark=event.start_mark)
+        return super().compose_node(parent, index)
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        lines: dict[str, int] = {}
+        for key, _ in node.value:
+            if key.tag != "tag:yaml.org,2002:str":
+                raise yaml.MarkedYAMLError(problem="a key must be text", problem_mark=key.start_mark)
+            if key.value in lines:
+                problem = f"key {key.value!r} stands on line {lines[key.value]} already"
+                raise yaml.MarkedYAMLError(problem=problem, problem_mark=key.start_mark)
+            lines[key.value] = key.start_mark.line + 1
+        return {key.value: self.construct_object(value, deep=deep) for key, value in node.value}
+
+
+def _construct_text(loader: _Loader, node: yaml.ScalarNode) -> str:
+    return str(loader.construct_scalar(node))
+
+
+def _construct_list(loader: _Loader, node: yaml.SequenceNode) -> tuple[Any, ...]:
+    return tuple(loader.construct_sequence(node, deep=True))
+
+
+def _construct_mapping(loader: _Loader, node: yaml.MappingNode) -> dict[Any, Any]:
+    return loader.construct_mapping(node, deep=True)
+
+
+def _construct_unknown(_: _Loader, node: yaml.Node) -> Any:
+    raise yaml.MarkedYAMLError(problem=f"tag {node.tag!r} is not allowed", problem_mark=node.start_mark)
+
+
+def _plain_constructor(kind: str, meaning: Callable[[str], Any]) -> Callable[[_Loader, yaml.ScalarNode], Any]:
+    def construct(loader: _Loader, node: yaml.ScalarNode) -> Any:
+        text = loader.construct_scalar(node)
+        try:
+            return meaning(text)
+        except (KeyError, ValueError) as error:
+            problem = f"{text[:40]!r} cannot be read as {kind}"
+            raise yaml.MarkedYAMLError(problem=problem, problem_mark=node.start_mark) from error
+
+    return construct
+
+
+class _Dumper(yaml.SafeDumper):
+    """Quotes whatever text the loader would take for a value."""
+
+
+def _represent_list(dumper: yaml.SafeDumper, items: list[Any]) -> yaml.Node:
+    flat = all(isinstance(item, (int, float, str)) for item in items)
+    return dumper.represent_sequence("tag:yaml.org,2002:seq", items, flow_style=flat)
+
+
+_Loader.add_constructor("tag:yaml.org,2002:str", _construct_text)
+_Loader.add_constructor("tag:yaml.org,2002:seq", _construct_list)
+_Loader.add_constructor("tag:yaml.org,2002:map", _construct_mapping)
+_Loader.add_constructor(None, _construct_unknown)
+for _kind, (_pattern, _first, _meaning) in _PLAIN.items():
+    _tag = f"tag:yaml.org,2002:{_kind}"
+    _regexp = re.compile(f"^(?:{_pattern})$")
+    _Loader.add_constructor(_tag, _plain_constructor(_kind, _meaning))
+    _Loader.add_implicit_resolver(_tag, _regexp, _first)
+    _Dumper.add_implicit_resolver(_tag, _regexp, _first)
+_Dumper.add_representer(list, _represent_list)

@@ -1,0 +1,236 @@
+"""The animated page: arm, scene and motion in one HTML file, or from a live server.
+
+The file holds meshcat's viewer and the commands that fill it; it needs no network and no server. Making it starts no
+process.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import html
+import importlib.util
+import io
+import json
+import subprocess
+from collections.abc import Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from hplan.errors import HplanError
+from hplan.files import write_text
+from hplan.robot import Robot
+from hplan.scene import Scene
+from hplan.trajectory import Trajectory
+from hplan.view.stage import ASPECT, FRUIT_COLOR, GOAL_COLOR, HALO_COLOR, OBSTACLE_COLOR, START_COLOR, stage
+from hplan.view.three import Json
+
+_PAGE = """<!DOCTYPE html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<title>{title}</title>
+<link rel="icon" href="data:,">
+<style>
+body {{ margin: 0; overflow: hidden; background: #e8edf2; }}
+#meshcat-pane {{ width: 100vw; height: 100vh; overflow: hidden; }}
+#legend {{
+  position: absolute; left: 20px; top: 16px; pointer-events: none; color: #26303c;
+  font: 14px/1.5 system-ui, -apple-system, "Segoe UI", "DejaVu Sans", sans-serif;
+}}
+#legend h1 {{ margin: 0 0 2px; font-size: 19px; font-weight: 600; }}
+#legend p {{ margin: 0 0 8px; color: #5a6675; }}
+#legend span {{ display: block; }}
+#legend i {{
+  display: inline-block; width: 11px; height: 11px; margin-right: 8px; border-radius: 50%; vertical-align: -1px;
+}}
+.dg.main .close-button, .dg.main .close-button:hover {{ background: #26303c; opacity: 0.55; }}
+</style>
+</head>
+<body>
+<div id="meshcat-pane"></div>
+<div id="legend">
+<h1>{title}</h1>
+<p>{subtitle}</p>
+{legend}
+</div>
+<script type="application/json" id="commands">{commands}</script>
+<script>
+{viewer}
+</script>
+<script>
+try {{
+  var viewer = new MeshCat.Viewer(document.getElementById("meshcat-pane"));
+  JSON.parse(document.getElementById("commands").textContent).forEach(command => viewer.handle_command(command));
+  const fit = () => {{
+    viewer.camera.zoom = Math.min(1, window.innerWidth / window.innerHeight / {aspect});
+    viewer.set_dirty();
+  }};
+  window.addEventListener("resize", fit);
+  fit();
+}} catch (error) {{
+  document.querySelector("#legend p").textContent = "This page needs WebGL: " + error.message;
+}}
+</script>
+</body>
+</html>
+"""
+
+
+def render_page(robot: Robot, scene: Scene, trajectory: Trajectory) -> str:
+    """The page as HTML text: self-contained, playing by itself in real time, again and again.
+
+    Args:
+        robot: The arm.
+        scene: What stands around it.
+        trajectory: The motion; with a single sample the arm stands still.
+
+    Raises:
+        InputError: The trajectory is of other joints than the robot's.
+        HplanError: meshcat, which brings the viewer, is not installed.
+    """
+    moves = trajectory.samples > 1
+    entries = [("Start", START_COLOR), ("Goal", GOAL_COLOR)] if moves else []
+    if scene.obstacles:
+        entries.append(("Obstacle" if len(scene.obstacles) == 1 else "Obstacles", OBSTACLE_COLOR))
+    if scene.fruits:
+        entries.append(("Fruit", FRUIT_COLOR))
+    if scene.goal.fruit is not None:
+        entries.append(("Fruit to pick", HALO_COLOR))
+    legend = "\n".join(f'<span><i style="background: #{color:06x}"></i>{text}</span>' for text, color in entries)
+    subtitle = f"{robot.name}, {trajectory.duration:.2f} s" if moves else f"{robot.name}, at rest"
+    # Inside a script element, "<" could end it.
+    commands = json.dumps(stage(robot, scene, trajectory), separators=(",", ":")).replace("<", "\\u003c")
+    return _PAGE.format(
+        title=html.escape(scene.name),
+        subtitle=html.escape(subtitle),
+        legend=legend,
+        commands=commands,
+        viewer=_viewer_source(),
+        aspect=ASPECT,
+    )
+
+
+def write_page(robot: Robot, scene: Scene, trajectory: Trajectory, path: Path | str) -> Path:
+    """Write the page to a file.
+
+    Raises:
+        InputError: The trajectory is of other joints than the robot's.
+        OutputError: The file cannot be written.
+        HplanError: meshcat, which brings the viewer, is not installed.
+    """
+    return write_text(path, render_page(robot, scene, trajectory))
+
+
+class LiveView:
+    """A running meshcat server that shows one motion; `close` ends it, as does leaving a `with` block."""
+
+    def __init__(self, url: str, zmq_url: str, process: subprocess.Popen[bytes]) -> None:
+        """Hold what `serve` has started."""
+        self.url = url
+        self.zmq_url = zmq_url
+        self._process = process
+
+    @property
+    def running(self) -> bool:
+        """True until the server has ended."""
+        return self._process.poll() is None
+
+    def wait(self, timeout_s: float | None = None) -> None:
+        """Wait until the server ends (it does not by itself) or `timeout_s` seconds have passed."""
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._process.wait(timeout_s)
+
+    def close(self) -> None:
+        """End the server."""
+        if self.running:
+            self._process.kill()
+        self._process.wait()
+        for stream in (self._process.stdout, self._process.stderr):
+            if stream is not None:
+                stream.close()
+
+    def __enter__(self) -> LiveView:
+        """Return the view itself."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        """End the server."""
+        self.close()
+
+
+def serve(robot: Robot, scene: Scene, trajectory: Trajectory) -> LiveView:
+    """Start meshcat's live server with the same scene and motion; prints nothing and opens no browser.
+
+    Args:
+        robot: The arm.
+        scene: What stands around it.
+        trajectory: The motion.
+
+    Returns:
+        The running view; its `url` is for a browser on this machine. The server ends with `close`, and with this
+        process.
+
+    Raises:
+        InputError: The trajectory is of other joints than the robot's.
+        HplanError: The server does not start.
+    """
+    commands = stage(robot, scene, trajectory)
+    _viewer_source()  # says plainly that meshcat is missing
+    from meshcat.servers.zmqserver import start_zmq_server_as_subprocess
+
+    said = io.StringIO()
+    try:
+        with contextlib.redirect_stdout(said):
+            process, zmq_url, url = start_zmq_server_as_subprocess()
+    except (OSError, RuntimeError, ValueError) as error:
+        raise HplanError(f"the meshcat server does not start: {said.getvalue().strip() or error}") from error
+    view = LiveView(url, zmq_url, process)
+    try:
+        _send(zmq_url, commands)
+    except BaseException:
+        view.close()
+        raise
+    return view
+
+
+def _send(zmq_url: str, commands: Sequence[Json]) -> None:
+    """Hand commands to a meshcat server; each is answered before the next is sent.
+
+    Raises:
+        HplanError: No answer within 10 s.
+    """
+    import umsgpack  # type: ignore[import-untyped]
+    import zmq
+
+    with zmq.Context() as context, context.socket(zmq.REQ) as socket:
+        socket.setsockopt(zmq.LINGER, 0)
+        socket.setsockopt(zmq.RCVTIMEO, 10_000)
+        socket.connect(zmq_url)
+        try:
+            for command in commands:
+                head = [command["type"].encode(), command["path"].encode()]
+                socket.send_multipart([*head, umsgpack.packb(command)])
+                socket.recv()
+        except zmq.Again as error:
+            raise HplanError("the meshcat server does not answer") from error
+
+
+def _viewer_source() -> str:
+    """Meshcat's viewer, one JavaScript file, found without importing meshcat (0.2 s).
+
+    Raises:
+        HplanError: meshcat is not installed.
+    """
+    found: Any = importlib.util.find_spec("meshcat")
+    for folder in [] if found is None else found.submodule_search_locations:
+        path = Path(folder) / "viewer" / "dist" / "main.min.js"
+        if path.is_file():
+            return path.read_text(encoding="utf-8")
+    raise HplanError("meshcat's viewer (meshcat/viewer/dist/main.min.js) is not installed")

@@ -237,7 +237,7 @@ def _waypoints(problem: Problem, grid: Grid, nodes: Any, planar: slice) -> Float
 
 
 def _limits(robot: Robot, options: PlanOptions) -> Limits:
-    limits = Limits(robot.velocity_limit, robot.acceleration_limit, robot.torque_limit)
+    limits = Limits(robot.velocity_limit, robot.acceleration_limit, robot.torque_limit, robot.jerk_limit)
     return limits.scaled(options.speed)
 
 

@@ -26,13 +26,13 @@ from hplan.postprocess.smooth import smooth
 from hplan.postprocess.spline import SplinePath, bezier_piece, piece_is_clear
 
 #: Numbers of control points tried in turn.
-CONTROL_POINTS = (10, 14, 20, 30, 44)
+CONTROL_POINTS = (6, 7, 8, 9, 10, 12, 14, 17, 20, 25, 30, 44)
 
 #: Share of the margin that is still asked for where the full one cannot be kept.
 SMALLEST_SHARE = 0.05
 
 #: Points at which a piece's speed is estimated.
-_PER_PIECE = 5
+_PER_PIECE = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,8 +107,9 @@ def clear_spline(
     control[0], control[-1] = path[0], path[-1]
     knots = SplinePath.through(control).knots
     pushed = _push_out(
-        control, knots, field.chain, field.base, field.solids, options.lower, options.upper, options.movable, margin
-    )
+        control, knots, field.chain, field.base, field.solids, options.lower, options.upper, options.movable, margin,
+        0, count - 4, 40,
+    )  # fmt: skip
     return SplinePath(frozen(control), knots) if pushed else None
 
 
@@ -143,16 +144,19 @@ def _push_out(
     upper: FloatArray,
     movable: IntArray,
     margin: float,
+    first_piece: int,
+    last_piece: int,
+    rounds: int,
 ) -> bool:
-    """Move control points along the gradient of the clearance until every piece is shown clear."""
+    """Move control points along the gradient of the clearance until the pieces named are shown clear."""
     count, dof = control.shape
     links = chain.shape[0]
     piece, q, clear = np.empty((4, dof)), np.empty(dof), np.empty(links)
     worst, gradient = np.empty(dof), np.empty(dof)
     weight = np.empty(4)
-    for _ in range(40):
+    for _ in range(rounds):
         contact = False
-        for i in range(count - 3):
+        for i in range(first_piece, last_piece + 1):
             bezier_piece(control, knots, i + 3, piece)
             if piece_is_clear(piece, chain, base, solids, margin):
                 continue
@@ -321,7 +325,7 @@ def _search(
     best = estimate_duration(first, second, grid, velocity, acceleration, speed)
     best += length_weight * _length(first, grid)
     step = np.full((count, dof), 0.05)
-    piece = np.empty((4, dof))
+    piece, saved = np.empty((4, dof)), np.empty((count, dof))
     tried = 0
     while tried < trials:
         largest = 0.0
@@ -341,19 +345,47 @@ def _search(
                     value = estimate_duration(first, second, grid, velocity, acceleration, speed)
                     value += length_weight * _length(first, grid)
                     good = value < best - 1e-7
+                    repaired = False
                     if good:
                         for i in range(low_piece, high_piece + 1):
                             bezier_piece(control, knots, i + 3, piece)
                             if not piece_is_clear(piece, chain, base, solids, margin):
                                 good = False
                                 break
+                        if not good:
+                            # Slide along the obstacle: push the neighbours out, and see whether it still pays.
+                            saved[:] = control
+                            saved[c, j] = old
+                            repaired = True
+                            wide_low, wide_high = max(0, c - 6), min(pieces - 1, c + 3)
+                            good = _push_out(
+                                control, knots, chain, base, solids, lower, upper, movable, margin,
+                                low_piece, high_piece, 3,
+                            )  # fmt: skip
+                            if good:
+                                for i in range(wide_low, wide_high + 1):
+                                    _differentiate(control, knots, i, first, second)
+                                value = estimate_duration(first, second, grid, velocity, acceleration, speed)
+                                value += length_weight * _length(first, grid)
+                                good = value < best - 1e-7
+                            if good:
+                                for i in range(wide_low, wide_high + 1):
+                                    bezier_piece(control, knots, i + 3, piece)
+                                    if not piece_is_clear(piece, chain, base, solids, margin):
+                                        good = False
+                                        break
+                            if not good:
+                                control[:] = saved
+                                for i in range(wide_low, wide_high + 1):
+                                    _differentiate(control, knots, i, first, second)
                     if good:
                         best = value
                         step[c, j] *= 1.6
                         break
-                    control[c, j] = old
-                    for i in range(low_piece, high_piece + 1):
-                        _differentiate(control, knots, i, first, second)
+                    if not repaired:
+                        control[c, j] = old
+                        for i in range(low_piece, high_piece + 1):
+                            _differentiate(control, knots, i, first, second)
                     step[c, j] = -step[c, j]
                     if turn == 1:
                         step[c, j] *= 0.4

@@ -1,0 +1,219 @@
+from __future__ import annotations
+
+import importlib.util
+import json
+import math
+import sys
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+SCRIPT = Path(__file__).resolve().parents[1] / "scripts" / "reproduce_paper.py"
+
+
+def load_script() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("reproduce_paper", SCRIPT)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+script = load_script()
+
+
+@pytest.fixture(scope="module")
+def measured() -> Any:
+    return script.measure(repetitions=1, tie_choices=4)
+
+
+@pytest.fixture
+def quick(monkeypatch: pytest.MonkeyPatch, measured: Any) -> None:
+    monkeypatch.setattr(script, "measure", lambda *_, **__: measured)
+
+
+def test_dense_is_the_papers(measured: Any) -> None:
+    r = measured[0]
+    assert r.nodes == 753_571
+    assert r.dense.cost == pytest.approx(145.2149523784, abs=1e-9)
+    assert r.dense.points == 107
+    assert 153_900 <= r.dense.path_expansions <= 154_700
+
+
+def test_two_levels_to_the_letter(measured: Any) -> None:
+    r, e = measured
+    assert r.plain.cost <= 145.215
+    assert r.plain.points <= 107
+    assert 5_000 < r.plain.path_expansions < 6_605
+    assert 146_000 <= r.plain.layer_expansions <= 147_000
+    assert r.plain.flooded == 0
+    assert r.plain.total_expansions == r.plain.layer_expansions + r.plain.path_expansions
+    assert sorted(e.plain.paths) == list(range(45, 71))
+    assert sorted(e.plain.heads) == list(range(45))
+
+
+def test_hplan_finds_the_same_cost_with_less(measured: Any) -> None:
+    r = measured[0]
+    for run in (r.straight, r.octile):
+        assert run.cost <= 145.215
+        assert run.points <= 107
+        assert run.total_expansions < r.plain.total_expansions
+
+
+def test_link_models(measured: Any) -> None:
+    rows = {row.link_model: row for row in measured[0].models}
+    assert {name: row.occupied for name, row in rows.items()} == {
+        "capsule": 128_891,
+        "paper": 127_973,
+        "rectangle": 127_342,
+    }
+    assert {name: (row.first_feasible_deg, row.last_feasible_deg) for name, row in rows.items()} == {
+        "capsule": (45, 90),
+        "paper": (45, 90),
+        "rectangle": (40, 90),
+    }
+    assert rows["paper"].dense_cost_deg == pytest.approx(145.2149523784, abs=1e-9)
+    assert rows["rectangle"].dense_cost_deg == pytest.approx(143.558098, abs=1e-6)
+    assert {row.dense_points for row in rows.values()} == {107}
+
+
+def test_gap(measured: Any) -> None:
+    gap = measured[0].gap
+    assert (gap.last_without_deg, gap.first_with_deg) == (44, 45)
+    assert gap.reached_without < gap.reached_with
+    assert (gap.layers_searched, gap.layers_without) == (71, 45)
+    assert 93_000 <= gap.expansions_without <= 94_000
+
+
+def test_ties_bracket_the_papers_two_level_result(measured: Any) -> None:
+    ties, paper = measured[0].ties, script.PAPER
+    assert ties.lowest_cost_deg <= paper.two_level_cost_deg <= ties.highest_cost_deg
+    assert ties.fewest_points <= paper.two_level_points <= ties.most_points
+    assert ties.lowest_cost_deg >= paper.dense_cost_deg - 1e-6
+
+
+def test_arctan_as_printed_is_not_the_papers_example(measured: Any) -> None:
+    link, plane = measured[0].slip_link_frame, measured[0].slip_arm_plane
+    assert not link.goal_is_free
+    assert link.feasible_slices == 0
+    assert link.cost_deg is None
+    assert plane.feasible_slices == 91
+    assert plane.cost_deg == pytest.approx(136.801416, abs=1e-6)
+
+
+def test_workspace_demonstration(measured: Any) -> None:
+    r, e = measured
+    assert r.demo_layers == 21
+    # 50 steps in x, 40 of them with y, 20 of those with z: no path is shorter, and the sphere need not cost anything.
+    assert r.demo_dense.cost == pytest.approx(20 * math.sqrt(3) + 20 * math.sqrt(2) + 10)
+    assert r.demo_dense.cost <= r.demo_two_level.cost < 1.05 * r.demo_dense.cost
+    path = e.demo.grid.coordinates(e.demo_result.path)
+    np.testing.assert_array_equal(path[[0, -1]], [[5, 10, 5], [55, 50, 25]])
+    assert (np.linalg.norm(path - script.DEMO_CENTRE, axis=1) > 7.5).all()
+    assert (np.abs(np.diff(path, axis=0)).max(axis=1) == 1).all()
+
+
+def test_restored_heads_are_free_and_nested(measured: Any) -> None:
+    e = measured[1]
+    previous = e.plain.paths[45][:, :2]
+    for number in range(44, -1, -1):
+        head = e.plain.heads[number]
+        assert not e.occupancy.occupied[tuple(head.T)].any()
+        np.testing.assert_array_equal(head[:, :2], previous[: len(head)])
+        previous = head[:, :2]
+
+
+def test_report_names_what_is_left_out(measured: Any) -> None:
+    r = measured[0]
+    text = script.markdown(r)
+    numbers = (
+        "6,605",
+        "145.800739",
+        "2,560",
+        "128,891",
+        "127,973",
+        "127,342",
+        "143.558098",
+        f"{r.plain.layer_expansions:,}",
+        f"{r.gap.expansions_without:,}",
+    )
+    for needed in (*numbers, "arctan(x/y)", "Ties.", "Flooding.", "Restoration."):
+        assert needed in text, needed
+    for line in text.splitlines():
+        if line.startswith("|"):
+            assert line.endswith("|")
+
+
+@pytest.mark.usefixtures("quick")
+def test_command_line_writes_everything(tmp_path: Path, measured: Any, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "new" / "paper"
+    assert script.main(["--out", str(out)]) == 0
+    names = {path.name for path in out.iterdir()}
+    assert {name[:9] for name in names if name.startswith("figure_")} == {
+        f"figure_{number:02d}" for number in (6, 7, 8, 9, 10, 11, 12, 14, 15)
+    }
+    assert {"reproduction.json", "reproduction.md", "overview.png"} <= names
+    assert len(names) == 12
+    for path in out.glob("*.png"):
+        assert path.stat().st_size < 300_000
+        with Image.open(path) as image:
+            assert image.info["dpi"] == pytest.approx((160, 160), abs=0.1)
+            assert image.width >= 1100
+    numbers = json.loads((out / "reproduction.json").read_text())
+    assert numbers["format"] == "hplan-reproduction/1"
+    assert numbers["dense"]["path_expansions"] == measured[0].dense.path_expansions
+    assert numbers["paper"]["two_level_time_s"] == 2.56
+    printed = capsys.readouterr().out
+    assert "What the paper leaves out" in printed
+    assert "145.214952" in printed
+
+
+@pytest.mark.usefixtures("quick")
+def test_markdown_goes_to_standard_output(tmp_path: Path, measured: Any, capsys: pytest.CaptureFixture[str]) -> None:
+    assert script.main(["--out", str(tmp_path), "--no-figures", "--markdown"]) == 0
+    assert capsys.readouterr().out == script.markdown(measured[0])
+    assert {path.name for path in tmp_path.iterdir()} == {"reproduction.json", "reproduction.md"}
+
+
+def test_unwritable_output_is_refused_before_any_work(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(script, "measure", lambda *_, **__: pytest.fail("measured"))
+    blocked = tmp_path / "file"
+    blocked.write_text("kept")
+    for out in (blocked, blocked / "below"):
+        assert script.main(["--out", str(out)]) == 2
+        message = capsys.readouterr().err
+        assert f"cannot write {out}" in message.replace("\n", "")
+    assert blocked.read_text() == "kept"
+    assert list(tmp_path.iterdir()) == [blocked]
+
+
+@pytest.mark.usefixtures("quick")
+def test_a_failure_while_writing_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    real = script.tempfile.mkstemp
+
+    def full(*, dir: Path, prefix: str) -> Any:  # noqa: A002
+        if "json" in prefix:
+            raise OSError(28, "No space left on device")
+        return real(dir=dir, prefix=prefix)
+
+    monkeypatch.setattr(script.tempfile, "mkstemp", full)
+    assert script.main(["--out", str(tmp_path), "--no-figures"]) == 2
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_without_matplotlib_nothing_is_begun(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    out = tmp_path / "paper"
+    assert script.main(["--out", str(out)]) == 2
+    assert "figures need the extra: pip install 'hplan[figures]'" in capsys.readouterr().err
+    assert not out.exists()

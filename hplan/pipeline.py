@@ -17,7 +17,7 @@ from hplan.connect import nearest_node
 from hplan.cspace import occupancy
 from hplan.errors import CertificationError, NoPathError, OptionError
 from hplan.grid import Grid, Occupancy
-from hplan.postprocess import PostprocessOptions, SplinePath, fast_path
+from hplan.postprocess import OBJECTIVES, Objective, PostprocessOptions, SplinePath, fast_path
 from hplan.problem import Problem, pose_problem
 from hplan.report import StageClock, versions
 from hplan.robot import Robot
@@ -48,6 +48,7 @@ class PlanOptions:
     Attributes:
         method: `two-level`, or `dense` for the baseline.
         step_deg: Largest spacing of the joint grid [deg].
+        objective: `duration` for the fastest motion, `length` for the shortest path.
         link_model: Link model of the C-space; motions are always certified for capsules.
         rate_hz: Rows of the trajectory per second.
         speed: Share of the velocity limits to use, in (0, 1].
@@ -57,6 +58,7 @@ class PlanOptions:
 
     method: Method = "two-level"
     step_deg: float = 1.0
+    objective: Objective = "duration"
     link_model: LinkModel = "capsule"
     rate_hz: float = 250.0
     speed: float = 1.0
@@ -67,6 +69,8 @@ class PlanOptions:
         """Check the values."""
         if self.method not in METHODS:
             raise OptionError("method", self.method, f"one of {', '.join(METHODS)}")
+        if self.objective not in OBJECTIVES:
+            raise OptionError("objective", self.objective, f"one of {', '.join(OBJECTIVES)}")
         if not (np.isfinite(self.step_deg) and self.step_deg > 0.0):
             raise OptionError("step_deg", self.step_deg, "a positive number of degrees")
 
@@ -185,6 +189,7 @@ def _attempt(
                 acceleration=robot.acceleration_limit,
                 movable=problem.movable,
                 margin=margin,
+                objective=options.objective,
             ),
         )
     progress("timing")

@@ -1,8 +1,18 @@
 """From a grid path to a smooth curve worth executing, shown clear all along."""
 
-from hplan.postprocess.fast import PostprocessOptions, fast_path
+from hplan.postprocess.options import OBJECTIVES, Objective, PostprocessOptions
+from hplan.postprocess.path import fast_path
 from hplan.postprocess.shorten import path_length, shorten
 from hplan.postprocess.smooth import smooth
 from hplan.postprocess.spline import SplinePath
 
-__all__ = ["PostprocessOptions", "SplinePath", "fast_path", "path_length", "shorten", "smooth"]
+__all__ = [
+    "OBJECTIVES",
+    "Objective",
+    "PostprocessOptions",
+    "SplinePath",
+    "fast_path",
+    "path_length",
+    "shorten",
+    "smooth",
+]

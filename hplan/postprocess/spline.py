@@ -17,6 +17,9 @@ from numpy.typing import ArrayLike
 from hplan.arrays import FloatArray, frozen, readonly
 from hplan.clearance import ClearanceField, _link_clearances
 
+#: Longest step along a piece with which an optimiser looks for contact before the proof.
+STRIDE = 1.0 / 16.0
+
 
 @dataclass(frozen=True, eq=False)
 class SplinePath:
@@ -97,7 +100,7 @@ class SplinePath:
 
 def first_contact(pieces: FloatArray, field: ClearanceField, margin: float) -> FloatArray:
     """(pieces,) True for each Bezier piece that is not shown clear."""
-    return np.array([not piece_is_clear(piece, field.chain, field.base, field.solids, margin) for piece in pieces])
+    return np.array([not piece_is_clear(piece, field.chain, field.base, field.solids, margin, 0.0) for piece in pieces])
 
 
 @nb.njit(cache=True)
@@ -161,8 +164,18 @@ def piece_bounds(piece: FloatArray, chain: FloatArray, base: FloatArray, result:
 
 
 @nb.njit(cache=True)
-def piece_is_clear(piece: FloatArray, chain: FloatArray, base: FloatArray, solids: FloatArray, margin: float) -> bool:
-    """Conservative advancement along a Bezier piece; `margin` is asked for wherever it is evaluated."""
+def piece_is_clear(
+    piece: FloatArray,
+    chain: FloatArray,
+    base: FloatArray,
+    solids: FloatArray,
+    margin: float,
+    stride: float = 0.0,
+) -> bool:
+    """Conservative advancement along a Bezier piece; `margin` is asked for wherever it is evaluated.
+
+    With a `stride` the steps are never shorter than that: no proof then near contact, but cheap, for optimisers.
+    """
     links, dof = chain.shape[0], piece.shape[1]
     bounds, clear, q = np.empty(links), np.empty(links), np.empty(dof)
     piece_bounds(piece, chain, base, bounds)
@@ -181,4 +194,25 @@ def piece_is_clear(piece: FloatArray, chain: FloatArray, base: FloatArray, solid
                 advance = clear[k] / bounds[k]
         if t >= 1.0:
             return True
-        t = min(1.0, t + advance)
+        t = min(1.0, t + max(stride, advance))
+
+
+@nb.njit(cache=True)
+def pieces_are_clear(
+    control: FloatArray,
+    knots: FloatArray,
+    low: int,
+    high: int,
+    chain: FloatArray,
+    base: FloatArray,
+    solids: FloatArray,
+    margin: float,
+    stride: float,
+) -> bool:
+    """Whether pieces low to high are clear in the sense of `piece_is_clear`."""
+    piece = np.empty((4, control.shape[1]))
+    for i in range(low, high + 1):
+        bezier_piece(control, knots, i + 3, piece)
+        if not piece_is_clear(piece, chain, base, solids, margin, stride):
+            return False
+    return True

@@ -1,0 +1,190 @@
+"""A spline of few control points, pushed out of the obstacles and pulled taut around them.
+
+Pushing moves the control points of a piece that is not clear along the gradient of the clearance at its worst point.
+It looks at samples; the proof follows, with half the margin, so that what samples missed does not refuse it.
+
+Pulling taut is Laplacian smoothing of the control polygon, with a push after every round.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numba as nb
+import numpy as np
+
+from hplan.arrays import FloatArray, IntArray, frozen
+from hplan.clearance import ClearanceField, _link_clearances
+from hplan.postprocess.options import PostprocessOptions
+from hplan.postprocess.spline import STRIDE, SplinePath, bezier_piece, piece_is_clear
+
+
+def clear_spline(
+    path: FloatArray, field: ClearanceField, options: PostprocessOptions, *, count: int, margin: float
+) -> SplinePath | None:
+    """A spline of few control points along a clear polyline, pushed out of the obstacles that its corners cut.
+
+    Args:
+        path: (m, dof) waypoints, clear.
+        field: Arm and obstacles.
+        options: Joint limits and movable joints.
+        count: Number of control points, >= 4.
+        margin: Clearance asked for at the samples [m]; half of it wherever the proof evaluates it.
+
+    Returns:
+        The spline, shown clear, or None where pushing did not succeed.
+    """
+    station = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
+    even = np.linspace(0.0, station[-1], count)
+    control = np.column_stack([np.interp(even, station, path[:, joint]) for joint in range(path.shape[1])])
+    control[0], control[-1] = path[0], path[-1]
+    knots = SplinePath.through(control).knots
+    pushed = push_out(
+        control, knots, field.chain, field.base, field.solids, options.lower, options.upper, options.movable, margin,
+        0, count - 4, 40,
+    )  # fmt: skip
+    spline = SplinePath(frozen(control), knots)
+    return spline if pushed and spline.is_clear(field, 0.5 * margin) else None
+
+
+def tighten(
+    spline: SplinePath, field: ClearanceField, options: PostprocessOptions, *, margin: float, rounds: int
+) -> SplinePath:
+    """Pull a clear spline taut around the obstacles.
+
+    Args:
+        spline: A clear spline.
+        field: Arm and obstacles.
+        options: Joint limits and movable joints.
+        margin: Clearance asked for wherever it is evaluated [m].
+        rounds: Rounds of smoothing and pushing.
+
+    Returns:
+        The clear spline with the shortest control polygon found, with the same ends and knots.
+    """
+    control = np.array(spline.control)
+    _tighten(
+        control, spline.knots, field.chain, field.base, field.solids, options.lower, options.upper, options.movable,
+        margin, rounds,
+    )  # fmt: skip
+    taut = SplinePath(frozen(control), spline.knots)
+    return taut if taut.is_clear(field, 0.5 * margin) else spline
+
+
+@nb.njit(cache=True)
+def push_out(
+    control: FloatArray,
+    knots: FloatArray,
+    chain: FloatArray,
+    base: FloatArray,
+    solids: FloatArray,
+    lower: FloatArray,
+    upper: FloatArray,
+    movable: IntArray,
+    margin: float,
+    first_piece: int,
+    last_piece: int,
+    rounds: int,
+) -> bool:
+    """Move control points along the gradient of the clearance until the pieces named seem clear."""
+    count, dof = control.shape
+    links = chain.shape[0]
+    piece, q, clear = np.empty((4, dof)), np.empty(dof), np.empty(links)
+    worst, gradient = np.empty(dof), np.empty(dof)
+    weight = np.empty(4)
+    for _ in range(rounds):
+        contact = False
+        for i in range(first_piece, last_piece + 1):
+            bezier_piece(control, knots, i + 3, piece)
+            if piece_is_clear(piece, chain, base, solids, margin, STRIDE):
+                continue
+            contact = True
+            least, at = math.inf, 0.0
+            for sample in range(17):
+                t = sample / 16.0
+                u = 1.0 - t
+                for j in range(dof):
+                    q[j] = (
+                        u * u * u * piece[0, j] + 3.0 * u * u * t * piece[1, j] + 3.0 * u * t * t * piece[2, j]
+                        + t * t * t * piece[3, j]
+                    )  # fmt: skip
+                _link_clearances(q, chain, base, solids, clear)
+                if clear.min() < least:
+                    least, at = clear.min(), t
+                    worst[:] = q
+            square = 0.0
+            for j in range(dof):
+                gradient[j] = 0.0
+            for j in movable:
+                q[:] = worst
+                q[j] = worst[j] + 1e-4
+                _link_clearances(q, chain, base, solids, clear)
+                ahead = clear.min()
+                q[j] = worst[j] - 1e-4
+                _link_clearances(q, chain, base, solids, clear)
+                gradient[j] = (ahead - clear.min()) / 2e-4
+                square += gradient[j] * gradient[j]
+            if square < 1e-8:
+                return False
+            # Share the step among the four control points about as they weigh on the curve there.
+            u = 1.0 - at
+            weight[0] = u * u * u / 6.0
+            weight[3] = at * at * at / 6.0
+            weight[1] = (3.0 * at * at * at - 6.0 * at * at + 4.0) / 6.0
+            weight[2] = 1.0 - weight[0] - weight[1] - weight[3]
+            total = 0.0
+            for c in range(4):
+                if 0 < i + c < count - 1:
+                    total += weight[c] * weight[c]
+            if total < 1e-6:
+                return False
+            step = 1.2 * (max(2.0 * margin, 1e-3) - least) / square / total
+            for c in range(4):
+                if 0 < i + c < count - 1:
+                    for j in movable:
+                        moved = control[i + c, j] + step * weight[c] * gradient[j]
+                        control[i + c, j] = min(upper[j], max(lower[j], moved))
+        if not contact:
+            return True
+    return False
+
+
+@nb.njit(cache=True)
+def _tighten(
+    control: FloatArray,
+    knots: FloatArray,
+    chain: FloatArray,
+    base: FloatArray,
+    solids: FloatArray,
+    lower: FloatArray,
+    upper: FloatArray,
+    movable: IntArray,
+    margin: float,
+    rounds: int,
+) -> None:
+    """Smooth and push in turn; `control` is left as the shortest that kept the margin at its samples."""
+    count = control.shape[0]
+    best, before = control.copy(), control.copy()
+    shortest = _polygon_length(control)
+    for _ in range(rounds):
+        before[:] = control
+        for i in range(1, count - 1):
+            for j in movable:
+                control[i, j] = 0.5 * (before[i - 1, j] + before[i + 1, j])
+        clear = push_out(
+            control, knots, chain, base, solids, lower, upper, movable, margin, 0, count - 4, 6
+        )  # fmt: skip
+        if clear:
+            length = _polygon_length(control)
+            if length < shortest:
+                shortest = length
+                best[:] = control
+    control[:] = best
+
+
+@nb.njit(cache=True)
+def _polygon_length(control: FloatArray) -> float:
+    total = 0.0
+    for i in range(control.shape[0] - 1):
+        total += math.sqrt(((control[i + 1] - control[i]) ** 2).sum())
+    return total

@@ -1,0 +1,68 @@
+"""The way from a grid path to a path worth executing."""
+
+from __future__ import annotations
+
+from hplan.arrays import FloatArray
+from hplan.clearance import ClearanceField
+from hplan.errors import CertificationError
+from hplan.postprocess.clear import clear_spline, tighten
+from hplan.postprocess.fast import hasten
+from hplan.postprocess.options import PostprocessOptions
+from hplan.postprocess.shorten import shorten
+from hplan.postprocess.smooth import smooth
+from hplan.postprocess.spline import SplinePath
+
+#: Numbers of control points tried in turn: for the fastest motion as few as will do, for the shortest path many.
+FAST_CONTROL_POINTS = (6, 7, 8, 9, 10, 12, 14, 17, 20, 25, 30, 44)
+SHORT_CONTROL_POINTS = (44, 64)
+
+#: How many of them are carried through for the fastest motion: the search is local, so each finds another path.
+STARTS = 3
+
+#: Share of the margin that is still asked for where the full one cannot be kept.
+SMALLEST_SHARE = 0.05
+
+
+def fast_path(path: FloatArray, field: ClearanceField, options: PostprocessOptions) -> SplinePath:
+    """A smooth path worth executing: shortened, splined, then moved to where it is fast, or pulled taut.
+
+    Args:
+        path: (m, dof) waypoints of the grid path, m >= 2.
+        field: Arm and obstacles.
+        options: Limits, margin, aim and effort.
+
+    Raises:
+        CertificationError: The grid path's own motions cannot be shown clear, or its corners cannot be rounded.
+    """
+    smallest = SMALLEST_SHARE * options.margin
+    if not field.is_clear(path, smallest):
+        raise CertificationError("the motions between the nodes of the grid path cannot be shown clear")
+    if options.objective == "length":
+        return _short(path, field, options, smallest)
+    for margin in (options.margin, 0.25 * options.margin, smallest):
+        taut = shorten(path, field, margin=margin, rounds=options.shortcuts)
+        found: list[tuple[SplinePath, float]] = []
+        for count in FAST_CONTROL_POINTS:
+            spline = clear_spline(taut, field, options, count=count, margin=margin)
+            if spline is not None:
+                found.append(hasten(spline, field, options, margin=margin))
+            if len(found) == STARTS:
+                break
+        if found:
+            return min(found, key=lambda item: item[1])[0]
+    return hasten(_rounded(path, field, options, smallest), field, options, margin=0.5 * smallest)[0]
+
+
+def _short(path: FloatArray, field: ClearanceField, options: PostprocessOptions, margin: float) -> SplinePath:
+    """The shortest path: many control points, so that the spline can follow the obstacles closely."""
+    taut = shorten(path, field, margin=margin, rounds=options.shortcuts)
+    for count in SHORT_CONTROL_POINTS:
+        spline = clear_spline(taut, field, options, count=count, margin=margin)
+        if spline is not None:
+            return tighten(spline, field, options, margin=margin, rounds=options.taut_rounds)
+    return _rounded(path, field, options, margin)
+
+
+def _rounded(path: FloatArray, field: ClearanceField, options: PostprocessOptions, margin: float) -> SplinePath:
+    """Where no spline could be pushed clear: the taut polyline with its corners rounded as far as they can be."""
+    return smooth(shorten(path, field, margin=margin, rounds=options.shortcuts), field, margin=margin)

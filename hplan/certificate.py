@@ -8,10 +8,13 @@ Hermite`); a trajectory of hplan is exactly that curve. On it
   that bound must stay positive all the way (conservative advancement);
 - **position, velocity and acceleration** are bounded exactly: the acceleration is linear between rows, the velocity
   has its extremes at rows or where the acceleration is zero, the position within the hull of the Bezier points;
-- **torque** is inverse dynamics at the rows and in the middle between them.
+- **torque** is inverse dynamics at the rows and in between, at most 2 ms apart: a fine sample, not a bound;
+- the acceleration and torque columns, which a controller may feed forward, must keep the limits too;
+- the motion begins and ends at rest, unless that is not asked for.
 
 Assumed: rigid links inside their capsules, obstacles where the scene says, tracking within `tracking_error` [rad] a
-joint. Not covered: flexing, the base's own motion, contact forces, what is not in the scene.
+joint (it takes from the clearance; the limits are those of the commanded motion). Not covered: flexing, the base's own
+motion, contact forces, what is not in the scene.
 """
 
 from __future__ import annotations
@@ -31,8 +34,14 @@ from hplan.trajectory import Trajectory
 #: Use of a limit up to which it counts as kept.
 LIMIT_TOLERANCE = 1.001
 
-#: Clearance below which the proof gives up [m]: steps would become too small.
-SMALLEST_STEP = 1e-6
+#: Spare clearance below which the proof gives up [m]: its steps, half of what is spare, would become too small.
+SMALLEST_STEP = 1e-5
+
+#: Longest time between two looks at the torque [s].
+TORQUE_PERIOD = 2e-3
+
+#: Speed at the ends that still counts as rest [rad/s].
+REST = 1e-6
 
 
 @dataclass(frozen=True)
@@ -59,7 +68,7 @@ class Certificate:
     Attributes:
         verified: Whether everything asked for was shown.
         min_clearance_m: Distance that every link is shown to keep from every obstacle at all times [m]; inf without
-            obstacles, negative (the depth found) in contact.
+            obstacles. Where the clearance is not shown, the smallest distance found, negative in contact.
         nearest: Link and obstacle at the smallest distance that was evaluated.
         limit_use: Largest use of each limit.
         checks: Number of configurations at which distances were evaluated.
@@ -80,6 +89,7 @@ def certify(
     trajectory: Trajectory,
     *,
     tracking_error: float = 0.0,
+    rest_to_rest: bool = True,
     judge: CollisionScene | None = None,
 ) -> Certificate:
     """Judge a trajectory, wherever it comes from.
@@ -89,6 +99,7 @@ def certify(
         scene: Obstacles and the clearance to keep.
         trajectory: The timed motion; its joints are the robot's.
         tracking_error: Largest deviation of any joint from the trajectory [rad].
+        rest_to_rest: Whether the motion has to begin and end at rest.
         judge: The scene in coal, where it is already there.
 
     Returns:
@@ -106,19 +117,26 @@ def certify(
         raise OptionError("tracking_error", tracking_error, "a finite number of radians >= 0")
     judge = CollisionScene(robot, scene.solids) if judge is None else judge
     bezier = _bezier(trajectory)
-    use = _limit_use(robot, trajectory, bezier, tracking_error)
-    clearance, nearest, checks = _clearance(robot, bezier, judge, tracking_error, scene.clearance)
+    use = _limit_use(robot, trajectory, bezier)
     violations = [
         f"{what} reaches {share:.4f} of its limit"
         for what, share in vars(use).items()
         if not share <= (LIMIT_TOLERANCE if what != "position" else 1.0 + 1e-6)
     ]
-    if not clearance > scene.clearance and nearest is not None:
-        violations.append(
-            f"link {nearest.link!r} comes to {1e3 * nearest.distance_m:.3g} mm of obstacle {nearest.obstacle!r}"
-            f" (needed: more than {1e3 * scene.clearance:.3g} mm, with the bound on motion)"
+    if rest_to_rest:
+        for where, velocity in (("begins", trajectory.velocity[0]), ("ends", trajectory.velocity[-1])):
+            if np.abs(velocity).max() > REST:
+                violations.append(f"the motion {where} at {np.abs(velocity).max():.4g} rad/s, not at rest")
+    proof = _prove_clearance(robot, bezier, judge, tracking_error, scene.clearance)
+    if not proof.shown:
+        link, obstacle, distance = (
+            (proof.nearest.link, proof.nearest.obstacle, proof.nearest.distance_m) if proof.nearest else ("", "", 0.0)
         )
-    return Certificate(not violations, clearance, nearest, use, checks, tuple(violations))
+        violations.append(
+            f"link {link!r} comes to {1e3 * distance:.3g} mm of obstacle {obstacle!r}; to be shown: more than "
+            f"{1e3 * scene.clearance:.3g} mm at a tracking error of {tracking_error:g} rad"
+        )
+    return Certificate(not violations, proof.clearance_m, proof.nearest, use, proof.checks, tuple(violations))
 
 
 def _bezier(trajectory: Trajectory) -> FloatArray:
@@ -130,11 +148,9 @@ def _bezier(trajectory: Trajectory) -> FloatArray:
     return np.stack([q[:-1], q[:-1] + third * v[:-1], q[1:] - third * v[1:], q[1:]], axis=1)
 
 
-def _limit_use(robot: Robot, trajectory: Trajectory, bezier: FloatArray, tracking_error: float) -> LimitUse:
+def _limit_use(robot: Robot, trajectory: Trajectory, bezier: FloatArray) -> LimitUse:
     middle, half = 0.5 * (robot.lower + robot.upper), 0.5 * (robot.upper - robot.lower)
-    position = (np.abs(bezier - middle).max(axis=(0, 1)) + tracking_error) / half
-    if tracking_error == 0.0 and len(trajectory.time) == 1:
-        position = np.abs(trajectory.position[0] - middle) / half
+    position = np.abs(bezier - middle).max(axis=(0, 1)) / half
     duration = np.diff(trajectory.time)[:, None] if len(trajectory.time) > 1 else np.ones((1, 1))
     # Derivatives of the cubic: velocity (quadratic, three Bezier points), acceleration (linear, its two ends).
     velocity = 3.0 * np.diff(bezier, axis=1) / duration[:, None]
@@ -145,11 +161,13 @@ def _limit_use(robot: Robot, trajectory: Trajectory, bezier: FloatArray, trackin
     share = np.where(turning, start / np.where(turning, start - end, 1.0), 0.0)
     inner = velocity[:, 0] + duration * share * (start + 0.5 * share * (end - start))
     peak = np.maximum(peak, np.abs(inner).max(axis=0))
+    peak_acceleration = np.maximum(np.abs(acceleration).max(axis=(0, 1)), np.abs(trajectory.acceleration).max(axis=0))
+    torque = _torques(robot.model, bezier, velocity, acceleration, float(duration.max()))
     return LimitUse(
         position=float(position.max()),
-        velocity=_share(peak, robot.velocity_limit),
-        acceleration=_share(np.abs(acceleration).max(axis=(0, 1)), robot.acceleration_limit),
-        torque=_share(_torques(robot.model, bezier, velocity, acceleration), robot.torque_limit),
+        velocity=_share(np.maximum(peak, np.abs(trajectory.velocity).max(axis=0)), robot.velocity_limit),
+        acceleration=_share(peak_acceleration, robot.acceleration_limit),
+        torque=_share(np.maximum(torque, np.abs(trajectory.torque).max(axis=0)), robot.torque_limit),
     )
 
 
@@ -159,56 +177,93 @@ def _share(peak: FloatArray, limit: FloatArray) -> float:
     return float(np.where(idle, 0.0, peak / np.where(limit > 0.0, limit, 1e-300)).max())
 
 
-def _torques(model: pin.Model, bezier: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> FloatArray:
-    """(dof,) largest |torque| at the rows and in the middle between them."""
+def _torques(
+    model: pin.Model, bezier: FloatArray, velocity: FloatArray, acceleration: FloatArray, longest: float
+) -> FloatArray:
+    """(dof,) largest |torque| at the rows and, `TORQUE_PERIOD` apart, between them."""
     data = model.createData()
-    middle_q = (bezier[:, 0] + 3.0 * bezier[:, 1] + 3.0 * bezier[:, 2] + bezier[:, 3]) / 8.0
-    middle_v = (velocity[:, 0] + 2.0 * velocity[:, 1] + velocity[:, 2]) / 4.0
-    q = np.concatenate([bezier[:, 0], middle_q, bezier[:, 3]])
-    v = np.concatenate([velocity[:, 0], middle_v, velocity[:, 2]])
-    a = np.concatenate([acceleration[:, 0], 0.5 * (acceleration[:, 0] + acceleration[:, 1]), acceleration[:, 1]])
-    torque = np.array([pin.rnea(model, data, *row) for row in zip(q, v, a, strict=True)])
+    parts = max(1, int(np.ceil(longest / TORQUE_PERIOD - 1e-9)))
+    t = (np.arange(parts) / parts)[:, None, None]
+    u = 1.0 - t
+    q = _cubic(np.moveaxis(bezier, 1, 0)[:, None], t)
+    v = u**2 * velocity[:, 0] + 2.0 * u * t * velocity[:, 1] + t**2 * velocity[:, 2]
+    a = u * acceleration[:, 0] + t * acceleration[:, 1]
+    rows = [values.reshape(-1, model.nv) for values in (q, v, a)]
+    rows = [
+        np.vstack([inner, end[-1]])
+        for inner, end in zip(rows, (bezier[:, 3], velocity[:, 2], acceleration[:, 1]), strict=True)
+    ]
+    torque = np.array([pin.rnea(model, data, *row) for row in zip(*rows, strict=True)])
     return np.asarray(np.abs(torque).max(axis=0))
 
 
-def _clearance(
+@dataclass(frozen=True)
+class _Proof:
+    """Clearance over the whole motion: whether it is shown, how much, the nearest pair, looks taken."""
+
+    shown: bool
+    clearance_m: float
+    nearest: Contact | None
+    checks: int
+
+
+def _prove_clearance(
     robot: Robot, bezier: FloatArray, judge: CollisionScene, tracking_error: float, needed: float
-) -> tuple[float, Contact | None, int]:
-    """Clearance shown over the whole motion, the nearest pair evaluated, and the number of evaluations."""
+) -> _Proof:
+    """Conservative advancement along the cubics; where it has to give up, the rest is searched for the worst."""
     if not judge.obstacle_names:
-        return float("inf"), None, 0
+        return _Proof(True, float("inf"), None, 0)
     rows = len(bezier)
     bounds = _piece_bounds(robot, bezier)
     travel = np.concatenate([np.zeros((1, bounds.shape[1])), np.cumsum(bounds, axis=0)])
     stations = np.arange(rows + 1, dtype=np.float64)
-    slack = _sway(robot, tracking_error)
+    slack = robot.sway(tracking_error)
     shown, nearest = np.inf, None
     at, checks = 0.0, 0
     while True:
         piece = min(int(at), rows - 1)
         distances = judge.distances(_cubic(bezier[piece], at - piece))
         checks += 1
-        if nearest is None or distances.min() < nearest.distance_m:
-            link, obstacle = np.unravel_index(int(distances.argmin()), distances.shape)
-            nearest = Contact(judge.link_names[link], judge.obstacle_names[obstacle], float(distances.min()))
-        free = distances.min(axis=1) - slack
-        spare = free - needed
+        nearest = _nearer(nearest, distances, judge)
+        spare = distances.min(axis=1) - slack - needed
         if spare.min() <= SMALLEST_STEP:
-            return float(free.min()), nearest, checks
+            return _worst(bezier, judge, slack, nearest, checks, piece)
         if at >= rows:
-            return float(min(shown, free.min())), nearest, checks
-        # Half of what is spare may be used up before the next look: what is left is shown to remain.
-        ahead = rows * 1.0
+            return _Proof(True, float(min(shown, needed + spare.min())), nearest, checks)
+        # Half of what is spare may be used up before the next look: the other half is shown to remain.
+        ahead = float(rows)
         for k, part in enumerate(0.5 * spare):
             here = np.interp(at, stations, travel[:, k])
             if travel[-1, k] - here > part:
                 row = int(np.searchsorted(travel[:, k], here + part, side="right")) - 1
                 ahead = min(ahead, row + (here + part - travel[row, k]) / (travel[row + 1, k] - travel[row, k]))
-        shown = min(shown, float((needed + 0.5 * spare).min()))
+        shown = min(shown, float(needed + 0.5 * spare.min()))
         at = max(ahead, np.nextafter(at, np.inf))
 
 
-def _cubic(points: FloatArray, t: float) -> FloatArray:
+def _nearer(nearest: Contact | None, distances: FloatArray, judge: CollisionScene) -> Contact:
+    """The nearer of what was known and what distances say."""
+    if nearest is not None and nearest.distance_m <= distances.min():
+        return nearest
+    link, obstacle = np.unravel_index(int(distances.argmin()), distances.shape)
+    return Contact(judge.link_names[link], judge.obstacle_names[obstacle], float(distances.min()))
+
+
+def _worst(
+    bezier: FloatArray, judge: CollisionScene, slack: FloatArray, nearest: Contact, checks: int, first: int
+) -> _Proof:
+    """What a proof that gave up in row `first` reports: the smallest distance at the rows from there on."""
+    least = np.inf
+    for q in [*bezier[first:, 0], bezier[-1, 3]]:
+        distances = judge.distances(q)
+        checks += 1
+        nearest = _nearer(nearest, distances, judge)
+        least = min(least, float((distances.min(axis=1) - slack).min()))
+    return _Proof(False, min(least, nearest.distance_m), nearest, checks)
+
+
+def _cubic(points: FloatArray, t: float | FloatArray) -> FloatArray:
+    """Cubics with the given four Bezier points (first axis) at their parameters."""
     u = 1.0 - t
     value: FloatArray = u**3 * points[0] + 3.0 * u * u * t * points[1] + 3.0 * u * t * t * points[2] + t**3 * points[3]
     return value
@@ -225,19 +280,5 @@ def _piece_bounds(robot: Robot, bezier: FloatArray) -> FloatArray:
     bounds: FloatArray = np.cumsum(arm.lengths * rates, axis=1)
     if robot.has_yaw:
         swing = 3.0 * np.abs(np.diff(bezier[..., 0], axis=1)).max(axis=1)
-        bounds = bounds + swing[:, None] * _yaw_radius(robot)
+        bounds = bounds + swing[:, None] * robot.yaw_radius
     return bounds
-
-
-def _yaw_radius(robot: Robot) -> FloatArray:
-    """(links,) largest distance of each link's axis from the yaw axis [m]."""
-    radius: FloatArray = np.hypot(*robot.plane_origin[:2]) + np.cumsum(robot.arm.lengths)
-    return radius
-
-
-def _sway(robot: Robot, tracking_error: float) -> FloatArray:
-    """(links,) how far an axis point of each link is from its place when every joint is off by the error [m]."""
-    arm = robot.arm
-    turns = tracking_error * np.arange(1, arm.link_count + 1)
-    sway: FloatArray = np.cumsum(arm.lengths * turns)
-    return sway + (tracking_error * _yaw_radius(robot) if robot.has_yaw else 0.0)

@@ -34,8 +34,7 @@ class ClearanceField:
 
     Attributes:
         chain: (links, 4) rows: length, half-width [m], sign, zero offset.
-        base: (8,) shoulder position and the plane's horizontal axis at yaw 0 (its upward axis is z or, for a
-            horizontal plane, y), 1 where joint 0 is a yaw, and 1 for an upright plane.
+        base: (10,) shoulder position, the plane's horizontal and upward axes, all at yaw 0; 1 where joint 0 is a yaw.
         solids: (obstacles, 21) balls, capsules, boxes, grown by the clearance to keep.
     """
 
@@ -47,8 +46,7 @@ class ClearanceField:
     def of(cls, robot: Robot, obstacles: Sequence[Sphere | Capsule | Box], *, clearance: float = 0.0) -> ClearanceField:
         """The field of a robot among obstacles, each grown by `clearance` [m]."""
         arm = robot.arm
-        upright = float(abs(robot.plane_axes[1, 2]) > 0.5)
-        base = [*robot.plane_origin, *robot.plane_axes[0], float(robot.has_yaw), upright]
+        base = [*robot.plane_origin, *robot.plane_axes[0], *robot.plane_axes[1], float(robot.has_yaw)]
         rows = [_solid_row(obstacle, clearance) for obstacle in obstacles]
         return cls(
             chain=readonly(np.column_stack([arm.lengths, arm.half_widths, arm.signs, arm.offsets])),
@@ -75,11 +73,12 @@ class ClearanceField:
         return float(self.link_clearances(q).min())
 
     def is_clear(self, path: ArrayLike, margin: float) -> bool:
-        """Whether the straight joint-space motions between waypoints are shown to keep at least a positive clearance.
+        """Whether the straight joint-space motions between waypoints are shown clear.
 
         Args:
             path: (m, dof) waypoints.
-            margin: Clearance asked for wherever it is evaluated [m]; bounds the work near contact. Positive.
+            margin: Clearance asked for wherever it is evaluated [m], positive. A step from clearance `d` may use up
+                `d` before the next look finds at least `margin`, so half of it is shown to be kept everywhere.
         """
         points = np.ascontiguousarray(path, dtype=np.float64)
         return bool(_path_is_clear(points, self.chain, self.base, self.solids, margin))
@@ -202,19 +201,18 @@ def _link_clearances(
     q: FloatArray, chain: FloatArray, base: FloatArray, solids: FloatArray, result: FloatArray
 ) -> None:
     """Clearance of each link at one configuration."""
-    first = 1 if base[6] > 0.0 else 0
+    first = 1 if base[9] > 0.0 else 0
     yaw_cos, yaw_sin = 1.0, 0.0
     if first:
         yaw_cos, yaw_sin = math.cos(q[0]), math.sin(q[0])
     fx, fy = yaw_cos * base[3] - yaw_sin * base[4], yaw_sin * base[3] + yaw_cos * base[4]
+    gx, gy = yaw_cos * base[6] - yaw_sin * base[7], yaw_sin * base[6] + yaw_cos * base[7]
     x, y, z = yaw_cos * base[0] - yaw_sin * base[1], yaw_sin * base[0] + yaw_cos * base[1], base[2]
     angle = 0.0
     for k in range(chain.shape[0]):
         angle += chain[k, 2] * q[first + k] + chain[k, 3]
         along, up = chain[k, 0] * math.cos(angle), chain[k, 0] * math.sin(angle)
-        ux, uy, uz = along * fx, along * fy, up
-        if base[7] == 0.0:
-            uy, uz = uy + up, 0.0
+        ux, uy, uz = along * fx + up * gx, along * fy + up * gy, along * base[5] + up * base[8]
         mx, my, mz = x + 0.5 * ux, y + 0.5 * uy, z + 0.5 * uz
         half_length = 0.5 * chain[k, 0]
         least = math.inf
@@ -251,7 +249,7 @@ def _link_clearances(
 
 @nb.njit(cache=True)
 def motion_bounds(turns: FloatArray, chain: FloatArray, base: FloatArray, result: FloatArray) -> None:
-    """Largest displacement of any axis point of each link for joint turns of at most |turns| with these signs.
+    """Largest displacement of any axis point of each link while all joints turn in proportion, by `turns` in all.
 
     Args:
         turns: (dof,) joint displacements.
@@ -259,7 +257,7 @@ def motion_bounds(turns: FloatArray, chain: FloatArray, base: FloatArray, result
         base: As in `ClearanceField`.
         result: (links,) bounds, written [m].
     """
-    first = 1 if base[6] > 0.0 else 0
+    first = 1 if base[9] > 0.0 else 0
     swing = abs(turns[0]) if first else 0.0
     radius = math.hypot(base[0], base[1])
     absolute, bound = 0.0, 0.0

@@ -6,13 +6,15 @@ Heavy imports wait until the arguments are understood.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import sys
+import textwrap
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hplan.errors import HplanError, OutputError
+from hplan.errors import HplanError, OptionError, OutputError
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -23,6 +25,14 @@ if TYPE_CHECKING:
 
 #: Files of a finished job; the report comes last, so that it never speaks of files that are not there.
 TRAJECTORY, PAGE, REPORT = "trajectory.csv", "scene.html", "report.json"
+
+#: Exit status after an interrupt, as shells give it.
+INTERRUPTED = 130
+
+_DESCRIPTION = """\
+Plan a collision-free motion of a harvesting arm, time it, certify it, and write it for the controller:
+trajectory.csv, report.json and an animated scene.html.
+"""
 
 _EXIT_STATUS = """\
 exit status:
@@ -55,24 +65,26 @@ def main(argv: Sequence[str] | None = None) -> int:
         folder = _prepare(arguments.out)
         try:
             robot, scene, result = _run(arguments, folder, errors, names)
-        except HplanError as error:
+        except BaseException as error:
             _write_failure(folder, error, names)
             raise
+        if not arguments.quiet:
+            _show_summary(console, result, folder)
+        if arguments.view:
+            _view(console, robot, scene, result)
     except HplanError as error:
         _show_error(errors, error)
         return error.exit_status
-    if not arguments.quiet:
-        _show_summary(console, result, folder)
-    if arguments.view:
-        _view(console, robot, scene, result)
+    except KeyboardInterrupt:
+        errors.print("interrupted")
+        return INTERRUPTED
     return 0
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="plan_and_time.py" if sys.argv[0].endswith("plan_and_time.py") else "hplan",
-        description="Plan a collision-free motion of a harvesting arm, time it, certify it, and write it for the "
-        "controller: trajectory.csv, report.json and an animated scene.html.",
+        description=textwrap.fill(_DESCRIPTION, 79),
         epilog=_EXIT_STATUS,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -82,6 +94,9 @@ def _parser() -> argparse.ArgumentParser:
     add("--robot", type=Path, metavar="URDF", help="robot (default: the harvester that ships with hplan)")
     add("--limits", type=Path, metavar="YAML", help="acceleration limits (default: NAME.limits.yaml beside the URDF)")
     add("--method", choices=("two-level", "dense"), default="two-level", help="search (default: two-level)")
+    add(
+        "--objective", choices=("duration", "length"), default="duration", help="what to make small (default: duration)"
+    )
     add("--link-model", choices=("capsule", "paper", "rectangle"), default="capsule", help="default: capsule")
     add("--step", type=float, default=1.0, metavar="DEG", help="spacing of the joint grid (default: 1)")
     add("--rate", type=float, default=250.0, metavar="HZ", help="rows per second in the CSV (default: 250)")
@@ -94,15 +109,32 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _prepare(folder: Path) -> Path:
-    """Make the output folder and see that it can be written, before any work."""
+    """Make the output folder, see that it can be written, and clear an earlier job's files, before any work.
+
+    Raises:
+        OutputError: The folder cannot be made or written.
+    """
     try:
         folder.mkdir(parents=True, exist_ok=True)
         probe = folder / ".hplan-probe"
         probe.touch()
         probe.unlink()
+    except FileExistsError as error:
+        raise OutputError(folder, "it is a file, not a folder") from error
     except OSError as error:
         raise OutputError(folder, error.strerror or str(error)) from error
+    _clear(folder)
     return folder
+
+
+def _clear(folder: Path) -> None:
+    """Remove the files of a job; an earlier job's trajectory must not be taken for the result of this one.
+
+    What cannot be removed (a folder of that name) cannot be written either, and is reported then.
+    """
+    for name in (TRAJECTORY, PAGE, REPORT):
+        with contextlib.suppress(OSError):
+            (folder / name).unlink(missing_ok=True)
 
 
 def _run(
@@ -120,9 +152,12 @@ def _run(
         from hplan.trajectory import write_csv
         from hplan.view.page import write_page
 
+        if not arguments.tracking_error >= 0.0:
+            raise OptionError("--tracking-error", arguments.tracking_error, "a number of degrees >= 0")
         options = PlanOptions(
             method=arguments.method,
             step_deg=arguments.step,
+            objective=arguments.objective,
             link_model=arguments.link_model,
             rate_hz=arguments.rate,
             speed=arguments.speed,
@@ -148,6 +183,8 @@ class _progress:  # noqa: N801 - used as a function that opens a context
 
     def __init__(self, console: Console, quiet: bool) -> None:
         self._status = None if quiet or not console.is_terminal else console.status("starting")
+        compiled = any(Path(__file__).parent.rglob("*.nbi"))
+        self._note = "" if compiled else " (compiling, as on every first run)"
 
     def __enter__(self) -> Callable[[str], None]:
         if self._status is not None:
@@ -160,17 +197,17 @@ class _progress:  # noqa: N801 - used as a function that opens a context
 
     def _show(self, stage: str) -> None:
         if self._status is not None:
-            self._status.update(_STAGE_WORDS.get(stage, stage))
+            self._status.update(_STAGE_WORDS.get(stage, stage) + self._note)
 
 
-def _write_failure(folder: Path, error: HplanError, names: dict[str, str | None]) -> None:
-    """The report of a failed job; an earlier job's trajectory in the folder must not be taken for its result."""
+def _write_failure(folder: Path, error: BaseException, names: dict[str, str | None]) -> None:
+    """Leave nothing of a failed job but its report; after an interrupt or a fault of hplan's own, nothing at all."""
     from hplan.report import failure_report, write_report
 
-    for name in (TRAJECTORY, PAGE):
-        (folder / name).unlink(missing_ok=True)
-    if not isinstance(error, OutputError):
-        write_report(failure_report(error, scene=names["scene"], robot=names["robot"]), folder / REPORT)
+    _clear(folder)
+    if isinstance(error, HplanError):
+        with contextlib.suppress(OutputError):
+            write_report(failure_report(error, scene=names["scene"], robot=names["robot"]), folder / REPORT)
 
 
 def _show_error(console: Console, error: HplanError) -> None:
@@ -187,45 +224,61 @@ def _show_error(console: Console, error: HplanError) -> None:
 
 
 def _show_summary(console: Console, result: PlanResult, folder: Path) -> None:
-    from rich import box
+    """Rows that fit 80 columns, unless names are long."""
     from rich.markup import escape
     from rich.table import Table
 
     report = result.report
     planner, expansions, path = report["planner"], report["planner"]["expansions"], report["path"]
-    motion, proof, times = report["trajectory"], report["certificate"], report["time_ms"]
-    table = Table(box=box.SIMPLE_HEAD, show_header=False, pad_edge=False, title_justify="left")
-    table.title = f"[bold]{escape(report['scene'])}[/] with [bold]{escape(report['robot'])}[/]"
-    table.add_column(style="dim")
+    motion, proof = report["trajectory"], report["certificate"]
+    table = Table.grid(padding=(0, 2, 0, 2))
+    table.add_column(style="dim", no_wrap=True)
     table.add_column()
     add: Callable[[str, str], Any] = table.add_row
-    add("search", f"{planner['method']}, {planner['points']} points, cost {planner['cost_deg']:.6f} deg")
-    add(
-        "expansions",
-        f"{expansions['total']} (layers {expansions['layers']}, sparse {expansions['sparse']}, "
-        f"fallback {expansions['fallback']}; {expansions['flooded_cells']} cells flooded)",
-    )
-    add("path", f"{path['length_deg']:.2f} deg, from {path['length_deg_grid']:.2f} deg on the grid")
-    add("motion", f"[bold]{motion['duration_s']:.3f} s[/], {motion['samples']} rows at {motion['rate_hz']:g} Hz")
-    use = proof["limit_use"]
-    add("limits", ", ".join(f"{name} {100 * share:.1f} %" for name, share in use.items()))
+    if result.search is None:
+        add("search", "none: start and goal are the same")
+    else:
+        points = f"{planner['points']} points, cost {planner['cost_deg']:.6f} deg"
+        fallback = "" if planner["fallback"] == "none" else f", with the {planner['fallback']} search after it"
+        add("search", f"{planner['method']}{fallback}: {points}")
+        stages = ", ".join(f"{stage} {expansions[stage]:,}" for stage in ("layers", "sparse", "fallback"))
+        add("expanded", f"{expansions['total']:,} nodes: {stages}")
+        add("flooded", f"{expansions['flooded_cells']:,} nodes")
+        add("path", f"{path['length_deg']:.2f} deg, from {path['length_deg_grid']:.2f} deg on the grid")
+    rows = "1 row" if motion["samples"] == 1 else f"{motion['samples']:,} rows at {motion['rate_hz']:g} Hz"
+    add("motion", f"[bold]{motion['duration_s']:.3f} s[/], {rows}")
+    add("limits used", ", ".join(f"{name} {100 * share:.1f}" for name, share in proof["limit_use"].items()) + " %")
     add("clearance", _clearance_words(proof))
-    add("certificate", "[bold green]verified[/]" if proof["verified"] else "[bold red]NOT verified[/]")
-    add(
-        "time",
-        f"[bold]{times['total']:.1f} ms[/]: "
-        + ", ".join(f"{stage} {times[stage]:.1f}" for stage in times if stage != "total" and times[stage] >= 0.05),
-    )
-    add("written", ", ".join(escape(str(folder / name)) for name in (TRAJECTORY, REPORT, PAGE)))
+    if proof["nearest"] is not None:
+        nearest = proof["nearest"]
+        pair = f"{escape(nearest['link'])} to {escape(nearest['obstacle'])}"
+        add("nearest", f"{pair}, {1e3 * nearest['distance_m']:.2f} mm")
+    if proof["verified"]:
+        add("certificate", "[bold green]verified[/]")
+    else:
+        add("certificate", "[bold red]NOT VERIFIED[/]")
+        for violation in proof["violations"]:
+            add("", escape(violation))
+    add("time", _time_words(report["time_ms"]))
+    add("files", f"{escape(str(folder))}: {TRAJECTORY}, {REPORT}, {PAGE}")
+    console.print(f"\n[bold]{escape(report['scene'])}[/] with [bold]{escape(report['robot'])}[/]\n")
     console.print(table)
+    console.print()
 
 
 def _clearance_words(proof: dict[str, Any]) -> str:
-    nearest = proof["nearest"]
-    if nearest is None:
+    if proof["nearest"] is None:
         return "no obstacles"
-    shown = f"at least {1e3 * proof['min_clearance_m']:.2f} mm shown at all times"
-    return f"{shown}; nearest {nearest['link']} to {nearest['obstacle']}, {1e3 * nearest['distance_m']:.2f} mm"
+    if not proof["verified"]:
+        return f"{1e3 * proof['min_clearance_m']:.2f} mm, where the proof ended"
+    return f"{1e3 * proof['min_clearance_m']:.2f} mm or more, shown for all times"
+
+
+def _time_words(times: dict[str, float]) -> str:
+    """The whole, then the stages of the search and those of the motion, a line each."""
+    stages = [f"{stage} {ms:.1f}" for stage, ms in times.items() if stage != "total"]
+    lines = [", ".join(stages[:4]), ", ".join(stages[4:])]
+    return "\n".join([f"[bold]{times['total']:,.0f} ms[/], loading of compiled code included", *lines])
 
 
 def _view(console: Console, robot: Robot, scene: Scene, result: PlanResult) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal, TypeAlias
 
 import coal
 import numpy as np
@@ -11,10 +12,14 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from hplan.arrays import BoolArray, FloatArray
-from hplan.errors import ConfigurationInCollisionError
+from hplan.errors import ConfigurationInCollisionError, OptionError
 from hplan.grid import Grid
 from hplan.robot import Robot
 from hplan.scene import Box, Capsule, Sphere
+
+#: Shape of the links: the planner's capsules, beams of the same half-widths, or the URDF's collision geometry.
+LinkShapes: TypeAlias = Literal["capsule", "box", "urdf"]
+LINK_SHAPES: tuple[LinkShapes, ...] = ("capsule", "box", "urdf")
 
 
 @dataclass(frozen=True)
@@ -27,23 +32,41 @@ class Contact:
 
 
 class CollisionScene:
-    """Capsule links and obstacles as one geometry model, with the data to query it.
+    """Links and obstacles as one geometry model, with the data to query it.
 
-    Links are the capsules of `robot.arm`, which hold the URDF's collision geometry. Pairs are each link with each
-    obstacle, link by link. The model is built whole before its data, as Pinocchio demands.
+    Links are the arm's: bodies that the planar joints do not move (pedestal, turret) are left out; `base_contacts`
+    looks at those. Pairs are each link shape with each obstacle, link by link. The model is built whole before its
+    data, as Pinocchio demands. By `links` they are
+
+    - `capsule`: the capsules of `robot.arm`, which hold the URDF's collision geometry;
+    - `box`: square beams from joint to joint, of the capsules' half-widths (in the arm plane: the paper's rectangle);
+    - `urdf`: the URDF's collision geometry itself, meshes by their convex hulls (as surfaces they are hollow to coal).
     """
 
-    def __init__(self, robot: Robot, obstacles: Sequence[Sphere | Capsule | Box]) -> None:
-        """Build the geometry of a robot among obstacles."""
+    def __init__(
+        self, robot: Robot, obstacles: Sequence[Sphere | Capsule | Box], *, links: LinkShapes = "capsule"
+    ) -> None:
+        """Build the geometry of a robot among obstacles.
+
+        Raises:
+            OptionError: Unknown link shape.
+        """
+        if links not in LINK_SHAPES:
+            raise OptionError("links", links, f"one of {', '.join(LINK_SHAPES)}")
         self.robot = robot
+        self.links = links
         self.link_names = robot.arm.link_names
         self.obstacle_names = tuple(obstacle.name for obstacle in obstacles)
         self.geometry = pin.GeometryModel()
-        links = [self.geometry.addGeometryObject(shape) for shape in _link_capsules(robot)]
+        shapes = _urdf_shapes(robot) if links == "urdf" else [[shape] for shape in _link_shapes(robot, links)]
+        # The shapes of link k are the rows from `_first_shape[k]` on.
+        self._first_shape = np.cumsum([0, *(len(of_link) for of_link in shapes[:-1])])
+        self._shape_count = sum(len(of_link) for of_link in shapes)
+        movers = [self.geometry.addGeometryObject(shape) for of_link in shapes for shape in of_link]
         solids = [self.geometry.addGeometryObject(_solid(obstacle)) for obstacle in obstacles]
-        for link in links:
+        for mover in movers:
             for solid in solids:
-                self.geometry.addCollisionPair(pin.CollisionPair(link, solid))
+                self.geometry.addCollisionPair(pin.CollisionPair(mover, solid))
         self.data = robot.model.createData()
         self.geometry_data = self.geometry.createData()
 
@@ -53,7 +76,8 @@ class CollisionScene:
             self.robot.model, self.data, self.geometry, self.geometry_data, np.asarray(q, dtype=np.float64)
         )
         flat = [result.min_distance for result in self.geometry_data.distanceResults]
-        return np.array(flat, dtype=np.float64).reshape(len(self.link_names), len(self.obstacle_names))
+        table = np.array(flat, dtype=np.float64).reshape(self._shape_count, len(self.obstacle_names))
+        return table if self._shape_count == len(self.link_names) else np.minimum.reduceat(table, self._first_shape)
 
     def nearest(self, q: ArrayLike) -> Contact | None:
         """The link and obstacle nearest to each other, or None without obstacles."""
@@ -63,13 +87,62 @@ class CollisionScene:
         link, obstacle = np.unravel_index(int(distances.argmin()), distances.shape)
         return Contact(self.link_names[link], self.obstacle_names[obstacle], float(distances.min()))
 
-    def in_collision(self, configurations: ArrayLike) -> BoolArray:
-        """Whether each of (n, dof) configurations touches an obstacle, in one compiled call."""
+    def in_collision(self, configurations: ArrayLike, *, margin: float = 0.0) -> BoolArray:
+        """Whether each of (n, dof) configurations touches an obstacle, in one compiled call.
+
+        Args:
+            configurations: (n, dof) joint angles.
+            margin: Distance up to which a pair counts as touching [m]; where it is negative, depth from which on.
+        """
         q = np.asfortranarray(np.asarray(configurations, dtype=np.float64).T)
         if not self.obstacle_names:
             return np.zeros(q.shape[1], dtype=np.bool_)
         pool = pin.GeometryPool(self.robot.model, self.geometry, 1)
+        if margin != 0.0:
+            for request in pool.getGeometryDatas()[0].collisionRequests:
+                request.security_margin = float(margin)
         return np.asarray(pin.computeCollisionsInParallel(1, pool, q, True, False), dtype=np.bool_)
+
+
+def base_contacts(
+    robot: Robot, obstacles: Sequence[Sphere | Capsule | Box], yaw: float = 0.0, *, margin: float = 0.0
+) -> tuple[Contact, ...]:
+    """Obstacles that touch what the planar joints do not move: pedestal and turret, as the URDF gives them.
+
+    They are no part of the C-space, since no motion of the arm at this yaw changes them.
+
+    Args:
+        robot: The arm.
+        obstacles: Obstacles.
+        yaw: Yaw of the turret.
+        margin: Distance up to which a pair counts as touching [m].
+    """
+    first = 2 if robot.has_yaw else 1
+    q = np.zeros(robot.dof)
+    if robot.has_yaw:
+        q[0] = yaw
+    data = robot.model.createData()
+    pin.forwardKinematics(robot.model, data, q)
+    found = []
+    for shape in robot.collision_model.geometryObjects:
+        if shape.parentJoint >= first:
+            continue
+        body = _filled(shape)
+        place = data.oMi[shape.parentJoint] * shape.placement
+        name = str(robot.model.frames[shape.parentFrame].name)
+        for obstacle in obstacles:
+            solid = _solid(obstacle)
+            distance = coal.distance(
+                body,
+                coal.Transform3s(place.rotation, place.translation),
+                solid.geometry,
+                coal.Transform3s(solid.placement.rotation, solid.placement.translation),
+                coal.DistanceRequest(),
+                coal.DistanceResult(),
+            )
+            if distance <= margin:
+                found.append(Contact(name, obstacle.name, float(distance)))
+    return tuple(found)
 
 
 def check_clear(judge: CollisionScene, q: FloatArray, clearance: float, which: str) -> float:
@@ -84,7 +157,7 @@ def check_clear(judge: CollisionScene, q: FloatArray, clearance: float, which: s
         return float("inf")
     beyond = nearest.distance_m - clearance
     if beyond <= 0.0:
-        raise ConfigurationInCollisionError(which, nearest.link, nearest.obstacle, -beyond)
+        raise ConfigurationInCollisionError(which, nearest.link, nearest.obstacle, -beyond, clearance)
     return beyond
 
 
@@ -102,21 +175,53 @@ def sampled_occupancy(judge: CollisionScene, grid: Grid, yaw: float = 0.0) -> Bo
     return judge.in_collision(nodes).reshape(grid.shape)
 
 
-def _link_capsules(robot: Robot) -> list[pin.GeometryObject]:
-    """Each link's capsule in the frame of its joint."""
+def _link_shapes(robot: Robot, links: LinkShapes) -> list[pin.GeometryObject]:
+    """Each link's capsule or beam, in the frame of its joint."""
     model, arm = robot.model, robot.arm
     data = model.createData()
     neutral = np.zeros(model.nq)
     pin.forwardKinematics(model, data, neutral)
     points = robot.plane_origin + arm.joint_points(neutral[robot.arm_slice]) @ robot.plane_axes
+    normal = np.cross(robot.plane_axes[0], robot.plane_axes[1])
     first = 2 if robot.has_yaw else 1
     shapes = []
     for k, name in enumerate(arm.link_names):
-        placement = _along(points[k], points[k + 1])
+        half_width, length = float(arm.half_widths[k]), float(arm.lengths[k])
+        if links == "box":
+            along = (points[k + 1] - points[k]) / length
+            rotation = np.stack([np.cross(normal, along), normal, along], axis=1)
+            placement = pin.SE3(rotation, 0.5 * (points[k] + points[k + 1]))
+            shape = coal.Box(2.0 * half_width, 2.0 * half_width, length)
+        else:
+            placement = _along(points[k], points[k + 1])
+            shape = coal.Capsule(half_width, length)
         local = data.oMi[first + k].inverse() * placement
-        capsule = coal.Capsule(float(arm.half_widths[k]), float(arm.lengths[k]))
-        shapes.append(pin.GeometryObject(f"link:{name}", first + k, local, capsule))
+        shapes.append(pin.GeometryObject(f"link:{name}", first + k, local, shape))
     return shapes
+
+
+def _urdf_shapes(robot: Robot) -> list[list[pin.GeometryObject]]:
+    """The URDF's collision shapes of each link."""
+    first = 2 if robot.has_yaw else 1
+    found = []
+    for k, name in enumerate(robot.arm.link_names):
+        shapes = [g for g in robot.collision_model.geometryObjects if g.parentJoint == first + k]
+        found.append(
+            [
+                pin.GeometryObject(f"link:{name}:{number}", first + k, shape.placement, _filled(shape))
+                for number, shape in enumerate(shapes)
+            ]
+        )
+    return found
+
+
+def _filled(shape: pin.GeometryObject) -> coal.CollisionGeometry:
+    """A shape's geometry; of a mesh, the convex hull."""
+    geometry = shape.geometry
+    if isinstance(geometry, coal.BVHModelBase):
+        geometry.buildConvexHull(True, "Qt")
+        return geometry.convex
+    return geometry
 
 
 def _solid(obstacle: Sphere | Capsule | Box) -> pin.GeometryObject:

@@ -1,8 +1,9 @@
-"""Start and goal joined to the grid: the nearest free node that a straight motion, shown clear, leads to."""
+"""Start and goal joined to the grid: the free nodes nearby that a straight motion, shown clear, leads to."""
 
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -17,10 +18,10 @@ ON_NODE = 1e-6
 REACH = 2
 
 
-def nearest_node(
+def joined_nodes(
     occupancy: Occupancy, q: FloatArray, template: FloatArray, planar: slice, field: ClearanceField, margin: float
-) -> IntArray | None:
-    """The free node nearest to a configuration that a straight motion shown clear leads to.
+) -> Iterator[IntArray]:
+    """The free nodes that a straight motion shown clear leads to, the nearest first.
 
     Args:
         occupancy: Which nodes are free.
@@ -30,14 +31,16 @@ def nearest_node(
         field: Arm and obstacles.
         margin: Clearance asked for wherever the motion is evaluated [m].
 
-    Returns:
-        The (d,) node index, or None where no node within `REACH` steps will do.
+    Yields:
+        (d,) node indices within `REACH` steps; only the configuration's own node where it stands on one.
     """
     grid = occupancy.grid
     position = grid.position(q)
     nearest = grid.nearest(q)
     if np.abs(position - nearest).max() <= ON_NODE:
-        return nearest if occupancy.is_free(nearest) else None
+        if occupancy.is_free(nearest):
+            yield nearest
+        return
     low, high = np.floor(position).astype(int) - REACH + 1, np.ceil(position).astype(int) + REACH - 1
     ranges = [range(max(0, a), min(count - 1, b) + 1) for a, b, count in zip(low, high, grid.shape, strict=True)]
     nodes = np.array(list(itertools.product(*ranges)), dtype=np.int64)
@@ -50,5 +53,4 @@ def nearest_node(
         there = here.copy()
         there[planar] = grid.coordinates(node)
         if field.is_clear(np.stack([here, there]), margin):
-            return np.asarray(node)
-    return None
+            yield np.asarray(node)

@@ -12,8 +12,8 @@ half-width) stands at distance :math:`\rho` from the joint, at bearing :math:`\v
 
 and always where :math:`\rho \le R`. That is exact for a capsule link. The paper puts case 3 at
 :math:`\rho > \sqrt{L^2 + w^2} + r`, the reach of a rectangle's corner (model `paper`); the model `rectangle` solves
-the rectangle itself. Angles run counter-clockwise from +x of the arm plane, bearings by arctan2(y, x); the paper
-prints arctan(x / y), with which no slice of its own example has a path.
+the rectangle itself. Angles run counter-clockwise from +x of the arm plane, bearings by arctan2(y, x). The paper
+prints arctan(x / y), which gives its figures in no frame (`scripts/reproduce_paper.py` tries both).
 
 A rounded polygon is met in one interval too: the hull of the intervals of its corner discs and of the points where
 its straight sides leave the link's reach.

@@ -2,29 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
 
-from hplan.arrays import FloatArray, frozen
+from hplan.arrays import BoolArray, FloatArray, IntArray, frozen
 from hplan.blockage import blockers
 from hplan.certificate import Certificate, certify
 from hplan.clearance import ClearanceField
 from hplan.collision import CollisionScene
-from hplan.connect import nearest_node
+from hplan.connect import joined_nodes
 from hplan.cspace import occupancy
 from hplan.errors import CertificationError, NoPathError, OptionError
 from hplan.grid import Grid, Occupancy
+from hplan.path import Limits
 from hplan.postprocess import OBJECTIVES, Objective, PostprocessOptions, SplinePath, fast_path
 from hplan.problem import Problem, pose_problem
 from hplan.report import StageClock, versions
 from hplan.robot import Robot
 from hplan.scene import Scene
 from hplan.search import SearchResult, dense_search, reachable, two_level_search
-from hplan.section import ArmSections, LinkModel, arm_sections
-from hplan.timing import Limits, resting, time_path
+from hplan.section import LINK_MODELS, ArmSections, LinkModel, arm_sections
+from hplan.timing import resting, time_path
 from hplan.trajectory import Trajectory
 
 Method = Literal["two-level", "dense"]
@@ -36,6 +37,9 @@ MARGIN = 2e-3
 #: Nodes are not motions: where the grid path's motions cannot be shown clear, the search is repeated with obstacles
 #: grown by these [m].
 GROWTH = (0.0, 2e-3, 5e-3, 0.01, 0.02, 0.04)
+
+#: Where that does not help either, grids this many times as fine are tried.
+FINER = (1.0, 2.0)
 
 #: Called with the name of each stage as it begins.
 Progress = Callable[[str], None]
@@ -71,8 +75,16 @@ class PlanOptions:
             raise OptionError("method", self.method, f"one of {', '.join(METHODS)}")
         if self.objective not in OBJECTIVES:
             raise OptionError("objective", self.objective, f"one of {', '.join(OBJECTIVES)}")
+        if self.link_model not in LINK_MODELS:
+            raise OptionError("link_model", self.link_model, f"one of {', '.join(LINK_MODELS)}")
         if not (np.isfinite(self.step_deg) and self.step_deg > 0.0):
             raise OptionError("step_deg", self.step_deg, "a positive number of degrees")
+        if not (np.isfinite(self.rate_hz) and 1.0 <= self.rate_hz <= 100_000.0):
+            raise OptionError("rate_hz", self.rate_hz, "a number of rows per second between 1 and 100000")
+        if not (np.isfinite(self.speed) and 0.0 < self.speed <= 1.0):
+            raise OptionError("speed", self.speed, "a factor in (0, 1]")
+        if not (np.isfinite(self.tracking_error) and self.tracking_error >= 0.0):
+            raise OptionError("tracking_error", self.tracking_error, "a finite number of radians >= 0")
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,102 +132,172 @@ def plan(
     options = PlanOptions() if options is None else options
     clock = StageClock()
     judge = CollisionScene(robot, scene.solids)
-    problem = pose_problem(robot, scene, judge)
+    # What need not be certified need not make room for the tracking error either; it is judged all the same.
+    problem = pose_problem(robot, scene, judge, tracking_error=options.tracking_error if options.certify else 0.0)
+    field = ClearanceField.of(robot, scene.solids, clearance=problem.clearance)
+    planner = _Planner(robot, scene, problem, options, judge, field, clock, progress)
     if problem.is_empty:
-        return _empty(robot, scene, problem, options, judge, clock)
-    margin = min(MARGIN, 0.5 * problem.spare_clearance)
-    field = ClearanceField.of(robot, scene.solids, clearance=scene.clearance)
+        return planner.empty()
     refused: CertificationError | None = None
-    for growth in GROWTH:
-        try:
-            return _attempt(robot, scene, problem, options, judge, field, margin, growth, clock, progress)
-        except CertificationError as error:
-            refused = refused or error
-        except NoPathError:
-            if refused is None:
-                raise
-            break  # grown obstacles close the way; what was found without them could not be certified
+    for finer in FINER:
+        for growth in GROWTH:
+            try:
+                return planner.attempt(options.step_deg / finer, growth)
+            except CertificationError as error:
+                refused = refused or error
+            except NoPathError:
+                if refused is None:
+                    raise
+                break  # grown obstacles close the way; what was found without them could not be certified
     raise refused if refused is not None else CertificationError("no motion could be certified")
 
 
-def _attempt(
-    robot: Robot,
-    scene: Scene,
-    problem: Problem,
-    options: PlanOptions,
-    judge: CollisionScene,
-    field: ClearanceField,
-    margin: float,
-    growth: float,
-    clock: StageClock,
-    progress: Progress,
-) -> PlanResult:
-    """One pass with obstacles grown by `growth` in the C-space."""
-    progress("cspace")
-    with clock.stage("cspace"):
-        planar = robot.arm_slice
-        sections = arm_sections(
-            robot,
-            scene.solids,
-            yaw=robot.yaw_of(problem.start),
-            clearance=scene.clearance + growth,
-            link_model=options.link_model,
+@dataclass(frozen=True, eq=False)
+class _Planner:
+    """What all attempts at one plan share."""
+
+    robot: Robot
+    scene: Scene
+    problem: Problem
+    options: PlanOptions
+    judge: CollisionScene
+    field: ClearanceField
+    clock: StageClock
+    progress: Progress
+
+    def attempt(self, step_deg: float, growth: float) -> PlanResult:
+        """One pass on a grid of `step_deg`, with obstacles grown by `growth` [m] in the C-space."""
+        robot, problem, options = self.robot, self.problem, self.options
+        margin = min(MARGIN + growth, 0.5 * problem.spare_clearance)
+        self.progress("cspace")
+        with self.clock.stage("cspace"):
+            sections = arm_sections(
+                robot,
+                self.scene.solids,
+                yaw=robot.yaw_of(problem.start),
+                clearance=problem.clearance + growth,
+                link_model=options.link_model,
+            )
+            space = occupancy(robot.arm, sections, self._grid(step_deg))
+        self.progress("search")
+        search = self._search(space, sections, 0.1 * margin)
+        self.progress("postprocess")
+        with self.clock.stage("postprocess"):
+            grid_path = _waypoints(problem, space.grid, search, robot.arm_slice)
+            path = fast_path(
+                grid_path,
+                self.field,
+                PostprocessOptions(
+                    lower=problem.lower,
+                    upper=problem.upper,
+                    velocity=robot.velocity_limit,
+                    acceleration=robot.acceleration_limit,
+                    movable=problem.movable,
+                    margin=margin,
+                    objective=options.objective,
+                ),
+            )
+        self.progress("timing")
+        with self.clock.stage("timing"):
+            limits = Limits(robot.velocity_limit, robot.acceleration_limit, robot.torque_limit, robot.jerk_limit)
+            trajectory = time_path(path, robot.model, limits.scaled(options.speed), rate_hz=options.rate_hz)
+        return self._certified(space, search, grid_path, path, trajectory, step_deg)
+
+    def empty(self) -> PlanResult:
+        """The plan from a configuration to itself."""
+        start = self.problem.start
+        rest = resting(self.robot.model, start)
+        return self._certified(None, None, frozen(np.array(start[None])), None, rest, self.options.step_deg)
+
+    def _grid(self, step_deg: float) -> Grid:
+        planar = self.robot.arm_slice
+        try:
+            return Grid.over(self.problem.lower[planar], self.problem.upper[planar], np.radians(step_deg))
+        except OptionError as error:
+            raise OptionError("step_deg", self.options.step_deg, error.expected) from error
+
+    def _search(self, space: Occupancy, sections: ArmSections, margin: float) -> SearchResult:
+        """Search between the grid nodes that start and goal are joined to.
+
+        Beside the grid there may be several, and the nearest may lie in a pocket: "no path" is said only when no pair
+        of them is connected.
+        """
+        start, goal = (
+            _Ends(joined_nodes(space, q[self.robot.arm_slice], q, self.robot.arm_slice, self.field, margin), which)
+            for q, which in ((self.problem.start, "start"), (self.problem.goal, "goal"))
         )
-        grid = Grid.over(problem.lower[planar], problem.upper[planar], np.radians(options.step_deg))
-        space = occupancy(robot.arm, sections, grid)
-        ends = [nearest_node(space, q[planar], q, planar, field, 0.1 * margin) for q in (problem.start, problem.goal)]
-    for which, node in zip(("start", "goal"), ends, strict=True):
-        if node is None:
+        search = self._search_between(space, start.first, goal.first)
+        if search.path is not None:
+            return search
+        most: tuple[int, BoolArray | None] = (0, None)
+        for node in start.all():
+            reached = reachable(space, node)
+            for other in goal.all():
+                if reached[tuple(other)]:
+                    return self._search_between(space, node, other)
+            if int(reached.sum()) > most[0]:
+                most = (int(reached.sum()), reached)
+        raise _no_path(self.robot, sections, space, most[1])
+
+    def _search_between(self, space: Occupancy, start: IntArray, goal: IntArray) -> SearchResult:
+        if self.options.method == "dense" or len(space.grid.shape) < 2:
+            search = dense_search(space, start, goal)
+        else:
+            search = two_level_search(space, start, goal)
+        for stage in ("layers", "sparse", "fallback"):
+            self.clock.add(stage, getattr(search.times, stage))
+        return search
+
+    def _certified(
+        self,
+        space: Occupancy | None,
+        search: SearchResult | None,
+        grid_path: FloatArray,
+        path: SplinePath | None,
+        trajectory: Trajectory,
+        step_deg: float,
+    ) -> PlanResult:
+        """The result, once its trajectory is certified."""
+        self.progress("certificate")
+        with self.clock.stage("certificate"):
+            certificate = certify(
+                self.robot, self.scene, trajectory, tracking_error=self.options.tracking_error, judge=self.judge
+            )
+        if self.options.certify and not certificate.verified:
+            raise CertificationError(
+                f"the motion is not certified: {'; '.join(certificate.violations)}",
+                violations=list(certificate.violations),
+            )
+        report = _report(
+            self.robot, self.scene, self.options, step_deg, search, grid_path, path, trajectory, certificate, self.clock
+        )
+        return PlanResult(self.problem, space, search, grid_path, path, trajectory, certificate, report)
+
+
+class _Ends:
+    """The nodes that one end is joined to; the first is found at once, the others when asked for."""
+
+    def __init__(self, nodes: Iterator[IntArray], which: str) -> None:
+        self._rest = nodes
+        first = next(nodes, None)
+        if first is None:
             raise CertificationError(
                 f"no motion from the {which} to a free node of the grid can be shown clear; a smaller step may help",
                 which=which,
             )
-    progress("search")
-    search = _search(space, ends[0], ends[1], options.method)
-    for stage in ("layers", "sparse", "fallback"):
-        clock.add(stage, getattr(search.times, stage))
-    if search.path is None:
-        raise _no_path(robot, sections, space, ends[0])
-    progress("postprocess")
-    with clock.stage("postprocess"):
-        grid_path = _waypoints(problem, grid, search.path, planar)
-        path = fast_path(
-            grid_path,
-            field,
-            PostprocessOptions(
-                lower=problem.lower,
-                upper=problem.upper,
-                velocity=robot.velocity_limit,
-                acceleration=robot.acceleration_limit,
-                movable=problem.movable,
-                margin=margin,
-                objective=options.objective,
-            ),
-        )
-    progress("timing")
-    with clock.stage("timing"):
-        trajectory = time_path(path, robot.model, _limits(robot, options), rate_hz=options.rate_hz)
-    progress("certificate")
-    with clock.stage("certificate"):
-        certificate = certify(robot, scene, trajectory, tracking_error=options.tracking_error, judge=judge)
-    if options.certify and not certificate.verified:
-        raise CertificationError(
-            f"the motion is not certified: {'; '.join(certificate.violations)}",
-            violations=list(certificate.violations),
-        )
-    report = _report(robot, scene, options, search, grid_path, path, trajectory, certificate, clock)
-    return PlanResult(problem, space, search, grid_path, path, trajectory, certificate, report)
+        self.first = first
+        self._known = [first]
+
+    def all(self) -> list[IntArray]:
+        """All of them, the nearest first."""
+        self._known.extend(self._rest)
+        return self._known
 
 
-def _search(space: Occupancy, start: Any, goal: Any, method: Method) -> SearchResult:
-    if method == "dense" or len(space.grid.shape) < 2:
-        return dense_search(space, start, goal)
-    return two_level_search(space, start, goal)
-
-
-def _no_path(robot: Robot, sections: ArmSections, space: Occupancy, start: Any) -> NoPathError:
+def _no_path(robot: Robot, sections: ArmSections, space: Occupancy, reached: BoolArray | None) -> NoPathError:
     """The error that says what bounds everything the start reaches."""
-    reached = reachable(space, start)
+    if reached is None:
+        reached = np.zeros(space.grid.shape, dtype=np.bool_)
     walls = blockers(robot.arm, sections, space.grid, reached)
     count = int(reached.sum())
     message = f"no path exists on the grid: the start reaches {count} of {space.grid.size} nodes, not the goal"
@@ -229,8 +311,9 @@ def _no_path(robot: Robot, sections: ArmSections, space: Occupancy, start: Any) 
     return NoPathError(message, reached_cells=count, blockers=walls)
 
 
-def _waypoints(problem: Problem, grid: Grid, nodes: Any, planar: slice) -> FloatArray:
+def _waypoints(problem: Problem, grid: Grid, search: SearchResult, planar: slice) -> FloatArray:
     """The grid path as configurations, with start and goal where they stand beside the grid."""
+    nodes = np.empty((0, len(grid.shape))) if search.path is None else search.path
     path = np.repeat(problem.start[None], len(nodes), axis=0)
     path[:, planar] = grid.coordinates(nodes)
     for end, q in ((0, problem.start), (-1, problem.goal)):
@@ -241,29 +324,11 @@ def _waypoints(problem: Problem, grid: Grid, nodes: Any, planar: slice) -> Float
     return frozen(path)
 
 
-def _limits(robot: Robot, options: PlanOptions) -> Limits:
-    limits = Limits(robot.velocity_limit, robot.acceleration_limit, robot.torque_limit, robot.jerk_limit)
-    return limits.scaled(options.speed)
-
-
-def _empty(
-    robot: Robot, scene: Scene, problem: Problem, options: PlanOptions, judge: CollisionScene, clock: StageClock
-) -> PlanResult:
-    """The plan from a configuration to itself."""
-    trajectory = resting(robot.model, problem.start)
-    with clock.stage("certificate"):
-        certificate = certify(robot, scene, trajectory, tracking_error=options.tracking_error, judge=judge)
-    if options.certify and not certificate.verified:
-        raise CertificationError("; ".join(certificate.violations), violations=list(certificate.violations))
-    grid_path = frozen(np.array(problem.start[None]))
-    report = _report(robot, scene, options, None, grid_path, None, trajectory, certificate, clock)
-    return PlanResult(problem, None, None, grid_path, None, trajectory, certificate, report)
-
-
 def _report(
     robot: Robot,
     scene: Scene,
     options: PlanOptions,
+    step_deg: float,
     search: SearchResult | None,
     grid_path: FloatArray,
     path: SplinePath | None,
@@ -291,7 +356,7 @@ def _report(
         "planner": {
             "method": options.method,
             "link_model": options.link_model,
-            "step_deg": options.step_deg,
+            "step_deg": step_deg,
             "cost_deg": 0.0 if search is None else float(np.degrees(search.cost)),
             "points": len(grid_path) if search is None or search.path is None else len(search.path),
             "fallback": "none" if search is None else search.fallback,

@@ -23,7 +23,8 @@ class Problem:
         movable: Indices of the joints that may move.
         lower: (dof,) joint limits; a joint that may not move has its start value as both.
         upper: (dof,) joint limits.
-        spare_clearance: Least clearance of start and goal beyond the scene's own [m]; inf without obstacles.
+        clearance: Clearance to keep [m]: the scene's, and what the tracking error may take.
+        spare_clearance: Least clearance of start and goal beyond that [m]; inf without obstacles.
     """
 
     start: FloatArray
@@ -31,6 +32,7 @@ class Problem:
     movable: IntArray
     lower: FloatArray
     upper: FloatArray
+    clearance: float
     spare_clearance: float
 
     @property
@@ -39,14 +41,21 @@ class Problem:
         return bool(np.abs(self.goal - self.start).max() < 1e-9)
 
 
-def pose_problem(robot: Robot, scene: Scene, judge: CollisionScene) -> Problem:
+def pose_problem(robot: Robot, scene: Scene, judge: CollisionScene, *, tracking_error: float = 0.0) -> Problem:
     """Check start, goal and locked joints of a scene against a robot.
+
+    Args:
+        robot: The arm.
+        scene: Obstacles and task.
+        judge: The scene in coal.
+        tracking_error: Deviation of any joint that the motion has to allow for [rad].
 
     Raises:
         InputError: A locked joint that the robot does not have, or whose goal differs from its start; a goal that is
             not given by joints; a base that would have to turn.
         JointLimitError: Start or goal outside the limits.
-        ConfigurationInCollisionError: Start or goal in collision; names link, obstacle and depth.
+        ConfigurationInCollisionError: Start or goal in collision, or closer to an obstacle than the clearance to
+            keep; names link, obstacle and depth.
     """
     start = robot.check_configuration(_joints(scene, "start"), "start")
     goal = robot.check_configuration(_joints(scene, "goal"), "goal")
@@ -69,13 +78,15 @@ def pose_problem(robot: Robot, scene: Scene, judge: CollisionScene) -> Problem:
         )
     if robot.has_yaw:
         locked[0] = True
-    spare = min(check_clear(judge, start, scene.clearance, "start"), check_clear(judge, goal, scene.clearance, "goal"))
+    clearance = scene.clearance + float(robot.sway(tracking_error).max())
+    spare = min(check_clear(judge, start, clearance, "start"), check_clear(judge, goal, clearance, "goal"))
     return Problem(
         start=start,
         goal=readonly(np.where(locked, start, goal)),
         movable=readonly(np.flatnonzero(~locked), np.int64),
         lower=readonly(np.where(locked, start, robot.lower)),
         upper=readonly(np.where(locked, start, robot.upper)),
+        clearance=clearance,
         spare_clearance=spare,
     )
 

@@ -164,6 +164,25 @@ class Robot:
         x, y, z = np.moveaxis(at_zero, -1, 0)
         return np.stack([cos * x - sin * y, sin * x + cos * y, z], axis=-1)
 
+    def sway(self, deviation: float) -> FloatArray:
+        """How far an axis point of each link may be from its place when every joint is off by `deviation` [rad].
+
+        The absolute angle of link i is off by i deviations at most, and each link adds its length times that; yaw
+        adds its own times the largest distance from the yaw axis.
+
+        Returns:
+            (links,) distances [m].
+        """
+        lengths = self.arm.lengths
+        sway: FloatArray = deviation * np.cumsum(lengths * np.arange(1, len(lengths) + 1))
+        return sway + deviation * self.yaw_radius if self.has_yaw else sway
+
+    @property
+    def yaw_radius(self) -> FloatArray:
+        """(links,) largest distance of any point of each link's axis from the yaw axis [m]."""
+        radius: FloatArray = np.hypot(*self.plane_origin[:2]) + np.cumsum(self.arm.lengths)
+        return radius
+
     def check_configuration(self, q: ArrayLike, which: str) -> FloatArray:
         """Return `q` as a read-only (dof,) array.
 
@@ -430,7 +449,7 @@ class _FamilyReader:
         """(joints, 3) rotation axes at q = 0 in the base frame."""
         pin.computeJointJacobians(model, self.data, np.zeros(model.nq))
         jacobian = pin.getJointJacobian(model, self.data, model.njoints - 1, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
-        axes = np.array(jacobian[3:].T, dtype=np.float64)
+        axes = np.reshape(jacobian, (6, -1))[3:].T  # of one joint, Pinocchio gives a vector
         for index, axis in enumerate(axes):
             if abs(np.linalg.norm(axis) - 1.0) > 1e-9:
                 raise self._fault(f"joint {model.names[index + 1]!r}", "its axis has no direction")
@@ -447,6 +466,12 @@ class _FamilyReader:
             raise self._fault(f"joint {name!r}", "the yaw axis points down; turn it to +z")
         if abs(axes[1, 2]) > 1e-9:
             raise self._fault(f"joint {model.names[2]!r}", "it is not perpendicular to the yaw axis")
+        beside = self.data.oMi[1].translation[:2]
+        if np.linalg.norm(beside) > GEOMETRY_TOLERANCE:
+            raise self._fault(
+                f"joint {name!r}",
+                f"the yaw axis stands at ({beside[0]:.6g}, {beside[1]:.6g}) m; it must pass the root link's origin",
+            )
         return True
 
     def _read_plane(

@@ -58,7 +58,8 @@ def parse_scene(text: str, *, path: Path | str | None = None) -> Scene:
         return Scene.model_validate(content)
     except ValidationError as error:
         first = min(error.errors(), key=lambda item: item["type"] != "extra_forbidden")
-        steps = _present_steps(content, (*first["loc"], *first.get("ctx", {}).get("below", ())))
+        below = ("kind",) if first["type"] == "union_tag_invalid" else first.get("ctx", {}).get("below", ())
+        steps = _present_steps(content, (*first["loc"], *below))
         raise SceneError(
             _plain_message(first),
             path=path,
@@ -134,6 +135,8 @@ def _plain_message(fault: Any) -> str:
         return "this key is missing: kind (sphere, capsule or box)"
     if kind == "union_tag_invalid":
         return f"kind is {fault['ctx']['tag']!r}, expected one of {fault['ctx']['expected_tags']}"
+    if kind in ("model_type", "model_attributes_type", "dict_type"):
+        return f"input should be a mapping of keys (got {_short(value)})"
     message = str(fault["msg"]).removeprefix("Value error, ")
     for theirs, ours in _WORDS.items():
         message = message.replace(theirs, ours)
@@ -143,9 +146,8 @@ def _plain_message(fault: Any) -> str:
 
 #: Pydantic's words for what a scene file calls otherwise.
 _WORDS = {
-    "valid tuple": "list",
-    "valid dictionary or object to extract fields from": "mapping of keys",
-    "valid string": "text",
+    "a valid tuple": "a list",
+    "a valid string": "text",
     "Tuple should have": "list should have",
     " after validation": "",
 }

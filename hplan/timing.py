@@ -1,88 +1,55 @@
 r"""Time along a path: the fastest under velocity, acceleration and torque limits (toppra), sampled for a controller.
 
-toppra finds the path speed on a grid of path parameters that holds the ends of the spline's pieces. Its constraints
-are discretised by interpolation, which keeps the limits between grid points as well. The samples
-:math:`q_k = q(s(k h))` of that motion are then taken as control points of a uniform cubic B-spline in time, and the
-rows of the trajectory are its knots:
+toppra finds the path speed on a grid of path parameters that holds the ends of the spline's pieces (`hplan.topp`).
+The samples :math:`q_k = q(s(k h))` of that motion are then taken as control points of a uniform cubic B-spline in
+time, and the rows of the trajectory are its knots:
 
 .. math::
     x_k = \tfrac16 (q_{k-1} + 4 q_k + q_{k+1}), \quad
     \dot x_k = \frac{q_{k+1} - q_{k-1}}{2 h}, \quad
     \ddot x_k = \frac{q_{k+1} - 2 q_k + q_{k-1}}{h^2}.
 
-These are averages of the motion's own position, velocity and acceleration over :math:`\pm h`, so the limits hold for
-them too. Between rows the acceleration is linear, so limits at the rows are limits in between, and a controller that
-interpolates with cubic (position and velocity) or quintic (acceleration as well) polynomials runs exactly this
-motion. It starts and ends with acceleration zero.
+These are averages of the motion's own position, velocity and acceleration over :math:`\pm h`, so its limits are kept.
+Between rows the acceleration is linear and the velocity lies in the hull of the differences
+:math:`(q_{k+1} - q_k) / h`, so limits on both, kept there, are kept in between; and a controller that interpolates with
+cubic (position and velocity) or quintic (acceleration as well) polynomials runs exactly this motion. It starts and
+ends with acceleration zero.
 
 Jerk: where limits on it are given, each control point is first replaced by the mean of :math:`m` successive ones.
-The acceleration then changes by no more than :math:`2 a / m` from row to row; velocity, acceleration and (but for its
-curvature over that time) torque are again averages within their limits. The smallest :math:`m` that keeps the jerk is
-taken. The price is :math:`(m - 1) h` of duration and a deviation from the path of at most :math:`a (m h)^2 / 24`
-a joint, which the certificate sees, as it judges the rows.
+The acceleration then changes by no more than :math:`2 a / m` from row to row, and velocity and acceleration are again
+averages within their limits. The smallest :math:`m` that keeps the jerk is taken. The price is :math:`(m - 1) h` of
+duration and a deviation from the path of at most :math:`a (m h)^2 / 24` a joint, which the certificate sees, as it
+judges the rows.
 
-In all the motion takes :math:`m + 1` to :math:`m + 2` periods longer than toppra's.
+In all the motion takes :math:`m + 1` to :math:`m + 2` periods longer than toppra's. What passes a limit all the same
+(a little, by the spacing of the grid; torque is no linear function of the motion) is taken back by slowing down.
 """
 
 from __future__ import annotations
 
-import logging
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike
 
-from hplan.arrays import FloatArray, readonly
+from hplan.arrays import BoolArray, FloatArray
 from hplan.errors import OptionError, TimingError
+from hplan.path import GeometricPath, Limits
 from hplan.trajectory import Trajectory
 
 #: Grid points of the path parameter, beside the knots.
-GRID_POINTS = 150
+GRID_POINTS = 400
 
-#: Paths shorter than this are no motion [rad].
+#: Paths on which no joint leaves its place by as much as this are no motion [rad].
 NO_MOTION = 1e-7
 
+#: Share by which a limit may be passed before the motion is slowed down.
+KEPT = 2e-4
 
-class GeometricPath(Protocol):
-    """What timing needs of a path: a twice differentiable curve over [0, end]."""
-
-    @property
-    def breaks(self) -> FloatArray:
-        """Parameters where pieces meet, the ends among them."""
-
-    def evaluate(self, s: ArrayLike, derivative: int = 0) -> FloatArray:
-        """Points or derivatives at parameters."""
-
-
-@dataclass(frozen=True, eq=False)
-class Limits:
-    """Limits of a motion, one entry for each joint.
-
-    Attributes:
-        velocity: (dof,) [rad/s].
-        acceleration: (dof,) [rad/s^2].
-        torque: (dof,) [N m], or None where torque is not limited.
-        jerk: (dof,) [rad/s^3], or None where jerk is not limited.
-    """
-
-    velocity: FloatArray
-    acceleration: FloatArray
-    torque: FloatArray | None = None
-    jerk: FloatArray | None = None
-
-    def scaled(self, speed: float) -> Limits:
-        """The limits of the same motions at `speed` times their pace (torque stays: gravity does not slow down).
-
-        Raises:
-            OptionError: The speed is not in (0, 1].
-        """
-        if not 0.0 < speed <= 1.0:
-            raise OptionError("speed", speed, "a factor in (0, 1]")
-        jerk = None if self.jerk is None else readonly(self.jerk * speed**3)
-        return Limits(readonly(self.velocity * speed), readonly(self.acceleration * speed**2), self.torque, jerk)
+#: How often the motion may be slowed down.
+MOST_STRETCHES = 20
 
 
 def time_path(
@@ -117,23 +84,24 @@ def time_path(
         if not (np.isfinite(value) and value >= 0.0):
             raise OptionError(option, value, "a finite speed along the path >= 0")
     names = tuple(model.names)[1:]
-    if np.linalg.norm(np.diff(path.evaluate(path.breaks), axis=0), axis=1).sum() < NO_MOTION:
+    fine = path.evaluate(_grid(path, grid_points, (0.0, 0.0)))
+    if np.abs(fine - fine[0]).max() < NO_MOTION:
         return resting(model, path.evaluate(0.0))
     _check_limits(path, model, limits, _grid(path, grid_points, (0.0, 0.0)), names)
     ends = np.array([0.0, path.breaks[-1]])
     # Path speeds ds/dt at the ends; the parameter need not run exactly as the length.
     rates = np.array([start_speed, end_speed]) / np.linalg.norm(path.evaluate(ends, 1), axis=1)
 
+    @functools.cache
     def profile_for(window: int) -> _Profile:
-        """With as much constant speed at each end as the rows' averages reach over."""
+        """With as much constant speed at each end as the rows' averages reach over; the same for all from rest."""
+        if window > 1 and not rates.any():
+            return profile_for(1)
         return _Profile.along(path, model, limits, grid_points, rates, 0.5 * (window + 1) / rate_hz)
 
-    profile = profile_for(1)
-    if limits.jerk is None:
-        return _sample(profile, model, names, limits, 1.0 / rate_hz, 1)
-    if not rates.any():
-        return _with_jerk(lambda _: profile, model, names, limits, 1.0 / rate_hz)
-    return _with_jerk(profile_for, model, names, limits, 1.0 / rate_hz)
+    period = 1.0 / rate_hz
+    window = _smoothing_window(profile_for, names, limits, period)
+    return _sample(profile_for(window), model, names, limits, period, window)
 
 
 def resting(model: pin.Model, q: FloatArray) -> Trajectory:
@@ -144,13 +112,17 @@ def resting(model: pin.Model, q: FloatArray) -> Trajectory:
 
 
 def _grid(path: GeometricPath, points: int, leads: tuple[float, float]) -> FloatArray:
-    """Equally spaced path parameters together with the ends of the pieces; none closer than a tenth of the spacing."""
+    """Path parameters, denser towards the ends, together with the ends of the pieces.
+
+    From rest the parameter grows with the square of time; cosine spacing makes the first intervals as short in time
+    as the others.
+    """
     first, last = leads[0], float(path.breaks[-1]) - leads[1]
     inner = path.breaks[(path.breaks > first) & (path.breaks < last)]
-    candidates = np.unique(np.concatenate([np.linspace(first, last, points), inner]))
-    apart = np.diff(candidates, prepend=-np.inf) > 0.1 * (last - first) / points
-    grid: FloatArray = candidates[apart]
-    grid[-1] = last
+    spaced = first + 0.5 * (last - first) * (1.0 - np.cos(np.linspace(0.0, np.pi, points)))
+    # A piece's end takes the place of the point nearest to it, so that no interval becomes very short.
+    spaced[np.abs(spaced[1:-1, None] - inner).argmin(axis=0) + 1] = inner
+    grid: FloatArray = np.unique(spaced)
     return grid
 
 
@@ -169,7 +141,7 @@ def _check_limits(
     if limits.torque is None:
         return
     data = model.createData()
-    static = np.array([pin.computeGeneralizedGravity(model, data, q) for q in path.evaluate(grid)])
+    static = np.array([pin.computeGeneralizedGravity(model, data, q) for q in path.evaluate(grid[::8])])
     use = np.abs(static) / np.maximum(limits.torque, 1e-12)
     point, joint = np.unravel_index(int(use.argmax()), use.shape)
     if use[point, joint] > 1.0:
@@ -179,69 +151,6 @@ def _check_limits(
             joint=names[joint],
             cause="static torque exceeds the limit",
         )
-
-
-def _path_speed(
-    path: GeometricPath, model: pin.Model, limits: Limits, grid: FloatArray, rates: FloatArray
-) -> FloatArray:
-    """Path speed ds/dt at the grid points, by toppra; `rates` are those at the ends."""
-    import toppra
-    from toppra import algorithm, constraint
-
-    logging.getLogger("toppra").setLevel(logging.ERROR)
-    interpolation = constraint.DiscretizationType.Interpolation
-    # A joint that does not move may have a limit of zero, which toppra refuses.
-    velocity = np.maximum(limits.velocity, 1e-9)
-    acceleration = np.maximum(limits.acceleration, 1e-9)
-    constraints: list[Any] = [
-        constraint.JointVelocityConstraint(np.stack([-velocity, velocity], axis=1)),
-        constraint.JointAccelerationConstraint(
-            np.stack([-acceleration, acceleration], axis=1), discretization_scheme=interpolation
-        ),
-    ]
-    if limits.torque is not None:
-        data = model.createData()
-
-        def inverse_dynamics(q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
-            return np.array(pin.rnea(model, data, q, v, a))
-
-        constraints.append(
-            constraint.JointTorqueConstraint(
-                inverse_dynamics,
-                np.stack([-limits.torque, limits.torque], axis=1),
-                np.zeros(model.nv),
-                discretization_scheme=interpolation,
-            )
-        )
-    instance = algorithm.TOPPRA(constraints, _toppra_path(path, grid, toppra), gridpoints=grid)
-    _, speed, _ = instance.compute_parameterization(float(rates[0]), float(rates[1]))
-    if speed is None or not np.isfinite(speed).all():
-        code = str(instance.problem_data.return_code).rsplit(".", 1)[-1]
-        raise TimingError(f"toppra finds no motion along the path ({code})", cause=code)
-    return np.maximum(np.asarray(speed, dtype=np.float64), 0.0)
-
-
-def _toppra_path(path: GeometricPath, grid: FloatArray, toppra: Any) -> Any:
-    """The part of the path that the grid covers, as toppra's interface."""
-    dof = path.evaluate(0.0).shape[-1]
-
-    class Adapter(toppra.interpolator.AbstractGeometricPath):  # type: ignore[misc]
-        @property
-        def dof(self) -> int:
-            return int(dof)
-
-        @property
-        def path_interval(self) -> FloatArray:
-            return np.array([grid[0], grid[-1]])
-
-        @property
-        def waypoints(self) -> tuple[FloatArray, FloatArray]:
-            return grid, path.evaluate(grid)
-
-        def __call__(self, path_positions: ArrayLike, order: int = 0) -> FloatArray:
-            return path.evaluate(path_positions, order)
-
-    return Adapter()
 
 
 @dataclass(frozen=True, eq=False)
@@ -278,7 +187,9 @@ class _Profile:
         if sum(leads) >= 0.5 * path.breaks[-1]:
             raise TimingError("the path is too short for its start and end speeds", cause="speed at the ends")
         grid = _grid(path, grid_points, leads)
-        speed = _path_speed(path, model, limits, grid, rates)
+        from hplan.topp import fastest_speed
+
+        speed = fastest_speed(path, model, limits, grid, rates)
         # The path acceleration is constant between grid points, so each interval takes 2 ds / (sum of its speeds).
         lasting = 2.0 * np.diff(grid) / (speed[:-1] + speed[1:])
         return cls(path, grid, speed, np.concatenate([[0.0], np.cumsum(lasting)]))
@@ -300,39 +211,72 @@ class _Profile:
         return q
 
 
-def _with_jerk(
-    profile_for: Callable[[int], _Profile], model: pin.Model, names: tuple[str, ...], limits: Limits, period: float
-) -> Trajectory:
-    """The trajectory with the fewest control points averaged that keeps the jerk limits."""
-    jerk = np.asarray(limits.jerk)
-    moves = np.abs(np.diff(profile_for(1).positions(profile_for(1).arrival), axis=0)).max(axis=0) > 0.0
+def _smoothing_window(
+    profile_for: Callable[[int], _Profile], names: tuple[str, ...], limits: Limits, period: float
+) -> int:
+    """The fewest control points to average that keep the jerk limits.
+
+    2 a / (m h) <= jerk always suffices; what the motion really needs is found by bisection.
+    """
+    if limits.jerk is None:
+        return 1
+    jerk = limits.jerk
+    profile = profile_for(1)
+    moves = np.ptp(profile.positions(profile.arrival), axis=0) > NO_MOTION
     for joint in np.flatnonzero(moves & ~(jerk > 0.0)):
         raise TimingError(
             f"joint {names[joint]!r} must move, but its jerk limit is {jerk[joint]:g}",
             joint=names[joint],
             cause="jerk limit of zero",
         )
-    # 2 a / (m h) <= jerk always suffices; what the motion really needs is found by bisection.
-    low, high = 1, max(1, int(np.ceil((2.0 * limits.acceleration / np.maximum(jerk, 1e-9))[moves].max() / period)))
-    best: Trajectory | None = None
-    while best is None or low < high:
+    enough = (2.0 * limits.acceleration / np.maximum(jerk, 1e-12))[moves].max() / period
+    low, high = 1, max(1, int(np.ceil(enough)))
+    while low < high:
         window = (low + high) // 2
-        trajectory = _sample(profile_for(window), model, names, limits, period, window)
-        steps = np.diff(trajectory.acceleration, axis=0) / period
-        if window == high or _largest_use(steps, jerk) <= 1.0 + 1e-6:
-            best, high = trajectory, window
+        rows = _rows(profile_for(window), limits, period, window)
+        if _largest_use(np.diff(rows.acceleration, axis=0) / period, jerk, moves) <= 1.0 + 1e-6:
+            high = window
         else:
             low = window + 1
-    return best
+    return high
+
+
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """Position, velocity and acceleration at the rows, and the pace at which the profile was run."""
+
+    position: FloatArray
+    velocity: FloatArray
+    acceleration: FloatArray
+    stretch: float
 
 
 def _sample(
     profile: _Profile, model: pin.Model, names: tuple[str, ...], limits: Limits, period: float, window: int
 ) -> Trajectory:
-    """Rows at multiples of the period (see the module's text), `window` control points averaged."""
+    """The trajectory, slowed down where torque, which is no linear function of the motion, passes its limit."""
+    data = model.createData()
     stretch = 1.0
+    for _ in range(MOST_STRETCHES):
+        rows = _rows(profile, limits, period, window, stretch)
+        motion = zip(rows.position, rows.velocity, rows.acceleration, strict=True)
+        torque = np.array([pin.rnea(model, data, *row) for row in motion])
+        every = np.ones(model.nv, dtype=np.bool_)
+        excess = 0.0 if limits.torque is None else _largest_use(torque, limits.torque, every)
+        if excess <= 1.0 + KEPT:
+            time = np.arange(len(torque), dtype=np.float64) * period
+            return Trajectory(names, time, rows.position, rows.velocity, rows.acceleration, torque)
+        stretch = rows.stretch * excess
+    raise TimingError("no pace was found at which the motion keeps the torque limits", cause="torque limit not kept")
+
+
+def _rows(profile: _Profile, limits: Limits, period: float, window: int, stretch: float = 1.0) -> _Rows:
+    """Rows at multiples of the period (see the module's text), `window` control points averaged.
+
+    Between grid points the velocity and acceleration limits are passed by a little; as much pace is taken back.
+    """
     moving_end = profile.speed[-1] > 0.0
-    while True:
+    for _ in range(MOST_STRETCHES):
         duration = profile.arrival[-1] * stretch
         if moving_end:
             stretch *= max(1.0, np.ceil(duration / period - 1e-9)) * period / duration
@@ -345,21 +289,35 @@ def _sample(
         if window > 1:
             total = np.cumsum(np.concatenate([np.zeros((1, control.shape[1])), control - control[0]]), axis=0)
             control = control[0] + (total[window:] - total[:-window]) / window
-        velocity = (control[2:] - control[:-2]) / (2.0 * period)
-        acceleration = (control[2:] - 2.0 * control[1:-1] + control[:-2]) / period**2
-        # Between grid points the limits may be passed by the square of their spacing; pace is taken back by as much.
-        excess = max(_largest_use(velocity, limits.velocity), np.sqrt(_largest_use(acceleration, limits.acceleration)))
-        if excess <= 1.0 + 1e-6:
-            break
+        change = np.diff(control, axis=0) / period
+        acceleration = np.diff(change, axis=0) / period
+        moves = np.ptp(control, axis=0) > NO_MOTION
+        excess = max(
+            _largest_use(change, limits.velocity, moves),
+            np.sqrt(_largest_use(acceleration, limits.acceleration, moves)),
+        )
+        if excess <= 1.0 + KEPT:
+            position = (control[:-2] + 4.0 * control[1:-1] + control[2:]) / 6.0
+            velocity = 0.5 * (change[1:] + change[:-1])
+            _make_exact(position, velocity, acceleration, control, profile)
+            return _Rows(position, velocity, acceleration, stretch)
         stretch *= excess
-    position = (control[:-2] + 4.0 * control[1:-1] + control[2:]) / 6.0
-    data = model.createData()
-    torque = np.array([pin.rnea(model, data, *row) for row in zip(position, velocity, acceleration, strict=True)])
-    time = np.arange(len(position), dtype=np.float64) * period
-    return Trajectory(names, time, position, velocity, acceleration, torque)
+    raise TimingError("no pace was found at which the motion keeps its limits", cause="limits not kept")
 
 
-def _largest_use(values: FloatArray, limit: FloatArray) -> float:
-    """Largest share of a limit, over joints that move (a limit of zero is for those that do not)."""
-    peak = np.abs(values).max(axis=0)
-    return float(np.where(peak < 1e-9, 0.0, peak / np.maximum(limit, 1e-9)).max())
+def _make_exact(
+    position: FloatArray, velocity: FloatArray, acceleration: FloatArray, control: FloatArray, profile: _Profile
+) -> None:
+    """Take rounding out of what is known: joints that stay where they are, and rest at the ends."""
+    still = np.ptp(control, axis=0) <= 1e-12
+    position[:, still] = profile.path.evaluate(0.0)[still]
+    for row, speed, at in ((0, profile.speed[0], 0.0), (-1, profile.speed[-1], float(profile.path.breaks[-1]))):
+        if speed == 0.0:
+            position[row] = profile.path.evaluate(at)
+            velocity[row] = acceleration[row] = 0.0
+
+
+def _largest_use(values: FloatArray, limit: FloatArray, joints: BoolArray) -> float:
+    """Largest share of a limit over the joints marked."""
+    share = np.abs(values).max(axis=0) / np.maximum(limit, 1e-12)
+    return float(share[joints].max(initial=0.0))

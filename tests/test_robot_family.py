@@ -82,7 +82,7 @@ def test_shipped_limits_file():
     assert limits == {
         "format": LIMITS_FORMAT,
         "acceleration_rad_s2": {"base_yaw": 3.0, "shoulder": 3.0, "elbow": 4.0, "wrist": 6.0},
-        "jerk_rad_s3": {"base_yaw": 60.0, "shoulder": 60.0, "elbow": 80.0, "wrist": 120.0},
+        "jerk_rad_s3": {"base_yaw": 150.0, "shoulder": 150.0, "elbow": 200.0, "wrist": 300.0},
     }
 
 

@@ -147,7 +147,7 @@ def piece_bounds(piece: FloatArray, chain: FloatArray, base: FloatArray, result:
     As `clearance.motion_bounds`, from the hull of the derivative: each absolute link angle turns no faster than at the
     fastest of the derivative's three control points.
     """
-    first = 1 if base[6] > 0.0 else 0
+    first = 1 if base[9] > 0.0 else 0
     swing = 0.0
     if first:
         for c in range(3):

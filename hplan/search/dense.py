@@ -6,9 +6,11 @@ import time
 
 from numpy.typing import ArrayLike
 
+from hplan.arrays import frozen
 from hplan.grid import Occupancy
+from hplan.search.astar import astar
 from hplan.search.endpoints import checked_node
-from hplan.search.lattice import Lattice, astar
+from hplan.search.lattice import Lattice
 from hplan.search.result import Expansions, SearchResult, StageTimes
 
 
@@ -34,7 +36,7 @@ def dense_search(occupancy: Occupancy, start: ArrayLike, goal: ArrayLike, *, oct
         octile=octile,
     )
     return SearchResult(
-        path=path,
+        path=None if path is None else frozen(path),
         cost=cost,
         expansions=Expansions(fallback=expansions),
         times=StageTimes(fallback=time.perf_counter() - begin),

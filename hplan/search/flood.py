@@ -8,9 +8,12 @@ from __future__ import annotations
 
 import numba as nb
 import numpy as np
+from numpy.typing import ArrayLike
 
-from hplan.arrays import IntArray, WordArray
+from hplan.arrays import BoolArray, IntArray, WordArray, frozen
+from hplan.grid import Occupancy
 from hplan.search.bits import popcount
+from hplan.search.endpoints import checked_node
 from hplan.search.lattice import Lattice
 
 
@@ -25,9 +28,15 @@ def flood_slices(lattice: Lattice, free: WordArray, start_row: int) -> tuple[Wor
     Returns:
         (rows, words) reached bits and their number.
     """
-    seeds = np.zeros_like(free)
-    seeds[start_row] = free[start_row]
-    return _flood(free, seeds, lattice.row_offsets, False)
+    reached = np.zeros_like(free)
+    reached[start_row] = free[start_row]
+    line = lattice.padded[-1]
+    # Rows stand in lines along the axis before the last; neighbouring lines are given by their middle rows.
+    beside = lattice.row_offsets[1::3] // line
+    beside = beside[beside != 0]
+    shape = (lattice.rows // line, line * lattice.words)
+    count = _flood_slices(free.reshape(shape), reached.reshape(shape), lattice.words, beside, start_row // line)
+    return reached, int(count)
 
 
 def flood_from(lattice: Lattice, free: WordArray, row: int, bit: int) -> tuple[WordArray, int]:
@@ -38,18 +47,104 @@ def flood_from(lattice: Lattice, free: WordArray, row: int, bit: int) -> tuple[W
     """
     seeds = np.zeros_like(free)
     seeds[row, bit >> 6] = np.uint64(1) << np.uint64(bit & 63)
-    return _flood(free, seeds, lattice.row_offsets, True)
+    reached, count = _flood_whole(free, seeds, lattice.row_offsets)
+    return reached, int(count)
+
+
+def reachable(occupancy: Occupancy, start: ArrayLike) -> BoolArray:
+    """Which nodes can be reached from a node.
+
+    Args:
+        occupancy: Which nodes are free.
+        start: (d,) node index.
+
+    Returns:
+        Read-only mask of the grid's shape.
+
+    Raises:
+        InputError: The start is no node of the grid, or not free.
+    """
+    node = checked_node(occupancy, start, "start")
+    lattice = Lattice.of(occupancy.grid.shape, occupancy.grid.step)
+    free = lattice.bordered(occupancy.free_words)
+    reached, _ = flood_from(lattice, free, lattice.row_of(node), int(node[-1]))
+    bits = np.unpackbits(lattice.unbordered(reached).view(np.uint8), axis=1, bitorder="little")
+    return frozen(bits.view(np.bool_)[:, : lattice.shape[-1]].reshape(lattice.shape))
+
+
+def has_bit(words: WordArray, row: int, bit: int) -> bool:
+    """Whether a bit of (rows, words) is set."""
+    return bool((int(words[row, bit >> 6]) >> (bit & 63)) & 1)
 
 
 @nb.njit(cache=True)
-def _flood(free: WordArray, reached: WordArray, row_offsets: IntArray, across: bool) -> tuple[WordArray, int]:
-    """Grow `reached` inside `free`; `across` lets it pass from bit to bit as well."""
+def _flood_slices(free: WordArray, reached: WordArray, words: int, beside: IntArray, start_line: int) -> int:
+    """Grow `reached` inside `free`, both (lines, rows of a line * words); returns the number of bits reached."""
+    lines, length = free.shape
+    zero = np.uint64(0)
+    front = np.empty(length, dtype=np.uint64)
+    # A line waits where a neighbour has news for it. Lines without free bits, the border among them, never do.
+    may_wait = np.empty(lines, dtype=np.bool_)
+    for line in range(lines):
+        bits = zero
+        for k in range(length):
+            bits |= free[line, k]
+        may_wait[line] = bits != zero
+    waiting = np.zeros(lines, dtype=np.bool_)
+    waiting[start_line] = True
+    left = 1
+    fresh = True
+    forward = True
+    while left > 0:
+        for i in range(lines):
+            line = i if forward else lines - 1 - i
+            if not waiting[line]:
+                continue
+            waiting[line] = False
+            left -= 1
+            here, inside = reached[line], free[line]
+            front[:] = here
+            for offset in beside:
+                near = reached[line + offset]
+                for k in range(length - 2 * words):
+                    front[k + words] |= near[k] | near[k + words] | near[k + 2 * words]
+            news = zero
+            for k in range(length):
+                front[k] &= inside[k]
+                news |= front[k] ^ here[k]
+            if news == zero and not fresh:
+                continue
+            fresh = False
+            for word in range(words):
+                run = zero
+                for k in range(word, length, words):
+                    run = (run & inside[k]) | front[k]
+                    front[k] = run
+                run = zero
+                for k in range(length - words + word, -1, -words):
+                    run = (run & inside[k]) | front[k]
+                    here[k] = run
+            for offset in beside:
+                other = line + offset
+                if not waiting[other] and may_wait[other]:
+                    waiting[other] = True
+                    left += 1
+        forward = not forward
+    count = 0
+    for line in range(lines):
+        for k in range(length):
+            count += popcount(reached[line, k])
+    return count
+
+
+@nb.njit(cache=True)
+def _flood_whole(free: WordArray, reached: WordArray, row_offsets: IntArray) -> tuple[WordArray, int]:
+    """Grow `reached` inside `free`, both (rows, words), from row to row and from bit to bit."""
     rows, words = free.shape
     margin = 0
     for offset in row_offsets:
         margin = max(margin, abs(offset))
-    one = np.uint64(1)
-    top = np.uint64(63)
+    one, top, zero = np.uint64(1), np.uint64(63), np.uint64(0)
     front = np.empty(words, dtype=np.uint64)
     changed = True
     forward = True
@@ -57,39 +152,31 @@ def _flood(free: WordArray, reached: WordArray, row_offsets: IntArray, across: b
         changed = False
         for i in range(margin, rows - margin):
             row = i if forward else rows - 1 - i
-            open_bits = False
+            open_bits = zero
             for word in range(words):
                 front[word] = reached[row, word]
-                if free[row, word] != reached[row, word]:
-                    open_bits = True
-            if not open_bits:
+                open_bits |= free[row, word] ^ reached[row, word]
+            if open_bits == zero:
                 continue
             for offset in row_offsets:
                 for word in range(words):
                     front[word] |= reached[row + offset, word]
-            if across:
-                # One step up and down along the bits, then along runs of free bits until nothing moves.
-                moving = True
-                while moving:
-                    moving = False
-                    carry = np.uint64(0)
-                    for word in range(words):
-                        above = front[word + 1] << top if word + 1 < words else np.uint64(0)
-                        spread = front[word] | (front[word] << one) | (front[word] >> one) | carry | above
-                        carry = front[word] >> top
-                        grown = spread & free[row, word]
-                        if grown & ~reached[row, word] != np.uint64(0):
-                            reached[row, word] |= grown
-                            changed = True
-                            moving = True
-                    for word in range(words):
-                        front[word] = reached[row, word]
-            else:
+            # One step up and down along the bits, then along runs of free bits until nothing moves.
+            moving = True
+            while moving:
+                moving = False
+                carry = zero
                 for word in range(words):
-                    grown = front[word] & free[row, word]
-                    if grown != reached[row, word]:
-                        reached[row, word] = grown
+                    above = front[word + 1] << top if word + 1 < words else zero
+                    spread = front[word] | (front[word] << one) | (front[word] >> one) | carry | above
+                    carry = front[word] >> top
+                    grown = spread & free[row, word]
+                    if grown & ~reached[row, word] != zero:
+                        reached[row, word] |= grown
                         changed = True
+                        moving = True
+                for word in range(words):
+                    front[word] = reached[row, word]
         forward = not forward
     count = 0
     for row in range(rows):

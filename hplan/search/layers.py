@@ -11,62 +11,101 @@ import numba as nb
 import numpy as np
 
 from hplan.arrays import BoolArray, IntArray, WordArray, frozen
+from hplan.search.astar import astar
 from hplan.search.flood import flood_slices
-from hplan.search.lattice import Lattice, astar
+from hplan.search.jump import jump_slices
+from hplan.search.lattice import Lattice
 
 
 @dataclass(frozen=True, eq=False)
 class Layers:
-    """The slices between start and goal, searched.
+    """Neighbouring slices, searched.
 
     Attributes:
+        first: First of the searched slices.
         feasible: (slices,) whether each slice of the whole grid has a path of its own.
-        paths: For each searched slice with a path its (m, d) node indices.
+        path_rows: (m,) bordered rows of all paths, slice after slice, each from the start's place to the goal's.
+        begins: (searched slices + 1,) where each slice's path begins in `path_rows`; of length 0 where it has none.
         expansions: Expansions in all slices.
         flooded: Nodes reached by flooding.
     """
 
+    first: int
     feasible: BoolArray
-    paths: dict[int, IntArray]
+    path_rows: IntArray
+    begins: IntArray
     expansions: int
     flooded: int
 
+    def paths(self, lattice: Lattice) -> dict[int, IntArray]:
+        """For each searched slice with a path its (m, d) node indices."""
+        lengths = np.diff(self.begins)
+        slices = np.repeat(np.arange(self.first, self.first + len(lengths)), lengths)
+        nodes = frozen(lattice.indices(self.path_rows, slices))
+        begins = self.begins.tolist()
+        return {
+            self.first + k: nodes[begins[k] : begins[k + 1]] for k in range(len(lengths)) if begins[k] < begins[k + 1]
+        }
+
 
 def search_layers(
-    lattice: Lattice,
-    free: WordArray,
-    start: IntArray,
-    goal: IntArray,
-    slices: range,
-    *,
-    octile: bool,
+    lattice: Lattice, free: WordArray, start: IntArray, goal: IntArray, slices: range, *, octile: bool
 ) -> Layers:
     """Search each of `slices` from the start's place in it to the goal's.
+
+    Planar slices are searched by jump points, all in one pass; slices of other dimension, and all without the
+    octile bound, by the plain A* one after the other.
 
     Args:
         lattice: Geometry of the whole grid.
         free: (rows, words) bits with border.
         start: (d,) node index; its last entry does not matter.
         goal: (d,) node index; its last entry does not matter.
-        slices: Slices to search.
+        slices: Neighbouring slices, ascending.
         octile: As for `astar`.
     """
-    reached, flooded = flood_slices(lattice, free, lattice.row_of(start))
-    goal_words = reached[lattice.row_of(goal)]
-    numbers = np.arange(lattice.shape[-1])
-    feasible = (goal_words[numbers >> 6] >> (numbers & 63).astype(np.uint64)) & np.uint64(1) != 0
+    start_row, goal_row = lattice.row_of(start), lattice.row_of(goal)
+    first, last = slices[0], slices[-1]
+    reached, flooded = flood_slices(lattice, free, start_row)
+    feasible = np.unpackbits(reached[goal_row].view(np.uint8), bitorder="little").view(np.bool_)[: lattice.shape[-1]]
+    if octile and len(lattice.shape) == 3:
+        path_rows, begins, expansions = jump_slices(
+            free, reached[goal_row], lattice.padded[1], first, last, start_row, goal_row, lattice.step[:-1]
+        )
+    else:
+        path_rows, begins, expansions = _plain_slices(
+            lattice, reached, np.flatnonzero(feasible), first, last, start, goal, octile=octile
+        )
+    return Layers(first, frozen(feasible), frozen(path_rows), frozen(begins), int(expansions), flooded)
+
+
+def _plain_slices(
+    lattice: Lattice,
+    reached: WordArray,
+    feasible: IntArray,
+    first: int,
+    last: int,
+    start: IntArray,
+    goal: IntArray,
+    *,
+    octile: bool,
+) -> tuple[IntArray, IntArray, int]:
+    """As `jump_slices`, by a plain A* on each slice in turn."""
     flat = Lattice.of(lattice.shape[:-1], lattice.step[:-1])
-    paths: dict[int, IntArray] = {}
+    strides = np.array([lattice.row_of(node) for node in np.eye(len(start), dtype=np.int64)[:-1]])
+    origin = lattice.row_of(np.zeros(len(start), dtype=np.int64))
+    strides -= origin
+    lengths = np.zeros(last - first + 1, dtype=np.int64)
+    parts = [np.empty(0, dtype=np.int64)]
     expansions = 0
-    for number in slices:
-        if not feasible[number]:
-            continue
+    for number in feasible[(feasible >= first) & (feasible <= last)].tolist():
         mask = _slice_bits(reached, number, lattice.shape[-2] + 2, flat.words)
         path, _, expanded = astar(flat, mask, start[:-1], goal[:-1], octile=octile)
         expansions += expanded
         if path is not None:
-            paths[number] = np.column_stack([path, np.full(len(path), number)])
-    return Layers(frozen(feasible), paths, expansions, flooded)
+            parts.append(path @ strides + origin)
+            lengths[number - first] = len(path)
+    return np.concatenate(parts), np.concatenate([[0], np.cumsum(lengths)]), expansions
 
 
 @nb.njit(cache=True)

@@ -1,4 +1,4 @@
-"""Connectivity where slices have no path of their own.
+"""The sparse graph: all slice paths together, and connectivity where slices have no path of their own.
 
 The paper takes the path of the first slice that has one, carries it back slice by slice towards the start, and cuts
 it in each slice before the first contact. The same is done here on the goal's side (the last path is carried on
@@ -8,61 +8,106 @@ middle.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from dataclasses import dataclass
 
+import numba as nb
 import numpy as np
 
-from hplan.arrays import IntArray
-from hplan.grid import Occupancy
+from hplan.arrays import BoolArray, IntArray, WordArray, frozen
+from hplan.search.lattice import Lattice
+from hplan.search.layers import Layers
 
 
-def restore(
-    occupancy: Occupancy, paths: dict[int, IntArray], start_slice: int, goal_slice: int
-) -> dict[int, list[IntArray]]:
-    """Parts of neighbouring paths for the slices between start and goal that have none.
+@dataclass(frozen=True, eq=False)
+class Union:
+    """The nodes of the sparse graph.
+
+    Attributes:
+        words: (rows, words) bits with border.
+        nodes: Number of nodes.
+        restored: Slices without a path of their own that were given part of a neighbour's, ascending.
+    """
+
+    words: WordArray
+    nodes: int
+    restored: tuple[int, ...]
+
+
+def union_of(
+    lattice: Lattice, free: WordArray, layers: Layers, start: IntArray, goal: IntArray, *, beyond: bool = False
+) -> Union:
+    """Join the slice paths, restore connectivity between them, and add start and goal.
 
     Args:
-        occupancy: The whole grid.
-        paths: Slice number -> (m, d) path, for the slices that have one.
-        start_slice: Slice of the start.
-        goal_slice: Slice of the goal.
-
-    Returns:
-        Slice number -> parts, each an (m, d) array of free nodes.
+        lattice: Geometry of the whole grid.
+        free: (rows, words) bits with border.
+        layers: The slice paths.
+        start: (d,) node index.
+        goal: (d,) node index.
+        beyond: Whether the slices go beyond start and goal, so that either end of a path may be wanted on either side.
     """
-    direction = 1 if goal_slice >= start_slice else -1
-    order = list(range(start_slice, goal_slice + direction, direction))
-    feasible = [place for place, number in enumerate(order) if number in paths]
-    parts: dict[int, list[IntArray]] = {}
-    if not feasible:
-        return parts
-    first, last = feasible[0], feasible[-1]
+    union = np.zeros_like(free)
+    for node in (start, goal):
+        union[lattice.row_of(node), node[-1] >> 6] |= np.uint64(1) << np.uint64(node[-1] & 63)
+    descending = bool(start[-1] > goal[-1])
+    restored = _join(free, layers.path_rows, layers.begins, layers.first, descending, union)
+    if beyond:
+        restored |= _join(free, layers.path_rows, layers.begins, layers.first, not descending, union)
+    nodes = int(np.bitwise_count(union).sum())
+    return Union(frozen(union), nodes, tuple((np.flatnonzero(restored) + layers.first).tolist()))
 
-    def add(carried: Iterator[tuple[int, IntArray]]) -> None:
-        for number, part in carried:
-            parts.setdefault(number, []).append(part)
 
-    add(_carry(occupancy, paths[order[first]], order[:first][::-1], head=True))
-    add(_carry(occupancy, paths[order[last]], order[last + 1 :], head=False))
-    for left, right in zip(feasible, feasible[1:], strict=False):
-        gap = order[left + 1 : right]
+@nb.njit(cache=True)
+def _join(
+    free: WordArray, path_rows: IntArray, begins: IntArray, first: int, descending: bool, union: WordArray
+) -> BoolArray:
+    """Set the bits of all paths and restored parts; tell which slices were restored."""
+    count = len(begins) - 1
+    restored = np.zeros(count, dtype=np.bool_)
+    previous = -1  # the last slice before `k` that has a path
+    for k in range(count):
+        path = path_rows[begins[k] : begins[k + 1]]
+        if len(path) == 0:
+            continue
+        for row in path:
+            union[row, (first + k) >> 6] |= np.uint64(1) << np.uint64((first + k) & 63)
+        # The gap before this slice: on the side of the start or the goal one end is carried, in the middle both are,
+        # from either side.
         for head in (True, False):
-            add(_carry(occupancy, paths[order[left]], gap, head=head))
-            add(_carry(occupancy, paths[order[right]], gap[::-1], head=head))
-    return parts
+            if previous >= 0 or head != descending:
+                _carry(free, path, first, k - 1, previous, head, union, restored)
+            if previous >= 0:
+                before = path_rows[begins[previous] : begins[previous + 1]]
+                _carry(free, before, first, previous + 1, k, head, union, restored)
+        previous = k
+    if previous >= 0:
+        path = path_rows[begins[previous] : begins[previous + 1]]
+        _carry(free, path, first, previous + 1, count, descending, union, restored)
+    return restored
 
 
-def _carry(occupancy: Occupancy, path: IntArray, slices: list[int], *, head: bool) -> Iterator[tuple[int, IntArray]]:
-    """Carry a path's head (or tail) from slice to slice, cut before the first contact in each."""
-    kept = path if head else path[::-1]
-    words, shape = occupancy.free_words, occupancy.grid.shape
-    for number in slices:
-        rows = np.ravel_multi_index(tuple(kept[:, :-1].T), shape[:-1])
-        free = (words[rows, number >> 6] >> np.uint64(number & 63)) & np.uint64(1) != 0
-        blocked = np.flatnonzero(~free)
-        kept = kept[: blocked[0]] if len(blocked) else kept
-        if len(kept) == 0:
+@nb.njit(cache=True)
+def _carry(
+    free: WordArray,
+    path: IntArray,
+    first: int,
+    begin: int,
+    end: int,
+    head: bool,
+    union: WordArray,
+    restored: BoolArray,
+) -> None:
+    """Carry a path's head (or tail) from slice `begin` on until `end`, cut before the first contact in each."""
+    kept = len(path)
+    towards = 1 if end >= begin else -1
+    for k in range(begin, end, towards):
+        word, bit = (first + k) >> 6, np.uint64(1) << np.uint64((first + k) & 63)
+        for i in range(kept):
+            row = path[i] if head else path[len(path) - 1 - i]
+            if not free[row, word] & bit:
+                kept = i
+                break
+            union[row, word] |= bit
+        if kept == 0:
             return
-        part = kept.copy()
-        part[:, -1] = number
-        yield number, part
+        restored[k] = True

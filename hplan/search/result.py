@@ -2,23 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from hplan.arrays import BoolArray, IntArray
 
-#: What carried the path: the union of the slice paths, or the dense search after it.
-Fallback = Literal["none", "dense"]
+#: What carried the path, or the verdict that there is none: the union of the slices between start and goal; the union
+#: of all slices; flooding, and the dense search on what it reached.
+Fallback = Literal["none", "all_slices", "dense"]
 
 
 @dataclass(frozen=True)
 class Expansions:
-    """Nodes taken from the open list, each counted once a stage.
+    """Entries taken from the open lists, stage by stage.
 
     Attributes:
-        layers: All slice searches together.
-        sparse: Search on the union of the slice paths.
-        fallback: Dense search.
+        layers: All slice searches together; where slices are searched by jump points, the jump points.
+        sparse: Search on the union of the slice paths, and the rows that its bound settled beforehand.
+        fallback: Dense search, and whatever else came after the union had failed.
         flooded: Nodes reached by bit-parallel flooding, which settles what is connected; not expansions.
     """
 
@@ -31,6 +32,10 @@ class Expansions:
     def total(self) -> int:
         """Sum of all expansions."""
         return self.layers + self.sparse + self.fallback
+
+    def with_fallback(self, expansions: int, flooded: int) -> Expansions:
+        """These and more of the fallback."""
+        return replace(self, fallback=self.fallback + expansions, flooded=self.flooded + flooded)
 
 
 @dataclass(frozen=True)
@@ -58,10 +63,11 @@ class SearchResult:
         times: Times by stage.
         feasible_slices: (slices,) whether each slice has a path of its own from the start's to the goal's place in
             it; None for the dense search.
-        slice_paths: For each searched slice its path as (m, d) node indices; empty for the dense search.
+        slice_paths: For each slice of the last union that has a path, that path as (m, d) node indices; empty for the
+            dense search.
         restored_slices: Slices without a path of their own that were given part of a neighbour's.
-        sparse_nodes: Nodes of the sparse graph.
-        fallback: What was needed beyond the sparse graph.
+        sparse_nodes: Nodes of the last union.
+        fallback: What was needed beyond the union of the slices between start and goal.
     """
 
     path: IntArray | None

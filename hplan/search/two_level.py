@@ -1,7 +1,8 @@
 """The two-level method: slice paths, their sparse union, and a search on it; complete on the grid.
 
-Where the union does not join start and goal, the whole grid is flooded. If they are connected, the dense search finds
-the path; if they are not, there is none.
+Where the union of the slices between start and goal does not join the two, all slices of the grid are tried (the way
+may lead beyond). Where that fails too, the whole grid is flooded: if start and goal are connected, the dense search
+finds the path; if they are not, there is none.
 """
 
 from __future__ import annotations
@@ -9,17 +10,18 @@ from __future__ import annotations
 import math
 import time
 
-import numpy as np
 from numpy.typing import ArrayLike
 
-from hplan.arrays import IntArray, WordArray
+from hplan.arrays import IntArray, frozen
 from hplan.grid import Occupancy
+from hplan.search.astar import astar
 from hplan.search.endpoints import checked_node
-from hplan.search.flood import flood_from
-from hplan.search.lattice import Lattice, astar
+from hplan.search.flood import flood_from, has_bit
+from hplan.search.lattice import Lattice
 from hplan.search.layers import search_layers
-from hplan.search.restoration import restore
+from hplan.search.restoration import Union, union_of
 from hplan.search.result import Expansions, Fallback, SearchResult, StageTimes
+from hplan.search.row_bounds import row_bounds
 
 
 def two_level_search(occupancy: Occupancy, start: ArrayLike, goal: ArrayLike, *, octile: bool = True) -> SearchResult:
@@ -29,7 +31,10 @@ def two_level_search(occupancy: Occupancy, start: ArrayLike, goal: ArrayLike, *,
         occupancy: Which nodes are free; at least two axes.
         start: (d,) node index.
         goal: (d,) node index.
-        octile: Bound the way to go by the octile distance (fewer expansions); False for the paper's straight line.
+        octile: False for the searches of the paper, plain A* with the straight line as bound: on every slice in turn,
+            then on the union. By default planar slices are searched by jump points, other slices with the octile
+            bound, and the union with the distances of its projection (`row_bounds`); every slice path and the path on
+            the union have the same cost, with fewer expansions.
 
     Returns:
         The result; its path is None exactly when no path exists on the grid.
@@ -42,44 +47,50 @@ def two_level_search(occupancy: Occupancy, start: ArrayLike, goal: ArrayLike, *,
     goal = checked_node(occupancy, goal, "goal")
     lattice = Lattice.of(occupancy.grid.shape, occupancy.grid.step)
     free = lattice.bordered(occupancy.free_words)
-    slices = range(min(start[-1], goal[-1]), max(start[-1], goal[-1]) + 1)
-    layers = search_layers(lattice, free, start, goal, slices, octile=octile)
+    between = range(int(min(start[-1], goal[-1])), int(max(start[-1], goal[-1])) + 1)
+    layers = search_layers(lattice, free, start, goal, between, octile=octile)
+    slice_paths = layers.paths(lattice)
     layers_done = time.perf_counter()
-
-    parts = restore(occupancy, layers.paths, int(start[-1]), int(goal[-1]))
-    pieces = [*layers.paths.values(), *(part for row in parts.values() for part in row)]
-    union = _union(lattice, [*pieces, start[None], goal[None]])
-    path, cost, sparse_expansions = astar(lattice, union, start, goal, octile=octile)
+    union = union_of(lattice, free, layers, start, goal)
+    path, cost, sparse = _search_union(lattice, union, start, goal, octile=octile)
     sparse_done = time.perf_counter()
 
-    flooded, fallback_expansions = layers.flooded, 0
+    counts = Expansions(layers.expansions, sparse, 0, layers.flooded)
     fallback: Fallback = "none"
+    if path is None and len(between) < lattice.shape[-1]:
+        fallback = "all_slices"
+        layers = search_layers(lattice, free, start, goal, range(lattice.shape[-1]), octile=octile)
+        slice_paths = layers.paths(lattice)
+        union = union_of(lattice, free, layers, start, goal, beyond=True)
+        path, cost, sparse = _search_union(lattice, union, start, goal, octile=octile)
+        counts = counts.with_fallback(layers.expansions + sparse, layers.flooded)
     if path is None:
         fallback = "dense"
-        reached, count = flood_from(lattice, free, lattice.row_of(start), int(start[-1]))
-        flooded += count
-        word, bit = int(goal[-1]) >> 6, int(goal[-1]) & 63
-        if (int(reached[lattice.row_of(goal), word]) >> bit) & 1:
-            path, cost, fallback_expansions = astar(lattice, reached, start, goal, octile=octile)
+        reached, flooded = flood_from(lattice, free, lattice.row_of(start), int(start[-1]))
+        counts = counts.with_fallback(0, flooded)
+        if has_bit(reached, lattice.row_of(goal), int(goal[-1])):
+            path, cost, dense = astar(lattice, reached, start, goal, octile=octile)
+            counts = counts.with_fallback(dense, 0)
+    end = time.perf_counter()
     return SearchResult(
-        path=path,
+        path=None if path is None else frozen(path),
         cost=cost if path is not None else math.inf,
-        expansions=Expansions(layers.expansions, sparse_expansions, fallback_expansions, flooded),
-        times=StageTimes(layers_done - begin, sparse_done - layers_done, time.perf_counter() - sparse_done),
+        expansions=counts,
+        times=StageTimes(layers_done - begin, sparse_done - layers_done, end - sparse_done),
         feasible_slices=layers.feasible,
-        slice_paths=layers.paths,
-        restored_slices=tuple(sorted(parts)),
-        sparse_nodes=int(np.bitwise_count(union).sum()),
+        slice_paths=slice_paths,
+        restored_slices=union.restored,
+        sparse_nodes=union.nodes,
         fallback=fallback,
     )
 
 
-def _union(lattice: Lattice, pieces: list[IntArray]) -> WordArray:
-    """Bordered bit rows with every node of the pieces set."""
-    nodes = np.concatenate(pieces)
-    inside = tuple(nodes[:, axis] + 1 for axis in range(nodes.shape[1] - 1))
-    rows = np.ravel_multi_index(inside, lattice.padded)
-    bits = nodes[:, -1]
-    union = np.zeros((lattice.rows, lattice.words), dtype=np.uint64)
-    np.bitwise_or.at(union, (rows, bits >> 6), np.uint64(1) << (bits & 63).astype(np.uint64))
-    return union
+def _search_union(
+    lattice: Lattice, union: Union, start: IntArray, goal: IntArray, *, octile: bool
+) -> tuple[IntArray | None, float, int]:
+    """Path on the sparse graph, its cost and the expansions, those of its bound among them."""
+    if not octile:
+        return astar(lattice, union.words, start, goal, octile=False)
+    bounds = row_bounds(lattice, union.words, lattice.row_of(goal))
+    path, cost, expansions = astar(lattice, union.words, start, goal, octile=True, row_bounds=bounds)
+    return path, cost, expansions + bounds.settled

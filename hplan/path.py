@@ -1,0 +1,51 @@
+"""What timing needs to know: a geometric path, and the limits of a motion along it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hplan.arrays import FloatArray, readonly
+from hplan.errors import OptionError
+
+
+class GeometricPath(Protocol):
+    """A twice differentiable curve in joint space over [0, end]."""
+
+    @property
+    def breaks(self) -> FloatArray:
+        """Increasing parameters where pieces meet, the ends among them."""
+
+    def evaluate(self, s: ArrayLike, derivative: int = 0) -> FloatArray:
+        """Points or derivatives at (...) parameters, as (..., dof)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Limits:
+    """Limits of a motion, one entry for each joint.
+
+    Attributes:
+        velocity: (dof,) [rad/s].
+        acceleration: (dof,) [rad/s^2].
+        torque: (dof,) [N m], or None where torque is not limited.
+        jerk: (dof,) [rad/s^3], or None where jerk is not limited.
+    """
+
+    velocity: FloatArray
+    acceleration: FloatArray
+    torque: FloatArray | None = None
+    jerk: FloatArray | None = None
+
+    def scaled(self, speed: float) -> Limits:
+        """The limits of the same motions at `speed` times their pace (torque stays: gravity does not slow down).
+
+        Raises:
+            OptionError: The speed is not in (0, 1].
+        """
+        if not (np.isfinite(speed) and 0.0 < speed <= 1.0):
+            raise OptionError("speed", speed, "a factor in (0, 1]")
+        jerk = None if self.jerk is None else readonly(self.jerk * speed**3)
+        return Limits(readonly(self.velocity * speed), readonly(self.acceleration * speed**2), self.torque, jerk)

@@ -1,0 +1,74 @@
+"""The open list of every search: a binary heap whose entries know their place, so that a key can be lowered.
+
+Both functions are inlined where they are used: a call with array arguments costs more than the work itself.
+"""
+
+from __future__ import annotations
+
+import numba as nb
+
+from hplan.arrays import FloatArray, IntArray
+
+#: `slot` of a node that was never in the heap, or was taken from it.
+NEW, TAKEN = -1, -2
+
+
+@nb.njit(cache=True, inline="always")
+def pop(keys: FloatArray, nodes: IntArray, slot: IntArray, size: int) -> int:
+    """Take the node with the smallest key; the heap then has `size - 1` entries.
+
+    Args:
+        keys: (capacity,) keys in heap order.
+        nodes: (capacity,) their nodes.
+        slot: For each node its place in the heap, `NEW` or `TAKEN`.
+        size: Entries in the heap, at least one.
+    """
+    taken: int = nodes[0]
+    size -= 1
+    last_key, last_node = keys[size], nodes[size]
+    hole = 0
+    child = 1
+    while child < size:
+        if child + 1 < size and keys[child + 1] < keys[child]:
+            child += 1
+        if keys[child] >= last_key:
+            break
+        keys[hole], nodes[hole] = keys[child], nodes[child]
+        slot[nodes[hole]] = hole
+        hole = child
+        child = 2 * hole + 1
+    keys[hole], nodes[hole] = last_key, last_node
+    slot[last_node] = hole
+    slot[taken] = TAKEN
+    return taken
+
+
+@nb.njit(cache=True, inline="always")
+def push(keys: FloatArray, nodes: IntArray, slot: IntArray, size: int, key: float, node: int) -> int:
+    """Put a node in, or lower its key if it is in already.
+
+    Args:
+        keys: (capacity,) keys in heap order.
+        nodes: (capacity,) their nodes.
+        slot: For each node its place in the heap, `NEW` or `TAKEN`.
+        size: Entries in the heap.
+        key: Key of the node.
+        node: The node.
+
+    Returns:
+        Entries in the heap afterwards.
+    """
+    hole = slot[node]
+    if hole < 0:
+        hole = size
+        size += 1
+    while hole > 0:
+        above = (hole - 1) >> 1
+        if keys[above] <= key:
+            break
+        keys[hole], nodes[hole] = keys[above], nodes[above]
+        slot[nodes[hole]] = hole
+        hole = above
+    keys[hole], nodes[hole] = key, node
+    slot[node] = hole
+    return size

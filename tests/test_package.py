@@ -1,0 +1,70 @@
+"""What ships: robot, scenes, type information, the command."""
+
+from __future__ import annotations
+
+import importlib
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import hplan
+from hplan.resources import scenes_dir, urdf_dir
+from hplan.robot import load_robot
+from hplan.scene_file import default_scene_path, load_scene
+
+ROOT = Path(__file__).parents[1]
+
+
+@pytest.fixture(scope="module")
+def project() -> dict[str, Any]:
+    return tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+
+
+def test_robot_ships_in_the_wheel(project: dict[str, Any]) -> None:
+    assert project["tool"]["hatch"]["build"]["targets"]["wheel"]["force-include"] == {"urdf": "hplan/urdf"}
+    assert {path.name for path in (ROOT / "urdf").iterdir()} == {"harvester.urdf", "harvester.limits.yaml"}
+
+
+def test_resources_are_found() -> None:
+    assert urdf_dir().is_dir()
+    assert default_scene_path() == scenes_dir() / "table-1.yaml"
+    assert default_scene_path().is_file()
+
+
+def test_installed_urdf_goes_before_the_checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("hplan.resources._PACKAGE", tmp_path / "hplan")
+    (tmp_path / "hplan").mkdir()
+    assert urdf_dir() == tmp_path / "urdf"
+    (tmp_path / "hplan" / "urdf").mkdir()
+    assert urdf_dir() == tmp_path / "hplan" / "urdf"
+
+
+@pytest.mark.parametrize("path", sorted(scenes_dir().glob("*.yaml")), ids=lambda path: path.stem)
+def test_every_scene_that_ships_loads(path: Path) -> None:
+    scene = load_scene(path)
+    assert scene.name == path.stem
+
+
+@pytest.mark.parametrize("path", sorted(urdf_dir().glob("*.urdf")), ids=lambda path: path.stem)
+def test_every_robot_that_ships_loads(path: Path) -> None:
+    assert load_robot(path).name == path.stem
+
+
+def test_type_information_ships() -> None:
+    assert (Path(hplan.__file__).parent / "py.typed").is_file()
+
+
+def test_version(project: dict[str, Any]) -> None:
+    assert project["project"]["version"] == hplan.__version__
+
+
+def test_command_is_there(project: dict[str, Any]) -> None:
+    module, function = project["project"]["scripts"]["hplan"].split(":")
+    assert callable(getattr(importlib.import_module(module), function))
+
+
+@pytest.mark.parametrize("name", ["README.md", "CHANGELOG.md", "LICENSE"])
+def test_documents_are_there(name: str) -> None:
+    assert (ROOT / name).read_text(encoding="utf-8").strip()

@@ -248,6 +248,15 @@ def _link_clearances(
 
 
 @nb.njit(cache=True)
+def smallest(values: FloatArray) -> float:
+    """Smallest of a few values."""
+    least = math.inf
+    for value in values:
+        least = min(least, value)
+    return least
+
+
+@nb.njit(cache=True)
 def motion_bounds(turns: FloatArray, chain: FloatArray, base: FloatArray, result: FloatArray) -> None:
     """Largest displacement of any axis point of each link while all joints turn in proportion, by `turns` in all.
 
@@ -283,14 +292,15 @@ def segment_is_clear(
 ) -> bool:
     """Whether the straight joint-space motion is shown clear; `margin` is asked for wherever it is evaluated."""
     links, dof = chain.shape[0], start.shape[0]
-    turns = end - start
-    bounds, clear, q = np.empty(links), np.empty(links), np.empty(dof)
+    bounds, clear, q, turns = np.empty(links), np.empty(links), np.empty(dof), np.empty(dof)
+    for i in range(dof):
+        turns[i] = end[i] - start[i]
     motion_bounds(turns, chain, base, bounds)
     # The middle first: where a motion fails it often fails there.
     for i in range(dof):
         q[i] = start[i] + 0.5 * turns[i]
     _link_clearances(q, chain, base, solids, clear)
-    if clear.min() < margin:
+    if smallest(clear) < margin:
         return False
     t = 0.0
     while True:

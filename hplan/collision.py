@@ -98,9 +98,11 @@ class CollisionScene:
         if not self.obstacle_names:
             return np.zeros(q.shape[1], dtype=np.bool_)
         pool = pin.GeometryPool(self.robot.model, self.geometry, 1)
-        if margin != 0.0:
-            for request in pool.getGeometryDatas()[0].collisionRequests:
-                request.security_margin = float(margin)
+        for request in pool.getGeometryDatas()[0].collisionRequests:
+            request.security_margin = float(margin)
+            # Asked for yes or no alone, coal 3.0 misses deep collisions of boxes, cylinders and hulls where one shape
+            # stands symmetrically in the other or its core touches a face; with contacts it does not.
+            request.enable_contact = True
         return np.asarray(pin.computeCollisionsInParallel(1, pool, q, True, False), dtype=np.bool_)
 
 

@@ -14,9 +14,9 @@ import numba as nb
 import numpy as np
 
 from hplan.arrays import FloatArray, IntArray, frozen
-from hplan.clearance import ClearanceField, _link_clearances
+from hplan.clearance import ClearanceField, _link_clearances, smallest
 from hplan.postprocess.options import PostprocessOptions
-from hplan.postprocess.spline import STRIDE, SplinePath, bezier_piece, piece_is_clear
+from hplan.postprocess.spline import STRIDE, SplinePath, bezier_piece, copy_into, piece_is_clear
 
 
 def clear_spline(
@@ -109,20 +109,23 @@ def push_out(
                         + t * t * t * piece[3, j]
                     )  # fmt: skip
                 _link_clearances(q, chain, base, solids, clear)
-                if clear.min() < least:
-                    least, at = clear.min(), t
-                    worst[:] = q
+                here = smallest(clear)
+                if here < least:
+                    least, at = here, t
+                    for j in range(dof):
+                        worst[j] = q[j]
             square = 0.0
             for j in range(dof):
                 gradient[j] = 0.0
             for j in movable:
-                q[:] = worst
+                for other in range(dof):
+                    q[other] = worst[other]
                 q[j] = worst[j] + 1e-4
                 _link_clearances(q, chain, base, solids, clear)
-                ahead = clear.min()
+                ahead = smallest(clear)
                 q[j] = worst[j] - 1e-4
                 _link_clearances(q, chain, base, solids, clear)
-                gradient[j] = (ahead - clear.min()) / 2e-4
+                gradient[j] = (ahead - smallest(clear)) / 2e-4
                 square += gradient[j] * gradient[j]
             if square < 1e-8:
                 return False
@@ -167,7 +170,7 @@ def _tighten(
     best, before = control.copy(), control.copy()
     shortest = _polygon_length(control)
     for _ in range(rounds):
-        before[:] = control
+        copy_into(before, control)
         for i in range(1, count - 1):
             for j in movable:
                 control[i, j] = 0.5 * (before[i - 1, j] + before[i + 1, j])
@@ -178,13 +181,16 @@ def _tighten(
             length = _polygon_length(control)
             if length < shortest:
                 shortest = length
-                best[:] = control
-    control[:] = best
+                copy_into(best, control)
+    copy_into(control, best)
 
 
 @nb.njit(cache=True)
 def _polygon_length(control: FloatArray) -> float:
     total = 0.0
     for i in range(control.shape[0] - 1):
-        total += math.sqrt(((control[i + 1] - control[i]) ** 2).sum())
+        square = 0.0
+        for j in range(control.shape[1]):
+            square += (control[i + 1, j] - control[i, j]) ** 2
+        total += math.sqrt(square)
     return total

@@ -23,7 +23,7 @@ from hplan.arrays import FloatArray, IntArray, frozen
 from hplan.clearance import ClearanceField
 from hplan.postprocess.clear import push_out
 from hplan.postprocess.options import PostprocessOptions
-from hplan.postprocess.spline import STRIDE, SplinePath, bezier_piece, pieces_are_clear
+from hplan.postprocess.spline import STRIDE, SplinePath, bezier_piece, copy_into, pieces_are_clear
 
 #: Points at which a piece's speed is estimated.
 _PER_PIECE = 8
@@ -63,9 +63,9 @@ def _derivative_weights(knots: FloatArray, pieces: int) -> tuple[FloatArray, Flo
     for i in range(pieces):
         width = knots[i + 4] - knots[i + 3]
         for c in range(4):
-            unit[:] = 0.0
             unit[i + c, 0] = 1.0
             bezier_piece(unit, knots, i + 3, piece)
+            unit[i + c, 0] = 0.0
             a, b, d = piece[1, 0] - piece[0, 0], piece[2, 0] - piece[1, 0], piece[3, 0] - piece[2, 0]
             for sample in range(_PER_PIECE + 1):
                 row = i * _PER_PIECE + sample
@@ -172,7 +172,10 @@ def _search(
     push, bend = np.empty((points, dof)), np.empty((points, dof))
     most, square = np.empty(points), np.empty(points)
     saved = np.empty((count, dof))
-    step = np.full((count, dof), 0.05)
+    step = np.empty((count, dof))
+    for c in range(count):
+        for j in range(dof):
+            step[c, j] = 0.05
     _demands(control, 0, pieces - 1, first, second, velocity, acceleration, push, bend, most)
     best = _duration(grid, push, bend, most, square)
     tried = 0
@@ -187,7 +190,7 @@ def _search(
             if move % 2 == 1 and paid:
                 continue
             low, high = max(0, c - 3), min(pieces - 1, c)
-            saved[:] = control
+            copy_into(saved, control)
             control[c, j] = min(upper[j], max(lower[j], control[c, j] + step[c, j]))
             tried += 1
             _demands(control, low, high, first, second, velocity, acceleration, push, bend, most)
@@ -209,13 +212,13 @@ def _search(
                 best = value
                 step[c, j] *= 1.6
             else:
-                control[:] = saved
+                copy_into(control, saved)
                 _demands(control, low, high, first, second, velocity, acceleration, push, bend, most)
                 step[c, j] *= -1.0 if move % 2 == 0 else -0.4
             largest = max(largest, abs(step[c, j]))
         if not pieces_are_clear(control, knots, 0, pieces - 1, chain, base, solids, 0.5 * margin, 0.0):
-            control[:] = proven
+            copy_into(control, proven)
             _demands(control, 0, pieces - 1, first, second, velocity, acceleration, push, bend, most)
             return float(_duration(grid, push, bend, most, square))
-        proven[:] = control
+        copy_into(proven, control)
     return float(best)

@@ -28,13 +28,13 @@ def shorten(path: FloatArray, field: ClearanceField, *, margin: float, rounds: i
     """Shorten a path that is clear.
 
     Args:
-        path: (m, dof) waypoints; every segment clear at `margin`.
+        path: (m, dof) waypoints, shown clear.
         field: Arm and obstacles.
-        margin: Clearance asked for wherever a motion is evaluated [m].
+        margin: Clearance asked of shortcuts wherever they are evaluated [m]; what stays of the path keeps its own.
         rounds: Number of shortcuts tried.
 
     Returns:
-        (k, dof) waypoints from the same start to the same goal, clear at `margin`, never longer.
+        (k, dof) waypoints from the same start to the same goal, shown clear, never longer.
     """
     if len(path) < 3:
         return frozen(np.array(path))
@@ -75,22 +75,65 @@ def _skip_visible(
         kept.append(here)
     result = np.empty((len(kept), path.shape[1]))
     for i in range(len(kept)):
-        result[i] = path[kept[i]]
+        for joint in range(path.shape[1]):
+            result[i, joint] = path[kept[i], joint]
     return result
+
+
+@nb.njit(cache=True)
+def _distance(first: FloatArray, i: int, second: FloatArray, j: int) -> float:
+    """Distance of row i of one array from row j of another."""
+    square = 0.0
+    for joint in range(first.shape[1]):
+        square += (first[i, joint] - second[j, joint]) ** 2
+    return math.sqrt(square)
+
+
+@nb.njit(cache=True)
+def _place(path: FloatArray, station: FloatArray, at: float, result: FloatArray, row: int) -> int:
+    """Write the point at a station of the path into a row; returns the segment it lies in."""
+    i = 0
+    while i < path.shape[0] - 2 and station[i + 1] <= at:
+        i += 1
+    share = (at - station[i]) / (station[i + 1] - station[i])
+    for joint in range(path.shape[1]):
+        result[row, joint] = path[i, joint] + share * (path[i + 1, joint] - path[i, joint])
+    return i
+
+
+@nb.njit(cache=True)
+def _join(path: FloatArray, i: int, bypass: FloatArray, inner: int, j: int) -> FloatArray:
+    """The path up to segment i, the first `inner` + 2 points of the bypass, the path after segment j; no twins."""
+    count, dof = path.shape
+    joined = np.empty((i + 1 + inner + 2 + count - 1 - j, dof))
+    size = 0
+    for part in range(3):
+        source = bypass if part == 1 else path
+        first, last = (0, i + 1) if part == 0 else ((0, inner + 2) if part == 1 else (j + 1, count))
+        for m in range(first, last):
+            if size > 0 and _distance(source, m, joined, size - 1) <= _MERGE:
+                if part < 2 or m < count - 1:
+                    continue
+                size -= 1  # the goal itself stays
+            for joint in range(dof):
+                joined[size, joint] = source[m, joint]
+            size += 1
+    return joined[:size].copy()
 
 
 @nb.njit(cache=True)
 def _shortcut(
     path: FloatArray, chain: FloatArray, base: FloatArray, solids: FloatArray, margin: float, rounds: int
 ) -> FloatArray:
+    """Try shortcuts between pairs of points of a low-discrepancy sequence."""
     dof = path.shape[1]
     for attempt in range(rounds):
         count = path.shape[0]
         if count < 3:
             break
         station = np.zeros(count)
-        for i in range(1, count):
-            station[i] = station[i - 1] + math.sqrt(((path[i] - path[i - 1]) ** 2).sum())
+        for m in range(1, count):
+            station[m] = station[m - 1] + _distance(path, m, path, m - 1)
         whole = station[count - 1]
         # The R2 sequence (generalised golden ratio); the reach of a shortcut shrinks in turn from all to 1/8.
         first = (0.5 + (attempt + 1) * 0.7548776662466927) % 1.0
@@ -98,57 +141,31 @@ def _shortcut(
         low, high = first * whole, min(whole, (first + reach) * whole)
         if high - low < 1e-6 * whole:
             continue
-        i, j = 0, 0
-        while i < count - 2 and station[i + 1] <= low:
-            i += 1
-        while j < count - 2 and station[j + 1] < high:
-            j += 1
+        bypass = np.empty((count + 2, dof))
+        i = _place(path, station, low, bypass, 0)
+        j = _place(path, station, high, bypass, 1)
         if i == j:
             continue
-        a = path[i] + (path[i + 1] - path[i]) * ((low - station[i]) / (station[i + 1] - station[i]))
-        b = path[j] + (path[j + 1] - path[j]) * ((high - station[j]) / (station[j + 1] - station[j]))
         joint = attempt % (dof + 1) - 1  # -1: all joints go straight
-        middle = np.empty((j - i, dof)) if joint >= 0 else np.empty((0, dof))
-        if joint >= 0:
-            for m in range(j - i):
-                middle[m] = path[i + 1 + m]
-                share = (station[i + 1 + m] - low) / (high - low)
-                middle[m, joint] = a[joint] + share * (b[joint] - a[joint])
-        old = high - low
-        new = 0.0
-        before = a
-        for m in range(len(middle)):
-            new += math.sqrt(((middle[m] - before) ** 2).sum())
-            before = middle[m]
-        new += math.sqrt(((b - before) ** 2).sum())
-        if new > old - 1e-9 * whole:
+        inner = j - i if joint >= 0 else 0
+        for k in range(dof):
+            bypass[inner + 1, k] = bypass[1, k]
+        for m in range(inner):
+            # The other joints keep their motion; this one goes straight along the stations.
+            share = (station[i + 1 + m] - low) / (high - low)
+            for k in range(dof):
+                bypass[1 + m, k] = path[i + 1 + m, k]
+            bypass[1 + m, joint] = bypass[0, joint] + share * (bypass[inner + 1, joint] - bypass[0, joint])
+        length = 0.0
+        for m in range(inner + 1):
+            length += _distance(bypass, m + 1, bypass, m)
+        if length > high - low - 1e-9 * whole:
             continue
         clear = True
-        before = a
-        for m in range(len(middle)):
-            if not segment_is_clear(before, middle[m], chain, base, solids, margin):
+        for m in range(inner + 1):
+            if not segment_is_clear(bypass[m], bypass[m + 1], chain, base, solids, margin):
                 clear = False
                 break
-            before = middle[m]
-        if not clear or not segment_is_clear(before, b, chain, base, solids, margin):
-            continue
-        joined = np.empty((i + 1 + 1 + len(middle) + 1 + count - 1 - j, dof))
-        size = 0
-        for m in range(i + 1):
-            joined[size] = path[m]
-            size += 1
-        for point in (a, b):
-            if point is b:
-                for m in range(len(middle)):
-                    joined[size] = middle[m]
-                    size += 1
-            if math.sqrt(((point - joined[size - 1]) ** 2).sum()) > 1e-9:
-                joined[size] = point
-                size += 1
-        for m in range(j + 1, count):
-            if m == count - 1 and math.sqrt(((path[m] - joined[size - 1]) ** 2).sum()) <= 1e-9:
-                size -= 1
-            joined[size] = path[m]
-            size += 1
-        path = joined[:size].copy()
+        if clear:
+            path = _join(path, i, bypass, inner, j)
     return path

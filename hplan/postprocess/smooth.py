@@ -1,8 +1,8 @@
 """Corners rounded: a spline near a clear polyline, shown clear itself.
 
 Around each corner the control points stand at a distance `d` on both sides of it. Where four neighbours are in line
-the spline is straight; at a corner it stays in the hull of the control points within `2 d`. A piece that cannot be
-shown clear has the distance of its corner halved: in the limit the spline is the polyline.
+the spline is straight; at a corner it stays in the hull of the corner's control points and their neighbours. A piece
+that cannot be shown clear has the distance of its corner halved: in the limit the spline is the polyline.
 """
 
 from __future__ import annotations

@@ -103,7 +103,8 @@ def _flood_slices(free: WordArray, reached: WordArray, words: int, beside: IntAr
             waiting[line] = False
             left -= 1
             here, inside = reached[line], free[line]
-            front[:] = here
+            for k in range(length):
+                front[k] = here[k]
             for offset in beside:
                 near = reached[line + offset]
                 for k in range(length - 2 * words):

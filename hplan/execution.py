@@ -1,0 +1,481 @@
+r"""A motion, executed: tracked by a simulated arm with torque motors among the scene's obstacles (MuJoCo).
+
+The certificate proves a curve; this looks at what a machine makes of it, whoever planned it. MuJoCo reads the same
+URDF, with the obstacles as solid bodies; it shares no code with planner, certificate or coal. A thousand times a
+second the controller takes the reference between the rows as the cubic that has the rows' positions and velocities
+(cubic Hermite) and commands
+
+.. math::
+    \tau = \mathrm{rnea}(q_d, \dot q_d, \ddot q_d) + K_p (q_d - q) + K_d (\dot q_d - \dot q)
+
+with gains for `BANDWIDTH` and critical damping on each joint's largest inertia along the motion. The motors give no
+more than their limits. Contacts between the arm and an obstacle push back, and are reported; the arm does not touch
+itself or the ground here. After the last row the controller holds it for `HOLD` seconds, so that a motion that does
+not end at rest shows it.
+
+The simulated arm has the URDF's masses and the controller knows them, so what is seen is the motion's own doing, not
+that of a wrong model, friction or flexing.
+
+MuJoCo comes with the extra `execution`: `pip install 'hplan[execution]'`.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+from typing import Any, Protocol
+
+import numpy as np
+import pinocchio as pin
+
+from hplan.arrays import FloatArray, readonly
+from hplan.collision import CollisionScene, Contact
+from hplan.errors import InputError, RobotFileError
+from hplan.robot import Robot
+from hplan.scene import Capsule, Scene, Sphere
+
+#: Period of the controller [s].
+CONTROL_PERIOD = 1e-3
+
+#: Steps of the simulation for each of the controller's.
+SUBSTEPS = 4
+
+#: How long the last row is held [s].
+HOLD = 0.25
+
+#: Natural frequency of the position loop [rad/s].
+BANDWIDTH = 40.0
+
+#: Error of each joint up to which a configuration counts as reached [rad].
+GOAL_TOLERANCE = math.radians(0.5)
+
+#: Rows at which inertias are looked at for the gains.
+_INERTIA_SAMPLES = 50
+
+_POSITION, _VELOCITY = "_pos_rad", "_vel_rad_s"
+
+
+class Movement(Protocol):
+    """What is needed of a motion; a `Trajectory` has it, and so has a `Motion`."""
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the joints."""
+
+    @property
+    def time(self) -> FloatArray:
+        """(n,) strictly increasing [s]."""
+
+    @property
+    def position(self) -> FloatArray:
+        """(n, joints)."""
+
+    @property
+    def velocity(self) -> FloatArray:
+        """(n, joints) [rad/s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """Positions and velocities over time, from wherever they come.
+
+    Attributes:
+        joint_names: Names of the joints.
+        time: (n,) strictly increasing [s].
+        position: (n, joints).
+        velocity: (n, joints) [rad/s].
+    """
+
+    joint_names: tuple[str, ...]
+    time: FloatArray
+    position: FloatArray
+    velocity: FloatArray
+
+    @classmethod
+    def from_positions(cls, joint_names: Sequence[str], time: FloatArray, position: FloatArray) -> Motion:
+        """The motion through positions, from rest to rest.
+
+        A row's velocity is that of the parabola through it and its neighbours; the first and last rows are at rest.
+
+        Args:
+            joint_names: Names of the joints.
+            time: (n,) strictly increasing [s].
+            position: (n, joints).
+        """
+        velocity = np.zeros_like(position)
+        if len(time) > 2:
+            before, after = np.diff(time)[:-1, None], np.diff(time)[1:, None]
+            slopes = np.diff(position, axis=0) / np.diff(time)[:, None]
+            velocity[1:-1] = (after * slopes[:-1] + before * slopes[1:]) / (before + after)
+        return cls(tuple(joint_names), readonly(time), readonly(position), readonly(velocity))
+
+
+@dataclass(frozen=True)
+class Touch:
+    """A link and an obstacle that touched.
+
+    Attributes:
+        time_s: When they first did [s].
+        link: The link, by its name in the URDF.
+        obstacle: The obstacle.
+        depth_m: Largest depth to which one was pushed into the other [m].
+    """
+
+    time_s: float
+    link: str
+    obstacle: str
+    depth_m: float
+
+
+@dataclass(frozen=True, eq=False)
+class Execution:
+    """What became of a motion. Joints are in the robot's order.
+
+    Attributes:
+        joint_names: Names of the `dof` joints.
+        duration_s: Time of the last row, counted from the first [s].
+        contacts: Pairs that touched, in the order of their first touch.
+        start_error_rad: Largest difference of a joint between the first row and the scene's start; NaN where the
+            scene gives no joints.
+        max_tracking_error_rad: (dof,) largest deviation from the reference, the hold included.
+        final_error_rad: (dof,) largest deviation from the goal between the last row and the end of the hold. The goal
+            is the scene's where it gives joints, else the last row.
+        ended_at_goal: Whether that is at most `GOAL_TOLERANCE` for every joint.
+        needed_torque_nm: (dof,) largest torque that the motion itself needs, by inverse dynamics [N m].
+        peak_torque_nm: (dof,) largest torque that the controller asked for [N m]; far more where the arm was held up.
+        torque_limit_nm: (dof,) the most that the motors give [N m].
+        saturated_s: Time during which some motor was asked for more than that [s].
+        nearest: Link and obstacle at the smallest distance at any of `time`, by coal with capsule links; None without
+            obstacles.
+        time: (k,) instants of the controller [s].
+        position: (k, dof) where the joints were.
+    """
+
+    joint_names: tuple[str, ...]
+    duration_s: float
+    contacts: tuple[Touch, ...]
+    start_error_rad: float
+    max_tracking_error_rad: tuple[float, ...]
+    final_error_rad: tuple[float, ...]
+    ended_at_goal: bool
+    needed_torque_nm: tuple[float, ...]
+    peak_torque_nm: tuple[float, ...]
+    torque_limit_nm: tuple[float, ...]
+    saturated_s: float
+    nearest: Contact | None
+    time: FloatArray
+    position: FloatArray
+
+    @property
+    def ok(self) -> bool:
+        """Whether nothing was touched and the arm ended at the goal."""
+        return not self.contacts and self.ended_at_goal
+
+    @property
+    def torque_exceeded(self) -> tuple[str, ...]:
+        """Joints of which more torque was asked than their motors give."""
+        both = zip(self.joint_names, self.peak_torque_nm, self.torque_limit_nm, strict=True)
+        return tuple(name for name, peak, limit in both if peak > limit)
+
+
+def execute(robot: Robot, scene: Scene, motion: Movement) -> Execution:
+    """Let a simulated arm run a motion among the obstacles of a scene.
+
+    The arm starts in the motion's first row, at that row's velocity. What the planar joints do not move is executed
+    too: a turret that strikes an obstacle is a contact.
+
+    Args:
+        robot: The arm; MuJoCo reads its URDF.
+        scene: Obstacles, start and goal.
+        motion: The motion; its joints are the robot's, in any order.
+
+    Raises:
+        InputError: MuJoCo is not installed; the motion has other joints than the robot, time that does not increase
+            or values that are not finite; the scene's start or goal is not one of this robot.
+        RobotFileError: MuJoCo refuses the URDF.
+    """
+    mujoco = _mujoco()
+    reference = _Reference.of(robot, motion)
+    start, goal = (_joints(robot, scene, which) for which in ("start", "goal"))
+    goal = reference.position[-1] if goal is None else goal
+    model, obstacle_of = _model(mujoco, robot, scene)
+    return _Simulation(mujoco, robot, model, obstacle_of, reference).run(scene, start, goal)
+
+
+def read_motion(path: Path | str) -> Motion:
+    """Read a CSV of a motion, whoever wrote it.
+
+    One header line; needed are `time_s` and a column `NAME_pos_rad` for each joint, in any order. Velocities are
+    taken from columns `NAME_vel_rad_s` where every joint has one, else the motion is that through the positions from
+    rest to rest (see `Motion.from_positions`). Other columns are ignored, so hplan's own files can be read.
+
+    Raises:
+        InputError: Missing file, missing or repeated columns, a cell that is no finite number, time that does not
+            increase strictly; names the line.
+    """
+    path = Path(path)
+
+    def fault(line: int, reason: str) -> InputError:
+        return InputError(f"motion file {path}, line {line}: {reason}", path=str(path), line=line, reason=reason)
+
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as stream:
+            reader = csv.reader(stream, strict=True)
+            rows = [(reader.line_num, row) for row in reader]
+    except OSError as error:
+        raise InputError(f"motion file {path}: {error.strerror}", path=str(path)) from error
+    except UnicodeDecodeError as error:
+        raise InputError(f"motion file {path}: it is not UTF-8 text", path=str(path)) from error
+    except csv.Error as error:
+        raise fault(reader.line_num, str(error)) from error
+    header = [name.strip() for name in rows[0][1]] if rows else []
+    joints = tuple(name.removesuffix(_POSITION) for name in header if name.endswith(_POSITION))
+    if "time_s" not in header or not joints:
+        raise fault(1, f"expected a header with the columns time_s and, for each joint, NAME{_POSITION}")
+    twice = sorted({name for name in header if header.count(name) > 1})
+    if twice:
+        raise fault(1, f"column {twice[0]!r} is there twice")
+    if len(rows) == 1:
+        raise fault(1, "no rows follow the header")
+    wanted = ["time_s", *(joint + _POSITION for joint in joints)]
+    velocities = [joint + _VELOCITY for joint in joints]
+    if set(velocities) <= set(header):
+        wanted += velocities
+    places = [header.index(name) for name in wanted]
+    table = np.empty((len(rows) - 1, len(wanted)))
+    for number, (line, row) in enumerate(rows[1:]):
+        if len(row) != len(header):
+            raise fault(line, f"{len(row)} values, expected {len(header)}")
+        for column, place in enumerate(places):
+            try:
+                value = float(row[place])
+            except ValueError:
+                value = math.nan
+            if not math.isfinite(value):
+                raise fault(line, f"{header[place]} is {row[place]!r}, expected a finite number")
+            table[number, column] = value
+        if number > 0 and not table[number, 0] > table[number - 1, 0]:
+            raise fault(line, f"time_s is {row[places[0]]}, no later than in the row before")
+    time, position = table[:, 0], table[:, 1 : len(joints) + 1]
+    if len(wanted) == len(joints) + 1:
+        return Motion.from_positions(joints, time, position)
+    return Motion(joints, readonly(time), readonly(position), readonly(table[:, len(joints) + 1 :]))
+
+
+@dataclass(frozen=True, eq=False)
+class _Reference:
+    """A motion in the robot's order of joints, with time from 0."""
+
+    time: FloatArray
+    position: FloatArray
+    velocity: FloatArray
+
+    @classmethod
+    def of(cls, robot: Robot, motion: Movement) -> _Reference:
+        names = tuple(motion.joint_names)
+        if sorted(names) != sorted(robot.joint_names):
+            missing = [name for name in robot.joint_names if name not in names]
+            unknown = [name for name in names if name not in robot.joint_names]
+            reason = f"missing {', '.join(missing) or 'none'}; unknown {', '.join(unknown) or 'none'}"
+            raise InputError(f"the motion does not move the joints of {robot.name!r}: {reason}", joints=list(names))
+        order = [names.index(name) for name in robot.joint_names]
+        time = np.asarray(motion.time, dtype=np.float64)
+        position, velocity = (np.asarray(values, dtype=np.float64) for values in (motion.position, motion.velocity))
+        shape = (len(time), len(names))
+        if time.ndim != 1 or len(time) == 0 or position.shape != shape or velocity.shape != shape:
+            shapes = f"{time.shape}, {position.shape} and {velocity.shape}"
+            raise InputError(f"motion: time, position and velocity have the shapes {shapes}, which do not match")
+        if not all(np.isfinite(values).all() for values in (time, position, velocity)):
+            raise InputError("motion: it holds a value that is not finite")
+        if not (np.diff(time) > 0.0).all():
+            raise InputError(f"motion: time does not increase at row {int(np.argmin(np.diff(time) > 0.0)) + 1}")
+        return cls(time - time[0], position[:, order], velocity[:, order])
+
+    def at(self, clock: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Position, velocity and acceleration at instants, (k,) -> three of (k, dof); after the end, at rest there."""
+        if len(self.time) == 1:
+            q = np.repeat(self.position, len(clock), axis=0)
+            return q, np.zeros_like(q), np.zeros_like(q)
+        piece = np.clip(np.searchsorted(self.time, clock, side="right") - 1, 0, len(self.time) - 2)
+        h = (self.time[piece + 1] - self.time[piece])[:, None]
+        t = np.minimum((clock - self.time[piece])[:, None] / h, 1.0)
+        p0, p1 = self.position[piece], self.position[piece + 1]
+        m0, m1 = h * self.velocity[piece], h * self.velocity[piece + 1]
+        c2, c3 = 3.0 * (p1 - p0) - 2.0 * m0 - m1, 2.0 * (p0 - p1) + m0 + m1
+        q = p0 + t * (m0 + t * (c2 + t * c3))
+        v = (m0 + t * (2.0 * c2 + 3.0 * t * c3)) / h
+        a = (2.0 * c2 + 6.0 * t * c3) / h**2
+        over = (clock > self.time[-1])[:, None]
+        return np.where(over, self.position[-1], q), np.where(over, 0.0, v), np.where(over, 0.0, a)
+
+
+class _Simulation:
+    """One arm in one world, about to run one motion."""
+
+    def __init__(
+        self, mujoco: ModuleType, robot: Robot, model: Any, obstacle_of: dict[int, str], reference: _Reference
+    ) -> None:
+        self.mujoco, self.robot, self.model, self.obstacle_of = mujoco, robot, model, obstacle_of
+        self.reference = reference
+        self.data = mujoco.MjData(model)
+        joints = [model.joint(name) for name in robot.joint_names]
+        self.q_at = np.array([int(joint.qposadr[0]) for joint in joints])
+        self.v_at = np.array([int(joint.dofadr[0]) for joint in joints])
+        self.motors = np.array([model.actuator(name).id for name in robot.joint_names])
+        self.touched: dict[tuple[str, str], tuple[float, float]] = {}
+
+    def run(self, scene: Scene, start: FloatArray | None, goal: FloatArray) -> Execution:
+        """Track the reference and hold its end."""
+        duration = float(self.reference.time[-1])
+        ticks = math.ceil(duration / CONTROL_PERIOD - 1e-9) + math.ceil(HOLD / CONTROL_PERIOD)
+        clock: FloatArray = CONTROL_PERIOD * np.arange(ticks + 1, dtype=np.float64)
+        q_ref, v_ref, a_ref = self.reference.at(clock)
+        pin_data = self.robot.model.createData()
+        feed = np.array([pin.rnea(self.robot.model, pin_data, *row) for row in zip(q_ref, v_ref, a_ref, strict=True)])
+        stiffness, damping = self._gains(q_ref)
+        limit = self.robot.torque_limit
+        self.data.qpos[self.q_at] = q_ref[0]
+        self.data.qvel[self.v_at] = v_ref[0]
+        self.mujoco.mj_forward(self.model, self.data)
+        self._note_contacts()
+        position = np.full_like(q_ref, np.nan)
+        torque = np.zeros_like(q_ref)
+        for k in range(len(clock)):
+            q, v = self.data.qpos[self.q_at], self.data.qvel[self.v_at]
+            if not (np.isfinite(q).all() and np.isfinite(v).all()):
+                break
+            position[k] = q
+            if k == ticks:
+                break
+            torque[k] = feed[k] + stiffness * (q_ref[k] - q) + damping * (v_ref[k] - v)
+            self.data.ctrl[self.motors] = np.clip(torque[k], -limit, limit)
+            for _ in range(SUBSTEPS):
+                self.mujoco.mj_step(self.model, self.data)
+                self._note_contacts()
+        # A simulation that ran away counts as infinitely far off.
+        error = np.nan_to_num(np.abs(position - q_ref), nan=np.inf).max(axis=0)
+        resting = clock >= duration - 1e-9
+        final = np.nan_to_num(np.abs(position[resting] - goal), nan=np.inf).max(axis=0)
+        contacts = [Touch(time, *pair, depth) for pair, (time, depth) in self.touched.items()]
+        return Execution(
+            joint_names=self.robot.joint_names,
+            duration_s=duration,
+            contacts=tuple(contacts),
+            start_error_rad=math.nan if start is None else float(np.abs(q_ref[0] - start).max()),
+            max_tracking_error_rad=tuple(error.tolist()),
+            final_error_rad=tuple(final.tolist()),
+            ended_at_goal=bool((final <= GOAL_TOLERANCE).all()),
+            needed_torque_nm=tuple(np.abs(feed).max(axis=0).tolist()),
+            peak_torque_nm=tuple(np.abs(torque).max(axis=0).tolist()),
+            torque_limit_nm=tuple(limit.tolist()),
+            saturated_s=float((np.abs(torque) > limit).any(axis=1).sum() * CONTROL_PERIOD),
+            nearest=_nearest(self.robot, scene, position),
+            time=readonly(clock),
+            position=readonly(position),
+        )
+
+    def _gains(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Stiffness [N m/rad] and damping [N m s/rad] of each joint."""
+        rows = np.unique(np.linspace(0, len(q) - 1, _INERTIA_SAMPLES).astype(np.int64))
+        data = self.robot.model.createData()
+        inertia = np.max([np.diag(pin.crba(self.robot.model, data, q[row])) for row in rows], axis=0)
+        return BANDWIDTH**2 * inertia, 2.0 * BANDWIDTH * inertia
+
+    def _note_contacts(self) -> None:
+        """Keep the first time and the largest depth of each pair that touches now."""
+        for number in range(self.data.ncon):
+            contact = self.data.contact[number]
+            geoms = [int(geom) for geom in contact.geom]
+            obstacle = next(self.obstacle_of[geom] for geom in geoms if geom in self.obstacle_of)
+            other = next(geom for geom in geoms if geom not in self.obstacle_of)
+            link = self.model.body(self.model.geom_bodyid[other]).name
+            depth = max(0.0, -float(contact.dist))
+            time, deepest = self.touched.get((link, obstacle), (float(self.data.time), 0.0))
+            self.touched[link, obstacle] = (time, max(deepest, depth))
+
+
+def _mujoco() -> ModuleType:
+    try:
+        import mujoco
+    except ImportError as error:
+        raise InputError(
+            "executing a motion needs MuJoCo, which is not installed: pip install 'hplan[execution]'", extra="execution"
+        ) from error
+    module: ModuleType = mujoco
+    return module
+
+
+def _model(mujoco: ModuleType, robot: Robot, scene: Scene) -> tuple[Any, dict[int, str]]:
+    """The arm with motors among the obstacles, and the obstacle's name for each geometry that is one."""
+    try:
+        spec = mujoco.MjSpec.from_file(str(robot.urdf_path))
+    except ValueError as error:
+        raise RobotFileError(robot.urdf_path, f"MuJoCo refuses it: {error}") from error
+    for mesh in spec.meshes:
+        mesh.file = _mesh_file(mesh.file, robot.urdf_path.parent)
+    spec.option.timestep = CONTROL_PERIOD / SUBSTEPS
+    spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+    for geom in spec.geoms:
+        # Two geometries meet where a bit is in the type of one and the affinity of the other: arm and obstacle only.
+        geom.contype, geom.conaffinity = int(bool(geom.contype or geom.conaffinity)), 0
+    for name, limit in zip(robot.joint_names, robot.torque_limit.tolist(), strict=True):
+        motor = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)  # a motor, of gain 1
+        motor.ctrllimited, motor.ctrlrange = True, [-limit, limit]
+    names = {}
+    for obstacle in scene.solids:
+        label = f"obstacle:{obstacle.name}"
+        names[label] = obstacle.name
+        spec.worldbody.add_geom(name=label, contype=0, conaffinity=1, **_shape(mujoco, obstacle))
+    try:
+        model = spec.compile()
+    except ValueError as error:
+        raise RobotFileError(robot.urdf_path, f"MuJoCo refuses it: {error}") from error
+    return model, {model.geom(label).id: name for label, name in names.items()}
+
+
+def _mesh_file(name: str, folder: Path) -> str:
+    """A mesh of the URDF where Pinocchio finds it; MuJoCo knows no URLs, and has left one slash of theirs."""
+    scheme, colon, rest = name.partition(":")
+    if colon and scheme == "package":
+        return str((folder / rest.lstrip("/")).resolve())
+    if colon and scheme == "file":
+        return "/" + rest.lstrip("/")
+    return str((folder / name).resolve())
+
+
+def _shape(mujoco: ModuleType, obstacle: Any) -> dict[str, Any]:
+    """An obstacle in MuJoCo's words."""
+    kinds = mujoco.mjtGeom
+    if isinstance(obstacle, Sphere):
+        return {"type": kinds.mjGEOM_SPHERE, "pos": obstacle.center, "size": [obstacle.radius, 0.0, 0.0]}
+    if isinstance(obstacle, Capsule):
+        start, end = np.array(obstacle.start), np.array(obstacle.end)
+        length, middle = float(np.linalg.norm(end - start)), 0.5 * (start + end)
+        if length < 1e-9:
+            return {"type": kinds.mjGEOM_SPHERE, "pos": middle, "size": [obstacle.radius, 0.0, 0.0]}
+        turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), (end - start) / length)
+        size = [obstacle.radius, 0.5 * length, 0.0]
+        return {"type": kinds.mjGEOM_CAPSULE, "pos": middle, "quat": [turn.w, turn.x, turn.y, turn.z], "size": size}
+    turn = pin.Quaternion(obstacle.rotation)
+    return {
+        "type": kinds.mjGEOM_BOX,
+        "pos": obstacle.center,
+        "quat": [turn.w, turn.x, turn.y, turn.z],
+        "size": [0.5 * side for side in obstacle.size],
+    }
+
+
+def _joints(robot: Robot, scene: Scene, which: str) -> FloatArray | None:
+    joints = (scene.start if which == "start" else scene.goal).joints()
+    return None if joints is None else robot.check_configuration(joints, which)
+
+
+def _nearest(robot: Robot, scene: Scene, position: FloatArray) -> Contact | None:
+    """The smallest distance at any of the configurations that are finite."""
+    judge = CollisionScene(robot, scene.solids)
+    found = [contact for q in position if np.isfinite(q).all() and (contact := judge.nearest(q)) is not None]
+    return min(found, key=lambda contact: contact.distance_m, default=None)

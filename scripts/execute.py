@@ -1,0 +1,141 @@
+"""Let a simulated arm run a trajectory among the obstacles of a scene, and say what it touched and where it ended."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import textwrap
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from hplan.errors import HplanError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from hplan.execution import Execution
+    from hplan.scene import Scene
+
+#: Exit statuses.
+FAILED, INTERRUPTED = 5, 130
+
+_DESCRIPTION = """\
+Run a trajectory in MuJoCo: the robot's own URDF with torque motors, the scene's obstacles as solid bodies, and a
+1 kHz controller (inverse dynamics ahead, PD on what is left). Judges trajectories of any planner.
+"""
+
+_EPILOG = """\
+the CSV: one header line, time_s and NAME_pos_rad for each joint of the robot, in
+  any order; NAME_vel_rad_s is used where every joint has it. Between rows runs
+  the cubic through positions and velocities. Without velocities, those of
+  parabolas through three rows are taken, at rest at both ends. Other columns
+  are ignored.
+
+needs the extra `execution`: pip install 'hplan[execution]'
+
+exit status:
+  0  nothing was touched, and the arm ended at the goal (0.5 deg) and stayed
+  2  bad input
+  5  something was touched, or the arm did not end at the goal
+"""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line; returns the exit status."""
+    arguments = _parser().parse_args(argv)
+    from rich.console import Console
+
+    console, errors = Console(highlight=False), Console(stderr=True, highlight=False)
+    try:
+        from hplan.execution import execute, read_motion
+        from hplan.robot import load_robot
+        from hplan.scene_file import load_scene
+
+        motion = read_motion(arguments.trajectory)
+        robot = load_robot(arguments.robot, limits=arguments.limits)
+        scene = load_scene(arguments.scene)
+        result = execute(robot, scene, motion)
+    except HplanError as error:
+        errors.print("[bold red]error[/]", f"({error.kind}):", end=" ")
+        errors.print(error.message, markup=False, soft_wrap=True)
+        return error.exit_status
+    except KeyboardInterrupt:
+        errors.print("interrupted")
+        return INTERRUPTED
+    _show(console, arguments.trajectory, scene, result)
+    return 0 if result.ok else FAILED
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        description=textwrap.fill(_DESCRIPTION, 79),
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add = parser.add_argument
+    add("trajectory", type=Path, metavar="TRAJECTORY.csv", help="the motion")
+    add("scene", nargs="?", type=Path, help="scene file (default: the paper's reference scene, Table 1)")
+    add("--robot", type=Path, metavar="URDF", help="robot (default: the harvester that ships with hplan)")
+    add("--limits", type=Path, metavar="YAML", help="acceleration limits (default: NAME.limits.yaml beside the URDF)")
+    return parser
+
+
+def _show(console: Console, path: Path, scene: Scene, result: Execution) -> None:
+    """What happened, joint by joint, and the verdict."""
+    import math
+
+    from rich import box
+    from rich.markup import escape
+    from rich.table import Table
+
+    console.print(f"\n[bold]{escape(str(path))}[/] in [bold]{escape(scene.name)}[/]\n", soft_wrap=True)
+    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), show_edge=False)
+    table.add_column("joint")
+    for heading in ("off the path", "off the goal", "torque needed", "asked", "limit"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for joint, name in enumerate(result.joint_names):
+        peak, limit = result.peak_torque_nm[joint], result.torque_limit_nm[joint]
+        table.add_row(
+            escape(name),
+            f"{math.degrees(result.max_tracking_error_rad[joint]):.4f} deg",
+            f"{math.degrees(result.final_error_rad[joint]):.4f} deg",
+            f"{result.needed_torque_nm[joint]:.1f} N m",
+            f"[bold red]{peak:.1f}[/]" if peak > limit else f"{peak:.1f}",
+            f"{limit:.1f}",
+        )
+    console.print(table)
+    console.print()
+    facts = Table.grid(padding=(0, 2, 0, 0))
+    facts.add_column(style="dim", no_wrap=True)
+    facts.add_column()
+    held = result.time[-1] - result.duration_s
+    facts.add_row("motion", f"{result.duration_s:.3f} s, then held for {held:.2f} s")
+    if result.nearest is not None:
+        nearest = result.nearest
+        gap = f"{1e3 * nearest.distance_m:.2f} mm between {escape(nearest.link)} and {escape(nearest.obstacle)}"
+        facts.add_row("nearest", gap)
+    if result.saturated_s > 0.0:
+        joints = ", ".join(escape(name) for name in result.torque_exceeded)
+        facts.add_row(
+            "torque", f"asked for [bold red]more than the motors give[/] for {result.saturated_s:.3f} s: {joints}"
+        )
+    if result.start_error_rad > 1e-6:
+        facts.add_row(
+            "start", f"[yellow]the first row is {math.degrees(result.start_error_rad):.4g} deg off the scene's start[/]"
+        )
+    for touch in result.contacts:
+        pair = f"{escape(touch.link)} touched {escape(touch.obstacle)}"
+        depth = f"up to {1e3 * touch.depth_m:.2f} mm deep"
+        facts.add_row("contact", f"[bold red]{pair}[/] at {touch.time_s:.3f} s, {depth}")
+    console.print(facts)
+    console.print()
+    obstacles = list(dict.fromkeys(touch.obstacle for touch in result.contacts))
+    more = f" and {len(obstacles) - 3} more" if len(obstacles) > 3 else ""
+    touched = f"touched {escape(', '.join(obstacles[:3]))}{more}" if obstacles else "touched nothing"
+    ended = "ended at the goal" if result.ended_at_goal else "did not end at the goal"
+    console.print(f"[bold {'green' if result.ok else 'red'}]{touched}, {ended}[/]\n")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

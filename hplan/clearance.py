@@ -297,12 +297,7 @@ def segment_is_clear(
         turns[i] = end[i] - start[i]
     motion_bounds(turns, chain, base, bounds)
     # The middle first: where a motion fails it often fails there.
-    for i in range(dof):
-        q[i] = start[i] + 0.5 * turns[i]
-    _link_clearances(q, chain, base, solids, clear)
-    if smallest(clear) < margin:
-        return False
-    t = 0.0
+    t, at_middle = 0.5, True
     while True:
         for i in range(dof):
             q[i] = start[i] + t * turns[i]
@@ -315,4 +310,5 @@ def segment_is_clear(
                 advance = clear[k] / bounds[k]
         if t >= 1.0:
             return True
-        t = min(1.0, t + advance)
+        t = 0.0 if at_middle else min(1.0, t + advance)
+        at_middle = False

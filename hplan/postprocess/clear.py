@@ -99,34 +99,32 @@ def push_out(
             if piece_is_clear(piece, chain, base, solids, margin, STRIDE):
                 continue
             contact = True
-            least, at = math.inf, 0.0
-            for sample in range(17):
-                t = sample / 16.0
+            # First samples of the piece for its worst point, then central differences there for the gradient.
+            least, at, square, ahead = math.inf, 0.0, 0.0, 0.0
+            for probe in range(17 + 2 * len(movable)):
+                t = probe / 16.0
                 u = 1.0 - t
-                for j in range(dof):
-                    q[j] = (
-                        u * u * u * piece[0, j] + 3.0 * u * u * t * piece[1, j] + 3.0 * u * t * t * piece[2, j]
-                        + t * t * t * piece[3, j]
-                    )  # fmt: skip
+                w0, w1, w2, w3 = u * u * u, 3.0 * u * u * t, 3.0 * u * t * t, t * t * t
+                j = movable[(probe - 17) // 2] if probe >= 17 else -1
+                for k in range(dof):
+                    if probe < 17:
+                        q[k] = w0 * piece[0, k] + w1 * piece[1, k] + w2 * piece[2, k] + w3 * piece[3, k]
+                    else:
+                        q[k] = worst[k]
+                if j >= 0:
+                    q[j] += 1e-4 if probe % 2 == 1 else -1e-4
                 _link_clearances(q, chain, base, solids, clear)
                 here = smallest(clear)
-                if here < least:
+                if j >= 0:
+                    if probe % 2 == 1:
+                        ahead = here
+                    else:
+                        gradient[j] = (ahead - here) / 2e-4
+                        square += gradient[j] * gradient[j]
+                elif here < least:
                     least, at = here, t
-                    for j in range(dof):
-                        worst[j] = q[j]
-            square = 0.0
-            for j in range(dof):
-                gradient[j] = 0.0
-            for j in movable:
-                for other in range(dof):
-                    q[other] = worst[other]
-                q[j] = worst[j] + 1e-4
-                _link_clearances(q, chain, base, solids, clear)
-                ahead = smallest(clear)
-                q[j] = worst[j] - 1e-4
-                _link_clearances(q, chain, base, solids, clear)
-                gradient[j] = (ahead - smallest(clear)) / 2e-4
-                square += gradient[j] * gradient[j]
+                    for k in range(dof):
+                        worst[k] = q[k]
             if square < 1e-8:
                 return False
             # Share the step among the four control points about as they weigh on the curve there.

@@ -1,0 +1,394 @@
+"""The numbers as tables, for the terminal and for Markdown; ratios first."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from rich import box
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table as RichTable
+
+from hplan.benchmark.growth import QUANTITIES
+
+NOT_INSTALLED = "not installed"
+
+#: What stands where there is no number.
+NONE = "-"
+
+#: Ways to make a motion of a planner's path, as in `hplan.benchmark.paths`.
+_WAYS = {"spline": "spline", "rounded": "rounding", "processed": "hplan's post"}
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table of text.
+
+    Attributes:
+        title: What it shows.
+        columns: Headings; the first column holds names, the others numbers.
+        rows: Cells.
+        note: What one must know to read it.
+    """
+
+    title: str
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    note: str = ""
+
+
+def tables(results: dict[str, Any]) -> list[Table]:
+    """All tables of a run."""
+    found: list[Table] = []
+    for name, make in (("reference", _reference), ("clutter", _clutter), ("recheck", _recheck), ("growth", _growth)):
+        if name in results:
+            found.extend(make(results[name]))
+    return found
+
+
+def to_markdown(results: dict[str, Any]) -> str:
+    """The whole run as Markdown."""
+    lines = [f"{preamble(results)}\n"]
+    for table in tables(results):
+        lines.append(f"**{table.title}**\n")
+        lines.append(_row(table.columns))
+        lines.append("|---|" + "---:|" * (len(table.columns) - 1))
+        lines.extend(_row(row) for row in table.rows)
+        lines.append(f"\n{table.note}\n" if table.note else "")
+    return "\n".join(lines).rstrip() + "\n"
+
+
+def show(console: Console, results: dict[str, Any]) -> None:
+    """The whole run on a terminal."""
+    console.print(f"\n{preamble(results)}", markup=False)
+    for table in tables(results):
+        drawn = RichTable(box=box.SIMPLE_HEAD, padding=(0, 1))
+        for number, column in enumerate(table.columns):
+            drawn.add_column(escape(column), justify="right" if number else "left", no_wrap=number == 0)
+        for row in table.rows:
+            drawn.add_row(*(escape(cell) for cell in row))
+        console.print(f"\n[bold]{escape(table.title)}[/]")
+        console.print(drawn)
+        if table.note:
+            console.print(table.note, markup=False, style="dim")
+    console.print()
+
+
+def preamble(results: dict[str, Any]) -> str:
+    """What was run, and on what."""
+    where, how = results["environment"], results["settings"]
+    packages = ", ".join(f"{name} {version}" for name, version in where["versions"].items())
+    quick = " Quick run: few repetitions." if how["quick"] else ""
+    return (
+        f"{where['processor']}, {where['cores']} cores, {where['system']}, Python {where['python']}; {packages}. "
+        f"Seed {how['seed']}. Times are medians of CPU time on one thread, after a first call that does not count; "
+        f"`x` is how many times hplan's it is.{quick}"
+    )
+
+
+def _row(cells: Iterable[str]) -> str:
+    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
+
+
+def number(value: float | None, digits: int = 3) -> str:
+    """A number with so many significant digits; a dash for none."""
+    if value is None or not math.isfinite(value):
+        return NONE
+    if value != 0.0 and abs(value) >= 10.0 ** (digits - 1):
+        return f"{value:,.0f}"
+    return f"{value:.{digits}g}"
+
+
+def _times(value: float) -> str:
+    return f"{number(value)} x" if math.isfinite(value) else NONE
+
+
+# The reference scene
+
+
+def _reference(r: dict[str, Any]) -> list[Table]:
+    return [_stages(r), _parts(r), _motions(r), *_planners(r)]
+
+
+def _stages(r: dict[str, Any]) -> Table:
+    stages = r["stages_ms"]
+    names = [name for name in stages if not name.startswith("total")]
+    rest = stages["total"] - sum(stages[name] for name in names)
+    rows = [(name, number(stages[name]), _percent(stages[name], stages["total"])) for name in names if stages[name]]
+    rows.append(("scene set up, checks, report", number(rest), _percent(rest, stages["total"])))
+    rows.append(("scene to certified trajectory", number(stages["total"]), "100 %"))
+    note = f"Wall-clock time of the whole: {number(stages['total_wall'])} ms. Warm, median of {r['repetitions']}."
+    return Table("Reference scene: time by stage", ("stage", "ms", "share"), tuple(rows), note)
+
+
+def _percent(part: float, whole: float) -> str:
+    return f"{100.0 * part / whole:.0f} %"
+
+
+def _parts(r: dict[str, Any]) -> Table:
+    s, c = r["searches"], r["cspace"]
+    fast, space = s["two_level"], c["analytic_ms"]
+
+    def search(name: str, key: str) -> tuple[str, ...]:
+        ms = s[key]["ms"]
+        return name, _times(ms / fast["ms"]), number(fast["ms"]), number(ms), f"{s[key]['expansions']:,} expansions"
+
+    rows = (
+        search("dense A*", "dense"),
+        search("dense A*, octile bound", "dense_octile"),
+        search("the paper's two-level method", "two_level_paper"),
+        (
+            "C-space: coal at each node",
+            _times(c["ratio_coal"]),
+            number(space),
+            number(c["coal_ms"]),
+            f"{c['differing_nodes']} nodes differ",
+        ),
+        (
+            f"C-space: {c['many_discs']} discs",
+            NONE,
+            number(c["many_ms"]),
+            NONE,
+            f"{number(c['many_grid_ms'])} ms of it for the grid",
+        ),
+    )
+    note = (
+        f"The C-space has {c['nodes']:,} nodes. Both stages of the two-level search: "
+        f"{fast['expansions']:,} expansions and {fast['flooded']:,} flooded "
+        f"cells, cost {fast['cost_deg']:.6f} deg with {fast['points']} points (dense: {s['dense']['cost_deg']:.6f} "
+        f"with {s['dense']['points']})."
+    )
+    return Table("Reference scene: search and C-space", ("peer", "ratio", "hplan [ms]", "peer [ms]", ""), rows, note)
+
+
+_MOTIONS = {
+    "hplan": "hplan",
+    "hplan_length": "hplan, objective length",
+    "hplan_no_jerk": "hplan, jerk not limited",
+    "grid_spline": "(a) grid path, toppra",
+    "grid_defaults": "grid path, toppra's defaults",
+    "taut_stops": "(b) shortened, stops at corners",
+    "taut_spline": "shortened, toppra",
+    "taut_defaults": "shortened, toppra's defaults",
+}
+
+
+def _motions(r: dict[str, Any]) -> Table:
+    rows = []
+    for key, name in _MOTIONS.items():
+        m = r["motions"]["rows"][key]
+        rows.append((name, _times(m["ratio"]), f"{m['duration_s']:.3f}", f"{m['length_deg']:.2f}", _verdict(m)))
+    m = r["motions"]
+    corners = m["rows"]["taut_stops"]["corners"]
+    note = (
+        f"hplan takes {number(m['hplan_to_grid_spline'])} of (a) and {number(m['hplan_to_stops'])} of (b); without a "
+        f"jerk limit, which no recipe here has, {number(m['no_jerk_to_grid_spline'])} and "
+        f"{number(m['no_jerk_to_stops'])}. toppra gets a cubic spline through the waypoints and is used as advised "
+        "(parameters by length, waypoints among the grid points, ParametrizeConstAccel, interpolation) or by its "
+        f"defaults. (b) stops at {corners} corners, the quickest of several shortened paths. Verdicts on recipes: "
+        "samples every 1 ms, derivatives by differences."
+    )
+    columns = ("motion", "to hplan's", "[s]", "[deg]", "verdict")
+    return Table("Reference scene: the motion", columns, tuple(rows), note)
+
+
+def _verdict(m: dict[str, Any]) -> str:
+    if m["certified"]:
+        return "certified" if "velocity" in m else "shown clear"
+    faults = []
+    if m.get("collides"):
+        faults.append(f"{number(m['depth_mm'], 2)} mm deep")
+    if m.get("leaves_range"):
+        faults.append(f"{number(m['outside_deg'], 2)} deg out of range")
+    faults += [f"{what} x {m[what]:.3f}" for what in ("velocity", "acceleration", "torque") if m.get(what, 0.0) > 1.001]
+    return ", ".join(faults) or "no fault seen"
+
+
+_PLANNER_COLUMNS = ("planner, motion", "to hplan's", "in all [ms]", "path [ms]", "compiled [ms]", "path [deg]", "fit")
+
+_PLANNER_NOTE = (
+    "Duration of the motion to that of hplan's, time from scene to motion, time to the path, its length. OMPL asks "
+    "hplan's compiled kernel about whole motions by way of Python; `compiled` is an estimate of the time to the path "
+    "with the Python part of those calls taken out. RRTConnect stops at its first path, BIT* when its time is up (or "
+    "the straight line is found clear), after 1 s at most; both simplify. A path becomes a motion by a spline (cubic, "
+    "through the waypoints, toppra as advised, no limit on jerk), by rounding (hplan's corner rounding and timing), "
+    "or by hplan's post (all of its post-processing). Fit: certified; for splines no fault seen in samples every 1 ms."
+)
+
+
+def _planners(r: dict[str, Any]) -> list[Table]:
+    stages = r["stages_ms"]
+    path_ms = number(stages["total"] - sum(stages[name] for name in ("postprocess", "timing", "certificate")))
+    grid = number(r["searches"]["two_level"]["cost_deg"], 4)
+    first = ("hplan", "1 x", number(stages["total"]), path_ms, path_ms, grid, "1 of 1")
+    length = r["motions"]["rows"]["hplan"]["length_deg"]
+    note = f"{_PLANNER_NOTE} hplan's path here is that on the grid; its motion is {length:.1f} deg long."
+    return _planner_tables("Reference scene", first, r["planners"], note)
+
+
+def _planner_tables(where: str, first: tuple[str, ...], planners: dict[str, Any] | None, note: str) -> list[Table]:
+    """Times and durations, then the faults of splines; just the word where OMPL is not installed."""
+    rows, faults = [first], []
+    if planners is None:
+        rows += [(f"OMPL {name}", NOT_INSTALLED, *[""] * (len(first) - 2)) for name in ("RRTConnect", "BIT*")]
+    for name, p in (planners or {}).items():
+        label = name.replace("BITstar", "BIT*")
+        for way, text in _WAYS.items():
+            w = p[way]
+            count = w["usable"] if way == "spline" else w["certified"]
+            times = number(w["total_ms"]), number(p["path_ms"]), number(p["compiled_ms"])
+            length = number(p["length_deg"], 4)
+            rows.append((f"{label}, {text}", _times(w["ratio"]), *times, length, f"{count} of {p['problems']}"))
+        w = p["spline"]
+        faults.append(
+            (
+                label,
+                f"{w['colliding']} of {w['timed']}",
+                number(w["worst_depth_mm"]),
+                str(w["outside_range"]),
+                number(w["worst_outside_deg"]),
+                str(w["over_limits"]),
+                f"{p['rounded']['faster_than_hplan']}",
+                f"{p['processed']['faster_than_hplan']}",
+            )
+        )
+    found = [Table(f"{where}: sampling planners", _PLANNER_COLUMNS, tuple(rows), note)]
+    if faults:
+        columns = (
+            "planner",
+            "collide",
+            "deepest [mm]",
+            "out of range",
+            "farthest [deg]",
+            "over limits",
+            "quicker by rounding",
+            "quicker by hplan's post",
+        )
+        text = (
+            "How many splines collide, leave the joint range or break a velocity, acceleration or torque limit by more "
+            "than 0.1 %; then how many certified motions along the planner's path are quicker than hplan's own."
+        )
+        found.append(Table(f"{where}: faults of splines, and where planners win", columns, tuple(faults), text))
+    return found
+
+
+# Clutter
+
+
+def _clutter(c: dict[str, Any]) -> list[Table]:
+    around = c["around"]
+
+    def ratio(name: str, key: str, *, inverse: bool = False) -> tuple[str, ...]:
+        values, part = c[key], around[key]
+        cells = [values["median"], part["median"], values["p95"], values["max"]]
+        return name, *(number(1.0 / v if inverse else v, 4) for v in cells)
+
+    t, a = c["total_ms"], around["total_ms"]
+    rows = (
+        ratio("dense A* : two-level, time", "search_ratio"),
+        ratio("two-level : dense A*, cost", "cost_ratio"),
+        ratio("duration, hplan : (a) grid path through toppra", "to_grid_spline"),
+        ratio("the same, jerk not limited", "no_jerk_to_grid_spline"),
+        ratio("duration, hplan : (b) straight with stops", "to_stops"),
+        ratio("the same, jerk not limited", "no_jerk_to_stops"),
+        ("scene to certified trajectory [ms]", *(number(v) for v in (t["median"], a["median"], t["p95"], t["max"]))),
+    )
+    found = ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in c["fallbacks"].items())
+    note = (
+        f"{c['scenes']} scenes, {c['with_path']} with a path on the grid: {c['planned']} planned, {c['certified']} "
+        f"certified; of {c['blocked']} without one, hplan and the dense search agree on all but {c['disagreeing']}. "
+        f"Around obstacles: the {around['scenes']} scenes where the straight motion is not clear. 99th percentile of "
+        f"the time: {number(t['p99'])} ms. Median length {number(c['length_deg'])} deg, duration "
+        f"{number(c['duration_s'])} s. Cost optimal in {c['cost_ratio']['optimal']} of {c['planned']}. "
+        f"Fallbacks: {found}."
+    )
+    columns = ("", "median", "around obstacles", "95 %", "largest")
+    first = Table("Clutter: ratios and times", columns, rows, note)
+    ours = (
+        "hplan",
+        "1 x",
+        number(t["median"]),
+        NONE,
+        NONE,
+        number(c["length_deg"]),
+        f"{c['certified']} of {c['with_path']}",
+    )
+    note = f"{_PLANNER_NOTE} Medians over the scenes solved. hplan's length is that of its motions."
+    planners = _planner_tables("Clutter", ours, c["planners"], note)
+    return [first, *planners, *_failures("Clutter", c["failed"])]
+
+
+def _failures(where: str, failed: Sequence[dict[str, Any]]) -> list[Table]:
+    if not failed:
+        return []
+    rows = tuple(
+        (str(f["number"]), f["kind"], number(f["spare_clearance_mm"]), f["message"][:120]) for f in failed[:20]
+    )
+    columns = ("scene", "error", "clearance at start or goal [mm]", "message")
+    return [Table(f"{where}: scenes that failed ({len(failed)})", columns, rows)]
+
+
+# Recheck
+
+
+def _recheck(r: dict[str, Any]) -> list[Table]:
+    rows = []
+    for name, count in r["violation_counts"].items():
+        use = r["worst_use"].get(name)
+        cells = [NONE, NONE] if use is None else [f"{use['use']:.5f}", str(use["number"])]
+        rows.append((name, str(count), *cells))
+    note = (
+        f"{r['with_path']:,} scenes with a path (of {r['drawn']:,} drawn): {r['planned']:,} planned, "
+        f"{r['certified']:,} certified. {r['instants']:,} instants in {r['motion_s']:,.0f} s of motion, from the CSV "
+        f"as the csv module reads it. Smallest clearance seen: {number(r['least_clearance_mm'])} mm; never less than "
+        f"certified, by {number(r['least_clearance_beyond_certificate_mm'])} mm at least (at one instant in fifty)."
+    )
+    columns = ("checked every 0.1 ms", "violations", "largest use", "in scene")
+    first = Table("Recheck: certified trajectories looked at again", columns, tuple(rows), note)
+    shares = []
+    for key, name in (("hplan", "hplan"), ("hplan_no_jerk", "hplan, jerk not limited")):
+        s = r["reference"][key]
+        parts = [s.get(k) for k in ("any", "any_at_95_percent", "velocity", "acceleration", "torque", "jerk")]
+        shares.append((name, *(NONE if part is None else f"{100.0 * part:.1f} %" for part in parts)))
+    second = Table(
+        "Recheck: share of the time at a limit, reference scene",
+        ("", ">= 0.999", ">= 0.95", "velocity", "acceleration", "torque", "jerk"),
+        tuple(shares),
+        "At >= 0.999 and >= 0.95 of some limit; then at >= 0.999 of each.",
+    )
+    return [first, second, *_failures("Recheck", r["failed"])]
+
+
+# Growth
+
+
+_GROWTH_NOTE = (
+    "Times [ms] of the C-space, the two-level search, dense A*, and all from scene to certified motion. Memory: "
+    "largest rise of resident memory during the call, of the two-level search with its C-space, of the dense search "
+    "without."
+)
+
+_GROWTH = {"step": "grid step [deg]", "obstacles": "obstacles", "links": "links"}
+
+
+def _growth(g: dict[str, Any]) -> list[Table]:
+    columns = ("", "dense : ours", "nodes", "C-space", "search", "dense", "motion", "search MB", "dense MB")
+    found = []
+    for axis, title in _GROWTH.items():
+        rows = [
+            (
+                f"{case['size']:g}" if case.get("certified") else f"{case['size']:g}, no motion",
+                _times(case["dense_ms"] / case["two_level_ms"]),
+                f"{case['nodes']:,}",
+                *(number(case[name]) for name in QUANTITIES),
+            )
+            for case in g[axis]["cases"]
+        ]
+        against = "obstacles" if axis == "obstacles" else "nodes"
+        slopes = g[axis]["slopes"]
+        rows.append(("exponent", "", "", *(number(slopes[name], 2) for name in QUANTITIES)))
+        found.append(Table(f"Growth: {title}", columns, tuple(rows), f"{_GROWTH_NOTE} Exponents: against {against}."))
+    return found

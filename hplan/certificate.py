@@ -19,8 +19,10 @@ motion, contact forces, what is not in the scene.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
+import numba as nb
 import numpy as np
 import pinocchio as pin
 
@@ -216,29 +218,55 @@ def _prove_clearance(
     rows = len(bezier)
     bounds = _piece_bounds(robot, bezier)
     travel = np.concatenate([np.zeros((1, bounds.shape[1])), np.cumsum(bounds, axis=0)])
-    stations = np.arange(rows + 1, dtype=np.float64)
     slack = robot.sway(tracking_error)
     shown, nearest = np.inf, None
     at, checks = 0.0, 0
     while True:
-        piece = min(int(at), rows - 1)
-        distances = judge.distances(_cubic(bezier[piece], at - piece))
+        distances = judge.distances(_point(bezier, at))
         checks += 1
         nearest = _nearer(nearest, distances, judge)
         spare = distances.min(axis=1) - slack - needed
-        if spare.min() <= SMALLEST_STEP:
-            return _worst(bezier, judge, slack, nearest, checks, piece)
+        least = float(spare.min())
+        if least <= SMALLEST_STEP:
+            return _worst(bezier, judge, slack, nearest, checks, min(int(at), rows - 1))
         if at >= rows:
-            return _Proof(True, float(min(shown, needed + spare.min())), nearest, checks)
+            return _Proof(True, min(shown, needed + least), nearest, checks)
         # Half of what is spare may be used up before the next look: the other half is shown to remain.
-        ahead = float(rows)
-        for k, part in enumerate(0.5 * spare):
-            here = np.interp(at, stations, travel[:, k])
-            if travel[-1, k] - here > part:
-                row = int(np.searchsorted(travel[:, k], here + part, side="right")) - 1
-                ahead = min(ahead, row + (here + part - travel[row, k]) / (travel[row + 1, k] - travel[row, k]))
-        shown = min(shown, float(needed + 0.5 * spare.min()))
-        at = max(ahead, np.nextafter(at, np.inf))
+        shown = min(shown, needed + 0.5 * least)
+        at = max(_advance(travel, at, 0.5 * spare), math.nextafter(at, math.inf))
+
+
+@nb.njit(cache=True)
+def _point(bezier: FloatArray, at: float) -> FloatArray:
+    """Configuration at a place counted in rows."""
+    piece = min(int(at), bezier.shape[0] - 1)
+    t = at - piece
+    u = 1.0 - t
+    q = np.empty(bezier.shape[2])
+    for j in range(len(q)):
+        q[j] = (
+            u * u * u * bezier[piece, 0, j]
+            + 3.0 * u * u * t * bezier[piece, 1, j]
+            + 3.0 * u * t * t * bezier[piece, 2, j]
+            + t * t * t * bezier[piece, 3, j]
+        )
+    return q
+
+
+@nb.njit(cache=True)
+def _advance(travel: FloatArray, at: float, part: FloatArray) -> float:
+    """The place up to which no link travels farther than its part; `travel` grows linearly within a row."""
+    rows = travel.shape[0] - 1
+    ahead = float(rows)
+    row = min(int(at), rows - 1)
+    for k in range(travel.shape[1]):
+        limit = travel[row, k] + (at - row) * (travel[row + 1, k] - travel[row, k]) + part[k]
+        low = row
+        while low < rows and travel[low + 1, k] <= limit and low < ahead:
+            low += 1
+        if low < rows and low < ahead:
+            ahead = min(ahead, low + (limit - travel[low, k]) / (travel[low + 1, k] - travel[low, k]))
+    return ahead
 
 
 def _nearer(nearest: Contact | None, distances: FloatArray, judge: CollisionScene) -> Contact:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import math
 import time
@@ -48,8 +49,8 @@ class StageClock:
         return {**table, "total": round(1e3 * (time.perf_counter() - self._begin), 4)}
 
 
-def versions() -> dict[str, str]:
-    """Versions of hplan and of what it stands on."""
+@functools.cache
+def _versions() -> dict[str, str]:
     found = {}
     for package in _PACKAGES:
         try:
@@ -57,6 +58,11 @@ def versions() -> dict[str, str]:
         except metadata.PackageNotFoundError:
             found[package] = "not installed as a package"
     return found
+
+
+def versions() -> dict[str, str]:
+    """Versions of hplan and of what it stands on."""
+    return dict(_versions())
 
 
 def failure_report(error: HplanError, *, scene: str | None, robot: str | None) -> dict[str, Any]:

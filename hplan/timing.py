@@ -214,10 +214,7 @@ class _Profile:
 def _smoothing_window(
     profile_for: Callable[[int], _Profile], names: tuple[str, ...], limits: Limits, period: float
 ) -> int:
-    """The fewest control points to average that keep the jerk limits.
-
-    2 a / (m h) <= jerk always suffices; what the motion really needs is found by bisection.
-    """
+    """The fewest control points to average that keep the jerk limits; 2 a / (m h) <= jerk always suffices."""
     if limits.jerk is None:
         return 1
     jerk = limits.jerk
@@ -229,16 +226,15 @@ def _smoothing_window(
             joint=names[joint],
             cause="jerk limit of zero",
         )
-    enough = (2.0 * limits.acceleration / np.maximum(jerk, 1e-12))[moves].max() / period
-    low, high = 1, max(1, int(np.ceil(enough)))
-    while low < high:
-        window = (low + high) // 2
-        rows = _rows(profile_for(window), limits, period, window)
-        if _largest_use(np.diff(rows.acceleration, axis=0) / period, jerk, moves) <= 1.0 + 1e-6:
-            high = window
-        else:
-            low = window + 1
-    return high
+    # The mean of m control points changes its acceleration by the difference of two raw ones m rows apart, over m.
+    raw = _rows(profile, limits, period, 1).acceleration[:, moves]
+    padded = np.concatenate([np.zeros_like(raw[:1]), raw, np.zeros_like(raw[:1])])
+    allowed = jerk[moves] * period * (1.0 + 1e-6)
+    enough = int(np.ceil((2.0 * limits.acceleration[moves] / (jerk[moves] * period)).max()))
+    for window in range(1, min(enough, len(padded) - 1)):
+        if (np.abs(padded[window:] - padded[:-window]) <= allowed * window).all():
+            return window
+    return max(1, enough)
 
 
 @dataclass(frozen=True, eq=False)

@@ -37,5 +37,5 @@ class PostprocessOptions:
     margin: float
     objective: Objective = "duration"
     shortcuts: int = 200
-    trials: int = 400
+    trials: int = 250
     taut_rounds: int = 45

@@ -139,8 +139,10 @@ def plan(
     if problem.is_empty:
         return planner.empty()
     refused: CertificationError | None = None
+    # Start and goal must stay free among the grown obstacles.
+    growths = sorted({min(growth, 0.8 * problem.spare_clearance) for growth in GROWTH})
     for finer in FINER:
-        for growth in GROWTH:
+        for growth in growths:
             try:
                 return planner.attempt(options.step_deg / finer, growth)
             except CertificationError as error:

@@ -126,19 +126,30 @@ def arm_sections(
     if not (np.isfinite(clearance) and clearance >= 0.0):
         raise OptionError("clearance", clearance, "a finite number of metres >= 0")
     origin, axes = robot.plane_at(yaw)
-    cores = [(obstacle.core - origin) @ axes.T for obstacle in obstacles]
-    per_link: list[list[tuple[int, RoundedPolygon]]] = []
+    cores = [obstacle.core for obstacle in obstacles]
+    roundings = np.array([obstacle.rounding + clearance for obstacle in obstacles])
+    single = np.array([len(core) == 1 for core in cores], dtype=np.bool_)
+    # Balls, of which there may be hundreds, all at once.
+    balls = (np.concatenate([np.zeros((0, 3)), *(core for core in cores if len(core) == 1)]) - origin) @ axes.T
+    if link_model == "rectangle" and not single.all():
+        _require_disc(cores[int(single.argmin())], obstacles[int(single.argmin())].name)
+    per_link = []
     for half_width in robot.arm.half_widths:
-        row = []
-        for index, (obstacle, core) in enumerate(zip(obstacles, cores, strict=True)):
-            rounding = obstacle.rounding + clearance
-            if link_model == "rectangle":
-                section = _beside_rectangle(core, rounding, float(half_width), obstacle.name)
-            else:
-                section = plane_section(core, rounding + float(half_width))
-            if section is not None:
-                row.append((index, section))
-        per_link.append(row)
+        if link_model == "rectangle":
+            # What a box link of this half-width (both ways) meets of a ball: a disc, not grown by the link.
+            reach, heights = roundings[single], np.maximum(0.0, np.abs(balls[:, 2]) - half_width)
+        else:
+            reach, heights = roundings[single] + half_width, balls[:, 2]
+        square = reach**2 - heights**2
+        met = square >= 0.0
+        polygons = [
+            (int(index), section)
+            for index in np.flatnonzero(~single)
+            for section in [plane_section((cores[index] - origin) @ axes.T, float(roundings[index] + half_width))]
+            if section is not None
+        ]
+        discs = _Discs(np.flatnonzero(single)[met], balls[met, :2], np.sqrt(square[met]))
+        per_link.append((discs, polygons))
     return _flatten(per_link, tuple(obstacle.name for obstacle in obstacles), link_model)
 
 
@@ -162,7 +173,9 @@ def planar_sections(
         for name, hull in zip(names, hulls, strict=True):
             _require_disc(hull.vertices, name)
     growth = half_widths if link_model != "rectangle" else np.zeros_like(half_widths)
-    per_link = [[(i, RoundedPolygon(h.vertices, h.radius + float(w))) for i, h in enumerate(hulls)] for w in growth]
+    per_link = [
+        (_NO_DISCS, [(i, RoundedPolygon(h.vertices, h.radius + float(w))) for i, h in enumerate(hulls)]) for w in growth
+    ]
     return _flatten(per_link, names, link_model)
 
 
@@ -266,15 +279,6 @@ def _turn(a: tuple[float, float], b: tuple[float, float], c: tuple[float, float]
     return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
 
 
-def _beside_rectangle(core: FloatArray, radius: float, half_width: float, name: str) -> RoundedPolygon | None:
-    """What a box link of the given half-width (both ways) meets of a ball: a disc, not grown by the link."""
-    _require_disc(core, name)
-    beyond = max(0.0, abs(float(core[0, 2])) - half_width)
-    if beyond > radius:
-        return None
-    return RoundedPolygon(readonly(core[:, :2]), float(np.sqrt(radius**2 - beyond**2)))
-
-
 def _check_link_model(link_model: str) -> None:
     if link_model not in LINK_MODELS:
         raise OptionError("link_model", link_model, f"one of {', '.join(LINK_MODELS)}")
@@ -287,28 +291,49 @@ def _require_disc(points: FloatArray, name: str) -> None:
         )
 
 
+@dataclass(frozen=True, eq=False)
+class _Discs:
+    """Sections that are discs: index of the obstacle, (k, 2) centres, (k,) radii."""
+
+    obstacle_of: IntArray
+    centres: FloatArray
+    radii: FloatArray
+
+
+_NO_DISCS = _Discs(np.zeros(0, dtype=np.int64), np.zeros((0, 2)), np.zeros(0))
+
+
 def _flatten(
-    per_link: Sequence[Sequence[tuple[int, RoundedPolygon]]],
+    per_link: Sequence[tuple[_Discs, Sequence[tuple[int, RoundedPolygon]]]],
     names: tuple[str, ...],
     link_model: LinkModel,
 ) -> ArmSections:
-    sections = [item for row in per_link for item in row]
-    polygons = [polygon for _, polygon in sections]
-    bounds = [
-        (*centre, float(np.linalg.norm(p.vertices - centre, axis=1).max()) + p.radius)
-        for p in polygons
-        for centre in [0.5 * (p.vertices.min(axis=0) + p.vertices.max(axis=0))]
-    ]
+    """Flat arrays; of each link first the discs, then the other sections."""
+    counts, sizes, vertices, radii, bounds, owners = [0], [0], [np.zeros((0, 2))], [], [np.zeros((0, 3))], []
+    for discs, polygons in per_link:
+        counts.append(len(discs.radii) + len(polygons))
+        sizes.extend([1] * len(discs.radii) + [len(polygon.vertices) for _, polygon in polygons])
+        vertices.extend([discs.centres, *(polygon.vertices for _, polygon in polygons)])
+        radii.extend([*discs.radii, *(polygon.radius for _, polygon in polygons)])
+        bounds.extend([np.column_stack([discs.centres, discs.radii]), *(_bound(polygon) for _, polygon in polygons)])
+        owners.extend([*discs.obstacle_of, *(index for index, _ in polygons)])
     return ArmSections(
         link_model=link_model,
-        link_start=readonly(np.cumsum([0, *(len(row) for row in per_link)]), np.int64),
-        vertex_start=readonly(np.cumsum([0, *(len(p.vertices) for p in polygons)]), np.int64),
-        vertices=readonly(np.concatenate([np.zeros((0, 2)), *(p.vertices for p in polygons)])),
-        radii=readonly([p.radius for p in polygons]),
-        bounds=readonly(np.array(bounds).reshape(-1, 3)),
-        obstacle_of=readonly([index for index, _ in sections], np.int64),
+        link_start=readonly(np.cumsum(counts), np.int64),
+        vertex_start=readonly(np.cumsum(sizes), np.int64),
+        vertices=readonly(np.concatenate(vertices)),
+        radii=readonly(radii),
+        bounds=readonly(np.concatenate(bounds)),
+        obstacle_of=readonly(owners, np.int64),
         obstacle_names=names,
     )
+
+
+def _bound(polygon: RoundedPolygon) -> FloatArray:
+    """(1, 3) centre and radius of a disc around a section."""
+    centre = 0.5 * (polygon.vertices.min(axis=0) + polygon.vertices.max(axis=0))
+    reach = float(np.linalg.norm(polygon.vertices - centre, axis=1).max()) + polygon.radius
+    return np.array([[*centre, reach]])
 
 
 def only(sections: ArmSections, link: int, obstacle: int) -> ArmSections:
@@ -323,5 +348,5 @@ def only(sections: ArmSections, link: int, obstacle: int) -> ArmSections:
         for s in kept
     ]
     links = len(sections.link_start) - 1
-    per_link = [polygons if k == link else [] for k in range(links)]
+    per_link = [(_NO_DISCS, polygons if k == link else []) for k in range(links)]
     return _flatten(per_link, sections.obstacle_names, sections.link_model)

@@ -3,7 +3,9 @@ from __future__ import annotations
 import importlib.util
 import json
 import math
+import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -11,6 +13,10 @@ from typing import Any
 import numpy as np
 import pytest
 from PIL import Image
+
+from hplan.reproduction import measure, output, random_scenes, tables
+from hplan.reproduction.demonstration import DEMO_CENTRE
+from hplan.reproduction.results import PAPER
 
 SCRIPT = Path(__file__).resolve().parents[1] / "scripts" / "reproduce_paper.py"
 
@@ -29,13 +35,18 @@ script = load_script()
 
 
 @pytest.fixture(scope="module")
+def compared() -> random_scenes.Comparison:
+    return random_scenes.compare(12, seed=script.SEED)
+
+
+@pytest.fixture(scope="module")
 def measured() -> Any:
-    return script.measure(repetitions=1, tie_choices=4)
+    return measure.measure(repetitions=1, tie_choices=4)
 
 
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch, measured: Any) -> None:
-    monkeypatch.setattr(script, "measure", lambda *_, **__: measured)
+    monkeypatch.setattr(measure, "measure", lambda *_, **__: measured)
 
 
 def test_dense_is_the_papers(measured: Any) -> None:
@@ -60,10 +71,23 @@ def test_two_levels_to_the_letter(measured: Any) -> None:
 
 def test_hplan_finds_the_same_cost_with_less(measured: Any) -> None:
     r = measured[0]
-    for run in (r.straight, r.octile):
+    for run in (r.straight, r.hplan):
         assert run.cost <= 145.215
         assert run.points <= 107
         assert run.total_expansions < r.plain.total_expansions
+
+
+def test_what_is_taken_from_open_lists_is_told_apart(measured: Any) -> None:
+    r = measured[0]
+    assert 0 < r.hplan.settled < r.hplan.path_expansions
+    assert {run.settled for run in (r.dense, r.plain, r.straight)} == {0}
+    # Flooding leaves the slices with a path; in those the straight-line searches are the same.
+    assert r.straight.layer_expansions == r.plain.layer_expansions - r.gap.expansions_without
+    rows = {row[0].strip(): row[1:] for row in tables.comparison_rows(r)[1]}
+    assert rows["second level: nodes"][-1] == f"{r.hplan.path_expansions - r.hplan.settled:,}"
+    assert rows["second level: rows"][-1] == f"{r.hplan.settled:,}"
+    assert rows["layers: jump points"] == ("-", "-", "-", f"{r.hplan.layer_expansions:,}")
+    assert rows["layers: nodes"][-1] == "-"
 
 
 def test_link_models(measured: Any) -> None:
@@ -92,7 +116,7 @@ def test_gap(measured: Any) -> None:
 
 
 def test_ties_bracket_the_papers_two_level_result(measured: Any) -> None:
-    ties, paper = measured[0].ties, script.PAPER
+    ties, paper = measured[0].ties, PAPER
     assert ties.lowest_cost_deg <= paper.two_level_cost_deg <= ties.highest_cost_deg
     assert ties.fewest_points <= paper.two_level_points <= ties.most_points
     assert ties.lowest_cost_deg >= paper.dense_cost_deg - 1e-6
@@ -115,7 +139,7 @@ def test_workspace_demonstration(measured: Any) -> None:
     assert r.demo_dense.cost <= r.demo_two_level.cost < 1.05 * r.demo_dense.cost
     path = e.demo.grid.coordinates(e.demo_result.path)
     np.testing.assert_array_equal(path[[0, -1]], [[5, 10, 5], [55, 50, 25]])
-    assert (np.linalg.norm(path - script.DEMO_CENTRE, axis=1) > 7.5).all()
+    assert (np.linalg.norm(path - DEMO_CENTRE, axis=1) > 7.5).all()
     assert (np.abs(np.diff(path, axis=0)).max(axis=1) == 1).all()
 
 
@@ -131,7 +155,7 @@ def test_restored_heads_are_free_and_nested(measured: Any) -> None:
 
 def test_report_names_what_is_left_out(measured: Any) -> None:
     r = measured[0]
-    text = script.markdown(r)
+    text = tables.markdown(r)
     numbers = (
         "6,605",
         "145.800739",
@@ -143,7 +167,7 @@ def test_report_names_what_is_left_out(measured: Any) -> None:
         f"{r.plain.layer_expansions:,}",
         f"{r.gap.expansions_without:,}",
     )
-    for needed in (*numbers, "arctan(x/y)", "Ties.", "Flooding.", "Restoration."):
+    for needed in (*numbers, "arctan(x/y)", "Ties.", "Flooding.", "Jump points.", "Bound.", "Restoration."):
         assert needed in text, needed
     for line in text.splitlines():
         if line.startswith("|"):
@@ -177,14 +201,14 @@ def test_command_line_writes_everything(tmp_path: Path, measured: Any, capsys: p
 @pytest.mark.usefixtures("quick")
 def test_markdown_goes_to_standard_output(tmp_path: Path, measured: Any, capsys: pytest.CaptureFixture[str]) -> None:
     assert script.main(["--out", str(tmp_path), "--no-figures", "--markdown"]) == 0
-    assert capsys.readouterr().out == script.markdown(measured[0])
+    assert capsys.readouterr().out == tables.markdown(measured[0])
     assert {path.name for path in tmp_path.iterdir()} == {"reproduction.json", "reproduction.md"}
 
 
 def test_unwritable_output_is_refused_before_any_work(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(script, "measure", lambda *_, **__: pytest.fail("measured"))
+    monkeypatch.setattr(measure, "measure", lambda *_, **__: pytest.fail("measured"))
     blocked = tmp_path / "file"
     blocked.write_text("kept")
     for out in (blocked, blocked / "below"):
@@ -197,14 +221,14 @@ def test_unwritable_output_is_refused_before_any_work(
 
 @pytest.mark.usefixtures("quick")
 def test_a_failure_while_writing_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    real = script.tempfile.mkstemp
+    real = output.tempfile.mkstemp
 
     def full(*, dir: Path, prefix: str) -> Any:  # noqa: A002
         if "json" in prefix:
             raise OSError(28, "No space left on device")
         return real(dir=dir, prefix=prefix)
 
-    monkeypatch.setattr(script.tempfile, "mkstemp", full)
+    monkeypatch.setattr(output.tempfile, "mkstemp", full)
     assert script.main(["--out", str(tmp_path), "--no-figures"]) == 2
     assert list(tmp_path.iterdir()) == []
 
@@ -217,3 +241,59 @@ def test_without_matplotlib_nothing_is_begun(
     assert script.main(["--out", str(out)]) == 2
     assert "figures need the extra: pip install 'hplan[figures]'" in capsys.readouterr().err
     assert not out.exists()
+
+
+def test_random_scenes_add_up(compared: random_scenes.Comparison) -> None:
+    assert (compared.scenes, compared.disagree) == (12, 0)
+    assert 0 < compared.with_path < 12
+    assert set(compared.fallbacks) == {"none", "all_slices", "dense"}
+    assert sum(compared.fallbacks.values()) == compared.with_path
+    assert compared.ratio_median is not None
+    assert compared.ratio_high is not None
+    assert compared.ratio_worst is not None
+    assert 1.0 - 1e-9 <= compared.ratio_median <= compared.ratio_high <= compared.ratio_worst
+
+
+def test_random_scenes_without_any_path_have_no_ratio() -> None:
+    none = random_scenes.compare(0, seed=0)
+    assert (none.with_path, none.ratio_median, none.ratio_worst) == (0, None, None)
+    rows = {row[0].strip(): row[1:] for row in tables.scene_rows(none)[1]}
+    assert rows["worst"] == ("-", "")
+    assert rows["all slices are needed"] == ("0", "-")
+
+
+@pytest.mark.usefixtures("quick")
+def test_random_scenes_are_reported_and_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert script.main(["--out", str(tmp_path), "--no-figures", "--scenes", "3"]) == 0
+    assert "Two-level and dense search on random scenes" in capsys.readouterr().out
+    assert "| the searches disagree on feasibility | 0 | 0.0 % |" in (tmp_path / "reproduction.md").read_text()
+    record = json.loads((tmp_path / "reproduction.json").read_text())["random_scenes"]
+    assert (record["scenes"], record["seed"], record["disagree"]) == (3, script.SEED, 0)
+
+
+@pytest.mark.usefixtures("quick")
+def test_disagreement_has_an_exit_status_of_its_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, compared: random_scenes.Comparison
+) -> None:
+    monkeypatch.setattr(random_scenes, "compare", lambda *_: replace(compared, disagree=1))
+    assert script.main(["--out", str(tmp_path), "--no-figures", "--scenes", "12"]) == 5
+    assert json.loads((tmp_path / "reproduction.json").read_text())["random_scenes"]["disagree"] == 1
+
+
+def test_a_negative_number_of_scenes_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "paper"
+    assert script.main(["--out", str(out), "--scenes", "-1"]) == 2
+    assert "--scenes" in capsys.readouterr().err
+    assert not out.exists()
+
+
+def test_help_loads_nothing_heavy() -> None:
+    code = f"import runpy, sys; sys.argv = ['x', '--help']; runpy.run_path({str(SCRIPT)!r}, run_name='__main__')"
+    watched = f"""
+try:
+    {code}
+except SystemExit:
+    loaded = [name for name in ('numpy', 'numba', 'pinocchio', 'matplotlib', 'rich') if name in sys.modules]
+    sys.exit(' '.join(loaded) or 0)
+"""
+    subprocess.run([sys.executable, "-c", watched], check=True, stdout=subprocess.DEVNULL)

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from hplan.arrays import BoolArray, FloatArray, IntArray
 from hplan.grid import Grid, Occupancy
 from hplan.robot import PlanarArm
-from hplan.view.figures import (
+from hplan.view.figure_style import (
     FAINT,
     GOAL,
     INK,
@@ -27,10 +27,10 @@ from hplan.view.figures import (
     QUIET,
     RESTORED,
     START,
-    draw_motion,
     new_figure,
     styled,
 )
+from hplan.view.figures_arm import draw_motion
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

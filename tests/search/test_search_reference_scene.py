@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from random_scenes import GRID, disc_occupancy
 from reference import assert_path, make_occupancy, path_cost
 
 from hplan.arrays import BoolArray
 from hplan.errors import InputError
 from hplan.grid import Grid, Occupancy
+from hplan.reproduction.random_scenes import GRID, disc_occupancy
 from hplan.search import SearchResult, dense_search, reachable, two_level_search
 from hplan.section import LinkModel
 

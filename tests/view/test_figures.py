@@ -20,7 +20,7 @@ from hplan.robot import PlanarArm, load_robot
 from hplan.scene_file import load_scene
 from hplan.search import SearchResult, dense_search, two_level_search
 from hplan.section import ArmSections, RoundedPolygon, arm_sections, planar_sections
-from hplan.view import figures, figures_3d
+from hplan.view import figure_data, figures, figures_3d, figures_arm
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ def case() -> Case:
         blocked = np.flatnonzero(occupancy.occupied[kept[:, 0], kept[:, 1], number])
         kept = kept[: blocked[0]] if len(blocked) else kept
         heads[number] = np.column_stack([kept[:, :2], np.full(len(kept), number)])
-    field = figures.clearance_field(robot.arm, sections, grid)
+    field = figure_data.clearance_field(robot.arm, sections, grid)
     return Case(robot.arm, sections, grid, occupancy, field, start, goal, result, result.path, first, heads)
 
 
@@ -169,7 +169,7 @@ def test_without_matplotlib_the_error_says_what_to_install(monkeypatch: pytest.M
 def test_clearance_field_is_negative_exactly_on_the_occupied_nodes(case: Case) -> None:
     grid = cspace.joint_grid(case.arm, math.radians(1.0))
     occupied = cspace.occupancy(case.arm, case.sections, grid).occupied
-    field = figures.clearance_field(case.arm, case.sections, grid)
+    field = figure_data.clearance_field(case.arm, case.sections, grid)
     assert occupied.sum() == 128_891
     np.testing.assert_array_equal(field <= 0.0, occupied)
 
@@ -177,20 +177,20 @@ def test_clearance_field_is_negative_exactly_on_the_occupied_nodes(case: Case) -
 def test_half_angles_are_where_the_link_begins_to_touch() -> None:
     length, radius = 0.8, 0.19
     for rho in np.linspace(radius + 0.01, length + radius - 0.01, 40):
-        half = float(figures.half_angles(rho, length, radius))
+        half = float(figure_data.half_angles(rho, length, radius))
         for turn, touches in ((half - 1e-6, True), (half + 1e-6, False)):
             along = np.clip(rho * math.cos(turn), 0.0, length)
             distance = math.hypot(rho * math.cos(turn) - along, rho * math.sin(turn))
             assert (distance <= radius) == touches
-    assert math.isnan(figures.half_angles(length + radius + 1e-9, length, radius))
-    assert float(figures.half_angles(0.5 * radius, length, radius)) == math.pi
+    assert math.isnan(figure_data.half_angles(length + radius + 1e-9, length, radius))
+    assert float(figure_data.half_angles(0.5 * radius, length, radius)) == math.pi
 
 
 def test_reached_mask_agrees_with_the_search(case: Case) -> None:
     flat = Grid(case.grid.lower[:2], case.grid.step[:2], case.grid.shape[:2])
     for number in range(0, 31, 3):
         free = ~case.occupancy.occupied[:, :, number]
-        reached = figures.reached_mask(free, (0, 0))
+        reached = figure_data.reached_mask(free, (0, 0))
         result = dense_search(Occupancy.from_mask(flat, ~free), [0, 0], [15, 20])
         assert bool(reached[15, 20]) == (result.path is not None)
         if result.path is None:
@@ -198,7 +198,7 @@ def test_reached_mask_agrees_with_the_search(case: Case) -> None:
 
 
 def test_capsule_outline_is_everywhere_at_its_radius() -> None:
-    outline = figures.capsule_outline((0.3, -0.2), (1.1, 0.7), 0.05)
+    outline = figures_arm.capsule_outline((0.3, -0.2), (1.1, 0.7), 0.05)
     axis = np.array([0.8, 0.9])
     share = np.clip(((outline - (0.3, -0.2)) @ axis) / (axis @ axis), 0.0, 1.0)
     distance = np.linalg.norm(outline - ((0.3, -0.2) + share[:, None] * axis), axis=1)

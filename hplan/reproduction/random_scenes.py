@@ -1,9 +1,15 @@
-"""Random planar scenes: the reference arm among a few discs, with free start and goal nodes."""
+"""Random planar scenes: the reference arm among a few discs, with free start and goal nodes.
+
+`compare` runs the two-level and the dense search on each. Start and goal may lie in different parts of the free space,
+so that some scenes have no path; both searches must say so.
+"""
 
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from typing import Any, get_args
 
 import numpy as np
 
@@ -11,9 +17,10 @@ from hplan.arrays import FloatArray, IntArray, readonly
 from hplan.cspace import joint_grid, occupancy
 from hplan.grid import Occupancy
 from hplan.robot import PlanarArm
-from hplan.search import dense_search, two_level_search
+from hplan.search import Fallback, dense_search, two_level_search
 from hplan.section import LinkModel, RoundedPolygon, planar_sections
 
+#: The arm of the paper's example: lengths and half-widths [m], limits [rad].
 ARM = PlanarArm(
     ("shoulder", "elbow", "wrist"),
     ("upper_arm", "forearm", "hand"),
@@ -24,6 +31,7 @@ ARM = PlanarArm(
     readonly([0, 0, 0]),
     readonly([np.pi / 2] * 3),
 )
+#: Its joint grid, step 1 deg.
 GRID = joint_grid(ARM, np.radians(1.0))
 
 
@@ -70,33 +78,53 @@ class Comparison:
     """Two-level and dense search over many scenes.
 
     Attributes:
+        scenes: Scenes drawn.
+        seed: Seed they are drawn from.
         with_path: Scenes in which the dense search finds a path.
         disagree: Scenes in which only one of the two finds a path.
-        fallbacks: How often what carried the path of the two-level search.
-        ratio_median: Median of the ratio of costs, two-level to dense.
+        fallbacks: What the two-level search needed, and how often, in the scenes in which it finds a path.
+        ratio_median: Median of the ratio of costs, two-level to dense, over the scenes in which both find a path; None
+            where there is no such scene.
         ratio_high: Its 99th percentile.
         ratio_worst: Its maximum.
     """
 
+    scenes: int
+    seed: int
     with_path: int
     disagree: int
-    fallbacks: Counter[str]
-    ratio_median: float
-    ratio_high: float
-    ratio_worst: float
+    fallbacks: dict[Fallback, int]
+    ratio_median: float | None
+    ratio_high: float | None
+    ratio_worst: float | None
+
+    def as_dict(self) -> dict[str, Any]:
+        """The numbers ready for JSON."""
+        return asdict(self)
 
 
-def compare(count: int, seed: int) -> Comparison:
-    """Run both searches on `count` random scenes."""
+def compare(count: int, seed: int, progress: Callable[[int], None] = lambda _: None) -> Comparison:
+    """Run both searches on `count` random scenes.
+
+    Args:
+        count: Number of scenes.
+        seed: Seed of the scenes.
+        progress: Told after each scene how many are done.
+    """
     rng = np.random.default_rng(seed)
-    ratios, fallbacks, disagree = [], Counter[str](), 0
-    for _ in range(count):
+    ratios, fallbacks, with_path, disagree = [], Counter[Fallback](), 0, 0
+    for done in range(1, count + 1):
         scene = random_planar_scene(rng)
         fast = two_level_search(scene.occupancy, scene.start, scene.goal)
         dense = dense_search(scene.occupancy, scene.start, scene.goal, octile=True)
+        with_path += dense.path is not None
         disagree += (fast.path is None) != (dense.path is None)
         if fast.path is not None:
             fallbacks[fast.fallback] += 1
-            ratios.append(fast.cost / dense.cost if dense.cost > 0.0 else 1.0)
-    median, high, worst = (float(value) for value in np.quantile(ratios, [0.5, 0.99, 1.0]))
-    return Comparison(len(ratios), disagree, fallbacks, median, high, worst)
+            if dense.path is not None:
+                ratios.append(fast.cost / dense.cost if dense.cost > 0.0 else 1.0)
+        progress(done)
+    quantiles = np.quantile(ratios, [0.5, 0.99, 1.0]).tolist() if ratios else [None] * 3
+    return Comparison(
+        count, seed, with_path, disagree, {name: fallbacks[name] for name in get_args(Fallback)}, *quantiles
+    )

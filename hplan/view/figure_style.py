@@ -1,0 +1,134 @@
+"""One look for all figures, and how they are saved: colours, matplotlib's settings, an empty figure, the PNG.
+
+Figures never touch pyplot, so they neither need nor open a display. Matplotlib is an extra and is imported on first
+use.
+"""
+
+from __future__ import annotations
+
+import functools
+import io
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
+
+from hplan.errors import InputError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_P = ParamSpec("_P")
+_R = TypeVar("_R")
+
+#: Resolution of the PNGs [dots per inch].
+DPI = 160
+
+# Okabe and Ito's colours, told apart by colour-blind eyes, and tints of them.
+INK = "#22303C"
+QUIET = "#7A8793"
+FAINT = "#D9DFE4"
+OBSTACLE = "#D55E00"
+OBSTACLE_TINT = "#F0B183"
+PATH = "#0072B2"
+PATH_TINT = "#DCEBF5"
+RESTORED = "#E69F00"
+START = "#009E73"
+GOAL = "#AA4488"
+LINKS = ("#34495E", "#5D7F9E", "#9DBBD3")
+
+#: One look for all figures.
+STYLE: dict[str, Any] = {
+    "font.family": "DejaVu Sans",
+    "font.size": 9.0,
+    "mathtext.fontset": "dejavusans",
+    "axes.edgecolor": QUIET,
+    "axes.labelcolor": INK,
+    "axes.labelsize": 9.0,
+    "axes.linewidth": 0.8,
+    "axes.spines.right": False,
+    "axes.spines.top": False,
+    "axes.titlecolor": INK,
+    "axes.titlelocation": "left",
+    "axes.titlepad": 7.0,
+    "axes.titlesize": 9.5,
+    "figure.facecolor": "white",
+    "figure.titlesize": 12.5,
+    "figure.titleweight": "bold",
+    "legend.fontsize": 8.5,
+    "legend.frameon": False,
+    "lines.solid_capstyle": "round",
+    "savefig.facecolor": "white",
+    "text.color": INK,
+    "xtick.color": QUIET,
+    "xtick.labelcolor": INK,
+    "xtick.labelsize": 8.5,
+    "ytick.color": QUIET,
+    "ytick.labelcolor": INK,
+    "ytick.labelsize": 8.5,
+}
+
+
+def require_matplotlib() -> None:
+    """Make sure that matplotlib can be imported.
+
+    Raises:
+        InputError: It is not installed.
+    """
+    try:
+        import matplotlib  # noqa: F401
+    except ImportError as error:
+        raise InputError("figures need the extra: pip install 'hplan[figures]'", extra="figures") from error
+
+
+def styled(draw: Callable[_P, _R]) -> Callable[_P, _R]:
+    """Run a function under hplan's style, or say that matplotlib is missing."""
+
+    @functools.wraps(draw)
+    def wrapper(*args: _P.args, **kwargs: _P.kwargs) -> _R:
+        require_matplotlib()
+        from matplotlib import rc_context
+
+        style: Any = STYLE
+        with rc_context(style):
+            return draw(*args, **kwargs)
+
+    return wrapper
+
+
+def new_figure(width: float, height: float, title: str, *, bottom: float = 0.0, placed: bool = False) -> Figure:
+    """An empty figure with a title and a canvas of its own.
+
+    Args:
+        width: [inch].
+        height: [inch].
+        title: Title; may be empty.
+        bottom: Share of the height kept free below.
+        placed: The axes will be placed by hand; else they are laid out without overlaps.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
+
+    figure = Figure(figsize=(width, height))
+    if not placed:
+        figure.set_layout_engine(
+            ConstrainedLayoutEngine(
+                w_pad=0.09, h_pad=0.09, wspace=0.04, hspace=0.04, rect=(0.0, bottom, 1.0, 1.0 - bottom)
+            )
+        )
+    FigureCanvasAgg(figure)
+    figure.suptitle(title, x=0.012, ha="left")
+    return figure
+
+
+@styled
+def png_bytes(figure: Figure, dpi: int = DPI) -> bytes:
+    """A figure as PNG; the same figure gives the same bytes."""
+    from PIL import Image  # comes with matplotlib
+
+    rendered, stream = io.BytesIO(), io.BytesIO()
+    figure.savefig(rendered, format="png", dpi=dpi)
+    with Image.open(rendered) as image:
+        # 256 colours are enough for these drawings, and a third of the bytes.
+        few = image.convert("RGB").quantize(256, method=Image.Quantize.MAXCOVERAGE, kmeans=1, dither=Image.Dither.NONE)
+        few.save(stream, format="png", optimize=True, dpi=(dpi, dpi))
+    return stream.getvalue()

@@ -175,7 +175,7 @@ def growth(g: dict[str, Any]) -> Figure:
             for case, size in zip(cases, sizes, strict=True):
                 name = f"{case['size']:g}" + ("°" if axis == "step" else " links")
                 panels[1, column].annotate(
-                    name, (size, 0.0), (0, 4), xycoords=("data", "axes fraction"), textcoords="offset points",
+                    name, (size, 1.0), (0, 3), xycoords=("data", "axes fraction"), textcoords="offset points",
                     ha="center", fontsize=7.5, color=QUIET,
                 )  # fmt: skip
     panels[0, 0].set_ylabel("CPU time [ms]")

@@ -67,7 +67,7 @@ def measure(robot: Robot, scene: Scene, *, seed: int, quick: bool, progress: Pro
 
     for step in steps:
         case("step", step, robot, scene, step)
-    discs = _beside_the_way(robot, scene, max(counts), seed)
+    discs = beside_the_way(robot, scene, max(counts), seed)
     for count in counts:
         case("obstacles", count, robot, scene.with_obstacles(discs[:count]), 1.0)
     with tempfile.TemporaryDirectory() as folder:
@@ -150,7 +150,7 @@ def _median_ms(run: Any, repetitions: int) -> float:
     return once if affordable < 2 else median(times_ms(run, min(repetitions, affordable), warm=0))
 
 
-def _beside_the_way(robot: Robot, scene: Scene, count: int, seed: int) -> list[Sphere]:
+def beside_the_way(robot: Robot, scene: Scene, count: int, seed: int) -> list[Sphere]:
     """Small discs within reach, none in the way of the reference motion; the scene's own obstacles come first."""
     path = plan(robot, scene).path
     if path is None:

@@ -18,7 +18,7 @@ import pinocchio as pin
 from hplan.arrays import FloatArray
 from hplan.benchmark.measure import Progress, spread, timed
 from hplan.benchmark.motions import row_cubics
-from hplan.benchmark.paths import without_jerk
+from hplan.benchmark.paths import Task, without_jerk
 from hplan.benchmark.scenes import PlanarScene, random_scene
 from hplan.certificate import LIMIT_TOLERANCE
 from hplan.collision import CollisionScene
@@ -55,7 +55,7 @@ def measure(robot: Robot, scene: Scene, *, seed: int, scenes: int, progress: Pro
     violations: list[dict[str, Any]] = []
     worst: dict[str, tuple[float, int]] = {}
     times: list[float] = []
-    motion_s, instants, certified, drawn, done = 0.0, 0, 0, 0, 0
+    motion_s, instants, certified, drawn, done, around = 0.0, 0, 0, 0, 0, 0
     least_clearance, slack = float("inf"), float("inf")
     with tempfile.TemporaryDirectory() as folder:
         while done < scenes:
@@ -78,6 +78,7 @@ def measure(robot: Robot, scene: Scene, *, seed: int, scenes: int, progress: Pro
                 )
                 continue
             times.append(ms)
+            around += not _is_direct(robot, candidate)
             certified += planned.certificate.verified
             file = write_csv(planned.trajectory, Path(folder) / "trajectory.csv")
             seen = look_again(robot, candidate, file, planned.certificate.min_clearance_m)
@@ -93,6 +94,7 @@ def measure(robot: Robot, scene: Scene, *, seed: int, scenes: int, progress: Pro
         "seed": seed,
         "drawn": drawn,
         "with_path": scenes,
+        "around": around,
         "planned": len(times),
         "certified": certified,
         "failed": failed,
@@ -109,6 +111,12 @@ def measure(robot: Robot, scene: Scene, *, seed: int, scenes: int, progress: Pro
             "hplan_no_jerk": at_limits(without_jerk(robot), plan(without_jerk(robot), scene).trajectory),
         },
     }
+
+
+def _is_direct(robot: Robot, drawn: PlanarScene) -> bool:
+    """Whether the straight motion from start to goal is clear."""
+    task = Task.of(robot, drawn.scene)
+    return task.field.is_clear(np.stack([task.problem.start, task.problem.goal]), task.smallest_margin)
 
 
 def look_again(robot: Robot, drawn: PlanarScene, file: Path, certified_clearance: float) -> dict[str, Any]:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from hplan.arrays import FloatArray
+from hplan.benchmark.growth import beside_the_way
 from hplan.benchmark.measure import Progress, median, spread, stages_in_cpu_time, timed, times_ms
 from hplan.benchmark.motions import (
     Findings,
@@ -20,7 +21,7 @@ from hplan.benchmark.motions import (
 )
 from hplan.benchmark.paths import Task, summary, ways_of, without_jerk
 from hplan.benchmark.planners import Ompl
-from hplan.benchmark.scenes import STEP_DEG, discs_in_plane
+from hplan.benchmark.scenes import STEP_DEG
 from hplan.collision import CollisionScene, sampled_occupancy
 from hplan.cspace import joint_grid, occupancy
 from hplan.errors import InputError
@@ -33,7 +34,7 @@ from hplan.scene import Scene
 from hplan.search import SearchResult, dense_search, two_level_search
 from hplan.section import arm_sections
 
-#: Discs of the crowded C-space.
+#: Discs of the crowded C-space: the scene's own, and small ones that leave its motion free.
 MANY_DISCS = 100
 
 
@@ -130,11 +131,11 @@ def _spaces(robot: Robot, scene: Scene, seed: int, repetitions: int, coal_repeti
         theirs, ms = timed(lambda: sampled_occupancy(judge, grid))
         sampled.append(ms)
         differing = int((theirs != ours.occupied).sum())
-    random = np.random.default_rng(seed)
-    crowded, crowded_alone = [], []
-    for _ in range(3 if coal_repetitions == 1 else 20):
-        discs = discs_in_plane(robot, _random_discs(random, MANY_DISCS, float(robot.arm.lengths.sum())))
+    crowded, crowded_alone, shares = [], [], []
+    for number in range(3 if coal_repetitions == 1 else 20):
+        discs = beside_the_way(robot, scene, MANY_DISCS, seed + number)
         cut = arm_sections(robot, discs)
+        shares.append(occupancy(robot.arm, cut, grid).occupied_count / grid.size)
         crowded.append(median(times_ms(lambda d=discs: occupancy(robot.arm, arm_sections(robot, d), grid), 5)))  # type: ignore[misc]
         crowded_alone.append(median(times_ms(lambda c=cut: occupancy(robot.arm, c, grid), 5)))  # type: ignore[misc]
     return {
@@ -146,17 +147,10 @@ def _spaces(robot: Robot, scene: Scene, seed: int, repetitions: int, coal_repeti
         "differing_nodes": differing,
         "ratio_coal": median(sampled) / whole,
         "many_discs": MANY_DISCS,
+        "many_occupied_share": median(shares),
         "many_ms": median(crowded),
         "many_grid_ms": median(crowded_alone),
     }
-
-
-def _random_discs(random: np.random.Generator, count: int, reach: float) -> FloatArray:
-    """(count, 3) discs within reach that leave the shoulder free."""
-    distance = random.uniform(0.15 * reach, reach, count)
-    bearing = np.radians(random.uniform(-20.0, 200.0, count))
-    radius = random.uniform(0.02, 0.08, count)
-    return np.column_stack([distance * np.cos(bearing), distance * np.sin(bearing), radius])
 
 
 def _motions(task: Task, result: PlanResult) -> dict[str, Any]:

@@ -152,7 +152,7 @@ def _parts(r: dict[str, Any]) -> Table:
             NONE,
             number(c["many_ms"]),
             NONE,
-            f"{number(c['many_grid_ms'])} ms of it for the grid",
+            f"{number(c['many_grid_ms'])} ms for the grid; {_percent(c['many_occupied_share'], 1.0)} occupied",
         ),
     )
     note = (
@@ -210,7 +210,8 @@ def _verdict(m: dict[str, Any]) -> str:
 _PLANNER_COLUMNS = ("planner, motion", "to hplan's", "in all [ms]", "path [ms]", "compiled [ms]", "path [deg]", "fit")
 
 _PLANNER_NOTE = (
-    "Duration of the motion to that of hplan's, time from scene to motion, time to the path, its length. OMPL asks "
+    "Duration of the motion to that of hplan's, time to the motion, time to the path, its length; only hplan's times "
+    "contain setting up and checking the scene. OMPL asks "
     "hplan's compiled kernel about whole motions by way of Python; `compiled` is an estimate of the time to the path "
     "with the Python part of those calls taken out. RRTConnect stops at its first path, BIT* when its time is up (or "
     "the straight line is found clear), after 1 s at most; both simplify. A path becomes a motion by a spline (cubic, "
@@ -341,10 +342,11 @@ def _recheck(r: dict[str, Any]) -> list[Table]:
         cells = [NONE, NONE] if use is None else [f"{use['use']:.5f}", str(use["number"])]
         rows.append((name, str(count), *cells))
     note = (
-        f"{r['with_path']:,} scenes with a path (of {r['drawn']:,} drawn): {r['planned']:,} planned, "
-        f"{r['certified']:,} certified. {r['instants']:,} instants in {r['motion_s']:,.0f} s of motion, from the CSV "
-        f"as the csv module reads it. Smallest clearance seen: {number(r['least_clearance_mm'])} mm; never less than "
-        f"certified, by {number(r['least_clearance_beyond_certificate_mm'])} mm at least (at one instant in fifty)."
+        f"{r['with_path']:,} scenes with a path (of {r['drawn']:,} drawn), {r['around']:,} of them with obstacles in "
+        f"the straight way: {r['planned']:,} planned, {r['certified']:,} certified. {r['instants']:,} instants in "
+        f"{r['motion_s']:,.0f} s of motion, from the CSV as the csv module reads it. Smallest clearance seen: "
+        f"{number(r['least_clearance_mm'])} mm; never less than certified, by "
+        f"{number(r['least_clearance_beyond_certificate_mm'])} mm at least (at one instant in fifty)."
     )
     columns = ("checked every 0.1 ms", "violations", "largest use", "in scene")
     first = Table("Recheck: certified trajectories looked at again", columns, tuple(rows), note)

@@ -1,0 +1,178 @@
+"""Measure hplan beside its peers, in one run on one machine, and write the tables and figures of the README."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hplan.errors import HplanError, InputError, OutputError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+SETS = ("reference", "clutter", "growth", "recheck")
+
+#: Random scenes: planned, and rechecked.
+CLUTTER_SCENES, RECHECK_SCENES = 200, 1000
+QUICK_CLUTTER_SCENES, QUICK_RECHECK_SCENES = 20, 25
+
+_DESCRIPTION = """\
+Measure hplan beside its peers: dense A*, coal's sampling of the grid, toppra on its own, and OMPL's planners where
+they are installed (pip install 'hplan[bench]').
+"""
+
+_EPILOG = """\
+sets:
+  reference  the reference scene: stages, searches, C-space, motions, planners
+  clutter    random planar scenes: success, time, length, duration, planners
+  growth     time and memory against grid step, obstacles and links
+  recheck    certified trajectories looked at again every 0.1 ms
+
+writes into DIR: benchmark.json, benchmark.md, benchmark-*.png
+
+exit status:
+  0  done, and no certified trajectory was found at fault
+  2  bad input
+  5  a certified trajectory was found at fault
+"""
+
+FAULT, INTERRUPTED = 5, 130
+
+#: Width of tables that go to a file or a pipe.
+WIDTH = 120
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line; returns the exit status."""
+    arguments = _parser().parse_args(argv)
+    from rich.console import Console
+
+    console, errors = Console(highlight=False), Console(stderr=True, highlight=False)
+    if not console.is_terminal:
+        console = Console(highlight=False, width=WIDTH)
+    try:
+        if arguments.scenes is not None and arguments.scenes < 1:
+            raise InputError("--scenes: expected a number of at least 1", scenes=arguments.scenes)
+        _prepare(arguments.out)
+        results = run(arguments, errors)
+        from hplan.benchmark.tables import show
+
+        show(console, results)
+        for path in write(results, arguments.out):
+            console.print(f"written: {path}", markup=False, soft_wrap=True)
+    except HplanError as error:
+        errors.print("[bold red]error[/]", f"({error.kind}):", end=" ")
+        errors.print(error.message, markup=False, soft_wrap=True)
+        return error.exit_status
+    except KeyboardInterrupt:
+        errors.print("interrupted")
+        return INTERRUPTED
+    return FAULT if results.get("recheck", {}).get("violations") else 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        description=_DESCRIPTION, epilog=_EPILOG, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    add = parser.add_argument
+    add("--out", type=Path, default=Path("out"), metavar="DIR", help="folder to write into (default: out)")
+    add("--quick", action="store_true", help="few repetitions and scenes: a look, not a measurement")
+    add("--sets", nargs="+", choices=SETS, default=list(SETS), help="what to measure (default: all)", metavar="SET")
+    add("--seed", type=int, default=0, metavar="N", help="seed of scenes and planners (default: 0)")
+    add(
+        "--scenes",
+        type=int,
+        metavar="N",
+        help=f"random scenes of each set (default: {CLUTTER_SCENES} in clutter, {RECHECK_SCENES} in recheck)",
+    )
+    return parser
+
+
+def _prepare(folder: Path) -> None:
+    """Make the folder, before any work.
+
+    Raises:
+        OutputError: It cannot be made.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(folder, error.strerror or str(error)) from error
+
+
+def run(arguments: argparse.Namespace, errors: Console) -> dict[str, Any]:
+    """Measure what was asked for."""
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+    columns = TextColumn("{task.description:32}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()
+    with Progress(*columns, console=errors, transient=True, disable=not errors.is_terminal) as bars:
+        task = bars.add_task("loading", total=None)
+
+        def progress(what: str, done: int, total: int) -> None:
+            bars.update(task, description=what, completed=done, total=total)
+
+        return _measure(arguments, progress)
+
+
+def _measure(arguments: argparse.Namespace, progress: Callable[[str, int, int], None]) -> dict[str, Any]:
+    from hplan.benchmark import clutter, growth, recheck, reference
+    from hplan.benchmark.measure import environment
+    from hplan.benchmark.planners import Ompl
+    from hplan.robot import load_robot
+    from hplan.scene_file import load_scene
+
+    robot, scene = load_robot(), load_scene()
+    quick, seed = arguments.quick, arguments.seed
+    # The first seed of OMPL must be positive.
+    ompl = Ompl.if_installed(seed + 1)
+    many = arguments.scenes or (QUICK_CLUTTER_SCENES if quick else CLUTTER_SCENES)
+    most = arguments.scenes or (QUICK_RECHECK_SCENES if quick else RECHECK_SCENES)
+    sets: dict[str, Callable[[], dict[str, Any]]] = {
+        "reference": lambda: reference.measure(robot, scene, seed=seed, quick=quick, ompl=ompl, progress=progress),
+        "clutter": lambda: clutter.measure(robot, seed=seed, scenes=many, ompl=ompl, progress=progress),
+        "growth": lambda: growth.measure(robot, scene, seed=seed, quick=quick, progress=progress),
+        "recheck": lambda: recheck.measure(robot, scene, seed=seed, scenes=most, progress=progress),
+    }
+    return {
+        "format": "hplan-benchmark/1",
+        "settings": {"sets": [name for name in SETS if name in arguments.sets], "quick": quick, "seed": seed},
+        "environment": environment(),
+        **{name: measure() for name, measure in sets.items() if name in arguments.sets},
+    }
+
+
+def write(results: dict[str, Any], folder: Path) -> list[Path]:
+    """Write JSON, Markdown and figures; figures only where matplotlib is installed.
+
+    Raises:
+        OutputError: A file cannot be written.
+    """
+    from hplan.benchmark.figures import figures
+    from hplan.benchmark.tables import to_markdown
+    from hplan.files import write_text
+    from hplan.report import write_report
+    from hplan.view.figures import png_bytes, require_matplotlib
+
+    written = [
+        write_report(results, folder / "benchmark.json"),
+        write_text(folder / "benchmark.md", to_markdown(results)),
+    ]
+    try:
+        require_matplotlib()
+    except InputError:
+        return written
+    for name, figure in figures(results).items():
+        path = folder / f"{name}.png"
+        try:
+            path.write_bytes(png_bytes(figure))
+        except OSError as error:
+            raise OutputError(path, error.strerror or str(error)) from error
+        written.append(path)
+    return written
+
+
+if __name__ == "__main__":
+    sys.exit(main())

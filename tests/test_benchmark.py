@@ -1,0 +1,226 @@
+from __future__ import annotations
+
+import importlib.util
+import json
+import math
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import hplan
+from hplan.benchmark import growth, recheck
+from hplan.benchmark.measure import fitted_slope, peak_memory_mb, spread
+from hplan.benchmark.motions import of_rows, row_cubics, stopping_duration, toppra_motion
+from hplan.benchmark.paths import Task, ways_of
+from hplan.benchmark.planners import Ompl
+from hplan.benchmark.scenes import APART_DEG, random_scene
+from hplan.benchmark.tables import number, to_markdown
+from hplan.robot import Robot
+from hplan.scene import Scene
+from hplan.trajectory import Trajectory
+
+SCRIPT = Path(__file__).resolve().parents[1] / "scripts" / "benchmark.py"
+FIGURES = ("benchmark-reference.png", "benchmark-clutter.png", "benchmark-growth.png")
+
+
+def load_script() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("benchmark", SCRIPT)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+script = load_script()
+
+
+@pytest.fixture(scope="module")
+def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A quick run of all sets on few scenes, growth on its smallest cases, no planners from elsewhere."""
+    folder = tmp_path_factory.mktemp("benchmark") / "new" / "folder"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(growth, "STEPS_DEG", (6.0, 3.0))
+        patch.setattr(growth, "COUNTS", (1, 2, 4))
+        patch.setattr(growth, "LINKS", (2, 3))
+        patch.setattr(growth, "LINK_STEP_DEG", 6.0)
+        patch.setattr(Ompl, "if_installed", classmethod(lambda cls, seed: None))
+        assert script.main(["--quick", "--scenes", "3", "--out", str(folder), "--seed", "4"]) == 0
+    return folder
+
+
+@pytest.fixture(scope="module")
+def results(out: Path) -> Any:
+    return json.loads((out / "benchmark.json").read_text(encoding="utf-8"))
+
+
+def test_writes_everything(out: Path, results: Any) -> None:
+    assert {path.name for path in out.iterdir()} == {"benchmark.json", "benchmark.md", *FIGURES}
+    for name in FIGURES:
+        with Image.open(out / name) as image:
+            assert min(image.size) > 500
+    assert results["format"] == "hplan-benchmark/1"
+    assert results["settings"] == {"sets": ["reference", "clutter", "growth", "recheck"], "quick": True, "seed": 4}
+    assert {"processor", "cores", "python", "versions"} <= set(results["environment"])
+
+
+def test_reference_numbers(results: Any) -> None:
+    r = results["reference"]
+    assert r["searches"]["two_level"]["cost_deg"] == pytest.approx(r["searches"]["dense"]["cost_deg"])
+    assert r["searches"]["dense"]["points"] == 107
+    assert r["cspace"]["occupied"] == 128_891
+    assert r["cspace"]["differing_nodes"] == 0
+    assert {"cspace", "layers", "sparse", "postprocess", "timing", "certificate", "total"} <= set(r["stages_ms"])
+    rows = r["motions"]["rows"]
+    assert rows["hplan"]["certified"]
+    assert rows["hplan_length"]["length_deg"] < rows["hplan"]["length_deg"]
+    assert not rows["hplan"]["collides"]
+    assert rows["grid_spline"]["ratio"] == pytest.approx(1.0 / r["motions"]["hplan_to_grid_spline"])
+    assert rows["taut_stops"]["certified"]
+    assert r["planners"] is None
+
+
+def test_clutter_numbers(results: Any) -> None:
+    c = results["clutter"]
+    assert c["scenes"] == 3
+    assert c["with_path"] + c["blocked"] == 3
+    assert c["planned"] == c["certified"] == len(c["rows"])
+    assert c["disagreeing"] == 0
+    assert all(row["cost_ratio"] > 1.0 - 1e-9 for row in c["rows"])
+
+
+def test_recheck_numbers(results: Any) -> None:
+    r = results["recheck"]
+    assert r["with_path"] == r["planned"] == r["certified"] == 3
+    assert r["violations"] == []
+    assert 0 <= r["around"] <= 3
+    assert set(r["violation_counts"]) == set(recheck.CHECKS)
+    assert r["least_clearance_beyond_certificate_mm"] >= 0.0
+    assert 0.0 < r["reference"]["hplan"]["any"] <= 1.0
+
+
+def test_growth_numbers(results: Any) -> None:
+    for axis, sizes in (("step", [6.0, 3.0]), ("obstacles", [1, 4]), ("links", [2, 3])):
+        cases = results["growth"][axis]["cases"]
+        assert [case["size"] for case in cases] == sizes
+        assert all(case["cspace_ms"] > 0.0 and case["dense_ms"] > 0.0 for case in cases)
+        assert set(results["growth"][axis]["slopes"]) == set(growth.QUANTITIES)
+
+
+def test_markdown(out: Path) -> None:
+    text = (out / "benchmark.md").read_text(encoding="utf-8")
+    blocks = [block.splitlines() for block in text.split("\n\n") if block.startswith("|")]
+    assert len(blocks) >= 10
+    for block in blocks:
+        assert len({line.replace("\\|", "").count("|") for line in block}) == 1, block[0]
+    assert "nan" not in text
+    assert text.count("not installed |") == 4
+
+
+def test_some_sets_only(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert script.main(["--quick", "--sets", "recheck", "--scenes", "1", "--out", str(tmp_path)]) == 0
+    results = json.loads((tmp_path / "benchmark.json").read_text(encoding="utf-8"))
+    assert "reference" not in results
+    assert "Recheck" in capsys.readouterr().out
+
+
+def test_violation_is_told_by_the_exit_status(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(recheck, "LIMIT_TOLERANCE", 0.5)
+    assert script.main(["--quick", "--sets", "recheck", "--scenes", "1", "--out", str(tmp_path)]) == script.FAULT
+
+
+def test_bad_input(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert script.main(["--scenes", "0", "--out", str(tmp_path)]) == 2
+    (tmp_path / "file").touch()
+    assert script.main(["--out", str(tmp_path / "file")]) == 2
+    assert "scenes" in capsys.readouterr().err
+    with pytest.raises(SystemExit) as stop:
+        script.main(["--sets", "everything"])
+    assert stop.value.code == 2
+
+
+def test_scenes_depend_on_seed_and_number_alone(robot: Robot) -> None:
+    once, again, other = random_scene(robot, 1, 2), random_scene(robot, 1, 2), random_scene(robot, 2, 2)
+    assert once.scene == again.scene != other.scene
+    assert 1 <= len(once.scene.obstacles) <= 12
+    ends = once.space.grid.coordinates(np.stack([once.start, once.goal]))
+    assert np.degrees(np.linalg.norm(ends[1] - ends[0])) >= APART_DEG
+    assert once.space.is_free(once.start)
+    assert once.spare_clearance_m > 0.0
+
+
+def test_row_cubics_are_hermite() -> None:
+    time, clock = np.array([0.0, 0.5, 2.0]), np.linspace(0.0, 2.0, 41)
+    cubic = np.polynomial.Polynomial([0.3, -1.0, 0.7, 0.2])
+    rows = cubic(time)[:, None], cubic.deriv()(time)[:, None]
+    np.testing.assert_allclose(row_cubics(time, *rows, clock)[:, 0], cubic(clock), atol=1e-12)
+
+
+@pytest.mark.parametrize(("turn", "duration"), [(0.3, 2.0 * math.sqrt(0.1)), (1.2, 1.0 + 0.4)])
+def test_stopping_duration_is_that_of_trapezoids(robot: Robot, turn: float, duration: float) -> None:
+    """The shoulder alone: 1.2 rad/s and 3 rad/s^2."""
+    path = np.zeros((3, 4))
+    path[1:, 1] = turn
+    assert stopping_duration(robot, path) == pytest.approx(duration)
+    assert stopping_duration(robot, np.vstack([path, path[:1]])) == pytest.approx(2.0 * duration)
+
+
+def test_toppra_keeps_limits_as_advised_on_a_straight_path(robot: Robot) -> None:
+    path = np.zeros((2, 4))
+    path[1, 1:] = 0.5
+    motion = toppra_motion(robot, path)
+    assert motion is not None
+    assert motion.duration == pytest.approx(stopping_duration(robot, path), rel=2e-3)
+
+
+def test_recheck_sees_a_trajectory_at_fault(robot: Robot, tmp_path: Path) -> None:
+    """A motion at twice its pace, and one certified for more clearance than it has."""
+    drawn = next(d for number in range(50) if (d := random_scene(robot, 0, number)).has_path)
+    result = hplan.plan(robot, drawn.scene)
+    slow = result.trajectory
+    quick = Trajectory(
+        slow.joint_names, slow.time / 2, slow.position, slow.velocity * 2, slow.acceleration * 4, slow.torque
+    )
+    seen = recheck.look_again(robot, drawn, hplan.write_csv(quick, tmp_path / "quick.csv"), 1e-6)
+    assert {"velocity", "acceleration"} & {item["check"] for item in seen["violations"]}
+    file = hplan.write_csv(slow, tmp_path / "slow.csv")
+    assert recheck.look_again(robot, drawn, file, result.certificate.min_clearance_m)["violations"] == []
+    boast = recheck.look_again(robot, drawn, file, 1.0)
+    assert [item["check"] for item in boast["violations"]] == ["certified clearance"]
+
+
+def test_small_helpers() -> None:
+    assert number(float("nan")) == "-"
+    assert number(0.01234) == "0.0123"
+    assert number(12345.6) == "12,346"
+    assert fitted_slope([1, 10, 100], [2, 200, 20000]) == pytest.approx(2.0)
+    assert math.isnan(fitted_slope([1, 1], [2, 3]))
+    assert math.isnan(spread([])["median"])
+    array, rise = peak_memory_mb(lambda: np.ones(4_000_000))
+    assert array.sum() == 4_000_000
+    assert math.isnan(rise) or 25.0 < rise < 60.0
+
+
+def test_planners_where_installed(robot: Robot, scene: Scene) -> None:
+    pytest.importorskip("ompl")
+    ompl = Ompl.if_installed(1)
+    assert ompl is not None
+    task = Task.of(robot, scene)
+    run = ompl.plan(robot, task.field, task.problem.start, task.problem.goal, margin=task.smallest_margin)
+    assert run.path is not None
+    assert task.field.is_clear(run.path, task.smallest_margin)
+    assert run.compiled_ms <= run.total_ms * 1.5
+    ways = ways_of(task, run.path)
+    assert ways.processed_s is not None
+    result = hplan.plan(robot, scene)
+    assert of_rows(result.trajectory).duration == result.trajectory.duration
+
+
+def test_markdown_of_nothing_measured() -> None:
+    where = {"processor": "p", "cores": 1, "system": "s", "python": "3", "versions": {}}
+    text = to_markdown({"environment": where, "settings": {"seed": 0, "quick": False}})
+    assert text.startswith("p, 1 cores")

@@ -59,6 +59,7 @@ def time_path(
     *,
     rate_hz: float = 250.0,
     grid_points: int = GRID_POINTS,
+    grid: FloatArray | None = None,
     start_speed: float = 0.0,
     end_speed: float = 0.0,
 ) -> Trajectory:
@@ -70,6 +71,7 @@ def time_path(
         limits: Velocity, acceleration and, where given, torque and jerk limits.
         rate_hz: Rows per second.
         grid_points: Number of points at which the path speed is chosen, beside the ends of the path's pieces.
+        grid: (n,) increasing path parameters from 0 to the end to choose it at instead, for a motion from rest to rest.
         start_speed: Joint-space speed along the path at its start [rad/s]; 0 starts from rest.
         end_speed: Joint-space speed along the path at its end [rad/s]; 0 comes to rest. Where it is not, the motion is
             slowed down by less than one period in all, and the speeds with it, to end on a row.
@@ -83,11 +85,14 @@ def time_path(
     for option, value in (("start_speed", start_speed), ("end_speed", end_speed)):
         if not (np.isfinite(value) and value >= 0.0):
             raise OptionError(option, value, "a finite speed along the path >= 0")
+    if grid is not None and (start_speed or end_speed):
+        raise OptionError("grid", "given", "none where the ends of the motion are not at rest")
     names = tuple(model.names)[1:]
-    fine = path.evaluate(_grid(path, grid_points, (0.0, 0.0)))
-    if np.abs(fine - fine[0]).max() < NO_MOTION:
+    whole = _grid(path, grid_points, (0.0, 0.0)) if grid is None else grid
+    fine = path.evaluate(whole)
+    if np.ptp(fine, axis=0).max() < NO_MOTION:
         return resting(model, path.evaluate(0.0))
-    _check_limits(path, model, limits, _grid(path, grid_points, (0.0, 0.0)), names)
+    _check_limits(path, model, limits, whole, names)
     ends = np.array([0.0, path.breaks[-1]])
     # Path speeds ds/dt at the ends; the parameter need not run exactly as the length.
     rates = np.array([start_speed, end_speed]) / np.linalg.norm(path.evaluate(ends, 1), axis=1)
@@ -97,7 +102,11 @@ def time_path(
         """With as much constant speed at each end as the rows' averages reach over; the same for all from rest."""
         if window > 1 and not rates.any():
             return profile_for(1)
-        return _Profile.along(path, model, limits, grid_points, rates, 0.5 * (window + 1) / rate_hz)
+        leads = rates * (0.5 * (window + 1) / rate_hz)
+        if leads.sum() >= 0.5 * path.breaks[-1]:
+            raise TimingError("the path is too short for its start and end speeds", cause="speed at the ends")
+        between = _grid(path, grid_points, (float(leads[0]), float(leads[1]))) if rates.any() else whole
+        return _Profile.along(path, model, limits, between, rates)
 
     period = 1.0 / rate_hz
     window = _smoothing_window(profile_for, names, limits, period)
@@ -120,9 +129,17 @@ def _grid(path: GeometricPath, points: int, leads: tuple[float, float]) -> Float
     first, last = leads[0], float(path.breaks[-1]) - leads[1]
     inner = path.breaks[(path.breaks > first) & (path.breaks < last)]
     spaced = first + 0.5 * (last - first) * (1.0 - np.cos(np.linspace(0.0, np.pi, points)))
-    # A piece's end takes the place of the point nearest to it, so that no interval becomes very short.
-    spaced[np.abs(spaced[1:-1, None] - inner).argmin(axis=0) + 1] = inner
-    grid: FloatArray = np.unique(spaced)
+    if len(inner) == 0:
+        return spaced
+    # Spaced points that stand close to a piece's end give way to it, so that few intervals become very short.
+    following = np.searchsorted(inner, spaced)
+    nearest = np.minimum(
+        np.abs(spaced - inner[np.minimum(following, len(inner) - 1)]),
+        np.abs(spaced - inner[np.maximum(following - 1, 0)]),
+    )
+    kept = nearest > 0.3 * np.gradient(spaced)
+    kept[[0, -1]] = True
+    grid: FloatArray = np.union1d(spaced[kept], inner)
     return grid
 
 
@@ -174,19 +191,9 @@ class _Profile:
 
     @classmethod
     def along(
-        cls,
-        path: GeometricPath,
-        model: pin.Model,
-        limits: Limits,
-        grid_points: int,
-        rates: FloatArray,
-        lead: float,
+        cls, path: GeometricPath, model: pin.Model, limits: Limits, grid: FloatArray, rates: FloatArray
     ) -> _Profile:
-        """By toppra, with `lead` seconds of constant speed at each end."""
-        leads = (float(rates[0]) * lead, float(rates[1]) * lead)
-        if sum(leads) >= 0.5 * path.breaks[-1]:
-            raise TimingError("the path is too short for its start and end speeds", cause="speed at the ends")
-        grid = _grid(path, grid_points, leads)
+        """By toppra, with path speeds `rates` at the ends of the grid."""
         from hplan.topp import fastest_speed
 
         speed = fastest_speed(path, model, limits, grid, rates)
@@ -230,7 +237,7 @@ def _smoothing_window(
     raw = _rows(profile, limits, period, 1).acceleration[:, moves]
     padded = np.concatenate([np.zeros_like(raw[:1]), raw, np.zeros_like(raw[:1])])
     allowed = jerk[moves] * period * (1.0 + 1e-6)
-    enough = int(np.ceil((2.0 * limits.acceleration[moves] / (jerk[moves] * period)).max()))
+    enough = int(np.ceil((2.0 * limits.acceleration[moves] / (jerk[moves] * period)).max(initial=1.0)))
     for window in range(1, min(enough, len(padded) - 1)):
         if (np.abs(padded[window:] - padded[:-window]) <= allowed * window).all():
             return window

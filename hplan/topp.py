@@ -30,6 +30,9 @@ logging.getLogger("toppra").setLevel(logging.ERROR)
 #: What toppra is given for a limit of zero, which only joints that do not move may have.
 _TINY = 1e-9
 
+#: Paths shorter than this are given a longer parameter [rad].
+_SHORT = 0.01
+
 
 def fastest_speed(
     path: GeometricPath, model: pin.Model, limits: Limits, grid: FloatArray, rates: FloatArray
@@ -53,19 +56,23 @@ def fastest_speed(
     ]
     if limits.torque is not None:
         constraints.append(_Torque(model, np.maximum(limits.torque, _TINY)))
-    instance = algorithm.TOPPRA(constraints, _Path(path, grid), gridpoints=grid, solver_wrapper="seidel")
-    _, speed, _ = instance.compute_parameterization(float(rates[0]), float(rates[1]))
+    # toppra's tolerances are absolute; on a short path a longer parameter brings ds/dt to about 10.
+    span = float(grid[-1] - grid[0])
+    scale = 10.0 / np.sqrt(max(float(limits.acceleration.max()), _TINY) * span) if span < _SHORT else 1.0
+    view = _Path(path, grid, scale)
+    instance = algorithm.TOPPRA(constraints, view, gridpoints=scale * grid, solver_wrapper="seidel")
+    _, speed, _ = instance.compute_parameterization(scale * float(rates[0]), scale * float(rates[1]))
     if speed is None or not np.isfinite(speed).all():
-        code = str(instance.problem_data.return_code).rsplit(".", 1)[-1]
+        code = instance.problem_data.return_code.name
         raise TimingError(f"toppra finds no motion along the path ({code})", cause=code)
-    return np.maximum(np.asarray(speed, dtype=np.float64), 0.0)
+    return np.maximum(np.asarray(speed, dtype=np.float64), 0.0) / scale
 
 
 class _Path(toppra.interpolator.AbstractGeometricPath):  # type: ignore[misc]
-    """The part of a path that a grid covers, as toppra's interface."""
+    """The part of a path that a grid covers, as toppra's interface; its parameter is the path's times `scale`."""
 
-    def __init__(self, path: GeometricPath, grid: FloatArray) -> None:
-        self._path, self._grid = path, grid
+    def __init__(self, path: GeometricPath, grid: FloatArray, scale: float) -> None:
+        self._path, self._grid, self._scale = path, grid, scale
 
     @property
     def dof(self) -> int:
@@ -73,14 +80,14 @@ class _Path(toppra.interpolator.AbstractGeometricPath):  # type: ignore[misc]
 
     @property
     def path_interval(self) -> FloatArray:
-        return np.array([self._grid[0], self._grid[-1]])
+        return self._scale * np.array([self._grid[0], self._grid[-1]])
 
     @property
     def waypoints(self) -> tuple[FloatArray, FloatArray]:
-        return self._grid, self._path.evaluate(self._grid)
+        return self._scale * self._grid, self._path.evaluate(self._grid)
 
     def __call__(self, path_positions: ArrayLike, order: int = 0) -> FloatArray:
-        return self._path.evaluate(path_positions, order)
+        return self._path.evaluate(np.asarray(path_positions) / self._scale, order) / self._scale**order
 
 
 class _AtMiddles(constraint.LinearConstraint):  # type: ignore[misc]

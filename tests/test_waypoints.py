@@ -1,0 +1,581 @@
+from __future__ import annotations
+
+import csv
+import importlib.util
+import itertools
+import math
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from hypothesis import assume, example, given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as npst
+
+from hplan.errors import InputError, JointLimitError, OptionError, RobotFileError, TimingError
+from hplan.path import Limits
+from hplan.trajectory import read_csv
+from hplan.waypoints import (
+    ENDLESS,
+    largest_deviation,
+    limit_shares,
+    limits_of,
+    read_machine,
+    read_waypoints,
+    rounded_path,
+    time_waypoints,
+)
+
+SCRIPT = Path(__file__).resolve().parents[1] / "scripts" / "time_waypoints.py"
+
+LIMIT = '<limit lower="-3" upper="3" velocity="2" effort="60"/>'
+
+
+def urdf(*joints: str, chain: tuple[str, ...] = ("a", "b")) -> str:
+    """A chain of 1 kg links, 0.4 m apart along x, that turn about y."""
+    joints = joints or tuple(f'<joint name="{name}" type="revolute">{LIMIT}' for name in chain)
+    inertial = (
+        '<inertial><origin xyz="0.2 0 0"/><mass value="1"/>'
+        '<inertia ixx="0.01" iyy="0.02" izz="0.02" ixy="0" ixz="0" iyz="0"/></inertial>'
+    )
+    parts = ['<robot name="toy"><link name="l0"/>']
+    for i, joint in enumerate(joints):
+        parts.append(f'<link name="l{i + 1}">{inertial}</link>{joint}<origin xyz="{0.4 * (i > 0)} 0 0"/>')
+        parts.append(f'<axis xyz="0 -1 0"/><parent link="l{i}"/><child link="l{i + 1}"/></joint>')
+    return "".join([*parts, "</robot>"])
+
+
+@pytest.fixture
+def write(tmp_path):
+    def write(name: str, text: str) -> Path:
+        path = tmp_path / name
+        path.write_text(text)
+        return path
+
+    return write
+
+
+@pytest.fixture
+def toy(write):
+    return read_machine(write("toy.urdf", urdf()))
+
+
+@pytest.fixture
+def load(write):
+    """A robot from the opening tags of its joints."""
+    return lambda *joints, **options: read_machine(write("robot.urdf", urdf(*joints)), **options)
+
+
+@pytest.fixture(scope="session")
+def script():
+    spec = importlib.util.spec_from_file_location("time_waypoints_script", SCRIPT)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+# The robot
+
+
+def test_machine_has_the_joints_in_order(toy):
+    assert toy.joint_names == ("a", "b")
+    assert toy.held == {}
+    np.testing.assert_array_equal(toy.model.velocityLimit, [2, 2])
+
+
+def test_prismatic_joint_moves(load):
+    machine = load(f'<joint name="slide" type="prismatic">{LIMIT}', f'<joint name="turn" type="revolute">{LIMIT}')
+    motion = time_waypoints(machine.model, [[0, 0], [0.5, 1]], limits_of(machine.model, 5.0))
+    np.testing.assert_array_equal(motion.position[-1], [0.5, 1.0])
+
+
+def test_continuous_joint_counts_past_a_turn(load):
+    machine = load('<joint name="spin" type="continuous"><limit velocity="2" effort="60"/>')
+    assert (machine.model.nq, machine.model.nv) == (1, 1)
+    assert machine.model.upperPositionLimit[0] == ENDLESS
+    motion = time_waypoints(machine.model, [[0.0], [20.0]], limits_of(machine.model, 5.0))
+    assert motion.position[-1, 0] == 20.0
+    # Gravity repeats with each turn.
+    twin = pin.rnea(machine.model, machine.model.createData(), np.array([20.0 - 6 * math.pi]), np.zeros(1), np.zeros(1))
+    assert motion.torque[-1, 0] == pytest.approx(twin[0])
+
+
+def test_limits_that_the_urdf_does_not_give(load):
+    machine = load('<joint name="spin" type="continuous">')
+    with pytest.raises(InputError, match=r"'spin' has no velocity limit") as caught:
+        limits_of(machine.model, 5.0)
+    assert caught.value.data["joint"] == "spin"
+    machine = load('<joint name="spin" type="continuous"><limit velocity="2" effort="1"/>')
+    machine.model.effortLimit[0] = np.inf
+    with pytest.raises(InputError, match="no torque limit"):
+        limits_of(machine.model, 5.0)
+    assert limits_of(machine.model, 5.0, torque=False).torque is None
+
+
+@pytest.mark.parametrize("value", [math.nan, -1.0, [1.0, -2.0]])
+def test_limits_out_of_range(toy, value):
+    with pytest.raises(InputError, match="acceleration limit is"):
+        limits_of(toy.model, value)
+
+
+@pytest.mark.parametrize("kind", ["floating", "planar"])
+def test_joint_of_several_coordinates_is_refused_and_can_stay(load, kind):
+    joints = (f'<joint name="base" type="{kind}">', f'<joint name="a" type="revolute">{LIMIT}')
+    with pytest.raises(InputError, match=f"'base' cannot be moved or held: it is {kind}"):
+        load(*joints)
+    machine = load(*joints, joints=["a"])
+    assert machine.joint_names == ("a",)
+    assert machine.held == {"base": None}
+
+
+def test_mimic_is_held_with_the_one_it_mimics(load):
+    joints = [f'<joint name="{name}" type="revolute">{LIMIT}' for name in ("arm", "finger", "other")]
+    joints[2] += '<mimic joint="finger"/>'
+    machine = load(*joints)
+    assert machine.joint_names == ("arm",)
+    assert machine.held == {"finger": 0.0, "other": 0.0}
+    for name in ("finger", "other"):
+        with pytest.raises(InputError, match=f"'{name}' cannot be moved: .* move as one"):
+            load(*joints, joints=[name])
+
+
+def test_held_joints_stand_where_told(load):
+    wide, narrow = LIMIT, LIMIT.replace('lower="-3"', 'lower="0.5"')
+    joints = [f'<joint name="a" type="revolute">{wide}', f'<joint name="b" type="revolute">{narrow}']
+    assert load(*joints, joints=["a"]).held == {"b": 0.5}
+    machine = load(*joints, joints=["a"], hold={"b": math.pi / 2})
+    # The second link points up: both centres of mass, at 0.2 and 0.4 m.
+    still = time_waypoints(machine.model, [[0.0]], limits_of(machine.model, 1.0))
+    assert still.torque[0, 0] == pytest.approx(9.81 * (0.2 + 0.4))
+    with pytest.raises(JointLimitError, match="hold: joint 'b'"):
+        load(*joints, joints=["a"], hold={"b": 0.0})
+    with pytest.raises(InputError, match="cannot both"):
+        load(*joints, joints=["a"], hold={"a": 0.0})
+    for name in ("c", "l1"):
+        with pytest.raises(InputError, match=f"no joint '{name}'"):
+            load(*joints, joints=[name])
+    with pytest.raises(InputError, match="no joint is to move"):
+        load(*joints, joints=[])
+
+
+def test_link_and_joint_of_one_name(write):
+    machine = read_machine(write("toy.urdf", urdf(chain=("l2", "l1"))), joints=["l1"])
+    assert machine.joint_names == ("l1",)
+    assert machine.held == {"l2": 0.0}
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        (None, "No such file"),
+        ("<robot", "malformed XML"),
+        ("<sdf/>", "root element is <sdf>"),
+        (urdf().replace('name="b"', 'name="a"'), "'a' is defined twice"),
+        (urdf().replace("<limit", "<limits"), "Pinocchio refuses it"),
+    ],
+)
+def test_bad_robot_file(tmp_path, write, text, reason):
+    path = tmp_path / "none.urdf" if text is None else write("bad.urdf", text)
+    with pytest.raises(RobotFileError, match=reason):
+        read_machine(path)
+
+
+# The CSV
+
+
+def test_waypoints_in_any_order_with_other_columns(write):
+    path = write("w.csv", "\ufefftime_s, b ,a_pos_rad,note\r\n0,1,2,x\r\n\r\n1,-3e-1,4,y\r\n")
+    np.testing.assert_array_equal(read_waypoints(path, ("a", "b")), [[2, 1], [4, -0.3]])
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("", "line 1: expected a header"),
+        ("a,c\n0,0\n", "line 1: joint 'b' has no column; expected b_pos_rad or b .the columns are a, c"),
+        ("a,b,b_pos_rad\n0,0,0\n", "line 1: joint 'b' has two columns"),
+        ("a,b\n", "line 1: no waypoints"),
+        ("a,b\n0,0\n\n1\n", "line 4: 1 values, expected 2"),
+        ("a,b\n0,0\n1,x\n", "line 3: b is 'x', expected a finite number"),
+        ("a,b\n0,nan\n", "line 2: b is 'nan'"),
+        ("a,b\n0,1_0\n", "line 2: b is '1_0'"),
+        ('a,b\n0,"1\n', "line 2: "),
+    ],
+)
+def test_bad_csv(write, text, reason):
+    with pytest.raises(InputError, match=reason) as caught:
+        read_waypoints(write("w.csv", text), ("a", "b"))
+    assert caught.value.data["line"] >= 1
+
+
+def test_unreadable_csv(tmp_path):
+    with pytest.raises(InputError, match="No such file"):
+        read_waypoints(tmp_path / "none.csv", ("a",))
+    (tmp_path / "w.csv").write_bytes(b"a\n\xff\n")
+    with pytest.raises(InputError, match="not UTF-8"):
+        read_waypoints(tmp_path / "w.csv", ("a",))
+
+
+# The path
+
+
+def frechet_distance_is_within(curve: np.ndarray, points: np.ndarray, bound: float) -> bool:
+    """Whether dense points of two curves can be gone through side by side within a bound (discrete Frechet)."""
+    near = np.linalg.norm(curve[:, None] - points[None], axis=2) <= bound
+    reach = np.zeros_like(near)
+    for i, j in itertools.product(*map(range, near.shape)):
+        before = (i == 0 and j == 0) or reach[max(i - 1, 0) : i + 1, max(j - 1, 0) : j + 1].any()
+        reach[i, j] = near[i, j] and before
+    return bool(reach[-1, -1])
+
+
+coordinate = st.one_of(
+    st.floats(-3.0, 3.0), st.sampled_from([0.0, 1.0, 1.0 + 1e-9, 1.0 - 1e-6, 1.01, -1.0]), st.floats(-1e-6, 1e-6)
+)
+polylines = npst.arrays(np.float64, st.tuples(st.integers(2, 9), st.integers(1, 4)), elements=coordinate)
+
+
+@settings(deadline=None, max_examples=300)
+@given(polylines, st.sampled_from([1e-4, 1e-2, 0.1, 1.0]))
+@example(np.array([[0.0], [1.0], [0.0]]), 0.1)
+@example(np.array([[0.0, 0], [1, 0], [0, 1e-9], [1, 1]]), 0.01)
+@example(np.array([[0.0, 0], [1, 0], [1, 1e-4], [0, 1e-4]]), 0.01)
+@example(np.array([[0.0, 0], [1e-7, 0], [1e-7, 1e-7], [1, 1]]), 1e-4)
+def test_path_keeps_to_the_polyline(points, deviation):
+    path = rounded_path(points, deviation)
+    curve = path.evaluate(np.linspace(0.0, path.end, 4000))
+    assert largest_deviation(curve, points) <= deviation + 1e-12
+    np.testing.assert_allclose(path.evaluate([0.0, path.end]), points[[0, -1]], rtol=1e-15, atol=2e-9)
+    # Joint limits that the waypoints keep.
+    assert (path.pieces >= points.min(axis=0) - 1e-12).all()
+    assert (path.pieces <= points.max(axis=0) + 1e-12).all()
+    assert (np.diff(path.breaks) > 0.0).all()
+    # Every waypoint is passed, in turn: none before the one it follows.
+    distance = np.linalg.norm(curve[:, None] - points[None], axis=2) <= deviation + path.end / 4000
+    at = 0
+    for passed in distance.T:
+        assert passed[at:].any()
+        at += int(passed[at:].argmax())
+
+
+@settings(deadline=None, max_examples=40)
+@given(polylines, st.sampled_from([0.03, 0.3]))
+def test_path_runs_along_the_polyline(points, deviation):
+    path = rounded_path(points, deviation)
+    length = np.linalg.norm(np.diff(points, axis=0), axis=1).sum()
+    assume(length < 15.0)
+    step = 0.05
+    curve = path.evaluate(np.linspace(0.0, path.end, 2 + int(path.end / step)))
+    pieces = [
+        a + (b - a) * np.linspace(0, 1, 2 + int(np.linalg.norm(b - a) / step))[:, None]
+        for a, b in itertools.pairwise(points)
+    ]
+    assert frechet_distance_is_within(curve, np.concatenate(pieces), deviation + step)
+
+
+def test_deviation_is_used():
+    """At a lone corner the path passes the corner at just what thinning leaves of the deviation."""
+    path = rounded_path([[0, 0], [1, 0], [1, 1]], 0.02)
+    s = np.linspace(0, path.end, 20_001)
+    assert np.linalg.norm(path.evaluate(s) - [1, 0], axis=1).min() == pytest.approx(0.015, rel=1e-6)
+
+
+def test_parameter_is_the_length_and_curvature_is_continuous():
+    path = rounded_path([[0, 0], [1, 0], [1, 2]], 0.02)
+    speed = np.linalg.norm(path.evaluate(np.linspace(0, path.end, 1000), 1), axis=1)
+    assert speed.max() == pytest.approx(1.0)
+    assert np.median(speed) == pytest.approx(1.0)
+    for at in path.breaks[1:-1]:
+        sides = path.evaluate([at - 1e-9, at + 1e-9], 2)
+        np.testing.assert_allclose(sides[0], sides[1], atol=1e-5)
+
+
+def test_waypoints_in_line_and_noise_are_left_out():
+    line = np.linspace(0, 1, 30)[:, None] * [1.0, 2.0]
+    assert len(rounded_path(line, 0.01).control) == 4
+    noisy = line + 0.0005 * np.random.default_rng(0).uniform(-1, 1, line.shape)
+    assert len(rounded_path(noisy, 0.01).control) == 4
+    assert len(rounded_path(noisy, 1e-4).control) > 30
+
+
+def test_equal_waypoints_are_a_constant_path():
+    path = rounded_path([[1.0, 2.0]] * 3, 0.1)
+    np.testing.assert_array_equal(path.evaluate([0.0, 0.5, 1.0]), [[1.0, 2.0]] * 3)
+
+
+@pytest.mark.parametrize("points", [[], [[]], [1.0, 2.0], [[1.0], [1.0, 2.0]], "ab", [[0.0], [math.nan]]])
+def test_bad_waypoints(points):
+    with pytest.raises(InputError, match="waypoint"):
+        rounded_path(points, 0.1)
+
+
+@pytest.mark.parametrize("deviation", [0.0, 1e-5, -1.0, math.nan, math.inf])
+def test_bad_deviation(toy, deviation):
+    for attempt in (
+        lambda: rounded_path([[0.0]], deviation),
+        lambda: time_waypoints(toy.model, [[0, 0]], limits_of(toy.model, 1.0), deviation_rad=deviation),
+    ):
+        with pytest.raises(OptionError, match="deviation_rad"):
+            attempt()
+
+
+# The motion
+
+
+def check_by_differencing(model: pin.Model, motion, limits: Limits, allowed: float = 1.001) -> None:
+    """Limits of the rows, of what differencing their positions gives, and of the torque by inverse dynamics."""
+    step = np.diff(motion.time)[:, None]
+    change = np.diff(motion.position, axis=0) / step
+    assert (np.abs(change) <= allowed * limits.velocity).all()
+    assert (np.abs(np.diff(change, axis=0) / step[1:]) <= allowed * limits.acceleration).all()
+    assert (np.abs(motion.velocity) <= allowed * limits.velocity).all()
+    assert (np.abs(motion.acceleration) <= allowed * limits.acceleration).all()
+    np.testing.assert_allclose(
+        np.diff(motion.velocity, axis=0) / step, 0.5 * (motion.acceleration[1:] + motion.acceleration[:-1]), atol=1e-8
+    )
+    data = model.createData()
+    rows = zip(motion.position, motion.velocity, motion.acceleration, strict=True)
+    torque = np.array([pin.rnea(model, data, *row) for row in rows])
+    np.testing.assert_allclose(torque, motion.torque, atol=1e-9)
+    if limits.torque is not None:
+        assert (np.abs(torque) <= allowed * limits.torque).all()
+    for values in (motion.velocity, motion.acceleration):
+        assert np.abs(values[[0, -1]]).max() == 0.0
+
+
+CORNERS = np.array([[0.0, 0.0], [1.0, 0.5], [0.2, 1.5], [0.21, 1.5], [-1.0, -1.0], [1.0, 0.5]])
+
+
+@pytest.mark.parametrize("deviation", [1e-4, 0.005, 0.1])
+def test_motion_keeps_its_limits_and_is_fast(toy, deviation):
+    limits = limits_of(toy.model, [4.0, 6.0])
+    motion = time_waypoints(toy.model, CORNERS, limits, deviation_rad=deviation)
+    check_by_differencing(toy.model, motion, limits)
+    np.testing.assert_array_equal(motion.position[[0, -1]], CORNERS[[0, -1]])
+    assert largest_deviation(motion.position, CORNERS) <= deviation
+    assert limit_shares(motion, limits).bound >= 0.9
+
+
+def test_torque_limits_the_motion(toy):
+    free = limits_of(toy.model, 40.0)
+    tight = Limits(free.velocity, free.acceleration, np.array([12.0, 4.0]))
+    waypoints = [[-1.0, 0.0], [1.0, 1.0], [1.0, -1.0]]
+    slow, fast = (time_waypoints(toy.model, waypoints, limits) for limits in (tight, free))
+    check_by_differencing(toy.model, slow, tight)
+    assert slow.duration > fast.duration
+    assert limit_shares(slow, tight).torque.max() == pytest.approx(1.0, abs=2e-3)
+
+
+def test_jerk_is_kept(toy):
+    limits = limits_of(toy.model, 4.0, 80.0)
+    motion = time_waypoints(toy.model, CORNERS, limits)
+    assert limit_shares(motion, limits).jerk.max() <= 1.001
+    check_by_differencing(toy.model, motion, limits)
+
+
+def test_speed_scales_the_duration(toy):
+    limits = limits_of(toy.model, 4.0)
+    full, half = (time_waypoints(toy.model, CORNERS, limits, speed=speed) for speed in (1.0, 0.5))
+    assert half.duration == pytest.approx(2.0 * full.duration, rel=0.02)
+    with pytest.raises(OptionError, match="speed"):
+        time_waypoints(toy.model, CORNERS, limits, speed=1.5)
+
+
+@pytest.mark.parametrize("rate", [0.0, math.nan, 1e6])
+def test_bad_rate(toy, rate):
+    with pytest.raises(OptionError, match="rate_hz"):
+        time_waypoints(toy.model, CORNERS, limits_of(toy.model, 4.0), rate_hz=rate)
+
+
+@pytest.mark.parametrize("waypoints", [[[0.3, 0.2]], [[0.3, 0.2]] * 4, [[0.3, 0.2], [0.3, 0.2 + 1e-9]]])
+def test_no_motion_is_an_empty_motion(toy, waypoints):
+    motion = time_waypoints(toy.model, waypoints, limits_of(toy.model, 0.0))
+    assert motion.samples == 1
+    assert motion.torque[0, 0] > 0.0
+
+
+@pytest.mark.parametrize("size", [1e-6, 1e-5, 1e-4, 1e-3])
+@pytest.mark.parametrize("acceleration", [0.5, 50.0])
+def test_small_motions(toy, size, acceleration):
+    limits = limits_of(toy.model, acceleration)
+    motion = time_waypoints(toy.model, [[0, 0], [size, size / 3]], limits, deviation_rad=1e-4)
+    check_by_differencing(toy.model, motion, limits)
+    np.testing.assert_array_equal(motion.position[-1], [size, size / 3])
+
+
+def test_reversal_and_a_detour_within_the_deviation(toy):
+    limits = limits_of(toy.model, 4.0)
+    way = [[0, 0], [1, 1], [0, 0]]
+    motion = time_waypoints(toy.model, way, limits)
+    check_by_differencing(toy.model, motion, limits)
+    assert motion.position.max() >= 1.0 - math.radians(1.0)
+    assert time_waypoints(toy.model, [[0, 0], [1e-3, 0], [0, 0]], limits).samples == 1
+
+
+def test_waypoint_outside_the_joint_limits(toy):
+    with pytest.raises(JointLimitError, match=r"waypoint 3: joint 'b' is at 3\.5 rad") as caught:
+        time_waypoints(toy.model, [[0, 0], [1, 1], [0, 3.5]], limits_of(toy.model, 1.0))
+    assert (caught.value.which, caught.value.joint) == ("waypoint 3", "b")
+
+
+def test_wrong_number_of_joints(toy):
+    with pytest.raises(InputError, match="3 values each, expected 2"):
+        time_waypoints(toy.model, [[0, 0, 0]], limits_of(toy.model, 1.0))
+
+
+def test_model_with_a_continuous_joint_of_pinocchio(write):
+    path = write("c.urdf", urdf('<joint name="spin" type="continuous"><limit velocity="2" effort="60"/>'))
+    model = pin.buildModelFromUrdf(str(path))
+    with pytest.raises(InputError, match=r"'spin' .* has 2 coordinates and 1 velocities"):
+        time_waypoints(model, [[1.0, 0.0]], limits_of(model, 1.0))
+
+
+@pytest.mark.parametrize(
+    ("change", "joint", "cause"),
+    [
+        ({"velocity": [2.0, 0.0]}, "b", "velocity limit of zero"),
+        ({"acceleration": [0.0, 1.0]}, "a", "acceleration limit of zero"),
+        ({"torque": [60.0, 0.0]}, "b", "torque limit of zero"),
+        ({"torque": [1.0, 60.0]}, "a", "static torque exceeds the limit"),
+        ({"jerk": [10.0, 0.0]}, "b", "jerk limit of zero"),
+    ],
+)
+def test_what_cannot_be_timed_names_joint_and_cause(toy, change, joint, cause):
+    limits = {"velocity": [2.0, 2.0], "acceleration": [4.0, 4.0], "torque": [60.0, 60.0]} | change
+    with pytest.raises(TimingError, match=f"'{joint}'") as caught:
+        time_waypoints(toy.model, CORNERS, Limits(**{key: np.array(value) for key, value in limits.items()}))
+    assert (caught.value.joint, caught.value.cause) == (joint, cause)
+
+
+def test_joint_at_rest_may_have_limits_of_zero(toy):
+    limits = Limits(np.array([2.0, 0.0]), np.array([4.0, 0.0]), np.array([60.0, 60.0]))
+    motion = time_waypoints(toy.model, [[0, 1], [1, 1]], limits)
+    assert np.ptp(motion.position[:, 1]) == 0.0
+    assert limit_shares(motion, limits).velocity[1] == 0.0
+
+
+# The script
+
+
+def run(script, capsys, *arguments) -> tuple[int, str, str]:
+    status = script.main([str(argument) for argument in arguments])
+    return status, *capsys.readouterr()
+
+
+@pytest.fixture
+def files(write):
+    return write("toy.urdf", urdf()), write("w.csv", "b,a\n0,0\n1,0.5\n-1,0.5\n")
+
+
+def test_script_writes_the_csv(script, capsys, files, tmp_path):
+    out = tmp_path / "o.csv"
+    status, text, _ = run(script, capsys, *files, "--acceleration", 4, "--out", out)
+    assert status == 0
+    motion = read_csv(out)
+    assert motion.joint_names == ("a", "b")
+    np.testing.assert_array_equal(motion.position[-1], [0.5, -1.0])
+    for word in ("w.csv", "toy", f"{motion.duration:.3f} s", "1 deg allowed", "holds the motion back"):
+        assert word in text
+    # What hplan wrote can be timed again.
+    status, text, _ = run(script, capsys, files[0], out, "--acceleration", 4, "--out", tmp_path / "o2.csv", "--quiet")
+    assert (status, text) == (0, "")
+    assert read_csv(tmp_path / "o2.csv").duration == pytest.approx(motion.duration, rel=0.1)
+
+
+def test_script_takes_limits_from_files(script, capsys, files, write, tmp_path):
+    out = tmp_path / "o.csv"
+    text = "format: hplan-limits/1\nacceleration_rad_s2: {a: 4.0, b: 2.0}\njerk_rad_s3: {a: 90.0, b: 90.0}\n"
+    beside, elsewhere = write("toy.limits.yaml", text), write("other.yaml", text)
+    assert run(script, capsys, *files, "--out", out)[0] == 0
+    first = out.read_bytes()
+    beside.unlink()
+    assert run(script, capsys, *files, "--limits", elsewhere, "--out", out)[0] == 0
+    assert out.read_bytes() == first
+    # A file for all joints serves those that move.
+    arguments = ("--limits", elsewhere, "--joints", "b", "--hold", "a=0.3", "--out", out)
+    status, text, _ = run(script, capsys, *files, *arguments)
+    assert status == 0
+    assert "a at 0.3 rad" in text
+    assert np.abs(read_csv(out).acceleration).max() <= 2.001
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "reason"),
+    [
+        ((), 2, "--acceleration = None"),
+        (("--acceleration", "-1"), 2, "--acceleration = -1.0"),
+        (("--acceleration", "0"), 4, "acceleration limit is 0"),
+        (("--acceleration", "4", "--rate", "0"), 2, "rate_hz"),
+        (("--acceleration", "4", "--speed", "2"), 2, "speed"),
+        (("--acceleration", "4", "--deviation", "0"), 2, "deviation_rad"),
+        (("--acceleration", "4", "--joints", "c"), 2, "no joint 'c'"),
+        (("--acceleration", "4", "--joints", "a", "--hold", "b"), 2, "--hold = 'b'"),
+        (("--limits", "none.yaml"), 2, "No such file"),
+    ],
+)
+def test_script_failures(script, capsys, files, tmp_path, arguments, status, reason):
+    out = tmp_path / "o.csv"
+    out.write_text("an earlier result")
+    result, _, text = run(script, capsys, *files, *arguments, "--out", out)
+    assert result == status
+    assert reason in text
+    assert not out.exists()
+
+
+def test_script_does_not_overwrite_what_it_reads(script, capsys, files, tmp_path):
+    before = files[1].read_bytes()
+    for out, reason in ((files[1], "another file"), (tmp_path / "none" / "o.csv", "folder does not exist")):
+        status, _, text = run(script, capsys, *files, "--acceleration", 4, "--out", out)
+        assert status == 2
+        assert reason in text
+    assert files[1].read_bytes() == before
+
+
+def test_script_without_torque_limits(script, capsys, files, tmp_path):
+    files[0].write_text(urdf().replace('effort="60"', 'effort="0"'))
+    arguments = (*files, "--acceleration", 4, "--out", tmp_path / "o.csv")
+    status, _, text = run(script, capsys, *arguments)
+    assert status == 4
+    assert "torque limit is 0" in text
+    status, text, _ = run(script, capsys, *arguments, "--no-torque")
+    assert status == 0
+    assert "torque is not limited" in text
+
+
+# Robots of others
+
+
+def others_robot(name: str) -> Path:
+    """A URDF of the package example-robot-data, which holds data only."""
+    cmeel = pytest.importorskip("cmeel", reason="example-robot-data is not installed (extra `robots`)")
+    path = Path(cmeel.__file__).parents[1] / "cmeel.prefix/share/example-robot-data/robots" / name
+    if not path.exists():
+        pytest.skip("example-robot-data is not installed (extra `robots`)")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("name", "joints", "held"),
+    [
+        ("ur_description/urdf/ur5_robot.urdf", 6, 0),
+        ("panda_description/urdf/panda.urdf", 7, 2),
+        ("kinova_description/robots/kinova.urdf", 6, 0),  # three of its joints are continuous
+    ],
+)
+def test_other_arms(name, joints, held, script, capsys, tmp_path):
+    machine = read_machine(others_robot(name))
+    assert (len(machine.joint_names), len(machine.held)) == (joints, held)
+    rng = np.random.default_rng(0)
+    low, high = machine.model.lowerPositionLimit, machine.model.upperPositionLimit
+    waypoints = rng.uniform(np.maximum(low, -2.0), np.minimum(high, 2.0), (6, joints))
+    limits = limits_of(machine.model, 8.0)
+    motion = time_waypoints(machine.model, waypoints, limits)
+    check_by_differencing(machine.model, motion, limits)
+    assert largest_deviation(motion.position, waypoints) <= math.radians(1.0)
+    assert limit_shares(motion, limits).bound >= 0.9
+    with (tmp_path / "w.csv").open("w", newline="") as stream:
+        csv.writer(stream).writerows([machine.joint_names, *waypoints.tolist()])
+    out = tmp_path / "o.csv"
+    assert run(script, capsys, others_robot(name), tmp_path / "w.csv", "--acceleration", 8, "--out", out)[0] == 0
+    np.testing.assert_array_equal(read_csv(out).position, motion.position)

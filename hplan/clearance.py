@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hplan.arrays import FloatArray, readonly
+from hplan.errors import OptionError
 from hplan.robot import Robot
 from hplan.scene import Box, Capsule, Sphere
 
@@ -80,8 +81,10 @@ class ClearanceField:
             margin: Clearance asked for wherever it is evaluated [m], positive. A step from clearance `d` may use up
                 `d` before the next look finds at least `margin`, so half of it is shown to be kept everywhere.
         """
+        if not margin > 0.0:
+            raise OptionError("margin", margin, "a positive number of metres")
         points = np.ascontiguousarray(path, dtype=np.float64)
-        return bool(_path_is_clear(points, self.chain, self.base, self.solids, margin))
+        return bool(np.isfinite(points).all() and _path_is_clear(points, self.chain, self.base, self.solids, margin))
 
 
 def _solid_row(obstacle: Sphere | Capsule | Box, clearance: float) -> FloatArray:
@@ -304,7 +307,7 @@ def segment_is_clear(
         _link_clearances(q, chain, base, solids, clear)
         advance = 1.0
         for k in range(links):
-            if clear[k] < margin:
+            if not clear[k] >= margin:  # so that nothing that is no number passes
                 return False
             if bounds[k] * advance > clear[k]:
                 advance = clear[k] / bounds[k]

@@ -29,7 +29,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
@@ -41,6 +41,11 @@ from hplan.trajectory import Trajectory
 
 #: Grid points of the path parameter, beside the knots.
 GRID_POINTS = 400
+
+#: With fewer points than this for each row, what passes a limit between them slows the whole motion down; longer
+#: motions get more points, up to a number that takes a tenth of a second.
+POINTS_PER_ROW = 0.8
+MOST_POINTS = 4000
 
 #: Paths on which no joint leaves its place by as much as this are no motion [rad].
 NO_MOTION = 1e-7
@@ -74,7 +79,8 @@ def time_path(
         grid: (n,) increasing path parameters from 0 to the end to choose it at instead, for a motion from rest to rest.
         start_speed: Joint-space speed along the path at its start [rad/s]; 0 starts from rest.
         end_speed: Joint-space speed along the path at its end [rad/s]; 0 comes to rest. Where it is not, the motion is
-            slowed down by less than one period in all, and the speeds with it, to end on a row.
+            slowed down by less than one period in all, and the speeds with it, to end on a row. Where the motion as a
+            whole is slowed down to keep a limit, so are they.
 
     Raises:
         TimingError: No motion within the limits exists; names the joint and the cause.
@@ -82,6 +88,8 @@ def time_path(
     """
     if not (np.isfinite(rate_hz) and 1.0 <= rate_hz <= 100_000.0):
         raise OptionError("rate_hz", rate_hz, "a number of rows per second between 1 and 100000")
+    if grid_points < 10:
+        raise OptionError("grid_points", grid_points, "at least 10")
     for option, value in (("start_speed", start_speed), ("end_speed", end_speed)):
         if not (np.isfinite(value) and value >= 0.0):
             raise OptionError(option, value, "a finite speed along the path >= 0")
@@ -105,8 +113,13 @@ def time_path(
         leads = rates * (0.5 * (window + 1) / rate_hz)
         if leads.sum() >= 0.5 * path.breaks[-1]:
             raise TimingError("the path is too short for its start and end speeds", cause="speed at the ends")
-        between = _grid(path, grid_points, (float(leads[0]), float(leads[1]))) if rates.any() else whole
-        return _Profile.along(path, model, limits, between, rates)
+        ends = (float(leads[0]), float(leads[1]))
+        between = _grid(path, grid_points, ends) if rates.any() else whole
+        found = _Profile.along(path, model, limits, between, rates)
+        wanted = int(POINTS_PER_ROW * found.arrival[-1] * rate_hz)
+        if grid is not None or wanted <= len(between):
+            return found
+        return _Profile.along(path, model, limits, _grid(path, min(wanted, MOST_POINTS), ends), rates)
 
     period = 1.0 / rate_hz
     window = _smoothing_window(profile_for, names, limits, period)
@@ -234,7 +247,7 @@ def _smoothing_window(
             cause="jerk limit of zero",
         )
     # The mean of m control points changes its acceleration by the difference of two raw ones m rows apart, over m.
-    raw = _rows(profile, limits, period, 1).acceleration[:, moves]
+    raw = _rows(profile, replace(limits, jerk=None), period, 1).acceleration[:, moves]
     padded = np.concatenate([np.zeros_like(raw[:1]), raw, np.zeros_like(raw[:1])])
     allowed = jerk[moves] * period * (1.0 + 1e-6)
     enough = int(np.ceil((2.0 * limits.acceleration[moves] / (jerk[moves] * period)).max(initial=1.0)))
@@ -264,13 +277,24 @@ def _sample(
         rows = _rows(profile, limits, period, window, stretch)
         motion = zip(rows.position, rows.velocity, rows.acceleration, strict=True)
         torque = np.array([pin.rnea(model, data, *row) for row in motion])
-        every = np.ones(model.nv, dtype=np.bool_)
-        excess = 0.0 if limits.torque is None else _largest_use(torque, limits.torque, every)
-        if excess <= 1.0 + KEPT:
+        excess = 0.0 if limits.torque is None else _torque_excess(model, data, rows.position, torque, limits.torque)
+        if excess <= 1.0:
             time = np.arange(len(torque), dtype=np.float64) * period
             return Trajectory(names, time, rows.position, rows.velocity, rows.acceleration, torque)
         stretch = rows.stretch * excess
     raise TimingError("no pace was found at which the motion keeps the torque limits", cause="torque limit not kept")
+
+
+def _torque_excess(
+    model: pin.Model, data: pin.Data, position: FloatArray, torque: FloatArray, limit: FloatArray
+) -> float:
+    """By how much the pace has to be slowed for the torque limits; gravity's share does not shrink with the pace."""
+    over = np.abs(torque) > limit * (1.0 + KEPT)
+    if not over.any():
+        return 0.0
+    gravity = np.array([pin.computeGeneralizedGravity(model, data, q) for q in position])
+    room = np.maximum(limit - np.abs(gravity), 1e-3 * limit)
+    return float(max(1.0 + 1e-4, np.sqrt((np.abs(torque - gravity) / room)[over].max())))
 
 
 def _rows(profile: _Profile, limits: Limits, period: float, window: int, stretch: float = 1.0) -> _Rows:
@@ -299,6 +323,9 @@ def _rows(profile: _Profile, limits: Limits, period: float, window: int, stretch
             _largest_use(change, limits.velocity, moves),
             np.sqrt(_largest_use(acceleration, limits.acceleration, moves)),
         )
+        if limits.jerk is not None:
+            jerk = np.diff(acceleration, axis=0, prepend=0.0, append=0.0) / period
+            excess = max(excess, np.cbrt(_largest_use(jerk, limits.jerk, moves)))
         if excess <= 1.0 + KEPT:
             position = (control[:-2] + 4.0 * control[1:-1] + control[2:]) / 6.0
             velocity = 0.5 * (change[1:] + change[:-1])

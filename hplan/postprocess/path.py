@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from hplan.arrays import FloatArray
 from hplan.clearance import ClearanceField
-from hplan.errors import CertificationError
+from hplan.errors import CertificationError, InputError
 from hplan.postprocess.clear import clear_spline, tighten
 from hplan.postprocess.fast import hasten
 from hplan.postprocess.options import PostprocessOptions
@@ -19,6 +21,9 @@ SHORT_CONTROL_POINTS = (44, 64)
 #: How many of them are carried through for the fastest motion: the search is local, so each finds another path.
 STARTS = 3
 
+#: Ends nearer to each other than this are one [rad].
+NO_WAY = 1e-9
+
 #: Share of the margin that is still asked for where the full one cannot be kept.
 SMALLEST_SHARE = 0.05
 
@@ -32,8 +37,11 @@ def fast_path(path: FloatArray, field: ClearanceField, options: PostprocessOptio
         options: Limits, margin, aim and effort.
 
     Raises:
+        InputError: The path ends where it begins.
         CertificationError: The grid path's own motions cannot be shown clear, or its corners cannot be rounded.
     """
+    if np.linalg.norm(path[-1] - path[0]) < NO_WAY:
+        raise InputError("the path ends where it begins; there is no motion to make")
     smallest = SMALLEST_SHARE * options.margin
     if not field.is_clear(path, smallest):
         raise CertificationError("the motions between the nodes of the grid path cannot be shown clear")

@@ -24,6 +24,15 @@ def path_length(path: FloatArray) -> float:
     return float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
 
 
+def without_twins(path: FloatArray) -> FloatArray:
+    """The waypoints that differ from the one before; the last one stays in any case."""
+    kept = [path[0]]
+    kept.extend(point for point in path[1:] if np.linalg.norm(point - kept[-1]) > _MERGE)
+    if len(kept) > 1:
+        kept[-1] = path[-1]
+    return np.array(kept)
+
+
 def shorten(path: FloatArray, field: ClearanceField, *, margin: float, rounds: int = 300) -> FloatArray:
     """Shorten a path that is clear.
 
@@ -36,9 +45,10 @@ def shorten(path: FloatArray, field: ClearanceField, *, margin: float, rounds: i
     Returns:
         (k, dof) waypoints from the same start to the same goal, shown clear, never longer.
     """
+    path = without_twins(path)
     if len(path) < 3:
         return frozen(np.array(path))
-    taut = _skip_visible(np.ascontiguousarray(path), field.chain, field.base, field.solids, margin)
+    taut = _skip_visible(path, field.chain, field.base, field.solids, margin)
     return frozen(_shortcut(taut, field.chain, field.base, field.solids, margin, rounds))
 
 

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 
 from hplan.arrays import FloatArray, frozen, readonly
 from hplan.clearance import ClearanceField, _link_clearances
+from hplan.errors import InputError
 
 #: Longest step along a piece with which an optimiser looks for contact before the proof.
 STRIDE = 1.0 / 16.0
@@ -38,11 +39,19 @@ class SplinePath:
         """The spline with these control points, its knots averaged from the control polygon's length.
 
         Averaging (de Boor, A Practical Guide to Splines, XIII) makes the parameter follow the length.
+
+        Raises:
+            InputError: Fewer than 4 control points, the first two or the last two equal, or too many in between.
         """
         points = readonly(control)
         station = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+        if len(points) < 4:
+            raise InputError(f"a spline needs at least 4 control points, got {len(points)}")
         inner = (station[1:-3] + station[2:-2] + station[3:-1]) / 3.0
-        return cls(points, readonly(np.concatenate([[0.0] * 4, inner, [station[-1]] * 4])))
+        knots = np.concatenate([[0.0] * 4, inner, [station[-1]] * 4])
+        if not (np.diff(knots[3:-3]) > 0.0).all() or not (np.diff(station)[[0, -1]] > 0.0).all():
+            raise InputError("too many control points coincide, or one is no number")
+        return cls(points, readonly(knots))
 
     @cached_property
     def breaks(self) -> FloatArray:
@@ -95,7 +104,7 @@ class SplinePath:
 
     def is_clear(self, field: ClearanceField, margin: float) -> bool:
         """Whether the whole path is shown clear; `margin` [m] is asked for wherever it is evaluated."""
-        return not first_contact(self.pieces, field, margin).any()
+        return bool(np.isfinite(self.control).all()) and not first_contact(self.pieces, field, margin).any()
 
 
 def first_contact(pieces: FloatArray, field: ClearanceField, margin: float) -> FloatArray:
@@ -196,7 +205,7 @@ def piece_is_clear(
         _link_clearances(q, chain, base, solids, clear)
         advance = 1.0
         for k in range(links):
-            if clear[k] < margin:
+            if not clear[k] >= margin:  # so that nothing that is no number passes
                 return False
             if bounds[k] * advance > clear[k]:
                 advance = clear[k] / bounds[k]

@@ -1,0 +1,129 @@
+"""Arms with other zeros, planes and signs, random obstacles, and coal asked without hplan's formulas."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import coal
+import numpy as np
+import pinocchio as pin
+
+from hplan.robot import Robot, load_robot
+from hplan.scene import Box, Capsule, Sphere
+
+UP = "0 -1 0"  # a positive angle lifts the arm
+DOWN = "0 1 0"
+
+#: has_yaw, place and turn of the shoulder, axis of each planar joint.
+VARIANTS: dict[str, tuple[bool, str, str, tuple[str, ...]]] = {
+    "upright on a yaw": (True, "0 0 0.6", "0 0 0", (UP, UP, UP)),
+    "signs -1": (True, "0 0 0.6", "0 0 0", (DOWN, UP, DOWN)),
+    "shoulder beside the yaw axis": (True, "0.25 0 0.5", "0 0 0", (UP, UP, UP)),
+    "shoulder aside and behind, arm turned": (True, "-0.12 0.16 0.5", "0 -0.7 -0.9272952180016122", (UP, DOWN, UP)),
+    "one link on a yaw": (True, "0.1 0 0.4", "0 0.3 0", (UP,)),
+    "five links on a yaw": (True, "0 0 0.5", "0 0 0", (UP, UP, DOWN, UP, UP)),
+    "no yaw": (False, "0.2 -0.3 0.4", "0 0 0.5", (UP, UP)),
+    "tilted plane": (False, "0.1 0.2 0.7", "0.5 0.3 -0.4", (UP, DOWN, UP)),
+    "horizontal plane": (False, "0 0.1 0.4", "0 0 0.2", ("0 0 1", "0 0 -1", "0 0 1")),
+    "horizontal plane from below": (False, "0 0 0.4", "3.141592653589793 0 0", ("0 0 1", "0 0 1")),
+}
+
+
+def load_variant(name: str, folder: Path) -> Robot:
+    """Write the URDF of a variant into a folder and load it; joints may turn by +-2.5 rad, the yaw by +-3."""
+    has_yaw, xyz, rpy, axes = VARIANTS[name]
+    lengths = [0.8, 0.6, 0.45, 0.3, 0.25][: len(axes)]
+    widths = [0.06, 0.05, 0.04, 0.03, 0.02][: len(axes)]
+    limit = '<limit lower="-%g" upper="%g" velocity="2" effort="300"/>'
+    parts = ['<robot name="variant"><link name="base_link"/>']
+    parent, place = "base_link", f'<origin xyz="{xyz}" rpy="{rpy}"/>'
+    names = []
+    if has_yaw:
+        parts.append(
+            f'<link name="turret"/><joint name="yaw" type="revolute"><parent link="base_link"/><child link="turret"/>'
+            f'<axis xyz="0 0 1"/>{limit % (3, 3)}</joint>'
+        )
+        parent = "turret"
+        names.append("yaw")
+    for k, axis in enumerate(axes):
+        parts.append(
+            f'<joint name="j{k}" type="revolute"><parent link="{parent}"/><child link="l{k}"/>{place}'
+            f'<axis xyz="{axis}"/>{limit % (2.5, 2.5)}</joint><link name="l{k}"><inertial><mass value="1"/>'
+            f'<origin xyz="{0.5 * lengths[k]} 0 0"/>'
+            '<inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial>'
+            f'<collision><origin xyz="{0.5 * lengths[k]} 0 0"/><geometry><sphere radius="{widths[k]}"/></geometry>'
+            "</collision></link>"
+        )
+        parent, place = f"l{k}", f'<origin xyz="{lengths[k]} 0 0"/>'
+        names.append(f"j{k}")
+    parts.append(
+        f'<joint name="tool" type="fixed"><parent link="{parent}"/><child link="tool0"/>{place}</joint>'
+        '<link name="tool0"/></robot>'
+    )
+    path = folder / "variant.urdf"
+    path.write_text("\n".join(parts))
+    table = ", ".join(f"{joint}: 5" for joint in names)
+    (folder / "variant.limits.yaml").write_text(f"format: hplan-limits/1\nacceleration_rad_s2: {{{table}}}\n")
+    robot = load_robot(path)
+    np.testing.assert_allclose(robot.arm.half_widths, widths, rtol=1e-12)
+    return robot
+
+
+def axis_points(robot: Robot, q: np.ndarray) -> np.ndarray:
+    """(links + 1, 3) joint positions and the tool's, as Pinocchio places them."""
+    data = robot.model.createData()
+    pin.framesForwardKinematics(robot.model, data, np.asarray(q, dtype=float))
+    first = 2 if robot.has_yaw else 1
+    joints = [data.oMi[j].translation.copy() for j in range(first, robot.model.njoints)]
+    return np.array([*joints, data.oMf[robot.model.getFrameId(robot.tool_frame)].translation])
+
+
+def random_obstacles(rng: np.random.Generator, count: int = 6) -> list[Sphere | Capsule | Box]:
+    """Spheres, capsules and turned boxes in turn, where the arms above reach."""
+    obstacles: list[Sphere | Capsule | Box] = []
+    for index in range(count):
+        center = rng.uniform([-1.8, -1.8, -0.6], [1.8, 1.8, 2.0])
+        size = rng.uniform(0.02, 0.2)
+        name = f"o{index}"
+        if index % 3 == 0:
+            obstacles.append(Sphere(name=name, center=tuple(center), radius=size))
+        elif index % 3 == 1:
+            end = center + rng.uniform(-0.8, 0.8, 3)
+            obstacles.append(Capsule(name=name, start=tuple(center), end=tuple(end), radius=size))
+        else:
+            edges, rpy = rng.uniform(0.05, 0.6, 3), rng.uniform(-180.0, 180.0, 3)
+            obstacles.append(Box(name=name, center=tuple(center), size=tuple(edges), rpy_deg=tuple(rpy)))
+    return obstacles
+
+
+def _upright_capsule(start: np.ndarray, end: np.ndarray, radius: float) -> tuple[coal.Capsule, coal.Transform3s]:
+    length = float(np.linalg.norm(end - start))
+    rotation = np.eye(3)
+    if length > 0.0:
+        z = (end - start) / length
+        x = np.cross(z, np.eye(3)[np.abs(z).argmin()])
+        x /= np.linalg.norm(x)
+        rotation = np.stack([x, np.cross(z, x), z], axis=1)
+    return coal.Capsule(float(radius), length), coal.Transform3s(rotation, 0.5 * (start + end))
+
+
+def _placed(obstacle: Sphere | Capsule | Box) -> tuple[coal.ShapeBase, coal.Transform3s]:
+    if isinstance(obstacle, Sphere):
+        return coal.Sphere(float(obstacle.radius)), coal.Transform3s(np.eye(3), np.array(obstacle.center))
+    if isinstance(obstacle, Capsule):
+        return _upright_capsule(np.array(obstacle.start), np.array(obstacle.end), obstacle.radius)
+    turn = pin.rpy.rpyToMatrix(*np.radians(obstacle.rpy_deg))
+    return coal.Box(*map(float, obstacle.size)), coal.Transform3s(turn, np.array(obstacle.center))
+
+
+def coal_distances(robot: Robot, q: np.ndarray, obstacles: Sequence[Sphere | Capsule | Box]) -> np.ndarray:
+    """(links, obstacles) signed distances of capsule links placed by Pinocchio."""
+    points = axis_points(robot, q)
+    solids = [_placed(obstacle) for obstacle in obstacles]
+    table = np.empty((robot.arm.link_count, len(solids)))
+    for k, half_width in enumerate(robot.arm.half_widths):
+        capsule, place = _upright_capsule(points[k], points[k + 1], half_width)
+        for s, (solid, at) in enumerate(solids):
+            table[k, s] = coal.distance(capsule, place, solid, at, coal.DistanceRequest(), coal.DistanceResult())
+    return table

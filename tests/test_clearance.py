@@ -1,0 +1,323 @@
+"""Distances against coal and brute force, motion bounds and proofs against dense sampling."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from arm_variants import VARIANTS, axis_points, coal_distances, load_variant, random_obstacles
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from hplan.clearance import ClearanceField, _segment_box, _segment_segment, motion_bounds, segment_is_clear
+from hplan.collision import CollisionScene
+from hplan.scene import Box, Capsule, Sphere
+
+#: Where signed distances are this near to zero, either side may call it contact [m].
+TOUCH = 1e-6
+
+
+@pytest.fixture(params=VARIANTS)
+def variant(request, tmp_path):
+    return load_variant(request.param, tmp_path)
+
+
+def assert_clearances_match(robot, obstacles, configurations):
+    field = ClearanceField.of(robot, obstacles)
+    contacts = 0
+    for q in configurations:
+        expected = coal_distances(robot, q, obstacles).min(axis=1)
+        found = field.link_clearances(q)
+        apart = expected > TOUCH
+        np.testing.assert_allclose(found[apart], expected[apart], atol=1e-6, rtol=0)
+        assert (found[~apart] <= 2 * TOUCH).all()
+        assert field.clearance(q) == found.min()
+        contacts += int((~apart).sum())
+    return contacts
+
+
+# Clearance at a configuration
+
+
+def test_clearances_are_those_of_coal(variant):
+    rng = np.random.default_rng(1)
+    contacts = 0
+    for _ in range(12):
+        configurations = rng.uniform(variant.lower, variant.upper, (12, variant.dof))
+        contacts += assert_clearances_match(variant, random_obstacles(rng), configurations)
+    assert contacts > 0
+
+
+@pytest.mark.parametrize("kind", range(3))
+def test_each_obstacle_by_itself(robot, kind):
+    rng = np.random.default_rng(10 + kind)
+    for _ in range(30):
+        obstacle = random_obstacles(rng, 3)[kind]
+        assert_clearances_match(robot, [obstacle], rng.uniform(robot.lower, robot.upper, (4, 4)))
+
+
+def test_links_in_line_with_and_across_obstacles(robot):
+    """Parallel segments, capsules of no length, a box whose faces the arm runs along."""
+    obstacles = [
+        Capsule(name="above", start=(0.3, 0, 1.0), end=(0.7, 0, 1.0), radius=0.05),
+        Capsule(name="ahead", start=(2.5, 0, 0.6), end=(3.0, 0, 0.6), radius=0.05),
+        Capsule(name="long", start=(-5, 0.4, 0.6), end=(5, 0.4, 0.6), radius=0.1),
+        Capsule(name="backwards", start=(2.0, 0, 0.2), end=(-1.0, 0, 0.2), radius=0.1),
+        Capsule(name="point", start=(1.2, 0.1, 0.9), end=(1.2, 0.1, 0.9), radius=0.1),
+        Box(name="block", center=(1.4, 0.0, 0.3), size=(0.6, 0.4, 0.2)),
+        Box(name="turned", center=(0.5, 0.6, 0.6), size=(0.2, 0.3, 0.4), rpy_deg=(0, 0, 90)),
+    ]
+    flat = np.zeros(4)
+    for obstacle in obstacles:
+        assert_clearances_match(robot, [obstacle], [flat, [np.pi / 2, 0, 0, 0], [0, np.pi / 2, 0, 0]])
+    for some in itertools.combinations(obstacles, 3):
+        assert_clearances_match(robot, some, [flat])
+    field = ClearanceField.of(robot, obstacles[:1])
+    ends = np.hypot([0.0, 0.3, 1.1], 0.4)  # of the capsule from the links' nearest points
+    np.testing.assert_allclose(field.link_clearances(flat), ends - 0.05 - robot.arm.half_widths, atol=1e-12)
+
+
+def test_depth_in_balls_is_exact(robot):
+    """Penetration of a ball whose centre is beside a link's axis, by the closed form."""
+    for depth in (1e-4, 0.02, 0.06):
+        ball = Sphere(name="ball", center=(0.4, 0.03, 0.6 + 0.04), radius=depth)
+        expected = 0.05 - 0.05 - depth
+        assert ClearanceField.of(robot, [ball]).link_clearances(np.zeros(4))[0] == pytest.approx(expected, abs=1e-12)
+
+
+def test_nearest_of_many_is_not_culled(robot):
+    """A wire far longer than the others has its middle far away; big obstacles hide small ones."""
+    rng = np.random.default_rng(4)
+    wire = Capsule(name="wire", start=(-40, 0.5, 1.0), end=(90, 0.7, 1.2), radius=0.002)
+    wall = Box(name="wall", center=(0, -5, 0), size=(30, 0.1, 30), rpy_deg=(3, 2, 1))
+    for _ in range(10):
+        obstacles = [wall, wire, *random_obstacles(rng, 30)]
+        rng.shuffle(obstacles)
+        assert_clearances_match(robot, obstacles, rng.uniform(robot.lower, robot.upper, (3, 4)))
+
+
+@pytest.mark.parametrize("clearance", [0.0, 0.013, 0.3])
+def test_obstacles_grown_by_the_clearance_to_keep(robot, clearance):
+    rng = np.random.default_rng(5)
+    obstacles = random_obstacles(rng)
+    plain, grown = ClearanceField.of(robot, obstacles), ClearanceField.of(robot, obstacles, clearance=clearance)
+    for q in rng.uniform(robot.lower, robot.upper, (20, 4)):
+        np.testing.assert_allclose(grown.link_clearances(q), plain.link_clearances(q) - clearance, atol=1e-12)
+
+
+def test_without_obstacles(robot):
+    field = ClearanceField.of(robot, [])
+    assert field.clearance(np.zeros(4)) == np.inf
+    assert field.is_clear(np.array([np.zeros(4), np.ones(4)]), 1e9)
+
+
+# The kernels
+
+lattice = st.integers(-4, 4).map(lambda i: 0.5 * i)
+number = st.one_of(lattice, st.floats(-2.0, 2.0, width=32).map(lambda x: 0.0 if abs(x) < 1e-4 else x))
+vector = st.tuples(number, number, number)
+
+
+def point_to_segment(point, start, along):
+    square = along @ along
+    t = 0.0 if square == 0.0 else np.clip((point - start) @ along / square, 0.0, 1.0)
+    return np.linalg.norm(point - start - t * along)
+
+
+def segment_to_segment(a, u, b, v):
+    """Least over the ends of both, and over the inside of both where the lines' nearest points lie there."""
+    ends = [
+        point_to_segment(a, b, v),
+        point_to_segment(a + u, b, v),
+        point_to_segment(b, a, u),
+        point_to_segment(b + v, a, u),
+    ]
+    (s, t), _, rank, _ = np.linalg.lstsq(np.stack([u, -v], axis=1), b - a, rcond=1e-12)
+    if rank == 2 and 0.0 <= s <= 1.0 and 0.0 <= t <= 1.0:
+        ends.append(np.linalg.norm(a + s * u - b - t * v))
+    return min(ends)
+
+
+def segment_to_box(a, u, half):
+    """Ternary search: the distance of a point from a convex body is convex along the segment."""
+
+    def distance(t):
+        return np.linalg.norm(np.maximum(np.abs(a + t * u) - half, 0.0))
+
+    low, high = 0.0, 1.0
+    for _ in range(150):
+        third = (high - low) / 3.0
+        if distance(low + third) <= distance(high - third):
+            high -= third
+        else:
+            low += third
+    return min(distance(t) for t in (0.0, low, high, 1.0))
+
+
+@settings(max_examples=300, deadline=None, derandomize=True)
+@given(vector, vector, vector, vector)
+@example((0, 0, 0), (0, 0, 0), (1, 0, 0), (0, 0, 0))
+@example((0, 0, 0), (0, 0, 0), (1, 1, 0), (0, -2, 0))
+@example((0, 0, 0), (1, 0, 0), (2, 1, 0), (0, 0, 0))
+@example((0, 0, 0), (1, 0, 0), (3, 0, 0), (-1, 0, 0))
+@example((0, 0, 0), (1, 0, 0), (-2, 1, 0), (1.5, 0, 0))
+@example((0, 0, 0), (1, 0, 0), (0.5, 1, 0), (2, 0, 0))
+@example((0, 0, 0), (1, 0, 0), (0.5, -1, 0), (0, 2, 0))
+def test_segment_to_segment(a, u, b, v):
+    expected = segment_to_segment(*(np.array(x, dtype=float) for x in (a, u, b, v)))
+    assert _segment_segment(*(float(x) for x in (*a, *u, *b, *v))) == pytest.approx(expected, abs=1e-7)
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-12, 1e-9, 1e-7, 1e-6, 1e-5, 1e-3])
+def test_nearly_parallel_segments(angle):
+    """Each crosses the other's plane somewhere; the error stays far below the links' tolerances."""
+    rng = np.random.default_rng(6)
+    for _ in range(50):
+        u = rng.normal(size=3)
+        turn = np.cross(u, rng.normal(size=3))
+        v = rng.uniform(-2, 2) * (u + angle * turn)
+        a, b = np.zeros(3), rng.uniform(-1, 2) * u + rng.choice([0.0, 0.3]) * np.cross(u, turn) / (turn @ turn) ** 0.5
+        expected = segment_to_segment(a, u, b, v)
+        assert _segment_segment(*a, *u, *b, *v) == pytest.approx(expected, abs=2e-5 if angle else 1e-9)
+
+
+@settings(max_examples=300, deadline=None, derandomize=True)
+@given(vector, vector, st.tuples(*[st.floats(0.01, 2.0)] * 3))
+@example((-2, 0.5, 0), (4, 0, 0), (1, 0.5, 1))
+@example((-2, 1.5, 0), (4, 0, 0), (1, 1, 1))
+@example((-2, 2, 0), (4, -1, 0), (1, 1, 1))
+@example((0, 0, 0), (0.1, 0, 0), (1, 1, 1))
+@example((2, 2, 2), (0, 0, 0), (1, 1, 1))
+def test_segment_to_box(a, u, half):
+    expected = segment_to_box(*(np.array(x, dtype=float) for x in (a, u, half)))
+    assert _segment_box(*(float(x) for x in (*a, *u, *half))) == pytest.approx(expected, abs=1e-7)
+
+
+# Bounds on motion
+
+
+def bounds_of(field, turns):
+    result = np.empty(len(field.chain))
+    motion_bounds(np.asarray(turns, dtype=float), field.chain, field.base, result)
+    return result
+
+
+def test_no_axis_point_moves_farther_than_the_bound(variant):
+    rng = np.random.default_rng(7)
+    field = ClearanceField.of(variant, [])
+    closest = 0.0
+    for _ in range(25):
+        start, end = rng.uniform(variant.lower, variant.upper, (2, variant.dof))
+        if variant.has_yaw and rng.random() < 0.3:
+            end[1:] = start[1:]
+        end = start + rng.choice([1.0, 0.01]) * (end - start)
+        bounds = bounds_of(field, end - start)
+        before = axis_points(variant, start)
+        for t in np.linspace(0.0, 1.0, 41):
+            moved = np.linalg.norm(axis_points(variant, start + t * (end - start)) - before, axis=1)
+            farthest = np.maximum(moved[:-1], moved[1:])  # on a segment the displacement is largest at an end
+            assert (farthest <= t * bounds + 1e-12).all()
+            closest = max(closest, (farthest / np.maximum(t * bounds, 1e-12)).max())
+    assert closest > 0.5
+
+
+def test_bounds_are_tight_for_a_stretched_arm(robot):
+    """A small turn of the shoulder, and one of the yaw, move the tool by what the bound says."""
+    field = ClearanceField.of(robot, [])
+    for joint in (0, 1):
+        turns = np.zeros(4)
+        turns[joint] = 1e-3
+        moved = np.linalg.norm(axis_points(robot, turns) - axis_points(robot, np.zeros(4)), axis=1)[1:]
+        np.testing.assert_allclose(bounds_of(field, turns), moved, rtol=1e-5)
+    np.testing.assert_allclose(bounds_of(field, [0, 0.2, -0.2, 0]), [0.2, 0.2, 0.2], rtol=1e-14)
+    np.testing.assert_allclose(bounds_of(field, [-0.1, 0, 0, 0.5]), [0.1, 0.18, 0.42], rtol=1e-14)
+
+
+# Motions shown clear
+
+
+def dense_clearance(judge, start, end, samples=240):
+    return min(judge.distances(start + t * (end - start)).min() for t in np.linspace(0.0, 1.0, samples))
+
+
+def random_motions(robot, rng, count):
+    """Motions that pass near obstacles: their clearance is small beside that of random ones."""
+    found = 0
+    while found < count:
+        obstacles = random_obstacles(rng, 3)
+        judge, field = CollisionScene(robot, obstacles), ClearanceField.of(robot, obstacles)
+        for _ in range(20):
+            start = rng.uniform(robot.lower, robot.upper)
+            end = np.clip(start + rng.uniform(-0.5, 0.5, robot.dof), robot.lower, robot.upper)
+            near = field.clearance(0.5 * (start + end))
+            if -0.05 < near < 0.2 and field.clearance(start) > 0.0:
+                found += 1
+                yield field, judge, start, end
+
+
+def test_no_motion_in_contact_is_accepted_and_few_others_refused(robot):
+    rng = np.random.default_rng(8)
+    margin = 2e-3
+    accepted = refused = 0
+    for field, judge, start, end in random_motions(robot, rng, 500):
+        sampled = dense_clearance(judge, start, end)
+        if field.is_clear(np.stack([start, end]), margin):
+            accepted += 1
+            assert sampled >= 0.5 * margin
+        else:
+            refused += 1
+            # What was refused comes closer than the margin, at least between the samples.
+            assert sampled < margin + bounds_of(field, end - start).max() / 400
+    assert min(accepted, refused) > 100
+
+
+def test_contact_for_a_moment_is_refused(robot):
+    """A bead grazed by the tip between free configurations, and one just missed."""
+    start, end = np.array([0, 0.3, 0.0, 0.0]), np.array([0, 0.9, 0.0, 0.0])
+    for depth, at in itertools.product((1e-4, 1e-2), (0.31, 0.455, 0.6037, 0.88)):
+        for gap, clear in ((-depth, False), (depth, True)):
+            reach = 2.2 + 0.03 + 0.001 + gap
+            bead = Sphere(name="bead", center=(reach * np.cos(at), 0, 0.6 + reach * np.sin(at)), radius=0.001)
+            field = ClearanceField.of(robot, [bead])
+            assert field.is_clear([start, end], 0.5e-4) is clear
+            assert field.is_clear([end, start], 0.5e-4) is clear
+
+
+def test_yaw_sweeps_into_an_obstacle(robot):
+    post = Capsule(name="post", start=(1.0, 1.0, 0), end=(1.0, 1.0, 2), radius=0.02)
+    field = ClearanceField.of(robot, [post])
+    assert field.is_clear([[0, 0.1, 0, 0], [0.7, 0.1, 0, 0]], 1e-3)
+    assert not field.is_clear([[0, 0.1, 0, 0], [1.6, 0.1, 0, 0]], 1e-3)
+    assert field.is_clear([[0, 1.5, 0.2, 0], [1.6, 1.5, 0.2, 0]], 1e-3)
+
+
+def test_every_segment_of_a_path_counts(robot):
+    obstacle = Sphere(name="ball", center=(1.0, 0.0, 1.9), radius=0.15)
+    field = ClearanceField.of(robot, [obstacle])
+    free, blocked = np.radians([[0, 0, 0, 0], [0, 20, 0, 0]]), np.radians([[0, 0, 0, 0], [0, 90, 0, 0]])
+    assert field.is_clear(free, 1e-3)
+    assert not field.is_clear(blocked, 1e-3)
+    assert not field.is_clear(np.vstack([free, blocked[1]]), 1e-3)
+    assert not field.is_clear(np.vstack([blocked, free[1]]), 1e-3)
+    assert field.is_clear(free[:1], 1e-3)
+    assert field.is_clear(free[[0, 0]], 1e-3)
+    assert not field.is_clear(blocked[[1, 1]] * [0, 0.62, 0, 0], 1e-3)  # standing in contact
+
+
+def test_margin_is_asked_for(robot):
+    ball = Sphere(name="ball", center=(1.5, 0, 1.0), radius=0.1)
+    field = ClearanceField.of(robot, [ball])
+    path = np.array([[0, 0, 0, 0], [0, 0.05, 0, 0]])
+    least = min(field.clearance(q) for q in np.linspace(*path, 500))
+    assert field.is_clear(path, least - 1e-9)
+    assert not field.is_clear(path, least + 1e-5)
+    chain = (field.chain, field.base, field.solids)
+    assert segment_is_clear(path[0], path[1], *chain, least - 1e-9)
+
+
+@pytest.mark.parametrize("joint", [0, 1, 3])
+def test_motion_that_is_not_a_number_is_not_clear(robot, scene, joint):
+    path = np.radians([[0.0, 0, 0, 0], [0, 10, 0, 0]])
+    path[1, joint] = np.nan
+    assert not ClearanceField.of(robot, scene.solids).is_clear(path, 1e-3)

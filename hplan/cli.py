@@ -8,13 +8,13 @@ from __future__ import annotations
 import argparse
 import contextlib
 import sys
-import textwrap
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hplan.errors import HplanError, OptionError, OutputError
+from hplan.terminal import add_robot, add_scene, command_parser, prepare_folder, run_command
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -25,9 +25,6 @@ if TYPE_CHECKING:
 
 #: Files of a finished job; the report comes last, so that it never speaks of files that are not there.
 TRAJECTORY, PAGE, REPORT = "trajectory.csv", "scene.html", "report.json"
-
-#: Exit status after an interrupt, as shells give it.
-INTERRUPTED = 130
 
 _DESCRIPTION = """\
 Plan a collision-free motion of a harvesting arm, time it, certify it, and write it for the controller:
@@ -57,42 +54,35 @@ _STAGE_WORDS = {
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
     arguments = _parser().parse_args(argv)
-    from rich.console import Console
+    return run_command(lambda console, errors: _plan(arguments, console, errors))
 
-    console, errors = Console(highlight=False), Console(stderr=True, highlight=False)
+
+def _plan(arguments: argparse.Namespace, console: Console, errors: Console) -> int:
+    """Plan, write, show what came of it; returns the exit status."""
     names: dict[str, str | None] = {"scene": None, "robot": None}
+    folder: Path = arguments.out
+    prepare_folder(folder)
+    _clear(folder)
     try:
-        folder = _prepare(arguments.out)
-        try:
-            robot, scene, result = _run(arguments, folder, errors, names)
-        except BaseException as error:
-            _write_failure(folder, error, names)
-            raise
-        if not arguments.quiet:
-            _show_summary(console, result, folder)
-        if arguments.view:
-            _view(console, robot, scene, result)
-    except HplanError as error:
-        _show_error(errors, error)
-        return error.exit_status
-    except KeyboardInterrupt:
-        errors.print("interrupted")
-        return INTERRUPTED
+        robot, scene, result = _run(arguments, folder, errors, names)
+    except BaseException as error:
+        _write_failure(folder, error, names)
+        raise
+    if not arguments.quiet:
+        _show_summary(console, result, folder)
+    if arguments.view:
+        _view(console, robot, scene, result)
     return 0
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="plan_and_time.py" if sys.argv[0].endswith("plan_and_time.py") else "hplan",
-        description=textwrap.fill(_DESCRIPTION, 79),
-        epilog=_EXIT_STATUS,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+    parser = command_parser(
+        _DESCRIPTION, _EXIT_STATUS, prog="plan_and_time.py" if sys.argv[0].endswith("plan_and_time.py") else "hplan"
     )
+    add_scene(parser)
     add = parser.add_argument
-    add("scene", nargs="?", type=Path, help="scene file (default: the paper's reference scene, Table 1)")
     add("--out", type=Path, default=Path("out"), metavar="DIR", help="folder to write into (default: out)")
-    add("--robot", type=Path, metavar="URDF", help="robot (default: the harvester that ships with hplan)")
-    add("--limits", type=Path, metavar="YAML", help="acceleration limits (default: NAME.limits.yaml beside the URDF)")
+    add_robot(parser)
     add("--method", choices=("two-level", "dense"), default="two-level", help="search (default: two-level)")
     add(
         "--objective", choices=("duration", "length"), default="duration", help="what to make small (default: duration)"
@@ -106,25 +96,6 @@ def _parser() -> argparse.ArgumentParser:
     add("--view", action="store_true", help="serve the animated scene until interrupted")
     add("--quiet", action="store_true", help="no progress, no summary")
     return parser
-
-
-def _prepare(folder: Path) -> Path:
-    """Make the output folder, see that it can be written, and clear an earlier job's files, before any work.
-
-    Raises:
-        OutputError: The folder cannot be made or written.
-    """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        probe = folder / ".hplan-probe"
-        probe.touch()
-        probe.unlink()
-    except FileExistsError as error:
-        raise OutputError(folder, "it is a file, not a folder") from error
-    except OSError as error:
-        raise OutputError(folder, error.strerror or str(error)) from error
-    _clear(folder)
-    return folder
 
 
 def _clear(folder: Path) -> None:
@@ -208,19 +179,6 @@ def _write_failure(folder: Path, error: BaseException, names: dict[str, str | No
     if isinstance(error, HplanError):
         with contextlib.suppress(OutputError):
             write_report(failure_report(error, scene=names["scene"], robot=names["robot"]), folder / REPORT)
-
-
-def _show_error(console: Console, error: HplanError) -> None:
-    from rich.markup import escape
-
-    console.print(f"[bold red]error[/] ({error.kind}): {escape(error.message)}", soft_wrap=True)
-    for blocker in error.data.get("blockers", ())[:5]:
-        low, high = blocker["slices_deg"]
-        console.print(
-            f"  {escape(blocker['obstacle'])} against {escape(blocker['link'])}: {blocker['cells']} border nodes, "
-            f"last joint {low:g} to {high:g} deg",
-            soft_wrap=True,
-        )
 
 
 def _show_summary(console: Console, result: PlanResult, folder: Path) -> None:

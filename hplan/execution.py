@@ -21,13 +21,11 @@ MuJoCo comes with the extra `execution`: `pip install 'hplan[execution]'`.
 
 from __future__ import annotations
 
-import csv
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -35,6 +33,7 @@ import pinocchio as pin
 from hplan.arrays import FloatArray, readonly
 from hplan.collision import CollisionScene, Contact
 from hplan.errors import InputError, RobotFileError
+from hplan.motion import Movement
 from hplan.robot import Robot
 from hplan.scene import Capsule, Scene, Sphere
 
@@ -55,63 +54,6 @@ GOAL_TOLERANCE = math.radians(0.5)
 
 #: Rows at which inertias are looked at for the gains.
 _INERTIA_SAMPLES = 50
-
-_POSITION, _VELOCITY = "_pos_rad", "_vel_rad_s"
-
-
-class Movement(Protocol):
-    """What is needed of a motion; a `Trajectory` has it, and so has a `Motion`."""
-
-    @property
-    def joint_names(self) -> tuple[str, ...]:
-        """Names of the joints."""
-
-    @property
-    def time(self) -> FloatArray:
-        """(n,) strictly increasing [s]."""
-
-    @property
-    def position(self) -> FloatArray:
-        """(n, joints)."""
-
-    @property
-    def velocity(self) -> FloatArray:
-        """(n, joints) [rad/s]."""
-
-
-@dataclass(frozen=True, eq=False)
-class Motion:
-    """Positions and velocities over time, from wherever they come.
-
-    Attributes:
-        joint_names: Names of the joints.
-        time: (n,) strictly increasing [s].
-        position: (n, joints).
-        velocity: (n, joints) [rad/s].
-    """
-
-    joint_names: tuple[str, ...]
-    time: FloatArray
-    position: FloatArray
-    velocity: FloatArray
-
-    @classmethod
-    def from_positions(cls, joint_names: Sequence[str], time: FloatArray, position: FloatArray) -> Motion:
-        """The motion through positions, from rest to rest.
-
-        A row's velocity is that of the parabola through it and its neighbours; the first and last rows are at rest.
-
-        Args:
-            joint_names: Names of the joints.
-            time: (n,) strictly increasing [s].
-            position: (n, joints).
-        """
-        velocity = np.zeros_like(position)
-        if len(time) > 2:
-            before, after = np.diff(time)[:-1, None], np.diff(time)[1:, None]
-            slopes = np.diff(position, axis=0) / np.diff(time)[:, None]
-            velocity[1:-1] = (after * slopes[:-1] + before * slopes[1:]) / (before + after)
-        return cls(tuple(joint_names), readonly(time), readonly(position), readonly(velocity))
 
 
 @dataclass(frozen=True)
@@ -204,66 +146,6 @@ def execute(robot: Robot, scene: Scene, motion: Movement) -> Execution:
     goal = reference.position[-1] if goal is None else goal
     model, obstacle_of = _model(mujoco, robot, scene)
     return _Simulation(mujoco, robot, model, obstacle_of, reference).run(scene, start, goal)
-
-
-def read_motion(path: Path | str) -> Motion:
-    """Read a CSV of a motion, whoever wrote it.
-
-    One header line; needed are `time_s` and a column `NAME_pos_rad` for each joint, in any order. Velocities are
-    taken from columns `NAME_vel_rad_s` where every joint has one, else the motion is that through the positions from
-    rest to rest (see `Motion.from_positions`). Other columns are ignored, so hplan's own files can be read.
-
-    Raises:
-        InputError: Missing file, missing or repeated columns, a cell that is no finite number, time that does not
-            increase strictly; names the line.
-    """
-    path = Path(path)
-
-    def fault(line: int, reason: str) -> InputError:
-        return InputError(f"motion file {path}, line {line}: {reason}", path=str(path), line=line, reason=reason)
-
-    try:
-        with path.open(encoding="utf-8-sig", newline="") as stream:
-            reader = csv.reader(stream, strict=True)
-            rows = [(reader.line_num, row) for row in reader]
-    except OSError as error:
-        raise InputError(f"motion file {path}: {error.strerror}", path=str(path)) from error
-    except UnicodeDecodeError as error:
-        raise InputError(f"motion file {path}: it is not UTF-8 text", path=str(path)) from error
-    except csv.Error as error:
-        raise fault(reader.line_num, str(error)) from error
-    header = [name.strip() for name in rows[0][1]] if rows else []
-    joints = tuple(name.removesuffix(_POSITION) for name in header if name.endswith(_POSITION))
-    if "time_s" not in header or not joints:
-        raise fault(1, f"expected a header with the columns time_s and, for each joint, NAME{_POSITION}")
-    twice = sorted({name for name in header if header.count(name) > 1})
-    if twice:
-        raise fault(1, f"column {twice[0]!r} is there twice")
-    if len(rows) == 1:
-        raise fault(1, "no rows follow the header")
-    wanted = ["time_s", *(joint + _POSITION for joint in joints)]
-    velocities = [joint + _VELOCITY for joint in joints]
-    if set(velocities) <= set(header):
-        wanted += velocities
-    places = [header.index(name) for name in wanted]
-    table = np.empty((len(rows) - 1, len(wanted)))
-    for number, (line, row) in enumerate(rows[1:]):
-        if len(row) != len(header):
-            raise fault(line, f"{len(row)} values, expected {len(header)}")
-        for column, place in enumerate(places):
-            try:
-                value = float(row[place])
-            except ValueError:
-                value = math.nan
-            if not math.isfinite(value):
-                raise fault(line, f"{header[place]} is {row[place]!r}, expected a finite number")
-            table[number, column] = value
-        if number > 0 and not table[number, 0] > table[number - 1, 0]:
-            raise fault(line, f"time_s is {row[places[0]]}, no later than in the row before")
-    time, position = table[:, 0], table[:, 1 : len(joints) + 1]
-    if len(wanted) == len(joints) + 1:
-        return Motion.from_positions(joints, time, position)
-    return Motion(joints, readonly(time), readonly(position), readonly(table[:, len(joints) + 1 :]))
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import csv
 import io
-import math
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from hplan.arrays import FloatArray, readonly
+from hplan.csv_file import CsvFile
 from hplan.errors import InputError
 from hplan.files import write_text
 
@@ -96,43 +96,17 @@ def read_csv(path: Path | str) -> Trajectory:
         InputError: Missing file, other columns than `csv_header` gives, a cell that is no finite number, time that
             does not increase strictly from 0; names the line.
     """
-    path = Path(path)
-
-    def fault(line: int, reason: str) -> InputError:
-        return InputError(f"trajectory file {path}, line {line}: {reason}", path=str(path), line=line, reason=reason)
-
-    try:
-        with path.open(encoding="utf-8-sig", newline="") as stream:
-            reader = csv.reader(stream, strict=True)
-            rows = [(reader.line_num, row) for row in reader]
-    except OSError as error:
-        raise InputError(f"trajectory file {path}: {error.strerror}", path=str(path)) from error
-    except UnicodeDecodeError as error:
-        raise InputError(f"trajectory file {path}: it is not UTF-8 text", path=str(path)) from error
-    except csv.Error as error:
-        raise fault(reader.line_num, str(error)) from error
-    header = rows[0][1] if rows else []
+    file = CsvFile.read(path, "trajectory", "sample")
     suffix = f"_{QUANTITIES[0]}"
-    joints = tuple(name.removesuffix(suffix) for name in header if name.endswith(suffix))
-    if not joints or header != csv_header(joints):
+    joints = tuple(name.removesuffix(suffix) for name in file.header if name.endswith(suffix))
+    if not joints or file.header != csv_header(joints):
         quantities = ", ".join("NAME_" + quantity for quantity in QUANTITIES)
-        raise fault(1, f"expected the columns time_s and, for each joint, {quantities}")
-    if len(rows) == 1:
-        raise fault(1, "no samples follow the header")
-    table = np.empty((len(rows) - 1, len(header)))
-    for number, (line, row) in enumerate(rows[1:]):
-        if len(row) != len(header):
-            raise fault(line, f"{len(row)} values, expected {len(header)}")
-        for column, cell in enumerate(row):
-            try:
-                table[number, column] = float(cell)
-            except ValueError:
-                raise fault(line, f"{header[column]} is {cell!r}, expected a number") from None
-            if not math.isfinite(table[number, column]):
-                raise fault(line, f"{header[column]} is {cell!r}, expected a finite number")
-        if number == 0 and table[0, 0] != 0.0:
-            raise fault(line, f"time_s is {row[0]}, expected 0 in the first sample")
-        if number > 0 and not table[number, 0] > table[number - 1, 0]:
-            raise fault(line, f"time_s is {row[0]}, no later than in the sample before")
+        raise file.fault(1, f"expected the columns time_s and, for each joint, {quantities}")
+    rows: list[list[float]] = []
+    for line, texts, numbers in file.timed_rows(range(len(file.header))):
+        if not rows and numbers[0] != 0.0:
+            raise file.fault(line, f"time_s is {texts[0]}, expected 0 in the first sample")
+        rows.append(numbers)
+    table = np.array(rows)
     columns = table[:, 1:].reshape(len(table), len(joints), len(QUANTITIES))
     return Trajectory(joints, table[:, 0], *(columns[:, :, i] for i in range(len(QUANTITIES))))

@@ -47,7 +47,7 @@ from hplan.arrays import FloatArray, readonly
 from hplan.errors import InputError, JointLimitError, OptionError, RobotFileError, TimingError
 from hplan.path import Limits
 from hplan.postprocess.spline import SplinePath
-from hplan.robot import _check_links_and_joints
+from hplan.robot_files import check_links_and_joints, read_urdf_xml
 from hplan.trajectory import QUANTITIES, Trajectory
 
 #: Deviation from the polyline at its corners, where none is given [rad].
@@ -116,10 +116,10 @@ def read_machine(
         JointLimitError: A joint held outside its limits.
     """
     path = Path(path)
-    root = _read_root(path)
+    root = read_urdf_xml(path)
     elements = {str(joint.get("name")): joint for joint in root.findall("joint") if joint.get("type") != "fixed"}
     tied = _cut_mimics(root)
-    _check_links_and_joints(path, root)
+    check_links_and_joints(path, root)
     moving = [name for name in elements if name not in tied] if joints is None else list(joints)
     hold = {} if hold is None else hold
     for name in [*moving, *hold]:
@@ -148,19 +148,6 @@ def read_machine(
             limit = model.velocityLimit if attribute == "velocity" else model.effortLimit
             limit[model.joints[model.getJointId(name)].idx_v] = np.inf
     return _reduced(model, moving, hold)
-
-
-def _read_root(path: Path) -> ET.Element:
-    """The URDF's XML."""
-    try:
-        root = ET.parse(path).getroot()
-    except OSError as error:
-        raise RobotFileError(path, error.strerror or str(error)) from error
-    except (ET.ParseError, LookupError, ValueError) as error:  # the last two: an encoding that Python does not know
-        raise RobotFileError(path, f"malformed XML: {error}") from error
-    if root.tag != "robot":
-        raise RobotFileError(path, f"the root element is <{root.tag}>, expected <robot>")
-    return root
 
 
 def _cut_mimics(root: ET.Element) -> dict[str, str]:

@@ -4,21 +4,17 @@ from __future__ import annotations
 
 import argparse
 import sys
-import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hplan.errors import HplanError
+from hplan.terminal import FAILED, add_robot, add_scene, command_parser, run_command
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from hplan.execution import Execution
     from hplan.scene import Scene
-
-#: Exit statuses.
-FAILED, INTERRUPTED = 5, 130
 
 _DESCRIPTION = """\
 Run a trajectory in MuJoCo: the robot's own URDF with torque motors, the scene's obstacles as solid bodies, and a
@@ -44,40 +40,29 @@ exit status:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
     arguments = _parser().parse_args(argv)
-    from rich.console import Console
+    return run_command(lambda console, _: _run(arguments, console))
 
-    console, errors = Console(highlight=False), Console(stderr=True, highlight=False)
-    try:
-        from hplan.execution import execute, read_motion
-        from hplan.robot import load_robot
-        from hplan.scene_file import load_scene
 
-        motion = read_motion(arguments.trajectory)
-        robot = load_robot(arguments.robot, limits=arguments.limits)
-        scene = load_scene(arguments.scene)
-        result = execute(robot, scene, motion)
-    except HplanError as error:
-        errors.print("[bold red]error[/]", f"({error.kind}):", end=" ")
-        errors.print(error.message, markup=False, soft_wrap=True)
-        return error.exit_status
-    except KeyboardInterrupt:
-        errors.print("interrupted")
-        return INTERRUPTED
+def _run(arguments: argparse.Namespace, console: Console) -> int:
+    """Execute and show; returns the exit status."""
+    from hplan.execution import execute
+    from hplan.motion import read_motion
+    from hplan.robot import load_robot
+    from hplan.scene_file import load_scene
+
+    motion = read_motion(arguments.trajectory)
+    robot = load_robot(arguments.robot, limits=arguments.limits)
+    scene = load_scene(arguments.scene)
+    result = execute(robot, scene, motion)
     _show(console, arguments.trajectory, scene, result)
     return 0 if result.ok else FAILED
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        description=textwrap.fill(_DESCRIPTION, 79),
-        epilog=_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    add = parser.add_argument
-    add("trajectory", type=Path, metavar="TRAJECTORY.csv", help="the motion")
-    add("scene", nargs="?", type=Path, help="scene file (default: the paper's reference scene, Table 1)")
-    add("--robot", type=Path, metavar="URDF", help="robot (default: the harvester that ships with hplan)")
-    add("--limits", type=Path, metavar="YAML", help="acceleration limits (default: NAME.limits.yaml beside the URDF)")
+    parser = command_parser(_DESCRIPTION, _EPILOG)
+    parser.add_argument("trajectory", type=Path, metavar="TRAJECTORY.csv", help="the motion")
+    add_scene(parser)
+    add_robot(parser)
     return parser
 
 

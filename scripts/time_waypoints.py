@@ -139,7 +139,7 @@ def _held(text: str) -> tuple[str, float]:
 
 def _limits(arguments: argparse.Namespace, machine: Machine) -> Limits:
     """The URDF's limits, with acceleration (and jerk) from the YAML or the number given."""
-    from hplan.robot import read_limits
+    from hplan.robot_files import read_limits
     from hplan.waypoints import limits_of
 
     torque = not arguments.no_torque

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import argparse
 import sys
-import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hplan.errors import HplanError, OptionError, OutputError
+from hplan.errors import OptionError, OutputError
+from hplan.terminal import FAILED, add_robot, add_scene, command_parser, prepare_folder, run_command
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -17,9 +17,6 @@ if TYPE_CHECKING:
     from hplan.validation import Comparison, Difference, Validation
 
 RESULT = "validation.json"
-
-#: Exit statuses.
-FAULT, INTERRUPTED = 5, 130
 
 _DESCRIPTION = """\
 Ask coal at every node of the joint grid whether the arm touches an obstacle, with its links as capsules, as boxes
@@ -46,40 +43,29 @@ exit status:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
     arguments = _parser().parse_args(argv)
-    from rich.console import Console
+    return run_command(lambda console, errors: _run(arguments, console, errors))
 
-    console, errors = Console(highlight=False), Console(stderr=True, highlight=False)
-    try:
-        if arguments.out is not None:
-            _prepare(arguments.out)
-        result = _validate(arguments, errors)
-        if arguments.out is not None:
-            from hplan.report import write_report
 
-            write_report(result.as_dict(), arguments.out / RESULT)
-        _show(console, result)
-        if arguments.out is not None:
-            console.print(f"written to {arguments.out / RESULT}\n", markup=False, soft_wrap=True)
-    except HplanError as error:
-        errors.print("[bold red]error[/]", f"({error.kind}):", end=" ")
-        errors.print(error.message, markup=False, soft_wrap=True)
-        return error.exit_status
-    except KeyboardInterrupt:
-        errors.print("interrupted")
-        return INTERRUPTED
-    return 0 if result.ok else FAULT
+def _run(arguments: argparse.Namespace, console: Console, errors: Console) -> int:
+    """Compare, write and show; returns the exit status."""
+    if arguments.out is not None:
+        _prepare(arguments.out)
+    result = _validate(arguments, errors)
+    if arguments.out is not None:
+        from hplan.report import write_report
+
+        write_report(result.as_dict(), arguments.out / RESULT)
+    _show(console, result)
+    if arguments.out is not None:
+        console.print(f"written to {arguments.out / RESULT}\n", markup=False, soft_wrap=True)
+    return 0 if result.ok else FAILED
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        description=textwrap.fill(_DESCRIPTION, 79),
-        epilog=_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = command_parser(_DESCRIPTION, _EPILOG)
+    add_scene(parser)
+    add_robot(parser)
     add = parser.add_argument
-    add("scene", nargs="?", type=Path, help="scene file (default: the paper's reference scene, Table 1)")
-    add("--robot", type=Path, metavar="URDF", help="robot (default: the harvester that ships with hplan)")
-    add("--limits", type=Path, metavar="YAML", help="acceleration limits (default: NAME.limits.yaml beside the URDF)")
     add("--step", type=float, default=1.0, metavar="DEG", help="spacing of the joint grid (default: 1)")
     add("--yaw", type=float, metavar="DEG", help="yaw of the arm plane (default: that of the scene's start)")
     add("--out", type=Path, metavar="DIR", help=f"folder to write {RESULT} into (default: none)")
@@ -90,18 +76,14 @@ def _prepare(folder: Path) -> None:
     """Make the folder and remove an earlier result from it, before any work.
 
     Raises:
-        OutputError: The folder cannot be made or written.
+        OutputError: The folder cannot be made or written, or the result not removed.
     """
+    prepare_folder(folder)
+    earlier = folder / RESULT
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        probe = folder / ".hplan-probe"
-        probe.touch()
-        probe.unlink()
-        (folder / RESULT).unlink(missing_ok=True)
-    except FileExistsError as error:
-        raise OutputError(folder, "it is a file, not a folder") from error
+        earlier.unlink(missing_ok=True)
     except OSError as error:
-        raise OutputError(error.filename or folder, error.strerror or str(error)) from error
+        raise OutputError(earlier, error.strerror or str(error)) from error
 
 
 def _validate(arguments: argparse.Namespace, errors: Console) -> Validation:

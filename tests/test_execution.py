@@ -5,42 +5,29 @@ from __future__ import annotations
 import builtins
 import importlib.util
 import math
-import sys
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
 import pytest
+from script_loader import load_script
 
 from hplan import execution
 from hplan.collision import CollisionScene
 from hplan.errors import ConfigurationInCollisionError, HplanError, InputError, NoPathError, RobotFileError
-from hplan.execution import HOLD, Execution, Motion, execute, read_motion
+from hplan.execution import HOLD, Execution, execute
+from hplan.motion import Motion, read_motion
 from hplan.pipeline import PlanResult, plan
 from hplan.robot import Robot, load_robot
 from hplan.robot_family import ArmSpec, write_robot
 from hplan.scene import Box, Capsule, Goal, Scene, Sphere, Start
 from hplan.trajectory import Trajectory, write_csv
 
-SCRIPT = Path(__file__).resolve().parents[1] / "scripts" / "execute.py"
-
 needs_mujoco = pytest.mark.skipif(
     importlib.util.find_spec("mujoco") is None, reason="MuJoCo is not installed: pip install 'hplan[execution]'"
 )
 
-
-def load_script() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("execute_script", SCRIPT)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-script = load_script()
+script = load_script("execute")
 
 
 @pytest.fixture(scope="module")

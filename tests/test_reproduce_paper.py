@@ -1,37 +1,23 @@
 from __future__ import annotations
 
-import importlib.util
 import json
 import math
 import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
 import pytest
 from PIL import Image
+from script_loader import load_script
 
 from hplan.reproduction import measure, output, random_scenes, tables
 from hplan.reproduction.demonstration import DEMO_CENTRE
 from hplan.reproduction.results import PAPER
 
-SCRIPT = Path(__file__).resolve().parents[1] / "scripts" / "reproduce_paper.py"
-
-
-def load_script() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("reproduce_paper", SCRIPT)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-script = load_script()
+script = load_script("reproduce_paper")
 
 
 @pytest.fixture(scope="module")
@@ -288,7 +274,7 @@ def test_a_negative_number_of_scenes_is_refused(tmp_path: Path, capsys: pytest.C
 
 
 def test_help_loads_nothing_heavy() -> None:
-    code = f"import runpy, sys; sys.argv = ['x', '--help']; runpy.run_path({str(SCRIPT)!r}, run_name='__main__')"
+    code = f"import runpy, sys; sys.argv = ['x', '--help']; runpy.run_path({script.__file__!r}, run_name='__main__')"
     watched = f"""
 try:
     {code}

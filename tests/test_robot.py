@@ -11,9 +11,11 @@ import pinocchio as pin
 import pytest
 
 from hplan.errors import InputError, JointLimitError, RobotFamilyError, RobotFileError
+from hplan.family_reader import _outline
 from hplan.resources import urdf_dir
-from hplan.robot import Robot, _outline, load_robot, read_limits, read_models
+from hplan.robot import Robot, load_robot
 from hplan.robot_family import HARVESTER, ArmSpec, write_robot
+from hplan.robot_files import read_limits, read_models
 
 HALF_PI = math.pi / 2
 SHIPPED = (urdf_dir() / "harvester.urdf").read_text()

@@ -13,15 +13,9 @@ from hypothesis import strategies as st
 
 from hplan.errors import OptionError, OutputError, RobotFileError
 from hplan.resources import urdf_dir
-from hplan.robot_family import (
-    HARVESTER,
-    LIMITS_FORMAT,
-    ArmSpec,
-    cross_check,
-    limits_text,
-    urdf_text,
-    write_robot,
-)
+from hplan.robot_family import HARVESTER, ArmSpec, cross_check, write_robot
+from hplan.robot_files import LIMITS_FORMAT
+from hplan.urdf_writer import limits_text, urdf_text
 
 URDF = urdf_dir() / "harvester.urdf"
 HALF_PI = math.pi / 2

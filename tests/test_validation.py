@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
-import sys
 from dataclasses import replace
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
 import pytest
+from script_loader import load_script
 
 import hplan.validation as validation
 from hplan.collision import LINK_SHAPES, CollisionScene, base_contacts
@@ -24,7 +22,6 @@ from hplan.scene import Box, Capsule, Goal, Scene, Sphere, Start
 from hplan.section import SECTION_ERROR, arm_sections
 from hplan.validation import CONTACT_TOLERANCE, EXAMPLES, Comparison, Validation, validate_cspace
 
-SCRIPT = Path(__file__).resolve().parents[1] / "scripts" / "validate_cspace.py"
 COARSE = float(np.radians(5.0))
 
 BRANCH = Capsule(name="branch", start=(1.2, -0.5, 0.9), end=(1.5, 0.6, 1.4), radius=0.03)
@@ -33,18 +30,7 @@ CRATE = Box(name="crate", center=(0.4, 0.05, 2.0), size=(0.3, 0.2, 0.3), rpy_deg
 POST = Box(name="post", center=(1.6, 0.0, 1.0), size=(0.1, 0.1, 1.0))
 BESIDE = Sphere(name="beside", center=(1.0, 0.12, 1.6), radius=0.15)
 
-
-def load_script() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("validate_cspace", SCRIPT)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-script = load_script()
+script = load_script("validate_cspace")
 
 
 def scene_of(*obstacles: Sphere | Capsule | Box, clearance: float = 0.0, joints: int = 4) -> Scene:

@@ -31,10 +31,10 @@ def two_level_search(occupancy: Occupancy, start: ArrayLike, goal: ArrayLike, *,
         occupancy: Which nodes are free; at least two axes.
         start: (d,) node index.
         goal: (d,) node index.
-        octile: False for the searches of the paper, plain A* with the straight line as bound: on every slice that has
-            a path, then on the union. By default planar slices are searched by jump points, other slices with the octile
-            bound, and the union with the distances of its projection (`row_bounds`); every slice path and the path on
-            the union have the same cost, with fewer expansions.
+        octile: False for the searches of the paper, plain A* with the straight line as bound: on every slice that
+            has a path, then on the union. By default planar slices are searched by jump points, other slices with the
+            octile bound, and the union with the distances of its projection (`row_bounds`); every slice path and the
+            path on the union have the same cost, with fewer expansions.
 
     Returns:
         The result; its path is None exactly when no path exists on the grid.

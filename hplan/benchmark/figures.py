@@ -172,6 +172,7 @@ def growth(g: dict[str, Any]) -> Figure:
             _legend(axes)
         panels[0, column].set_title(_TITLES[axis])
         if axis != "obstacles":
+            panels[1, column].set_xlim(panels[0, column].get_xlim())  # a case too small to measure has its place too
             for case, size in zip(cases, sizes, strict=True):
                 name = f"{case['size']:g}" + ("°" if axis == "step" else " links")
                 panels[1, column].annotate(

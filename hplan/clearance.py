@@ -259,6 +259,19 @@ def smallest(values: FloatArray) -> float:
     return least
 
 
+@nb.njit(cache=True, inline="always")
+def proven_advance(clear: FloatArray, bounds: FloatArray, margin: float) -> float:
+    """The share of a motion, at most 1, that cannot use up any link's clearance; -1 where the margin is not kept."""
+    advance = 1.0
+    for k in range(len(clear)):
+        if not clear[k] >= margin:  # so that nothing that is no number passes
+            advance = -1.0
+            break
+        if bounds[k] * advance > clear[k]:
+            advance = clear[k] / bounds[k]
+    return advance
+
+
 @nb.njit(cache=True)
 def motion_bounds(turns: FloatArray, chain: FloatArray, base: FloatArray, result: FloatArray) -> None:
     """Largest displacement of any axis point of each link while all joints turn in proportion, by `turns` in all.
@@ -305,12 +318,9 @@ def segment_is_clear(
         for i in range(dof):
             q[i] = start[i] + t * turns[i]
         _link_clearances(q, chain, base, solids, clear)
-        advance = 1.0
-        for k in range(links):
-            if not clear[k] >= margin:  # so that nothing that is no number passes
-                return False
-            if bounds[k] * advance > clear[k]:
-                advance = clear[k] / bounds[k]
+        advance = proven_advance(clear, bounds, margin)
+        if advance < 0.0:
+            return False
         if t >= 1.0:
             return True
         t = 0.0 if at_middle else min(1.0, t + advance)

@@ -12,6 +12,26 @@ from hplan.arrays import FloatArray, readonly
 from hplan.errors import OptionError
 
 
+def check_rate(rate_hz: float) -> None:
+    """Refuse a rate of rows that no controller has.
+
+    Raises:
+        OptionError: It is not between 1 and 100000.
+    """
+    if not (np.isfinite(rate_hz) and 1.0 <= rate_hz <= 100_000.0):
+        raise OptionError("rate_hz", rate_hz, "a number of rows per second between 1 and 100000")
+
+
+def check_speed(speed: float) -> None:
+    """Refuse a share of full speed that is none.
+
+    Raises:
+        OptionError: It is not in (0, 1].
+    """
+    if not (np.isfinite(speed) and 0.0 < speed <= 1.0):
+        raise OptionError("speed", speed, "a factor in (0, 1]")
+
+
 class GeometricPath(Protocol):
     """A twice differentiable curve in joint space over [0, end]."""
 
@@ -45,7 +65,6 @@ class Limits:
         Raises:
             OptionError: The speed is not in (0, 1].
         """
-        if not (np.isfinite(speed) and 0.0 < speed <= 1.0):
-            raise OptionError("speed", speed, "a factor in (0, 1]")
+        check_speed(speed)
         jerk = None if self.jerk is None else readonly(self.jerk * speed**3)
         return Limits(readonly(self.velocity * speed), readonly(self.acceleration * speed**2), self.torque, jerk)

@@ -17,14 +17,15 @@ from hplan.connect import joined_nodes
 from hplan.cspace import occupancy
 from hplan.errors import CertificationError, NoPathError, OptionError
 from hplan.grid import Grid, Occupancy
-from hplan.path import Limits
+from hplan.path import Limits, check_rate, check_speed
+from hplan.polyline import path_length
 from hplan.postprocess import OBJECTIVES, Objective, PostprocessOptions, SplinePath, fast_path
 from hplan.problem import Problem, pose_problem
 from hplan.report import StageClock, versions
 from hplan.robot import Robot
 from hplan.scene import Scene
 from hplan.search import SearchResult, dense_search, reachable, two_level_search
-from hplan.section import LINK_MODELS, ArmSections, LinkModel, arm_sections
+from hplan.section import ArmSections, LinkModel, arm_sections, check_link_model
 from hplan.timing import resting, time_path
 from hplan.trajectory import Trajectory
 
@@ -75,14 +76,11 @@ class PlanOptions:
             raise OptionError("method", self.method, f"one of {', '.join(METHODS)}")
         if self.objective not in OBJECTIVES:
             raise OptionError("objective", self.objective, f"one of {', '.join(OBJECTIVES)}")
-        if self.link_model not in LINK_MODELS:
-            raise OptionError("link_model", self.link_model, f"one of {', '.join(LINK_MODELS)}")
+        check_link_model(self.link_model)
         if not (np.isfinite(self.step_deg) and self.step_deg > 0.0):
             raise OptionError("step_deg", self.step_deg, "a positive number of degrees")
-        if not (np.isfinite(self.rate_hz) and 1.0 <= self.rate_hz <= 100_000.0):
-            raise OptionError("rate_hz", self.rate_hz, "a number of rows per second between 1 and 100000")
-        if not (np.isfinite(self.speed) and 0.0 < self.speed <= 1.0):
-            raise OptionError("speed", self.speed, "a factor in (0, 1]")
+        check_rate(self.rate_hz)
+        check_speed(self.speed)
         if not (np.isfinite(self.tracking_error) and self.tracking_error >= 0.0):
             raise OptionError("tracking_error", self.tracking_error, "a finite number of radians >= 0")
 
@@ -349,7 +347,7 @@ def _report(
             "total": spent.total,
             "flooded_cells": spent.flooded,
         }
-    length_deg = float(np.degrees(np.linalg.norm(np.diff(grid_path, axis=0), axis=1).sum()))
+    length_deg = float(np.degrees(path_length(grid_path)))
     nearest = certificate.nearest
     return {
         "status": "ok",

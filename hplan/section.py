@@ -122,7 +122,7 @@ def arm_sections(
     Raises:
         OptionError: Unknown link model, a negative clearance, or `rectangle` with an obstacle that is no sphere.
     """
-    _check_link_model(link_model)
+    check_link_model(link_model)
     if not (np.isfinite(clearance) and clearance >= 0.0):
         raise OptionError("clearance", clearance, "a finite number of metres >= 0")
     origin, axes = robot.plane_at(yaw)
@@ -165,7 +165,7 @@ def planar_sections(
     Raises:
         OptionError: Unknown link model, or `rectangle` with a section that is no disc.
     """
-    _check_link_model(link_model)
+    check_link_model(link_model)
     hulls = [RoundedPolygon(_convex_hull(section.vertices), section.radius) for section in sections]
     default = tuple(f"section {index}" for index in range(len(sections)))
     names = default if names is None else tuple(names)
@@ -279,7 +279,12 @@ def _turn(a: tuple[float, float], b: tuple[float, float], c: tuple[float, float]
     return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
 
 
-def _check_link_model(link_model: str) -> None:
+def check_link_model(link_model: str) -> None:
+    """Refuse a link model that there is not.
+
+    Raises:
+        OptionError: It is none of `LINK_MODELS`.
+    """
     if link_model not in LINK_MODELS:
         raise OptionError("link_model", link_model, f"one of {', '.join(LINK_MODELS)}")
 

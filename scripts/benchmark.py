@@ -8,7 +8,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hplan.errors import HplanError, InputError, OutputError
+from hplan.errors import InputError, OutputError
+from hplan.terminal import FAILED as FAULT
+from hplan.terminal import command_parser, prepare_folder, run_command
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -39,8 +41,6 @@ exit status:
   5  a certified trajectory was found at fault
 """
 
-FAULT, INTERRUPTED = 5, 130
-
 #: Width of tables that go to a file or a pipe.
 WIDTH = 120
 
@@ -48,35 +48,26 @@ WIDTH = 120
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
     arguments = _parser().parse_args(argv)
-    from rich.console import Console
 
-    console, errors = Console(highlight=False), Console(stderr=True, highlight=False)
-    if not console.is_terminal:
-        console = Console(highlight=False, width=WIDTH)
-    try:
+    def command(console: Console, errors: Console) -> int:
+        if not console.is_terminal:
+            console.width = WIDTH
         if arguments.scenes is not None and arguments.scenes < 1:
             raise InputError("--scenes: expected a number of at least 1", scenes=arguments.scenes)
-        _prepare(arguments.out)
+        prepare_folder(arguments.out)
         results = run(arguments, errors)
         from hplan.benchmark.tables import show
 
         show(console, results)
         for path in write(results, arguments.out):
             console.print(f"written: {path}", markup=False, soft_wrap=True)
-    except HplanError as error:
-        errors.print("[bold red]error[/]", f"({error.kind}):", end=" ")
-        errors.print(error.message, markup=False, soft_wrap=True)
-        return error.exit_status
-    except KeyboardInterrupt:
-        errors.print("interrupted")
-        return INTERRUPTED
-    return FAULT if results.get("recheck", {}).get("violations") else 0
+        return FAULT if results.get("recheck", {}).get("violations") else 0
+
+    return run_command(command)
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        description=_DESCRIPTION, epilog=_EPILOG, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = command_parser(_DESCRIPTION, _EPILOG)
     add = parser.add_argument
     add("--out", type=Path, default=Path("out"), metavar="DIR", help="folder to write into (default: out)")
     add("--quick", action="store_true", help="few repetitions and scenes: a look, not a measurement")
@@ -89,18 +80,6 @@ def _parser() -> argparse.ArgumentParser:
         help=f"random scenes of each set (default: {CLUTTER_SCENES} in clutter, {RECHECK_SCENES} in recheck)",
     )
     return parser
-
-
-def _prepare(folder: Path) -> None:
-    """Make the folder, before any work.
-
-    Raises:
-        OutputError: It cannot be made.
-    """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OutputError(folder, error.strerror or str(error)) from error
 
 
 def run(arguments: argparse.Namespace, errors: Console) -> dict[str, Any]:

@@ -6,12 +6,12 @@ import argparse
 import contextlib
 import math
 import sys
-import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hplan.errors import HplanError, OptionError, OutputError, RobotFileError
+from hplan.errors import OptionError, OutputError, RobotFileError
+from hplan.terminal import command_parser, run_command
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -20,9 +20,6 @@ if TYPE_CHECKING:
     from hplan.path import Limits
     from hplan.trajectory import Trajectory
     from hplan.waypoints import Machine
-
-#: Exit status after an interrupt, as shells give it.
-INTERRUPTED = 130
 
 _DESCRIPTION = """\
 Time the fastest motion through waypoints, from rest to rest, under the URDF's velocity and torque limits and given
@@ -48,28 +45,17 @@ exit status:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
     arguments = _parser().parse_args(argv)
-    from rich.console import Console
 
-    console, errors = Console(highlight=False), Console(stderr=True, highlight=False)
-    try:
+    def command(console: Console, _: Console) -> int:
         _prepare(arguments)
         _run(arguments, console)
-    except HplanError as error:
-        errors.print("[bold red]error[/]", f"({error.kind}):", end=" ")
-        errors.print(error.message, markup=False, soft_wrap=True)
-        return error.exit_status
-    except KeyboardInterrupt:
-        errors.print("interrupted")
-        return INTERRUPTED
-    return 0
+        return 0
+
+    return run_command(command)
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        description=textwrap.fill(_DESCRIPTION, 79),
-        epilog=_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = command_parser(_DESCRIPTION, _EPILOG)
     add = parser.add_argument
     add("urdf", type=Path, metavar="URDF", help="the robot; its meshes are not needed")
     add("waypoints", type=Path, metavar="WAYPOINTS.csv", help="the waypoints")

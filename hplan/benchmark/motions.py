@@ -17,6 +17,7 @@ import pinocchio as pin
 from hplan.arrays import FloatArray
 from hplan.clearance import ClearanceField
 from hplan.collision import CollisionScene
+from hplan.polyline import stations
 from hplan.postprocess import shorten
 from hplan.robot import Robot
 from hplan.trajectory import Trajectory
@@ -141,7 +142,7 @@ def toppra_motion(robot: Robot, path: FloatArray, *, defaults: bool = False) -> 
     logging.getLogger("toppra").setLevel(logging.CRITICAL)
     length = np.linalg.norm(np.diff(path, axis=0), axis=1)
     path = path[np.concatenate([[True], length > 1e-9])]
-    station = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
+    station = stations(path)
     spline = toppra.SplineInterpolator(np.linspace(0.0, 1.0, len(path)) if defaults else station, path)
     data = robot.model.createData()
 

@@ -1,8 +1,9 @@
 """From a grid path to a smooth curve worth executing, shown clear all along."""
 
+from hplan.polyline import path_length
 from hplan.postprocess.options import OBJECTIVES, Objective, PostprocessOptions
 from hplan.postprocess.path import fast_path
-from hplan.postprocess.shorten import path_length, shorten
+from hplan.postprocess.shorten import shorten
 from hplan.postprocess.smooth import smooth
 from hplan.postprocess.spline import SplinePath
 

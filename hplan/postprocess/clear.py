@@ -15,6 +15,7 @@ import numpy as np
 
 from hplan.arrays import FloatArray, IntArray, frozen
 from hplan.clearance import ClearanceField, _link_clearances, smallest
+from hplan.polyline import stations
 from hplan.postprocess.options import PostprocessOptions
 from hplan.postprocess.spline import STRIDE, SplinePath, bezier_piece, copy_into, piece_is_clear
 
@@ -34,7 +35,7 @@ def clear_spline(
     Returns:
         The spline, shown clear, or None where pushing did not succeed.
     """
-    station = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
+    station = stations(path)
     even = np.linspace(0.0, station[-1], count)
     control = np.column_stack([np.interp(even, station, path[:, joint]) for joint in range(path.shape[1])])
     control[0], control[-1] = path[0], path[-1]

@@ -58,7 +58,8 @@ def fast_path(path: FloatArray, field: ClearanceField, options: PostprocessOptio
                 break
         if found:
             return min(found, key=lambda item: item[1])[0]
-    return hasten(_rounded(path, field, options, smallest), field, options, margin=0.5 * smallest)[0]
+    # Where no spline could be pushed clear: the polyline with its corners rounded as far as they can be.
+    return hasten(smooth(taut, field, margin=smallest), field, options, margin=0.5 * smallest)[0]
 
 
 def _short(path: FloatArray, field: ClearanceField, options: PostprocessOptions, margin: float) -> SplinePath:
@@ -68,9 +69,4 @@ def _short(path: FloatArray, field: ClearanceField, options: PostprocessOptions,
         spline = clear_spline(taut, field, options, count=count, margin=margin)
         if spline is not None:
             return tighten(spline, field, options, margin=margin, rounds=options.taut_rounds)
-    return _rounded(path, field, options, margin)
-
-
-def _rounded(path: FloatArray, field: ClearanceField, options: PostprocessOptions, margin: float) -> SplinePath:
-    """Where no spline could be pushed clear: the taut polyline with its corners rounded as far as they can be."""
-    return smooth(shorten(path, field, margin=margin, rounds=options.shortcuts), field, margin=margin)
+    return smooth(taut, field, margin=margin)

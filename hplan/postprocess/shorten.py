@@ -19,11 +19,6 @@ from hplan.clearance import ClearanceField, segment_is_clear
 _MERGE = 1e-9
 
 
-def path_length(path: FloatArray) -> float:
-    """Joint-space length of a polyline of (m, dof) waypoints."""
-    return float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
-
-
 def without_twins(path: FloatArray) -> FloatArray:
     """The waypoints that differ from the one before; the last one stays in any case."""
     kept = [path[0]]

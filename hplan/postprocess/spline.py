@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hplan.arrays import FloatArray, frozen, readonly
-from hplan.clearance import ClearanceField, _link_clearances
+from hplan.clearance import ClearanceField, _link_clearances, proven_advance
 from hplan.errors import InputError
+from hplan.polyline import stations
 
 #: Longest step along a piece with which an optimiser looks for contact before the proof.
 STRIDE = 1.0 / 16.0
@@ -44,7 +45,7 @@ class SplinePath:
             InputError: Fewer than 4 control points, the first two or the last two equal, or too many in between.
         """
         points = readonly(control)
-        station = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+        station = stations(points)
         if len(points) < 4:
             raise InputError(f"a spline needs at least 4 control points, got {len(points)}")
         inner = (station[1:-3] + station[2:-2] + station[3:-1]) / 3.0
@@ -203,12 +204,9 @@ def piece_is_clear(
         for i in range(dof):
             q[i] = w0 * piece[0, i] + w1 * piece[1, i] + w2 * piece[2, i] + w3 * piece[3, i]
         _link_clearances(q, chain, base, solids, clear)
-        advance = 1.0
-        for k in range(links):
-            if not clear[k] >= margin:  # so that nothing that is no number passes
-                return False
-            if bounds[k] * advance > clear[k]:
-                advance = clear[k] / bounds[k]
+        advance = proven_advance(clear, bounds, margin)
+        if advance < 0.0:
+            return False
         if t >= 1.0:
             return True
         t = min(1.0, t + max(stride, advance))

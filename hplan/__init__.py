@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from hplan.certificate import Certificate, certify
     from hplan.errors import HplanError
-    from hplan.pipeline import PlanOptions, PlanResult, plan
+    from hplan.options import PlanOptions
+    from hplan.pipeline import PlanResult, plan
     from hplan.robot import Robot, load_robot
     from hplan.scene import Scene
     from hplan.scene_file import load_scene, save_scene
@@ -40,7 +41,7 @@ __all__ = [
 _HOME = {
     "Certificate": "certificate",
     "HplanError": "errors",
-    "PlanOptions": "pipeline",
+    "PlanOptions": "options",
     "PlanResult": "pipeline",
     "Robot": "robot",
     "Scene": "scene",

@@ -3,9 +3,9 @@ r"""The proof that comes with a trajectory.
 Between two rows the controller is taken to follow the cubic that has the rows' positions and velocities (`cubic
 Hermite`); a trajectory of hplan is exactly that curve. On it
 
-- **clearance** is shown over continuous time: coal gives the signed distance of every link at some instant, the hull
-  of the cubic's derivative bounds how far any point of the link can move before the next one, and the distance minus
-  that bound must stay positive all the way (conservative advancement);
+- **clearance** is shown over continuous time: coal gives the signed distance of a link from an obstacle at some
+  instant, the hull of the cubic's derivative bounds how far any point of the link can move before the next one, and the
+  distance minus that bound must stay positive all the way (conservative advancement, each pair at its own pace);
 - **position, velocity and acceleration** are bounded exactly: the acceleration is linear between rows, the velocity
   has its extremes at rows or where the acceleration is zero, the position within the hull of the Bezier points;
 - **torque** is inverse dynamics at the rows and in between, at most 2 ms apart: a fine sample, not a bound;
@@ -19,15 +19,17 @@ motion, contact forces, what is not in the scene.
 
 from __future__ import annotations
 
+import bisect
+import heapq
 import math
 from dataclasses import dataclass
 
 import numba as nb
 import numpy as np
-import pinocchio as pin
 
 from hplan.arrays import FloatArray
 from hplan.collision import CollisionScene, Contact
+from hplan.dynamics import InverseDynamics
 from hplan.errors import InputError, OptionError
 from hplan.robot import Robot
 from hplan.scene import Scene
@@ -38,6 +40,10 @@ LIMIT_TOLERANCE = 1.001
 
 #: Spare clearance below which the proof gives up [m]: its steps, half of what is spare, would become too small.
 SMALLEST_STEP = 1e-5
+
+#: Largest share of what a pair has to spare that its link may travel before the next look: where coal iterates (hulls),
+#: its distances are good to a few micrometres.
+MOST_TRAVEL = 0.99
 
 #: Longest time between two looks at the torque [s].
 TORQUE_PERIOD = 2e-3
@@ -164,7 +170,7 @@ def _limit_use(robot: Robot, trajectory: Trajectory, bezier: FloatArray) -> Limi
     inner = velocity[:, 0] + duration * share * (start + 0.5 * share * (end - start))
     peak = np.maximum(peak, np.abs(inner).max(axis=0))
     peak_acceleration = np.maximum(np.abs(acceleration).max(axis=(0, 1)), np.abs(trajectory.acceleration).max(axis=0))
-    torque = _torques(robot.model, bezier, velocity, acceleration, float(duration.max()))
+    torque = _torques(InverseDynamics.of(robot.model), bezier, velocity, acceleration, float(duration.max()))
     return LimitUse(
         position=float(position.max()),
         velocity=_share(np.maximum(peak, np.abs(trajectory.velocity).max(axis=0)), robot.velocity_limit),
@@ -180,23 +186,21 @@ def _share(peak: FloatArray, limit: FloatArray) -> float:
 
 
 def _torques(
-    model: pin.Model, bezier: FloatArray, velocity: FloatArray, acceleration: FloatArray, longest: float
+    dynamics: InverseDynamics, bezier: FloatArray, velocity: FloatArray, acceleration: FloatArray, longest: float
 ) -> FloatArray:
     """(dof,) largest |torque| at the rows and, `TORQUE_PERIOD` apart, between them."""
-    data = model.createData()
     parts = max(1, int(np.ceil(longest / TORQUE_PERIOD - 1e-9)))
     t = (np.arange(parts) / parts)[:, None, None]
     u = 1.0 - t
     q = _cubic(np.moveaxis(bezier, 1, 0)[:, None], t)
     v = u**2 * velocity[:, 0] + 2.0 * u * t * velocity[:, 1] + t**2 * velocity[:, 2]
     a = u * acceleration[:, 0] + t * acceleration[:, 1]
-    rows = [values.reshape(-1, model.nv) for values in (q, v, a)]
+    rows = [values.reshape(-1, bezier.shape[2]) for values in (q, v, a)]
     rows = [
         np.vstack([inner, end[-1]])
         for inner, end in zip(rows, (bezier[:, 3], velocity[:, 2], acceleration[:, 1]), strict=True)
     ]
-    torque = np.array([pin.rnea(model, data, *row) for row in zip(*rows, strict=True)])
-    return np.asarray(np.abs(torque).max(axis=0))
+    return np.asarray(np.abs(dynamics.torques(*rows)).max(axis=0))
 
 
 @dataclass(frozen=True)
@@ -212,28 +216,71 @@ class _Proof:
 def _prove_clearance(
     robot: Robot, bezier: FloatArray, judge: CollisionScene, tracking_error: float, needed: float
 ) -> _Proof:
-    """Conservative advancement along the cubics; where it has to give up, the rest is searched for the worst."""
-    if not judge.obstacle_names:
-        return _Proof(True, float("inf"), None, 0)
-    rows = len(bezier)
+    """Conservative advancement along the cubics, for each pair of link and obstacle on its own.
+
+    What a pair has to spare when coal is asked, less what has been shown so far (at most half of what any pair had to
+    spare), its link may travel before the pair is asked again; so at least what is shown remains at all times. Places
+    are counted in rows. Where the proof has to give up, the rest of the motion is searched for the worst.
+    """
+    rows, sway = len(bezier), robot.sway(tracking_error).tolist()
     bounds = _piece_bounds(robot, bezier)
-    travel = np.concatenate([np.zeros((1, bounds.shape[1])), np.cumsum(bounds, axis=0)])
-    slack = robot.sway(tracking_error)
-    shown, nearest = np.inf, None
-    at, checks = 0.0, 0
-    while True:
-        distances = judge.distances(_point(bezier, at))
+    travel = np.concatenate([np.zeros((1, bounds.shape[1])), np.cumsum(bounds, axis=0)]).T.tolist()
+    if not judge.pairs:
+        return _Proof(True, math.inf, None, 0)
+    # At the start all pairs at once; those that cannot come near in the whole motion are not asked again.
+    distances = judge.pair_distances(bezier[0, 0])
+    link_of = np.array([link for link, _ in judge.pairs])
+    spares = distances - np.array(sway)[link_of] - needed
+    nearest, checks = (float(distances.min()), int(distances.argmin())), 1
+    if not spares.min() > SMALLEST_STEP:
+        return _worst(bezier, judge, travel, sway, nearest, checks, 0)
+    shown = 0.5 * float(spares.min())
+    if shown == math.inf:
+        return _Proof(True, math.inf, _contact(judge, nearest), checks)  # all may touch
+    parts = np.minimum(spares - shown, MOST_TRAVEL * spares)
+    due = [
+        (_advance(travel[link_of[pair]], 0.0, parts[pair]), int(pair))
+        for pair in np.flatnonzero(parts < np.array([steps[-1] for steps in travel])[link_of])
+    ]
+    heapq.heapify(due)
+    while due:
+        at = due[0][0]
+        judge.place(_point(bezier, at))
         checks += 1
-        nearest = _nearer(nearest, distances, judge)
-        spare = distances.min(axis=1) - slack - needed
-        least = float(spare.min())
-        if least <= SMALLEST_STEP:
-            return _worst(bezier, judge, slack, nearest, checks, min(int(at), rows - 1))
-        if at >= rows:
-            return _Proof(True, min(shown, needed + least), nearest, checks)
-        # Half of what is spare may be used up before the next look: the other half is shown to remain.
-        shown = min(shown, needed + 0.5 * least)
-        at = max(_advance(travel, at, 0.5 * spare), math.nextafter(at, math.inf))
+        following, asked = math.inf, []
+        # Together with the pair that is due, those that would be before it is due again.
+        while due and due[0][0] < following:
+            pair = heapq.heappop(due)[1]
+            link = judge.pairs[pair][0]
+            distance = judge.pair_distance(pair)
+            nearest = min(nearest, (distance, pair))
+            spare = distance - sway[link] - needed
+            if not spare > SMALLEST_STEP:
+                return _worst(bezier, judge, travel, sway, nearest, checks, min(int(at), rows - 1))
+            shown = min(shown, 0.5 * spare)
+            if spare == math.inf:
+                continue  # these two may touch
+            part = min(spare - shown, MOST_TRAVEL * spare)
+            place = max(_advance(travel[link], at, part), math.nextafter(at, math.inf))
+            following = min(following, place)
+            if place <= rows:
+                asked.append((place, pair))
+        for entry in asked:
+            heapq.heappush(due, entry)
+    return _Proof(True, needed + shown, _contact(judge, nearest), checks)
+
+
+def _advance(travel: list[float], at: float, part: float) -> float:
+    """The place up to which a link travels no farther than `part`; `travel` grows linearly within a row.
+
+    Infinite where that is the end.
+    """
+    row = min(int(at), len(travel) - 2)
+    limit = travel[row] + (at - row) * (travel[row + 1] - travel[row]) + part
+    row = bisect.bisect_right(travel, limit) - 1
+    if row >= len(travel) - 1:
+        return math.inf
+    return row + (limit - travel[row]) / (travel[row + 1] - travel[row])
 
 
 @nb.njit(cache=True)
@@ -253,41 +300,45 @@ def _point(bezier: FloatArray, at: float) -> FloatArray:
     return q
 
 
-@nb.njit(cache=True)
-def _advance(travel: FloatArray, at: float, part: FloatArray) -> float:
-    """The place up to which no link travels farther than its part; `travel` grows linearly within a row."""
-    rows = travel.shape[0] - 1
-    ahead = float(rows)
-    row = min(int(at), rows - 1)
-    for k in range(travel.shape[1]):
-        limit = travel[row, k] + (at - row) * (travel[row + 1, k] - travel[row, k]) + part[k]
-        low = row
-        while low < rows and travel[low + 1, k] <= limit and low < ahead:
-            low += 1
-        if low < rows and low < ahead:
-            ahead = min(ahead, low + (limit - travel[low, k]) / (travel[low + 1, k] - travel[low, k]))
-    return ahead
-
-
-def _nearer(nearest: Contact | None, distances: FloatArray, judge: CollisionScene) -> Contact:
-    """The nearer of what was known and what distances say."""
-    if nearest is not None and nearest.distance_m <= distances.min():
-        return nearest
-    link, obstacle = np.unravel_index(int(distances.argmin()), distances.shape)
-    return Contact(judge.link_names[link], judge.obstacle_names[obstacle], float(distances.min()))
+def _contact(judge: CollisionScene, nearest: tuple[float, int]) -> Contact | None:
+    """A distance and the pair it belongs to, by name; None without pairs."""
+    distance, pair = nearest
+    if not judge.pairs:
+        return None
+    link, obstacle = judge.pairs[pair]
+    return Contact(judge.link_names[link], judge.obstacle_names[obstacle], distance)
 
 
 def _worst(
-    bezier: FloatArray, judge: CollisionScene, slack: FloatArray, nearest: Contact, checks: int, first: int
+    bezier: FloatArray,
+    judge: CollisionScene,
+    travel: list[list[float]],
+    sway: list[float],
+    nearest: tuple[float, int],
+    checks: int,
+    first: int,
 ) -> _Proof:
-    """What a proof that gave up in row `first` reports: the smallest distance at the rows from there on."""
-    least = np.inf
-    for q in [*bezier[first:, 0], bezier[-1, 3]]:
-        distances = judge.distances(q)
+    """What a proof that gave up in row `first` reports: the smallest distance at the rows from there on.
+
+    A pair is not asked where its link has not yet travelled what it was farther away than the nearest.
+    """
+    rows, least = len(bezier), math.inf
+    due = [(first, pair) for pair in range(len(judge.pairs))]
+    while due:
+        row = due[0][0]
+        judge.place(_point(bezier, float(row)))
         checks += 1
-        nearest = _nearer(nearest, distances, judge)
-        least = min(least, float((distances.min(axis=1) - slack).min()))
-    return _Proof(False, min(least, nearest.distance_m), nearest, checks)
+        while due and due[0][0] == row:
+            pair = heapq.heappop(due)[1]
+            link = judge.pairs[pair][0]
+            distance = judge.pair_distance(pair)
+            nearest = min(nearest, (distance, pair))
+            least = min(least, distance - sway[link])
+            ahead = _advance(travel[link], row, min(distance - nearest[0], distance - sway[link] - least))
+            following = max(math.ceil(min(ahead, rows + 1.0)), row + 1)
+            if following <= rows:
+                heapq.heappush(due, (following, pair))
+    return _Proof(False, min(least, nearest[0]), _contact(judge, nearest), checks)
 
 
 def _cubic(points: FloatArray, t: float | FloatArray) -> FloatArray:

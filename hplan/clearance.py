@@ -7,26 +7,32 @@ is traversed, no axis point of link :math:`k` moves farther than
 
 with :math:`\varphi_i` the absolute angle of link :math:`i` in the plane and :math:`\varrho_k` its largest distance
 from the yaw axis. So a link with clearance :math:`d` stays clear for the part of the motion whose bound is below
-:math:`d` (conservative advancement). Distances are exact for capsule links against balls, capsules and boxes.
+:math:`d` (conservative advancement). Distances are exact for capsule links against balls, capsules, boxes, hulls and
+clouds of balls. The rows of a cloud are the nodes of its tree: where a node's bounding ball is farther than the nearest
+solid so far, all rows below it are skipped.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import assert_never
 
 import numba as nb
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hplan.arrays import FloatArray, readonly
+from hplan.arrays import BoolArray, FloatArray, IntArray, frozen, readonly
 from hplan.errors import OptionError
 from hplan.robot import Robot
-from hplan.scene import Box, Capsule, Sphere
+from hplan.scene import Box, Capsule, Solid, Sphere
+from hplan.solids import Cloud, Hull
 
-#: Columns of a solid: kind, radius, bounding centre (3) and radius, then 15 numbers of its kind.
-_POINT, _SEGMENT, _BOX = 0.0, 1.0, 2.0
+#: Columns of a row: kind, radius, bounding centre (3) and radius, 14 numbers of its kind, the row to go on with where
+#: the bounding ball is too far. A node is an inner one of a cloud's tree, its leaves are lots of points.
+_POINT, _SEGMENT, _BOX, _HULL, _NODE, _LOT = 0.0, 1.0, 2.0, 3.0, 4.0, 5.0
+_COLUMNS = 21
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,24 +42,52 @@ class ClearanceField:
     Attributes:
         chain: (links, 4) rows: length, half-width [m], sign, zero offset.
         base: (10,) shoulder position, the plane's horizontal and upward axes, all at yaw 0; 1 where joint 0 is a yaw.
-        solids: (obstacles, 21) balls, capsules, boxes, grown by the clearance to keep.
+        solids: (rows, 21) balls, capsules, boxes, hulls and nodes of clouds, grown by the clearance to keep.
+        data: Facets and edges of hulls, and points of clouds, one after the other; rows say where.
+        owner: (rows,) index of the solid behind each row.
     """
 
     chain: FloatArray
     base: FloatArray
     solids: FloatArray
+    data: FloatArray
+    owner: IntArray
 
     @classmethod
-    def of(cls, robot: Robot, obstacles: Sequence[Sphere | Capsule | Box], *, clearance: float = 0.0) -> ClearanceField:
-        """The field of a robot among obstacles, each grown by `clearance` [m]."""
+    def of(cls, robot: Robot, obstacles: Sequence[Solid], *, clearance: ArrayLike = 0.0) -> ClearanceField:
+        """The field of a robot among obstacles, each grown by `clearance` [m], one number or one for each."""
         arm = robot.arm
         base = [*robot.plane_origin, *robot.plane_axes[0], *robot.plane_axes[1], float(robot.has_yaw)]
-        rows = [_solid_row(obstacle, clearance) for obstacle in obstacles]
+        blocks, data, owner = [np.zeros((0, _COLUMNS))], [np.zeros(0)], [np.zeros(0, dtype=np.int64)]
+        row_count = data_count = 0
+        grown = np.broadcast_to(np.asarray(clearance, dtype=np.float64), (len(obstacles),)).tolist()
+        for index, obstacle in enumerate(obstacles):
+            rows, more = _rows(obstacle, grown[index], data_count)
+            rows[:, 20] += row_count
+            blocks.append(rows)
+            data.append(more)
+            owner.append(np.full(len(rows), index))
+            row_count += len(rows)
+            data_count += len(more)
         return cls(
             chain=readonly(np.column_stack([arm.lengths, arm.half_widths, arm.signs, arm.offsets])),
             base=readonly(base),
-            solids=readonly(np.array(rows).reshape(-1, 21)),
+            solids=readonly(np.concatenate(blocks)),
+            data=readonly(np.concatenate(data)),
+            owner=readonly(np.concatenate(owner), np.int64),
         )
+
+    def only(self, kept: BoolArray) -> ClearanceField:
+        """The field of some of the solids.
+
+        Args:
+            kept: (solids,) which of them.
+        """
+        rows = np.flatnonzero(kept[self.owner])
+        place = np.searchsorted(rows, np.arange(len(self.solids) + 1))  # where the rows kept come to stand
+        solids = self.solids[rows]
+        solids[:, 20] = place[solids[:, 20].astype(np.int64)]
+        return replace(self, solids=frozen(solids), owner=frozen(self.owner[rows]))
 
     def link_clearances(self, q: ArrayLike) -> FloatArray:
         """Clearance of each link at one configuration.
@@ -66,7 +100,7 @@ class ClearanceField:
             exact for balls and for capsules whose axis is not crossed, a lower bound of the depth otherwise.
         """
         result = np.empty(len(self.chain))
-        _link_clearances(np.asarray(q, dtype=np.float64), self.chain, self.base, self.solids, result)
+        _link_clearances(np.asarray(q, dtype=np.float64), self.chain, self.base, self.solids, self.data, result)
         return result
 
     def clearance(self, q: ArrayLike) -> float:
@@ -84,24 +118,50 @@ class ClearanceField:
         if not margin > 0.0:
             raise OptionError("margin", margin, "a positive number of metres")
         points = np.ascontiguousarray(path, dtype=np.float64)
-        return bool(np.isfinite(points).all() and _path_is_clear(points, self.chain, self.base, self.solids, margin))
+        return bool(
+            np.isfinite(points).all() and _path_is_clear(points, self.chain, self.base, self.solids, self.data, margin)
+        )
 
 
-def _solid_row(obstacle: Sphere | Capsule | Box, clearance: float) -> FloatArray:
-    row = np.zeros(21)
+def _rows(obstacle: Solid, clearance: float, offset: int) -> tuple[FloatArray, FloatArray]:
+    """Rows of an obstacle, its first one number 0, and the data that they point to from `offset` on."""
+    if isinstance(obstacle, Cloud):
+        return _cloud_rows(obstacle, clearance, offset), obstacle.core.ravel()
+    data = np.zeros(0)
+    row = np.zeros(_COLUMNS)
     core = obstacle.core
     centre = 0.5 * (core.min(axis=0) + core.max(axis=0))
     row[1] = obstacle.rounding + clearance
     row[2:5] = centre
     row[5] = np.linalg.norm(core - centre, axis=1).max() + row[1]
+    row[20] = 1
     if isinstance(obstacle, Sphere):
         row[0], row[6:9] = _POINT, obstacle.center
     elif isinstance(obstacle, Capsule):
         row[0], row[6:9], row[9:12] = _SEGMENT, obstacle.start, obstacle.end
-    else:
+    elif isinstance(obstacle, Box):
         row[0], row[6:9] = _BOX, 0.5 * np.array(obstacle.size)
         row[9:18] = obstacle.rotation.T.ravel()  # rows: the box's axes in base_link
-    return row
+    elif isinstance(obstacle, Hull):
+        edges = np.column_stack([obstacle.edges, 0.5 * np.linalg.norm(obstacle.edges[:, 3:], axis=1)])
+        data = np.concatenate([obstacle.planes.ravel(), edges.ravel()])
+        row[0], row[6], row[7], row[8] = _HULL, offset, offset + obstacle.planes.size, offset + len(data)
+    else:
+        assert_never(obstacle)
+    return row[None], data
+
+
+def _cloud_rows(cloud: Cloud, clearance: float, offset: int) -> FloatArray:
+    """The nodes of a cloud's tree."""
+    tree = cloud.tree
+    rows = np.zeros((len(tree), _COLUMNS))
+    rows[:, 0] = np.where(tree[:, 2] == np.arange(len(tree)) + 1, _LOT, _NODE)  # what has nothing below it is a leaf
+    rows[:, 1] = cloud.rounding + clearance
+    rows[:, 2:5] = tree[:, 3:6]
+    rows[:, 5] = tree[:, 6] * (1.0 + 1e-12) + rows[:, 1]
+    rows[:, 6:8] = offset + 3 * tree[:, :2]
+    rows[:, 20] = tree[:, 2]
+    return rows
 
 
 @nb.njit(cache=True, inline="always")
@@ -200,8 +260,65 @@ def _segment_box(
 
 
 @nb.njit(cache=True)
+def _segment_hull(
+    ax: float, ay: float, az: float, ux: float, uy: float, uz: float,
+    data: FloatArray, first: int, middle: int, last: int, enough: float,
+) -> float:  # fmt: skip
+    """Distance of the segment a, a + u from a hull, or some number from `enough` up where it is no less than that.
+
+    Facets stand in data[first:middle], edges in data[middle:last]. The nearest point of the hull lies on an edge, or on
+    the facet above which an end of the segment stands highest.
+    """
+    bx, by, bz = ax + ux, ay + uy, az + uz
+    enter, leave = 0.0, 1.0
+    apart, top_a, top_b, at_a, at_b = -math.inf, -math.inf, -math.inf, first, first
+    for f in range(first, middle, 4):
+        a = data[f] * ax + data[f + 1] * ay + data[f + 2] * az - data[f + 3]
+        b = data[f] * bx + data[f + 1] * by + data[f + 2] * bz - data[f + 3]
+        if a > top_a:
+            top_a, at_a = a, f
+        if b > top_b:
+            top_b, at_b = b, f
+        apart = max(apart, min(a, b))
+        if a > 0.0 and b > 0.0:
+            leave = -1.0
+        elif a > 0.0:
+            enter = max(enter, a / (a - b))
+        elif b > 0.0:
+            leave = min(leave, a / (a - b))
+    if enter <= leave:
+        return 0.0  # part of the segment is below every facet
+    if apart >= enough:
+        return apart
+    least = enough
+    for end in range(2):
+        height, at = (top_a, at_a) if end == 0 else (top_b, at_b)
+        if height > 0.0:
+            px = (ax if end == 0 else bx) - height * data[at]
+            py = (ay if end == 0 else by) - height * data[at + 1]
+            pz = (az if end == 0 else bz) - height * data[at + 2]
+            inside = True
+            for f in range(first, middle, 4):
+                if data[f] * px + data[f + 1] * py + data[f + 2] * pz - data[f + 3] > 1e-9:
+                    inside = False
+                    break
+            if inside:
+                least = min(least, height)
+    for e in range(middle, last, 7):
+        # No edge that is farther than the nearest so far, by its middle and half its length.
+        mx, my, mz = data[e] + 0.5 * data[e + 3], data[e + 1] + 0.5 * data[e + 4], data[e + 2] + 0.5 * data[e + 5]
+        if _point_segment(mx, my, mz, ax, ay, az, ux, uy, uz) - data[e + 6] < least:
+            distance = _segment_segment(
+                ax, ay, az, ux, uy, uz,
+                data[e], data[e + 1], data[e + 2], data[e + 3], data[e + 4], data[e + 5],
+            )  # fmt: skip
+            least = min(least, distance)
+    return least
+
+
+@nb.njit(cache=True)
 def _link_clearances(
-    q: FloatArray, chain: FloatArray, base: FloatArray, solids: FloatArray, result: FloatArray
+    q: FloatArray, chain: FloatArray, base: FloatArray, solids: FloatArray, data: FloatArray, result: FloatArray
 ) -> None:
     """Clearance of each link at one configuration."""
     first = 1 if base[9] > 0.0 else 0
@@ -219,12 +336,18 @@ def _link_clearances(
         mx, my, mz = x + 0.5 * ux, y + 0.5 * uy, z + 0.5 * uz
         half_length = 0.5 * chain[k, 0]
         least = math.inf
-        for s in range(solids.shape[0]):
+        following = 0
+        while following < solids.shape[0]:
+            s = following
             dx, dy, dz = solids[s, 2] - mx, solids[s, 3] - my, solids[s, 4] - mz
             within = least + half_length + solids[s, 5]
             if dx * dx + dy * dy + dz * dz > within * within:
-                continue  # its bounding ball is farther than the nearest so far
+                # Its bounding ball is farther than the nearest so far.
+                following = int(solids[s, 20]) if solids[s, 0] >= _NODE else s + 1
+                continue
+            following = s + 1
             kind = solids[s, 0]
+            distance = math.inf
             if kind == _POINT:
                 distance = _point_segment(solids[s, 6], solids[s, 7], solids[s, 8], x, y, z, ux, uy, uz)
             elif kind == _SEGMENT:
@@ -232,7 +355,7 @@ def _link_clearances(
                     x, y, z, ux, uy, uz, solids[s, 6], solids[s, 7], solids[s, 8],
                     solids[s, 9] - solids[s, 6], solids[s, 10] - solids[s, 7], solids[s, 11] - solids[s, 8],
                 )  # fmt: skip
-            else:
+            elif kind == _BOX:
                 ox, oy, oz = x - solids[s, 2], y - solids[s, 3], z - solids[s, 4]
                 distance = _segment_box(
                     ox * solids[s, 9] + oy * solids[s, 10] + oz * solids[s, 11],
@@ -245,6 +368,16 @@ def _link_clearances(
                     solids[s, 7],
                     solids[s, 8],
                 )
+            elif kind == _HULL:
+                distance = _segment_hull(
+                    x, y, z, ux, uy, uz, data, int(solids[s, 6]), int(solids[s, 7]), int(solids[s, 8]),
+                    least + solids[s, 1],
+                )  # fmt: skip
+            elif _point_segment(solids[s, 2], solids[s, 3], solids[s, 4], x, y, z, ux, uy, uz) > least + solids[s, 5]:
+                following = int(solids[s, 20])
+            elif kind == _LOT:
+                for p in range(int(solids[s, 6]), int(solids[s, 7]), 3):
+                    distance = min(distance, _point_segment(data[p], data[p + 1], data[p + 2], x, y, z, ux, uy, uz))
             least = min(least, distance - solids[s, 1])
         result[k] = least - chain[k, 1]
         x, y, z = x + ux, y + uy, z + uz
@@ -294,17 +427,25 @@ def motion_bounds(turns: FloatArray, chain: FloatArray, base: FloatArray, result
 
 
 @nb.njit(cache=True)
-def _path_is_clear(path: FloatArray, chain: FloatArray, base: FloatArray, solids: FloatArray, margin: float) -> bool:
+def _path_is_clear(
+    path: FloatArray, chain: FloatArray, base: FloatArray, solids: FloatArray, data: FloatArray, margin: float
+) -> bool:
     """Conservative advancement along every segment of a polyline."""
-    for i in range(path.shape[0] - 1):  # noqa: SIM110 - numba has no generators
-        if not segment_is_clear(path[i], path[i + 1], chain, base, solids, margin):
+    for i in range(path.shape[0] - 1):
+        if not segment_is_clear(path[i], path[i + 1], chain, base, solids, data, margin):
             return False
     return True
 
 
 @nb.njit(cache=True)
 def segment_is_clear(
-    start: FloatArray, end: FloatArray, chain: FloatArray, base: FloatArray, solids: FloatArray, margin: float
+    start: FloatArray,
+    end: FloatArray,
+    chain: FloatArray,
+    base: FloatArray,
+    solids: FloatArray,
+    data: FloatArray,
+    margin: float,
 ) -> bool:
     """Whether the straight joint-space motion is shown clear; `margin` is asked for wherever it is evaluated."""
     links, dof = chain.shape[0], start.shape[0]
@@ -317,7 +458,7 @@ def segment_is_clear(
     while True:
         for i in range(dof):
             q[i] = start[i] + t * turns[i]
-        _link_clearances(q, chain, base, solids, clear)
+        _link_clearances(q, chain, base, solids, data, clear)
         advance = proven_advance(clear, bounds, margin)
         if advance < 0.0:
             return False

@@ -116,7 +116,8 @@ def _run(
         progress("load")
         import math
 
-        from hplan.pipeline import PlanOptions, plan, with_export_time
+        from hplan.options import PlanOptions
+        from hplan.pipeline import plan, with_export_time
         from hplan.report import write_report
         from hplan.robot import load_robot
         from hplan.scene_file import load_scene

@@ -19,15 +19,14 @@ REACH = 2
 
 
 def joined_nodes(
-    occupancy: Occupancy, q: FloatArray, template: FloatArray, planar: slice, field: ClearanceField, margin: float
+    occupancy: Occupancy, q: FloatArray, axes: IntArray, field: ClearanceField, margin: float
 ) -> Iterator[IntArray]:
     """The free nodes that a straight motion shown clear leads to, the nearest first.
 
     Args:
         occupancy: Which nodes are free.
-        q: (d,) planar joint angles.
-        template: (dof,) configuration that holds the other joints.
-        planar: Where the planar joints stand in it.
+        q: (dof,) configuration; joints that are no axis of the grid keep their values.
+        axes: (d,) the joint behind each axis of the grid.
         field: Arm and obstacles.
         margin: Clearance asked for wherever the motion is evaluated [m].
 
@@ -35,8 +34,8 @@ def joined_nodes(
         (d,) node indices within `REACH` steps; only the configuration's own node where it stands on one.
     """
     grid = occupancy.grid
-    position = grid.position(q)
-    nearest = grid.nearest(q)
+    position = grid.position(q[axes])
+    nearest = grid.nearest(q[axes])
     if np.abs(position - nearest).max() <= ON_NODE:
         if occupancy.is_free(nearest):
             yield nearest
@@ -45,12 +44,10 @@ def joined_nodes(
     ranges = [range(max(0, a), min(count - 1, b) + 1) for a, b, count in zip(low, high, grid.shape, strict=True)]
     nodes = np.array(list(itertools.product(*ranges)), dtype=np.int64)
     order = np.argsort(np.linalg.norm((nodes - position) * grid.step, axis=1), kind="stable")
-    here = np.array(template)
-    here[planar] = q
     for node in nodes[order]:
         if not occupancy.is_free(node):
             continue
-        there = here.copy()
-        there[planar] = grid.coordinates(node)
-        if field.is_clear(np.stack([here, there]), margin):
+        there = q.copy()
+        there[axes] = grid.coordinates(node)
+        if field.is_clear(np.stack([q, there]), margin):
             yield np.asarray(node)

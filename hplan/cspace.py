@@ -153,62 +153,81 @@ def _polygon_interval(
 ) -> tuple[int, float, float]:
     """Angles, relative to the direction (cos, sin), at which a link from (px, py) meets a rounded polygon.
 
+    The interval is narrower than pi, so its ends are found among the directions to points by the sign of their cross
+    products, and only these two are made angles.
+
     Returns 0 (never), 1 (between the two angles, the second may pass pi) or 2 (always).
     """
     count = last - first
     inside = count >= 3
-    reference = 0.0
-    low, high = 1.0, 0.0
+    square_length, square_radius = length * length, radius * radius
+    sure = max(0.0, length - radius)  # a corner nearer than this is within reach with all of its disc
+    lx, ly, hx, hy = 0.0, 0.0, 0.0, 0.0
+    ax, ay = vertices[last - 1, 0] - px, vertices[last - 1, 1] - py
+    before = ax * ax + ay * ay
     for i in range(count):
-        j = i + 1 if i + 1 < count else 0
-        ax = cos * (vertices[first + i, 0] - px) + sin * (vertices[first + i, 1] - py)
-        ay = cos * (vertices[first + i, 1] - py) - sin * (vertices[first + i, 0] - px)
-        rho = math.hypot(ax, ay)
-        if rho <= radius + _TOUCHING:
+        # The corner, and the side that leads to it from the corner before.
+        bx, by = vertices[first + i, 0] - px, vertices[first + i, 1] - py
+        square = bx * bx + by * by
+        if square <= (radius + _TOUCHING) * (radius + _TOUCHING):
             return 2, 0.0, 0.0
-        half = _disc_half_angle(rho, length, radius)
-        if half >= 0.0:
-            low, high, reference = _widen(low, high, reference, math.atan2(ay, ax), half)
-        ex = cos * (vertices[first + j, 0] - px) + sin * (vertices[first + j, 1] - py) - ax
-        ey = cos * (vertices[first + j, 1] - py) - sin * (vertices[first + j, 0] - px) - ay
-        edge = math.hypot(ex, ey)
-        if edge == 0.0:
-            continue
-        ux, uy = ex / edge, ey / edge
-        outward = ux * ay - uy * ax  # how far the joint stands to the right of the edge
-        along = -(ux * ax + uy * ay)
-        if outward > 0.0:
-            inside = False
-        if 0.0 <= along <= edge and abs(outward) <= radius + _TOUCHING:
-            return 2, 0.0, 0.0
-        # Where the straight side to the right of this edge leaves the reach. (Two vertices make two edges, there and
-        # back, and so both sides of a stadium.)
-        distance = outward - radius
-        if abs(distance) < length:
-            chord = math.sqrt(length * length - distance * distance)
-            for direction in (-1.0, 1.0):
-                t = along + direction * chord
-                if 0.0 <= t <= edge:
-                    x = ax + t * ux + radius * uy
-                    y = ay + t * uy - radius * ux
-                    low, high, reference = _widen(low, high, reference, math.atan2(y, x), 0.0)
+        if square <= square_length + square_radius:
+            tangent = math.sqrt(square - square_radius)  # equation (1), both tangents as directions
+            lx, ly, hx, hy = _widen(
+                lx, ly, hx, hy, bx * tangent + by * radius, by * tangent - bx * radius,
+                bx * tangent - by * radius, by * tangent + bx * radius,
+            )  # fmt: skip
+        elif square <= (length + radius) * (length + radius):
+            along = 0.5 * (square_length + square - square_radius)  # equation (2), times the distance
+            across = math.sqrt(max(0.0, square_length * square - along * along))
+            lx, ly, hx, hy = _widen(
+                lx, ly, hx, hy, bx * along + by * across, by * along - bx * across,
+                bx * along - by * across, by * along + bx * across,
+            )  # fmt: skip
+        ex, ey = bx - ax, by - ay
+        edge = ex * ex + ey * ey
+        if edge > 0.0:
+            outward = ex * ay - ey * ax  # how far the joint stands to the right of the side, times its length
+            along = -(ex * ax + ey * ay)
+            if outward > 0.0:
+                inside = False
+            if 0.0 <= along <= edge and outward * outward <= (radius + _TOUCHING) * (radius + _TOUCHING) * edge:
+                return 2, 0.0, 0.0
+            # Where the straight side to the right leaves the reach. (Two vertices make two sides, there and back, and
+            # so both sides of a stadium.)
+            if before > sure * sure or square > sure * sure:
+                size = math.sqrt(edge)
+                distance = outward / size - radius
+                if abs(distance) < length:
+                    chord = math.sqrt(square_length - distance * distance)
+                    ux, uy = ex / size, ey / size
+                    for direction in (-1.0, 1.0):
+                        t = along / size + direction * chord
+                        if 0.0 <= t <= size:
+                            x = ax + t * ux + radius * uy
+                            y = ay + t * uy - radius * ux
+                            lx, ly, hx, hy = _widen(lx, ly, hx, hy, x, y, x, y)
+        ax, ay, before = bx, by, square
     if inside:
         return 2, 0.0, 0.0
-    if low > high:
+    if lx == 0.0 and ly == 0.0:
         return 0, 0.0, 0.0
-    return 1, low, high
+    low = math.atan2(cos * ly - sin * lx, cos * lx + sin * ly)
+    return 1, low, low + max(0.0, math.atan2(lx * hy - ly * hx, lx * hx + ly * hy))
 
 
 @nb.njit(cache=True, inline="always")
-def _widen(low: float, high: float, reference: float, centre: float, half: float) -> tuple[float, float, float]:
-    """Add centre +- half to an interval that is narrower than pi in all, unrolled about its first centre."""
-    if low > high:
-        return centre - half, centre + half, centre
-    if centre - reference > math.pi:
-        centre -= 2.0 * math.pi
-    elif centre - reference < -math.pi:
-        centre += 2.0 * math.pi
-    return min(low, centre - half), max(high, centre + half), reference
+def _widen(
+    lx: float, ly: float, hx: float, hy: float, ax: float, ay: float, bx: float, by: float
+) -> tuple[float, float, float, float]:
+    """Widen the cone from direction l to direction h, counter-clockwise, to hold the one from a to b."""
+    if lx == 0.0 and ly == 0.0:
+        return ax, ay, bx, by
+    if lx * ay - ly * ax < 0.0:
+        lx, ly = ax, ay
+    if hx * by - hy * bx > 0.0:
+        hx, hy = bx, by
+    return lx, ly, hx, hy
 
 
 @nb.njit(cache=True)

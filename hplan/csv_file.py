@@ -1,4 +1,4 @@
-"""CSV files of motions: rows of text in memory, numbers out of them, and faults that name the line."""
+"""CSV files of numbers: rows of text in memory, numbers out of them, and faults that name the line."""
 
 from __future__ import annotations
 
@@ -53,6 +53,26 @@ class CsvFile:
         """The error that names the file, a line and what is wrong there."""
         return _fault(self.path, self.what, line, reason)
 
+    def number_rows(self, columns: Sequence[int]) -> Iterator[tuple[int, list[str], list[float]]]:
+        """The rows one after the other, each checked before it is handed out.
+
+        Args:
+            columns: Which columns hold the numbers wanted.
+
+        Yields:
+            The row's line, the texts in all its columns and the numbers in those wanted.
+
+        Raises:
+            InputError: No row, a row of another length than the header, a cell that is no finite number.
+        """
+        if not self.rows:
+            raise self.fault(1, f"no {self.row_word}s follow the header")
+        names = [self.header[column].strip() for column in columns]
+        for line, row in self.rows:
+            if len(row) != len(self.header):
+                raise self.fault(line, f"{len(row)} values, expected {len(self.header)}")
+            yield line, row, [self._number(line, name, row[i]) for name, i in zip(names, columns, strict=True)]
+
     def timed_rows(self, columns: Sequence[int]) -> Iterator[tuple[int, list[str], list[float]]]:
         """The rows one after the other, each checked before it is handed out.
 
@@ -66,17 +86,12 @@ class CsvFile:
             InputError: No row, a row of another length than the header, a cell that is no finite number, time no
                 later than in the row before.
         """
-        if not self.rows:
-            raise self.fault(1, f"no {self.row_word}s follow the header")
-        names = [self.header[column].strip() for column in columns]
         before = -math.inf
-        for line, row in self.rows:
-            if len(row) != len(self.header):
-                raise self.fault(line, f"{len(row)} values, expected {len(self.header)}")
+        for line, row, numbers in self.number_rows(columns):
             texts = [row[column] for column in columns]
-            numbers = [self._number(line, name, text) for name, text in zip(names, texts, strict=True)]
             if not numbers[0] > before:
-                raise self.fault(line, f"{names[0]} is {texts[0]}, no later than in the {self.row_word} before")
+                name = self.header[columns[0]].strip()
+                raise self.fault(line, f"{name} is {texts[0]}, no later than in the {self.row_word} before")
             before = numbers[0]
             yield line, texts, numbers
 

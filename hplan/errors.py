@@ -180,16 +180,87 @@ class NoPathError(HplanError):
     """No path exists on the grid; this was shown by flooding all that the start reaches.
 
     `blockers` lists what bounds the reached region, largest part first, each a mapping with `obstacle`, `link`,
-    `cells` and `slices_deg` (first and last value of the last planned joint at which it blocks).
+    `cells` and `slices_deg` (first and last value of the last planned joint at which it blocks). `open_ended` is set
+    where the region ends at the edge of the yaws that were looked at, so that a wider range might open it.
     """
 
     exit_status = 3
+    open_ended = False
 
     def __init__(self, message: str, *, reached_cells: int, blockers: Sequence[Mapping[str, Any]] = ()) -> None:
         """Store how many cells the start reaches and what bounds them."""
         super().__init__(message, reached_cells=reached_cells, blockers=[dict(blocker) for blocker in blockers])
         self.reached_cells = reached_cells
         self.blockers = tuple(dict(blocker) for blocker in blockers)
+
+
+class UnreachableError(HplanError):
+    """No configuration puts the tool at a position.
+
+    `reason` is `too_far` or `too_near` (`excess_m`), `joint_limit` (`joint`, `limit_deg`, `excess_deg`, and so all
+    of `passed`: limits that would have to be passed, by the least sum), `approach` (`approach_deg` asked for,
+    `reachable_deg` intervals), `locked` (`locked_joints`, `beside_m`), `off_plane` (`beside_m`), or `not_found`
+    (`joints` that were only tried at some values).
+    """
+
+    exit_status = 3
+
+    def __init__(self, position_m: Sequence[float], reason: str, detail: str, **data: Any) -> None:
+        """Name the position, the reason in a word and in a sentence, and its facts."""
+        place = ", ".join(f"{value:.6g}" for value in position_m)
+        super().__init__(
+            f"the tool cannot reach ({place}) m: {detail}", position_m=list(position_m), reason=reason, **data
+        )
+        self.position_m = tuple(position_m)
+        self.reason = reason
+
+
+class ApproachError(HplanError):
+    """No straight approach as long as asked for.
+
+    `reason` is `joint_limit` (`joint`), `elbow` (it would come too near to straight or folded), or `joints` (fewer
+    than three that may move).
+    """
+
+    exit_status = 3
+
+    def __init__(
+        self, standoff_m: float, reason: str, detail: str, *, largest_standoff_m: float, joint: str | None = None
+    ) -> None:
+        """Name the stand-off asked for, the reason in a word and in a sentence, and the largest one possible [m]."""
+        super().__init__(
+            f"no straight approach from {standoff_m:.6g} m: {detail}",
+            standoff_m=standoff_m,
+            reason=reason,
+            largest_standoff_m=largest_standoff_m,
+            joint=joint,
+        )
+        self.standoff_m = standoff_m
+        self.reason = reason
+        self.largest_standoff_m = largest_standoff_m
+        self.joint = joint
+
+
+class BlockedError(HplanError):
+    """A fruit or a point that the arm could reach if nothing were in the way.
+
+    `obstacles` lists what is, most often first, each a mapping with `obstacle`, `link` and the number of
+    `configurations`.
+    """
+
+    exit_status = 3
+
+    def __init__(self, what: str, tried: int, obstacles: Sequence[Mapping[str, Any]]) -> None:
+        """Name what cannot be reached, how many configurations were tried and what is in their way."""
+        names = ", ".join(f"{o['obstacle']!r} ({o['link']}: {o['configurations']})" for o in obstacles[:3])
+        super().__init__(
+            f"{what} is blocked: all {tried} configurations that reach it collide, with {names}",
+            what=what,
+            tried=tried,
+            obstacles=[dict(o) for o in obstacles],
+        )
+        self.what = what
+        self.obstacles = tuple(dict(o) for o in obstacles)
 
 
 class TimingError(HplanError):

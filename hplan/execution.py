@@ -25,7 +25,7 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, assert_never
 
 import numpy as np
 import pinocchio as pin
@@ -35,7 +35,8 @@ from hplan.collision import CollisionScene, Contact
 from hplan.errors import InputError, RobotFileError
 from hplan.motion import Movement
 from hplan.robot import Robot
-from hplan.scene import Capsule, Scene, Sphere
+from hplan.scene import Box, Capsule, Scene, Solid, Sphere
+from hplan.solids import Cloud, Hull
 
 #: Period of the controller [s].
 CONTROL_PERIOD = 1e-3
@@ -51,6 +52,9 @@ BANDWIDTH = 40.0
 
 #: Error of each joint up to which a configuration counts as reached [rad].
 GOAL_TOLERANCE = math.radians(0.5)
+
+#: Most balls of a cloud that MuJoCo is given.
+MOST_BALLS = 2_000
 
 #: Rows at which inertias are looked at for the gains.
 _INERTIA_SAMPLES = 50
@@ -308,10 +312,11 @@ def _model(mujoco: ModuleType, robot: Robot, scene: Scene) -> tuple[Any, dict[in
         motor = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)  # a motor, of gain 1
         motor.ctrllimited, motor.ctrlrange = True, [-limit, limit]
     names = {}
-    for obstacle in scene.solids:
-        label = f"obstacle:{obstacle.name}"
-        names[label] = obstacle.name
-        spec.worldbody.add_geom(name=label, contype=0, conaffinity=1, **_shape(mujoco, obstacle))
+    for number, obstacle in enumerate(scene.solids):
+        for part, shape in enumerate(_shapes(mujoco, spec, obstacle, number)):
+            label = f"obstacle:{number}:{part}"
+            names[label] = obstacle.name
+            spec.worldbody.add_geom(name=label, contype=0, conaffinity=1, **shape)
     try:
         model = spec.compile()
     except ValueError as error:
@@ -329,26 +334,55 @@ def _mesh_file(name: str, folder: Path) -> str:
     return str((folder / name).resolve())
 
 
-def _shape(mujoco: ModuleType, obstacle: Any) -> dict[str, Any]:
-    """An obstacle in MuJoCo's words."""
+def _shapes(mujoco: ModuleType, spec: Any, obstacle: Solid, number: int) -> list[dict[str, Any]]:
+    """An obstacle in MuJoCo's words.
+
+    Raises:
+        InputError: A cloud of more than `MOST_BALLS` balls.
+    """
     kinds = mujoco.mjtGeom
     if isinstance(obstacle, Sphere):
-        return {"type": kinds.mjGEOM_SPHERE, "pos": obstacle.center, "size": [obstacle.radius, 0.0, 0.0]}
+        return [{"type": kinds.mjGEOM_SPHERE, "pos": obstacle.center, "size": [obstacle.radius, 0.0, 0.0]}]
     if isinstance(obstacle, Capsule):
         start, end = np.array(obstacle.start), np.array(obstacle.end)
         length, middle = float(np.linalg.norm(end - start)), 0.5 * (start + end)
         if length < 1e-9:
-            return {"type": kinds.mjGEOM_SPHERE, "pos": middle, "size": [obstacle.radius, 0.0, 0.0]}
+            return [{"type": kinds.mjGEOM_SPHERE, "pos": middle, "size": [obstacle.radius, 0.0, 0.0]}]
         turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), (end - start) / length)
-        size = [obstacle.radius, 0.5 * length, 0.0]
-        return {"type": kinds.mjGEOM_CAPSULE, "pos": middle, "quat": [turn.w, turn.x, turn.y, turn.z], "size": size}
-    turn = pin.Quaternion(obstacle.rotation)
-    return {
-        "type": kinds.mjGEOM_BOX,
-        "pos": obstacle.center,
-        "quat": [turn.w, turn.x, turn.y, turn.z],
-        "size": [0.5 * side for side in obstacle.size],
-    }
+        size, quat = [obstacle.radius, 0.5 * length, 0.0], [turn.w, turn.x, turn.y, turn.z]
+        return [{"type": kinds.mjGEOM_CAPSULE, "pos": middle, "quat": quat, "size": size}]
+    if isinstance(obstacle, Box):
+        turn = pin.Quaternion(obstacle.rotation)
+        size, quat = [0.5 * side for side in obstacle.size], [turn.w, turn.x, turn.y, turn.z]
+        return [{"type": kinds.mjGEOM_BOX, "pos": obstacle.center, "quat": quat, "size": size}]
+    if isinstance(obstacle, Hull):
+        name = f"obstacle:{number}"
+        mesh = spec.add_mesh(name=name, uservert=_grown_vertices(obstacle).ravel())
+        mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # small pieces have too little volume for it
+        return [{"type": kinds.mjGEOM_MESH, "meshname": name}]
+    if isinstance(obstacle, Cloud):
+        if len(obstacle.core) > MOST_BALLS:
+            raise InputError(
+                f"obstacle {obstacle.name!r} has {len(obstacle.core)} balls, too many for MuJoCo; thin its points to "
+                f"at most {MOST_BALLS} to execute the motion",
+                obstacle=obstacle.name,
+                balls=len(obstacle.core),
+            )
+        size = [obstacle.rounding, 0.0, 0.0]
+        return [{"type": kinds.mjGEOM_SPHERE, "pos": center, "size": size} for center in obstacle.core]
+    assert_never(obstacle)
+
+
+def _grown_vertices(hull: Hull) -> FloatArray:
+    """(n, 3) points whose hull, which is what MuJoCo takes, holds a hull grown by its rounding [m].
+
+    A cube of that half edge about each vertex: nothing is farther outside than 0.74 of the rounding.
+    """
+    if hull.rounding == 0.0:
+        return hull.core
+    signs = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+    grown: FloatArray = (hull.core[:, None] + hull.rounding * signs).reshape(-1, 3)
+    return grown
 
 
 def _joints(robot: Robot, scene: Scene, which: str) -> FloatArray | None:

@@ -32,6 +32,24 @@ def check_speed(speed: float) -> None:
         raise OptionError("speed", speed, "a factor in (0, 1]")
 
 
+def rest_to_rest(distance: FloatArray, velocity: ArrayLike, acceleration: ArrayLike) -> FloatArray:
+    """Durations of the fastest motions over distances, each from rest to rest on its own.
+
+    Args:
+        distance: (...) distances >= 0.
+        velocity: Largest speeds.
+        acceleration: Largest accelerations.
+
+    Returns:
+        (...) durations [s]; 0 for a distance of 0.
+    """
+    speed, push = np.asarray(velocity, dtype=np.float64), np.asarray(acceleration, dtype=np.float64)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        cruise = distance / speed + speed / push
+        durations = np.where(distance * push >= speed**2, cruise, 2.0 * np.sqrt(distance / push))
+    return np.where(distance > 0.0, durations, 0.0)
+
+
 class GeometricPath(Protocol):
     """A twice differentiable curve in joint space over [0, end]."""
 

@@ -2,87 +2,50 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
-from hplan.arrays import BoolArray, FloatArray, IntArray, frozen
-from hplan.blockage import blockers
-from hplan.certificate import Certificate, certify
-from hplan.clearance import ClearanceField
-from hplan.collision import CollisionScene
-from hplan.connect import joined_nodes
-from hplan.cspace import occupancy
-from hplan.errors import CertificationError, NoPathError, OptionError
-from hplan.grid import Grid, Occupancy
-from hplan.path import Limits, check_rate, check_speed
+from hplan.arrays import FloatArray
+from hplan.certificate import Certificate, LimitUse
+from hplan.errors import CertificationError, HplanError
+from hplan.grid import Occupancy
+from hplan.harvest import SPARE, Grasp, grasps
+from hplan.options import PlanOptions
 from hplan.polyline import path_length
-from hplan.postprocess import OBJECTIVES, Objective, PostprocessOptions, SplinePath, fast_path
+from hplan.postprocess import SplinePath
 from hplan.problem import Problem, pose_problem
 from hplan.report import StageClock, versions
 from hplan.robot import Robot
-from hplan.scene import Scene
-from hplan.search import SearchResult, dense_search, reachable, two_level_search
-from hplan.section import ArmSections, LinkModel, arm_sections, check_link_model
-from hplan.timing import resting, time_path
-from hplan.trajectory import Trajectory
+from hplan.route import Progress, Task
+from hplan.scene import Fruit, Scene
+from hplan.search import SearchResult
+from hplan.surroundings import Surroundings
+from hplan.trajectory import Trajectory, joined
+from hplan.transit import Motion, certified, find_motion, timed
+from hplan.turning_space import Layers
 
-Method = Literal["two-level", "dense"]
-METHODS: tuple[Method, ...] = ("two-level", "dense")
 
-#: Clearance asked for wherever a motion is evaluated, beyond the scene's own [m]; less where start or goal have less.
-MARGIN = 2e-3
-
-#: Nodes are not motions: where the grid path's motions cannot be shown clear, the search is repeated with obstacles
-#: grown by these [m].
-GROWTH = (0.0, 2e-3, 5e-3, 0.01, 0.02, 0.04)
-
-#: Where that does not help either, grids this many times as fine are tried.
-FINER = (1.0, 2.0)
-
-#: Called with the name of each stage as it begins.
-Progress = Callable[[str], None]
+#: To how many grasps routes are searched where no straight motion leads to them.
+SEARCHED = 8
 
 
 @dataclass(frozen=True)
-class PlanOptions:
-    """How to plan.
+class Phase:
+    """A part of a trajectory.
 
     Attributes:
-        method: `two-level`, or `dense` for the baseline.
-        step_deg: Largest spacing of the joint grid [deg].
-        objective: `duration` for the fastest motion, `length` for the shortest path.
-        link_model: Link model of the C-space; motions are always certified for capsules.
-        rate_hz: Rows of the trajectory per second.
-        speed: Share of the velocity limits to use, in (0, 1].
-        tracking_error: Deviation from the trajectory to be covered by the certificate, each joint [rad].
-        certify: False exports what was not certified, and says so.
+        name: `transit`, `approach` or `retreat`.
+        start_s: When it begins [s].
+        end_s: When it ends [s].
     """
 
-    method: Method = "two-level"
-    step_deg: float = 1.0
-    objective: Objective = "duration"
-    link_model: LinkModel = "capsule"
-    rate_hz: float = 250.0
-    speed: float = 1.0
-    tracking_error: float = 0.0
-    certify: bool = True
-
-    def __post_init__(self) -> None:
-        """Check the values."""
-        if self.method not in METHODS:
-            raise OptionError("method", self.method, f"one of {', '.join(METHODS)}")
-        if self.objective not in OBJECTIVES:
-            raise OptionError("objective", self.objective, f"one of {', '.join(OBJECTIVES)}")
-        check_link_model(self.link_model)
-        if not (np.isfinite(self.step_deg) and self.step_deg > 0.0):
-            raise OptionError("step_deg", self.step_deg, "a positive number of degrees")
-        check_rate(self.rate_hz)
-        check_speed(self.speed)
-        if not (np.isfinite(self.tracking_error) and self.tracking_error >= 0.0):
-            raise OptionError("tracking_error", self.tracking_error, "a finite number of radians >= 0")
+    name: str
+    start_s: float
+    end_s: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,13 +53,15 @@ class PlanResult:
     """A plan.
 
     Attributes:
-        problem: Start, goal and the joints that may move.
-        occupancy: The C-space that was searched; None for an empty motion.
-        search: The search; None for an empty motion.
-        grid_path: (m, dof) waypoints of the grid path.
-        path: The smooth path; None for an empty motion.
-        trajectory: The timed motion.
+        problem: Start and goal of the transit, and the joints that may move.
+        occupancy: The C-space that was searched; None where nothing was searched.
+        search: The search; None where nothing was searched.
+        grid_path: (m, dof) waypoints of the transit's grid path.
+        path: The transit's smooth path; None for an empty motion.
+        trajectory: The timed motion, all phases.
         certificate: What was shown of it.
+        grasp: Where the tool takes the fruit, or reaches the point; None where the goal is given by joints.
+        phases: The parts of the trajectory.
         report: The numbers of `report.json`.
     """
 
@@ -107,6 +72,8 @@ class PlanResult:
     path: SplinePath | None
     trajectory: Trajectory
     certificate: Certificate
+    grasp: Grasp | None
+    phases: tuple[Phase, ...]
     report: dict[str, Any]
 
 
@@ -114,6 +81,9 @@ def plan(
     robot: Robot, scene: Scene, options: PlanOptions | None = None, *, progress: Progress = lambda _: None
 ) -> PlanResult:
     """Plan a motion from the scene's start to its goal.
+
+    To a fruit, or to a point, the way is a transit to a stand-off and a straight approach; from a fruit the arm then
+    retreats to the stand-off.
 
     Args:
         robot: The arm.
@@ -123,220 +93,183 @@ def plan(
 
     Raises:
         InputError: The scene does not fit the robot, or start or goal cannot be taken (see `pose_problem`).
+        UnreachableError: No configuration has the tool at the point.
+        BlockedError: Obstacles are in the way of all that do; names them.
         NoPathError: No path exists on the grid; names what blocks it.
         TimingError: The path cannot be timed.
         CertificationError: No motion could be certified.
     """
-    options = PlanOptions() if options is None else options
+    return plan_with(Workspace(robot), scene, PlanOptions() if options is None else options, progress=progress)
+
+
+class Workspace:
+    """What one plan leaves behind for the next: the robot's planar layers, and its surroundings."""
+
+    def __init__(self, robot: Robot) -> None:
+        """Begin with nothing."""
+        self.robot = robot
+        self.layers = Layers()
+
+    def around(self, scene: Scene, options: PlanOptions) -> Surroundings:
+        """The robot among the scene's solids, all fruits among them."""
+        return Surroundings.of(
+            self.robot,
+            scene.solids_with_goal,
+            clearance=scene.clearance,
+            # What need not be certified need not make room for the tracking error either; it is judged all the same.
+            tracking_error=options.tracking_error if options.certify else 0.0,
+            sigmas=options.sigmas,
+        )
+
+
+def plan_with(
+    workspace: Workspace, scene: Scene, options: PlanOptions, *, progress: Progress = lambda _: None
+) -> PlanResult:
+    """As `plan`, with what earlier plans of the same robot have left."""
     clock = StageClock()
-    judge = CollisionScene(robot, scene.solids)
-    # What need not be certified need not make room for the tracking error either; it is judged all the same.
-    problem = pose_problem(robot, scene, judge, tracking_error=options.tracking_error if options.certify else 0.0)
-    field = ClearanceField.of(robot, scene.solids, clearance=problem.clearance)
-    planner = _Planner(robot, scene, problem, options, judge, field, clock, progress)
-    if problem.is_empty:
-        return planner.empty()
-    refused: CertificationError | None = None
-    # Start and goal must stay free among the grown obstacles.
-    growths = sorted({min(growth, 0.8 * problem.spare_clearance) for growth in GROWTH})
-    for finer in FINER:
-        for growth in growths:
-            try:
-                return planner.attempt(options.step_deg / finer, growth)
-            except CertificationError as error:
-                refused = refused or error
-            except NoPathError:
-                if refused is None:
-                    raise
-                break  # grown obstacles close the way; what was found without them could not be certified
-    raise refused if refused is not None else CertificationError("no motion could be certified")
+    around = workspace.around(scene, options)
+    goal = scene.goal.joints()
+    if goal is not None:
+        problem = pose_problem(around, scene.start.configuration, goal, locked_joints=scene.locked_joints)
+        _, motion = find_motion([Task(around, scene, problem, options, clock, workspace.layers, progress)])
+        return _result(scene, clock, None, motion, [("transit", motion.trajectory, motion.certificate)])
+    return _reach(workspace, around, scene, options, clock, progress)
 
 
-@dataclass(frozen=True, eq=False)
-class _Planner:
-    """What all attempts at one plan share."""
-
-    robot: Robot
-    scene: Scene
-    problem: Problem
-    options: PlanOptions
-    judge: CollisionScene
-    field: ClearanceField
-    clock: StageClock
-    progress: Progress
-
-    def attempt(self, step_deg: float, growth: float) -> PlanResult:
-        """One pass on a grid of `step_deg`, with obstacles grown by `growth` [m] in the C-space."""
-        robot, problem, options = self.robot, self.problem, self.options
-        margin = min(MARGIN + growth, 0.5 * problem.spare_clearance)
-        self.progress("cspace")
-        with self.clock.stage("cspace"):
-            sections = arm_sections(
-                robot,
-                self.scene.solids,
-                yaw=robot.yaw_of(problem.start),
-                clearance=problem.clearance + growth,
-                link_model=options.link_model,
-            )
-            space = occupancy(robot.arm, sections, self._grid(step_deg))
-        self.progress("search")
-        search = self._search(space, sections, 0.1 * margin)
-        self.progress("postprocess")
-        with self.clock.stage("postprocess"):
-            grid_path = _waypoints(problem, space.grid, search, robot.arm_slice)
-            path = fast_path(
-                grid_path,
-                self.field,
-                PostprocessOptions(
-                    lower=problem.lower,
-                    upper=problem.upper,
-                    velocity=robot.velocity_limit,
-                    acceleration=robot.acceleration_limit,
-                    movable=problem.movable,
-                    margin=margin,
-                    objective=options.objective,
-                ),
-            )
-        self.progress("timing")
-        with self.clock.stage("timing"):
-            limits = Limits(robot.velocity_limit, robot.acceleration_limit, robot.torque_limit, robot.jerk_limit)
-            trajectory = time_path(path, robot.model, limits.scaled(options.speed), rate_hz=options.rate_hz)
-        return self._certified(space, search, grid_path, path, trajectory, step_deg)
-
-    def empty(self) -> PlanResult:
-        """The plan from a configuration to itself."""
-        start = self.problem.start
-        rest = resting(self.robot.model, start)
-        return self._certified(None, None, frozen(np.array(start[None])), None, rest, self.options.step_deg)
-
-    def _grid(self, step_deg: float) -> Grid:
-        planar = self.robot.arm_slice
+def _reach(
+    workspace: Workspace,
+    around: Surroundings,
+    scene: Scene,
+    options: PlanOptions,
+    clock: StageClock,
+    progress: Progress,
+) -> PlanResult:
+    """Transit, approach and, from a fruit, retreat."""
+    robot = around.robot
+    fruit = next((fruit for fruit in scene.fruits if fruit.name == scene.goal.fruit), None)
+    near = around if fruit is None else around.touching(fruit.name)
+    progress("grasps")
+    with clock.stage("grasps"):
+        start = robot.check_configuration(scene.start.configuration, "start")
+        ways = grasps(
+            around,
+            near,
+            np.array(scene.goal.position if fruit is None else fruit.center),
+            start,
+            what="the point" if fruit is None else f"fruit {fruit.name!r}",
+            standoff=options.standoff,
+            least_standoff=0.0 if fruit is None else _least_standoff(around, fruit),
+            approach_deg=scene.goal.approach_deg,
+            locked=scene.locked_joints,
+        )
+        shortlist = _shortlist(ways, around, near, start)
+        tasks = []
+        for grasp in shortlist:
+            where = near if grasp.distance == 0.0 else around
+            problem = pose_problem(where, start, grasp.standoff, locked_joints=scene.locked_joints)
+            tasks.append(Task(where, scene, problem, options, clock, workspace.layers, progress))
+    refused: HplanError | None = None
+    left = list(range(len(shortlist)))
+    while left:
+        number, motion = find_motion([tasks[i] for i in left])
+        grasp = shortlist[left.pop(number)]
         try:
-            return Grid.over(self.problem.lower[planar], self.problem.upper[planar], np.radians(step_deg))
-        except OptionError as error:
-            raise OptionError("step_deg", self.options.step_deg, error.expected) from error
-
-    def _search(self, space: Occupancy, sections: ArmSections, margin: float) -> SearchResult:
-        """Search between the grid nodes that start and goal are joined to.
-
-        Beside the grid there may be several, and the nearest may lie in a pocket: "no path" is said only when no pair
-        of them is connected.
-        """
-        start, goal = (
-            _Ends(joined_nodes(space, q[self.robot.arm_slice], q, self.robot.arm_slice, self.field, margin), which)
-            for q, which in ((self.problem.start, "start"), (self.problem.goal, "goal"))
-        )
-        search = self._search_between(space, start.first, goal.first)
-        if search.path is not None:
-            return search
-        most: tuple[int, BoolArray | None] = (0, None)
-        for node in start.all():
-            reached = reachable(space, node)
-            for other in goal.all():
-                if reached[tuple(other)]:
-                    return self._search_between(space, node, other)
-            if int(reached.sum()) > most[0]:
-                most = (int(reached.sum()), reached)
-        raise _no_path(self.robot, sections, space, most[1])
-
-    def _search_between(self, space: Occupancy, start: IntArray, goal: IntArray) -> SearchResult:
-        if self.options.method == "dense" or len(space.grid.shape) < 2:
-            search = dense_search(space, start, goal)
-        else:
-            search = two_level_search(space, start, goal)
-        for stage in ("layers", "sparse", "fallback"):
-            self.clock.add(stage, getattr(search.times, stage))
-        return search
-
-    def _certified(
-        self,
-        space: Occupancy | None,
-        search: SearchResult | None,
-        grid_path: FloatArray,
-        path: SplinePath | None,
-        trajectory: Trajectory,
-        step_deg: float,
-    ) -> PlanResult:
-        """The result, once its trajectory is certified."""
-        self.progress("certificate")
-        with self.clock.stage("certificate"):
-            certificate = certify(
-                self.robot, self.scene, trajectory, tracking_error=self.options.tracking_error, judge=self.judge
-            )
-        if self.options.certify and not certificate.verified:
-            raise CertificationError(
-                f"the motion is not certified: {'; '.join(certificate.violations)}",
-                violations=list(certificate.violations),
-            )
-        report = _report(
-            self.robot, self.scene, self.options, step_deg, search, grid_path, path, trajectory, certificate, self.clock
-        )
-        return PlanResult(self.problem, space, search, grid_path, path, trajectory, certificate, report)
+            parts = [("transit", motion.trajectory, motion.certificate)]
+            parts += _last_stretch(replace(tasks[0], around=near), grasp, fruit is not None)
+        except CertificationError as error:
+            refused = refused or error
+            continue
+        return _result(scene, clock, grasp, motion, parts)
+    raise refused or CertificationError("no motion could be certified")
 
 
-class _Ends:
-    """The nodes that one end is joined to; the first is found at once, the others when asked for."""
-
-    def __init__(self, nodes: Iterator[IntArray], which: str) -> None:
-        self._rest = nodes
-        first = next(nodes, None)
-        if first is None:
-            raise CertificationError(
-                f"no motion from the {which} to a free node of the grid can be shown clear; a smaller step may help",
-                which=which,
-            )
-        self.first = first
-        self._known = [first]
-
-    def all(self) -> list[IntArray]:
-        """All of them, the nearest first."""
-        self._known.extend(self._rest)
-        return self._known
+def _shortlist(ways: Sequence[Grasp], around: Surroundings, near: Surroundings, start: FloatArray) -> list[Grasp]:
+    """The first grasp that a straight motion leads to, and a few that promise more, evenly taken from all of those."""
+    straight = next(
+        (
+            number
+            for number, grasp in enumerate(ways)
+            if (near if grasp.distance == 0.0 else around).field.is_clear(np.stack([start, grasp.standoff]), SPARE)
+        ),
+        len(ways),
+    )
+    stride = max(1, math.ceil(straight / SEARCHED))
+    return [*ways[:straight:stride], *ways[straight : straight + 1]]
 
 
-def _no_path(robot: Robot, sections: ArmSections, space: Occupancy, reached: BoolArray | None) -> NoPathError:
-    """The error that says what bounds everything the start reaches."""
-    if reached is None:
-        reached = np.zeros(space.grid.shape, dtype=np.bool_)
-    walls = blockers(robot.arm, sections, space.grid, reached)
-    count = int(reached.sum())
-    message = f"no path exists on the grid: the start reaches {count} of {space.grid.size} nodes, not the goal"
-    if walls:
-        first = walls[0]
-        low, high = first["slices_deg"]
-        message += (
-            f"; most of their border is held by obstacle {first['obstacle']!r} against link {first['link']!r}"
-            f" ({robot.arm.joint_names[-1]} from {low:g} to {high:g} deg)"
-        )
-    return NoPathError(message, reached_cells=count, blockers=walls)
+def _least_standoff(around: Surroundings, fruit: Fruit) -> float:
+    """Where the tool is clear of the fruit it is going to take [m]."""
+    return fruit.radius + float(around.robot.arm.half_widths[-1]) + around.clearance + 2.0 * SPARE
 
 
-def _waypoints(problem: Problem, grid: Grid, search: SearchResult, planar: slice) -> FloatArray:
-    """The grid path as configurations, with start and goal where they stand beside the grid."""
-    nodes = np.empty((0, len(grid.shape))) if search.path is None else search.path
-    path = np.repeat(problem.start[None], len(nodes), axis=0)
-    path[:, planar] = grid.coordinates(nodes)
-    for end, q in ((0, problem.start), (-1, problem.goal)):
-        if np.abs(path[end] - q).max() < 1e-9:
-            path[end] = q
-        else:
-            path = np.vstack([q, path]) if end == 0 else np.vstack([path, q])
-    return frozen(path)
+def _last_stretch(task: Task, grasp: Grasp, retreat: bool) -> list[tuple[str, Trajectory, Certificate]]:
+    """Approach and retreat, timed and certified."""
+    path = grasp.path(task.robot, task.scene.locked_joints)
+    if path is None:
+        return []
+    there = timed(task, path)
+    parts = [("approach", there, certified(task, there))]
+    if retreat:
+        # The same motion backwards: accelerations and torques stay as they are, and so do all the distances.
+        parts.append(("retreat", there.reversed, parts[0][2]))
+    return parts
+
+
+def _result(
+    scene: Scene,
+    clock: StageClock,
+    grasp: Grasp | None,
+    motion: Motion,
+    parts: Sequence[tuple[str, Trajectory, Certificate]],
+) -> PlanResult:
+    ends = np.cumsum([part.duration for _, part, _ in parts]).tolist()
+    phases = tuple(Phase(name, begin, end) for (name, _, _), begin, end in zip(parts, [0.0, *ends], ends, strict=False))
+    trajectory = joined([part for _, part, _ in parts])
+    certificate = _all_of([certificate for _, _, certificate in parts])
+    route = motion.route
+    return PlanResult(
+        problem=motion.task.problem,
+        occupancy=None if route is None else route.occupancy,
+        search=None if route is None else route.search,
+        grid_path=motion.way,
+        path=motion.path,
+        trajectory=trajectory,
+        certificate=certificate,
+        grasp=grasp,
+        phases=phases,
+        report=_report(scene, clock, grasp, motion, phases, trajectory, certificate),
+    )
+
+
+def _all_of(parts: Sequence[Certificate]) -> Certificate:
+    """The certificate of motions one after the other."""
+    if len(parts) == 1:
+        return parts[0]
+    contacts = [part.nearest for part in parts if part.nearest is not None]
+    return Certificate(
+        verified=all(part.verified for part in parts),
+        min_clearance_m=min(part.min_clearance_m for part in parts),
+        nearest=min(contacts, key=lambda contact: contact.distance_m, default=None),
+        limit_use=LimitUse(
+            **{name: max(getattr(part.limit_use, name) for part in parts) for name in vars(parts[0].limit_use)}
+        ),
+        checks=sum(part.checks for part in parts),
+        violations=tuple(violation for part in parts for violation in part.violations),
+    )
 
 
 def _report(
-    robot: Robot,
     scene: Scene,
-    options: PlanOptions,
-    step_deg: float,
-    search: SearchResult | None,
-    grid_path: FloatArray,
-    path: SplinePath | None,
+    clock: StageClock,
+    grasp: Grasp | None,
+    motion: Motion,
+    phases: Sequence[Phase],
     trajectory: Trajectory,
     certificate: Certificate,
-    clock: StageClock,
 ) -> dict[str, Any]:
     """The report of a plan, in the shape of `report.json`."""
+    options, route, way, path = motion.task.options, motion.route, motion.way, motion.path
+    search = None if route is None else route.search
     expansions = {"layers": 0, "sparse": 0, "fallback": 0, "total": 0, "flooded_cells": 0}
     if search is not None:
         spent = search.expansions
@@ -347,18 +280,18 @@ def _report(
             "total": spent.total,
             "flooded_cells": spent.flooded,
         }
-    length_deg = float(np.degrees(path_length(grid_path)))
+    length_deg = float(np.degrees(path_length(way)))
     nearest = certificate.nearest
     return {
         "status": "ok",
         "scene": scene.name,
-        "robot": robot.name,
+        "robot": motion.task.robot.name,
         "planner": {
-            "method": options.method,
+            "method": options.method if search is not None or path is None else "direct",
             "link_model": options.link_model,
-            "step_deg": step_deg,
+            "step_deg": options.step_deg if route is None else route.step_deg,
             "cost_deg": 0.0 if search is None else float(np.degrees(search.cost)),
-            "points": len(grid_path) if search is None or search.path is None else len(search.path),
+            "points": len(way) if search is None or search.path is None else len(search.path),
             "fallback": "none" if search is None else search.fallback,
             "expansions": expansions,
         },
@@ -366,6 +299,15 @@ def _report(
         "path": {
             "length_deg_grid": length_deg,
             "length_deg": 0.0 if path is None else float(np.degrees(path.length)),
+        },
+        "phases": [vars(phase) for phase in phases],
+        "grasp": None
+        if grasp is None
+        else {
+            "fruit": scene.goal.fruit,
+            "approach_deg": float(np.degrees(grasp.approach)),
+            "standoff_m": grasp.distance,
+            "joints_rad": grasp.goal.tolist(),
         },
         "trajectory": {
             "duration_s": trajectory.duration,

@@ -1,16 +1,18 @@
-"""From a scene to a planning problem for a given robot: two checked configurations and the joints that may move."""
+"""A planning problem for a given robot: two checked configurations and the joints that may move."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from hplan.arrays import FloatArray, IntArray, readonly
-from hplan.collision import CollisionScene, check_clear
+from hplan.arrays import BoolArray, FloatArray, IntArray, readonly
+from hplan.collision import check_clear
 from hplan.errors import InputError
 from hplan.robot import Robot
-from hplan.scene import Scene
+from hplan.surroundings import Surroundings
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,8 +25,8 @@ class Problem:
         movable: Indices of the joints that may move.
         lower: (dof,) joint limits; a joint that may not move has its start value as both.
         upper: (dof,) joint limits.
-        clearance: Clearance to keep [m]: the scene's, and what the tracking error may take.
-        spare_clearance: Least clearance of start and goal beyond that [m]; inf without obstacles.
+        spare_clearance: Least clearance of start and goal beyond the one to keep [m]; inf without obstacles.
+        turns: Whether the base may turn.
     """
 
     start: FloatArray
@@ -32,8 +34,8 @@ class Problem:
     movable: IntArray
     lower: FloatArray
     upper: FloatArray
-    clearance: float
     spare_clearance: float
+    turns: bool
 
     @property
     def is_empty(self) -> bool:
@@ -41,63 +43,58 @@ class Problem:
         return bool(np.abs(self.goal - self.start).max() < 1e-9)
 
 
-def pose_problem(robot: Robot, scene: Scene, judge: CollisionScene, *, tracking_error: float = 0.0) -> Problem:
-    """Check start, goal and locked joints of a scene against a robot.
+def pose_problem(
+    around: Surroundings, start: ArrayLike, goal: ArrayLike, *, locked_joints: Sequence[str] = ()
+) -> Problem:
+    """Check two configurations and locked joints against a robot and its surroundings.
 
     Args:
-        robot: The arm.
-        scene: Obstacles and task.
-        judge: The scene in coal.
-        tracking_error: Deviation of any joint that the motion has to allow for [rad].
+        around: Arm and obstacles.
+        start: (dof,) configuration.
+        goal: (dof,) configuration.
+        locked_joints: Names of joints that keep their start value.
 
     Raises:
-        InputError: A locked joint that the robot does not have, or whose goal differs from its start; a goal that is
-            not given by joints; a base that would have to turn.
+        InputError: A configuration that is none; a locked joint that the robot does not have, or whose goal differs
+            from its start.
         JointLimitError: Start or goal outside the limits.
         ConfigurationInCollisionError: Start or goal in collision, or closer to an obstacle than the clearance to
             keep; names link, obstacle and depth.
     """
-    start = robot.check_configuration(_joints(scene, "start"), "start")
-    goal = robot.check_configuration(_joints(scene, "goal"), "goal")
-    unknown = [name for name in scene.locked_joints if name not in robot.joint_names]
+    robot = around.robot
+    first = robot.check_configuration(start, "start")
+    last = robot.check_configuration(goal, "goal")
+    locked = locked_mask(robot, locked_joints)
+    for joint in np.flatnonzero(locked & (np.abs(last - first) > 1e-9)):
+        name = robot.joint_names[joint]
+        raise InputError(
+            f"joint {name!r} is locked at {first[joint]:.6g} rad, but the goal wants it at {last[joint]:.6g} rad",
+            joint=name,
+        )
+    spare = min(
+        check_clear(around.judge, first, around.clearance, "start"),
+        check_clear(around.judge, last, around.clearance, "goal"),
+    )
+    return Problem(
+        start=first,
+        goal=readonly(np.where(locked, first, last)),
+        movable=readonly(np.flatnonzero(~locked), np.int64),
+        lower=readonly(np.where(locked, first, robot.lower)),
+        upper=readonly(np.where(locked, first, robot.upper)),
+        spare_clearance=spare,
+        turns=robot.has_yaw and not locked[0],
+    )
+
+
+def locked_mask(robot: Robot, names: Sequence[str]) -> BoolArray:
+    """(dof,) which joints are locked.
+
+    Raises:
+        InputError: A joint that the robot does not have.
+    """
+    unknown = [name for name in names if name not in robot.joint_names]
     if unknown:
         raise InputError(
             f"locked_joints names {unknown[0]!r}; the robot has {', '.join(robot.joint_names)}", joint=unknown[0]
         )
-    locked = np.array([name in scene.locked_joints for name in robot.joint_names])
-    for joint in np.flatnonzero(locked & (np.abs(goal - start) > 1e-9)):
-        name = robot.joint_names[joint]
-        raise InputError(
-            f"joint {name!r} is locked at {start[joint]:.6g} rad, but the goal wants it at {goal[joint]:.6g} rad",
-            joint=name,
-        )
-    if robot.has_yaw and abs(goal[0] - start[0]) > 1e-9:
-        raise InputError(
-            f"start and goal differ in {robot.joint_names[0]!r}; planning with a turning base is not available yet",
-            joint=robot.joint_names[0],
-        )
-    if robot.has_yaw:
-        locked[0] = True
-    clearance = scene.clearance + float(robot.sway(tracking_error).max())
-    spare = min(check_clear(judge, start, clearance, "start"), check_clear(judge, goal, clearance, "goal"))
-    return Problem(
-        start=start,
-        goal=readonly(np.where(locked, start, goal)),
-        movable=readonly(np.flatnonzero(~locked), np.int64),
-        lower=readonly(np.where(locked, start, robot.lower)),
-        upper=readonly(np.where(locked, start, robot.upper)),
-        clearance=clearance,
-        spare_clearance=spare,
-    )
-
-
-def _joints(scene: Scene, which: str) -> FloatArray:
-    """Joint values of start or goal [rad]."""
-    target = scene.start if which == "start" else scene.goal
-    joints = target.joints()
-    if joints is None:
-        raise InputError(
-            f"{which}: a tool position or a fruit needs inverse kinematics, not available yet; give joints_deg",
-            which=which,
-        )
-    return joints
+    return np.array([name in names for name in robot.joint_names], dtype=np.bool_)

@@ -16,7 +16,7 @@ from hplan.errors import HplanError
 from hplan.files import write_text
 
 #: Stages of a plan, in order.
-STAGES = ("cspace", "layers", "sparse", "fallback", "postprocess", "timing", "certificate", "export")
+STAGES = ("grasps", "cspace", "layers", "sparse", "fallback", "postprocess", "timing", "certificate", "export")
 
 #: Packages whose versions a report names.
 _PACKAGES = ("hplan", "pin", "coal", "toppra", "numba", "numpy")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ from pydantic import ValidationError
 from hplan.errors import SceneError
 from hplan.files import write_text
 from hplan.resources import scenes_dir
-from hplan.scene import Scene
+from hplan.scene import Mesh, PointCloud, Scene
 from hplan.yaml_text import read_yaml, write_yaml
 
 
@@ -28,8 +29,8 @@ def load_scene(path: Path | str | None = None) -> Scene:
         path: The file; None for the reference scene.
 
     Raises:
-        SceneError: Missing or malformed file, unknown or repeated key, value of the wrong kind or range; names the
-            key and its line.
+        SceneError: Missing or malformed file, unknown or repeated key, value of the wrong kind or range, a mesh or
+            point file that cannot be used; names the key and its line.
     """
     path = default_scene_path() if path is None else Path(path)
     try:
@@ -42,7 +43,7 @@ def load_scene(path: Path | str | None = None) -> Scene:
 
 
 def parse_scene(text: str, *, path: Path | str | None = None) -> Scene:
-    """Read a scene from YAML text; `path` is named in errors.
+    """Read a scene from YAML text; `path` is named in errors, and files are looked for in its folder.
 
     Raises:
         SceneError: As `load_scene`.
@@ -55,7 +56,7 @@ def parse_scene(text: str, *, path: Path | str | None = None) -> Scene:
     if not isinstance(content, dict) or node is None:
         raise SceneError("expected a mapping of keys (format, name, start, goal, ...)", path=path)
     try:
-        return Scene.model_validate(content)
+        return Scene.model_validate(content, context={"folder": Path() if path is None else Path(path).parent})
     except ValidationError as error:
         first = min(error.errors(), key=lambda item: item["type"] != "extra_forbidden")
         below = ("kind",) if first["type"] == "union_tag_invalid" else first.get("ctx", {}).get("below", ())
@@ -70,18 +71,50 @@ def parse_scene(text: str, *, path: Path | str | None = None) -> Scene:
 
 
 def dump_scene(scene: Scene) -> str:
-    """The scene as YAML text that `parse_scene` reads back to an equal scene."""
+    """The scene as YAML text that `parse_scene` reads back to an equal scene; files are named as they were.
+
+    Raises:
+        SceneError: A mesh or point cloud has no file; `save_scene` writes one.
+    """
+    for index, obstacle in enumerate(scene.obstacles):
+        if isinstance(obstacle, Mesh | PointCloud) and obstacle.file is None:
+            reason = f"{obstacle.name!r} was made of arrays and has no file; save_scene writes one beside the scene"
+            raise SceneError(reason, where=f"obstacles[{index}].file")
     content = scene.model_dump(mode="json", by_alias=True, exclude_none=True)
+    for item in (*content["obstacles"], *content["fruits"]):
+        if item["sigma"] == 0.0:
+            del item["sigma"]
     return write_yaml(content)
 
 
 def save_scene(scene: Scene, path: Path | str) -> Path:
     """Write a scene file; a file of that name is replaced whole or not at all.
 
+    Meshes and point clouds made of arrays are written beside it, as `STEM-NUMBER-NAME.ply`; files that were found from
+    another folder are named so that they are found from this one.
+
     Raises:
-        OutputError: The file cannot be written.
+        OutputError: A file cannot be written.
     """
-    return write_text(path, dump_scene(scene))
+    obstacles = [
+        _with_file(obstacle, Path(path), index) if isinstance(obstacle, Mesh | PointCloud) else obstacle
+        for index, obstacle in enumerate(scene.obstacles)
+    ]
+    return write_text(path, dump_scene(scene.model_copy(update={"obstacles": tuple(obstacles)})))
+
+
+def _with_file(obstacle: Mesh | PointCloud, scene_path: Path, index: int) -> Mesh | PointCloud:
+    """The obstacle with a file that a scene at `scene_path` finds."""
+    folder = scene_path.absolute().parent
+    if obstacle.file is None:
+        plain = "".join(sign if sign.isalnum() or sign in "-_." else "-" for sign in obstacle.name)
+        file = f"{scene_path.stem}-{index}-{plain}.ply"
+        obstacle.write(folder / file)
+    else:
+        file = obstacle.file
+        if obstacle.path is not None and (folder / file).absolute() != obstacle.path:
+            file = Path(os.path.relpath(obstacle.path, folder)).as_posix()
+    return obstacle.model_copy(update={"file": file})
 
 
 def _present_steps(content: Any, location: Sequence[int | str]) -> list[int | str]:
@@ -132,7 +165,7 @@ def _plain_message(fault: Any) -> str:
     if kind == "missing":
         return "too few values" if isinstance(fault["loc"][-1], int) else "this key is missing"
     if kind == "union_tag_not_found":
-        return "this key is missing: kind (sphere, capsule or box)"
+        return "this key is missing: kind (sphere, capsule, box, mesh or points)"
     if kind == "union_tag_invalid":
         return f"kind is {fault['ctx']['tag']!r}, expected one of {fault['ctx']['expected_tags']}"
     if kind in ("model_type", "model_attributes_type", "dict_type"):

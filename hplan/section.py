@@ -6,47 +6,40 @@ by a radius, and every :math:`S` is given as a *rounded polygon*: the hull of a 
 
 - Core of one point (sphere) at distance :math:`s` from the plane: a disc of radius
   :math:`\sqrt{(r + w)^2 - s^2}`, exact.
-- Any core that lies in the plane: the same core, exact.
-- Any other core: a polygon around :math:`S`. The section's support in direction :math:`u` is that of its projection
-  along the plane onto :math:`(u, n)`: where the hull of a few points in 2-D, grown by :math:`R`, crosses the axis, in
-  closed form. `DIRECTIONS` tangents are drawn, and more between any two whose corner may stand outside :math:`S` by
-  more than `SECTION_ERROR`.
+- Core of two points equally far from the plane (capsule along it): a stadium, exact.
+- Any other core: a rounded polygon around :math:`S` that stands out by `SECTION_ERROR` at most.
+
+Over an interval of yaw the section is a bound on the union. `hplan.section_kernels` says how both are found.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, Protocol, TypeAlias
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from hplan.arrays import FloatArray, IntArray, readonly
-from hplan.errors import OptionError
+from hplan.arrays import FloatArray, IntArray, frozen, readonly
+from hplan.errors import InputError, OptionError
 from hplan.robot import Robot
+from hplan.section_kernels import cut_balls, cut_hulls
 
 #: How a link is modelled: the capsule, the paper's three cases to the letter, or the exact rectangle.
 LinkModel: TypeAlias = Literal["capsule", "paper", "rectangle"]
 LINK_MODELS: tuple[LinkModel, ...] = ("capsule", "paper", "rectangle")
 
-#: Tangents drawn around a section that has no closed form, before corners are cut.
-DIRECTIONS = 16
-
-#: No point of such a polygon is farther than this outside the section [m].
+#: No point of a section without a closed form is farther than this outside the true one [m].
 SECTION_ERROR = 1e-3
 
-#: Corners are cut this many times at most: enough for sections of 10 km.
-_MAX_HALVINGS = 24
-
-#: Outward shift of tangents, above all rounding errors, so that these err to the safe side [m].
-_OUTWARD = 1e-12
-
-#: Cores closer to the plane than this lie in it [m].
-_IN_PLANE = 1e-12
+#: Half of a yaw interval is at most this: beyond, its ends would bound nothing of use.
+MAX_HALF_ANGLE = 0.25 * math.pi
 
 
 class ConvexObstacle(Protocol):
-    """What a section needs to know of an obstacle: the hull of `core` grown by `rounding`."""
+    """What a section needs to know of an obstacle: the hull of `core`, or each of its points, grown by `rounding`."""
 
     @property
     def name(self) -> str:
@@ -59,6 +52,10 @@ class ConvexObstacle(Protocol):
     @property
     def rounding(self) -> float:
         """Radius about the core [m]."""
+
+    @property
+    def loose(self) -> bool:
+        """Whether every core point is a ball of its own (a point cloud) and not a corner of one hull."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,55 +99,177 @@ class ArmSections:
     obstacle_names: tuple[str, ...]
 
 
+@dataclass(frozen=True, eq=False)
+class Bodies:
+    """Obstacles made ready for cutting, once for all yaws: balls, each point of a cloud one, and hulls of points.
+
+    Attributes:
+        ball_centres: (balls, 3) centres, in `base_link` [m].
+        ball_radii: (balls,) radii, clearance included [m].
+        ball_owners: (balls,) index into `names`.
+        hull_points: (P, 3) core points of all hulls, in `base_link` [m].
+        hull_starts: (hulls + 1,) indices of their first points.
+        hull_radii: (hulls,) radii about them, clearance included [m].
+        hull_owners: (hulls,) index into `names`.
+        around: (hulls, 4) a ball around each core: centre and radius [m].
+        names: Names of the obstacles.
+    """
+
+    ball_centres: FloatArray
+    ball_radii: FloatArray
+    ball_owners: IntArray
+    hull_points: FloatArray
+    hull_starts: IntArray
+    hull_radii: FloatArray
+    hull_owners: IntArray
+    around: FloatArray
+    names: tuple[str, ...]
+
+
+def bodies_of(obstacles: Sequence[ConvexObstacle], *, clearance: ArrayLike = 0.0) -> Bodies:
+    """Make obstacles ready for cutting.
+
+    Args:
+        obstacles: The obstacles.
+        clearance: Distance to keep from every obstacle [m], one number or one for each.
+
+    Raises:
+        OptionError: A clearance that is negative or no number, or not one for each obstacle.
+        InputError: An obstacle without core points, or with a point or radius that is not finite.
+    """
+    margins = np.asarray(clearance, dtype=np.float64)
+    if not (np.isfinite(margins) & (margins >= 0.0)).all():
+        raise OptionError("clearance", clearance, "a finite number of metres >= 0")
+    if margins.shape not in ((), (len(obstacles),)):
+        raise OptionError("clearance", clearance, f"one number, or one for each of {len(obstacles)} obstacles")
+    cores = [obstacle.core for obstacle in obstacles]
+    roundings = np.array([obstacle.rounding for obstacle in obstacles], dtype=np.float64)
+    lengths = np.array([len(core) for core in cores], dtype=np.int64)
+    loose = np.array([obstacle.loose for obstacle in obstacles], dtype=np.bool_)
+    points = np.concatenate([np.zeros((0, 3)), *cores])
+    owners = np.repeat(np.arange(len(cores)), lengths)
+    bad = ~np.isfinite(roundings) | (lengths == 0)
+    bad[owners[~np.isfinite(points).all(axis=1)]] = True
+    if bad.any():
+        name = obstacles[int(bad.argmax())].name
+        raise InputError(
+            f"obstacle {name!r}: expected finite core points, at least one, and a finite radius", name=name
+        )
+    radii = roundings + margins
+    is_ball = loose | (lengths == 1)
+    of_ball = is_ball[owners]
+    corners, hull_owners = points[~of_ball], np.flatnonzero(~is_ball)
+    starts = np.concatenate([[0], np.cumsum(lengths[hull_owners])])
+    # The middle of each hull's bounding box, and the distance from there to its corner.
+    low, high = (
+        function.reduceat(corners, starts[:-1]) if len(hull_owners) else corners
+        for function in (np.minimum, np.maximum)
+    )
+    return Bodies(
+        ball_centres=frozen(points[of_ball]),
+        ball_radii=frozen(radii[owners[of_ball]]),
+        ball_owners=readonly(owners[of_ball], np.int64),
+        hull_points=frozen(corners),
+        hull_starts=readonly(starts, np.int64),
+        hull_radii=frozen(radii[hull_owners]),
+        hull_owners=readonly(hull_owners, np.int64),
+        around=frozen(np.column_stack([0.5 * (low + high), 0.5 * np.linalg.norm(high - low, axis=1)])),
+        names=tuple(obstacle.name for obstacle in obstacles),
+    )
+
+
 def arm_sections(
     robot: Robot,
     obstacles: Sequence[ConvexObstacle],
     *,
     yaw: float = 0.0,
-    clearance: float = 0.0,
+    clearance: ArrayLike = 0.0,
     link_model: LinkModel = "capsule",
 ) -> ArmSections:
-    """Cut all obstacles by the arm plane, once for each link (their half-widths differ).
+    """Cut all obstacles by the arm plane at one yaw, once for each link (their half-widths differ).
 
     Args:
         robot: The arm.
-        obstacles: Convex obstacles.
+        obstacles: The obstacles.
         yaw: Yaw of the arm plane.
-        clearance: Distance to keep from every obstacle [m].
+        clearance: Distance to keep from every obstacle [m], one number or one for each.
         link_model: How links are modelled.
 
     Raises:
         OptionError: Unknown link model, a negative clearance, or `rectangle` with an obstacle that is no sphere.
+        InputError: An obstacle without core points, or with a point or radius that is not finite.
     """
     check_link_model(link_model)
-    if not (np.isfinite(clearance) and clearance >= 0.0):
-        raise OptionError("clearance", clearance, "a finite number of metres >= 0")
-    origin, axes = robot.plane_at(yaw)
-    cores = [obstacle.core for obstacle in obstacles]
-    roundings = np.array([obstacle.rounding + clearance for obstacle in obstacles])
-    single = np.array([len(core) == 1 for core in cores], dtype=np.bool_)
-    # Balls, of which there may be hundreds, all at once.
-    balls = (np.concatenate([np.zeros((0, 3)), *(core for core in cores if len(core) == 1)]) - origin) @ axes.T
-    if link_model == "rectangle" and not single.all():
-        _require_disc(cores[int(single.argmin())], obstacles[int(single.argmin())].name)
-    per_link = []
-    for half_width in robot.arm.half_widths:
-        if link_model == "rectangle":
-            # What a box link of this half-width (both ways) meets of a ball: a disc, not grown by the link.
-            reach, heights = roundings[single], np.maximum(0.0, np.abs(balls[:, 2]) - half_width)
-        else:
-            reach, heights = roundings[single] + half_width, balls[:, 2]
-        square = reach**2 - heights**2
-        met = square >= 0.0
-        polygons = [
-            (int(index), section)
-            for index in np.flatnonzero(~single)
-            for section in [plane_section((cores[index] - origin) @ axes.T, float(roundings[index] + half_width))]
-            if section is not None
-        ]
-        discs = _Discs(np.flatnonzero(single)[met], balls[met, :2], np.sqrt(square[met]))
-        per_link.append((discs, polygons))
-    return _flatten(per_link, tuple(obstacle.name for obstacle in obstacles), link_model)
+    bodies = bodies_of(obstacles, clearance=clearance)
+    return sections_at(robot, bodies, yaw, link_model=link_model, within_reach=False)
+
+
+def sections_at(
+    robot: Robot,
+    bodies: Bodies,
+    yaw: float = 0.0,
+    *,
+    half_angle: float = 0.0,
+    link_model: LinkModel = "capsule",
+    within_reach: bool = True,
+) -> ArmSections:
+    """What each link can meet of each body at any yaw from `yaw - half_angle` to `yaw + half_angle`.
+
+    With an interval a section holds the union of the sections at all its yaws, in the plane coordinates of each. A
+    configuration in which a link meets a body, capsules as links, is therefore occupied at every yaw of the interval.
+
+    Args:
+        robot: The arm.
+        bodies: The obstacles, made ready.
+        yaw: Yaw of the arm plane, the middle of the interval.
+        half_angle: Half of the interval's width.
+        link_model: How links are modelled.
+        within_reach: Leave out sections that the link cannot reach, whatever the joint angles.
+
+    Raises:
+        OptionError: Unknown link model, `rectangle` with a body that is no ball, a yaw that is not finite, or a half
+            angle that is negative, too large, or above 0 for an arm without yaw.
+    """
+    check_link_model(link_model)
+    if not math.isfinite(yaw):
+        raise OptionError("yaw", yaw, "a finite angle")
+    largest = MAX_HALF_ANGLE if robot.has_yaw else 0.0
+    if not 0.0 <= half_angle <= largest:
+        reason = "" if robot.has_yaw else ", as this arm has no yaw"
+        raise OptionError("half_angle", half_angle, f"an angle from 0 to {largest:.6g} rad{reason}")
+    rectangle = link_model == "rectangle"
+    if rectangle and len(bodies.hull_owners):
+        _require_disc(len(bodies.hull_points), bodies.names[int(bodies.hull_owners[0])])
+    widths, none = robot.arm.half_widths, np.zeros(robot.arm.link_count)
+    growth = none if rectangle else widths
+    # A box link's corner is farther out than its axis; capsules have their width in the section.
+    reaches = np.cumsum(robot.arm.lengths) + (widths if rectangle else none)
+    if not within_reach:
+        reaches = np.full(len(reaches), np.inf)
+    origin, axes = (np.ascontiguousarray(array) for array in robot.plane_at(yaw))
+    half_angle = float(half_angle)
+    cut = cut_balls(
+        bodies.ball_centres, bodies.ball_radii, bodies.ball_owners, origin, axes, half_angle, growth,
+        widths if rectangle else none, reaches, rectangle, SECTION_ERROR,
+    )  # fmt: skip
+    if len(bodies.hull_owners):
+        # Left out where there is none: this kernel takes longest to compile.
+        cut = cut_hulls(
+            bodies.hull_points, bodies.hull_starts, bodies.hull_radii, bodies.hull_owners, bodies.around, origin, axes,
+            half_angle, growth, reaches, SECTION_ERROR, *cut,
+        )  # fmt: skip
+    link_start, vertex_start, vertices, discs, owner = cut
+    made = int(link_start[-1])
+    return ArmSections(
+        link_model=link_model,
+        link_start=frozen(link_start),
+        vertex_start=readonly(vertex_start[: made + 1], np.int64),
+        vertices=readonly(vertices[: vertex_start[made]]),
+        radii=readonly(discs[:made, 3]),
+        bounds=readonly(discs[:made, :3]),
+        obstacle_of=readonly(owner[:made], np.int64),
+        obstacle_names=bodies.names,
+    )
 
 
 def planar_sections(
@@ -171,91 +290,19 @@ def planar_sections(
     names = default if names is None else tuple(names)
     if link_model == "rectangle":
         for name, hull in zip(names, hulls, strict=True):
-            _require_disc(hull.vertices, name)
+            _require_disc(len(hull.vertices), name)
     growth = half_widths if link_model != "rectangle" else np.zeros_like(half_widths)
-    per_link = [
-        (_NO_DISCS, [(i, RoundedPolygon(h.vertices, h.radius + float(w))) for i, h in enumerate(hulls)]) for w in growth
-    ]
-    return _flatten(per_link, names, link_model)
-
-
-def plane_section(core: FloatArray, radius: float) -> RoundedPolygon | None:
-    """Section of the hull of `core` grown by `radius` with the plane where the third coordinate is 0.
-
-    Args:
-        core: (k, 3) points in plane coordinates [m].
-        radius: Radius about the hull [m].
-
-    Returns:
-        The section, or None where the plane misses the body. See the module's text for what is exact.
-    """
-    heights = core[:, 2]
-    if heights.min() > radius or heights.max() < -radius:
-        return None
-    if np.abs(heights).max() <= _IN_PLANE:
-        return RoundedPolygon(readonly(_convex_hull(core[:, :2])), radius)
-    if len(core) == 1:
-        return RoundedPolygon(readonly(core[:, :2]), float(np.sqrt(radius**2 - heights[0] ** 2)))
-    return RoundedPolygon(readonly(_convex_hull(_tangent_polygon(core, radius))), 0.0)
-
-
-def _tangent_polygon(core: FloatArray, radius: float) -> FloatArray:
-    """Corners of a polygon of tangents around the section, at most `SECTION_ERROR` outside it.
-
-    A tangent halfway between two others that cuts their corner off at depth d shows that none of what the corner
-    covers is farther than 2 d from the section: the section touches all three.
-    """
-    angles = 2.0 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
-    supports = _supports(core, angles, radius)
-    for _ in range(_MAX_HALVINGS):
-        corners = _corners(angles, supports)
-        between = angles + 0.5 * np.diff(angles, append=2.0 * np.pi)
-        cut = _supports(core, between, radius)
-        depth = np.sum(corners * _unit(between), axis=1) - cut
-        coarse = 2.0 * depth > SECTION_ERROR
-        if not coarse.any():
-            break
-        order = np.argsort(np.concatenate([angles, between[coarse]]))
-        angles = np.concatenate([angles, between[coarse]])[order]
-        supports = np.concatenate([supports, cut[coarse]])[order]
-    return corners
-
-
-def _unit(angles: FloatArray) -> FloatArray:
-    return np.stack([np.cos(angles), np.sin(angles)], axis=1)
-
-
-def _supports(core: FloatArray, angles: FloatArray, radius: float) -> FloatArray:
-    """Support of the section in directions at the given angles.
-
-    Seen along the plane the core's points stand at `reach` (along the direction) and `heights`; the section ends
-    where the last of the arcs about them, or of the sides that join two arcs, crosses height 0.
-    """
-    heights = core[:, 2]
-    reach = core[:, :2] @ _unit(angles).T
-    near = np.abs(heights) <= radius
-    arcs = reach[near] + np.sqrt(radius**2 - heights[near] ** 2)[:, None]
-    first, second = np.triu_indices(len(core), k=1)
-    rise = heights[second] - heights[first]
-    slanted = np.abs(rise) > _IN_PLANE
-    first, second, rise = first[slanted], second[slanted], rise[slanted, None]
-    run = reach[second] - reach[first]
-    outward = radius / np.hypot(rise, run)  # the side's normal points to larger reach
-    place = -(heights[first, None] - np.copysign(outward, rise) * run) / rise
-    sides = reach[first] + place * run + outward * np.abs(rise)
-    sides[(place < 0.0) | (place > 1.0)] = -np.inf
-    supports: FloatArray = np.max(np.concatenate([arcs, sides]), axis=0) + _OUTWARD
-    return supports
-
-
-def _corners(angles: FloatArray, supports: FloatArray) -> FloatArray:
-    """Where each tangent meets the next one."""
-    tangents = _unit(angles)
-    following, next_supports = np.roll(tangents, -1, axis=0), np.roll(supports, -1)
-    turn = tangents[:, 0] * following[:, 1] - tangents[:, 1] * following[:, 0]
-    x = (supports * following[:, 1] - next_supports * tangents[:, 1]) / turn
-    y = (next_supports * tangents[:, 0] - supports * following[:, 0]) / turn
-    return np.stack([x, y], axis=1)
+    polygons = [RoundedPolygon(hull.vertices, hull.radius + float(width)) for width in growth for hull in hulls]
+    return ArmSections(
+        link_model=link_model,
+        link_start=readonly(len(hulls) * np.arange(len(growth) + 1), np.int64),
+        vertex_start=readonly(np.cumsum([0, *(len(polygon.vertices) for polygon in polygons)]), np.int64),
+        vertices=readonly(np.concatenate([np.zeros((0, 2)), *(polygon.vertices for polygon in polygons)])),
+        radii=readonly([polygon.radius for polygon in polygons]),
+        bounds=readonly(np.concatenate([np.zeros((0, 3)), *(_bound(polygon) for polygon in polygons)])),
+        obstacle_of=readonly(np.tile(np.arange(len(hulls)), len(growth)), np.int64),
+        obstacle_names=names,
+    )
 
 
 def _convex_hull(points: FloatArray) -> FloatArray:
@@ -289,49 +336,11 @@ def check_link_model(link_model: str) -> None:
         raise OptionError("link_model", link_model, f"one of {', '.join(LINK_MODELS)}")
 
 
-def _require_disc(points: FloatArray, name: str) -> None:
-    if len(points) != 1:
+def _require_disc(points: int, name: str) -> None:
+    if points != 1:
         raise OptionError(
             "link_model", "rectangle", f"another model, as this one takes only balls and {name!r} is none"
         )
-
-
-@dataclass(frozen=True, eq=False)
-class _Discs:
-    """Sections that are discs: index of the obstacle, (k, 2) centres, (k,) radii."""
-
-    obstacle_of: IntArray
-    centres: FloatArray
-    radii: FloatArray
-
-
-_NO_DISCS = _Discs(np.zeros(0, dtype=np.int64), np.zeros((0, 2)), np.zeros(0))
-
-
-def _flatten(
-    per_link: Sequence[tuple[_Discs, Sequence[tuple[int, RoundedPolygon]]]],
-    names: tuple[str, ...],
-    link_model: LinkModel,
-) -> ArmSections:
-    """Flat arrays; of each link first the discs, then the other sections."""
-    counts, sizes, vertices, radii, bounds, owners = [0], [0], [np.zeros((0, 2))], [], [np.zeros((0, 3))], []
-    for discs, polygons in per_link:
-        counts.append(len(discs.radii) + len(polygons))
-        sizes.extend([1] * len(discs.radii) + [len(polygon.vertices) for _, polygon in polygons])
-        vertices.extend([discs.centres, *(polygon.vertices for _, polygon in polygons)])
-        radii.extend([*discs.radii, *(polygon.radius for _, polygon in polygons)])
-        bounds.extend([np.column_stack([discs.centres, discs.radii]), *(_bound(polygon) for _, polygon in polygons)])
-        owners.extend([*discs.obstacle_of, *(index for index, _ in polygons)])
-    return ArmSections(
-        link_model=link_model,
-        link_start=readonly(np.cumsum(counts), np.int64),
-        vertex_start=readonly(np.cumsum(sizes), np.int64),
-        vertices=readonly(np.concatenate(vertices)),
-        radii=readonly(radii),
-        bounds=readonly(np.concatenate(bounds)),
-        obstacle_of=readonly(owners, np.int64),
-        obstacle_names=names,
-    )
 
 
 def _bound(polygon: RoundedPolygon) -> FloatArray:
@@ -344,14 +353,17 @@ def _bound(polygon: RoundedPolygon) -> FloatArray:
 def only(sections: ArmSections, link: int, obstacle: int) -> ArmSections:
     """The same arm facing one obstacle with one link: for finding out which of them blocks."""
     first, last = int(sections.link_start[link]), int(sections.link_start[link + 1])
-    kept = [s for s in range(first, last) if sections.obstacle_of[s] == obstacle]
-    polygons = [
-        (
-            obstacle,
-            RoundedPolygon(sections.vertices[slice(*sections.vertex_start[s : s + 2])], float(sections.radii[s])),
-        )
-        for s in kept
-    ]
+    kept = first + np.flatnonzero(sections.obstacle_of[first:last] == obstacle)
+    sizes = np.diff(sections.vertex_start)[kept]
     links = len(sections.link_start) - 1
-    per_link = [(_NO_DISCS, polygons if k == link else []) for k in range(links)]
-    return _flatten(per_link, sections.obstacle_names, sections.link_model)
+    owner = np.repeat(np.arange(len(sections.radii)), np.diff(sections.vertex_start))
+    return ArmSections(
+        link_model=sections.link_model,
+        link_start=readonly(np.where(np.arange(links + 1) > link, len(kept), 0), np.int64),
+        vertex_start=readonly(np.cumsum([0, *sizes]), np.int64),
+        vertices=readonly(sections.vertices[np.isin(owner, kept)]),
+        radii=readonly(sections.radii[kept]),
+        bounds=readonly(sections.bounds[kept]),
+        obstacle_of=readonly(sections.obstacle_of[kept], np.int64),
+        obstacle_names=sections.obstacle_names,
+    )

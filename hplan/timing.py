@@ -27,14 +27,15 @@ In all the motion takes :math:`m + 1` to :math:`m + 2` periods longer than toppr
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cache, cached_property
 
 import numpy as np
 import pinocchio as pin
 
 from hplan.arrays import BoolArray, FloatArray
+from hplan.dynamics import InverseDynamics
 from hplan.errors import OptionError, TimingError
 from hplan.path import GeometricPath, Limits, check_rate
 from hplan.trajectory import Trajectory
@@ -99,12 +100,13 @@ def time_path(
     fine = path.evaluate(whole)
     if np.ptp(fine, axis=0).max() < NO_MOTION:
         return resting(model, path.evaluate(0.0))
-    _check_limits(path, model, limits, whole, names)
+    dynamics = InverseDynamics.of(model)
+    _check_limits(path, dynamics, limits, whole, names)
     ends = np.array([0.0, path.breaks[-1]])
     # Path speeds ds/dt at the ends; the parameter need not run exactly as the length.
     rates = np.array([start_speed, end_speed]) / np.linalg.norm(path.evaluate(ends, 1), axis=1)
 
-    @functools.cache
+    @cache
     def profile_for(window: int) -> _Profile:
         """With as much constant speed at each end as the rows' averages reach over; the same for all from rest."""
         if window > 1 and not rates.any():
@@ -114,15 +116,15 @@ def time_path(
             raise TimingError("the path is too short for its start and end speeds", cause="speed at the ends")
         ends = (float(leads[0]), float(leads[1]))
         between = _grid(path, grid_points, ends) if rates.any() else whole
-        found = _Profile.along(path, model, limits, between, rates)
+        found = _Profile.along(path, dynamics, limits, between, rates)
         wanted = int(POINTS_PER_ROW * found.arrival[-1] * rate_hz)
         if grid is not None or wanted <= len(between):
             return found
-        return _Profile.along(path, model, limits, _grid(path, min(wanted, MOST_POINTS), ends), rates)
+        return _Profile.along(path, dynamics, limits, _grid(path, min(wanted, MOST_POINTS), ends), rates)
 
     period = 1.0 / rate_hz
     window = _smoothing_window(profile_for, limits, period)
-    return _sample(profile_for(window), model, names, limits, period, window)
+    return _sample(profile_for(window), dynamics, names, limits, period, window)
 
 
 def resting(model: pin.Model, q: FloatArray) -> Trajectory:
@@ -156,7 +158,7 @@ def _grid(path: GeometricPath, points: int, leads: tuple[float, float]) -> Float
 
 
 def _check_limits(
-    path: GeometricPath, model: pin.Model, limits: Limits, grid: FloatArray, names: tuple[str, ...]
+    path: GeometricPath, dynamics: InverseDynamics, limits: Limits, grid: FloatArray, names: tuple[str, ...]
 ) -> None:
     """Say which joint and why before toppra can only say no."""
     moves = np.abs(path.evaluate(grid, 1)).max(axis=0) > 1e-9
@@ -175,8 +177,7 @@ def _check_limits(
             )
     if limits.torque is None:
         return
-    data = model.createData()
-    static = np.array([pin.computeGeneralizedGravity(model, data, q) for q in path.evaluate(grid[::8])])
+    static = dynamics.gravity(path.evaluate(grid[::8]))
     use = np.abs(static) / np.maximum(limits.torque, 1e-12)
     point, joint = np.unravel_index(int(use.argmax()), use.shape)
     if use[point, joint] > 1.0:
@@ -209,12 +210,12 @@ class _Profile:
 
     @classmethod
     def along(
-        cls, path: GeometricPath, model: pin.Model, limits: Limits, grid: FloatArray, rates: FloatArray
+        cls, path: GeometricPath, dynamics: InverseDynamics, limits: Limits, grid: FloatArray, rates: FloatArray
     ) -> _Profile:
         """By toppra, with path speeds `rates` at the ends of the grid."""
         from hplan.topp import fastest_speed
 
-        speed = fastest_speed(path, model, limits, grid, rates)
+        speed = fastest_speed(path, dynamics, limits, grid, rates)
         # The path acceleration is constant between grid points, so each interval takes 2 ds / (sum of its speeds).
         lasting = 2.0 * np.diff(grid) / (speed[:-1] + speed[1:])
         return cls(path, grid, speed, np.concatenate([[0.0], np.cumsum(lasting)]))
@@ -228,12 +229,17 @@ class _Profile:
         acceleration = (self.speed[interval + 1] - self.speed[interval]) / lasting
         parameter = self.grid[interval] + since * (self.speed[interval] + 0.5 * acceleration * since)
         parameter += np.where(clock < 0.0, self.speed[0], self.speed[-1]) * (clock - time)
-        q = self.path.evaluate(parameter)
+        q = np.array(self.path.evaluate(parameter))
         end = float(self.path.breaks[-1])
-        beyond = np.where(parameter > end, parameter - end, np.minimum(parameter, 0.0))
-        if beyond.any():
-            q = q + beyond[:, None] * self.path.evaluate(np.where(beyond > 0.0, end, 0.0), 1)
+        for outside, s in ((parameter < 0.0, 0.0), (parameter > end, end)):
+            if outside.any():
+                q[outside] += (parameter[outside] - s)[:, None] * self.path.evaluate(s, 1)
         return q
+
+    @cached_property
+    def ends(self) -> FloatArray:
+        """(2, dof) configurations at both ends of the path."""
+        return self.path.evaluate(np.array([0.0, self.path.breaks[-1]]))
 
 
 def _smoothing_window(profile_for: Callable[[int], _Profile], limits: Limits, period: float) -> int:
@@ -242,7 +248,7 @@ def _smoothing_window(profile_for: Callable[[int], _Profile], limits: Limits, pe
         return 1
     jerk = limits.jerk
     profile = profile_for(1)
-    moves = np.ptp(profile.positions(profile.arrival), axis=0) > NO_MOTION
+    moves = np.ptp(profile.path.evaluate(profile.grid), axis=0) > NO_MOTION
     # The mean of m control points changes its acceleration by the difference of two raw ones m rows apart, over m.
     raw = _rows(profile, replace(limits, jerk=None), period, 1).acceleration[:, moves]
     padded = np.concatenate([np.zeros_like(raw[:1]), raw, np.zeros_like(raw[:1])])
@@ -265,16 +271,14 @@ class _Rows:
 
 
 def _sample(
-    profile: _Profile, model: pin.Model, names: tuple[str, ...], limits: Limits, period: float, window: int
+    profile: _Profile, dynamics: InverseDynamics, names: tuple[str, ...], limits: Limits, period: float, window: int
 ) -> Trajectory:
     """The trajectory, slowed down where torque, which is no linear function of the motion, passes its limit."""
-    data = model.createData()
     stretch = 1.0
     for _ in range(MOST_STRETCHES):
         rows = _rows(profile, limits, period, window, stretch)
-        motion = zip(rows.position, rows.velocity, rows.acceleration, strict=True)
-        torque = np.array([pin.rnea(model, data, *row) for row in motion])
-        excess = 0.0 if limits.torque is None else _torque_excess(model, data, rows.position, torque, limits.torque)
+        torque = dynamics.torques(rows.position, rows.velocity, rows.acceleration)
+        excess = 0.0 if limits.torque is None else _torque_excess(dynamics, rows.position, torque, limits.torque)
         if excess <= 1.0:
             time = np.arange(len(torque), dtype=np.float64) * period
             return Trajectory(names, time, rows.position, rows.velocity, rows.acceleration, torque)
@@ -282,14 +286,12 @@ def _sample(
     raise TimingError("no pace was found at which the motion keeps the torque limits", cause="torque limit not kept")
 
 
-def _torque_excess(
-    model: pin.Model, data: pin.Data, position: FloatArray, torque: FloatArray, limit: FloatArray
-) -> float:
+def _torque_excess(dynamics: InverseDynamics, position: FloatArray, torque: FloatArray, limit: FloatArray) -> float:
     """By how much the pace has to be slowed for the torque limits; gravity's share does not shrink with the pace."""
     over = np.abs(torque) > limit * (1.0 + KEPT)
     if not over.any():
         return 0.0
-    gravity = np.array([pin.computeGeneralizedGravity(model, data, q) for q in position])
+    gravity = dynamics.gravity(position)
     room = np.maximum(limit - np.abs(gravity), 1e-3 * limit)
     return float(max(1.0 + 1e-4, np.sqrt((np.abs(torque - gravity) / room)[over].max())))
 
@@ -337,11 +339,11 @@ def _make_exact(
 ) -> None:
     """Take rounding out of what is known: joints that stay where they are, and rest at the ends."""
     still = np.ptp(control, axis=0) <= 1e-12
-    position[:, still] = profile.path.evaluate(0.0)[still]
-    for row, speed, at in ((0, profile.speed[0], 0.0), (-1, profile.speed[-1], float(profile.path.breaks[-1]))):
-        if speed == 0.0:
-            position[row] = profile.path.evaluate(at)
-            velocity[row] = acceleration[row] = 0.0
+    position[:, still] = profile.ends[0, still]
+    for end in (0, -1):
+        if profile.speed[end] == 0.0:
+            position[end] = profile.ends[end]
+            velocity[end] = acceleration[end] = 0.0
 
 
 def _largest_use(values: FloatArray, limit: FloatArray, joints: BoolArray) -> float:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import csv
 import io
+import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,6 +18,9 @@ from hplan.files import write_text
 
 #: Columns of the CSV for each joint, after `time_s`.
 QUANTITIES = ("pos_rad", "vel_rad_s", "acc_rad_s2", "torque_nm")
+
+#: Ends of motions nearer to each other than this are one [rad, rad/s].
+JOINED = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,9 +66,53 @@ class Trajectory:
         return float(self.time[-1])
 
     @property
+    def reversed(self) -> Trajectory:
+        """The motion backwards. Torques stay as they are: inverse dynamics knows velocity only by its square."""
+        return Trajectory(
+            self.joint_names,
+            self.time[-1] - self.time[::-1],
+            self.position[::-1],
+            -self.velocity[::-1],
+            self.acceleration[::-1],
+            self.torque[::-1],
+        )
+
+    @property
     def samples(self) -> int:
         """Number of samples."""
         return len(self.time)
+
+
+def joined(parts: Sequence[Trajectory]) -> Trajectory:
+    """Motions one after the other; each begins where the one before it ends, and at its speed.
+
+    Raises:
+        InputError: No motion, motions of other joints, or one that begins elsewhere or at another velocity.
+    """
+    if not parts:
+        raise InputError("joined: there is no motion to join")
+    for number, (first, second) in enumerate(itertools.pairwise(parts)):
+        if second.joint_names != first.joint_names:
+            raise InputError(f"joined: motion {number + 1} moves other joints than the one before it")
+        gap = max(
+            float(np.abs(second.position[0] - first.position[-1]).max()),
+            float(np.abs(second.velocity[0] - first.velocity[-1]).max()),
+        )
+        if gap > JOINED:
+            raise InputError(
+                f"joined: motion {number + 1} does not go on where the one before it ends (off by {gap:.4g})",
+                motion=number + 1,
+            )
+    begins = np.concatenate([[0.0], np.cumsum([part.duration for part in parts])])
+    times = [part.time[1:] + begin for part, begin in zip(parts, begins, strict=False)]
+    return Trajectory(
+        parts[0].joint_names,
+        np.concatenate([[0.0], *times]),
+        *(
+            np.concatenate([getattr(parts[0], name)[:1], *(getattr(part, name)[1:] for part in parts)])
+            for name in ("position", "velocity", "acceleration", "torque")
+        ),
+    )
 
 
 def csv_header(joint_names: tuple[str, ...]) -> list[str]:

@@ -174,6 +174,108 @@ def test_random_motions_are_judged_as_dense_sampling_judges_them(robot, scene):
     assert min(shown, refused) >= 10
 
 
+class AskedJudge(CollisionScene):
+    """Writes down which pair is asked where, and what the answer is."""
+
+    def pair_distances(self, q):
+        distances = super().pair_distances(q)
+        if not hasattr(self, "asked"):  # at the start all are asked at once
+            self.asked = [(np.array(q), dict(enumerate(distances.tolist())))]
+        return distances
+
+    def place(self, q):
+        self.asked.append((np.array(q), {}))
+        super().place(q)
+
+    def pair_distance(self, pair):
+        distance = super().pair_distance(pair)
+        self.asked[-1][1][pair] = distance
+        return distance
+
+
+@pytest.mark.parametrize("links", ["capsule", "urdf"])
+def test_pairs_that_are_not_asked_keep_what_is_shown(robot, scene, links):
+    """Among many obstacles most pairs are seldom asked; dense sampling looks at all of them."""
+    rng = np.random.default_rng(11)
+    shown = 0
+    while shown < 6:
+        obstacles = [o.model_copy(update={"name": f"{k}{o.name}"}) for k in range(7) for o in random_obstacles(rng)]
+        around = scene.with_obstacles(obstacles)
+        judge = AskedJudge(robot, around.solids, links=links)
+        start = rng.uniform(robot.lower, robot.upper)
+        trajectory = quintic(robot, start, start + rng.uniform(-0.3, 0.3, 4), 0.5)
+        certificate = certify(robot, around, trajectory, judge=judge)
+        if any(violation.startswith("link") for violation in certificate.violations):
+            continue
+        shown += 1
+        assert certificate.min_clearance_m <= sampled_clearance(judge, trajectory, 5e-4) + 1e-9
+        assert certificate.checks == len(judge.asked)
+        answers = [answer for _, answers in judge.asked for answer in answers.values()]
+        assert certificate.nearest.distance_m == min(answers)
+        # A sound proof takes half of the smallest answer; more is not left of what was never asked for.
+        assert certificate.min_clearance_m == pytest.approx(0.5 * min(answers))
+        assert len(answers) < 0.7 * len(judge.asked) * len(judge.pairs)
+        for q, answers in judge.asked[::5]:
+            table = judge.distances(q)
+            for pair, answer in answers.items():
+                link, obstacle = judge.pairs[pair]
+                assert answer >= table[link, obstacle] - 1e-5  # where coal iterates, from another start
+
+
+def test_refused_motion_reports_the_smallest_distance_at_the_rows_that_follow(robot, scene):
+    rng = np.random.default_rng(13)
+    refused = 0
+    while refused < 12:
+        around = scene.with_obstacles(random_obstacles(rng))
+        judge = CollisionScene(robot, around.solids)
+        start, end = rng.uniform(robot.lower, robot.upper, (2, 4))
+        trajectory = quintic(robot, start, end, 0.4)
+        depths = np.array([judge.distances(q).min() for q in trajectory.position])
+        if depths[0] <= 1e-3 or depths.min() > -1e-3:
+            continue
+        refused += 1
+        certificate = certify(robot, around, trajectory, judge=judge)
+        assert not certificate.verified
+        assert certificate.min_clearance_m == pytest.approx(depths.min(), abs=1e-9)
+        assert certificate.nearest.distance_m == pytest.approx(depths.min(), abs=1e-9)
+        wide = certify(robot, around, trajectory, judge=judge, tracking_error=0.01)
+        after = [(judge.distances(q) - robot.sway(0.01)[:, None]).min() for q in trajectory.position]
+        assert wide.min_clearance_m == pytest.approx(min(after), abs=1e-9)
+
+
+def test_pair_that_may_touch_is_as_good_as_not_there(robot, scene):
+    apart = Sphere(name="apart", center=(-1.5, 0.0, 1.0), radius=0.1)
+    inside = Sphere(name="inside", center=(2.0, 0.0, 0.6), radius=0.1)
+    trajectory = quintic(robot, np.zeros(4), np.array([0.0, 0.1, 0.0, 0.0]))
+    alone = scene.with_obstacles([inside])
+    refused = certify(robot, alone, trajectory, judge=CollisionScene(robot, alone.solids))
+    assert not refused.verified
+    shown = certify(robot, alone, trajectory, judge=CollisionScene(robot, alone.solids).touching("inside"))
+    assert shown.verified
+    assert 0.0 < shown.min_clearance_m < np.inf
+    assert shown.nearest.link != refused.nearest.link
+    other = scene.with_obstacles([apart])
+    assert certify(robot, other, trajectory, judge=CollisionScene(robot, other.solids).touching("apart")).verified
+
+
+def test_place_reached_by_a_travel():
+    travel = [0.0, 0.0, 1.0, 1.0, 3.0]
+    places = np.linspace(0.0, 4.0, 401)
+    reached = np.interp(places, range(5), travel)
+    for at in (0.0, 0.5, 1.0, 1.25, 2.0, 2.9, 3.5):
+        for part in (0.1, 0.5, 1.1):
+            place = certificates._advance(travel, at, part)
+            limit = np.interp(at, range(5), travel) + part
+            if place == np.inf:
+                assert limit >= 3.0 - 1e-12
+            else:
+                assert np.interp(place, range(5), travel) == pytest.approx(limit)
+                assert place > at
+                assert (reached[places <= place] <= limit + 1e-12).all()
+    assert certificates._advance(travel, 4.0, 0.1) == np.inf
+    assert certificates._advance([0.0, 0.0], 0.0, 1e-9) == np.inf
+
+
 # Limits
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 
 import numpy as np
@@ -9,10 +10,12 @@ import pytest
 from arm_variants import VARIANTS, axis_points, coal_distances, load_variant, random_obstacles
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from shapes import torus
 
 from hplan.clearance import ClearanceField, _segment_box, _segment_segment, motion_bounds, segment_is_clear
 from hplan.collision import CollisionScene
-from hplan.scene import Box, Capsule, Sphere
+from hplan.scene import Box, Capsule, Mesh, PointCloud, Sphere
+from hplan.solids import Cloud, hull_of
 
 #: Where signed distances are this near to zero, either side may call it contact [m].
 TOUCH = 1e-6
@@ -55,6 +58,101 @@ def test_each_obstacle_by_itself(robot, kind):
     for _ in range(30):
         obstacle = random_obstacles(rng, 3)[kind]
         assert_clearances_match(robot, [obstacle], rng.uniform(robot.lower, robot.upper, (4, 4)))
+
+
+def random_hull(rng, index, count=12):
+    points = rng.normal(size=(count, 3)) * rng.uniform(0.02, 0.3, 3)
+    name, place = f"h{index}", rng.uniform([-1.2, -1.2, 0.0], [1.2, 1.2, 1.6])
+    return hull_of(points + place, name)
+
+
+def by_points(robot, q, cloud):
+    """(links,) distances from every ball, one by one."""
+    ends = axis_points(robot, q)
+    found = []
+    for k, width in enumerate(robot.arm.half_widths):
+        along = ends[k + 1] - ends[k]
+        t = np.clip((cloud.core - ends[k]) @ along / (along @ along), 0.0, 1.0)
+        found.append(np.linalg.norm(cloud.core - ends[k] - t[:, None] * along, axis=1).min() - cloud.rounding - width)
+    return np.array(found)
+
+
+@pytest.mark.parametrize("count", [4, 12, 300])
+def test_hulls_are_those_of_coal(variant, count):
+    rng = np.random.default_rng(count)
+    free = 0
+    for index in range(6):
+        hull = random_hull(rng, index, count)
+        field, judge = ClearanceField.of(variant, [hull]), CollisionScene(variant, [hull])
+        for q in rng.uniform(variant.lower, variant.upper, (12, variant.dof)):
+            expected, found = judge.distances(q)[:, 0], field.link_clearances(q)
+            apart = expected > TOUCH
+            np.testing.assert_allclose(found[apart], expected[apart], atol=1e-6, rtol=0)
+            assert (found[~apart] <= 2 * TOUCH).all()
+            free += int(apart.sum())
+    assert free > 50
+
+
+def test_hull_by_hand(robot):
+    """A block as a hull is the block: above, beside, beyond the tip, pierced, about the whole link, grown."""
+    for center, size in (
+        ((0.5, 0, 1.0), (0.2, 0.2, 0.2)),
+        ((1.6, 0.4, 0.6), (0.1, 0.2, 0.1)),
+        ((2.5, 0, 0.6), (0.2, 0.2, 0.2)),
+        ((2.5, 0.4, 0.9), (0.2, 0.2, 0.2)),
+        ((0.5, 0, 0.6), (0.1, 0.3, 0.3)),
+        ((0.5, 0, 0.6), (2.0, 0.3, 0.3)),
+    ):
+        box = Box(name="b", center=center, size=size)
+        for rounding in (0.0, 0.03):
+            hull = dataclasses.replace(hull_of(box.core), rounding=rounding)
+            found = ClearanceField.of(robot, [hull]).link_clearances(np.zeros(4))
+            expected = ClearanceField.of(robot, [box]).link_clearances(np.zeros(4)) - rounding
+            np.testing.assert_allclose(found, expected, atol=1e-9)
+
+
+@pytest.mark.parametrize("count", [1, 2, 17, 2000])
+def test_clouds_ball_by_ball(variant, count):
+    rng = np.random.default_rng(count)
+    for spread in (0.05, 1.0):
+        points = rng.normal(size=(count, 3)) * spread * [1.0, 1.0, 0.2] + rng.uniform(-1, 1, 3)
+        cloud = Cloud.of("cloud", points, 0.02)
+        field = ClearanceField.of(variant, [cloud], clearance=0.01)
+        for q in rng.uniform(variant.lower, variant.upper, (15, variant.dof)):
+            np.testing.assert_allclose(field.link_clearances(q), by_points(variant, q, cloud) - 0.01, atol=1e-9)
+
+
+def test_all_kinds_together(robot):
+    """The nearest of all, whatever their order; every row knows its solid."""
+    rng = np.random.default_rng(3)
+    for _ in range(8):
+        cloud = Cloud.of("cloud", rng.uniform([0.6, -0.5, 0.5], [1.6, 0.5, 1.5], (200, 3)), 0.01)
+        second = Cloud.of("second", rng.uniform([-1.6, -0.5, 0.5], [-0.6, 0.5, 1.5], (90, 3)), 0.03)
+        solids = [*random_obstacles(rng, 3), random_hull(rng, 0), cloud, random_hull(rng, 1), second]
+        solids = [solids[i] for i in rng.permutation(len(solids))]
+        field = ClearanceField.of(robot, solids)
+        alone = [ClearanceField.of(robot, [solid]) for solid in solids]
+        for q in rng.uniform(robot.lower, robot.upper, (20, 4)):
+            expected = np.min([one.link_clearances(q) for one in alone], axis=0)
+            np.testing.assert_allclose(np.maximum(field.link_clearances(q), 0.0), np.maximum(expected, 0.0), atol=1e-9)
+        counts = [len(one.solids) for one in alone]
+        assert field.owner.tolist() == [i for i, count in enumerate(counts) for _ in range(count)]
+        for row, index in zip(field.solids, field.owner, strict=True):
+            reach = np.linalg.norm(solids[index].core - row[2:5], axis=1).min()
+            assert reach <= row[5]
+
+
+def test_meshes_and_points_of_a_scene(robot, scene):
+    ring = Mesh.of("ring", *torus(n=12), position=(1.2, 0.2, 1.0), rpy_deg=(90, 0, 0))
+    canopy = PointCloud.of("canopy", np.random.default_rng(0).uniform(-0.3, 0.3, (300, 3)), 0.01, position=(1, 0, 1.9))
+    solids = scene.with_obstacles([ring, canopy]).solids
+    field, judge = ClearanceField.of(robot, solids), CollisionScene(robot, solids)
+    for q in np.random.default_rng(1).uniform(robot.lower, robot.upper, (40, 4)):
+        expected = judge.distances(q).min(axis=1)
+        np.testing.assert_allclose(np.maximum(field.link_clearances(q), 0), np.maximum(expected, 0), atol=1e-6)
+    path = np.array([[0, 0, 0, 0], [0, 1.0, 0, 0]])
+    assert not field.is_clear(path, 1e-3)
+    assert ClearanceField.of(robot, canopy.solids).is_clear(path * 0.1, 1e-3)
 
 
 def test_links_in_line_with_and_across_obstacles(robot):
@@ -312,7 +410,7 @@ def test_margin_is_asked_for(robot):
     least = min(field.clearance(q) for q in np.linspace(*path, 500))
     assert field.is_clear(path, least - 1e-9)
     assert not field.is_clear(path, least + 1e-5)
-    chain = (field.chain, field.base, field.solids)
+    chain = (field.chain, field.base, field.solids, field.data)
     assert segment_is_clear(path[0], path[1], *chain, least - 1e-9)
 
 

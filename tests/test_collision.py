@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 import shutil
 import struct
@@ -9,14 +10,16 @@ import struct
 import numpy as np
 import pytest
 from arm_variants import VARIANTS, axis_points, coal_distances, load_variant, random_obstacles
+from shapes import torus
 
 from hplan.collision import CollisionScene, base_contacts, check_clear, sampled_occupancy
 from hplan.cspace import joint_grid, occupancy
 from hplan.errors import ConfigurationInCollisionError, OptionError
 from hplan.resources import urdf_dir
 from hplan.robot import load_robot
-from hplan.scene import Box, Capsule, Sphere
+from hplan.scene import Box, Capsule, Mesh, Sphere
 from hplan.section import arm_sections
+from hplan.solids import Cloud, hull_of
 
 FLAT = np.zeros(4)
 
@@ -109,6 +112,75 @@ def test_without_obstacles(robot):
     assert judge.nearest(FLAT) is None
     assert judge.in_collision(np.zeros((5, 4))).tolist() == [False] * 5
     assert check_clear(judge, FLAT, 0.1, "start") == np.inf
+
+
+# Hulls and clouds
+
+
+@pytest.mark.parametrize("links", ["capsule", "box", "urdf"])
+def test_a_hull_of_corners_is_the_box(robot, links):
+    rng = np.random.default_rng(5)
+    for index in range(6):
+        box = random_obstacles(rng, 3)[2]
+        hull = hull_of(box.core, "hull")
+        grown = dataclasses.replace(hull, rounding=0.05)
+        judge = CollisionScene(robot, [box, hull, grown], links=links)
+        for q in rng.uniform(robot.lower, robot.upper, (8, 4)):
+            found = judge.distances(q)
+            apart = found[:, 0] > 1e-6
+            np.testing.assert_allclose(found[apart, 1], found[apart, 0], atol=1e-6)
+            np.testing.assert_allclose(found[apart, 2], found[apart, 0] - 0.05, atol=1e-6)
+            assert (found[~apart] <= 1e-6).all()
+        assert judge.obstacle_names == (box.name, "hull", "hull")
+        assert index < 6
+
+
+@pytest.mark.parametrize("shape", ["room", "wall", "wire", "one", "twins"])
+@pytest.mark.parametrize("links", ["capsule", "box", "urdf"])
+def test_a_cloud_is_its_balls(robot, shape, links):
+    """The tree against its balls one by one."""
+    rng = np.random.default_rng(6)
+    points = rng.uniform([0.4, -0.6, 0.5], [1.8, 0.6, 1.7], (60, 3))
+    points = {
+        "room": points,
+        "wall": points * [0, 1, 1] + [1.4, 0, 0],
+        "wire": points * [1, 0, 0] + [0, 0.2, 1.3],
+        "one": points[:1],
+        "twins": np.repeat(points[:2], 9, axis=0),
+    }[shape]
+    cloud = Cloud.of("cloud", points, 0.03)
+    balls = [Sphere(name=f"b{i}", center=tuple(point), radius=0.03) for i, point in enumerate(cloud.core.tolist())]
+    judge, by_balls = (CollisionScene(robot, solids, links=links) for solids in ([cloud], balls))
+    configurations = rng.uniform(robot.lower, robot.upper, (40, 4)) * [0.3, 1, 1, 1]
+    least = []
+    for q in configurations:
+        found, expected = judge.distances(q)[:, 0], by_balls.distances(q).min(axis=1)
+        reached = expected <= -0.03 + 1e-6  # the links reach the points themselves
+        np.testing.assert_allclose(found[~reached], expected[~reached], atol=3e-6)
+        assert (found[reached] <= -0.03 + 2e-6).all()
+        least.append(expected.min())
+    for margin in (0.0, 0.1, -0.01):
+        sure = np.abs(np.array(least) - margin) > 1e-5
+        touching = judge.in_collision(configurations, margin=margin)
+        assert (touching == (np.array(least) <= margin))[sure].all()
+    judge.place(configurations[0])
+    table = [judge.pair_distance(pair) for pair in range(len(judge.pairs))]
+    assert min(table) == pytest.approx(judge.distances(configurations[0]).min())
+
+
+def test_pieces_of_a_mesh_bear_its_name(robot):
+    ring = Mesh.of("ring", *torus(n=12), position=(1.2, 0.0, 1.2))
+    judge = CollisionScene(robot, [*ring.solids, ball(0.5, 0, 3.0)])
+    assert judge.obstacle_names == ("ring",) * len(ring.solids) + ("ball",)
+    assert judge.nearest(FLAT).obstacle == "ring"
+
+
+def test_what_stands_in_the_base(robot):
+    cloud = Cloud.of("dust", np.array([[0.0, 0.0, 0.3], [3.0, 0, 0]]), 0.02)
+    crate = hull_of(Box(name="b", center=(0, 0, 0.1), size=(0.5, 0.5, 0.1)).core, "crate")
+    names = {(contact.link, contact.obstacle) for contact in base_contacts(robot, [cloud, crate])}
+    assert {obstacle for _, obstacle in names} == {"dust", "crate"}
+    assert base_contacts(robot, [Cloud.of("far", np.array([[0.0, 0.0, 5.0]]), 0.02)]) == ()
 
 
 # Shapes of the links

@@ -30,7 +30,7 @@ def joined(robot, grid, q, obstacles=(), occupied=(), yaw=0.0):
         mask[tuple(node)] = True
     field = ClearanceField.of(robot, obstacles)
     template = np.array([yaw, *q])
-    nodes = joined_nodes(Occupancy.from_mask(grid, mask), np.asarray(q), template, PLANAR, field, MARGIN)
+    nodes = joined_nodes(Occupancy.from_mask(grid, mask), template, np.array([1, 2, 3]), field, MARGIN)
     found = [tuple(int(i) for i in node) for node in nodes]
     np.testing.assert_array_equal(template, [yaw, *q])
     return found

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from script_loader import load_script
+from shapes import ball, torus
 
 from hplan import execution
 from hplan.collision import CollisionScene
@@ -20,7 +21,7 @@ from hplan.motion import Motion, read_motion
 from hplan.pipeline import PlanResult, plan
 from hplan.robot import Robot, load_robot
 from hplan.robot_family import ArmSpec, write_robot
-from hplan.scene import Box, Capsule, Goal, Scene, Sphere, Start
+from hplan.scene import Box, Capsule, Goal, Mesh, PointCloud, Scene, Sphere, Start
 from hplan.trajectory import Trajectory, write_csv
 
 needs_mujoco = pytest.mark.skipif(
@@ -207,17 +208,19 @@ def test_ending_elsewhere_or_moving(robot: Robot, scene: Scene) -> None:
         Capsule(name="it", start=(1.9, -0.5, 0.4), end=(1.9, 0.5, 0.7), radius=0.05),
         Capsule(name="it", start=(1.9, 0.0, 0.6), end=(1.9, 0.0, 0.6), radius=0.05),
         Box(name="it", center=(1.9, 0.0, 0.6), size=(0.1, 0.4, 0.02), rpy_deg=(20.0, 40.0, 70.0)),
+        Mesh.of("it", *torus(0.2, 0.03, 12), position=(1.9, 0.0, 0.6), rpy_deg=(90.0, 0.0, 20.0)),
+        PointCloud.of("it", np.random.default_rng(0).uniform(-0.1, 0.1, (40, 3)), 0.02, position=(1.9, 0.0, 0.6)),
     ],
 )
 def test_contacts_of_mujoco_are_those_of_coal(robot: Robot, obstacle: Any) -> None:
     """The same obstacle at the same place for both: configurations near its surface."""
     scene = Scene(name="one", start=Start(joints_deg=(0,) * 4), goal=Goal(joints_deg=(0,) * 4), obstacles=(obstacle,))
-    judge = CollisionScene(robot, (obstacle,))
+    judge = CollisionScene(robot, scene.solids)
     rng = np.random.default_rng(3)
     seen = set()
     for _ in range(400):
         q = rng.uniform([-0.3, 0.0, 0.0, 0.0], [0.3, 0.4, 0.4, 0.4])
-        distances = judge.distances(q)[:, 0]
+        distances = judge.distances(q).min(axis=1)
         if np.abs(distances).min() < 1e-4 or (len(seen) == 2 and rng.random() > 0.1):
             continue
         still = Motion(robot.joint_names, np.zeros(1), q[None], np.zeros((1, 4)))
@@ -228,6 +231,32 @@ def test_contacts_of_mujoco_are_those_of_coal(robot: Robot, obstacle: Any) -> No
         assert touched == {name for name, d in zip(judge.link_names, distances, strict=True) if d < 0.0}
         seen.add(bool(touched))
     assert seen == {True, False}
+
+
+@needs_mujoco
+def test_a_grown_hull_is_held(robot: Robot) -> None:
+    """A ball of many triangles: MuJoCo's hull holds the simplified one with its rounding."""
+    mesh = Mesh.of("ball", *ball(0.1), position=(2.0, 0.0, 0.95))
+    (hull,) = mesh.solids
+    assert hull.rounding > 1e-3
+    scene = Scene(name="one", start=Start(joints_deg=(0,) * 4), goal=Goal(joints_deg=(0,) * 4), obstacles=(mesh,))
+    judge = CollisionScene(robot, scene.solids)
+    up = np.linspace(0.0, 0.5, 60)
+    deep = [judge.distances(np.array([0.0, angle, 0.0, 0.0])).min() for angle in up]
+    first = int(np.argmax(np.array(deep) < 0.0))
+    for index, expected in ((first, True), (int(np.argmax(np.array(deep) < 1.3 * hull.rounding)) - 1, False)):
+        still = Motion(robot.joint_names, np.zeros(1), np.array([[0.0, up[index], 0.0, 0.0]]), np.zeros((1, 4)))
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(execution, "HOLD", 0.0)
+            assert bool(execute(robot, scene, still).contacts) is expected
+
+
+@needs_mujoco
+def test_too_many_balls(robot: Robot, scene: Scene) -> None:
+    cloud = PointCloud.of("canopy", np.random.default_rng(0).uniform(2, 3, (execution.MOST_BALLS + 1, 3)), 0.01)
+    crowded = scene.with_obstacles([cloud])
+    with pytest.raises(InputError, match="'canopy' has 2001 balls, too many for MuJoCo; thin its points"):
+        execute(robot, crowded, straight(robot, crowded, 1.0))
 
 
 @needs_mujoco

@@ -13,7 +13,8 @@ from hplan.certificate import certify
 from hplan.collision import CollisionScene, sampled_occupancy
 from hplan.errors import CertificationError, ConfigurationInCollisionError, InputError, NoPathError, OptionError
 from hplan.grid import Grid
-from hplan.pipeline import PlanOptions, plan, with_export_time
+from hplan.options import PlanOptions
+from hplan.pipeline import plan, with_export_time
 from hplan.robot import Robot
 from hplan.scene import Box, Capsule, Fruit, Goal, Scene, Sphere, Start
 
@@ -24,6 +25,8 @@ Obstacles = Sequence[Sphere | Capsule | Box]
 
 
 def task(obstacles: Obstacles = (), start: Sequence[float] = START, goal: Sequence[float] = GOAL, **more: Any) -> Scene:
+    """A planar task, the base locked unless said otherwise."""
+    more["locked_joints"] = ("base_yaw", *more.pop("locked_joints", ()))
     return Scene(
         name="test",
         start=Start(joints_deg=tuple(start)),

@@ -13,11 +13,14 @@ from hplan.errors import ConfigurationInCollisionError, InputError, JointLimitEr
 from hplan.problem import Problem, pose_problem
 from hplan.robot import Robot
 from hplan.scene import Scene
+from hplan.surroundings import Surroundings
 
 
 def pose(robot: Robot, scene: Scene, **changes: Any) -> Problem:
     changed = Scene.model_validate({**vars(scene), **changes})
-    return pose_problem(robot, changed, CollisionScene(robot, changed.solids))
+    around = Surroundings.of(robot, changed.solids, clearance=changed.clearance)
+    ends = changed.start.configuration, changed.goal.configuration
+    return pose_problem(around, *ends, locked_joints=changed.locked_joints)
 
 
 def test_reference_scene(robot: Robot, scene: Scene) -> None:
@@ -54,8 +57,21 @@ def test_locked_joints_keep_their_start_value(robot: Robot, scene: Scene) -> Non
     assert problem.lower[2] == problem.upper[2] == problem.start[2] == problem.goal[2]
 
 
-def test_base_need_not_be_locked_where_it_stands_still(robot: Robot, scene: Scene) -> None:
-    assert pose(robot, scene, locked_joints=()).movable.tolist() == [1, 2, 3]
+def test_the_base_may_turn_unless_it_is_locked(robot: Robot, scene: Scene) -> None:
+    free = pose(robot, scene, goal={"joints_deg": (10.0, 45.0, 60.0, 70.0)}, locked_joints=())
+    assert free.movable.tolist() == [0, 1, 2, 3]
+    assert free.turns
+    assert (free.lower[0], free.upper[0]) == (robot.lower[0], robot.upper[0])
+    assert not pose(robot, scene).turns
+
+
+def test_uncertainty_and_tracking_error_take_from_the_spare_clearance(robot: Robot, scene: Scene) -> None:
+    ends = scene.start.configuration, scene.goal.configuration
+    plain = pose_problem(Surroundings.of(robot, scene.solids), *ends).spare_clearance
+    blurred = [solid.model_copy(update={"sigma": 0.01}) for solid in scene.solids]
+    around = Surroundings.of(robot, blurred, clearance=0.005, tracking_error=1e-3, sigmas=2.0)
+    expected = plain - 0.005 - 0.02 - robot.sway(1e-3).max()
+    assert pose_problem(around, *ends).spare_clearance == pytest.approx(expected, abs=1e-9)
 
 
 def test_joints_in_radians(robot: Robot, scene: Scene) -> None:
@@ -78,8 +94,7 @@ def test_arrays_are_read_only(robot: Robot, scene: Scene) -> None:
     [
         ({"locked_joints": ("knee",)}, "locked_joints names 'knee'; the robot has base_yaw, shoulder, elbow, wrist"),
         ({"locked_joints": ("wrist",)}, "joint 'wrist' is locked at 0 rad, but the goal wants it at 1.22173 rad"),
-        ({"goal": {"joints_deg": (1.0, 45.0, 60.0, 70.0)}, "locked_joints": ()}, "start and goal differ in 'base_yaw'"),
-        ({"goal": {"position": (1.0, 0.0, 1.0)}}, "goal: a tool position or a fruit needs inverse kinematics"),
+        ({"goal": {"joints_deg": (1.0, 45.0, 60.0, 70.0)}}, "joint 'base_yaw' is locked at 0 rad"),
         ({"goal": {"joints_deg": (0.0, 45.0)}}, "goal: expected 4 joint values"),
     ],
 )

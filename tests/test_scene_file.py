@@ -257,7 +257,12 @@ BAD_CONTENT = {
         "obstacles[1].to",
         "this key is missing",
     ),
-    "missing kind": (obstacle("name: b, radius: 1"), 7, "obstacles[1]", "missing: kind (sphere, capsule or box)"),
+    "missing kind": (
+        obstacle("name: b, radius: 1"),
+        7,
+        "obstacles[1]",
+        "missing: kind (sphere, capsule, box, mesh or points)",
+    ),
     "unknown kind": (
         obstacle("name: b, kind: cone"),
         7,

@@ -15,7 +15,8 @@ from hplan.clearance import ClearanceField
 from hplan.cspace import joint_grid, occupancy
 from hplan.errors import HplanError, InputError
 from hplan.grid import Grid, Occupancy
-from hplan.pipeline import PlanOptions, plan
+from hplan.options import PlanOptions
+from hplan.pipeline import plan
 from hplan.robot import Robot, load_robot
 from hplan.robot_family import ArmSpec, write_robot
 from hplan.scene import Scene, Sphere

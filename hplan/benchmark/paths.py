@@ -21,13 +21,14 @@ from hplan.clearance import ClearanceField
 from hplan.collision import CollisionScene
 from hplan.errors import HplanError
 from hplan.path import Limits
-from hplan.pipeline import MARGIN
 from hplan.postprocess import PostprocessOptions, SplinePath, fast_path, smooth
 from hplan.postprocess.path import SMALLEST_SHARE
 from hplan.problem import Problem, pose_problem
 from hplan.robot import Robot
 from hplan.scene import Scene
+from hplan.surroundings import Surroundings
 from hplan.timing import time_path
+from hplan.transit import MARGIN
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,10 +45,11 @@ class Task:
     @classmethod
     def of(cls, robot: Robot, scene: Scene) -> Task:
         """Get a scene ready, with the margin that hplan asks for in it."""
-        judge = CollisionScene(robot, scene.solids)
-        problem = pose_problem(robot, scene, judge)
-        field = ClearanceField.of(robot, scene.solids, clearance=scene.clearance)
-        return cls(robot, scene, problem, field, judge, min(MARGIN, 0.5 * problem.spare_clearance))
+        around = Surroundings.of(robot, scene.solids, clearance=scene.clearance)
+        problem = pose_problem(
+            around, scene.start.configuration, scene.goal.configuration, locked_joints=scene.locked_joints
+        )
+        return cls(robot, scene, problem, around.field, around.judge, min(MARGIN, 0.5 * problem.spare_clearance))
 
     @property
     def smallest_margin(self) -> float:

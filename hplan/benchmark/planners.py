@@ -46,7 +46,7 @@ class OmplResult:
 
 
 class Ompl:
-    """OMPL's planners on the planar joints, with hplan's compiled clearance kernel as motion validator.
+    """OMPL's planners, on the planar joints or on all of them, with hplan's compiled clearance kernel as motion validator.
 
     OMPL calls the kernel once a motion (and once a state) by way of Python; `OmplResult.compiled_ms` tells what is
     left when that is taken out.
@@ -84,6 +84,7 @@ class Ompl:
         margin: float,
         planner: str = "RRTConnect",
         seconds: float = PATIENCE,
+        turns: bool = False,
     ) -> OmplResult:
         """Plan and simplify.
 
@@ -91,13 +92,15 @@ class Ompl:
             robot: The arm.
             field: Arm and obstacles.
             start: (dof,) configuration.
-            goal: (dof,) configuration; differs from the start in planar joints only.
+            goal: (dof,) configuration; differs from the start in planar joints only, unless the base turns.
             margin: Clearance asked for wherever a motion is evaluated [m].
             planner: One of `PLANNERS`; RRTConnect stops at its first path, BITstar when time is up.
             seconds: Time for planning.
+            turns: Whether the base may turn.
         """
-        calls = _Calls(robot, field, start, margin)
-        setup = self._setup(robot, calls, start, goal)
+        joints = slice(0 if turns else robot.arm_slice.start, robot.dof)
+        calls = _Calls(field, start, joints, margin)
+        setup = self._setup(robot, calls, start, goal, joints)
         info = setup.getSpaceInformation()
         setup.setPlanner(getattr(self._geometric, planner)(info))
         _, plan_ms = timed(lambda: setup.solve(seconds))
@@ -106,25 +109,24 @@ class Ompl:
         before = float(setup.getSolutionPath().length())
         _, simplify_ms = timed(lambda: setup.simplifySolution(PATIENCE))
         path = np.repeat(start[None], setup.getSolutionPath().getStateCount(), axis=0)
-        first = robot.arm_slice.start
         for row, state in zip(path, setup.getSolutionPath().getStates(), strict=True):
-            row[first:] = [state[i] for i in range(len(row) - first)]
+            row[joints] = [state[i] for i in range(joints.stop - joints.start)]
         path[0], path[-1] = start, goal
         kernel_ms = calls.kernel_ms()
         compiled = kernel_ms + max(0.0, plan_ms + simplify_ms - 1e3 * calls.seconds)
         return OmplResult(path, plan_ms, simplify_ms, compiled, before)
 
-    def _setup(self, robot: Robot, calls: _Calls, start: FloatArray, goal: FloatArray) -> Any:
+    def _setup(self, robot: Robot, calls: _Calls, start: FloatArray, goal: FloatArray, joints: slice) -> Any:
         base = self._base
 
         class Validator(base.MotionValidator):  # type: ignore[misc, name-defined]
             def checkMotion(self, first: Any, second: Any) -> bool:  # noqa: N802 - OMPL's name
                 return calls.motion(first, second)
 
-        links = robot.arm.link_count
-        space = base.RealVectorStateSpace(links)
-        bounds = base.RealVectorBounds(links)
-        for i, (low, high) in enumerate(zip(robot.arm.lower, robot.arm.upper, strict=True)):
+        lower, upper = robot.lower[joints], robot.upper[joints]
+        space = base.RealVectorStateSpace(len(lower))
+        bounds = base.RealVectorBounds(len(lower))
+        for i, (low, high) in enumerate(zip(lower, upper, strict=True)):
             bounds.setLow(i, float(low))
             bounds.setHigh(i, float(high))
         space.setBounds(bounds)
@@ -134,7 +136,7 @@ class Ompl:
         ends = []
         for q in (start, goal):
             state = space.allocState()
-            for i, value in enumerate(q[robot.arm_slice]):
+            for i, value in enumerate(q[joints]):
                 state[i] = float(value)
             ends.append(state)
         setup.setStartAndGoalStates(*ends)
@@ -144,11 +146,11 @@ class Ompl:
 class _Calls:
     """The callbacks, what they took in all, and the motions and states they were asked about."""
 
-    def __init__(self, robot: Robot, field: ClearanceField, template: FloatArray, margin: float) -> None:
+    def __init__(self, field: ClearanceField, template: FloatArray, joints: slice, margin: float) -> None:
         self._field, self._margin = field, margin
-        self._first, self._links = robot.arm_slice.start, robot.arm.link_count
+        self._joints, self._count = joints, joints.stop - joints.start
         self._a, self._b = np.array(template), np.array(template)
-        self._clear = np.empty(self._links)
+        self._clear = np.empty(len(field.chain))
         self._template = template
         self._motions, self._states = array("d"), array("d")
         self.seconds = 0.0
@@ -156,10 +158,12 @@ class _Calls:
     def motion(self, first: Any, second: Any) -> bool:
         """Whether the straight motion is shown clear."""
         begin = time.perf_counter()
-        field, links = self._field, range(self._links)
-        ends = [first[i] for i in links], [second[i] for i in links]
-        self._a[self._first :], self._b[self._first :] = ends
-        clear = bool(segment_is_clear(self._a, self._b, field.chain, field.base, field.solids, self._margin))
+        field, axes = self._field, range(self._count)
+        ends = [first[i] for i in axes], [second[i] for i in axes]
+        self._a[self._joints], self._b[self._joints] = ends
+        clear = bool(
+            segment_is_clear(self._a, self._b, field.chain, field.base, field.solids, field.data, self._margin)
+        )
         self._motions.extend(ends[0])
         self._motions.extend(ends[1])
         self.seconds += time.perf_counter() - begin
@@ -169,9 +173,9 @@ class _Calls:
         """Whether a configuration keeps the margin."""
         begin = time.perf_counter()
         field = self._field
-        values = [state[i] for i in range(self._links)]
-        self._a[self._first :] = values
-        _link_clearances(self._a, field.chain, field.base, field.solids, self._clear)
+        values = [state[i] for i in range(self._count)]
+        self._a[self._joints] = values
+        _link_clearances(self._a, field.chain, field.base, field.solids, field.data, self._clear)
         clear = bool(self._clear.min() >= self._margin)
         self._states.extend(values)
         self.seconds += time.perf_counter() - begin
@@ -182,25 +186,32 @@ class _Calls:
         motions = self._whole(self._motions).reshape(-1, 2, len(self._template))
         states = self._whole(self._states)
         field = self._field
-        return timed(lambda: _ask(motions, states, field.chain, field.base, field.solids, self._margin))[1]
+        _ask(motions[:0], states[:0], field.chain, field.base, field.solids, field.data, self._margin)  # loads it
+        return timed(lambda: _ask(motions, states, field.chain, field.base, field.solids, field.data, self._margin))[1]
 
-    def _whole(self, planar: array[float]) -> FloatArray:
-        """(n, dof) configurations of planar ones."""
-        rows = np.array(planar).reshape(-1, self._links)
+    def _whole(self, values: array[float]) -> FloatArray:
+        """(n, dof) configurations of the values of the joints that move."""
+        rows = np.array(values).reshape(-1, self._count)
         whole = np.repeat(self._template[None], len(rows), axis=0)
-        whole[:, self._first :] = rows
+        whole[:, self._joints] = rows
         return whole
 
 
 @nb.njit(cache=True)
 def _ask(
-    motions: FloatArray, states: FloatArray, chain: FloatArray, base: FloatArray, solids: FloatArray, margin: float
+    motions: FloatArray,
+    states: FloatArray,
+    chain: FloatArray,
+    base: FloatArray,
+    solids: FloatArray,
+    data: FloatArray,
+    margin: float,
 ) -> int:
     count = 0
     result = np.empty(chain.shape[0])
     for i in range(motions.shape[0]):
-        count += segment_is_clear(motions[i, 0], motions[i, 1], chain, base, solids, margin)
+        count += segment_is_clear(motions[i, 0], motions[i, 1], chain, base, solids, data, margin)
     for i in range(states.shape[0]):
-        _link_clearances(states[i], chain, base, solids, result)
+        _link_clearances(states[i], chain, base, solids, data, result)
         count += result.min() >= margin
     return count

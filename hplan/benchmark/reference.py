@@ -26,7 +26,8 @@ from hplan.collision import CollisionScene, sampled_occupancy
 from hplan.cspace import joint_grid, occupancy
 from hplan.errors import InputError
 from hplan.grid import Occupancy
-from hplan.pipeline import PlanOptions, PlanResult, plan
+from hplan.options import PlanOptions
+from hplan.pipeline import PlanResult, plan
 from hplan.postprocess import path_length
 from hplan.report import STAGES
 from hplan.robot import Robot

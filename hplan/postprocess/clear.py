@@ -41,8 +41,8 @@ def clear_spline(
     control[0], control[-1] = path[0], path[-1]
     knots = SplinePath.through(control).knots
     pushed = push_out(
-        control, knots, field.chain, field.base, field.solids, options.lower, options.upper, options.movable, margin,
-        0, count - 4, 40,
+        control, knots, field.chain, field.base, field.solids, field.data, options.lower, options.upper,
+        options.movable, margin, 0, count - 4, 40,
     )  # fmt: skip
     spline = SplinePath(frozen(control), knots)
     return spline if pushed and spline.is_clear(field, 0.5 * margin) else None
@@ -65,8 +65,8 @@ def tighten(
     """
     control = np.array(spline.control)
     _tighten(
-        control, spline.knots, field.chain, field.base, field.solids, options.lower, options.upper, options.movable,
-        margin, rounds,
+        control, spline.knots, field.chain, field.base, field.solids, field.data, options.lower, options.upper,
+        options.movable, margin, rounds,
     )  # fmt: skip
     taut = SplinePath(frozen(control), spline.knots)
     return taut if taut.is_clear(field, 0.5 * margin) else spline
@@ -79,6 +79,7 @@ def push_out(
     chain: FloatArray,
     base: FloatArray,
     solids: FloatArray,
+    data: FloatArray,
     lower: FloatArray,
     upper: FloatArray,
     movable: IntArray,
@@ -97,7 +98,7 @@ def push_out(
         contact = False
         for i in range(first_piece, last_piece + 1):
             bezier_piece(control, knots, i + 3, piece)
-            if piece_is_clear(piece, chain, base, solids, margin, STRIDE):
+            if piece_is_clear(piece, chain, base, solids, data, margin, STRIDE):
                 continue
             contact = True
             # First samples of the piece for its worst point, then central differences there for the gradient.
@@ -114,7 +115,7 @@ def push_out(
                         q[k] = worst[k]
                 if j >= 0:
                     q[j] += 1e-4 if probe % 2 == 1 else -1e-4
-                _link_clearances(q, chain, base, solids, clear)
+                _link_clearances(q, chain, base, solids, data, clear)
                 here = smallest(clear)
                 if j >= 0:
                     if probe % 2 == 1:
@@ -158,6 +159,7 @@ def _tighten(
     chain: FloatArray,
     base: FloatArray,
     solids: FloatArray,
+    data: FloatArray,
     lower: FloatArray,
     upper: FloatArray,
     movable: IntArray,
@@ -174,7 +176,7 @@ def _tighten(
             for j in movable:
                 control[i, j] = 0.5 * (before[i - 1, j] + before[i + 1, j])
         clear = push_out(
-            control, knots, chain, base, solids, lower, upper, movable, margin, 0, count - 4, 6
+            control, knots, chain, base, solids, data, lower, upper, movable, margin, 0, count - 4, 6
         )  # fmt: skip
         if clear:
             length = _polygon_length(control)

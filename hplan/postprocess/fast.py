@@ -45,8 +45,8 @@ def hasten(
     """
     control = np.array(spline.control)
     duration = _search(
-        control, spline.knots, field.chain, field.base, field.solids, options.lower, options.upper, options.velocity,
-        options.acceleration, options.movable, margin, options.trials,
+        control, spline.knots, field.chain, field.base, field.solids, field.data, options.lower, options.upper,
+        options.velocity, options.acceleration, options.movable, margin, options.trials,
     )  # fmt: skip
     return SplinePath(frozen(control), spline.knots), float(duration)
 
@@ -156,6 +156,7 @@ def _search(
     chain: FloatArray,
     base: FloatArray,
     solids: FloatArray,
+    data: FloatArray,
     lower: FloatArray,
     upper: FloatArray,
     velocity: FloatArray,
@@ -196,17 +197,17 @@ def _search(
             _demands(control, low, high, first, second, velocity, acceleration, push, bend, most)
             value = _duration(grid, push, bend, most, square)
             paid = value < best - 1e-7
-            if paid and not pieces_are_clear(control, knots, low, high, chain, base, solids, margin, STRIDE):
+            if paid and not pieces_are_clear(control, knots, low, high, chain, base, solids, data, margin, STRIDE):
                 # Slide along the obstacle: push the neighbours out, and see whether it still pays.
                 paid = push_out(
-                    control, knots, chain, base, solids, lower, upper, movable, margin, low, high, 3
+                    control, knots, chain, base, solids, data, lower, upper, movable, margin, low, high, 3
                 )  # fmt: skip
                 low, high = max(0, c - 6), min(pieces - 1, c + 3)
                 if paid:
                     _demands(control, low, high, first, second, velocity, acceleration, push, bend, most)
                     value = _duration(grid, push, bend, most, square)
                     paid = value < best - 1e-7 and pieces_are_clear(
-                        control, knots, low, high, chain, base, solids, margin, STRIDE
+                        control, knots, low, high, chain, base, solids, data, margin, STRIDE
                     )
             if paid:
                 best = value
@@ -216,7 +217,7 @@ def _search(
                 _demands(control, low, high, first, second, velocity, acceleration, push, bend, most)
                 step[c, j] *= -1.0 if move % 2 == 0 else -0.4
             largest = max(largest, abs(step[c, j]))
-        if not pieces_are_clear(control, knots, 0, pieces - 1, chain, base, solids, 0.5 * margin, 0.0):
+        if not pieces_are_clear(control, knots, 0, pieces - 1, chain, base, solids, data, 0.5 * margin, 0.0):
             copy_into(control, proven)
             _demands(control, 0, pieces - 1, first, second, velocity, acceleration, push, bend, most)
             return float(_duration(grid, push, bend, most, square))

@@ -7,6 +7,7 @@ import numpy as np
 from hplan.arrays import FloatArray
 from hplan.clearance import ClearanceField
 from hplan.errors import CertificationError, InputError
+from hplan.path import rest_to_rest
 from hplan.postprocess.clear import clear_spline, tighten
 from hplan.postprocess.fast import hasten
 from hplan.postprocess.options import PostprocessOptions
@@ -23,6 +24,9 @@ STARTS = 3
 
 #: Ends nearer to each other than this are one [rad].
 NO_WAY = 1e-9
+
+#: A motion that takes no longer than this share of the least duration of its ends is as good as the fastest.
+GOOD_ENOUGH = 1.005
 
 #: Share of the margin that is still asked for where the full one cannot be kept.
 SMALLEST_SHARE = 0.05
@@ -47,6 +51,10 @@ def fast_path(path: FloatArray, field: ClearanceField, options: PostprocessOptio
         raise CertificationError("the motions between the nodes of the grid path cannot be shown clear")
     if options.objective == "length":
         return _short(path, field, options, smallest)
+    least = least_duration(path[0], path[-1], options)
+    straight = straight_duration(path[0], path[-1], options)
+    if straight <= GOOD_ENOUGH * least and field.is_clear(path[[0, -1]], options.margin):
+        return SplinePath.through(np.linspace(path[0], path[-1], 4))
     for margin in (options.margin, 0.25 * options.margin, smallest):
         taut = shorten(path, field, margin=margin, rounds=options.shortcuts)
         found: list[tuple[SplinePath, float]] = []
@@ -54,12 +62,26 @@ def fast_path(path: FloatArray, field: ClearanceField, options: PostprocessOptio
             spline = clear_spline(taut, field, options, count=count, margin=margin)
             if spline is not None:
                 found.append(hasten(spline, field, options, margin=margin))
-            if len(found) == STARTS:
+            if len(found) == STARTS or (found and found[-1][1] <= GOOD_ENOUGH * least):
                 break
         if found:
             return min(found, key=lambda item: item[1])[0]
     # Where no spline could be pushed clear: the polyline with its corners rounded as far as they can be.
     return hasten(smooth(taut, field, margin=smallest), field, options, margin=0.5 * smallest)[0]
+
+
+def least_duration(start: FloatArray, goal: FloatArray, options: PostprocessOptions) -> float:
+    """What no motion from rest to rest between two configurations can undercut [s]: that of the slowest joint alone."""
+    return float(rest_to_rest(np.abs(goal - start), options.velocity, options.acceleration).max())
+
+
+def straight_duration(start: FloatArray, goal: FloatArray, options: PostprocessOptions) -> float:
+    """Duration of the straight motion, all joints in proportion, under velocity and acceleration limits [s]."""
+    turn = np.abs(goal - start)
+    moves = turn > 0.0
+    speed = (options.velocity[moves] / turn[moves]).min()
+    acceleration = (options.acceleration[moves] / turn[moves]).min()
+    return float(rest_to_rest(np.ones(1), speed, acceleration)[0])
 
 
 def _short(path: FloatArray, field: ClearanceField, options: PostprocessOptions, margin: float) -> SplinePath:

@@ -43,13 +43,13 @@ def shorten(path: FloatArray, field: ClearanceField, *, margin: float, rounds: i
     path = without_twins(path)
     if len(path) < 3:
         return frozen(np.array(path))
-    taut = _skip_visible(path, field.chain, field.base, field.solids, margin)
-    return frozen(_shortcut(taut, field.chain, field.base, field.solids, margin, rounds))
+    taut = _skip_visible(path, field.chain, field.base, field.solids, field.data, margin)
+    return frozen(_shortcut(taut, field.chain, field.base, field.solids, field.data, margin, rounds))
 
 
 @nb.njit(cache=True)
 def _skip_visible(
-    path: FloatArray, chain: FloatArray, base: FloatArray, solids: FloatArray, margin: float
+    path: FloatArray, chain: FloatArray, base: FloatArray, solids: FloatArray, data: FloatArray, margin: float
 ) -> FloatArray:
     """Keep only waypoints that are needed: from each, go to the farthest that galloping and bisection find clear."""
     kept = [0]
@@ -59,20 +59,20 @@ def _skip_visible(
         clear_to, stride = here + 1, 2
         blocked = last + 1
         while here + stride <= last:
-            if segment_is_clear(path[here], path[here + stride], chain, base, solids, margin):
+            if segment_is_clear(path[here], path[here + stride], chain, base, solids, data, margin):
                 clear_to = here + stride
                 stride *= 2
             else:
                 blocked = here + stride
                 break
         if blocked > last and clear_to < last:
-            if segment_is_clear(path[here], path[last], chain, base, solids, margin):
+            if segment_is_clear(path[here], path[last], chain, base, solids, data, margin):
                 clear_to = last
             else:
                 blocked = last
         while blocked - clear_to > 1 and clear_to < last:
             middle = (clear_to + blocked) // 2
-            if segment_is_clear(path[here], path[middle], chain, base, solids, margin):
+            if segment_is_clear(path[here], path[middle], chain, base, solids, data, margin):
                 clear_to = middle
             else:
                 blocked = middle
@@ -128,7 +128,13 @@ def _join(path: FloatArray, i: int, bypass: FloatArray, inner: int, j: int) -> F
 
 @nb.njit(cache=True)
 def _shortcut(
-    path: FloatArray, chain: FloatArray, base: FloatArray, solids: FloatArray, margin: float, rounds: int
+    path: FloatArray,
+    chain: FloatArray,
+    base: FloatArray,
+    solids: FloatArray,
+    data: FloatArray,
+    margin: float,
+    rounds: int,
 ) -> FloatArray:
     """Try shortcuts between pairs of points of a low-discrepancy sequence."""
     dof = path.shape[1]
@@ -168,7 +174,7 @@ def _shortcut(
             continue
         clear = True
         for m in range(inner + 1):
-            if not segment_is_clear(bypass[m], bypass[m + 1], chain, base, solids, margin):
+            if not segment_is_clear(bypass[m], bypass[m + 1], chain, base, solids, data, margin):
                 clear = False
                 break
         if clear:

@@ -110,7 +110,9 @@ class SplinePath:
 
 def first_contact(pieces: FloatArray, field: ClearanceField, margin: float) -> FloatArray:
     """(pieces,) True for each Bezier piece that is not shown clear."""
-    return np.array([not piece_is_clear(piece, field.chain, field.base, field.solids, margin, 0.0) for piece in pieces])
+    return np.array(
+        [not piece_is_clear(piece, field.chain, field.base, field.solids, field.data, margin, 0.0) for piece in pieces]
+    )
 
 
 @nb.njit(cache=True)
@@ -187,6 +189,7 @@ def piece_is_clear(
     chain: FloatArray,
     base: FloatArray,
     solids: FloatArray,
+    data: FloatArray,
     margin: float,
     stride: float = 0.0,
 ) -> bool:
@@ -203,7 +206,7 @@ def piece_is_clear(
         w0, w1, w2, w3 = u * u * u, 3.0 * u * u * t, 3.0 * u * t * t, t * t * t
         for i in range(dof):
             q[i] = w0 * piece[0, i] + w1 * piece[1, i] + w2 * piece[2, i] + w3 * piece[3, i]
-        _link_clearances(q, chain, base, solids, clear)
+        _link_clearances(q, chain, base, solids, data, clear)
         advance = proven_advance(clear, bounds, margin)
         if advance < 0.0:
             return False
@@ -221,6 +224,7 @@ def pieces_are_clear(
     chain: FloatArray,
     base: FloatArray,
     solids: FloatArray,
+    data: FloatArray,
     margin: float,
     stride: float,
 ) -> bool:
@@ -228,6 +232,6 @@ def pieces_are_clear(
     piece = np.empty((4, control.shape[1]))
     for i in range(low, high + 1):
         bezier_piece(control, knots, i + 3, piece)
-        if not piece_is_clear(piece, chain, base, solids, margin, stride):
+        if not piece_is_clear(piece, chain, base, solids, data, margin, stride):
             return False
     return True

@@ -177,7 +177,7 @@ def _settled_rows(occupancy: Occupancy, start: IntArray, goal: IntArray) -> int:
     lattice = Lattice.of(occupancy.grid.shape, occupancy.grid.step)
     free = lattice.bordered(occupancy.free_words)
     between = range(int(min(start[-1], goal[-1])), int(max(start[-1], goal[-1])) + 1)
-    union = union_of(lattice, free, search_layers(lattice, free, start, goal, between, octile=True), start, goal)
+    union = union_of(lattice, free, search_layers(lattice, free, start, goal, between), start, goal)
     return row_bounds(lattice, union.words, lattice.row_of(goal)).settled
 
 

@@ -5,16 +5,22 @@ A slice has a path exactly when flooding it from the start's place reaches the g
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numba as nb
 import numpy as np
 
 from hplan.arrays import BoolArray, IntArray, WordArray, frozen
-from hplan.search.astar import astar
+from hplan.grid import words_for
 from hplan.search.flood import flood_slices
 from hplan.search.jump import jump_slices
 from hplan.search.lattice import Lattice
+
+#: Searches one slice, given as a grid of its own, from a node to a node: the (m, d) path or None, its cost, expansions,
+#: nodes flooded.
+SliceSearch: TypeAlias = Callable[[Lattice, WordArray, IntArray, IntArray], tuple[IntArray | None, float, int, int]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,12 +55,14 @@ class Layers:
 
 
 def search_layers(
-    lattice: Lattice, free: WordArray, start: IntArray, goal: IntArray, slices: range, *, octile: bool
+    lattice: Lattice,
+    free: WordArray,
+    start: IntArray,
+    goal: IntArray,
+    slices: range,
+    slice_search: SliceSearch | None = None,
 ) -> Layers:
     """Search each of `slices` from the start's place in it to the goal's.
-
-    Planar slices are searched by jump points, all in one pass; slices of other dimension, and all without the
-    octile bound, by the plain A* one after the other.
 
     Args:
         lattice: Geometry of the whole grid.
@@ -62,24 +70,25 @@ def search_layers(
         start: (d,) node index; its last entry does not matter.
         goal: (d,) node index; its last entry does not matter.
         slices: Neighbouring slices, ascending.
-        octile: As for `astar`.
+        slice_search: Searches one slice after the other; None searches planar slices by jump points, all in one pass.
     """
     start_row, goal_row = lattice.row_of(start), lattice.row_of(goal)
     first, last = slices[0], slices[-1]
     reached, flooded = flood_slices(lattice, free, start_row)
     feasible = np.unpackbits(reached[goal_row].view(np.uint8), bitorder="little").view(np.bool_)[: lattice.shape[-1]]
-    if octile and len(lattice.shape) == 3:
+    if slice_search is None:
         path_rows, begins, expansions = jump_slices(
             free, reached[goal_row], lattice.padded[1], first, last, start_row, goal_row, lattice.step[:-1]
         )
     else:
-        path_rows, begins, expansions = _plain_slices(
-            lattice, reached, np.flatnonzero(feasible), first, last, start, goal, octile=octile
+        path_rows, begins, expansions, more = _each_slice(
+            lattice, reached, np.flatnonzero(feasible), first, last, start, goal, slice_search
         )
+        flooded += more
     return Layers(first, frozen(feasible), frozen(path_rows), frozen(begins), int(expansions), flooded)
 
 
-def _plain_slices(
+def _each_slice(
     lattice: Lattice,
     reached: WordArray,
     feasible: IntArray,
@@ -87,25 +96,31 @@ def _plain_slices(
     last: int,
     start: IntArray,
     goal: IntArray,
-    *,
-    octile: bool,
-) -> tuple[IntArray, IntArray, int]:
-    """As `jump_slices`, by a plain A* on each slice in turn."""
+    slice_search: SliceSearch,
+) -> tuple[IntArray, IntArray, int, int]:
+    """As `jump_slices`, each slice in turn by `slice_search`; the nodes that it flooded come last."""
     flat = Lattice.of(lattice.shape[:-1], lattice.step[:-1])
     strides = np.array([lattice.row_of(node) for node in np.eye(len(start), dtype=np.int64)[:-1]])
     origin = lattice.row_of(np.zeros(len(start), dtype=np.int64))
     strides -= origin
     lengths = np.zeros(last - first + 1, dtype=np.int64)
     parts = [np.empty(0, dtype=np.int64)]
-    expansions = 0
+    expansions = flooded = 0
     for number in feasible[(feasible >= first) & (feasible <= last)].tolist():
-        mask = _slice_bits(reached, number, lattice.shape[-2] + 2, flat.words)
-        path, _, expanded = astar(flat, mask, start[:-1], goal[:-1], octile=octile)
+        mask = slice_words(lattice, reached, number)
+        path, _, expanded, more = slice_search(flat, mask, start[:-1], goal[:-1])
         expansions += expanded
+        flooded += more
         if path is not None:
             parts.append(path @ strides + origin)
             lengths[number - first] = len(path)
-    return np.concatenate(parts), np.concatenate([[0], np.cumsum(lengths)]), expansions
+    return np.concatenate(parts), np.concatenate([[0], np.cumsum(lengths)]), expansions, flooded
+
+
+def slice_words(lattice: Lattice, words: WordArray, number: int) -> WordArray:
+    """One slice of bordered (rows, words) as a grid of its own, the axis before the last along the bits."""
+    sliced: WordArray = _slice_bits(words, number, lattice.padded[-1], words_for(lattice.shape[-2]))
+    return sliced
 
 
 @nb.njit(cache=True)

@@ -5,11 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
-from hplan.arrays import BoolArray, IntArray
+import numpy as np
+
+from hplan.arrays import BoolArray, FloatArray, IntArray
 
 #: What carried the path, or the verdict that there is none: the union of the slices between start and goal; the union
-#: of all slices; flooding, and the dense search on what it reached.
-Fallback = Literal["none", "all_slices", "dense"]
+#: of all slices; flooding, and the dense search on what it reached; a column, free in all slices between; two
+#: wavefronts over the whole grid.
+Fallback = Literal["none", "all_slices", "dense", "column", "wavefront"]
 
 
 @dataclass(frozen=True)
@@ -79,3 +82,8 @@ class SearchResult:
     restored_slices: tuple[int, ...] = ()
     sparse_nodes: int = 0
     fallback: Fallback = "none"
+
+
+def path_cost(path: IntArray, step: FloatArray) -> float:
+    """Length of a path over (m, d) node indices, each axis weighed by its step."""
+    return float(np.linalg.norm(np.diff(path, axis=0) * step, axis=1).sum())

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from hplan.arrays import FloatArray
 from hplan.errors import InputError
 from hplan.robot import Robot
-from hplan.scene import Box, Capsule, Fruit, Scene, Sphere
+from hplan.scene import Box, Capsule, Fruit, Mesh, PointCloud, Scene, Solid, Sphere
 from hplan.trajectory import Trajectory
 from hplan.view import three
 from hplan.view.three import Body, Json
@@ -47,6 +47,9 @@ _MARGIN = 1.1
 #: The camera stands to the side of the arm plane, turned forwards by this and raised by this [deg].
 _AZIMUTH_DEG = 32.0
 _ELEVATION_DEG = 17.0
+
+#: Most points of a cloud that are drawn.
+_MOST_POINTS = 20_000
 
 _ROOT = "/hplan"
 
@@ -238,7 +241,7 @@ def _scene_objects(scene: Scene) -> list[Json]:
     return commands
 
 
-def _add_obstacle(body: Body, item: Sphere | Capsule | Box, surface: Json) -> None:
+def _add_obstacle(body: Body, item: Sphere | Capsule | Box | Mesh | PointCloud, surface: Json) -> None:
     match item:
         case Sphere():
             body.add(three.sphere(item.radius), surface, three.transform(position=item.center), name=item.name)
@@ -246,6 +249,15 @@ def _add_obstacle(body: Body, item: Sphere | Capsule | Box, surface: Json) -> No
             three.add_capsule(body, item.start, item.end, item.radius, surface, name=item.name)
         case Box():
             body.add(three.box(item.size), surface, three.transform(item.rotation, item.center), name=item.name)
+        case Mesh():
+            body.add(three.facets(*item.surface), surface, name=item.name)
+        case PointCloud():
+            for cloud in item.solids:
+                some = cloud.core[:: -(-len(cloud.core) // _MOST_POINTS)]
+                # The viewer takes a dot's size as if the field of view were 90 degrees.
+                wide = 2.0 * cloud.rounding / np.tan(np.radians(0.5 * _FIELD_OF_VIEW_DEG))
+                dots = three.dots_material(OBSTACLE_COLOR, float(wide))
+                body.add(three.points(some), dots, name=item.name, kind="Points", shadow=False)
         case _:
             assert_never(item)
 
@@ -323,7 +335,7 @@ def _visible_points(robot: Robot, scene: Scene, configurations: FloatArray) -> F
     points = np.vstack([points - width, points + width, _footprint(robot)])
     reach = float(robot.arm.lengths.sum())
     for core, rounding in (
-        *((item.core, item.rounding) for item in scene.obstacles),
+        *((_outline(solid), solid.rounding) for item in scene.obstacles for solid in item.solids),
         *((np.array([fruit.center]), fruit.radius) for fruit in scene.fruits),
     ):
         corners = np.vstack([core - rounding, core + rounding])
@@ -331,6 +343,11 @@ def _visible_points(robot: Robot, scene: Scene, configurations: FloatArray) -> F
         points = np.vstack([points, np.clip(corners, robot.plane_origin - reach, robot.plane_origin + reach)])
     points[:, 2] = np.maximum(points[:, 2], 0.0)
     return points
+
+
+def _outline(solid: Solid) -> FloatArray:
+    """Points of a solid that speak for its extent, (k, 3) [m]."""
+    return np.stack([solid.core.min(axis=0), solid.core.max(axis=0)]) if solid.loose else solid.core
 
 
 def _footprint(robot: Robot) -> FloatArray:

@@ -56,6 +56,11 @@ def material(color: int, *, opacity: float = 1.0, kind: str = "MeshStandardMater
     return {"type": kind, "color": color, **gloss, **see_through, **properties}
 
 
+def dots_material(color: int, size: float) -> Json:
+    """Dots of one size [m] at a field of view of 90 degrees; the farther away, the smaller they look."""
+    return {"type": "PointsMaterial", "color": color, "size": round(size, 6), "sizeAttenuation": True}
+
+
 def ghost_material(color: int, opacity: float, layer: int) -> Json:
     """A translucent surface that covers each pixel once, however many bodies of the same `layer` lie behind it."""
     return material(
@@ -105,7 +110,7 @@ class Body:
             surface: Material.
             placement: (4, 4) pose in the node's frame; None for the node's own.
             name: Name in the viewer.
-            kind: `Mesh` or `LineSegments`.
+            kind: `Mesh`, `LineSegments` or `Points`.
             shadow: Throws a shadow.
             order: Smaller is drawn first, among see-through meshes.
         """
@@ -179,6 +184,11 @@ def facets(vertices: ArrayLike, faces: ArrayLike) -> Json:
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.linalg.norm(normals, axis=1, keepdims=True) + 1e-30
     return _buffers(np.arange(3 * len(corners)), position=corners, normal=np.repeat(normals, 3, axis=0))
+
+
+def points(places: FloatArray) -> Json:
+    """Dots: (n, 3) places [m]."""
+    return _buffers(np.arange(len(places)), position=places)
 
 
 def line_segments(points: FloatArray, pairs: IntArray, colors: FloatArray) -> Json:

@@ -171,7 +171,7 @@ def test_no_piece_in_contact_is_accepted_and_few_others_refused(robot):
             piece = rng.uniform(robot.lower, robot.upper) + np.cumsum(rng.uniform(-0.2, 0.2, (4, 4)), axis=0)
             if field.clearance(piece[0]) <= 0.0 or not -0.05 < field.clearance(bezier(piece, [0.5])[0]) < 0.2:
                 continue
-            chain = (field.chain, field.base, field.solids)
+            chain = (field.chain, field.base, field.solids, field.data)
             least = min(judge.distances(q).min() for q in bezier(piece, np.linspace(0.0, 1.0, 200)))
             bounds = np.empty(3)
             piece_bounds(piece, field.chain, field.base, bounds)
@@ -195,7 +195,7 @@ def test_contact_of_a_piece_for_a_moment_is_refused(robot):
                 reach = 2.2 + 0.03 + 0.001 + gap
                 bead = Sphere(name="bead", center=(reach * np.cos(at), 0, 0.6 + reach * np.sin(at)), radius=0.001)
                 field = ClearanceField.of(robot, [bead])
-                chain = (field.chain, field.base, field.solids)
+                chain = (field.chain, field.base, field.solids, field.data)
                 assert piece_is_clear(piece, *chain, 0.5e-4, 0.0) is clear
                 assert piece_is_clear(np.ascontiguousarray(piece[::-1]), *chain, 0.5e-4, 0.0) is clear
 
@@ -212,7 +212,7 @@ def test_the_piece_in_contact_is_named(robot, scene):
     assert found.tolist() == expected
     assert 0 < sum(expected) < len(expected)
     assert not path.is_clear(field, 1e-6)
-    chain = (field.chain, field.base, field.solids)
+    chain = (field.chain, field.base, field.solids, field.data)
     first = expected.index(True)
     assert pieces_are_clear(path.control, path.knots, 0, first - 1, *chain, 1e-6, 0.0)
     assert not pieces_are_clear(path.control, path.knots, 0, first, *chain, 1e-6, 0.0)

@@ -31,7 +31,8 @@ def check(free: BoolArray, start: IntArray, goal: IntArray, step: FloatArray, *,
             assert_path(free, result.path, start, goal)
             assert path_cost(result.path, step) == pytest.approx(result.cost, abs=1e-9)
 
-    # Each slice: a path exactly where there is one, and a shortest.
+    # Each slice: a path exactly where there is one, and a shortest unless the slice is a two-level problem itself.
+    nested = octile and free.ndim > 3
     expected = slice_paths(free, start, goal, step)
     own = {number: path for number, path in two_level.slice_paths.items() if number in expected}
     assert own.keys() == expected.keys()
@@ -39,7 +40,8 @@ def check(free: BoolArray, start: IntArray, goal: IntArray, step: FloatArray, *,
         ends = [[*start[:-1], number], [*goal[:-1], number]]
         assert_path(free, path, *ends)
     for number, path in own.items():
-        assert path_cost(path, step) == pytest.approx(path_cost(expected[number], step), abs=1e-9)
+        cost, least = path_cost(path, step), path_cost(expected[number], step)
+        assert cost >= least - 1e-9 if nested else cost == pytest.approx(least, abs=1e-9)
     assert two_level.feasible_slices is not None
     for number in range(free.shape[-1]):
         connected = free[(*start[:-1], number)] and component(free[..., number], start[:-1])[tuple(goal[:-1])]

@@ -16,11 +16,12 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from PIL import Image
+from shapes import crate
 
 from hplan.errors import InputError, OutputError
 from hplan.robot import Robot, load_robot
 from hplan.robot_family import ArmSpec, write_robot
-from hplan.scene import Box, Capsule, Fruit, Goal, Scene, Sphere, Start
+from hplan.scene import Box, Capsule, Fruit, Goal, Mesh, PointCloud, Scene, Sphere, Start
 from hplan.scene_file import load_scene
 from hplan.trajectory import Trajectory
 from hplan.view import three
@@ -248,6 +249,24 @@ def test_the_tool_path_goes_through_the_tool_positions(robot: Robot) -> None:
     assert distance.max() < 0.01
     assert np.isfinite(data["attributes"]["normal"]["array"]).all()
     assert max(data["index"]["array"]) == 10 * len(rings) - 1
+
+
+def test_meshes_and_clouds_are_drawn(robot: Robot) -> None:
+    points = np.random.default_rng(0).uniform(0.5, 1.5, (50_001, 3))
+    crate_ = Mesh.of("crate", *crate(), position=(1.0, 0.5, 0.2), rpy_deg=(0, 0, 30))
+    cloud = PointCloud.of("canopy", points, 0.01)
+    drawn = objects(stage(robot, orchard(obstacles=(crate_, cloud)), motion(robot)))
+    surface = drawn["/hplan/obstacles/mesh crate"]["geometries"][0]["data"]["attributes"]["position"]["array"]
+    vertices, faces = crate_.surface
+    np.testing.assert_allclose(np.reshape(surface, (-1, 3, 3)), vertices[faces], atol=1e-6)
+    dots = drawn["/hplan/obstacles/points canopy"]
+    (mesh,) = dots["object"]["children"]
+    assert mesh["type"] == "Points"
+    assert dots["materials"][0]["size"] == pytest.approx(0.02 / math.tan(math.radians(16.0)), abs=1e-6)
+    places = np.reshape(dots["geometries"][0]["data"]["attributes"]["position"]["array"], (-1, 3))
+    assert 15_000 < len(places) <= 20_000
+    np.testing.assert_allclose(places.mean(axis=0), [1, 1, 1], atol=0.01)
+    assert len(dots["geometries"][0]["data"]["index"]["array"]) == len(places)
 
 
 def test_the_camera_holds_arm_and_obstacles(robot: Robot) -> None:

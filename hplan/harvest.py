@@ -1,0 +1,155 @@
+"""From a fruit, or a point, to grasps: where the tool ends, where its straight approach begins.
+
+All configurations with the tool at the point come from closed-form inverse kinematics (`hplan.inverse`); each has an
+approach along the last link (`hplan.approach`), from a stand-off that is as long as asked for where that can be had,
+else shorter. Only the last link may touch the fruit that is reached for, and only on the approach; where no straight
+approach is clear, on the whole way.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hplan.approach import ApproachPath, standoffs
+from hplan.arrays import FloatArray, frozen
+from hplan.errors import BlockedError
+from hplan.inverse import reach
+from hplan.path import rest_to_rest
+from hplan.robot import Robot
+from hplan.surroundings import Surroundings
+
+#: Configurations that are looked at, about.
+COUNT = 64
+
+#: Stand-offs tried in turn, as shares of the one asked for.
+SHARES = (1.0, 0.5, 0.2)
+
+#: Where an approach is looked at, as shares of its length.
+_LOOKS = (0.25, 0.5, 0.75, 1.0)
+
+#: Clearance that a grasp and its stand-off have beyond the one to keep, and half of it all along the approach [m].
+SPARE = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Grasp:
+    """One way to have the tool at the point.
+
+    Attributes:
+        goal: (dof,) configuration with the tool at the point.
+        standoff: (dof,) configuration where the straight approach begins; the goal itself where there is none.
+        distance: Length of the approach [m].
+        approach: Absolute angle of the last link in the arm plane [rad].
+        least_duration: What no motion from the start over the stand-off to the goal can undercut [s].
+    """
+
+    goal: FloatArray
+    standoff: FloatArray
+    distance: float
+    approach: float
+    least_duration: float
+
+    def path(self, robot: Robot, locked: tuple[str, ...] = ()) -> ApproachPath | None:
+        """The approach, or None where there is none."""
+        return ApproachPath(robot, self.goal, self.distance, locked) if self.distance > 0.0 else None
+
+
+def grasps(
+    around: Surroundings,
+    near: Surroundings,
+    position: ArrayLike,
+    start: FloatArray,
+    *,
+    what: str,
+    standoff: float,
+    least_standoff: float = 0.0,
+    approach_deg: float | tuple[float, float] | None = None,
+    locked: Sequence[str] = (),
+) -> tuple[Grasp, ...]:
+    """All ways found to have the tool at a point, by the least duration that any motion there can have.
+
+    Args:
+        around: The arm among everything, for the way to the stand-off.
+        near: The same for the approach: the last link may touch the fruit.
+        position: (3,) the point, in `base_link` [m].
+        start: (dof,) configuration from which the arm comes.
+        what: What is at the point, for errors.
+        standoff: Length of the straight approach asked for [m]; where it cannot be had, shorter ones are tried.
+        least_standoff: Shortest approach [m].
+        approach_deg: Approach angle or an interval of it; None for all [deg].
+        locked: Names of joints that keep their start values.
+
+    Raises:
+        UnreachableError: No configuration reaches the point, whatever is in the way.
+        BlockedError: Obstacles are in the way of all that do; names them.
+        InputError: A position or an approach that is none.
+        OptionError: As `reach`.
+    """
+    robot = around.robot
+    found = reach(robot, position, approach_deg=approach_deg, count=COUNT, start=start, locked=locked)
+    clear = np.array([near.field.clearance(q) > SPARE for q in found.configurations])
+    if not clear.any():
+        raise _blocked(what, near, found.configurations)
+    goals, angles = found.configurations[clear], found.approach[clear]
+    chosen: dict[int, tuple[float, FloatArray]] = {}
+    for distance in _distances(standoff, least_standoff):
+        left = [i for i in range(len(goals)) if i not in chosen]
+        if not left:
+            break
+        for i, begin in zip(left, _clear_standoffs(around, near, goals[left], distance, locked), strict=True):
+            if begin is not None:
+                chosen[i] = (distance, begin)
+    if not chosen:
+        chosen = {i: (0.0, goal) for i, goal in enumerate(goals)}
+    ways = [
+        Grasp(goals[i], begin, distance, float(angles[i]), _least_duration(robot, start, begin, goals[i]))
+        for i, (distance, begin) in chosen.items()
+    ]
+    return tuple(sorted(ways, key=lambda grasp: grasp.least_duration))
+
+
+def _distances(standoff: float, least: float) -> list[float]:
+    """Lengths of the approach to try, the one asked for first."""
+    if standoff <= 0.0 and least <= 0.0:
+        return []
+    shorter = {max(least, share * standoff) for share in SHARES}
+    return sorted(shorter, reverse=True)
+
+
+def _clear_standoffs(
+    around: Surroundings, near: Surroundings, goals: FloatArray, distance: float, locked: Sequence[str]
+) -> list[FloatArray | None]:
+    """For each goal the configuration at the stand-off, if arm and approach are clear of obstacles there.
+
+    The approach is looked at along a polyline of a few points; `Grasp.path` is the exact one, and the certificate
+    judges that.
+    """
+    stages = [standoffs(around.robot, goals, distance * share, locked=locked) for share in _LOOKS]
+    ways = np.stack([goals, *(stage.configurations for stage in stages)], axis=1)
+    begins: list[FloatArray | None] = []
+    for feasible, way in zip(stages[-1].feasible, ways, strict=True):
+        usable = feasible and around.field.clearance(way[-1]) > SPARE and near.field.is_clear(way, 0.5 * SPARE)
+        begins.append(frozen(way[-1].copy()) if usable else None)
+    return begins
+
+
+def _least_duration(robot: Robot, start: FloatArray, standoff: FloatArray, goal: FloatArray) -> float:
+    """What no motion from the start over the stand-off to the goal can undercut [s]."""
+    limits = robot.velocity_limit, robot.acceleration_limit
+    return sum(float(rest_to_rest(np.abs(b - a), *limits).max()) for a, b in ((start, standoff), (standoff, goal)))
+
+
+def _blocked(what: str, near: Surroundings, configurations: FloatArray) -> BlockedError:
+    """The error that names what is in the way, the most frequent first."""
+    nearest = [near.judge.nearest(q) for q in configurations]
+    counts = Counter((contact.link, contact.obstacle) for contact in nearest if contact is not None)
+    obstacles = [
+        {"obstacle": obstacle, "link": link, "configurations": count}
+        for (link, obstacle), count in counts.most_common()
+    ]
+    return BlockedError(what, len(configurations), obstacles)

@@ -1,0 +1,116 @@
+"""Nodes are not motions: a motion between two nodes that cannot be shown clear, replaced by ones that can.
+
+First the joints move one after the other, in any order that will do. Then the middle of the motion is pushed out of
+the obstacles, along the gradient of the clearance, and the two halves are looked at in the same way.
+"""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+
+from hplan.arrays import FloatArray, frozen
+from hplan.clearance import ClearanceField
+
+#: How often a motion is halved.
+_HALVINGS = 3
+
+#: Steps along the gradient for one middle.
+_PUSHES = 8
+
+#: Largest push [rad], and the difference that the gradient is taken with.
+_LARGEST_PUSH, _DIFFERENCE = 0.1, 1e-4
+
+#: What a push aims at beyond the margin [m].
+_BEYOND = 2e-3
+
+
+def mended(
+    path: FloatArray, field: ClearanceField, lower: FloatArray, upper: FloatArray, margin: float
+) -> tuple[FloatArray, list[int]]:
+    """A polyline whose motions are shown clear, as far as they can be mended.
+
+    Args:
+        path: (m, dof) configurations.
+        field: Arm and obstacles.
+        lower: (dof,) joint limits.
+        upper: (dof,) joint limits; equal to `lower` for a joint that may not move.
+        margin: Clearance asked for wherever a motion is evaluated [m].
+
+    Returns:
+        The polyline, and the motions of the one given, by number, that could not be mended.
+    """
+    pieces, contacts = [path[:1]], []
+    for i in range(len(path) - 1):
+        inner: FloatArray | None = np.empty((0, path.shape[1]))
+        if not field.is_clear(path[i : i + 2], margin):
+            inner = _in_turn(path[i], path[i + 1], field, margin)
+            if inner is None:
+                inner = _pushed(path[i], path[i + 1], field, lower, upper, margin, _HALVINGS)
+        if inner is None:
+            contacts.append(i)
+        else:
+            pieces.append(inner)
+        pieces.append(path[i + 1 : i + 2])
+    return frozen(np.concatenate(pieces)), contacts
+
+
+def _in_turn(first: FloatArray, last: FloatArray, field: ClearanceField, margin: float) -> FloatArray | None:
+    """Configurations between two at which one joint stops and another sets out."""
+    for order in itertools.permutations(np.flatnonzero(first != last)):
+        inner = np.repeat(first[None], max(0, len(order) - 1), axis=0)
+        for k, joint in enumerate(order[:-1]):
+            inner[k:, joint] = last[joint]
+        if field.is_clear(np.vstack([first, inner, last]), margin):
+            return inner
+    return None
+
+
+def _pushed(
+    first: FloatArray,
+    last: FloatArray,
+    field: ClearanceField,
+    lower: FloatArray,
+    upper: FloatArray,
+    margin: float,
+    halvings: int,
+) -> FloatArray | None:
+    """Configurations between two, each the middle of its neighbours pushed out of the obstacles."""
+    middle = _out(0.5 * (first + last), field, lower, upper, margin + _BEYOND)
+    if middle is None:
+        return None
+    parts = []
+    for a, b in ((first, middle), (middle, last)):
+        if field.is_clear(np.stack([a, b]), margin):
+            parts.append(np.empty((0, len(first))))
+            continue
+        if halvings == 0:
+            return None
+        inner = _pushed(a, b, field, lower, upper, margin, halvings - 1)
+        if inner is None:
+            return None
+        parts.append(inner)
+    return np.vstack([parts[0], middle, parts[1]])
+
+
+def _out(
+    q: FloatArray, field: ClearanceField, lower: FloatArray, upper: FloatArray, wanted: float
+) -> FloatArray | None:
+    """A configuration nearby that has the clearance wanted."""
+    movable = np.flatnonzero(upper > lower)
+    probe = _DIFFERENCE * np.eye(len(q))[movable]
+    for _ in range(_PUSHES):
+        clearance = field.clearance(q)
+        if clearance >= wanted:
+            return q
+        gradient = np.zeros(len(q))
+        gradient[movable] = [field.clearance(q + step) - field.clearance(q - step) for step in probe]
+        gradient /= 2.0 * _DIFFERENCE
+        square = float(gradient @ gradient)
+        if square < 1e-6:
+            return None
+        push = (wanted + 0.5 * _BEYOND - clearance) / square * gradient
+        push *= min(1.0, _LARGEST_PUSH / max(float(np.abs(push).max()), 1e-12))
+        q = np.clip(q + push, lower, upper)
+    return q if field.clearance(q) >= wanted else None

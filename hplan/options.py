@@ -1,0 +1,63 @@
+"""How to plan: what a user may choose."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from hplan.errors import OptionError
+from hplan.path import check_rate, check_speed
+from hplan.postprocess import OBJECTIVES, Objective
+from hplan.section import LinkModel, check_link_model
+
+Method = Literal["two-level", "dense"]
+METHODS: tuple[Method, ...] = ("two-level", "dense")
+
+
+@dataclass(frozen=True)
+class PlanOptions:
+    """How to plan.
+
+    Attributes:
+        method: `two-level`, or `dense` for the baseline.
+        step_deg: Largest spacing of the joint grid [deg].
+        objective: `duration` for the fastest motion, `length` for the shortest path.
+        link_model: Link model of the C-space; motions are always certified for capsules.
+        rate_hz: Rows of the trajectory per second.
+        speed: Share of the velocity limits to use, in (0, 1].
+        tracking_error: Deviation from the trajectory to be covered by the certificate, each joint [rad].
+        sigmas: How many standard deviations of its place an obstacle is grown by, where the scene gives one.
+        standoff: Length of the straight approach to a fruit or a point [m]; shorter where it cannot be had.
+        certify: False exports what was not certified, and says so.
+    """
+
+    method: Method = "two-level"
+    step_deg: float = 1.0
+    objective: Objective = "duration"
+    link_model: LinkModel = "capsule"
+    rate_hz: float = 250.0
+    speed: float = 1.0
+    tracking_error: float = 0.0
+    sigmas: float = 3.0
+    standoff: float = 0.1
+    certify: bool = True
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        if self.method not in METHODS:
+            raise OptionError("method", self.method, f"one of {', '.join(METHODS)}")
+        if self.objective not in OBJECTIVES:
+            raise OptionError("objective", self.objective, f"one of {', '.join(OBJECTIVES)}")
+        check_link_model(self.link_model)
+        if not (np.isfinite(self.step_deg) and self.step_deg > 0.0):
+            raise OptionError("step_deg", self.step_deg, "a positive number of degrees")
+        check_rate(self.rate_hz)
+        check_speed(self.speed)
+        if not (np.isfinite(self.tracking_error) and self.tracking_error >= 0.0):
+            raise OptionError("tracking_error", self.tracking_error, "a finite number of radians >= 0")
+        for name in ("sigmas", "standoff"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value >= 0.0):
+                raise OptionError(name, value, "a finite number >= 0")

@@ -1,0 +1,18 @@
+"""Orchards to plan in: rows of trees grown from a seed, trees read from measurements, fruit on either."""
+
+from hplan.orchard.capsule_file import import_capsules
+from hplan.orchard.fruits import fruit_at_tips
+from hplan.orchard.generator import generate, measured_orchard
+from hplan.orchard.options import TUCKED_DEG, FruitZone, OrchardOptions
+from hplan.orchard.shipped import SHIPPED
+
+__all__ = [
+    "SHIPPED",
+    "TUCKED_DEG",
+    "FruitZone",
+    "OrchardOptions",
+    "fruit_at_tips",
+    "generate",
+    "import_capsules",
+    "measured_orchard",
+]

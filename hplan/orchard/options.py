@@ -1,0 +1,181 @@
+"""What an orchard is asked to be, checked: its row of trees, its wires and posts, its fruit."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass
+from typing import Final, Literal, TypeAlias, get_args
+
+from hplan.errors import OptionError
+from hplan.orchard.checks import check_numbers, keep_count, keep_number
+
+#: How the trees are trained: branches all around a leader, or arms along the wires.
+Form: TypeAlias = Literal["spindle", "trellis"]
+FORMS: tuple[Form, ...] = get_args(Form)
+
+#: Where the harvester waits: upper arm upright, forearm level and to the rear, hand down. Nothing of the arm is more
+#: than 5 cm in front of the base's axis then, whatever the row's distance, and a turn of the base sweeps a radius of
+#: 0.84 m, against 1.24 m with the hand stretched out.
+TUCKED_DEG: Final = (0.0, 90.0, 90.0, 90.0)
+
+#: Largest coordinate of anything in an orchard [m]; beyond it a file is in other units than metres.
+FARTHEST: Final = 1000.0
+
+
+@dataclass(frozen=True)
+class FruitZone:
+    """Where a fruit's centre may be: a disc about the base's axis, between two heights.
+
+    Attributes:
+        low: Least height [m].
+        high: Greatest height [m].
+        reach: Greatest distance from the base's axis, the z axis of `base_link` [m].
+    """
+
+    low: float = -FARTHEST
+    high: float = FARTHEST
+    reach: float = 2.0 * FARTHEST
+
+    def __post_init__(self) -> None:
+        """Check every value.
+
+        Raises:
+            OptionError: A value is no finite number, the heights are swapped, the reach is not positive.
+        """
+        keep_number(self, "low", -FARTHEST, FARTHEST)
+        keep_number(self, "high", -FARTHEST, FARTHEST)
+        keep_number(self, "reach", 1e-3, 2.0 * FARTHEST)
+        if not self.low < self.high:
+            raise OptionError("high", self.high, f"more than low, {self.low:g} m")
+
+    def holds(self, x: float, y: float, z: float) -> bool:
+        """Whether a point is inside."""
+        return self.low <= z <= self.high and math.hypot(x, y) <= self.reach
+
+
+@dataclass(frozen=True)
+class OrchardOptions:
+    """A row of trees in front of the arm: across its view, along y, at `distance` along x.
+
+    Wires run along the row through the trunks, from post to post; the posts stand half a spacing beyond the outer
+    trees. The defaults are an apple orchard's, and a zone for the fruit that the harvester reaches nearly all of.
+
+    Attributes:
+        name: Name of the scene.
+        seed: What is left to chance follows from this number alone.
+        form: `spindle`: branches all around the trunk; `trellis`: arms along the wires, with branches on them.
+        trees: Number of trees, the row's middle in front of the base.
+        spacing: Distance of neighbouring trunks [m].
+        distance: Distance of the row from the base's axis [m].
+        tree_height: Height of the trees [m].
+        trunk_radius: Radius of a trunk at the ground; it tapers [m].
+        branches: Branches of each tree.
+        branch_length: Length of the longest branches [m].
+        first_branch: Height of the lowest branch of a spindle [m].
+        shoots: Side shoots on each branch.
+        wire_heights: Heights of the wires [m]; a trellis has a pair of arms at each that its trunk reaches.
+        wire_radius: Radius of a wire [m].
+        posts: Whether posts stand at the row's ends.
+        fruits: Number of fruits in all.
+        fruit_radius: Radius of a fruit [m].
+        fruit_zone: Where their centres may be.
+        picked: Numbers of the fruits that hang no more, as all were counted; the rest is counted anew.
+        goal: Name of the fruit to reach for; None for the first.
+        stem: Greatest gap between a fruit and the wood that it hangs from [m].
+        ground: Whether the ground is an obstacle.
+        vehicle: Whether the body of a vehicle, behind the arm, is one.
+        clearance: Distance that a motion is to keep from everything [m].
+    """
+
+    name: str = "orchard"
+    seed: int = 0
+    form: Form = "spindle"
+    trees: int = 3
+    spacing: float = 1.1
+    distance: float = 1.4
+    tree_height: float = 2.7
+    trunk_radius: float = 0.03
+    branches: int = 18
+    branch_length: float = 0.6
+    first_branch: float = 0.6
+    shoots: int = 2
+    wire_heights: tuple[float, ...] = (0.8, 1.5, 2.2)
+    wire_radius: float = 0.0015
+    posts: bool = True
+    fruits: int = 24
+    fruit_radius: float = 0.04
+    fruit_zone: FruitZone = FruitZone(1.45, 2.05, 1.7)
+    picked: tuple[int, ...] = ()
+    goal: str | None = None
+    stem: float = 0.02
+    ground: bool = False
+    vehicle: bool = False
+    clearance: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Check every value.
+
+        Raises:
+            OptionError: A value is of the wrong kind or out of its range.
+        """
+        if not (isinstance(self.name, str) and self.name):
+            raise OptionError("name", self.name, "a text that is not empty")
+        if self.form not in FORMS:
+            raise OptionError("form", self.form, f"one of {', '.join(FORMS)}")
+        for option, (least, most) in _COUNTS.items():
+            keep_count(self, option, least, most)
+        for option, (low, high) in _MEASURES.items():
+            keep_number(self, option, low, high)
+        for option in ("posts", "ground", "vehicle"):
+            if not isinstance(getattr(self, option), bool):
+                raise OptionError(option, getattr(self, option), "True or False")
+        if not isinstance(self.fruit_zone, FruitZone):
+            raise OptionError("fruit_zone", self.fruit_zone, "a FruitZone")
+        self._check_heights()
+        self._check_picked()
+
+    def _check_heights(self) -> None:
+        """Keep the wires' heights as a tuple of floats, and see that trunk, branches and wires fit together."""
+        heights = check_numbers("wire_heights", self.wire_heights, 0.01, 10.0)
+        object.__setattr__(self, "wire_heights", heights)
+        if any(high <= low for low, high in itertools.pairwise(heights)):
+            raise OptionError("wire_heights", heights, "heights that increase")
+        if self.form == "spindle" and self.first_branch >= self.tree_height:
+            raise OptionError("first_branch", self.first_branch, f"less than the tree's height, {self.tree_height:g} m")
+        if self.form == "trellis" and not any(height < self.tree_height for height in heights):
+            raise OptionError("wire_heights", heights, f"a wire below the tree's height, {self.tree_height:g} m")
+
+    def _check_picked(self) -> None:
+        """Keep the picked fruits as a tuple of ints, and see that each was there and some are left."""
+        given = check_numbers("picked", self.picked, 1, self.fruits)
+        if not all(number.is_integer() for number in given):
+            raise OptionError("picked", self.picked, "whole numbers")
+        numbers = tuple(map(int, given))
+        object.__setattr__(self, "picked", numbers)
+        if len(set(numbers)) < len(numbers) or len(numbers) == self.fruits:
+            raise OptionError("picked", numbers, f"numbers that differ, and fewer than {self.fruits}")
+
+
+#: Least and greatest count.
+_COUNTS = {
+    "seed": (0, None),
+    "trees": (1, 100),
+    "branches": (0, 200),
+    "shoots": (0, 20),
+    "fruits": (1, 1000),
+}
+
+#: Least and greatest measure [m].
+_MEASURES = {
+    "spacing": (0.2, 10.0),
+    "distance": (0.3, 100.0),
+    "tree_height": (0.5, 10.0),
+    "trunk_radius": (0.005, 0.3),
+    "branch_length": (0.1, 3.0),
+    "first_branch": (0.05, 10.0),
+    "wire_radius": (0.0001, 0.05),
+    "fruit_radius": (0.005, 0.2),
+    "stem": (0.0, 0.2),
+    "clearance": (0.0, 1.0),
+}

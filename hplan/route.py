@@ -1,0 +1,390 @@
+"""From start to goal on a grid over the joints that may move: a polyline of configurations.
+
+With the base locked the grid is that of the planar joints. Where the base may turn, yaw is a further axis
+(`hplan.turning_space`). Nodes are not motions: the polyline's own motions are looked at by the caller, or, where the
+base turns, mended here: a motion that cannot be shown clear is made joint by joint, or its nodes are avoided.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hplan.arrays import BoolArray, FloatArray, IntArray, WordArray, frozen
+from hplan.blockage import blockers
+from hplan.clearance import ClearanceField
+from hplan.connect import joined_nodes
+from hplan.cspace import occupancy
+from hplan.errors import CertificationError, NoPathError, OptionError
+from hplan.grid import Grid, Occupancy
+from hplan.mend import mended
+from hplan.options import PlanOptions
+from hplan.problem import Problem
+from hplan.report import StageClock
+from hplan.robot import Robot
+from hplan.scene import Scene
+from hplan.search import SearchResult, dense_search, reachable, two_level_search
+from hplan.search.flood import has_bit
+from hplan.search.lattice import Lattice
+from hplan.search.result import path_cost
+from hplan.search.wavefront import Wavefronts, meet
+from hplan.section import ArmSections, sections_at
+from hplan.surroundings import Surroundings
+from hplan.turning_space import Layers, turning_occupancy, yaw_axis
+
+#: How many motions of a way that cannot be shown clear are led around.
+DETOURS = 20
+
+#: So much farther from obstacles than the nodes of such a motion must nodes beside them be to be used instead [m].
+ASIDE = 2e-3
+
+
+#: Called with the name of each stage as it begins.
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Rung:
+    """One try: how fine the grid is, and how much obstacles are grown in it.
+
+    Attributes:
+        step_deg: Largest spacing of the grid [deg].
+        growth: Growth of obstacles in the C-space [m].
+        beyond: How far the base may turn beyond start and goal; used where it turns.
+        thick: Whether each layer of yaws holds the obstacles at all yaws nearer to it than to others, not at its own
+            yaw alone: motions between layers are then seldom in contact, but narrow ways are closed.
+    """
+
+    step_deg: float
+    growth: float = 0.0
+    beyond: float = 0.0
+    thick: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Route:
+    """A way over the grid.
+
+    Attributes:
+        occupancy: The C-space that was searched.
+        search: The search.
+        path: (m, dof) configurations from start to goal.
+        step_deg: Largest spacing of the grid [deg].
+    """
+
+    occupancy: Occupancy
+    search: SearchResult
+    path: FloatArray
+    step_deg: float
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """What every try at one motion shares.
+
+    Attributes:
+        around: The arm and what it must keep clear of.
+        scene: Where that comes from.
+        problem: Start, goal, joints that may move.
+        options: How to plan.
+        clock: Where time is noted.
+        layers: Planar layers that are already there.
+        progress: Called with the name of each stage as it begins.
+    """
+
+    around: Surroundings
+    scene: Scene
+    problem: Problem
+    options: PlanOptions
+    clock: StageClock
+    layers: Layers
+    progress: Progress
+
+    @property
+    def robot(self) -> Robot:
+        """The arm."""
+        return self.around.robot
+
+    @property
+    def field(self) -> ClearanceField:
+        """Distances between the arm and what it must keep clear of."""
+        return self.around.field
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Announce a stage, and note the time of what runs inside."""
+        self.progress(name)
+        with self.clock.stage(name):
+            yield
+
+    @property
+    def axes(self) -> IntArray:
+        """The joint behind each axis of the grid: the planar joints, then the yaw where it may turn."""
+        planar = np.arange(self.robot.dof)[self.robot.arm_slice]
+        return np.append(planar, 0) if self.problem.turns else planar
+
+    def ends(self, space: Occupancy, margin: float) -> tuple[_Ends, _Ends]:
+        """Start and goal joined to the grid by motions that keep `margin` [m] wherever they are evaluated.
+
+        Raises:
+            CertificationError: One of them is joined to no node.
+        """
+        start, goal = self.problem.start, self.problem.goal
+        return (
+            _Ends(joined_nodes(space, start, self.axes, self.field, margin), "start"),
+            _Ends(joined_nodes(space, goal, self.axes, self.field, margin), "goal"),
+        )
+
+    def planar_grid(self, step_deg: float) -> Grid:
+        """The grid over the planar joints.
+
+        Raises:
+            OptionError: A step that gives none.
+        """
+        planar = self.robot.arm_slice
+        try:
+            return Grid.over(self.problem.lower[planar], self.problem.upper[planar], np.radians(step_deg))
+        except OptionError as error:
+            raise OptionError("step_deg", self.options.step_deg, error.expected) from error
+
+    def search(self, space: Occupancy, start: IntArray, goal: IntArray) -> SearchResult:
+        """The search that the options ask for, its time noted."""
+        self.progress("search")
+        if self.options.method == "dense" or len(space.grid.shape) < 2:
+            found = dense_search(space, start, goal)
+        else:
+            found = two_level_search(space, start, goal)
+        for stage in ("layers", "sparse", "fallback"):
+            self.clock.add(stage, getattr(found.times, stage))
+        return found
+
+    def configurations(self, grid: Grid, nodes: IntArray) -> tuple[FloatArray, int]:
+        """The way over nodes as (m, dof) configurations, with start and goal where they stand beside the grid.
+
+        Returns:
+            The configurations, and at which of them the nodes begin (0 or 1).
+        """
+        path = np.repeat(self.problem.start[None], len(nodes), axis=0)
+        path[:, self.axes] = grid.coordinates(nodes)
+        before = 0
+        for end, q in ((0, self.problem.start), (-1, self.problem.goal)):
+            if np.abs(path[end] - q).max() < 1e-9:
+                path[end] = q
+            elif end == 0:
+                path, before = np.vstack([q, path]), 1
+            else:
+                path = np.vstack([path, q])
+        return frozen(path), before
+
+
+def find_route(task: Task, rung: Rung, margin: float) -> Route:
+    """A way over the grid.
+
+    Args:
+        task: Arm, obstacles and what is asked.
+        rung: Grid, growth and range of yaws.
+        margin: Clearance asked of motions to the grid, and of all motions where the base turns, wherever they are
+            evaluated [m].
+
+    Raises:
+        NoPathError: There is none on the grid.
+        CertificationError: Start or goal cannot be joined to the grid; no way on it can be shown clear.
+        OptionError: A step that gives no grid.
+    """
+    return _turning_route(task, rung, margin) if task.problem.turns else _planar_route(task, rung, margin)
+
+
+def _planar_route(task: Task, rung: Rung, margin: float) -> Route:
+    with task.stage("cspace"):
+        sections = sections_at(
+            task.robot,
+            task.around.bodies(rung.growth),
+            task.robot.yaw_of(task.problem.start),
+            link_model=task.options.link_model,
+            within_reach=False,
+        )
+        space = occupancy(task.robot.arm, sections, task.planar_grid(rung.step_deg))
+    search, nodes = _planar_search(task, space, sections, *task.ends(space, margin))
+    return Route(space, search, task.configurations(space.grid, nodes)[0], rung.step_deg)
+
+
+def _planar_search(
+    task: Task, space: Occupancy, sections: ArmSections, start: _Ends, goal: _Ends
+) -> tuple[SearchResult, IntArray]:
+    """Search between the grid nodes that start and goal are joined to.
+
+    Beside the grid there may be several, and the nearest may lie in a pocket: "no path" is said only when no pair
+    of them is connected.
+    """
+    search = task.search(space, start.first, goal.first)
+    if search.path is not None:
+        return search, search.path
+    most: tuple[int, BoolArray] = (0, np.zeros(space.grid.shape, dtype=np.bool_))
+    for node in start.all():
+        reached = reachable(space, node)
+        for other in goal.all():
+            if reached[tuple(other)]:
+                search = task.search(space, node, other)
+                if search.path is not None:
+                    return search, search.path
+        if int(reached.sum()) > most[0]:
+            most = (int(reached.sum()), reached)
+    raise _no_path(task.robot, sections, space.grid, most[1], f"the start reaches {most[0]} of {space.grid.size} nodes")
+
+
+def _turning_route(task: Task, rung: Rung, margin: float) -> Route:
+    problem = task.problem
+    with task.stage("cspace"):
+        planar = task.planar_grid(rung.step_deg)
+        yaws = yaw_axis(
+            problem.start[0], problem.goal[0], math.radians(rung.step_deg), problem.lower[0], problem.upper[0],
+            rung.beyond,
+        )  # fmt: skip
+        space = turning_occupancy(
+            task.robot, task.around.bodies(rung.growth), planar, *yaws, thick=rung.thick, layers=task.layers
+        )
+    start, goal = task.ends(space, margin)
+    lattice = Lattice.of(space.grid.shape, space.grid.step)
+    free = lattice.bordered(space.free_words)
+    search = task.search(space, start.first, goal.first)
+    nodes = search.path
+    if nodes is None:
+        search, fronts = _by_fronts(task, lattice, free, start, goal, search)
+        nodes = fronts.path
+        if nodes is None:
+            raise _enclosed(task, rung, space, lattice, fronts)
+    for _ in range(DETOURS):
+        way, before = task.configurations(space.grid, nodes)
+        path, contacts = mended(way, task.field, problem.lower, problem.upper, margin)
+        if not contacts:
+            return Route(space, search, path, rung.step_deg)
+        here = contacts[0] - before  # the motion from this node to the next is in contact; -1: from the start
+        _take_out(task, space.grid, lattice, free, nodes[max(0, here) : here + 2])
+        ahead, behind = start.among(lattice, free, nodes[: max(0, here)]), goal.among(lattice, free, nodes[here + 2 :])
+        bypass = None
+        if len(ahead) and len(behind):
+            with task.clock.stage("fallback"):
+                bypass = meet(lattice, free, ahead, behind).path
+        if bypass is None:
+            break
+        nodes = np.concatenate(
+            [_until(nodes[: max(0, here)], bypass[0]), bypass, _after(nodes[here + 2 :], bypass[-1])]
+        )
+    raise CertificationError("no way on the grid can be shown clear as a motion")
+
+
+def _take_out(task: Task, grid: Grid, lattice: Lattice, free: WordArray, nodes: IntArray) -> None:
+    """Take nodes, and those beside them that are no farther from obstacles, out of the free ones."""
+    steps = np.array(list(itertools.product((-1, 0, 1), repeat=len(grid.shape))))
+    q = task.problem.start.copy()
+
+    def clearance(node: IntArray) -> float:
+        q[task.axes] = grid.coordinates(node)
+        return task.field.clearance(q)
+
+    most = max(clearance(node) for node in nodes) + ASIDE
+    beside = np.unique((nodes[:, None] + steps).reshape(-1, len(grid.shape)), axis=0)
+    inside = ((beside >= 0) & (beside < grid.shape)).all(axis=1)
+    for node in beside[inside]:
+        row, bit = lattice.row_of(node), int(node[-1])
+        if has_bit(free, row, bit) and clearance(node) <= most:
+            free[row, bit >> 6] &= ~(np.uint64(1) << np.uint64(bit & 63))
+
+
+def _until(nodes: IntArray, last: IntArray) -> IntArray:
+    """The nodes before one of them; none where it is not among them."""
+    return nodes[: int((nodes == last).all(axis=1).argmax())] if len(nodes) else nodes
+
+
+def _after(nodes: IntArray, first: IntArray) -> IntArray:
+    """The nodes after one of them; none where it is not among them."""
+    if not len(nodes):
+        return nodes
+    matches = (nodes == first).all(axis=1)
+    return nodes[int(matches.argmax()) + 1 :] if matches.any() else nodes[:0]
+
+
+def _by_fronts(
+    task: Task, lattice: Lattice, free: WordArray, start: _Ends, goal: _Ends, search: SearchResult
+) -> tuple[SearchResult, Wavefronts]:
+    """A way between any of the nodes that start and goal are joined to."""
+    begin = time.perf_counter()
+    fronts = meet(lattice, free, np.array(start.all()), np.array(goal.all()))
+    seconds = time.perf_counter() - begin
+    task.clock.add("fallback", seconds)
+    found = replace(
+        search,
+        path=fronts.path,
+        cost=math.inf if fronts.path is None else path_cost(fronts.path, lattice.step),
+        expansions=search.expansions.with_fallback(0, fronts.flooded),
+        times=replace(search.times, fallback=search.times.fallback + seconds),
+        fallback="wavefront",
+    )
+    return found, fronts
+
+
+class _Ends:
+    """The nodes that one end is joined to; the first is found at once, the others when asked for."""
+
+    def __init__(self, nodes: Iterator[IntArray], which: str) -> None:
+        self._rest = nodes
+        first = next(nodes, None)
+        if first is None:
+            raise CertificationError(
+                f"no motion from the {which} to a free node of the grid can be shown clear; a smaller step may help",
+                which=which,
+            )
+        self.first = first
+        self._known = [first]
+
+    def all(self) -> list[IntArray]:
+        """All of them, the nearest first."""
+        self._known.extend(self._rest)
+        return self._known
+
+    def among(self, lattice: Lattice, free: WordArray, nodes: IntArray) -> IntArray:
+        """Those of a way's nodes that are still free; of the nodes that this end is joined to where there are none."""
+        for choice in (nodes, self.all()):
+            left = [node for node in choice if has_bit(free, lattice.row_of(node), int(node[-1]))]
+            if left:
+                return np.array(left)
+        return np.empty((0, len(lattice.shape)), dtype=np.int64)
+
+
+def _enclosed(task: Task, rung: Rung, space: Occupancy, lattice: Lattice, fronts: Wavefronts) -> NoPathError:
+    """The error for an end that is enclosed; `open_ended` where more yaws might open it."""
+    grid, yaw = space.grid, task.problem
+    bits = np.unpackbits(lattice.unbordered(fronts.reached).view(np.uint8), axis=1, bitorder="little")
+    by_layer = bits[:, : grid.shape[-1]].sum(axis=0, dtype=np.int64)
+    last = grid.lower[-1] + (grid.shape[-1] - 1) * grid.step[-1]
+    open_below = by_layer[0] > 0 and grid.lower[-1] - grid.step[-1] >= yaw.lower[0] - 1e-9
+    open_above = by_layer[-1] > 0 and last + grid.step[-1] <= yaw.upper[0] + 1e-9
+    layer = int(by_layer.argmax())
+    at = float(grid.lower[-1] + layer * grid.step[-1])
+    planar = Grid(grid.lower[:-1], grid.step[:-1], grid.shape[:-1])
+    sections = sections_at(task.robot, task.around.bodies(rung.growth), at, within_reach=False)
+    reached = frozen(bits[:, layer].astype(np.bool_).reshape(planar.shape))
+    what = f"the {fronts.enclosed} is connected to {int(by_layer.sum())} of {grid.size} nodes"
+    error = _no_path(task.robot, sections, planar, reached, what)
+    error.open_ended = bool(open_below or open_above)
+    return error
+
+
+def _no_path(robot: Robot, sections: ArmSections, grid: Grid, reached: BoolArray, what: str) -> NoPathError:
+    """The error that says what bounds a region."""
+    walls = blockers(robot.arm, sections, grid, reached)
+    message = f"no path exists on the grid: {what}, not the other end"
+    if walls:
+        first = walls[0]
+        low, high = first["slices_deg"]
+        message += (
+            f"; most of their border is held by obstacle {first['obstacle']!r} against link {first['link']!r}"
+            f" ({robot.arm.joint_names[-1]} from {low:g} to {high:g} deg)"
+        )
+    return NoPathError(message, reached_cells=int(reached.sum()), blockers=walls)

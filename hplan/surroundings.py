@@ -1,0 +1,79 @@
+"""What an arm has to keep clear of, made ready for planning and for judging.
+
+The clearance to keep differs from obstacle to obstacle: to the scene's own comes what the tracking error may take, and
+for an obstacle whose place is uncertain a chosen number of its standard deviations.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hplan.arrays import FloatArray, frozen
+from hplan.clearance import ClearanceField
+from hplan.collision import CollisionScene
+from hplan.robot import Robot
+from hplan.scene import Solid
+from hplan.section import Bodies, bodies_of
+
+
+@dataclass(frozen=True, eq=False)
+class Surroundings:
+    """An arm among solids.
+
+    Attributes:
+        robot: The arm.
+        solids: What it keeps clear of.
+        clearance: Clearance to keep from all of them [m]: the scene's, and what the tracking error may take.
+        growth: (solids,) clearance to keep from each beyond that, for its uncertainty [m].
+        field: Distances between arm and solids, less the clearance to keep.
+        judge: The solids in coal, each grown by its own growth.
+    """
+
+    robot: Robot
+    solids: tuple[Solid, ...]
+    clearance: float
+    growth: FloatArray
+    field: ClearanceField
+    judge: CollisionScene
+
+    @classmethod
+    def of(
+        cls,
+        robot: Robot,
+        solids: Sequence[Solid],
+        *,
+        clearance: float = 0.0,
+        tracking_error: float = 0.0,
+        sigmas: float = 0.0,
+    ) -> Surroundings:
+        """Make solids ready.
+
+        Args:
+            robot: The arm.
+            solids: What it keeps clear of.
+            clearance: Clearance to keep [m].
+            tracking_error: Deviation of any joint that motions have to allow for [rad].
+            sigmas: How many standard deviations of its place an obstacle grows by.
+        """
+        growth = frozen(np.array([sigmas * solid.sigma for solid in solids], dtype=np.float64))
+        keep = clearance + float(robot.sway(tracking_error).max())
+        return cls(
+            robot=robot,
+            solids=tuple(solids),
+            clearance=keep,
+            growth=growth,
+            field=ClearanceField.of(robot, solids, clearance=keep + growth),
+            judge=CollisionScene(robot, solids, growth=growth),
+        )
+
+    def touching(self, name: str) -> Surroundings:
+        """The same where the last link may touch the solids of a name; the field does not know them at all."""
+        near = np.array([solid.name != name for solid in self.solids], dtype=np.bool_)
+        return replace(self, field=self.field.only(near), judge=self.judge.touching(name))
+
+    def bodies(self, more: float = 0.0) -> Bodies:
+        """The solids made ready for cutting, grown by the clearance to keep and `more` [m]."""
+        return bodies_of(self.solids, clearance=self.clearance + self.growth + more)

@@ -1,0 +1,265 @@
+"""One motion from configuration to configuration: route, smooth path, timing, certificate, tried until all hold.
+
+Where the base turns and the straight motion is clear, that is the motion. Else grids are tried in turn, from coarse and
+near to fine and wide.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hplan.arrays import FloatArray, frozen
+from hplan.certificate import Certificate, certify
+from hplan.errors import CertificationError, HplanError, NoPathError
+from hplan.path import GeometricPath, Limits, rest_to_rest
+from hplan.postprocess import PostprocessOptions, SplinePath, fast_path
+from hplan.route import Route, Rung, Task, find_route
+from hplan.timing import resting, time_path
+from hplan.trajectory import Trajectory
+
+#: Clearance asked for wherever a motion is evaluated, beyond the scene's own [m]; less where start or goal have less.
+MARGIN = 2e-3
+
+#: Nodes are not motions: where the grid path's motions cannot be shown clear, the search is repeated with obstacles
+#: grown by these [m].
+GROWTH = (0.0, 2e-3, 5e-3, 0.01, 0.02, 0.04)
+
+#: Where that does not help either, grids this many times as fine are tried.
+FINER = (1.0, 2.0)
+
+#: Where the base turns: steps of the grid as multiples of the option, how far the base may turn beyond start and goal
+#: [deg], growth of obstacles [m], whether layers are thick. What is closed on the grid of the finest step for all yaws
+#: is closed.
+TURNING = (
+    (2.0, 0.0, 0.0, False),
+    (2.0, 0.0, 0.0, True),
+    (2.0, 45.0, 0.0, False),
+    (2.0, 45.0, 0.0, True),
+    (1.0, 45.0, 0.0, False),
+    (1.0, 45.0, 0.0, True),
+    (2.0, 360.0, 0.0, False),
+    (1.0, 360.0, 0.0, False),
+    (1.0, 45.0, 5e-3, True),
+    (1.0, 45.0, 0.02, False),
+)
+
+#: A route is searched to a goal that promises to be reached in less than this share of the time of a straight motion.
+WORTHWHILE = 0.7
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """A certified motion from configuration to configuration.
+
+    Attributes:
+        task: What was asked.
+        route: The way over the grid; None where none was needed.
+        way: (m, dof) waypoints before post-processing.
+        path: The smooth path; None for an empty motion.
+        trajectory: The timed motion.
+        certificate: What was shown of it.
+    """
+
+    task: Task
+    route: Route | None
+    way: FloatArray
+    path: SplinePath | None
+    trajectory: Trajectory
+    certificate: Certificate
+
+
+def find_motion(tasks: Sequence[Task]) -> tuple[int, Motion]:
+    """A motion to one of several goals.
+
+    Args:
+        tasks: One for each goal, from the same start; those that promise the shortest motions first.
+
+    Returns:
+        Which of them, and the motion.
+
+    Raises:
+        NoPathError: No path exists on the grid to any of them; of the first.
+        TimingError: The path cannot be timed.
+        CertificationError: No motion could be certified.
+    """
+    attempts = [_Attempts(task) for task in tasks]
+    for number, attempt in enumerate(attempts):
+        if attempt.task.problem.is_empty:
+            return number, attempt.empty()
+    if not tasks[0].problem.turns:
+        return _first_planar(attempts)
+    straight = _straight(attempts)
+    if straight is None:
+        return _first_turning(attempts, TURNING)
+    number, motion = straight
+    enough = WORTHWHILE * motion.trajectory.duration
+    better = [attempt for attempt in attempts[:number] if least_duration(attempt.task) < enough]
+    if better:
+        try:
+            other, detour = _first_turning(better[:1], TURNING[:1])
+        except HplanError:
+            return straight
+        if detour.trajectory.duration < motion.trajectory.duration:
+            return other, detour
+    return straight
+
+
+def least_duration(task: Task) -> float:
+    """What no motion between start and goal can undercut [s]: the duration of the slowest joint on its own."""
+    turn = np.abs(task.problem.goal - task.problem.start)
+    return float(rest_to_rest(turn, task.robot.velocity_limit, task.robot.acceleration_limit).max())
+
+
+def timed(task: Task, path: GeometricPath) -> Trajectory:
+    """The fastest motion along a path under the robot's limits.
+
+    Raises:
+        TimingError: There is none.
+    """
+    robot, options = task.robot, task.options
+    with task.stage("timing"):
+        limits = Limits(robot.velocity_limit, robot.acceleration_limit, robot.torque_limit, robot.jerk_limit)
+        return time_path(path, robot.model, limits.scaled(options.speed), rate_hz=options.rate_hz)
+
+
+def certified(task: Task, trajectory: Trajectory) -> Certificate:
+    """The certificate of a motion.
+
+    Raises:
+        CertificationError: It is asked for, and something was not shown.
+    """
+    with task.stage("certificate"):
+        certificate = certify(
+            task.robot,
+            task.scene,
+            trajectory,
+            tracking_error=task.options.tracking_error,
+            judge=task.around.judge,
+        )
+    if task.options.certify and not certificate.verified:
+        raise CertificationError(
+            f"the motion is not certified: {'; '.join(certificate.violations)}",
+            violations=list(certificate.violations),
+        )
+    return certificate
+
+
+def _straight(attempts: Sequence[_Attempts]) -> tuple[int, Motion] | None:
+    """The first goal with a clear straight motion that can be certified."""
+    for number, attempt in enumerate(attempts):
+        problem = attempt.task.problem
+        if attempt.task.field.is_clear(np.stack([problem.start, problem.goal]), attempt.margin(0.0)):
+            try:
+                return number, attempt.straight()
+            except CertificationError:
+                continue  # a route may lead to a motion that can be certified
+    return None
+
+
+def _first_planar(attempts: Sequence[_Attempts]) -> tuple[int, Motion]:
+    """The first goal that grids lead to, the base locked."""
+    refused: HplanError | None = None
+    for number, attempt in enumerate(attempts):
+        try:
+            return number, attempt.planar()
+        except (CertificationError, NoPathError) as error:
+            refused = refused or error
+    raise refused or CertificationError("no motion could be certified")
+
+
+def _first_turning(
+    attempts: Sequence[_Attempts], rungs: Sequence[tuple[float, float, float, bool]]
+) -> tuple[int, Motion]:
+    """The first goal that grids lead to, coarse and near ones first, the base turning.
+
+    What is closed on the grid of the finest step, whatever the yaw, is closed.
+    """
+    refused: CertificationError | None = None
+    closed: dict[tuple[int, float], tuple[float, NoPathError]] = {}
+    for coarser, beyond_deg, growth, thick in rungs:
+        for number, attempt in enumerate(attempts):
+            before = closed.get((number, coarser))
+            if before is not None and not (before[1].open_ended and beyond_deg > before[0]):
+                continue
+            rung = Rung(coarser * attempt.task.options.step_deg, attempt.grown(growth), math.radians(beyond_deg), thick)
+            try:
+                return number, attempt.on_grid(rung)
+            except CertificationError as error:
+                refused = refused or error
+            except NoPathError as error:
+                if not thick and growth == 0.0:
+                    closed[number, coarser] = beyond_deg, error
+    if refused is None and (0, 1.0) in closed:
+        raise closed[0, 1.0][1]
+    raise refused or CertificationError("no motion could be certified")
+
+
+@dataclass(frozen=True, eq=False)
+class _Attempts:
+    """All tries at one motion."""
+
+    task: Task
+
+    def margin(self, growth: float) -> float:
+        """Clearance asked for beyond the one to keep [m]: less where start or goal have less."""
+        return min(MARGIN + growth, 0.5 * self.task.problem.spare_clearance)
+
+    def grown(self, growth: float) -> float:
+        """Growth of obstacles at which start and goal stay free [m]."""
+        return min(growth, 0.8 * self.task.problem.spare_clearance)
+
+    def planar(self) -> Motion:
+        """Try finer grids and larger obstacles in turn until a motion is certified."""
+        refused: CertificationError | None = None
+        for finer in FINER:
+            for growth in sorted({self.grown(growth) for growth in GROWTH}):
+                try:
+                    return self.on_grid(Rung(self.task.options.step_deg / finer, growth))
+                except CertificationError as error:
+                    refused = refused or error
+                except NoPathError:
+                    if refused is None:
+                        raise
+                    break  # grown obstacles close the way; what was found without them could not be certified
+        raise refused or CertificationError("no motion could be certified")
+
+    def on_grid(self, rung: Rung) -> Motion:
+        """One pass on one grid."""
+        margin = self.margin(rung.growth)
+        route = find_route(self.task, rung, 0.1 * margin)
+        return self._finished(route, route.path, margin)
+
+    def straight(self) -> Motion:
+        """The straight motion, without a search."""
+        problem = self.task.problem
+        return self._finished(None, frozen(np.stack([problem.start, problem.goal])), self.margin(0.0))
+
+    def empty(self) -> Motion:
+        """The motion from a configuration to itself."""
+        start = self.task.problem.start
+        rest = resting(self.task.robot.model, start)
+        return Motion(self.task, None, frozen(np.array(start[None])), None, rest, certified(self.task, rest))
+
+    def _finished(self, route: Route | None, way: FloatArray, margin: float) -> Motion:
+        """The motion along a polyline."""
+        robot, problem, options = self.task.robot, self.task.problem, self.task.options
+        with self.task.stage("postprocess"):
+            path = fast_path(
+                way,
+                self.task.field,
+                PostprocessOptions(
+                    lower=problem.lower,
+                    upper=problem.upper,
+                    velocity=robot.velocity_limit,
+                    acceleration=robot.acceleration_limit,
+                    movable=problem.movable,
+                    margin=margin,
+                    objective=options.objective,
+                ),
+            )
+        trajectory = timed(self.task, path)
+        return Motion(self.task, route, way, path, trajectory, certified(self.task, trajectory))

@@ -14,6 +14,7 @@ solid so far, all rows below it are skipped.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -33,6 +34,9 @@ from hplan.solids import Cloud, Hull
 #: the bounding ball is too far. A node is an inner one of a cloud's tree, its leaves are lots of points.
 _POINT, _SEGMENT, _BOX, _HULL, _NODE, _LOT = 0.0, 1.0, 2.0, 3.0, 4.0, 5.0
 _COLUMNS = 21
+
+#: Largest turn of a joint between two looks at what is near a motion.
+_NEAR_STEP = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +87,27 @@ class ClearanceField:
         Args:
             kept: (solids,) which of them.
         """
-        rows = np.flatnonzero(kept[self.owner])
+        return self._of_rows(kept[self.owner])
+
+    def near(self, path: ArrayLike, distance: float) -> ClearanceField:
+        """The field of what is near a motion: for optimisers, who prove in the end with the whole one.
+
+        Args:
+            path: (m, dof) waypoints; between them the motion is looked at every `_NEAR_STEP`.
+            distance: Distance from the links up to which solids, by their bounding balls, are kept [m].
+        """
+        points = np.asarray(path, dtype=np.float64)
+        parts = [points[:1]]
+        for first, last in itertools.pairwise(points):
+            count = max(1, math.ceil(float(np.abs(last - first).max()) / _NEAR_STEP))
+            parts.append(first + np.linspace(0.0, 1.0, count + 1)[1:, None] * (last - first))
+        kept = np.zeros(len(self.solids), dtype=np.bool_)
+        _mark_near(np.concatenate(parts), self.chain, self.base, self.solids, distance, kept)
+        return self._of_rows(kept)
+
+    def _of_rows(self, kept: BoolArray) -> ClearanceField:
+        """The field of some rows; where a node is left out, so is all below it."""
+        rows = np.flatnonzero(kept)
         place = np.searchsorted(rows, np.arange(len(self.solids) + 1))  # where the rows kept come to stand
         solids = self.solids[rows]
         solids[:, 20] = place[solids[:, 20].astype(np.int64)]
@@ -381,6 +405,31 @@ def _link_clearances(
             least = min(least, distance - solids[s, 1])
         result[k] = least - chain[k, 1]
         x, y, z = x + ux, y + uy, z + uz
+
+
+@nb.njit(cache=True)
+def _mark_near(
+    path: FloatArray, chain: FloatArray, base: FloatArray, solids: FloatArray, distance: float, near: BoolArray
+) -> None:
+    """Mark the rows whose bounding ball comes within a distance of a link at some configuration."""
+    first = 1 if base[9] > 0.0 else 0
+    for i in range(path.shape[0]):
+        yaw_cos, yaw_sin = 1.0, 0.0
+        if first:
+            yaw_cos, yaw_sin = math.cos(path[i, 0]), math.sin(path[i, 0])
+        fx, fy = yaw_cos * base[3] - yaw_sin * base[4], yaw_sin * base[3] + yaw_cos * base[4]
+        gx, gy = yaw_cos * base[6] - yaw_sin * base[7], yaw_sin * base[6] + yaw_cos * base[7]
+        x, y, z = yaw_cos * base[0] - yaw_sin * base[1], yaw_sin * base[0] + yaw_cos * base[1], base[2]
+        angle = 0.0
+        for k in range(chain.shape[0]):
+            angle += chain[k, 2] * path[i, first + k] + chain[k, 3]
+            along, up = chain[k, 0] * math.cos(angle), chain[k, 0] * math.sin(angle)
+            ux, uy, uz = along * fx + up * gx, along * fy + up * gy, along * base[5] + up * base[8]
+            for s in range(solids.shape[0]):
+                if not near[s]:
+                    reach = _point_segment(solids[s, 2], solids[s, 3], solids[s, 4], x, y, z, ux, uy, uz)
+                    near[s] = reach <= distance + solids[s, 5] + chain[k, 1]
+            x, y, z = x + ux, y + uy, z + uz
 
 
 @nb.njit(cache=True)

@@ -42,6 +42,7 @@ exit status:
 
 _STAGE_WORDS = {
     "load": "reading robot and scene",
+    "grasps": "finding grasps",
     "cspace": "computing the C-space",
     "search": "searching slices and sparse graph",
     "postprocess": "smoothing the path",
@@ -92,6 +93,8 @@ def _parser() -> argparse.ArgumentParser:
     add("--rate", type=float, default=250.0, metavar="HZ", help="rows per second in the CSV (default: 250)")
     add("--speed", type=float, default=1.0, metavar="SHARE", help="share of full speed, in (0, 1] (default: 1)")
     add("--tracking-error", type=float, default=0.0, metavar="DEG", help="joint deviation that the proof covers")
+    add("--sigmas", type=float, default=3.0, metavar="K", help="an uncertain obstacle grows by K sigma (default: 3)")
+    add("--standoff", type=float, default=0.1, metavar="M", help="straight approach to a fruit (default: 0.1)")
     add("--uncertified", action="store_true", help="write the motion even if it is not certified; the report says so")
     add("--view", action="store_true", help="serve the animated scene until interrupted")
     add("--quiet", action="store_true", help="no progress, no summary")
@@ -134,6 +137,8 @@ def _run(
             rate_hz=arguments.rate,
             speed=arguments.speed,
             tracking_error=math.radians(arguments.tracking_error),
+            sigmas=arguments.sigmas,
+            standoff=arguments.standoff,
             certify=not arguments.uncertified,
         )
         robot = load_robot(arguments.robot, limits=arguments.limits)
@@ -194,8 +199,14 @@ def _show_summary(console: Console, result: PlanResult, folder: Path) -> None:
     table.add_column(style="dim", no_wrap=True)
     table.add_column()
     add: Callable[[str, str], Any] = table.add_row
-    if result.search is None:
+    if result.grasp is not None:
+        grasp = report["grasp"]
+        what = "the point" if grasp["fruit"] is None else escape(grasp["fruit"])
+        add("grasp", f"{what}, last link at {grasp['approach_deg']:.1f} deg, {_approach_words(grasp['standoff_m'])}")
+    if result.path is None:
         add("search", "none: start and goal are the same")
+    elif result.search is None:
+        add("search", "none: the straight motion is clear")
     else:
         points = f"{planner['points']} points, cost {planner['cost_deg']:.6f} deg"
         fallback = "" if planner["fallback"] == "none" else f", with the {planner['fallback']} search after it"
@@ -206,6 +217,8 @@ def _show_summary(console: Console, result: PlanResult, folder: Path) -> None:
         add("path", f"{path['length_deg']:.2f} deg, from {path['length_deg_grid']:.2f} deg on the grid")
     rows = "1 row" if motion["samples"] == 1 else f"{motion['samples']:,} rows at {motion['rate_hz']:g} Hz"
     add("motion", f"[bold]{motion['duration_s']:.3f} s[/], {rows}")
+    if len(result.phases) > 1:
+        add("", ", ".join(f"{phase.name} {phase.end_s - phase.start_s:.3f} s" for phase in result.phases))
     add("limits used", ", ".join(f"{name} {100 * share:.1f}" for name, share in proof["limit_use"].items()) + " %")
     add("clearance", _clearance_words(proof))
     if proof["nearest"] is not None:
@@ -225,6 +238,10 @@ def _show_summary(console: Console, result: PlanResult, folder: Path) -> None:
     console.print()
 
 
+def _approach_words(standoff_m: float) -> str:
+    return f"straight approach of {100 * standoff_m:.1f} cm" if standoff_m > 0.0 else "no straight approach is clear"
+
+
 def _clearance_words(proof: dict[str, Any]) -> str:
     if proof["nearest"] is None:
         return "no obstacles"
@@ -236,7 +253,7 @@ def _clearance_words(proof: dict[str, Any]) -> str:
 def _time_words(times: dict[str, float]) -> str:
     """The whole, then the stages of the search and those of the motion, a line each."""
     stages = [f"{stage} {ms:.1f}" for stage, ms in times.items() if stage != "total"]
-    lines = [", ".join(stages[:4]), ", ".join(stages[4:])]
+    lines = [", ".join(stages[:5]), ", ".join(stages[5:])]
     return "\n".join([f"[bold]{times['total']:,.0f} ms[/], loading of compiled code included", *lines])
 
 

@@ -3,28 +3,33 @@ from __future__ import annotations
 import importlib.util
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from PIL import Image
 
 import hplan
-from hplan.benchmark import growth, recheck
+from hplan.benchmark import growth, orchard_scenes, orchards, recheck
 from hplan.benchmark.measure import fitted_slope, peak_memory_mb, spread
-from hplan.benchmark.motions import of_rows, row_cubics, stopping_duration, toppra_motion
+from hplan.benchmark.motions import Findings, of_rows, row_cubics, stopping_duration, toppra_motion
+from hplan.benchmark.orchard_scenes import STANDOFF, OrchardProblem, crop_of, measured_orchards, shipped_orchards
 from hplan.benchmark.paths import Task, ways_of
-from hplan.benchmark.planners import Ompl
+from hplan.benchmark.planners import Ompl, OmplResult
 from hplan.benchmark.scenes import APART_DEG, random_scene
 from hplan.benchmark.tables import number, to_markdown
+from hplan.collision import CollisionScene
+from hplan.errors import InputError, NoPathError
 from hplan.robot import Robot
 from hplan.scene import Scene
 from hplan.trajectory import Trajectory
 
 SCRIPT = Path(__file__).resolve().parents[1] / "scripts" / "benchmark.py"
-FIGURES = ("benchmark-reference.png", "benchmark-clutter.png", "benchmark-growth.png")
+FIGURES = ("benchmark-reference.png", "benchmark-clutter.png", "benchmark-orchards.png", "benchmark-growth.png")
 
 
 def load_script() -> ModuleType:
@@ -48,6 +53,7 @@ def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
         patch.setattr(growth, "COUNTS", (1, 2, 4))
         patch.setattr(growth, "LINKS", (2, 3))
         patch.setattr(growth, "LINK_STEP_DEG", 6.0)
+        patch.setattr(orchard_scenes, "SHIPPED", ("tour",))
         patch.setattr(Ompl, "if_installed", classmethod(lambda cls, seed: None))
         assert script.main(["--quick", "--scenes", "3", "--out", str(folder), "--seed", "4"]) == 0
     return folder
@@ -64,7 +70,11 @@ def test_writes_everything(out: Path, results: Any) -> None:
         with Image.open(out / name) as image:
             assert min(image.size) > 500
     assert results["format"] == "hplan-benchmark/1"
-    assert results["settings"] == {"sets": ["reference", "clutter", "growth", "recheck"], "quick": True, "seed": 4}
+    assert results["settings"] == {
+        "sets": ["reference", "clutter", "orchards", "growth", "recheck"],
+        "quick": True,
+        "seed": 4,
+    }
     assert {"processor", "cores", "python", "versions"} <= set(results["environment"])
 
 
@@ -103,6 +113,19 @@ def test_recheck_numbers(results: Any) -> None:
     assert 0.0 < r["reference"]["hplan"]["any"] <= 1.0
 
 
+def test_orchard_numbers(results: Any) -> None:
+    o = results["orchards"]
+    fruits = o["fruits"]["tour"]
+    assert fruits["fruits"] == fruits["goals"] + sum(fruits["without"].values()) == 20
+    assert list(o["groups"]) == ["tour"]
+    everything = o["all"]
+    assert everything["problems"] == everything["solved"] == everything["certified"] == len(o["rows"]) == 3
+    assert sum(everything["routes"].values()) == 3
+    assert everything["missed"] == everything["failed"] == o["at_fault"] == []
+    assert o["planners"] is None
+    assert all(0.0 < row["duration_s"] < 10.0 for row in o["rows"])
+
+
 def test_growth_numbers(results: Any) -> None:
     for axis, sizes in (("step", [6.0, 3.0]), ("obstacles", [1, 4]), ("links", [2, 3])):
         cases = results["growth"][axis]["cases"]
@@ -118,7 +141,8 @@ def test_markdown(out: Path) -> None:
     for block in blocks:
         assert len({line.replace("\\|", "").count("|") for line in block}) == 1, block[0]
     assert "nan" not in text
-    assert text.count("not installed |") == 4
+    assert text.count("not installed |") == 6
+    assert "No measured trees: no folder of measured trees was given." in text
 
 
 def test_some_sets_only(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -224,3 +248,140 @@ def test_markdown_of_nothing_measured() -> None:
     where = {"processor": "p", "cores": 1, "system": "s", "python": "3", "versions": {}}
     text = to_markdown({"environment": where, "settings": {"seed": 0, "quick": False}})
     assert text.startswith("p, 1 cores")
+
+
+def test_orchard_goals_are_where_straight_approaches_begin(robot: Robot) -> None:
+    """The hand points at the fruit from the stand-off, touching nothing; coal and Pinocchio judge."""
+    orchard = next(orchard for orchard in shipped_orchards() if orchard.name == "trellis")
+    crop = crop_of(robot, orchard)
+    judge = CollisionScene(robot, orchard.scene.solids_with_goal)
+    centres = {fruit.name: np.array(fruit.center) for fruit in orchard.scene.fruits}
+    assert len(crop.goals) + sum(crop.without.values()) == len(centres)
+    assert set(crop.without) <= {"blocked", "no_approach", "joint_limit", "too_far"}
+    assert len(crop.goals) >= 5
+    for name, q in crop.goals.items():
+        assert judge.distances(q).min() > 0.0
+        data = robot.model.createData()
+        pin.framesForwardKinematics(robot.model, data, q)
+        tool = data.oMf[robot.model.getFrameId("tool0")].translation
+        wrist = data.oMi[robot.model.njoints - 1].translation
+        ahead = centres[name] - tool
+        assert np.linalg.norm(ahead) == pytest.approx(STANDOFF, abs=1e-6)
+        np.testing.assert_allclose(ahead / STANDOFF, (tool - wrist) / np.linalg.norm(tool - wrist), atol=1e-5)
+
+
+def test_orchard_problems_go_from_home_and_from_fruit_to_fruit(robot: Robot) -> None:
+    crop = crop_of(robot, next(orchard for orchard in shipped_orchards() if orchard.name == "dense-canopy"))
+    problems, goals, home = crop.problems(), list(crop.goals), crop.orchard.scene.start.configuration
+    assert len(problems) == 2 * len(goals) - 1
+    for problem, name in zip(problems, goals, strict=False):
+        assert problem.name == f"dense-canopy: home to {name}"
+        np.testing.assert_array_equal(problem.scene.start.configuration, home)
+        np.testing.assert_array_equal(problem.scene.goal.configuration, crop.goals[name])
+    for problem, before, after in zip(problems[len(goals) :], goals, goals[1:], strict=True):
+        assert problem.name == f"dense-canopy: {before} to {after}"
+        np.testing.assert_array_equal(problem.scene.start.configuration, crop.goals[before])
+        np.testing.assert_array_equal(problem.scene.goal.configuration, crop.goals[after])
+        assert len(problem.scene.fruits) == len(crop.orchard.scene.fruits)
+    blocked = replace(crop, home_is_clear=False)
+    assert [problem.name for problem in blocked.problems()] == [problem.name for problem in problems[len(goals) :]]
+
+
+def write_tree(file: Path, branches: int) -> Path:
+    """A trunk with level branches towards the base, a hand's breadth apart, the lower ones out of reach."""
+    rows = ["kind,x1,y1,z1,x2,y2,z2,radius", "trunk,0,0,0,0,0,3,0.03"]
+    rows += [f"branch,0,0,{0.3 + 0.1 * i},-0.3,{0.1 * (i % 3 - 1)},{0.3 + 0.1 * i},0.01" for i in range(branches)]
+    file.write_text("\n".join(rows) + "\n", encoding="utf-8")
+    return file
+
+
+def test_measured_trees_bear_fruit_within_reach_first(robot: Robot, tmp_path: Path) -> None:
+    write_tree(tmp_path / "t1.csv", 25)
+    found = measured_orchards(robot, tmp_path)
+    assert [orchard.name for orchard in found] == ["t1 at 1.4 m", "t1 at 1 m", "t1 at 1.8 m"]
+    crop = crop_of(robot, found[0])
+    fruits = crop.orchard.scene.fruits
+    assert len(fruits) == 20
+    assert {fruit.radius for fruit in fruits} == {0.04}
+    heights = np.array([fruit.center[2] for fruit in fruits])
+    # 25 tips from 0.3 to 2.7 m; the arm reaches those from about 1.3 m on, and the others fill up what is missing.
+    reached = (heights > 1.45) & (heights < 2.3)
+    assert reached.sum() == 8
+    assert not (heights[:8] < 1.2).any()
+    assert crop.without["joint_limit"] + crop.without["too_far"] < 20
+    assert crop.home_is_clear
+
+
+def test_measured_tree_with_no_room_for_its_fruit_is_named(robot: Robot, tmp_path: Path) -> None:
+    file = write_tree(tmp_path / "bare.csv", 1)
+    with pytest.raises(InputError, match=r"bare\.csv: count = 20"):
+        measured_orchards(robot, file.parent)
+
+
+@pytest.mark.parametrize(
+    ("folder", "reason"), [(None, "no folder"), ("nowhere", "there is no folder"), ("", "there is no CSV in")]
+)
+def test_why_there_are_no_trees(robot: Robot, tmp_path: Path, folder: str | None, reason: str) -> None:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(orchard_scenes, "SHIPPED", ())
+        trees = None if folder is None else tmp_path / folder
+        numbers = orchards.measure(robot, trees=trees, most=1, ompl=None, progress=lambda *_: None)
+    assert numbers["without_trees"].startswith(reason)
+    assert numbers["all"]["problems"] == 0
+
+
+def test_chosen_problems_are_spread_over_each_group(scene: Scene) -> None:
+    problems = [OrchardProblem(f"{group} {i}", group, scene) for group in "ab" for i in range(9)]
+    assert [problem.name for problem in orchards.chosen(problems, 3)] == ["a 1", "a 4", "a 7", "b 1", "b 4", "b 7"]
+    assert orchards.chosen(problems, None) == orchards.chosen(problems, 100) == problems
+
+
+def test_what_a_peer_alone_solves_is_named(robot: Robot, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Planning fails wherever the base has to turn; OMPL is a stand-in that finds the straight motion."""
+
+    def fails(robot: Robot, scene: Scene) -> None:
+        raise NoPathError("closed", reached_cells=1)
+
+    class Straight:
+        def plan(self, robot: Robot, field: Any, start: Any, goal: Any, **asked: Any) -> OmplResult:
+            assert asked["turns"]
+            assert asked["seconds"] == orchards.PATIENCE
+            path = np.stack([start, goal])
+            return OmplResult(path if asked["planner"] == "BITstar" else None, 1.0, 1.0, 1.0, 1.0)
+
+    monkeypatch.setattr(orchard_scenes, "SHIPPED", ("tour",))
+    monkeypatch.setattr(orchards, "plan", fails)
+    monkeypatch.setattr(Ompl, "if_installed", classmethod(lambda cls, seed: Straight()))
+    assert script.main(["--sets", "orchards", "--scenes", "2", "--out", str(tmp_path)]) == 0
+    o = json.loads((tmp_path / "benchmark.json").read_text(encoding="utf-8"))["orchards"]
+    assert o["all"]["solved"] == 0
+    assert o["all"]["planners"] == {"RRTConnect": 0, "BITstar": 2}
+    assert o["all"]["missed"] == [row["name"] for row in o["rows"]]
+    assert [row["error"] for row in o["all"]["failed"]] == ["NoPathError", "NoPathError"]
+    text = (tmp_path / "benchmark.md").read_text(encoding="utf-8")
+    assert f"| {o['all']['missed'][0]} | missed | NoPathError |" in text
+
+
+def test_orchard_motion_that_touches_is_told_by_the_exit_status(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(orchard_scenes, "SHIPPED", ("tour",))
+    monkeypatch.setattr(Ompl, "if_installed", classmethod(lambda cls, seed: None))
+    monkeypatch.setattr(orchards, "look_at", lambda *_: Findings(1.0, 0.5, 0.0, 0.5, 0.5, 0.5))
+    assert script.main(["--sets", "orchards", "--scenes", "1", "--out", str(tmp_path)]) == script.FAULT
+
+
+def test_planners_turn_the_base_where_installed(robot: Robot) -> None:
+    pytest.importorskip("ompl")
+    ompl = Ompl.if_installed(1)
+    assert ompl is not None
+    crop = crop_of(robot, next(orchard for orchard in shipped_orchards() if orchard.name == "tour"))
+    tasks = (Task.of(robot, problem.scene) for problem in crop.problems())
+    task = next(t for t in tasks if not t.field.is_clear(np.stack([t.problem.start, t.problem.goal]), 1e-3))
+    ends = task.problem.start, task.problem.goal
+    run = ompl.plan(robot, task.field, *ends, margin=task.smallest_margin, turns=True, seconds=10.0)
+    assert run.path is not None
+    np.testing.assert_array_equal(run.path[[0, -1]], ends)
+    assert np.ptp(run.path[:, 0]) > 0.0
+    assert task.field.is_clear(run.path, task.smallest_margin)
+    assert ways_of(task, run.path).processed_s is not None

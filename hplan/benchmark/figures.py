@@ -29,6 +29,8 @@ def figures(results: dict[str, Any]) -> dict[str, Figure]:
         found["benchmark-reference"] = reference(results["reference"])
     if "clutter" in results and results["clutter"]["rows"]:
         found["benchmark-clutter"] = clutter(results["clutter"])
+    if "orchards" in results and results["orchards"]["all"]["solved"]:
+        found["benchmark-orchards"] = orchards(results["orchards"])
     if "growth" in results:
         found["benchmark-growth"] = growth(results["growth"])
     return found
@@ -127,6 +129,42 @@ def clutter(c: dict[str, Any]) -> Figure:
     right.set_title("Duration of hplan's motion to that of")
     right.set_xlabel("ratio of durations (below 1: hplan is quicker)")
     _legend(right)
+    return figure
+
+
+@styled
+def orchards(o: dict[str, Any]) -> Figure:
+    """Distributions over the problems in orchards, and what carried hplan's motions."""
+    everything = o["all"]
+    figure = new_figure(11.0, 4.6, f"{everything['problems']} problems in orchards, {everything['solved']} solved")
+    left, middle, right = figure.subplots(1, 3)
+    rows = [row for row in o["rows"] if row["solved"]]
+    _distribution(left, [row["ms"] for row in rows], PATH, "hplan, certified motion")
+    for planner, colour in (("RRTConnect", OBSTACLE), ("BITstar", GOAL)):
+        found = [row[planner]["ms"] for row in rows if planner in row and row[planner]["solved"]]
+        if found:
+            _distribution(left, found, colour, f"{planner.replace('BITstar', 'BIT*')}, path only")
+    left.set_xscale("log")
+    left.set_title(f"Time, median {everything['ms']['median']:.0f} ms")
+    left.set_xlabel("CPU time [ms]")
+    left.set_ylabel("share of problems")
+    _legend(left)
+
+    for key, name, colour in (
+        ("to_rounded", "their paths with rounded corners", RESTORED),
+        ("to_processed", "their paths by hplan's post", OBSTACLE),
+    ):
+        _distribution(middle, [row[key] for row in rows], colour, name)
+    middle.axvline(1.0, color=INK, linewidth=0.8, linestyle=(0, (4, 3)))
+    middle.set_title("Duration of hplan's motion to that of OMPL's best")
+    middle.set_xlabel("ratio of durations (below 1: hplan is quicker)")
+    if o["planners"] is not None:
+        _legend(middle)
+
+    routes = sorted(everything["routes"].items(), key=lambda item: -item[1])
+    _bars(right, [name for name, _ in routes], [count for _, count in routes], [PATH] * len(routes), "{:.0f}")
+    right.set_title("What carried hplan's motions")
+    right.set_xlabel("problems")
     return figure
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ import numpy as np
 from hplan.benchmark.measure import Progress, median, spread, timed
 from hplan.benchmark.motions import look_at, of_rows
 from hplan.benchmark.orchard_scenes import Crop, OrchardProblem, crop_of, measured_orchards, shipped_orchards
-from hplan.benchmark.paths import Task, Ways, ways_of
+from hplan.benchmark.paths import Task, Ways, summary, ways_of
 from hplan.benchmark.planners import Ompl, OmplResult
 from hplan.errors import HplanError
 from hplan.pipeline import PlanResult, plan
@@ -29,11 +30,45 @@ PLANNERS = ("RRTConnect", "BITstar")
 #: Time for a path [s], and for BIT* to improve one.
 PATIENCE, IMPROVING = 10.0, 1.0
 
+#: Problems of each group that are planned before the clock runs: what loads the kernels of every stage.
+WARM = 2
+
 #: Ways to make a certified motion of a peer's path.
 WAYS = ("rounded", "processed")
 
 #: What is listed by name: problems that take longer than this [ms], and motions slower than OMPL's by this share.
 SLOW_MS, SLOWER = 500.0, 1.02
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """What a planner of OMPL's found.
+
+    Attributes:
+        result: Its path.
+        ways: The motions along it; None where there is no path.
+        seconds: Time that it had.
+        ours_s: Duration of hplan's motion; None where hplan has none.
+    """
+
+    result: OmplResult
+    ways: Ways | None
+    seconds: float
+    ours_s: float | None = None
+
+    def numbers(self) -> dict[str, Any]:
+        """The run as numbers."""
+        ways = self.ways
+        return {
+            "solved": ways is not None,
+            "seconds": self.seconds,
+            "ms": self.result.total_ms,
+            "compiled_ms": self.result.compiled_ms,
+            "length_deg": None if ways is None else ways.length_deg,
+            "rounded_s": None if ways is None else ways.rounded_s,
+            "processed_s": None if ways is None else ways.processed_s,
+            "spline_collides": None if ways is None or ways.spline is None else ways.spline.collides,
+        }
 
 
 def measure(
@@ -57,19 +92,21 @@ def measure(
         progress("orchards: grasps", number, len(orchards))
         crops.append(crop_of(robot, orchard))
     problems = chosen([problem for crop in crops for problem in crop.problems()], most)
+    for number, problem in enumerate(warm := chosen(problems, WARM)):
+        progress("orchards: loading", number, len(warm))
+        _planned(robot, problem)
     rows: list[dict[str, Any]] = []
+    runs: dict[str, list[Run]] = {name: [] for name in PLANNERS}
     for number, problem in enumerate(problems):
         progress("orchards", number, len(problems))
-        if number == 0:
-            _solve(robot, problem, None)  # loads the kernels
-        rows.append(_solve(robot, problem, ompl))
+        rows.append(_solve(robot, problem, ompl, runs))
     progress("orchards", len(problems), len(problems))
     groups = list(dict.fromkeys(crop.orchard.group for crop in crops))
     return {
         "without_trees": absent,
         "patience_s": PATIENCE,
         "improving_s": IMPROVING,
-        "ompl": ompl is not None,
+        "planners": None if ompl is None else {name: _planner_numbers(found) for name, found in runs.items()},
         "fruits": {group: _fruits([crop for crop in crops if crop.orchard.group == group]) for group in groups},
         "groups": {group: _numbers([row for row in rows if row["group"] == group]) for group in groups},
         "all": _numbers(rows),
@@ -97,32 +134,39 @@ def chosen(problems: Sequence[OrchardProblem], most: int | None) -> list[Orchard
     return kept
 
 
-def _solve(robot: Robot, problem: OrchardProblem, ompl: Ompl | None) -> dict[str, Any]:
-    """One problem, by hplan and by OMPL."""
+def _planned(robot: Robot, problem: OrchardProblem) -> PlanResult | HplanError:
+    try:
+        return plan(robot, problem.scene)
+    except HplanError as error:
+        return error
 
-    def run() -> PlanResult | HplanError:
-        try:
-            return plan(robot, problem.scene)
-        except HplanError as error:
-            return error
 
-    found, ms = timed(run)
+def _solve(robot: Robot, problem: OrchardProblem, ompl: Ompl | None, runs: dict[str, list[Run]]) -> dict[str, Any]:
+    """One problem, by hplan and by OMPL, whose runs are added to those there are."""
+    found, ms = timed(lambda: _planned(robot, problem))
     task = Task.of(robot, problem.scene)
     row: dict[str, Any] = {"name": problem.name, "group": problem.group, "ms": ms}
     if isinstance(found, HplanError):
         row |= {"solved": False, "error": found.kind, "message": found.message}
     else:
         row |= {"solved": True, **_motion(task, found)}
-    row["peers"] = {} if ompl is None else _peers(task, ompl, isinstance(found, PlanResult))
+    solved = row["solved"]
+    for planner in PLANNERS:
+        if ompl is None:
+            break
+        run = _peer(task, ompl, planner, PATIENCE if planner == "RRTConnect" or not solved else IMPROVING)
+        solved = solved and run.ways is not None
+        runs[planner].append(replace(run, ours_s=row.get("duration_s")))
+        row[planner] = run.numbers()
     for way in WAYS:
-        best = min((p[f"{way}_s"] for p in row["peers"].values() if p.get(f"{way}_s")), default=float("nan"))
-        row[f"best_{way}_s"] = best
-        row[f"to_{way}"] = row.get("duration_s", float("nan")) / best
+        theirs = [row[planner][f"{way}_s"] for planner in PLANNERS if planner in row]
+        row[f"best_{way}_s"] = min((s for s in theirs if s is not None), default=float("nan"))
+        row[f"to_{way}"] = row.get("duration_s", float("nan")) / row[f"best_{way}_s"]
     return row
 
 
 def _motion(task: Task, planned: PlanResult) -> dict[str, Any]:
-    """hplan's motion, looked at finely too."""
+    """The motion of hplan's, looked at finely too."""
     planner = planned.report["planner"]
     seen = look_at(task.robot, task.judge, of_rows(planned.trajectory))
     return {
@@ -137,34 +181,14 @@ def _motion(task: Task, planned: PlanResult) -> dict[str, Any]:
     }
 
 
-def _peers(task: Task, ompl: Ompl, solved: bool) -> dict[str, dict[str, Any]]:
-    """What OMPL's planners find; BIT* has its full time where another found nothing."""
-    peers: dict[str, dict[str, Any]] = {}
-    for planner in PLANNERS:
-        seconds = PATIENCE if planner == "RRTConnect" or not solved else IMPROVING
-        run = ompl.plan(
-            task.robot, task.field, task.problem.start, task.problem.goal,
-            margin=task.smallest_margin, planner=planner, seconds=seconds, turns=task.problem.turns,
-        )  # fmt: skip
-        solved = solved and run.path is not None
-        peers[planner] = _peer(run, None if run.path is None else ways_of(task, run.path), seconds)
-    return peers
-
-
-def _peer(run: OmplResult, ways: Ways | None, seconds: float) -> dict[str, Any]:
-    found: dict[str, Any] = {"solved": ways is not None, "seconds": seconds, "ms": run.total_ms}
-    if ways is None:
-        return found
-    return {
-        **found,
-        "compiled_ms": run.compiled_ms,
-        "length_deg": ways.length_deg,
-        "rounded_s": ways.rounded_s,
-        "processed_s": ways.processed_s,
-        "total_ms": {way: run.total_ms + getattr(ways, f"{way}_ms") for way in WAYS},
-        "spline_s": None if ways.spline is None else ways.spline.duration_s,
-        "spline_collides": None if ways.spline is None else ways.spline.collides,
-    }
+def _peer(task: Task, ompl: Ompl, planner: str, seconds: float) -> Run:
+    """What one of OMPL's planners finds."""
+    problem = task.problem
+    result = ompl.plan(
+        task.robot, task.field, problem.start, problem.goal,
+        margin=task.smallest_margin, planner=planner, seconds=seconds, turns=problem.turns,
+    )  # fmt: skip
+    return Run(result, None if result.path is None else ways_of(task, result.path), seconds)
 
 
 def _fruits(crops: Sequence[Crop]) -> dict[str, Any]:
@@ -193,39 +217,29 @@ def _numbers(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
         "failed": [{key: row[key] for key in ("name", "error", "message", "ms")} for row in rows if not row["solved"]],
         "missed": [row["name"] for row in rows if not row["solved"] and _by_a_peer(row)],
         "slow": [row["name"] for row in rows if row["ms"] > SLOW_MS],
-        "peers": {name: _peer_numbers(rows, name) for name in PLANNERS},
+        "planners": {name: sum(row[name]["solved"] for row in rows) for name in PLANNERS if rows and name in rows[0]},
         **{f"to_{way}": _ratios(rows, f"to_{way}") for way in WAYS},
     }
 
 
 def _by_a_peer(row: dict[str, Any]) -> bool:
-    return any(peer["solved"] for peer in row["peers"].values())
+    return any(row[name]["solved"] for name in PLANNERS if name in row)
 
 
 def _ratios(rows: Sequence[dict[str, Any]], key: str) -> dict[str, Any]:
-    """hplan's duration to that of the quickest certified motion along OMPL's paths."""
+    """Durations to those of the quickest certified motions along OMPL's paths."""
     ratios = [row[key] for row in rows if np.isfinite(row[key])]
     slower = sorted((row for row in rows if row[key] > SLOWER), key=lambda row: -float(row[key]))
     return {**spread(ratios), "count": len(ratios), "slower": {row["name"]: row[key] for row in slower}}
 
 
-def _peer_numbers(rows: Sequence[dict[str, Any]], name: str) -> dict[str, Any]:
-    runs = [row["peers"][name] for row in rows if name in row["peers"]]
-    found = [run for run in runs if run["solved"]]
+def _planner_numbers(runs: Sequence[Run]) -> dict[str, Any]:
+    """A planner's paths and what becomes of them, over the problems that hplan solves too."""
+    shared = [(run, run.ours_s) for run in runs if run.ours_s is not None]
+    found = [(run.result, run.ways, ours) for run, ours in shared if run.ways is not None]
+    path_ms = [result.total_ms for result, _, _ in found]
     return {
-        "asked": len(runs),
-        "solved": len(found),
-        "ms": spread([run["ms"] for run in found]),
-        "compiled_ms": spread([run["compiled_ms"] for run in found]),
-        "length_deg": median([run["length_deg"] for run in found]),
-        "splines": sum(run["spline_s"] is not None for run in found),
-        "splines_colliding": sum(bool(run["spline_collides"]) for run in found),
-        **{
-            way: {
-                "certified": sum(run[f"{way}_s"] is not None for run in found),
-                "duration_s": median([run[f"{way}_s"] for run in found if run[f"{way}_s"] is not None]),
-                "total_ms": median([run["total_ms"][way] for run in found]),
-            }
-            for way in WAYS
-        },
+        "path_spread_ms": spread(path_ms),
+        "compiled_ms": median([result.compiled_ms for result, _, _ in found]),
+        **summary([ways for _, ways, _ in found], path_ms, [ours for *_, ours in found], asked=len(shared)),
     }

@@ -46,7 +46,7 @@ class OmplResult:
 
 
 class Ompl:
-    """OMPL's planners, on the planar joints or on all of them, with hplan's compiled clearance kernel as motion validator.
+    """OMPL's planners on the joints that move, with hplan's compiled clearance kernel as motion validator.
 
     OMPL calls the kernel once a motion (and once a state) by way of Python; `OmplResult.compiled_ms` tells what is
     left when that is taken out.

@@ -207,6 +207,19 @@ def base_contacts(
     return tuple(found)
 
 
+def base_radius(robot: Robot) -> float:
+    """Radius of a ball about `base_link`'s origin that holds pedestal and turret, whatever the yaw [m]."""
+    first = 2 if robot.has_yaw else 1
+    radius = 0.0
+    for shape in robot.collision_model.geometryObjects:
+        if shape.parentJoint < first:
+            shape.geometry.computeLocalAABB()
+            # Joint 0 turns about the vertical through the origin: distances from there stay.
+            centre = robot.model.jointPlacements[shape.parentJoint] * shape.placement * shape.geometry.aabb_center
+            radius = max(radius, float(np.linalg.norm(centre)) + shape.geometry.aabb_radius)
+    return radius
+
+
 def check_clear(judge: CollisionScene, q: FloatArray, clearance: float, which: str) -> float:
     """What a configuration has beyond the clearance to keep [m], inf without obstacles.
 

@@ -28,7 +28,6 @@ from hplan.trajectory import Trajectory, joined
 from hplan.transit import Motion, certified, find_motion, timed
 from hplan.turning_space import Layers
 
-
 #: To how many grasps routes are searched where no straight motion leads to them.
 SEARCHED = 8
 
@@ -126,31 +125,31 @@ def plan_with(
     workspace: Workspace, scene: Scene, options: PlanOptions, *, progress: Progress = lambda _: None
 ) -> PlanResult:
     """As `plan`, with what earlier plans of the same robot have left."""
-    clock = StageClock()
+    clock, robot, goal = StageClock(), workspace.robot, scene.goal.joints()
+    start = robot.check_configuration(scene.start.configuration, "start")
     around = workspace.around(scene, options)
-    goal = scene.goal.joints()
+    around.check_base(robot.yaw_of(start))
     if goal is not None:
-        problem = pose_problem(around, scene.start.configuration, goal, locked_joints=scene.locked_joints)
+        problem = pose_problem(around, start, goal, locked_joints=scene.locked_joints)
         _, motion = find_motion([Task(around, scene, problem, options, clock, workspace.layers, progress)])
         return _result(scene, clock, None, motion, [("transit", motion.trajectory, motion.certificate)])
-    return _reach(workspace, around, scene, options, clock, progress)
+    return _reach(workspace, around, start, scene, options, clock, progress)
 
 
 def _reach(
     workspace: Workspace,
     around: Surroundings,
+    start: FloatArray,
     scene: Scene,
     options: PlanOptions,
     clock: StageClock,
     progress: Progress,
 ) -> PlanResult:
     """Transit, approach and, from a fruit, retreat."""
-    robot = around.robot
     fruit = next((fruit for fruit in scene.fruits if fruit.name == scene.goal.fruit), None)
     near = around if fruit is None else around.touching(fruit.name)
     progress("grasps")
     with clock.stage("grasps"):
-        start = robot.check_configuration(scene.start.configuration, "start")
         ways = grasps(
             around,
             near,
@@ -158,11 +157,11 @@ def _reach(
             start,
             what="the point" if fruit is None else f"fruit {fruit.name!r}",
             standoff=options.standoff,
-            least_standoff=0.0 if fruit is None else _least_standoff(around, fruit),
+            least_standoff=0.0 if fruit is None else least_standoff(around, fruit),
             approach_deg=scene.goal.approach_deg,
             locked=scene.locked_joints,
         )
-        shortlist = _shortlist(ways, around, near, start)
+        shortlist = promising(ways, around, near, start)
         tasks = []
         for grasp in shortlist:
             where = near if grasp.distance == 0.0 else around
@@ -175,7 +174,7 @@ def _reach(
         grasp = shortlist[left.pop(number)]
         try:
             parts = [("transit", motion.trajectory, motion.certificate)]
-            parts += _last_stretch(replace(tasks[0], around=near), grasp, fruit is not None)
+            parts += last_stretch(replace(tasks[0], around=near), grasp, fruit is not None)
         except CertificationError as error:
             refused = refused or error
             continue
@@ -183,7 +182,7 @@ def _reach(
     raise refused or CertificationError("no motion could be certified")
 
 
-def _shortlist(ways: Sequence[Grasp], around: Surroundings, near: Surroundings, start: FloatArray) -> list[Grasp]:
+def promising(ways: Sequence[Grasp], around: Surroundings, near: Surroundings, start: FloatArray) -> list[Grasp]:
     """The first grasp that a straight motion leads to, and a few that promise more, evenly taken from all of those."""
     straight = next(
         (
@@ -197,12 +196,12 @@ def _shortlist(ways: Sequence[Grasp], around: Surroundings, near: Surroundings, 
     return [*ways[:straight:stride], *ways[straight : straight + 1]]
 
 
-def _least_standoff(around: Surroundings, fruit: Fruit) -> float:
+def least_standoff(around: Surroundings, fruit: Fruit) -> float:
     """Where the tool is clear of the fruit it is going to take [m]."""
     return fruit.radius + float(around.robot.arm.half_widths[-1]) + around.clearance + 2.0 * SPARE
 
 
-def _last_stretch(task: Task, grasp: Grasp, retreat: bool) -> list[tuple[str, Trajectory, Certificate]]:
+def last_stretch(task: Task, grasp: Grasp, retreat: bool) -> list[tuple[str, Trajectory, Certificate]]:
     """Approach and retreat, timed and certified."""
     path = grasp.path(task.robot, task.scene.locked_joints)
     if path is None:
@@ -225,7 +224,7 @@ def _result(
     ends = np.cumsum([part.duration for _, part, _ in parts]).tolist()
     phases = tuple(Phase(name, begin, end) for (name, _, _), begin, end in zip(parts, [0.0, *ends], ends, strict=False))
     trajectory = joined([part for _, part, _ in parts])
-    certificate = _all_of([certificate for _, _, certificate in parts])
+    certificate = all_of([certificate for _, _, certificate in parts])
     route = motion.route
     return PlanResult(
         problem=motion.task.problem,
@@ -241,7 +240,7 @@ def _result(
     )
 
 
-def _all_of(parts: Sequence[Certificate]) -> Certificate:
+def all_of(parts: Sequence[Certificate]) -> Certificate:
     """The certificate of motions one after the other."""
     if len(parts) == 1:
         return parts[0]

@@ -293,6 +293,12 @@ class PointCloud(_FromData):
         return _rotation(self.rpy_deg)
 
     @property
+    def points(self) -> FloatArray:
+        """(n, 3) centres of all balls in `base_link` [m], before near ones are merged."""
+        points: FloatArray = self._data.points @ self.rotation.T + np.array(self.position)
+        return points
+
+    @property
     def solids(self) -> tuple[Solid, ...]:
         """What the arm must keep clear of: one cloud."""
         key = (self.name, self.radius, self.position, self.rpy_deg, self.sigma)

@@ -13,10 +13,14 @@ import numpy as np
 
 from hplan.arrays import FloatArray, frozen
 from hplan.clearance import ClearanceField
-from hplan.collision import CollisionScene
+from hplan.collision import CollisionScene, base_contacts, base_radius
+from hplan.errors import InputError
 from hplan.robot import Robot
 from hplan.scene import Solid
 from hplan.section import Bodies, bodies_of
+
+#: An obstacle may be this deep in pedestal or turret [m]: they stand on something.
+BASE_DEPTH = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,3 +81,28 @@ class Surroundings:
     def bodies(self, more: float = 0.0) -> Bodies:
         """The solids made ready for cutting, grown by the clearance to keep and `more` [m]."""
         return bodies_of(self.solids, clearance=self.clearance + self.growth + more)
+
+    def check_base(self, yaw: float) -> None:
+        """Refuse obstacles in which pedestal or turret stand: no motion of the arm changes that.
+
+        The ground may touch the pedestal.
+
+        Args:
+            yaw: Yaw of the turret.
+
+        Raises:
+            InputError: There is one; names it, the body and the depth.
+        """
+        rows = self.field.solids
+        near = np.linalg.norm(rows[:, 2:5], axis=1) <= rows[:, 5] + base_radius(self.robot)
+        touched = [self.solids[i] for i in np.unique(self.field.owner[near]).tolist()]
+        contacts = base_contacts(self.robot, touched, yaw, margin=-BASE_DEPTH)
+        if contacts:
+            worst = min(contacts, key=lambda contact: contact.distance_m)
+            raise InputError(
+                f"obstacle {worst.obstacle!r} is {-1e3 * worst.distance_m:.3g} mm deep in the robot's "
+                f"{worst.link!r}, which does not move: move the obstacle, or the robot",
+                obstacle=worst.obstacle,
+                link=worst.link,
+                depth_m=-worst.distance_m,
+            )

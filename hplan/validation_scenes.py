@@ -36,6 +36,9 @@ _SECTOR: Final = math.radians(25.0)
 #: How far an obstacle's middle may be from the link's axis that it is put at, besides its own size [m].
 _AROUND: Final = 0.05
 
+#: How far an obstacle stays off the shoulder, where all configurations would collide [m]; so many places are tried.
+_OFF_SHOULDER, _TRIES = 0.15, 20
+
 #: Half of the scenes keep a clearance of up to this [m].
 _CLEARANCE: Final = 0.03
 
@@ -100,13 +103,17 @@ def random_scene(robot: Robot, kind: Kind, number: int, *, seed: int = 0) -> Ran
 
 
 def _spot(robot: Robot, rng: np.random.Generator, sector: tuple[float, float], size: float) -> Vector:
-    """A place about as far from some link's axis as something of this radius touches it."""
-    q = rng.uniform(robot.arm.lower, robot.arm.upper)
-    points = robot.arm.joint_points(q)
-    link = int(rng.integers(robot.arm.link_count))
-    in_plane = points[link] + rng.random() * (points[link + 1] - points[link])
-    origin, axes = robot.plane_at(float(rng.uniform(*sector)))
-    return _vector(origin + in_plane @ axes[:2] + _direction(rng) * rng.random() * (size + _AROUND))
+    """A place about as far from some link's axis as something of this radius touches it, and off the shoulder."""
+    place = np.zeros(3)
+    for _ in range(_TRIES):
+        points = robot.arm.joint_points(rng.uniform(robot.arm.lower, robot.arm.upper))
+        link = int(rng.integers(robot.arm.link_count))
+        on_axis = points[link] + rng.random() * (points[link + 1] - points[link])
+        origin, axes = robot.plane_at(float(rng.uniform(*sector)))
+        place = origin + on_axis @ axes[:2] + _direction(rng) * rng.random() * (size + _AROUND)
+        if np.linalg.norm(place - origin) >= size + _OFF_SHOULDER:
+            break
+    return _vector(place)
 
 
 def _direction(rng: np.random.Generator) -> FloatArray:
@@ -142,9 +149,7 @@ def _capsule(name: str, rng: np.random.Generator, place: _Place) -> Capsule:
     middle = np.array(place(radius))
     half = 0.5 * _between(rng, 0.05, 2.0) * _direction(rng)
     shift = rng.uniform(-1.0, 1.0) * half
-    return Capsule(
-        name=name, start=_vector(middle + shift - half), end=_vector(middle + shift + half), radius=radius
-    )
+    return Capsule(name=name, start=_vector(middle + shift - half), end=_vector(middle + shift + half), radius=radius)
 
 
 def _box(name: str, rng: np.random.Generator, place: _Place) -> Box:
@@ -179,7 +184,9 @@ def _cluster(robot: Robot, rng: np.random.Generator, sector: tuple[float, float]
     middle = np.array(_spot(robot, rng, sector, 0.1))
     spread = _between(rng, 0.05, 0.4)
     return tuple(
-        Fruit(name=f"fruit {index}", center=_vector(middle + spread * rng.normal(size=3)), radius=rng.uniform(0.02, 0.06))
+        Fruit(
+            name=f"fruit {index}", center=_vector(middle + spread * rng.normal(size=3)), radius=rng.uniform(0.02, 0.06)
+        )
         for index in range(int(rng.integers(1, _MOST_FRUITS + 1)))
     )
 

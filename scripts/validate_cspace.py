@@ -1,4 +1,5 @@
-"""Hold the analytic C-space of a scene against coal on every node of the joint grid, and say where they differ."""
+"""Hold the analytic C-space against coal and say where they differ: on every node of a scene's joint grid, or on random
+scenes of every kind of obstacle."""
 
 from __future__ import annotations
 
@@ -15,12 +16,15 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from hplan.validation import Comparison, Difference, Validation
+    from hplan.validation_kinds import KindsValidation
 
-RESULT = "validation.json"
+RESULT, KINDS_RESULT = "validation.json", "validation-kinds.json"
 
 _DESCRIPTION = """\
 Ask coal at every node of the joint grid whether the arm touches an obstacle, with its links as capsules, as boxes
 and as the URDF's own collision geometry, and compare the answers with the analytic C-space that the planner uses.
+With --kinds do so for random scenes of obstacles of each kind, at random yaws and over intervals of yaw, links as
+capsules.
 """
 
 _EPILOG = f"""\
@@ -31,10 +35,17 @@ ours only: forbidden for us, free for coal. It costs room, not safety.
 contact: decided differently where the distance is zero up to rounding (1e-9 m),
   so that either answer is right; not among the others.
 
-writes DIR/{RESULT} where --out names a folder.
+--kinds: sphere, capsule, box, mesh, points, fruits; all where none is named.
+missed: a collision for coal, free for us. It must be 0.
+differ: the signs of our exact distances against coal's answers.
+lost: forbidden for us, of what coal has free by more than 2 mm; at one yaw at
+  most 1 %. Over an interval of yaw this counts where all yaws looked at are free.
+
+writes DIR/{RESULT} or, with --kinds, DIR/{KINDS_RESULT}
+  where --out names a folder.
 
 exit status:
-  0  no fault
+  0  no fault; with --kinds nothing missed and no more lost than may be
   2  bad input
   5  a fault was found
 """
@@ -48,17 +59,24 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _run(arguments: argparse.Namespace, console: Console, errors: Console) -> int:
     """Compare, write and show; returns the exit status."""
-    if arguments.out is not None:
-        _prepare(arguments.out)
-    result = _validate(arguments, errors)
-    if arguments.out is not None:
+    _check_options(arguments)
+    path = None if arguments.out is None else arguments.out / (RESULT if arguments.kinds is None else KINDS_RESULT)
+    if path is not None:
+        _prepare(path)
+    if arguments.kinds is None:
+        comparison = _validate(arguments, errors)
+        _show(console, comparison)
+        ok, report = comparison.ok, comparison.as_dict()
+    else:
+        kinds = _validate_kinds(arguments, errors)
+        _show_kinds(console, kinds)
+        ok, report = kinds.ok, kinds.as_dict()
+    if path is not None:
         from hplan.report import write_report
 
-        write_report(result.as_dict(), arguments.out / RESULT)
-    _show(console, result)
-    if arguments.out is not None:
-        console.print(f"written to {arguments.out / RESULT}\n", markup=False, soft_wrap=True)
-    return 0 if result.ok else FAILED
+        write_report(report, path)
+        console.print(f"written to {path}\n", markup=False, soft_wrap=True)
+    return 0 if ok else FAILED
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -66,24 +84,40 @@ def _parser() -> argparse.ArgumentParser:
     add_scene(parser)
     add_robot(parser)
     add = parser.add_argument
-    add("--step", type=float, default=1.0, metavar="DEG", help="spacing of the joint grid (default: 1)")
+    add("--step", type=float, metavar="DEG", help="spacing of the joint grid (default: 1)")
     add("--yaw", type=float, metavar="DEG", help="yaw of the arm plane (default: that of the scene's start)")
-    add("--out", type=Path, metavar="DIR", help=f"folder to write {RESULT} into (default: none)")
+    add("--kinds", nargs="*", metavar="KIND", help="random scenes of these kinds of obstacles instead of one scene")
+    add("--scenes", type=int, metavar="N", help="random scenes of each kind (default: 200)")
+    add("--configurations", type=int, metavar="M", help="configurations of each random scene (default: 20000)")
+    add("--seed", type=int, metavar="N", help="seed of the random scenes (default: 0)")
+    add("--out", type=Path, metavar="DIR", help="folder to write the numbers into (default: none)")
     return parser
 
 
-def _prepare(folder: Path) -> None:
-    """Make the folder and remove an earlier result from it, before any work.
+def _check_options(arguments: argparse.Namespace) -> None:
+    """Refuse what has no meaning beside `--kinds`, or without it.
+
+    Raises:
+        OptionError: An option of the one way is given in the other.
+    """
+    random = {"--scenes": arguments.scenes, "--configurations": arguments.configurations, "--seed": arguments.seed}
+    single = {"SCENE": arguments.scene, "--step": arguments.step, "--yaw": arguments.yaw}
+    for name, value in (random if arguments.kinds is None else single).items():
+        if value is not None:
+            raise OptionError(name, value, "--kinds beside it" if arguments.kinds is None else "nothing beside --kinds")
+
+
+def _prepare(path: Path) -> None:
+    """Make the folder of a result and remove an earlier one from it, before any work.
 
     Raises:
         OutputError: The folder cannot be made or written, or the result not removed.
     """
-    prepare_folder(folder)
-    earlier = folder / RESULT
+    prepare_folder(path.parent)
     try:
-        earlier.unlink(missing_ok=True)
+        path.unlink(missing_ok=True)
     except OSError as error:
-        raise OutputError(earlier, error.strerror or str(error)) from error
+        raise OutputError(path, error.strerror or str(error)) from error
 
 
 def _validate(arguments: argparse.Namespace, errors: Console) -> Validation:
@@ -95,8 +129,9 @@ def _validate(arguments: argparse.Namespace, errors: Console) -> Validation:
     with Progress(*columns, console=errors, transient=True, disable=not errors.is_terminal) as bars:
         loading = bars.add_task("reading robot and scene", total=None)
 
-        if not (math.isfinite(arguments.step) and arguments.step > 0.0):
-            raise OptionError("--step", arguments.step, "a positive number of degrees")
+        step = 1.0 if arguments.step is None else arguments.step
+        if not (math.isfinite(step) and step > 0.0):
+            raise OptionError("--step", step, "a positive number of degrees")
         from hplan.robot import load_robot
         from hplan.scene_file import load_scene
         from hplan.validation import validate_cspace
@@ -118,10 +153,80 @@ def _validate(arguments: argparse.Namespace, errors: Console) -> Validation:
         return validate_cspace(
             robot,
             scene,
-            step=math.radians(arguments.step),
+            step=math.radians(step),
             yaw=None if arguments.yaw is None else math.radians(arguments.yaw),
             progress=progress,
         )
+
+
+def _validate_kinds(arguments: argparse.Namespace, errors: Console) -> KindsValidation:
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+    columns = TextColumn("{task.description:28}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()
+    with Progress(*columns, console=errors, transient=True, disable=not errors.is_terminal) as bars:
+        task = bars.add_task("loading", total=None)
+
+        from hplan.robot import load_robot
+        from hplan.validation_kinds import CONFIGURATIONS, SCENES, validate_kinds
+        from hplan.validation_scenes import KINDS
+
+        return validate_kinds(
+            load_robot(arguments.robot, limits=arguments.limits),
+            arguments.kinds or KINDS,
+            scenes=SCENES if arguments.scenes is None else arguments.scenes,
+            configurations=CONFIGURATIONS if arguments.configurations is None else arguments.configurations,
+            seed=arguments.seed or 0,
+            progress=lambda what, done, total: bars.update(task, description=what, completed=done, total=total),
+        )
+
+
+def _show_kinds(console: Console, result: KindsValidation) -> None:
+    """A table that fits 80 columns, some of what was missed, and the verdict."""
+    from rich import box
+    from rich.markup import escape
+    from rich.table import Table
+
+    console.print(
+        f"\n[bold]{result.scenes:,}[/] random scenes of each kind with [bold]{escape(result.robot)}[/], "
+        f"{result.configurations:,} configurations each\n",
+        soft_wrap=True,
+    )
+    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), show_edge=False)
+    table.add_column("kind", no_wrap=True)
+    for heading in ("looked at", "colliding", "missed", "differ", "free > 2 mm", "lost", "widest", "time"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    before = False
+    for row in result.results:
+        if row.layers and not before:
+            table.add_section()
+        before = row.layers
+        table.add_row(
+            f"{row.kind} ~" if row.layers else row.kind,
+            f"{row.configurations:,}",
+            f"{row.colliding:,}",
+            f"[bold red]{row.missed:,}[/]" if row.missed else "0",
+            "-" if row.layers else f"[bold red]{row.differing:,}[/]" if row.differing else "0",
+            f"{row.spare:,}",
+            f"{100.0 * row.lost_share:.3f} %",
+            _mm(row.widest_gap_m),
+            f"{row.seconds:.0f} s",
+        )
+    console.print(table)
+    if before:
+        console.print(
+            "~: over intervals of yaw, where what is free and lost are nodes of the planar grids", style="dim"
+        )
+    console.print()
+    for row in result.results:
+        for example in row.examples:
+            joints = ", ".join(f"{joint:.9g}" for joint in example.joints_rad)
+            console.print(
+                f"{row.kind} {example.scene}: {example.side}, coal {_mm(example.distance_m)}, joints_rad [{joints}]",
+                markup=False,
+                soft_wrap=True,
+            )
+    verdict = "[bold green]nothing missed[/]" if result.ok else "[bold red]FAULTS[/]"
+    console.print(f"{verdict}, {result.total_s:.0f} s in all\n")
 
 
 def _show(console: Console, result: Validation) -> None:

@@ -4,6 +4,7 @@ import importlib.util
 import json
 import math
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -17,7 +18,14 @@ import hplan
 from hplan.benchmark import growth, orchard_scenes, orchards, recheck
 from hplan.benchmark.measure import fitted_slope, peak_memory_mb, spread
 from hplan.benchmark.motions import Findings, of_rows, row_cubics, stopping_duration, toppra_motion
-from hplan.benchmark.orchard_scenes import STANDOFF, OrchardProblem, crop_of, measured_orchards, shipped_orchards
+from hplan.benchmark.orchard_scenes import (
+    STANDOFF,
+    Crop,
+    OrchardProblem,
+    crop_of,
+    measured_orchards,
+    shipped_orchards,
+)
 from hplan.benchmark.paths import Task, ways_of
 from hplan.benchmark.planners import Ompl, OmplResult
 from hplan.benchmark.scenes import APART_DEG, random_scene
@@ -250,12 +258,18 @@ def test_markdown_of_nothing_measured() -> None:
     assert text.startswith("p, 1 cores")
 
 
-def test_orchard_goals_are_where_straight_approaches_begin(robot: Robot) -> None:
+@pytest.fixture(scope="module")
+def crop(robot: Robot) -> Crop:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(orchard_scenes, "SHIPPED", ("tour",))
+        return crop_of(robot, shipped_orchards()[0])
+
+
+def test_orchard_goals_are_where_straight_approaches_begin(robot: Robot, crop: Crop) -> None:
     """The hand points at the fruit from the stand-off, touching nothing; coal and Pinocchio judge."""
-    orchard = next(orchard for orchard in shipped_orchards() if orchard.name == "trellis")
-    crop = crop_of(robot, orchard)
-    judge = CollisionScene(robot, orchard.scene.solids_with_goal)
-    centres = {fruit.name: np.array(fruit.center) for fruit in orchard.scene.fruits}
+    scene = crop.orchard.scene
+    judge = CollisionScene(robot, scene.solids_with_goal)
+    centres = {fruit.name: np.array(fruit.center) for fruit in scene.fruits}
     assert len(crop.goals) + sum(crop.without.values()) == len(centres)
     assert set(crop.without) <= {"blocked", "no_approach", "joint_limit", "too_far"}
     assert len(crop.goals) >= 5
@@ -270,16 +284,15 @@ def test_orchard_goals_are_where_straight_approaches_begin(robot: Robot) -> None
         np.testing.assert_allclose(ahead / STANDOFF, (tool - wrist) / np.linalg.norm(tool - wrist), atol=1e-5)
 
 
-def test_orchard_problems_go_from_home_and_from_fruit_to_fruit(robot: Robot) -> None:
-    crop = crop_of(robot, next(orchard for orchard in shipped_orchards() if orchard.name == "dense-canopy"))
+def test_orchard_problems_go_from_home_and_from_fruit_to_fruit(crop: Crop) -> None:
     problems, goals, home = crop.problems(), list(crop.goals), crop.orchard.scene.start.configuration
     assert len(problems) == 2 * len(goals) - 1
     for problem, name in zip(problems, goals, strict=False):
-        assert problem.name == f"dense-canopy: home to {name}"
+        assert problem.name == f"tour: home to {name}"
         np.testing.assert_array_equal(problem.scene.start.configuration, home)
         np.testing.assert_array_equal(problem.scene.goal.configuration, crop.goals[name])
-    for problem, before, after in zip(problems[len(goals) :], goals, goals[1:], strict=True):
-        assert problem.name == f"dense-canopy: {before} to {after}"
+    for problem, (before, after) in zip(problems[len(goals) :], pairwise(goals), strict=True):
+        assert problem.name == f"tour: {before} to {after}"
         np.testing.assert_array_equal(problem.scene.start.configuration, crop.goals[before])
         np.testing.assert_array_equal(problem.scene.goal.configuration, crop.goals[after])
         assert len(problem.scene.fruits) == len(crop.orchard.scene.fruits)
@@ -371,11 +384,10 @@ def test_orchard_motion_that_touches_is_told_by_the_exit_status(
     assert script.main(["--sets", "orchards", "--scenes", "1", "--out", str(tmp_path)]) == script.FAULT
 
 
-def test_planners_turn_the_base_where_installed(robot: Robot) -> None:
+def test_planners_turn_the_base_where_installed(robot: Robot, crop: Crop) -> None:
     pytest.importorskip("ompl")
     ompl = Ompl.if_installed(1)
     assert ompl is not None
-    crop = crop_of(robot, next(orchard for orchard in shipped_orchards() if orchard.name == "tour"))
     tasks = (Task.of(robot, problem.scene) for problem in crop.problems())
     task = next(t for t in tasks if not t.field.is_clear(np.stack([t.problem.start, t.problem.goal]), 1e-3))
     ends = task.problem.start, task.problem.goal

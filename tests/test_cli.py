@@ -212,7 +212,7 @@ def test_summary_fits_80_columns(run: Run, capsys: pytest.CaptureFixture[str], m
         *("certificate", "time", "files"),
     ]
     # Nothing was wrapped: only the stage times go on in a second and third line.
-    assert [line.split()[0] for line in lines if line.startswith(" ") and line.strip()] == ["cspace", "postprocess"]
+    assert [line.split()[0] for line in lines if line.startswith(" ") and line.strip()] == ["grasps", "postprocess"]
     assert err == ""
 
 
@@ -519,14 +519,12 @@ def ball(**changes: Any) -> list[dict[str, Any]]:
         ({"goal": {"joints_deg": [0, 45, 91, 70]}}, "JointLimitError", ["goal", "'elbow'"]),
         ({"goal": {"joints_deg": [0, 45, 60]}}, "InputError", ["goal", "expected 4 joint values", "got 3"]),
         ({"goal": {"joints_deg": [20, 45, 60, 70]}}, "InputError", ["'base_yaw' is locked"]),
-        ({"goal": {"joints_deg": [20, 45, 60, 70]}, "locked_joints": []}, "InputError", ["base_yaw", "not available"]),
         ({"locked_joints": ["wrist"]}, "InputError", ["'wrist' is locked"]),
         ({"locked_joints": ["knee"]}, "InputError", ["'knee'", "base_yaw, shoulder, elbow, wrist"]),
-        ({"goal": {"position": [1, 0, 1]}}, "InputError", ["goal", "not available yet", "joints_deg"]),
         (
-            {"goal": {"fruit": "f"}, "fruits": [{"name": "f", "center": [1, 0, 1], "radius": 0.04}]},
-            "InputError",
-            ["goal", "not available yet"],
+            {"goal": {"joints_deg": [0, 45, 60, 70], "approach_deg": 90}},
+            "SceneError",
+            ["approach_deg", "nothing to choose"],
         ),
     ],
 )
@@ -536,6 +534,30 @@ def test_scenes_that_are_refused(
     error, message = fails(2, scene_file(**changes))
     assert error["kind"] == kind
     assert [word for word in says if word not in message] == []
+
+
+def fruit(*center: float) -> dict[str, Any]:
+    return {"goal": {"fruit": "f"}, "fruits": [{"name": "f", "center": list(center), "radius": 0.04}]}
+
+
+TRUNK = {"name": "trunk", "kind": "capsule", "from": [1.2, 0, 0], "to": [1.2, 0, 2.5], "radius": 0.06}
+
+
+@pytest.mark.parametrize(
+    ("changes", "kind", "says"),
+    [
+        ({"goal": {"position": [3, 0, 1]}}, "UnreachableError", ["beyond the reach"]),
+        (fruit(1.0, 0.0, 0.7), "UnreachableError", ["limit"]),
+        ({**fruit(1.2, 0.0, 1.6), "obstacles": [TRUNK]}, "BlockedError", ["fruit 'f'", "'trunk'", "66 configurations"]),
+        ({"goal": {"position": [0.5, 1.0, 1.5]}}, "UnreachableError", ["base_yaw locked"]),
+    ],
+)
+def test_goals_that_cannot_be_reached(
+    fails: Fails, scene_file: SceneFile, changes: dict[str, Any], kind: str, says: list[str]
+) -> None:
+    error, message = fails(3, scene_file(**changes))
+    assert error["kind"] == kind
+    assert [word for word in says if word not in message] == [], message
 
 
 @pytest.mark.parametrize(

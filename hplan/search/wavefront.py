@@ -88,58 +88,6 @@ def meet(lattice: Lattice, free: WordArray, starts: IntArray, goals: IntArray) -
 
 
 @nb.njit(cache=True)
-def _widen(front: WordArray, words: int, inner: WordArray, along: WordArray, spread: WordArray) -> None:
-    """The nodes of a line, (length,), and their neighbours in the same line."""
-    length = len(front)
-    one, top = np.uint64(1), np.uint64(63)
-    if words == 1:
-        for k in range(length):
-            along[k] = front[k] | (front[k] << one) | (front[k] >> one)
-    else:
-        for k in range(1, length - 1):
-            along[k] = (
-                front[k]
-                | (front[k] << one)
-                | (front[k] >> one)
-                | ((front[k - 1] >> top) & inner[k])
-                | ((front[k + 1] << top) & (inner[k + 1] << top))
-            )
-    # The first and last rows are border: they need no neighbours.
-    for k in range(words, length - words):
-        spread[k] = along[k] | along[k - words] | along[k + words]
-
-
-@nb.njit(cache=True)
-def _settle(
-    free: WordArray, seen: WordArray, other: WordArray, fresh: WordArray, plane: WordArray
-) -> tuple[int, int, bool]:
-    """Add to a line what is free and unseen of `fresh`; how many nodes, the first word the other side has seen (or -1).
-
-    Also whether free nodes are left in the line that are unseen.
-    """
-    zero = np.uint64(0)
-    some, common, left = zero, zero, zero
-    for k in range(len(free)):
-        fresh[k] &= free[k] & ~seen[k]
-        some |= fresh[k]
-        common |= fresh[k] & other[k]
-    if some == zero:
-        return 0, -1, True
-    added = 0
-    for k in range(len(free)):
-        seen[k] |= fresh[k]
-        plane[k] |= fresh[k]
-        left |= free[k] & ~seen[k]
-        added += popcount(fresh[k])
-    met = -1
-    if common != zero:
-        met = 0
-        while fresh[met] & other[met] == zero:
-            met += 1
-    return added, met, left != zero
-
-
-@nb.njit(cache=True)
 def _meet(
     free: WordArray,
     seen: WordArray,
@@ -152,8 +100,8 @@ def _meet(
 ) -> tuple[int, int, int, IntArray, int]:
     """Grow both fronts, line by line, until they meet or one is enclosed; fills `seen` and `planes`.
 
-    A line is settled when some neighbouring line had news at the level before. The front of a level is its plane: what
-    is older there has no unseen neighbours.
+    A line is settled where some neighbouring line had news at the level before, and only along the rows beside these.
+    The front of a level is its plane: what is older there has no unseen neighbours.
 
     Returns:
         Row and bit where they met (-1 where they did not), the side that is enclosed, the levels of both sides, and
@@ -161,17 +109,21 @@ def _meet(
     """
     lines, length = free.shape
     rows = length // words
-    one, zero = np.uint64(1), np.uint64(0)
-    inner = np.ones(length, dtype=np.uint64)  # 1 for words whose lower neighbour is of the same row
+    one, top, zero, lowest = np.uint64(1), np.uint64(63), np.uint64(0), np.uintp(1)
+    inner = np.ones(length, dtype=np.uint64)
     for k in range(0, length, words):
         inner[k] = zero
     along, fresh = np.zeros(length, dtype=np.uint64), np.zeros(length, dtype=np.uint64)
-    spread = np.empty((lines, length), dtype=np.uint64)
-    is_active, is_done = np.zeros((2, lines), dtype=np.bool_), np.zeros((2, lines), dtype=np.bool_)
-    stamp = np.zeros(lines, dtype=np.int64)
-    active = np.empty((2, lines), dtype=np.int64)
-    wanted = np.empty(lines, dtype=np.int64)
-    sizes, levels = np.zeros(2, dtype=np.int64), np.zeros(2, dtype=np.int64)
+    spread = np.empty(lines * length, dtype=np.uint64)
+    free_words, seen_words, plane_words = free.ravel(), seen.ravel(), planes.ravel()
+    is_active = np.zeros((2, lines), dtype=np.bool_)
+    left = np.full((2, lines), -1, dtype=np.int32)  # free nodes that are unseen; -1: not counted yet
+    lows, highs = np.empty((2, lines), dtype=np.int32), np.empty((2, lines), dtype=np.int32)  # words with news
+    next_lows, next_highs = np.empty(lines, dtype=np.int32), np.empty(lines, dtype=np.int32)
+    stamp = np.zeros(lines, dtype=np.int32)
+    active = np.empty((2, lines), dtype=np.int32)
+    wanted = np.empty(lines, dtype=np.int32)
+    sizes, levels, news = np.zeros(2, dtype=np.int64), np.zeros(2, dtype=np.int64), np.zeros(2, dtype=np.int64)
     flooded, steps = 0, 0
     for end in range(len(end_rows)):
         side = 0 if end < starts else 1
@@ -179,65 +131,121 @@ def _meet(
         mask = one << np.uint64(end_bits[end] & 63)
         if not is_active[side, line]:
             is_active[side, line] = True
+            lows[side, line], highs[side, line] = length, 0
             active[side, sizes[side]] = line
             sizes[side] += 1
-        flooded += 0 if seen[side, line, k] & mask else 1
+        lows[side, line], highs[side, line] = min(lows[side, line], k), max(highs[side, line], k + 1)
+        news[side] += 0 if seen[side, line, k] & mask else 1
         seen[side, line, k] |= mask
         planes[side, 0, line, k] |= mask
         if side == 1 and seen[0, line, k] & mask:
-            return end_rows[end], end_bits[end], -1, levels, flooded
-    while sizes[0] > 0 and sizes[1] > 0:
-        side = 0 if sizes[0] <= sizes[1] else 1
+            return end_rows[end], end_bits[end], -1, levels, news[0] + news[1]
+    flooded = news[0] + news[1]
+    while news[0] > 0 and news[1] > 0:
+        side = 0 if news[0] <= news[1] else 1
         plane = levels[side] % 3
         steps += 1
         count = 0
         for i in range(sizes[side]):
             line = active[side, i]
-            _widen(planes[side, plane, line], words, inner, along, spread[line])
+            # Whole rows, and one more row on either side.
+            low = (lows[side, line] // words - 1) * words
+            high = ((highs[side, line] - 1) // words + 2) * words
+            lows[side, line], highs[side, line] = low, high
+            base, plane_base = np.uintp(line * length), np.uintp(((3 * side + plane) * lines + line) * length)
+            begin, end, row = np.uintp(low + words), np.uintp(high - words), np.uintp(words)
+            if words == 1:
+                for k in range(begin, end):
+                    front = plane_words[plane_base + k]
+                    along[k] = front | (front << one) | (front >> one)
+            else:
+                for k in range(begin, end):
+                    front = plane_words[plane_base + k]
+                    below = (plane_words[plane_base + k - lowest] >> top) * inner[k]
+                    above = (plane_words[plane_base + k + lowest] << top) * inner[k + lowest]
+                    along[k] = front | (front << one) | (front >> one) | below | above
+            for k in range(begin, end):
+                spread[base + k] = along[k - row] | along[k] | along[k + row]
+            for k in range(row):
+                spread[base + begin - row + k], spread[base + end + k] = along[begin + k], along[end - row + k]
+            for k in range(begin, end):
+                along[k] = zero
             for offset in beside:
                 other = line + offset
-                if stamp[other] != steps:
+                if stamp[other] != steps and left[side, other] != 0:
                     stamp[other] = steps
-                    if not is_done[side, other]:
-                        wanted[count] = other
-                        count += 1
+                    wanted[count] = other
+                    count += 1
         levels[side] += 1
         plane = levels[side] % 3
-        sizes[side], size = 0, sizes[side]
-        met_line, met_word = -1, -1
-        following = 0
+        size = sizes[side]
+        met_line, met_word, following, added = -1, -1, 0, 0
         for i in range(count):
             line = wanted[i]
-            for k in range(length):
-                fresh[k] = zero
+            if left[side, line] < 0:
+                nodes = 0
+                for k in range(length):
+                    nodes += popcount(free[line, k] & ~seen[side, line, k])
+                left[side, line] = nodes
+                if nodes == 0:
+                    continue
+            low, high = length, 0
             for offset in beside:
                 if is_active[side, line + offset]:
-                    near = spread[line + offset]
-                    for k in range(words, length - words):
-                        fresh[k] |= near[k]
-            added, met, left = _settle(
-                free[line], seen[side, line], seen[1 - side, line], fresh, planes[side, plane, line]
-            )
-            is_done[side, line] = not left
-            if added > 0:
-                flooded += added
-                wanted[following] = line
-                following += 1
-                if met >= 0 and met_line < 0:
-                    met_line, met_word = line, met
+                    low, high = min(low, lows[side, line + offset]), max(high, highs[side, line + offset])
+            for k in range(np.uintp(low), np.uintp(high)):
+                fresh[k] = zero
+            for offset in beside:
+                other = line + offset
+                if is_active[side, other]:
+                    begin, end = np.uintp(lows[side, other]), np.uintp(highs[side, other])
+                    base = np.uintp(other * length)
+                    for k in range(begin, end):
+                        fresh[k] |= spread[base + k]
+            # Add what is free and unseen of it.
+            some, base, fresh_nodes = zero, np.uintp(line * length), 0
+            seen_base = np.uintp((side * lines + line) * length)
+            plane_base = np.uintp(((3 * side + plane) * lines + line) * length)
+            for k in range(np.uintp(low), np.uintp(high)):
+                fresh[k] &= free_words[base + k] & ~seen_words[seen_base + k]
+                some |= fresh[k]
+            if some != zero:
+                for k in range(np.uintp(low), np.uintp(high)):
+                    seen_words[seen_base + k] |= fresh[k]
+                    plane_words[plane_base + k] |= fresh[k]
+                    fresh_nodes += popcount(fresh[k])
+            if fresh_nodes == 0:
+                continue
+            left[side, line] -= fresh_nodes
+            added += fresh_nodes
+            if met_line < 0:
+                for k in range(low, high):
+                    if fresh[k] & seen[1 - side, line, k]:
+                        met_line, met_word = line, k
+                        break
+            while fresh[low] == zero:
+                low += 1
+            while fresh[high - 1] == zero:
+                high -= 1
+            next_lows[line], next_highs[line] = low, high
+            wanted[following] = line
+            following += 1
         for i in range(size):
             is_active[side, active[side, i]] = False
         for i in range(following):
-            active[side, i] = wanted[i]
-            is_active[side, wanted[i]] = True
-        sizes[side] = following
+            line = wanted[i]
+            active[side, i] = line
+            is_active[side, line] = True
+            lows[side, line], highs[side, line] = next_lows[line], next_highs[line]
+        sizes[side], news[side] = following, added
+        flooded += added
         # What is met is of the last level on both sides: had the other front met it earlier, it would have gone on to
         # the node before it, and the fronts would have met there.
         if met_line >= 0:
             common = planes[side, plane, met_line, met_word] & seen[1 - side, met_line, met_word]
             row, bit = met_line * rows + met_word // words, 64 * (met_word % words) + lowest_bit(common)
             return row, bit, -1, levels, flooded
-    return -1, -1, 0 if sizes[0] == 0 else 1, levels, flooded
+    return -1, -1, 0 if news[0] == 0 else 1, levels, flooded
 
 
 @nb.njit(cache=True)

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from hplan.errors import HplanError
     from hplan.options import PlanOptions
     from hplan.pipeline import PlanResult, plan
+    from hplan.planner import Planner
     from hplan.robot import Robot, load_robot
     from hplan.scene import Scene
     from hplan.scene_file import load_scene, save_scene
@@ -26,6 +27,7 @@ __all__ = [
     "HplanError",
     "PlanOptions",
     "PlanResult",
+    "Planner",
     "Robot",
     "Scene",
     "Trajectory",
@@ -43,6 +45,7 @@ _HOME = {
     "HplanError": "errors",
     "PlanOptions": "options",
     "PlanResult": "pipeline",
+    "Planner": "planner",
     "Robot": "robot",
     "Scene": "scene",
     "Trajectory": "trajectory",

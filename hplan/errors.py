@@ -263,6 +263,21 @@ class BlockedError(HplanError):
         self.obstacles = tuple(dict(o) for o in obstacles)
 
 
+class TourError(HplanError):
+    """None of the fruits of a tour can be picked; `reasons` has for each its name and the error that says why."""
+
+    exit_status = 3
+
+    def __init__(self, reasons: Sequence[tuple[str, HplanError]]) -> None:
+        """Name the fruits and why each cannot be picked."""
+        first = "".join(f"; {name!r}: {error.message}" for name, error in reasons[:3])
+        super().__init__(
+            f"none of {len(reasons)} fruits can be picked{first}{'; ...' if len(reasons) > 3 else ''}",
+            unreached=[{"fruit": name, "error": error.as_dict()} for name, error in reasons],
+        )
+        self.reasons = tuple(reasons)
+
+
 class TimingError(HplanError):
     """A path that cannot be timed under the limits; `joint` is the one at fault where it is known."""
 

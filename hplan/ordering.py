@@ -109,7 +109,7 @@ def nearest(costs: Costs) -> Visits:
     for _ in range(costs.fruits):
         full = costs.capacity > 0 and load == costs.capacity
         ways = costs.first if not places else costs.away if full else costs.onward[places[-1]]
-        if places and not full and not np.isfinite(np.where(left, ways, np.inf)).any():
+        if places and costs.capacity > 0 and not full and not np.isfinite(np.where(left, ways, np.inf)).any():
             full, ways = True, costs.away
         if places:
             dropped.append(full)

@@ -15,14 +15,13 @@ from the stand-off before a fruit to the drop-off. The motions of the empty arm 
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hplan.arrays import FloatArray, readonly
+from hplan.arrays import FloatArray, IntArray, readonly
 from hplan.certificate import Certificate
 from hplan.errors import (
     BlockedError,
@@ -118,8 +117,8 @@ class _Move:
         return replace(self, parts=tuple((name, motion.reversed, shown) for name, motion, shown in self.parts[::-1]))
 
     def named(self, name: str) -> list[Part]:
-        """Its parts under another name."""
-        return [(name, motion, shown) for _, motion, shown in self.parts]
+        """Its parts under another name, if it is one."""
+        return [(name or own, motion, shown) for own, motion, shown in self.parts]
 
 
 _NONE = _Move(math.inf, ())
@@ -189,7 +188,7 @@ class Motions:
             approach_deg=self.scene.goal.approach_deg,
             locked=self.scene.locked_joints,
         )
-        shown, move, pick = self._first_reached(ways, promising(ways, around, near, hub), fruit.name)
+        shown, move, pick = self._first_reached(promising(ways, around, near, hub), fruit.name)
         spread = [ways[i] for i in np.unique(np.linspace(0, len(ways) - 1, max(0, keep - 1)).astype(int))]
         for number, grasp in enumerate([shown, *(way for way in spread if way is not shown)]):
             place = len(self._grasps)
@@ -216,13 +215,16 @@ class Motions:
             if not missing and before is not None and np.array_equal(before.places, visits.places):
                 return visits
 
+    def fruits_at(self, places: IntArray) -> IntArray:
+        """The numbers of the fruits at places."""
+        return np.searchsorted(self._begin, places, side="right") - 1
+
     def legs(self, visits: Visits) -> list[tuple[str, Grasp, list[Part]]]:
         """For each fruit of a tour its name, how it is taken, and the motions there and, if it is, to the drop-off."""
         found = []
         for place, leg in zip(visits.places.tolist(), self._steps(visits), strict=True):
-            parts = [part for name, step in leg for part in self._take(step).named(name)] if leg else []
-            fruit = int(np.searchsorted(self._begin, place, side="right")) - 1
-            found.append((self.fruits[fruit], self._grasps[place], parts))
+            parts = [part for name, step in leg if name != "return" for part in self._take(step).named(name)]
+            found.append((self._fruit_at(place), self._grasps[place], parts))
         return found
 
     def way_back(self, visits: Visits) -> list[Part]:
@@ -234,6 +236,10 @@ class Motions:
         """Where a tour's last leg ends."""
         return self._stops[self._hub if self._carries else self._first + int(visits.places[-1])]
 
+    def _fruit_at(self, place: int) -> str:
+        """The name of the fruit at a place."""
+        return self.fruits[int(self.fruits_at(np.array([place]))[0])]
+
     def _stop(self, stop: Stop) -> int:
         """The number of a stop, a new one unless there is the same already."""
         for number, other in enumerate(self._stops):
@@ -242,7 +248,7 @@ class Motions:
         self._stops.append(stop)
         return len(self._stops) - 1
 
-    def _first_reached(self, ways: Sequence[Grasp], likely: list[Grasp], fruit: str) -> tuple[Grasp, _Move, _Move]:
+    def _first_reached(self, likely: list[Grasp], fruit: str) -> tuple[Grasp, _Move, _Move]:
         """The first way to take a fruit that a certified motion from the hub leads to."""
         hub, world, around = self._stops[self._hub], self._worlds[1], self._around[-1]
         tasks = []
@@ -311,9 +317,8 @@ class Motions:
     def _pick(self, place: int) -> _Move:
         """Approach and retreat at a place; planned if they are not there yet."""
         if place not in self._picks:
-            fruit = self.fruits[int(np.searchsorted(self._begin, place, side="right")) - 1]
             try:
-                self._picks[place] = self._planned_pick(self._grasps[place], fruit)
+                self._picks[place] = self._planned_pick(self._grasps[place], self._fruit_at(place))
             except NO_MOTION:
                 self._picks[place] = _NONE
         return self._picks[place]
@@ -331,8 +336,6 @@ class Motions:
             if self._carries and (visits.dropped[number] or number == last):
                 leg.append(("drop", (stop, self._hub, 1)))
                 here = self._hub
-            elif visits.dropped[number]:
-                raise ValueError("a tour without a drop-off cannot go over one")
             found.append(leg)
         if self._back and found:
             found[-1].append(("return", (here, self._home, 0)))

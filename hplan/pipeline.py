@@ -61,6 +61,7 @@ class PlanResult:
         certificate: What was shown of it.
         grasp: Where the tool takes the fruit, or reaches the point; None where the goal is given by joints.
         phases: The parts of the trajectory.
+        motion: The transit, with all that it was made from.
         report: The numbers of `report.json`.
     """
 
@@ -73,6 +74,7 @@ class PlanResult:
     certificate: Certificate
     grasp: Grasp | None
     phases: tuple[Phase, ...]
+    motion: Motion
     report: dict[str, Any]
 
 
@@ -132,7 +134,7 @@ def plan_with(
     if goal is not None:
         problem = pose_problem(around, start, goal, locked_joints=scene.locked_joints)
         _, motion = find_motion([Task(around, scene, problem, options, clock, workspace.layers, progress)])
-        return _result(scene, clock, None, motion, [("transit", motion.trajectory, motion.certificate)])
+        return result_of(scene, clock, None, motion, [("transit", motion.trajectory, motion.certificate)])
     return _reach(workspace, around, start, scene, options, clock, progress)
 
 
@@ -178,7 +180,7 @@ def _reach(
         except CertificationError as error:
             refused = refused or error
             continue
-        return _result(scene, clock, grasp, motion, parts)
+        return result_of(scene, clock, grasp, motion, parts)
     raise refused or CertificationError("no motion could be certified")
 
 
@@ -214,13 +216,14 @@ def last_stretch(task: Task, grasp: Grasp, retreat: bool) -> list[tuple[str, Tra
     return parts
 
 
-def _result(
+def result_of(
     scene: Scene,
     clock: StageClock,
     grasp: Grasp | None,
     motion: Motion,
     parts: Sequence[tuple[str, Trajectory, Certificate]],
 ) -> PlanResult:
+    """The plan that consists of a motion and, after it, approach and retreat: name, trajectory, certificate each."""
     ends = np.cumsum([part.duration for _, part, _ in parts]).tolist()
     phases = tuple(Phase(name, begin, end) for (name, _, _), begin, end in zip(parts, [0.0, *ends], ends, strict=False))
     trajectory = joined([part for _, part, _ in parts])
@@ -236,6 +239,7 @@ def _result(
         certificate=certificate,
         grasp=grasp,
         phases=phases,
+        motion=motion,
         report=_report(scene, clock, grasp, motion, phases, trajectory, certificate),
     )
 
@@ -286,7 +290,7 @@ def _report(
         "scene": scene.name,
         "robot": motion.task.robot.name,
         "planner": {
-            "method": options.method if search is not None or path is None else "direct",
+            "method": options.method if motion.origin in ("none", "search") else motion.origin,
             "link_model": options.link_model,
             "step_deg": options.step_deg if route is None else route.step_deg,
             "cost_deg": 0.0 if search is None else float(np.degrees(search.cost)),

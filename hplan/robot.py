@@ -6,6 +6,7 @@ What URDF cannot say (acceleration, jerk) stands in a limits YAML beside it.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -130,8 +131,10 @@ class Robot:
         Returns:
             The (3,) origin in `base_link` [m] and the (3, 3) rows: horizontal axis, upward axis, unit normal.
         """
-        turn = pin.utils.rotate("z", yaw)
-        axes = np.vstack([self.plane_axes, np.cross(self.plane_axes[0], self.plane_axes[1])])
+        cos, sin = math.cos(yaw), math.sin(yaw)
+        turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+        (ax, ay, az), (bx, by, bz) = self.plane_axes.tolist()
+        axes = np.array([[ax, ay, az], [bx, by, bz], [ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx]])
         return turn @ self.plane_origin, axes @ turn.T
 
     def tool_positions(self, q: ArrayLike) -> FloatArray:

@@ -8,13 +8,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Literal, TypeAlias
 
 import numpy as np
 
 from hplan.arrays import FloatArray, frozen
 from hplan.certificate import Certificate, certify
 from hplan.errors import CertificationError, HplanError, NoPathError
+from hplan.mend import mended
 from hplan.path import GeometricPath, Limits, rest_to_rest
 from hplan.postprocess import PostprocessOptions, SplinePath, fast_path
 from hplan.route import Route, Rung, Task, find_route
@@ -51,6 +53,10 @@ TURNING = (
 WORTHWHILE = 0.7
 
 
+#: A motion is empty, straight, along a way found on a grid, along that of an earlier motion, or an earlier motion.
+Origin: TypeAlias = Literal["none", "direct", "search", "mended", "kept"]
+
+
 @dataclass(frozen=True, eq=False)
 class Motion:
     """A certified motion from configuration to configuration.
@@ -62,6 +68,7 @@ class Motion:
         path: The smooth path; None for an empty motion.
         trajectory: The timed motion.
         certificate: What was shown of it.
+        origin: Where the way comes from.
     """
 
     task: Task
@@ -70,6 +77,7 @@ class Motion:
     path: SplinePath | None
     trajectory: Trajectory
     certificate: Certificate
+    origin: Origin
 
 
 def find_motion(tasks: Sequence[Task]) -> tuple[int, Motion]:
@@ -108,6 +116,25 @@ def find_motion(tasks: Sequence[Task]) -> tuple[int, Motion]:
     return straight
 
 
+def renewed(task: Task, before: Motion) -> Motion:
+    """A motion for the task of an earlier one among obstacles that have changed since.
+
+    The earlier motion itself where it can still be certified, and is straight or still has to go around something;
+    else a motion along its way, mended.
+
+    Raises:
+        CertificationError: Neither can be had.
+        TimingError: The mended path cannot be timed.
+    """
+    straight = task.field.is_clear(np.stack([task.problem.start, task.problem.goal]), MARGIN)
+    if before.path is None or (straight and len(before.way) > 2):
+        raise CertificationError("the earlier motion would be a detour")
+    certificate = judged(task, before.trajectory)
+    if certificate.verified:
+        return replace(before, task=task, route=None, certificate=certificate, origin="kept")
+    return _Attempts(task).along(before.way)
+
+
 def least_duration(task: Task) -> float:
     """What no motion between start and goal can undercut [s]: the duration of the slowest joint on its own."""
     turn = np.abs(task.problem.goal - task.problem.start)
@@ -132,20 +159,25 @@ def certified(task: Task, trajectory: Trajectory) -> Certificate:
     Raises:
         CertificationError: It is asked for, and something was not shown.
     """
-    with task.stage("certificate"):
-        certificate = certify(
-            task.robot,
-            task.scene,
-            trajectory,
-            tracking_error=task.options.tracking_error,
-            judge=task.around.judge,
-        )
+    certificate = judged(task, trajectory)
     if task.options.certify and not certificate.verified:
         raise CertificationError(
             f"the motion is not certified: {'; '.join(certificate.violations)}",
             violations=list(certificate.violations),
         )
     return certificate
+
+
+def judged(task: Task, trajectory: Trajectory) -> Certificate:
+    """The certificate of a motion, whatever it says."""
+    with task.stage("certificate"):
+        return certify(
+            task.robot,
+            task.scene,
+            trajectory,
+            tracking_error=task.options.tracking_error,
+            judge=task.around.judge,
+        )
 
 
 def _straight(attempts: Sequence[_Attempts]) -> tuple[int, Motion] | None:
@@ -193,7 +225,7 @@ def _first_turning(
             except NoPathError as error:
                 if not thick and growth == 0.0:
                     closed[number, coarser] = beyond_deg, error
-    if refused is None and (0, 1.0) in closed:
+    if (0, 1.0) in closed and not closed[0, 1.0][1].open_ended:
         raise closed[0, 1.0][1]
     raise refused or CertificationError("no motion could be certified")
 
@@ -231,20 +263,29 @@ class _Attempts:
         """One pass on one grid."""
         margin = self.margin(rung.growth)
         route = find_route(self.task, rung, 0.1 * margin)
-        return self._finished(route, route.path, margin)
+        return self._finished(route, route.path, margin, "search")
 
     def straight(self) -> Motion:
         """The straight motion, without a search."""
         problem = self.task.problem
-        return self._finished(None, frozen(np.stack([problem.start, problem.goal])), self.margin(0.0))
+        return self._finished(None, frozen(np.stack([problem.start, problem.goal])), self.margin(0.0), "direct")
 
     def empty(self) -> Motion:
         """The motion from a configuration to itself."""
         start = self.task.problem.start
         rest = resting(self.task.robot.model, start)
-        return Motion(self.task, None, frozen(np.array(start[None])), None, rest, certified(self.task, rest))
+        return Motion(self.task, None, frozen(np.array(start[None])), None, rest, certified(self.task, rest), "none")
 
-    def _finished(self, route: Route | None, way: FloatArray, margin: float) -> Motion:
+    def along(self, way: FloatArray) -> Motion:
+        """The motion along a way that was clear before, mended where it is no longer."""
+        margin = self.margin(0.0)
+        problem = self.task.problem
+        clear, contacts = mended(way, self.task.field, problem.lower, problem.upper, 0.1 * margin)
+        if contacts:
+            raise CertificationError("the earlier way cannot be mended")
+        return self._finished(None, clear, margin, "mended")
+
+    def _finished(self, route: Route | None, way: FloatArray, margin: float, origin: Origin) -> Motion:
         """The motion along a polyline."""
         robot, problem, options = self.task.robot, self.task.problem, self.task.options
         with self.task.stage("postprocess"):
@@ -262,4 +303,4 @@ class _Attempts:
                 ),
             )
         trajectory = timed(self.task, path)
-        return Motion(self.task, route, way, path, trajectory, certified(self.task, trajectory))
+        return Motion(self.task, route, way, path, trajectory, certified(self.task, trajectory), origin)

@@ -97,19 +97,38 @@ def turning_occupancy(
         layers: Layers that are already there; of this robot only.
     """
     grid = Grid(np.append(planar.lower, first_yaw), np.append(planar.step, yaw_step), (*planar.shape, count))
-    words = np.zeros((planar.size, words_for(count)), dtype=np.uint64)
-    for layer in range(count):
-        sections = sections_at(robot, bodies, first_yaw + layer * yaw_step, half_angle=0.5 * yaw_step if thick else 0.0)
-        _stack(layers.free_words(robot, sections, planar), planar.shape[-1], layer, words)
+    half_angle = 0.5 * yaw_step if thick else 0.0
+    words = np.empty((planar.size, words_for(count)), dtype=np.uint64)
+    for place in range(words_for(count)):
+        yaws = first_yaw + yaw_step * np.arange(64 * place, min(count, 64 * place + 64))
+        sections = (sections_at(robot, bodies, yaw, half_angle=half_angle) for yaw in yaws.tolist())
+        _stack(np.stack([layers.free_words(robot, each, planar) for each in sections]), planar.shape[-1], place, words)
     return Occupancy(grid, frozen(words))
 
 
 @nb.njit(cache=True)
-def _stack(free: WordArray, count: int, layer: int, words: WordArray) -> None:
-    """Set bit `layer` in the row of every free node of a planar occupancy."""
-    one = np.uint64(1)
-    bit, place = one << np.uint64(layer & 63), layer >> 6
-    for row in range(free.shape[0]):
-        for b in range(count):
-            if (free[row, b >> 6] >> np.uint64(b & 63)) & one:
-                words[row * count + b, place] |= bit
+def _stack(free: WordArray, count: int, place: int, words: WordArray) -> None:
+    """Word `place` of every node's row from 64 planar occupancies, (layers, rows, words): a bit from each of them.
+
+    64 words of 64 bits are transposed: blocks of 32 bits change places across the diagonal, then blocks of 16 in each
+    of these, and so on.
+    """
+    layers, rows, planar_words = free.shape
+    block = np.empty(64, dtype=np.uint64)
+    for row in range(rows):
+        for word in range(planar_words):
+            for k in range(64):
+                block[k] = free[k, row, word] if k < layers else np.uint64(0)
+            size, mask = 32, np.uint64(0xFFFFFFFF)
+            while size > 0:
+                shift = np.uint64(size)
+                for base in range(0, 64, 2 * size):
+                    for k in range(base, base + size):
+                        change = ((block[k] >> shift) ^ block[k + size]) & mask
+                        block[k] ^= change << shift
+                        block[k + size] ^= change
+                size >>= 1
+                mask ^= mask << np.uint64(size)
+            first = row * count + 64 * word
+            for k in range(min(64, count - 64 * word)):
+                words[first + k, place] = block[k]

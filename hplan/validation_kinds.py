@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -50,9 +50,11 @@ MOST_LOST: Final = 0.01
 #: Scenes of each kind, and configurations of each scene.
 SCENES, CONFIGURATIONS = 200, 20_000
 
-#: Yaws of a scene; intervals of yaw, and yaws looked at in each, two of them its ends.
-YAWS: Final = 20
-INTERVALS, YAWS_WITHIN = 4, 5
+#: Nodes of a planar grid, about; a scene has as many grids, each at its yaw, as its configurations take.
+NODES: Final = 1_000
+
+#: Yaws looked at in an interval, two of them its ends.
+YAWS_WITHIN: Final = 5
 
 #: Half of an interval of yaw is between these.
 HALF_ANGLES: Final = (math.radians(0.2), math.radians(4.0))
@@ -313,9 +315,9 @@ def _single_yaws(
 ) -> tuple[FloatArray, BoolArray]:
     """Grids at some yaws: (nodes, 1, dof) configurations and (nodes,) whether each is forbidden."""
     q, forbidden = [], []
-    for yaw in rng.uniform(*sector, YAWS):
-        grid = _random_grid(robot, configurations / YAWS, rng)
-        forbidden.append(occupancy(robot.arm, sections_at(robot, bodies, float(yaw)), grid).occupied.ravel())
+    for grid in _random_grids(robot, configurations, rng):
+        yaw = float(rng.uniform(*sector))
+        forbidden.append(occupancy(robot.arm, sections_at(robot, bodies, yaw), grid).occupied.ravel())
         q.append(_at_yaws(robot, grid, np.array([yaw])))
     return np.concatenate(q), np.concatenate(forbidden)
 
@@ -325,23 +327,23 @@ def _intervals(
 ) -> tuple[FloatArray, BoolArray]:
     """Grids at some intervals of yaw: (nodes, yaws, dof) configurations and (nodes,) whether each is forbidden."""
     q, forbidden = [], []
-    for _ in range(INTERVALS):
+    for grid in _random_grids(robot, math.ceil(configurations / YAWS_WITHIN), rng):
         half_angle = math.exp(rng.uniform(*np.log(HALF_ANGLES)))
-        middle = rng.uniform(sector[0] + half_angle, sector[1] - half_angle)
+        middle = float(rng.uniform(*sector))
         yaws = middle + half_angle * np.concatenate([[-1.0, 1.0], rng.uniform(-1.0, 1.0, YAWS_WITHIN - 2)])
-        grid = _random_grid(robot, configurations / (INTERVALS * YAWS_WITHIN), rng)
         sections = sections_at(robot, bodies, middle, half_angle=half_angle)
         forbidden.append(occupancy(robot.arm, sections, grid).occupied.ravel())
         q.append(_at_yaws(robot, grid, yaws))
     return np.concatenate(q), np.concatenate(forbidden)
 
 
-def _random_grid(robot: Robot, nodes: float, rng: np.random.Generator) -> Grid:
-    """A grid of about as many nodes along every planar joint, shifted at random within its cells."""
+def _random_grids(robot: Robot, nodes: int, rng: np.random.Generator) -> Iterator[Grid]:
+    """Grids of `nodes` or a few more nodes in all, each shifted at random within its cells."""
     links = robot.arm.link_count
-    count = math.ceil(nodes ** (1.0 / links) - 1e-9)
+    count = max(2, math.floor(min(nodes, NODES) ** (1.0 / links) + 1e-9))
     step = (robot.arm.upper - robot.arm.lower) / count
-    return Grid(robot.arm.lower + rng.random(links) * step, step, (count,) * links)
+    for _ in range(math.ceil(nodes / count**links)):
+        yield Grid(robot.arm.lower + rng.random(links) * step, step, (count,) * links)
 
 
 def _at_yaws(robot: Robot, grid: Grid, yaws: FloatArray) -> FloatArray:

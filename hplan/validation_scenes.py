@@ -22,6 +22,7 @@ from hplan.arrays import FloatArray, IntArray
 from hplan.errors import OptionError
 from hplan.robot import Robot
 from hplan.scene import Box, Capsule, Fruit, Goal, Mesh, Obstacle, PointCloud, Scene, Sphere, Start, Vector
+from hplan.solids import hull_of
 
 #: What a scene may hold.
 Kind: TypeAlias = Literal["sphere", "capsule", "box", "mesh", "points", "fruits"]
@@ -42,7 +43,8 @@ _OFF_SHOULDER, _TRIES = 0.15, 20
 #: Half of the scenes keep a clearance of up to this [m].
 _CLEARANCE: Final = 0.03
 
-#: Meshes that are not convex.
+#: Share of meshes that are convex, and shapes of those that are not.
+_CONVEX: Final = 0.4
 _STOCK: Final = 24
 
 
@@ -149,7 +151,8 @@ def _capsule(name: str, rng: np.random.Generator, place: _Place) -> Capsule:
     middle = np.array(place(radius))
     half = 0.5 * _between(rng, 0.05, 2.0) * _direction(rng)
     shift = rng.uniform(-1.0, 1.0) * half
-    return Capsule(name=name, start=_vector(middle + shift - half), end=_vector(middle + shift + half), radius=radius)
+    ends = {"from": _vector(middle + shift - half), "to": _vector(middle + shift + half)}
+    return Capsule.model_validate({"name": name, "radius": radius, **ends})
 
 
 def _box(name: str, rng: np.random.Generator, place: _Place) -> Box:
@@ -158,10 +161,8 @@ def _box(name: str, rng: np.random.Generator, place: _Place) -> Box:
 
 
 def _mesh(name: str, rng: np.random.Generator, place: _Place) -> Mesh:
-    if rng.random() < 0.4:
-        mesh = Mesh.of(name, *_convex_surface(rng))
-    else:
-        mesh = _stock(int(rng.integers(_STOCK)))
+    convex = rng.random() < _CONVEX
+    mesh = Mesh.of(name, *_convex_surface(rng)) if convex else _stock(int(rng.integers(_STOCK)))
     size = 0.5 * float(np.ptp(mesh.surface[0], axis=0).max())
     return mesh.model_copy(update={"name": name, "position": place(size), "rpy_deg": _turn(rng)})
 
@@ -176,19 +177,24 @@ def _points(name: str, rng: np.random.Generator, place: _Place) -> PointCloud:
     return PointCloud.of(name, points, radius, position=place(size + radius), rpy_deg=_turn(rng))
 
 
-_MAKERS: Final = {"sphere": _sphere, "capsule": _capsule, "box": _box, "mesh": _mesh, "points": _points}
+_MAKERS: Final[dict[Kind, Callable[[str, np.random.Generator, _Place], Obstacle]]] = {
+    "sphere": _sphere,
+    "capsule": _capsule,
+    "box": _box,
+    "mesh": _mesh,
+    "points": _points,
+}
 
 
 def _cluster(robot: Robot, rng: np.random.Generator, sector: tuple[float, float]) -> tuple[Fruit, ...]:
     """Fruit about one place, here and there two in each other."""
     middle = np.array(_spot(robot, rng, sector, 0.1))
     spread = _between(rng, 0.05, 0.4)
-    return tuple(
-        Fruit(
-            name=f"fruit {index}", center=_vector(middle + spread * rng.normal(size=3)), radius=rng.uniform(0.02, 0.06)
-        )
-        for index in range(int(rng.integers(1, _MOST_FRUITS + 1)))
-    )
+    fruits = []
+    for index in range(int(rng.integers(1, _MOST_FRUITS + 1))):
+        center = _vector(middle + spread * rng.normal(size=3))
+        fruits.append(Fruit(name=f"fruit {index}", center=center, radius=rng.uniform(0.02, 0.06)))
+    return tuple(fruits)
 
 
 @functools.cache
@@ -201,17 +207,12 @@ def _stock(number: int) -> Mesh:
 
 def _convex_surface(rng: np.random.Generator) -> tuple[FloatArray, IntArray]:
     """The hull of points about an ellipsoid: from a tetrahedron to something round."""
-    from scipy.spatial import ConvexHull
-
     count = int(_between(rng, 4.0, 400.0))
     points = rng.normal(size=(count, 3))
     points /= np.linalg.norm(points, axis=1, keepdims=True)
     points *= rng.uniform(0.8, 1.0, (count, 1)) * [_between(rng, 0.02, 0.3) for _ in range(3)]
-    hull = ConvexHull(points)
-    corners = points[hull.simplices]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    inward = (normals * hull.equations[:, :3]).sum(axis=1) < 0.0
-    return points, np.where(inward[:, None], hull.simplices[:, ::-1], hull.simplices).astype(np.int64)
+    hull = hull_of(points, most=count)
+    return hull.core, hull.faces
 
 
 def _bucket(rng: np.random.Generator) -> tuple[FloatArray, IntArray]:

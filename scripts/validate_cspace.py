@@ -1,5 +1,7 @@
-"""Hold the analytic C-space against coal and say where they differ: on every node of a scene's joint grid, or on random
-scenes of every kind of obstacle."""
+"""Hold the analytic C-space against coal, and say where they differ.
+
+On every node of a scene's joint grid, or on random scenes of every kind of obstacle.
+"""
 
 from __future__ import annotations
 
@@ -38,8 +40,10 @@ contact: decided differently where the distance is zero up to rounding (1e-9 m),
 --kinds: sphere, capsule, box, mesh, points, fruits; all where none is named.
 missed: a collision for coal, free for us. It must be 0.
 differ: the signs of our exact distances against coal's answers.
-lost: forbidden for us, of what coal has free by more than 2 mm; at one yaw at
-  most 1 %. Over an interval of yaw this counts where all yaws looked at are free.
+free, lost: free by more than 2 mm for coal, and what of this is forbidden for
+  us; at one yaw 1 % at most. Over an interval of yaw a node counts where it is
+  free at all yaws looked at.
+widest: most to spare for coal where we forbid.
 
 writes DIR/{RESULT} or, with --kinds, DIR/{KINDS_RESULT}
   where --out names a folder.
@@ -193,7 +197,7 @@ def _show_kinds(console: Console, result: KindsValidation) -> None:
     )
     table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), show_edge=False)
     table.add_column("kind", no_wrap=True)
-    for heading in ("looked at", "colliding", "missed", "differ", "free > 2 mm", "lost", "widest", "time"):
+    for heading in ("looked at", "colliding", "missed", "differ", "free", "lost", "widest", "time"):
         table.add_column(heading, justify="right", no_wrap=True)
     before = False
     for row in result.results:
@@ -213,9 +217,7 @@ def _show_kinds(console: Console, result: KindsValidation) -> None:
         )
     console.print(table)
     if before:
-        console.print(
-            "~: over intervals of yaw, where what is free and lost are nodes of the planar grids", style="dim"
-        )
+        console.print("~ over intervals of yaw; free and lost are nodes of the planar grids", style="dim")
     console.print()
     for row in result.results:
         for example in row.examples:

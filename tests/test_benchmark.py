@@ -362,15 +362,22 @@ def test_what_a_peer_alone_solves_is_named(robot: Robot, monkeypatch: pytest.Mon
             path = np.stack([start, goal])
             return OmplResult(path if asked["planner"] == "BITstar" else None, 1.0, 1.0, 1.0, 1.0)
 
-    monkeypatch.setattr(orchard_scenes, "SHIPPED", ("tour",))
+    monkeypatch.setattr(orchard_scenes, "SHIPPED", ())
     monkeypatch.setattr(orchards, "plan", fails)
     monkeypatch.setattr(Ompl, "if_installed", classmethod(lambda cls, seed: Straight()))
-    assert script.main(["--sets", "orchards", "--scenes", "2", "--out", str(tmp_path)]) == 0
+    trees = write_tree(tmp_path / "t1.csv", 25).parent
+    options = ["--sets", "orchards", "--scenes", "2", "--trees", str(trees), "--out", str(tmp_path)]
+    assert script.main(options) == 0
     o = json.loads((tmp_path / "benchmark.json").read_text(encoding="utf-8"))["orchards"]
     assert o["all"]["solved"] == 0
-    assert o["all"]["planners"] == {"RRTConnect": 0, "BITstar": 2}
+    assert {group: n["problems"] for group, n in o["groups"].items()} == {
+        "measured at 1.4 m": 2,
+        "measured at 1 m": 2,
+        "measured at 1.8 m": 2,
+    }
+    assert o["all"]["planners"] == {"RRTConnect": 0, "BITstar": 6}
     assert o["all"]["missed"] == [row["name"] for row in o["rows"]]
-    assert [row["error"] for row in o["all"]["failed"]] == ["NoPathError", "NoPathError"]
+    assert [row["error"] for row in o["all"]["failed"]] == 6 * ["NoPathError"]
     text = (tmp_path / "benchmark.md").read_text(encoding="utf-8")
     assert f"| {o['all']['missed'][0]} | missed | NoPathError |" in text
 

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from hplan.benchmark.measure import Progress, median, spread, timed
+from hplan.benchmark.measure import Progress, median, spread, stages_in_cpu_time, timed
 from hplan.benchmark.motions import look_at, of_rows
 from hplan.benchmark.orchard_scenes import Crop, OrchardProblem, crop_of, measured_orchards, shipped_orchards
 from hplan.benchmark.paths import Task, Ways, summary, ways_of
@@ -136,7 +136,8 @@ def chosen(problems: Sequence[OrchardProblem], most: int | None) -> list[Orchard
 
 def _planned(robot: Robot, problem: OrchardProblem) -> PlanResult | HplanError:
     try:
-        return plan(robot, problem.scene)
+        with stages_in_cpu_time():
+            return plan(robot, problem.scene)
     except HplanError as error:
         return error
 

@@ -94,12 +94,18 @@ def _lattice(shape: tuple[int, ...], step_bytes: bytes) -> Lattice:
     moves = np.array(list(itertools.product((-1, 0, 1), repeat=axes)), dtype=np.int64).reshape(3**axes, axes)
     row_squares = ((moves * step[:-1]) ** 2).sum(axis=1)
     bit_squares = (np.array([-1.0, 0.0, 1.0]) * step[-1]) ** 2
-    indices = np.indices(padded).reshape(axes, math.prod(padded)).T
     return Lattice(
         shape=shape,
         step=step,
         padded=padded,
         row_offsets=readonly(moves @ strides, np.int64),
         move_costs=readonly(np.sqrt(row_squares[:, None] + bit_squares)),
-        row_coordinates=readonly(indices - 1, np.int64),
+        row_coordinates=_row_coordinates(padded),
     )
+
+
+@lru_cache(maxsize=4)
+def _row_coordinates(padded: tuple[int, ...]) -> IntArray:
+    """Remembered on their own, as grids that differ in the last axis alone share them."""
+    indices = np.indices(padded).reshape(len(padded), math.prod(padded)).T
+    return readonly(indices - 1, np.int64)

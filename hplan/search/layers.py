@@ -1,6 +1,8 @@
 """First level: a search of its own on every slice of the last axis.
 
 A slice has a path exactly when flooding it from the start's place reaches the goal's place; only then is it searched.
+Slices of many axes take longer to search than to look at: a path found in one is taken over by all others in which it
+is free, and only the rest are searched.
 """
 
 from __future__ import annotations
@@ -29,7 +31,8 @@ class Layers:
 
     Attributes:
         first: First of the searched slices.
-        feasible: (slices,) whether each slice of the whole grid has a path of its own.
+        feasible: (slices,) whether each slice of the whole grid has a path of its own; only those searched may, where
+            paths are taken over.
         path_rows: (m,) bordered rows of all paths, slice after slice, each from the start's place to the goal's.
         begins: (searched slices + 1,) where each slice's path begins in `path_rows`; of length 0 where it has none.
         expansions: Expansions in all slices.
@@ -61,6 +64,8 @@ def search_layers(
     goal: IntArray,
     slices: range,
     slice_search: SliceSearch | None = None,
+    *,
+    carried: bool = False,
 ) -> Layers:
     """Search each of `slices` from the start's place in it to the goal's.
 
@@ -71,50 +76,99 @@ def search_layers(
         goal: (d,) node index; its last entry does not matter.
         slices: Neighbouring slices, ascending.
         slice_search: Searches one slice after the other; None searches planar slices by jump points, all in one pass.
+        carried: Whether slices take over the path of one searched before, where it is free in them.
     """
     start_row, goal_row = lattice.row_of(start), lattice.row_of(goal)
     first, last = slices[0], slices[-1]
+    if slice_search is not None and carried:
+        return _carried(lattice, free, start, goal, slices, slice_search)
     reached, flooded = flood_slices(lattice, free, start_row)
-    feasible = np.unpackbits(reached[goal_row].view(np.uint8), bitorder="little").view(np.bool_)[: lattice.shape[-1]]
+    feasible = _bits(reached[goal_row])[: lattice.shape[-1]]
     if slice_search is None:
         path_rows, begins, expansions = jump_slices(
             free, reached[goal_row], lattice.padded[1], first, last, start_row, goal_row, lattice.step[:-1]
         )
-    else:
-        path_rows, begins, expansions, more = _each_slice(
-            lattice, reached, np.flatnonzero(feasible), first, last, start, goal, slice_search
+        return Layers(first, frozen(feasible), frozen(path_rows), frozen(begins), int(expansions), flooded)
+    found = _Searched(lattice, first, last)
+    for number in np.flatnonzero(feasible[: last + 1]).tolist():
+        if number >= first:
+            found.search(number, reached, start, goal, slice_search)
+    return found.layers(feasible, flooded)
+
+
+def _carried(
+    lattice: Lattice, free: WordArray, start: IntArray, goal: IntArray, slices: range, slice_search: SliceSearch
+) -> Layers:
+    """As `search_layers`, where slices in which a path found before is free take it over."""
+    found = _Searched(lattice, slices[0], slices[-1])
+    both = _bits(free[lattice.row_of(start)] & free[lattice.row_of(goal)])[: lattice.shape[-1]]
+    feasible = np.zeros(lattice.shape[-1], dtype=np.bool_)
+    left = both.copy()
+    left[: slices[0]] = left[slices[-1] + 1 :] = False
+    inside, flooded = free, 0
+    while left.any():
+        number = int(left.argmax())
+        rows = found.search(number, inside, start, goal, slice_search)
+        left[number] = False
+        if rows is not None:
+            taken = left & _bits(np.bitwise_and.reduce(free[rows]))[: lattice.shape[-1]]
+            taken[number] = True
+            for other in np.flatnonzero(taken).tolist():
+                found.rows[other] = rows
+            feasible |= taken
+            left &= ~taken
+        elif inside is free:
+            # There are slices without: which ones is settled for all of them at once.
+            inside, flooded = flood_slices(lattice, free, lattice.row_of(start))
+            left &= _bits(inside[lattice.row_of(goal)])[: lattice.shape[-1]]
+    return found.layers(feasible, flooded)
+
+
+class _Searched:
+    """The paths of slices that are searched one by one."""
+
+    def __init__(self, lattice: Lattice, first: int, last: int) -> None:
+        """None yet, of the slices from `first` to `last`."""
+        self._lattice, self._first, self._last = lattice, first, last
+        self._flat = Lattice.of(lattice.shape[:-1], lattice.step[:-1])
+        axes = len(lattice.shape)
+        self._origin = lattice.row_of(np.zeros(axes, dtype=np.int64))
+        self._strides = np.array([lattice.row_of(node) for node in np.eye(axes, dtype=np.int64)[:-1]]) - self._origin
+        self._expansions = self._flooded = 0
+        self.rows: dict[int, IntArray] = {}
+
+    def search(
+        self, number: int, inside: WordArray, start: IntArray, goal: IntArray, slice_search: SliceSearch
+    ) -> IntArray | None:
+        """Search one slice; the rows of its path."""
+        mask = slice_words(self._lattice, inside, number)
+        path, _, expansions, flooded = slice_search(self._flat, mask, start[:-1], goal[:-1])
+        self._expansions += expansions
+        self._flooded += flooded
+        if path is None:
+            return None
+        rows: IntArray = path @ self._strides + self._origin
+        self.rows[number] = rows
+        return rows
+
+    def layers(self, feasible: BoolArray, flooded: int) -> Layers:
+        """All of them, in order."""
+        none = np.empty(0, dtype=np.int64)
+        parts = [self.rows.get(number, none) for number in range(self._first, self._last + 1)]
+        begins = np.concatenate([[0], np.cumsum([len(part) for part in parts])])
+        return Layers(
+            self._first,
+            frozen(feasible),
+            frozen(np.concatenate(parts)),
+            frozen(begins),
+            self._expansions,
+            self._flooded + flooded,
         )
-        flooded += more
-    return Layers(first, frozen(feasible), frozen(path_rows), frozen(begins), int(expansions), flooded)
 
 
-def _each_slice(
-    lattice: Lattice,
-    reached: WordArray,
-    feasible: IntArray,
-    first: int,
-    last: int,
-    start: IntArray,
-    goal: IntArray,
-    slice_search: SliceSearch,
-) -> tuple[IntArray, IntArray, int, int]:
-    """As `jump_slices`, each slice in turn by `slice_search`; the nodes that it flooded come last."""
-    flat = Lattice.of(lattice.shape[:-1], lattice.step[:-1])
-    strides = np.array([lattice.row_of(node) for node in np.eye(len(start), dtype=np.int64)[:-1]])
-    origin = lattice.row_of(np.zeros(len(start), dtype=np.int64))
-    strides -= origin
-    lengths = np.zeros(last - first + 1, dtype=np.int64)
-    parts = [np.empty(0, dtype=np.int64)]
-    expansions = flooded = 0
-    for number in feasible[(feasible >= first) & (feasible <= last)].tolist():
-        mask = slice_words(lattice, reached, number)
-        path, _, expanded, more = slice_search(flat, mask, start[:-1], goal[:-1])
-        expansions += expanded
-        flooded += more
-        if path is not None:
-            parts.append(path @ strides + origin)
-            lengths[number - first] = len(path)
-    return np.concatenate(parts), np.concatenate([[0], np.cumsum(lengths)]), expansions, flooded
+def _bits(words: WordArray) -> BoolArray:
+    """The bits of (words,) one by one."""
+    return np.unpackbits(words.view(np.uint8), bitorder="little").view(np.bool_)
 
 
 def slice_words(lattice: Lattice, words: WordArray, number: int) -> WordArray:

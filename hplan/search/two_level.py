@@ -87,7 +87,8 @@ def _two_level(lattice: Lattice, free: WordArray, start: IntArray, goal: IntArra
     begin = time.perf_counter()
     between = range(int(min(start[-1], goal[-1])), int(max(start[-1], goal[-1])) + 1)
     slice_search = _slice_search(len(lattice.shape) - 1, octile=octile)
-    layers = search_layers(lattice, free, start, goal, between, slice_search)
+    many = octile and len(lattice.shape) >= MANY_AXES
+    layers = search_layers(lattice, free, start, goal, between, slice_search, carried=many)
     layers_done = time.perf_counter()
     union = union_of(lattice, free, layers, start, goal)
     path, cost, sparse = _search_union(lattice, union, start, goal, octile=octile)

@@ -1,0 +1,165 @@
+"""A planner that lives as long as the scene changes: obstacles come, move and go, and the motion is planned anew.
+
+What does not change is kept from plan to plan: the robot's planar layers (a layer is computed again only if what the
+arm plane cuts there has changed), and the motion itself, as long as it can still be certified. Every motion that is
+handed out was certified among the obstacles as they are now.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
+
+from hplan.errors import CertificationError, InputError, TimingError
+from hplan.options import PlanOptions
+from hplan.pipeline import PlanResult, Workspace, plan_with, result_of
+from hplan.problem import pose_problem
+from hplan.report import StageClock
+from hplan.robot import Robot
+from hplan.route import Task
+from hplan.scene import Box, Capsule, Goal, Mesh, PointCloud, Scene, Sphere, Start, Vector
+from hplan.transit import renewed
+
+
+class Planner:
+    """Plans again and again for one robot.
+
+    Attributes:
+        robot: The arm.
+        options: How to plan.
+        scene: The scene as it is now.
+        last: The last plan; None before the first.
+    """
+
+    def __init__(self, robot: Robot, scene: Scene, options: PlanOptions | None = None) -> None:
+        """Begin with a scene.
+
+        Args:
+            robot: The arm.
+            scene: Obstacles and task.
+            options: How to plan.
+        """
+        self.robot = robot
+        self.options = PlanOptions() if options is None else options
+        self.scene = scene
+        self.last: PlanResult | None = None
+        self._workspace = Workspace(robot)
+
+    def plan(self) -> PlanResult:
+        """Plan as `hplan.plan` does, whatever was planned before.
+
+        Raises:
+            HplanError: As `hplan.plan`.
+        """
+        self.last = plan_with(self._workspace, self.scene, self.options)
+        return self.last
+
+    def replan(self) -> PlanResult:
+        """Plan again after a change.
+
+        The last motion stays if it can be certified among the obstacles as they are now, and is mended if it cannot. A
+        new one is searched for where that fails too, where a straight motion has become possible, where start or goal
+        has changed, and to a fruit or a point. So the result depends on what was planned before; `plan` gives the one
+        that does not.
+
+        Raises:
+            HplanError: As `hplan.plan`.
+        """
+        goal = self.scene.goal.joints()
+        if self.last is None or goal is None:
+            return self.plan()
+        clock = StageClock()
+        around = self._workspace.around(self.scene, self.options)
+        around.check_base(self.robot.yaw_of(self.scene.start.configuration))
+        problem = pose_problem(around, self.scene.start.configuration, goal, locked_joints=self.scene.locked_joints)
+        before = self.last.motion
+        old = before.task.problem
+        if any((getattr(old, name) != getattr(problem, name)).any() for name in ("start", "goal", "lower", "upper")):
+            return self.plan()
+        task = Task(around, self.scene, problem, self.options, clock, self._workspace.layers, lambda _: None)
+        try:
+            motion = renewed(task, before)
+        except (CertificationError, TimingError):
+            return self.plan()
+        self.last = result_of(self.scene, clock, None, motion, [("transit", motion.trajectory, motion.certificate)])
+        return self.last
+
+    def add(self, obstacle: Sphere | Capsule | Box | Mesh | PointCloud) -> None:
+        """Add an obstacle.
+
+        Raises:
+            InputError: There is one of that name.
+        """
+        if obstacle.name in self._names():
+            raise InputError(f"there is an obstacle {obstacle.name!r} already; names must differ", name=obstacle.name)
+        self._change((*self.scene.obstacles, obstacle))
+
+    def remove(self, name: str) -> None:
+        """Take an obstacle away.
+
+        Raises:
+            InputError: There is none of that name.
+        """
+        index = self._index(name)
+        self._change((*self.scene.obstacles[:index], *self.scene.obstacles[index + 1 :]))
+
+    def move(self, name: str, **changes: Any) -> None:
+        """Give an obstacle other values, as `move("post", center=(1, 0, 1))`.
+
+        Raises:
+            InputError: There is none of that name, or it has no such value, or cannot have it.
+        """
+        index = self._index(name)
+        moved = _changed(self.scene.obstacles[index], changes)
+        self._change((*self.scene.obstacles[:index], moved, *self.scene.obstacles[index + 1 :]))
+
+    def aim(self, *, start: Start | None = None, goal: Goal | None = None) -> None:
+        """Begin elsewhere, or go elsewhere.
+
+        Raises:
+            SceneError: A fruit that the scene does not have.
+        """
+        changes: dict[str, Any] = {key: value for key, value in (("start", start), ("goal", goal)) if value is not None}
+        self.scene = _changed(self.scene, changes)
+
+    def _change(self, obstacles: tuple[Sphere | Capsule | Box | Mesh | PointCloud, ...]) -> None:
+        # The names were looked at, and the obstacles are checked: no need to check the scene again.
+        self.scene = self.scene.model_copy(update={"obstacles": obstacles})
+
+    def _names(self) -> set[str]:
+        return {item.name for item in (*self.scene.obstacles, *self.scene.fruits)}
+
+    def _index(self, name: str) -> int:
+        for index, obstacle in enumerate(self.scene.obstacles):
+            if obstacle.name == name:
+                return index
+        raise InputError(f"there is no obstacle {name!r}", name=name)
+
+
+_Model = TypeVar("_Model", bound=BaseModel)
+_VECTOR: TypeAdapter[Vector] = TypeAdapter(Vector, config=ConfigDict(allow_inf_nan=False))
+
+
+def _changed(item: _Model, changes: Mapping[str, Any]) -> _Model:
+    """A checked copy with other values.
+
+    Raises:
+        InputError: A value that it does not have, or cannot have.
+    """
+    fields = type(item).model_fields
+    unknown = [key for key in changes if key not in fields]
+    if unknown:
+        raise InputError(f"a {type(item).__name__.lower()} has no {unknown[0]!r}; it has {', '.join(fields)}")
+    if isinstance(item, (Mesh, PointCloud)) and not changes.keys() <= {"position", "rpy_deg"}:
+        raise InputError("of a mesh or a point cloud only position and rpy_deg can be changed; add another instead")
+    try:
+        if isinstance(item, (Mesh, PointCloud)):
+            # What was read from the file stays.
+            return item.model_copy(update={key: _VECTOR.validate_python(value) for key, value in changes.items()})
+        return type(item).model_validate({**{key: getattr(item, key) for key in fields}, **changes})
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(step) for step in first["loc"])
+        raise InputError(f"{where}: {first['msg']} (got {first['input']!r})", where=where) from error

@@ -197,13 +197,13 @@ def _enclosing_radius(
     unit = axis / np.linalg.norm(axis)
     tilt = np.linalg.norm(np.cross(placement.rotation[:, 2], unit))
     aside = np.linalg.norm(np.cross(placement.translation - start, unit))
-    corners, rounding = _outline(shape, rim_from_outside=bool(tilt > 1e-9 or aside > 1e-9))
+    corners, rounding = outline(shape, rim_from_outside=bool(tilt > 1e-9 or aside > 1e-9))
     world = corners @ placement.rotation.T + placement.translation
     along = np.clip((world - start) @ axis / (axis @ axis), 0.0, 1.0)
     return float(np.max(np.linalg.norm(world - start - along[:, None] * axis, axis=1))) + rounding
 
 
-def _outline(shape: pin.GeometryObject, *, rim_from_outside: bool) -> tuple[NDArray[np.float64], float]:
+def outline(shape: pin.GeometryObject, *, rim_from_outside: bool) -> tuple[NDArray[np.float64], float]:
     """Points and a rounding radius whose hull holds the shape.
 
     Exact but for the rim of a cylinder, a 64-gon: on the rim where the cylinder lies about the link's axis (every

@@ -7,6 +7,7 @@ the obstacles, along the gradient of the clearance, and the two halves are looke
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -22,12 +23,20 @@ _PUSHES = 8
 #: Largest push [rad], and the difference that the gradient is taken with.
 _LARGEST_PUSH, _DIFFERENCE = 0.1, 1e-4
 
+#: Clearances on the way out of a tight place [m].
+_ESCAPES = (5e-3, 0.01, 0.02, 0.04, 0.08)
+
 #: What a push aims at beyond the margin [m].
 _BEYOND = 2e-3
 
 
 def mended(
-    path: FloatArray, field: ClearanceField, lower: FloatArray, upper: FloatArray, margin: float
+    path: FloatArray,
+    field: ClearanceField,
+    lower: FloatArray,
+    upper: FloatArray,
+    margin: float,
+    known: dict[bytes, FloatArray | None] | None = None,
 ) -> tuple[FloatArray, list[int]]:
     """A polyline whose motions are shown clear, as far as they can be mended.
 
@@ -37,23 +46,60 @@ def mended(
         lower: (dof,) joint limits.
         upper: (dof,) joint limits; equal to `lower` for a joint that may not move.
         margin: Clearance asked for wherever a motion is evaluated [m].
+        known: What earlier calls with the same field, limits and margin found out, where there were any; added to.
 
     Returns:
         The polyline, and the motions of the one given, by number, that could not be mended.
     """
+    known = {} if known is None else known
     pieces, contacts = [path[:1]], []
     for i in range(len(path) - 1):
-        inner: FloatArray | None = np.empty((0, path.shape[1]))
-        if not field.is_clear(path[i : i + 2], margin):
-            inner = _in_turn(path[i], path[i + 1], field, margin)
-            if inner is None:
-                inner = _pushed(path[i], path[i + 1], field, lower, upper, margin, _HALVINGS)
+        key = path[i : i + 2].tobytes()
+        if key not in known:
+            known[key] = _between(path[i], path[i + 1], field, lower, upper, margin)
+        inner = known[key]
         if inner is None:
             contacts.append(i)
         else:
             pieces.append(inner)
         pieces.append(path[i + 1 : i + 2])
     return frozen(np.concatenate(pieces)), contacts
+
+
+def escapes(
+    q: FloatArray, field: ClearanceField, lower: FloatArray, upper: FloatArray, margin: float
+) -> Iterator[FloatArray]:
+    """Ways out of a tight place along the gradient of the clearance, one longer than the other.
+
+    Args:
+        q: (dof,) configuration.
+        field: Arm and obstacles.
+        lower: (dof,) joint limits.
+        upper: (dof,) joint limits; equal to `lower` for a joint that may not move.
+        margin: Clearance asked for wherever a motion is evaluated [m].
+
+    Yields:
+        (k, dof) configurations from `q` on, the motions between them shown clear.
+    """
+    way = q[None]
+    for wanted in _ESCAPES:
+        if field.clearance(way[-1]) >= wanted:
+            continue
+        there = _out(way[-1], field, lower, upper, wanted)
+        if there is None or not field.is_clear(np.stack([way[-1], there]), margin):
+            return
+        way = np.vstack([way, there])
+        yield way
+
+
+def _between(
+    first: FloatArray, last: FloatArray, field: ClearanceField, lower: FloatArray, upper: FloatArray, margin: float
+) -> FloatArray | None:
+    """Configurations between two by which the motion is shown clear; none where it is as it stands."""
+    if field.is_clear(np.stack([first, last]), margin):
+        return np.empty((0, len(first)))
+    inner = _in_turn(first, last, field, margin)
+    return _pushed(first, last, field, lower, upper, margin, _HALVINGS) if inner is None else inner
 
 
 def _in_turn(first: FloatArray, last: FloatArray, field: ClearanceField, margin: float) -> FloatArray | None:

@@ -23,6 +23,7 @@ import numpy as np
 
 from hplan.arrays import FloatArray, IntArray, readonly
 from hplan.certificate import Certificate
+from hplan.collision import check_clear
 from hplan.errors import (
     BlockedError,
     CertificationError,
@@ -405,6 +406,6 @@ def drop_off(goal: Goal, scene: Scene, empty: World, loaded: World, start: Float
         )  # fmt: skip
         ways = [grasp.goal for grasp in promising(found, around, around, start)]
     for q in ways:
-        loaded.task(around, scene, q, q)  # clear as it carries
+        check_clear(around.judge, q, around.clearance, "drop_off")
     number, _ = find_motion([empty.task(before, scene, start, q) for q in ways])
     return ways[number]

@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
-from hplan.errors import CertificationError, InputError, TimingError
+from hplan.errors import CertificationError, InputError, SceneError, TimingError
 from hplan.options import PlanOptions
 from hplan.pipeline import PlanResult, Workspace, plan_with, result_of
 from hplan.problem import pose_problem
@@ -90,10 +90,12 @@ class Planner:
         """Add an obstacle.
 
         Raises:
-            InputError: There is one of that name.
+            InputError: There is one of that name, or it is no obstacle.
         """
-        if obstacle.name in self._names():
-            raise InputError(f"there is an obstacle {obstacle.name!r} already; names must differ", name=obstacle.name)
+        if not isinstance(obstacle, _KINDS):
+            kinds = ", ".join(kind.__name__ for kind in _KINDS)
+            raise InputError(f"expected one of {kinds}, got {type(obstacle).__name__} {obstacle!r}")
+        self._check_new(obstacle.name)
         self._change((*self.scene.obstacles, obstacle))
 
     def remove(self, name: str) -> None:
@@ -113,6 +115,8 @@ class Planner:
         """
         index = self._index(name)
         moved = _changed(self.scene.obstacles[index], changes)
+        if moved.name != name:
+            self._check_new(moved.name)
         self._change((*self.scene.obstacles[:index], moved, *self.scene.obstacles[index + 1 :]))
 
     def aim(self, *, start: Start | None = None, goal: Goal | None = None) -> None:
@@ -128,8 +132,10 @@ class Planner:
         # The names were looked at, and the obstacles are checked: no need to check the scene again.
         self.scene = self.scene.model_copy(update={"obstacles": obstacles})
 
-    def _names(self) -> set[str]:
-        return {item.name for item in (*self.scene.obstacles, *self.scene.fruits)}
+    def _check_new(self, name: str) -> None:
+        """Refuse a name that is taken."""
+        if name in {item.name for item in (*self.scene.obstacles, *self.scene.fruits)}:
+            raise InputError(f"there is an obstacle {name!r} already; names must differ", name=name)
 
     def _index(self, name: str) -> int:
         for index, obstacle in enumerate(self.scene.obstacles):
@@ -139,7 +145,8 @@ class Planner:
 
 
 _Model = TypeVar("_Model", bound=BaseModel)
-_VECTOR: TypeAdapter[Vector] = TypeAdapter(Vector, config=ConfigDict(allow_inf_nan=False))
+_KINDS = (Sphere, Capsule, Box, Mesh, PointCloud)
+_VECTOR: TypeAdapter[Vector] = TypeAdapter(Vector, config=ConfigDict(allow_inf_nan=False, strict=True))
 
 
 def _changed(item: _Model, changes: Mapping[str, Any]) -> _Model:
@@ -147,6 +154,7 @@ def _changed(item: _Model, changes: Mapping[str, Any]) -> _Model:
 
     Raises:
         InputError: A value that it does not have, or cannot have.
+        SceneError: Values that contradict each other.
     """
     fields = type(item).model_fields
     unknown = [key for key in changes if key not in fields]
@@ -161,5 +169,7 @@ def _changed(item: _Model, changes: Mapping[str, Any]) -> _Model:
         return type(item).model_validate({**{key: getattr(item, key) for key in fields}, **changes})
     except ValidationError as error:
         first = error.errors()[0]
+        if first["type"] == "scene":
+            raise SceneError(first["msg"], where=".".join(str(step) for step in first["ctx"]["below"])) from error
         where = ".".join(str(step) for step in first["loc"])
         raise InputError(f"{where}: {first['msg']} (got {first['input']!r})", where=where) from error

@@ -23,7 +23,7 @@ from hplan.connect import joined_nodes
 from hplan.cspace import occupancy
 from hplan.errors import CertificationError, NoPathError, OptionError
 from hplan.grid import Grid, Occupancy
-from hplan.mend import mended
+from hplan.mend import escapes, mended
 from hplan.options import PlanOptions
 from hplan.problem import Problem
 from hplan.report import StageClock
@@ -38,8 +38,8 @@ from hplan.section import ArmSections, sections_at
 from hplan.surroundings import Surroundings
 from hplan.turning_space import Layers, turning_occupancy, yaw_axis
 
-#: How many motions of a way that cannot be shown clear are led around.
-DETOURS = 20
+#: How many motions of a way that cannot be shown clear are led around; with thick layers it succeeds more often.
+DETOURS, THICK_DETOURS = 8, 20
 
 #: So much farther from obstacles than the nodes of such a motion must nodes beside them be to be used instead [m].
 ASIDE = 2e-3
@@ -135,10 +135,21 @@ class Task:
         Raises:
             CertificationError: One of them is joined to no node.
         """
-        start, goal = self.problem.start, self.problem.goal
-        return (
-            _Ends(joined_nodes(space, start, self.axes, self.field, margin), "start"),
-            _Ends(joined_nodes(space, goal, self.axes, self.field, margin), "goal"),
+        problem = self.problem
+        return self._end(space, problem.start, margin, "start"), self._end(space, problem.goal, margin, "goal")
+
+    def _end(self, space: Occupancy, q: FloatArray, margin: float, which: str) -> _Ends:
+        """The nodes nearby; in a tight place those that a way out of it leads to."""
+        problem = self.problem
+        ways = escapes(q, self.field, problem.lower, problem.upper, margin)
+        for way in itertools.chain([q[None]], ways):
+            nodes = joined_nodes(space, way[-1], self.axes, self.field, margin)
+            first = next(nodes, None)
+            if first is not None:
+                return _Ends(way, first, nodes)
+        raise CertificationError(
+            f"no motion from the {which} to a free node of the grid can be shown clear; a smaller step may help",
+            which=which,
         )
 
     def planar_grid(self, step_deg: float) -> Grid:
@@ -164,23 +175,21 @@ class Task:
             self.clock.add(stage, getattr(found.times, stage))
         return found
 
-    def configurations(self, grid: Grid, nodes: IntArray) -> tuple[FloatArray, int]:
+    def configurations(self, grid: Grid, nodes: IntArray, start: _Ends, goal: _Ends) -> tuple[FloatArray, int]:
         """The way over nodes as (m, dof) configurations, with start and goal where they stand beside the grid.
 
         Returns:
-            The configurations, and at which of them the nodes begin (0 or 1).
+            The configurations, and at which of them the nodes begin.
         """
         path = np.repeat(self.problem.start[None], len(nodes), axis=0)
         path[:, self.axes] = grid.coordinates(nodes)
-        before = 0
-        for end, q in ((0, self.problem.start), (-1, self.problem.goal)):
-            if np.abs(path[end] - q).max() < 1e-9:
-                path[end] = q
-            elif end == 0:
-                path, before = np.vstack([q, path]), 1
-            else:
-                path = np.vstack([path, q])
-        return frozen(path), before
+        parts = [path]
+        for node, end in ((0, start), (-1, goal)):
+            way = end.way
+            if np.abs(path[node] - way[-1]).max() < 1e-9:
+                path[node], way = way[-1], way[:-1]
+            parts.insert(0 if end is start else 2, way if end is start else way[::-1])
+        return frozen(np.concatenate(parts)), len(parts[0])
 
 
 def find_route(task: Task, rung: Rung, margin: float) -> Route:
@@ -193,7 +202,7 @@ def find_route(task: Task, rung: Rung, margin: float) -> Route:
             evaluated [m].
 
     Raises:
-        NoPathError: There is none on the grid.
+        NoPathError: There is none on the grid; an `EnclosedError` where the base turns.
         CertificationError: Start or goal cannot be joined to the grid; no way on it can be shown clear.
         OptionError: A step that gives no grid.
     """
@@ -210,8 +219,9 @@ def _planar_route(task: Task, rung: Rung, margin: float) -> Route:
             within_reach=False,
         )
         space = occupancy(task.robot.arm, sections, task.planar_grid(rung.step_deg))
-    search, nodes = _planar_search(task, space, sections, *task.ends(space, margin))
-    return Route(space, search, task.configurations(space.grid, nodes)[0], rung.step_deg)
+    start, goal = task.ends(space, margin)
+    search, nodes = _planar_search(task, space, sections, start, goal)
+    return Route(space, search, task.configurations(space.grid, nodes, start, goal)[0], rung.step_deg)
 
 
 def _planar_search(
@@ -259,12 +269,13 @@ def _turning_route(task: Task, rung: Rung, margin: float) -> Route:
         nodes = fronts.path
         if nodes is None:
             raise _enclosed(task, rung, space, lattice, fronts)
-    for _ in range(DETOURS):
-        way, before = task.configurations(space.grid, nodes)
-        path, contacts = mended(way, task.field, problem.lower, problem.upper, margin)
+    known: dict[bytes, FloatArray | None] = {}
+    for _ in range(THICK_DETOURS if rung.thick else DETOURS):
+        way, before = task.configurations(space.grid, nodes, start, goal)
+        path, contacts = mended(way, task.field, problem.lower, problem.upper, margin, known)
         if not contacts:
             return Route(space, search, path, rung.step_deg)
-        here = contacts[0] - before  # the motion from this node to the next is in contact; -1: from the start
+        here = contacts[0] - before  # the motion from this node to the next is in contact; below 0: from the start
         _take_out(task, space.grid, lattice, free, nodes[max(0, here) : here + 2])
         ahead, behind = start.among(lattice, free, nodes[: max(0, here)]), goal.among(lattice, free, nodes[here + 2 :])
         bypass = None
@@ -330,17 +341,17 @@ def _by_fronts(
 
 
 class _Ends:
-    """The nodes that one end is joined to; the first is found at once, the others when asked for."""
+    """The nodes that one end is joined to; the first is found at once, the others when asked for.
 
-    def __init__(self, nodes: Iterator[IntArray], which: str) -> None:
-        self._rest = nodes
-        first = next(nodes, None)
-        if first is None:
-            raise CertificationError(
-                f"no motion from the {which} to a free node of the grid can be shown clear; a smaller step may help",
-                which=which,
-            )
+    Attributes:
+        way: (k, dof) configurations from the end to where the nodes are joined, mostly the end alone.
+        first: The nearest node.
+    """
+
+    def __init__(self, way: FloatArray, first: IntArray, others: Iterator[IntArray]) -> None:
+        self.way = way
         self.first = first
+        self._rest = others
         self._known = [first]
 
     def all(self) -> list[IntArray]:
@@ -357,23 +368,56 @@ class _Ends:
         return np.empty((0, len(lattice.shape)), dtype=np.int64)
 
 
-def _enclosed(task: Task, rung: Rung, space: Occupancy, lattice: Lattice, fronts: Wavefronts) -> NoPathError:
+class EnclosedError(NoPathError):
+    """One end is enclosed on a grid over yaws; `explained` finds out by what."""
+
+    def __init__(
+        self,
+        which: str,
+        reached_cells: int,
+        size: int,
+        *,
+        open_ended: bool,
+        explain: Callable[[str], NoPathError],
+    ) -> None:
+        """Store what is known at once; `explain` makes the whole error from the sentence."""
+        self._what = f"the {which} is connected to {reached_cells} of {size} nodes"
+        super().__init__(f"no path exists on the grid: {self._what}", reached_cells=reached_cells)
+        self.open_ended = open_ended
+        self._explain = explain
+
+    def explained(self) -> NoPathError:
+        """The same with what bounds the region, which takes longer to find than whether another grid is open."""
+        return self._explain(self._what)
+
+
+def _enclosed(task: Task, rung: Rung, space: Occupancy, lattice: Lattice, fronts: Wavefronts) -> EnclosedError:
     """The error for an end that is enclosed; `open_ended` where more yaws might open it."""
     grid, yaw = space.grid, task.problem
-    bits = np.unpackbits(lattice.unbordered(fronts.reached).view(np.uint8), axis=1, bitorder="little")
-    by_layer = bits[:, : grid.shape[-1]].sum(axis=0, dtype=np.int64)
-    last = grid.lower[-1] + (grid.shape[-1] - 1) * grid.step[-1]
-    open_below = by_layer[0] > 0 and grid.lower[-1] - grid.step[-1] >= yaw.lower[0] - 1e-9
-    open_above = by_layer[-1] > 0 and last + grid.step[-1] <= yaw.upper[0] + 1e-9
-    layer = int(by_layer.argmax())
-    at = float(grid.lower[-1] + layer * grid.step[-1])
-    planar = Grid(grid.lower[:-1], grid.step[:-1], grid.shape[:-1])
-    sections = sections_at(task.robot, task.around.bodies(rung.growth), at, within_reach=False)
-    reached = frozen(bits[:, layer].astype(np.bool_).reshape(planar.shape))
-    what = f"the {fronts.enclosed} is connected to {int(by_layer.sum())} of {grid.size} nodes"
-    error = _no_path(task.robot, sections, planar, reached, what)
-    error.open_ended = bool(open_below or open_above)
-    return error
+    reached = lattice.unbordered(fronts.reached)
+    ever = np.bitwise_or.reduce(reached)
+    last = grid.shape[-1] - 1
+    open_below = int(ever[0]) & 1 and grid.lower[-1] - grid.step[-1] >= yaw.lower[0] - 1e-9
+    open_above = int(ever[last >> 6]) >> (last & 63) & 1 and (
+        grid.lower[-1] + (last + 1) * grid.step[-1] <= yaw.upper[0] + 1e-9
+    )
+
+    def explain(what: str) -> NoPathError:
+        bits = np.unpackbits(reached.view(np.uint8), axis=1, bitorder="little")[:, : last + 1]
+        layer = int(bits.sum(axis=0, dtype=np.int64).argmax())
+        planar = Grid(grid.lower[:-1], grid.step[:-1], grid.shape[:-1])
+        at = float(grid.lower[-1] + layer * grid.step[-1])
+        sections = sections_at(task.robot, task.around.bodies(rung.growth), at, within_reach=False)
+        inside = frozen(bits[:, layer].astype(np.bool_).reshape(planar.shape))
+        return _no_path(task.robot, sections, planar, inside, what)
+
+    return EnclosedError(
+        fronts.enclosed,
+        int(np.bitwise_count(reached).sum()),
+        grid.size,
+        open_ended=bool(open_below or open_above),
+        explain=explain,
+    )
 
 
 def _no_path(robot: Robot, sections: ArmSections, grid: Grid, reached: BoolArray, what: str) -> NoPathError:

@@ -34,6 +34,7 @@ class Surroundings:
         growth: (solids,) clearance to keep from each beyond that, for its uncertainty [m].
         field: Distances between arm and solids, less the clearance to keep.
         judge: The solids in coal, each grown by its own growth.
+        touched: Name of the solids that the last link may touch; None for none.
     """
 
     robot: Robot
@@ -42,6 +43,7 @@ class Surroundings:
     growth: FloatArray
     field: ClearanceField
     judge: CollisionScene
+    touched: str | None = None
 
     @classmethod
     def of(
@@ -74,13 +76,14 @@ class Surroundings:
         )
 
     def touching(self, name: str) -> Surroundings:
-        """The same where the last link may touch the solids of a name; the field does not know them at all."""
+        """The same where the last link may touch the solids of a name; field and bodies do not know them at all."""
         near = np.array([solid.name != name for solid in self.solids], dtype=np.bool_)
-        return replace(self, field=self.field.only(near), judge=self.judge.touching(name))
+        return replace(self, field=self.field.only(near), judge=self.judge.touching(name), touched=name)
 
     def bodies(self, more: float = 0.0) -> Bodies:
         """The solids made ready for cutting, grown by the clearance to keep and `more` [m]."""
-        return bodies_of(self.solids, clearance=self.clearance + self.growth + more)
+        kept = [number for number, solid in enumerate(self.solids) if solid.name != self.touched]
+        return bodies_of([self.solids[i] for i in kept], clearance=self.clearance + self.growth[kept] + more)
 
     def check_base(self, yaw: float) -> None:
         """Refuse obstacles in which pedestal or turret stand: no motion of the arm changes that.

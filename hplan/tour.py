@@ -262,8 +262,8 @@ class _Planner:
             found = {order: _visits(motions, order) for order in (orders if self.tour.compare else orders[:1])}
         visits = found.get(self.tour.order, Visits(math.inf, np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.bool_)))
         if motions.fruits and not math.isfinite(visits.cost):
-            error = CertificationError("no certified motions join the places from which it could be picked to others")
-            unreached += [Unreached(name, error) for name in motions.fruits]
+            cut_off = CertificationError("no certified motions join the places from which it could be picked to others")
+            unreached += [Unreached(name, cut_off) for name in motions.fruits]
         return _Stage(motions, visits, {order: found[order].cost for order in ORDERS if order in found}, unreached)
 
     def _result(self, stages: Sequence[_Stage], unreached: Sequence[Unreached]) -> TourResult:
@@ -277,7 +277,7 @@ class _Planner:
         here, begin, legs = self.start, 0.0, list[Leg]()
         for fruit, grasp, parts in drafts:
             legs.append(self._leg(fruit, grasp, parts, here, begin))
-            begin += legs[-1].trajectory.duration
+            begin = legs[-1].phases[-1].end_s
             here = legs[-1].trajectory.position[-1]
         picked, dropped = _times(legs)
         trajectory = joined([leg.trajectory for leg in legs])

@@ -19,7 +19,7 @@ from hplan.errors import CertificationError, HplanError, NoPathError
 from hplan.mend import mended
 from hplan.path import GeometricPath, Limits, rest_to_rest
 from hplan.postprocess import PostprocessOptions, SplinePath, fast_path
-from hplan.route import Route, Rung, Task, find_route
+from hplan.route import EnclosedError, Route, Rung, Task, find_route
 from hplan.timing import resting, time_path
 from hplan.trajectory import Trajectory
 
@@ -211,7 +211,7 @@ def _first_turning(
     What is closed on the grid of the finest step, whatever the yaw, is closed.
     """
     refused: CertificationError | None = None
-    closed: dict[tuple[int, float], tuple[float, NoPathError]] = {}
+    closed: dict[tuple[int, float], tuple[float, EnclosedError]] = {}
     for coarser, beyond_deg, growth, thick in rungs:
         for number, attempt in enumerate(attempts):
             before = closed.get((number, coarser))
@@ -222,11 +222,11 @@ def _first_turning(
                 return number, attempt.on_grid(rung)
             except CertificationError as error:
                 refused = refused or error
-            except NoPathError as error:
+            except EnclosedError as error:
                 if not thick and growth == 0.0:
                     closed[number, coarser] = beyond_deg, error
     if (0, 1.0) in closed and not closed[0, 1.0][1].open_ended:
-        raise closed[0, 1.0][1]
+        raise closed[0, 1.0][1].explained()
     raise refused or CertificationError("no motion could be certified")
 
 

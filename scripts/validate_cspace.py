@@ -63,10 +63,10 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _run(arguments: argparse.Namespace, console: Console, errors: Console) -> int:
     """Compare, write and show; returns the exit status."""
-    _check_options(arguments)
     path = None if arguments.out is None else arguments.out / (RESULT if arguments.kinds is None else KINDS_RESULT)
     if path is not None:
         _prepare(path)
+    _check_options(arguments)
     if arguments.kinds is None:
         comparison = _validate(arguments, errors)
         _show(console, comparison)

@@ -11,7 +11,7 @@ import pinocchio as pin
 import pytest
 
 from hplan.errors import InputError, JointLimitError, RobotFamilyError, RobotFileError
-from hplan.family_reader import _outline
+from hplan.family_reader import outline
 from hplan.resources import urdf_dir
 from hplan.robot import Robot, load_robot
 from hplan.robot_family import HARVESTER, ArmSpec, write_robot
@@ -231,7 +231,7 @@ def test_half_width_holds_the_collision_geometry(load_edited, tmp_path, collisio
 def test_shape_of_no_known_outline_is_refused():
     ground = pin.GeometryObject("ground", 0, pin.SE3.Identity(), coal.Halfspace(np.array([0.0, 0.0, 1.0]), 0.0))
     with pytest.raises(TypeError, match="shape Halfspace is not supported"):
-        _outline(ground, rim_from_outside=True)
+        outline(ground, rim_from_outside=True)
 
 
 # Robots that are not of the family

@@ -12,6 +12,7 @@ import pytest
 from script_loader import load_script
 
 import hplan.validation as validation
+import hplan.validation_kinds as validation_kinds
 from hplan.collision import LINK_SHAPES, CollisionScene, base_contacts
 from hplan.cspace import joint_grid, occupancy
 from hplan.errors import InputError, JointLimitError, OptionError
@@ -21,6 +22,7 @@ from hplan.robot_family import ArmSpec, write_robot
 from hplan.scene import Box, Capsule, Goal, Scene, Sphere, Start
 from hplan.section import SECTION_ERROR, arm_sections
 from hplan.validation import CONTACT_TOLERANCE, EXAMPLES, Comparison, Validation, validate_cspace
+from hplan.validation_scenes import KINDS
 
 COARSE = float(np.radians(5.0))
 
@@ -446,12 +448,17 @@ def test_command_finds_a_fault(
         (["--step", "1e-6"], "step"),
         (["--yaw", "181"], "-180 and 180"),
         (["--robot", "missing.urdf"], "missing.urdf"),
+        (["--kinds", "ball"], "ball"),
+        (["--kinds", "box", "--scenes", "0"], "scenes"),
+        (["--kinds", "box", "--seed", "-1"], "seed"),
+        (["--kinds", "--step", "2"], "--step"),
+        (["--scenes", "3"], "--scenes"),
     ],
 )
 def test_command_on_bad_input(
     arguments: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    stale = tmp_path / script.RESULT
+    stale = tmp_path / (script.KINDS_RESULT if "--kinds" in arguments else script.RESULT)
     stale.write_text("{}")
     assert script.main([*arguments, "--out", str(tmp_path)]) == 2
     captured = capsys.readouterr()
@@ -464,3 +471,50 @@ def test_command_cannot_write(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     (tmp_path / "file").write_text("")
     assert script.main(["--out", str(tmp_path / "file")]) == 2
     assert "it is a file" in capsys.readouterr().err
+
+
+# Random scenes of kinds
+
+
+def test_command_on_kinds(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["--kinds", "sphere", "box", "--scenes", "2", "--configurations", "2000", "--seed", "3"]
+    assert script.main([*arguments, "--out", str(tmp_path)]) == 0
+    text = capsys.readouterr().out
+    assert "2 random scenes of each kind" in text
+    assert "nothing missed" in text
+    rows = [line.split()[:2] for line in text.splitlines() if line.startswith(("sphere", "box"))]
+    assert rows == [["sphere", "4,000"], ["box", "4,000"], ["sphere", "~"], ["box", "~"]]
+    assert max(len(line) for line in text.splitlines() if "written" not in line) <= 80
+    content = json.loads((tmp_path / script.KINDS_RESULT).read_text())
+    assert content["ok"] is True
+    assert (content["scenes"], content["configurations"], content["seed"]) == (2, 2000, 3)
+    assert [(row["kind"], row["layers"], row["missed"]) for row in content["results"]] == [
+        ("sphere", False, 0),
+        ("box", False, 0),
+        ("sphere", True, 0),
+        ("box", True, 0),
+    ]
+    assert not (tmp_path / script.RESULT).exists()
+
+
+def test_command_finds_what_is_missed(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    def blind(_arm: Any, _sections: Any, grid: Any) -> Occupancy:
+        return Occupancy.from_mask(grid, np.zeros(grid.shape, dtype=bool))
+
+    monkeypatch.setattr(validation_kinds, "occupancy", blind)
+    assert script.main(["--kinds", "sphere", "--scenes", "2", "--configurations", "2000"]) == 5
+    text = capsys.readouterr().out
+    assert "FAULTS" in text
+    assert "sphere 0: intervals, coal -" in text
+
+
+def test_all_kinds_where_none_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[Any] = []
+
+    def noted(_robot: Robot, kinds: Any, **_options: Any) -> None:
+        asked.append(tuple(kinds))
+        raise OptionError("kinds", kinds, "to be noted")
+
+    monkeypatch.setattr(validation_kinds, "validate_kinds", noted)
+    assert script.main(["--kinds"]) == 2
+    assert asked == [KINDS]

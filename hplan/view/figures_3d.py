@@ -152,7 +152,7 @@ def draw_cspace_obstacle(axes: Any, grid: Grid, field: FloatArray) -> FloatArray
     return towards
 
 
-def _joint_box(axes: Any, grid: Grid, zoom: float) -> None:
+def joint_box(axes: Any, grid: Grid, zoom: float) -> None:
     """Look of 3-D axes over three joint angles."""
     high = np.degrees(grid.coordinates(np.array(grid.shape) - 1))
     low = np.degrees(grid.lower)
@@ -265,7 +265,7 @@ def cspace_and_path(
     _draw_sparse_lines(axes, grid, field, heads, towards, RESTORED)
     _draw_sparse_lines(axes, grid, field, paths, towards, PATH)
     behind = _draw_path(axes, grid, field, path, towards)
-    _joint_box(axes, grid, 1.06)
+    joint_box(axes, grid, 1.06)
     figure.legend(
         handles=[
             Patch(fc=OBSTACLE, label="forbidden"),
@@ -310,7 +310,7 @@ def overview(
     axes.view_init(elev=elevation, azim=azimuth)
     towards = draw_cspace_obstacle(axes, grid, field)
     _draw_path(axes, grid, field, path, towards)
-    _joint_box(axes, grid, 0.98)
+    joint_box(axes, grid, 0.98)
     right = figure.add_axes((0.5, 0.11, 0.49, 0.79))
     draw_motion(right, arm, centre, radius, grid.coordinates(path), color=INK)
     for x, text in ((0.02, "A path through joint space"), (0.5, "The same path as a motion of the arm")):

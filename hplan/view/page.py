@@ -12,7 +12,7 @@ import importlib.util
 import io
 import json
 import subprocess
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -22,7 +22,9 @@ from hplan.files import write_text
 from hplan.robot import Robot
 from hplan.scene import Scene
 from hplan.trajectory import Trajectory
-from hplan.view.stage import ASPECT, FRUIT_COLOR, GOAL_COLOR, HALO_COLOR, OBSTACLE_COLOR, START_COLOR, stage
+from hplan.view import scenery
+from hplan.view.framing import ASPECT
+from hplan.view.stage import APPROACH_COLOR, GOAL_COLOR, START_COLOR, Stretch, stage
 from hplan.view.three import Json
 
 _PAGE = """<!DOCTYPE html>
@@ -78,49 +80,88 @@ try {{
 """
 
 
-def render_page(robot: Robot, scene: Scene, trajectory: Trajectory) -> str:
+def render_page(
+    robot: Robot,
+    scene: Scene,
+    trajectory: Trajectory,
+    *,
+    picked: Mapping[str, float] | None = None,
+    phases: Sequence[Stretch] = (),
+) -> str:
     """The page as HTML text: self-contained, playing by itself in real time, again and again.
 
     Args:
         robot: The arm.
         scene: What stands around it.
         trajectory: The motion; with a single sample the arm stands still.
+        picked: Fruit and when the tool reaches it [s].
+        phases: Parts of the motion, as `PlanResult.phases`.
 
     Raises:
-        InputError: The trajectory is of other joints than the robot's.
+        InputError: The trajectory is of other joints than the robot's; `picked` names a fruit that the scene does not
+            have, or a time outside the motion.
         HplanError: meshcat, which brings the viewer, is not installed.
     """
     moves = trajectory.samples > 1
     entries = [("Start", START_COLOR), ("Goal", GOAL_COLOR)] if moves else []
-    if scene.obstacles:
-        entries.append(("Obstacle" if len(scene.obstacles) == 1 else "Obstacles", OBSTACLE_COLOR))
+    if moves and any(phase.name == "approach" for phase in phases):
+        entries.append(("Approach", APPROACH_COLOR))
+    for look in scenery.looks(scene):
+        one = look is scenery.OTHER and len(scene.obstacles) == 1
+        entries.append(("Obstacle" if one else look.label, look.color))
     if scene.fruits:
-        entries.append(("Fruit", FRUIT_COLOR))
+        entries.append(("Fruit", scenery.FRUIT_COLOR))
     if scene.goal.fruit is not None:
-        entries.append(("Fruit to pick", HALO_COLOR))
-    legend = "\n".join(f'<span><i style="background: #{color:06x}"></i>{text}</span>' for text, color in entries)
+        entries.append(("Fruit to pick", scenery.HALO_COLOR))
+    if moves and picked:
+        entries.append(("Picked", scenery.PICKED_COLOR))
     subtitle = f"{robot.name}, {trajectory.duration:.2f} s" if moves else f"{robot.name}, at rest"
-    # Inside a script element, "<" could end it.
-    commands = json.dumps(stage(robot, scene, trajectory), separators=(",", ":")).replace("<", "\\u003c")
+    return document(scene.name, subtitle, entries, stage(robot, scene, trajectory, picked=picked, phases=phases))
+
+
+def document(title: str, subtitle: str, entries: Iterable[tuple[str, int]], commands: Sequence[Json]) -> str:
+    """A page of meshcat's viewer as HTML text, self-contained.
+
+    Args:
+        title: Title.
+        subtitle: A line below it.
+        entries: Words and colours of the legend.
+        commands: What the viewer is to show.
+
+    Raises:
+        HplanError: meshcat, which brings the viewer, is not installed.
+    """
+    legend = "\n".join(
+        f'<span><i style="background: #{color:06x}"></i>{html.escape(text)}</span>' for text, color in entries
+    )
     return _PAGE.format(
-        title=html.escape(scene.name),
+        title=html.escape(title),
         subtitle=html.escape(subtitle),
         legend=legend,
-        commands=commands,
+        # Inside a script element, "<" could end it.
+        commands=json.dumps(commands, separators=(",", ":")).replace("<", "\\u003c"),
         viewer=_viewer_source(),
         aspect=ASPECT,
     )
 
 
-def write_page(robot: Robot, scene: Scene, trajectory: Trajectory, path: Path | str) -> Path:
-    """Write the page to a file.
+def write_page(
+    robot: Robot,
+    scene: Scene,
+    trajectory: Trajectory,
+    path: Path | str,
+    *,
+    picked: Mapping[str, float] | None = None,
+    phases: Sequence[Stretch] = (),
+) -> Path:
+    """Write the page of `render_page` to a file.
 
     Raises:
-        InputError: The trajectory is of other joints than the robot's.
+        InputError: As `render_page`.
         OutputError: The file cannot be written.
         HplanError: meshcat, which brings the viewer, is not installed.
     """
-    return write_text(path, render_page(robot, scene, trajectory))
+    return write_text(path, render_page(robot, scene, trajectory, picked=picked, phases=phases))
 
 
 class LiveView:
@@ -165,23 +206,32 @@ class LiveView:
         self.close()
 
 
-def serve(robot: Robot, scene: Scene, trajectory: Trajectory) -> LiveView:
+def serve(
+    robot: Robot,
+    scene: Scene,
+    trajectory: Trajectory,
+    *,
+    picked: Mapping[str, float] | None = None,
+    phases: Sequence[Stretch] = (),
+) -> LiveView:
     """Start meshcat's live server with the same scene and motion; prints nothing and opens no browser.
 
     Args:
         robot: The arm.
         scene: What stands around it.
         trajectory: The motion.
+        picked: Fruit and when the tool reaches it [s].
+        phases: Parts of the motion, as `PlanResult.phases`.
 
     Returns:
         The running view; its `url` is for a browser on this machine. The server ends with `close`, and with this
         process.
 
     Raises:
-        InputError: The trajectory is of other joints than the robot's.
+        InputError: As `render_page`.
         HplanError: The server does not start.
     """
-    commands = stage(robot, scene, trajectory)
+    commands = stage(robot, scene, trajectory, picked=picked, phases=phases)
     _viewer_source()  # says plainly that meshcat is missing
     from meshcat.servers.zmqserver import start_zmq_server_as_subprocess
 

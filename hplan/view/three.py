@@ -21,6 +21,8 @@ Json: TypeAlias = dict[str, Any]
 
 #: Segments around a full turn of a round body.
 _SEGMENTS = 48
+#: The same for bodies of which there may be hundreds.
+_COPY_SEGMENTS = 20
 _HALF_PI = 0.5 * np.pi
 
 # Constants of three.js (and so of WebGL).
@@ -110,7 +112,7 @@ class Body:
             surface: Material.
             placement: (4, 4) pose in the node's frame; None for the node's own.
             name: Name in the viewer.
-            kind: `Mesh`, `LineSegments` or `Points`.
+            kind: `Mesh`, `LineSegments`, `Points`, or `InstancedMesh` by `add_copies`.
             shadow: Throws a shadow.
             order: Smaller is drawn first, among see-through meshes.
         """
@@ -127,6 +129,26 @@ class Body:
         if placement is not None:
             mesh["matrix"] = numbers(placement.T)
         self._meshes.append(mesh)
+
+    def add_copies(
+        self, geometry: Mapping[str, Any], surface: Mapping[str, Any], placements: FloatArray, *, name: str = ""
+    ) -> None:
+        """Add one shape in many places, drawn at one go.
+
+        Args:
+            geometry: Shape.
+            surface: Material.
+            placements: (n, 4, 4) poses in the node's frame; they may stretch the shape.
+            name: Name in the viewer.
+        """
+        self.add(geometry, surface, name=name, kind="InstancedMesh")
+        columns_first = np.swapaxes(placements, 1, 2)
+        # The viewer would look at the one shape to tell whether the copies are in the picture.
+        self._meshes[-1] |= {
+            "count": len(placements),
+            "instanceMatrix": {"array": numbers(columns_first)},
+            "frustumCulled": False,
+        }
 
     def json(self) -> Json:
         """The object as three.js's loader reads it."""
@@ -214,34 +236,32 @@ def _buffers(index: ArrayLike, **attributes: FloatArray) -> Json:
     }
 
 
-def add_capsule(
-    body: Body,
-    start: ArrayLike,
-    end: ArrayLike,
-    radius: float,
-    surface: Mapping[str, Any],
-    *,
-    name: str = "",
+def add_capsules(
+    body: Body, starts: FloatArray, ends: FloatArray, radii: FloatArray, surface: Mapping[str, Any], *, name: str = ""
 ) -> None:
-    """Add a capsule: an open cylinder and two half-spheres, so that no inner wall shows through.
+    """Add capsules: open cylinders and half-spheres, so that no inner wall shows through.
 
     Args:
-        body: Body it becomes a part of.
-        start: (3,) one end of the axis [m].
-        end: (3,) the other end [m].
-        radius: Radius [m].
+        body: Body they become a part of.
+        starts: (n, 3) one end of each axis [m].
+        ends: (n, 3) the other ends [m].
+        radii: (n,) radii [m].
         surface: Material.
         name: Name in the viewer.
     """
-    start, end = np.asarray(start, dtype=np.float64), np.asarray(end, dtype=np.float64)
-    length = float(np.linalg.norm(end - start))
-    turn = _turn_y_to((end - start) / length) if length > 0.0 else np.eye(3)
-    if length > 0.0:
-        wall = cylinder(radius, length, open_ended=True)
-        body.add(wall, surface, transform(turn, 0.5 * (start + end)), name=name)
-    for center, first_angle in ((end, 0.0), (start, _HALF_PI)):
-        cap = {**sphere(radius), "thetaStart": round(first_angle, 9), "thetaLength": round(_HALF_PI, 9)}
-        body.add(cap, surface, transform(turn, center), name=name)
+    walls, caps = [], []
+    for start, end, radius in zip(starts, ends, radii, strict=True):
+        length = float(np.linalg.norm(end - start))
+        turn = _turn_y_to((end - start) / length) if length > 0.0 else np.eye(3)
+        if length > 0.0:
+            walls.append(transform(turn * [radius, length, radius], 0.5 * (start + end)))
+        caps += [transform(turn * radius, end), transform(turn * [radius, -radius, -radius], start)]
+    if walls:
+        wall = {**cylinder(1.0, 1.0, open_ended=True), "radialSegments": _COPY_SEGMENTS}
+        body.add_copies(wall, surface, np.array(walls), name=name)
+    half = {"widthSegments": _COPY_SEGMENTS, "heightSegments": _COPY_SEGMENTS // 4}
+    cap = {**sphere(1.0), **half, "thetaStart": 0.0, "thetaLength": round(_HALF_PI, 9)}
+    body.add_copies(cap, surface, np.array(caps), name=f"{name} ends")
 
 
 def _turn_y_to(direction: FloatArray) -> FloatArray:

@@ -1,0 +1,241 @@
+"""Obstacles and fruits of the page: their looks, and what becomes of fruits that are picked.
+
+What an obstacle is made of is told by the words of its name. All capsules of one look are drawn as copies of one
+shape: a tree of hundreds of pieces costs the viewer no more than one piece.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import assert_never
+
+import numpy as np
+
+from hplan.arrays import FloatArray
+from hplan.errors import InputError
+from hplan.scene import Box, Capsule, Fruit, Mesh, PointCloud, Scene, Sphere
+from hplan.view import three
+from hplan.view.commands import ROOT, clip, moving, node, set_object, set_property, set_transform, showing
+from hplan.view.framing import FIELD_OF_VIEW_DEG
+from hplan.view.three import Body, Json
+
+
+@dataclass(frozen=True)
+class Look:
+    """How obstacles of a kind look.
+
+    Attributes:
+        label: What the legend calls them.
+        color: Their colour.
+        words: Words in the name of such an obstacle.
+        opacity: 1 where nothing shows through.
+    """
+
+    label: str
+    color: int
+    words: frozenset[str]
+    opacity: float = 1.0
+
+
+LEAVES = Look("Leaves", 0x7FA35F, frozenset({"leaf", "leaves", "foliage", "canopy", "crown", "hedge"}))
+WOOD = Look(
+    "Wood",
+    0x866349,
+    frozenset({"tree", "trunk", "branch", "branches", "shoot", "limb", "twig", "stem", "leader", "wood", "spur"}),
+)
+METAL = Look("Posts and wires", 0x8B949E, frozenset({"wire", "post", "pole", "stake", "cable", "rail", "trellis"}))
+BULK = Look(
+    "Ground and vehicle",
+    0xB4B7B2,
+    frozenset({"ground", "floor", "soil", "vehicle", "platform", "cart", "tractor", "trailer", "wall", "bin"}),
+)
+OTHER = Look("Obstacles", 0x7B5EA7, frozenset(), 0.85)
+
+FRUIT_COLOR = 0xD7263D
+GOAL_FRUIT_COLOR = 0xFF3B2F
+HALO_COLOR = 0xFFC53D
+#: Lighter than the others too, for eyes that do not tell red from green.
+PICKED_COLOR = 0x9BD84A
+
+#: Most points of a cloud that are drawn.
+_MOST_POINTS = 20_000
+
+
+def look_of(name: str) -> Look:
+    """The look of an obstacle, by the words of its name; an `s` at the end of a word does not count."""
+    words = set(re.findall(r"[a-z]+", name.lower()))
+    words |= {word.removesuffix("s") for word in words}
+    return next((look for look in (LEAVES, WOOD, METAL, BULK) if words & look.words), OTHER)
+
+
+def looks(scene: Scene) -> list[Look]:
+    """The looks that a scene's obstacles have, each once."""
+    return list(dict.fromkeys(look_of(item.name) for item in scene.obstacles))
+
+
+def obstacles(scene: Scene) -> list[Json]:
+    """Commands that draw the obstacles: capsules by their looks, others one by one."""
+    commands, capsules = [], defaultdict(list)
+    for item in scene.obstacles:
+        look = look_of(item.name)
+        if isinstance(item, Capsule):
+            capsules[look].append(item)
+        else:
+            body = Body()
+            _add(body, item, look)
+            commands.append(set_object(f"{ROOT}/obstacles/{node(item.kind, item.name)}", body))
+    for look, items in capsules.items():
+        body = Body()
+        starts, ends = (np.array([getattr(item, end) for item in items]) for end in ("start", "end"))
+        radii = np.array([item.radius for item in items])
+        three.add_capsules(body, starts, ends, radii, _surface(look), name=look.label)
+        commands.append(set_object(f"{ROOT}/obstacles/{look.label}", body))
+    return commands
+
+
+def _surface(look: Look) -> Json:
+    rough = {} if look in (OTHER, METAL) else {"roughness": 0.85}
+    return three.material(look.color, opacity=look.opacity, **rough)
+
+
+def _add(body: Body, item: Sphere | Box | Mesh | PointCloud, look: Look) -> None:
+    surface = _surface(look)
+    match item:
+        case Sphere():
+            body.add(three.sphere(item.radius), surface, three.transform(position=item.center), name=item.name)
+        case Box():
+            body.add(three.box(item.size), surface, three.transform(item.rotation, item.center), name=item.name)
+        case Mesh():
+            body.add(three.facets(*item.surface), surface, name=item.name)
+        case PointCloud():
+            for cloud in item.solids:
+                some = cloud.core[:: -(-len(cloud.core) // _MOST_POINTS)]
+                # The viewer takes a dot's size as if the field of view were 90 degrees.
+                wide = 2.0 * cloud.rounding / np.tan(np.radians(0.5 * FIELD_OF_VIEW_DEG))
+                dots = three.dots_material(look.color, float(wide))
+                body.add(three.points(some), dots, name=item.name, kind="Points", shadow=False)
+        case _:
+            assert_never(item)
+
+
+def fruits(scene: Scene) -> list[Json]:
+    """Commands that draw the fruits as they hang."""
+    commands = []
+    for fruit in scene.fruits:
+        path = _fruit_path(fruit)
+        commands.append(set_object(path, _fruit(fruit, is_goal=fruit.name == scene.goal.fruit)))
+        commands.append(set_transform(path, three.transform(position=fruit.center)))
+    return commands
+
+
+def _fruit_path(fruit: Fruit) -> str:
+    return f"{ROOT}/fruits/{node('fruit', fruit.name)}"
+
+
+def _fruit(fruit: Fruit, *, is_goal: bool) -> Body:
+    body = Body()
+    color = GOAL_FRUIT_COLOR if is_goal else FRUIT_COLOR
+    body.add(three.sphere(fruit.radius), three.material(color, roughness=0.35), name=fruit.name)
+    if is_goal:
+        halo = three.material(HALO_COLOR, opacity=0.3, kind="MeshBasicMaterial", depthWrite=False)
+        body.add(three.sphere(1.5 * fruit.radius), halo, name="goal", shadow=False, order=3)
+    return body
+
+
+# Picking.
+
+
+@dataclass(frozen=True, eq=False)
+class Pick:
+    """A fruit that is picked.
+
+    Attributes:
+        fruit: The fruit.
+        since: When the tool takes it [s].
+        until: When it is put away [s]; inf where the tool keeps it.
+    """
+
+    fruit: Fruit
+    since: float
+    until: float
+
+
+def picks(
+    scene: Scene, picked: Mapping[str, float], retreats: Iterable[tuple[float, float]], duration: float
+) -> list[Pick]:
+    """What becomes of picked fruits: the tool keeps each until the retreat from it ends, the last one for good.
+
+    Args:
+        scene: The scene.
+        picked: Fruit and when the tool reaches it [s].
+        retreats: Begin and end of each retreat [s].
+        duration: End of the motion [s].
+
+    Raises:
+        InputError: A fruit that the scene does not have; a time outside the motion.
+    """
+    known = {fruit.name: fruit for fruit in scene.fruits}
+    ends = list(retreats)
+    result = []
+    for name, time in sorted(picked.items(), key=lambda item: item[1]):
+        if name not in known:
+            raise InputError(f"picked names {name!r}, which is not among the scene's fruits", fruit=name)
+        if not 0.0 <= time <= duration + 1e-9:
+            raise InputError(
+                f"{name!r} is picked at {time} s; the motion lasts from 0 to {duration:.6g} s", fruit=name, time=time
+            )
+        until = min((end for begin, end in ends if abs(begin - time) < 1e-3), default=math.inf)
+        result.append(Pick(known[name], float(time), until if until < duration - 1e-9 else math.inf))
+    # A tool holds one fruit.
+    following = [pick.since for pick in result[1:]]
+    return [
+        *(Pick(pick.fruit, pick.since, min(pick.until, time)) for pick, time in zip(result, following, strict=False)),
+        *result[-1:],
+    ]
+
+
+def picked_fruits(picks: Sequence[Pick]) -> list[Json]:
+    """Commands that draw picked fruits in another colour: in the tool, and faintly where they have hung."""
+    commands = []
+    for pick in picks:
+        for top, opacity in (("picked", 1.0), ("places", 0.35)):
+            body, path = Body(), _picked_path(top, pick)
+            surface = three.material(PICKED_COLOR, opacity=opacity, roughness=0.35)
+            body.add(three.sphere(pick.fruit.radius), surface, name=pick.fruit.name, shadow=opacity == 1.0)
+            commands += [
+                set_object(path, body),
+                set_transform(path, three.transform(position=pick.fruit.center)),
+                set_property(path, "visible", False),
+            ]
+    return commands
+
+
+def picked_clips(picks: Sequence[Pick], times: FloatArray, tool: FloatArray, end: float) -> list[Json]:
+    """What is seen of picked fruits over time, and how they move with the tool.
+
+    Args:
+        picks: The picked fruits.
+        times: (k,) times of the keyframes [s].
+        tool: (k, 3) tool positions [m].
+        end: End of the animation [s].
+    """
+    clips = []
+    for pick in picks:
+        held = (times > pick.since) & (times < pick.until)
+        stations = np.unique([0.0, pick.since, *times[held], min(pick.until, times[-1]), end])
+        at, taken = (np.column_stack([np.interp(t, times, axis) for axis in tool.T]) for t in (stations, [pick.since]))
+        way = np.array(pick.fruit.center) + np.where(stations[:, None] > pick.since, at - taken, 0.0)
+        clips += [
+            clip(_fruit_path(pick.fruit), showing(0.0, pick.since, end)),
+            clip(_picked_path("picked", pick), showing(pick.since, pick.until, end), moving(stations, way)),
+            clip(_picked_path("places", pick), showing(pick.since, math.inf, end)),
+        ]
+    return clips
+
+
+def _picked_path(top: str, pick: Pick) -> str:
+    return f"{ROOT}/{top}/{node('fruit', pick.fruit.name)}"

@@ -1,0 +1,166 @@
+"""The C-space at one yaw: where the planar joints may not be there, and a motion projected into it.
+
+The forbidden region is where the clearance of the arm is negative; clearance is evaluated at the nodes of a grid, so
+that the region's surface can be found between them. Of a motion that turns the base only what is near that yaw is
+judged by the picture: elsewhere the region is another one.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hplan.arrays import FloatArray, frozen
+from hplan.errors import InputError, OptionError
+from hplan.grid import Grid
+from hplan.options import PlanOptions
+from hplan.robot import Robot
+from hplan.scene import Scene
+from hplan.surroundings import Surroundings
+from hplan.trajectory import Trajectory
+from hplan.view.figures_3d import hidden
+from hplan.view.stage import Stretch
+
+#: Spacing of the grid on which the region is found, and its most nodes, about.
+_STEP_DEG, _MOST_NODES = 2.0, 100_000
+
+#: Points of the projected motion, and how near to the yaw they count when the view is chosen.
+_POINTS, _NEAR = 400, math.radians(10.0)
+
+#: Directions that the picture is looked at from, none along an axis [deg].
+_AZIMUTHS, _ELEVATIONS = (30, 60, 120, 150, 210, 240, 300, 330), (18, 28, 40)
+
+
+@dataclass(frozen=True, eq=False)
+class YawSection:
+    """The C-space of the planar joints at one yaw, with a motion.
+
+    Attributes:
+        yaw: The yaw.
+        grid: Grid over the three planar joints.
+        field: (N1, N2, N3) clearance of the arm at its nodes [m], negative where it may not be.
+        path: (m, 3) planar joints along the motion, evenly spaced, from the start to the goal.
+        beside: (m,) how far the motion's yaw is from `yaw` there.
+        times: (m,) when it is there [s].
+    """
+
+    yaw: float
+    grid: Grid
+    field: FloatArray
+    path: FloatArray
+    beside: FloatArray
+    times: FloatArray
+
+    @property
+    def view(self) -> tuple[float, float]:
+        """Azimuth and elevation [deg] of the viewer to whom the region hides least of the motion, and who sees it long.
+
+        What is near the yaw counts most.
+        """
+        nodes = self.grid.position(self.path)
+        size = (nodes - nodes.mean(axis=0)) / (np.array(self.grid.shape) - 1.0)
+        weights = np.where(self.beside <= _NEAR, 1.0, 0.1)
+        best, chosen = math.inf, (0.0, 0.0)
+        for elevation in _ELEVATIONS:
+            for azimuth in _AZIMUTHS:
+                a, e = math.radians(azimuth), math.radians(elevation)
+                towards = np.array([math.cos(a) * math.cos(e), math.sin(a) * math.cos(e), math.sin(e)])
+                behind = float(weights @ hidden(self.field, nodes, towards) / weights.sum())
+                across = size - np.outer(size @ towards, towards)
+                cost = behind - 0.5 * float(np.sqrt(np.square(across).sum(axis=1)).max())
+                if cost < best:
+                    best, chosen = cost, (float(azimuth), float(elevation))
+        return chosen
+
+
+def yaw_section(
+    robot: Robot,
+    scene: Scene,
+    trajectory: Trajectory,
+    options: PlanOptions | None = None,
+    *,
+    phases: Sequence[Stretch] = (),
+    picked: Collection[str] = (),
+    yaw: float | None = None,
+) -> YawSection:
+    """The C-space at one yaw, and a motion in it.
+
+    Args:
+        robot: The arm, three planar joints.
+        scene: What stands around it; the fruit that is the goal is left out, for it may be touched.
+        trajectory: The motion.
+        options: How it was planned: tracking error and uncertainty grow the region.
+        phases: Parts of the motion; what follows the first approach is left out.
+        picked: Names of more fruits to leave out.
+        yaw: The yaw; None for the goal's.
+
+    Raises:
+        InputError: The arm has another number of planar joints, or the trajectory is of other joints.
+        OptionError: A yaw that is not finite or beyond the limits, or other than 0 for an arm without yaw.
+    """
+    if robot.arm.link_count != 3:
+        raise InputError(
+            f"the C-space view wants three planar joints; {robot.name!r} has {robot.arm.link_count}",
+            expected=3, got=robot.arm.link_count,
+        )  # fmt: skip
+    if trajectory.joint_names != robot.joint_names:
+        raise InputError(
+            f"the trajectory moves {', '.join(trajectory.joint_names)}; expected {', '.join(robot.joint_names)}",
+            expected=list(robot.joint_names), got=list(trajectory.joint_names),
+        )  # fmt: skip
+    end = min((phase.end_s for phase in phases if phase.name == "approach"), default=trajectory.duration)
+    rows = trajectory.time <= end + 1e-9
+    motion, times = trajectory.position[rows], trajectory.time[rows]
+    at = _checked_yaw(robot, robot.yaw_of(motion[-1]) if yaw is None else yaw)
+    choice = PlanOptions() if options is None else options
+    around = Surroundings.of(
+        robot,
+        [solid for solid in scene.solids if solid.name not in picked],
+        clearance=scene.clearance,
+        tracking_error=choice.tracking_error if choice.certify else 0.0,
+        sigmas=choice.sigmas,
+    )
+    planar = robot.arm_slice
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(motion, axis=0), axis=1))])
+    # Where the arm rests, rows stand at one place.
+    moving = np.concatenate([[True], np.diff(along) > 0.0])
+    stations = np.linspace(0.0, along[-1], _POINTS)
+    way = np.column_stack([np.interp(stations, along[moving], column) for column in motion[moving].T])
+    grid = _grid(robot)
+    return YawSection(
+        yaw=at,
+        grid=grid,
+        field=_field(robot, around, grid, at),
+        path=frozen(np.ascontiguousarray(way[:, planar])),
+        beside=frozen(np.abs(way[:, 0] - at) if robot.has_yaw else np.zeros(len(way))),
+        times=frozen(np.interp(stations, along[moving], times[moving])),
+    )
+
+
+def _checked_yaw(robot: Robot, yaw: float) -> float:
+    low, high = (float(robot.lower[0]), float(robot.upper[0])) if robot.has_yaw else (0.0, 0.0)
+    if not low - 1e-9 <= yaw <= high + 1e-9:
+        raise OptionError(
+            "yaw", math.degrees(yaw), f"degrees from {math.degrees(low):.6g} to {math.degrees(high):.6g}"
+        )
+    return yaw
+
+
+def _grid(robot: Robot) -> Grid:
+    span = robot.arm.upper - robot.arm.lower
+    step = max(math.radians(_STEP_DEG), float(np.prod(span) / _MOST_NODES) ** (1.0 / 3.0))
+    return Grid.over(robot.arm.lower, robot.arm.upper, step)
+
+
+def _field(robot: Robot, around: Surroundings, grid: Grid, yaw: float) -> FloatArray:
+    """Clearance at the grid's nodes; without obstacles as far as can be told."""
+    q = np.full(robot.dof, yaw)
+    field = np.empty(grid.size)
+    for number, index in enumerate(np.ndindex(*grid.shape)):
+        q[robot.arm_slice] = grid.coordinates(index)
+        field[number] = around.field.clearance(q)
+    # The surface is interpolated between nodes: without obstacles clearance is infinite.
+    return frozen(np.minimum(field, 1e3).reshape(grid.shape))

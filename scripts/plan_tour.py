@@ -1,0 +1,263 @@
+"""Plan a picking tour: many fruits from one start, in the order in which the arm is done soonest."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import re
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hplan.errors import HplanError, OptionError, OutputError
+from hplan.terminal import add_robot, command_parser, prepare_folder, run_command
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from hplan.tour import TourOptions, TourResult
+
+#: Files of a finished job, the report last; with `--csv each`, a CSV for each leg in place of the one.
+TRAJECTORY, PAGE, REPORT = "tour.csv", "scene.html", "tour.json"
+
+_DESCRIPTION = """\
+Plan a picking tour through the fruits of a scene, from its start, in the order in which the certified motions take the
+least time in all. Writes tour.csv, tour.json and an animated scene.html.
+"""
+
+_EPILOG = """\
+Without a drop-off the arm takes fruit into itself; with one it carries fruit
+there, and its last link is as thick as the thickest of them on the way.
+Fruits that others are in the way of come last, once those are picked. What
+cannot be reached is listed with the reason. Times are those of motions; the
+time to grip or to let go comes on top.
+
+with --csv each: tour-01-NAME.csv, tour-02-NAME.csv, ..., each from time 0;
+tour-NN-return.csv is the way back.
+
+exit status:
+  0  done
+  2  bad input
+  3  no fruit can be picked, or the drop-off cannot be reached
+  4  the motion to the drop-off cannot be timed
+  5  the motion to the drop-off is not certified
+"""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line; returns the exit status."""
+    arguments = _parser().parse_args(argv)
+    return run_command(lambda console, errors: _plan(arguments, console, errors))
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = command_parser(_DESCRIPTION, _EPILOG)
+    parser.add_argument("scene", nargs="?", type=Path, help="scene file (default: the tour that ships with hplan)")
+    add = parser.add_argument
+    add("--out", type=Path, default=Path("out"), metavar="DIR", help="folder to write into (default: out)")
+    add_robot(parser)
+    add("--fruits", nargs="+", metavar="NAME", help="fruits to pick (default: all)")
+    drop = parser.add_mutually_exclusive_group()
+    drop.add_argument("--drop-off", type=float, nargs=3, metavar=("X", "Y", "Z"), help="drop-off: a place of the tool")
+    drop.add_argument("--drop-off-joints", type=float, nargs="+", metavar="DEG", help="drop-off: joints")
+    add("--every", type=int, metavar="K", help="fruits carried to the drop-off at most (default: 1)")
+    add("--back", action="store_true", help="go back to the start in the end")
+    add("--order", choices=("best", "nearest", "given"), default="best", help="default: best")
+    add("--compare", action="store_true", help="show what the other orders would take")
+    add("--grasps", type=int, default=4, metavar="N", help="ways to take a fruit to choose from (default: 4)")
+    add("--csv", choices=("one", "each"), default="one", help="one CSV, or one for each fruit (default: one)")
+    add("--standoff", type=float, default=0.1, metavar="M", help="length of straight approaches (default: 0.1)")
+    add("--rate", type=float, default=250.0, metavar="HZ", help="rows per second in the CSV (default: 250)")
+    add("--speed", type=float, default=1.0, metavar="SHARE", help="share of full speed, in (0, 1] (default: 1)")
+    add("--tracking-error", type=float, default=0.0, metavar="DEG", help="joint deviation that the proof covers")
+    add("--quiet", action="store_true", help="no progress, no summary")
+    return parser
+
+
+def _plan(arguments: argparse.Namespace, console: Console, errors: Console) -> int:
+    """Plan, write, show what came of it; returns the exit status."""
+    folder: Path = arguments.out
+    names: dict[str, str | None] = {"scene": None, "robot": None}
+    prepare_folder(folder)
+    _clear(folder)
+    try:
+        with _progress(errors, arguments.quiet) as progress:
+            result, files = _run(arguments, folder, progress, names)
+    except BaseException as error:
+        _write_failure(folder, error, names)
+        raise
+    if not arguments.quiet:
+        _show(console, result, folder, files)
+    return 0
+
+
+def _run(
+    arguments: argparse.Namespace, folder: Path, progress: Callable[[str], None], names: dict[str, str | None]
+) -> tuple[TourResult, list[str]]:
+    """Load, plan and write; gives the tour and the names of its files."""
+    progress("reading robot and scene")
+    import math
+
+    from hplan.options import PlanOptions
+    from hplan.report import write_report
+    from hplan.resources import scenes_dir
+    from hplan.robot import load_robot
+    from hplan.scene_file import load_scene
+    from hplan.tour import plan_tour
+    from hplan.trajectory import write_csv
+    from hplan.view.page import write_page
+
+    if not arguments.tracking_error >= 0.0:
+        raise OptionError("--tracking-error", arguments.tracking_error, "a number of degrees >= 0")
+    options = PlanOptions(
+        standoff=arguments.standoff,
+        rate_hz=arguments.rate,
+        speed=arguments.speed,
+        tracking_error=math.radians(arguments.tracking_error),
+    )
+    tour = _tour_options(arguments)
+    robot = load_robot(arguments.robot, limits=arguments.limits)
+    names["robot"] = robot.name
+    scene = load_scene(scenes_dir() / "tour.yaml" if arguments.scene is None else arguments.scene)
+    names["scene"] = scene.name
+    result = plan_tour(robot, scene, options, fruits=arguments.fruits, tour=tour, progress=progress)
+    progress("writing files")
+    motions = {TRAJECTORY: result.trajectory}
+    if arguments.csv == "each":
+        digits = max(2, len(str(len(result.legs))))
+        motions = {
+            f"tour-{number:0{digits}}-{_file_word(leg.name)}.csv": leg.trajectory
+            for number, leg in enumerate(result.legs, start=1)
+        }
+    for name, motion in motions.items():
+        write_csv(motion, folder / name)
+    write_page(robot, scene, result.trajectory, folder / PAGE)
+    write_report({**result.report, "files": list(motions)}, folder / REPORT)
+    return result, [*motions, REPORT, PAGE]
+
+
+def _tour_options(arguments: argparse.Namespace) -> TourOptions:
+    """What the tour is to be like."""
+    from hplan.scene import Goal
+    from hplan.tour import TourOptions
+
+    drop = None
+    for option, key in (("drop_off", "position"), ("drop_off_joints", "joints_deg")):
+        values = getattr(arguments, option)
+        if values is None:
+            continue
+        try:
+            drop = Goal.model_validate({key: values}, strict=False)
+        except ValueError as error:
+            raise OptionError(f"--{option.replace('_', '-')}", values, "finite numbers") from error
+    return TourOptions(
+        drop_off=drop,
+        every=arguments.every,
+        back=arguments.back,
+        order=arguments.order,
+        compare=arguments.compare,
+        grasps=arguments.grasps,
+    )
+
+
+def _file_word(name: str) -> str:
+    """A name as part of a file's name."""
+    return re.sub(r"[^A-Za-z0-9]+", "-", name).strip("-") or "fruit"
+
+
+def _clear(folder: Path) -> None:
+    """Remove the files of an earlier job; what cannot be removed cannot be written either, and is reported then."""
+    for path in (folder / TRAJECTORY, folder / PAGE, folder / REPORT, *sorted(folder.glob("tour-[0-9]*-*.csv"))):
+        with contextlib.suppress(OSError):
+            path.unlink(missing_ok=True)
+
+
+def _write_failure(folder: Path, error: BaseException, names: dict[str, str | None]) -> None:
+    """Leave nothing of a failed job but its report; after an interrupt or a fault of hplan's own, nothing at all."""
+    from hplan.report import failure_report, write_report
+
+    _clear(folder)
+    if isinstance(error, HplanError):
+        with contextlib.suppress(OutputError):
+            write_report(failure_report(error, scene=names["scene"], robot=names["robot"]), folder / REPORT)
+
+
+@contextlib.contextmanager
+def _progress(console: Console, quiet: bool) -> Iterator[Callable[[str], None]]:
+    """A status line on the terminal; nothing where there is no terminal, or none wanted."""
+    if quiet or not console.is_terminal:
+        yield lambda _: None
+        return
+    with console.status("starting") as status:
+        yield status.update
+
+
+def _show(console: Console, result: TourResult, folder: Path, files: Sequence[str]) -> None:
+    """The legs, the whole, and what is not picked; fits 80 columns, unless names are long."""
+    from rich import box
+    from rich.markup import escape
+    from rich.table import Table
+
+    report = result.report
+    console.print(f"\n[bold]{escape(report['scene'])}[/] with [bold]{escape(report['robot'])}[/]\n")
+    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), show_edge=False)
+    table.add_column("", justify="right")
+    table.add_column("fruit")
+    kinds = [
+        kind for kind in ("transit", "approach", "retreat", "drop") if any(_times(leg, kind) for leg in result.legs)
+    ]
+    for heading in (*kinds, "at the fruit", "clearance"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for number, leg in enumerate(result.legs, start=1):
+        times = {kind: _times(leg, kind) for kind in kinds}
+        if leg.fruit is None:
+            times["transit"] = leg.trajectory.duration
+        clearance = 1e3 * leg.certificate.min_clearance_m
+        table.add_row(
+            str(number),
+            escape(leg.name) if leg.fruit is not None else "[dim]back to the start[/]",
+            *(f"{seconds:.3f} s" if seconds else "" for seconds in times.values()),
+            "" if leg.fruit is None else f"{result.picked[leg.fruit]:.2f} s",
+            f"{clearance:.2f} mm" if clearance < float("inf") else "no obstacles",
+        )
+    console.print(table)
+    console.print()
+    _show_facts(console, result, folder, files)
+
+
+def _times(leg: Any, kind: str) -> float:
+    """How long the phases of a kind take in a leg [s]."""
+    return sum(phase.end_s - phase.start_s for phase in leg.phases if phase.name == kind)
+
+
+def _show_facts(console: Console, result: TourResult, folder: Path, files: Sequence[str]) -> None:
+    """What holds for the whole tour."""
+    from rich.markup import escape
+    from rich.table import Table
+
+    report = result.report
+    facts = Table.grid(padding=(0, 2, 0, 0))
+    facts.add_column(style="dim", no_wrap=True)
+    facts.add_column()
+    fruits = len(result.order)
+    facts.add_row("tour", f"[bold]{result.duration:.3f} s[/], {fruits} fruit{'s' if fruits != 1 else ''}")
+    totals = {order: seconds for order, seconds in report["totals_s"].items() if order != "fruits"}
+    if len(totals) > 1:
+        compared = ", ".join(f"{order} {seconds:.2f} s" for order, seconds in totals.items())
+        facts.add_row("orders", f"{compared} ({report['totals_s']['fruits']} fruits)")
+    facts.add_row(
+        "certificate", "[bold green]verified[/]" if result.certificate.verified else "[bold red]NOT VERIFIED[/]"
+    )
+    planner = report["planner"]
+    facts.add_row("time", f"{1e-3 * planner['time_ms']:.1f} s, {planner['motions_planned']} motions planned")
+    shown = files if len(files) <= 4 else [files[0], "...", *files[-3:]]
+    facts.add_row("files", f"{escape(str(folder))}: {escape(', '.join(shown))}")
+    for item in result.unreached:
+        facts.add_row("[yellow]not picked[/]", f"{escape(item.fruit)}: {escape(item.error.message)}")
+    console.print(facts)
+    console.print()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,204 @@
+"""Plans for the tests, and what every one of them must keep, judged without the planner's own formulas."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from hplan.certificate import LIMIT_TOLERANCE
+from hplan.collision import CollisionScene
+from hplan.pipeline import PlanResult
+from hplan.robot import Robot
+from hplan.scene import Box, Capsule, Fruit, Goal, Scene, Sphere, Start
+from hplan.trajectory import Trajectory
+
+Obstacles = Sequence[Any]
+
+
+def task(
+    start: Sequence[float], goal: Sequence[float] | Goal, obstacles: Obstacles = (), **more: Any
+) -> Scene:
+    """From joints [deg] to joints [deg] or to another goal."""
+    end = goal if isinstance(goal, Goal) else Goal(joints_deg=tuple(goal))
+    return Scene(name="test", start=Start(joints_deg=tuple(start)), goal=end, obstacles=tuple(obstacles), **more)
+
+
+def at(bearing_deg: float, distance: float, z: float) -> tuple[float, float, float]:
+    """A point by its bearing and its distance from the yaw axis."""
+    bearing = math.radians(bearing_deg)
+    return (distance * math.cos(bearing), distance * math.sin(bearing), z)
+
+
+def post(name: str, bearing_deg: float, distance: float, low: float, high: float, radius: float = 0.03, **more: Any) -> Capsule:
+    """An upright capsule."""
+    ends = {"start": at(bearing_deg, distance, low), "end": at(bearing_deg, distance, high)}
+    return Capsule(name=name, **ends, radius=radius, **more)
+
+
+def fruit(name: str, bearing_deg: float, distance: float, z: float, radius: float = 0.04, **more: Any) -> Fruit:
+    """A fruit by its bearing."""
+    return Fruit(name=name, center=at(bearing_deg, distance, z), radius=radius, **more)
+
+
+def frame_about_upper_arm(yaw_deg: float, lift_deg: float, half: float = 0.13) -> list[Capsule]:
+    """Four bars in a square about the middle of the upper arm, across it: with the arm through it, it cannot get out."""
+    yaw, lift = math.radians(yaw_deg), math.radians(lift_deg)
+    out, side = np.array([math.cos(yaw), math.sin(yaw), 0.0]), np.array([-math.sin(yaw), math.cos(yaw), 0.0])
+    along = math.cos(lift) * out + math.sin(lift) * np.array([0.0, 0.0, 1.0])
+    above = np.cross(along, side)
+    middle = np.array([0.0, 0.0, 0.6]) + 0.7 * along
+    corners = [tuple((middle + half * (x * side + y * above)).tolist()) for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+    return [Capsule(name=f"bar {i}", start=corners[i], end=corners[(i + 1) % 4], radius=0.02) for i in range(4)]
+
+
+def part(trajectory: Trajectory, begin: float, end: float) -> np.ndarray:
+    """Numbers of the rows of a stretch of time."""
+    return np.flatnonzero((trajectory.time >= begin - 1e-9) & (trajectory.time <= end + 1e-9))
+
+
+def between_rows(trajectory: Trajectory, rows: np.ndarray, looks: int = 3) -> np.ndarray:
+    """Configurations at rows, and at `looks` places on the cubic between each two."""
+    q, v, time = trajectory.position[rows], trajectory.velocity[rows], trajectory.time[rows]
+    if len(q) == 1:
+        return q
+    step = np.diff(time)[:, None]
+    found = [q]
+    for t in np.arange(1, looks + 1) / (looks + 1):
+        found.append(
+            (2 * t**3 - 3 * t**2 + 1) * q[:-1]
+            + (t**3 - 2 * t**2 + t) * step * v[:-1]
+            + (3 * t**2 - 2 * t**3) * q[1:]
+            + (t**3 - t**2) * step * v[1:]
+        )
+    return np.concatenate(found)
+
+
+def assert_clear(
+    robot: Robot, scene: Scene, configurations: np.ndarray, *, sigmas: float = 3.0, touched: str | None = None
+) -> None:
+    """Every link keeps from every obstacle what it has to; but for the last one from the fruit that is touched."""
+    solids = scene.solids_with_goal
+    if not solids:
+        return
+    judge = CollisionScene(robot, solids)
+    keep = np.array([scene.clearance + sigmas * solid.sigma for solid in solids])
+    spare = np.min([judge.distances(q) for q in configurations], axis=0) - keep
+    if touched is not None:
+        spare[-1, [solid.name == touched for solid in solids]] = np.inf
+    link, solid = np.unravel_index(int(spare.argmin()), spare.shape)
+    assert spare.min() > 0.0, f"{judge.link_names[link]} and {solids[solid].name}: {spare.min()}"
+
+
+def assert_sound(robot: Robot, scene: Scene, result: PlanResult, *, sigmas: float = 3.0) -> None:
+    """Certified; within the limits, clear at and between all rows, at rest where phases meet, of one piece."""
+    trajectory, report = result.trajectory, result.report
+    assert result.certificate.verified
+    assert report["certificate"]["verified"]
+    assert report["status"] == "ok"
+    everything = between_rows(trajectory, np.arange(trajectory.samples))
+    assert (everything >= robot.lower - 1e-9).all()
+    assert (everything <= robot.upper + 1e-9).all()
+    for values, limit in (
+        (trajectory.velocity, robot.velocity_limit),
+        (trajectory.acceleration, robot.acceleration_limit),
+        (trajectory.torque, robot.torque_limit),
+    ):
+        assert (np.abs(values) <= LIMIT_TOLERANCE * limit).all()
+    np.testing.assert_allclose(trajectory.position[0], scene.start.configuration, rtol=0, atol=1e-12)
+    locked = [robot.joint_names.index(name) for name in scene.locked_joints]
+    np.testing.assert_allclose(trajectory.position[:, locked] - trajectory.position[0, locked], 0.0, atol=1e-9)
+    phases = result.phases
+    assert [phases[0].start_s, phases[-1].end_s] == [0.0, trajectory.duration]
+    for number, phase in enumerate(phases):
+        if number:
+            assert phase.start_s == phases[number - 1].end_s
+        rows = part(trajectory, phase.start_s, phase.end_s)
+        np.testing.assert_allclose(trajectory.velocity[rows[[0, -1]]], 0.0, rtol=0, atol=1e-6)
+        direct = result.grasp is not None and result.grasp.distance == 0.0
+        touched = scene.goal.fruit if direct or phase.name != "transit" else None
+        assert_clear(robot, scene, between_rows(trajectory, rows), sigmas=sigmas, touched=touched)
+    if scene.goal.joints() is not None:
+        np.testing.assert_allclose(trajectory.position[-1], scene.goal.configuration, rtol=0, atol=1e-12)
+        assert [phase.name for phase in phases] == ["transit"]
+    else:
+        assert_grasps(robot, scene, result)
+
+
+def assert_grasps(robot: Robot, scene: Scene, result: PlanResult) -> None:
+    """The tool comes to the point, along the last link, and from a fruit goes back."""
+    grasp, trajectory, name = result.grasp, result.trajectory, scene.goal.fruit
+    assert grasp is not None
+    target = scene.goal.position if name is None else next(f.center for f in scene.fruits if f.name == name)
+    np.testing.assert_allclose(robot.tool_positions(grasp.goal), target, rtol=0, atol=1e-6)
+    bounds = scene.goal.approach_deg
+    if bounds is not None:
+        low, high = bounds if isinstance(bounds, tuple) else (bounds, bounds)
+        turned = (math.degrees(grasp.approach) - low + 1e-6) % 360.0
+        assert turned <= high - low + 2e-6
+    if grasp.distance == 0.0:
+        assert [phase.name for phase in result.phases] == ["transit"]
+        np.testing.assert_allclose(trajectory.position[-1], grasp.goal, rtol=0, atol=1e-9)
+        return
+    names = ["transit", "approach", "retreat"] if name is not None else ["transit", "approach"]
+    assert [phase.name for phase in result.phases] == names
+    approach = result.phases[1]
+    rows = part(trajectory, approach.start_s, approach.end_s)
+    q = between_rows(trajectory, rows)
+    np.testing.assert_allclose(trajectory.position[rows[0]], grasp.standoff, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(trajectory.position[rows[-1]], grasp.goal, rtol=0, atol=1e-9)
+    heading = last_link(robot, grasp.goal)
+    tools = robot.tool_positions(trajectory.position[rows])
+    beside = (tools - target) - np.outer((tools - target) @ heading, heading)
+    assert np.linalg.norm(beside, axis=1).max() <= 1e-6
+    assert (np.diff(tools @ heading) > -1e-9).all()
+    assert np.linalg.norm(tools[0] - target) == np.float64(grasp.distance).round(6) or abs(
+        np.linalg.norm(tools[0] - target) - grasp.distance
+    ) <= 1e-6
+    assert np.linalg.norm([last_link(robot, each) - heading for each in q], axis=1).max() < 1e-3
+    if name is not None:
+        np.testing.assert_allclose(trajectory.position[-1], grasp.standoff, rtol=0, atol=1e-9)
+
+
+def last_link(robot: Robot, q: np.ndarray) -> np.ndarray:
+    """Direction of the last link in `base_link`."""
+    points = robot.arm.joint_points(np.asarray(q)[robot.arm_slice])[-2:]
+    _, axes = robot.plane_at(robot.yaw_of(q))
+    along = (points[1] - points[0]) @ axes[:2]
+    return np.asarray(along / np.linalg.norm(along))
+
+
+def random_scene(seed: int, robot: Robot) -> Scene:
+    """Obstacles of all kinds and fruits about the arm, start and goal at different yaws with a little room."""
+    random = np.random.default_rng(seed)
+    ends = random.uniform([-180.0, 5.0, 5.0, 5.0], [180.0, 85.0, 85.0, 85.0], (2, 4))
+    ends[1, 0] = np.clip(ends[0, 0] + random.choice([-1.0, 1.0]) * random.uniform(10.0, 90.0), -179.0, 179.0)
+    obstacles: list[Any] = []
+    fruits: list[Fruit] = []
+    wanted = int(random.integers(4, 14))
+    middle = float(ends[:, 0].mean())
+    while len(obstacles) + len(fruits) < wanted:
+        name = f"o{len(obstacles) + len(fruits)}"
+        place = at(float(middle + random.uniform(-60, 60)), *random.uniform([0.35, 0.3], [1.9, 2.2]).tolist())
+        kind, size = int(random.integers(4)), float(random.uniform(0.02, 0.1))
+        candidate: Any
+        if kind == 0:
+            candidate = Sphere(name=name, center=place, radius=size, sigma=float(random.choice([0.0, 0.003])))
+        elif kind == 1:
+            other = tuple((np.array(place) + random.uniform(-0.6, 0.6, 3)).tolist())
+            candidate = Capsule(name=name, start=place, end=other, radius=0.3 * size)
+        elif kind == 2:
+            rpy = tuple(random.uniform(-180, 180, 3).tolist())
+            candidate = Box(name=name, center=place, size=(2 * size, size, 3 * size), rpy_deg=rpy)
+        else:
+            candidate = Fruit(name=name, center=place, radius=0.04)
+        ball = candidate if kind < 3 else Sphere(name=name, center=place, radius=0.04)
+        judge = CollisionScene(robot, [ball])
+        away = min(judge.distances(np.radians(q)).min() for q in ends) > 0.02 + 3.0 * candidate.sigma
+        if away and min(np.hypot(*point[:2]) for point in ball.core) > 0.3:
+            (fruits if kind == 3 else obstacles).append(candidate)
+    to_fruit = bool(fruits) and seed % 3 == 0
+    goal = Goal(fruit=fruits[0].name) if to_fruit else Goal(joints_deg=tuple(ends[1].tolist()))
+    return task(tuple(ends[0].tolist()), goal, obstacles, fruits=tuple(fruits))

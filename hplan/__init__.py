@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from hplan.robot import Robot, load_robot
     from hplan.scene import Scene
     from hplan.scene_file import load_scene, save_scene
+    from hplan.tour import TourOptions, TourResult, plan_tour
     from hplan.trajectory import Trajectory, read_csv, write_csv
 
 __version__ = "0.1.0"
@@ -30,11 +31,14 @@ __all__ = [
     "Planner",
     "Robot",
     "Scene",
+    "TourOptions",
+    "TourResult",
     "Trajectory",
     "certify",
     "load_robot",
     "load_scene",
     "plan",
+    "plan_tour",
     "read_csv",
     "save_scene",
     "write_csv",
@@ -48,11 +52,14 @@ _HOME = {
     "Planner": "planner",
     "Robot": "robot",
     "Scene": "scene",
+    "TourOptions": "tour",
+    "TourResult": "tour",
     "Trajectory": "trajectory",
     "certify": "certificate",
     "load_robot": "robot",
     "load_scene": "scene_file",
     "plan": "pipeline",
+    "plan_tour": "tour",
     "read_csv": "trajectory",
     "save_scene": "scene_file",
     "write_csv": "trajectory",

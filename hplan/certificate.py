@@ -5,7 +5,8 @@ Hermite`); a trajectory of hplan is exactly that curve. On it
 
 - **clearance** is shown over continuous time: coal gives the signed distance of a link from an obstacle at some
   instant, the hull of the cubic's derivative bounds how far any point of the link can move before the next one, and the
-  distance minus that bound must stay positive all the way (conservative advancement, each pair at its own pace);
+  distance minus that bound must stay positive all the way (conservative advancement, each pair at its own pace). Where
+  the arm can touch itself, its links from one another and from what carries it too, the motion as seen from there;
 - **position, velocity and acceleration** are bounded exactly: the acceleration is linear between rows, the velocity
   has its extremes at rows or where the acceleration is zero, the position within the hull of the Bezier points;
 - **torque** is inverse dynamics at the rows and in between, at most 2 ms apart: a fine sample, not a bound;
@@ -33,6 +34,7 @@ from hplan.dynamics import InverseDynamics
 from hplan.errors import InputError, OptionError
 from hplan.robot import Robot
 from hplan.scene import Scene
+from hplan.self_contact import pair_rates, pair_sway
 from hplan.trajectory import Trajectory
 
 #: Use of a limit up to which it counts as kept.
@@ -75,9 +77,10 @@ class Certificate:
 
     Attributes:
         verified: Whether everything asked for was shown.
-        min_clearance_m: Distance that every link is shown to keep from every obstacle at all times [m]; inf without
-            obstacles. Where the clearance is not shown, the smallest distance found, negative in contact.
-        nearest: Link and obstacle at the smallest distance that was evaluated.
+        min_clearance_m: Distance that every link is shown to keep at all times from every obstacle, and from every
+            part of the arm that it can touch [m]; inf where there is none. Where the clearance is not shown, the
+            smallest distance found, negative in contact.
+        nearest: Link and obstacle, or part of the arm, at the smallest distance that was evaluated.
         limit_use: Largest use of each limit.
         checks: Number of configurations at which distances were evaluated.
         violations: What was not shown, in words; empty when verified.
@@ -137,12 +140,10 @@ def certify(
                 violations.append(f"the motion {where} at {np.abs(velocity).max():.4g} rad/s, not at rest")
     proof = _prove_clearance(robot, bezier, judge, tracking_error, scene.clearance)
     if not proof.shown:
-        link, obstacle, distance = (
-            (proof.nearest.link, proof.nearest.obstacle, proof.nearest.distance_m) if proof.nearest else ("", "", 0.0)
-        )
+        nearest = proof.nearest or Contact("", "", 0.0)
         violations.append(
-            f"link {link!r} comes to {1e3 * distance:.3g} mm of obstacle {obstacle!r}; to be shown: more than "
-            f"{1e3 * scene.clearance:.3g} mm at a tracking error of {tracking_error:g} rad"
+            f"link {nearest.link!r} comes to {1e3 * nearest.distance_m:.3g} mm of {nearest.other}; to be shown: more "
+            f"than {1e3 * scene.clearance:.3g} mm at a tracking error of {tracking_error:g} rad"
         )
     return Certificate(not violations, proof.clearance_m, proof.nearest, use, proof.checks, tuple(violations))
 
@@ -218,19 +219,23 @@ def _prove_clearance(
 ) -> _Proof:
     """Conservative advancement along the cubics, for each pair of link and obstacle on its own.
 
+    Each pair has a mover: that of an obstacle is the link, and each pair of parts of the arm has one of its own, the
+    link as seen from the other part.
+
     What a pair has to spare when coal is asked, less what has been shown so far (at most half of what any pair had to
-    spare), its link may travel before the pair is asked again; so at least what is shown remains at all times. Places
+    spare), its mover may travel before the pair is asked again; so at least what is shown remains at all times. Places
     are counted in rows. Where the proof has to give up, the rest of the motion is searched for the worst.
     """
-    rows, sway = len(bezier), robot.sway(tracking_error).tolist()
-    bounds = _piece_bounds(robot, bezier)
+    rows, movers = len(bezier), _movers(judge)
+    sway = _sways(robot, judge, tracking_error)
+    bounds = np.column_stack([_piece_bounds(robot, bezier), *_own_bounds(robot, bezier, judge)])
     travel = np.concatenate([np.zeros((1, bounds.shape[1])), np.cumsum(bounds, axis=0)]).T.tolist()
     if not judge.pairs:
         return _Proof(True, math.inf, None, 0)
     # At the start all pairs at once; those that cannot come near in the whole motion are not asked again.
     distances = judge.pair_distances(bezier[0, 0])
-    link_of = np.array([link for link, _ in judge.pairs])
-    spares = distances - np.array(sway)[link_of] - needed
+    mover_of = np.array(movers)
+    spares = distances - np.array(sway)[mover_of] - needed
     nearest, checks = (float(distances.min()), int(distances.argmin())), 1
     if not spares.min() > SMALLEST_STEP:
         return _worst(bezier, judge, travel, sway, nearest, checks, 0)
@@ -239,8 +244,8 @@ def _prove_clearance(
         return _Proof(True, math.inf, _contact(judge, nearest), checks)  # all may touch
     parts = np.minimum(spares - shown, MOST_TRAVEL * spares)
     due = [
-        (_advance(travel[link_of[pair]], 0.0, parts[pair]), int(pair))
-        for pair in np.flatnonzero(parts < np.array([steps[-1] for steps in travel])[link_of])
+        (_advance(travel[mover_of[pair]], 0.0, parts[pair]), int(pair))
+        for pair in np.flatnonzero(parts < np.array([steps[-1] for steps in travel])[mover_of])
     ]
     heapq.heapify(due)
     while due:
@@ -251,17 +256,17 @@ def _prove_clearance(
         # Together with the pair that is due, those that would be before it is due again.
         while due and due[0][0] < following:
             pair = heapq.heappop(due)[1]
-            link = judge.pairs[pair][0]
+            mover = movers[pair]
             distance = judge.pair_distance(pair)
             nearest = min(nearest, (distance, pair))
-            spare = distance - sway[link] - needed
+            spare = distance - sway[mover] - needed
             if not spare > SMALLEST_STEP:
                 return _worst(bezier, judge, travel, sway, nearest, checks, min(int(at), rows - 1))
             shown = min(shown, 0.5 * spare)
             if spare == math.inf:
                 continue  # these two may touch
             part = min(spare - shown, MOST_TRAVEL * spare)
-            place = max(_advance(travel[link], at, part), math.nextafter(at, math.inf))
+            place = max(_advance(travel[mover], at, part), math.nextafter(at, math.inf))
             following = min(following, place)
             if place <= rows:
                 asked.append((place, pair))
@@ -305,8 +310,33 @@ def _contact(judge: CollisionScene, nearest: tuple[float, int]) -> Contact | Non
     distance, pair = nearest
     if not judge.pairs:
         return None
-    link, obstacle = judge.pairs[pair]
-    return Contact(judge.link_names[link], judge.obstacle_names[obstacle], distance)
+    return judge.contact(*judge.pairs[pair], distance)
+
+
+def _movers(judge: CollisionScene) -> list[int]:
+    """The number of each pair's mover: the link, and beyond the links one for each pair of parts of the arm."""
+    first, links = len(judge.pairs) - len(judge.own_others), len(judge.link_names)
+    return [link for link, _ in judge.pairs[:first]] + list(range(links, links + len(judge.own_others)))
+
+
+def _own_pairs(judge: CollisionScene) -> list[tuple[int, int]]:
+    """The link of each pair of parts of the arm, and the other part."""
+    first = len(judge.pairs) - len(judge.own_others)
+    return [(link, other) for (link, _), other in zip(judge.pairs[first:], judge.own_others, strict=True)]
+
+
+def _sways(robot: Robot, judge: CollisionScene, tracking_error: float) -> list[float]:
+    """What the tracking error may take from the distances of each mover [m]."""
+    sway: list[float] = robot.sway(tracking_error).tolist()
+    return sway + [pair_sway(robot, link, other, tracking_error) for link, other in _own_pairs(judge)]
+
+
+def _own_bounds(robot: Robot, bezier: FloatArray, judge: CollisionScene) -> list[FloatArray]:
+    """As `_piece_bounds`, for each pair of parts of the arm."""
+    if not judge.own_others:
+        return []
+    rates = 3.0 * np.diff(bezier, axis=1)
+    return [pair_rates(robot, link, other, rates) for link, other in _own_pairs(judge)]
 
 
 def _worst(
@@ -320,9 +350,9 @@ def _worst(
 ) -> _Proof:
     """What a proof that gave up in row `first` reports: the smallest distance at the rows from there on.
 
-    A pair is not asked where its link has not yet travelled what it was farther away than the nearest.
+    A pair is not asked where its mover has not yet travelled what it was farther away than the nearest.
     """
-    rows, least = len(bezier), math.inf
+    rows, least, movers = len(bezier), math.inf, _movers(judge)
     due = [(first, pair) for pair in range(len(judge.pairs))]
     while due:
         row = due[0][0]
@@ -330,11 +360,11 @@ def _worst(
         checks += 1
         while due and due[0][0] == row:
             pair = heapq.heappop(due)[1]
-            link = judge.pairs[pair][0]
+            mover = movers[pair]
             distance = judge.pair_distance(pair)
             nearest = min(nearest, (distance, pair))
-            least = min(least, distance - sway[link])
-            ahead = _advance(travel[link], row, min(distance - nearest[0], distance - sway[link] - least))
+            least = min(least, distance - sway[mover])
+            ahead = _advance(travel[mover], row, min(distance - nearest[0], distance - sway[mover] - least))
             following = max(math.ceil(min(ahead, rows + 1.0)), row + 1)
             if following <= rows:
                 heapq.heappush(due, (following, pair))

@@ -10,6 +10,10 @@ from the yaw axis. So a link with clearance :math:`d` stays clear for the part o
 :math:`d` (conservative advancement). Distances are exact for capsule links against balls, capsules, boxes, hulls and
 clouds of balls. The rows of a cloud are the nodes of its tree: where a node's bounding ball is farther than the nearest
 solid so far, all rows below it are skipped.
+
+Where the arm can touch itself (`hplan.self_contact`), two links count half of their distance, for the outer one:
+neither moves farther than the bound of the outer one, so together they use up no more than twice that. What carries the
+arm stands below a gate that only the links pass that can touch it.
 """
 
 from __future__ import annotations
@@ -28,12 +32,17 @@ from hplan.arrays import BoolArray, FloatArray, IntArray, frozen, readonly
 from hplan.errors import OptionError
 from hplan.robot import Robot
 from hplan.scene import Box, Capsule, Solid, Sphere
-from hplan.solids import Cloud, Hull
+from hplan.self_contact import BaseBody, self_contact
+from hplan.solids import Cloud, Hull, hull_of
 
 #: Columns of a row: kind, radius, bounding centre (3) and radius, 14 numbers of its kind, the row to go on with where
-#: the bounding ball is too far. A node is an inner one of a cloud's tree, its leaves are lots of points.
-_POINT, _SEGMENT, _BOX, _HULL, _NODE, _LOT = 0.0, 1.0, 2.0, 3.0, 4.0, 5.0
+#: the bounding ball is too far. A node is an inner one of a cloud's tree, its leaves are lots of points. The row below
+#: a gate is for the links from one to another; a pair is one link of the arm to one after it.
+_POINT, _SEGMENT, _BOX, _HULL, _NODE, _LOT, _GATE, _PAIR = 0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0
 _COLUMNS = 21
+
+#: A hull whose points lie in one plane is made so thick [m].
+_THICKNESS = 1e-5
 
 #: Largest turn of a joint between two looks at what is near a motion.
 _NEAR_STEP = 0.05
@@ -48,7 +57,7 @@ class ClearanceField:
         base: (10,) shoulder position, the plane's horizontal and upward axes, all at yaw 0; 1 where joint 0 is a yaw.
         solids: (rows, 21) balls, capsules, boxes, hulls and nodes of clouds, grown by the clearance to keep.
         data: Facets and edges of hulls, and points of clouds, one after the other; rows say where.
-        owner: (rows,) index of the solid behind each row.
+        owner: (rows,) index of the solid behind each row, -1 for parts of the arm.
     """
 
     chain: FloatArray
@@ -58,21 +67,45 @@ class ClearanceField:
     owner: IntArray
 
     @classmethod
-    def of(cls, robot: Robot, obstacles: Sequence[Solid], *, clearance: ArrayLike = 0.0) -> ClearanceField:
-        """The field of a robot among obstacles, each grown by `clearance` [m], one number or one for each."""
+    def of(
+        cls,
+        robot: Robot,
+        obstacles: Sequence[Solid],
+        *,
+        clearance: ArrayLike = 0.0,
+        own_clearance: float | None = None,
+    ) -> ClearanceField:
+        """The field of a robot among obstacles.
+
+        Args:
+            robot: The arm.
+            obstacles: What it keeps clear of.
+            clearance: By how much each of them is grown [m], one number or one for each.
+            own_clearance: Clearance that parts of the arm are to keep from one another [m]; None for the smallest of
+                the others.
+        """
         arm = robot.arm
         base = [*robot.plane_origin, *robot.plane_axes[0], *robot.plane_axes[1], float(robot.has_yaw)]
         blocks, data, owner = [np.zeros((0, _COLUMNS))], [np.zeros(0)], [np.zeros(0, dtype=np.int64)]
         row_count = data_count = 0
-        grown = np.broadcast_to(np.asarray(clearance, dtype=np.float64), (len(obstacles),)).tolist()
-        for index, obstacle in enumerate(obstacles):
-            rows, more = _rows(obstacle, grown[index], data_count)
+        growth = np.asarray(clearance, dtype=np.float64)
+        grown = np.broadcast_to(growth, (len(obstacles),)).tolist()
+        own = float(growth.min()) if own_clearance is None and growth.size else own_clearance or 0.0
+        contact = self_contact(robot)
+        for index, part in [*enumerate(obstacles), *((-1, body) for body in contact.bodies)]:
+            if isinstance(part, BaseBody):
+                rows, more = _base_rows(part, own, data_count)
+            else:
+                rows, more = _rows(part, grown[index], data_count)
             rows[:, 20] += row_count
             blocks.append(rows)
             data.append(more)
             owner.append(np.full(len(rows), index))
             row_count += len(rows)
             data_count += len(more)
+        if contact.links:
+            blocks.append(_pair_rows(robot, contact.links, own, row_count))
+            owner.append(np.full(len(contact.links), -1))
         return cls(
             chain=readonly(np.column_stack([arm.lengths, arm.half_widths, arm.signs, arm.offsets])),
             base=readonly(base),
@@ -82,12 +115,12 @@ class ClearanceField:
         )
 
     def only(self, kept: BoolArray) -> ClearanceField:
-        """The field of some of the solids.
+        """The field of some of the solids, and of the arm itself.
 
         Args:
             kept: (solids,) which of them.
         """
-        return self._of_rows(kept[self.owner])
+        return self._of_rows(np.append(kept, True)[self.owner])
 
     def near(self, path: ArrayLike, distance: float) -> ClearanceField:
         """The field of what is near a motion: for optimisers, who prove in the end with the whole one.
@@ -173,6 +206,42 @@ def _rows(obstacle: Solid, clearance: float, offset: int) -> tuple[FloatArray, F
     else:
         assert_never(obstacle)
     return row[None], data
+
+
+def _base_rows(body: BaseBody, clearance: float, offset: int) -> tuple[FloatArray, FloatArray]:
+    """As `_rows`, below the gate that lets the links pass that can touch the body."""
+    rows, data = _rows(_base_solid(body), clearance, offset)
+    gate = rows[:1].copy()
+    gate[0, 0], gate[0, 6], gate[0, 7], gate[0, 20] = _GATE, body.first_link, body.last_link, 2
+    rows[:, 20] += 1
+    return np.concatenate([gate, rows]), data
+
+
+def _base_solid(body: BaseBody) -> Solid:
+    """A shape of turret or pedestal as a solid."""
+    core = body.core
+    _, spread, directions = np.linalg.svd(core - core.mean(axis=0), full_matrices=False)
+    flat = np.count_nonzero(spread > 1e-9)
+    if flat == 0:
+        return Sphere(name=body.name, center=tuple(core[0]), radius=body.rounding)
+    if flat == 1:
+        a, b = core[np.argsort(core @ directions[0])][[0, -1]]
+        return Capsule.model_validate(
+            {"name": body.name, "from": a.tolist(), "to": b.tolist(), "radius": body.rounding}
+        )
+    if flat == 2:
+        core = np.vstack([core - _THICKNESS * directions[2], core + _THICKNESS * directions[2]])
+    return replace(hull_of(core, body.name, most=len(core) + 14), rounding=body.rounding)
+
+
+def _pair_rows(robot: Robot, pairs: Sequence[tuple[int, int]], clearance: float, first: int) -> FloatArray:
+    """The rows of pairs of links, from number `first` on; they have no place, and are near to everything."""
+    rows, widths = np.zeros((len(pairs), _COLUMNS)), robot.arm.half_widths
+    inner, outer = np.array(pairs).T
+    rows[:, 0], rows[:, 5] = _PAIR, np.inf
+    rows[:, 6], rows[:, 7], rows[:, 8] = inner, outer, widths[inner] + widths[outer] + clearance
+    rows[:, 20] = first + 1 + np.arange(len(pairs))
+    return rows
 
 
 def _cloud_rows(cloud: Cloud, clearance: float, offset: int) -> FloatArray:
@@ -341,6 +410,20 @@ def _segment_hull(
 
 
 @nb.njit(cache=True)
+def _links_apart(q: FloatArray, first: int, chain: FloatArray, inner: int, outer: int) -> float:
+    """Distance between the axes of two links, in the plane; the end of the inner one is the origin, its direction x."""
+    x, y, angle = 0.0, 0.0, 0.0
+    along, up = 0.0, 0.0
+    for k in range(inner + 1, outer + 1):
+        x, y = x + along, y + up
+        angle += chain[k, 2] * q[first + k] + chain[k, 3]
+        along, up = chain[k, 0] * math.cos(angle), chain[k, 0] * math.sin(angle)
+    length = chain[inner, 0]
+    distance: float = _segment_segment(x, y, 0.0, along, up, 0.0, -length, 0.0, 0.0, length, 0.0, 0.0)
+    return distance
+
+
+@nb.njit(cache=True)
 def _link_clearances(
     q: FloatArray, chain: FloatArray, base: FloatArray, solids: FloatArray, data: FloatArray, result: FloatArray
 ) -> None:
@@ -397,6 +480,13 @@ def _link_clearances(
                     x, y, z, ux, uy, uz, data, int(solids[s, 6]), int(solids[s, 7]), int(solids[s, 8]),
                     least + solids[s, 1],
                 )  # fmt: skip
+            elif kind == _GATE:
+                if not solids[s, 6] <= k <= solids[s, 7]:
+                    following = int(solids[s, 20])
+            elif kind == _PAIR:
+                if k == solids[s, 7]:
+                    apart = _links_apart(q, first, chain, int(solids[s, 6]), k) - solids[s, 8]
+                    distance = 0.5 * apart + chain[k, 1]  # less the half-width, below
             elif _point_segment(solids[s, 2], solids[s, 3], solids[s, 4], x, y, z, ux, uy, uz) > least + solids[s, 5]:
                 following = int(solids[s, 20])
             elif kind == _LOT:

@@ -13,18 +13,21 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hplan.errors import HplanError, OptionError, OutputError
+from hplan.errors import HplanError, InputError, OptionError, OutputError
 from hplan.terminal import add_robot, add_scene, command_parser, prepare_folder, run_command
 
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from hplan.options import PlanOptions
     from hplan.pipeline import PlanResult
     from hplan.robot import Robot
     from hplan.scene import Scene
 
 #: Files of a finished job; the report comes last, so that it never speaks of files that are not there.
 TRAJECTORY, PAGE, REPORT = "trajectory.csv", "scene.html", "report.json"
+#: Files of the C-space view, where it is asked for.
+CSPACE_PAGE, CSPACE_FIGURE = "cspace.html", "cspace.png"
 
 _DESCRIPTION = """\
 Plan a collision-free motion of a harvesting arm, time it, certify it, and write it for the controller:
@@ -97,6 +100,9 @@ def _parser() -> argparse.ArgumentParser:
     add("--standoff", type=float, default=0.1, metavar="M", help="straight approach to a fruit (default: 0.1)")
     add("--uncertified", action="store_true", help="write the motion even if it is not certified; the report says so")
     add("--view", action="store_true", help="serve the animated scene until interrupted")
+    add("--cspace", action="store_true", help="write cspace.html: the forbidden joint angles and the motion; "
+        "cspace.png too where matplotlib is installed")  # fmt: skip
+    add("--cspace-yaw", type=float, metavar="DEG", help="the same for a yaw of choice (default: the goal's)")
     add("--quiet", action="store_true", help="no progress, no summary")
     return parser
 
@@ -106,7 +112,7 @@ def _clear(folder: Path) -> None:
 
     What cannot be removed (a folder of that name) cannot be written either, and is reported then.
     """
-    for name in (TRAJECTORY, PAGE, REPORT):
+    for name in (TRAJECTORY, PAGE, REPORT, CSPACE_PAGE, CSPACE_FIGURE):
         with contextlib.suppress(OSError):
             (folder / name).unlink(missing_ok=True)
 
@@ -126,6 +132,7 @@ def _run(
         from hplan.scene_file import load_scene
         from hplan.trajectory import write_csv
         from hplan.view.page import write_page
+        from hplan.view.yaw_section import check_yaw
 
         if not arguments.tracking_error >= 0.0:
             raise OptionError("--tracking-error", arguments.tracking_error, "a number of degrees >= 0")
@@ -143,16 +150,44 @@ def _run(
         )
         robot = load_robot(arguments.robot, limits=arguments.limits)
         names["robot"] = robot.name
+        yaw = None if arguments.cspace_yaw is None else math.radians(arguments.cspace_yaw)
+        wants_cspace = arguments.cspace or yaw is not None
+        if wants_cspace:
+            check_yaw(robot, yaw)
         scene = load_scene(arguments.scene)
         names["scene"] = scene.name
         result = plan(robot, scene, options, progress=progress)
         progress("export")
         begin = time.perf_counter()
         write_csv(result.trajectory, folder / TRAJECTORY)
-        write_page(robot, scene, result.trajectory, folder / PAGE)
+        write_page(robot, scene, result.trajectory, folder / PAGE, picked=result.picked, phases=result.phases)
+        if wants_cspace:
+            _write_cspace(robot, scene, options, result, yaw, folder)
         result = with_export_time(result, time.perf_counter() - begin)
         write_report(result.report, folder / REPORT)
     return robot, scene, result
+
+
+def _write_cspace(
+    robot: Robot, scene: Scene, options: PlanOptions, result: PlanResult, yaw: float | None, folder: Path
+) -> None:
+    """Write the C-space at one yaw with the motion: a page, and a figure where matplotlib is installed.
+
+    Raises:
+        OutputError: A file cannot be written.
+    """
+    from hplan.view.cspace_page import write_cspace_page
+    from hplan.view.figure_style import require_matplotlib, write_png
+    from hplan.view.figures_yaw import cspace_at_yaw
+    from hplan.view.yaw_section import yaw_section
+
+    section = yaw_section(robot, scene, result.trajectory, options, phases=result.phases, yaw=yaw)
+    write_cspace_page(section, scene.name, folder / CSPACE_PAGE)
+    try:
+        require_matplotlib()
+    except InputError:
+        return
+    write_png(cspace_at_yaw(section, scene.name), folder / CSPACE_FIGURE)
 
 
 class _progress:  # noqa: N801 - used as a function that opens a context
@@ -232,7 +267,8 @@ def _show_summary(console: Console, result: PlanResult, folder: Path) -> None:
         for violation in proof["violations"]:
             add("", escape(violation))
     add("time", _time_words(report["time_ms"]))
-    add("files", f"{escape(str(folder))}: {TRAJECTORY}, {REPORT}, {PAGE}")
+    written = [name for name in (CSPACE_PAGE, CSPACE_FIGURE) if (folder / name).exists()]
+    add("files", f"{escape(str(folder))}: {', '.join([TRAJECTORY, REPORT, PAGE, *written])}")
     console.print(f"\n[bold]{escape(report['scene'])}[/] with [bold]{escape(report['robot'])}[/]\n")
     console.print(table)
     console.print()
@@ -261,7 +297,7 @@ def _view(console: Console, robot: Robot, scene: Scene, result: PlanResult) -> N
     """Serve the scene until interrupted."""
     from hplan.view.page import serve
 
-    server = serve(robot, scene, result.trajectory)
+    server = serve(robot, scene, result.trajectory, picked=result.picked, phases=result.phases)
     console.print(f"serving the scene at {server.url} (interrupt to stop)")
     try:
         server.wait()

@@ -18,6 +18,7 @@ from hplan.errors import ConfigurationInCollisionError, OptionError
 from hplan.grid import Grid
 from hplan.robot import Robot
 from hplan.scene import Box, Capsule, Solid, Sphere
+from hplan.self_contact import self_contact
 from hplan.solids import Cloud, Hull
 
 #: Shape of the links: the planner's capsules, beams of the same half-widths, or the URDF's collision geometry.
@@ -37,13 +38,29 @@ class Contact:
     obstacle: str
     distance_m: float
 
+    @property
+    def other(self) -> str:
+        """What the link is near to, in words."""
+        return f"obstacle {self.obstacle!r}"
+
+
+@dataclass(frozen=True)
+class OwnContact(Contact):
+    """A link and another part of the arm, `obstacle`, and the signed distance between them [m]."""
+
+    @property
+    def other(self) -> str:
+        """What the link is near to, in words."""
+        return f"link {self.obstacle!r}"
+
 
 class CollisionScene:
     """Links and obstacles as one geometry model, with the data to query it.
 
-    Links are the arm's: bodies that the planar joints do not move (pedestal, turret) are left out; `base_contacts`
-    looks at those. Pairs are each link shape with each obstacle, link by link. The model is built whole before its
-    data, as Pinocchio demands. By `links` they are
+    Links are the arm's: bodies that the planar joints do not move (pedestal, turret) do not meet obstacles here;
+    `base_contacts` looks at those. Pairs are each link shape with each obstacle, link by link; then, where the arm can
+    touch itself, link shapes with one another and with the URDF's shapes of pedestal and turret. The model is built
+    whole before its data, as Pinocchio demands. By `links` they are
 
     - `capsule`: the capsules of `robot.arm`, which hold the URDF's collision geometry;
     - `box`: square beams from joint to joint, of the capsules' half-widths (in the arm plane: the paper's rectangle);
@@ -78,7 +95,9 @@ class CollisionScene:
         self.robot = robot
         self.links = links
         self.link_names = robot.arm.link_names
+        #: Names of the obstacles; from `own_first` on of the parts of the arm that a link can touch.
         self.obstacle_names = tuple(obstacle.name for obstacle in obstacles)
+        self.own_first = len(self.obstacle_names)
         self.geometry = pin.GeometryModel()
         shapes = _urdf_shapes(robot) if links == "urdf" else [[shape] for shape in _link_shapes(robot, links)]
         # The shapes of link k are the rows from `_first_shape[k]` on.
@@ -101,22 +120,63 @@ class CollisionScene:
             for _ in of_link
             for obstacle in range(len(obstacles))
         ]
+        #: What each of the last of `pairs` is near to: a link, `self_contact.TURRET` or `self_contact.GROUND`.
+        self.own_others: list[int] = []
+        self._add_own_pairs([len(of_link) for of_link in shapes])
         self.data = robot.model.createData()
         self.geometry_data = self.geometry.createData()
         # They stay where they are; taking one out anew costs more than what it says.
         self._results = list(self.geometry_data.distanceResults)
 
+    def _add_own_pairs(self, counts: list[int]) -> None:
+        """Add the pairs of links, of so many shapes each, that can touch, and pedestal and turret where they can."""
+        contact = self_contact(self.robot)
+        columns: dict[str, int] = {}
+
+        def add(link: int, other: int, others: Sequence[int], name: str) -> None:
+            column = columns.setdefault(name, self.own_first + len(columns))
+            for first in range(self._first_shape[link], self._first_shape[link] + counts[link]):
+                for second in others:
+                    self.geometry.addCollisionPair(pin.CollisionPair(first, second))
+                    self.pairs.append((link, column))
+                    self.own_others.append(other)
+
+        for i, j in contact.links:
+            add(j, i, range(self._first_shape[i], self._first_shape[i] + counts[i]), self.link_names[i])
+        for body in contact.bodies:
+            shape = self.robot.collision_model.geometryObjects[body.shape]
+            name = f"body:{body.name}:{body.shape}"
+            added = self.geometry.addGeometryObject(
+                pin.GeometryObject(name, shape.parentJoint, shape.placement, _filled(shape))
+            )
+            for link in range(body.first_link, body.last_link + 1):
+                add(link, body.carrier, [added], body.name)
+        self.obstacle_names += tuple(columns)
+
     def touching(self, name: str) -> CollisionScene:
         """The same scene where the last link may touch the obstacles of a name: their distance counts as infinite."""
         other = copy.copy(self)
         other._beyond = self._beyond.copy()
-        other._beyond[self._first_shape[-1] :, [obstacle == name for obstacle in self.obstacle_names]] = -np.inf
+        named = [obstacle == name for obstacle in self.obstacle_names[: self.own_first]]
+        other._beyond[self._first_shape[-1] :, named] = -np.inf
         return other
 
     def distances(self, q: ArrayLike) -> FloatArray:
-        """Signed distances at one configuration, (dof,) -> (links, obstacles) [m]; negative is the depth."""
-        table = self.pair_distances(q).reshape(self._beyond.shape)
-        return table if self._shape_count == len(self.link_names) else np.minimum.reduceat(table, self._first_shape)
+        """Signed distances at one configuration, (dof,) -> (links, obstacle names) [m]; negative is the depth.
+
+        Infinite where a link cannot touch that part of the arm.
+        """
+        found = self.pair_distances(q)
+        table = found[: self._beyond.size].reshape(self._beyond.shape)
+        if self._shape_count != len(self.link_names):
+            table = np.minimum.reduceat(table, self._first_shape)
+        if not self.own_others:
+            return table
+        whole = np.full((len(self.link_names), len(self.obstacle_names)), np.inf)
+        whole[:, : self.own_first] = table
+        links, columns = np.array(self.pairs[self._beyond.size :]).T
+        np.minimum.at(whole, (links, columns), found[self._beyond.size :])
+        return whole
 
     def pair_distances(self, q: ArrayLike) -> FloatArray:
         """Signed distances of all `pairs` at one configuration, (dof,) -> (pairs,) [m]."""
@@ -124,7 +184,7 @@ class CollisionScene:
             self.robot.model, self.data, self.geometry, self.geometry_data, np.asarray(q, dtype=np.float64)
         )
         found = np.array([result.min_distance for result in self._results], dtype=np.float64)
-        found -= self._beyond.ravel()
+        found[: self._beyond.size] -= self._beyond.ravel()
         return found
 
     def place(self, q: FloatArray) -> None:
@@ -134,18 +194,23 @@ class CollisionScene:
     def pair_distance(self, pair: int) -> float:
         """Signed distance of one of the `pairs` where the links were last placed [m]."""
         distance = pin.computeDistance(self.geometry, self.geometry_data, pair).min_distance
-        return float(distance - self._beyond.flat[pair])
+        return float(distance - self._beyond.flat[pair]) if pair < self._beyond.size else float(distance)
+
+    def contact(self, link: int, obstacle: int, distance: float) -> Contact:
+        """A distance between a link and what has a place in `obstacle_names`, by name."""
+        kind = Contact if obstacle < self.own_first else OwnContact
+        return kind(self.link_names[link], self.obstacle_names[obstacle], distance)
 
     def nearest(self, q: ArrayLike) -> Contact | None:
-        """The link and obstacle nearest to each other, or None without obstacles."""
+        """The link and obstacle, or part of the arm, nearest to each other, or None where there is nothing to meet."""
         distances = self.distances(q)
         if distances.size == 0:
             return None
         link, obstacle = np.unravel_index(int(distances.argmin()), distances.shape)
-        return Contact(self.link_names[link], self.obstacle_names[obstacle], float(distances.min()))
+        return self.contact(int(link), int(obstacle), float(distances.min()))
 
     def in_collision(self, configurations: ArrayLike, *, margin: float = 0.0) -> BoolArray:
-        """Whether each of (n, dof) configurations touches an obstacle, in one compiled call.
+        """Whether each of (n, dof) configurations touches an obstacle or the arm itself, in one compiled call.
 
         Args:
             configurations: (n, dof) joint angles.
@@ -157,7 +222,7 @@ class CollisionScene:
             return np.zeros(q.shape[1], dtype=np.bool_)
         pool = pin.GeometryPool(self.robot.model, self.geometry, 1)
         requests = pool.getGeometryDatas()[0].collisionRequests
-        for request, beyond in zip(requests, self._beyond.flat, strict=True):
+        for request, beyond in zip(requests, [*self._beyond.flat, *([0.0] * len(self.own_others))], strict=True):
             # Of trees coal knows no negative margin.
             request.security_margin = max(0.0, margin + beyond) if beyond > 0.0 else float(margin + beyond)
             # Asked for yes or no alone, coal 3.0 misses deep collisions of boxes, cylinders and hulls where one shape
@@ -224,15 +289,17 @@ def check_clear(judge: CollisionScene, q: FloatArray, clearance: float, which: s
     """What a configuration has beyond the clearance to keep [m], inf without obstacles.
 
     Raises:
-        ConfigurationInCollisionError: It touches an obstacle, or comes closer than `clearance`; names link, obstacle
-            and depth.
+        ConfigurationInCollisionError: It touches an obstacle or itself, or comes closer than `clearance`; names link,
+            obstacle or other part of the arm, and depth.
     """
     nearest = judge.nearest(q)
     if nearest is None:
         return float("inf")
     beyond = nearest.distance_m - clearance
     if beyond <= 0.0:
-        raise ConfigurationInCollisionError(which, nearest.link, nearest.obstacle, -beyond, clearance)
+        raise ConfigurationInCollisionError(
+            which, nearest.link, nearest.obstacle, -beyond, clearance, other=nearest.other
+        )
     return beyond
 
 

@@ -26,14 +26,18 @@ import math
 import numba as nb
 import numpy as np
 
-from hplan.arrays import BoolArray, FloatArray, IntArray, WordArray, frozen
+from hplan.arrays import BoolArray, FloatArray, IntArray, WordArray, frozen, readonly
 from hplan.errors import InputError
 from hplan.grid import Grid, Occupancy
 from hplan.robot import PlanarArm
 from hplan.section import LINK_MODELS, ArmSections
+from hplan.self_contact import part_of_arm
 
 _CAPSULE, _PAPER, _RECTANGLE = range(len(LINK_MODELS))
 _ALL = np.uint64(0xFFFFFFFFFFFFFFFF)
+
+#: So many rows are asked together which sections are within reach.
+_NEIGHBOURS = 46
 
 #: A joint closer than this to a rounded polygon is in it: bearings of points beside it would be noise [m].
 _TOUCHING = 1e-12
@@ -87,7 +91,38 @@ def occupancy(arm: PlanarArm, sections: ArmSections, grid: Grid) -> Occupancy:
         sections.radii,
         sections.bounds,
     )
+    for (link, other, _), radius in zip(sections.own_pairs.tolist(), sections.own_radii.tolist(), strict=True):
+        if link < links:
+            _take_out_contact(words, arm, grid, link, other, radius)
     return Occupancy(grid, frozen(words))
+
+
+def _take_out_contact(words: WordArray, arm: PlanarArm, grid: Grid, link: int, other: int, radius: float) -> None:
+    """Clear the bits of all nodes at which the axis of a link is within a radius of that of one before it.
+
+    That depends on the joints between them alone: the links after `other` are an arm of their own, and `other` is an
+    obstacle to the last of them.
+    """
+    between = slice(other + 1, link + 1)
+    length = float(arm.lengths[other])
+    before = ArmSections(
+        link_model="capsule",
+        link_start=readonly([*([0] * (link - other)), 1], np.int64),
+        vertex_start=readonly([0, 2], np.int64),
+        vertices=readonly([[-length, 0.0], [0.0, 0.0]]),
+        radii=readonly([radius]),
+        bounds=readonly([[-0.5 * length, 0.0, 0.5 * length + radius]]),
+        obstacle_of=readonly([0], np.int64),
+        obstacle_names=(arm.link_names[other],),
+    )
+    part = Grid(grid.lower[between], grid.step[between], grid.shape[between])
+    apart = occupancy(part_of_arm(arm, other + 1, link), before, part)
+    rows = words.reshape(math.prod(grid.shape[: other + 1]), -1, words.shape[1])
+    if link == arm.link_count - 1:
+        rows &= apart.free_words
+    else:
+        rows = words.reshape(len(rows), part.size, -1)
+        rows[:, apart.occupied.ravel()] = 0
 
 
 @nb.njit(cache=True, inline="always")
@@ -297,13 +332,30 @@ def _fill_link(
     corner = math.hypot(length, half_width)
     reach = corner if model == _RECTANGLE else length
     tail = _ALL >> np.uint64((64 - count) & 63)
+    near, found = np.empty(last_section - first_section, dtype=np.int64), 0
     for r in range(rows.shape[0]):
+        if r % _NEIGHBOURS == 0:
+            # The joints of neighbouring rows stand close together: most sections are out of reach of all of them.
+            low_x, high_x, low_y, high_y = math.inf, -math.inf, math.inf, -math.inf
+            for other in range(r, min(r + _NEIGHBOURS, rows.shape[0])):
+                if alive[other]:
+                    low_x, high_x = min(low_x, px[other]), max(high_x, px[other])
+                    low_y, high_y = min(low_y, py[other]), max(high_y, py[other])
+            found = 0
+            for s in range(first_section, last_section):
+                dx = max(0.0, max(low_x - bounds[s, 0], bounds[s, 0] - high_x))
+                dy = max(0.0, max(low_y - bounds[s, 1], bounds[s, 1] - high_y))
+                limit = reach + bounds[s, 2]
+                if dx * dx + dy * dy <= limit * limit:
+                    near[found] = s
+                    found += 1
         blocked = not alive[r]
         for w in range(words):
             rows[r, w] = np.uint64(0) if blocked else (tail if w == words - 1 else _ALL)
         if blocked:
             continue
-        for s in range(first_section, last_section):
+        for n in range(found):
+            s = near[n]
             dx, dy = bounds[s, 0] - px[r], bounds[s, 1] - py[r]
             limit = reach + bounds[s, 2]
             square = dx * dx + dy * dy

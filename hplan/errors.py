@@ -130,17 +130,23 @@ class JointLimitError(InputError):
 
 
 class ConfigurationInCollisionError(InputError):
-    """Start or goal touches an obstacle, or comes closer to it than the clearance to keep."""
+    """Start or goal touches an obstacle or the arm itself, or comes closer than the clearance to keep."""
 
-    def __init__(self, which: str, link: str, obstacle: str, depth_m: float, clearance_m: float = 0.0) -> None:
-        """Name the configuration, link, obstacle, by how much too deep it is and the clearance to keep [m]."""
+    def __init__(
+        self, which: str, link: str, obstacle: str, depth_m: float, clearance_m: float = 0.0, *, other: str = ""
+    ) -> None:
+        """Name the configuration, link, obstacle, by how much too deep it is and the clearance to keep [m].
+
+        `other` is the obstacle in words where it is none but a part of the arm.
+        """
+        other = other or f"obstacle {obstacle!r}"
         if depth_m >= clearance_m:
             depth = depth_m - clearance_m
-            message = f"{which} is in collision: link {link!r} is {1e3 * depth:.3g} mm deep in obstacle {obstacle!r}"
+            message = f"{which} is in collision: link {link!r} is {1e3 * depth:.3g} mm deep in {other}"
         else:
             message = (
-                f"{which} is too close: link {link!r} is {1e3 * (clearance_m - depth_m):.3g} mm from obstacle "
-                f"{obstacle!r}, {1e3 * depth_m:.3g} mm less than the {1e3 * clearance_m:.3g} mm to keep"
+                f"{which} is too close: link {link!r} is {1e3 * (clearance_m - depth_m):.3g} mm from "
+                f"{other}, {1e3 * depth_m:.3g} mm less than the {1e3 * clearance_m:.3g} mm to keep"
             )
         super().__init__(message, which=which, link=link, obstacle=obstacle, depth_m=depth_m, clearance_m=clearance_m)
         self.which = which

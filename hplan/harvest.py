@@ -95,9 +95,11 @@ def grasps(
     clear = np.array([near.field.clearance(q) > SPARE for q in found.configurations])
     if not clear.any():
         raise _blocked(what, near, found.configurations)
-    goals, angles = found.configurations[clear], found.approach[clear]
+    goals, angles = frozen(found.configurations[clear]), found.approach[clear]
     chosen: dict[int, tuple[float, FloatArray]] = {}
-    for distance in _distances(standoff, least_standoff):
+    # A straight approach takes three joints in the arm plane.
+    straight = sum(name not in locked for name in robot.arm.joint_names) >= 3
+    for distance in _distances(standoff, least_standoff) if straight else ():
         left = [i for i in range(len(goals)) if i not in chosen]
         if not left:
             break

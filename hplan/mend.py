@@ -143,20 +143,24 @@ def _pushed(
 def _out(
     q: FloatArray, field: ClearanceField, lower: FloatArray, upper: FloatArray, wanted: float
 ) -> FloatArray | None:
-    """A configuration nearby that has the clearance wanted."""
+    """A configuration nearby that has the clearance wanted.
+
+    All links that are too near are pushed at once, by the least step that would put them right if clearances were
+    linear: where two are held from different sides, going after the nearer one alone leads to and fro.
+    """
     movable = np.flatnonzero(upper > lower)
     probe = _DIFFERENCE * np.eye(len(q))[movable]
     for _ in range(_PUSHES):
-        clearance = field.clearance(q)
-        if clearance >= wanted:
+        clearances = field.link_clearances(q)
+        near = np.flatnonzero(clearances < wanted)
+        if not len(near):
             return q
-        gradient = np.zeros(len(q))
-        gradient[movable] = [field.clearance(q + step) - field.clearance(q - step) for step in probe]
-        gradient /= 2.0 * _DIFFERENCE
-        square = float(gradient @ gradient)
-        if square < 1e-6:
+        slopes = [field.link_clearances(q + step)[near] - field.link_clearances(q - step)[near] for step in probe]
+        gradients = np.array(slopes).T / (2.0 * _DIFFERENCE)
+        if (gradients**2).sum() < 1e-6:
             return None
-        push = (wanted + 0.5 * _BEYOND - clearance) / square * gradient
+        push = np.zeros(len(q))
+        push[movable] = np.linalg.pinv(gradients, rcond=1e-2) @ (wanted + 0.5 * _BEYOND - clearances[near])
         push *= min(1.0, _LARGEST_PUSH / max(float(np.abs(push).max()), 1e-12))
         q = np.clip(q + push, lower, upper)
     return q if field.clearance(q) >= wanted else None

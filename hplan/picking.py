@@ -125,6 +125,19 @@ class _Move:
 _NONE = _Move(math.inf, ())
 
 
+@dataclass(frozen=True, eq=False)
+class DropOff:
+    """Where the arm lets go of what it carries.
+
+    Attributes:
+        configuration: (dof,).
+        way: The motion there from the start.
+    """
+
+    configuration: FloatArray
+    way: Part
+
+
 class Motions:
     """Places to pick from, and the motions between them.
 
@@ -134,7 +147,7 @@ class Motions:
     """
 
     def __init__(
-        self, scene: Scene, empty: World, loaded: World | None, *, here: Stop, home: Stop, drop: FloatArray | None,
+        self, scene: Scene, empty: World, loaded: World | None, *, here: Stop, home: Stop, drop: DropOff | None,
         every: int, back: bool,
     ) -> None:  # fmt: skip
         """Begin without fruits.
@@ -145,7 +158,7 @@ class Motions:
             loaded: The arm as it carries; None where nothing is carried.
             here: Where the tour begins.
             home: Where it ends if it goes back.
-            drop: (dof,) the drop-off; None where nothing is carried.
+            drop: The drop-off, and how to get there from `home`; None where nothing is carried.
             every: How many fruits are carried at most.
             back: Whether the tour goes back.
         """
@@ -155,12 +168,15 @@ class Motions:
         self._every, self._back, self._carries = every, back, loaded is not None
         self._stops: list[Stop] = []
         self._here, self._home = self._stop(here), self._stop(home)
-        self._hub = self._home if drop is None else self._stop(Stop(drop))
+        self._hub = self._home if drop is None else self._stop(Stop(drop.configuration))
         self._begin = [0]
         self._first = len(self._stops)  # stop of the first place
         self._grasps: list[Grasp] = []
         self._moves: dict[tuple[int, int, bool], _Move] = {}
         self._picks: dict[int, _Move] = {}
+        if drop is not None and self._home != self._hub:
+            way, a, b = _Move.of([drop.way]), self._home, self._hub
+            self._moves[min(a, b), max(a, b), False] = way if a < b else way.reversed
         robot, options = self._around[0].robot, empty.options
         limits = Limits(robot.velocity_limit, robot.acceleration_limit).scaled(options.speed)
         self._limits = limits.velocity, limits.acceleration
@@ -380,8 +396,8 @@ class Motions:
         )
 
 
-def drop_off(goal: Goal, scene: Scene, empty: World, loaded: World, start: FloatArray) -> FloatArray:
-    """The configuration in which the arm lets go of what it carries.
+def drop_off(goal: Goal, scene: Scene, empty: World, loaded: World, start: FloatArray) -> DropOff:
+    """Where the arm lets go of what it carries: clear also as it carries, and reached from the start.
 
     Args:
         goal: Joints or a position.
@@ -407,5 +423,5 @@ def drop_off(goal: Goal, scene: Scene, empty: World, loaded: World, start: Float
         ways = [grasp.goal for grasp in promising(found, around, around, start)]
     for q in ways:
         check_clear(around.judge, q, around.clearance, "drop_off")
-    number, _ = find_motion([empty.task(before, scene, start, q) for q in ways])
-    return ways[number]
+    number, motion = find_motion([empty.task(before, scene, start, q) for q in ways])
+    return DropOff(ways[number], ("transit", motion.trajectory, motion.certificate))

@@ -77,6 +77,13 @@ class PlanResult:
     motion: Motion
     report: dict[str, Any]
 
+    @property
+    def picked(self) -> dict[str, float]:
+        """The fruit that is picked, if any, and when the tool is at it [s]."""
+        fruit = self.motion.task.scene.goal.fruit
+        reached = [phase.end_s for phase in self.phases if phase.name != "retreat"]
+        return {} if fruit is None else {fruit: reached[-1]}
+
 
 def plan(
     robot: Robot, scene: Scene, options: PlanOptions | None = None, *, progress: Progress = lambda _: None

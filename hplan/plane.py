@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hplan.arrays import BoolArray, FloatArray
+from hplan.arrays import FloatArray
 
 
 def convex_hull(points: FloatArray) -> FloatArray:
@@ -41,35 +41,26 @@ def polygon_distances(starts: FloatArray, ends: FloatArray, polygon: FloatArray)
     Returns:
         (n,) distances.
     """
-    least = np.full(len(starts), np.inf)
-    inside = np.full(len(starts), len(polygon) >= 3)
-    for a, b in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
-        least = np.minimum(least, _segment_distances(starts, ends, a, b))
-        inside &= _cross(b - a, starts - a) >= 0.0
-    return np.where(inside, 0.0, least)
+    a, b = polygon, np.roll(polygon, -1, axis=0)
+    starts, ends = starts[:, None], ends[:, None]
+    sides, links = b - a, ends - starts
+    from_a, from_b = starts - a, starts - b
+    beside = _cross(sides, from_a)
+    least = np.minimum(_point_distances(from_a, sides), _point_distances(ends - a, sides))
+    least = np.minimum(least, np.minimum(_point_distances(-from_a, links), _point_distances(-from_b, links)))
+    # Where a segment and a side cross, the ends of each are on different sides of the other.
+    crossing = (beside * _cross(sides, ends - a) < 0.0) & (_cross(links, from_a) * _cross(links, from_b) < 0.0)
+    distances: FloatArray = np.where(crossing, 0.0, least).min(axis=1)
+    inside = (beside >= 0.0).all(axis=1) if len(polygon) >= 3 else np.zeros(len(distances), dtype=np.bool_)
+    return np.where(inside, 0.0, distances)
 
 
-def _segment_distances(starts: FloatArray, ends: FloatArray, a: FloatArray, b: FloatArray) -> FloatArray:
-    """(n,) distances of segments from one segment."""
-    least = np.minimum(_point_distances(starts, a, b - a), _point_distances(ends, a, b - a))
-    for end in (a, b):
-        least = np.minimum(least, _point_distances(end, starts, ends - starts))
-    # Their ends are nearest to one another but where they cross.
-    return np.where(_apart(starts, ends, a, b) | _apart(a, b, starts, ends), least, 0.0)
-
-
-def _apart(a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray) -> BoolArray:
-    """Whether c and d are not on different sides of the line through a and b."""
-    apart: BoolArray = _cross(b - a, c - a) * _cross(b - a, d - a) >= 0.0
-    return apart
-
-
-def _point_distances(points: FloatArray, starts: FloatArray, along: FloatArray) -> FloatArray:
-    """Distances of points from segments, either of them one or n."""
+def _point_distances(offsets: FloatArray, along: FloatArray) -> FloatArray:
+    """Distances of points, by their offsets from the beginnings of segments, from these."""
     square = (along**2).sum(axis=-1)
-    offsets = points - starts
     t = np.clip((offsets * along).sum(axis=-1) / np.where(square > 0.0, square, 1.0), 0.0, 1.0)
-    distances: FloatArray = np.linalg.norm(offsets - t[..., None] * along, axis=-1)
+    rest = offsets - t[..., None] * along
+    distances: FloatArray = np.sqrt((rest**2).sum(axis=-1))
     return distances
 
 

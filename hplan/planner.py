@@ -95,7 +95,8 @@ class Planner:
         if not isinstance(obstacle, _KINDS):
             kinds = ", ".join(kind.__name__ for kind in _KINDS)
             raise InputError(f"expected one of {kinds}, got {type(obstacle).__name__} {obstacle!r}")
-        self._check_new(obstacle.name)
+        if obstacle.name in self._names():
+            raise InputError(f"there is an obstacle {obstacle.name!r} already; names must differ", name=obstacle.name)
         self._change((*self.scene.obstacles, obstacle))
 
     def remove(self, name: str) -> None:
@@ -115,8 +116,6 @@ class Planner:
         """
         index = self._index(name)
         moved = _changed(self.scene.obstacles[index], changes)
-        if moved.name != name:
-            self._check_new(moved.name)
         self._change((*self.scene.obstacles[:index], moved, *self.scene.obstacles[index + 1 :]))
 
     def aim(self, *, start: Start | None = None, goal: Goal | None = None) -> None:
@@ -132,10 +131,8 @@ class Planner:
         # The names were looked at, and the obstacles are checked: no need to check the scene again.
         self.scene = self.scene.model_copy(update={"obstacles": obstacles})
 
-    def _check_new(self, name: str) -> None:
-        """Refuse a name that is taken."""
-        if name in {item.name for item in (*self.scene.obstacles, *self.scene.fruits)}:
-            raise InputError(f"there is an obstacle {name!r} already; names must differ", name=name)
+    def _names(self) -> set[str]:
+        return {item.name for item in (*self.scene.obstacles, *self.scene.fruits)}
 
     def _index(self, name: str) -> int:
         for index, obstacle in enumerate(self.scene.obstacles):

@@ -39,7 +39,7 @@ from hplan.surroundings import Surroundings
 from hplan.turning_space import Layers, turning_occupancy, yaw_axis
 
 #: How many motions of a way that cannot be shown clear are led around; with thick layers it succeeds more often.
-DETOURS, THICK_DETOURS = 8, 20
+DETOURS, THICK_DETOURS = 12, 20
 
 #: So much farther from obstacles than the nodes of such a motion must nodes beside them be to be used instead [m].
 ASIDE = 2e-3

@@ -10,22 +10,28 @@ by a radius, and every :math:`S` is given as a *rounded polygon*: the hull of a 
 - Any other core: a rounded polygon around :math:`S` that stands out by `SECTION_ERROR` at most.
 
 Over an interval of yaw the section is a bound on the union. `hplan.section_kernels` says how both are found.
+
+Where the arm can touch itself (`hplan.self_contact`), what carries it is one more obstacle to the links that can touch
+it, the same at every yaw. Links against links are kept as pairs: where they lie depends on the joints.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Literal, Protocol, TypeAlias
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from hplan.arrays import FloatArray, IntArray, frozen, readonly
 from hplan.errors import InputError, OptionError
+from hplan.plane import convex_hull
 from hplan.robot import Robot
 from hplan.section_kernels import cut_balls, cut_hulls
+from hplan.self_contact import SelfContact, self_contact
 
 #: How a link is modelled: the capsule, the paper's three cases to the letter, or the exact rectangle.
 LinkModel: TypeAlias = Literal["capsule", "paper", "rectangle"]
@@ -86,7 +92,10 @@ class ArmSections:
         radii: (sections,) rounding radii [m].
         bounds: (sections, 3) a disc around each section: centre and radius [m].
         obstacle_of: (sections,) index into `obstacle_names`.
-        obstacle_names: Names of the obstacles.
+        obstacle_names: Names of the obstacles, then those of what the arm can touch of itself.
+        own_names: How many of the last names are the arm's own.
+        own_pairs: (pairs, 3) pairs of links that can touch: the link, one before it, its index in `obstacle_names`.
+        own_radii: (pairs,) distance of their axes from which on they are too near [m].
     """
 
     link_model: LinkModel
@@ -97,6 +106,9 @@ class ArmSections:
     bounds: FloatArray
     obstacle_of: IntArray
     obstacle_names: tuple[str, ...]
+    own_names: int = 0
+    own_pairs: IntArray = field(default_factory=lambda: readonly(np.zeros((0, 3)), np.int64))
+    own_radii: FloatArray = field(default_factory=lambda: readonly([]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,6 +125,7 @@ class Bodies:
         hull_owners: (hulls,) index into `names`.
         around: (hulls, 4) a ball around each core: centre and radius [m].
         names: Names of the obstacles.
+        own_clearance: Clearance that parts of the arm are to keep from one another [m].
     """
 
     ball_centres: FloatArray
@@ -124,14 +137,19 @@ class Bodies:
     hull_owners: IntArray
     around: FloatArray
     names: tuple[str, ...]
+    own_clearance: float
 
 
-def bodies_of(obstacles: Sequence[ConvexObstacle], *, clearance: ArrayLike = 0.0) -> Bodies:
+def bodies_of(
+    obstacles: Sequence[ConvexObstacle], *, clearance: ArrayLike = 0.0, own_clearance: float | None = None
+) -> Bodies:
     """Make obstacles ready for cutting.
 
     Args:
         obstacles: The obstacles.
         clearance: Distance to keep from every obstacle [m], one number or one for each.
+        own_clearance: Distance that parts of the arm are to keep from one another [m]; None for the smallest of the
+            others.
 
     Raises:
         OptionError: A clearance that is negative or no number, or not one for each obstacle.
@@ -175,6 +193,7 @@ def bodies_of(obstacles: Sequence[ConvexObstacle], *, clearance: ArrayLike = 0.0
         hull_owners=readonly(hull_owners, np.int64),
         around=frozen(np.column_stack([0.5 * (low + high), 0.5 * np.linalg.norm(high - low, axis=1)])),
         names=tuple(obstacle.name for obstacle in obstacles),
+        own_clearance=float(margins.min()) if own_clearance is None and margins.size else float(own_clearance or 0.0),
     )
 
 
@@ -237,9 +256,18 @@ def sections_at(
     if not 0.0 <= half_angle <= largest:
         reason = "" if robot.has_yaw else ", as this arm has no yaw"
         raise OptionError("half_angle", half_angle, f"an angle from 0 to {largest:.6g} rad{reason}")
-    rectangle = link_model == "rectangle"
-    if rectangle and len(bodies.hull_owners):
+    if link_model == "rectangle" and len(bodies.hull_owners):
         _require_disc(len(bodies.hull_points), bodies.names[int(bodies.hull_owners[0])])
+    sections = _cut(robot, bodies, yaw, float(half_angle), link_model, within_reach=within_reach)
+    contact = self_contact(robot)
+    return _with_itself(sections, robot, contact, bodies.own_clearance) if contact.possible else sections
+
+
+def _cut(
+    robot: Robot, bodies: Bodies, yaw: float, half_angle: float, link_model: LinkModel, *, within_reach: bool
+) -> ArmSections:
+    """The sections of the bodies alone."""
+    rectangle = link_model == "rectangle"
     widths, none = robot.arm.half_widths, np.zeros(robot.arm.link_count)
     growth = none if rectangle else widths
     # A box link's corner is farther out than its axis; capsules have their width in the section.
@@ -247,7 +275,6 @@ def sections_at(
     if not within_reach:
         reaches = np.full(len(reaches), np.inf)
     origin, axes = (np.ascontiguousarray(array) for array in robot.plane_at(yaw))
-    half_angle = float(half_angle)
     cut = cut_balls(
         bodies.ball_centres, bodies.ball_radii, bodies.ball_owners, origin, axes, half_angle, growth,
         widths if rectangle else none, reaches, rectangle, SECTION_ERROR,
@@ -272,6 +299,82 @@ def sections_at(
     )
 
 
+def _with_itself(sections: ArmSections, robot: Robot, contact: SelfContact, clearance: float) -> ArmSections:
+    """The same sections, and what the arm can touch of itself; whatever the model, by its capsules."""
+    arm, count = robot.arm, len(sections.obstacle_names)
+    touched = sorted({i for i, _ in contact.links})
+    if contact.bodies:
+        sections = _joined(sections, _base_sections(robot, contact, clearance))
+    first = len(sections.obstacle_names)
+    return replace(
+        sections,
+        obstacle_names=(*sections.obstacle_names, *(arm.link_names[i] for i in touched)),
+        own_names=first + len(touched) - count,
+        own_pairs=readonly(
+            np.array([(j, i, first + touched.index(i)) for i, j in contact.links]).reshape(-1, 3), np.int64
+        ),
+        own_radii=readonly([arm.half_widths[i] + arm.half_widths[j] + clearance for i, j in contact.links]),
+    )
+
+
+#: Sections of turret and pedestal that were made before, by the clearance to keep from them.
+_BASE: WeakKeyDictionary[Robot, dict[float, ArmSections]] = WeakKeyDictionary()
+
+
+def _base_sections(robot: Robot, contact: SelfContact, clearance: float) -> ArmSections:
+    """Sections of turret and pedestal, to each link that can touch them; they are the same at every yaw."""
+    known = _BASE.setdefault(robot, {})
+    if clearance not in known:
+        known.clear()
+        cut = _cut(robot, bodies_of(contact.bodies, clearance=clearance), 0.0, 0.0, "capsule", within_reach=True)
+        spans = np.array([(body.first_link, body.last_link) for body in contact.bodies])[cut.obstacle_of]
+        links = _links_of(cut)
+        known[clearance] = _picked(cut, np.flatnonzero((spans[:, 0] <= links) & (links <= spans[:, 1])), links)
+    return known[clearance]
+
+
+def _links_of(sections: ArmSections) -> IntArray:
+    """(sections,) the link that each concerns."""
+    return np.repeat(np.arange(len(sections.link_start) - 1), np.diff(sections.link_start))
+
+
+def _picked(sections: ArmSections, kept: IntArray, links: IntArray) -> ArmSections:
+    """Some of the sections, in the order of the links that they concern.
+
+    Args:
+        sections: All sections.
+        kept: Which of them.
+        links: (sections,) the link that each concerns.
+    """
+    kept = kept[np.argsort(links[kept], kind="stable")]
+    sizes = np.diff(sections.vertex_start)[kept]
+    starts = np.cumsum([0, *sizes])
+    rows = np.repeat(sections.vertex_start[kept] - starts[:-1], sizes) + np.arange(starts[-1])
+    return replace(
+        sections,
+        link_start=readonly(np.searchsorted(links[kept], np.arange(len(sections.link_start))), np.int64),
+        vertex_start=readonly(starts, np.int64),
+        vertices=frozen(sections.vertices[rows]),
+        radii=frozen(sections.radii[kept]),
+        bounds=frozen(sections.bounds[kept]),
+        obstacle_of=frozen(sections.obstacle_of[kept]),
+    )
+
+
+def _joined(first: ArmSections, second: ArmSections) -> ArmSections:
+    """The sections of both, of either kind of names the first one's first."""
+    both = replace(
+        first,
+        vertex_start=np.concatenate([first.vertex_start, len(first.vertices) + second.vertex_start[1:]]),
+        vertices=np.concatenate([first.vertices, second.vertices]),
+        radii=np.concatenate([first.radii, second.radii]),
+        bounds=np.concatenate([first.bounds, second.bounds]),
+        obstacle_of=np.concatenate([first.obstacle_of, len(first.obstacle_names) + second.obstacle_of]),
+        obstacle_names=(*first.obstacle_names, *second.obstacle_names),
+    )
+    return _picked(both, np.arange(len(both.radii)), np.concatenate([_links_of(first), _links_of(second)]))
+
+
 def planar_sections(
     sections: Sequence[RoundedPolygon],
     half_widths: FloatArray,
@@ -285,7 +388,7 @@ def planar_sections(
         OptionError: Unknown link model, or `rectangle` with a section that is no disc.
     """
     check_link_model(link_model)
-    hulls = [RoundedPolygon(_convex_hull(section.vertices), section.radius) for section in sections]
+    hulls = [RoundedPolygon(convex_hull(section.vertices), section.radius) for section in sections]
     default = tuple(f"section {index}" for index in range(len(sections)))
     names = default if names is None else tuple(names)
     if link_model == "rectangle":
@@ -303,27 +406,6 @@ def planar_sections(
         obstacle_of=readonly(np.tile(np.arange(len(hulls)), len(growth)), np.int64),
         obstacle_names=names,
     )
-
-
-def _convex_hull(points: FloatArray) -> FloatArray:
-    """Counter-clockwise convex hull (Andrew's monotone chain); 1 or 2 points where they are all in line."""
-    ordered = sorted({(float(x), float(y)) for x, y in points})
-    if len(ordered) <= 2:
-        return np.array(ordered)
-
-    def half(sequence: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
-        chain: list[tuple[float, float]] = []
-        for point in sequence:
-            while len(chain) >= 2 and _turn(chain[-2], chain[-1], point) <= 0.0:
-                chain.pop()
-            chain.append(point)
-        return chain[:-1]
-
-    return np.array(half(ordered) + half(ordered[::-1]))
-
-
-def _turn(a: tuple[float, float], b: tuple[float, float], c: tuple[float, float]) -> float:
-    return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
 
 
 def check_link_model(link_model: str) -> None:
@@ -352,18 +434,7 @@ def _bound(polygon: RoundedPolygon) -> FloatArray:
 
 def only(sections: ArmSections, link: int, obstacle: int) -> ArmSections:
     """The same arm facing one obstacle with one link: for finding out which of them blocks."""
-    first, last = int(sections.link_start[link]), int(sections.link_start[link + 1])
-    kept = first + np.flatnonzero(sections.obstacle_of[first:last] == obstacle)
-    sizes = np.diff(sections.vertex_start)[kept]
-    links = len(sections.link_start) - 1
-    owner = np.repeat(np.arange(len(sections.radii)), np.diff(sections.vertex_start))
-    return ArmSections(
-        link_model=sections.link_model,
-        link_start=readonly(np.where(np.arange(links + 1) > link, len(kept), 0), np.int64),
-        vertex_start=readonly(np.cumsum([0, *sizes]), np.int64),
-        vertices=readonly(sections.vertices[np.isin(owner, kept)]),
-        radii=readonly(sections.radii[kept]),
-        bounds=readonly(sections.bounds[kept]),
-        obstacle_of=readonly(sections.obstacle_of[kept], np.int64),
-        obstacle_names=sections.obstacle_names,
-    )
+    links = _links_of(sections)
+    made = _picked(sections, np.flatnonzero((links == link) & (sections.obstacle_of == obstacle)), links)
+    own = (sections.own_pairs[:, 0] == link) & (sections.own_pairs[:, 2] == obstacle)
+    return replace(made, own_pairs=frozen(sections.own_pairs[own]), own_radii=frozen(sections.own_radii[own]))

@@ -182,7 +182,7 @@ def _bodies(robot: Robot) -> list[BaseBody]:
         shoulder = np.zeros((1, 2))
         away = float(polygon_distances(shoulder, shoulder, shadow)[0]) - rounding
         first = 0 if robot.has_yaw and carrier == GROUND else 1
-        touching = []
+        touching: list[int] = []
         for link in range(first, arm.link_count):
             radius = float(arm.half_widths[link])
             if away + arm.lengths[:link].sum() <= radius:
@@ -236,4 +236,3 @@ def _can_touch(arm: PlanarArm, polygon: FloatArray, radius: float) -> bool:
         below, above = upper.copy(), lower.copy()
         below[rows, widest] = above[rows, widest] = middle
         lower, upper = np.concatenate([lower, above]), np.concatenate([below, upper])
-

@@ -98,7 +98,7 @@ class Surroundings:
         """
         rows = self.field.solids
         near = np.linalg.norm(rows[:, 2:5], axis=1) <= rows[:, 5] + base_radius(self.robot)
-        touched = [self.solids[i] for i in np.unique(self.field.owner[near]).tolist()]
+        touched = [self.solids[i] for i in np.unique(self.field.owner[near]).tolist() if i >= 0]
         contacts = base_contacts(self.robot, touched, yaw, margin=-BASE_DEPTH)
         if contacts:
             worst = min(contacts, key=lambda contact: contact.distance_m)

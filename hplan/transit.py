@@ -37,8 +37,8 @@ FINER = (1.0, 2.0)
 #: [deg], growth of obstacles [m], whether layers are thick. What is closed on the grid of the finest step for all yaws
 #: is closed.
 TURNING = (
-    (2.0, 0.0, 0.0, False),
-    (2.0, 0.0, 0.0, True),
+    (2.0, 4.0, 0.0, False),
+    (2.0, 4.0, 0.0, True),
     (2.0, 45.0, 0.0, False),
     (2.0, 45.0, 0.0, True),
     (1.0, 45.0, 0.0, False),
@@ -48,6 +48,10 @@ TURNING = (
     (1.0, 45.0, 5e-3, True),
     (1.0, 45.0, 0.02, False),
 )
+
+#: A motion that takes more than this many times the least duration has corners that could only just be rounded. It is
+#: taken if no other try gives a faster one.
+SLUGGISH = 8.0
 
 #: A route is searched to a goal that promises to be reached in less than this share of the time of a straight motion.
 WORTHWHILE = 0.7
@@ -212,6 +216,7 @@ def _first_turning(
     """
     refused: CertificationError | None = None
     closed: dict[tuple[int, float], tuple[float, EnclosedError]] = {}
+    slow: tuple[int, Motion] | None = None
     for coarser, beyond_deg, growth, thick in rungs:
         for number, attempt in enumerate(attempts):
             before = closed.get((number, coarser))
@@ -219,12 +224,18 @@ def _first_turning(
                 continue
             rung = Rung(coarser * attempt.task.options.step_deg, attempt.grown(growth), math.radians(beyond_deg), thick)
             try:
-                return number, attempt.on_grid(rung)
+                motion = attempt.on_grid(rung)
+                if motion.trajectory.duration <= SLUGGISH * least_duration(attempt.task):
+                    return number, motion
+                if slow is None or motion.trajectory.duration < slow[1].trajectory.duration:
+                    slow = number, motion
             except CertificationError as error:
                 refused = refused or error
             except EnclosedError as error:
                 if not thick and growth == 0.0:
                     closed[number, coarser] = beyond_deg, error
+    if slow is not None:
+        return slow
     if (0, 1.0) in closed and not closed[0, 1.0][1].open_ended:
         raise closed[0, 1.0][1].explained()
     raise refused or CertificationError("no motion could be certified")

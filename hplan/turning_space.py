@@ -61,7 +61,7 @@ class Layers:
     def free_words(self, robot: Robot, sections: ArmSections, planar: Grid) -> WordArray:
         """Free bits of a layer, as in `Occupancy`."""
         parts = (planar.lower, planar.step, np.array(planar.shape), sections.link_start, sections.vertex_start)
-        key = b"".join(part.tobytes() for part in (*parts, sections.vertices, sections.radii))
+        key = b"".join(part.tobytes() for part in (*parts, sections.vertices, sections.radii, sections.own_radii))
         found = self._held.get(key)
         if found is None:
             found = occupancy(robot.arm, sections, planar).free_words

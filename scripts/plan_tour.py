@@ -132,7 +132,10 @@ def _run(
         }
     for name, motion in motions.items():
         write_csv(motion, folder / name)
-    write_page(robot, scene, result.trajectory, folder / PAGE)
+    phases = [phase for leg in result.legs for phase in leg.phases]
+    write_page(
+        robot, scene, result.trajectory, folder / PAGE, picked=result.picked, dropped=result.dropped, phases=phases
+    )
     write_report({**result.report, "files": list(motions)}, folder / REPORT)
     return result, [*motions, REPORT, PAGE]
 

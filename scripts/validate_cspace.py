@@ -195,7 +195,7 @@ def _show_kinds(console: Console, result: KindsValidation) -> None:
         f"{result.configurations:,} configurations each\n",
         soft_wrap=True,
     )
-    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), show_edge=False)
+    table = Table(box=box.SIMPLE_HEAD, padding=0, show_edge=False)
     table.add_column("kind", no_wrap=True)
     for heading in ("looked at", "colliding", "missed", "differ", "free", "lost", "widest", "time"):
         table.add_column(heading, justify="right", no_wrap=True)

@@ -11,6 +11,7 @@ import pinocchio as pin
 
 from hplan.robot import Robot, load_robot
 from hplan.scene import Box, Capsule, Sphere
+from hplan.self_contact import _KNOWN, SelfContact
 
 UP = "0 -1 0"  # a positive angle lifts the arm
 DOWN = "0 1 0"
@@ -30,8 +31,11 @@ VARIANTS: dict[str, tuple[bool, str, str, tuple[str, ...]]] = {
 }
 
 
-def load_variant(name: str, folder: Path) -> Robot:
-    """Write the URDF of a variant into a folder and load it; joints may turn by +-2.5 rad, the yaw by +-3."""
+def load_variant(name: str, folder: Path, *, touches_itself: bool = False) -> Robot:
+    """Write the URDF of a variant into a folder and load it; joints may turn by +-2.5 rad, the yaw by +-3.
+
+    Unless said otherwise, links pass through one another, so that a test is of obstacles alone.
+    """
     has_yaw, xyz, rpy, axes = VARIANTS[name]
     lengths = [0.8, 0.6, 0.45, 0.3, 0.25][: len(axes)]
     widths = [0.06, 0.05, 0.04, 0.03, 0.02][: len(axes)]
@@ -67,6 +71,8 @@ def load_variant(name: str, folder: Path) -> Robot:
     (folder / "variant.limits.yaml").write_text(f"format: hplan-limits/1\nacceleration_rad_s2: {{{table}}}\n")
     robot = load_robot(path)
     np.testing.assert_allclose(robot.arm.half_widths, widths, rtol=1e-12)
+    if not touches_itself:
+        _KNOWN[robot] = SelfContact((), ())
     return robot
 
 

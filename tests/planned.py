@@ -17,6 +17,9 @@ from hplan.trajectory import Trajectory
 
 Obstacles = Sequence[Any]
 
+#: So far from its line may the tool be on the approach: rows are averages over the time that the jerk limit takes [m].
+STRAIGHT = 1e-4
+
 
 def task(
     start: Sequence[float], goal: Sequence[float] | Goal, obstacles: Obstacles = (), **more: Any
@@ -152,11 +155,9 @@ def assert_grasps(robot: Robot, scene: Scene, result: PlanResult) -> None:
     heading = last_link(robot, grasp.goal)
     tools = robot.tool_positions(trajectory.position[rows])
     beside = (tools - target) - np.outer((tools - target) @ heading, heading)
-    assert np.linalg.norm(beside, axis=1).max() <= 1e-6
+    assert np.linalg.norm(beside, axis=1).max() <= STRAIGHT
     assert (np.diff(tools @ heading) > -1e-9).all()
-    assert np.linalg.norm(tools[0] - target) == np.float64(grasp.distance).round(6) or abs(
-        np.linalg.norm(tools[0] - target) - grasp.distance
-    ) <= 1e-6
+    assert abs(np.linalg.norm(tools[0] - target) - grasp.distance) <= 1e-6
     assert np.linalg.norm([last_link(robot, each) - heading for each in q], axis=1).max() < 1e-3
     if name is not None:
         np.testing.assert_allclose(trajectory.position[-1], grasp.standoff, rtol=0, atol=1e-9)
@@ -177,12 +178,13 @@ def random_scene(seed: int, robot: Robot) -> Scene:
     ends[1, 0] = np.clip(ends[0, 0] + random.choice([-1.0, 1.0]) * random.uniform(10.0, 90.0), -179.0, 179.0)
     obstacles: list[Any] = []
     fruits: list[Fruit] = []
-    wanted = int(random.integers(4, 14))
+    wanted = int(random.integers(8, 31))
     middle = float(ends[:, 0].mean())
     while len(obstacles) + len(fruits) < wanted:
         name = f"o{len(obstacles) + len(fruits)}"
-        place = at(float(middle + random.uniform(-60, 60)), *random.uniform([0.35, 0.3], [1.9, 2.2]).tolist())
         kind, size = int(random.integers(4)), float(random.uniform(0.02, 0.1))
+        low, high = ([0.35, 0.3], [1.9, 2.2]) if kind < 3 else ([0.8, 1.2], [1.5, 2.0])
+        place = at(float(middle + random.uniform(-60, 60)), *random.uniform(low, high).tolist())
         candidate: Any
         if kind == 0:
             candidate = Sphere(name=name, center=place, radius=size, sigma=float(random.choice([0.0, 0.003])))

@@ -186,7 +186,7 @@ def test_drop_off_after_two(robot: Robot, scene: Scene, carried: TourResult) -> 
 def test_what_is_carried_is_clear_as_well(robot: Robot, scene: Scene, carried: TourResult) -> None:
     """Between picking and letting go the last link is as thick as the fruit."""
     thick = carrying(robot, 0.04)
-    assert thick.arm.half_widths.tolist() == [0.05, 0.04, 0.04]
+    np.testing.assert_allclose(thick.arm.half_widths, [0.05, 0.04, 0.04], rtol=0, atol=1e-12)
     motion = carried.trajectory
     for name in carried.order:
         inside = (motion.time >= carried.picked[name]) & (motion.time <= carried.dropped[name])
@@ -197,6 +197,19 @@ def test_what_is_carried_is_clear_as_well(robot: Robot, scene: Scene, carried: T
             coming = next((n for n in carried.order if carried.picked[n] > motion.time[row]), None)
             for column, other in enumerate(judge.obstacle_names):
                 assert distances[: -1 if other == coming else None, column].min() > 0.0
+
+
+def test_gap_that_only_the_empty_arm_fits_into(robot: Robot) -> None:
+    """Beside the fruit, 35 mm from the last link's axis on both sides: 30 mm thick empty, 40 mm as it carries."""
+    x, y, z = fruit(robot, "a", (0.0, 30.0, 40.0, 20.0)).center
+    sides = [Sphere(name=f"side {s}", center=(x, y + s * 0.085, z), radius=0.05) for s in (-1, 1)]
+    between = fruit(robot, "between", (0.0, 30.0, 40.0, 20.0))
+    scene = orchard(robot, between, obstacles=sides)
+    assert plan_tour(robot, scene, OPTIONS, fruits=["between"]).unreached == ()
+    result = plan_tour(robot, scene, OPTIONS, fruits=["a", "between"], tour=TourOptions(drop_off=DROP))
+    assert result.order == ("a",)
+    assert isinstance(result.unreached[0].error, BlockedError)
+    assert {o["obstacle"] for o in result.unreached[0].error.obstacles} <= {"side -1", "side 1"}
 
 
 def test_each_fruit_on_its_own(robot: Robot, scene: Scene) -> None:

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from rich.console import Console
 from script_loader import load_script
 
 import hplan.validation as validation
@@ -506,6 +507,17 @@ def test_command_finds_what_is_missed(monkeypatch: pytest.MonkeyPatch, capsys: p
     text = capsys.readouterr().out
     assert "FAULTS" in text
     assert "sphere 0: intervals, coal -" in text
+
+
+def test_the_table_of_kinds_fits(capsys: pytest.CaptureFixture[str]) -> None:
+    rows = validation_kinds.validate_kinds(load_robot(), ["capsule"], scenes=1, configurations=100).results
+    most = {"configurations": 4_000_000, "colliding": 1_968_609, "spare": 3_303_050, "lost": 9, "seconds": 1_234.0}
+    wide = [replace(row, **most, widest_gap_m=0.02881) for row in rows]
+    result = validation_kinds.KindsValidation("harvester", 0, 200, 20_000, tuple(wide), 1_234.0)
+    script._show_kinds(Console(width=80), result)
+    text = capsys.readouterr().out
+    assert "…" not in text
+    assert all(cell in text for cell in ("1,968,609", "3,303,050", "0.000 %", "28.8 mm", "1234 s"))
 
 
 def test_all_kinds_where_none_is_named(monkeypatch: pytest.MonkeyPatch) -> None:

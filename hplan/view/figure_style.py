@@ -9,9 +9,10 @@ from __future__ import annotations
 import functools
 import io
 from collections.abc import Callable
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
-from hplan.errors import InputError
+from hplan.errors import InputError, OutputError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -132,3 +133,16 @@ def png_bytes(figure: Figure, dpi: int = DPI) -> bytes:
         few = image.convert("RGB").quantize(256, method=Image.Quantize.MAXCOVERAGE, kmeans=1, dither=Image.Dither.NONE)
         few.save(stream, format="png", optimize=True, dpi=(dpi, dpi))
     return stream.getvalue()
+
+
+def write_png(figure: Figure, path: Path) -> Path:
+    """Write a figure as PNG.
+
+    Raises:
+        OutputError: The file cannot be written.
+    """
+    try:
+        path.write_bytes(png_bytes(figure))
+    except OSError as error:
+        raise OutputError(path, error.strerror or str(error)) from error
+    return path

@@ -59,8 +59,8 @@ def cspace_at_yaw(section: YawSection, title: str = "") -> Figure:
     if turns:
         from matplotlib.cm import ScalarMappable
 
-        bar = figure.colorbar(ScalarMappable(norm, colors), ax=axes, shrink=0.42, aspect=18, pad=0.0)
-        bar.set_label("yaw of the motion beside it [deg]")
+        bar = figure.colorbar(ScalarMappable(norm, colors), ax=axes, shrink=0.42, aspect=18, pad=0.09)
+        bar.set_label("yaw of the motion apart from it [deg]")
         bar.outline.set_edgecolor(FAINT)
     return figure
 
@@ -82,13 +82,17 @@ def _draw_motion(axes: Any, section: YawSection, towards: Any, color_of: Any) ->
         if shown.any():
             if thick == 1.0:
                 axes.add_collection3d(
-                    Line3DCollection(pieces[shown], colors="white", linewidths=widths[shown] + 1.6, zorder=zorder - 0.5)
-                )
+                    Line3DCollection(
+                        pieces[shown], colors="white", linewidths=widths[shown] + 1.6, zorder=zorder - 0.5,
+                        capstyle="round",
+                    )
+                )  # fmt: skip
             axes.add_collection3d(
                 Line3DCollection(
-                    pieces[shown], colors=colors[shown], linewidths=thick * widths[shown], alpha=alpha, zorder=zorder
+                    pieces[shown], colors=colors[shown], linewidths=thick * widths[shown], alpha=alpha, zorder=zorder,
+                    capstyle="round",
                 )
-            )
+            )  # fmt: skip
     for point, color, marker in ((points[0], START, "o"), (points[-1], GOAL, "s")):
         axes.plot(*point[:, None], marker, color=color, ms=9, mec="white", mew=1.2, zorder=9)
     return bool(dark.any())

@@ -86,6 +86,7 @@ def render_page(
     trajectory: Trajectory,
     *,
     picked: Mapping[str, float] | None = None,
+    dropped: Mapping[str, float] | None = None,
     phases: Sequence[Stretch] = (),
 ) -> str:
     """The page as HTML text: self-contained, playing by itself in real time, again and again.
@@ -95,6 +96,7 @@ def render_page(
         scene: What stands around it.
         trajectory: The motion; with a single sample the arm stands still.
         picked: Fruit and when the tool reaches it [s].
+        dropped: Fruit and when the tool lets it go [s]; where it is not named, at the end of the retreat.
         phases: Parts of the motion, as `PlanResult.phases`.
 
     Raises:
@@ -111,12 +113,13 @@ def render_page(
         entries.append(("Obstacle" if one else look.label, look.color))
     if scene.fruits:
         entries.append(("Fruit", scenery.FRUIT_COLOR))
-    if scene.goal.fruit is not None:
+    if scene.goal.fruit is not None and (picked is None or len(picked) < 2):
         entries.append(("Fruit to pick", scenery.HALO_COLOR))
     if moves and picked:
         entries.append(("Picked", scenery.PICKED_COLOR))
     subtitle = f"{robot.name}, {trajectory.duration:.2f} s" if moves else f"{robot.name}, at rest"
-    return document(scene.name, subtitle, entries, stage(robot, scene, trajectory, picked=picked, phases=phases))
+    commands = stage(robot, scene, trajectory, picked=picked, dropped=dropped, phases=phases)
+    return document(scene.name, subtitle, entries, commands)
 
 
 def document(title: str, subtitle: str, entries: Iterable[tuple[str, int]], commands: Sequence[Json]) -> str:
@@ -152,6 +155,7 @@ def write_page(
     path: Path | str,
     *,
     picked: Mapping[str, float] | None = None,
+    dropped: Mapping[str, float] | None = None,
     phases: Sequence[Stretch] = (),
 ) -> Path:
     """Write the page of `render_page` to a file.
@@ -161,7 +165,7 @@ def write_page(
         OutputError: The file cannot be written.
         HplanError: meshcat, which brings the viewer, is not installed.
     """
-    return write_text(path, render_page(robot, scene, trajectory, picked=picked, phases=phases))
+    return write_text(path, render_page(robot, scene, trajectory, picked=picked, dropped=dropped, phases=phases))
 
 
 class LiveView:
@@ -212,6 +216,7 @@ def serve(
     trajectory: Trajectory,
     *,
     picked: Mapping[str, float] | None = None,
+    dropped: Mapping[str, float] | None = None,
     phases: Sequence[Stretch] = (),
 ) -> LiveView:
     """Start meshcat's live server with the same scene and motion; prints nothing and opens no browser.
@@ -221,6 +226,7 @@ def serve(
         scene: What stands around it.
         trajectory: The motion.
         picked: Fruit and when the tool reaches it [s].
+        dropped: Fruit and when the tool lets it go [s]; where it is not named, at the end of the retreat.
         phases: Parts of the motion, as `PlanResult.phases`.
 
     Returns:
@@ -231,7 +237,7 @@ def serve(
         InputError: As `render_page`.
         HplanError: The server does not start.
     """
-    commands = stage(robot, scene, trajectory, picked=picked, phases=phases)
+    commands = stage(robot, scene, trajectory, picked=picked, dropped=dropped, phases=phases)
     _viewer_source()  # says plainly that meshcat is missing
     from meshcat.servers.zmqserver import start_zmq_server_as_subprocess
 

@@ -98,8 +98,7 @@ def obstacles(scene: Scene) -> list[Json]:
 
 
 def _surface(look: Look) -> Json:
-    rough = {} if look in (OTHER, METAL) else {"roughness": 0.85}
-    return three.material(look.color, opacity=look.opacity, **rough)
+    return three.material(look.color, opacity=look.opacity, roughness=0.55 if look in (OTHER, METAL) else 0.85)
 
 
 def _add(body: Body, item: Sphere | Box | Mesh | PointCloud, look: Look) -> None:
@@ -122,12 +121,12 @@ def _add(body: Body, item: Sphere | Box | Mesh | PointCloud, look: Look) -> None
             assert_never(item)
 
 
-def fruits(scene: Scene) -> list[Json]:
-    """Commands that draw the fruits as they hang."""
+def fruits(scene: Scene, goal: str | None) -> list[Json]:
+    """Commands that draw the fruits as they hang, that of one name so that it stands out."""
     commands = []
     for fruit in scene.fruits:
         path = _fruit_path(fruit)
-        commands.append(set_object(path, _fruit(fruit, is_goal=fruit.name == scene.goal.fruit)))
+        commands.append(set_object(path, _fruit(fruit, is_goal=fruit.name == goal)))
         commands.append(set_transform(path, three.transform(position=fruit.center)))
     return commands
 
@@ -165,13 +164,20 @@ class Pick:
 
 
 def picks(
-    scene: Scene, picked: Mapping[str, float], retreats: Iterable[tuple[float, float]], duration: float
+    scene: Scene,
+    picked: Mapping[str, float],
+    dropped: Mapping[str, float],
+    retreats: Iterable[tuple[float, float]],
+    duration: float,
 ) -> list[Pick]:
-    """What becomes of picked fruits: the tool keeps each until the retreat from it ends, the last one for good.
+    """What becomes of picked fruits: the tool keeps each until it lets it go, or else until the retreat from it ends.
+
+    It holds one at a time, and what it holds in the end it keeps.
 
     Args:
         scene: The scene.
         picked: Fruit and when the tool reaches it [s].
+        dropped: Fruit and when the tool lets it go [s]; not all need be named.
         retreats: Begin and end of each retreat [s].
         duration: End of the motion [s].
 
@@ -189,6 +195,7 @@ def picks(
                 f"{name!r} is picked at {time} s; the motion lasts from 0 to {duration:.6g} s", fruit=name, time=time
             )
         until = min((end for begin, end in ends if abs(begin - time) < 1e-3), default=math.inf)
+        until = float(dropped.get(name, until))
         result.append(Pick(known[name], float(time), until if until < duration - 1e-9 else math.inf))
     # A tool holds one fruit.
     following = [pick.since for pick in result[1:]]

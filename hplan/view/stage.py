@@ -23,8 +23,9 @@ from hplan.view.commands import ROOT, animation, clip, node, set_object, set_tra
 from hplan.view.framing import Frame
 from hplan.view.three import Body, Json
 
-#: Most keyframes for each second of motion.
+#: Most keyframes for each second of motion, and most of a whole motion: pages of long tours stay small.
 FRAME_RATE_HZ = 60.0
+MOST_FRAMES = 2400
 #: Rest at the goal before the motion starts again [s].
 REST_S = 1.0
 
@@ -39,20 +40,23 @@ _AZIMUTH_DEG = 32.0
 _ELEVATION_DEG = 17.0
 
 #: Rings of all tubes of the tool path together, about, and how far apart they are at least [m].
-_RINGS, _RING_SPACING = 500, 0.02
+_RINGS, _RING_SPACING = 900, 0.02
 
 
 class Stretch(Protocol):
     """A part of a motion, as `hplan.pipeline.Phase` is one: its name, when it begins and ends [s]."""
 
     @property
-    def name(self) -> str: ...
+    def name(self) -> str:
+        """`approach`, `retreat`, or another name."""
 
     @property
-    def start_s(self) -> float: ...
+    def start_s(self) -> float:
+        """When it begins [s]."""
 
     @property
-    def end_s(self) -> float: ...
+    def end_s(self) -> float:
+        """When it ends [s]."""
 
 
 def stage(
@@ -61,6 +65,7 @@ def stage(
     trajectory: Trajectory,
     *,
     picked: Mapping[str, float] | None = None,
+    dropped: Mapping[str, float] | None = None,
     phases: Sequence[Stretch] = (),
 ) -> list[Json]:
     """Everything on the page.
@@ -69,8 +74,8 @@ def stage(
         robot: The arm.
         scene: What stands around it.
         trajectory: The motion; with a single sample the arm stands still.
-        picked: Fruit and when the tool reaches it [s]; it changes its colour then, and the tool keeps it to the end of
-            the retreat.
+        picked: Fruit and when the tool reaches it [s]; it changes its colour then, and moves with the tool.
+        dropped: Fruit and when the tool lets it go [s]; where it is not named, that is at the end of the retreat.
         phases: Parts of the motion; `approach` is drawn in a colour of its own, `retreat` is the way back.
 
     Returns:
@@ -88,8 +93,8 @@ def stage(
             got=list(trajectory.joint_names),
         )
     retreats = [(phase.start_s, phase.end_s) for phase in phases if phase.name == "retreat"]
-    picks = scenery.picks(scene, picked or {}, retreats, trajectory.duration)
-    view = _frame(robot, scene, trajectory)
+    picks = scenery.picks(scene, picked or {}, dropped or {}, retreats, trajectory.duration)
+    view = _frame(robot, scene, trajectory, [_row_at(trajectory, pick.since) for pick in picks])
     commands = [
         *framing.lights(view),
         *framing.camera(view),
@@ -97,7 +102,7 @@ def stage(
         set_transform(ROOT, three.transform(position=-view.target)),
         set_object(f"{ROOT}/ground", _ground(view)),
         *scenery.obstacles(scene),
-        *scenery.fruits(scene),
+        *scenery.fruits(scene, goal=scene.goal.fruit if len(picks) < 2 else None),
         *_arm(robot, trajectory.position[0]),
     ]
     if trajectory.samples > 1:
@@ -113,8 +118,8 @@ def stage(
 
 
 def keyframe_times(trajectory: Trajectory) -> FloatArray:
-    """Times of the keyframes, (k,) from 0 to the end, at most `FRAME_RATE_HZ` of them a second."""
-    steps = min(trajectory.samples - 1, int(np.ceil(trajectory.duration * FRAME_RATE_HZ)))
+    """Times of the keyframes, (k,) from 0 to the end, at most `FRAME_RATE_HZ` of them a second and `MOST_FRAMES`."""
+    steps = min(trajectory.samples - 1, int(np.ceil(trajectory.duration * FRAME_RATE_HZ)), MOST_FRAMES)
     if steps == trajectory.samples - 1:
         return trajectory.time
     times: FloatArray = np.linspace(0.0, trajectory.duration, steps + 1)
@@ -206,18 +211,21 @@ def _tool_path(robot: Robot, trajectory: Trajectory, phases: Iterable[Stretch]) 
         body.add(three.sphere(0.022), three.material(color), three.transform(position=point), name=name, shadow=False)
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(tool, axis=0), axis=1))])
     surface = three.material(0xFFFFFF, kind="MeshLambertMaterial", vertexColors=True)
+    # The many ways of a tour are thinner.
+    radius, sides = (0.009, 10) if len(stretches) <= 3 else (0.005, 6)
     for name, first, end in stretches:
         length = float(along[end] - along[first])
         if length > 1e-3:
             # Evenly spaced along the way: slow stretches do not crowd.
-            count = max(int(np.ceil(length / max(_RING_SPACING, along[-1] / _RINGS))), 16)
+            count = max(int(np.ceil(length / max(_RING_SPACING, along[-1] / _RINGS))), 8)
             stations = np.linspace(along[first], along[end], count + 1)
-            points = np.column_stack([np.interp(stations, along[first : end + 1], axis) for axis in tool[first : end + 1].T])
+            rows = slice(first, end + 1)
+            points = np.column_stack([np.interp(stations, along[rows], axis) for axis in tool[rows].T])
             share = stations[:, None] / along[last]
             colors = (1.0 - share) * _rgb(START_COLOR) + share * _rgb(GOAL_COLOR)
             if name == "approach":
                 colors = np.tile(_rgb(APPROACH_COLOR), (count + 1, 1))
-            tube = three.tube(points, 0.011 if name == "approach" else 0.009, colors)
+            tube = three.tube(points, 1.2 * radius if name == "approach" else radius, colors, sides=sides)
             body.add(tube, surface, name="way" if name == "transit" else name, shadow=False)
     return body
 
@@ -225,14 +233,16 @@ def _tool_path(robot: Robot, trajectory: Trajectory, phases: Iterable[Stretch]) 
 # Ground and camera.
 
 
-def _frame(robot: Robot, scene: Scene, trajectory: Trajectory) -> Frame:
+def _frame(robot: Robot, scene: Scene, trajectory: Trajectory, picks: Sequence[int]) -> Frame:
     """Place the camera so that arm and scene fill the picture and the arm plane is seen from the side.
 
-    Of the four sides, before and behind the arm, that is taken from which the least of the arm and its way is hidden.
+    Where several fruits are picked, it is the plane in the middle of those picks. Of the four sides, before and behind
+    the arm, that is taken from which the least of the arm and its way is hidden.
     """
-    rows = np.unique(np.linspace(0, trajectory.samples - 1, 25).astype(int))
+    count = min(25 * max(1, len(picks)), 100)
+    rows = np.unique([*np.linspace(0, trajectory.samples - 1, count).astype(int), *picks])
     configurations = trajectory.position[rows]
-    yaws = [robot.yaw_of(q) for q in configurations]
+    yaws = [robot.yaw_of(q) for q in (trajectory.position[picks] if len(picks) > 1 else configurations)]
     yaw = 0.5 * (min(yaws) + max(yaws))
     elevation = np.radians(_ELEVATION_DEG)
     arm = _arm_points(robot, configurations)

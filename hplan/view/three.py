@@ -208,6 +208,37 @@ def facets(vertices: ArrayLike, faces: ArrayLike) -> Json:
     return _buffers(np.arange(3 * len(corners)), position=corners, normal=np.repeat(normals, 3, axis=0))
 
 
+def surface(vertices: FloatArray, faces: IntArray) -> Json:
+    """A smooth surface: (n, 3) vertices, (m, 4) quadrilaterals, counter-clockwise seen from outside."""
+    corners = vertices[faces]
+    normal = np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
+    normals = np.zeros_like(vertices)
+    for corner in range(4):
+        np.add.at(normals, faces[:, corner], normal)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True) + 1e-30
+    triangles = np.stack([faces[:, [0, 1, 2]], faces[:, [0, 2, 3]]], axis=1)
+    return _buffers(triangles, position=np.round(vertices, 4), normal=np.round(normals, 2))
+
+
+def label(text: str, height: float) -> Json:
+    """A text that always faces the camera, as an object for a node; its letters are about `height` [m] tall."""
+    texture = {"uuid": "text", "type": "_text", "text": text, "font_size": 60, "font_face": "sans-serif"}
+    look = {"uuid": "look", "type": "SpriteMaterial", "map": "text", "transparent": True, "depthWrite": False}
+    side = round(height * 256.0 / 45.0, 6)  # letters of 60 px are 45 px tall, in a square of 256 px
+    return {
+        "metadata": {"version": 4.5, "type": "Object"},
+        "textures": [texture],
+        "materials": [{**look, "color": 0xFFFFFF}],
+        "object": {
+            "uuid": "label",
+            "type": "Sprite",
+            "material": "look",
+            "matrix": numbers(np.diag([side, side, 1.0, 1.0])),
+            "renderOrder": 4,
+        },
+    }
+
+
 def points(places: FloatArray) -> Json:
     """Dots: (n, 3) places [m]."""
     return _buffers(np.arange(len(places)), position=places)
@@ -272,15 +303,15 @@ def _turn_y_to(direction: FloatArray) -> FloatArray:
     return np.column_stack([x, direction, np.cross(x, direction)])
 
 
-def tube(points: FloatArray, radius: float, colors: FloatArray) -> Json:
+def tube(points: FloatArray, radius: float, colors: FloatArray, *, sides: int = 10) -> Json:
     """A round tube along a curve.
 
     Args:
         points: (n, 3) points, n >= 2, no two neighbours alike [m].
         radius: Radius [m].
         colors: (n, 3) colours along it, in 0..1.
+        sides: Corners of its section.
     """
-    sides = 10
     tangents = np.gradient(points, axis=0)
     tangents /= np.linalg.norm(tangents, axis=1, keepdims=True) + 1e-12
     # The frame is carried along from ring to ring: the tube does not twist.

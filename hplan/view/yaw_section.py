@@ -101,11 +101,7 @@ def yaw_section(
         InputError: The arm has another number of planar joints, or the trajectory is of other joints.
         OptionError: A yaw that is not finite or beyond the limits, or other than 0 for an arm without yaw.
     """
-    if robot.arm.link_count != 3:
-        raise InputError(
-            f"the C-space view wants three planar joints; {robot.name!r} has {robot.arm.link_count}",
-            expected=3, got=robot.arm.link_count,
-        )  # fmt: skip
+    check_yaw(robot, yaw)
     if trajectory.joint_names != robot.joint_names:
         raise InputError(
             f"the trajectory moves {', '.join(trajectory.joint_names)}; expected {', '.join(robot.joint_names)}",
@@ -114,7 +110,7 @@ def yaw_section(
     end = min((phase.end_s for phase in phases if phase.name == "approach"), default=trajectory.duration)
     rows = trajectory.time <= end + 1e-9
     motion, times = trajectory.position[rows], trajectory.time[rows]
-    at = _checked_yaw(robot, robot.yaw_of(motion[-1]) if yaw is None else yaw)
+    at = robot.yaw_of(motion[-1]) if yaw is None else yaw
     choice = PlanOptions() if options is None else options
     around = Surroundings.of(
         robot,
@@ -140,13 +136,22 @@ def yaw_section(
     )
 
 
-def _checked_yaw(robot: Robot, yaw: float) -> float:
+def check_yaw(robot: Robot, yaw: float | None) -> None:
+    """Check that an arm can be looked at so, at a yaw or at the goal's.
+
+    Raises:
+        InputError: The arm has another number of planar joints than three.
+        OptionError: A yaw that is not finite or beyond the limits, or other than 0 for an arm without yaw.
+    """
+    if robot.arm.link_count != 3:
+        raise InputError(
+            f"the C-space view wants three planar joints; {robot.name!r} has {robot.arm.link_count}",
+            expected=3, got=robot.arm.link_count,
+        )  # fmt: skip
     low, high = (float(robot.lower[0]), float(robot.upper[0])) if robot.has_yaw else (0.0, 0.0)
-    if not low - 1e-9 <= yaw <= high + 1e-9:
-        raise OptionError(
-            "yaw", math.degrees(yaw), f"degrees from {math.degrees(low):.6g} to {math.degrees(high):.6g}"
-        )
-    return yaw
+    if yaw is not None and not low - 1e-9 <= yaw <= high + 1e-9:
+        words = f"degrees from {math.degrees(low):.6g} to {math.degrees(high):.6g}"
+        raise OptionError("yaw", math.degrees(yaw), words)
 
 
 def _grid(robot: Robot) -> Grid:

@@ -19,6 +19,7 @@ from PIL import Image
 from shapes import crate
 
 from hplan.errors import InputError, OutputError
+from hplan.pipeline import Phase
 from hplan.robot import Robot, load_robot
 from hplan.robot_family import ArmSpec, write_robot
 from hplan.scene import Box, Capsule, Fruit, Goal, Mesh, PointCloud, Scene, Sphere, Start
@@ -26,7 +27,8 @@ from hplan.scene_file import load_scene
 from hplan.trajectory import Trajectory
 from hplan.view import three
 from hplan.view.page import render_page, serve, write_page
-from hplan.view.stage import FRAME_RATE_HZ, OBSTACLE_COLOR, REST_S, keyframe_times, stage
+from hplan.view.scenery import OTHER
+from hplan.view.stage import APPROACH_COLOR, FRAME_RATE_HZ, MOST_FRAMES, REST_S, keyframe_times, stage
 
 CHROMIUM_FLAGS = (
     "--headless=new",
@@ -163,6 +165,12 @@ def test_it_plays_in_real_time_again_and_again(robot: Robot) -> None:
         assert len(track["values"]) == 4 * len(times)
 
 
+def test_a_long_tour_has_no_more_keyframes_than_the_page_can_take(robot: Robot) -> None:
+    times = keyframe_times(motion(robot, duration=100.0, rate=50.0))
+    assert len(times) == MOST_FRAMES + 1
+    assert (times[0], times[-1]) == (0.0, 100.0)
+
+
 def test_few_samples_are_all_keyframes(robot: Robot) -> None:
     trajectory = motion(robot, duration=2.0, rate=10.0)
     np.testing.assert_array_equal(keyframe_times(trajectory), trajectory.time)
@@ -190,29 +198,13 @@ def test_obstacles_and_fruits_are_where_the_scene_has_them(robot: Robot) -> None
 
     (ball,) = meshes("obstacles/sphere ball")
     np.testing.assert_allclose(matrix_of(ball)[:3, 3], (1.0, 0.0, 1.9))
-    wall, far_cap, near_cap = meshes("obstacles/capsule branch")
-    axis = np.array((1.2, 0.1, 1.4)) - np.array((1.6, 0.5, 0.0))
-    np.testing.assert_allclose(matrix_of(wall)[:3, 1], axis / np.linalg.norm(axis), atol=1e-6)
-    np.testing.assert_allclose(matrix_of(wall)[:3, 3], (1.4, 0.3, 0.7))
-    np.testing.assert_allclose(matrix_of(far_cap)[:3, 3], (1.2, 0.1, 1.4))
-    np.testing.assert_allclose(matrix_of(near_cap)[:3, 3], (1.6, 0.5, 0.0))
-    assert len(meshes("obstacles/capsule stub")) == 2  # no cylinder without length
     (post,) = meshes("obstacles/box post")
     np.testing.assert_allclose(matrix_of(post)[:3, :3], scene.obstacles[3].rotation, atol=1e-6)  # type: ignore[union-attr]
     assert len(meshes("fruits/fruit green")) == 1
     assert len(meshes("fruits/fruit ripe")) == 2  # the goal has a halo
-    for path in ("sphere ball", "capsule branch", "box post"):
-        (surface,) = drawn[f"/hplan/obstacles/{path}"]["materials"]
-        assert surface["color"] == OBSTACLE_COLOR
-        assert 0.5 < surface["opacity"] < 1.0
-
-
-def test_capsule_ends_face_outwards(robot: Robot) -> None:
-    drawn = objects(stage(robot, orchard(), motion(robot)))["/hplan/obstacles/capsule branch"]
-    thetas = {g["uuid"]: g.get("thetaStart") for g in drawn["geometries"]}
-    _, far_cap, near_cap = drawn["object"]["children"]
-    assert thetas[far_cap["geometry"]] == 0.0
-    assert thetas[near_cap["geometry"]] == pytest.approx(math.pi / 2)
+    (surface,) = drawn["/hplan/obstacles/sphere ball"]["materials"]
+    assert surface["color"] == OTHER.color
+    assert 0.5 < surface["opacity"] < 1.0
 
 
 @pytest.mark.parametrize("name", ["</script><b>", "a/b", "constructor", "__proto__", "früh & spät"])
@@ -249,6 +241,23 @@ def test_the_tool_path_goes_through_the_tool_positions(robot: Robot) -> None:
     assert distance.max() < 0.01
     assert np.isfinite(data["attributes"]["normal"]["array"]).all()
     assert max(data["index"]["array"]) == 10 * len(rings) - 1
+
+
+def test_the_approach_is_apart_and_the_way_back_is_not_drawn_twice(robot: Robot) -> None:
+    trajectory = motion(robot)
+    phases = (Phase("transit", 0.0, 1.0), Phase("approach", 1.0, 1.4), Phase("retreat", 1.4, 2.0))
+    body = objects(stage(robot, load_scene(), trajectory, phases=phases))["/hplan/tool path"]
+    start, goal, way, approach = body["object"]["children"]
+    assert [mesh["name"] for mesh in (start, goal, way, approach)] == ["start", "goal", "way", "approach"]
+    tool = robot.tool_positions(trajectory.position)
+    np.testing.assert_allclose(matrix_of(goal)[:3, 3], tool[350], atol=1e-6)  # the end of the approach
+    attributes = {g["uuid"]: g["data"]["attributes"] for g in body["geometries"] if g["type"] == "BufferGeometry"}
+    for mesh, first, last in ((way, 0, 250), (approach, 250, 350)):
+        rings = np.reshape(attributes[mesh["geometry"]]["position"]["array"], (-1, 10, 3)).mean(axis=1)
+        np.testing.assert_allclose(rings[[0, -1]], tool[[first, last]], atol=1e-5)
+    colors = np.reshape(attributes[approach["geometry"]]["color"]["array"], (-1, 3))
+    expected = [(APPROACH_COLOR >> shift & 0xFF) / 255 for shift in (16, 8, 0)]
+    np.testing.assert_allclose(colors, np.tile(expected, (len(colors), 1)), atol=1e-3)
 
 
 def test_meshes_and_clouds_are_drawn(robot: Robot) -> None:

@@ -1,0 +1,222 @@
+"""Grasps: the tool at the point, a straight way there along the last link, and what is said where there is none."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from planned import at, last_link, post
+
+from hplan.approach import ApproachPath
+from hplan.errors import BlockedError, InputError, OptionError, UnreachableError
+from hplan.harvest import SPARE, Grasp, grasps
+from hplan.inverse import reach
+from hplan.path import rest_to_rest
+from hplan.robot import Robot
+from hplan.scene import Box, Sphere
+from hplan.surroundings import Surroundings
+
+START = np.radians([10.0, 80.0, 80.0, 80.0])
+FRUIT = Sphere(name="fruit", center=at(40.0, 1.3, 1.6), radius=0.04)
+
+
+def found(
+    robot: Robot, obstacles: Any = (), point: Any = FRUIT.center, fruit: bool = True, **more: Any
+) -> tuple[Grasp, ...]:
+    """Grasps of the fruit, or of a point, among obstacles."""
+    solids = [*obstacles, *([FRUIT] if fruit else [])]
+    around = Surroundings.of(robot, solids)
+    near = around.touching("fruit") if fruit else around
+    options = {"what": "fruit 'fruit'", "standoff": 0.1, "least_standoff": 0.075 if fruit else 0.0, **more}
+    return grasps(around, near, point, START, **options)
+
+
+def assert_grasps(robot: Robot, ways: tuple[Grasp, ...], around: Surroundings, near: Surroundings, point: Any) -> None:
+    assert ways
+    for grasp in ways:
+        np.testing.assert_allclose(robot.tool_positions(grasp.goal), point, atol=1e-6)
+        heading = last_link(robot, grasp.goal)
+        _, axes = robot.plane_at(grasp.goal[0])
+        assert math.atan2(heading @ axes[1], heading @ axes[0]) == pytest.approx(grasp.approach, abs=1e-6)
+        path = grasp.path(robot)
+        if grasp.distance == 0.0:
+            assert path is None
+            np.testing.assert_array_equal(grasp.standoff, grasp.goal)
+        else:
+            assert isinstance(path, ApproachPath)
+            away = robot.tool_positions(grasp.standoff) - point
+            np.testing.assert_allclose(away, -grasp.distance * heading, atol=1e-6)
+            np.testing.assert_allclose(path.evaluate(0.0), grasp.standoff, atol=1e-9)
+            np.testing.assert_allclose(path.evaluate(path.end), grasp.goal, atol=1e-12)
+            judged = around.judge.distances(grasp.standoff)
+            assert judged.size == 0 or judged.min() > 0.9 * SPARE
+            tools = robot.tool_positions(path.evaluate(np.linspace(0.0, path.end, 30)))
+            beside = (tools - point) - np.outer((tools - point) @ heading, heading)
+            assert np.linalg.norm(beside, axis=1).max() < 1e-9
+        judged = near.judge.distances(grasp.goal)
+        assert judged.size == 0 or judged.min() > 0.9 * SPARE
+    least = [grasp.least_duration for grasp in ways]
+    assert least == sorted(least)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_grasps_among_obstacles(robot: Robot, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    point = at(float(rng.uniform(-170, 170)), 1.3, 1.6)
+    fruit = Sphere(name="fruit", center=point, radius=0.04)
+    obstacles = [
+        Sphere(name=f"o{i}", center=tuple((np.array(point) + rng.uniform(-0.5, 0.5, 3)).tolist()), radius=0.05)
+        for i in range(8)
+    ]
+    obstacles = [ball for ball in obstacles if math.dist(ball.center, point) > 0.12]
+    around = Surroundings.of(robot, [*obstacles, fruit], clearance=0.005)
+    near = around.touching("fruit")
+    ways = grasps(around, near, point, START, what="it", standoff=0.12, least_standoff=0.08)
+    judged = Surroundings.of(robot, [*obstacles, fruit])
+    assert_grasps(robot, ways, judged, judged.touching("fruit"), point)
+    assert {grasp.distance for grasp in ways} <= {0.12, 0.08, 0.0}
+    # The distance is the longest that can be had: all of one kind, or shorter ones where the longer is in the way.
+    with_way = [grasp for grasp in ways if grasp.distance > 0.0]
+    assert not with_way or len(with_way) == len(ways)
+
+
+def test_without_obstacles_all_configurations_are_grasps(robot: Robot) -> None:
+    ways = found(robot, fruit=False, least_standoff=0.0, standoff=0.05)
+    around = Surroundings.of(robot, [])
+    assert_grasps(robot, ways, around, around, FRUIT.center)
+    every = reach(robot, FRUIT.center, count=64, start=START).configurations
+    assert {tuple(grasp.goal) for grasp in ways} <= {tuple(q) for q in every.tolist()}
+    assert {round(grasp.distance, 12) for grasp in ways} <= {0.05, 0.025, 0.01}
+
+
+def test_least_duration_is_that_of_the_slowest_joint(robot: Robot) -> None:
+    for grasp in found(robot)[:5]:
+        limits = robot.velocity_limit, robot.acceleration_limit
+        first = rest_to_rest(np.abs(grasp.standoff - START), *limits).max()
+        second = rest_to_rest(np.abs(grasp.goal - grasp.standoff), *limits).max()
+        assert grasp.least_duration == pytest.approx(first + second)
+
+
+@pytest.mark.parametrize("approach", [100.0, 125.0, (90.0, 110.0), (115.0, 500.0), (-360.0, 0.0)])
+def test_approach_is_kept(robot: Robot, approach: Any) -> None:
+    try:
+        ways = found(robot, approach_deg=approach)
+    except UnreachableError as error:
+        assert error.reason == "approach"
+        assert error.data["reachable_deg"]
+        return
+    low, high = approach if isinstance(approach, tuple) else (approach, approach)
+    for grasp in ways:
+        assert (math.degrees(grasp.approach) - low + 1e-7) % 360.0 <= high - low + 2e-7
+
+
+def test_standoff_is_shorter_where_a_long_one_is_in_the_way(robot: Robot) -> None:
+    """A plate behind the hand at one approach angle leaves half of the stand-off, then a fifth, then none."""
+    free = found(robot, fruit=False, least_standoff=0.0, standoff=0.1)
+    grasp = free[len(free) // 2]
+    angle = math.degrees(grasp.approach)
+    heading = last_link(robot, grasp.goal)
+    wrist = np.array(FRUIT.center) - 0.4 * heading
+    lengths = {}
+    for gap in (0.3, 0.085, 0.045, 0.015):
+        # Beside the forearm's end, on the side to which it goes back.
+        place = wrist - (0.04 + gap + 0.01) * heading
+        bead = Sphere(name="bead", center=tuple(place.tolist()), radius=0.01)
+        try:
+            ways = found(robot, [bead], fruit=False, least_standoff=0.0, standoff=0.1, approach_deg=angle)
+        except BlockedError:
+            lengths[gap] = -1.0
+            continue
+        lengths[gap] = max(way.distance for way in ways)
+        around = Surroundings.of(robot, [bead])
+        assert_grasps(robot, ways, around, around, FRUIT.center)
+    values = [lengths[gap] for gap in sorted(lengths, reverse=True)]
+    assert values == sorted(values, reverse=True)
+    assert values[0] == 0.1
+    assert len(set(values)) >= 3, values
+
+
+def test_no_standoff_asked_for(robot: Robot) -> None:
+    ways = found(robot, fruit=False, standoff=0.0, least_standoff=0.0)
+    assert {grasp.distance for grasp in ways} == {0.0}
+    assert {grasp.distance for grasp in found(robot, standoff=0.0)} == {0.075}
+
+
+def test_longer_least_standoff_than_asked_for(robot: Robot) -> None:
+    assert {grasp.distance for grasp in found(robot, standoff=0.02, least_standoff=0.09)} == {0.09}
+
+
+@pytest.mark.parametrize("locked", [("elbow",), ("wrist",), ("shoulder", "elbow")])
+def test_no_straight_approach_with_fewer_than_three_joints(robot: Robot, locked: tuple[str, ...]) -> None:
+    goal = np.radians([30.0, 60.0, 45.0, 20.0])
+    start = np.array([goal[k] if name in locked else START[k] for k, name in enumerate(robot.joint_names)])
+    point = robot.tool_positions(goal)
+    around = Surroundings.of(robot, [])
+    ways = grasps(around, around, point, start, what="it", standoff=0.1, locked=locked)
+    assert {grasp.distance for grasp in ways} == {0.0}
+    held = [robot.joint_names.index(name) for name in locked]
+    for grasp in ways:
+        np.testing.assert_allclose(grasp.goal[held], start[held], atol=1e-12)
+    assert_grasps(robot, ways, around, around, point)
+
+
+def test_locked_base(robot: Robot) -> None:
+    start = START.copy()
+    start[0] = math.radians(40.0)
+    around = Surroundings.of(robot, [])
+    ways = grasps(around, around, FRUIT.center, start, what="it", standoff=0.1, locked=("base_yaw",))
+    assert all(grasp.goal[0] == start[0] == grasp.standoff[0] for grasp in ways)
+
+
+# Where there are none
+
+
+def test_blocked_names_what_is_in_the_way(robot: Robot) -> None:
+    trunk = post("trunk", 40.0, 1.3, 0.0, 3.0, 0.1)
+    with pytest.raises(BlockedError, match="fruit 'fruit' is blocked: all") as caught:
+        found(robot, [trunk])
+    error = caught.value
+    assert {item["obstacle"] for item in error.obstacles} == {"trunk"}
+    total = len(reach(robot, FRUIT.center, count=64, start=START).configurations)
+    assert error.data["tried"] == total == sum(item["configurations"] for item in error.obstacles)
+    assert all(item["link"] in robot.arm.link_names for item in error.obstacles)
+    assert error.exit_status == 3
+
+
+def test_blocked_most_frequent_first(robot: Robot) -> None:
+    """A cloth hangs about the fruit on all sides, a bead stands in one corner."""
+    shell = Box(name="shell", center=FRUIT.center, size=(0.3, 0.3, 0.3))
+    with pytest.raises(BlockedError) as caught:
+        found(robot, [shell])
+    counts = [item["configurations"] for item in caught.value.obstacles]
+    assert counts == sorted(counts, reverse=True)
+    assert "fruit" not in {item["obstacle"] for item in caught.value.obstacles}
+
+
+@pytest.mark.parametrize(
+    ("point", "reason"),
+    [((3.0, 0.0, 1.0), "too_far"), ((1.2, 0.8, 0.2), "joint_limit"), ((0.0, 0.0, 0.7), "joint_limit")],
+)
+def test_unreachable(robot: Robot, point: Any, reason: str) -> None:
+    with pytest.raises(UnreachableError) as caught:
+        found(robot, point=point, fruit=False)
+    assert caught.value.reason == reason
+
+
+def test_bad_values(robot: Robot) -> None:
+    with pytest.raises(InputError):
+        found(robot, point=(1.0, math.nan, 1.0))
+    with pytest.raises(InputError):
+        found(robot, point=(1.0, 1.0))
+    with pytest.raises(OptionError):
+        found(robot, approach_deg=(10.0, -10.0))
+    with pytest.raises(InputError):
+        found(robot, locked=("knee",))
+
+
+def test_results_cannot_be_changed(robot: Robot) -> None:
+    for grasp in found(robot):
+        assert not grasp.goal.flags.writeable
+        assert not grasp.standoff.flags.writeable

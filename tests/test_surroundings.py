@@ -1,0 +1,138 @@
+"""What keeps the arm away: growth by uncertainty, the fruit that may be touched, what stands in the base."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from arm_variants import load_variant, random_obstacles
+from planned import post
+
+from hplan.collision import CollisionScene, base_contacts
+from hplan.errors import InputError
+from hplan.robot import Robot
+from hplan.scene import Box, PointCloud, Sphere
+from hplan.section import sections_at
+from hplan.surroundings import BASE_DEPTH, Surroundings
+
+BALLS = (
+    Sphere(name="sure", center=(1.0, 0.3, 1.0), radius=0.1),
+    Sphere(name="vague", center=(0.6, -0.4, 1.2), radius=0.1, sigma=0.01),
+    Sphere(name="vaguer", center=(1.6, 0.2, 0.9), radius=0.1, sigma=0.02),
+)
+
+
+def test_each_obstacle_grows_by_its_own_uncertainty(robot: Robot) -> None:
+    rng = np.random.default_rng(0)
+    for sigmas in (0.0, 1.0, 3.0):
+        around = Surroundings.of(robot, BALLS, clearance=0.02, sigmas=sigmas)
+        np.testing.assert_allclose(around.growth, sigmas * np.array([0.0, 0.01, 0.02]))
+        assert around.clearance == 0.02
+        plain = CollisionScene(robot, BALLS)
+        for q in rng.uniform(robot.lower, robot.upper, (20, 4)):
+            grown = plain.distances(q) - sigmas * np.array([0.0, 0.01, 0.02])
+            np.testing.assert_allclose(around.judge.distances(q), grown, atol=1e-9)
+            np.testing.assert_allclose(around.field.link_clearances(q), grown.min(axis=1) - 0.02, atol=1e-6)
+
+
+def test_field_bodies_and_judge_agree(robot: Robot) -> None:
+    """A configuration is in contact for the sections if it is for the field, which gives no less than coal."""
+    around = Surroundings.of(robot, BALLS, clearance=0.01, tracking_error=0.002, sigmas=2.0)
+    assert around.clearance == pytest.approx(0.01 + robot.sway(0.002).max())
+    bodies = around.bodies(0.003)
+    radii = np.array([0.1, 0.12, 0.14]) + around.clearance + 0.003
+    np.testing.assert_allclose(bodies.ball_radii, radii)
+    assert bodies.names == ("sure", "vague", "vaguer")
+
+
+def test_without_solids(robot: Robot) -> None:
+    around = Surroundings.of(robot, [], clearance=0.1, sigmas=3.0)
+    assert around.field.clearance(np.zeros(4)) == np.inf
+    assert around.judge.nearest(np.zeros(4)) is None
+    assert around.bodies().names == ()
+    around.check_base(0.0)
+    assert around.touching("none").bodies().names == ()
+
+
+def test_the_last_link_alone_may_touch(robot: Robot) -> None:
+    solids = [*BALLS, Sphere(name="fruit", center=(1.2, 0.0, 0.6), radius=0.04, sigma=0.01)]
+    around = Surroundings.of(robot, solids, clearance=0.01, sigmas=3.0)
+    near = around.touching("fruit")
+    rng = np.random.default_rng(1)
+    for q in rng.uniform(robot.lower, robot.upper, (30, 4)):
+        full, table = around.judge.distances(q), near.judge.distances(q)
+        assert table[-1, 3] == np.inf
+        np.testing.assert_array_equal(table[:, :3], full[:, :3])
+        np.testing.assert_array_equal(table[:-1], full[:-1])
+        expected = Surroundings.of(robot, BALLS, clearance=0.01, sigmas=3.0).field.link_clearances(q)
+        np.testing.assert_allclose(near.field.link_clearances(q), expected, atol=1e-12)
+    assert near.bodies().names == ("sure", "vague", "vaguer")
+    np.testing.assert_allclose(near.bodies().ball_radii, around.bodies().ball_radii[:3])
+    sections = sections_at(robot, near.bodies(), 0.0)
+    assert "fruit" not in sections.obstacle_names
+    # What it was made from is as it was.
+    assert around.bodies().names[-1] == "fruit"
+    assert around.judge.distances(np.zeros(4))[-1, 3] < np.inf
+
+
+# What stands in the base
+
+
+def test_ground_may_touch_the_pedestal(robot: Robot) -> None:
+    ground = Box(name="ground", center=(0.0, 0.0, -0.05), size=(6.0, 6.0, 0.1))
+    Surroundings.of(robot, [ground], clearance=0.05, sigmas=3.0).check_base(0.0)
+    deeper = Box(name="ground", center=(0.0, 0.0, -0.05 + 2.0 * BASE_DEPTH), size=(6.0, 6.0, 0.1))
+    with pytest.raises(InputError, match="'ground' is 2 mm deep in the robot's 'base_link'"):
+        Surroundings.of(robot, [deeper]).check_base(0.0)
+
+
+@pytest.mark.parametrize(
+    ("obstacle", "link"),
+    [
+        (Sphere(name="rock", center=(0.1, 0.0, 0.2), radius=0.1), "base_link"),
+        (post("pole", 40.0, 0.05, 0.0, 3.0), "base_link"),
+        (Box(name="lid", center=(0.0, 0.0, 0.5), size=(0.05, 0.05, 0.05)), "turret"),
+        (PointCloud.of("dust", [[0.0, 0.0, 0.48], [2.0, 0.0, 1.0]], 0.01), "turret"),
+    ],
+    ids=["ball", "capsule", "box", "cloud"],
+)
+@pytest.mark.parametrize("yaw", [0.0, -2.0])
+def test_what_stands_in_the_base_is_named(robot: Robot, obstacle, link: str, yaw: float) -> None:
+    around = Surroundings.of(robot, [*BALLS, *obstacle.solids])
+    with pytest.raises(InputError) as caught:
+        around.check_base(yaw)
+    assert caught.value.data["obstacle"] == obstacle.name
+    assert caught.value.data["link"] == link
+    assert caught.value.data["depth_m"] > BASE_DEPTH
+    assert repr(obstacle.name) in caught.value.message
+
+
+def test_deepest_is_named(robot: Robot) -> None:
+    grazing = Sphere(name="grazing", center=(0.25, 0.0, 0.2), radius=0.14)
+    deep = Sphere(name="deep", center=(0.1, 0.0, 0.2), radius=0.14)
+    for solids in ([grazing, deep], [deep, grazing]):
+        with pytest.raises(InputError, match="'deep'"):
+            Surroundings.of(robot, solids).check_base(0.0)
+
+
+def test_no_obstacle_is_missed(robot: Robot) -> None:
+    """Only what is near the base is asked for; the answer is that of all."""
+    rng, refused = np.random.default_rng(2), 0
+    for _ in range(60):
+        solids = random_obstacles(rng, 6)
+        yaw = float(rng.uniform(-3.0, 3.0))
+        around = Surroundings.of(robot, solids, clearance=0.1)
+        if base_contacts(robot, solids, yaw, margin=-BASE_DEPTH):
+            refused += 1
+            with pytest.raises(InputError, match="deep in the robot's"):
+                around.check_base(yaw)
+        else:
+            around.check_base(yaw)
+    assert refused > 3
+
+
+def test_a_base_without_shape_has_nothing_in_it(tmp_path: Path) -> None:
+    bare = load_variant("upright on a yaw", tmp_path)
+    rock = Sphere(name="rock", center=(0.0, 0.0, 0.2), radius=0.1)
+    Surroundings.of(bare, [rock]).check_base(0.0)

@@ -36,9 +36,6 @@ from hplan.self_contact import part_of_arm
 _CAPSULE, _PAPER, _RECTANGLE = range(len(LINK_MODELS))
 _ALL = np.uint64(0xFFFFFFFFFFFFFFFF)
 
-#: So many rows are asked together which sections are within reach.
-_NEIGHBOURS = 46
-
 #: A joint closer than this to a rounded polygon is in it: bearings of points beside it would be noise [m].
 _TOUCHING = 1e-12
 
@@ -332,30 +329,13 @@ def _fill_link(
     corner = math.hypot(length, half_width)
     reach = corner if model == _RECTANGLE else length
     tail = _ALL >> np.uint64((64 - count) & 63)
-    near, found = np.empty(last_section - first_section, dtype=np.int64), 0
     for r in range(rows.shape[0]):
-        if r % _NEIGHBOURS == 0:
-            # The joints of neighbouring rows stand close together: most sections are out of reach of all of them.
-            low_x, high_x, low_y, high_y = math.inf, -math.inf, math.inf, -math.inf
-            for other in range(r, min(r + _NEIGHBOURS, rows.shape[0])):
-                if alive[other]:
-                    low_x, high_x = min(low_x, px[other]), max(high_x, px[other])
-                    low_y, high_y = min(low_y, py[other]), max(high_y, py[other])
-            found = 0
-            for s in range(first_section, last_section):
-                dx = max(0.0, max(low_x - bounds[s, 0], bounds[s, 0] - high_x))
-                dy = max(0.0, max(low_y - bounds[s, 1], bounds[s, 1] - high_y))
-                limit = reach + bounds[s, 2]
-                if dx * dx + dy * dy <= limit * limit:
-                    near[found] = s
-                    found += 1
         blocked = not alive[r]
         for w in range(words):
             rows[r, w] = np.uint64(0) if blocked else (tail if w == words - 1 else _ALL)
         if blocked:
             continue
-        for n in range(found):
-            s = near[n]
+        for s in range(first_section, last_section):
             dx, dy = bounds[s, 0] - px[r], bounds[s, 1] - py[r]
             limit = reach + bounds[s, 2]
             square = dx * dx + dy * dy

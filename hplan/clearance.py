@@ -212,7 +212,7 @@ def _base_rows(body: BaseBody, clearance: float, offset: int) -> tuple[FloatArra
     """As `_rows`, below the gate that lets the links pass that can touch the body."""
     rows, data = _rows(_base_solid(body), clearance, offset)
     gate = rows[:1].copy()
-    gate[0, 0], gate[0, 6], gate[0, 7], gate[0, 20] = _GATE, body.first_link, body.last_link, 2
+    gate[0, 0], gate[0, 6], gate[0, 7], gate[0, 20] = _GATE, body.links[0], body.links[-1], 2
     rows[:, 20] += 1
     return np.concatenate([gate, rows]), data
 

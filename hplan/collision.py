@@ -149,7 +149,7 @@ class CollisionScene:
             added = self.geometry.addGeometryObject(
                 pin.GeometryObject(name, shape.parentJoint, shape.placement, _filled(shape))
             )
-            for link in range(body.first_link, body.last_link + 1):
+            for link in body.links:
                 add(link, body.carrier, [added], body.name)
         self.obstacle_names += tuple(columns)
 

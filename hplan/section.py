@@ -327,9 +327,9 @@ def _base_sections(robot: Robot, contact: SelfContact, clearance: float) -> ArmS
     if clearance not in known:
         known.clear()
         cut = _cut(robot, bodies_of(contact.bodies, clearance=clearance), 0.0, 0.0, "capsule", within_reach=True)
-        spans = np.array([(body.first_link, body.last_link) for body in contact.bodies])[cut.obstacle_of]
         links = _links_of(cut)
-        known[clearance] = _picked(cut, np.flatnonzero((spans[:, 0] <= links) & (links <= spans[:, 1])), links)
+        wanted = [link in contact.bodies[body].links for link, body in zip(links, cut.obstacle_of, strict=True)]
+        known[clearance] = _picked(cut, np.flatnonzero(wanted), links)
     return known[clearance]
 
 

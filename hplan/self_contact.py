@@ -53,8 +53,7 @@ class BaseBody:
         carrier: `TURRET` or `GROUND`.
         core: (k, 3) points in `base_link` at any yaw whose hull, grown by `rounding`, holds it [m].
         rounding: Radius about the core [m].
-        first_link: The first link that can touch it.
-        last_link: The last one.
+        links: The links that can touch it.
     """
 
     name: str
@@ -62,8 +61,7 @@ class BaseBody:
     carrier: int
     core: FloatArray
     rounding: float
-    first_link: int
-    last_link: int
+    links: tuple[int, ...]
 
     @property
     def loose(self) -> Literal[False]:
@@ -191,7 +189,7 @@ def _bodies(robot: Robot) -> list[BaseBody]:
                 touching.append(link)
         if touching:
             name = str(robot.model.frames[shape.parentFrame].name)
-            found.append(BaseBody(name, number, carrier, core, rounding, touching[0], touching[-1]))
+            found.append(BaseBody(name, number, carrier, core, rounding, tuple(touching)))
     return found
 
 

@@ -71,7 +71,7 @@ class Surroundings:
             solids=tuple(solids),
             clearance=keep,
             growth=growth,
-            field=ClearanceField.of(robot, solids, clearance=keep + growth),
+            field=ClearanceField.of(robot, solids, clearance=keep + growth, own_clearance=keep),
             judge=CollisionScene(robot, solids, growth=growth),
         )
 
@@ -83,7 +83,11 @@ class Surroundings:
     def bodies(self, more: float = 0.0) -> Bodies:
         """The solids made ready for cutting, grown by the clearance to keep and `more` [m]."""
         kept = [number for number, solid in enumerate(self.solids) if solid.name != self.touched]
-        return bodies_of([self.solids[i] for i in kept], clearance=self.clearance + self.growth[kept] + more)
+        return bodies_of(
+            [self.solids[i] for i in kept],
+            clearance=self.clearance + self.growth[kept] + more,
+            own_clearance=self.clearance + more,
+        )
 
     def check_base(self, yaw: float) -> None:
         """Refuse obstacles in which pedestal or turret stand: no motion of the arm changes that.

@@ -210,6 +210,80 @@ def test_without_obstacles(robot):
     assert field.is_clear(np.array([np.zeros(4), np.ones(4)]), 1e9)
 
 
+def crowd(rng):
+    """Solids of all kinds, clouds between others, and a clearance for each."""
+    clouds = [Cloud.of(f"c{i}", rng.uniform([0.3, -0.9, 0.3], [1.7, 0.9, 1.9], (120, 3)), 0.01) for i in range(2)]
+    solids = [*random_obstacles(rng, 6), random_hull(rng, 0), *clouds, random_hull(rng, 1)]
+    solids = [solids[i] for i in rng.permutation(len(solids))]
+    return solids, rng.uniform(0.0, 0.1, len(solids))
+
+
+def test_each_obstacle_grown_by_its_own_clearance(robot):
+    rng = np.random.default_rng(9)
+    for _ in range(4):
+        solids, keep = crowd(rng)
+        field = ClearanceField.of(robot, solids, clearance=keep)
+        alone = [ClearanceField.of(robot, [solid], clearance=each) for solid, each in zip(solids, keep, strict=True)]
+        for q in rng.uniform(robot.lower, robot.upper, (15, 4)):
+            expected = np.min([one.link_clearances(q) for one in alone], axis=0)
+            np.testing.assert_allclose(np.maximum(field.link_clearances(q), 0), np.maximum(expected, 0), atol=1e-9)
+
+
+def test_only_some_of_the_solids(robot):
+    """The field of some is the field made of these alone, clouds and hulls among them."""
+    rng = np.random.default_rng(10)
+    for _ in range(6):
+        solids, keep = crowd(rng)
+        field = ClearanceField.of(robot, solids, clearance=keep)
+        kept = rng.random(len(solids)) < 0.5
+        some = field.only(kept)
+        made = ClearanceField.of(
+            robot, [solid for solid, wanted in zip(solids, kept, strict=True) if wanted], clearance=keep[kept]
+        )
+        assert set(some.owner.tolist()) == set(np.flatnonzero(kept).tolist())
+        for q in rng.uniform(robot.lower, robot.upper, (15, 4)):
+            np.testing.assert_array_equal(some.link_clearances(q), made.link_clearances(q))
+    assert field.only(np.zeros(len(solids), dtype=bool)).clearance(np.zeros(4)) == np.inf
+    np.testing.assert_array_equal(field.only(np.ones(len(solids), dtype=bool)).solids, field.solids)
+    assert not some.solids.flags.writeable
+
+
+def test_near_a_motion_the_field_is_the_whole_one(robot):
+    """Along the motion, wherever something is nearer than the distance asked for."""
+    rng = np.random.default_rng(11)
+    left_out = nearer = 0
+    for distance in (0.05, 0.3):
+        for _ in range(6):
+            solids, keep = crowd(rng)
+            field = ClearanceField.of(robot, solids, clearance=keep)
+            path = np.clip(
+                np.cumsum(np.vstack([rng.uniform(0, 1.2, 4), rng.normal(0, 0.3, (3, 4))]), axis=0), robot.lower, robot.upper
+            )
+            some = field.near(path, distance)
+            left_out += len(field.solids) - len(some.solids)
+            for a, b in itertools.pairwise(path):
+                for t in np.linspace(0.0, 1.0, 25):
+                    q = a + t * (b - a)
+                    whole, part = field.link_clearances(q), some.link_clearances(q)
+                    assert (part >= whole - 1e-12).all()
+                    # Between two looks a link may come nearer by what it moves in half a step.
+                    near = (whole < distance - 0.025 * 7.0 * 0.5) & (whole > 0.0)
+                    np.testing.assert_allclose(part[near], whole[near], atol=1e-12)
+                    nearer += int(near.sum())
+    assert left_out > 100
+    assert nearer > 100
+
+
+def test_near_a_single_configuration(robot):
+    far, close = Sphere(name="far", center=(-1.0, 0, 1.5), radius=0.1), Sphere(name="close", center=(1, 0, 0.8), radius=0.1)
+    field = ClearanceField.of(robot, [far, close])
+    assert field.near(np.zeros((1, 4)), 0.2).owner.tolist() == [1]
+    assert field.near(np.zeros((1, 4)), 5.0).owner.tolist() == [0, 1]
+    assert field.near(np.zeros((1, 4)), 0.01).clearance(np.zeros(4)) == np.inf
+    sweep = np.array([[0.0, 0, 0, 0], [3.0, 0, 0, 0]])
+    assert ClearanceField.of(robot, [Sphere(name="aside", center=(0, 1.5, 0.6), radius=0.1)]).near(sweep, 0.1).owner.size == 1
+
+
 # The kernels
 
 lattice = st.integers(-4, 4).map(lambda i: 0.5 * i)

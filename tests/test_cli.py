@@ -647,7 +647,7 @@ def test_fault_of_our_own_leaves_no_trajectory(tmp_path: Path, monkeypatch: pyte
 def test_live_view_that_does_not_start_is_no_traceback(
     run: Run, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def refuse(*_: object) -> None:
+    def refuse(*_: object, **__: object) -> None:
         raise hplan.HplanError("the meshcat server does not start")
 
     monkeypatch.setattr("hplan.view.page.serve", refuse)

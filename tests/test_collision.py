@@ -12,7 +12,7 @@ import pytest
 from arm_variants import VARIANTS, axis_points, coal_distances, load_variant, random_obstacles
 from shapes import torus
 
-from hplan.collision import CollisionScene, base_contacts, check_clear, sampled_occupancy
+from hplan.collision import CollisionScene, base_contacts, base_radius, check_clear, sampled_occupancy
 from hplan.cspace import joint_grid, occupancy
 from hplan.errors import ConfigurationInCollisionError, OptionError
 from hplan.resources import urdf_dir
@@ -183,6 +183,71 @@ def test_what_stands_in_the_base(robot):
     assert base_contacts(robot, [Cloud.of("far", np.array([[0.0, 0.0, 5.0]]), 0.02)]) == ()
 
 
+# Grown obstacles, and those that may be touched
+
+
+@pytest.mark.parametrize("links", ["capsule", "box", "urdf"])
+def test_growth_of_each_obstacle(robot, links):
+    rng = np.random.default_rng(7)
+    cloud = Cloud.of("cloud", rng.uniform([0.4, -0.6, 0.5], [1.8, 0.6, 1.7], (30, 3)), 0.02)
+    obstacles = [*random_obstacles(rng, 6), cloud]
+    growth = rng.uniform(0.0, 0.1, len(obstacles))
+    plain = CollisionScene(robot, obstacles, links=links)
+    for grown, by in ((CollisionScene(robot, obstacles, links=links, growth=growth), growth),
+                      (CollisionScene(robot, obstacles, links=links, growth=0.05), np.full(len(obstacles), 0.05))):  # fmt: skip
+        configurations = rng.uniform(robot.lower, robot.upper, (60, 4))
+        least = []
+        for q in configurations:
+            np.testing.assert_allclose(grown.distances(q), plain.distances(q) - by, atol=1e-12)
+            least.append(float(grown.distances(q).min()))
+            grown.place(q)
+            one_by_one = [grown.pair_distance(pair) for pair in range(len(grown.pairs))]
+            np.testing.assert_allclose(grown.pair_distances(q), one_by_one, atol=1e-9)
+            assert grown.nearest(q).distance_m == pytest.approx(least[-1])
+        sure = np.abs(least) > 1e-4
+        np.testing.assert_array_equal(grown.in_collision(configurations)[sure], (np.array(least) <= 0.0)[sure])
+
+
+def test_growth_without_obstacles(robot):
+    assert CollisionScene(robot, [], growth=[]).distances(FLAT).shape == (3, 0)
+    assert CollisionScene(robot, [], growth=0.1).nearest(FLAT) is None
+
+
+@pytest.mark.parametrize("links", ["capsule", "urdf"])
+def test_the_last_link_may_touch(robot, links):
+    fruit, other = ball(2.1, 0, 0.6, radius=0.05, name="fruit"), ball(2.0, 0.3, 0.7, name="other")
+    judge = CollisionScene(robot, [fruit, other], links=links, growth=[0.01, 0.0])
+    free = judge.touching("fruit")
+    full, table = judge.distances(FLAT), free.distances(FLAT)
+    assert full[2, 0] < 0.0
+    assert table[2, 0] == np.inf
+    np.testing.assert_array_equal(table[:2], full[:2])
+    np.testing.assert_array_equal(table[:, 1], full[:, 1])
+    assert judge.in_collision([FLAT]).tolist() == [True]
+    assert free.in_collision([FLAT]).tolist() == [False]
+    assert judge.nearest(FLAT).obstacle == "fruit"
+    assert free.nearest(FLAT).obstacle == "other"
+    pairs = free.pair_distances(FLAT)
+    assert np.isinf(pairs).sum() == sum(judge.obstacle_names[o] == "fruit" and k == 2 for k, o in judge.pairs)
+    free.place(FLAT)
+    assert free.pair_distance(int(np.isinf(pairs).argmax())) == np.inf
+    # Of others, and of links before the last, it is still an obstacle.
+    assert free.in_collision([[0.0, 0.0, 0.0, 0.0], [0.15, 0.05, 0.0, 0.0]]).tolist() == [False, True]
+    onto = judge.touching("other").touching("fruit")
+    assert np.isinf(onto.distances(FLAT)[2]).all()
+    assert (judge.touching("nobody").distances(FLAT) == full).all()
+    inside = CollisionScene(robot, [ball(1.4, 0, 0.6, name="fruit")], links=links).touching("fruit")
+    assert inside.in_collision([FLAT]).tolist() == [True]
+    assert inside.nearest(FLAT).link == "forearm"
+
+
+def test_pieces_of_a_mesh_may_be_touched_together(robot):
+    ring = Mesh.of("ring", *torus(n=12), position=(2.1, 0.0, 0.6))
+    free = CollisionScene(robot, ring.solids).touching("ring")
+    assert np.isinf(free.distances(FLAT)[2]).all()
+    assert np.isfinite(free.distances(FLAT)[:2]).all()
+
+
 # Shapes of the links
 
 
@@ -306,6 +371,21 @@ def test_base_contacts(robot):
     near = base_contacts(robot, [far], margin=2.0)
     assert {contact.obstacle for contact in near} == {"far"}
     assert all(0.0 < contact.distance_m <= 2.0 for contact in near)
+
+
+def test_ball_about_the_base(robot):
+    """It holds pedestal and turret at every yaw: nothing beyond it touches them, and it is not far too large."""
+    radius = base_radius(robot)
+    assert 0.6 < radius < 0.75
+    rng = np.random.default_rng(8)
+    for direction in rng.normal(size=(40, 3)):
+        place = (radius + 0.0201) * direction / np.linalg.norm(direction)
+        for yaw in (0.0, 1.0, -2.5):
+            assert base_contacts(robot, [ball(*place, radius=0.02)], yaw) == ()
+
+
+def test_base_without_shapes(tmp_path):
+    assert base_radius(load_variant("upright on a yaw", tmp_path)) == 0.0
 
 
 # Start and goal

@@ -1,4 +1,4 @@
-"""Motions mended: what comes back is clear as coal judges many samples, within the limits, and begins and ends alike."""
+"""Motions mended and ways out of tight places, judged by coal."""
 
 from __future__ import annotations
 
@@ -12,15 +12,101 @@ from hypothesis import strategies as st
 
 from hplan.clearance import ClearanceField
 from hplan.collision import CollisionScene
-from hplan.mend import mended
+from hplan.mend import escapes, mended
 from hplan.robot import Robot, load_robot
 from hplan.scene import Box, Capsule, Sphere
 
+MARGIN = 1e-4
+
+
+def near_the_links(robot: Robot, q: np.ndarray, gap: float) -> list[Sphere | Capsule]:
+    """A ball just below the second link and a bar just above the third."""
+    points = robot.plane_origin + robot.arm.joint_points(q[1:]) @ robot.plane_axes
+    second, third = np.diff(points, axis=0)[1:]
+    up = [np.cross(np.cross(part, [0.0, 0.0, 1.0]), part) for part in (second, third)]
+    up = [direction / np.linalg.norm(direction) for direction in up]
+    widths = robot.arm.half_widths
+    below = points[1] + 0.5 * second - (widths[1] + 0.05 + gap) * up[0]
+    above = points[2] + 0.5 * third + (widths[2] + 0.02 + gap) * up[1]
+    across = np.array([0.0, 0.3, 0.0])
+    return [
+        Sphere(name="below", center=tuple(below), radius=0.05),
+        Capsule(name="above", start=tuple(above - across), end=tuple(above + across), radius=0.02),
+    ]
+
+
+def assert_clear(robot: Robot, obstacles: list[Sphere | Capsule], path: np.ndarray) -> None:
+    judge = CollisionScene(robot, obstacles)
+    for first, last in itertools.pairwise(path):
+        for t in np.linspace(0.0, 1.0, 40):
+            assert judge.distances((1.0 - t) * first + t * last).min() > 0.0
+
+
+@pytest.mark.parametrize("locked", [False, True])
+def test_out_between_obstacles_that_hold_two_links_from_two_sides(robot, locked) -> None:
+    q = np.array([0.0, 0.6, 0.5, 0.4])
+    obstacles = near_the_links(robot, q, 1e-3)
+    field = ClearanceField.of(robot, obstacles)
+    assert (field.link_clearances(q) < 1.5e-3).sum() == 2
+    lower, upper = robot.lower.copy(), robot.upper.copy()
+    if locked:
+        lower[0] = upper[0] = q[0]
+    ways = list(escapes(q, field, lower, upper, MARGIN))
+    assert ways
+    for number, way in enumerate(ways):
+        np.testing.assert_array_equal(way[0], q)
+        assert len(way) == number + 2
+        assert (way >= lower).all()
+        assert (way <= upper).all()
+        assert field.clearance(way[-1]) > field.clearance(way[-2])
+        assert_clear(robot, obstacles, way)
+    assert field.clearance(ways[-1][-1]) >= 0.01
+
+
+def test_no_way_out_is_needed_where_there_is_room(robot) -> None:
+    field = ClearanceField.of(robot, [Sphere(name="far", center=(0.0, 5.0, 5.0), radius=0.1)])
+    assert list(escapes(np.full(4, 0.5), field, robot.lower, robot.upper, MARGIN)) == []
+
+
+def test_a_motion_through_a_ball_is_mended_and_remembered(robot) -> None:
+    """Straight on it is in contact; joint by joint, or pushed aside, it is not."""
+    first, last = np.array([-0.15, 0.3, 0.3, 0.3]), np.array([0.15, 0.32, 0.3, 0.3])
+    middle = 0.5 * (first + last)
+    tip = robot.tool_positions(middle)
+    ball = [Sphere(name="ball", center=tuple(np.add(tip, (0.0, 0.0, 0.05))), radius=0.03)]
+    field = ClearanceField.of(robot, ball)
+    assert not field.is_clear(np.stack([first, last]), MARGIN)
+    known: dict[bytes, np.ndarray | None] = {}
+    path, contacts = mended(np.stack([first, last]), field, robot.lower, robot.upper, MARGIN, known)
+    assert contacts == []
+    np.testing.assert_array_equal(path[[0, -1]], [first, last])
+    assert len(path) > 2
+    assert_clear(robot, ball, path)
+    assert len(known) == 1
+    nothing = ClearanceField.of(robot, [])
+    again, _ = mended(np.stack([first, last]), nothing, robot.lower, robot.upper, MARGIN, known)
+    np.testing.assert_array_equal(again, path)
+    plain, _ = mended(np.stack([first, last]), nothing, robot.lower, robot.upper, MARGIN)
+    np.testing.assert_array_equal(plain, [first, last])
+
+
+def test_what_cannot_be_mended_is_named(robot) -> None:
+    """A wall of a ball between two configurations of the yaw alone."""
+    path = np.array([[-0.5, 0.3, 0.3, 0.3], [-0.4, 0.3, 0.3, 0.3], [0.4, 0.3, 0.3, 0.3]])
+    ball = [Sphere(name="ball", center=tuple(robot.tool_positions(np.array([0.0, 0.3, 0.3, 0.3]))), radius=0.3)]
+    lower, upper = robot.lower.copy(), robot.upper.copy()
+    lower[1:] = upper[1:] = 0.3
+    _, contacts = mended(path, ClearanceField.of(robot, ball), lower, upper, MARGIN)
+    assert contacts == [1]
+
+
+# Whatever is between the nodes
+
 ROBOT = load_robot()
-MARGIN = 1e-3
+FAR = 1e-3
 
 
-def mend(path: Any, solids: Any, robot: Robot = ROBOT, margin: float = MARGIN) -> tuple[np.ndarray, list[int]]:
+def mend(path: Any, solids: Any, robot: Robot = ROBOT, margin: float = FAR) -> tuple[np.ndarray, list[int]]:
     field = ClearanceField.of(robot, solids)
     return mended(np.asarray(path, dtype=float), field, robot.lower, robot.upper, margin)
 
@@ -39,9 +125,9 @@ def assert_mended(robot: Robot, solids: Any, path: np.ndarray, found: np.ndarray
         stretch = found[first : last + 1]
         if number in contacts:
             assert len(stretch) == 2
-            assert not field.is_clear(stretch, MARGIN)
+            assert not field.is_clear(stretch, FAR)
             continue
-        assert field.is_clear(stretch, MARGIN)
+        assert field.is_clear(stretch, FAR)
         for a, b in itertools.pairwise(stretch):
             count = 2 + int(np.abs(b - a).max() / 0.01)
             assert min(judge.distances(q).min() for q in np.linspace(a, b, count)) > 0.0
@@ -66,7 +152,7 @@ def test_joints_one_after_the_other() -> None:
     """Lifting first and turning then passes a low post that the straight motion would hit."""
     low = Capsule(name="low", start=(0.9, 0.25, 0.0), end=(0.9, 0.25, 0.9), radius=0.03)
     path = np.array([[0.0, 0.05, 0.0, 0.0], [0.45, 0.5, 0.0, 0.0]])
-    assert not ClearanceField.of(ROBOT, [low]).is_clear(path, MARGIN)
+    assert not ClearanceField.of(ROBOT, [low]).is_clear(path, FAR)
     found, contacts = mend(path, [low])
     assert contacts == []
     np.testing.assert_array_equal(found, [path[0], [0.0, 0.5, 0.0, 0.0], path[1]])
@@ -78,7 +164,7 @@ def test_pushed_over_an_obstacle() -> None:
     for side in (0.0, 0.35):
         solids = [Sphere(name="ball", center=(1.7 * np.cos(side), 1.7 * np.sin(side), 0.54), radius=0.05)]
         path = np.array([[side - 0.2, 0.0, 0.0, 0.0], [side + 0.2, 0.0, 0.0, 0.0]])
-        assert not ClearanceField.of(ROBOT, solids).is_clear(path, MARGIN)
+        assert not ClearanceField.of(ROBOT, solids).is_clear(path, FAR)
         found, contacts = mend(path, solids)
         assert contacts == []
         assert len(found) > 2
@@ -92,12 +178,12 @@ def test_locked_joints_do_not_move() -> None:
     field = ClearanceField.of(ROBOT, [ball])
     lower, upper = ROBOT.lower.copy(), ROBOT.upper.copy()
     lower[2:] = upper[2:] = 0.0
-    found, contacts = mended(path, field, lower, upper, MARGIN)
+    found, contacts = mended(path, field, lower, upper, FAR)
     assert contacts == []
     assert (found[:, 2:] == 0.0).all()
     assert (found[:, 1] > 0.0).any()
     lower[1:] = upper[1:] = 0.0
-    found, contacts = mended(path, field, lower, upper, MARGIN)
+    found, contacts = mended(path, field, lower, upper, FAR)
     assert contacts == [0]
     np.testing.assert_array_equal(found, path)
 
@@ -119,9 +205,9 @@ def test_same_answer_whatever_is_known() -> None:
     field = ClearanceField.of(ROBOT, solids)
     known: dict[bytes, Any] = {}
     results = [
-        mended(path, field, ROBOT.lower, ROBOT.upper, MARGIN),
-        mended(path, field, ROBOT.lower, ROBOT.upper, MARGIN, known),
-        mended(path, field, ROBOT.lower, ROBOT.upper, MARGIN, known),
+        mended(path, field, ROBOT.lower, ROBOT.upper, FAR),
+        mended(path, field, ROBOT.lower, ROBOT.upper, FAR, known),
+        mended(path, field, ROBOT.lower, ROBOT.upper, FAR, known),
     ]
     for found, contacts in results:
         assert found.tobytes() == results[0][0].tobytes()
@@ -160,7 +246,7 @@ def test_most_motions_that_graze_are_mended(seed: int) -> None:
         ball = Sphere(name="ball", center=tuple(tool.tolist()), radius=float(rng.uniform(0.005, 0.02)))
         field = ClearanceField.of(ROBOT, [ball])
         path = np.stack([first, last])
-        if min(map(field.clearance, path)) < 2.0 * MARGIN or field.is_clear(path, MARGIN):
+        if min(map(field.clearance, path)) < 2.0 * FAR or field.is_clear(path, FAR):
             continue
         seen += 1
         found, contacts = mend(path, [ball])

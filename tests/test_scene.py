@@ -7,6 +7,7 @@ import pinocchio as pin
 import pytest
 from pydantic import ValidationError
 
+from hplan.errors import SceneError
 from hplan.scene import Box, Capsule, Fruit, Goal, Scene, Sphere, Start
 
 
@@ -70,6 +71,47 @@ def test_with_obstacles_is_another_scene():
     assert other == a_scene(fruits=(APPLE,), clearance=0.01, locked_joints=("base_yaw",), obstacles=(BALL,))
     with pytest.raises(ValidationError, match="two obstacles are called 'ball'"):
         scene.with_obstacles([BALL, BALL])
+
+
+def test_solids_with_and_without_the_goal():
+    """The fruit that is the goal is no obstacle, the others are; sigma goes with them."""
+    blurred = PEAR.model_copy(update={"sigma": 0.01})
+    scene = a_scene(goal=Goal(fruit="apple"), fruits=(APPLE, blurred), obstacles=(BALL,))
+    assert [solid.name for solid in scene.solids] == ["ball", "pear"]
+    assert [solid.name for solid in scene.solids_with_goal] == ["ball", "apple", "pear"]
+    assert scene.solids_with_goal[2] == Sphere(name="pear", center=(1.2, 0.0, 1.0), radius=0.05, sigma=0.01)
+    for goal in (Goal(joints_deg=(1.0,)), Goal(position=(1.0, 0.0, 1.0))):
+        other = a_scene(goal=goal, fruits=(APPLE, PEAR), obstacles=(BALL,))
+        assert other.solids == other.solids_with_goal
+        assert len(other.solids) == 3
+
+
+def test_configurations():
+    np.testing.assert_allclose(Start(joints_deg=(90.0, -45.0)).configuration, [np.pi / 2, -np.pi / 4])
+    np.testing.assert_array_equal(Goal(joints_rad=(0.5, 0.25)).configuration, [0.5, 0.25])
+    for goal in (Goal(position=(1.0, 0.0, 1.0)), Goal(fruit="apple")):
+        assert goal.joints() is None
+        with pytest.raises(SceneError, match="expected a goal given by joints") as caught:
+            _ = goal.configuration
+        assert caught.value.where == "goal"
+
+
+@pytest.mark.parametrize("approach", [None, 0, 90.0, -30.5, (0.0, 90.0), (-400.0, 400.0)])
+def test_approach_of_a_point_or_a_fruit(approach):
+    assert Goal(position=(1.0, 0.0, 1.0), approach_deg=approach).approach_deg == approach
+    assert Goal(fruit="apple", approach_deg=approach).approach_deg == approach
+
+
+@pytest.mark.parametrize("approach", [math.nan, math.inf, "90", (0.0,), (0.0, math.nan), (0.0, 1.0, 2.0), True])
+def test_approaches_that_are_none(approach):
+    with pytest.raises(ValidationError):
+        Goal(fruit="apple", approach_deg=approach)
+
+
+@pytest.mark.parametrize("joints", [{"joints_deg": (1.0,)}, {"joints_rad": (1.0,)}])
+def test_joints_leave_no_approach(joints):
+    with pytest.raises(ValidationError, match="approach_deg belongs to a position or a fruit"):
+        Goal(**joints, approach_deg=90.0)
 
 
 def test_nothing_changes_in_place():

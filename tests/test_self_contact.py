@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import replace
 
 import coal
 import numpy as np
 import pinocchio as pin
 import pytest
-from arm_variants import VARIANTS, axis_points, coal_distances, load_variant, random_obstacles
+from arm_variants import axis_points, coal_distances, load_variant, random_obstacles
 
-from hplan.arm_spec import HARVESTER, ArmSpec
+from hplan.arm_spec import ArmSpec
 from hplan.blockage import blockers
 from hplan.certificate import certify
 from hplan.clearance import ClearanceField
@@ -115,14 +114,14 @@ def random_arms(rng, folder, count):
         low, high = -rng.uniform(0.0, 160.0, links), rng.uniform(20.0, 160.0, links)
         lengths = tuple(rng.uniform(0.25, 1.0, links).round(3).tolist())
         widths = tuple(np.sort(rng.uniform(0.02, 0.07, links))[::-1].round(3).tolist())
-        has_yaw, height = bool(rng.random() < 0.7), float(rng.uniform(0.3, 1.2).round(3))
+        has_yaw, height = bool(rng.random() < 0.7), round(float(rng.uniform(0.3, 1.2)), 3)
         yield arm_of(folder, low, high, lengths=lengths, widths=widths, has_yaw=has_yaw, height=height)
 
 
 def named_pairs(robot):
     contact = self_contact(robot)
     links = {(j, i) for i, j in contact.links}
-    bodies = {(k, body.name) for body in contact.bodies for k in range(body.first_link, body.last_link + 1)}
+    bodies = {(k, body.name) for body in contact.bodies for k in body.links}
     return links | bodies
 
 
@@ -151,8 +150,7 @@ def test_pairs_are_those_that_sampling_finds(tmp_path):
                 least[pair] = min(distance, least.get(pair, np.inf))
         touching = {pair for pair, distance in least.items() if distance < 0.0}
         assert touching <= known
-        # What was never near is in no pair: 300 looks miss little.
-        assert not {pair for pair in known if least.get(pair, np.inf) > 0.35}
+        assert all(least[pair] < 0.3 for pair in known)  # 300 looks come near at least
         seen += len(touching)
         apart += len(least) - len(known)
     assert seen > 30
@@ -184,7 +182,7 @@ def test_pedestal_and_turret(wide):
     assert bodies["base_link"].carrier == GROUND
     assert bodies["turret"].carrier == TURRET
     # The first link is the turret's neighbour; the tip of the second cannot come back to it.
-    assert (bodies["base_link"].first_link, bodies["turret"].first_link) == (0, 2)
+    assert (bodies["base_link"].links[0], bodies["turret"].links) == (0, (2,))
 
 
 def test_distances_from_polygons():
@@ -249,9 +247,7 @@ def test_cspace_with_obstacles_is_the_union(wide):
     obstacles = random_obstacles(rng)
     judge = CollisionScene(wide, obstacles)
     for yaw, half_angle in ((0.4, 0.0), (-1.0, 0.02)):
-        ours = occupancy(
-            wide.arm, sections_at(wide, bodies_of(obstacles), yaw, half_angle=half_angle), grid
-        ).occupied
+        ours = occupancy(wide.arm, sections_at(wide, bodies_of(obstacles), yaw, half_angle=half_angle), grid).occupied
         theirs = sampled_occupancy(judge, grid, yaw)
         wrong = np.argwhere(theirs & ~ours)
         assert all(judge.distances([yaw, *grid.coordinates(node)]).min() > -TOUCH for node in wrong)
@@ -298,7 +294,7 @@ def test_distances_from_what_carries_the_arm(tmp_path):
             for i, j in contact.links:
                 lower[j] = min(lower[j], 0.5 * (distances[j, i] - 0.01))
             for body in contact.bodies:
-                for link in range(body.first_link, body.last_link + 1):
+                for link in body.links:
                     lower[link] = min(lower[link], distances[link, body.name] - 0.01)
             found = field.link_clearances(q)
             # Nothing nearer than coal says is missed, and little is made up.
@@ -313,7 +309,7 @@ def test_distances_from_what_carries_the_arm(tmp_path):
 def test_near_and_only_keep_the_arm_itself(wide):
     obstacles = random_obstacles(np.random.default_rng(2))
     field = ClearanceField.of(wide, obstacles)
-    folded = np.radians([0.0, 20.0, 140.0, 140.0])
+    folded = np.radians([0.0, 20.0, 150.0, 120.0])
     alone = ClearanceField.of(wide, []).link_clearances(folded)
     assert alone.min() < 0.0
     none = field.only(np.zeros(len(obstacles), dtype=bool))
@@ -366,7 +362,7 @@ def test_judge_against_coal(tmp_path):
             assert touching == (table.min() <= 0.0)
             contacts += int(table[:, 1:].min(initial=np.inf) < 0.0)
             nearest = judge.nearest(q)
-            assert nearest.distance_m == table.min()
+            assert nearest.distance_m == pytest.approx(table.min(), abs=1e-9)
     assert contacts > 20
 
 
@@ -424,7 +420,6 @@ def quintic(robot, start, end, duration=6.0, count=401):
         velocity=ds / duration * turn,
         acceleration=dds / duration**2 * turn,
         torque=np.zeros((count, robot.dof)),
-        tool=robot.tool_positions(start + s * turn),
     )
 
 
@@ -473,7 +468,7 @@ def test_certificates_are_as_dense_sampling_says(tmp_path):
 
 
 def test_a_fold_is_refused_and_named(wide):
-    start, end = np.zeros(4), np.radians([0.0, 0.0, 140.0, 140.0])
+    start, end = np.zeros(4), np.radians([0.0, 60.0, 150.0, 120.0])
     certificate = certify(wide, bare(), quintic(wide, start, end))
     assert not certificate.verified
     (violation,) = [violation for violation in certificate.violations if "comes to" in violation]
@@ -493,7 +488,7 @@ def test_a_fold_is_refused_and_named(wide):
 
 
 def test_folded_start_is_refused_by_name(wide):
-    scene = bare(start=(0.0, 20.0, 140.0, 140.0), locked_joints=("base_yaw",))
+    scene = bare(start=(0.0, 20.0, 150.0, 120.0), locked_joints=("base_yaw",))
     with pytest.raises(ConfigurationInCollisionError, match="mm deep in link 'upper_arm'") as caught:
         plan(wide, scene)
     assert caught.value.link == "hand"
@@ -507,12 +502,11 @@ def test_an_arm_unfolds(wide, locked):
     # The hand has to pass from one side of the upper arm to the other; straight through it would be shorter.
     start, goal = (0.0, 60.0, 146.0, 100.0), (0.0 if locked else 20.0, 60.0, -146.0, -100.0)
     scene = bare(start=start, goal=goal, locked_joints=locked)
-    straight = quintic(wide, np.radians(start), np.radians(goal))
     truth = Truth(wide)
+    assert min(truth.clearance(q) for q in np.linspace(np.radians(start), np.radians(goal), 100)) < -0.01
     result = plan(wide, scene, PlanOptions(step_deg=6.0))
     assert result.certificate.verified
     assert min(truth.clearance(q) for q in result.trajectory.position[::5]) > 0.0
-    del straight
 
 
 def test_blockers_name_links(wide):
@@ -521,11 +515,3 @@ def test_blockers_name_links(wide):
     space = occupancy(wide.arm, sections, grid)
     found = blockers(wide.arm, sections, grid, ~space.occupied)
     assert ("hand", "upper_arm") in {(item["link"], item["obstacle"]) for item in found}
-
-
-def test_variants_without_what_carries_them(tmp_path):
-    # No collision geometry but the links'.
-    for name in VARIANTS:
-        robot = load_variant(name, tmp_path, touches_itself=True)
-        assert self_contact(robot).bodies == ()
-    assert replace(HARVESTER).has_yaw

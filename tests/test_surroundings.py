@@ -9,6 +9,7 @@ import pytest
 from arm_variants import load_variant, random_obstacles
 from planned import post
 
+from hplan.clearance import ClearanceField
 from hplan.collision import CollisionScene, base_contacts
 from hplan.errors import InputError
 from hplan.robot import Robot
@@ -53,6 +54,26 @@ def test_without_solids(robot: Robot) -> None:
     assert around.bodies().names == ()
     around.check_base(0.0)
     assert around.touching("none").bodies().names == ()
+
+
+def test_the_arm_keeps_the_clearance_from_itself_too(tmp_path: Path) -> None:
+    """With and without obstacles, and whatever their uncertainty."""
+    bendy = load_variant("upright on a yaw", tmp_path)
+    rng = np.random.default_rng(3)
+    far = Sphere(name="far", center=(0.0, 0.0, 9.0), radius=0.1, sigma=0.05)
+    plain, seen = ClearanceField.of(bendy, []), 0
+    for solids in ([], [far]):
+        around = Surroundings.of(bendy, solids, clearance=0.03, tracking_error=0.001, sigmas=3.0)
+        assert around.bodies(0.002).own_clearance == pytest.approx(around.clearance + 0.002)
+        for q in rng.uniform(bendy.lower, bendy.upper, (60, bendy.dof)):
+            before, after = plain.clearance(q), around.field.clearance(q)
+            if before < 0.5:
+                seen += 1
+                assert after < before
+                assert after == pytest.approx(
+                    ClearanceField.of(bendy, [], own_clearance=around.clearance).clearance(q), abs=1e-12
+                )
+    assert seen > 20
 
 
 def test_the_last_link_alone_may_touch(robot: Robot) -> None:

@@ -4,13 +4,14 @@ import csv
 import math
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from hplan.errors import InputError, OutputError
-from hplan.trajectory import Trajectory, csv_header, read_csv, write_csv
+from hplan.trajectory import JOINED, Trajectory, csv_header, joined, read_csv, write_csv
 
 HEADER = "time_s,a_pos_rad,a_vel_rad_s,a_acc_rad_s2,a_torque_nm"
 FIELDS = ("time", "position", "velocity", "acceleration", "torque")
@@ -73,6 +74,89 @@ def test_bad_values_name_the_quantity(field):
         Trajectory(("a",), time, **{**good, field: np.zeros((2, 2))})
     with pytest.raises(InputError, match=f"{field} holds a value that is not finite"):
         Trajectory(("a",), time, **{**good, field: np.array([[0.0], [np.nan]])})
+
+
+# Backwards, and one after the other
+
+
+def ending_at_rest(samples: int, begin: float, end: float, names: tuple[str, ...] = ("a", "b")) -> Trajectory:
+    """A motion of all joints from one value to another."""
+    share = np.linspace(0.0, 1.0, samples)[:, None] if samples > 1 else np.zeros((1, 1))
+    position = np.repeat(begin + (end - begin) * share, len(names), axis=1)
+    velocity = np.repeat((end - begin) * share * (1.0 - share), len(names), axis=1)
+    more = np.random.default_rng(samples).normal(size=(2, samples, len(names)))
+    return Trajectory(names, np.linspace(0.0, 0.4 * (samples - 1), samples), position, velocity, *more)
+
+
+def test_backwards():
+    trajectory = some_trajectory(7)
+    back = trajectory.reversed
+    assert back.duration == trajectory.duration
+    np.testing.assert_allclose(back.time, trajectory.duration - trajectory.time[::-1], atol=1e-15)
+    np.testing.assert_array_equal(back.position, trajectory.position[::-1])
+    np.testing.assert_array_equal(back.velocity, -trajectory.velocity[::-1])
+    np.testing.assert_array_equal(back.acceleration, trajectory.acceleration[::-1])
+    np.testing.assert_array_equal(back.torque, trajectory.torque[::-1])
+    twice = back.reversed
+    np.testing.assert_allclose(twice.time, trajectory.time, atol=1e-15)
+    for field in FIELDS[1:]:
+        np.testing.assert_array_equal(getattr(twice, field), getattr(trajectory, field))
+    assert some_trajectory(1).reversed.samples == 1
+
+
+def test_backwards_is_a_motion(robot):
+    """Velocity and acceleration are those of the positions, torque that of inverse dynamics."""
+    time = np.linspace(0.0, 1.0, 201)
+    rate, there = 0.5 * np.pi, np.array([0.5, 0.8, 0.4, 1.0])
+    position = there * (1.0 - np.cos(rate * time))[:, None]
+    velocity, acceleration = there * rate * np.sin(rate * time)[:, None], there * rate**2 * np.cos(rate * time)[:, None]
+    rows = zip(position, velocity, acceleration, strict=True)
+    torque = np.array([pin.rnea(robot.model, robot.model.createData(), *row) for row in rows])
+    back = Trajectory(robot.joint_names, time, position, velocity, acceleration, torque).reversed
+    np.testing.assert_allclose(np.gradient(back.position, back.time, axis=0)[2:-2], back.velocity[2:-2], atol=1e-3)
+    np.testing.assert_allclose(np.gradient(back.velocity, back.time, axis=0)[2:-2], back.acceleration[2:-2], atol=1e-3)
+    for k in range(0, 201, 20):
+        row = (back.position[k], back.velocity[k], back.acceleration[k])
+        np.testing.assert_allclose(
+            pin.rnea(robot.model, robot.model.createData(), *row), back.torque[k], atol=1e-9
+        )
+
+
+def test_one_after_the_other():
+    parts = [ending_at_rest(5, 0.0, 1.0), ending_at_rest(1, 1.0, 1.0), ending_at_rest(4, 1.0, -0.5), ending_at_rest(3, -0.5, 0)]
+    whole = joined(parts)
+    assert whole.samples == 5 + 0 + 3 + 2
+    assert whole.duration == pytest.approx(sum(part.duration for part in parts))
+    assert (np.diff(whole.time) > 0.0).all()
+    np.testing.assert_array_equal(whole.position[:5], parts[0].position)
+    for field in FIELDS[1:]:
+        np.testing.assert_array_equal(getattr(whole, field)[5:8], getattr(parts[2], field)[1:])
+        np.testing.assert_array_equal(getattr(whole, field)[8:], getattr(parts[3], field)[1:])
+    np.testing.assert_allclose(whole.time[5:8], 1.6 + parts[2].time[1:])
+    assert_equal(joined(parts[:1]), parts[0])
+    assert joined([ending_at_rest(1, 1.0, 1.0)] * 3).samples == 1
+
+
+def test_there_and_back():
+    there = ending_at_rest(6, 0.2, 0.9)
+    whole = joined([there, there.reversed])
+    np.testing.assert_allclose(whole.position, whole.position[::-1], atol=1e-15)
+
+
+def test_what_does_not_go_on_is_not_joined():
+    first = ending_at_rest(5, 0.0, 1.0)
+    with pytest.raises(InputError, match="no motion"):
+        joined([])
+    with pytest.raises(InputError, match="motion 1 moves other joints"):
+        joined([first, ending_at_rest(5, 1.0, 2.0, ("b", "a"))])
+    for gap in (0.1, -2.0 * JOINED):
+        with pytest.raises(InputError, match="motion 2 does not go on where the one before it ends") as caught:
+            joined([first, first.reversed, ending_at_rest(5, gap, 2.0)])
+        assert caught.value.data["motion"] == 2
+    joined([first, first.reversed, ending_at_rest(5, 0.5 * JOINED, 2.0)])
+    moving = Trajectory(first.joint_names, first.time, first.position + 1.0, first.velocity + 0.1, *np.zeros((2, 5, 2)))
+    with pytest.raises(InputError, match="does not go on"):
+        joined([first, moving])
 
 
 # CSV

@@ -6,7 +6,8 @@ two-level problems themselves: the paper's layering applied once more.
 Where the union of the slices between start and goal does not join the two, all slices of the grid are tried (the way
 may lead beyond). Where that fails too, the whole grid is flooded: if start and goal are connected, the dense search
 finds the path; if they are not, there is none. With four axes and more, where there would be too many slices to try, a
-column is looked for first, then two wavefronts settle it.
+column is looked for first, then two wavefronts settle it. There a path found in one slice also serves all others in
+which it is free; only slices left over are searched.
 """
 
 from __future__ import annotations

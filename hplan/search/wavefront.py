@@ -101,7 +101,8 @@ def _meet(
     """Grow both fronts, line by line, until they meet or one is enclosed; fills `seen` and `planes`.
 
     A line is settled where some neighbouring line had news at the level before, and only along the rows beside these.
-    The front of a level is its plane: what is older there has no unseen neighbours.
+    The front of a level is its plane: what is older there has no unseen neighbours. Words are taken from
+    flat arrays by unsigned indices: these cannot be negative, and so the loops can take several words at once.
 
     Returns:
         Row and bit where they met (-1 where they did not), the side that is enclosed, the levels of both sides, and
@@ -110,7 +111,7 @@ def _meet(
     lines, length = free.shape
     rows = length // words
     one, top, zero, lowest = np.uint64(1), np.uint64(63), np.uint64(0), np.uintp(1)
-    inner = np.ones(length, dtype=np.uint64)
+    inner = np.ones(length, dtype=np.uint64)  # 1 for words whose lower neighbour is of the same row
     for k in range(0, length, words):
         inner[k] = zero
     along, fresh = np.zeros(length, dtype=np.uint64), np.zeros(length, dtype=np.uint64)
@@ -125,10 +126,10 @@ def _meet(
     wanted = np.empty(lines, dtype=np.int32)
     sizes, levels, news = np.zeros(2, dtype=np.int64), np.zeros(2, dtype=np.int64), np.zeros(2, dtype=np.int64)
     flooded, steps = 0, 0
-    for end in range(len(end_rows)):
-        side = 0 if end < starts else 1
-        line, k = end_rows[end] // rows, (end_rows[end] % rows) * words + (end_bits[end] >> 6)
-        mask = one << np.uint64(end_bits[end] & 63)
+    for number in range(len(end_rows)):
+        side = 0 if number < starts else 1
+        line, k = end_rows[number] // rows, (end_rows[number] % rows) * words + (end_bits[number] >> 6)
+        mask = one << np.uint64(end_bits[number] & 63)
         if not is_active[side, line]:
             is_active[side, line] = True
             lows[side, line], highs[side, line] = length, 0
@@ -139,7 +140,7 @@ def _meet(
         seen[side, line, k] |= mask
         planes[side, 0, line, k] |= mask
         if side == 1 and seen[0, line, k] & mask:
-            return end_rows[end], end_bits[end], -1, levels, news[0] + news[1]
+            return end_rows[number], end_bits[number], -1, levels, news[0] + news[1]
     flooded = news[0] + news[1]
     while news[0] > 0 and news[1] > 0:
         side = 0 if news[0] <= news[1] else 1
@@ -148,7 +149,8 @@ def _meet(
         count = 0
         for i in range(sizes[side]):
             line = active[side, i]
-            # Whole rows, and one more row on either side.
+            # The nodes of whole rows and their neighbours in the same line: first along the rows, then across them, one
+            # more row on either side.
             low = (lows[side, line] // words - 1) * words
             high = ((highs[side, line] - 1) // words + 2) * words
             lows[side, line], highs[side, line] = low, high
@@ -189,6 +191,7 @@ def _meet(
                 left[side, line] = nodes
                 if nodes == 0:
                     continue
+            # Gather what comes from the neighbouring lines.
             low, high = length, 0
             for offset in beside:
                 if is_active[side, line + offset]:

@@ -70,7 +70,7 @@ class YawSection:
                 towards = np.array([math.cos(a) * math.cos(e), math.sin(a) * math.cos(e), math.sin(e)])
                 behind = float(weights @ hidden(self.field, nodes, towards) / weights.sum())
                 across = size - np.outer(size @ towards, towards)
-                cost = behind - 0.5 * float(np.sqrt(np.square(across).sum(axis=1)).max())
+                cost = behind - 0.2 * float(np.sqrt(np.square(across).sum(axis=1)).max())
                 if cost < best:
                     best, chosen = cost, (float(azimuth), float(elevation))
         return chosen

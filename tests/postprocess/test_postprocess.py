@@ -14,6 +14,7 @@ from hplan.errors import CertificationError, InputError
 from hplan.path import Limits
 from hplan.options import PlanOptions
 from hplan.pipeline import plan
+from hplan.postprocess import path as postprocess_path
 from hplan.postprocess import OBJECTIVES, PostprocessOptions, SplinePath, fast_path, path_length, shorten, smooth
 from hplan.postprocess.clear import clear_spline, tighten
 from hplan.postprocess.fast import hasten
@@ -397,3 +398,56 @@ def test_random_clear_paths(robot, options, objective):
         found = fast_path(path, field, replace(options, objective=objective))
         assert_kept(robot, judge, found, path[0], path[-1])
         assert_same(found, fast_path(path, field, replace(options, objective=objective)))
+
+
+# Straight motions, and what is far away
+
+
+def test_clear_straight_motion_stays_straight(robot, options):
+    """Where one joint takes longest anyway, the straight line is as fast as any: no search, whatever way led there."""
+    free = replace(options, movable=np.arange(4))
+    field = ClearanceField.of(robot, [Sphere(name="far", center=(-1.5, 0.0, 1.0), radius=0.1)])
+    start, end = np.array([0.0, 0.4, 0.3, 0.2]), np.array([1.0, 0.7, 0.3, 0.3])
+    detour = np.array([start, [0.4, 0.9, 0.3, 0.2], end])
+    for path in (np.array([start, end]), detour):
+        found = fast_path(path, field, free)
+        np.testing.assert_allclose(found.evaluate([0.0, 0.5 * found.end, found.end]), [start, 0.5 * (start + end), end])
+        assert found.length == pytest.approx(np.linalg.norm(end - start))
+
+
+def test_straight_motion_in_contact_is_not_taken(robot, options):
+    free = replace(options, movable=np.arange(4))
+    ball = Sphere(name="ball", center=(1.7 * np.cos(0.5), 1.7 * np.sin(0.5), 1.25), radius=0.05)
+    field, judge = ClearanceField.of(robot, [ball]), CollisionScene(robot, [ball])
+    start, end = np.array([0.0, 0.4, 0.0, 0.2]), np.array([1.0, 0.4, 0.0, 0.2])
+    assert not field.is_clear(np.array([start, end]), MARGIN)
+    path = np.array([start, [0.0, 0.9, 0.0, 0.2], [1.0, 0.9, 0.0, 0.2], end])
+    found = fast_path(path, field, free)
+    samples = samples_of(found)
+    assert min(judge.distances(q).min() for q in samples) > 0.0
+    assert samples[:, 1].max() > 0.42
+
+
+@pytest.mark.parametrize("objective", OBJECTIVES)
+def test_far_obstacles_change_nothing(robot, grid_path, scene, options, objective):
+    """Many of them, beyond where the optimisers look: the path is that without them."""
+    rng = np.random.default_rng(12)
+    far = [Sphere(name=f"f{i}", center=(*rng.uniform(-6, -4, 2), rng.uniform(0, 3)), radius=0.1) for i in range(30)]
+    aim = replace(options, objective=objective)
+    alone = fast_path(grid_path, ClearanceField.of(robot, scene.solids), aim)
+    among = fast_path(grid_path, ClearanceField.of(robot, [*far, *scene.solids]), aim)
+    assert_same(alone, among)
+
+
+def test_what_the_optimisers_left_out_is_not_touched(robot, options, monkeypatch):
+    """With next to nothing in sight the proof still has everything, and the search is repeated with all of it."""
+    monkeypatch.setattr(postprocess_path, "NEAR", 1e-6)
+    ball = Sphere(name="ball", center=(1.0, 0.0, 1.9), radius=0.15)
+    field, judge = ClearanceField.of(robot, [ball]), CollisionScene(robot, [ball])
+    path = np.radians([[0, 0, 0, 0], [0, 0, 90, 70], [0, 45, 90, 90], [0, 45, 60, 70]])
+    if not field.is_clear(path, 1e-4):
+        path = np.radians([[0, 0, 0, 0], [0, 0, 0, 90], [0, 0, 90, 90], [0, 45, 90, 90], [0, 45, 60, 70]])
+    assert field.is_clear(path, 1e-4)
+    assert field.near(path, 1e-6).clearance(path[0]) == np.inf
+    found = fast_path(path, field, options)
+    assert_kept(robot, judge, found, path[0], path[-1])

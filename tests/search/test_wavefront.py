@@ -74,13 +74,24 @@ def test_small_masks(shape: tuple[int, ...], density: float, seed: int) -> None:
     check(free, start, goal)
 
 
-@pytest.mark.parametrize("length", [63, 64, 65, 129])
+@pytest.mark.parametrize("length", [63, 64, 65, 128, 129])
 def test_word_boundaries(length: int) -> None:
     rng = np.random.default_rng(length)
     free = rng.random((3, 3, 3, length)) >= 0.5
     start, goal = np.array([1, 1, 1, 0]), np.array([2, 0, 1, length - 1])
     free[tuple(start)] = free[tuple(goal)] = True
     check(free, start, goal)
+
+
+@pytest.mark.parametrize("length", [64, 128])
+def test_the_last_node_of_a_row_is_no_neighbour_of_the_first_of_the_next(length: int) -> None:
+    """Neither upwards nor downwards, though their words stand side by side."""
+    for rows in ((1, 2), (2, 1)):
+        free = np.zeros((3, 4, length), dtype=bool)
+        last, first = np.array([1, rows[0], length - 1]), np.array([1, rows[1], 0])
+        free[tuple(last)] = free[tuple(first)] = True
+        check(free, last, first)
+        check(free, first, last)
 
 
 def test_a_node_to_itself() -> None:

@@ -123,6 +123,8 @@ class CollisionScene:
         #: What each of the last of `pairs` is near to: a link, `self_contact.TURRET` or `self_contact.GROUND`.
         self.own_others: list[int] = []
         self._add_own_pairs([len(of_link) for of_link in shapes])
+        # The same for all pairs; parts of the arm do not grow.
+        self._taken_off: FloatArray = np.append(self._beyond, np.zeros(len(self.own_others)))
         self.data = robot.model.createData()
         self.geometry_data = self.geometry.createData()
         # They stay where they are; taking one out anew costs more than what it says.
@@ -159,6 +161,8 @@ class CollisionScene:
         other._beyond = self._beyond.copy()
         named = [obstacle == name for obstacle in self.obstacle_names[: self.own_first]]
         other._beyond[self._first_shape[-1] :, named] = -np.inf
+        other._taken_off = self._taken_off.copy()
+        other._taken_off[: self._beyond.size] = other._beyond.ravel()
         return other
 
     def distances(self, q: ArrayLike) -> FloatArray:
@@ -167,7 +171,7 @@ class CollisionScene:
         Infinite where a link cannot touch that part of the arm.
         """
         found = self.pair_distances(q)
-        table = found[: self._beyond.size].reshape(self._beyond.shape)
+        table = (found[: self._beyond.size] if self.own_others else found).reshape(self._beyond.shape)
         if self._shape_count != len(self.link_names):
             table = np.minimum.reduceat(table, self._first_shape)
         if not self.own_others:
@@ -184,7 +188,7 @@ class CollisionScene:
             self.robot.model, self.data, self.geometry, self.geometry_data, np.asarray(q, dtype=np.float64)
         )
         found = np.array([result.min_distance for result in self._results], dtype=np.float64)
-        found[: self._beyond.size] -= self._beyond.ravel()
+        found -= self._taken_off
         return found
 
     def place(self, q: FloatArray) -> None:
@@ -194,7 +198,7 @@ class CollisionScene:
     def pair_distance(self, pair: int) -> float:
         """Signed distance of one of the `pairs` where the links were last placed [m]."""
         distance = pin.computeDistance(self.geometry, self.geometry_data, pair).min_distance
-        return float(distance - self._beyond.flat[pair]) if pair < self._beyond.size else float(distance)
+        return float(distance - self._taken_off[pair])
 
     def contact(self, link: int, obstacle: int, distance: float) -> Contact:
         """A distance between a link and what has a place in `obstacle_names`, by name."""
@@ -222,7 +226,7 @@ class CollisionScene:
             return np.zeros(q.shape[1], dtype=np.bool_)
         pool = pin.GeometryPool(self.robot.model, self.geometry, 1)
         requests = pool.getGeometryDatas()[0].collisionRequests
-        for request, beyond in zip(requests, [*self._beyond.flat, *([0.0] * len(self.own_others))], strict=True):
+        for request, beyond in zip(requests, self._taken_off, strict=True):
             # Of trees coal knows no negative margin.
             request.security_margin = max(0.0, margin + beyond) if beyond > 0.0 else float(margin + beyond)
             # Asked for yes or no alone, coal 3.0 misses deep collisions of boxes, cylinders and hulls where one shape

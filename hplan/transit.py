@@ -218,10 +218,15 @@ def _first_turning(
     closed: dict[tuple[int, float], tuple[float, EnclosedError]] = {}
     slow: tuple[int, Motion] | None = None
     for coarser, beyond_deg, growth, thick in rungs:
+        failed: list[FloatArray] = []  # goals tried on this grid
         for number, attempt in enumerate(attempts):
             before = closed.get((number, coarser))
             if before is not None and not (before[1].open_ended and beyond_deg > before[0]):
                 continue
+            goal, near = attempt.task.problem.goal, math.radians(2.0 * coarser * attempt.task.options.step_deg)
+            if coarser > 1.0 and any(np.abs(goal - other).max() < near for other in failed):
+                continue  # most likely in the same pocket; finer grids leave none out
+            failed.append(goal)
             rung = Rung(coarser * attempt.task.options.step_deg, attempt.grown(growth), math.radians(beyond_deg), thick)
             try:
                 motion = attempt.on_grid(rung)

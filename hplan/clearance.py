@@ -122,6 +122,30 @@ class ClearanceField:
         """
         return self._of_rows(np.append(kept, True)[self.owner])
 
+    def sparing(self, touched: BoolArray) -> ClearanceField:
+        """The field where the last link may touch some of the solids.
+
+        Args:
+            touched: (solids,) which of them.
+        """
+        if len(self.chain) < 2:
+            return self.only(~touched)
+        rows = np.append(touched, False)[self.owner]
+        first = rows & (np.concatenate([[-2], self.owner[:-1]]) != self.owner)  # where a gate comes before the row
+        before = np.concatenate([[0], np.cumsum(first)])
+        solids = np.insert(self.solids, np.flatnonzero(first), 0.0, axis=0)
+        moved = np.arange(len(rows)) + before[1:]
+        solids[moved, 20] = self.solids[:, 20] + before[self.solids[:, 20].astype(np.int64)]
+        ends = np.append(np.flatnonzero(first)[1:], len(rows))
+        for start, end in zip(np.flatnonzero(first).tolist(), ends.tolist(), strict=True):
+            last = start + int(np.count_nonzero(self.owner[start:end] == self.owner[start]))
+            gate = solids[start + before[start]]
+            gate[:] = self.solids[start]
+            gate[0], gate[6], gate[7] = _GATE, 0, len(self.chain) - 2
+            gate[20] = last + before[last]
+        owner = np.insert(self.owner, np.flatnonzero(first), self.owner[first])
+        return replace(self, solids=frozen(solids), owner=frozen(owner))
+
     def near(self, path: ArrayLike, distance: float) -> ClearanceField:
         """The field of what is near a motion: for optimisers, who prove in the end with the whole one.
 

@@ -76,9 +76,9 @@ class Surroundings:
         )
 
     def touching(self, name: str) -> Surroundings:
-        """The same where the last link may touch the solids of a name; field and bodies do not know them at all."""
-        near = np.array([solid.name != name for solid in self.solids], dtype=np.bool_)
-        return replace(self, field=self.field.only(near), judge=self.judge.touching(name), touched=name)
+        """The same where the last link may touch the solids of a name; bodies for cutting do not know them at all."""
+        touched = np.array([solid.name == name for solid in self.solids], dtype=np.bool_)
+        return replace(self, field=self.field.sparing(touched), judge=self.judge.touching(name), touched=name)
 
     def bodies(self, more: float = 0.0) -> Bodies:
         """The solids made ready for cutting, grown by the clearance to keep and `more` [m]."""

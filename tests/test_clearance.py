@@ -493,3 +493,21 @@ def test_motion_that_is_not_a_number_is_not_clear(robot, scene, joint):
     path = np.radians([[0.0, 0, 0, 0], [0, 10, 0, 0]])
     path[1, joint] = np.nan
     assert not ClearanceField.of(robot, scene.solids).is_clear(path, 1e-3)
+
+
+def test_the_last_link_may_touch_some(robot):
+    """As a field for each link: the last one's does not know what it may touch, those of the others do."""
+    rng = np.random.default_rng(5)
+    for _ in range(6):
+        cloud = Cloud.of("cloud", rng.uniform([0.6, -0.5, 0.5], [1.6, 0.5, 1.5], (200, 3)), 0.01)
+        solids = [*random_obstacles(rng, 2), cloud, random_hull(rng, 0)]
+        solids = [solids[i] for i in rng.permutation(len(solids))]
+        touched = rng.random(len(solids)) < 0.4
+        field = ClearanceField.of(robot, solids, clearance=0.01)
+        spared, without = field.sparing(touched), field.only(~touched)
+        near = spared.near(rng.uniform(robot.lower, robot.upper, (4, 4)), 10.0)
+        for q in rng.uniform(robot.lower, robot.upper, (30, 4)):
+            expected = np.append(field.link_clearances(q)[:-1], without.link_clearances(q)[-1])
+            np.testing.assert_array_equal(spared.link_clearances(q), expected)
+            np.testing.assert_array_equal(near.link_clearances(q), expected)
+            np.testing.assert_array_equal(spared.only(~touched).link_clearances(q), without.link_clearances(q))

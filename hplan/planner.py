@@ -92,9 +92,7 @@ class Planner:
         Raises:
             InputError: There is one of that name, or it is no obstacle.
         """
-        if not isinstance(obstacle, _KINDS):
-            kinds = ", ".join(kind.__name__ for kind in _KINDS)
-            raise InputError(f"expected one of {kinds}, got {type(obstacle).__name__} {obstacle!r}")
+        _check_kind(obstacle)
         if obstacle.name in self._names():
             raise InputError(f"there is an obstacle {obstacle.name!r} already; names must differ", name=obstacle.name)
         self._change((*self.scene.obstacles, obstacle))
@@ -144,6 +142,13 @@ class Planner:
 _Model = TypeVar("_Model", bound=BaseModel)
 _KINDS = (Sphere, Capsule, Box, Mesh, PointCloud)
 _VECTOR: TypeAdapter[Vector] = TypeAdapter(Vector, config=ConfigDict(allow_inf_nan=False, strict=True))
+
+
+def _check_kind(item: object) -> None:
+    """Refuse what is no obstacle."""
+    if not isinstance(item, _KINDS):
+        kinds = ", ".join(kind.__name__ for kind in _KINDS)
+        raise InputError(f"expected one of {kinds}, got {type(item).__name__} {item!r}")
 
 
 def _changed(item: _Model, changes: Mapping[str, Any]) -> _Model:

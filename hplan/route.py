@@ -245,7 +245,8 @@ def _planar_search(
                     return search, search.path
         if int(reached.sum()) > most[0]:
             most = (int(reached.sum()), reached)
-    raise _no_path(task.robot, sections, space.grid, most[1], f"the start reaches {most[0]} of {space.grid.size} nodes")
+    what = f"the start reaches {most[0]} of {space.grid.size} nodes, not the goal"
+    raise _no_path(task.robot, sections, space.grid, most[1], what)
 
 
 def _turning_route(task: Task, rung: Rung, margin: float) -> Route:
@@ -381,7 +382,8 @@ class EnclosedError(NoPathError):
         explain: Callable[[str], NoPathError],
     ) -> None:
         """Store what is known at once; `explain` makes the whole error from the sentence."""
-        self._what = f"the {which} is connected to {reached_cells} of {size} nodes"
+        other = "goal" if which == "start" else "start"
+        self._what = f"the {which} is connected to {reached_cells} of {size} nodes, and the {other} is not among them"
         super().__init__(f"no path exists on the grid: {self._what}", reached_cells=reached_cells)
         self.open_ended = open_ended
         self._explain = explain
@@ -423,7 +425,7 @@ def _enclosed(task: Task, rung: Rung, space: Occupancy, lattice: Lattice, fronts
 def _no_path(robot: Robot, sections: ArmSections, grid: Grid, reached: BoolArray, what: str) -> NoPathError:
     """The error that says what bounds a region."""
     walls = blockers(robot.arm, sections, grid, reached)
-    message = f"no path exists on the grid: {what}, not the other end"
+    message = f"no path exists on the grid: {what}"
     if walls:
         first = walls[0]
         low, high = first["slices_deg"]

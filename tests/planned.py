@@ -21,9 +21,7 @@ Obstacles = Sequence[Any]
 STRAIGHT = 1e-4
 
 
-def task(
-    start: Sequence[float], goal: Sequence[float] | Goal, obstacles: Obstacles = (), **more: Any
-) -> Scene:
+def task(start: Sequence[float], goal: Sequence[float] | Goal, obstacles: Obstacles = (), **more: Any) -> Scene:
     """From joints [deg] to joints [deg] or to another goal."""
     end = goal if isinstance(goal, Goal) else Goal(joints_deg=tuple(goal))
     return Scene(name="test", start=Start(joints_deg=tuple(start)), goal=end, obstacles=tuple(obstacles), **more)
@@ -35,7 +33,9 @@ def at(bearing_deg: float, distance: float, z: float) -> tuple[float, float, flo
     return (distance * math.cos(bearing), distance * math.sin(bearing), z)
 
 
-def post(name: str, bearing_deg: float, distance: float, low: float, high: float, radius: float = 0.03, **more: Any) -> Capsule:
+def post(
+    name: str, bearing_deg: float, distance: float, low: float, high: float, radius: float = 0.03, **more: Any
+) -> Capsule:
     """An upright capsule."""
     ends = {"start": at(bearing_deg, distance, low), "end": at(bearing_deg, distance, high)}
     return Capsule(name=name, **ends, radius=radius, **more)
@@ -53,7 +53,9 @@ def frame_about_upper_arm(yaw_deg: float, lift_deg: float, half: float = 0.13) -
     along = math.cos(lift) * out + math.sin(lift) * np.array([0.0, 0.0, 1.0])
     above = np.cross(along, side)
     middle = np.array([0.0, 0.0, 0.6]) + 0.7 * along
-    corners = [tuple((middle + half * (x * side + y * above)).tolist()) for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+    corners = [
+        tuple((middle + half * (x * side + y * above)).tolist()) for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))
+    ]
     return [Capsule(name=f"bar {i}", start=corners[i], end=corners[(i + 1) % 4], radius=0.02) for i in range(4)]
 
 

@@ -64,7 +64,9 @@ def test_straight_motion_without_search(robot: Robot) -> None:
         np.testing.assert_allclose(result.grid_path, np.radians([START, GOAL]))
         assert_sound(robot, scene, result)
         share = result.trajectory.position[:, 0] / math.radians(60.0)
-        np.testing.assert_allclose(result.trajectory.position, np.radians(START) + share[:, None] * [math.radians(60), 0, 0, 0])
+        np.testing.assert_allclose(
+            result.trajectory.position, np.radians(START) + share[:, None] * [math.radians(60), 0, 0, 0]
+        )
 
 
 def test_straight_motion_is_about_as_fast_as_can_be(robot: Robot) -> None:
@@ -136,7 +138,9 @@ def test_locked_base_gives_the_planar_problem(robot: Robot, scene: Scene) -> Non
 
 
 def test_a_locked_joint_in_the_plane(robot: Robot) -> None:
-    scene = task((0.0, 30.0, 20.0, 20.0), (60.0, 60.0, 20.0, 50.0), [post("post", 30.0, 1.2, 0.0, 2.0)], locked_joints=("elbow",))
+    scene = task(
+        (0.0, 30.0, 20.0, 20.0), (60.0, 60.0, 20.0, 50.0), [post("post", 30.0, 1.2, 0.0, 2.0)], locked_joints=("elbow",)
+    )
     result = plan(robot, scene, COARSE)
     assert_sound(robot, scene, result)
     np.testing.assert_allclose(result.trajectory.position[:, 2], math.radians(20.0), atol=1e-12)
@@ -166,7 +170,9 @@ def test_no_path_whatever_the_yaw(robot: Robot, enclosed: str, step_deg: float) 
         task(START, GOAL),
         task(START, GOAL, [post("post", 30.0, 1.2, 0.0, 2.0)]),
         around_the_bar(),
-        task(FOLDED, Goal(fruit="apple"), [post("trunk", 47.0, 1.5, 0.0, 2.5)], fruits=(APPLE, fruit("b", 36, 1.3, 1.7))),
+        task(
+            FOLDED, Goal(fruit="apple"), [post("trunk", 47.0, 1.5, 0.0, 2.5)], fruits=(APPLE, fruit("b", 36, 1.3, 1.7))
+        ),
     ],
     ids=["direct", "column", "wavefront", "fruit"],
 )
@@ -236,7 +242,7 @@ def test_uncertain_obstacles_are_passed_farther_away(robot: Robot, sigmas: float
 def test_uncertainty_takes_the_place_of_start_and_goal(robot: Robot) -> None:
     """No sigmas: the obstacle counts as it stands; three: the goal is too near to it."""
     tip = robot.tool_positions(np.radians(GOAL))
-    ball = Sphere(name="ball", center=tuple((tip + [0.0, 0.0, 0.15]).tolist()), radius=0.1, sigma=0.01)
+    ball = Sphere(name="ball", center=tuple(np.add(tip, (0.0, 0.0, 0.15)).tolist()), radius=0.1, sigma=0.01)
     scene = task(START, GOAL, [ball])
     assert_sound(robot, scene, plan(robot, scene, PlanOptions(sigmas=1.0)), sigmas=1.0)
     assert_sound(robot, scene, plan(robot, scene, PlanOptions(sigmas=0.0)), sigmas=0.0)
@@ -331,7 +337,11 @@ def test_standoff(robot: Robot, standoff: float) -> None:
     assert_sound(robot, scene, result)
     least = 0.04 + 0.03 + 0.002
     assert result.grasp is not None
-    assert result.grasp.distance in (0.0, pytest.approx(max(standoff, least)), pytest.approx(max(0.5 * standoff, least)))
+    assert result.grasp.distance in (
+        0.0,
+        pytest.approx(max(standoff, least)),
+        pytest.approx(max(0.5 * standoff, least)),
+    )
 
 
 @pytest.mark.parametrize("locked", [("base_yaw",), ("elbow",), ("wrist",), ("base_yaw", "shoulder")])
@@ -468,5 +478,3 @@ def test_random_scenes_are_worth_it(robot: Robot) -> None:
     assert {"direct/none", "two-level/column", "two-level/wavefront"} & kinds.keys() != set()
     assert len(kinds) >= 3
     assert sum(count for kind, count in kinds.items() if "/" in kind) >= 20
-
-

@@ -113,7 +113,7 @@ def test_motion_is_mended_where_an_obstacle_grazes_it(robot: Robot) -> None:
     first = planner.plan()
     q = first.trajectory.position[first.trajectory.samples // 2]
     tip = robot.tool_positions(q)
-    planner.add(Sphere(name="bead", center=tuple((tip + [0.0, 0.0, 0.035]).tolist()), radius=0.01))
+    planner.add(Sphere(name="bead", center=tuple(np.add(tip, (0.0, 0.0, 0.035)).tolist()), radius=0.01))
     assert not certify(robot, planner.scene, first.trajectory).verified
     second = planner.replan()
     assert method(second) == "mended"
@@ -348,7 +348,9 @@ def test_values_that_cannot_be(robot: Robot, changes: dict[str, Any], message: s
     assert planner.scene is before
 
 
-@pytest.mark.parametrize("item", [None, "post", {"kind": "sphere"}, Fruit(name="f", center=(1.0, 0.0, 2.0), radius=0.1)])
+@pytest.mark.parametrize(
+    "item", [None, "post", {"kind": "sphere"}, Fruit(name="f", center=(1.0, 0.0, 2.0), radius=0.1)]
+)
 def test_only_obstacles_can_be_added(robot: Robot, item: Any) -> None:
     with pytest.raises(InputError, match="expected one of Sphere, Capsule, Box, Mesh, PointCloud, got"):
         planner_for(robot).add(item)

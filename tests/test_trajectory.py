@@ -123,7 +123,8 @@ def test_backwards_is_a_motion(robot):
 
 
 def test_one_after_the_other():
-    parts = [ending_at_rest(5, 0.0, 1.0), ending_at_rest(1, 1.0, 1.0), ending_at_rest(4, 1.0, -0.5), ending_at_rest(3, -0.5, 0)]
+    stretches = ((5, 0.0, 1.0), (1, 1.0, 1.0), (4, 1.0, -0.5), (3, -0.5, 0.0))
+    parts = [ending_at_rest(*stretch) for stretch in stretches]
     whole = joined(parts)
     assert whole.samples == 5 + 0 + 3 + 2
     assert whole.duration == pytest.approx(sum(part.duration for part in parts))

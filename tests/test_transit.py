@@ -45,7 +45,7 @@ def test_first_goal_with_a_straight_motion(robot: Robot) -> None:
     """The others behind it are not looked at."""
     wall = [post("wall", 15.0, 1.2, 0.0, 2.6, 0.05)]
     blocked, clear = task(START, NEAR, wall), task(START, (-40.0, 30.0, 20.0, 20.0), wall)
-    number, motion = find_motion([posed(robot, blocked, OPTIONS), posed(robot, clear, OPTIONS), posed(robot, clear, OPTIONS)])
+    number, motion = find_motion([posed(robot, scene, OPTIONS) for scene in (blocked, clear, clear)])
     assert number in (0, 1)
     if number == 1:
         assert motion.origin == "direct"
@@ -141,7 +141,7 @@ def test_kept_and_mended(robot: Robot) -> None:
     again = after(robot, kept, scene)
     assert again.origin == "kept"
     tip = robot.tool_positions(before.trajectory.position[before.trajectory.samples // 2])
-    bead = Sphere(name="bead", center=tuple((tip + [0.0, 0.0, 0.035]).tolist()), radius=0.01)
+    bead = Sphere(name="bead", center=tuple(np.add(tip, (0.0, 0.0, 0.035)).tolist()), radius=0.01)
     grazed = scene.with_obstacles([*obstacles, bead])
     mended = after(robot, before, grazed)
     assert mended.origin == "mended"

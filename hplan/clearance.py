@@ -136,7 +136,7 @@ class ClearanceField:
         solids = np.insert(self.solids, np.flatnonzero(first), 0.0, axis=0)
         moved = np.arange(len(rows)) + before[1:]
         solids[moved, 20] = self.solids[:, 20] + before[self.solids[:, 20].astype(np.int64)]
-        ends = np.append(np.flatnonzero(first)[1:], len(rows))
+        ends = np.append(np.flatnonzero(first), len(rows))[1:]
         for start, end in zip(np.flatnonzero(first).tolist(), ends.tolist(), strict=True):
             last = start + int(np.count_nonzero(self.owner[start:end] == self.owner[start]))
             gate = solids[start + before[start]]

@@ -164,10 +164,11 @@ def _changed(item: _Model, changes: Mapping[str, Any]) -> _Model:
         raise InputError(f"a {type(item).__name__.lower()} has no {unknown[0]!r}; it has {', '.join(fields)}")
     if isinstance(item, (Mesh, PointCloud)) and not changes.keys() <= {"position", "rpy_deg"}:
         raise InputError("of a mesh or a point cloud only position and rpy_deg can be changed; add another instead")
+    copied = item.model_copy
     try:
         if isinstance(item, (Mesh, PointCloud)):
             # What was read from the file stays.
-            return item.model_copy(update={key: _VECTOR.validate_python(value) for key, value in changes.items()})
+            return copied(update={key: _VECTOR.validate_python(value) for key, value in changes.items()})
         return type(item).model_validate({**{key: getattr(item, key) for key in fields}, **changes})
     except ValidationError as error:
         first = error.errors()[0]

@@ -47,7 +47,7 @@ def fruit(name: str, bearing_deg: float, distance: float, z: float, radius: floa
 
 
 def frame_about_upper_arm(yaw_deg: float, lift_deg: float, half: float = 0.13) -> list[Capsule]:
-    """Four bars in a square about the middle of the upper arm, across it: with the arm through it, it cannot get out."""
+    """Four bars in a square about the middle of the upper arm, which cannot get out of it."""
     yaw, lift = math.radians(yaw_deg), math.radians(lift_deg)
     out, side = np.array([math.cos(yaw), math.sin(yaw), 0.0]), np.array([-math.sin(yaw), math.cos(yaw), 0.0])
     along = math.cos(lift) * out + math.sin(lift) * np.array([0.0, 0.0, 1.0])
@@ -70,15 +70,14 @@ def between_rows(trajectory: Trajectory, rows: np.ndarray, looks: int = 3) -> np
     if len(q) == 1:
         return q
     step = np.diff(time)[:, None]
-    found = [q]
-    for t in np.arange(1, looks + 1) / (looks + 1):
-        found.append(
-            (2 * t**3 - 3 * t**2 + 1) * q[:-1]
-            + (t**3 - 2 * t**2 + t) * step * v[:-1]
-            + (3 * t**2 - 2 * t**3) * q[1:]
-            + (t**3 - t**2) * step * v[1:]
-        )
-    return np.concatenate(found)
+    inner = [
+        (2 * t**3 - 3 * t**2 + 1) * q[:-1]
+        + (t**3 - 2 * t**2 + t) * step * v[:-1]
+        + (3 * t**2 - 2 * t**3) * q[1:]
+        + (t**3 - t**2) * step * v[1:]
+        for t in np.arange(1, looks + 1) / (looks + 1)
+    ]
+    return np.concatenate([q, *inner])
 
 
 def assert_clear(

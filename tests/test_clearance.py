@@ -248,6 +248,23 @@ def test_only_some_of_the_solids(robot):
     assert not some.solids.flags.writeable
 
 
+def test_some_solids_are_none_to_the_last_link(robot):
+    """Clouds and hulls too, and where only what is near is left of the field."""
+    rng = np.random.default_rng(13)
+    for _ in range(6):
+        solids, keep = crowd(rng)
+        field, touched = ClearanceField.of(robot, solids, clearance=keep), rng.random(len(solids)) < 0.5
+        spared, without = field.sparing(touched), field.only(~touched)
+        for q in rng.uniform(robot.lower, robot.upper, (15, 4)):
+            expected = np.append(field.link_clearances(q)[:-1], without.link_clearances(q)[-1])
+            np.testing.assert_array_equal(spared.link_clearances(q), expected)
+            near = spared.near(q[None], 0.1).link_clearances(q)
+            np.testing.assert_array_equal(near[expected < 0.1], expected[expected < 0.1])
+        np.testing.assert_array_equal(field.sparing(np.zeros(len(solids), dtype=bool)).solids, field.solids)
+    nothing = ClearanceField.of(robot, [])
+    assert nothing.sparing(np.zeros(0, dtype=bool)).clearance(np.zeros(4)) == np.inf
+
+
 def test_near_a_motion_the_field_is_the_whole_one(robot):
     """Along the motion, wherever something is nearer than the distance asked for."""
     rng = np.random.default_rng(11)
@@ -256,9 +273,8 @@ def test_near_a_motion_the_field_is_the_whole_one(robot):
         for _ in range(6):
             solids, keep = crowd(rng)
             field = ClearanceField.of(robot, solids, clearance=keep)
-            path = np.clip(
-                np.cumsum(np.vstack([rng.uniform(0, 1.2, 4), rng.normal(0, 0.3, (3, 4))]), axis=0), robot.lower, robot.upper
-            )
+            steps = np.vstack([rng.uniform(0, 1.2, 4), rng.normal(0, 0.3, (3, 4))])
+            path = np.clip(np.cumsum(steps, axis=0), robot.lower, robot.upper)
             some = field.near(path, distance)
             left_out += len(field.solids) - len(some.solids)
             for a, b in itertools.pairwise(path):
@@ -275,13 +291,15 @@ def test_near_a_motion_the_field_is_the_whole_one(robot):
 
 
 def test_near_a_single_configuration(robot):
-    far, close = Sphere(name="far", center=(-1.0, 0, 1.5), radius=0.1), Sphere(name="close", center=(1, 0, 0.8), radius=0.1)
+    far = Sphere(name="far", center=(-1.0, 0, 1.5), radius=0.1)
+    close = Sphere(name="close", center=(1.0, 0, 0.8), radius=0.1)
     field = ClearanceField.of(robot, [far, close])
     assert field.near(np.zeros((1, 4)), 0.2).owner.tolist() == [1]
     assert field.near(np.zeros((1, 4)), 5.0).owner.tolist() == [0, 1]
     assert field.near(np.zeros((1, 4)), 0.01).clearance(np.zeros(4)) == np.inf
     sweep = np.array([[0.0, 0, 0, 0], [3.0, 0, 0, 0]])
-    assert ClearanceField.of(robot, [Sphere(name="aside", center=(0, 1.5, 0.6), radius=0.1)]).near(sweep, 0.1).owner.size == 1
+    aside = Sphere(name="aside", center=(0, 1.5, 0.6), radius=0.1)
+    assert ClearanceField.of(robot, [aside]).near(sweep, 0.1).owner.size == 1
 
 
 # The kernels

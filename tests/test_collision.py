@@ -193,8 +193,8 @@ def test_growth_of_each_obstacle(robot, links):
     obstacles = [*random_obstacles(rng, 6), cloud]
     growth = rng.uniform(0.0, 0.1, len(obstacles))
     plain = CollisionScene(robot, obstacles, links=links)
-    for grown, by in ((CollisionScene(robot, obstacles, links=links, growth=growth), growth),
-                      (CollisionScene(robot, obstacles, links=links, growth=0.05), np.full(len(obstacles), 0.05))):  # fmt: skip
+    for given in (growth, 0.05):
+        grown, by = CollisionScene(robot, obstacles, links=links, growth=given), np.broadcast_to(given, len(obstacles))
         configurations = rng.uniform(robot.lower, robot.upper, (60, 4))
         least = []
         for q in configurations:

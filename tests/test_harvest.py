@@ -10,6 +10,7 @@ import pytest
 from planned import at, last_link, post
 
 from hplan.approach import ApproachPath
+from hplan.collision import CollisionScene
 from hplan.errors import BlockedError, InputError, OptionError, UnreachableError
 from hplan.harvest import SPARE, Grasp, grasps
 from hplan.inverse import reach
@@ -99,14 +100,9 @@ def test_least_duration_is_that_of_the_slowest_joint(robot: Robot) -> None:
         assert grasp.least_duration == pytest.approx(first + second)
 
 
-@pytest.mark.parametrize("approach", [100.0, 125.0, (90.0, 110.0), (115.0, 500.0), (-360.0, 0.0)])
+@pytest.mark.parametrize("approach", [118.0, 125.0, (90.0, 120.0), (115.0, 470.0), (-360.0, 0.0)])
 def test_approach_is_kept(robot: Robot, approach: Any) -> None:
-    try:
-        ways = found(robot, approach_deg=approach)
-    except UnreachableError as error:
-        assert error.reason == "approach"
-        assert error.data["reachable_deg"]
-        return
+    ways = found(robot, approach_deg=approach)
     low, high = approach if isinstance(approach, tuple) else (approach, approach)
     for grasp in ways:
         assert (math.degrees(grasp.approach) - low + 1e-7) % 360.0 <= high - low + 2e-7
@@ -136,6 +132,35 @@ def test_standoff_is_shorter_where_a_long_one_is_in_the_way(robot: Robot) -> Non
     assert values == sorted(values, reverse=True)
     assert values[0] == 0.1
     assert len(set(values)) >= 3, values
+
+
+def test_obstacles_on_the_way_in_are_seen(robot: Robot) -> None:
+    """Beads that a link sweeps over between the stand-off and the goal, clear of it at both."""
+    free = found(robot, fruit=False, standoff=0.4, point=at(40.0, 1.0, 1.7))
+    rng, seen = np.random.default_rng(0), 0
+    for grasp in [way for way in free if way.distance == 0.4][::4]:
+        path = grasp.path(robot)
+        assert path is not None
+        middle = path.evaluate(0.4 * path.end)
+        points = robot.plane_origin + robot.arm.joint_points(middle[1:]) @ robot.plane_axes
+        cos, sin = math.cos(middle[0]), math.sin(middle[0])
+        points = points @ np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
+        share = float(rng.uniform(0.1, 0.9))
+        place = (1.0 - share) * points[1] + share * points[2]
+        bead = Sphere(name="bead", center=tuple(place.tolist()), radius=0.005)
+        judge = CollisionScene(robot, [bead])
+        if min(judge.distances(q).min() for q in (grasp.standoff, grasp.goal)) < 2.0 * SPARE:
+            continue
+        seen += 1
+        angle = math.degrees(grasp.approach)
+        ways = found(robot, [bead], fruit=False, standoff=0.4, point=at(40.0, 1.0, 1.7), approach_deg=angle)
+        same = [way for way in ways if np.abs(way.goal - grasp.goal).max() < 1e-9]
+        assert [way.distance < 0.4 for way in same] == [True]
+    assert seen >= 3
+
+
+def test_standoff_within_the_fruit_is_none(robot: Robot) -> None:
+    assert {grasp.distance for grasp in found(robot, standoff=0.05, least_standoff=0.0)} == {0.0}
 
 
 def test_no_standoff_asked_for(robot: Robot) -> None:
@@ -193,6 +218,14 @@ def test_blocked_most_frequent_first(robot: Robot) -> None:
     counts = [item["configurations"] for item in caught.value.obstacles]
     assert counts == sorted(counts, reverse=True)
     assert "fruit" not in {item["obstacle"] for item in caught.value.obstacles}
+
+
+@pytest.mark.parametrize("approach", [-90.0, (0.0, 45.0)])
+def test_approach_that_cannot_be(robot: Robot, approach: Any) -> None:
+    with pytest.raises(UnreachableError) as caught:
+        found(robot, approach_deg=approach)
+    assert caught.value.reason == "approach"
+    assert caught.value.data["reachable_deg"]
 
 
 @pytest.mark.parametrize(

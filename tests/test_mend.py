@@ -188,6 +188,15 @@ def test_locked_joints_do_not_move() -> None:
     np.testing.assert_array_equal(found, path)
 
 
+@pytest.mark.parametrize("above", [0.05, 0.06, 0.08])
+def test_limits_hold_where_the_push_leads_beyond(above: float) -> None:
+    """The way out is downward, and the joints are at their lower limits."""
+    ball = Sphere(name="ball", center=(1.7, 0.0, 0.6 + above), radius=0.05)
+    path = np.array([[-0.2, 0.0, 0.0, 0.0], [0.2, 0.0, 0.0, 0.0]])
+    found, contacts = mend(path, [ball])
+    assert_mended(ROBOT, [ball], path, found, contacts)
+
+
 def test_motions_that_cannot_be_mended_are_named() -> None:
     """A wall between the first two nodes; the last motion is clear."""
     wall = Box(name="wall", center=(1.2, 0.0, 1.5), size=(1.8, 0.05, 3.0))

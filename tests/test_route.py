@@ -130,10 +130,9 @@ def test_no_node_near_an_end(robot: Robot) -> None:
     scene = task((22.0, 20.0, 0.0, 0.0), (100.0, 20.0, 0.0, 0.0), pocket)
     try:
         route = find_route(posed(robot, scene), Rung(40.0), MARGIN)
-    except (CertificationError, EnclosedError) as error:
-        assert error.message
-    else:
-        assert_route(robot, scene, route)
+    except (CertificationError, EnclosedError):
+        return
+    assert_route(robot, scene, route)
 
 
 def labels_of(space: Occupancy) -> Any:
@@ -169,13 +168,13 @@ def test_no_path_is_said_if_there_is_none(robot: Robot, seed: int) -> None:
     first, second = (labels[tuple(space.grid.nearest(q[posed_task.axes]))] for q in ends)
     assert first > 0
     assert second > 0
+    if first != second:
+        with pytest.raises(EnclosedError) as caught:
+            find_route(posed_task, Rung(step), MARGIN)
+        assert caught.value.reached_cells in {int((labels == part).sum()) for part in (first, second)}
+        return
     try:
         route = find_route(posed_task, Rung(step), MARGIN)
-    except EnclosedError as error:
-        assert first != second
-        assert error.reached_cells in {int((labels == part).sum()) for part in (first, second)}
     except CertificationError:
-        assert first == second
-    else:
-        assert first == second
-        assert_route(robot, scene, route)
+        return  # there is a way, but not one that can be shown clear
+    assert_route(robot, scene, route)

@@ -94,14 +94,15 @@ def test_the_arm_keeps_the_clearance_from_itself_too(tmp_path: Path) -> None:
 def test_the_last_link_alone_may_touch(robot: Robot) -> None:
     solids = [*BALLS, Sphere(name="fruit", center=(1.2, 0.0, 0.6), radius=0.04, sigma=0.01)]
     around = Surroundings.of(robot, solids, clearance=0.01, sigmas=3.0)
-    near = around.touching("fruit")
+    near, without = around.touching("fruit"), Surroundings.of(robot, BALLS, clearance=0.01, sigmas=3.0)
     rng = np.random.default_rng(1)
-    for q in rng.uniform(robot.lower, robot.upper, (30, 4)):
+    for q in rng.uniform([-0.3, 0.0, 0.0, 0.0], [0.3, 0.5, 0.5, 0.5], (60, 4)):
         full, table = around.judge.distances(q), near.judge.distances(q)
         assert table[-1, 3] == np.inf
         np.testing.assert_array_equal(table[:, :3], full[:, :3])
         np.testing.assert_array_equal(table[:-1], full[:-1])
-        expected = Surroundings.of(robot, BALLS, clearance=0.01, sigmas=3.0).field.link_clearances(q)
+        expected = around.field.link_clearances(q)
+        expected[-1] = without.field.link_clearances(q)[-1]
         np.testing.assert_allclose(near.field.link_clearances(q), expected, atol=1e-12)
     assert near.bodies().names == ("sure", "vague", "vaguer")
     np.testing.assert_allclose(near.bodies().ball_radii, around.bodies().ball_radii[:3])

@@ -117,9 +117,7 @@ def test_backwards_is_a_motion(robot):
     np.testing.assert_allclose(np.gradient(back.velocity, back.time, axis=0)[2:-2], back.acceleration[2:-2], atol=1e-3)
     for k in range(0, 201, 20):
         row = (back.position[k], back.velocity[k], back.acceleration[k])
-        np.testing.assert_allclose(
-            pin.rnea(robot.model, robot.model.createData(), *row), back.torque[k], atol=1e-9
-        )
+        np.testing.assert_allclose(pin.rnea(robot.model, robot.model.createData(), *row), back.torque[k], atol=1e-9)
 
 
 def test_one_after_the_other():

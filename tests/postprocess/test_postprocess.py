@@ -11,11 +11,11 @@ import pytest
 from hplan.clearance import ClearanceField
 from hplan.collision import CollisionScene
 from hplan.errors import CertificationError, InputError
-from hplan.path import Limits
 from hplan.options import PlanOptions
+from hplan.path import Limits
 from hplan.pipeline import plan
-from hplan.postprocess import path as postprocess_path
 from hplan.postprocess import OBJECTIVES, PostprocessOptions, SplinePath, fast_path, path_length, shorten, smooth
+from hplan.postprocess import path as postprocess_path
 from hplan.postprocess.clear import clear_spline, tighten
 from hplan.postprocess.fast import hasten
 from hplan.scene import Sphere

@@ -277,6 +277,8 @@ def _turning_route(task: Task, rung: Rung, margin: float) -> Route:
         if not contacts:
             return Route(space, search, path, rung.step_deg)
         here = contacts[0] - before  # the motion from this node to the next is in contact; below 0: from the start
+        if here + 2 <= 0 or here >= len(nodes):
+            break  # a way from a tight end to the grid, which is not the grid's to lead around
         _take_out(task, space.grid, lattice, free, nodes[max(0, here) : here + 2])
         ahead, behind = start.among(lattice, free, nodes[: max(0, here)]), goal.among(lattice, free, nodes[here + 2 :])
         bypass = None

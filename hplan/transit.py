@@ -15,7 +15,7 @@ import numpy as np
 
 from hplan.arrays import FloatArray, frozen
 from hplan.certificate import Certificate, certify
-from hplan.errors import CertificationError, HplanError, NoPathError
+from hplan.errors import CertificationError, HplanError, NoPathError, TimingError
 from hplan.mend import mended
 from hplan.path import GeometricPath, Limits, rest_to_rest
 from hplan.postprocess import PostprocessOptions, SplinePath, fast_path
@@ -53,12 +53,22 @@ TURNING = (
 #: taken if no other try gives a faster one.
 SLUGGISH = 8.0
 
+#: Where the least duration is shorter, this counts [s].
+SHORT = 0.25
+
+#: Start and goal whose yaws differ by no more are nearly in one plane [deg]; how far the base then swings out [deg].
+SAME_PLANE_DEG, SWINGS_DEG = 20.0, (10.0, 20.0, 30.0)
+
+#: With a swing that takes no more than this many times the least duration nothing else is looked for.
+CLOSE = 1.1
+
 #: A route is searched to a goal that promises to be reached in less than this share of the time of a straight motion.
 WORTHWHILE = 0.7
 
 
-#: A motion is empty, straight, along a way found on a grid, along that of an earlier motion, or an earlier motion.
-Origin: TypeAlias = Literal["none", "direct", "search", "mended", "kept"]
+#: A motion is empty, straight, straight but for a swing of the base, along a way found on a grid, along that of an
+#: earlier motion, or an earlier motion.
+Origin: TypeAlias = Literal["none", "direct", "swing", "search", "mended", "kept"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,7 +116,7 @@ def find_motion(tasks: Sequence[Task]) -> tuple[int, Motion]:
         return _first_planar(attempts)
     straight = _straight(attempts)
     if straight is None:
-        return _first_turning(attempts, TURNING)
+        return _around(attempts)
     number, motion = straight
     enough = WORTHWHILE * motion.trajectory.duration
     better = [attempt for attempt in attempts[:number] if least_duration(attempt.task) < enough]
@@ -130,7 +140,7 @@ def renewed(task: Task, before: Motion) -> Motion:
         CertificationError: Neither can be had.
         TimingError: The mended path cannot be timed.
     """
-    straight = task.field.is_clear(np.stack([task.problem.start, task.problem.goal]), MARGIN)
+    straight = task.field.is_clear(np.stack([task.problem.start, task.problem.goal]), _Attempts(task).margin(0.0))
     if before.path is None or (straight and len(before.way) > 2):
         raise CertificationError("the earlier motion would be a detour")
     certificate = judged(task, before.trajectory)
@@ -196,6 +206,27 @@ def _straight(attempts: Sequence[_Attempts]) -> tuple[int, Motion] | None:
     return None
 
 
+def _around(attempts: Sequence[_Attempts]) -> tuple[int, Motion]:
+    """The better of a motion found on grids and one on which the base swings out to one side and back.
+
+    Where start and goal have nearly the same yaw, grids find a way in the arm plane first, and nothing draws a smooth
+    path out of the plane: to both sides it is alike.
+    """
+    swings = [motion for way in attempts[0].swings() if (motion := attempts[0].tried(way)) is not None]
+    swing = min(swings, key=lambda motion: motion.trajectory.duration, default=None)
+    if swing is not None and swing.trajectory.duration <= CLOSE * least_duration(attempts[0].task):
+        return 0, swing
+    try:
+        number, motion = _first_turning(attempts, TURNING)
+    except (CertificationError, NoPathError):
+        if swing is None:
+            raise
+        return 0, swing
+    if swing is not None and swing.trajectory.duration < motion.trajectory.duration:
+        return 0, swing
+    return number, motion
+
+
 def _first_planar(attempts: Sequence[_Attempts]) -> tuple[int, Motion]:
     """The first goal that grids lead to, the base locked."""
     refused: HplanError | None = None
@@ -214,7 +245,7 @@ def _first_turning(
 
     What is closed on the grid of the finest step, whatever the yaw, is closed.
     """
-    refused: CertificationError | None = None
+    refused: CertificationError | TimingError | None = None
     closed: dict[tuple[int, float], tuple[float, EnclosedError]] = {}
     slow: tuple[int, Motion] | None = None
     for coarser, beyond_deg, growth, thick in rungs:
@@ -230,11 +261,11 @@ def _first_turning(
             rung = Rung(coarser * attempt.task.options.step_deg, attempt.grown(growth), math.radians(beyond_deg), thick)
             try:
                 motion = attempt.on_grid(rung)
-                if motion.trajectory.duration <= SLUGGISH * least_duration(attempt.task):
+                if motion.trajectory.duration <= SLUGGISH * max(least_duration(attempt.task), SHORT):
                     return number, motion
                 if slow is None or motion.trajectory.duration < slow[1].trajectory.duration:
                     slow = number, motion
-            except CertificationError as error:
+            except (CertificationError, TimingError) as error:
                 refused = refused or error
             except EnclosedError as error:
                 if not thick and growth == 0.0:
@@ -291,6 +322,32 @@ class _Attempts:
         start = self.task.problem.start
         rest = resting(self.task.robot.model, start)
         return Motion(self.task, None, frozen(np.array(start[None])), None, rest, certified(self.task, rest), "none")
+
+    def swings(self) -> list[FloatArray]:
+        """Clear ways on which the base swings out to a side while the other joints go straight, one for each side."""
+        problem = self.task.problem
+        if abs(problem.goal[0] - problem.start[0]) > math.radians(SAME_PLANE_DEG):
+            return []
+        share = np.linspace(0.0, 1.0, 17)[:, None]
+        line = problem.start + share * (problem.goal - problem.start)
+        found = []
+        for side in (1.0, -1.0):
+            for out_deg in SWINGS_DEG:
+                way = line.copy()
+                way[:, 0] += side * math.radians(out_deg) * np.sin(np.pi * share[:, 0])
+                way[0], way[-1] = problem.start, problem.goal
+                inside = (way[:, 0] >= problem.lower[0]).all() and (way[:, 0] <= problem.upper[0]).all()
+                if inside and self.task.field.is_clear(way, 0.1 * self.margin(0.0)):
+                    found.append(frozen(way))
+                    break
+        return found
+
+    def tried(self, way: FloatArray) -> Motion | None:
+        """The motion along a clear way, or None where it cannot be timed or certified."""
+        try:
+            return self._finished(None, way, self.margin(0.0), "swing")
+        except (CertificationError, TimingError):
+            return None
 
     def along(self, way: FloatArray) -> Motion:
         """The motion along a way that was clear before, mended where it is no longer."""

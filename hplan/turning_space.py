@@ -13,9 +13,13 @@ import numpy as np
 
 from hplan.arrays import WordArray, frozen
 from hplan.cspace import occupancy
+from hplan.errors import OptionError
 from hplan.grid import Grid, Occupancy, words_for
 from hplan.robot import Robot
 from hplan.section import ArmSections, Bodies, sections_at
+
+#: Largest C-space with a turning base [bytes], one bit a node: a search takes five times as much.
+MOST_BYTES = 150_000_000
 
 
 def yaw_axis(
@@ -95,7 +99,18 @@ def turning_occupancy(
         count: Number of layers.
         thick: Whether a layer holds the obstacles at all yaws nearer to it than to others, not at its own yaw alone.
         layers: Layers that are already there; of this robot only.
+
+    Raises:
+        OptionError: A grid that takes more than `MOST_BYTES`.
     """
+    size = 8 * planar.size * words_for(count)
+    if size > MOST_BYTES:
+        raise OptionError(
+            "step_deg",
+            round(math.degrees(yaw_step), 6),
+            f"a larger step: with the base turning, one bit for each of {planar.size} nodes and {count} yaws takes "
+            f"{size / 1e6:.0f} MB, more than {MOST_BYTES / 1e6:.0f} MB, and a search five times that",
+        )
     grid = Grid(np.append(planar.lower, first_yaw), np.append(planar.step, yaw_step), (*planar.shape, count))
     half_angle = 0.5 * yaw_step if thick else 0.0
     words = np.empty((planar.size, words_for(count)), dtype=np.uint64)

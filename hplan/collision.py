@@ -25,6 +25,10 @@ from hplan.solids import Cloud, Hull
 LinkShapes: TypeAlias = Literal["capsule", "box", "urdf"]
 LINK_SHAPES: tuple[LinkShapes, ...] = ("capsule", "box", "urdf")
 
+#: What depends on the robot alone.
+_LINK_SHAPES: WeakKeyDictionary[Robot, dict[LinkShapes, list[pin.GeometryObject]]] = WeakKeyDictionary()
+_BASE_RADII: WeakKeyDictionary[Robot, float] = WeakKeyDictionary()
+
 
 #: Size of the triangle that stands for a point of a cloud [m].
 _SPECK = 1e-7
@@ -278,6 +282,9 @@ def base_contacts(
 
 def base_radius(robot: Robot) -> float:
     """Radius of a ball about `base_link`'s origin that holds pedestal and turret, whatever the yaw [m]."""
+    known = _BASE_RADII.get(robot)
+    if known is not None:
+        return known
     first = 2 if robot.has_yaw else 1
     radius = 0.0
     for shape in robot.collision_model.geometryObjects:
@@ -286,6 +293,7 @@ def base_radius(robot: Robot) -> float:
             # Joint 0 turns about the vertical through the origin: distances from there stay.
             centre = robot.model.jointPlacements[shape.parentJoint] * shape.placement * shape.geometry.aabb_center
             radius = max(radius, float(np.linalg.norm(centre)) + shape.geometry.aabb_radius)
+    _BASE_RADII[robot] = radius
     return radius
 
 
@@ -322,7 +330,10 @@ def sampled_occupancy(judge: CollisionScene, grid: Grid, yaw: float = 0.0) -> Bo
 
 
 def _link_shapes(robot: Robot, links: LinkShapes) -> list[pin.GeometryObject]:
-    """Each link's capsule or beam, in the frame of its joint."""
+    """Each link's capsule or beam, in the frame of its joint; made once for each robot."""
+    known = _LINK_SHAPES.setdefault(robot, {})
+    if links in known:
+        return known[links]
     model, arm = robot.model, robot.arm
     data = model.createData()
     neutral = np.zeros(model.nq)
@@ -343,6 +354,7 @@ def _link_shapes(robot: Robot, links: LinkShapes) -> list[pin.GeometryObject]:
             shape = coal.Capsule(half_width, length)
         local = data.oMi[first + k].inverse() * placement
         shapes.append(pin.GeometryObject(f"link:{name}", first + k, local, shape))
+    known[links] = shapes
     return shapes
 
 

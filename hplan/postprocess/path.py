@@ -31,6 +31,9 @@ GOOD_ENOUGH = 1.005
 #: Obstacles farther than this from the grid path are left out while the spline is moved [m].
 NEAR = 0.3
 
+#: With no more rows in the field than this all are looked at.
+FEW = 20
+
 #: Share of the margin that is still asked for where the full one cannot be kept.
 SMALLEST_SHARE = 0.05
 
@@ -59,7 +62,8 @@ def fast_path(path: FloatArray, field: ClearanceField, options: PostprocessOptio
     if straight <= GOOD_ENOUGH * least and field.is_clear(path[[0, -1]], options.margin):
         return SplinePath.through(np.linspace(path[0], path[-1], 4))
     # What is far away does not matter to the optimisers; the proof does not leave it out.
-    for around in (field.near(path, NEAR), field):
+    fields = (field.near(path, NEAR), field) if len(field.solids) > FEW else (field,)
+    for around in fields:
         found = _fastest(path, around, options, smallest, least)
         if around is field or found.is_clear(field, 0.5 * smallest):
             break

@@ -21,6 +21,8 @@ _MERGE = 1e-9
 
 def without_twins(path: FloatArray) -> FloatArray:
     """The waypoints that differ from the one before; the last one stays in any case."""
+    if (np.linalg.norm(np.diff(path, axis=0), axis=1) > _MERGE).all():
+        return np.array(path)
     kept = [path[0]]
     kept.extend(point for point in path[1:] if np.linalg.norm(point - kept[-1]) > _MERGE)
     if len(kept) > 1:

@@ -22,6 +22,9 @@ from hplan.polyline import stations
 #: Longest step along a piece with which an optimiser looks for contact before the proof.
 STRIDE = 1.0 / 16.0
 
+#: Nodes and weights of Gauss-Legendre quadrature on [-1, 1].
+QUADRATURE = np.polynomial.legendre.leggauss(8)
+
 
 @dataclass(frozen=True, eq=False)
 class SplinePath:
@@ -97,7 +100,7 @@ class SplinePath:
     @cached_property
     def length(self) -> float:
         """Joint-space length, by Gauss-Legendre quadrature on each piece."""
-        nodes, weights = np.polynomial.legendre.leggauss(8)
+        nodes, weights = QUADRATURE
         width = np.diff(self.breaks)
         s = self.breaks[:-1, None] + 0.5 * (nodes + 1.0) * width[:, None]
         speed = np.linalg.norm(self.evaluate(s, 1), axis=-1)

@@ -232,7 +232,7 @@ def test_without_matplotlib_nothing_is_begun(
 def test_random_scenes_add_up(compared: random_scenes.Comparison) -> None:
     assert (compared.scenes, compared.disagree) == (12, 0)
     assert 0 < compared.with_path < 12
-    assert set(compared.fallbacks) == {"none", "all_slices", "dense"}
+    assert {name for name, count in compared.fallbacks.items() if count} <= {"none", "all_slices", "dense"}
     assert sum(compared.fallbacks.values()) == compared.with_path
     assert compared.ratio_median is not None
     assert compared.ratio_high is not None

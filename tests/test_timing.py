@@ -573,7 +573,7 @@ def test_robots_of_other_sizes(tmp_path, links, with_jerk):
         has_yaw=False,
     )
     robot = load_robot(write_robot(spec, tmp_path / "cousin.urdf")[0])
-    assert ClearanceField.of(robot, []).is_clear(np.zeros((2, links)), 1.0)
+    assert ClearanceField.of(robot, []).is_clear(np.zeros((2, links)), 1e-3)
     kept = Limits(robot.velocity_limit, robot.acceleration_limit, robot.torque_limit, robot.jerk_limit)
     for path in (straight(np.full(links, -0.5), np.linspace(0.7, 0.9, links)), curve(13, robot, 6)):
         trajectory = time_path(path, robot.model, kept)

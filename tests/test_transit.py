@@ -166,7 +166,8 @@ def test_what_cannot_be_mended(robot: Robot) -> None:
     assert plan(robot, scene.with_obstacles(wall[:3]), OPTIONS).certificate.verified
 
 
-def test_stages_are_announced_in_order(robot: Robot) -> None:
+def test_stages_are_announced_in_order(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("hplan.transit.SWINGS_DEG", ())
     seen: list[str] = []
     found = replace(posed(robot, task(BELOW, ABOVE, BAR), OPTIONS), progress=seen.append)
     find_motion([found])

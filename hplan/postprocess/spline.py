@@ -22,8 +22,10 @@ from hplan.polyline import stations
 #: Longest step along a piece with which an optimiser looks for contact before the proof.
 STRIDE = 1.0 / 16.0
 
-#: Nodes and weights of Gauss-Legendre quadrature on [-1, 1].
-QUADRATURE = np.polynomial.legendre.leggauss(8)
+#: Panels of a piece, each with Gauss-Legendre quadrature, for its length: a path may have cusps.
+PANELS = 6
+
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,12 +101,12 @@ class SplinePath:
 
     @cached_property
     def length(self) -> float:
-        """Joint-space length, by Gauss-Legendre quadrature on each piece."""
-        nodes, weights = QUADRATURE
-        width = np.diff(self.breaks)
-        s = self.breaks[:-1, None] + 0.5 * (nodes + 1.0) * width[:, None]
-        speed = np.linalg.norm(self.evaluate(s, 1), axis=-1)
-        return float((0.5 * width[:, None] * weights * speed).sum())
+        """Joint-space length, by Gauss-Legendre quadrature on `PANELS` panels of each piece."""
+        share = (np.arange(PANELS)[:, None] + 0.5 * (_NODES + 1.0)).ravel() / PANELS
+        weights = np.tile(0.5 / PANELS * _WEIGHTS, PANELS)
+        width = np.diff(self.breaks)[:, None]
+        speed = np.linalg.norm(self.evaluate(self.breaks[:-1, None] + share * width, 1), axis=-1)
+        return float((width * weights * speed).sum())
 
     def is_clear(self, field: ClearanceField, margin: float) -> bool:
         """Whether the whole path is shown clear; `margin` [m] is asked for wherever it is evaluated."""

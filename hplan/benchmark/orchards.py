@@ -171,7 +171,9 @@ def _motion(task: Task, planned: PlanResult) -> dict[str, Any]:
     planner = planned.report["planner"]
     seen = look_at(task.robot, task.judge, of_rows(planned.trajectory))
     return {
-        "route": "straight" if planner["method"] == "direct" else planner["fallback"].replace("none", "two-level"),
+        "route": {"direct": "straight", "swing": "swing"}.get(
+            planner["method"], planner["fallback"].replace("none", "two-level")
+        ),
         "step_deg": planner["step_deg"],
         "certified": planned.certificate.verified,
         "clearance_mm": 1e3 * planned.certificate.min_clearance_m,

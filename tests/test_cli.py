@@ -244,8 +244,9 @@ def test_help_is_fast_and_loads_nothing_heavy() -> None:
 
 def test_interrupt_leaves_nothing(tmp_path: Path) -> None:
     code = (
-        "import os, signal, sys, hplan.pipeline\n"
-        "hplan.pipeline.plan = lambda *_, **__: os.kill(os.getpid(), signal.SIGINT)\n"
+        "import os, signal, sys, time, hplan.pipeline\n"
+        # The signal may reach another thread first, and the interrupt come a moment later.
+        "hplan.pipeline.plan = lambda *_, **__: (os.kill(os.getpid(), signal.SIGINT), time.sleep(30))\n"
         "from hplan.cli import main; sys.exit(main(sys.argv[1:]))"
     )
     assert main(["--out", str(tmp_path), "--quiet"]) == 0

@@ -19,7 +19,7 @@ from hplan.approach import ApproachPath, standoffs
 from hplan.arrays import FloatArray, frozen
 from hplan.errors import BlockedError
 from hplan.inverse import reach
-from hplan.path import rest_to_rest
+from hplan.path import least_duration
 from hplan.robot import Robot
 from hplan.surroundings import Surroundings
 
@@ -143,7 +143,7 @@ def _clear_standoffs(
 def _least_duration(robot: Robot, start: FloatArray, standoff: FloatArray, goal: FloatArray) -> float:
     """What no motion from the start over the stand-off to the goal can undercut [s]."""
     limits = robot.velocity_limit, robot.acceleration_limit
-    return sum(float(rest_to_rest(np.abs(b - a), *limits).max()) for a, b in ((start, standoff), (standoff, goal)))
+    return sum(least_duration(a, b, *limits) for a, b in ((start, standoff), (standoff, goal)))
 
 
 def _blocked(what: str, near: Surroundings, configurations: FloatArray) -> BlockedError:

@@ -50,6 +50,18 @@ def rest_to_rest(distance: FloatArray, velocity: ArrayLike, acceleration: ArrayL
     return np.where(distance > 0.0, durations, 0.0)
 
 
+def least_duration(start: FloatArray, goal: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> float:
+    """What no motion from rest to rest between two configurations can undercut [s]: that of the slowest joint alone.
+
+    Args:
+        start: (dof,) configuration.
+        goal: (dof,) configuration.
+        velocity: (dof,) largest speeds.
+        acceleration: (dof,) largest accelerations.
+    """
+    return float(rest_to_rest(np.abs(goal - start), velocity, acceleration).max())
+
+
 class GeometricPath(Protocol):
     """A twice differentiable curve in joint space over [0, end]."""
 

@@ -17,7 +17,8 @@ from hplan.arrays import FloatArray, frozen
 from hplan.certificate import Certificate, certify
 from hplan.errors import CertificationError, HplanError, NoPathError, TimingError
 from hplan.mend import mended
-from hplan.path import GeometricPath, Limits, rest_to_rest
+from hplan.path import GeometricPath, Limits
+from hplan.path import least_duration as least_between
 from hplan.postprocess import PostprocessOptions, SplinePath, fast_path
 from hplan.route import EnclosedError, Route, Rung, Task, find_route
 from hplan.timing import resting, time_path
@@ -150,9 +151,9 @@ def renewed(task: Task, before: Motion) -> Motion:
 
 
 def least_duration(task: Task) -> float:
-    """What no motion between start and goal can undercut [s]: the duration of the slowest joint on its own."""
-    turn = np.abs(task.problem.goal - task.problem.start)
-    return float(rest_to_rest(turn, task.robot.velocity_limit, task.robot.acceleration_limit).max())
+    """What no motion between start and goal can undercut [s]."""
+    problem, robot = task.problem, task.robot
+    return least_between(problem.start, problem.goal, robot.velocity_limit, robot.acceleration_limit)
 
 
 def timed(task: Task, path: GeometricPath) -> Trajectory:

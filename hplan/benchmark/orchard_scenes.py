@@ -21,7 +21,7 @@ from hplan.clearance import ClearanceField
 from hplan.errors import InputError, OptionError, UnreachableError
 from hplan.inverse import reach
 from hplan.orchard import SHIPPED, TUCKED_DEG, fruit_at_tips, import_capsules
-from hplan.path import rest_to_rest
+from hplan.path import least_duration
 from hplan.resources import scenes_dir
 from hplan.robot import Robot
 from hplan.scene import Fruit, Goal, Scene, Start
@@ -193,4 +193,4 @@ def _standoff(robot: Robot, scene: Scene, fruit: Fruit, home: FloatArray) -> Flo
         return "no_approach"
     clear = [way[-1] for way in ways if around.clearance(way[-1]) > SPARE and rest.is_clear(way, 0.5 * SPARE)]
     limits = robot.velocity_limit, robot.acceleration_limit
-    return min(clear, key=lambda q: float(rest_to_rest(np.abs(q - home), *limits).max()), default="blocked")
+    return min(clear, key=lambda q: least_duration(home, q, *limits), default="blocked")

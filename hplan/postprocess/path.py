@@ -7,7 +7,7 @@ import numpy as np
 from hplan.arrays import FloatArray
 from hplan.clearance import ClearanceField
 from hplan.errors import CertificationError, InputError
-from hplan.path import rest_to_rest
+from hplan.path import least_duration, rest_to_rest
 from hplan.postprocess.clear import clear_spline, tighten
 from hplan.postprocess.fast import hasten
 from hplan.postprocess.options import PostprocessOptions
@@ -57,7 +57,7 @@ def fast_path(path: FloatArray, field: ClearanceField, options: PostprocessOptio
         raise CertificationError("the motions between the nodes of the grid path cannot be shown clear")
     if options.objective == "length":
         return _short(path, field, options, smallest)
-    least = least_duration(path[0], path[-1], options)
+    least = least_duration(path[0], path[-1], options.velocity, options.acceleration)
     straight = straight_duration(path[0], path[-1], options)
     if straight <= GOOD_ENOUGH * least and field.is_clear(path[[0, -1]], options.margin):
         return SplinePath.through(np.linspace(path[0], path[-1], 4))
@@ -87,11 +87,6 @@ def _fastest(
             return min(found, key=lambda item: item[1])[0]
     # Where no spline could be pushed clear: the polyline with its corners rounded as far as they can be.
     return hasten(smooth(taut, field, margin=smallest), field, options, margin=0.5 * smallest)[0]
-
-
-def least_duration(start: FloatArray, goal: FloatArray, options: PostprocessOptions) -> float:
-    """What no motion from rest to rest between two configurations can undercut [s]: that of the slowest joint alone."""
-    return float(rest_to_rest(np.abs(goal - start), options.velocity, options.acceleration).max())
 
 
 def straight_duration(start: FloatArray, goal: FloatArray, options: PostprocessOptions) -> float:

@@ -11,7 +11,7 @@ import numpy as np
 
 from hplan.arrays import FloatArray
 from hplan.certificate import Certificate, LimitUse
-from hplan.errors import CertificationError, HplanError
+from hplan.errors import CertificationError, HplanError, TimingError
 from hplan.grid import Occupancy
 from hplan.harvest import SPARE, Grasp, grasps
 from hplan.options import PlanOptions
@@ -25,7 +25,7 @@ from hplan.scene import Fruit, Scene
 from hplan.search import SearchResult
 from hplan.surroundings import Surroundings
 from hplan.trajectory import Trajectory, joined
-from hplan.transit import Motion, certified, find_motion, timed
+from hplan.transit import Motion, certified, find_motion, renewed, timed
 from hplan.turning_space import Layers
 
 #: To how many grasps routes are searched where no straight motion leads to them.
@@ -111,7 +111,7 @@ def plan(
 
 
 class Workspace:
-    """What one plan leaves behind for the next: the robot's planar layers, and its surroundings."""
+    """What one plan leaves behind for the next: the robot's planar layers."""
 
     def __init__(self, robot: Robot) -> None:
         """Begin with nothing."""
@@ -131,18 +131,44 @@ class Workspace:
 
 
 def plan_with(
-    workspace: Workspace, scene: Scene, options: PlanOptions, *, progress: Progress = lambda _: None
+    workspace: Workspace,
+    scene: Scene,
+    options: PlanOptions,
+    *,
+    progress: Progress = lambda _: None,
+    before: Motion | None = None,
 ) -> PlanResult:
-    """As `plan`, with what earlier plans of the same robot have left."""
+    """As `plan`, with what earlier plans of the same robot have left.
+
+    Args:
+        workspace: What they have left.
+        scene: Obstacles and task.
+        options: How to plan.
+        progress: Called with the name of each stage as it begins.
+        before: An earlier motion, to be kept or mended where that can be (`hplan.transit.renewed`).
+
+    Raises:
+        HplanError: As `plan`.
+    """
     clock, robot, goal = StageClock(), workspace.robot, scene.goal.joints()
     start = robot.check_configuration(scene.start.configuration, "start")
     around = workspace.around(scene, options)
     around.check_base(robot.yaw_of(start))
     if goal is not None:
         problem = pose_problem(around, start, goal, locked_joints=scene.locked_joints)
-        _, motion = find_motion([Task(around, scene, problem, options, clock, workspace.layers, progress)])
-        return result_of(scene, clock, None, motion, [("transit", motion.trajectory, motion.certificate)])
+        motion = _moved(Task(around, scene, problem, options, clock, workspace.layers, progress), before)
+        return _result(scene, clock, None, motion, [("transit", motion.trajectory, motion.certificate)])
     return _reach(workspace, around, start, scene, options, clock, progress)
+
+
+def _moved(task: Task, before: Motion | None) -> Motion:
+    """The motion of an earlier plan renewed, or another."""
+    if before is not None:
+        try:
+            return renewed(task, before)
+        except (CertificationError, TimingError):
+            pass  # what it was made for has changed too much
+    return find_motion([task])[1]
 
 
 def _reach(
@@ -187,7 +213,7 @@ def _reach(
         except CertificationError as error:
             refused = refused or error
             continue
-        return result_of(scene, clock, grasp, motion, parts)
+        return _result(scene, clock, grasp, motion, parts)
     raise refused or CertificationError("no motion could be certified")
 
 
@@ -223,7 +249,7 @@ def last_stretch(task: Task, grasp: Grasp, retreat: bool) -> list[tuple[str, Tra
     return parts
 
 
-def result_of(
+def _result(
     scene: Scene,
     clock: StageClock,
     grasp: Grasp | None,

@@ -12,15 +12,11 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
-from hplan.errors import CertificationError, InputError, SceneError, TimingError
+from hplan.errors import InputError, SceneError
 from hplan.options import PlanOptions
-from hplan.pipeline import PlanResult, Workspace, plan_with, result_of
-from hplan.problem import pose_problem
-from hplan.report import StageClock
+from hplan.pipeline import PlanResult, Workspace, plan_with
 from hplan.robot import Robot
-from hplan.route import Task
 from hplan.scene import Box, Capsule, Goal, Mesh, PointCloud, Scene, Sphere, Start, Vector
-from hplan.transit import renewed
 
 
 class Planner:
@@ -67,23 +63,8 @@ class Planner:
         Raises:
             HplanError: As `hplan.plan`.
         """
-        goal = self.scene.goal.joints()
-        if self.last is None or goal is None:
-            return self.plan()
-        clock = StageClock()
-        around = self._workspace.around(self.scene, self.options)
-        around.check_base(self.robot.yaw_of(self.scene.start.configuration))
-        problem = pose_problem(around, self.scene.start.configuration, goal, locked_joints=self.scene.locked_joints)
-        before = self.last.motion
-        old = before.task.problem
-        if any((getattr(old, name) != getattr(problem, name)).any() for name in ("start", "goal", "lower", "upper")):
-            return self.plan()
-        task = Task(around, self.scene, problem, self.options, clock, self._workspace.layers, lambda _: None)
-        try:
-            motion = renewed(task, before)
-        except (CertificationError, TimingError):
-            return self.plan()
-        self.last = result_of(self.scene, clock, None, motion, [("transit", motion.trajectory, motion.certificate)])
+        before = None if self.last is None else self.last.motion
+        self.last = plan_with(self._workspace, self.scene, self.options, before=before)
         return self.last
 
     def add(self, obstacle: Sphere | Capsule | Box | Mesh | PointCloud) -> None:

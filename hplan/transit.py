@@ -138,9 +138,12 @@ def renewed(task: Task, before: Motion) -> Motion:
     else a motion along its way, mended.
 
     Raises:
-        CertificationError: Neither can be had.
+        CertificationError: Neither can be had, or start, goal or joint limits are others.
         TimingError: The mended path cannot be timed.
     """
+    old, new = before.task.problem, task.problem
+    if any((getattr(old, name) != getattr(new, name)).any() for name in ("start", "goal", "lower", "upper")):
+        raise CertificationError("the earlier motion was made for another task")
     straight = task.field.is_clear(np.stack([task.problem.start, task.problem.goal]), _Attempts(task).margin(0.0))
     if before.path is None or (straight and len(before.way) > 2):
         raise CertificationError("the earlier motion would be a detour")

@@ -23,6 +23,7 @@ from __future__ import annotations
 import bisect
 import heapq
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numba as nb
@@ -146,6 +147,23 @@ def certify(
             f"than {1e3 * scene.clearance:.3g} mm at a tracking error of {tracking_error:g} rad"
         )
     return Certificate(not violations, proof.clearance_m, proof.nearest, use, proof.checks, tuple(violations))
+
+
+def all_of(parts: Sequence[Certificate]) -> Certificate:
+    """The certificate of motions one after the other."""
+    if len(parts) == 1:
+        return parts[0]
+    contacts = [part.nearest for part in parts if part.nearest is not None]
+    return Certificate(
+        verified=all(part.verified for part in parts),
+        min_clearance_m=min(part.min_clearance_m for part in parts),
+        nearest=min(contacts, key=lambda contact: contact.distance_m, default=None),
+        limit_use=LimitUse(
+            **{name: max(getattr(part.limit_use, name) for part in parts) for name in vars(parts[0].limit_use)}
+        ),
+        checks=sum(part.checks for part in parts),
+        violations=tuple(violation for part in parts for violation in part.violations),
+    )
 
 
 def _bezier(trajectory: Trajectory) -> FloatArray:

@@ -8,6 +8,7 @@ approach is clear, on the whole way.
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -21,6 +22,7 @@ from hplan.errors import BlockedError
 from hplan.inverse import reach
 from hplan.path import least_duration
 from hplan.robot import Robot
+from hplan.scene import Fruit
 from hplan.surroundings import Surroundings
 
 #: Configurations that are looked at, about.
@@ -28,6 +30,9 @@ COUNT = 64
 
 #: Stand-offs tried in turn, as shares of the one asked for.
 SHARES = (1.0, 0.5, 0.2)
+
+#: To how many grasps routes are searched where no straight motion leads to them.
+SEARCHED = 8
 
 #: Where an approach is looked at, as shares of its length.
 _LOOKS = (0.25, 0.5, 0.75, 1.0)
@@ -53,6 +58,10 @@ class Grasp:
     distance: float
     approach: float
     least_duration: float
+
+    def transit_among(self, around: Surroundings, near: Surroundings) -> Surroundings:
+        """What the way to the stand-off has to keep clear of; without an approach it leads to the fruit itself."""
+        return near if self.distance == 0.0 else around
 
     def path(self, robot: Robot, locked: tuple[str, ...] = ()) -> ApproachPath | None:
         """The approach, or None where there is none."""
@@ -113,6 +122,25 @@ def grasps(
         for i, (distance, begin) in chosen.items()
     ]
     return tuple(sorted(ways, key=lambda grasp: grasp.least_duration))
+
+
+def promising(ways: Sequence[Grasp], around: Surroundings, near: Surroundings, start: FloatArray) -> list[Grasp]:
+    """The first grasp that a straight motion leads to, and a few that promise more, evenly taken from all of those."""
+    straight = next(
+        (
+            number
+            for number, grasp in enumerate(ways)
+            if grasp.transit_among(around, near).field.is_clear(np.stack([start, grasp.standoff]), SPARE)
+        ),
+        len(ways),
+    )
+    stride = max(1, math.ceil(straight / SEARCHED))
+    return [*ways[:straight:stride], *ways[straight : straight + 1]]
+
+
+def least_standoff(around: Surroundings, fruit: Fruit) -> float:
+    """Where the tool is clear of the fruit it is going to take [m]."""
+    return fruit.radius + float(around.robot.arm.half_widths[-1]) + around.clearance + 2.0 * SPARE
 
 
 def _distances(standoff: float, least: float) -> list[float]:

@@ -32,11 +32,11 @@ from hplan.errors import (
     NoPathError,
     TimingError,
 )
-from hplan.harvest import Grasp, grasps
+from hplan.harvest import Grasp, grasps, least_standoff, promising
 from hplan.options import PlanOptions
 from hplan.ordering import Costs, Visits
 from hplan.path import Limits, rest_to_rest
-from hplan.pipeline import Workspace, last_stretch, least_standoff, promising
+from hplan.pipeline import Workspace, last_stretch
 from hplan.problem import pose_problem
 from hplan.report import StageClock
 from hplan.robot import Robot

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -10,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from hplan.arrays import FloatArray
-from hplan.certificate import Certificate, LimitUse
+from hplan.certificate import Certificate, all_of
 from hplan.errors import CertificationError, HplanError, TimingError
 from hplan.grid import Occupancy
-from hplan.harvest import SPARE, Grasp, grasps
+from hplan.harvest import Grasp, grasps, least_standoff, promising
 from hplan.options import PlanOptions
 from hplan.polyline import path_length
 from hplan.postprocess import SplinePath
@@ -21,15 +20,12 @@ from hplan.problem import Problem, pose_problem
 from hplan.report import StageClock, versions
 from hplan.robot import Robot
 from hplan.route import Progress, Task
-from hplan.scene import Fruit, Scene
+from hplan.scene import Scene
 from hplan.search import SearchResult
 from hplan.surroundings import Surroundings
 from hplan.trajectory import Trajectory, joined
 from hplan.transit import Motion, certified, find_motion, renewed, timed
 from hplan.turning_space import Layers
-
-#: To how many grasps routes are searched where no straight motion leads to them.
-SEARCHED = 8
 
 
 @dataclass(frozen=True)
@@ -199,7 +195,7 @@ def _reach(
         shortlist = promising(ways, around, near, start)
         tasks = []
         for grasp in shortlist:
-            where = near if grasp.distance == 0.0 else around
+            where = grasp.transit_among(around, near)
             problem = pose_problem(where, start, grasp.standoff, locked_joints=scene.locked_joints)
             tasks.append(Task(where, scene, problem, options, clock, workspace.layers, progress))
     refused: HplanError | None = None
@@ -215,25 +211,6 @@ def _reach(
             continue
         return _result(scene, clock, grasp, motion, parts)
     raise refused or CertificationError("no motion could be certified")
-
-
-def promising(ways: Sequence[Grasp], around: Surroundings, near: Surroundings, start: FloatArray) -> list[Grasp]:
-    """The first grasp that a straight motion leads to, and a few that promise more, evenly taken from all of those."""
-    straight = next(
-        (
-            number
-            for number, grasp in enumerate(ways)
-            if (near if grasp.distance == 0.0 else around).field.is_clear(np.stack([start, grasp.standoff]), SPARE)
-        ),
-        len(ways),
-    )
-    stride = max(1, math.ceil(straight / SEARCHED))
-    return [*ways[:straight:stride], *ways[straight : straight + 1]]
-
-
-def least_standoff(around: Surroundings, fruit: Fruit) -> float:
-    """Where the tool is clear of the fruit it is going to take [m]."""
-    return fruit.radius + float(around.robot.arm.half_widths[-1]) + around.clearance + 2.0 * SPARE
 
 
 def last_stretch(task: Task, grasp: Grasp, retreat: bool) -> list[tuple[str, Trajectory, Certificate]]:
@@ -274,23 +251,6 @@ def _result(
         phases=phases,
         motion=motion,
         report=_report(scene, clock, grasp, motion, phases, trajectory, certificate),
-    )
-
-
-def all_of(parts: Sequence[Certificate]) -> Certificate:
-    """The certificate of motions one after the other."""
-    if len(parts) == 1:
-        return parts[0]
-    contacts = [part.nearest for part in parts if part.nearest is not None]
-    return Certificate(
-        verified=all(part.verified for part in parts),
-        min_clearance_m=min(part.min_clearance_m for part in parts),
-        nearest=min(contacts, key=lambda contact: contact.distance_m, default=None),
-        limit_use=LimitUse(
-            **{name: max(getattr(part.limit_use, name) for part in parts) for name in vars(parts[0].limit_use)}
-        ),
-        checks=sum(part.checks for part in parts),
-        violations=tuple(violation for part in parts for violation in part.violations),
     )
 
 

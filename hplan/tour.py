@@ -18,13 +18,13 @@ from typing import Any, Literal
 import numpy as np
 
 from hplan.arrays import FloatArray
-from hplan.certificate import Certificate
+from hplan.certificate import Certificate, all_of
 from hplan.errors import CertificationError, HplanError, OptionError, TourError, UnreachableError
 from hplan.harvest import Grasp
 from hplan.options import PlanOptions
 from hplan.ordering import Costs, Visits, along, best, nearest
 from hplan.picking import NO_MOTION, Motions, Part, Stop, World, carrying, drop_off
-from hplan.pipeline import Phase, all_of
+from hplan.pipeline import Phase
 from hplan.report import versions
 from hplan.robot import Robot
 from hplan.route import Progress

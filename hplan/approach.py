@@ -30,6 +30,7 @@ from numpy.typing import ArrayLike
 from hplan.arrays import BoolArray, FloatArray, frozen
 from hplan.errors import ApproachError, InputError, OptionError
 from hplan.planar_chain import ComplexArray, two_links
+from hplan.polyline import curve_length
 from hplan.robot import Robot
 
 #: The elbow keeps this angle from straight and from folded [rad]; there, joint speeds pass all bounds.
@@ -98,13 +99,15 @@ class ApproachPath:
     @cached_property
     def length(self) -> float:
         """Joint-space length, by Gauss-Legendre quadrature."""
-        nodes, weights = np.polynomial.legendre.leggauss(8)
         # Denser towards both ends, where the elbow may be nearly straight.
         panels = 0.5 * self.standoff * (1.0 - np.cos(np.linspace(0.0, np.pi, 17)))
-        width = np.diff(panels)
-        t = panels[:-1, None] + 0.5 * (nodes + 1.0) * width[:, None]
-        speed = np.linalg.norm(self._stretch.joints(t.reshape(1, -1), 1)[0], axis=-1).reshape(t.shape)
-        return float((0.5 * width[:, None] * weights * speed).sum())
+
+        def speed(t: FloatArray) -> FloatArray:
+            rates = self._stretch.joints(t.reshape(1, -1), 1)[0]
+            speeds: FloatArray = np.linalg.norm(rates, axis=-1).reshape(t.shape)
+            return speeds
+
+        return curve_length(speed, panels)
 
     @property
     def end(self) -> float:

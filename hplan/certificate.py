@@ -26,13 +26,13 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numba as nb
 import numpy as np
 
 from hplan.arrays import FloatArray
 from hplan.collision import CollisionScene, Contact
 from hplan.dynamics import InverseDynamics
 from hplan.errors import InputError, OptionError
+from hplan.kernels import kernel
 from hplan.robot import Robot
 from hplan.scene import Scene
 from hplan.self_contact import pair_rates, pair_sway
@@ -306,7 +306,7 @@ def _advance(travel: list[float], at: float, part: float) -> float:
     return row + (limit - travel[row]) / (travel[row + 1] - travel[row])
 
 
-@nb.njit(cache=True)
+@kernel
 def _point(bezier: FloatArray, at: float) -> FloatArray:
     """Configuration at a place counted in rows."""
     piece = min(int(at), bezier.shape[0] - 1)

@@ -24,12 +24,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import assert_never
 
-import numba as nb
 import numpy as np
 from numpy.typing import ArrayLike
 
 from hplan.arrays import BoolArray, FloatArray, IntArray, frozen, readonly
 from hplan.errors import OptionError
+from hplan.kernels import inlined, kernel
 from hplan.robot import Robot
 from hplan.scene import Box, Capsule, Solid, Sphere
 from hplan.self_contact import BaseBody, self_contact
@@ -198,7 +198,7 @@ class ClearanceField:
         """
         if not margin > 0.0:
             raise OptionError("margin", margin, "a positive number of metres")
-        points = np.ascontiguousarray(path, dtype=np.float64)
+        points = np.array(path, dtype=np.float64, order="C")
         return bool(
             np.isfinite(points).all() and _path_is_clear(points, self.chain, self.base, self.solids, self.data, margin)
         )
@@ -281,7 +281,7 @@ def _cloud_rows(cloud: Cloud, clearance: float, offset: int) -> FloatArray:
     return rows
 
 
-@nb.njit(cache=True, inline="always")
+@inlined
 def _point_segment(
     cx: float, cy: float, cz: float, ax: float, ay: float, az: float, ux: float, uy: float, uz: float
 ) -> float:
@@ -295,7 +295,7 @@ def _point_segment(
     return math.sqrt(dx * dx + dy * dy + dz * dz)
 
 
-@nb.njit(cache=True)
+@kernel
 def _segment_segment(
     ax: float, ay: float, az: float, ux: float, uy: float, uz: float,
     bx: float, by: float, bz: float, vx: float, vy: float, vz: float,
@@ -332,13 +332,13 @@ def _segment_segment(
     return math.sqrt(dx * dx + dy * dy + dz * dz)
 
 
-@nb.njit(cache=True, inline="always")
+@inlined
 def _beyond(x: float, half: float) -> float:
     """How far, with sign, a coordinate is outside [-half, half]."""
     return x - half if x > half else (x + half if x < -half else 0.0)
 
 
-@nb.njit(cache=True)
+@kernel
 def _segment_box(
     ax: float, ay: float, az: float, ux: float, uy: float, uz: float, hx: float, hy: float, hz: float
 ) -> float:  # fmt: skip
@@ -376,7 +376,7 @@ def _segment_box(
     return math.sqrt(dx * dx + dy * dy + dz * dz)
 
 
-@nb.njit(cache=True)
+@kernel
 def _segment_hull(
     ax: float, ay: float, az: float, ux: float, uy: float, uz: float,
     data: FloatArray, first: int, middle: int, last: int, enough: float,
@@ -433,7 +433,7 @@ def _segment_hull(
     return least
 
 
-@nb.njit(cache=True)
+@kernel
 def _links_apart(q: FloatArray, first: int, chain: FloatArray, inner: int, outer: int) -> float:
     """Distance between the axes of two links, in the plane; the end of the inner one is the origin, its direction x."""
     x, y, angle = 0.0, 0.0, 0.0
@@ -447,7 +447,7 @@ def _links_apart(q: FloatArray, first: int, chain: FloatArray, inner: int, outer
     return distance
 
 
-@nb.njit(cache=True)
+@kernel
 def _link_clearances(
     q: FloatArray, chain: FloatArray, base: FloatArray, solids: FloatArray, data: FloatArray, result: FloatArray
 ) -> None:
@@ -521,7 +521,7 @@ def _link_clearances(
         x, y, z = x + ux, y + uy, z + uz
 
 
-@nb.njit(cache=True)
+@kernel
 def _mark_near(
     path: FloatArray, chain: FloatArray, base: FloatArray, solids: FloatArray, distance: float, near: BoolArray
 ) -> None:
@@ -546,7 +546,7 @@ def _mark_near(
             x, y, z = x + ux, y + uy, z + uz
 
 
-@nb.njit(cache=True)
+@kernel
 def smallest(values: FloatArray) -> float:
     """Smallest of a few values."""
     least = math.inf
@@ -555,7 +555,7 @@ def smallest(values: FloatArray) -> float:
     return least
 
 
-@nb.njit(cache=True, inline="always")
+@inlined
 def proven_advance(clear: FloatArray, bounds: FloatArray, margin: float) -> float:
     """The share of a motion, at most 1, that cannot use up any link's clearance; -1 where the margin is not kept."""
     advance = 1.0
@@ -568,7 +568,7 @@ def proven_advance(clear: FloatArray, bounds: FloatArray, margin: float) -> floa
     return advance
 
 
-@nb.njit(cache=True)
+@kernel
 def motion_bounds(turns: FloatArray, chain: FloatArray, base: FloatArray, result: FloatArray) -> None:
     """Largest displacement of any axis point of each link while all joints turn in proportion, by `turns` in all.
 
@@ -589,7 +589,7 @@ def motion_bounds(turns: FloatArray, chain: FloatArray, base: FloatArray, result
         result[k] = bound + swing * radius
 
 
-@nb.njit(cache=True)
+@kernel
 def _path_is_clear(
     path: FloatArray, chain: FloatArray, base: FloatArray, solids: FloatArray, data: FloatArray, margin: float
 ) -> bool:
@@ -600,7 +600,7 @@ def _path_is_clear(
     return True
 
 
-@nb.njit(cache=True)
+@kernel
 def segment_is_clear(
     start: FloatArray,
     end: FloatArray,

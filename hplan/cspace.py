@@ -23,12 +23,12 @@ from __future__ import annotations
 
 import math
 
-import numba as nb
 import numpy as np
 
 from hplan.arrays import BoolArray, FloatArray, IntArray, WordArray, frozen, readonly
 from hplan.errors import InputError
 from hplan.grid import Grid, Occupancy
+from hplan.kernels import inlined, kernel
 from hplan.robot import PlanarArm
 from hplan.section import LINK_MODELS, ArmSections
 from hplan.self_contact import part_of_arm
@@ -122,7 +122,7 @@ def _take_out_contact(words: WordArray, arm: PlanarArm, grid: Grid, link: int, o
         rows[:, apart.occupied.ravel()] = 0
 
 
-@nb.njit(cache=True, inline="always")
+@inlined
 def _disc_half_angle(rho: float, length: float, radius: float) -> float:
     """Equations (1) and (2) for rho > radius; -1 where the disc is out of reach."""
     if rho > length + radius:
@@ -133,7 +133,7 @@ def _disc_half_angle(rho: float, length: float, radius: float) -> float:
     return math.acos(min(1.0, cosine))
 
 
-@nb.njit(cache=True)
+@kernel
 def _rectangle_half_angles(rho: float, length: float, half_width: float, radius: float) -> tuple[float, float]:
     """Smallest and largest |bearing| at which a disc meets a rectangle [0, length] x [-w, w]; -1 where never.
 
@@ -164,14 +164,14 @@ def _rectangle_half_angles(rho: float, length: float, half_width: float, radius:
     return lowest, highest
 
 
-@nb.njit(cache=True, inline="always")
+@inlined
 def _arc(rho: float, centre: float, radius: float) -> float:
     """Angle between the directions to a circle's centre and to its point at distance rho."""
     cosine = (rho * rho + centre * centre - radius * radius) / (2.0 * rho * centre)
     return math.acos(max(-1.0, min(1.0, cosine)))
 
 
-@nb.njit(cache=True)
+@kernel
 def _polygon_interval(
     vertices: FloatArray,
     first: int,
@@ -248,7 +248,7 @@ def _polygon_interval(
     return 1, low, low + max(0.0, math.atan2(lx * hy - ly * hx, lx * hx + ly * hy))
 
 
-@nb.njit(cache=True, inline="always")
+@inlined
 def _widen(
     lx: float, ly: float, hx: float, hy: float, ax: float, ay: float, bx: float, by: float
 ) -> tuple[float, float, float, float]:
@@ -262,7 +262,7 @@ def _widen(
     return lx, ly, hx, hy
 
 
-@nb.njit(cache=True)
+@kernel
 def _mark(
     rows: WordArray,
     r: int,
@@ -298,7 +298,7 @@ def _mark(
         low, high = low + turn, high + turn
 
 
-@nb.njit(cache=True)
+@kernel
 def _fill_link(
     rows: WordArray,
     alive: BoolArray,
@@ -372,7 +372,7 @@ def _fill_link(
                 _mark(rows, r, bearing - high, bearing - low, lower, step, count, sign, offset)
 
 
-@nb.njit(cache=True)
+@kernel
 def _advance(
     rows: WordArray,
     px: FloatArray,
@@ -407,7 +407,7 @@ def _advance(
     return alive, next_px, next_py, next_cos, next_sin
 
 
-@nb.njit(cache=True)
+@kernel
 def _fill(
     shape: IntArray,
     lower: FloatArray,

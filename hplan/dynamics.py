@@ -18,11 +18,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import numba as nb
 import numpy as np
 import pinocchio as pin
 
 from hplan.arrays import FloatArray, readonly
+from hplan.kernels import kernel
 
 #: Pinocchio's joints of one axis, fixed in the joint's own frame.
 _TURNING = ("JointModelRX", "JointModelRY", "JointModelRZ", "JointModelRevoluteUnaligned")
@@ -63,8 +63,8 @@ class InverseDynamics:
             found = [pin.rnea(self.model, data, *row) for row in zip(q, v, a, strict=True)]
             return np.array(found).reshape(len(q), self.model.nv)
         torque = np.empty((len(q), len(self.bodies)))
-        flat = (np.ascontiguousarray(values, dtype=np.float64) for values in (q, v, a))
-        _newton_euler(*flat, self.bodies, np.array(self.model.gravity.linear), torque)
+        q, v, a = (np.ascontiguousarray(values, dtype=np.float64) for values in (q, v, a))
+        _newton_euler(q, v, a, self.bodies, np.array(self.model.gravity.linear), torque)
         return torque
 
     def gravity(self, q: FloatArray) -> FloatArray:
@@ -92,7 +92,7 @@ def _body(model: pin.Model, number: int, joint: pin.JointModel) -> FloatArray:
     return rows
 
 
-@nb.njit(cache=True)
+@kernel
 def _newton_euler(
     q: FloatArray, v: FloatArray, a: FloatArray, bodies: FloatArray, gravity: FloatArray, torque: FloatArray
 ) -> None:

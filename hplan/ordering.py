@@ -20,10 +20,10 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numba as nb
 import numpy as np
 
 from hplan.arrays import BoolArray, FloatArray, IntArray, frozen
+from hplan.kernels import kernel
 
 #: Up to so many fruits, and so many numbers in its table, the order is exact.
 EXACT, MOST_STATES = 11, 4_000_000
@@ -157,7 +157,7 @@ def _total(costs: Costs, places: Sequence[int], dropped: Sequence[bool]) -> floa
     return float(total)
 
 
-@nb.njit(cache=True)
+@kernel
 def _advance(
     begin: IntArray, onward: FloatArray, drop: FloatArray, away: FloatArray, capacity: int, f: int, g: int,
     table: FloatArray,
@@ -180,7 +180,7 @@ def _advance(
                     table[w, load + 1] = min(table[w, load + 1], table[v, load] + onward[v, w])
 
 
-@nb.njit(cache=True)
+@kernel
 def _cost(
     order: IntArray, begin: IntArray, first: FloatArray, onward: FloatArray, drop: FloatArray, away: FloatArray,
     last: FloatArray, capacity: int, table: FloatArray,
@@ -201,7 +201,7 @@ def _cost(
     return least
 
 
-@nb.njit(cache=True)
+@kernel
 def _along(
     order: IntArray, begin: IntArray, first: FloatArray, onward: FloatArray, drop: FloatArray, away: FloatArray,
     last: FloatArray, capacity: int,
@@ -230,7 +230,7 @@ def _along(
     return cost, places, dropped
 
 
-@nb.njit(cache=True)
+@kernel
 def _improved(
     order: IntArray, begin: IntArray, first: FloatArray, onward: FloatArray, drop: FloatArray, away: FloatArray,
     last: FloatArray, capacity: int,
@@ -276,7 +276,7 @@ def _improved(
     return cost, order
 
 
-@nb.njit(cache=True)
+@kernel
 def _exact(
     n: int, begin: IntArray, first: FloatArray, onward: FloatArray, drop: FloatArray, away: FloatArray,
     last: FloatArray, capacity: int,

@@ -33,10 +33,10 @@ from __future__ import annotations
 
 import math
 
-import numba as nb
 import numpy as np
 
 from hplan.arrays import FloatArray, IntArray
+from hplan.kernels import inlined, kernel
 
 #: Bodies grow by this, relative to their size above 1 m, so that rounding errors fall on the safe side [m].
 _OUTWARD = 1e-12
@@ -59,11 +59,8 @@ _ROUNDED_POINTS = 128
 #: Largest number of steps to the binding points; the support is a bound after any.
 _STEPS = 64
 
-#: For what only kernels call: no way in from Python is compiled.
-_inner = nb.njit(cache=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 
-
-@nb.njit(cache=True, inline="always")
+@inlined
 def _support(
     points: FloatArray, count: int, radius: float, ux: float, uy: float, lowest: int, highest: int
 ) -> tuple[float, float, int, int, float]:
@@ -111,7 +108,7 @@ def _support(
     return support, across, low, high, share
 
 
-@_inner
+@kernel
 def _corner(tangents: FloatArray, i: int, j: int) -> tuple[float, float]:
     """Where two tangents meet."""
     turn = tangents[i, 0] * tangents[j, 1] - tangents[i, 1] * tangents[j, 0]
@@ -120,7 +117,7 @@ def _corner(tangents: FloatArray, i: int, j: int) -> tuple[float, float]:
     return x, y
 
 
-@_inner
+@kernel
 def _gap(x: float, y: float, ax: float, ay: float, bx: float, by: float) -> float:
     """Distance of a point from a segment."""
     dx, dy = bx - ax, by - ay
@@ -131,7 +128,7 @@ def _gap(x: float, y: float, ax: float, ay: float, bx: float, by: float) -> floa
     return math.sqrt((x - ax - t * dx) ** 2 + (y - ay - t * dy) ** 2)
 
 
-@_inner
+@kernel
 def _kept_rounding(points: FloatArray, count: int, radius: float) -> float:
     """A radius by which some convex set must be grown to give the section: that of no disc which touches is smaller.
 
@@ -154,7 +151,7 @@ def _kept_rounding(points: FloatArray, count: int, radius: float) -> float:
     return radius * math.sqrt(1.0 - worst)
 
 
-@_inner
+@kernel
 def cut_hull(
     points: FloatArray,
     count: int,
@@ -268,7 +265,7 @@ def cut_hull(
     return sides, kept
 
 
-@_inner
+@kernel
 def _thin(
     tangents: FloatArray, length: float, width: float, kept: float, error: float, corners: FloatArray
 ) -> tuple[int, float]:
@@ -285,7 +282,7 @@ def _thin(
     return 2, kept + 0.5 * width
 
 
-@_inner
+@kernel
 def _sweep(
     points: FloatArray,
     first: int,
@@ -366,7 +363,7 @@ def _sweep(
     return 2 * written, 0.5 * far * (1.0 - cos), ex, ey
 
 
-@nb.njit(cache=True, inline="always")
+@inlined
 def _ball(x: float, n: float, ox: float, on: float, cos: float, sin: float, nested: bool) -> tuple[float, float, float]:
     """Range of the centre's place along the plane, and its least height, while it turns about the axis.
 
@@ -391,7 +388,7 @@ def _ball(x: float, n: float, ox: float, on: float, cos: float, sin: float, nest
     return low - ox, high - ox, max(0.0, under, -upper)
 
 
-@nb.njit(cache=True)
+@kernel
 def cut_balls(
     centres: FloatArray,
     radii: FloatArray,
@@ -482,7 +479,7 @@ def cut_balls(
     return link_start, vertex_start, vertices, discs, owner
 
 
-@nb.njit(cache=True)
+@kernel
 def cut_hulls(
     points: FloatArray,
     starts: IntArray,

@@ -6,6 +6,7 @@ Nothing heavy is imported before it is needed.
 from __future__ import annotations
 
 import argparse
+import gc
 import textwrap
 from collections.abc import Callable
 from pathlib import Path
@@ -18,6 +19,9 @@ if TYPE_CHECKING:
 
 #: Exit status where what was looked at is not in order.
 FAILED = 5
+
+#: Objects made before Python looks for what can be collected.
+_COLLECT_AFTER = 100_000
 
 #: Exit status after an interrupt, as shells give it.
 INTERRUPTED = 130
@@ -34,6 +38,8 @@ def run_command(command: Callable[[Console, Console], int]) -> int:
     """
     from rich.console import Console
 
+    # What imports and compiled kernels leave behind stays; looking through it again and again takes a tenth of a plan.
+    gc.set_threshold(_COLLECT_AFTER, 50, 50)
     console, errors = Console(highlight=False), Console(stderr=True, highlight=False)
     try:
         return command(console, errors)

@@ -12,7 +12,7 @@ set of x from which the end can be reached is an interval, whose two ends are li
 the largest u that stays in these intervals is taken. `algorithm.TOPPRA` does so with a call from Python for each
 program, which takes many times what solving it takes; here both passes are one compiled call.
 
-This module is imported lazily: toppra takes half a second.
+This module is imported lazily: toppra, with scipy, takes a quarter of a second.
 """
 
 from __future__ import annotations
@@ -20,17 +20,20 @@ from __future__ import annotations
 import logging
 from typing import Any
 
-import numba as nb
 import numpy as np
-import toppra
 from numpy.typing import ArrayLike
-from toppra import constraint
-from toppra.algorithm.algorithm import ParameterizationAlgorithm, ParameterizationReturnCode
 
 from hplan.arrays import FloatArray
+from hplan.deferred import deferred
 from hplan.dynamics import InverseDynamics
 from hplan.errors import TimingError
+from hplan.kernels import kernel
 from hplan.path import GeometricPath, Limits
+
+with deferred("matplotlib", "matplotlib.pyplot"):  # toppra wants it for plots that nobody asks for here
+    import toppra
+    from toppra import constraint
+    from toppra.algorithm.algorithm import ParameterizationAlgorithm, ParameterizationReturnCode
 
 logging.getLogger("toppra").setLevel(logging.ERROR)
 
@@ -214,7 +217,7 @@ def _through(values: FloatArray, faces: FloatArray) -> FloatArray:
     return product
 
 
-@nb.njit(cache=True)
+@kernel
 def _controllable(rows: FloatArray, steps: FloatArray, end: float, sets: FloatArray) -> None:
     """Backward: the least and the largest x at each grid point from which x = end can be reached; else left as it is.
 
@@ -259,7 +262,7 @@ def _controllable(rows: FloatArray, steps: FloatArray, end: float, sets: FloatAr
         sets[i, 0] = max(sets[i, 0], 0.0)
 
 
-@nb.njit(cache=True)
+@kernel
 def _greedy(rows: FloatArray, steps: FloatArray, sets: FloatArray, start: float, x: FloatArray, u: FloatArray) -> None:
     """Forward: the largest u at each grid point that stays within the sets; where there is none, the rest of x is left.
 

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import math
 
-import numba as nb
 import numpy as np
 
 from hplan.arrays import WordArray, frozen
 from hplan.cspace import occupancy
 from hplan.errors import OptionError
 from hplan.grid import Grid, Occupancy, words_for
+from hplan.kernels import kernel
 from hplan.robot import Robot
 from hplan.section import ArmSections, Bodies, sections_at
 
@@ -121,7 +121,7 @@ def turning_occupancy(
     return Occupancy(grid, frozen(words))
 
 
-@nb.njit(cache=True)
+@kernel
 def _stack(free: WordArray, count: int, place: int, words: WordArray) -> None:
     """Word `place` of every node's row from 64 planar occupancies, (layers, rows, words): a bit from each of them.
 

@@ -8,12 +8,12 @@ from array import array
 from dataclasses import dataclass
 from typing import Any
 
-import numba as nb
 import numpy as np
 
 from hplan.arrays import FloatArray
 from hplan.benchmark.measure import timed
 from hplan.clearance import ClearanceField, _link_clearances, segment_is_clear
+from hplan.kernels import kernel
 from hplan.robot import Robot
 
 #: How long a planner may take to find a path, and again to simplify it [s].
@@ -197,7 +197,7 @@ class _Calls:
         return whole
 
 
-@nb.njit(cache=True)
+@kernel
 def _ask(
     motions: FloatArray,
     states: FloatArray,

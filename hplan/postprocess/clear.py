@@ -10,14 +10,20 @@ from __future__ import annotations
 
 import math
 
-import numba as nb
 import numpy as np
 
 from hplan.arrays import FloatArray, IntArray, frozen
 from hplan.clearance import ClearanceField, _link_clearances, smallest
+from hplan.kernels import any_int, kernel
 from hplan.polyline import stations
 from hplan.postprocess.options import PostprocessOptions
 from hplan.postprocess.spline import STRIDE, SplinePath, bezier_piece, copy_into, piece_is_clear
+
+#: The first piece.
+_FIRST = any_int(0)
+
+#: Rounds of pushing after a round of smoothing.
+_PUSHES = any_int(6)
 
 
 def clear_spline(
@@ -72,7 +78,7 @@ def tighten(
     return taut if taut.is_clear(field, 0.5 * margin) else spline
 
 
-@nb.njit(cache=True)
+@kernel
 def push_out(
     control: FloatArray,
     knots: FloatArray,
@@ -152,7 +158,7 @@ def push_out(
     return False
 
 
-@nb.njit(cache=True)
+@kernel
 def _tighten(
     control: FloatArray,
     knots: FloatArray,
@@ -176,7 +182,7 @@ def _tighten(
             for j in movable:
                 control[i, j] = 0.5 * (before[i - 1, j] + before[i + 1, j])
         clear = push_out(
-            control, knots, chain, base, solids, data, lower, upper, movable, margin, 0, count - 4, 6
+            control, knots, chain, base, solids, data, lower, upper, movable, margin, _FIRST, count - 4, _PUSHES
         )  # fmt: skip
         if clear:
             length = _polygon_length(control)
@@ -186,7 +192,7 @@ def _tighten(
     copy_into(control, best)
 
 
-@nb.njit(cache=True)
+@kernel
 def _polygon_length(control: FloatArray) -> float:
     total = 0.0
     for i in range(control.shape[0] - 1):

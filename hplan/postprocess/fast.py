@@ -16,17 +16,23 @@ from __future__ import annotations
 
 import math
 
-import numba as nb
 import numpy as np
 
 from hplan.arrays import FloatArray, IntArray, frozen
 from hplan.clearance import ClearanceField
+from hplan.kernels import any_int, kernel
 from hplan.postprocess.clear import push_out
 from hplan.postprocess.options import PostprocessOptions
 from hplan.postprocess.spline import STRIDE, SplinePath, bezier_piece, copy_into, pieces_are_clear
 
 #: Points at which a piece's speed is estimated.
 _PER_PIECE = 8
+
+#: The first piece.
+_FIRST = any_int(0)
+
+#: Rounds of pushing a control point's neighbours out after a move into contact.
+_SLIDES = any_int(3)
 
 
 def hasten(
@@ -51,7 +57,7 @@ def hasten(
     return SplinePath(frozen(control), spline.knots), float(duration)
 
 
-@nb.njit(cache=True)
+@kernel
 def _derivative_weights(knots: FloatArray, pieces: int) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Grid parameters, and how the first and second derivative there weigh a piece's four control points.
 
@@ -77,7 +83,7 @@ def _derivative_weights(knots: FloatArray, pieces: int) -> tuple[FloatArray, Flo
     return grid, first, second
 
 
-@nb.njit(cache=True)
+@kernel
 def _demands(
     control: FloatArray,
     low: int,
@@ -124,7 +130,7 @@ def _demands(
         most[row] = cap
 
 
-@nb.njit(cache=True)
+@kernel
 def _duration(grid: FloatArray, push: FloatArray, bend: FloatArray, most: FloatArray, square: FloatArray) -> float:
     """Duration by one pass forward and one back; `square` is left as the squared path speed."""
     points, dof = push.shape
@@ -149,7 +155,7 @@ def _duration(grid: FloatArray, push: FloatArray, bend: FloatArray, most: FloatA
     return duration
 
 
-@nb.njit(cache=True)
+@kernel
 def _search(
     control: FloatArray,
     knots: FloatArray,
@@ -177,7 +183,7 @@ def _search(
     for c in range(count):
         for j in range(dof):
             step[c, j] = 0.05
-    _demands(control, 0, pieces - 1, first, second, velocity, acceleration, push, bend, most)
+    _demands(control, _FIRST, pieces - 1, first, second, velocity, acceleration, push, bend, most)
     best = _duration(grid, push, bend, most, square)
     tried = 0
     largest = 1.0
@@ -200,7 +206,7 @@ def _search(
             if paid and not pieces_are_clear(control, knots, low, high, chain, base, solids, data, margin, STRIDE):
                 # Slide along the obstacle: push the neighbours out, and see whether it still pays.
                 paid = push_out(
-                    control, knots, chain, base, solids, data, lower, upper, movable, margin, low, high, 3
+                    control, knots, chain, base, solids, data, lower, upper, movable, margin, low, high, _SLIDES
                 )  # fmt: skip
                 low, high = max(0, c - 6), min(pieces - 1, c + 3)
                 if paid:
@@ -217,9 +223,9 @@ def _search(
                 _demands(control, low, high, first, second, velocity, acceleration, push, bend, most)
                 step[c, j] *= -1.0 if move % 2 == 0 else -0.4
             largest = max(largest, abs(step[c, j]))
-        if not pieces_are_clear(control, knots, 0, pieces - 1, chain, base, solids, data, 0.5 * margin, 0.0):
+        if not pieces_are_clear(control, knots, _FIRST, pieces - 1, chain, base, solids, data, 0.5 * margin, 0.0):
             copy_into(control, proven)
-            _demands(control, 0, pieces - 1, first, second, velocity, acceleration, push, bend, most)
+            _demands(control, _FIRST, pieces - 1, first, second, velocity, acceleration, push, bend, most)
             return float(_duration(grid, push, bend, most, square))
         copy_into(proven, control)
     return float(best)

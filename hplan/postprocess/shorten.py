@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import math
 
-import numba as nb
 import numpy as np
 
 from hplan.arrays import FloatArray, frozen
 from hplan.clearance import ClearanceField, segment_is_clear
+from hplan.kernels import kernel
 
 #: Waypoints nearer than this to each other are one [rad].
 _MERGE = 1e-9
@@ -49,7 +49,7 @@ def shorten(path: FloatArray, field: ClearanceField, *, margin: float, rounds: i
     return frozen(_shortcut(taut, field.chain, field.base, field.solids, field.data, margin, rounds))
 
 
-@nb.njit(cache=True)
+@kernel
 def _skip_visible(
     path: FloatArray, chain: FloatArray, base: FloatArray, solids: FloatArray, data: FloatArray, margin: float
 ) -> FloatArray:
@@ -87,7 +87,7 @@ def _skip_visible(
     return result
 
 
-@nb.njit(cache=True)
+@kernel
 def _distance(first: FloatArray, i: int, second: FloatArray, j: int) -> float:
     """Distance of row i of one array from row j of another."""
     square = 0.0
@@ -96,19 +96,19 @@ def _distance(first: FloatArray, i: int, second: FloatArray, j: int) -> float:
     return math.sqrt(square)
 
 
-@nb.njit(cache=True)
-def _place(path: FloatArray, station: FloatArray, at: float, result: FloatArray, row: int) -> int:
-    """Write the point at a station of the path into a row; returns the segment it lies in."""
+@kernel
+def _place(path: FloatArray, station: FloatArray, at: float, point: FloatArray) -> int:
+    """Write the point at a station of the path; returns the segment it lies in."""
     i = 0
     while i < path.shape[0] - 2 and station[i + 1] <= at:
         i += 1
     share = (at - station[i]) / (station[i + 1] - station[i])
     for joint in range(path.shape[1]):
-        result[row, joint] = path[i, joint] + share * (path[i + 1, joint] - path[i, joint])
+        point[joint] = path[i, joint] + share * (path[i + 1, joint] - path[i, joint])
     return i
 
 
-@nb.njit(cache=True)
+@kernel
 def _join(path: FloatArray, i: int, bypass: FloatArray, inner: int, j: int) -> FloatArray:
     """The path up to segment i, the first `inner` + 2 points of the bypass, the path after segment j; no twins."""
     count, dof = path.shape
@@ -128,7 +128,7 @@ def _join(path: FloatArray, i: int, bypass: FloatArray, inner: int, j: int) -> F
     return joined[:size].copy()
 
 
-@nb.njit(cache=True)
+@kernel
 def _shortcut(
     path: FloatArray,
     chain: FloatArray,
@@ -155,8 +155,8 @@ def _shortcut(
         if high - low < 1e-6 * whole:
             continue
         bypass = np.empty((count + 2, dof))
-        i = _place(path, station, low, bypass, 0)
-        j = _place(path, station, high, bypass, 1)
+        i = _place(path, station, low, bypass[0])
+        j = _place(path, station, high, bypass[1])
         if i == j:
             continue
         joint = attempt % (dof + 1) - 1  # -1: all joints go straight

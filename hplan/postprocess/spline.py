@@ -10,22 +10,20 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 
-import numba as nb
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hplan.arrays import FloatArray, frozen, readonly
+from hplan.arrays import BoolArray, FloatArray, frozen, readonly
 from hplan.clearance import ClearanceField, _link_clearances, proven_advance
 from hplan.errors import InputError
-from hplan.polyline import stations
+from hplan.kernels import kernel
+from hplan.polyline import curve_length, stations
 
 #: Longest step along a piece with which an optimiser looks for contact before the proof.
 STRIDE = 1.0 / 16.0
 
 #: Panels of a piece, each with Gauss-Legendre quadrature, for its length: a path may have cusps.
 PANELS = 6
-
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +65,7 @@ class SplinePath:
     @cached_property
     def pieces(self) -> FloatArray:
         """(pieces, 4, dof) Bezier control points of the spans."""
-        return frozen(bezier_pieces(self.control, self.knots))
+        return frozen(bezier_pieces(np.array(self.control), self.knots))
 
     @property
     def end(self) -> float:
@@ -102,25 +100,23 @@ class SplinePath:
     @cached_property
     def length(self) -> float:
         """Joint-space length, by Gauss-Legendre quadrature on `PANELS` panels of each piece."""
-        share = (np.arange(PANELS)[:, None] + 0.5 * (_NODES + 1.0)).ravel() / PANELS
-        weights = np.tile(0.5 / PANELS * _WEIGHTS, PANELS)
-        width = np.diff(self.breaks)[:, None]
-        speed = np.linalg.norm(self.evaluate(self.breaks[:-1, None] + share * width, 1), axis=-1)
-        return float((width * weights * speed).sum())
+        share = np.arange(PANELS) / PANELS
+        inner = self.breaks[:-1, None] + share * np.diff(self.breaks)[:, None]
+        panels = np.append(inner.ravel(), self.breaks[-1])
+        return curve_length(lambda s: np.linalg.norm(self.evaluate(s, 1), axis=-1), panels)
 
     def is_clear(self, field: ClearanceField, margin: float) -> bool:
         """Whether the whole path is shown clear; `margin` [m] is asked for wherever it is evaluated."""
         return bool(np.isfinite(self.control).all()) and not first_contact(self.pieces, field, margin).any()
 
 
-def first_contact(pieces: FloatArray, field: ClearanceField, margin: float) -> FloatArray:
+def first_contact(pieces: FloatArray, field: ClearanceField, margin: float) -> BoolArray:
     """(pieces,) True for each Bezier piece that is not shown clear."""
-    return np.array(
-        [not piece_is_clear(piece, field.chain, field.base, field.solids, field.data, margin, 0.0) for piece in pieces]
-    )
+    arrays = field.chain, field.base, field.solids, field.data
+    return np.array([not piece_is_clear(piece, *arrays, margin, 0.0) for piece in np.array(pieces)])
 
 
-@nb.njit(cache=True)
+@kernel
 def copy_into(target: FloatArray, source: FloatArray) -> None:
     """Copy a 2-D array (numba compiles the loop in a fraction of the time of `target[:] = source`)."""
     for i in range(source.shape[0]):
@@ -128,7 +124,7 @@ def copy_into(target: FloatArray, source: FloatArray) -> None:
             target[i, j] = source[i, j]
 
 
-@nb.njit(cache=True)
+@kernel
 def bezier_piece(control: FloatArray, knots: FloatArray, span: int, result: FloatArray) -> None:
     """Bezier control points of the span between knots[span] and knots[span + 1], by blossoming.
 
@@ -155,7 +151,7 @@ def bezier_piece(control: FloatArray, knots: FloatArray, span: int, result: Floa
             result[which, joint] = d0 + a * (d1 - d0)
 
 
-@nb.njit(cache=True)
+@kernel
 def bezier_pieces(control: FloatArray, knots: FloatArray) -> FloatArray:
     """Bezier control points of all spans."""
     spans = control.shape[0] - 3
@@ -165,7 +161,7 @@ def bezier_pieces(control: FloatArray, knots: FloatArray) -> FloatArray:
     return pieces
 
 
-@nb.njit(cache=True)
+@kernel
 def piece_bounds(piece: FloatArray, chain: FloatArray, base: FloatArray, result: FloatArray) -> None:
     """Largest speed of any axis point of each link while a piece's own parameter runs from 0 to 1 [m].
 
@@ -188,7 +184,7 @@ def piece_bounds(piece: FloatArray, chain: FloatArray, base: FloatArray, result:
         result[k] = bound + swing * radius
 
 
-@nb.njit(cache=True)
+@kernel
 def piece_is_clear(
     piece: FloatArray,
     chain: FloatArray,
@@ -220,7 +216,7 @@ def piece_is_clear(
         t = min(1.0, t + max(stride, advance))
 
 
-@nb.njit(cache=True)
+@kernel
 def pieces_are_clear(
     control: FloatArray,
     knots: FloatArray,

@@ -8,11 +8,10 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numba as nb
 import numpy as np
-from numpy.typing import NDArray
 
-from hplan.arrays import FloatArray, IntArray, WordArray
+from hplan.arrays import FloatArray, IntArray, ShortArray, WordArray
+from hplan.kernels import inlined, kernel
 from hplan.search.bits import lowest_bit, popcount
 from hplan.search.heap import pop, push
 from hplan.search.lattice import Lattice
@@ -65,8 +64,8 @@ def astar(
     return lattice.indices(rows, bits), float(cost), int(expansions)
 
 
-@nb.njit(cache=True)
-def _ranks(free: WordArray) -> NDArray[np.int32]:
+@kernel
+def _ranks(free: WordArray) -> ShortArray:
     """Set bits before each word: the place of a node's word in arrays that hold set bits only."""
     ranks = np.empty(free.shape, dtype=np.int32)
     total = 0
@@ -77,7 +76,7 @@ def _ranks(free: WordArray) -> NDArray[np.int32]:
     return ranks
 
 
-@nb.njit(cache=True, inline="always")
+@inlined
 def _bound(
     row_coordinates: IntArray,
     step: FloatArray,
@@ -129,10 +128,10 @@ def _bound(
         done = following
 
 
-@nb.njit(cache=True)
+@kernel
 def _astar(
     free: WordArray,
-    ranks: NDArray[np.int32],
+    ranks: ShortArray,
     bit_count: int,
     start_row: int,
     start_bit: int,

@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import math
 
-import numba as nb
 import numpy as np
 
 from hplan.arrays import FloatArray, IntArray, WordArray
+from hplan.kernels import kernel
 from hplan.search.flood import flood_from
 from hplan.search.lattice import Lattice
 from hplan.search.layers import SliceSearch, slice_words
@@ -71,7 +71,7 @@ def by_column(
     return np.concatenate(parts), first + second, flooded
 
 
-@nb.njit(cache=True)
+@kernel
 def _nearest_column(
     free: WordArray,
     first: int,

@@ -6,12 +6,12 @@ Sweeps alternate in direction until nothing changes: the fixed point is the conn
 
 from __future__ import annotations
 
-import numba as nb
 import numpy as np
 from numpy.typing import ArrayLike
 
 from hplan.arrays import BoolArray, IntArray, WordArray, frozen
 from hplan.grid import Occupancy
+from hplan.kernels import kernel
 from hplan.search.bits import popcount
 from hplan.search.endpoints import checked_node
 from hplan.search.lattice import Lattice
@@ -77,7 +77,7 @@ def has_bit(words: WordArray, row: int, bit: int) -> bool:
     return bool((int(words[row, bit >> 6]) >> (bit & 63)) & 1)
 
 
-@nb.njit(cache=True)
+@kernel
 def _flood_slices(free: WordArray, reached: WordArray, words: int, beside: IntArray, start_line: int) -> int:
     """Grow `reached` inside `free`, both (lines, rows of a line * words); returns the number of bits reached."""
     lines, length = free.shape
@@ -138,7 +138,7 @@ def _flood_slices(free: WordArray, reached: WordArray, words: int, beside: IntAr
     return count
 
 
-@nb.njit(cache=True)
+@kernel
 def _flood_whole(free: WordArray, reached: WordArray, row_offsets: IntArray) -> tuple[WordArray, int]:
     """Grow `reached` inside `free`, both (rows, words), from row to row and from bit to bit."""
     rows, words = free.shape

@@ -5,16 +5,20 @@ Both functions are inlined where they are used: a call with array arguments cost
 
 from __future__ import annotations
 
-import numba as nb
+from typing import TypeAlias
 
-from hplan.arrays import FloatArray, IntArray
+from hplan.arrays import FloatArray, IntArray, ShortArray
+from hplan.kernels import inlined
+
+#: Nodes or places, of either size.
+Numbers: TypeAlias = IntArray | ShortArray
 
 #: `slot` of a node that was never in the heap, or was taken from it.
 NEW, TAKEN = -1, -2
 
 
-@nb.njit(cache=True, inline="always")
-def pop(keys: FloatArray, nodes: IntArray, slot: IntArray, size: int) -> int:
+@inlined
+def pop(keys: FloatArray, nodes: Numbers, slot: Numbers, size: int) -> int:
     """Take the node with the smallest key; the heap then has `size - 1` entries.
 
     Args:
@@ -43,8 +47,8 @@ def pop(keys: FloatArray, nodes: IntArray, slot: IntArray, size: int) -> int:
     return taken
 
 
-@nb.njit(cache=True, inline="always")
-def push(keys: FloatArray, nodes: IntArray, slot: IntArray, size: int, key: float, node: int) -> int:
+@inlined
+def push(keys: FloatArray, nodes: Numbers, slot: Numbers, size: int, key: float, node: int) -> int:
     """Put a node in, or lower its key if it is in already.
 
     Args:

@@ -15,10 +15,10 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numba as nb
 import numpy as np
 
-from hplan.arrays import FloatArray, IntArray, WordArray
+from hplan.arrays import FloatArray, IntArray, ShortArray, WordArray
+from hplan.kernels import inlined, kernel
 from hplan.search.heap import NEW, pop, push
 from hplan.search.jump_leads import SIDES, STRAIGHTS, TURNS, direction_offsets, fill_leads
 
@@ -30,18 +30,18 @@ _EVERY = 0b11111111
 class _Work(NamedTuple):
     """Arrays of a search, used again for every slice; what they say of a place holds if `seen` names the slice."""
 
-    seen: IntArray
+    seen: ShortArray
     cost: FloatArray
-    parent: IntArray
-    arrival: IntArray  # direction from the parent
-    pending: IntArray  # directions to go on in, one bit each
-    tried: IntArray  # directions already gone
-    slot: IntArray
+    parent: ShortArray
+    arrival: ShortArray  # direction from the parent
+    pending: ShortArray  # directions to go on in, one bit each
+    tried: ShortArray  # directions already gone
+    slot: ShortArray
     keys: FloatArray
-    entries: IntArray
+    entries: ShortArray
 
 
-@nb.njit(cache=True)
+@kernel
 def jump_slices(
     free: WordArray,
     feasible: WordArray,
@@ -119,13 +119,13 @@ def jump_slices(
     return path_rows[: begins[-1]].copy(), begins, expansions
 
 
-@nb.njit(cache=True, inline="always")
+@inlined
 def _between(row: int, other: int, offset: int) -> int:
     """Steps of one direction from `other` to `row`."""
     return (row - other) // offset
 
 
-@nb.njit(cache=True)
+@kernel
 def _take_slices(free: WordArray, first: int, plane: WordArray) -> None:
     """Fill (rows,) `plane` with 64 slices from `first` on."""
     rows, words = free.shape
@@ -138,7 +138,7 @@ def _take_slices(free: WordArray, first: int, plane: WordArray) -> None:
             plane[row] = free[row, word] >> shift
 
 
-@nb.njit(cache=True)
+@kernel
 def _search_slice(
     plane: WordArray,
     lead: WordArray,
@@ -232,7 +232,7 @@ def _search_slice(
     return expansions
 
 
-@nb.njit(cache=True, inline="always")
+@inlined
 def _octile(place: int, width: int, goal_i: int, goal_j: int, lengths: FloatArray) -> float:
     """Length of the shortest path in an empty plane."""
     along_i, along_j = abs(place // width - goal_i), abs(place % width - goal_j)

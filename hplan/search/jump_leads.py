@@ -7,10 +7,10 @@ in direction `SIDES[k]` is occupied and the one in direction `TURNS[k]` is free.
 
 from __future__ import annotations
 
-import numba as nb
 import numpy as np
 
 from hplan.arrays import IntArray, WordArray
+from hplan.kernels import kernel
 
 #: (8, 2) the directions in which an obstacle lets a path turn.
 SIDES = np.array([[2, 3], [2, 3], [0, 1], [0, 1], [1, 3], [0, 3], [1, 2], [0, 2]])
@@ -20,13 +20,13 @@ TURNS = np.array([[4, 6], [5, 7], [4, 5], [6, 7], [5, 6], [4, 7], [7, 4], [6, 5]
 STRAIGHTS = np.array([[0, 0], [1, 1], [2, 2], [3, 3], [0, 2], [1, 2], [0, 3], [1, 3]])
 
 
-@nb.njit(cache=True)
+@kernel
 def direction_offsets(width: int) -> IntArray:
     """(8,) distance to the neighbouring place in each direction, with `width` places along axis j."""
     return np.array([1, -1, width, -width, width + 1, width - 1, 1 - width, -width - 1])
 
 
-@nb.njit(cache=True)
+@kernel
 def fill_leads(plane: WordArray, lead: WordArray, width: int, goal: int) -> None:
     """Find from which places a scan meets a jump point, or the goal, before it meets an obstacle.
 
@@ -46,7 +46,7 @@ def fill_leads(plane: WordArray, lead: WordArray, width: int, goal: int) -> None
         _lead_to_goal(plane, lead[k], goal, direction_offsets(width)[k])
 
 
-@nb.njit(cache=True)
+@kernel
 def _lead_along_j(grid: WordArray, lead: WordArray) -> None:
     rows, columns = grid.shape
     for i in range(1, rows - 1):
@@ -64,7 +64,7 @@ def _lead_along_j(grid: WordArray, lead: WordArray) -> None:
             backward[j] = bits
 
 
-@nb.njit(cache=True)
+@kernel
 def _lead_along_i(grid: WordArray, lead: WordArray) -> None:
     rows, columns = grid.shape
     for k in (2, 3):
@@ -78,7 +78,7 @@ def _lead_along_i(grid: WordArray, lead: WordArray) -> None:
                 here[j + 1] = near[j + 1] & (corner | there[j + 1])
 
 
-@nb.njit(cache=True)
+@kernel
 def _lead_diagonally(grid: WordArray, lead: WordArray) -> None:
     """A diagonal scan stops at corners, and where a straight scan would meet a jump point."""
     rows, columns = grid.shape
@@ -100,7 +100,7 @@ def _lead_diagonally(grid: WordArray, lead: WordArray) -> None:
                 to[j + 2] = near[j + 1] & (corner | along_i[j + 1] | along_j[j + 1] | beyond[j + 1])
 
 
-@nb.njit(cache=True)
+@kernel
 def _lead_to_goal(plane: WordArray, lead: WordArray, goal: int, offset: int) -> None:
     """Mark the places that see the goal in one direction."""
     bits = plane[goal]

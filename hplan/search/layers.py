@@ -11,11 +11,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypeAlias
 
-import numba as nb
 import numpy as np
 
 from hplan.arrays import BoolArray, IntArray, WordArray, frozen
 from hplan.grid import words_for
+from hplan.kernels import kernel
 from hplan.search.flood import flood_slices
 from hplan.search.jump import jump_slices
 from hplan.search.lattice import Lattice
@@ -177,7 +177,7 @@ def slice_words(lattice: Lattice, words: WordArray, number: int) -> WordArray:
     return sliced
 
 
-@nb.njit(cache=True)
+@kernel
 def _slice_bits(rows: WordArray, number: int, padded: int, words: int) -> WordArray:
     """One slice as bit rows of its own: the axis before the last, without its border, along the bits."""
     count = rows.shape[0] // padded

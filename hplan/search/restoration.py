@@ -10,12 +10,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numba as nb
 import numpy as np
 
 from hplan.arrays import BoolArray, IntArray, WordArray, frozen
+from hplan.kernels import any_int, kernel
 from hplan.search.lattice import Lattice
 from hplan.search.layers import Layers
+
+#: No slice.
+_NONE = any_int(-1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,14 +60,14 @@ def union_of(
     return Union(frozen(union), nodes, tuple((np.flatnonzero(restored) + layers.first).tolist()))
 
 
-@nb.njit(cache=True)
+@kernel
 def _join(
     free: WordArray, path_rows: IntArray, begins: IntArray, first: int, descending: bool, union: WordArray
 ) -> BoolArray:
     """Set the bits of all paths and restored parts; tell which slices were restored."""
     count = len(begins) - 1
     restored = np.zeros(count, dtype=np.bool_)
-    previous = -1  # the last slice before `k` that has a path
+    previous = _NONE  # the last slice before `k` that has a path
     for k in range(count):
         path = path_rows[begins[k] : begins[k + 1]]
         if len(path) == 0:
@@ -86,7 +89,7 @@ def _join(
     return restored
 
 
-@nb.njit(cache=True)
+@kernel
 def _carry(
     free: WordArray,
     path: IntArray,

@@ -13,10 +13,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numba as nb
 import numpy as np
 
 from hplan.arrays import FloatArray, IntArray, WordArray, frozen
+from hplan.kernels import kernel
 from hplan.search.heap import pop, push
 from hplan.search.lattice import Lattice
 
@@ -48,7 +48,7 @@ def row_bounds(lattice: Lattice, free: WordArray, goal_row: int) -> RowBounds:
     return RowBounds(frozen(values), frozen(weights), int(settled))
 
 
-@nb.njit(cache=True)
+@kernel
 def _row_bounds(
     free: WordArray, row_offsets: IntArray, move_costs: FloatArray, step: float, goal_row: int
 ) -> tuple[FloatArray, FloatArray, int]:

@@ -10,10 +10,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numba as nb
 import numpy as np
 
 from hplan.arrays import FloatArray, IntArray, WordArray, frozen
+from hplan.kernels import kernel
 from hplan.search.bits import lowest_bit, popcount
 from hplan.search.lattice import Lattice
 
@@ -87,7 +87,7 @@ def meet(lattice: Lattice, free: WordArray, starts: IntArray, goals: IntArray) -
     )
 
 
-@nb.njit(cache=True)
+@kernel
 def _meet(
     free: WordArray,
     seen: WordArray,
@@ -251,7 +251,7 @@ def _meet(
     return -1, -1, 0 if news[0] == 0 else 1, levels, flooded
 
 
-@nb.njit(cache=True)
+@kernel
 def _trace(
     planes: WordArray,
     level: int,

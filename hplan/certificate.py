@@ -189,7 +189,7 @@ def _limit_use(robot: Robot, trajectory: Trajectory, bezier: FloatArray) -> Limi
     inner = velocity[:, 0] + duration * share * (start + 0.5 * share * (end - start))
     peak = np.maximum(peak, np.abs(inner).max(axis=0))
     peak_acceleration = np.maximum(np.abs(acceleration).max(axis=(0, 1)), np.abs(trajectory.acceleration).max(axis=0))
-    torque = _torques(InverseDynamics.of(robot.model), bezier, velocity, acceleration, float(duration.max()))
+    torque = _torques(robot.dynamics, bezier, velocity, acceleration, float(duration.max()))
     return LimitUse(
         position=float(position.max()),
         velocity=_share(np.maximum(peak, np.abs(trajectory.velocity).max(axis=0)), robot.velocity_limit),

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from hplan.arrays import FloatArray, readonly
+from hplan.dynamics import InverseDynamics
 from hplan.errors import InputError, JointLimitError
 from hplan.family_reader import FamilyReader, joint_range
 from hplan.resources import urdf_dir
@@ -115,6 +117,11 @@ class Robot:
     def dof(self) -> int:
         """Number of joints."""
         return len(self.joint_names)
+
+    @cached_property
+    def dynamics(self) -> InverseDynamics:
+        """Torques of the model's motions."""
+        return InverseDynamics.of(self.model)
 
     @property
     def arm_slice(self) -> slice:

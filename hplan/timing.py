@@ -60,7 +60,7 @@ MOST_STRETCHES = 20
 
 def time_path(
     path: GeometricPath,
-    model: pin.Model,
+    model: pin.Model | InverseDynamics,
     limits: Limits,
     *,
     rate_hz: float = 250.0,
@@ -73,7 +73,7 @@ def time_path(
 
     Args:
         path: The path; its parameter should run about as the joint-space length.
-        model: Pinocchio's model, for torques; its joints are the path's.
+        model: Pinocchio's model, for torques, or what was made from it; its joints are the path's.
         limits: Velocity, acceleration and, where given, torque and jerk limits.
         rate_hz: Rows per second.
         grid_points: Number of points at which the path speed is chosen, beside the ends of the path's pieces.
@@ -95,12 +95,12 @@ def time_path(
             raise OptionError(option, value, "a finite speed along the path >= 0")
     if grid is not None and (start_speed or end_speed):
         raise OptionError("grid", "given", "none where the ends of the motion are not at rest")
-    names = tuple(model.names)[1:]
+    dynamics = model if isinstance(model, InverseDynamics) else InverseDynamics.of(model)
+    names = tuple(dynamics.model.names)[1:]
     whole = _grid(path, grid_points, (0.0, 0.0)) if grid is None else grid
     fine = path.evaluate(whole)
     if np.ptp(fine, axis=0).max() < NO_MOTION:
-        return resting(model, path.evaluate(0.0))
-    dynamics = InverseDynamics.of(model)
+        return resting(dynamics.model, path.evaluate(0.0))
     _check_limits(path, dynamics, limits, whole, names)
     ends = np.array([0.0, path.breaks[-1]])
     # Path speeds ds/dt at the ends; the parameter need not run exactly as the length.

@@ -64,9 +64,8 @@ def fastest_speed(
     Raises:
         TimingError: There is no motion within the limits; `cause` is toppra's code.
     """
-    velocity = np.maximum(limits.velocity, _TINY)
     constraints: list[Any] = [
-        constraint.JointVelocityConstraint(np.stack([-velocity, velocity], axis=1)),
+        _Velocity(np.maximum(limits.velocity, _TINY)),
         _Acceleration(np.maximum(limits.acceleration, _TINY)),
     ]
     if limits.torque is not None:
@@ -109,6 +108,20 @@ class _Path(toppra.interpolator.AbstractGeometricPath):  # type: ignore[misc]
         if asked not in self._known:
             self._known[asked] = self._path.evaluate(positions / self._scale, order) / self._scale**order
         return self._known[asked]
+
+
+class _Velocity(constraint.LinearConstraint):  # type: ignore[misc]
+    """|q'| ds/dt <= limit at the grid points, as a bound of x; `JointVelocityConstraint` without its loops."""
+
+    def __init__(self, limit: FloatArray) -> None:
+        super().__init__()
+        self._limit = limit
+
+    def compute_constraint_params(self, path: Any, gridpoints: FloatArray, *_: Any) -> tuple[Any, ...]:
+        """Return toppra's a, b, c, F, g, ubound, of which there are none, and xbound."""
+        fastest = (self._limit / np.maximum(np.abs(path(gridpoints, 1)), 1e-300)).min(axis=1)
+        bound = np.stack([np.zeros(len(fastest)), np.minimum(fastest**2, _BOUND)], axis=1)
+        return None, None, None, None, None, None, bound
 
 
 class _AtMiddles(constraint.LinearConstraint):  # type: ignore[misc]

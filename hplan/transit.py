@@ -168,7 +168,7 @@ def timed(task: Task, path: GeometricPath) -> Trajectory:
     robot, options = task.robot, task.options
     with task.stage("timing"):
         limits = Limits(robot.velocity_limit, robot.acceleration_limit, robot.torque_limit, robot.jerk_limit)
-        return time_path(path, robot.model, limits.scaled(options.speed), rate_hz=options.rate_hz)
+        return time_path(path, robot.dynamics, limits.scaled(options.speed), rate_hz=options.rate_hz)
 
 
 def certified(task: Task, trajectory: Trajectory) -> Certificate:

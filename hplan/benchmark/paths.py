@@ -113,7 +113,7 @@ def _certified(task: Task, make: Any) -> float | None:
     robot = task.robot
     try:
         path: SplinePath = make()
-        trajectory = time_path(path, robot.model, limits_of(robot))
+        trajectory = time_path(path, robot.dynamics, limits_of(robot))
     except HplanError:
         return None
     certificate = certify(robot, task.scene, trajectory, judge=task.judge)

@@ -92,21 +92,21 @@ def _demands(
     second_weights: FloatArray,
     velocity: FloatArray,
     acceleration: FloatArray,
-    push: FloatArray,
-    bend: FloatArray,
-    most: FloatArray,
+    movable: IntArray,
+    demands: FloatArray,
 ) -> None:
     """What the limits demand at the grid points of pieces low to high.
 
-    Written are, with q' taken positive, `push` = a / q' and `bend` = q'' / q' for each joint, so that
-    -push <= u + bend x <= push, and `most`, the largest x at which some u remains.
+    Written into the rows of `demands` are, with q' taken positive, push = a / q' and bend = q'' / q' for each movable
+    joint, so that -push <= u + bend x <= push, and last the largest x at which some u remains.
     """
-    points, dof = push.shape
-    last = points if high == (points - 1) // _PER_PIECE - 1 else (high + 1) * _PER_PIECE
-    for row in range(low * _PER_PIECE, last):
+    points, joints = demands.shape[0], len(movable)
+    for row in range(low * _PER_PIECE, _rows_up_to(high, points)):
+        demand = demands[row]
         i = min(row // _PER_PIECE, (points - 1) // _PER_PIECE - 1)
         cap = 1e12
-        for j in range(dof):
+        for m in range(joints):
+            j = movable[m]
             p, c = 0.0, 0.0
             for k in range(4):
                 p += first_weights[row, k] * control[i + k, j]
@@ -114,39 +114,53 @@ def _demands(
             if p < 0.0:
                 p, c = -p, -c
             if p < 1e-6:
-                push[row, j], bend[row, j] = 1e12, 0.0
+                demand[2 * m], demand[2 * m + 1] = 1e12, 0.0
                 if abs(c) > 1e-9:
                     cap = min(cap, acceleration[j] / abs(c))
                 continue
             inverse = 1.0 / p
-            push[row, j], bend[row, j] = acceleration[j] * inverse, c * inverse
+            demand[2 * m], demand[2 * m + 1] = acceleration[j] * inverse, c * inverse
             cap = min(cap, (velocity[j] * inverse) ** 2)
-        for j in range(dof):
-            for k in range(dof):
-                gap = bend[row, j] - bend[row, k]
-                both = push[row, j] + push[row, k]
+        for m in range(joints):
+            for n in range(m):
+                gap = abs(demand[2 * m + 1] - demand[2 * n + 1])
+                both = demand[2 * m] + demand[2 * n]
                 if gap * cap > both:
                     cap = both / gap
-        most[row] = cap
+        demand[2 * joints] = cap
 
 
 @kernel
-def _duration(grid: FloatArray, push: FloatArray, bend: FloatArray, most: FloatArray, square: FloatArray) -> float:
+def _rows_up_to(piece: int, points: int) -> int:
+    """Grid points of the pieces up to one; the last piece has both its ends."""
+    return points if piece == (points - 1) // _PER_PIECE - 1 else (piece + 1) * _PER_PIECE
+
+
+@kernel
+def _copy_rows(target: FloatArray, source: FloatArray, low: int, high: int) -> None:
+    """Copy the rows of pieces low to high."""
+    for row in range(low * _PER_PIECE, _rows_up_to(high, len(source))):
+        for k in range(source.shape[1]):
+            target[row, k] = source[row, k]
+
+
+@kernel
+def _duration(grid: FloatArray, demands: FloatArray, square: FloatArray) -> float:
     """Duration by one pass forward and one back; `square` is left as the squared path speed."""
-    points, dof = push.shape
+    points, most = demands.shape[0], demands.shape[1] - 1
     last = points - 1
     square[0] = 0.0
     for i in range(last):
         u = 1e12
-        for j in range(dof):
-            u = min(u, push[i, j] - bend[i, j] * square[i])
-        square[i + 1] = min(most[i + 1], max(0.0, square[i] + 2.0 * u * (grid[i + 1] - grid[i])))
+        for k in range(0, most, 2):
+            u = min(u, demands[i, k] - demands[i, k + 1] * square[i])
+        square[i + 1] = min(demands[i + 1, most], max(0.0, square[i] + 2.0 * u * (grid[i + 1] - grid[i])))
     square[last] = 0.0
     duration, after = 0.0, 0.0
     for i in range(last, 0, -1):
         u = 1e12
-        for j in range(dof):
-            u = min(u, push[i, j] + bend[i, j] * square[i])
+        for k in range(0, most, 2):
+            u = min(u, demands[i, k] + demands[i, k + 1] * square[i])
         span = grid[i] - grid[i - 1]
         square[i - 1] = min(square[i - 1], max(0.0, square[i] + 2.0 * u * span))
         before = math.sqrt(square[i - 1])
@@ -176,15 +190,15 @@ def _search(
     pieces = count - 3
     grid, first, second = _derivative_weights(knots, pieces)
     points = len(grid)
-    push, bend = np.empty((points, dof)), np.empty((points, dof))
-    most, square = np.empty(points), np.empty(points)
+    demands, square = np.empty((points, 2 * len(movable) + 1)), np.empty(points)
     saved = np.empty((count, dof))
     step = np.empty((count, dof))
     for c in range(count):
         for j in range(dof):
             step[c, j] = 0.05
-    _demands(control, _FIRST, pieces - 1, first, second, velocity, acceleration, push, bend, most)
-    best = _duration(grid, push, bend, most, square)
+    _demands(control, _FIRST, pieces - 1, first, second, velocity, acceleration, movable, demands)
+    kept = demands.copy()  # of the control points as they stand between moves
+    best = _duration(grid, demands, square)
     tried = 0
     largest = 1.0
     paid = False
@@ -200,8 +214,8 @@ def _search(
             copy_into(saved, control)
             control[c, j] = min(upper[j], max(lower[j], control[c, j] + step[c, j]))
             tried += 1
-            _demands(control, low, high, first, second, velocity, acceleration, push, bend, most)
-            value = _duration(grid, push, bend, most, square)
+            _demands(control, low, high, first, second, velocity, acceleration, movable, demands)
+            value = _duration(grid, demands, square)
             paid = value < best - 1e-7
             if paid and not pieces_are_clear(control, knots, low, high, chain, base, solids, data, margin, STRIDE):
                 # Slide along the obstacle: push the neighbours out, and see whether it still pays.
@@ -210,22 +224,23 @@ def _search(
                 )  # fmt: skip
                 low, high = max(0, c - 6), min(pieces - 1, c + 3)
                 if paid:
-                    _demands(control, low, high, first, second, velocity, acceleration, push, bend, most)
-                    value = _duration(grid, push, bend, most, square)
+                    _demands(control, low, high, first, second, velocity, acceleration, movable, demands)
+                    value = _duration(grid, demands, square)
                     paid = value < best - 1e-7 and pieces_are_clear(
                         control, knots, low, high, chain, base, solids, data, margin, STRIDE
                     )
             if paid:
                 best = value
+                _copy_rows(kept, demands, low, high)
                 step[c, j] *= 1.6
             else:
                 copy_into(control, saved)
-                _demands(control, low, high, first, second, velocity, acceleration, push, bend, most)
+                _copy_rows(demands, kept, low, high)
                 step[c, j] *= -1.0 if move % 2 == 0 else -0.4
             largest = max(largest, abs(step[c, j]))
         if not pieces_are_clear(control, knots, _FIRST, pieces - 1, chain, base, solids, data, 0.5 * margin, 0.0):
             copy_into(control, proven)
-            _demands(control, _FIRST, pieces - 1, first, second, velocity, acceleration, push, bend, most)
-            return float(_duration(grid, push, bend, most, square))
+            _demands(control, _FIRST, pieces - 1, first, second, velocity, acceleration, movable, demands)
+            return float(_duration(grid, demands, square))
         copy_into(proven, control)
     return float(best)

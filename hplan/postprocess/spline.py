@@ -82,20 +82,10 @@ class SplinePath:
         Returns:
             (..., dof) values.
         """
-        parameters = np.clip(np.asarray(s, dtype=np.float64), 0.0, self.end)
-        span = np.clip(np.searchsorted(self.breaks, parameters, side="right") - 1, 0, len(self.pieces) - 1)
-        width = (self.breaks[span + 1] - self.breaks[span])[..., None]
-        t = (parameters - self.breaks[span])[..., None] / width
-        u = 1.0 - t
-        b = np.moveaxis(self.pieces[span], -2, 0)
-        value: FloatArray
-        if derivative == 0:
-            value = u**3 * b[0] + 3.0 * u**2 * t * b[1] + 3.0 * u * t**2 * b[2] + t**3 * b[3]
-        elif derivative == 1:
-            value = 3.0 * (u**2 * (b[1] - b[0]) + 2.0 * u * t * (b[2] - b[1]) + t**2 * (b[3] - b[2])) / width
-        else:
-            value = 6.0 * (u * (b[2] - 2.0 * b[1] + b[0]) + t * (b[3] - 2.0 * b[2] + b[1])) / width**2
-        return value
+        parameters = np.array(s, dtype=np.float64)
+        values = np.empty((parameters.size, self.control.shape[1]))
+        _evaluate(self.pieces, self.breaks, parameters.ravel(), derivative, values)
+        return values.reshape(*parameters.shape, -1)
 
     @cached_property
     def length(self) -> float:
@@ -149,6 +139,34 @@ def bezier_piece(control: FloatArray, knots: FloatArray, span: int, result: Floa
             x = high if which > 2 else low
             a = (x - low) / (high - low)
             result[which, joint] = d0 + a * (d1 - d0)
+
+
+@kernel
+def _evaluate(
+    pieces: FloatArray, breaks: FloatArray, parameters: FloatArray, derivative: int, values: FloatArray
+) -> None:
+    """Points or derivatives of Bezier pieces, as `SplinePath.evaluate`."""
+    last = len(pieces) - 1
+    i = 0
+    for row in range(len(parameters)):
+        s = min(breaks[last + 1], max(breaks[0], parameters[row]))
+        # The piece of the parameter before is most often this one's too, or the one before this one's.
+        while i > 0 and s < breaks[i]:
+            i -= 1
+        while i < last and s >= breaks[i + 1]:
+            i += 1
+        width = breaks[i + 1] - breaks[i]
+        t = (s - breaks[i]) / width
+        u = 1.0 - t
+        for joint in range(values.shape[1]):
+            b0, b1, b2, b3 = pieces[i, 0, joint], pieces[i, 1, joint], pieces[i, 2, joint], pieces[i, 3, joint]
+            if derivative == 0:
+                value = u * u * (u * b0 + 3.0 * t * b1) + t * t * (3.0 * u * b2 + t * b3)
+            elif derivative == 1:
+                value = 3.0 * (u * u * (b1 - b0) + 2.0 * u * t * (b2 - b1) + t * t * (b3 - b2)) / width
+            else:
+                value = 6.0 * (u * (b2 - 2.0 * b1 + b0) + t * (b3 - 2.0 * b2 + b1)) / (width * width)
+            values[row, joint] = value
 
 
 @kernel

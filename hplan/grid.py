@@ -133,8 +133,10 @@ class Occupancy:
 
     def is_free(self, index: ArrayLike) -> bool:
         """Whether the node with the given (d,) index is free."""
-        *prefix, last = (int(i) for i in np.asarray(index))
-        row = int(np.ravel_multi_index(prefix, self.grid.shape[:-1])) if prefix else 0
+        *prefix, last = np.asarray(index).tolist()
+        row = 0
+        for place, count in zip(prefix, self.grid.shape, strict=False):
+            row = row * count + place
         return bool((int(self.free_words[row, last // 64]) >> (last % 64)) & 1)
 
 

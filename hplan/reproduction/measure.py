@@ -21,7 +21,7 @@ from hplan.reproduction.slip import printed_arctan, slip_of
 from hplan.reproduction.ties import distances_from, try_ties
 from hplan.robot import Robot, load_robot
 from hplan.scene_file import load_scene
-from hplan.search import SearchResult, dense_search, two_level_search
+from hplan.search import SearchResult, dense_search, slices_with_path, two_level_search
 from hplan.search.lattice import Lattice
 from hplan.search.layers import search_layers
 from hplan.search.restoration import union_of
@@ -178,7 +178,7 @@ def _settled_rows(occupancy: Occupancy, start: IntArray, goal: IntArray) -> int:
     free = lattice.bordered(occupancy.free_words)
     between = range(int(min(start[-1], goal[-1])), int(max(start[-1], goal[-1])) + 1)
     union = union_of(lattice, free, search_layers(lattice, free, start, goal, between), start, goal)
-    return row_bounds(lattice, union.words, lattice.row_of(goal)).settled
+    return row_bounds(lattice, union.nodes, lattice.row_of(goal)).settled
 
 
 def _model_row(
@@ -187,9 +187,7 @@ def _model_row(
     sections = arm_sections(robot, load_scene().solids, link_model=link_model)
     occupancy, cspace_ms = _timed(lambda: cspace.occupancy(robot.arm, sections, grid), max(20, repetitions))
     dense = dense_search(occupancy, start, goal)
-    feasible = two_level_search(occupancy, start, goal).feasible_slices
-    assert feasible is not None
-    degrees = np.degrees(grid.axis(2)[np.flatnonzero(feasible)])
+    degrees = np.degrees(grid.axis(2)[slices_with_path(occupancy, start, goal)])
     assert dense.path is not None
     return ModelRow(
         link_model=link_model,

@@ -10,7 +10,7 @@ from hplan.arrays import IntArray
 from hplan.grid import Grid, Occupancy
 from hplan.reproduction.results import Slip
 from hplan.robot import Robot
-from hplan.search import dense_search, two_level_search
+from hplan.search import dense_search, slices_with_path
 from hplan.section import ArmSections
 
 
@@ -18,8 +18,7 @@ def slip_of(occupancy: Occupancy, start: IntArray, goal: IntArray) -> Slip:
     """What is left of the example in such a C-space."""
     if not occupancy.is_free(goal):
         return Slip(occupancy.occupied_count, goal_is_free=False, feasible_slices=0, cost_deg=None)
-    feasible = two_level_search(occupancy, start, goal).feasible_slices
-    assert feasible is not None
+    feasible = slices_with_path(occupancy, start, goal)
     dense = dense_search(occupancy, start, goal)
     cost = None if dense.path is None else math.degrees(dense.cost)
     return Slip(occupancy.occupied_count, goal_is_free=True, feasible_slices=int(feasible.sum()), cost_deg=cost)

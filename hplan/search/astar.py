@@ -15,25 +15,26 @@ from hplan.kernels import inlined, kernel
 from hplan.search.bits import lowest_bit, popcount
 from hplan.search.heap import pop, push
 from hplan.search.lattice import Lattice
+from hplan.search.node_set import NodeSet
 from hplan.search.row_bounds import RowBounds
 
 
 def astar(
     lattice: Lattice,
-    free: WordArray,
+    nodes: NodeSet,
     start: IntArray,
     goal: IntArray,
     *,
     octile: bool,
     row_bounds: RowBounds | None = None,
 ) -> tuple[IntArray | None, float, int]:
-    """Shortest path over the set bits of `free`.
+    """Shortest path over the nodes of a set.
 
     Deterministic: ties in f go to the node nearer the goal, then to the one found first.
 
     Args:
         lattice: Geometry of the grid.
-        free: (rows, words) bits with border.
+        nodes: The nodes that the path may use.
         start: (d,) node index.
         goal: (d,) node index.
         octile: Bound the way to go by the shortest path on the free grid, the tightest bound that knows no
@@ -44,8 +45,9 @@ def astar(
         The (m, d) path or None, its cost, and the number of expansions.
     """
     rows, bits, cost, expansions = _astar(
-        free,
-        _ranks(free),
+        nodes.words,
+        nodes.ranks,
+        nodes.size,
         lattice.shape[-1],
         lattice.row_of(start),
         int(start[-1]),
@@ -62,18 +64,6 @@ def astar(
     if len(rows) == 0:
         return None, math.inf, int(expansions)
     return lattice.indices(rows, bits), float(cost), int(expansions)
-
-
-@kernel
-def _ranks(free: WordArray) -> ShortArray:
-    """Set bits before each word: the place of a node's word in arrays that hold set bits only."""
-    ranks = np.empty(free.shape, dtype=np.int32)
-    total = 0
-    for row in range(free.shape[0]):
-        for word in range(free.shape[1]):
-            ranks[row, word] = total
-            total += popcount(free[row, word])
-    return ranks
 
 
 @inlined
@@ -132,6 +122,7 @@ def _bound(
 def _astar(
     free: WordArray,
     ranks: ShortArray,
+    nodes: int,
     bit_count: int,
     start_row: int,
     start_bit: int,
@@ -146,8 +137,7 @@ def _astar(
     weights: Any,
 ) -> tuple[IntArray, IntArray, float, int]:
     """A* over set bits; path as rows and bits (empty without a path), cost, expansions."""
-    last, words = free.shape[0] - 1, free.shape[1]
-    nodes = ranks[last, words - 1] + popcount(free[last, words - 1])
+    words = free.shape[1]
     cost = np.full(nodes, np.inf)
     parent = np.full(nodes, -1, dtype=np.int32)
     place = np.empty(nodes, dtype=np.int64)  # row * bit_count + bit

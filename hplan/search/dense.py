@@ -11,6 +11,7 @@ from hplan.grid import Occupancy
 from hplan.search.astar import astar
 from hplan.search.endpoints import checked_node
 from hplan.search.lattice import Lattice
+from hplan.search.node_set import NodeSet
 from hplan.search.result import Expansions, SearchResult, StageTimes
 
 
@@ -30,7 +31,7 @@ def dense_search(occupancy: Occupancy, start: ArrayLike, goal: ArrayLike, *, oct
     lattice = Lattice.of(occupancy.grid.shape, occupancy.grid.step)
     path, cost, expansions = astar(
         lattice,
-        lattice.bordered(occupancy.free_words),
+        NodeSet.of(lattice.bordered(occupancy.free_words)),
         checked_node(occupancy, start, "start"),
         checked_node(occupancy, goal, "goal"),
         octile=octile,

@@ -20,12 +20,13 @@ def checked_node(occupancy: Occupancy, index: ArrayLike, which: str) -> IntArray
     shape = occupancy.grid.shape
     if node.shape != (len(shape),) or not np.issubdtype(node.dtype, np.integer):
         raise InputError(f"{which}: expected {len(shape)} whole numbers, got {index!r}", which=which)
-    if (node < 0).any() or (node >= shape).any():
+    places = node.tolist()
+    if not all(0 <= place < count for place, count in zip(places, shape, strict=True)):
         raise InputError(
-            f"{which}: node {node.tolist()} is outside the grid of shape {shape}",
+            f"{which}: node {places} is outside the grid of shape {shape}",
             which=which,
-            node=node.tolist(),
+            node=places,
         )
     if not occupancy.is_free(node):
-        raise InputError(f"{which}: node {node.tolist()} is occupied", which=which, node=node.tolist())
+        raise InputError(f"{which}: node {places} is occupied", which=which, node=places)
     return node.astype(np.int64)

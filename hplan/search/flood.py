@@ -17,25 +17,36 @@ from hplan.search.endpoints import checked_node
 from hplan.search.lattice import Lattice
 
 
-def flood_slices(lattice: Lattice, free: WordArray, start_row: int) -> tuple[WordArray, int]:
-    """Flood each slice of the last axis on its own from the start's row.
+def flood_slices(
+    lattice: Lattice, free: WordArray, start_row: int, wanted: WordArray, goal_row: int | None = None
+) -> tuple[WordArray, int]:
+    """Flood slices of the last axis, each on its own, from the start's row.
 
     Args:
         lattice: Geometry of the grid.
         free: (rows, words) bits with border.
         start_row: Bordered row in which every slice starts.
+        wanted: (words,) the slices to flood.
+        goal_row: Stop where every wanted slice that is free in this row is reached there; None to reach all nodes.
 
     Returns:
         (rows, words) reached bits and their number.
     """
     reached = np.zeros_like(free)
-    reached[start_row] = free[start_row]
+    reached[start_row] = free[start_row] & wanted
+    goal = start_row if goal_row is None else goal_row
+    enough = free[goal] & reached[start_row]
+    if goal_row is None:
+        enough = ~enough  # which is never what is reached there
     line = lattice.padded[-1]
     # Rows stand in lines along the axis before the last; neighbouring lines are given by their middle rows.
     beside = lattice.row_offsets[1::3] // line
     beside = beside[beside != 0]
     shape = (lattice.rows // line, line * lattice.words)
-    count = _flood_slices(free.reshape(shape), reached.reshape(shape), lattice.words, beside, start_row // line)
+    count = _flood_slices(
+        free.reshape(shape), reached.reshape(shape), lattice.words, beside, start_row // line,
+        goal // line, goal % line * lattice.words, enough,
+    )  # fmt: skip
     return reached, int(count)
 
 
@@ -72,14 +83,54 @@ def reachable(occupancy: Occupancy, start: ArrayLike) -> BoolArray:
     return frozen(bits.view(np.bool_)[:, : lattice.shape[-1]].reshape(lattice.shape))
 
 
+def slices_with_path(occupancy: Occupancy, start: ArrayLike, goal: ArrayLike) -> BoolArray:
+    """Which slices of the last axis have a path of their own from the start's place to the goal's.
+
+    Args:
+        occupancy: Which nodes are free.
+        start: (d,) node index of a free node.
+        goal: (d,) node index of a free node.
+
+    Returns:
+        Read-only (slices,) mask.
+
+    Raises:
+        InputError: Start or goal is no node of the grid, or not free.
+    """
+    lattice = Lattice.of(occupancy.grid.shape, occupancy.grid.step)
+    start_row = lattice.row_of(checked_node(occupancy, start, "start"))
+    goal_row = lattice.row_of(checked_node(occupancy, goal, "goal"))
+    free = lattice.bordered(occupancy.free_words)
+    every = lattice.mask(range(lattice.shape[-1]))
+    reached, _ = flood_slices(lattice, free, start_row, every, goal_row)
+    return frozen(bits_of(reached[goal_row])[: lattice.shape[-1]])
+
+
+def bits_of(words: WordArray) -> BoolArray:
+    """The bits of (words,) one by one."""
+    return np.unpackbits(words.view(np.uint8), bitorder="little").view(np.bool_)
+
+
 def has_bit(words: WordArray, row: int, bit: int) -> bool:
     """Whether a bit of (rows, words) is set."""
     return bool((int(words[row, bit >> 6]) >> (bit & 63)) & 1)
 
 
 @kernel
-def _flood_slices(free: WordArray, reached: WordArray, words: int, beside: IntArray, start_line: int) -> int:
-    """Grow `reached` inside `free`, both (lines, rows of a line * words); returns the number of bits reached."""
+def _flood_slices(
+    free: WordArray,
+    reached: WordArray,
+    words: int,
+    beside: IntArray,
+    start_line: int,
+    goal_line: int,
+    goal_place: int,
+    enough: WordArray,
+) -> int:
+    """Grow `reached` inside `free`, both (lines, rows of a line * words); returns the number of bits reached.
+
+    It may end where `reached` is `enough` from `goal_place` on in the goal's line.
+    """
     lines, length = free.shape
     zero = np.uint64(0)
     front = np.empty(length, dtype=np.uint64)
@@ -125,6 +176,13 @@ def _flood_slices(free: WordArray, reached: WordArray, words: int, beside: IntAr
                 for k in range(length - words + word, -1, -words):
                     run = (run & inside[k]) | front[k]
                     here[k] = run
+            if line == goal_line:
+                missing = zero
+                for word in range(words):
+                    missing |= enough[word] ^ here[goal_place + word]
+                if missing == zero:
+                    left = 0
+                    break
             for offset in beside:
                 other = line + offset
                 if not waiting[other] and may_wait[other]:

@@ -62,6 +62,11 @@ class Lattice:
             row = row * count + int(place) + 1
         return row
 
+    def mask(self, slices: range) -> WordArray:
+        """(words,) with the bits of neighbouring slices set."""
+        bits = (1 << slices.stop) - (1 << slices.start)
+        return np.frombuffer(bits.to_bytes(8 * self.words, "little"), dtype=np.uint64)
+
     def bordered(self, words: WordArray) -> WordArray:
         """Rows without border, (rows, words), put inside the border."""
         result = np.zeros((*self.padded, words.shape[1]), dtype=np.uint64)

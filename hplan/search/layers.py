@@ -1,8 +1,9 @@
 """First level: a search of its own on every slice of the last axis.
 
 A slice has a path exactly when flooding it from the start's place reaches the goal's place; only then is it searched.
-Slices of many axes take longer to search than to look at: a path found in one is taken over by all others in which it
-is free, and only the rest are searched.
+Planar slices in which the path of an empty plane is free, in some order of its moves, need neither. Slices of many
+axes take longer to search than to look at: a path found in one is taken over by all others in which it is free, and
+only the rest are searched.
 """
 
 from __future__ import annotations
@@ -16,9 +17,10 @@ import numpy as np
 from hplan.arrays import BoolArray, IntArray, WordArray, frozen
 from hplan.grid import words_for
 from hplan.kernels import kernel
-from hplan.search.flood import flood_slices
+from hplan.search.flood import bits_of, flood_slices
 from hplan.search.jump import jump_slices
 from hplan.search.lattice import Lattice
+from hplan.search.monotone import MonotonePaths
 
 #: Searches one slice, given as a grid of its own, from a node to a node: the (m, d) path or None, its cost, expansions,
 #: nodes flooded.
@@ -30,15 +32,16 @@ class Layers:
     """Neighbouring slices, searched.
 
     Attributes:
+        lattice: Geometry of the whole grid.
         first: First of the searched slices.
-        feasible: (slices,) whether each slice of the whole grid has a path of its own; only those searched may, where
-            paths are taken over.
+        feasible: (slices,) whether each slice has a path of its own; False for those that were not to be searched.
         path_rows: (m,) bordered rows of all paths, slice after slice, each from the start's place to the goal's.
         begins: (searched slices + 1,) where each slice's path begins in `path_rows`; of length 0 where it has none.
         expansions: Expansions in all slices.
-        flooded: Nodes reached by flooding.
+        flooded: Nodes reached by flooding, and by the moves of an empty plane's shortest path.
     """
 
+    lattice: Lattice
     first: int
     feasible: BoolArray
     path_rows: IntArray
@@ -46,11 +49,11 @@ class Layers:
     expansions: int
     flooded: int
 
-    def paths(self, lattice: Lattice) -> dict[int, IntArray]:
+    def paths(self) -> dict[int, IntArray]:
         """For each searched slice with a path its (m, d) node indices."""
         lengths = np.diff(self.begins)
         slices = np.repeat(np.arange(self.first, self.first + len(lengths)), lengths)
-        nodes = frozen(lattice.indices(self.path_rows, slices))
+        nodes = frozen(self.lattice.indices(self.path_rows, slices))
         begins = self.begins.tolist()
         return {
             self.first + k: nodes[begins[k] : begins[k + 1]] for k in range(len(lengths)) if begins[k] < begins[k + 1]
@@ -78,30 +81,44 @@ def search_layers(
         slice_search: Searches one slice after the other; None searches planar slices by jump points, all in one pass.
         carried: Whether slices take over the path of one searched before, where it is free in them.
     """
-    start_row, goal_row = lattice.row_of(start), lattice.row_of(goal)
-    first, last = slices[0], slices[-1]
-    if slice_search is not None and carried:
-        return _carried(lattice, free, start, goal, slices, slice_search)
-    reached, flooded = flood_slices(lattice, free, start_row)
-    feasible = _bits(reached[goal_row])[: lattice.shape[-1]]
     if slice_search is None:
-        path_rows, begins, expansions = jump_slices(
-            free, reached[goal_row], lattice.padded[1], first, last, start_row, goal_row, lattice.step[:-1]
-        )
-        return Layers(first, frozen(feasible), frozen(path_rows), frozen(begins), int(expansions), flooded)
-    found = _Searched(lattice, first, last)
-    for number in np.flatnonzero(feasible[: last + 1]).tolist():
-        if number >= first:
-            found.search(number, reached, start, goal, slice_search)
+        return _planar(lattice, free, lattice.row_of(start), lattice.row_of(goal), slices)
+    if carried:
+        return _carried(lattice, free, start, goal, slices, slice_search)
+    reached, flooded = flood_slices(lattice, free, lattice.row_of(start), lattice.mask(slices))
+    feasible = bits_of(reached[lattice.row_of(goal)])[: lattice.shape[-1]]
+    found = _Searched(lattice, slices)
+    for number in np.flatnonzero(feasible).tolist():
+        found.search(number, reached, start, goal, slice_search)
     return found.layers(feasible, flooded)
+
+
+def _planar(lattice: Lattice, free: WordArray, start_row: int, goal_row: int, slices: range) -> Layers:
+    """Planar slices, 64 at once."""
+    first, last, width = slices[0], slices[-1], lattice.padded[1]
+    wanted = lattice.mask(slices) & free[start_row] & free[goal_row]
+    monotone = MonotonePaths.of(free, width, start_row, goal_row, wanted)
+    flooded, expansions = monotone.reached, 0
+    path_rows, begins = np.empty(0, dtype=np.int64), np.zeros(len(slices) + 1, dtype=np.int64)
+    left = wanted & ~monotone.found
+    if left.any():
+        reached, count = flood_slices(lattice, free, start_row, left, goal_row)
+        left, flooded = reached[goal_row], flooded + count
+    if left.any():
+        path_rows, begins, expansions = jump_slices(
+            free, left, width, first, last, start_row, goal_row, lattice.step[:-1]
+        )
+    path_rows, begins = monotone.joined(first, last, path_rows, begins)
+    feasible = bits_of(monotone.found | left)[: lattice.shape[-1]]
+    return Layers(lattice, first, frozen(feasible), frozen(path_rows), frozen(begins), int(expansions), flooded)
 
 
 def _carried(
     lattice: Lattice, free: WordArray, start: IntArray, goal: IntArray, slices: range, slice_search: SliceSearch
 ) -> Layers:
     """As `search_layers`, where slices in which a path found before is free take it over."""
-    found = _Searched(lattice, slices[0], slices[-1])
-    both = _bits(free[lattice.row_of(start)] & free[lattice.row_of(goal)])[: lattice.shape[-1]]
+    found = _Searched(lattice, slices)
+    both = bits_of(free[lattice.row_of(start)] & free[lattice.row_of(goal)])[: lattice.shape[-1]]
     feasible = np.zeros(lattice.shape[-1], dtype=np.bool_)
     left = both.copy()
     left[: slices[0]] = left[slices[-1] + 1 :] = False
@@ -111,7 +128,7 @@ def _carried(
         rows = found.search(number, inside, start, goal, slice_search)
         left[number] = False
         if rows is not None:
-            taken = left & _bits(np.bitwise_and.reduce(free[rows]))[: lattice.shape[-1]]
+            taken = left & bits_of(np.bitwise_and.reduce(free[rows]))[: lattice.shape[-1]]
             taken[number] = True
             for other in np.flatnonzero(taken).tolist():
                 found.rows[other] = rows
@@ -119,17 +136,17 @@ def _carried(
             left &= ~taken
         elif inside is free:
             # There are slices without: which ones is settled for all of them at once.
-            inside, flooded = flood_slices(lattice, free, lattice.row_of(start))
-            left &= _bits(inside[lattice.row_of(goal)])[: lattice.shape[-1]]
+            inside, flooded = flood_slices(lattice, free, lattice.row_of(start), lattice.mask(slices))
+            left &= bits_of(inside[lattice.row_of(goal)])[: lattice.shape[-1]]
     return found.layers(feasible, flooded)
 
 
 class _Searched:
     """The paths of slices that are searched one by one."""
 
-    def __init__(self, lattice: Lattice, first: int, last: int) -> None:
-        """None yet, of the slices from `first` to `last`."""
-        self._lattice, self._first, self._last = lattice, first, last
+    def __init__(self, lattice: Lattice, slices: range) -> None:
+        """None yet, of these slices."""
+        self._lattice, self._slices = lattice, slices
         self._flat = Lattice.of(lattice.shape[:-1], lattice.step[:-1])
         axes = len(lattice.shape)
         self._origin = lattice.row_of(np.zeros(axes, dtype=np.int64))
@@ -154,10 +171,11 @@ class _Searched:
     def layers(self, feasible: BoolArray, flooded: int) -> Layers:
         """All of them, in order."""
         none = np.empty(0, dtype=np.int64)
-        parts = [self.rows.get(number, none) for number in range(self._first, self._last + 1)]
+        parts = [self.rows.get(number, none) for number in self._slices]
         begins = np.concatenate([[0], np.cumsum([len(part) for part in parts])])
         return Layers(
-            self._first,
+            self._lattice,
+            self._slices[0],
             frozen(feasible),
             frozen(np.concatenate(parts)),
             frozen(begins),
@@ -166,19 +184,14 @@ class _Searched:
         )
 
 
-def _bits(words: WordArray) -> BoolArray:
-    """The bits of (words,) one by one."""
-    return np.unpackbits(words.view(np.uint8), bitorder="little").view(np.bool_)
-
-
 def slice_words(lattice: Lattice, words: WordArray, number: int) -> WordArray:
     """One slice of bordered (rows, words) as a grid of its own, the axis before the last along the bits."""
-    sliced: WordArray = _slice_bits(words, number, lattice.padded[-1], words_for(lattice.shape[-2]))
+    sliced: WordArray = _slicebits_of(words, number, lattice.padded[-1], words_for(lattice.shape[-2]))
     return sliced
 
 
 @kernel
-def _slice_bits(rows: WordArray, number: int, padded: int, words: int) -> WordArray:
+def _slicebits_of(rows: WordArray, number: int, padded: int, words: int) -> WordArray:
     """One slice as bit rows of its own: the axis before the last, without its border, along the bits."""
     count = rows.shape[0] // padded
     result = np.zeros((count, words), dtype=np.uint64)

@@ -12,10 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hplan.arrays import BoolArray, IntArray, WordArray, frozen
+from hplan.arrays import BoolArray, IntArray, WordArray
 from hplan.kernels import any_int, kernel
 from hplan.search.lattice import Lattice
 from hplan.search.layers import Layers
+from hplan.search.node_set import NodeSet
 
 #: No slice.
 _NONE = any_int(-1)
@@ -26,13 +27,11 @@ class Union:
     """The nodes of the sparse graph.
 
     Attributes:
-        words: (rows, words) bits with border.
-        nodes: Number of nodes.
+        nodes: The nodes.
         restored: Slices without a path of their own that were given part of a neighbour's, ascending.
     """
 
-    words: WordArray
-    nodes: int
+    nodes: NodeSet
     restored: tuple[int, ...]
 
 
@@ -56,8 +55,7 @@ def union_of(
     restored = _join(free, layers.path_rows, layers.begins, layers.first, descending, union)
     if beyond:
         restored |= _join(free, layers.path_rows, layers.begins, layers.first, not descending, union)
-    nodes = int(np.bitwise_count(union).sum())
-    return Union(frozen(union), nodes, tuple((np.flatnonzero(restored) + layers.first).tolist()))
+    return Union(NodeSet.of(union), tuple((np.flatnonzero(restored) + layers.first).tolist()))
 
 
 @kernel

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
 
 from hplan.arrays import BoolArray, FloatArray, IntArray
+from hplan.search.layers import Layers
+from hplan.search.restoration import Union
 
 #: What carried the path, or the verdict that there is none: the union of the slices between start and goal; the union
 #: of all slices; flooding, and the dense search on what it reached; a column, free in all slices between; two
@@ -23,7 +26,8 @@ class Expansions:
         layers: All slice searches together; where slices are searched by jump points, the jump points.
         sparse: Search on the union of the slice paths, and the rows that its bound settled beforehand.
         fallback: Dense search, and whatever else came after the union had failed.
-        flooded: Nodes reached by bit-parallel flooding, which settles what is connected; not expansions.
+        flooded: Nodes reached by bit-parallel steps: by flooding, which settles what is connected, and by the moves of
+            an empty plane's shortest path. They are not expansions.
     """
 
     layers: int = 0
@@ -64,12 +68,8 @@ class SearchResult:
         cost: Length of the path, each axis weighed by the grid's step (rad for a joint grid); inf without a path.
         expansions: Expansions by stage.
         times: Times by stage.
-        feasible_slices: (slices,) whether each slice has a path of its own from the start's to the goal's place in
-            it; with four axes and more only those between start and goal are looked at; None for the dense search.
-        slice_paths: For each slice of the last union that has a path, that path as (m, d) node indices; empty for the
-            dense search.
-        restored_slices: Slices without a path of their own that were given part of a neighbour's.
-        sparse_nodes: Nodes of the last union.
+        layers: The slices searched last; None for the dense search.
+        union: Their union; None for the dense search.
         fallback: What was needed beyond the union of the slices between start and goal.
     """
 
@@ -77,11 +77,29 @@ class SearchResult:
     cost: float
     expansions: Expansions
     times: StageTimes
-    feasible_slices: BoolArray | None = None
-    slice_paths: dict[int, IntArray] = field(default_factory=dict)
-    restored_slices: tuple[int, ...] = ()
-    sparse_nodes: int = 0
+    layers: Layers | None = None
+    union: Union | None = None
     fallback: Fallback = "none"
+
+    @property
+    def feasible_slices(self) -> BoolArray | None:
+        """(slices,) whether each slice was to be searched and has a path of its own; None for the dense search."""
+        return None if self.layers is None else self.layers.feasible
+
+    @cached_property
+    def slice_paths(self) -> dict[int, IntArray]:
+        """For each slice searched that has a path, that path as (m, d) node indices; empty for the dense search."""
+        return {} if self.layers is None else self.layers.paths()
+
+    @property
+    def restored_slices(self) -> tuple[int, ...]:
+        """Slices without a path of their own that were given part of a neighbour's."""
+        return () if self.union is None else self.union.restored
+
+    @property
+    def sparse_nodes(self) -> int:
+        """Nodes of the union."""
+        return 0 if self.union is None else self.union.nodes.size
 
 
 def path_cost(path: IntArray, step: FloatArray) -> float:

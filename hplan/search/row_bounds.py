@@ -15,10 +15,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hplan.arrays import FloatArray, IntArray, WordArray, frozen
+from hplan.arrays import FloatArray, IntArray, frozen
 from hplan.kernels import kernel
 from hplan.search.heap import pop, push
 from hplan.search.lattice import Lattice
+from hplan.search.node_set import NodeSet
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,7 +27,7 @@ class RowBounds:
     """Bounds of the way to a goal: `max over k of values[row, k] + weights[k] * |bit - goal bit|`.
 
     Attributes:
-        values: (rows, 2) distance to the goal's row; inf where it is not connected.
+        values: (rows, 2) distance to the goal's row, for rows with nodes; inf where it is not connected.
         weights: (2,) weight of one step along the last axis.
         settled: Rows taken from the open list to find them.
     """
@@ -36,27 +37,28 @@ class RowBounds:
     settled: int
 
 
-def row_bounds(lattice: Lattice, free: WordArray, goal_row: int) -> RowBounds:
-    """The bounds for the set bits of `free`.
+def row_bounds(lattice: Lattice, nodes: NodeSet, goal_row: int) -> RowBounds:
+    """The bounds for the nodes of a set.
 
     Args:
         lattice: Geometry of the grid.
-        free: (rows, words) bits with border.
+        nodes: The nodes, the goal among them.
         goal_row: Bordered row of the goal.
     """
-    values, weights, settled = _row_bounds(free, lattice.row_offsets, lattice.move_costs, lattice.step[-1], goal_row)
+    values, weights, settled = _row_bounds(
+        nodes.rows, lattice.rows, lattice.row_offsets, lattice.move_costs, lattice.step[-1], goal_row
+    )
     return RowBounds(frozen(values), frozen(weights), int(settled))
 
 
 @kernel
 def _row_bounds(
-    free: WordArray, row_offsets: IntArray, move_costs: FloatArray, step: float, goal_row: int
+    used: IntArray, rows: int, row_offsets: IntArray, move_costs: FloatArray, step: float, goal_row: int
 ) -> tuple[FloatArray, FloatArray, int]:
-    """Dijkstra's algorithm from the goal's row over rows with a set bit, once for each weight."""
-    rows, words = free.shape
-    values = np.full((rows, 2), np.inf)
-    keys, entries = np.empty(rows), np.empty(rows, dtype=np.int32)
-    slot = np.empty(rows, dtype=np.int32)
+    """Dijkstra's algorithm from the goal's row over the rows used, once for each weight."""
+    values = np.empty((rows, 2))
+    keys, entries = np.empty(len(used)), np.empty(len(used), dtype=np.int32)
+    slot = np.full(rows, -2, dtype=np.int32)
     centre = len(row_offsets) // 2
     shortest = np.inf
     for move in range(len(row_offsets)):
@@ -66,11 +68,8 @@ def _row_bounds(
     weights = np.array([np.hypot(longest, step) - longest, np.hypot(shortest, step) - shortest])
     settled = 0
     for k in range(2):
-        for row in range(rows):
-            bits = np.uint64(0)
-            for word in range(words):
-                bits |= free[row, word]
-            slot[row] = -1 if bits != np.uint64(0) else -2
+        for row in used:
+            slot[row], values[row, k] = -1, np.inf
         costs = np.minimum(move_costs[:, 1], move_costs[:, 2] - weights[k])
         values[goal_row, k] = 0.0
         size = push(keys, entries, slot, 0, 0.0, goal_row)

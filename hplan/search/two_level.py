@@ -26,6 +26,7 @@ from hplan.search.endpoints import checked_node
 from hplan.search.flood import flood_from, has_bit
 from hplan.search.lattice import Lattice
 from hplan.search.layers import Layers, SliceSearch, search_layers
+from hplan.search.node_set import NodeSet
 from hplan.search.restoration import Union, union_of
 from hplan.search.result import Expansions, Fallback, SearchResult, StageTimes, path_cost
 from hplan.search.row_bounds import row_bounds
@@ -62,10 +63,8 @@ def two_level_search(occupancy: Occupancy, start: ArrayLike, goal: ArrayLike, *,
         cost=found.cost,
         expansions=found.counts,
         times=replace(found.times, layers=time.perf_counter() - begin - found.times.sparse - found.times.fallback),
-        feasible_slices=found.layers.feasible,
-        slice_paths=found.layers.paths(lattice),
-        restored_slices=found.union.restored,
-        sparse_nodes=found.union.nodes,
+        layers=found.layers,
+        union=found.union,
         fallback=found.fallback,
     )
 
@@ -119,7 +118,7 @@ def _two_level(lattice: Lattice, free: WordArray, start: IntArray, goal: IntArra
         reached, flooded = flood_from(lattice, free, lattice.row_of(start), int(start[-1]))
         counts = counts.with_fallback(0, flooded)
         if has_bit(reached, lattice.row_of(goal), int(goal[-1])):
-            path, cost, dense = astar(lattice, reached, start, goal, octile=octile)
+            path, cost, dense = astar(lattice, NodeSet.of(reached), start, goal, octile=octile)
             counts = counts.with_fallback(dense, 0)
     times = StageTimes(layers_done - begin, sparse_done - layers_done, time.perf_counter() - sparse_done)
     return _Found(path, cost if path is not None else math.inf, counts, times, layers, union, fallback)
@@ -133,7 +132,7 @@ def _slice_search(axes: int, *, octile: bool) -> SliceSearch | None:
     def plain(
         lattice: Lattice, free: WordArray, start: IntArray, goal: IntArray
     ) -> tuple[IntArray | None, float, int, int]:
-        return *astar(lattice, free, start, goal, octile=octile), 0
+        return *astar(lattice, NodeSet.of(free), start, goal, octile=octile), 0
 
     def nested(
         lattice: Lattice, free: WordArray, start: IntArray, goal: IntArray
@@ -149,7 +148,7 @@ def _search_union(
 ) -> tuple[IntArray | None, float, int]:
     """Path on the sparse graph, its cost and the expansions, those of its bound among them."""
     if not octile:
-        return astar(lattice, union.words, start, goal, octile=False)
-    bounds = row_bounds(lattice, union.words, lattice.row_of(goal))
-    path, cost, expansions = astar(lattice, union.words, start, goal, octile=True, row_bounds=bounds)
+        return astar(lattice, union.nodes, start, goal, octile=False)
+    bounds = row_bounds(lattice, union.nodes, lattice.row_of(goal))
+    path, cost, expansions = astar(lattice, union.nodes, start, goal, octile=True, row_bounds=bounds)
     return path, cost, expansions + bounds.settled

@@ -13,11 +13,12 @@ from hplan.search import two_level_search
 from hplan.search.astar import astar
 from hplan.search.column import by_column
 from hplan.search.lattice import Lattice
+from hplan.search.node_set import NodeSet
 
 
 def plain(lattice: Lattice, free, start: IntArray, goal: IntArray):
     """A slice search for `by_column`."""
-    return *astar(lattice, free, start, goal, octile=True), 0
+    return *astar(lattice, NodeSet.of(free), start, goal, octile=True), 0
 
 
 def column_of(free: BoolArray, step: FloatArray, start: IntArray, goal: IntArray) -> IntArray | None:

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from reference import assert_path, component, make_occupancy, path_cost, shortest, slice_paths, union_mask
 
 from hplan.arrays import BoolArray, FloatArray, IntArray
-from hplan.search import dense_search, reachable, two_level_search
+from hplan.search import dense_search, reachable, slices_with_path, two_level_search
 
 STEPS = [1.0, 1.0, 0.3, 2.5, 0.01]
 
@@ -42,12 +42,13 @@ def check(free: BoolArray, start: IntArray, goal: IntArray, step: FloatArray, *,
     for number, path in own.items():
         cost, least = path_cost(path, step), path_cost(expected[number], step)
         assert cost >= least - 1e-9 if nested else cost == pytest.approx(least, abs=1e-9)
-    assert two_level.feasible_slices is not None
-    between = sorted((int(start[-1]), int(goal[-1])))
-    searched = range(between[0], between[1] + 1) if nested else range(free.shape[-1])
-    for number in searched:
-        connected = free[(*start[:-1], number)] and component(free[..., number], start[:-1])[tuple(goal[:-1])]
-        assert two_level.feasible_slices[number] == connected
+    assert two_level.layers is not None
+    searched = range(two_level.layers.first, two_level.layers.first + len(two_level.layers.begins) - 1)
+    connected = slices_with_path(space, start, goal)
+    for number in range(free.shape[-1]):
+        here = free[(*start[:-1], number)] and component(free[..., number], start[:-1])[tuple(goal[:-1])]
+        assert connected[number] == here
+        assert two_level.layers.feasible[number] == (here and number in searched)
 
     # The sparse graph is the plain one, and its search is exact.
     union = union_mask(free, own, start, goal)

@@ -11,6 +11,7 @@ from reference import make_occupancy, neighbours, shortest
 from hplan.arrays import FloatArray
 from hplan.search.astar import _bound
 from hplan.search.lattice import Lattice
+from hplan.search.node_set import NodeSet
 from hplan.search.row_bounds import row_bounds
 
 SPACES = [
@@ -61,7 +62,7 @@ def test_row_bounds_are_consistent(shape: tuple[int, ...], step: list[float], de
     free[goal] = True
     lattice = Lattice.of(shape, np.array(step))
     words = lattice.bordered(make_occupancy(free, np.array(step)).free_words)
-    bounds = row_bounds(lattice, words, lattice.row_of(np.array(goal)))
+    bounds = row_bounds(lattice, NodeSet.of(words), lattice.row_of(np.array(goal)))
 
     def bound(node: tuple[int, ...]) -> float:
         row = lattice.row_of(np.array(node))

@@ -10,7 +10,7 @@ from hplan.arrays import BoolArray
 from hplan.errors import InputError
 from hplan.grid import Grid, Occupancy
 from hplan.reproduction.random_scenes import GRID, disc_occupancy
-from hplan.search import SearchResult, dense_search, reachable, two_level_search
+from hplan.search import SearchResult, dense_search, reachable, slices_with_path, two_level_search
 from hplan.section import LinkModel
 
 START, GOAL = [0, 0, 0], [45, 60, 70]
@@ -44,7 +44,8 @@ def test_reference_scene(model: LinkModel, cost: float, first: int) -> None:
         assert np.degrees(result.cost) == pytest.approx(cost, abs=1e-6)
         assert len(result.path) == 107
         assert_path(free, result.path, START, GOAL)
-        assert np.flatnonzero(result.feasible_slices).tolist() == list(range(first, 91))
+        assert np.flatnonzero(result.feasible_slices).tolist() == list(range(first, 71))
+        assert np.flatnonzero(slices_with_path(scene, START, GOAL)).tolist() == list(range(first, 91))
         assert sorted(result.slice_paths) == list(range(first, 71))
         assert result.restored_slices == tuple(range(first))
         assert result.fallback == "none"

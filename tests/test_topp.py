@@ -154,6 +154,19 @@ def test_outcomes_of_many_paths(compared, dynamics, limits):
     assert not [pair for pair in outcomes if pair[1] == "Ok" != pair[0]]
 
 
+def test_velocity_bounds_are_toppras(limits):
+    rng = np.random.default_rng(5)
+    still = spline(rng, 1.0, 2)
+    for path in (spline(rng, 1.0, None), spline(rng, 1e-4, None), still):
+        view = topp._Path(path, cosine(path.end, 70), 1.0)
+        places = view._grid
+        own = topp._Velocity(limits.velocity).compute_constraint_params(view, places)
+        both = np.stack([-limits.velocity, limits.velocity], axis=1)
+        toppras = constraint.JointVelocityConstraint(both).compute_constraint_params(view, places)
+        assert own[:6] == toppras[:6] == (None,) * 6
+        np.testing.assert_allclose(own[6], np.maximum(toppras[6], 0.0), rtol=1e-6)  # toppra stores floats of 32 bits
+
+
 def test_constraints_of_toppra_itself():
     """Interpolated ones, whose faces differ from point to point, and bounds of u."""
 

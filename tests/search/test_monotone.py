@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from reference import make_occupancy, path_cost, shortest
 
-from hplan.arrays import BoolArray
+from hplan.arrays import BoolArray, IntArray
 from hplan.search.lattice import Lattice
 from hplan.search.monotone import MonotonePaths
 

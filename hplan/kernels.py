@@ -26,7 +26,7 @@ def kernel(function: Callable[P, R]) -> Callable[P, R]:
 def inlined(function: Callable[P, R]) -> Callable[P, R]:
     """A function put into each kernel that calls it: for a few lines with many arguments, which cost more than they do.
 
-    Kernels on disk are not made anew when a function of another file that they inline changes.
+    Kernels on disk are not made anew when what they take from another file changes: inlined functions, constants.
     """
     compiled: Callable[P, R] = nb.njit(cache=True, inline="always")(function)
     return compiled

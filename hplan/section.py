@@ -9,7 +9,8 @@ by a radius, and every :math:`S` is given as a *rounded polygon*: the hull of a 
 - Core of two points equally far from the plane (capsule along it): a stadium, exact.
 - Any other core: a rounded polygon around :math:`S` that stands out by `SECTION_ERROR` at most.
 
-Over an interval of yaw the section is a bound on the union. `hplan.section_kernels` says how both are found.
+`hplan.hull_section` says how that is found. Over an interval of yaw the section is a bound on the union, as
+`hplan.section_kernels` shows.
 
 Where the arm can touch itself (`hplan.self_contact`), what carries it is one more obstacle to the links that can touch
 it, the same at every yaw. Links against links are kept as pairs: where they lie depends on the joints.

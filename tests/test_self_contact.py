@@ -15,6 +15,7 @@ from hplan.arm_spec import ArmSpec
 from hplan.blockage import blockers
 from hplan.certificate import certify
 from hplan.clearance import ClearanceField
+from hplan.clearance_rows import _base_solid
 from hplan.collision import CollisionScene, sampled_occupancy
 from hplan.cspace import joint_grid, occupancy
 from hplan.errors import ConfigurationInCollisionError
@@ -25,7 +26,7 @@ from hplan.robot import Robot, load_robot
 from hplan.robot_family import write_robot
 from hplan.scene import Goal, Scene, Sphere, Start
 from hplan.section import arm_sections, bodies_of, only, sections_at
-from hplan.self_contact import GROUND, TURRET, pair_rates, pair_sway, self_contact
+from hplan.self_contact import GROUND, TURRET, BaseBody, pair_rates, pair_sway, self_contact
 from hplan.trajectory import Trajectory
 
 #: A section of what carries the arm stands out by no more than this [m].
@@ -522,3 +523,14 @@ def test_blockers_name_links(wide):
     space = occupancy(wide.arm, sections, grid)
     found = blockers(wide.arm, sections, grid, ~space.occupied)
     assert ("hand", "upper_arm") in {(item["link"], item["obstacle"]) for item in found}
+
+
+def test_parts_of_the_base_as_solids() -> None:
+    """A point, a line, a plate and a body of the base, each as far away as its core says."""
+    corners = np.array([[0.3, 0.2, 0.1], [0.5, 0.2, 0.1], [0.5, 0.4, 0.1], [0.3, 0.4, 0.6]])
+    for count in range(1, 5):
+        solid = _base_solid(BaseBody("part", 0, TURRET, corners[:count], 0.04, (0, 1)))
+        assert solid.rounding == pytest.approx(0.04)
+        assert {tuple(corner) for corner in np.round(corners[:count], 6).tolist()} <= {
+            tuple(point) for point in np.round(solid.core, 4).tolist()
+        }

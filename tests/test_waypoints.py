@@ -2,48 +2,27 @@ from __future__ import annotations
 
 import csv
 import importlib.util
-import itertools
 import math
 from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 import pytest
-from hypothesis import assume, example, given, settings
-from hypothesis import strategies as st
-from hypothesis.extra import numpy as npst
+from toy_urdf import urdf
 
-from hplan.errors import InputError, JointLimitError, OptionError, RobotFileError, TimingError
+from hplan.errors import InputError, JointLimitError, OptionError, TimingError
 from hplan.path import Limits
 from hplan.trajectory import read_csv
 from hplan.waypoints import (
-    ENDLESS,
     largest_deviation,
     limit_shares,
     limits_of,
     read_machine,
     read_waypoints,
-    rounded_path,
     time_waypoints,
 )
 
 SCRIPT = Path(__file__).resolve().parents[1] / "scripts" / "time_waypoints.py"
-
-LIMIT = '<limit lower="-3" upper="3" velocity="2" effort="60"/>'
-
-
-def urdf(*joints: str, chain: tuple[str, ...] = ("a", "b")) -> str:
-    """A chain of 1 kg links, 0.4 m apart along x, that turn about y."""
-    joints = joints or tuple(f'<joint name="{name}" type="revolute">{LIMIT}' for name in chain)
-    inertial = (
-        '<inertial><origin xyz="0.2 0 0"/><mass value="1"/>'
-        '<inertia ixx="0.01" iyy="0.02" izz="0.02" ixy="0" ixz="0" iyz="0"/></inertial>'
-    )
-    parts = ['<robot name="toy"><link name="l0"/>']
-    for i, joint in enumerate(joints):
-        parts.append(f'<link name="l{i + 1}">{inertial}</link>{joint}<origin xyz="{0.4 * (i > 0)} 0 0"/>')
-        parts.append(f'<axis xyz="0 -1 0"/><parent link="l{i}"/><child link="l{i + 1}"/></joint>')
-    return "".join([*parts, "</robot>"])
 
 
 @pytest.fixture
@@ -61,124 +40,12 @@ def toy(write):
     return read_machine(write("toy.urdf", urdf()))
 
 
-@pytest.fixture
-def load(write):
-    """A robot from the opening tags of its joints."""
-    return lambda *joints, **options: read_machine(write("robot.urdf", urdf(*joints)), **options)
-
-
 @pytest.fixture(scope="session")
 def script():
     spec = importlib.util.spec_from_file_location("time_waypoints_script", SCRIPT)
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
-
-
-# The robot
-
-
-def test_machine_has_the_joints_in_order(toy):
-    assert toy.joint_names == ("a", "b")
-    assert toy.held == {}
-    np.testing.assert_array_equal(toy.model.velocityLimit, [2, 2])
-
-
-def test_prismatic_joint_moves(load):
-    machine = load(f'<joint name="slide" type="prismatic">{LIMIT}', f'<joint name="turn" type="revolute">{LIMIT}')
-    motion = time_waypoints(machine.model, [[0, 0], [0.5, 1]], limits_of(machine.model, 5.0))
-    np.testing.assert_array_equal(motion.position[-1], [0.5, 1.0])
-
-
-def test_continuous_joint_counts_past_a_turn(load):
-    machine = load('<joint name="spin" type="continuous"><limit velocity="2" effort="60"/>')
-    assert (machine.model.nq, machine.model.nv) == (1, 1)
-    assert machine.model.upperPositionLimit[0] == ENDLESS
-    motion = time_waypoints(machine.model, [[0.0], [20.0]], limits_of(machine.model, 5.0))
-    assert motion.position[-1, 0] == 20.0
-    # Gravity repeats with each turn.
-    twin = pin.rnea(machine.model, machine.model.createData(), np.array([20.0 - 6 * math.pi]), np.zeros(1), np.zeros(1))
-    assert motion.torque[-1, 0] == pytest.approx(twin[0])
-
-
-def test_limits_that_the_urdf_does_not_give(load):
-    machine = load('<joint name="spin" type="continuous">')
-    with pytest.raises(InputError, match=r"'spin' has no velocity limit") as caught:
-        limits_of(machine.model, 5.0)
-    assert caught.value.data["joint"] == "spin"
-    machine = load('<joint name="spin" type="continuous"><limit velocity="2" effort="1"/>')
-    machine.model.effortLimit[0] = np.inf
-    with pytest.raises(InputError, match="no torque limit"):
-        limits_of(machine.model, 5.0)
-    assert limits_of(machine.model, 5.0, torque=False).torque is None
-
-
-@pytest.mark.parametrize("value", [math.nan, -1.0, [1.0, -2.0]])
-def test_limits_out_of_range(toy, value):
-    with pytest.raises(InputError, match="acceleration limit is"):
-        limits_of(toy.model, value)
-
-
-@pytest.mark.parametrize("kind", ["floating", "planar"])
-def test_joint_of_several_coordinates_is_refused_and_can_stay(load, kind):
-    joints = (f'<joint name="base" type="{kind}">', f'<joint name="a" type="revolute">{LIMIT}')
-    with pytest.raises(InputError, match=f"'base' cannot be moved or held: it is {kind}"):
-        load(*joints)
-    machine = load(*joints, joints=["a"])
-    assert machine.joint_names == ("a",)
-    assert machine.held == {"base": None}
-
-
-def test_mimic_is_held_with_the_one_it_mimics(load):
-    joints = [f'<joint name="{name}" type="revolute">{LIMIT}' for name in ("arm", "finger", "other")]
-    joints[2] += '<mimic joint="finger"/>'
-    machine = load(*joints)
-    assert machine.joint_names == ("arm",)
-    assert machine.held == {"finger": 0.0, "other": 0.0}
-    for name in ("finger", "other"):
-        with pytest.raises(InputError, match=f"'{name}' cannot be moved: .* move as one"):
-            load(*joints, joints=[name])
-
-
-def test_held_joints_stand_where_told(load):
-    wide, narrow = LIMIT, LIMIT.replace('lower="-3"', 'lower="0.5"')
-    joints = [f'<joint name="a" type="revolute">{wide}', f'<joint name="b" type="revolute">{narrow}']
-    assert load(*joints, joints=["a"]).held == {"b": 0.5}
-    machine = load(*joints, joints=["a"], hold={"b": math.pi / 2})
-    # The second link points up: both centres of mass, at 0.2 and 0.4 m.
-    still = time_waypoints(machine.model, [[0.0]], limits_of(machine.model, 1.0))
-    assert still.torque[0, 0] == pytest.approx(9.81 * (0.2 + 0.4))
-    with pytest.raises(JointLimitError, match="hold: joint 'b'"):
-        load(*joints, joints=["a"], hold={"b": 0.0})
-    with pytest.raises(InputError, match="cannot both"):
-        load(*joints, joints=["a"], hold={"a": 0.0})
-    for name in ("c", "l1"):
-        with pytest.raises(InputError, match=f"no joint '{name}'"):
-            load(*joints, joints=[name])
-    with pytest.raises(InputError, match="no joint is to move"):
-        load(*joints, joints=[])
-
-
-def test_link_and_joint_of_one_name(write):
-    machine = read_machine(write("toy.urdf", urdf(chain=("l2", "l1"))), joints=["l1"])
-    assert machine.joint_names == ("l1",)
-    assert machine.held == {"l2": 0.0}
-
-
-@pytest.mark.parametrize(
-    ("text", "reason"),
-    [
-        (None, "No such file"),
-        ("<robot", "malformed XML"),
-        ("<sdf/>", "root element is <sdf>"),
-        (urdf().replace('name="b"', 'name="a"'), "'a' is defined twice"),
-        (urdf().replace("<limit", "<limits"), "Pinocchio refuses it"),
-    ],
-)
-def test_bad_robot_file(tmp_path, write, text, reason):
-    path = tmp_path / "none.urdf" if text is None else write("bad.urdf", text)
-    with pytest.raises(RobotFileError, match=reason):
-        read_machine(path)
 
 
 # The CSV
@@ -215,109 +82,6 @@ def test_unreadable_csv(tmp_path):
     (tmp_path / "w.csv").write_bytes(b"a\n\xff\n")
     with pytest.raises(InputError, match="not UTF-8"):
         read_waypoints(tmp_path / "w.csv", ("a",))
-
-
-# The path
-
-
-def frechet_distance_is_within(curve: np.ndarray, points: np.ndarray, bound: float) -> bool:
-    """Whether dense points of two curves can be gone through side by side within a bound (discrete Frechet)."""
-    near = np.linalg.norm(curve[:, None] - points[None], axis=2) <= bound
-    reach = np.zeros_like(near)
-    for i, j in itertools.product(*map(range, near.shape)):
-        before = (i == 0 and j == 0) or reach[max(i - 1, 0) : i + 1, max(j - 1, 0) : j + 1].any()
-        reach[i, j] = near[i, j] and before
-    return bool(reach[-1, -1])
-
-
-coordinate = st.one_of(
-    st.floats(-3.0, 3.0), st.sampled_from([0.0, 1.0, 1.0 + 1e-9, 1.0 - 1e-6, 1.01, -1.0]), st.floats(-1e-6, 1e-6)
-)
-polylines = npst.arrays(np.float64, st.tuples(st.integers(2, 9), st.integers(1, 4)), elements=coordinate)
-
-
-@settings(deadline=None, max_examples=300)
-@given(polylines, st.sampled_from([1e-4, 1e-2, 0.1, 1.0]))
-@example(np.array([[0.0], [1.0], [0.0]]), 0.1)
-@example(np.array([[0.0, 0], [1, 0], [0, 1e-9], [1, 1]]), 0.01)
-@example(np.array([[0.0, 0], [1, 0], [1, 1e-4], [0, 1e-4]]), 0.01)
-@example(np.array([[0.0, 0], [1e-7, 0], [1e-7, 1e-7], [1, 1]]), 1e-4)
-def test_path_keeps_to_the_polyline(points, deviation):
-    path = rounded_path(points, deviation)
-    curve = path.evaluate(np.linspace(0.0, path.end, 4000))
-    assert largest_deviation(curve, points) <= deviation + 1e-12
-    np.testing.assert_allclose(path.evaluate([0.0, path.end]), points[[0, -1]], rtol=1e-15, atol=2e-9)
-    # Joint limits that the waypoints keep.
-    assert (path.pieces >= points.min(axis=0) - 1e-12).all()
-    assert (path.pieces <= points.max(axis=0) + 1e-12).all()
-    assert (np.diff(path.breaks) > 0.0).all()
-    # Every waypoint is passed, in turn: none before the one it follows.
-    distance = np.linalg.norm(curve[:, None] - points[None], axis=2) <= deviation + path.end / 4000
-    at = 0
-    for passed in distance.T:
-        assert passed[at:].any()
-        at += int(passed[at:].argmax())
-
-
-@settings(deadline=None, max_examples=40)
-@given(polylines, st.sampled_from([0.03, 0.3]))
-def test_path_runs_along_the_polyline(points, deviation):
-    path = rounded_path(points, deviation)
-    length = np.linalg.norm(np.diff(points, axis=0), axis=1).sum()
-    assume(length < 15.0)
-    step = 0.05
-    curve = path.evaluate(np.linspace(0.0, path.end, 2 + int(path.end / step)))
-    pieces = [
-        a + (b - a) * np.linspace(0, 1, 2 + int(np.linalg.norm(b - a) / step))[:, None]
-        for a, b in itertools.pairwise(points)
-    ]
-    assert frechet_distance_is_within(curve, np.concatenate(pieces), deviation + step)
-
-
-def test_deviation_is_used():
-    """At a lone corner the path passes the corner at just what thinning leaves of the deviation."""
-    path = rounded_path([[0, 0], [1, 0], [1, 1]], 0.02)
-    s = np.linspace(0, path.end, 20_001)
-    assert np.linalg.norm(path.evaluate(s) - [1, 0], axis=1).min() == pytest.approx(0.015, rel=1e-6)
-
-
-def test_parameter_is_the_length_and_curvature_is_continuous():
-    path = rounded_path([[0, 0], [1, 0], [1, 2]], 0.02)
-    speed = np.linalg.norm(path.evaluate(np.linspace(0, path.end, 1000), 1), axis=1)
-    assert speed.max() == pytest.approx(1.0)
-    assert np.median(speed) == pytest.approx(1.0)
-    for at in path.breaks[1:-1]:
-        sides = path.evaluate([at - 1e-9, at + 1e-9], 2)
-        np.testing.assert_allclose(sides[0], sides[1], atol=1e-5)
-
-
-def test_waypoints_in_line_and_noise_are_left_out():
-    line = np.linspace(0, 1, 30)[:, None] * [1.0, 2.0]
-    assert len(rounded_path(line, 0.01).control) == 4
-    noisy = line + 0.0005 * np.random.default_rng(0).uniform(-1, 1, line.shape)
-    assert len(rounded_path(noisy, 0.01).control) == 4
-    assert len(rounded_path(noisy, 1e-4).control) > 30
-
-
-def test_equal_waypoints_are_a_constant_path():
-    path = rounded_path([[1.0, 2.0]] * 3, 0.1)
-    np.testing.assert_array_equal(path.evaluate([0.0, 0.5, 1.0]), [[1.0, 2.0]] * 3)
-
-
-@pytest.mark.parametrize("points", [[], [[]], [1.0, 2.0], [[1.0], [1.0, 2.0]], "ab", [[0.0], [math.nan]]])
-def test_bad_waypoints(points):
-    with pytest.raises(InputError, match="waypoint"):
-        rounded_path(points, 0.1)
-
-
-@pytest.mark.parametrize("deviation", [0.0, 1e-5, -1.0, math.nan, math.inf])
-def test_bad_deviation(toy, deviation):
-    for attempt in (
-        lambda: rounded_path([[0.0]], deviation),
-        lambda: time_waypoints(toy.model, [[0, 0]], limits_of(toy.model, 1.0), deviation_rad=deviation),
-    ):
-        with pytest.raises(OptionError, match="deviation_rad"):
-            attempt()
 
 
 # The motion
@@ -380,6 +144,12 @@ def test_speed_scales_the_duration(toy):
     assert half.duration == pytest.approx(2.0 * full.duration, rel=0.02)
     with pytest.raises(OptionError, match="speed"):
         time_waypoints(toy.model, CORNERS, limits, speed=1.5)
+
+
+@pytest.mark.parametrize("deviation", [0.0, 1e-5, -1.0, math.nan, math.inf])
+def test_bad_deviation(toy, deviation):
+    with pytest.raises(OptionError, match="deviation_rad"):
+        time_waypoints(toy.model, [[0, 0]], limits_of(toy.model, 1.0), deviation_rad=deviation)
 
 
 @pytest.mark.parametrize("rate", [0.0, math.nan, 1e6])

@@ -12,7 +12,8 @@ import numpy as np
 
 from hplan.arrays import FloatArray
 from hplan.benchmark.measure import timed
-from hplan.clearance import ClearanceField, _link_clearances, segment_is_clear
+from hplan.clearance import ClearanceField
+from hplan.clearance_kernels import link_clearances, segment_is_clear
 from hplan.kernels import kernel
 from hplan.robot import Robot
 
@@ -175,7 +176,7 @@ class _Calls:
         field = self._field
         values = [state[i] for i in range(self._count)]
         self._a[self._joints] = values
-        _link_clearances(self._a, field.chain, field.base, field.solids, field.data, self._clear)
+        link_clearances(self._a, field.chain, field.base, field.solids, field.data, self._clear)
         clear = bool(self._clear.min() >= self._margin)
         self._states.extend(values)
         self.seconds += time.perf_counter() - begin
@@ -212,6 +213,6 @@ def _ask(
     for i in range(motions.shape[0]):
         count += segment_is_clear(motions[i, 0], motions[i, 1], chain, base, solids, data, margin)
     for i in range(states.shape[0]):
-        _link_clearances(states[i], chain, base, solids, data, result)
+        link_clearances(states[i], chain, base, solids, data, result)
         count += result.min() >= margin
     return count

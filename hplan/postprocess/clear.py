@@ -13,7 +13,8 @@ import math
 import numpy as np
 
 from hplan.arrays import FloatArray, IntArray, frozen
-from hplan.clearance import ClearanceField, _link_clearances, smallest
+from hplan.clearance import ClearanceField
+from hplan.clearance_kernels import link_clearances, smallest
 from hplan.kernels import any_int, kernel
 from hplan.polyline import stations
 from hplan.postprocess.options import PostprocessOptions
@@ -121,7 +122,7 @@ def push_out(
                         q[k] = worst[k]
                 if j >= 0:
                     q[j] += 1e-4 if probe % 2 == 1 else -1e-4
-                _link_clearances(q, chain, base, solids, data, clear)
+                link_clearances(q, chain, base, solids, data, clear)
                 here = smallest(clear)
                 if j >= 0:
                     if probe % 2 == 1:

@@ -12,7 +12,8 @@ import math
 import numpy as np
 
 from hplan.arrays import FloatArray, frozen
-from hplan.clearance import ClearanceField, segment_is_clear
+from hplan.clearance import ClearanceField
+from hplan.clearance_kernels import segment_is_clear
 from hplan.kernels import kernel
 
 #: Waypoints nearer than this to each other are one [rad].

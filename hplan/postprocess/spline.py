@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hplan.arrays import BoolArray, FloatArray, frozen, readonly
-from hplan.clearance import ClearanceField, _link_clearances, proven_advance
+from hplan.clearance import ClearanceField
+from hplan.clearance_kernels import link_clearances, proven_advance
 from hplan.errors import InputError
 from hplan.kernels import kernel
 from hplan.polyline import curve_length, stations
@@ -183,8 +184,8 @@ def bezier_pieces(control: FloatArray, knots: FloatArray) -> FloatArray:
 def piece_bounds(piece: FloatArray, chain: FloatArray, base: FloatArray, result: FloatArray) -> None:
     """Largest speed of any axis point of each link while a piece's own parameter runs from 0 to 1 [m].
 
-    As `clearance.motion_bounds`, from the hull of the derivative: each absolute link angle turns no faster than at the
-    fastest of the derivative's three control points.
+    As `clearance_kernels.motion_bounds`, from the hull of the derivative: each absolute link angle turns no faster than
+    at the fastest of the derivative's three control points.
     """
     first = 1 if base[9] > 0.0 else 0
     swing = 0.0
@@ -225,7 +226,7 @@ def piece_is_clear(
         w0, w1, w2, w3 = u * u * u, 3.0 * u * u * t, 3.0 * u * t * t, t * t * t
         for i in range(dof):
             q[i] = w0 * piece[0, i] + w1 * piece[1, i] + w2 * piece[2, i] + w3 * piece[3, i]
-        _link_clearances(q, chain, base, solids, data, clear)
+        link_clearances(q, chain, base, solids, data, clear)
         advance = proven_advance(clear, bounds, margin)
         if advance < 0.0:
             return False

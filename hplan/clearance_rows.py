@@ -1,0 +1,144 @@
+"""Obstacles, and what the arm can touch of itself, as rows of numbers for the kernels of clearance.
+
+The rows of a cloud are the nodes of its tree: where a node's bounding ball is farther than the nearest solid so far,
+all rows below it are skipped. What carries the arm (`hplan.self_contact`) stands below a gate that only the links pass
+that can touch it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import assert_never
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hplan.arrays import FloatArray, IntArray
+from hplan.robot import Robot
+from hplan.scene import Box, Capsule, Solid, Sphere
+from hplan.self_contact import BaseBody, self_contact
+from hplan.solids import Cloud, Hull, hull_of
+
+#: Columns of a row: kind, radius, bounding centre (3) and radius, 14 numbers of its kind, the row to go on with where
+#: the bounding ball is too far. A node is an inner one of a cloud's tree, its leaves are lots of points. The row below
+#: a gate is for the links from one to another; a pair is one link of the arm to one after it.
+POINT, SEGMENT, BOX, HULL, NODE, LOT, GATE, PAIR = 0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0
+_COLUMNS = 21
+
+#: A hull whose points lie in one plane is made so thick [m].
+_THICKNESS = 1e-5
+
+
+def rows_of(
+    robot: Robot, obstacles: Sequence[Solid], clearance: ArrayLike, own_clearance: float | None
+) -> tuple[FloatArray, FloatArray, IntArray]:
+    """Rows of obstacles, then of the parts of the arm that can touch it.
+
+    Args:
+        robot: The arm.
+        obstacles: Obstacles.
+        clearance: As for `hplan.clearance.ClearanceField.of`.
+        own_clearance: The same.
+
+    Returns:
+        `solids`, `data` and `owner` of `hplan.clearance.ClearanceField`.
+    """
+    blocks, data, owner = [np.zeros((0, _COLUMNS))], [np.zeros(0)], [np.zeros(0, dtype=np.int64)]
+    row_count = data_count = 0
+    growth = np.asarray(clearance, dtype=np.float64)
+    grown = np.broadcast_to(growth, (len(obstacles),)).tolist()
+    own = float(growth.min()) if own_clearance is None and growth.size else own_clearance or 0.0
+    contact = self_contact(robot)
+    for index, part in [*enumerate(obstacles), *((-1, body) for body in contact.bodies)]:
+        if isinstance(part, BaseBody):
+            rows, more = _base_rows(part, own, data_count)
+        else:
+            rows, more = _rows(part, grown[index], data_count)
+        rows[:, 20] += row_count
+        blocks.append(rows)
+        data.append(more)
+        owner.append(np.full(len(rows), index))
+        row_count += len(rows)
+        data_count += len(more)
+    if contact.links:
+        blocks.append(_pair_rows(robot, contact.links, own, row_count))
+        owner.append(np.full(len(contact.links), -1))
+    return np.concatenate(blocks), np.concatenate(data), np.concatenate(owner)
+
+
+def _rows(obstacle: Solid, clearance: float, offset: int) -> tuple[FloatArray, FloatArray]:
+    """Rows of an obstacle, its first one number 0, and the data that they point to from `offset` on."""
+    if isinstance(obstacle, Cloud):
+        return _cloud_rows(obstacle, clearance, offset), obstacle.core.ravel()
+    data = np.zeros(0)
+    row = np.zeros(_COLUMNS)
+    core = obstacle.core
+    centre = 0.5 * (core.min(axis=0) + core.max(axis=0))
+    row[1] = obstacle.rounding + clearance
+    row[2:5] = centre
+    row[5] = np.linalg.norm(core - centre, axis=1).max() + row[1]
+    row[20] = 1
+    if isinstance(obstacle, Sphere):
+        row[0], row[6:9] = POINT, obstacle.center
+    elif isinstance(obstacle, Capsule):
+        row[0], row[6:9], row[9:12] = SEGMENT, obstacle.start, obstacle.end
+    elif isinstance(obstacle, Box):
+        row[0], row[6:9] = BOX, 0.5 * np.array(obstacle.size)
+        row[9:18] = obstacle.rotation.T.ravel()  # rows: the box's axes in base_link
+    elif isinstance(obstacle, Hull):
+        edges = np.column_stack([obstacle.edges, 0.5 * np.linalg.norm(obstacle.edges[:, 3:], axis=1)])
+        data = np.concatenate([obstacle.planes.ravel(), edges.ravel()])
+        row[0], row[6], row[7], row[8] = HULL, offset, offset + obstacle.planes.size, offset + len(data)
+    else:
+        assert_never(obstacle)
+    return row[None], data
+
+
+def _base_rows(body: BaseBody, clearance: float, offset: int) -> tuple[FloatArray, FloatArray]:
+    """As `_rows`, below the gate that lets the links pass that can touch the body."""
+    rows, data = _rows(_base_solid(body), clearance, offset)
+    gate = rows[:1].copy()
+    gate[0, 0], gate[0, 6], gate[0, 7], gate[0, 20] = GATE, body.links[0], body.links[-1], 2
+    rows[:, 20] += 1
+    return np.concatenate([gate, rows]), data
+
+
+def _base_solid(body: BaseBody) -> Solid:
+    """A shape of turret or pedestal as a solid."""
+    core = body.core
+    _, spread, directions = np.linalg.svd(core - core.mean(axis=0), full_matrices=False)
+    flat = np.count_nonzero(spread > 1e-9)
+    if flat == 0:
+        return Sphere(name=body.name, center=tuple(core[0]), radius=body.rounding)
+    if flat == 1:
+        a, b = core[np.argsort(core @ directions[0])][[0, -1]]
+        return Capsule.model_validate(
+            {"name": body.name, "from": tuple(a.tolist()), "to": tuple(b.tolist()), "radius": body.rounding}
+        )
+    if flat == 2:
+        core = np.vstack([core - _THICKNESS * directions[2], core + _THICKNESS * directions[2]])
+    return replace(hull_of(core, body.name, most=len(core) + 14), rounding=body.rounding)
+
+
+def _pair_rows(robot: Robot, pairs: Sequence[tuple[int, int]], clearance: float, first: int) -> FloatArray:
+    """The rows of pairs of links, from number `first` on; they have no place, and are near to everything."""
+    rows, widths = np.zeros((len(pairs), _COLUMNS)), robot.arm.half_widths
+    inner, outer = np.array(pairs).T
+    rows[:, 0], rows[:, 5] = PAIR, np.inf
+    rows[:, 6], rows[:, 7], rows[:, 8] = inner, outer, widths[inner] + widths[outer] + clearance
+    rows[:, 20] = first + 1 + np.arange(len(pairs))
+    return rows
+
+
+def _cloud_rows(cloud: Cloud, clearance: float, offset: int) -> FloatArray:
+    """The nodes of a cloud's tree."""
+    tree = cloud.tree
+    rows = np.zeros((len(tree), _COLUMNS))
+    rows[:, 0] = np.where(tree[:, 2] == np.arange(len(tree)) + 1, LOT, NODE)  # what has nothing below it is a leaf
+    rows[:, 1] = cloud.rounding + clearance
+    rows[:, 2:5] = tree[:, 3:6]
+    rows[:, 5] = tree[:, 6] * (1.0 + 1e-12) + rows[:, 1]
+    rows[:, 6:8] = offset + 3 * tree[:, :2]
+    rows[:, 20] = tree[:, 2]
+    return rows

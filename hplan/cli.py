@@ -46,6 +46,7 @@ exit status:
 _STAGE_WORDS = {
     "load": "reading robot and scene",
     "grasps": "finding grasps",
+    "roadmap": "looking for a quick way",
     "cspace": "computing the C-space",
     "search": "searching slices and sparse graph",
     "postprocess": "smoothing the path",
@@ -240,8 +241,11 @@ def _show_summary(console: Console, result: PlanResult, folder: Path) -> None:
         add("grasp", f"{what}, last link at {grasp['approach_deg']:.1f} deg, {_approach_words(grasp['standoff_m'])}")
     if result.path is None:
         add("search", "none: start and goal are the same")
-    elif result.search is None:
+    elif planner["method"] == "direct":
         add("search", "none: the straight motion is clear")
+    elif result.search is None:
+        add("search", f"{planner['method']}: {len(result.motion.way) - 2} configurations between start and goal")
+        add("path", f"{path['length_deg']:.2f} deg")
     else:
         points = f"{planner['points']} points, cost {planner['cost_deg']:.6f} deg"
         fallback = "" if planner["fallback"] == "none" else f", with the {planner['fallback']} search after it"
@@ -287,9 +291,10 @@ def _clearance_words(proof: dict[str, Any]) -> str:
 
 
 def _time_words(times: dict[str, float]) -> str:
-    """The whole, then the stages of the search and those of the motion, a line each."""
-    stages = [f"{stage} {ms:.1f}" for stage, ms in times.items() if stage != "total"]
-    lines = [", ".join(stages[:5]), ", ".join(stages[5:])]
+    """The whole, then the stages that there were, those up to the path and those of the motion a line each."""
+    stages = {name: f"{name} {ms:.1f}" for name, ms in times.items() if name != "total" and ms > 0.0}
+    motion = [stages.pop(name) for name in ("postprocess", "timing", "certificate", "export") if name in stages]
+    lines = [", ".join(part) for part in (stages.values(), motion) if part]
     return "\n".join([f"[bold]{times['total']:,.0f} ms[/], loading of compiled code included", *lines])
 
 

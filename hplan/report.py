@@ -16,7 +16,9 @@ from hplan.errors import HplanError
 from hplan.files import write_text
 
 #: Stages of a plan, in order.
-STAGES = ("grasps", "cspace", "layers", "sparse", "fallback", "postprocess", "timing", "certificate", "export")
+STAGES = (
+    "grasps", "roadmap", "cspace", "layers", "sparse", "fallback", "postprocess", "timing", "certificate", "export",
+)  # fmt: skip
 
 #: Packages whose versions a report names.
 _PACKAGES = ("hplan", "pin", "coal", "toppra", "numba", "numpy")

@@ -1,7 +1,8 @@
 """One motion from configuration to configuration: route, smooth path, timing, certificate, tried until all hold.
 
-Where the base turns and the straight motion is clear, that is the motion. Else grids are tried in turn, from coarse and
-near to fine and wide.
+Where the base turns and the straight motion is clear, that is the motion. Else a roadmap looks for a quick way by a few
+configurations; unless what comes of it is close to the fastest motion that there could be, grids are tried in turn,
+from coarse and near to fine and wide, and the quicker motion is taken.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from hplan.mend import mended
 from hplan.path import GeometricPath, Limits
 from hplan.path import least_duration as least_between
 from hplan.postprocess import PostprocessOptions, SplinePath, fast_path
+from hplan.roadmap import quick_way
 from hplan.route import EnclosedError, Route, Rung, Task, find_route
 from hplan.timing import resting, time_path
 from hplan.trajectory import Trajectory
@@ -57,19 +59,17 @@ SLUGGISH = 8.0
 #: Where the least duration is shorter, this counts [s].
 SHORT = 0.25
 
-#: Start and goal whose yaws differ by no more are nearly in one plane [deg]; how far the base then swings out [deg].
-SAME_PLANE_DEG, SWINGS_DEG = 20.0, (10.0, 20.0, 30.0)
-
-#: With a swing that takes no more than this many times the least duration nothing else is looked for.
-CLOSE = 1.1
+#: So many goals are looked for in roadmaps. With a motion that takes no more than this many times the least duration
+#: nothing else is looked for; with a slower one only so many grids.
+ROADMAPS, CLOSE, SECOND_LOOKS = 2, 1.15, 2
 
 #: A route is searched to a goal that promises to be reached in less than this share of the time of a straight motion.
 WORTHWHILE = 0.7
 
 
-#: A motion is empty, straight, straight but for a swing of the base, along a way found on a grid, along that of an
-#: earlier motion, or an earlier motion.
-Origin: TypeAlias = Literal["none", "direct", "swing", "search", "mended", "kept"]
+#: A motion is empty, straight, along a way found in a roadmap or on a grid, along that of an earlier motion, or an
+#: earlier motion.
+Origin: TypeAlias = Literal["none", "direct", "roadmap", "search", "mended", "kept"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,24 +211,27 @@ def _straight(attempts: Sequence[_Attempts]) -> tuple[int, Motion] | None:
 
 
 def _around(attempts: Sequence[_Attempts]) -> tuple[int, Motion]:
-    """The better of a motion found on grids and one on which the base swings out to one side and back.
-
-    Where start and goal have nearly the same yaw, grids find a way in the arm plane first, and nothing draws a smooth
-    path out of the plane: to both sides it is alike.
-    """
-    swings = [motion for way in attempts[0].swings() if (motion := attempts[0].tried(way)) is not None]
-    swing = min(swings, key=lambda motion: motion.trajectory.duration, default=None)
-    if swing is not None and swing.trajectory.duration <= CLOSE * least_duration(attempts[0].task):
-        return 0, swing
+    """The quicker of a motion found in a roadmap and one found on grids."""
+    quick = _by_roadmap(attempts[:ROADMAPS])
+    if quick is None:
+        return _first_turning(attempts, TURNING)
+    number, motion = quick
+    if motion.trajectory.duration <= CLOSE * least_duration(attempts[number].task):
+        return quick
     try:
-        number, motion = _first_turning(attempts, TURNING)
-    except (CertificationError, NoPathError):
-        if swing is None:
-            raise
-        return 0, swing
-    if swing is not None and swing.trajectory.duration < motion.trajectory.duration:
-        return 0, swing
-    return number, motion
+        other = _first_turning(attempts, TURNING[:SECOND_LOOKS])
+    except HplanError:
+        return quick
+    return quick if motion.trajectory.duration <= other[1].trajectory.duration else other
+
+
+def _by_roadmap(attempts: Sequence[_Attempts]) -> tuple[int, Motion] | None:
+    """The first goal with a certified motion along a quick way."""
+    for number, attempt in enumerate(attempts):
+        motion = attempt.by_roadmap()
+        if motion is not None:
+            return number, motion
+    return None
 
 
 def _first_planar(attempts: Sequence[_Attempts]) -> tuple[int, Motion]:
@@ -327,29 +330,17 @@ class _Attempts:
         rest = resting(self.task.robot.model, start)
         return Motion(self.task, None, frozen(np.array(start[None])), None, rest, certified(self.task, rest), "none")
 
-    def swings(self) -> list[FloatArray]:
-        """Clear ways on which the base swings out to a side while the other joints go straight, one for each side."""
-        problem = self.task.problem
-        if abs(problem.goal[0] - problem.start[0]) > math.radians(SAME_PLANE_DEG):
-            return []
-        share = np.linspace(0.0, 1.0, 17)[:, None]
-        line = problem.start + share * (problem.goal - problem.start)
-        found = []
-        for side in (1.0, -1.0):
-            for out_deg in SWINGS_DEG:
-                way = line.copy()
-                way[:, 0] += side * math.radians(out_deg) * np.sin(np.pi * share[:, 0])
-                way[0], way[-1] = problem.start, problem.goal
-                inside = (way[:, 0] >= problem.lower[0]).all() and (way[:, 0] <= problem.upper[0]).all()
-                if inside and self.task.field.is_clear(way, 0.1 * self.margin(0.0)):
-                    found.append(frozen(way))
-                    break
-        return found
-
-    def tried(self, way: FloatArray) -> Motion | None:
-        """The motion along a clear way, or None where it cannot be timed or certified."""
+    def by_roadmap(self) -> Motion | None:
+        """The motion along a quick way, or None where there is none, or none that can be timed and certified."""
+        if self.task.options.objective != "duration" or self.task.options.method != "two-level":
+            return None  # a short path is wanted, not a quick one, or a certain search
+        margin = self.margin(0.0)
+        with self.task.stage("roadmap"):
+            way = quick_way(self.task.problem, self.task.field, self.task.robot.velocity_limit, 0.1 * margin)
+        if way is None:
+            return None
         try:
-            return self._finished(None, way, self.margin(0.0), "swing")
+            return self._finished(None, way, margin, "roadmap")
         except (CertificationError, TimingError):
             return None
 

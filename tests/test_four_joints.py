@@ -74,8 +74,14 @@ def test_straight_motion_is_about_as_fast_as_can_be(robot: Robot) -> None:
     assert result.trajectory.duration < 1.1 * least_duration(result.motion.task)
 
 
+@pytest.fixture
+def grids_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No roadmap is made before grids are searched."""
+    monkeypatch.setattr("hplan.transit.ROADMAPS", 0)
+
+
 @pytest.mark.parametrize("high", [1.0, 1.3, 1.6, 2.2])
-def test_fold_turn_unfold(robot: Robot, high: float) -> None:
+def test_fold_turn_unfold(robot: Robot, high: float, grids_alone: None) -> None:
     """A post between start and goal, near the axis: past it only over its top, or folded."""
     scene = task((10.0, 30.0, 20.0, 20.0), (50.0, 30.0, 20.0, 20.0), [post("post", 30.0, 0.5, 0.0, high)])
     result = plan(robot, scene)
@@ -91,8 +97,7 @@ def around_the_bar() -> Scene:
     return task((0.0, 10.0, 10.0, 10.0), (0.0, 70.0, 10.0, 10.0), [bar])
 
 
-def test_wavefronts_where_no_column_is_free(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("hplan.transit.SWINGS_DEG", ())
+def test_wavefronts_where_no_column_is_free(robot: Robot, grids_alone: None) -> None:
     scene = around_the_bar()
     result = plan(robot, scene)
     assert planner_of(result) == ("two-level", "wavefront")
@@ -178,13 +183,16 @@ def test_same_input_same_output(robot: Robot, scene: Scene) -> None:
     assert first.certificate == second.certificate
 
 
-def test_memory(robot: Robot) -> None:
+def test_memory(robot: Robot, grids_alone: None) -> None:
     """At the finest step, with all yaws open to the search."""
+    enclosed = task((0.0, 70.0, 20.0, 20.0), (60.0, 20.0, 20.0, 20.0), frame_about_upper_arm(60.0, 20.0))
     plan(robot, around_the_bar(), COARSE)
+    with pytest.raises(NoPathError):
+        plan(robot, enclosed, COARSE)  # loads the kernels, whose memory is not the search's
     tracemalloc.start()
     plan(robot, around_the_bar())
     with pytest.raises(NoPathError):
-        plan(robot, task((0.0, 70.0, 20.0, 20.0), (60.0, 20.0, 20.0, 20.0), frame_about_upper_arm(60.0, 20.0)))
+        plan(robot, enclosed)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 3e8

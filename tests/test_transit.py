@@ -167,9 +167,12 @@ def test_what_cannot_be_mended(robot: Robot) -> None:
 
 
 def test_stages_are_announced_in_order(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("hplan.transit.SWINGS_DEG", ())
     seen: list[str] = []
     found = replace(posed(robot, task(BELOW, ABOVE, BAR), OPTIONS), progress=seen.append)
+    find_motion([found])
+    assert seen == ["roadmap", "postprocess", "timing", "certificate"]
+    seen.clear()
+    monkeypatch.setattr("hplan.transit.ROADMAPS", 0)
     find_motion([found])
     assert seen[:2] == ["cspace", "search"]
     assert seen[-3:] == ["postprocess", "timing", "certificate"]

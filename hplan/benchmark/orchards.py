@@ -171,7 +171,7 @@ def _motion(task: Task, planned: PlanResult) -> dict[str, Any]:
     planner = planned.report["planner"]
     seen = look_at(task.robot, task.judge, of_rows(planned.trajectory))
     return {
-        "route": {"direct": "straight", "swing": "swing"}.get(
+        "route": {"direct": "straight", "roadmap": "roadmap"}.get(
             planner["method"], planner["fallback"].replace("none", "two-level")
         ),
         "step_deg": planner["step_deg"],

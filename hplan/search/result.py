@@ -10,7 +10,6 @@ import numpy as np
 
 from hplan.arrays import BoolArray, FloatArray, IntArray
 from hplan.search.layers import Layers
-from hplan.search.restoration import Union
 
 #: What carried the path, or the verdict that there is none: the union of the slices between start and goal; the union
 #: of all slices; flooding, and the dense search on what it reached; a column, free in all slices between; two
@@ -69,7 +68,8 @@ class SearchResult:
         expansions: Expansions by stage.
         times: Times by stage.
         layers: The slices searched last; None for the dense search.
-        union: Their union; None for the dense search.
+        restored_slices: Slices without a path of their own that were given part of a neighbour's.
+        sparse_nodes: Nodes of the union of the slice paths.
         fallback: What was needed beyond the union of the slices between start and goal.
     """
 
@@ -78,7 +78,8 @@ class SearchResult:
     expansions: Expansions
     times: StageTimes
     layers: Layers | None = None
-    union: Union | None = None
+    restored_slices: tuple[int, ...] = ()
+    sparse_nodes: int = 0
     fallback: Fallback = "none"
 
     @property
@@ -90,16 +91,6 @@ class SearchResult:
     def slice_paths(self) -> dict[int, IntArray]:
         """For each slice searched that has a path, that path as (m, d) node indices; empty for the dense search."""
         return {} if self.layers is None else self.layers.paths()
-
-    @property
-    def restored_slices(self) -> tuple[int, ...]:
-        """Slices without a path of their own that were given part of a neighbour's."""
-        return () if self.union is None else self.union.restored
-
-    @property
-    def sparse_nodes(self) -> int:
-        """Nodes of the union."""
-        return 0 if self.union is None else self.union.nodes.size
 
 
 def path_cost(path: IntArray, step: FloatArray) -> float:

@@ -27,7 +27,7 @@ from hplan.search.flood import flood_from, has_bit
 from hplan.search.lattice import Lattice
 from hplan.search.layers import Layers, SliceSearch, search_layers
 from hplan.search.node_set import NodeSet
-from hplan.search.restoration import Union, union_of
+from hplan.search.restoration import union_of
 from hplan.search.result import Expansions, Fallback, SearchResult, StageTimes, path_cost
 from hplan.search.row_bounds import row_bounds
 from hplan.search.wavefront import meet
@@ -64,9 +64,21 @@ def two_level_search(occupancy: Occupancy, start: ArrayLike, goal: ArrayLike, *,
         expansions=found.counts,
         times=replace(found.times, layers=time.perf_counter() - begin - found.times.sparse - found.times.fallback),
         layers=found.layers,
-        union=found.union,
+        restored_slices=found.joined.restored,
+        sparse_nodes=found.joined.nodes,
         fallback=found.fallback,
     )
+
+
+@dataclass(frozen=True, eq=False)
+class _Joined:
+    """What the union of slice paths led to: path, cost, expansions; slices restored, nodes of the union."""
+
+    path: IntArray | None
+    cost: float
+    expansions: int
+    restored: tuple[int, ...]
+    nodes: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +90,7 @@ class _Found:
     counts: Expansions
     times: StageTimes
     layers: Layers
-    union: Union
+    joined: _Joined
     fallback: Fallback
 
 
@@ -90,11 +102,11 @@ def _two_level(lattice: Lattice, free: WordArray, start: IntArray, goal: IntArra
     many = octile and len(lattice.shape) >= MANY_AXES
     layers = search_layers(lattice, free, start, goal, between, slice_search, carried=many)
     layers_done = time.perf_counter()
-    union = union_of(lattice, free, layers, start, goal)
-    path, cost, sparse = _search_union(lattice, union, start, goal, octile=octile)
+    joined = _join(lattice, free, layers, start, goal, octile=octile)
+    path, cost = joined.path, joined.cost
     sparse_done = time.perf_counter()
 
-    counts = Expansions(layers.expansions, sparse, 0, layers.flooded)
+    counts = Expansions(layers.expansions, joined.expansions, 0, layers.flooded)
     fallback: Fallback = "none"
     if path is None and slice_search is not None and len(lattice.shape) >= MANY_AXES:
         fallback = "column"
@@ -110,9 +122,9 @@ def _two_level(lattice: Lattice, free: WordArray, start: IntArray, goal: IntArra
     if path is None and fallback == "none" and len(between) < lattice.shape[-1]:
         fallback = "all_slices"
         layers = search_layers(lattice, free, start, goal, range(lattice.shape[-1]), slice_search)
-        union = union_of(lattice, free, layers, start, goal, beyond=True)
-        path, cost, sparse = _search_union(lattice, union, start, goal, octile=octile)
-        counts = counts.with_fallback(layers.expansions + sparse, layers.flooded)
+        joined = _join(lattice, free, layers, start, goal, octile=octile, beyond=True)
+        path, cost = joined.path, joined.cost
+        counts = counts.with_fallback(layers.expansions + joined.expansions, layers.flooded)
     if path is None and fallback != "wavefront":
         fallback = "dense"
         reached, flooded = flood_from(lattice, free, lattice.row_of(start), int(start[-1]))
@@ -121,7 +133,7 @@ def _two_level(lattice: Lattice, free: WordArray, start: IntArray, goal: IntArra
             path, cost, dense = astar(lattice, NodeSet.of(reached), start, goal, octile=octile)
             counts = counts.with_fallback(dense, 0)
     times = StageTimes(layers_done - begin, sparse_done - layers_done, time.perf_counter() - sparse_done)
-    return _Found(path, cost if path is not None else math.inf, counts, times, layers, union, fallback)
+    return _Found(path, cost if path is not None else math.inf, counts, times, layers, joined, fallback)
 
 
 def _slice_search(axes: int, *, octile: bool) -> SliceSearch | None:
@@ -143,12 +155,19 @@ def _slice_search(axes: int, *, octile: bool) -> SliceSearch | None:
     return nested if octile and axes > 2 else plain
 
 
-def _search_union(
-    lattice: Lattice, union: Union, start: IntArray, goal: IntArray, *, octile: bool
-) -> tuple[IntArray | None, float, int]:
-    """Path on the sparse graph, its cost and the expansions, those of its bound among them."""
-    if not octile:
-        return astar(lattice, union.nodes, start, goal, octile=False)
-    bounds = row_bounds(lattice, union.nodes, lattice.row_of(goal))
-    path, cost, expansions = astar(lattice, union.nodes, start, goal, octile=True, row_bounds=bounds)
-    return path, cost, expansions + bounds.settled
+def _join(
+    lattice: Lattice,
+    free: WordArray,
+    layers: Layers,
+    start: IntArray,
+    goal: IntArray,
+    *,
+    octile: bool,
+    beyond: bool = False,
+) -> _Joined:
+    """Search the union of slice paths; the expansions of its bound are among the search's."""
+    union = union_of(lattice, free, layers, start, goal, beyond=beyond)
+    bounds = row_bounds(lattice, union.nodes, lattice.row_of(goal)) if octile else None
+    path, cost, expansions = astar(lattice, union.nodes, start, goal, octile=octile, row_bounds=bounds)
+    settled = 0 if bounds is None else bounds.settled
+    return _Joined(path, cost, expansions + settled, union.restored, union.nodes.size)

@@ -15,11 +15,11 @@ from hplan.terminal import command_parser, prepare_folder, run_command
 if TYPE_CHECKING:
     from rich.console import Console
 
-SETS = ("reference", "clutter", "orchards", "growth", "recheck")
+SETS = ("reference", "clutter", "orchards", "replanning", "growth", "recheck")
 
-#: Random scenes: planned, and rechecked.
-CLUTTER_SCENES, RECHECK_SCENES = 200, 1000
-QUICK_CLUTTER_SCENES, QUICK_RECHECK_SCENES = 20, 25
+#: Random scenes: planned, replanned, and rechecked.
+CLUTTER_SCENES, REPLANNING_SCENES, RECHECK_SCENES = 200, 20, 1000
+QUICK_CLUTTER_SCENES, QUICK_REPLANNING_SCENES, QUICK_RECHECK_SCENES = 20, 2, 25
 
 #: Problems of each kind of orchard in a quick run.
 QUICK_PROBLEMS = 3
@@ -31,11 +31,12 @@ they are installed (pip install 'hplan[bench]').
 
 _EPILOG = """\
 sets:
-  reference  the reference scene: stages, searches, C-space, motions, planners
-  clutter    random planar scenes: success, time, length, duration, planners
-  orchards   all joints among trees: success, time, duration, planners
-  growth     time and memory against grid step, obstacles and links
-  recheck    certified trajectories looked at again every 0.1 ms
+  reference   the reference scene: stages, searches, C-space, motions, planners
+  clutter     random planar scenes: success, time, length, duration, planners
+  orchards    all joints among trees: success, time, duration, planners
+  replanning  an obstacle of 40 moves: time, duration, beside plans from nothing
+  growth      time and memory against grid step, obstacles and links
+  recheck     certified trajectories looked at again every 0.1 ms
 
 writes into DIR: benchmark.json, benchmark.md, benchmark-*.png
 
@@ -65,8 +66,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         show(console, results)
         for path in write(results, arguments.out):
             console.print(f"written: {path}", markup=False, soft_wrap=True)
-        at_fault = results.get("recheck", {}).get("violations") or results.get("orchards", {}).get("at_fault")
-        return FAULT if at_fault else 0
+        faults = (("recheck", "violations"), ("orchards", "at_fault"), ("replanning", "at_fault"))
+        return FAULT if any(results.get(name, {}).get(key) for name, key in faults) else 0
 
     return run_command(command)
 
@@ -82,8 +83,8 @@ def _parser() -> argparse.ArgumentParser:
         "--scenes",
         type=int,
         metavar="N",
-        help=f"random scenes of each set (default: {CLUTTER_SCENES} in clutter, {RECHECK_SCENES} in recheck); problems "
-        "of each kind of orchard (default: all)",
+        help=f"random scenes of each set (default: {CLUTTER_SCENES} in clutter, {REPLANNING_SCENES} in replanning, "
+        f"{RECHECK_SCENES} in recheck); problems of each kind of orchard (default: all)",
     )
     add("--trees", type=Path, metavar="DIR", help="folder of measured trees, a CSV of capsules each, for orchards")
     return parser
@@ -104,7 +105,7 @@ def run(arguments: argparse.Namespace, errors: Console) -> dict[str, Any]:
 
 
 def _measure(arguments: argparse.Namespace, progress: Callable[[str, int, int], None]) -> dict[str, Any]:
-    from hplan.benchmark import clutter, growth, orchards, recheck, reference
+    from hplan.benchmark import clutter, growth, orchards, recheck, reference, replanning
     from hplan.benchmark.measure import environment
     from hplan.benchmark.planners import Ompl
     from hplan.robot import load_robot
@@ -116,11 +117,13 @@ def _measure(arguments: argparse.Namespace, progress: Callable[[str, int, int], 
     ompl = Ompl.if_installed(seed + 1)
     many = arguments.scenes or (QUICK_CLUTTER_SCENES if quick else CLUTTER_SCENES)
     each = arguments.scenes or (QUICK_PROBLEMS if quick else None)
+    walks = arguments.scenes or (QUICK_REPLANNING_SCENES if quick else REPLANNING_SCENES)
     most = arguments.scenes or (QUICK_RECHECK_SCENES if quick else RECHECK_SCENES)
     sets: dict[str, Callable[[], dict[str, Any]]] = {
         "reference": lambda: reference.measure(robot, scene, seed=seed, quick=quick, ompl=ompl, progress=progress),
         "clutter": lambda: clutter.measure(robot, seed=seed, scenes=many, ompl=ompl, progress=progress),
         "orchards": lambda: orchards.measure(robot, trees=arguments.trees, most=each, ompl=ompl, progress=progress),
+        "replanning": lambda: replanning.measure(robot, seed=seed, scenes=walks, quick=quick, progress=progress),
         "growth": lambda: growth.measure(robot, scene, seed=seed, quick=quick, progress=progress),
         "recheck": lambda: recheck.measure(robot, scene, seed=seed, scenes=most, progress=progress),
     }

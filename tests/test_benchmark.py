@@ -15,9 +15,10 @@ import pytest
 from PIL import Image
 
 import hplan
-from hplan.benchmark import growth, orchard_scenes, orchards, recheck
+from hplan.benchmark import growth, orchard_scenes, orchards, recheck, replanning
 from hplan.benchmark.measure import fitted_slope, peak_memory_mb, spread
 from hplan.benchmark.motions import Findings, of_rows, row_cubics, stopping_duration, toppra_motion
+from hplan.benchmark.moving_scenes import CLOSE, OBSTACLES, ROOM, SHIFT, Move, moving_scene, next_move
 from hplan.benchmark.orchard_scenes import (
     STANDOFF,
     Crop,
@@ -30,14 +31,15 @@ from hplan.benchmark.paths import Task, ways_of
 from hplan.benchmark.planners import Ompl, OmplResult
 from hplan.benchmark.scenes import APART_DEG, random_scene
 from hplan.benchmark.tables import number, to_markdown
-from hplan.collision import CollisionScene
+from hplan.collision import CollisionScene, base_contacts
 from hplan.errors import InputError, NoPathError
 from hplan.robot import Robot
-from hplan.scene import Scene
+from hplan.scene import Box, Capsule, Scene, Sphere
+from hplan.surroundings import BASE_DEPTH, Surroundings
 from hplan.trajectory import Trajectory
 
 SCRIPT = Path(__file__).resolve().parents[1] / "scripts" / "benchmark.py"
-FIGURES = ("benchmark-reference.png", "benchmark-clutter.png", "benchmark-orchards.png", "benchmark-growth.png")
+FIGURES = tuple(f"benchmark-{name}.png" for name in ("reference", "clutter", "orchards", "replanning", "growth"))
 
 
 def load_script() -> ModuleType:
@@ -79,7 +81,7 @@ def test_writes_everything(out: Path, results: Any) -> None:
             assert min(image.size) > 500
     assert results["format"] == "hplan-benchmark/1"
     assert results["settings"] == {
-        "sets": ["reference", "clutter", "orchards", "growth", "recheck"],
+        "sets": ["reference", "clutter", "orchards", "replanning", "growth", "recheck"],
         "quick": True,
         "seed": 4,
     }
@@ -134,6 +136,23 @@ def test_orchard_numbers(results: Any) -> None:
     assert all(0.0 < row["duration_s"] < 10.0 for row in o["rows"])
 
 
+def test_replanning_numbers(results: Any) -> None:
+    r = results["replanning"]
+    assert r["scenes"] == 3 <= r["drawn"]
+    assert r["steps"] == len(r["rows"]) == sum(r["outcomes"].values()) == 3 * replanning.QUICK_STEPS
+    assert r["replanned"] == r["certified"] == r["all"]["steps"] > 0
+    assert r["outcomes"]["kept"] > 0
+    assert sum(group["steps"] for group in r["by_move"].values()) == r["replanned"]
+    assert r["at_fault"] == r["only_from_nothing"] == r["failed"] == []
+    assert r["per_second"] == pytest.approx(1e3 / r["all"]["ms"]["median"])
+    kept = [row for row in r["rows"] if row["outcome"] == "kept"]
+    assert all(row["ratio"] == pytest.approx(row["from_nothing_ms"] / row["ms"]) for row in kept)
+    # What is kept is the motion of the step before.
+    for before, row in pairwise(r["rows"]):
+        if row["outcome"] == "kept" and row["step"] and "duration_s" in before:
+            assert row["duration_s"] == before["duration_s"]
+
+
 def test_growth_numbers(results: Any) -> None:
     for axis, sizes in (("step", [6.0, 3.0]), ("obstacles", [1, 4]), ("links", [2, 3])):
         cases = results["growth"][axis]["cases"]
@@ -183,6 +202,76 @@ def test_scenes_depend_on_seed_and_number_alone(robot: Robot) -> None:
     assert np.degrees(np.linalg.norm(ends[1] - ends[0])) >= APART_DEG
     assert once.space.is_free(once.start)
     assert once.spare_clearance_m > 0.0
+
+
+@pytest.mark.parametrize("number", [101, 163, 174])
+def test_base_stands_free_of_discs(robot: Robot, number: int) -> None:
+    """Of these, the discs that are drawn first stand in the turret."""
+    drawn = random_scene(robot, 0, number)
+    assert base_contacts(robot, drawn.scene.solids, margin=-BASE_DEPTH) == ()
+    assert not drawn.has_path or hplan.plan(robot, drawn.scene).certificate.verified
+
+
+def test_scenes_with_a_free_base_are_drawn_as_if_it_were_not_looked_at(
+    robot: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    looked = {number: random_scene(robot, 0, number) for number in (0, 1, 2, 3, 101)}
+    monkeypatch.setattr(Surroundings, "check_base", lambda *_: None)
+    same = [number for number, drawn in looked.items() if random_scene(robot, 0, number).scene == drawn.scene]
+    assert same == [0, 1, 2, 3]
+
+
+def test_moving_scenes_depend_on_seed_and_number_alone(robot: Robot) -> None:
+    scene = moving_scene(robot, 1, 2)
+    assert scene == moving_scene(robot, 1, 2)
+    assert scene != moving_scene(robot, 2, 2).model_copy(update={"name": scene.name})
+    assert scene != moving_scene(robot, 1, 3).model_copy(update={"name": scene.name})
+    assert len(scene.obstacles) == OBSTACLES == 40
+    assert {type(obstacle) for obstacle in scene.obstacles} == {Sphere, Capsule}
+    assert scene.locked_joints == ()
+    assert_room(robot, scene)
+
+
+def assert_room(robot: Robot, scene: Scene) -> None:
+    """The base stands free, and start and goal have room."""
+    judge = CollisionScene(robot, scene.solids)
+    for end in (scene.start, scene.goal):
+        assert judge.distances(end.configuration).min() >= ROOM
+    yaw = robot.yaw_of(scene.start.configuration)
+    assert base_contacts(robot, scene.solids, yaw, margin=-BASE_DEPTH) == ()
+
+
+def test_moves_follow_from_the_motion_and_leave_room(robot: Robot) -> None:
+    scene = moving_scene(robot, 0, 0)
+    motion = hplan.plan(robot, scene).trajectory.position
+    moves = draw_moves(robot, scene, motion)
+    assert draw_moves(robot, scene, motion) == moves
+    obstacles = {obstacle.name: obstacle for obstacle in scene.obstacles}
+    judged = {True: [], False: []}  # type: dict[bool, list[float]]
+    for move in moves:
+        piece, before = move.piece, obstacles[move.piece.name]
+        assert isinstance(before, (Sphere, Capsule))
+        shift = piece.core - before.core
+        np.testing.assert_allclose(shift, np.broadcast_to(shift[0], shift.shape), atol=1e-12)
+        assert before.model_copy(update=move.changes) == piece
+        assert move.close or SHIFT[0] <= np.linalg.norm(shift[0]) <= SHIFT[1]
+        assert_room(robot, scene.with_obstacles([piece]))
+        judge = CollisionScene(robot, [piece])
+        judged[move.close].append(min(float(judge.distances(q).min()) for q in motion[::4]))
+    assert len(judged[True]) >= 20
+    assert max(judged[True]) <= CLOSE
+    assert min(judged[True]) < 0.0 < max(judged[False])
+
+
+def draw_moves(robot: Robot, scene: Scene, motion: Any) -> list[Move]:
+    random = np.random.default_rng(5)
+    return [next_move(robot, scene, motion, random) for _ in range(100)]
+
+
+def test_only_fruit_and_branches_move(robot: Robot, scene: Scene) -> None:
+    box = Box(name="crate", center=(1.0, -1.0, 0.1), size=(0.2, 0.2, 0.2))
+    with pytest.raises(InputError, match="'crate' is neither fruit nor branch"):
+        next_move(robot, scene.with_obstacles([box]), np.zeros((1, 4)), np.random.default_rng(0))
 
 
 def test_row_cubics_are_hermite() -> None:
@@ -389,6 +478,63 @@ def test_orchard_motion_that_touches_is_told_by_the_exit_status(
     monkeypatch.setattr(Ompl, "if_installed", classmethod(lambda cls, seed: None))
     monkeypatch.setattr(orchards, "look_at", lambda *_: Findings(1.0, 0.5, 0.0, 0.5, 0.5, 0.5))
     assert script.main(["--sets", "orchards", "--scenes", "1", "--out", str(tmp_path)]) == script.FAULT
+
+
+def step_row(step: int, outcome: str, from_nothing: str, **more: Any) -> dict[str, Any]:
+    """A step that took 2 ms to replan, and 20 ms from nothing."""
+    row = {"scene": 7, "step": step, "close": step % 2 == 1, "outcome": outcome, "from_nothing": from_nothing}
+    times = {"ms": 2.0, "from_nothing_ms": 20.0, "ratio": 10.0, "to_from_nothing": math.nan}
+    if outcome not in (replanning.NO_PATH, replanning.FAILED):
+        times |= {"certified": True, "collides": False, "duration_s": 1.0}
+    return {**row, **times, **more}
+
+
+def test_steps_are_counted_by_what_becomes_of_the_motion() -> None:
+    rows = [
+        step_row(0, "kept", "search", to_from_nothing=1.5, ms=1.0),
+        step_row(1, "kept", "no_path"),
+        step_row(2, "mended", "search", to_from_nothing=1.01, certified=False),
+        step_row(3, "search", "search", to_from_nothing=0.5, collides=True, ms=50.0),
+        step_row(4, "no_path", "no_path", ms=100.0),
+        step_row(5, "no_path", "roadmap"),
+        step_row(6, "failed", "failed", error="TimingError", message="not to be timed"),
+    ]
+    n = replanning.numbers(rows)
+    assert n["steps"] == 7
+    assert n["outcomes"] == {"kept": 2, "mended": 1, "search": 1, "no_path": 2, "failed": 1}
+    assert (n["replanned"], n["certified"], n["colliding"]) == (4, 3, 1)
+    assert n["at_fault"] == ["7.2", "7.3"]
+    assert n["only_replanned"] == ["7.1"]
+    assert n["only_from_nothing"] == ["7.5"]
+    assert n["all"]["ms"]["median"] == 2.0
+    assert n["all"]["ms"]["max"] == 50.0
+    assert n["per_second"] == 500.0
+    assert n["in_all_s"] == pytest.approx(0.159)
+    assert n["by_outcome"]["no_path"]["ms"]["max"] == 100.0
+    assert [n["by_move"][name]["steps"] for name in ("shifted", "close")] == [2, 2]
+    durations = n["all"]["to_from_nothing"]
+    assert [durations[key] for key in ("count", "longer", "shorter", "median")] == [3, 1, 1, 1.01]
+    shown = {"seed": 0, "scenes": 1, "drawn": 1, "obstacles": 40, "close_share": 0.3, "shift_m": (0.01, 0.05)}
+    where = {"processor": "p", "cores": 1, "system": "s", "python": "3", "versions": {}}
+    text = to_markdown(
+        {
+            "environment": where,
+            "settings": {"seed": 0, "quick": False},
+            "replanning": {**shown, "room_m": 0.02, **n},
+        }
+    )
+    assert "| motion kept | 10 x | 2 | 1.5 |" in text
+    assert "| no path | 10 x | 2 |" in text
+    assert "| 7.6 | TimingError | - | not to be timed |" in text
+    assert "by replanning alone: 1; from nothing alone: 1." in text
+
+
+def test_replanned_motion_that_touches_is_told_by_the_exit_status(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(replanning, "look_at", lambda *_: Findings(1.0, 0.5, 0.0, 0.5, 0.5, 0.5))
+    options = ["--quick", "--sets", "replanning", "--scenes", "1", "--out", str(tmp_path)]
+    assert script.main(options) == script.FAULT
 
 
 def test_planners_turn_the_base_where_installed(robot: Robot, crop: Crop) -> None:

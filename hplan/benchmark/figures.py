@@ -31,6 +31,8 @@ def figures(results: dict[str, Any]) -> dict[str, Figure]:
         found["benchmark-clutter"] = clutter(results["clutter"])
     if "orchards" in results and results["orchards"]["all"]["solved"]:
         found["benchmark-orchards"] = orchards(results["orchards"])
+    if "replanning" in results and results["replanning"]["replanned"]:
+        found["benchmark-replanning"] = replanning(results["replanning"])
     if "growth" in results:
         found["benchmark-growth"] = growth(results["growth"])
     return found
@@ -165,6 +167,34 @@ def orchards(o: dict[str, Any]) -> Figure:
     _bars(right, [name for name, _ in routes], [count for _, count in routes], [PATH] * len(routes), "{:.0f}")
     right.set_title("What carried hplan's motions")
     right.set_xlabel("problems")
+    return figure
+
+
+@styled
+def replanning(r: dict[str, Any]) -> Figure:
+    """Distributions over the steps, by what became of the motion."""
+    figure = new_figure(11.0, 4.6, f"{r['steps']:,} steps among {r['obstacles']} obstacles, one moves in each")
+    left, right = figure.subplots(1, 2)
+    rows = [row for row in r["rows"] if "certified" in row]
+    groups = (
+        ("kept", [row for row in rows if row["outcome"] == "kept"], PATH),
+        ("mended", [row for row in rows if row["outcome"] == "mended"], RESTORED),
+        ("anew", [row for row in rows if row["outcome"] not in ("kept", "mended")], OBSTACLE),
+    )
+    _distribution(left, [row["ms"] for row in rows], INK, "replanned")
+    _distribution(left, [row["from_nothing_ms"] for row in rows], QUIET, "from nothing")
+    for name, chosen, colour in groups:
+        _distribution(left, [row["ms"] for row in chosen], colour, f"replanned, motion {name}: {len(chosen)}")
+        _distribution(right, [row["to_from_nothing"] for row in chosen], colour, f"motion {name}")
+    left.set_xscale("log")
+    left.set_title(f"Time, median {r['all']['ms']['median']:.1f} and {r['all']['from_nothing_ms']['median']:.0f} ms")
+    left.set_xlabel("CPU time [ms]")
+    left.set_ylabel("share of steps")
+    _legend(left)
+    right.axvline(1.0, color=INK, linewidth=0.8, linestyle=(0, (4, 3)))
+    right.set_title("Duration of the motion, replanned : from nothing")
+    right.set_xlabel("ratio of durations (above 1: the replanned motion is slower)")
+    _legend(right)
     return figure
 
 

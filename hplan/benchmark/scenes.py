@@ -7,9 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from hplan.arrays import FloatArray, IntArray
-from hplan.collision import CollisionScene
 from hplan.cspace import joint_grid, occupancy
+from hplan.errors import InputError
 from hplan.grid import Occupancy
+from hplan.options import PlanOptions
+from hplan.pipeline import Workspace
 from hplan.robot import Robot
 from hplan.scene import Goal, Scene, Sphere, Start
 from hplan.search import two_level_search
@@ -52,7 +54,10 @@ class PlanarScene:
 
 
 def random_scene(robot: Robot, seed: int, number: int) -> PlanarScene:
-    """A scene of 1 to 12 discs within reach, with start and goal drawn from the free nodes."""
+    """A scene of 1 to 12 discs within reach, with start and goal drawn from the free nodes.
+
+    Discs in which pedestal or turret stand are no problem of planning, which refuses them: they are drawn anew.
+    """
     random = np.random.default_rng([seed, number])
     grid = joint_grid(robot.arm, np.radians(STEP_DEG))
     reach = float(robot.arm.lengths.sum())
@@ -71,7 +76,18 @@ def random_scene(robot: Robot, seed: int, number: int) -> PlanarScene:
             pair = np.stack(np.unravel_index(free[random.integers(len(free), size=2)], grid.shape), axis=1)
             ends = grid.coordinates(pair)
             if np.linalg.norm(ends[1] - ends[0]) >= np.radians(APART_DEG):
-                return _posed(robot, number, discs, space, pair.astype(np.int64), ends)
+                break
+        else:
+            continue
+        # The base is looked at last: so the numbers drawn for scenes in which it is free are the same as without.
+        scene = task(robot, f"clutter-{number}", discs, ends[0], ends[1])
+        around = Workspace(robot).around(scene, PlanOptions())
+        try:
+            around.check_base(robot.yaw_of(scene.start.configuration))
+        except InputError:
+            continue
+        spare = min(float(around.judge.distances(end.configuration).min()) for end in (scene.start, scene.goal))
+        return PlanarScene(number, scene, space, pair[0].astype(np.int64), pair[1].astype(np.int64), spare)
 
 
 def discs_in_plane(robot: Robot, discs: FloatArray) -> list[Sphere]:
@@ -93,12 +109,3 @@ def task(robot: Robot, name: str, discs: list[Sphere], start: FloatArray, goal: 
         locked_joints=robot.joint_names[:1] if robot.has_yaw else (),
         obstacles=tuple(discs),
     )
-
-
-def _posed(
-    robot: Robot, number: int, discs: list[Sphere], space: Occupancy, pair: IntArray, ends: FloatArray
-) -> PlanarScene:
-    scene = task(robot, f"clutter-{number}", discs, ends[0], ends[1])
-    judge = CollisionScene(robot, scene.solids)
-    spare = min(float(judge.distances(q).min()) for q in (scene.start.joints(), scene.goal.joints()) if q is not None)
-    return PlanarScene(number, scene, space, pair[0], pair[1], spare)

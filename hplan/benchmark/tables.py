@@ -47,6 +47,7 @@ def tables(results: dict[str, Any]) -> list[Table]:
         "reference": _reference,
         "clutter": _clutter,
         "orchards": _orchards,
+        "replanning": _replanning,
         "recheck": _recheck,
         "growth": _growth,
     }
@@ -333,7 +334,7 @@ def _failures(where: str, failed: Sequence[dict[str, Any]]) -> list[Table]:
     if not failed:
         return []
     rows = tuple(
-        (str(f["number"]), f["kind"], number(f["spare_clearance_mm"]), f["message"][:120]) for f in failed[:20]
+        (str(f["number"]), f["kind"], number(f.get("spare_clearance_mm")), f["message"][:120]) for f in failed[:20]
     )
     columns = ("scene", "error", "clearance at start or goal [mm]", "message")
     return [Table(f"{where}: scenes that failed ({len(failed)})", columns, rows)]
@@ -445,6 +446,72 @@ def _to_look_at(n: dict[str, Any]) -> list[Table]:
         return []
     note = "OMPL solves what is missed, and not what is only not solved." if n["failed"] else ""
     return [Table(f"Orchards: problems to look at ({len(rows)})", ("problem", "", ""), tuple(rows[:_LISTED]), note)]
+
+
+# Replanning
+
+
+#: What became of the motion, in the order of the rows, and how the obstacle moved.
+_REPLANNED = {
+    "kept": "motion kept",
+    "mended": "mended",
+    "direct": "anew, straight",
+    "roadmap": "anew, on a roadmap",
+    "search": "anew, on a grid",
+    "no_path": "no path",
+    "failed": "failed",
+}
+_MOVED = {"shifted": "obstacle shifted", "close": "obstacle put close to the motion"}
+
+
+def _replanning(r: dict[str, Any]) -> list[Table]:
+    by_outcome = r["by_outcome"]
+    groups = {
+        "all with a motion": r["all"],
+        **{_REPLANNED.get(key, key): by_outcome[key] for key in {**_REPLANNED, **by_outcome} if key in by_outcome},
+        **{text: r["by_move"][key] for key, text in _MOVED.items()},
+    }
+    return [_replan_times(r, groups), _replan_durations(groups), *_failures("Replanning", r["failed"])]
+
+
+def _replan_times(r: dict[str, Any], groups: dict[str, dict[str, Any]]) -> Table:
+    rows = []
+    for name, g in groups.items():
+        ours = (number(g["ms"][key]) for key in ("median", "p95", "p99", "max"))
+        theirs = (number(g["from_nothing_ms"][key]) for key in ("median", "p95", "p99", "max"))
+        rows.append((name, _times(g["ratio"]["median"]), str(g["steps"]), *ours, *theirs))
+    low, high = (number(100.0 * shift) for shift in r["shift_m"])
+    note = (
+        f"{r['scenes']} scenes ({r['drawn']} drawn; the others have no motion to begin with) of {r['obstacles']} "
+        f"obstacles, half of them branches and half fruit, all four joints free. In each of {r['steps']:,} steps one "
+        f"obstacle moves, drawn at random: it is shifted by {low} to {high} cm, or, in {r['close_share']:.0%} of the "
+        "draws, put close to the motion of the moment, in its way or beside it; "
+        f"{number(100.0 * r['room_m'])} cm stay free at start and goal. Ratio: time to plan the same scene from "
+        "nothing (plan) to that of replanning, the median of the steps. Times [ms] to the certified motion. "
+        f"{number(r['per_second'])} replans per second in the median. All steps, those without a motion too, take "
+        f"{number(r['in_all_s'])} s together, and {number(r['in_all_from_nothing_s'])} s from nothing. Replanned: "
+        f"{r['replanned']:,}, certified: {r['certified']:,}; looked at every 1 ms, {r['colliding']} touch an obstacle. "
+        f"Steps with a motion by replanning alone: {len(r['only_replanned'])}; from nothing alone: "
+        f"{len(r['only_from_nothing'])}."
+    )
+    columns = ("", "ratio", "steps", "median", "95 %", "99 %", "max")
+    nothing = tuple(f"plan: {name}" for name in columns[3:])
+    return Table("Replanning: time", (*columns, *nothing), tuple(rows), note)
+
+
+def _replan_durations(groups: dict[str, dict[str, Any]]) -> Table:
+    rows = []
+    for name, g in groups.items():
+        ratios = g["to_from_nothing"]
+        if ratios["count"]:
+            cells = (number(ratios[key], 4) for key in ("median", "p95", "p99", "max"))
+            rows.append((name, *cells, str(ratios["count"]), str(ratios["longer"]), str(ratios["shorter"])))
+    note = (
+        "What keeping a motion costs: its duration to that of the motion planned from nothing at that step. Longer, "
+        "and shorter: by more than 2 %."
+    )
+    columns = ("replanned : from nothing", "median", "95 %", "99 %", "max", "steps", "longer", "shorter")
+    return Table("Replanning: duration of the motion", columns, tuple(rows), note)
 
 
 # Recheck

@@ -13,7 +13,7 @@ import numpy as np
 from hplan.arrays import FloatArray, IntArray, ShortArray, WordArray
 from hplan.kernels import inlined, kernel
 from hplan.search.bits import lowest_bit, popcount
-from hplan.search.heap import pop, push
+from hplan.search.heap import begin, pop, push
 from hplan.search.lattice import Lattice
 from hplan.search.node_set import NodeSet
 from hplan.search.row_bounds import RowBounds
@@ -162,7 +162,7 @@ def _astar(
     place[start] = start_row * bit_count + start_bit
     size = 0
     if whole < np.inf:
-        size = push(keys, entries, slot, 0, 0.0, start)
+        size = begin(keys, entries, slot, start)
     expansions = 0
     found = -1
     while size > 0:

@@ -1,6 +1,6 @@
 """The open list of every search: a binary heap whose entries know their place, so that a key can be lowered.
 
-Both functions are inlined where they are used: a call with array arguments costs more than the work itself.
+The functions are inlined where they are used: a call with array arguments costs more than the work itself.
 """
 
 from __future__ import annotations
@@ -15,6 +15,13 @@ Numbers: TypeAlias = IntArray | ShortArray
 
 #: `slot` of a node that was never in the heap, or was taken from it.
 NEW, TAKEN = -1, -2
+
+
+@inlined
+def begin(keys: FloatArray, nodes: Numbers, slot: Numbers, node: int) -> int:
+    """Make the heap hold one node, with key 0; it then has 1 entry."""
+    keys[0], nodes[0], slot[node] = 0.0, node, 0
+    return 1
 
 
 @inlined

@@ -19,7 +19,7 @@ import numpy as np
 
 from hplan.arrays import FloatArray, IntArray, ShortArray, WordArray
 from hplan.kernels import inlined, kernel
-from hplan.search.heap import NEW, pop, push
+from hplan.search.heap import NEW, begin, pop, push
 from hplan.search.jump_leads import SIDES, STRAIGHTS, TURNS, direction_offsets, fill_leads
 
 #: For each direction the directions that go on from a jump point without a corner, one bit each.
@@ -179,7 +179,7 @@ def _search_slice(
     tolerance = 1e-12 * whole
     seen[start], cost[start], slot[start] = number, 0.0, NEW
     pending[start], tried[start] = _EVERY, 0
-    size = push(keys, entries, slot, 0, 0.0, start)
+    size = begin(keys, entries, slot, start)
     expansions = 0
     while size > 0:
         place = pop(keys, entries, slot, size)

@@ -17,7 +17,7 @@ import numpy as np
 
 from hplan.arrays import FloatArray, IntArray, frozen
 from hplan.kernels import kernel
-from hplan.search.heap import pop, push
+from hplan.search.heap import begin, pop, push
 from hplan.search.lattice import Lattice
 from hplan.search.node_set import NodeSet
 
@@ -72,7 +72,7 @@ def _row_bounds(
             slot[row], values[row, k] = -1, np.inf
         costs = np.minimum(move_costs[:, 1], move_costs[:, 2] - weights[k])
         values[goal_row, k] = 0.0
-        size = push(keys, entries, slot, 0, 0.0, goal_row)
+        size = begin(keys, entries, slot, goal_row)
         while size > 0:
             row = pop(keys, entries, slot, size)
             size -= 1

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hplan.errors import HplanError, InputError, OptionError, OutputError
-from hplan.terminal import add_robot, add_scene, command_parser, prepare_folder, run_command
+from hplan.terminal import add_robot, add_scene, command_parser, loading, prepare_folder, run_command
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -124,16 +124,18 @@ def _run(
     """Load, plan and write."""
     with _progress(errors, arguments.quiet) as progress:
         progress("load")
-        import math
+        with loading():
+            import math
 
-        from hplan.options import PlanOptions
-        from hplan.pipeline import plan, with_export_time
-        from hplan.report import write_report
-        from hplan.robot import load_robot
-        from hplan.scene_file import load_scene
-        from hplan.trajectory import write_csv
-        from hplan.view.page import write_page
-        from hplan.view.yaw_section import check_yaw
+            import hplan.topp  # noqa: F401 - wanted in any case, and the heaviest
+            from hplan.options import PlanOptions
+            from hplan.pipeline import plan, with_export_time
+            from hplan.report import write_report
+            from hplan.robot import load_robot
+            from hplan.scene_file import load_scene
+            from hplan.trajectory import write_csv
+            from hplan.view.page import write_page
+            from hplan.view.yaw_section import check_yaw
 
         if not arguments.tracking_error >= 0.0:
             raise OptionError("--tracking-error", arguments.tracking_error, "a number of degrees >= 0")

@@ -281,7 +281,7 @@ class Motions:
             try:
                 pick = self._planned_pick(grasp, fruit)
             except (CertificationError, TimingError) as error:
-                refused = refused or error
+                refused = refused or error.with_traceback(None)
                 continue
             return grasp, _Move.of([("transit", motion.trajectory, motion.certificate)]), pick
         raise refused or CertificationError(f"no motion to fruit {fruit!r} could be certified")

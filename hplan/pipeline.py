@@ -207,7 +207,7 @@ def _reach(
             parts = [("transit", motion.trajectory, motion.certificate)]
             parts += last_stretch(replace(tasks[0], around=near), grasp, fruit is not None)
         except CertificationError as error:
-            refused = refused or error
+            refused = refused or error.with_traceback(None)
             continue
         return _result(scene, clock, grasp, motion, parts)
     raise refused or CertificationError("no motion could be certified")

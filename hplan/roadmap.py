@@ -12,6 +12,7 @@ Where nothing is found nothing is shown: that is what grids are for.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -21,8 +22,25 @@ from hplan.clearance_kernels import link_clearances, segment_is_clear, smallest
 from hplan.kernels import kernel
 from hplan.problem import Problem
 
-#: Configurations beside start and goal, and how many motions between them are looked at.
-POINTS, LOOKS = 128, 300
+
+@dataclass(frozen=True)
+class Effort:
+    """How far a roadmap goes.
+
+    Attributes:
+        points: Configurations beside start and goal.
+        looks: How many motions between them are looked at.
+        aside: How far beyond start and goal points reach: what a joint can do in this share of the straight motion's
+            time, but no less than in `ASIDE_S` and no farther than `FARTHEST`.
+    """
+
+    points: int
+    looks: int
+    aside: float
+
+
+#: A look close by, for ways that are quick; and one farther around.
+BRIEF, WIDE = Effort(128, 300, 0.175), Effort(160, 400, 0.5)
 
 #: What a motion adds to the time of a way, as it has to be reached and left by way of a corner [s].
 CORNER_S = 0.15
@@ -30,12 +48,19 @@ CORNER_S = 0.15
 #: Ways that take longer than this many times the straight motion, and so much beside, are no quick ones [s].
 LONGEST, LONGEST_S = 2.5, 1.0
 
-#: How far beyond start and goal the points reach: what a joint can do in this share of the straight motion's time, or
-#: in so much time where that is less [s]; and never farther [rad].
-ASIDE, ASIDE_S, FARTHEST = 0.175, 0.25, 1.0
+#: How far beyond start and goal points reach at least, in time [s], and at most [rad].
+ASIDE_S, FARTHEST = 0.25, 1.0
 
 
-def quick_way(problem: Problem, field: ClearanceField, velocity: FloatArray, margin: float) -> FloatArray | None:
+def quick_way(
+    problem: Problem,
+    field: ClearanceField,
+    velocity: FloatArray,
+    margin: float,
+    effort: Effort = BRIEF,
+    *,
+    quicker_than_s: float = math.inf,
+) -> FloatArray | None:
     """A clear way of a few straight motions.
 
     Args:
@@ -43,19 +68,21 @@ def quick_way(problem: Problem, field: ClearanceField, velocity: FloatArray, mar
         field: Arm and obstacles.
         velocity: (dof,) velocity limits [rad/s].
         margin: Clearance asked for wherever a motion is evaluated [m].
+        effort: How far to go.
+        quicker_than_s: Ways that take longer are of no use.
 
     Returns:
         (m, dof) waypoints, m >= 2, or None where none was found.
     """
     straight_s = float((np.abs(problem.goal - problem.start) / velocity).max())
-    aside = np.minimum(velocity * max(ASIDE * straight_s, ASIDE_S), FARTHEST)
+    aside = np.minimum(velocity * max(effort.aside * straight_s, ASIDE_S), FARTHEST)
     lower = np.maximum(np.minimum(problem.start, problem.goal) - aside, problem.lower)
     upper = np.minimum(np.maximum(problem.start, problem.goal) + aside, problem.upper)
-    spread = lower + low_discrepancy(POINTS, len(lower)) * (upper - lower)
+    spread = lower + low_discrepancy(effort.points, len(lower)) * (upper - lower)
     points = np.concatenate([[problem.start, problem.goal], spread])
     way = _quickest(
         points, np.array(velocity), field.chain, field.base, field.solids, field.data, margin,
-        LONGEST * straight_s + LONGEST_S, CORNER_S, LOOKS,
+        min(LONGEST * straight_s + LONGEST_S, quicker_than_s), CORNER_S, effort.looks,
     )  # fmt: skip
     return frozen(points[way]) if len(way) else None
 

@@ -8,7 +8,8 @@ from __future__ import annotations
 import argparse
 import gc
 import textwrap
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,9 +20,6 @@ if TYPE_CHECKING:
 
 #: Exit status where what was looked at is not in order.
 FAILED = 5
-
-#: Objects made before Python looks for what can be collected.
-_COLLECT_AFTER = 100_000
 
 #: Exit status after an interrupt, as shells give it.
 INTERRUPTED = 130
@@ -38,8 +36,6 @@ def run_command(command: Callable[[Console, Console], int]) -> int:
     """
     from rich.console import Console
 
-    # What imports and compiled kernels leave behind stays; looking through it again and again takes a tenth of a plan.
-    gc.set_threshold(_COLLECT_AFTER, 50, 50)
     console, errors = Console(highlight=False), Console(stderr=True, highlight=False)
     try:
         return command(console, errors)
@@ -49,6 +45,17 @@ def run_command(command: Callable[[Console, Console], int]) -> int:
     except KeyboardInterrupt:
         errors.print("interrupted")
         return INTERRUPTED
+
+
+@contextmanager
+def loading() -> Iterator[None]:
+    """Run imports inside: what they make stays, and is left out of all collections of garbage, these and later ones."""
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.freeze()
+        gc.enable()
 
 
 def show_error(console: Console, error: HplanError) -> None:

@@ -21,7 +21,7 @@ from hplan.mend import mended
 from hplan.path import GeometricPath, Limits
 from hplan.path import least_duration as least_between
 from hplan.postprocess import PostprocessOptions, SplinePath, fast_path
-from hplan.roadmap import quick_way
+from hplan.roadmap import BRIEF, WIDE, Effort, quick_way
 from hplan.route import EnclosedError, Route, Rung, Task, find_route
 from hplan.timing import resting, time_path
 from hplan.trajectory import Trajectory
@@ -62,6 +62,9 @@ SHORT = 0.25
 #: So many goals are looked for in roadmaps. With a motion that takes no more than this many times the least duration
 #: nothing else is looked for; with a slower one only so many grids.
 ROADMAPS, CLOSE, SECOND_LOOKS = 2, 1.15, 2
+
+#: A way in a roadmap is reckoned with its corners, and so may take this much longer than the motion along it [s].
+CORNERS_S = 0.3
 
 #: A route is searched to a goal that promises to be reached in less than this share of the time of a straight motion.
 WORTHWHILE = 0.7
@@ -214,15 +217,24 @@ def _around(attempts: Sequence[_Attempts]) -> tuple[int, Motion]:
     """The quicker of a motion found in a roadmap and one found on grids."""
     quick = _by_roadmap(attempts[:ROADMAPS])
     if quick is None:
-        return _first_turning(attempts, TURNING)
+        number, motion = _first_turning(attempts, TURNING)
+        if ROADMAPS == 0 or attempts[number].is_close(motion):
+            return number, motion
+        other = attempts[number].by_roadmap(WIDE, quicker_than_s=motion.trajectory.duration + CORNERS_S)
+        return number, motion if other is None else _quicker(motion, other)
     number, motion = quick
-    if motion.trajectory.duration <= CLOSE * least_duration(attempts[number].task):
+    if attempts[number].is_close(motion):
         return quick
     try:
-        other = _first_turning(attempts, TURNING[:SECOND_LOOKS])
+        of_grid, other = _first_turning(attempts, TURNING[:SECOND_LOOKS])
     except HplanError:
         return quick
-    return quick if motion.trajectory.duration <= other[1].trajectory.duration else other
+    return quick if _quicker(motion, other) is motion else (of_grid, other)
+
+
+def _quicker(first: Motion, second: Motion) -> Motion:
+    """The one that takes less time; the first of two that take the same."""
+    return first if first.trajectory.duration <= second.trajectory.duration else second
 
 
 def _by_roadmap(attempts: Sequence[_Attempts]) -> tuple[int, Motion] | None:
@@ -241,7 +253,7 @@ def _first_planar(attempts: Sequence[_Attempts]) -> tuple[int, Motion]:
         try:
             return number, attempt.planar()
         except (CertificationError, NoPathError) as error:
-            refused = refused or error
+            refused = refused or error.with_traceback(None)
     raise refused or CertificationError("no motion could be certified")
 
 
@@ -250,7 +262,8 @@ def _first_turning(
 ) -> tuple[int, Motion]:
     """The first goal that grids lead to, coarse and near ones first, the base turning.
 
-    What is closed on the grid of the finest step, whatever the yaw, is closed.
+    What is closed on the grid of the finest step, whatever the yaw, is closed. Errors are kept without tracebacks, which
+    would keep this frame, and so the grids, until garbage is collected.
     """
     refused: CertificationError | TimingError | None = None
     closed: dict[tuple[int, float], tuple[float, EnclosedError]] = {}
@@ -273,10 +286,10 @@ def _first_turning(
                 if slow is None or motion.trajectory.duration < slow[1].trajectory.duration:
                     slow = number, motion
             except (CertificationError, TimingError) as error:
-                refused = refused or error
+                refused = refused or error.with_traceback(None)
             except EnclosedError as error:
                 if not thick and growth == 0.0:
-                    closed[number, coarser] = beyond_deg, error
+                    closed[number, coarser] = beyond_deg, error.with_traceback(None)
     if slow is not None:
         return slow
     if (0, 1.0) in closed and not closed[0, 1.0][1].open_ended:
@@ -306,7 +319,7 @@ class _Attempts:
                 try:
                     return self.on_grid(Rung(self.task.options.step_deg / finer, growth))
                 except CertificationError as error:
-                    refused = refused or error
+                    refused = refused or error.with_traceback(None)
                 except NoPathError:
                     if refused is None:
                         raise
@@ -330,13 +343,20 @@ class _Attempts:
         rest = resting(self.task.robot.model, start)
         return Motion(self.task, None, frozen(np.array(start[None])), None, rest, certified(self.task, rest), "none")
 
-    def by_roadmap(self) -> Motion | None:
+    def is_close(self, motion: Motion) -> bool:
+        """Whether there cannot be a much quicker one."""
+        return motion.trajectory.duration <= CLOSE * least_duration(self.task)
+
+    def by_roadmap(self, effort: Effort = BRIEF, *, quicker_than_s: float = math.inf) -> Motion | None:
         """The motion along a quick way, or None where there is none, or none that can be timed and certified."""
         if self.task.options.objective != "duration" or self.task.options.method != "two-level":
             return None  # a short path is wanted, not a quick one, or a certain search
         margin = self.margin(0.0)
         with self.task.stage("roadmap"):
-            way = quick_way(self.task.problem, self.task.field, self.task.robot.velocity_limit, 0.1 * margin)
+            way = quick_way(
+                self.task.problem, self.task.field, self.task.robot.velocity_limit, 0.1 * margin, effort,
+                quicker_than_s=quicker_than_s,
+            )  # fmt: skip
         if way is None:
             return None
         try:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import math
 import tracemalloc
 from typing import Any
@@ -196,6 +197,22 @@ def test_memory(robot: Robot, grids_alone: None) -> None:
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 3e8
+
+
+def test_nothing_is_left_behind(robot: Robot, grids_alone: None) -> None:
+    """A plan that tries several grids frees them at once: robot control may have turned garbage collection off."""
+    enclosed = task((0.0, 70.0, 20.0, 20.0), (60.0, 20.0, 20.0, 20.0), frame_about_upper_arm(60.0, 20.0))
+    for _ in range(2):  # kernels are loaded the first time
+        gc.collect()
+        gc.disable()
+        tracemalloc.start()
+        with pytest.raises(NoPathError):
+            plan(robot, enclosed, COARSE)
+        plan(robot, around_the_bar(), COARSE)
+        left = tracemalloc.get_traced_memory()[0]
+        tracemalloc.stop()
+        gc.enable()
+    assert left < 2e6
 
 
 def test_yaw_does_not_pass_its_limits(robot: Robot) -> None:

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from hplan.arrays import FloatArray
 from hplan.problem import Problem, pose_problem
-from hplan.roadmap import ASIDE, ASIDE_S, CORNER_S, FARTHEST, POINTS, low_discrepancy, quick_way
+from hplan.roadmap import ASIDE_S, BRIEF, CORNER_S, FARTHEST, WIDE, low_discrepancy, quick_way
 from hplan.robot import Robot
 from hplan.scene import Box, Solid, Sphere
 from hplan.surroundings import Surroundings
@@ -68,10 +68,10 @@ def test_clear_and_no_slower_than_by_one_configuration(robot: Robot, seed: int, 
     way = quick_way(problem, around.field, robot.velocity_limit, MARGIN)
     # All ways by one of the points, one after the other.
     span = float((np.abs(GOAL - START) / robot.velocity_limit).max())
-    aside = np.minimum(robot.velocity_limit * max(ASIDE * span, ASIDE_S), FARTHEST)
+    aside = np.minimum(robot.velocity_limit * max(BRIEF.aside * span, ASIDE_S), FARTHEST)
     lower = np.maximum(np.minimum(START, GOAL) - aside, problem.lower)
     upper = np.minimum(np.maximum(START, GOAL) + aside, problem.upper)
-    points = lower + low_discrepancy(POINTS, 4) * (upper - lower)
+    points = lower + low_discrepancy(BRIEF.points, 4) * (upper - lower)
     single = [np.stack([START, point, GOAL]) for point in points] + [np.stack([START, GOAL])]
     clear = [lasting(robot, one) for one in single if around.field.is_clear(one, MARGIN)]
     if way is None:
@@ -91,6 +91,17 @@ def test_around_a_wall(robot: Robot) -> None:
     _, around = posed(robot, [wall])
     assert not around.field.is_clear(np.stack([START, GOAL]), MARGIN)
     assert around.field.is_clear(way, MARGIN)
+
+
+def test_only_ways_that_are_quick_enough(robot: Robot) -> None:
+    problem, around = posed(robot, [Box(name="wall", center=(1.0, 0.0, 0.5), size=(0.9, 0.02, 1.0))])
+    for effort in (BRIEF, WIDE):
+        way = quick_way(problem, around.field, robot.velocity_limit, MARGIN, effort)
+        assert way is not None
+        time = lasting(robot, way)
+        for least, found in ((time + 1e-6, True), (time - 1e-6, False)):
+            again = quick_way(problem, around.field, robot.velocity_limit, MARGIN, effort, quicker_than_s=least)
+            assert (again is not None) == found
 
 
 def test_none_where_the_goal_is_shut_in(robot: Robot) -> None:

@@ -262,8 +262,8 @@ def _first_turning(
 ) -> tuple[int, Motion]:
     """The first goal that grids lead to, coarse and near ones first, the base turning.
 
-    What is closed on the finest grid, whatever the yaw, is closed. Errors are kept without their tracebacks, which would
-    keep this frame, and so the grids, until garbage is collected.
+    What is closed on the finest grid, whatever the yaw, is closed. Errors are kept without tracebacks, which would keep
+    this frame, and so the grids, until garbage is collected.
     """
     refused: CertificationError | TimingError | None = None
     closed: dict[tuple[int, float], tuple[float, EnclosedError]] = {}

@@ -30,7 +30,7 @@ from hplan.report import StageClock
 from hplan.robot import Robot
 from hplan.scene import Scene
 from hplan.search import SearchResult, dense_search, reachable, two_level_search
-from hplan.search.flood import has_bit
+from hplan.search.flood import has_bit, slice_sizes
 from hplan.search.lattice import Lattice
 from hplan.search.result import path_cost
 from hplan.search.wavefront import Wavefronts, meet
@@ -407,13 +407,12 @@ def _enclosed(task: Task, rung: Rung, space: Occupancy, lattice: Lattice, fronts
     )
 
     def explain(what: str) -> NoPathError:
-        bits = np.unpackbits(reached.view(np.uint8), axis=1, bitorder="little")[:, : last + 1]
-        layer = int(bits.sum(axis=0, dtype=np.int64).argmax())
+        layer = int(slice_sizes(reached).argmax())
         planar = Grid(grid.lower[:-1], grid.step[:-1], grid.shape[:-1])
         at = float(grid.lower[-1] + layer * grid.step[-1])
         sections = sections_at(task.robot, task.around.bodies(rung.growth), at, within_reach=False)
-        inside = frozen(bits[:, layer].astype(np.bool_).reshape(planar.shape))
-        return _no_path(task.robot, sections, planar, inside, what)
+        inside = (reached[:, layer >> 6] >> np.uint64(layer & 63)) & np.uint64(1) > 0
+        return _no_path(task.robot, sections, planar, inside.reshape(planar.shape), what)
 
     return EnclosedError(
         fronts.enclosed,

@@ -36,9 +36,7 @@ def by_column(
     flat = Lattice.of(lattice.shape[:-1], lattice.step[:-1])
     masks, flooded = [], 0
     for node in (start, goal):
-        reached, count = flood_from(
-            flat, slice_words(lattice, free, int(node[-1])), flat.row_of(node[:-1]), int(node[-2])
-        )
+        reached, count = flood_from(flat, slice_words(lattice, free, int(node[-1])), node[:-1])
         masks.append(reached)
         flooded += count
     row = _nearest_column(

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from hplan.arrays import BoolArray, IntArray, WordArray, frozen
 from hplan.grid import Occupancy
 from hplan.kernels import kernel
-from hplan.search.bits import popcount
+from hplan.search.bits import lowest_bit, popcount
 from hplan.search.endpoints import checked_node
 from hplan.search.lattice import Lattice
 
@@ -39,10 +39,8 @@ def flood_slices(
     if goal_row is None:
         enough = ~enough  # which is never what is reached there
     line = lattice.padded[-1]
-    # Rows stand in lines along the axis before the last; neighbouring lines are given by their middle rows.
-    beside = lattice.row_offsets[1::3] // line
+    shape, beside = in_lines(lattice)
     beside = beside[beside != 0]
-    shape = (lattice.rows // line, line * lattice.words)
     count = _flood_slices(
         free.reshape(shape), reached.reshape(shape), lattice.words, beside, start_row // line,
         goal // line, goal % line * lattice.words, enough,
@@ -50,16 +48,32 @@ def flood_slices(
     return reached, int(count)
 
 
-def flood_from(lattice: Lattice, free: WordArray, row: int, bit: int) -> tuple[WordArray, int]:
-    """Flood the whole grid from one free node, slices joined.
+def flood_from(lattice: Lattice, free: WordArray, nodes: IntArray) -> tuple[WordArray, int]:
+    """Flood the whole grid from free nodes, slices joined.
+
+    Args:
+        lattice: Geometry of the grid.
+        free: (rows, words) bits with border.
+        nodes: (k, d) or (d,) node indices.
 
     Returns:
-        (rows, words) bits of all nodes connected to it, and their number.
+        (rows, words) bits of all nodes connected to them, and their number.
     """
-    seeds = np.zeros_like(free)
-    seeds[row, bit >> 6] = np.uint64(1) << np.uint64(bit & 63)
-    reached, count = _flood_whole(free, seeds, lattice.row_offsets)
+    reached = np.zeros_like(free)
+    for node in np.atleast_2d(nodes):
+        reached[lattice.row_of(node), node[-1] >> 6] |= np.uint64(1) << np.uint64(node[-1] & 63)
+    shape, beside = in_lines(lattice)
+    count = _flood_whole(free.reshape(shape), reached.reshape(shape), lattice.words, beside)
     return reached, int(count)
+
+
+def in_lines(lattice: Lattice) -> tuple[tuple[int, int], IntArray]:
+    """How rows stand in lines along the axis before the last, (lines, words of a line), and where the lines beside are.
+
+    Neighbouring lines are given by their middle rows; the line itself is among them.
+    """
+    line = lattice.padded[-1]
+    return (lattice.rows // line, line * lattice.words), lattice.row_offsets[1::3] // line
 
 
 def reachable(occupancy: Occupancy, start: ArrayLike) -> BoolArray:
@@ -78,7 +92,7 @@ def reachable(occupancy: Occupancy, start: ArrayLike) -> BoolArray:
     node = checked_node(occupancy, start, "start")
     lattice = Lattice.of(occupancy.grid.shape, occupancy.grid.step)
     free = lattice.bordered(occupancy.free_words)
-    reached, _ = flood_from(lattice, free, lattice.row_of(node), int(node[-1]))
+    reached, _ = flood_from(lattice, free, node)
     bits = np.unpackbits(lattice.unbordered(reached).view(np.uint8), axis=1, bitorder="little")
     return frozen(bits.view(np.bool_)[:, : lattice.shape[-1]].reshape(lattice.shape))
 
@@ -109,6 +123,11 @@ def slices_with_path(occupancy: Occupancy, start: ArrayLike, goal: ArrayLike) ->
 def bits_of(words: WordArray) -> BoolArray:
     """The bits of (words,) one by one."""
     return np.unpackbits(words.view(np.uint8), bitorder="little").view(np.bool_)
+
+
+def slice_sizes(words: WordArray) -> IntArray:
+    """(64 * words,) number of set bits in each slice of (rows, words)."""
+    return _slice_sizes(words)
 
 
 def has_bit(words: WordArray, row: int, bit: int) -> bool:
@@ -197,48 +216,101 @@ def _flood_slices(
 
 
 @kernel
-def _flood_whole(free: WordArray, reached: WordArray, row_offsets: IntArray) -> tuple[WordArray, int]:
-    """Grow `reached` inside `free`, both (rows, words), from row to row and from bit to bit."""
-    rows, words = free.shape
-    margin = 0
-    for offset in row_offsets:
-        margin = max(margin, abs(offset))
-    one, top, zero = np.uint64(1), np.uint64(63), np.uint64(0)
-    front = np.empty(words, dtype=np.uint64)
-    changed = True
+def _flood_whole(free: WordArray, reached: WordArray, words: int, beside: IntArray) -> int:
+    """Grow `reached` inside `free`, both (lines, rows of a line * words), over all axes; returns the bits reached.
+
+    In a line whose neighbours have news the flood first takes one step from them, then runs along rows and along bits.
+    """
+    lines, length = free.shape
+    zero, one, top = np.uint64(0), np.uint64(1), np.uint64(63)
+    front, wide = np.empty(length, dtype=np.uint64), np.zeros(length, dtype=np.uint64)
+    may_wait, waiting = np.zeros(lines, dtype=np.bool_), np.zeros(lines, dtype=np.bool_)
+    for line in range(lines):
+        some = zero
+        for k in range(length):
+            may_wait[line] = may_wait[line] or free[line, k] != zero
+            some |= reached[line, k]
+        if some != zero:
+            for offset in beside:
+                waiting[line + offset] = True
+    left = 0
+    for line in range(lines):
+        waiting[line] = waiting[line] and may_wait[line]
+        left += waiting[line]
     forward = True
-    while changed:
-        changed = False
-        for i in range(margin, rows - margin):
-            row = i if forward else rows - 1 - i
-            open_bits = zero
-            for word in range(words):
-                front[word] = reached[row, word]
-                open_bits |= free[row, word] ^ reached[row, word]
-            if open_bits == zero:
+    while left > 0:
+        for i in range(lines):
+            line = i if forward else lines - 1 - i
+            if not waiting[line]:
                 continue
-            for offset in row_offsets:
-                for word in range(words):
-                    front[word] |= reached[row + offset, word]
-            # One step up and down along the bits, then along runs of free bits until nothing moves.
-            moving = True
-            while moving:
-                moving = False
+            waiting[line] = False
+            left -= 1
+            here, inside = reached[line], free[line]
+            for k in range(length):
+                front[k] = here[k]
+            for offset in beside:
+                near = reached[line + offset]
+                for k in range(length):
+                    front[k] |= near[k]
+            # One step along rows and bits; the first and the last row are border.
+            for k in range(words, length - words):
+                wide[k] = front[k - words] | front[k] | front[k + words]
+            news = zero
+            for k in range(words, length - words):
+                bits = wide[k] | (wide[k] << one) | (wide[k] >> one)
+                if words > 1:
+                    bits |= wide[k - 1] >> top if k % words > 0 else zero
+                    bits |= wide[k + 1] << top if k % words < words - 1 else zero
+                front[k] = bits & inside[k]
+                news |= front[k] & ~here[k]
+            if news == zero:
+                continue
+            for word in range(words):
+                run = zero
+                for k in range(words + word, length - words, words):
+                    run = (run & inside[k]) | front[k]
+                    front[k] = run
+                run = zero
+                for k in range(length - 2 * words + word, -1, -words):
+                    run = (run & inside[k]) | front[k]
+                    front[k] = run
+            for begin in range(words, length - words, words):
                 carry = zero
-                for word in range(words):
-                    above = front[word + 1] << top if word + 1 < words else zero
-                    spread = front[word] | (front[word] << one) | (front[word] >> one) | carry | above
-                    carry = front[word] >> top
-                    grown = spread & free[row, word]
-                    if grown & ~reached[row, word] != zero:
-                        reached[row, word] |= grown
-                        changed = True
-                        moving = True
-                for word in range(words):
-                    front[word] = reached[row, word]
+                for k in range(begin, begin + words):
+                    # Added to a run of free bits, a bit carries to the end of the run.
+                    bits, room = front[k] | (carry & inside[k]), inside[k]
+                    bits |= room & ((room + bits) ^ room)
+                    here[k] = bits
+                    carry = bits >> top
+                carry = zero
+                for k in range(begin + words - 1, begin - 1, -1):
+                    bits, room = here[k] | ((carry << top) & inside[k]), inside[k]
+                    for shift in (1, 2, 4, 8, 16, 32):
+                        bits |= room & (bits >> np.uint64(shift))
+                        room &= room >> np.uint64(shift)
+                    here[k] = bits
+                    carry = bits & one
+            for offset in beside:
+                other = line + offset
+                if not waiting[other] and may_wait[other]:
+                    waiting[other] = True
+                    left += 1
         forward = not forward
     count = 0
-    for row in range(rows):
-        for word in range(words):
-            count += popcount(reached[row, word])
-    return reached, count
+    for line in range(lines):
+        for k in range(length):
+            count += popcount(reached[line, k])
+    return count
+
+
+@kernel
+def _slice_sizes(words: WordArray) -> IntArray:
+    sizes = np.zeros(64 * words.shape[1], dtype=np.int64)
+    one = np.uint64(1)
+    for row in range(words.shape[0]):
+        for word in range(words.shape[1]):
+            bits = words[row, word]
+            while bits != np.uint64(0):
+                sizes[64 * word + lowest_bit(bits)] += 1
+                bits &= bits - one
+    return sizes

@@ -127,7 +127,7 @@ def _two_level(lattice: Lattice, free: WordArray, start: IntArray, goal: IntArra
         counts = counts.with_fallback(layers.expansions + joined.expansions, layers.flooded)
     if path is None and fallback != "wavefront":
         fallback = "dense"
-        reached, flooded = flood_from(lattice, free, lattice.row_of(start), int(start[-1]))
+        reached, flooded = flood_from(lattice, free, start)
         counts = counts.with_fallback(0, flooded)
         if has_bit(reached, lattice.row_of(goal), int(goal[-1])):
             path, cost, dense = astar(lattice, NodeSet.of(reached), start, goal, octile=octile)

@@ -15,7 +15,11 @@ import numpy as np
 from hplan.arrays import FloatArray, IntArray, WordArray, frozen
 from hplan.kernels import kernel
 from hplan.search.bits import lowest_bit, popcount
+from hplan.search.flood import flood_from, has_bit, in_lines
 from hplan.search.lattice import Lattice
+
+#: Nodes reached by wavefronts before a flood is asked first whether they can meet at all.
+PATIENT = 1_000_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,12 +50,25 @@ def meet(lattice: Lattice, free: WordArray, starts: IntArray, goals: IntArray) -
         starts: (k, d) or (d,) free nodes; the path begins at any of them.
         goals: (m, d) or (d,) free nodes; the path ends at any of them.
     """
-    ends = [np.atleast_2d(starts), np.atleast_2d(goals)]
+    ends = np.atleast_2d(starts), np.atleast_2d(goals)
+    found = _fronts(lattice, free, ends, PATIENT)
+    if found.path is not None or found.enclosed:
+        return found
+    # Large regions: whether they are one is settled much faster by a flood.
+    goals_region, of_goals = flood_from(lattice, free, ends[1])
+    if any(has_bit(goals_region, lattice.row_of(node), int(node[-1])) for node in ends[0]):
+        return _fronts(lattice, free, ends, 64 * free.size)
+    starts_region, of_starts = flood_from(lattice, free, ends[0])
+    if of_starts < of_goals:
+        return Wavefronts(None, of_starts + of_goals, "start", starts_region)
+    return Wavefronts(None, of_starts + of_goals, "goal", goals_region)
+
+
+def _fronts(lattice: Lattice, free: WordArray, ends: tuple[IntArray, IntArray], most: int) -> Wavefronts:
+    """What two wavefronts find; neither a path nor an end enclosed where they reached `most` nodes before."""
     end_rows = np.array([lattice.row_of(node) for side in ends for node in side])
     end_bits = np.array([int(node[-1]) for side in ends for node in side])
-    # Rows stand in lines along the axis before the last; neighbouring lines are given by their middle rows.
-    line = lattice.padded[-1]
-    shape = (lattice.rows // line, line * lattice.words)
+    shape, beside = in_lines(lattice)
     # Memory that no front comes near is never touched, and costs nothing.
     seen = np.zeros((2, lattice.rows, lattice.words), dtype=np.uint64)
     planes = np.zeros((2, 3, lattice.rows, lattice.words), dtype=np.uint64)
@@ -59,14 +76,16 @@ def meet(lattice: Lattice, free: WordArray, starts: IntArray, goals: IntArray) -
         free.reshape(shape),
         seen.reshape(2, *shape),
         planes.reshape(2, 3, *shape),
-        lattice.row_offsets[1::3] // line,
+        beside,
         lattice.words,
         end_rows,
         end_bits,
         len(ends[0]),
+        most,
     )
+    nothing = np.empty((0, lattice.words), dtype=np.uint64)
     if row < 0:
-        return Wavefronts(None, int(flooded), ("start", "goal")[side], seen[side])
+        return Wavefronts(None, int(flooded), ("start", "goal", "")[side], nothing if side < 0 else seen[side].copy())
     halves = [
         _trace(
             planes[k],
@@ -82,9 +101,7 @@ def meet(lattice: Lattice, free: WordArray, starts: IntArray, goals: IntArray) -
         for k in range(2)
     ]
     nodes = np.concatenate([halves[0][::-1], halves[1][1:]])
-    return Wavefronts(
-        frozen(lattice.indices(nodes[:, 0], nodes[:, 1])), int(flooded), "", seen[:, :0].reshape(0, lattice.words)
-    )
+    return Wavefronts(frozen(lattice.indices(nodes[:, 0], nodes[:, 1])), int(flooded), "", nothing)
 
 
 @kernel
@@ -97,6 +114,7 @@ def _meet(
     end_rows: IntArray,
     end_bits: IntArray,
     starts: int,
+    most: int,
 ) -> tuple[int, int, int, IntArray, int]:
     """Grow both fronts, line by line, until they meet or one is enclosed; fills `seen` and `planes`.
 
@@ -105,8 +123,8 @@ def _meet(
     flat arrays by unsigned indices: these cannot be negative, and so the loops can take several words at once.
 
     Returns:
-        Row and bit where they met (-1 where they did not), the side that is enclosed, the levels of both sides, and
-        the nodes reached.
+        Row and bit where they met (-1 where they did not), the side that is enclosed (-1 where they met, or where more
+        than `most` nodes were reached before), the levels of both sides, and the nodes reached.
     """
     lines, length = free.shape
     rows = length // words
@@ -143,6 +161,8 @@ def _meet(
             return end_rows[number], end_bits[number], -1, levels, news[0] + news[1]
     flooded = news[0] + news[1]
     while news[0] > 0 and news[1] > 0:
+        if flooded > most:
+            return -1, -1, -1, levels, flooded
         side = 0 if news[0] <= news[1] else 1
         plane = levels[side] % 3
         steps += 1

@@ -111,3 +111,29 @@ def test_any_of_several_ends() -> None:
     free[5, 3, 3] = False
     fronts, _ = fronts_of(free, starts, goals)
     assert fronts.path is None
+
+
+@pytest.mark.parametrize("density", [0.2, 0.35, 0.5, 0.65])
+def test_asked_by_a_flood_first(monkeypatch: pytest.MonkeyPatch, density: float) -> None:
+    """Where wavefronts have gone on for long, a flood says whether they can meet; the answers stay the same."""
+    step = np.ones(4)
+    for seed in range(12):
+        rng = np.random.default_rng([seed, int(100 * density)])
+        free = rng.random((6, 7, 8, 70)) >= density
+        start, goal = (np.array([rng.integers(count) for count in free.shape]) for _ in range(2))
+        free[tuple(start)] = free[tuple(goal)] = True
+        lattice = Lattice.of(free.shape, step)
+        words = lattice.bordered(make_occupancy(free, step).free_words)
+        patient = meet(lattice, words, start, goal)
+        monkeypatch.setattr("hplan.search.wavefront.PATIENT", 3)
+        asked = meet(lattice, words, start, goal)
+        monkeypatch.undo()
+        assert (patient.path is None) == (asked.path is None)
+        if patient.path is not None and asked.path is not None:
+            np.testing.assert_array_equal(patient.path, asked.path)
+            continue
+        end = start if asked.enclosed == "start" else goal
+        bits = np.unpackbits(lattice.unbordered(asked.reached).view(np.uint8), axis=1, bitorder="little")
+        np.testing.assert_array_equal(bits[:, :70].reshape(free.shape).astype(bool), component(free, end))
+        other = goal if asked.enclosed == "start" else start
+        assert component(free, end).sum() <= component(free, other).sum()

@@ -16,11 +16,11 @@ from hplan.postprocess.smooth import smooth
 from hplan.postprocess.spline import SplinePath
 
 #: Numbers of control points tried in turn: for the fastest motion as few as will do, for the shortest path many.
-FAST_CONTROL_POINTS = (6, 7, 8, 9, 10, 12, 14, 17, 20, 25, 30, 44)
+FAST_CONTROL_POINTS = (6, 8, 7, 9, 10, 12, 14, 17, 20, 25, 30, 44)
 SHORT_CONTROL_POINTS = (44, 64)
 
 #: How many of them are carried through for the fastest motion: the search is local, so each finds another path.
-STARTS = 3
+STARTS = 2
 
 #: Ends nearer to each other than this are one [rad].
 NO_WAY = 1e-9

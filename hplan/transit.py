@@ -218,7 +218,7 @@ def _around(attempts: Sequence[_Attempts]) -> tuple[int, Motion]:
     quick = _by_roadmap(attempts[:ROADMAPS])
     if quick is None:
         number, motion = _first_turning(attempts, TURNING)
-        if ROADMAPS == 0 or attempts[number].is_close(motion):
+        if number >= ROADMAPS or attempts[number].is_close(motion):
             return number, motion
         other = attempts[number].by_roadmap(WIDE, quicker_than_s=motion.trajectory.duration + CORNERS_S)
         return number, motion if other is None else _quicker(motion, other)

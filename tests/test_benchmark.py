@@ -16,6 +16,7 @@ from PIL import Image
 
 import hplan
 from hplan.benchmark import growth, orchard_scenes, orchards, recheck, replanning
+from hplan.benchmark.figures import figures
 from hplan.benchmark.measure import fitted_slope, peak_memory_mb, spread
 from hplan.benchmark.motions import Findings, of_rows, row_cubics, stopping_duration, toppra_motion
 from hplan.benchmark.moving_scenes import CLOSE, OBSTACLES, ROOM, SHIFT, Move, moving_scene, next_move
@@ -33,6 +34,7 @@ from hplan.benchmark.scenes import APART_DEG, random_scene
 from hplan.benchmark.tables import number, to_markdown
 from hplan.collision import CollisionScene, base_contacts
 from hplan.errors import InputError, NoPathError
+from hplan.planner import Planner
 from hplan.robot import Robot
 from hplan.scene import Box, Capsule, Scene, Sphere
 from hplan.surroundings import BASE_DEPTH, Surroundings
@@ -527,6 +529,24 @@ def test_steps_are_counted_by_what_becomes_of_the_motion() -> None:
     assert "| no path | 10 x | 2 |" in text
     assert "| 7.6 | TimingError | - | not to be timed |" in text
     assert "by replanning alone: 1; from nothing alone: 1." in text
+
+
+def test_obstacle_that_leaves_no_path_goes_back(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    scenes = []
+
+    def replan(planner: Planner) -> Any:
+        scenes.append(planner.scene)
+        raise NoPathError("closed", reached_cells=1)
+
+    monkeypatch.setattr(Planner, "replan", replan)
+    n = replanning.measure(robot, seed=0, scenes=1, quick=True, progress=lambda *_: None)
+    first = moving_scene(robot, 0, n["rows"][0]["scene"])
+    assert n["outcomes"] == {"no_path": replanning.QUICK_STEPS}
+    assert len(n["only_from_nothing"]) == replanning.QUICK_STEPS
+    for scene in scenes:
+        assert sum(now != before for now, before in zip(scene.obstacles, first.obstacles, strict=True)) == 1
+    assert math.isnan(n["per_second"])
+    assert "benchmark-replanning" not in figures({"replanning": n})
 
 
 def test_replanned_motion_that_touches_is_told_by_the_exit_status(

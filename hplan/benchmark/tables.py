@@ -482,12 +482,13 @@ def _replan_times(r: dict[str, Any], groups: dict[str, dict[str, Any]]) -> Table
         rows.append((name, _times(g["ratio"]["median"]), str(g["steps"]), *ours, *theirs))
     low, high = (number(100.0 * shift) for shift in r["shift_m"])
     note = (
-        f"{r['scenes']} scenes ({r['drawn']} drawn; the others have no motion to begin with) of {r['obstacles']} "
-        f"obstacles, half of them branches and half fruit, all four joints free. In each of {r['steps']:,} steps one "
-        f"obstacle moves, drawn at random: it is shifted by {low} to {high} cm, or, in {r['close_share']:.0%} of the "
+        f"{r['scenes']} scenes with a motion to begin with (of {r['drawn']} drawn), {r['obstacles']} obstacles each, "
+        f"half of them branches and half fruit; all four joints free. In each of {r['steps']:,} steps one obstacle "
+        f"moves, drawn at random: it is shifted by {low} to {high} cm, or, in {_percent(r['close_share'], 1.0)} of the "
         "draws, put close to the motion of the moment, in its way or beside it; "
-        f"{number(100.0 * r['room_m'])} cm stay free at start and goal. Ratio: time to plan the same scene from "
-        "nothing (plan) to that of replanning, the median of the steps. Times [ms] to the certified motion. "
+        f"{number(100.0 * r['room_m'])} cm stay free at start and goal. Where a step has no motion the obstacle goes "
+        "back. Ratio: time to plan the same scene from nothing (plan) to that of replanning, the median of the steps. "
+        "Times [ms] to the certified motion. "
         f"{number(r['per_second'])} replans per second in the median. All steps, those without a motion too, take "
         f"{number(r['in_all_s'])} s together, and {number(r['in_all_from_nothing_s'])} s from nothing. Replanned: "
         f"{r['replanned']:,}, certified: {r['certified']:,}; looked at every 1 ms, {r['colliding']} touch an obstacle. "

@@ -19,7 +19,7 @@ from hplan.search.flood import flood_from, has_bit, in_lines
 from hplan.search.lattice import Lattice
 
 #: Nodes reached by wavefronts before a flood is asked first whether they can meet at all.
-PATIENT = 1_000_000
+PATIENT = 10_000_000
 
 
 @dataclass(frozen=True, eq=False)

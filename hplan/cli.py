@@ -127,7 +127,6 @@ def _run(
         with loading():
             import math
 
-            import hplan.topp  # noqa: F401 - wanted in any case, and the heaviest
             from hplan.options import PlanOptions
             from hplan.pipeline import plan, with_export_time
             from hplan.report import write_report

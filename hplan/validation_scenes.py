@@ -19,6 +19,7 @@ from typing import Final, Literal, TypeAlias
 import numpy as np
 
 from hplan.arrays import FloatArray, IntArray
+from hplan.draws import direction, vector
 from hplan.errors import OptionError
 from hplan.robot import Robot
 from hplan.scene import Box, Capsule, Fruit, Goal, Mesh, Obstacle, PointCloud, Scene, Sphere, Start, Vector
@@ -112,21 +113,10 @@ def _spot(robot: Robot, rng: np.random.Generator, sector: tuple[float, float], s
         link = int(rng.integers(robot.arm.link_count))
         on_axis = points[link] + rng.random() * (points[link + 1] - points[link])
         origin, axes = robot.plane_at(float(rng.uniform(*sector)))
-        place = origin + on_axis @ axes[:2] + _direction(rng) * rng.random() * (size + _AROUND)
+        place = origin + on_axis @ axes[:2] + direction(rng) * rng.random() * (size + _AROUND)
         if np.linalg.norm(place - origin) >= size + _OFF_SHOULDER:
             break
-    return _vector(place)
-
-
-def _direction(rng: np.random.Generator) -> FloatArray:
-    vector = rng.normal(size=3)
-    direction: FloatArray = vector / np.linalg.norm(vector)
-    return direction
-
-
-def _vector(array: FloatArray) -> Vector:
-    x, y, z = array.tolist()
-    return x, y, z
+    return vector(place)
 
 
 def _between(rng: np.random.Generator, low: float, high: float) -> float:
@@ -135,7 +125,7 @@ def _between(rng: np.random.Generator, low: float, high: float) -> float:
 
 
 def _turn(rng: np.random.Generator) -> Vector:
-    return _vector(rng.uniform(-180.0, 180.0, 3))
+    return vector(rng.uniform(-180.0, 180.0, 3))
 
 
 _Place: TypeAlias = Callable[[float], Vector]
@@ -149,9 +139,9 @@ def _sphere(name: str, rng: np.random.Generator, place: _Place) -> Sphere:
 def _capsule(name: str, rng: np.random.Generator, place: _Place) -> Capsule:
     radius = _between(rng, 0.003, 0.1)
     middle = np.array(place(radius))
-    half = 0.5 * _between(rng, 0.05, 2.0) * _direction(rng)
+    half = 0.5 * _between(rng, 0.05, 2.0) * direction(rng)
     shift = rng.uniform(-1.0, 1.0) * half
-    ends = {"from": _vector(middle + shift - half), "to": _vector(middle + shift + half)}
+    ends = {"from": vector(middle + shift - half), "to": vector(middle + shift + half)}
     return Capsule.model_validate({"name": name, "radius": radius, **ends})
 
 
@@ -192,7 +182,7 @@ def _cluster(robot: Robot, rng: np.random.Generator, sector: tuple[float, float]
     spread = _between(rng, 0.05, 0.4)
     fruits = []
     for index in range(int(rng.integers(1, _MOST_FRUITS + 1))):
-        center = _vector(middle + spread * rng.normal(size=3))
+        center = vector(middle + spread * rng.normal(size=3))
         fruits.append(Fruit(name=f"fruit {index}", center=center, radius=rng.uniform(0.02, 0.06)))
     return tuple(fruits)
 

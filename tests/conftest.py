@@ -1,7 +1,11 @@
 from __future__ import annotations
 
-import pytest
+from pathlib import Path
 
+import pytest
+from toy_urdf import urdf
+
+from hplan.machine import read_machine
 from hplan.robot import Robot, load_robot
 from hplan.scene import Scene
 from hplan.scene_file import load_scene
@@ -17,3 +21,18 @@ def robot() -> Robot:
 def scene() -> Scene:
     """The reference scene, Table 1 of the paper."""
     return load_scene()
+
+
+@pytest.fixture
+def write(tmp_path):
+    def write(name: str, text: str) -> Path:
+        path = tmp_path / name
+        path.write_text(text)
+        return path
+
+    return write
+
+
+@pytest.fixture
+def toy(write):
+    return read_machine(write("toy.urdf", urdf()))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
@@ -13,21 +12,6 @@ from toy_urdf import LIMIT, urdf
 from hplan.errors import InputError, JointLimitError, RobotFileError
 from hplan.machine import ENDLESS, limits_of, read_machine
 from hplan.waypoints import time_waypoints
-
-
-@pytest.fixture
-def write(tmp_path):
-    def write(name: str, text: str) -> Path:
-        path = tmp_path / name
-        path.write_text(text)
-        return path
-
-    return write
-
-
-@pytest.fixture
-def toy(write):
-    return read_machine(write("toy.urdf", urdf()))
 
 
 @pytest.fixture

@@ -25,21 +25,6 @@ from hplan.waypoints import (
 SCRIPT = Path(__file__).resolve().parents[1] / "scripts" / "time_waypoints.py"
 
 
-@pytest.fixture
-def write(tmp_path):
-    def write(name: str, text: str) -> Path:
-        path = tmp_path / name
-        path.write_text(text)
-        return path
-
-    return write
-
-
-@pytest.fixture
-def toy(write):
-    return read_machine(write("toy.urdf", urdf()))
-
-
 @pytest.fixture(scope="session")
 def script():
     spec = importlib.util.spec_from_file_location("time_waypoints_script", SCRIPT)

@@ -13,12 +13,13 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from hplan.arrays import FloatArray
+from hplan.draws import direction, vector
 from hplan.errors import InputError
 from hplan.options import PlanOptions
 from hplan.pipeline import Workspace
 from hplan.problem import pose_problem
 from hplan.robot import Robot
-from hplan.scene import Capsule, Goal, Scene, Sphere, Start, Vector
+from hplan.scene import Capsule, Goal, Scene, Sphere, Start
 
 #: Obstacles of a scene, and the share of them that are branches; the others are fruit.
 OBSTACLES, BRANCHES = 40, 0.5
@@ -93,7 +94,7 @@ def next_move(robot: Robot, scene: Scene, motion: FloatArray, random: np.random.
         if not isinstance(piece, (Sphere, Capsule)):
             raise InputError(f"obstacle {piece.name!r} is neither fruit nor branch", obstacle=piece.name)
         close = bool(random.random() < CLOSE_SHARE)
-        shift = _to_motion(robot, piece, motion, random) if close else random.uniform(*SHIFT) * _direction(random)
+        shift = _to_motion(robot, piece, motion, random) if close else random.uniform(*SHIFT) * direction(random)
         move = Move(_shifted(piece, shift), close)
         if leaves_room(robot, scene, [move.piece]):
             return move
@@ -127,9 +128,9 @@ def _piece(number: int, sector_deg: tuple[float, float], random: np.random.Gener
     distance = random.uniform(*DISTANCE)
     middle = np.array([distance * np.cos(bearing), distance * np.sin(bearing), random.uniform(*HEIGHT)])
     if number >= BRANCHES * OBSTACLES:
-        return Sphere(name=f"fruit {number}", center=_vector(middle), radius=random.uniform(*FRUIT_RADIUS))
-    half = 0.5 * random.uniform(*BRANCH_LENGTH) * _direction(random)
-    ends = {"from": _vector(middle - half), "to": _vector(middle + half)}
+        return Sphere(name=f"fruit {number}", center=vector(middle), radius=random.uniform(*FRUIT_RADIUS))
+    half = 0.5 * random.uniform(*BRANCH_LENGTH) * direction(random)
+    ends = {"from": vector(middle - half), "to": vector(middle + half)}
     return Capsule.model_validate({"name": f"branch {number}", "radius": random.uniform(*BRANCH_RADIUS), **ends})
 
 
@@ -140,7 +141,7 @@ def _to_motion(robot: Robot, piece: Piece, motion: FloatArray, random: np.random
     joints = origin + robot.arm.joint_points(q[robot.arm_slice]) @ axes[:2]
     link = int(random.integers(robot.arm.link_count))
     on_axis = joints[link] + random.random() * (joints[link + 1] - joints[link])
-    place = on_axis + random.random() * (piece.rounding + CLOSE) * _direction(random)
+    place = on_axis + random.random() * (piece.rounding + CLOSE) * direction(random)
     ends = piece.core[[0, -1]]
     on_core: FloatArray = ends[0] + random.random() * (ends[1] - ends[0])
     shift: FloatArray = place - on_core
@@ -149,18 +150,7 @@ def _to_motion(robot: Robot, piece: Piece, motion: FloatArray, random: np.random
 
 def _shifted(piece: Piece, shift: FloatArray) -> Piece:
     """The obstacle elsewhere."""
-    ends = [_vector(end) for end in piece.core + shift]
+    ends = [vector(end) for end in piece.core + shift]
     if isinstance(piece, Sphere):
         return piece.model_copy(update={"center": ends[0]})
     return piece.model_copy(update={"start": ends[0], "end": ends[1]})
-
-
-def _direction(random: np.random.Generator) -> FloatArray:
-    vector = random.normal(size=3)
-    direction: FloatArray = vector / np.linalg.norm(vector)
-    return direction
-
-
-def _vector(array: FloatArray) -> Vector:
-    x, y, z = array.tolist()
-    return x, y, z

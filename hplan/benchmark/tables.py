@@ -414,7 +414,10 @@ def _routes(o: dict[str, Any]) -> Table:
         (group, *(str(n["routes"].get(route, 0)) for route in found))
         for group, n in {**o["groups"], "all": o["all"]}.items()
     ]
-    note = "The straight motion, the two-level search over layers of yaw, or what it falls back on."
+    note = (
+        "The straight motion, a roadmap of few configurations, the two-level search over layers of yaw, or what it "
+        "falls back on."
+    )
     columns = ("hplan's motions by", *(route.replace("_", " ") for route in found))
     return Table("Orchards: what carried the motion", columns, tuple(rows), note)
 

@@ -18,10 +18,7 @@ from hplan.clearance_kernels import link_clearances, smallest
 from hplan.kernels import any_int, kernel
 from hplan.polyline import stations
 from hplan.postprocess.options import PostprocessOptions
-from hplan.postprocess.spline import STRIDE, SplinePath, bezier_piece, copy_into, piece_is_clear
-
-#: The first piece.
-_FIRST = any_int(0)
+from hplan.postprocess.spline import FIRST, STRIDE, SplinePath, bezier_piece, copy_into, piece_is_clear
 
 #: Rounds of pushing after a round of smoothing.
 _PUSHES = any_int(6)
@@ -183,7 +180,7 @@ def _tighten(
             for j in movable:
                 control[i, j] = 0.5 * (before[i - 1, j] + before[i + 1, j])
         clear = push_out(
-            control, knots, chain, base, solids, data, lower, upper, movable, margin, _FIRST, count - 4, _PUSHES
+            control, knots, chain, base, solids, data, lower, upper, movable, margin, FIRST, count - 4, _PUSHES
         )  # fmt: skip
         if clear:
             length = _polygon_length(control)

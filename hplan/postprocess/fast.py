@@ -23,13 +23,10 @@ from hplan.clearance import ClearanceField
 from hplan.kernels import any_int, kernel
 from hplan.postprocess.clear import push_out
 from hplan.postprocess.options import PostprocessOptions
-from hplan.postprocess.spline import STRIDE, SplinePath, bezier_piece, copy_into, pieces_are_clear
+from hplan.postprocess.spline import FIRST, STRIDE, SplinePath, bezier_piece, copy_into, pieces_are_clear
 
 #: Points at which a piece's speed is estimated.
 _PER_PIECE = 8
-
-#: The first piece.
-_FIRST = any_int(0)
 
 #: Rounds of pushing a control point's neighbours out after a move into contact.
 _SLIDES = any_int(3)
@@ -196,7 +193,7 @@ def _search(
     for c in range(count):
         for j in range(dof):
             step[c, j] = 0.05
-    _demands(control, _FIRST, pieces - 1, first, second, velocity, acceleration, movable, demands)
+    _demands(control, FIRST, pieces - 1, first, second, velocity, acceleration, movable, demands)
     kept = demands.copy()  # of the control points as they stand between moves
     best = _duration(grid, demands, square)
     tried = 0
@@ -238,9 +235,9 @@ def _search(
                 _copy_rows(demands, kept, low, high)
                 step[c, j] *= -1.0 if move % 2 == 0 else -0.4
             largest = max(largest, abs(step[c, j]))
-        if not pieces_are_clear(control, knots, _FIRST, pieces - 1, chain, base, solids, data, 0.5 * margin, 0.0):
+        if not pieces_are_clear(control, knots, FIRST, pieces - 1, chain, base, solids, data, 0.5 * margin, 0.0):
             copy_into(control, proven)
-            _demands(control, _FIRST, pieces - 1, first, second, velocity, acceleration, movable, demands)
+            _demands(control, FIRST, pieces - 1, first, second, velocity, acceleration, movable, demands)
             return float(_duration(grid, demands, square))
         copy_into(proven, control)
     return float(best)

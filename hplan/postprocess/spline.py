@@ -17,11 +17,14 @@ from hplan.arrays import BoolArray, FloatArray, frozen, readonly
 from hplan.clearance import ClearanceField
 from hplan.clearance_kernels import link_clearances, proven_advance
 from hplan.errors import InputError
-from hplan.kernels import kernel
+from hplan.kernels import any_int, kernel
 from hplan.polyline import curve_length, stations
 
 #: Longest step along a piece with which an optimiser looks for contact before the proof.
 STRIDE = 1.0 / 16.0
+
+#: The first piece, for kernels.
+FIRST = any_int(0)
 
 #: Panels of a piece, each with Gauss-Legendre quadrature, for its length: a path may have cusps.
 PANELS = 6

@@ -125,11 +125,6 @@ def bits_of(words: WordArray) -> BoolArray:
     return np.unpackbits(words.view(np.uint8), bitorder="little").view(np.bool_)
 
 
-def slice_sizes(words: WordArray) -> IntArray:
-    """(64 * words,) number of set bits in each slice of (rows, words)."""
-    return _slice_sizes(words)
-
-
 def has_bit(words: WordArray, row: int, bit: int) -> bool:
     """Whether a bit of (rows, words) is set."""
     return bool((int(words[row, bit >> 6]) >> (bit & 63)) & 1)
@@ -304,7 +299,8 @@ def _flood_whole(free: WordArray, reached: WordArray, words: int, beside: IntArr
 
 
 @kernel
-def _slice_sizes(words: WordArray) -> IntArray:
+def slice_sizes(words: WordArray) -> IntArray:
+    """(64 * words,) number of set bits in each slice of (rows, words)."""
     sizes = np.zeros(64 * words.shape[1], dtype=np.int64)
     one = np.uint64(1)
     for row in range(words.shape[0]):

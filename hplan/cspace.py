@@ -280,7 +280,7 @@ def _mark(
     else:
         low, high = low - offset, high - offset
     turn = 2.0 * math.pi
-    if high < lower or low > lower:
+    if high < lower or high >= lower + turn:
         shift = turn * math.ceil((lower - high) / turn)
         low, high = low + shift, high + shift
     upper = lower + step * (count - 1)

@@ -15,11 +15,12 @@ R = TypeVar("R")
 def kernel(function: Callable[P, R]) -> Callable[P, R]:
     """A compiled function, for Python and other kernels to call.
 
-    It gets no entry for C, which would take a fifteenth of the time to compile. Every combination of argument types is
+    It gets no entry for C, which would take a fifteenth of the time to compile. Division by zero gives inf or NaN, as
+    in NumPy: looking for zeros would keep loops from being made fast. Every combination of argument types is
     compiled on its own. Read-only arrays are a type of their own, and so is every number written out in a call from
     kernel to kernel; so a kernel is called with the same kinds everywhere.
     """
-    compiled: Callable[P, R] = nb.njit(cache=True, no_cfunc_wrapper=True)(function)
+    compiled: Callable[P, R] = nb.njit(cache=True, no_cfunc_wrapper=True, error_model="numpy")(function)
     return compiled
 
 

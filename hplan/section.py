@@ -175,27 +175,36 @@ def bodies_of(
             f"obstacle {name!r}: expected finite core points, at least one, and a finite radius", name=name
         )
     radii = roundings + margins
-    is_ball = loose | (lengths == 1)
-    of_ball = is_ball[owners]
-    corners, hull_owners = points[~of_ball], np.flatnonzero(~is_ball)
-    starts = np.concatenate([[0], np.cumsum(lengths[hull_owners])])
-    # The middle of each hull's bounding box, and the distance from there to its corner.
-    low, high = (
-        function.reduceat(corners, starts[:-1]) if len(hull_owners) else corners
-        for function in (np.minimum, np.maximum)
-    )
+    is_hull = ~(loose | (lengths == 1))
+    hull_owners = np.flatnonzero(is_hull)
+    corners, starts, around = _NO_HULLS
+    if len(hull_owners):
+        of_hull = is_hull[owners]
+        corners, starts, around = _hulls(points[of_hull], lengths[hull_owners])
+        points, owners = points[~of_hull], owners[~of_hull]
     return Bodies(
-        ball_centres=frozen(points[of_ball]),
-        ball_radii=frozen(radii[owners[of_ball]]),
-        ball_owners=readonly(owners[of_ball], np.int64),
-        hull_points=frozen(corners),
-        hull_starts=readonly(starts, np.int64),
+        ball_centres=frozen(points),
+        ball_radii=frozen(radii[owners]),
+        ball_owners=frozen(owners),
+        hull_points=corners,
+        hull_starts=starts,
         hull_radii=frozen(radii[hull_owners]),
-        hull_owners=readonly(hull_owners, np.int64),
-        around=frozen(np.column_stack([0.5 * (low + high), 0.5 * np.linalg.norm(high - low, axis=1)])),
+        hull_owners=frozen(hull_owners),
+        around=around,
         names=tuple(obstacle.name for obstacle in obstacles),
         own_clearance=float(margins.min()) if own_clearance is None and margins.size else float(own_clearance or 0.0),
     )
+
+
+def _hulls(corners: FloatArray, lengths: IntArray) -> tuple[FloatArray, IntArray, FloatArray]:
+    """`hull_points`, `hull_starts` and `around` of `Bodies`: the ball is around each hull's bounding box."""
+    starts = np.concatenate([[0], np.cumsum(lengths)])
+    low, high = np.minimum.reduceat(corners, starts[:-1]), np.maximum.reduceat(corners, starts[:-1])
+    around = np.column_stack([0.5 * (low + high), 0.5 * np.linalg.norm(high - low, axis=1)])
+    return frozen(corners), frozen(starts), frozen(around)
+
+
+_NO_HULLS = readonly(np.zeros((0, 3))), readonly([0], np.int64), readonly(np.zeros((0, 4)))
 
 
 def arm_sections(

@@ -44,7 +44,7 @@ def astar(
     Returns:
         The (m, d) path or None, its cost, and the number of expansions.
     """
-    rows, bits, cost, expansions = _astar(
+    path, cost, expansions = _astar(
         nodes.words,
         nodes.ranks,
         nodes.size,
@@ -61,9 +61,7 @@ def astar(
         None if row_bounds is None else row_bounds.values,
         None if row_bounds is None else row_bounds.weights,
     )
-    if len(rows) == 0:
-        return None, math.inf, int(expansions)
-    return lattice.indices(rows, bits), float(cost), int(expansions)
+    return (path if len(path) else None), cost, expansions
 
 
 @inlined
@@ -135,8 +133,8 @@ def _astar(
     octile: bool,
     bounds: Any,  # row bounds and their weights, or None: the branches that use them are then compiled away
     weights: Any,
-) -> tuple[IntArray, IntArray, float, int]:
-    """A* over set bits; path as rows and bits (empty without a path), cost, expansions."""
+) -> tuple[IntArray, float, int]:
+    """A* over set bits; path as (m, d) node indices (empty without a path), cost, expansions."""
     words = free.shape[1]
     cost = np.full(nodes, np.inf)
     parent = np.full(nodes, -1, dtype=np.int32)
@@ -209,16 +207,17 @@ def _astar(
                     ahead = max(bounds[beside, 0] + weights[0] * togo, bounds[beside, 1] + weights[1] * togo)
                 key = math.floor((new + ahead) * share * 1e10 + 0.5) + min(0.9, 0.1 * ahead * share)
                 size = push(keys, entries, slot, size, key, other)
-    if found < 0:
-        return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64), np.inf, expansions
-    length = 1
+    length = 0
     node = found
-    while parent[node] >= 0:
+    while node >= 0:
         node = parent[node]
         length += 1
-    rows, bits_of_path = np.empty(length, dtype=np.int64), np.empty(length, dtype=np.int64)
+    axes = row_coordinates.shape[1]
+    path = np.empty((length, axes + 1), dtype=np.int64)
     node = found
     for i in range(length - 1, -1, -1):
-        rows[i], bits_of_path[i] = place[node] // bit_count, place[node] % bit_count
+        for axis in range(axes):
+            path[i, axis] = row_coordinates[place[node] // bit_count, axis]
+        path[i, axes] = place[node] % bit_count
         node = parent[node]
-    return rows, bits_of_path, cost[found], expansions
+    return path, cost[found] if found >= 0 else np.inf, expansions

@@ -34,7 +34,6 @@ class Layers:
     Attributes:
         lattice: Geometry of the whole grid.
         first: First of the searched slices.
-        feasible: (slices,) whether each slice has a path of its own; False for those that were not to be searched.
         path_rows: (m,) bordered rows of all paths, slice after slice, each from the start's place to the goal's.
         begins: (searched slices + 1,) where each slice's path begins in `path_rows`; of length 0 where it has none.
         expansions: Expansions in all slices.
@@ -43,11 +42,17 @@ class Layers:
 
     lattice: Lattice
     first: int
-    feasible: BoolArray
     path_rows: IntArray
     begins: IntArray
     expansions: int
     flooded: int
+
+    @property
+    def feasible(self) -> BoolArray:
+        """(slices,) whether each slice has a path of its own; False for those that were not to be searched."""
+        feasible = np.zeros(self.lattice.shape[-1], dtype=np.bool_)
+        feasible[self.first : self.first + len(self.begins) - 1] = np.diff(self.begins) > 0
+        return frozen(feasible)
 
     def paths(self) -> dict[int, IntArray]:
         """For each searched slice with a path its (m, d) node indices."""
@@ -90,27 +95,25 @@ def search_layers(
     found = _Searched(lattice, slices)
     for number in np.flatnonzero(feasible).tolist():
         found.search(number, reached, start, goal, slice_search)
-    return found.layers(feasible, flooded)
+    return found.layers(flooded)
 
 
 def _planar(lattice: Lattice, free: WordArray, start_row: int, goal_row: int, slices: range) -> Layers:
     """Planar slices, 64 at once."""
-    first, last, width = slices[0], slices[-1], lattice.padded[1]
-    wanted = lattice.mask(slices) & free[start_row] & free[goal_row]
-    monotone = MonotonePaths.of(free, width, start_row, goal_row, wanted)
-    flooded, expansions = monotone.reached, 0
+    width = lattice.padded[1]
+    monotone = MonotonePaths.of(free, width, start_row, goal_row, slices)
+    flooded, expansions, others = monotone.reached, 0, monotone.others
     path_rows, begins = np.empty(0, dtype=np.int64), np.zeros(len(slices) + 1, dtype=np.int64)
-    left = wanted & ~monotone.found
-    if left.any():
-        reached, count = flood_slices(lattice, free, start_row, left, goal_row)
-        left, flooded = reached[goal_row], flooded + count
-    if left.any():
-        path_rows, begins, expansions = jump_slices(
-            free, left, width, first, last, start_row, goal_row, lattice.step[:-1]
-        )
-    path_rows, begins = monotone.joined(first, last, path_rows, begins)
-    feasible = bits_of(monotone.found | left)[: lattice.shape[-1]]
-    return Layers(lattice, first, frozen(feasible), frozen(path_rows), frozen(begins), int(expansions), flooded)
+    if others.any():
+        reached, count = flood_slices(lattice, free, start_row, others, goal_row)
+        flooded += count
+        others = reached[goal_row]
+        if others.any():
+            path_rows, begins, expansions = jump_slices(
+                free, others, width, slices[0], slices[-1], start_row, goal_row, lattice.step[:-1]
+            )
+    path_rows, begins = monotone.joined(path_rows, begins)
+    return Layers(lattice, slices[0], frozen(path_rows), frozen(begins), expansions, flooded)
 
 
 def _carried(
@@ -118,9 +121,7 @@ def _carried(
 ) -> Layers:
     """As `search_layers`, where slices in which a path found before is free take it over."""
     found = _Searched(lattice, slices)
-    both = bits_of(free[lattice.row_of(start)] & free[lattice.row_of(goal)])[: lattice.shape[-1]]
-    feasible = np.zeros(lattice.shape[-1], dtype=np.bool_)
-    left = both.copy()
+    left = bits_of(free[lattice.row_of(start)] & free[lattice.row_of(goal)])[: lattice.shape[-1]]
     left[: slices[0]] = left[slices[-1] + 1 :] = False
     inside, flooded = free, 0
     while left.any():
@@ -132,13 +133,12 @@ def _carried(
             taken[number] = True
             for other in np.flatnonzero(taken).tolist():
                 found.rows[other] = rows
-            feasible |= taken
             left &= ~taken
         elif inside is free:
             # There are slices without: which ones is settled for all of them at once.
             inside, flooded = flood_slices(lattice, free, lattice.row_of(start), lattice.mask(slices))
             left &= bits_of(inside[lattice.row_of(goal)])[: lattice.shape[-1]]
-    return found.layers(feasible, flooded)
+    return found.layers(flooded)
 
 
 class _Searched:
@@ -168,7 +168,7 @@ class _Searched:
         self.rows[number] = rows
         return rows
 
-    def layers(self, feasible: BoolArray, flooded: int) -> Layers:
+    def layers(self, flooded: int) -> Layers:
         """All of them, in order."""
         none = np.empty(0, dtype=np.int64)
         parts = [self.rows.get(number, none) for number in self._slices]
@@ -176,7 +176,6 @@ class _Searched:
         return Layers(
             self._lattice,
             self._slices[0],
-            frozen(feasible),
             frozen(np.concatenate(parts)),
             frozen(begins),
             self._expansions,

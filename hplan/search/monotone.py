@@ -22,22 +22,26 @@ class MonotonePaths:
     """From where the goal is reached by the moves of an empty plane's shortest path.
 
     Attributes:
+        slices: The slices looked at, ascending.
         start: Bordered row of the start.
         diagonal: Distance to the row after a diagonal move.
         straight: Distance to the row after a straight move.
         onward: (diagonal moves + 1, straight moves + 1, words) slices in which the goal is reached from the place after
             so many moves of either kind.
-        reached: Nodes from which it is.
+        others: (words,) slices free at both ends that have no such path.
+        reached: Nodes from which the goal is reached.
     """
 
+    slices: range
     start: int
     diagonal: int
     straight: int
     onward: WordArray
+    others: WordArray
     reached: int
 
     @classmethod
-    def of(cls, free: WordArray, width: int, start: int, goal: int, wanted: WordArray) -> MonotonePaths:
+    def of(cls, free: WordArray, width: int, start: int, goal: int, slices: range) -> MonotonePaths:
         """Those between two rows of planar slices.
 
         Args:
@@ -45,58 +49,54 @@ class MonotonePaths:
             width: Bordered rows along axis j.
             start: Bordered row of the start.
             goal: Bordered row of the goal.
-            wanted: (words,) the slices to look at.
+            slices: Neighbouring slices to look at, ascending.
         """
-        (start_i, start_j), (goal_i, goal_j) = divmod(start, width), divmod(goal, width)
-        along_i, along_j = abs(goal_i - start_i), abs(goal_j - start_j)
-        move_i, move_j = (width if goal_i > start_i else -width), (1 if goal_j > start_j else -1)
-        straight = move_i if along_i > along_j else move_j
-        diagonals = min(along_i, along_j)
-        onward = np.empty((diagonals + 1, max(along_i, along_j) - diagonals + 1, free.shape[1]), dtype=np.uint64)
-        reached = _fill(free, wanted, start, move_i + move_j, straight, onward)
-        return cls(start, move_i + move_j, straight, onward, int(reached))
+        return cls(slices, start, *_onward(free, width, start, goal, slices.start, slices.stop))
 
-    @property
-    def found(self) -> WordArray:
-        """(words,) the slices that have such a path."""
-        found: WordArray = self.onward[0, 0]
-        return found
-
-    def joined(self, first: int, last: int, path_rows: IntArray, begins: IntArray) -> tuple[IntArray, IntArray]:
+    def joined(self, path_rows: IntArray, begins: IntArray) -> tuple[IntArray, IntArray]:
         """Their paths together with those of other slices, each with its diagonal moves as early as can be.
 
         Args:
-            first: First slice.
-            last: Last slice.
             path_rows: Rows of the others' paths one after the other.
-            begins: (last - first + 2,) where each slice's path begins in them.
+            begins: (slices + 1,) where each slice's path begins in them.
 
         Returns:
             The rows of all paths, and where each slice's path begins in them.
         """
-        return _join(self.onward, self.start, self.diagonal, self.straight, first, last, path_rows, begins)
+        return _join(self.onward, self.start, self.diagonal, self.straight, self.slices.start, path_rows, begins)
 
 
 @kernel
-def _fill(free: WordArray, wanted: WordArray, start: int, diagonal: int, straight: int, onward: WordArray) -> int:
-    """Fill `onward`, last moves first; returns the number of bits in it."""
-    diagonals, straights, words = onward.shape
+def _onward(
+    free: WordArray, width: int, start: int, goal: int, first: int, stop: int
+) -> tuple[int, int, WordArray, WordArray, int]:
+    """All of `MonotonePaths` from `diagonal` on; `onward` is filled last moves first."""
+    along_i, along_j = abs(goal // width - start // width), abs(goal % width - start % width)
+    move_i = width if goal // width > start // width else -width
+    move_j = 1 if goal % width > start % width else -1
+    diagonal, straight = move_i + move_j, move_i if along_i > along_j else move_j
+    diagonals = min(along_i, along_j)
+    straights = max(along_i, along_j) - diagonals
+    words = free.shape[1]
+    others = np.zeros(words, dtype=np.uint64)
+    for number in range(first, stop):
+        others[number >> 6] |= np.uint64(1) << np.uint64(number & 63)
+    onward = np.empty((diagonals + 1, straights + 1, words), dtype=np.uint64)
     reached = 0
-    for d in range(diagonals - 1, -1, -1):
-        for s in range(straights - 1, -1, -1):
-            row = start + d * diagonal + s * straight
-            for word in range(words):
-                bits = wanted[word]
-                if d < diagonals - 1 or s < straights - 1:
-                    bits = np.uint64(0)
-                if d < diagonals - 1:
+    for word in range(words):
+        others[word] &= free[start, word] & free[goal, word]
+        for d in range(diagonals, -1, -1):
+            for s in range(straights, -1, -1):
+                bits = others[word] if d == diagonals and s == straights else np.uint64(0)
+                if d < diagonals:
                     bits |= onward[d + 1, s, word]
-                if s < straights - 1:
+                if s < straights:
                     bits |= onward[d, s + 1, word]
-                bits &= free[row, word]
+                bits &= free[start + d * diagonal + s * straight, word]
                 onward[d, s, word] = bits
                 reached += popcount(bits)
-    return reached
+        others[word] &= ~onward[0, 0, word]
+    return diagonal, straight, onward, others, reached
 
 
 @kernel
@@ -106,19 +106,18 @@ def _join(
     diagonal: int,
     straight: int,
     first: int,
-    last: int,
     other_rows: IntArray,
     other_begins: IntArray,
 ) -> tuple[IntArray, IntArray]:
     """Rows of all paths slice after slice, and where each begins."""
-    length = onward.shape[0] + onward.shape[1] - 1
-    begins = np.zeros(last - first + 2, dtype=np.int64)
-    for k in range(last - first + 1):
+    length, count = onward.shape[0] + onward.shape[1] - 1, len(other_begins) - 1
+    begins = np.zeros(count + 1, dtype=np.int64)
+    for k in range(count):
         word, bit = (first + k) >> 6, np.uint64(1) << np.uint64((first + k) & 63)
         own = length if onward[0, 0, word] & bit else other_begins[k + 1] - other_begins[k]
         begins[k + 1] = begins[k] + own
     rows = np.empty(begins[-1], dtype=np.int64)
-    for k in range(last - first + 1):
+    for k in range(count):
         word, bit = (first + k) >> 6, np.uint64(1) << np.uint64((first + k) & 63)
         if not onward[0, 0, word] & bit:
             for i in range(begins[k + 1] - begins[k]):

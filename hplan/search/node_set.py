@@ -13,11 +13,11 @@ from hplan.search.bits import popcount
 
 @dataclass(frozen=True, eq=False)
 class NodeSet:
-    """Set bits, numbered in their order.
+    """Set bits, numbered row by row.
 
     Attributes:
         words: (rows, words) bits with border.
-        rows: (k,) rows with set bits, ascending.
+        rows: (k,) the rows with set bits, in the order in which they are numbered.
         ranks: (rows, words) number of the first node of each word; written for rows with set bits only.
         size: Number of nodes.
     """
@@ -30,25 +30,18 @@ class NodeSet:
     @classmethod
     def of(cls, words: WordArray) -> NodeSet:
         """The nodes of (rows, words) bits."""
-        rows, ranks, size = _numbered(words)
-        return cls(words, rows, ranks, int(size))
+        rows = np.flatnonzero(words.any(axis=1))
+        ranks, size = ranked(words, rows)
+        return cls(words, rows, ranks, size)
 
 
 @kernel
-def _numbered(words: WordArray) -> tuple[IntArray, ShortArray, int]:
-    """Rows with set bits, the number of set bits before each of their words, and in all."""
+def ranked(words: WordArray, rows: IntArray) -> tuple[ShortArray, int]:
+    """The number of set bits before each word of some rows, and in all."""
     ranks = np.empty(words.shape, dtype=np.int32)
-    rows = np.empty(words.shape[0], dtype=np.int64)
-    count, size = 0, 0
-    for row in range(words.shape[0]):
-        bits = np.uint64(0)
-        for word in range(words.shape[1]):
-            bits |= words[row, word]
-        if bits == np.uint64(0):
-            continue
-        rows[count] = row
-        count += 1
+    size = 0
+    for row in rows:
         for word in range(words.shape[1]):
             ranks[row, word] = size
             size += popcount(words[row, word])
-    return rows[:count].copy(), ranks, size
+    return ranks, size

@@ -12,11 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hplan.arrays import BoolArray, IntArray, WordArray
+from hplan.arrays import BoolArray, IntArray, ShortArray, WordArray
 from hplan.kernels import any_int, kernel
 from hplan.search.lattice import Lattice
 from hplan.search.layers import Layers
-from hplan.search.node_set import NodeSet
+from hplan.search.node_set import NodeSet, ranked
 
 #: No slice.
 _NONE = any_int(-1)
@@ -48,43 +48,90 @@ def union_of(
         goal: (d,) node index.
         beyond: Whether the slices go beyond start and goal, so that either end of a path may be wanted on either side.
     """
-    union = np.zeros_like(free)
-    for node in (start, goal):
-        union[lattice.row_of(node), node[-1] >> 6] |= np.uint64(1) << np.uint64(node[-1] & 63)
-    descending = bool(start[-1] > goal[-1])
-    restored = _join(free, layers.path_rows, layers.begins, layers.first, descending, union)
-    if beyond:
-        restored |= _join(free, layers.path_rows, layers.begins, layers.first, not descending, union)
-    return Union(NodeSet.of(union), tuple((np.flatnonzero(restored) + layers.first).tolist()))
+    words, rows, ranks, size, restored = _united(
+        free,
+        layers.path_rows,
+        layers.begins,
+        layers.first,
+        lattice.row_of(start),
+        int(start[-1]),
+        lattice.row_of(goal),
+        int(goal[-1]),
+        beyond,
+    )
+    return Union(NodeSet(words, rows, ranks, size), tuple((np.flatnonzero(restored) + layers.first).tolist()))
 
 
 @kernel
-def _join(
-    free: WordArray, path_rows: IntArray, begins: IntArray, first: int, descending: bool, union: WordArray
-) -> BoolArray:
-    """Set the bits of all paths and restored parts; tell which slices were restored."""
+def _united(
+    free: WordArray,
+    path_rows: IntArray,
+    begins: IntArray,
+    first: int,
+    start_row: int,
+    start_bit: int,
+    goal_row: int,
+    goal_bit: int,
+    beyond: bool,
+) -> tuple[WordArray, IntArray, ShortArray, int, BoolArray]:
+    """What makes the `NodeSet` of start, goal, all paths and restored parts; which slices were restored."""
+    union, has_nodes = np.zeros(free.shape, dtype=np.uint64), np.zeros(free.shape[0], dtype=np.bool_)
+    rows = np.empty(min(len(path_rows) + 2, free.shape[0]), dtype=np.int64)
+    rows[0] = start_row
+    has_nodes[start_row] = True
+    union[start_row, start_bit >> 6] |= np.uint64(1) << np.uint64(start_bit & 63)
+    union[goal_row, goal_bit >> 6] |= np.uint64(1) << np.uint64(goal_bit & 63)
+    count = 1
+    if goal_row != start_row:
+        rows[count] = goal_row
+        has_nodes[goal_row] = True
+        count += 1
+    for k in range(len(begins) - 1):
+        word, bit = (first + k) >> 6, np.uint64(1) << np.uint64((first + k) & 63)
+        for row in path_rows[begins[k] : begins[k + 1]]:
+            union[row, word] |= bit
+            if not has_nodes[row]:
+                has_nodes[row] = True
+                rows[count] = row
+                count += 1
+    restored = np.zeros(len(begins) - 1, dtype=np.bool_)
+    descending = start_bit > goal_bit
+    _restore(free, path_rows, begins, first, descending, union, restored)
+    if beyond:
+        _restore(free, path_rows, begins, first, not descending, union, restored)
+    rows = rows[:count].copy()
+    ranks, size = ranked(union, rows)
+    return union, rows, ranks, size, restored
+
+
+@kernel
+def _restore(
+    free: WordArray,
+    path_rows: IntArray,
+    begins: IntArray,
+    first: int,
+    descending: bool,
+    union: WordArray,
+    restored: BoolArray,
+) -> None:
+    """Add parts of paths in the slices without: on the side of start or goal one end, in the middle both."""
     count = len(begins) - 1
-    restored = np.zeros(count, dtype=np.bool_)
     previous = _NONE  # the last slice before `k` that has a path
     for k in range(count):
         path = path_rows[begins[k] : begins[k + 1]]
         if len(path) == 0:
             continue
-        for row in path:
-            union[row, (first + k) >> 6] |= np.uint64(1) << np.uint64((first + k) & 63)
-        # The gap before this slice: on the side of the start or the goal one end is carried, in the middle both are,
-        # from either side.
-        for head in (True, False):
-            if previous >= 0 or head != descending:
-                _carry(free, path, first, k - 1, previous, head, union, restored)
-            if previous >= 0:
-                before = path_rows[begins[previous] : begins[previous + 1]]
-                _carry(free, before, first, previous + 1, k, head, union, restored)
+        if previous < k - 1:
+            for head in (True, False):
+                if previous >= 0 or head != descending:
+                    _carry(free, path, first, k - 1, previous, head, union, restored)
+                if previous >= 0:
+                    before = path_rows[begins[previous] : begins[previous + 1]]
+                    _carry(free, before, first, previous + 1, k, head, union, restored)
         previous = k
     if previous >= 0:
         path = path_rows[begins[previous] : begins[previous + 1]]
         _carry(free, path, first, previous + 1, count, descending, union, restored)
-    return restored
 
 
 @kernel

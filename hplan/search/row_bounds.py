@@ -48,7 +48,7 @@ def row_bounds(lattice: Lattice, nodes: NodeSet, goal_row: int) -> RowBounds:
     values, weights, settled = _row_bounds(
         nodes.rows, lattice.rows, lattice.row_offsets, lattice.move_costs, lattice.step[-1], goal_row
     )
-    return RowBounds(frozen(values), frozen(weights), int(settled))
+    return RowBounds(frozen(values), frozen(weights), settled)
 
 
 @kernel

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from numpy.typing import ArrayLike
 
@@ -62,7 +62,11 @@ def two_level_search(occupancy: Occupancy, start: ArrayLike, goal: ArrayLike, *,
         path=None if found.path is None else frozen(found.path),
         cost=found.cost,
         expansions=found.counts,
-        times=replace(found.times, layers=time.perf_counter() - begin - found.times.sparse - found.times.fallback),
+        times=StageTimes(
+            time.perf_counter() - begin - found.times.sparse - found.times.fallback,
+            found.times.sparse,
+            found.times.fallback,
+        ),
         layers=found.layers,
         restored_slices=found.joined.restored,
         sparse_nodes=found.joined.nodes,

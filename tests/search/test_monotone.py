@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
@@ -20,10 +21,9 @@ def paths_of(free: BoolArray, start: list[int], goal: list[int], wanted: range) 
     lattice = Lattice.of(free.shape, np.ones(3))
     words = lattice.bordered(make_occupancy(free, np.ones(3)).free_words)
     rows = [lattice.row_of(np.array([*place, 0])) for place in (start, goal)]
-    found = MonotonePaths.of(words, lattice.padded[1], *rows, lattice.mask(wanted))
-    last = free.shape[2] - 1
-    path_rows, begins = found.joined(0, last, np.empty(0, dtype=np.int64), np.zeros(last + 2, dtype=np.int64))
-    return found, [lattice.row_coordinates[path_rows[begins[k] : begins[k + 1]]] for k in range(last + 1)]
+    found = MonotonePaths.of(words, lattice.padded[1], *rows, wanted)
+    path_rows, begins = found.joined(np.empty(0, dtype=np.int64), np.zeros(len(wanted) + 1, dtype=np.int64))
+    return found, [lattice.row_coordinates[path_rows[a:b]] for a, b in itertools.pairwise(begins)]
 
 
 @settings(max_examples=60, deadline=None)
@@ -42,9 +42,12 @@ def test_found_exactly_where_a_slice_has_one(
     wanted = range(shape[2] // 4, shape[2])
     found, paths = paths_of(free, start, goal, wanted)
     empty, _ = shortest(np.ones(shape[:2], dtype=bool), np.array(start), np.array(goal), np.array(step))
-    for number, path in enumerate(paths):
+    assert len(paths) == len(wanted)
+    for number, path in zip(wanted, paths, strict=True):
         cost, _ = shortest(free[..., number], np.array(start), np.array(goal), np.array(step))
-        assert (len(path) > 0) == (number in wanted and math.isclose(cost, empty, abs_tol=1e-9))
+        assert (len(path) > 0) == math.isclose(cost, empty, abs_tol=1e-9)
+        other = (int(found.others[number // 64]) >> (number % 64)) & 1
+        assert other == (len(path) == 0 and free[*start, number] and free[*goal, number])
         if len(path):
             assert path[0].tolist() == start
             assert path[-1].tolist() == goal
@@ -65,8 +68,8 @@ def test_other_slices_keep_their_paths() -> None:
     lattice = Lattice.of(free.shape, np.ones(3))
     words = lattice.bordered(make_occupancy(free, np.ones(3)).free_words)
     start, goal = (lattice.row_of(np.array([place, place, 0])) for place in (0, 2))
-    found = MonotonePaths.of(words, lattice.padded[1], start, goal, lattice.mask(range(4)))
-    rows, begins = found.joined(0, 3, np.array([7, 8, 9]), np.array([0, 0, 0, 3, 3]))
+    found = MonotonePaths.of(words, lattice.padded[1], start, goal, range(4))
+    rows, begins = found.joined(np.array([7, 8, 9]), np.array([0, 0, 0, 3, 3]))
     assert begins.tolist() == [0, 3, 3, 6, 9]
     assert rows[3:6].tolist() == [7, 8, 9]
     assert rows[:3].tolist() == rows[6:].tolist()

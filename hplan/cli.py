@@ -122,11 +122,12 @@ def _run(
     arguments: argparse.Namespace, folder: Path, errors: Console, names: dict[str, str | None]
 ) -> tuple[Robot, Scene, PlanResult]:
     """Load, plan and write."""
-    with _progress(errors, arguments.quiet) as progress:
+    with _Progress(errors, quiet=arguments.quiet) as progress:
         progress("load")
         with loading():
             import math
 
+            from hplan.first_run import compiling_beside, is_first_run
             from hplan.options import PlanOptions
             from hplan.pipeline import plan, with_export_time
             from hplan.report import write_report
@@ -158,7 +159,16 @@ def _run(
             check_yaw(robot, yaw)
         scene = load_scene(arguments.scene)
         names["scene"] = scene.name
-        result = plan(robot, scene, options, progress=progress)
+        if is_first_run():
+            progress.note = " (compiling, as on every first run)"
+        with compiling_beside() as compiled:
+
+            def stage(name: str) -> None:
+                progress(name)
+                if name == "postprocess":
+                    compiled()
+
+            result = plan(robot, scene, options, progress=stage)
         progress("export")
         begin = time.perf_counter()
         write_csv(result.trajectory, folder / TRAJECTORY)
@@ -192,26 +202,26 @@ def _write_cspace(
     write_png(cspace_at_yaw(section, scene.name), folder / CSPACE_FIGURE)
 
 
-class _progress:  # noqa: N801 - used as a function that opens a context
+class _Progress:
     """A status line on the terminal that names the stage; nothing where there is no terminal, or none wanted."""
 
-    def __init__(self, console: Console, quiet: bool) -> None:
+    def __init__(self, console: Console, *, quiet: bool) -> None:
         self._status = None if quiet or not console.is_terminal else console.status("starting")
-        compiled = any(Path(__file__).parent.rglob("*.nbi"))
-        self._note = "" if compiled else " (compiling, as on every first run)"
+        #: Said after every stage from now on.
+        self.note = ""
 
-    def __enter__(self) -> Callable[[str], None]:
+    def __enter__(self) -> _Progress:
         if self._status is not None:
             self._status.start()
-        return self._show
+        return self
 
     def __exit__(self, *_: object) -> None:
         if self._status is not None:
             self._status.stop()
 
-    def _show(self, stage: str) -> None:
+    def __call__(self, stage: str) -> None:
         if self._status is not None:
-            self._status.update(_STAGE_WORDS.get(stage, stage) + self._note)
+            self._status.update(_STAGE_WORDS.get(stage, stage) + self.note)
 
 
 def _write_failure(folder: Path, error: BaseException, names: dict[str, str | None]) -> None:

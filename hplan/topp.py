@@ -195,7 +195,7 @@ class Passes(ParameterizationAlgorithm):  # type: ignore[misc]
         if not within:
             self._problem_data.return_code = ParameterizationReturnCode.FailUncontrollable
             return (None, None, None, *extra)
-        _greedy(rows, steps, sets, start, x, u)
+        greedy(rows, steps, sets, start, x, u)
         speed = np.sqrt(x)
         code = ParameterizationReturnCode
         self._problem_data.return_code = code.ErrUnknown if np.isnan(speed).any() else code.Ok
@@ -276,7 +276,7 @@ def _controllable(rows: FloatArray, steps: FloatArray, end: float, sets: FloatAr
 
 
 @kernel
-def _greedy(rows: FloatArray, steps: FloatArray, sets: FloatArray, start: float, x: FloatArray, u: FloatArray) -> None:
+def greedy(rows: FloatArray, steps: FloatArray, sets: FloatArray, start: float, x: FloatArray, u: FloatArray) -> None:
     """Forward: the largest u at each grid point that stays within the sets; where there is none, the rest of x is left.
 
     The half-planes are those the backward pass has completed. As in toppra, x is lowered a few times where rounding

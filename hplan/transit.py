@@ -201,6 +201,39 @@ def judged(task: Task, trajectory: Trajectory) -> Certificate:
         )
 
 
+def finished(task: Task, route: Route | None, way: FloatArray, margin: float, origin: Origin) -> Motion:
+    """The certified motion along a polyline.
+
+    Args:
+        task: What is asked.
+        route: Where the polyline comes from, if from a grid.
+        way: (m, dof) the polyline, clear.
+        margin: Clearance asked for beyond the one to keep [m].
+        origin: Where the polyline comes from.
+
+    Raises:
+        CertificationError: There is none, or none can be certified.
+        TimingError: It cannot be timed.
+    """
+    robot, problem, options = task.robot, task.problem, task.options
+    with task.stage("postprocess"):
+        path = fast_path(
+            way,
+            task.field,
+            PostprocessOptions(
+                lower=problem.lower,
+                upper=problem.upper,
+                velocity=robot.velocity_limit,
+                acceleration=robot.acceleration_limit,
+                movable=problem.movable,
+                margin=margin,
+                objective=options.objective,
+            ),
+        )
+    trajectory = timed(task, path)
+    return Motion(task, route, way, path, trajectory, certified(task, trajectory), origin)
+
+
 def _straight(attempts: Sequence[_Attempts]) -> tuple[int, Motion] | None:
     """The first goal with a clear straight motion that can be certified."""
     for number, attempt in enumerate(attempts):
@@ -330,12 +363,12 @@ class _Attempts:
         """One pass on one grid."""
         margin = self.margin(rung.growth)
         route = find_route(self.task, rung, 0.1 * margin)
-        return self._finished(route, route.path, margin, "search")
+        return finished(self.task, route, route.path, margin, "search")
 
     def straight(self) -> Motion:
         """The straight motion, without a search."""
         problem = self.task.problem
-        return self._finished(None, frozen(np.stack([problem.start, problem.goal])), self.margin(0.0), "direct")
+        return finished(self.task, None, frozen(np.stack([problem.start, problem.goal])), self.margin(0.0), "direct")
 
     def empty(self) -> Motion:
         """The motion from a configuration to itself."""
@@ -360,7 +393,7 @@ class _Attempts:
         if way is None:
             return None
         try:
-            return self._finished(None, way, margin, "roadmap")
+            return finished(self.task, None, way, margin, "roadmap")
         except (CertificationError, TimingError):
             return None
 
@@ -371,24 +404,4 @@ class _Attempts:
         clear, contacts = mended(way, self.task.field, problem.lower, problem.upper, 0.1 * margin)
         if contacts:
             raise CertificationError("the earlier way cannot be mended")
-        return self._finished(None, clear, margin, "mended")
-
-    def _finished(self, route: Route | None, way: FloatArray, margin: float, origin: Origin) -> Motion:
-        """The motion along a polyline."""
-        robot, problem, options = self.task.robot, self.task.problem, self.task.options
-        with self.task.stage("postprocess"):
-            path = fast_path(
-                way,
-                self.task.field,
-                PostprocessOptions(
-                    lower=problem.lower,
-                    upper=problem.upper,
-                    velocity=robot.velocity_limit,
-                    acceleration=robot.acceleration_limit,
-                    movable=problem.movable,
-                    margin=margin,
-                    objective=options.objective,
-                ),
-            )
-        trajectory = timed(self.task, path)
-        return Motion(self.task, route, way, path, trajectory, certified(self.task, trajectory), origin)
+        return finished(self.task, None, clear, margin, "mended")

@@ -1,0 +1,96 @@
+"""The first run after hplan was installed, when its kernels have yet to be compiled: on two processors at once.
+
+numba compiles a kernel when it is first called, one after the other, and keeps it on disk. What a plan calls up to the
+path on the grid takes about as long to compile as what it calls from there on. So another process calls the latter
+meanwhile, on a way through the reference scene, and the plan waits for it before it gets there. Without that process a
+plan compiles all of them itself.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+
+from hplan.options import PlanOptions
+from hplan.pipeline import Workspace
+from hplan.problem import pose_problem
+from hplan.report import StageClock
+from hplan.robot import load_robot
+from hplan.route import Task
+from hplan.scene_file import load_scene
+from hplan.topp import greedy
+from hplan.transit import MARGIN, finished
+
+#: Longest wait for the other process [s].
+PATIENCE_S = 120.0
+
+#: Elbow and wrist while the shoulder turns, on a way around the ball of the reference scene [deg].
+_FOLDED_DEG = (80.0, 80.0)
+
+
+def is_first_run() -> bool:
+    """Whether a kernel that every plan needs is not on disk, or older than its source."""
+    function = cast(Any, greedy)
+    source = Path(function.py_func.__code__.co_filename).stat()
+    version = f"py{sys.version_info.major}{sys.version_info.minor}"
+    kept = Path(function.stats.cache_path).glob(f"*.{function.py_func.__name__}-*.{version}.nbi")
+    # An installer may give a file the time at which it was packed; when it came here is told by its change time.
+    return not any(index.stat().st_mtime >= max(source.st_mtime, source.st_ctime) for index in kept)
+
+
+@contextmanager
+def compiling_beside() -> Iterator[Callable[[], None]]:
+    """Inside the block the kernels from post-processing on are compiled by another process, if this is the first run.
+
+    Yields:
+        A function that waits until they are.
+    """
+    other = _start() if is_first_run() and len(os.sched_getaffinity(0)) > 1 else None
+
+    def wait() -> None:
+        if other is not None:
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                other.wait(PATIENCE_S)
+
+    try:
+        yield wait
+    finally:
+        if other is not None:
+            other.kill()
+            other.wait()
+
+
+def _start() -> subprocess.Popen[bytes] | None:
+    """The other process; None where none can be started."""
+    nowhere = subprocess.DEVNULL
+    try:
+        return subprocess.Popen(
+            [sys.executable, "-m", "hplan.first_run"], stdin=nowhere, stdout=nowhere, stderr=nowhere
+        )
+    except OSError:
+        return None
+
+
+def compile_from_postprocessing_on() -> None:
+    """Smooth, time and certify a way through the reference scene."""
+    robot, scene, options = load_robot(), load_scene(), PlanOptions()
+    workspace = Workspace(robot)
+    around = workspace.around(scene, options)
+    start, goal = scene.start.configuration, scene.goal.configuration
+    problem = pose_problem(around, start, goal, locked_joints=scene.locked_joints)
+    way = np.stack([problem.start, problem.start, problem.goal, problem.goal])
+    way[1:3, -2:] = np.radians(_FOLDED_DEG)
+    task = Task(around, scene, problem, options, StageClock(), workspace.layers, lambda _: None)
+    finished(task, None, way, MARGIN, "search")
+
+
+if __name__ == "__main__":
+    compile_from_postprocessing_on()

@@ -20,8 +20,12 @@ from hplan.polyline import stations
 from hplan.postprocess.options import PostprocessOptions
 from hplan.postprocess.spline import FIRST, STRIDE, SplinePath, bezier_piece, copy_into, piece_is_clear
 
-#: Rounds of pushing after a round of smoothing.
-_PUSHES = any_int(6)
+#: Rounds of pushing, and after a round of smoothing.
+_ROUNDS, _PUSHES = any_int(40), any_int(6)
+
+#: Pushing is given up after so many rounds in which what is missing in clearance, over all pieces, did not shrink to
+#: this share of the least before.
+_STALLED, _SHRUNK = 8, 0.9
 
 
 def clear_spline(
@@ -46,7 +50,7 @@ def clear_spline(
     knots = SplinePath.through(control).knots
     pushed = push_out(
         control, knots, field.chain, field.base, field.solids, field.data, options.lower, options.upper,
-        options.movable, margin, 0, count - 4, 40,
+        options.movable, margin, 0, count - 4, _ROUNDS,
     )  # fmt: skip
     spline = SplinePath(frozen(control), knots)
     return spline if pushed and spline.is_clear(field, 0.5 * margin) else None
@@ -98,8 +102,9 @@ def push_out(
     piece, q, clear = np.empty((4, dof)), np.empty(dof), np.empty(links)
     worst, gradient = np.empty(dof), np.empty(dof)
     weight = np.empty(4)
+    lowest, since = math.inf, 0
     for _ in range(rounds):
-        contact = False
+        contact, missing = False, 0.0
         for i in range(first_piece, last_piece + 1):
             bezier_piece(control, knots, i + 3, piece)
             if piece_is_clear(piece, chain, base, solids, data, margin, STRIDE):
@@ -133,6 +138,7 @@ def push_out(
                         worst[k] = q[k]
             if square < 1e-8:
                 return False
+            missing += margin - least
             # Share the step among the four control points about as they weigh on the curve there.
             u = 1.0 - at
             weight[0] = u * u * u / 6.0
@@ -153,6 +159,11 @@ def push_out(
                         control[i + c, j] = min(upper[j], max(lower[j], moved))
         if not contact:
             return True
+        since += 1
+        if missing < _SHRUNK * lowest:
+            lowest, since = missing, 0
+        elif since == _STALLED:
+            return False
     return False
 
 

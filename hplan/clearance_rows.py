@@ -7,6 +7,7 @@ that can touch it.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import assert_never
@@ -72,27 +73,33 @@ def _rows(obstacle: Solid, clearance: float, offset: int) -> tuple[FloatArray, F
     if isinstance(obstacle, Cloud):
         return _cloud_rows(obstacle, clearance, offset), obstacle.core.ravel()
     data = np.zeros(0)
-    row = np.zeros(_COLUMNS)
-    core = obstacle.core
-    centre = 0.5 * (core.min(axis=0) + core.max(axis=0))
-    row[1] = obstacle.rounding + clearance
-    row[2:5] = centre
-    row[5] = np.linalg.norm(core - centre, axis=1).max() + row[1]
-    row[20] = 1
+    row = np.zeros((1, _COLUMNS))
+    first = row[0]
+    radius = obstacle.rounding + clearance
     if isinstance(obstacle, Sphere):
-        row[0], row[6:9] = POINT, obstacle.center
+        first[0], first[6:9] = POINT, obstacle.center
+        centre, reach = obstacle.center, 0.0
     elif isinstance(obstacle, Capsule):
-        row[0], row[6:9], row[9:12] = SEGMENT, obstacle.start, obstacle.end
+        first[0], first[6:9], first[9:12] = SEGMENT, obstacle.start, obstacle.end
+        (ax, ay, az), (bx, by, bz) = obstacle.start, obstacle.end
+        centre = 0.5 * (ax + bx), 0.5 * (ay + by), 0.5 * (az + bz)
+        reach = 0.5 * math.dist(obstacle.start, obstacle.end)
     elif isinstance(obstacle, Box):
-        row[0], row[6:9] = BOX, 0.5 * np.array(obstacle.size)
-        row[9:18] = obstacle.rotation.T.ravel()  # rows: the box's axes in base_link
+        first[0], first[6:9] = BOX, 0.5 * np.array(obstacle.size)
+        first[9:18] = obstacle.rotation.T.ravel()  # rows: the box's axes in base_link
+        centre, reach = obstacle.center, 0.5 * math.hypot(*obstacle.size)
     elif isinstance(obstacle, Hull):
         edges = np.column_stack([obstacle.edges, 0.5 * np.linalg.norm(obstacle.edges[:, 3:], axis=1)])
         data = np.concatenate([obstacle.planes.ravel(), edges.ravel()])
-        row[0], row[6], row[7], row[8] = HULL, offset, offset + obstacle.planes.size, offset + len(data)
+        first[0], first[6], first[7], first[8] = HULL, offset, offset + obstacle.planes.size, offset + len(data)
+        low, high = obstacle.core.min(axis=0), obstacle.core.max(axis=0)
+        centre = tuple((0.5 * (low + high)).tolist())
+        reach = float(np.linalg.norm(obstacle.core - centre, axis=1).max())
     else:
         assert_never(obstacle)
-    return row[None], data
+    # Rounding errors never make the bounding ball too small.
+    first[1], first[2:5], first[5], first[20] = radius, centre, (reach + radius) * (1.0 + 1e-12), 1
+    return row, data
 
 
 def _base_rows(body: BaseBody, clearance: float, offset: int) -> tuple[FloatArray, FloatArray]:

@@ -20,7 +20,7 @@ from hplan.problem import Problem, pose_problem
 from hplan.report import StageClock, versions
 from hplan.robot import Robot
 from hplan.route import Progress, Task
-from hplan.scene import Scene
+from hplan.scene import Scene, Solid
 from hplan.search import SearchResult
 from hplan.surroundings import Surroundings
 from hplan.trajectory import Trajectory, joined
@@ -107,23 +107,32 @@ def plan(
 
 
 class Workspace:
-    """What one plan leaves behind for the next: the robot's planar layers."""
+    """What one plan leaves behind for the next: the robot's planar layers, and what it kept clear of."""
 
     def __init__(self, robot: Robot) -> None:
         """Begin with nothing."""
         self.robot = robot
         self.layers = Layers()
+        self._last: tuple[tuple[float, ...], Surroundings] | None = None
 
     def around(self, scene: Scene, options: PlanOptions) -> Surroundings:
-        """The robot among the scene's solids, all fruits among them."""
-        return Surroundings.of(
-            self.robot,
-            scene.solids_with_goal,
-            clearance=scene.clearance,
-            # What need not be certified need not make room for the tracking error either; it is judged all the same.
-            tracking_error=options.tracking_error if options.certify else 0.0,
-            sigmas=options.sigmas,
+        """The robot among the scene's solids, all fruits among them; the same as before where these are the same."""
+        solids = scene.solids_with_goal
+        # What need not be certified need not make room for the tracking error either; it is judged all the same.
+        tracking_error = options.tracking_error if options.certify else 0.0
+        kept = scene.clearance, tracking_error, options.sigmas
+        if self._last is not None and self._last[0] == kept and _same(self._last[1].solids, solids):
+            return self._last[1]
+        around = Surroundings.of(
+            self.robot, solids, clearance=scene.clearance, tracking_error=tracking_error, sigmas=options.sigmas
         )
+        self._last = kept, around
+        return around
+
+
+def _same(some: Sequence[Solid], others: Sequence[Solid]) -> bool:
+    """Whether solids are the same, one by one."""
+    return len(some) == len(others) and all(a is b or a == b for a, b in zip(some, others, strict=True))
 
 
 def plan_with(

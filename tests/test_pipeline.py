@@ -14,7 +14,7 @@ from hplan.collision import CollisionScene, sampled_occupancy
 from hplan.errors import CertificationError, ConfigurationInCollisionError, InputError, NoPathError, OptionError
 from hplan.grid import Grid
 from hplan.options import PlanOptions
-from hplan.pipeline import plan, with_export_time
+from hplan.pipeline import Workspace, plan, with_export_time
 from hplan.robot import Robot
 from hplan.scene import Box, Capsule, Fruit, Goal, Scene, Sphere, Start
 
@@ -306,3 +306,24 @@ def test_certificate_judges_the_motion_not_the_planner(robot: Robot, scene: Scen
     certificate = certify(robot, scene, blind.trajectory)
     assert not certificate.verified
     assert "'ball'" in certificate.violations[0]
+
+
+def test_what_is_kept_clear_of_is_made_ready_once(robot: Robot) -> None:
+    """As long as it stays the same, whatever the task; else anew."""
+    ball, fruit = disc("ball", 0.1, 90.0, 1.3), Fruit(name="apple", center=(0.0, 1.2, 0.8), radius=0.04)
+    scene, options = task([ball], fruits=(fruit,)), PlanOptions()
+    workspace = Workspace(robot)
+    around = workspace.around(scene, options)
+    assert workspace.around(scene.model_copy(update={"goal": Goal(fruit="apple")}), options) is around
+    assert workspace.around(task([ball.model_copy()], fruits=(fruit.model_copy(),)), options) is around
+    others = (
+        (task([disc("ball", 0.1, 90.0, 1.31)], fruits=(fruit,)), options),
+        (task([ball, disc("other", 0.1, 90.0, 1.3)], fruits=(fruit,)), options),
+        (task([ball]), options),
+        (task([ball], fruits=(fruit,), clearance=0.01), options),
+        (scene, PlanOptions(sigmas=2.0)),
+        (scene, PlanOptions(tracking_error=0.01)),
+    )
+    for other, chosen in others:
+        assert workspace.around(scene, options) is not workspace.around(other, chosen)
+        assert workspace.around(other, chosen).solids == other.solids_with_goal

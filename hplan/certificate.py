@@ -20,33 +20,22 @@ motion, contact forces, what is not in the scene.
 
 from __future__ import annotations
 
-import bisect
-import heapq
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from hplan.arrays import FloatArray
+from hplan.clearance_proof import prove_clearance
 from hplan.collision import CollisionScene, Contact
 from hplan.dynamics import InverseDynamics
 from hplan.errors import InputError, OptionError
-from hplan.kernels import kernel
 from hplan.robot import Robot
 from hplan.scene import Scene
-from hplan.self_contact import pair_rates, pair_sway
 from hplan.trajectory import Trajectory
 
 #: Use of a limit up to which it counts as kept.
 LIMIT_TOLERANCE = 1.001
-
-#: Spare clearance below which the proof gives up [m]: its steps, half of what is spare, would become too small.
-SMALLEST_STEP = 1e-5
-
-#: Largest share of what a pair has to spare that its link may travel before the next look: where coal iterates (hulls),
-#: its distances are good to a few micrometres.
-MOST_TRAVEL = 0.99
 
 #: Longest time between two looks at the torque [s].
 TORQUE_PERIOD = 2e-3
@@ -139,7 +128,7 @@ def certify(
         for where, velocity in (("begins", trajectory.velocity[0]), ("ends", trajectory.velocity[-1])):
             if np.abs(velocity).max() > REST:
                 violations.append(f"the motion {where} at {np.abs(velocity).max():.4g} rad/s, not at rest")
-    proof = _prove_clearance(robot, bezier, judge, tracking_error, scene.clearance)
+    proof = prove_clearance(robot, bezier, judge, tracking_error, scene.clearance)
     if not proof.shown:
         nearest = proof.nearest or Contact("", "", 0.0)
         violations.append(
@@ -222,190 +211,8 @@ def _torques(
     return np.asarray(np.abs(dynamics.torques(*rows)).max(axis=0))
 
 
-@dataclass(frozen=True)
-class _Proof:
-    """Clearance over the whole motion: whether it is shown, how much, the nearest pair, looks taken."""
-
-    shown: bool
-    clearance_m: float
-    nearest: Contact | None
-    checks: int
-
-
-def _prove_clearance(
-    robot: Robot, bezier: FloatArray, judge: CollisionScene, tracking_error: float, needed: float
-) -> _Proof:
-    """Conservative advancement along the cubics, for each pair of link and obstacle on its own.
-
-    Each pair has a mover: that of an obstacle is the link, and each pair of parts of the arm has one of its own, the
-    link as seen from the other part.
-
-    What a pair has to spare when coal is asked, less what has been shown so far (at most half of what any pair had to
-    spare), its mover may travel before the pair is asked again; so at least what is shown remains at all times. Places
-    are counted in rows. Where the proof has to give up, the rest of the motion is searched for the worst.
-    """
-    rows, movers = len(bezier), _movers(judge)
-    sway = _sways(robot, judge, tracking_error)
-    bounds = np.column_stack([_piece_bounds(robot, bezier), *_own_bounds(robot, bezier, judge)])
-    travel = np.concatenate([np.zeros((1, bounds.shape[1])), np.cumsum(bounds, axis=0)]).T.tolist()
-    if not judge.pairs:
-        return _Proof(True, math.inf, None, 0)
-    # At the start all pairs at once; those that cannot come near in the whole motion are not asked again.
-    distances = judge.pair_distances(bezier[0, 0])
-    mover_of = np.array(movers)
-    spares = distances - np.array(sway)[mover_of] - needed
-    nearest, checks = (float(distances.min()), int(distances.argmin())), 1
-    if not spares.min() > SMALLEST_STEP:
-        return _worst(bezier, judge, travel, sway, nearest, checks, 0)
-    shown = 0.5 * float(spares.min())
-    if shown == math.inf:
-        return _Proof(True, math.inf, _contact(judge, nearest), checks)  # all may touch
-    parts = np.minimum(spares - shown, MOST_TRAVEL * spares)
-    due = [
-        (_advance(travel[mover_of[pair]], 0.0, parts[pair]), int(pair))
-        for pair in np.flatnonzero(parts < np.array([steps[-1] for steps in travel])[mover_of])
-    ]
-    heapq.heapify(due)
-    while due:
-        at = due[0][0]
-        judge.place(_point(bezier, at))
-        checks += 1
-        following, asked = math.inf, []
-        # Together with the pair that is due, those that would be before it is due again.
-        while due and due[0][0] < following:
-            pair = heapq.heappop(due)[1]
-            mover = movers[pair]
-            distance = judge.pair_distance(pair)
-            nearest = min(nearest, (distance, pair))
-            spare = distance - sway[mover] - needed
-            if not spare > SMALLEST_STEP:
-                return _worst(bezier, judge, travel, sway, nearest, checks, min(int(at), rows - 1))
-            shown = min(shown, 0.5 * spare)
-            if spare == math.inf:
-                continue  # these two may touch
-            part = min(spare - shown, MOST_TRAVEL * spare)
-            place = max(_advance(travel[mover], at, part), math.nextafter(at, math.inf))
-            following = min(following, place)
-            if place <= rows:
-                asked.append((place, pair))
-        for entry in asked:
-            heapq.heappush(due, entry)
-    return _Proof(True, needed + shown, _contact(judge, nearest), checks)
-
-
-def _advance(travel: list[float], at: float, part: float) -> float:
-    """The place up to which a link travels no farther than `part`; `travel` grows linearly within a row.
-
-    Infinite where that is the end.
-    """
-    row = min(int(at), len(travel) - 2)
-    limit = travel[row] + (at - row) * (travel[row + 1] - travel[row]) + part
-    row = bisect.bisect_right(travel, limit) - 1
-    if row >= len(travel) - 1:
-        return math.inf
-    return row + (limit - travel[row]) / (travel[row + 1] - travel[row])
-
-
-@kernel
-def _point(bezier: FloatArray, at: float) -> FloatArray:
-    """Configuration at a place counted in rows."""
-    piece = min(int(at), bezier.shape[0] - 1)
-    t = at - piece
-    u = 1.0 - t
-    q = np.empty(bezier.shape[2])
-    for j in range(len(q)):
-        q[j] = (
-            u * u * u * bezier[piece, 0, j]
-            + 3.0 * u * u * t * bezier[piece, 1, j]
-            + 3.0 * u * t * t * bezier[piece, 2, j]
-            + t * t * t * bezier[piece, 3, j]
-        )
-    return q
-
-
-def _contact(judge: CollisionScene, nearest: tuple[float, int]) -> Contact | None:
-    """A distance and the pair it belongs to, by name; None without pairs."""
-    distance, pair = nearest
-    if not judge.pairs:
-        return None
-    return judge.contact(*judge.pairs[pair], distance)
-
-
-def _movers(judge: CollisionScene) -> list[int]:
-    """The number of each pair's mover: the link, and beyond the links one for each pair of parts of the arm."""
-    first, links = len(judge.pairs) - len(judge.own_others), len(judge.link_names)
-    return [link for link, _ in judge.pairs[:first]] + list(range(links, links + len(judge.own_others)))
-
-
-def _own_pairs(judge: CollisionScene) -> list[tuple[int, int]]:
-    """The link of each pair of parts of the arm, and the other part."""
-    first = len(judge.pairs) - len(judge.own_others)
-    return [(link, other) for (link, _), other in zip(judge.pairs[first:], judge.own_others, strict=True)]
-
-
-def _sways(robot: Robot, judge: CollisionScene, tracking_error: float) -> list[float]:
-    """What the tracking error may take from the distances of each mover [m]."""
-    sway: list[float] = robot.sway(tracking_error).tolist()
-    return sway + [pair_sway(robot, link, other, tracking_error) for link, other in _own_pairs(judge)]
-
-
-def _own_bounds(robot: Robot, bezier: FloatArray, judge: CollisionScene) -> list[FloatArray]:
-    """As `_piece_bounds`, for each pair of parts of the arm."""
-    if not judge.own_others:
-        return []
-    rates = 3.0 * np.diff(bezier, axis=1)
-    return [pair_rates(robot, link, other, rates) for link, other in _own_pairs(judge)]
-
-
-def _worst(
-    bezier: FloatArray,
-    judge: CollisionScene,
-    travel: list[list[float]],
-    sway: list[float],
-    nearest: tuple[float, int],
-    checks: int,
-    first: int,
-) -> _Proof:
-    """What a proof that gave up in row `first` reports: the smallest distance at the rows from there on.
-
-    A pair is not asked where its mover has not yet travelled what it was farther away than the nearest.
-    """
-    rows, least, movers = len(bezier), math.inf, _movers(judge)
-    due = [(first, pair) for pair in range(len(judge.pairs))]
-    while due:
-        row = due[0][0]
-        judge.place(_point(bezier, float(row)))
-        checks += 1
-        while due and due[0][0] == row:
-            pair = heapq.heappop(due)[1]
-            mover = movers[pair]
-            distance = judge.pair_distance(pair)
-            nearest = min(nearest, (distance, pair))
-            least = min(least, distance - sway[mover])
-            ahead = _advance(travel[mover], row, min(distance - nearest[0], distance - sway[mover] - least))
-            following = max(math.ceil(min(ahead, rows + 1.0)), row + 1)
-            if following <= rows:
-                heapq.heappush(due, (following, pair))
-    return _Proof(False, min(least, nearest[0]), _contact(judge, nearest), checks)
-
-
 def _cubic(points: FloatArray, t: float | FloatArray) -> FloatArray:
     """Cubics with the given four Bezier points (first axis) at their parameters."""
     u = 1.0 - t
     value: FloatArray = u**3 * points[0] + 3.0 * u * u * t * points[1] + 3.0 * u * t * t * points[2] + t**3 * points[3]
     return value
-
-
-def _piece_bounds(robot: Robot, bezier: FloatArray) -> FloatArray:
-    """(pieces, links) largest distance that any axis point of a link can travel within each cubic [m].
-
-    A point of link k moves by no more than the sum over links i <= k of length times turn of the absolute angle, plus
-    yaw times the largest distance from the yaw axis; the turns are bounded by the hull of the derivative.
-    """
-    arm = robot.arm
-    rates = 3.0 * np.abs(np.cumsum(arm.signs * np.diff(bezier[..., robot.arm_slice], axis=1), axis=2)).max(axis=1)
-    bounds: FloatArray = np.cumsum(arm.lengths * rates, axis=1)
-    if robot.has_yaw:
-        swing = 3.0 * np.abs(np.diff(bezier[..., 0], axis=1)).max(axis=1)
-        bounds = bounds + swing[:, None] * robot.yaw_radius
-    return bounds

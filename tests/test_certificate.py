@@ -9,6 +9,7 @@ import pinocchio as pin
 import pytest
 
 from hplan import certificate as certificates
+from hplan.clearance_proof import place_after
 from hplan.collision import CollisionScene
 from hplan.errors import InputError, OptionError
 from hplan.scene import Box, Capsule, Sphere
@@ -187,10 +188,10 @@ class AskedJudge(CollisionScene):
         self.asked.append((np.array(q), {}))
         super().place(q)
 
-    def pair_distance(self, pair):
-        distance = super().pair_distance(pair)
-        self.asked[-1][1][pair] = distance
-        return distance
+    def distances_of(self, pairs):
+        distances = super().distances_of(pairs)
+        self.asked[-1][1].update(zip(pairs.tolist(), distances.tolist(), strict=True))
+        return distances
 
 
 @pytest.mark.parametrize("links", ["capsule", "urdf"])
@@ -259,12 +260,12 @@ def test_pair_that_may_touch_is_as_good_as_not_there(robot, scene):
 
 
 def test_place_reached_by_a_travel():
-    travel = [0.0, 0.0, 1.0, 1.0, 3.0]
+    travel = np.array([0.0, 0.0, 1.0, 1.0, 3.0])
     places = np.linspace(0.0, 4.0, 401)
     reached = np.interp(places, range(5), travel)
     for at in (0.0, 0.5, 1.0, 1.25, 2.0, 2.9, 3.5):
         for part in (0.1, 0.5, 1.1):
-            place = certificates._advance(travel, at, part)
+            place = place_after(travel, at, part)
             limit = np.interp(at, range(5), travel) + part
             if place == np.inf:
                 assert limit >= 3.0 - 1e-12
@@ -272,8 +273,8 @@ def test_place_reached_by_a_travel():
                 assert np.interp(place, range(5), travel) == pytest.approx(limit)
                 assert place > at
                 assert (reached[places <= place] <= limit + 1e-12).all()
-    assert certificates._advance(travel, 4.0, 0.1) == np.inf
-    assert certificates._advance([0.0, 0.0], 0.0, 1e-9) == np.inf
+    assert place_after(travel, 4.0, 0.1) == np.inf
+    assert place_after(np.zeros(2), 0.0, 1e-9) == np.inf
 
 
 # Limits

@@ -1,0 +1,261 @@
+"""Clearance over the whole of a motion: conservative advancement along its cubics, each pair at its own pace.
+
+A pair is a link and an obstacle, or two parts of the arm. Each has a mover: that of an obstacle is the link, and each
+pair of parts of the arm has one of its own, the link as seen from the other part. What a pair has to spare when coal is
+asked, less what has been shown so far (at most half of what any pair had to spare), its mover may travel before the
+pair is asked again; so at least what is shown remains at all times. Places are counted in rows. Where the proof has to
+give up, the rest of the motion is searched for the worst.
+"""
+
+from __future__ import annotations
+
+import heapq
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from hplan.arrays import FloatArray, IntArray
+from hplan.collision import CollisionScene, Contact
+from hplan.kernels import kernel
+from hplan.robot import Robot
+from hplan.self_contact import pair_rates, pair_sway
+
+#: Spare clearance below which the proof gives up [m]: its steps, half of what is spare, would become too small.
+SMALLEST_STEP = 1e-5
+
+#: Largest share of what a pair has to spare that its link may travel before the next look: where coal iterates (hulls),
+#: its distances are good to a few micrometres.
+MOST_TRAVEL = 0.99
+
+
+@dataclass(frozen=True)
+class Proof:
+    """Clearance over the whole motion.
+
+    Attributes:
+        shown: Whether it is shown.
+        clearance_m: How much is shown; else the smallest that was found, less what the tracking error may take [m].
+        nearest: The nearest pair that was seen, and its distance; None without pairs.
+        checks: Configurations at which distances were evaluated.
+    """
+
+    shown: bool
+    clearance_m: float
+    nearest: Contact | None
+    checks: int
+
+
+def prove_clearance(
+    robot: Robot, bezier: FloatArray, judge: CollisionScene, tracking_error: float, needed: float
+) -> Proof:
+    """Show that every pair keeps its distance at all times, or find where it does not.
+
+    Args:
+        robot: The arm.
+        bezier: (pieces, 4, dof) Bezier points of the motion's cubics.
+        judge: The arm among the obstacles.
+        tracking_error: Largest deviation of any joint [rad].
+        needed: Distance to be kept [m].
+    """
+    if not judge.pairs:
+        return Proof(True, math.inf, None, 0)
+    search = _Advancement(robot, bezier, judge, tracking_error, needed)
+    # At the start all pairs at once; those that cannot come near in the whole motion are not asked again.
+    distances = judge.pair_distances(bezier[0, 0])
+    going = search.take(np.arange(len(distances)), distances, 0.0)
+    while going:
+        pairs, at = _first(search.due)
+        if at == math.inf:
+            return Proof(True, needed + search.shown, search.contact(), search.checks)
+        search.place(at)
+        going = search.ask(pairs, at)
+        # Together with the pair that is due, those that would be before it is due again.
+        others = _due_before(search.due, pairs)
+        if going and len(others):
+            going = search.ask(others, at)
+    return search.worst()
+
+
+class _Advancement:
+    """How far the motion has been looked at, pair by pair.
+
+    Attributes:
+        due: (pairs,) the place where each is to be asked again; infinite where that is after the end.
+        shown: What is shown of every pair up to there, beyond what is needed [m].
+        nearest: The smallest distance so far [m], and the pair.
+        checks: Configurations looked at.
+    """
+
+    def __init__(
+        self, robot: Robot, bezier: FloatArray, judge: CollisionScene, tracking_error: float, needed: float
+    ) -> None:
+        own = _own_pairs(judge)
+        first, links = len(judge.pairs) - len(own), len(judge.link_names)
+        self._bezier, self._judge = bezier, judge
+        self._mover_of = np.array([link for link, _ in judge.pairs[:first]] + list(range(links, links + len(own))))
+        rates = 3.0 * np.diff(bezier, axis=1)
+        bounds = [piece_bounds(robot, bezier), *(pair_rates(robot, link, other, rates) for link, other in own)]
+        moved = np.cumsum(np.column_stack(bounds), axis=0).T
+        self._travel = np.column_stack([np.zeros(len(moved)), moved])
+        sway = [*robot.sway(tracking_error), *(pair_sway(robot, link, other, tracking_error) for link, other in own)]
+        self._sway = np.array(sway)[self._mover_of]
+        self._kept = self._sway + needed
+        self._at = 0.0
+        self.due = np.full(len(judge.pairs), math.inf)
+        self.shown = math.inf
+        self.nearest = math.inf, 0
+        self.checks = 1
+
+    def place(self, at: float) -> None:
+        """Put the arm where it is at a place."""
+        self._judge.place(_point(self._bezier, at))
+        self.checks += 1
+
+    def ask(self, pairs: IntArray, at: float) -> bool:
+        """Ask coal about some pairs, the arm being there; whether the proof goes on."""
+        return self.take(pairs, self._judge.distances_of(pairs), at)
+
+    def take(self, pairs: IntArray, distances: FloatArray, at: float) -> bool:
+        """Take what coal says of some pairs; whether the proof goes on."""
+        self._at = at
+        least, self.shown = _put_off(
+            pairs, distances, at, self._kept, self._mover_of, self._travel, self.shown, self.due
+        )
+        self.nearest = min(self.nearest, (float(distances[least]), int(pairs[least])))
+        return self.shown > 0.0
+
+    def contact(self) -> Contact:
+        """The nearest pair by name, and its distance."""
+        distance, pair = self.nearest
+        return self._judge.contact(*self._judge.pairs[pair], distance)
+
+    def worst(self) -> Proof:
+        """What a proof that gave up reports: the smallest distance at the rows from there on.
+
+        A pair is not asked where its mover has not yet travelled what it was farther away than the nearest.
+        """
+        rows, least = len(self._bezier), math.inf
+        first = min(int(self._at), rows - 1)
+        due = [(first, pair) for pair in range(len(self._judge.pairs))]
+        while due:
+            row = due[0][0]
+            self.place(float(row))
+            while due and due[0][0] == row:
+                pair = heapq.heappop(due)[1]
+                distance, sway = self._judge.pair_distance(pair), float(self._sway[pair])
+                self.nearest = min(self.nearest, (distance, pair))
+                least = min(least, distance - sway)
+                farther = min(distance - self.nearest[0], distance - sway - least)
+                ahead = place_after(self._travel[self._mover_of[pair]], float(row), farther)
+                following = max(math.ceil(min(ahead, rows + 1.0)), row + 1)
+                if following <= rows:
+                    heapq.heappush(due, (following, pair))
+        return Proof(False, min(least, self.nearest[0]), self.contact(), self.checks)
+
+
+@kernel
+def _first(due: FloatArray) -> tuple[IntArray, float]:
+    """The pair that is due first, and where."""
+    first = np.argmin(due)
+    return np.array([first]), due[first]
+
+
+@kernel
+def _due_before(due: FloatArray, pairs: IntArray) -> IntArray:
+    """Pairs that are due before one is; none where that is after the end."""
+    place = due[pairs[0]]
+    return np.flatnonzero(due < place) if place < math.inf else np.empty(0, dtype=np.int64)
+
+
+@kernel
+def _put_off(
+    pairs: IntArray,
+    distances: FloatArray,
+    at: float,
+    kept: FloatArray,
+    mover_of: IntArray,
+    travel: FloatArray,
+    shown: float,
+    due: FloatArray,
+) -> tuple[int, float]:
+    """Write down where pairs are due again that were asked at a place.
+
+    Returns:
+        Which of them has the smallest distance, and what is then shown; 0 where the proof has to give up.
+    """
+    least = 0
+    for i in range(len(pairs)):
+        if not distances[i] >= distances[least]:
+            least = i
+        spare = distances[i] - kept[pairs[i]]
+        if not spare > SMALLEST_STEP:
+            shown = 0.0
+        shown = min(shown, 0.5 * spare)
+    if not shown > 0.0:
+        return least, 0.0
+    for i in range(len(pairs)):
+        pair = pairs[i]
+        spare = distances[i] - kept[pair]
+        due[pair] = math.inf
+        if spare < math.inf:  # else these two may touch
+            place = place_after(travel[mover_of[pair]], at, min(spare - shown, MOST_TRAVEL * spare))
+            if place <= travel.shape[1] - 1:
+                due[pair] = max(place, np.nextafter(at, math.inf))
+    return least, shown
+
+
+@kernel
+def place_after(travel: FloatArray, at: float, part: float) -> float:
+    """The place up to which a mover travels no farther than `part`, infinite where that is the end.
+
+    Args:
+        travel: (rows + 1,) how far it has travelled at each row; linear within a row.
+        at: The place from where it goes on.
+        part: How far it may go.
+    """
+    row = min(int(at), len(travel) - 2)
+    limit = travel[row] + (at - row) * (travel[row + 1] - travel[row]) + part
+    row = np.searchsorted(travel, limit, side="right") - 1
+    if row >= len(travel) - 1:
+        return math.inf
+    place: float = row + (limit - travel[row]) / (travel[row + 1] - travel[row])
+    return place
+
+
+@kernel
+def _point(bezier: FloatArray, at: float) -> FloatArray:
+    """Configuration at a place counted in rows."""
+    piece = min(int(at), bezier.shape[0] - 1)
+    t = at - piece
+    u = 1.0 - t
+    q = np.empty(bezier.shape[2])
+    for j in range(len(q)):
+        q[j] = (
+            u * u * u * bezier[piece, 0, j]
+            + 3.0 * u * u * t * bezier[piece, 1, j]
+            + 3.0 * u * t * t * bezier[piece, 2, j]
+            + t * t * t * bezier[piece, 3, j]
+        )
+    return q
+
+
+def _own_pairs(judge: CollisionScene) -> list[tuple[int, int]]:
+    """The link of each pair of parts of the arm, and the other part."""
+    first = len(judge.pairs) - len(judge.own_others)
+    return [(link, other) for (link, _), other in zip(judge.pairs[first:], judge.own_others, strict=True)]
+
+
+def piece_bounds(robot: Robot, bezier: FloatArray) -> FloatArray:
+    """(pieces, links) largest distance that any axis point of a link can travel within each cubic [m].
+
+    A point of link k moves by no more than the sum over links i <= k of length times turn of the absolute angle, plus
+    yaw times the largest distance from the yaw axis; the turns are bounded by the hull of the derivative.
+    """
+    arm = robot.arm
+    rates = 3.0 * np.abs(np.cumsum(arm.signs * np.diff(bezier[..., robot.arm_slice], axis=1), axis=2)).max(axis=1)
+    bounds: FloatArray = np.cumsum(arm.lengths * rates, axis=1)
+    if robot.has_yaw:
+        swing = 3.0 * np.abs(np.diff(bezier[..., 0], axis=1)).max(axis=1)
+        bounds = bounds + swing[:, None] * robot.yaw_radius
+    return bounds

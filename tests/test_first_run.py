@@ -13,7 +13,7 @@ import pytest
 from hplan import first_run
 
 #: Modules whose kernels a plan calls only after the path on the grid is found.
-LATER = ("clear", "fast", "shorten", "spline", "topp", "dynamics", "certificate")
+LATER = ("clear", "fast", "shorten", "spline", "topp", "dynamics", "clearance_proof")
 
 
 def compiled_by(command: list[str], cache: Path) -> set[str]:

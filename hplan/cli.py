@@ -127,9 +127,8 @@ def _run(
         with loading():
             import math
 
-            from hplan.first_run import compiling_beside, is_first_run
             from hplan.options import PlanOptions
-            from hplan.pipeline import plan, with_export_time
+            from hplan.pipeline import with_export_time
             from hplan.report import write_report
             from hplan.robot import load_robot
             from hplan.scene_file import load_scene
@@ -159,16 +158,7 @@ def _run(
             check_yaw(robot, yaw)
         scene = load_scene(arguments.scene)
         names["scene"] = scene.name
-        if is_first_run():
-            progress.note = " (compiling, as on every first run)"
-        with compiling_beside() as compiled:
-
-            def stage(name: str) -> None:
-                progress(name)
-                if name == "postprocess":
-                    compiled()
-
-            result = plan(robot, scene, options, progress=stage)
+        result = _planned(robot, scene, options, progress)
         progress("export")
         begin = time.perf_counter()
         write_csv(result.trajectory, folder / TRAJECTORY)
@@ -178,6 +168,23 @@ def _run(
         result = with_export_time(result, time.perf_counter() - begin)
         write_report(result.report, folder / REPORT)
     return robot, scene, result
+
+
+def _planned(robot: Robot, scene: Scene, options: PlanOptions, progress: _Progress) -> PlanResult:
+    """Plan; on a first run another process compiles what comes last meanwhile."""
+    from hplan.first_run import compiling_beside, is_first_run
+    from hplan.pipeline import plan
+
+    if is_first_run():
+        progress.note = " (compiling, as on every first run)"
+    with compiling_beside() as wait:
+
+        def stage(name: str) -> None:
+            progress(name)
+            if name == "postprocess":
+                wait()
+
+        return plan(robot, scene, options, progress=stage)
 
 
 def _write_cspace(

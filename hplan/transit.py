@@ -307,9 +307,6 @@ def _first_turning(
             before = closed.get((number, coarser))
             if before is not None and not (before[1].open_ended and beyond_deg > before[0]):
                 continue
-            coarse = closed.get((number, 2.0 * coarser))
-            if growth == 0.0 and coarse is not None and coarse[0] > beyond_deg:
-                continue  # the coarse grid is closed for more yaws than these: most likely so is this one
             goal, near = attempt.task.problem.goal, math.radians(2.0 * coarser * attempt.task.options.step_deg)
             if coarser > 1.0 and any(np.abs(goal - other).max() < near for other in failed):
                 continue  # most likely in the same pocket; finer grids leave none out

@@ -17,9 +17,8 @@ from hplan.options import PlanOptions
 from hplan.path import rest_to_rest
 from hplan.pipeline import plan
 from hplan.robot import Robot
-from hplan.route import EnclosedError, Rung
 from hplan.scene import Scene, Sphere
-from hplan.transit import Motion, _Attempts, certified, find_motion, judged, least_duration, renewed, timed
+from hplan.transit import Motion, certified, find_motion, judged, least_duration, renewed, timed
 
 START = (0.0, 30.0, 20.0, 20.0)
 NEAR, FAR = (30.0, 30.0, 20.0, 20.0), (90.0, 30.0, 20.0, 20.0)
@@ -64,37 +63,6 @@ def test_a_nearer_goal_around_something_beats_a_far_straight_one(robot: Robot) -
     assert number == 0
     assert_motion(robot, near, motion)
     assert motion.trajectory.duration < find_motion([posed(robot, far, OPTIONS)])[1].trajectory.duration
-
-
-@pytest.mark.parametrize(
-    ("closed_from_deg", "tried"),
-    [
-        (4.0, [(2.0, 4), (1.0, 45)]),
-        (45.0, [(2.0, 4), (2.0, 45), (1.0, 45)]),
-        (360.0, [(2.0, 4), (2.0, 45), (2.0, 360), (1.0, 360)]),
-    ],
-)
-def test_closed_on_a_coarse_grid(
-    closed_from_deg: float, tried: list[tuple[float, int]], robot: Robot, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The fine grid is looked at for as many yaws as the coarse one needed, and what it says is the verdict."""
-    found: list[tuple[float, int]] = []
-
-    def on_grid(attempt: Any, rung: Rung) -> Motion:
-        found.append((rung.step_deg, round(np.degrees(rung.beyond))))
-        raise EnclosedError(
-            "start",
-            1,
-            2,
-            open_ended=found[-1][1] < closed_from_deg,
-            explain=lambda what: NoPathError(f"shown: {what}", reached_cells=1),
-        )
-
-    monkeypatch.setattr(_Attempts, "on_grid", on_grid)
-    bars = frame_about_upper_arm(60.0, 20.0)
-    with pytest.raises(NoPathError, match="shown"):
-        find_motion([posed(robot, task((0.0, 70.0, 20.0, 20.0), (60.0, 20.0, 20.0, 20.0), bars))])
-    assert found == tried
 
 
 @pytest.mark.parametrize("locked", [(), ("base_yaw",)])

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from hplan.benchmark.tables.planners import PLANNER_NOTE, planner_tables
-from hplan.benchmark.tables.table import NONE, Table, failures, number
+from hplan.benchmark.tables.planners import PLANNER_NOTE, planner_tables, row_of_hplan
+from hplan.benchmark.tables.table import Table, failures, number
 
 
 def tables(results: dict[str, Any]) -> list[Table]:
@@ -49,14 +49,6 @@ def _ratios(c: dict[str, Any]) -> Table:
 
 
 def _planners(c: dict[str, Any]) -> list[Table]:
-    first = (
-        "hplan",
-        "1 x",
-        number(c["total_ms"]["median"]),
-        NONE,
-        NONE,
-        number(c["length_deg"]),
-        f"{c['certified']} of {c['with_path']}",
-    )
+    first = row_of_hplan(c["total_ms"]["median"], c["length_deg"], f"{c['certified']} of {c['with_path']}")
     note = f"{PLANNER_NOTE} Medians over the scenes solved. hplan's length is that of its motions."
     return planner_tables("Clutter", first, c["planners"], note)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from hplan.benchmark.tables.planners import PLANNER_NOTE, planner_tables
+from hplan.benchmark.tables.planners import PLANNER_NOTE, planner_tables, row_of_hplan
 from hplan.benchmark.tables.table import NONE, Table, number, times
 
 #: Problems that are listed by name, at most, the worst first.
@@ -99,16 +99,8 @@ def _durations(o: dict[str, Any]) -> Table:
 
 
 def _planners(o: dict[str, Any]) -> list[Table]:
-    everything = o["all"]
-    first = (
-        "hplan",
-        "1 x",
-        number(everything["ms"]["median"]),
-        NONE,
-        NONE,
-        number(everything["length_deg"]),
-        f"{everything['certified']} of {everything['problems']}",
-    )
+    ours = o["all"]
+    first = row_of_hplan(ours["ms"]["median"], ours["length_deg"], f"{ours['certified']} of {ours['problems']}")
     note = (
         f"{PLANNER_NOTE} Here RRTConnect has {o['patience_s']:g} s, and BIT* {o['improving_s']:g} s; where hplan or "
         f"RRTConnect finds nothing, it has {o['patience_s']:g} s too. Medians over the problems that both solve. "

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from hplan.benchmark.tables.table import NOT_INSTALLED, Table, number, times
+from hplan.benchmark.tables.table import NONE, NOT_INSTALLED, Table, number, times
 
 #: How to read the first of the tables, whatever the set.
 PLANNER_NOTE = (
@@ -21,6 +21,21 @@ _COLUMNS = ("planner, motion", "to hplan's", "in all [ms]", "path [ms]", "compil
 
 #: Ways to make a motion of a planner's path, as in `hplan.benchmark.paths`.
 _WAYS = {"spline": "spline", "rounded": "rounding", "processed": "hplan's post"}
+
+
+def row_of_hplan(
+    total_ms: float, length_deg: float, fit: str, *, path_ms: str = NONE, digits: int = 3
+) -> tuple[str, ...]:
+    """The row of hplan: median time to the motion and median length, and how many motions could be run.
+
+    Args:
+        total_ms: Time to the motion [ms].
+        length_deg: Length of the path [deg].
+        fit: How many motions of how many could be run.
+        path_ms: Time to the path, where it is known apart.
+        digits: Significant digits of the length.
+    """
+    return "hplan", "1 x", number(total_ms), path_ms, path_ms, number(length_deg, digits), fit
 
 
 def planner_tables(where: str, first: tuple[str, ...], planners: dict[str, Any] | None, note: str) -> list[Table]:

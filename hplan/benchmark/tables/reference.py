@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from hplan.benchmark.tables.planners import PLANNER_NOTE, planner_tables
+from hplan.benchmark.tables.planners import PLANNER_NOTE, planner_tables, row_of_hplan
 from hplan.benchmark.tables.table import NONE, Table, number, percent, times
 
 #: Motions, in the order of the rows.
@@ -110,8 +110,7 @@ def _verdict(m: dict[str, Any]) -> str:
 def _planners(r: dict[str, Any]) -> list[Table]:
     stages = r["stages_ms"]
     path_ms = number(stages["total"] - sum(stages[name] for name in ("postprocess", "timing", "certificate")))
-    grid = number(r["searches"]["two_level"]["cost_deg"], 4)
-    first = ("hplan", "1 x", number(stages["total"]), path_ms, path_ms, grid, "1 of 1")
+    first = row_of_hplan(stages["total"], r["searches"]["two_level"]["cost_deg"], "1 of 1", path_ms=path_ms, digits=4)
     length = r["motions"]["rows"]["hplan"]["length_deg"]
     note = f"{PLANNER_NOTE} hplan's path here is that on the grid; its motion is {length:.1f} deg long."
     return planner_tables("Reference scene", first, r["planners"], note)

@@ -29,7 +29,7 @@ NO_WAY = 1e-9
 GOOD_ENOUGH = 1.005
 
 #: Obstacles farther than this from the grid path are left out while the spline is moved [m].
-NEAR = 0.3
+NEAR = 0.15
 
 #: With no more rows in the field than this all are looked at.
 FEW = 20

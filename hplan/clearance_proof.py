@@ -95,7 +95,7 @@ class _Advancement:
         self._bezier, self._judge = bezier, judge
         self._mover_of = np.array([link for link, _ in judge.pairs[:first]] + list(range(links, links + len(own))))
         rates = 3.0 * np.diff(bezier, axis=1)
-        bounds = [piece_bounds(robot, bezier), *(pair_rates(robot, link, other, rates) for link, other in own)]
+        bounds = [_link_bounds(robot, rates), *(pair_rates(robot, link, other, rates) for link, other in own)]
         moved = np.cumsum(np.column_stack(bounds), axis=0).T
         self._travel = np.column_stack([np.zeros(len(moved)), moved])
         sway = [*robot.sway(tracking_error), *(pair_sway(robot, link, other, tracking_error) for link, other in own)]
@@ -141,9 +141,11 @@ class _Advancement:
         while due:
             row = due[0][0]
             self.place(float(row))
+            pairs = []
             while due and due[0][0] == row:
-                pair = heapq.heappop(due)[1]
-                distance, sway = self._judge.pair_distance(pair), float(self._sway[pair])
+                pairs.append(heapq.heappop(due)[1])
+            for pair, distance in zip(pairs, self._judge.distances_of(np.array(pairs)).tolist(), strict=True):
+                sway = float(self._sway[pair])
                 self.nearest = min(self.nearest, (distance, pair))
                 least = min(least, distance - sway)
                 farther = min(distance - self.nearest[0], distance - sway - least)
@@ -246,16 +248,16 @@ def _own_pairs(judge: CollisionScene) -> list[tuple[int, int]]:
     return [(link, other) for (link, _), other in zip(judge.pairs[first:], judge.own_others, strict=True)]
 
 
-def piece_bounds(robot: Robot, bezier: FloatArray) -> FloatArray:
+def _link_bounds(robot: Robot, rates: FloatArray) -> FloatArray:
     """(pieces, links) largest distance that any axis point of a link can travel within each cubic [m].
 
     A point of link k moves by no more than the sum over links i <= k of length times turn of the absolute angle, plus
-    yaw times the largest distance from the yaw axis; the turns are bounded by the hull of the derivative.
+    yaw times the largest distance from the yaw axis; the turns are bounded by the hull of the derivative, whose
+    (pieces, 3, dof) Bezier points are `rates`.
     """
     arm = robot.arm
-    rates = 3.0 * np.abs(np.cumsum(arm.signs * np.diff(bezier[..., robot.arm_slice], axis=1), axis=2)).max(axis=1)
-    bounds: FloatArray = np.cumsum(arm.lengths * rates, axis=1)
+    turns = np.abs(np.cumsum(arm.signs * rates[..., robot.arm_slice], axis=2)).max(axis=1)
+    bounds: FloatArray = np.cumsum(arm.lengths * turns, axis=1)
     if robot.has_yaw:
-        swing = 3.0 * np.abs(np.diff(bezier[..., 0], axis=1)).max(axis=1)
-        bounds = bounds + swing[:, None] * robot.yaw_radius
+        bounds = bounds + np.abs(rates[..., 0]).max(axis=1)[:, None] * robot.yaw_radius
     return bounds

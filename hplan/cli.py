@@ -175,9 +175,10 @@ def _planned(robot: Robot, scene: Scene, options: PlanOptions, progress: _Progre
     from hplan.first_run import compiling_beside, is_first_run
     from hplan.pipeline import plan
 
-    if is_first_run():
+    first_run = is_first_run()
+    if first_run:
         progress.note = " (compiling, as on every first run)"
-    with compiling_beside() as wait:
+    with compiling_beside(first_run) as wait:
 
         def stage(name: str) -> None:
             progress(name)

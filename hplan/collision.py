@@ -196,13 +196,8 @@ class CollisionScene:
         return found
 
     def place(self, q: FloatArray) -> None:
-        """Put the links where `pair_distance` and `distances_of` are to look at them."""
+        """Put the links where `distances_of` is to look at them."""
         pin.updateGeometryPlacements(self.robot.model, self.data, self.geometry, self.geometry_data, q)
-
-    def pair_distance(self, pair: int) -> float:
-        """Signed distance of one of the `pairs` where the links were last placed [m]."""
-        distance = pin.computeDistance(self.geometry, self.geometry_data, pair).min_distance
-        return float(distance - self._taken_off[pair])
 
     def distances_of(self, pairs: IntArray) -> FloatArray:
         """Signed distances of some of the `pairs` where the links were last placed, (k,) numbers -> (k,) [m]."""

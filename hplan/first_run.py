@@ -19,15 +19,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from hplan.options import PlanOptions
-from hplan.pipeline import Workspace
-from hplan.problem import pose_problem
-from hplan.report import StageClock
-from hplan.robot import load_robot
-from hplan.route import Task
-from hplan.scene_file import load_scene
 from hplan.topp import greedy
-from hplan.transit import MARGIN, finished
 
 #: Longest wait for the other process [s].
 PATIENCE_S = 120.0
@@ -47,13 +39,16 @@ def is_first_run() -> bool:
 
 
 @contextmanager
-def compiling_beside() -> Iterator[Callable[[], None]]:
+def compiling_beside(first_run: bool) -> Iterator[Callable[[], None]]:
     """Inside the block the kernels from post-processing on are compiled by another process, if this is the first run.
+
+    Args:
+        first_run: What `is_first_run` says.
 
     Yields:
         A function that waits until they are.
     """
-    other = _start() if is_first_run() and len(os.sched_getaffinity(0)) > 1 else None
+    other = _start() if first_run and len(os.sched_getaffinity(0)) > 1 else None
 
     def wait() -> None:
         if other is not None:
@@ -81,15 +76,17 @@ def _start() -> subprocess.Popen[bytes] | None:
 
 def compile_from_postprocessing_on() -> None:
     """Smooth, time and certify a way through the reference scene."""
-    robot, scene, options = load_robot(), load_scene(), PlanOptions()
-    workspace = Workspace(robot)
-    around = workspace.around(scene, options)
+    from hplan.options import PlanOptions
+    from hplan.picking import World
+    from hplan.robot import load_robot
+    from hplan.scene_file import load_scene
+    from hplan.transit import MARGIN, finished
+
+    scene, world = load_scene(), World(load_robot(), PlanOptions())
     start, goal = scene.start.configuration, scene.goal.configuration
-    problem = pose_problem(around, start, goal, locked_joints=scene.locked_joints)
-    way = np.stack([problem.start, problem.start, problem.goal, problem.goal])
+    way = np.stack([start, start, goal, goal])
     way[1:3, -2:] = np.radians(_FOLDED_DEG)
-    task = Task(around, scene, problem, options, StageClock(), workspace.layers, lambda _: None)
-    finished(task, None, way, MARGIN, "search")
+    finished(world.task(world.around(scene), scene, start, goal), None, way, MARGIN, "search")
 
 
 if __name__ == "__main__":

@@ -113,26 +113,20 @@ class Workspace:
         """Begin with nothing."""
         self.robot = robot
         self.layers = Layers()
-        self._last: tuple[tuple[float, ...], Surroundings] | None = None
+        self._last: tuple[tuple[tuple[Solid, ...], float, float, float], Surroundings] | None = None
 
     def around(self, scene: Scene, options: PlanOptions) -> Surroundings:
         """The robot among the scene's solids, all fruits among them; the same as before where these are the same."""
-        solids = scene.solids_with_goal
         # What need not be certified need not make room for the tracking error either; it is judged all the same.
         tracking_error = options.tracking_error if options.certify else 0.0
-        kept = scene.clearance, tracking_error, options.sigmas
-        if self._last is not None and self._last[0] == kept and _same(self._last[1].solids, solids):
-            return self._last[1]
-        around = Surroundings.of(
-            self.robot, solids, clearance=scene.clearance, tracking_error=tracking_error, sigmas=options.sigmas
-        )
-        self._last = kept, around
-        return around
-
-
-def _same(some: Sequence[Solid], others: Sequence[Solid]) -> bool:
-    """Whether solids are the same, one by one."""
-    return len(some) == len(others) and all(a is b or a == b for a, b in zip(some, others, strict=True))
+        solids, clearance, sigmas = scene.solids_with_goal, scene.clearance, options.sigmas
+        asked = solids, clearance, tracking_error, sigmas
+        if self._last is None or self._last[0] != asked:
+            around = Surroundings.of(
+                self.robot, solids, clearance=clearance, tracking_error=tracking_error, sigmas=sigmas
+            )
+            self._last = asked, around
+        return self._last[1]
 
 
 def plan_with(

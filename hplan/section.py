@@ -141,6 +141,10 @@ class Bodies:
     own_clearance: float
 
 
+#: What `_hulls` makes of none.
+_NO_HULLS = readonly(np.zeros((0, 3))), readonly([0], np.int64), readonly(np.zeros((0, 4)))
+
+
 def bodies_of(
     obstacles: Sequence[ConvexObstacle], *, clearance: ArrayLike = 0.0, own_clearance: float | None = None
 ) -> Bodies:
@@ -202,9 +206,6 @@ def _hulls(corners: FloatArray, lengths: IntArray) -> tuple[FloatArray, IntArray
     low, high = np.minimum.reduceat(corners, starts[:-1]), np.maximum.reduceat(corners, starts[:-1])
     around = np.column_stack([0.5 * (low + high), 0.5 * np.linalg.norm(high - low, axis=1)])
     return frozen(corners), frozen(starts), frozen(around)
-
-
-_NO_HULLS = readonly(np.zeros((0, 3))), readonly([0], np.int64), readonly(np.zeros((0, 4)))
 
 
 def arm_sections(

@@ -164,7 +164,7 @@ def test_a_cloud_is_its_balls(robot, shape, links):
         touching = judge.in_collision(configurations, margin=margin)
         assert (touching == (np.array(least) <= margin))[sure].all()
     judge.place(configurations[0])
-    table = [judge.pair_distance(pair) for pair in range(len(judge.pairs))]
+    table = judge.distances_of(np.arange(len(judge.pairs)))
     assert min(table) == pytest.approx(judge.distances(configurations[0]).min())
 
 
@@ -201,7 +201,7 @@ def test_growth_of_each_obstacle(robot, links):
             np.testing.assert_allclose(grown.distances(q), plain.distances(q) - by, atol=1e-5)
             least.append(float(grown.distances(q).min()))
             grown.place(q)
-            one_by_one = [grown.pair_distance(pair) for pair in range(len(grown.pairs))]
+            one_by_one = grown.distances_of(np.arange(len(grown.pairs)))
             np.testing.assert_allclose(grown.pair_distances(q), one_by_one, atol=1e-5)  # coal begins elsewhere
             assert grown.nearest(q).distance_m == pytest.approx(least[-1], abs=1e-5)
         sure = np.abs(least) > 1e-4
@@ -230,7 +230,7 @@ def test_the_last_link_may_touch(robot, links):
     pairs = free.pair_distances(FLAT)
     assert np.isinf(pairs).sum() == sum(judge.obstacle_names[o] == "fruit" and k == 2 for k, o in judge.pairs)
     free.place(FLAT)
-    assert free.pair_distance(int(np.isinf(pairs).argmax())) == np.inf
+    assert free.distances_of(np.flatnonzero(np.isinf(pairs))[:1]) == np.inf
     # Of others, and of links before the last, it is still an obstacle.
     assert free.in_collision([[0.0, 0.0, 0.0, 0.0], [0.15, 0.05, 0.0, 0.0]]).tolist() == [False, True]
     onto = judge.touching("other").touching("fruit")

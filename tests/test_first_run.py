@@ -61,23 +61,21 @@ def begun(code: str) -> subprocess.Popen[bytes]:
 @pytest.mark.parametrize("code", ["pass", "raise SystemExit(1)"], ids=["done", "failed"])
 def test_the_plan_waits_for_the_other_process(code: str, monkeypatch: pytest.MonkeyPatch) -> None:
     other = begun(code)
-    monkeypatch.setattr(first_run, "is_first_run", lambda: True)
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1})
     monkeypatch.setattr(first_run, "_start", lambda: other)
-    with first_run.compiling_beside() as compiled:
+    with first_run.compiling_beside(True) as compiled:
         compiled()
         assert other.returncode is not None
 
 
 def test_the_other_process_does_not_outlive_the_plan(monkeypatch: pytest.MonkeyPatch) -> None:
     other = begun("import time; time.sleep(600)")
-    monkeypatch.setattr(first_run, "is_first_run", lambda: True)
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1})
     monkeypatch.setattr(first_run, "_start", lambda: other)
     monkeypatch.setattr(first_run, "PATIENCE_S", 0.01)
 
     def interrupted() -> None:
-        with first_run.compiling_beside() as compiled:
+        with first_run.compiling_beside(True) as compiled:
             compiled()
             assert other.returncode is None
             raise KeyboardInterrupt
@@ -94,16 +92,14 @@ def test_no_other_process_where_it_would_not_help(
     def start() -> Any:
         raise AssertionError
 
-    monkeypatch.setattr(first_run, "is_first_run", lambda: first)
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(processors)))
     monkeypatch.setattr(first_run, "_start", start)
-    with first_run.compiling_beside() as compiled:
+    with first_run.compiling_beside(first) as compiled:
         compiled()
 
 
 def test_where_no_process_can_be_started(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(first_run, "is_first_run", lambda: True)
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1})
     monkeypatch.setattr(sys, "executable", "/nowhere/python")
-    with first_run.compiling_beside() as compiled:
+    with first_run.compiling_beside(True) as compiled:
         compiled()

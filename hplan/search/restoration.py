@@ -77,19 +77,17 @@ def _united(
     """What makes the `NodeSet` of start, goal, all paths and restored parts; which slices were restored."""
     union, has_nodes = np.zeros(free.shape, dtype=np.uint64), np.zeros(free.shape[0], dtype=np.bool_)
     rows = np.empty(min(len(path_rows) + 2, free.shape[0]), dtype=np.int64)
-    rows[0] = start_row
-    has_nodes[start_row] = True
-    union[start_row, start_bit >> 6] |= np.uint64(1) << np.uint64(start_bit & 63)
-    union[goal_row, goal_bit >> 6] |= np.uint64(1) << np.uint64(goal_bit & 63)
-    count = 1
-    if goal_row != start_row:
-        rows[count] = goal_row
-        has_nodes[goal_row] = True
-        count += 1
+    count = 0
+    for row, bit in ((start_row, start_bit), (goal_row, goal_bit)):
+        union[row, bit >> 6] |= np.uint64(1) << np.uint64(bit & 63)
+        if not has_nodes[row]:
+            has_nodes[row] = True
+            rows[count] = row
+            count += 1
     for k in range(len(begins) - 1):
-        word, bit = (first + k) >> 6, np.uint64(1) << np.uint64((first + k) & 63)
+        word, mask = (first + k) >> 6, np.uint64(1) << np.uint64((first + k) & 63)
         for row in path_rows[begins[k] : begins[k + 1]]:
-            union[row, word] |= bit
+            union[row, word] |= mask
             if not has_nodes[row]:
                 has_nodes[row] = True
                 rows[count] = row

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from hplan.arrays import BoolArray, FloatArray, IntArray
 from hplan.errors import ConfigurationInCollisionError, OptionError
+from hplan.geometry_pairs import GeometryPairs
 from hplan.grid import Grid
 from hplan.robot import Robot
 from hplan.scene import Box, Capsule, Solid, Sphere
@@ -59,12 +60,11 @@ class OwnContact(Contact):
 
 
 class CollisionScene:
-    """Links and obstacles as one geometry model, with the data to query it.
+    """Links and obstacles as pairs of shapes, and their distances.
 
     Links are the arm's: bodies that the planar joints do not move (pedestal, turret) do not meet obstacles here;
     `base_contacts` looks at those. Pairs are each link shape with each obstacle, link by link; then, where the arm can
-    touch itself, link shapes with one another and with the URDF's shapes of pedestal and turret. The model is built
-    whole before its data, as Pinocchio demands. By `links` they are
+    touch itself, link shapes with one another and with the URDF's shapes of pedestal and turret. By `links` they are
 
     - `capsule`: the capsules of `robot.arm`, which hold the URDF's collision geometry;
     - `box`: square beams from joint to joint, of the capsules' half-widths (in the arm plane: the paper's rectangle);
@@ -102,21 +102,15 @@ class CollisionScene:
         #: Names of the obstacles; from `own_first` on of the parts of the arm that a link can touch.
         self.obstacle_names = tuple(obstacle.name for obstacle in obstacles)
         self.own_first = len(self.obstacle_names)
-        self.geometry = pin.GeometryModel()
         shapes = _urdf_shapes(robot) if links == "urdf" else [[shape] for shape in _link_shapes(robot, links)]
         # The shapes of link k are the rows from `_first_shape[k]` on.
         self._first_shape = np.cumsum([0, *(len(of_link) for of_link in shapes[:-1])])
-        self._shape_count = sum(len(of_link) for of_link in shapes)
-        movers = [self.geometry.addGeometryObject(shape) for of_link in shapes for shape in of_link]
-        for obstacle in obstacles:
-            self.geometry.addGeometryObject(_solid(obstacle))
-        wanted = np.zeros((self.geometry.ngeoms, self.geometry.ngeoms), dtype=np.bool_)
-        wanted[: len(movers), len(movers) :] = True
-        self.geometry.setCollisionPairs(wanted)
+        #: Shapes of the links, link by link.
+        self.link_shapes = [shape for of_link in shapes for shape in of_link]
         #: What is to be taken off coal's distance of each shape from each obstacle [m].
         beyond = np.array([_beyond_geometry(obstacle) for obstacle in obstacles], dtype=np.float64)
         beyond += np.asarray(growth, dtype=np.float64)
-        self._beyond: FloatArray = np.tile(beyond, (self._shape_count, 1))
+        self._beyond: FloatArray = np.tile(beyond, (len(self.link_shapes), 1))
         #: Number of the link and of the obstacle of each pair.
         self.pairs = [
             (link, obstacle)
@@ -126,24 +120,33 @@ class CollisionScene:
         ]
         #: What each of the last of `pairs` is near to: a link, `self_contact.TURRET` or `self_contact.GROUND`.
         self.own_others: list[int] = []
-        self._add_own_pairs([len(of_link) for of_link in shapes])
+        bodies, own_pairs = self._own_pairs([len(of_link) for of_link in shapes])
         # The same for all pairs; parts of the arm do not grow.
         self._taken_off: FloatArray = np.append(self._beyond, np.zeros(len(self.own_others)))
-        self.data = robot.model.createData()
-        self.geometry_data = self.geometry.createData()
-        # They stay where they are; taking one out anew costs more than what it says.
-        self._results = list(self.geometry_data.distanceResults)
+        self._geometry = GeometryPairs(
+            robot.model,
+            self.link_shapes,
+            [_solid(obstacle) for obstacle in obstacles],
+            bodies,
+            own_pairs,
+        )
 
-    def _add_own_pairs(self, counts: list[int]) -> None:
-        """Add the pairs of links, of so many shapes each, that can touch, and pedestal and turret where they can."""
+    def _own_pairs(self, counts: list[int]) -> tuple[list[pin.GeometryObject], list[tuple[int, int]]]:
+        """Pairs of links, of so many shapes each, that can touch, and of pedestal and turret where they can.
+
+        Returns:
+            The shapes of pedestal and turret, and numbers of pairs of shapes, the links' first.
+        """
         contact = self_contact(self.robot)
         columns: dict[str, int] = {}
+        bodies: list[pin.GeometryObject] = []
+        pairs: list[tuple[int, int]] = []
 
         def add(link: int, other: int, others: Sequence[int], name: str) -> None:
             column = columns.setdefault(name, self.own_first + len(columns))
             for first in range(self._first_shape[link], self._first_shape[link] + counts[link]):
                 for second in others:
-                    self.geometry.addCollisionPair(pin.CollisionPair(first, second))
+                    pairs.append((first, second))
                     self.pairs.append((link, column))
                     self.own_others.append(other)
 
@@ -152,12 +155,11 @@ class CollisionScene:
         for body in contact.bodies:
             shape = self.robot.collision_model.geometryObjects[body.shape]
             name = f"body:{body.name}:{body.shape}"
-            added = self.geometry.addGeometryObject(
-                pin.GeometryObject(name, shape.parentJoint, shape.placement, _filled(shape))
-            )
+            bodies.append(pin.GeometryObject(name, shape.parentJoint, shape.placement, _filled(shape)))
             for link in body.links:
-                add(link, body.carrier, [added], body.name)
+                add(link, body.carrier, [len(self.link_shapes) + len(bodies) - 1], body.name)
         self.obstacle_names += tuple(columns)
+        return bodies, pairs
 
     def touching(self, name: str) -> CollisionScene:
         """The same scene where the last link may touch the obstacles of a name: their distance counts as infinite."""
@@ -176,7 +178,7 @@ class CollisionScene:
         """
         found = self.pair_distances(q)
         table = (found[: self._beyond.size] if self.own_others else found).reshape(self._beyond.shape)
-        if self._shape_count != len(self.link_names):
+        if len(self.link_shapes) != len(self.link_names):
             table = np.minimum.reduceat(table, self._first_shape)
         if not self.own_others:
             return table
@@ -188,22 +190,15 @@ class CollisionScene:
 
     def pair_distances(self, q: ArrayLike) -> FloatArray:
         """Signed distances of all `pairs` at one configuration, (dof,) -> (pairs,) [m]."""
-        pin.computeDistances(
-            self.robot.model, self.data, self.geometry, self.geometry_data, np.asarray(q, dtype=np.float64)
-        )
-        found = np.array([result.min_distance for result in self._results], dtype=np.float64)
-        found -= self._taken_off
-        return found
+        return self._geometry.distances(np.asarray(q, dtype=np.float64)) - self._taken_off
 
     def place(self, q: FloatArray) -> None:
         """Put the links where `distances_of` is to look at them."""
-        pin.updateGeometryPlacements(self.robot.model, self.data, self.geometry, self.geometry_data, q)
+        self._geometry.place(q)
 
     def distances_of(self, pairs: IntArray) -> FloatArray:
         """Signed distances of some of the `pairs` where the links were last placed, (k,) numbers -> (k,) [m]."""
-        geometry, data = self.geometry, self.geometry_data
-        found = [pin.computeDistance(geometry, data, pair).min_distance for pair in pairs.tolist()]
-        return np.array(found, dtype=np.float64) - self._taken_off[pairs]
+        return self._geometry.distances_of(pairs) - self._taken_off[pairs]
 
     def contact(self, link: int, obstacle: int, distance: float) -> Contact:
         """A distance between a link and what has a place in `obstacle_names`, by name."""
@@ -226,18 +221,13 @@ class CollisionScene:
             margin: Distance up to which a pair counts as touching [m]; where it is negative, depth from which on (of a
                 cloud no more than its radius: the points themselves count always).
         """
-        q = np.asfortranarray(np.asarray(configurations, dtype=np.float64).T)
+        q = np.asarray(configurations, dtype=np.float64)
         if not self.obstacle_names:
-            return np.zeros(q.shape[1], dtype=np.bool_)
-        pool = pin.GeometryPool(self.robot.model, self.geometry, 1)
-        requests = pool.getGeometryDatas()[0].collisionRequests
-        for request, beyond in zip(requests, self._taken_off, strict=True):
-            # Of trees coal knows no negative margin.
-            request.security_margin = max(0.0, margin + beyond) if beyond > 0.0 else float(margin + beyond)
-            # Asked for yes or no alone, coal 3.0 misses deep collisions of boxes, cylinders and hulls where one shape
-            # stands symmetrically in the other or its core touches a face; with contacts it does not.
-            request.enable_contact = True
-        return np.asarray(pin.computeCollisionsInParallel(1, pool, q, True, False), dtype=np.bool_)
+            return np.zeros(len(q), dtype=np.bool_)
+        margins = margin + self._taken_off
+        # Of trees coal knows no negative margin.
+        margins[self._taken_off > 0.0] = np.maximum(0.0, margins[self._taken_off > 0.0])
+        return self._geometry.in_collision(q, margins)
 
 
 def base_contacts(

@@ -32,6 +32,7 @@ from hplan.clearance import ClearanceField
 from hplan.collision import CollisionScene
 from hplan.cspace import occupancy
 from hplan.errors import OptionError
+from hplan.geometry_pairs import GeometryPairs
 from hplan.grid import Grid
 from hplan.report import versions
 from hplan.robot import Robot
@@ -389,27 +390,17 @@ class _Surfaces:
     """The links of a judge against triangles, which are hollow to coal: only what touches one is seen."""
 
     def __init__(self, links: CollisionScene, surfaces: Sequence[tuple[FloatArray, Any]]) -> None:
-        self._model = links.robot.model
-        self._geometry = pin.GeometryModel()
-        shapes = [shape for shape in links.geometry.geometryObjects if shape.name.startswith("link:")]
-        for shape in shapes:
-            self._geometry.addGeometryObject(shape)
+        trees = []
         for index, (vertices, faces) in enumerate(surfaces):
             tree = coal.BVHModelOBBRSS()
             tree.beginModel(len(faces), len(vertices))
             tree.addVertices(np.array(vertices))
             tree.addTriangles(faces.astype(np.int32))
             tree.endModel()
-            self._geometry.addGeometryObject(pin.GeometryObject(f"surface:{index}", 0, pin.SE3.Identity(), tree))
-        wanted = np.zeros((self._geometry.ngeoms, self._geometry.ngeoms), dtype=np.bool_)
-        wanted[: len(shapes), len(shapes) :] = True
-        self._geometry.setCollisionPairs(wanted)
+            trees.append(pin.GeometryObject(f"surface:{index}", 0, pin.SE3.Identity(), tree))
+        self._geometry = GeometryPairs(links.robot.model, links.link_shapes, trees)
 
     def in_collision(self, q: FloatArray, *, margin: float) -> BoolArray:
         """Whether each of (n, dof) configurations touches a triangle, or comes nearer than a margin [m]."""
-        pool = pin.GeometryPool(self._model, self._geometry, 1)
-        for request in pool.getGeometryDatas()[0].collisionRequests:
-            request.security_margin = max(0.0, margin)  # of trees coal knows no negative one
-            request.enable_contact = True
-        found = pin.computeCollisionsInParallel(1, pool, np.asfortranarray(q.T), True, False)
-        return np.asarray(found, dtype=np.bool_)
+        # Of trees coal knows no negative margin.
+        return self._geometry.in_collision(q, np.full(self._geometry.count, max(0.0, margin)))

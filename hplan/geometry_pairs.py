@@ -1,0 +1,140 @@
+"""Pairs of shapes in Pinocchio, for any number of obstacles in time and memory linear in it.
+
+`pinocchio.GeometryModel.addGeometryObject` copies a table of all pairs of its objects each time, so that a model of n
+objects costs n^3. Obstacles are therefore spread over several models, each with all the moving shapes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+import pinocchio as pin
+
+from hplan.arrays import BoolArray, FloatArray, IntArray
+
+#: Most obstacles in one geometry model.
+_CHUNK: Final = 128
+
+
+class _Part:
+    """A geometry model, whole, and the data to query it.
+
+    Attributes:
+        geometry: The model.
+        data: Its data.
+        results: Results of its pairs; they stay where they are, and taking one out anew costs more than what it says.
+        numbers: Numbers of its pairs among all.
+        current: Whether its shapes stand where the arm was last placed.
+    """
+
+    def __init__(self, geometry: pin.GeometryModel, numbers: IntArray) -> None:
+        self.geometry = geometry
+        self.data = geometry.createData()
+        self.results = list(self.data.distanceResults)
+        self.numbers = numbers
+        self.current = False
+
+
+class GeometryPairs:
+    """Numbered pairs of shapes of an arm and obstacles, and their distances.
+
+    Pairs are each moving shape with each obstacle, moving shape by moving shape; then the chosen ones. Models are built
+    whole before their data, as Pinocchio demands.
+    """
+
+    def __init__(
+        self,
+        model: pin.Model,
+        movers: Sequence[pin.GeometryObject],
+        obstacles: Sequence[pin.GeometryObject],
+        others: Sequence[pin.GeometryObject] = (),
+        chosen: Sequence[tuple[int, int]] = (),
+    ) -> None:
+        """Build the geometry models.
+
+        Args:
+            model: The arm.
+            movers: Shapes that meet every obstacle.
+            obstacles: Fixed shapes.
+            others: Shapes that meet no obstacle.
+            chosen: Further pairs, of numbers among `movers` and, after them, `others`.
+        """
+        self._model = model
+        self._data = model.createData()
+        self._parts: list[_Part] = []
+        self.count = len(movers) * len(obstacles) + len(chosen)
+        starts = range(0, max(len(obstacles), 1), _CHUNK)
+        for start in starts:
+            geometry = pin.GeometryModel()
+            for shape in movers:
+                geometry.addGeometryObject(shape)
+            chunk = obstacles[start : start + _CHUNK]
+            for shape in chunk:
+                geometry.addGeometryObject(shape)
+            wanted = np.zeros((geometry.ngeoms, geometry.ngeoms), dtype=np.bool_)
+            wanted[: len(movers), len(movers) :] = True
+            geometry.setCollisionPairs(wanted)
+            rows = np.arange(len(movers))[:, None] * len(obstacles)
+            numbers = (rows + np.arange(start, start + len(chunk))).ravel()
+            if start == starts[-1]:
+                added = [geometry.addGeometryObject(shape) for shape in others]
+                places = [*range(len(movers)), *added]
+                for first, second in chosen:
+                    geometry.addCollisionPair(pin.CollisionPair(places[first], places[second]))
+                numbers = np.append(numbers, np.arange(self.count - len(chosen), self.count))
+            self._parts.append(_Part(geometry, numbers))
+        # In which part a pair is, and its number there.
+        self._part_of = np.zeros(self.count, dtype=np.int64)
+        self._local = np.zeros(self.count, dtype=np.int64)
+        for number, part in enumerate(self._parts):
+            self._part_of[part.numbers] = number
+            self._local[part.numbers] = np.arange(len(part.numbers))
+
+    def place(self, q: FloatArray) -> None:
+        """Put the arm where `distances_of` is to look at it, (dof,) joint angles."""
+        pin.forwardKinematics(self._model, self._data, q)
+        for part in self._parts:
+            part.current = False
+
+    def distances(self, q: FloatArray) -> FloatArray:
+        """Signed distances of all pairs at one configuration, (dof,) -> (count,) [m]."""
+        self.place(q)
+        found = np.empty(self.count)
+        for part in self._parts:
+            pin.computeDistances(part.geometry, self._placed(part))
+            found[part.numbers] = [result.min_distance for result in part.results]
+        return found
+
+    def distances_of(self, pairs: IntArray) -> FloatArray:
+        """Signed distances of some pairs where the arm was last placed, (k,) numbers -> (k,) [m]."""
+        parts = self._parts
+        found = np.empty(len(pairs))
+        where = zip(self._part_of[pairs].tolist(), self._local[pairs].tolist(), strict=True)
+        for number, (part, local) in enumerate(where):
+            geometry, data = parts[part].geometry, self._placed(parts[part])
+            found[number] = pin.computeDistance(geometry, data, local).min_distance
+        return found
+
+    def in_collision(self, configurations: FloatArray, margins: FloatArray) -> BoolArray:
+        """Whether any pair is nearer than its margin, (n, dof) configurations, (count,) margins [m] -> (n,)."""
+        q = np.asfortranarray(configurations.T)
+        found = np.zeros(q.shape[1], dtype=np.bool_)
+        for part in self._parts:
+            pool = pin.GeometryPool(self._model, part.geometry, 1)
+            requests = pool.getGeometryDatas()[0].collisionRequests
+            for request, margin in zip(requests, margins[part.numbers].tolist(), strict=True):
+                request.security_margin = margin
+                # Asked for yes or no alone, coal 3.0 misses deep collisions of boxes, cylinders and hulls where one
+                # shape stands symmetrically in the other or its core touches a face; with contacts it does not.
+                request.enable_contact = True
+            found |= np.asarray(pin.computeCollisionsInParallel(1, pool, q, True, False), dtype=np.bool_)
+        return found
+
+    def _placed(self, part: _Part) -> pin.GeometryData:
+        """The data of a part, its shapes where the arm was last placed."""
+        if not part.current:
+            pin.updateGeometryPlacements(self._model, self._data, part.geometry, part.data)
+            part.current = True
+        return part.data

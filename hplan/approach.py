@@ -27,7 +27,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hplan.arrays import BoolArray, FloatArray, frozen
+from hplan.arrays import BoolArray, FloatArray, Record, frozen
 from hplan.errors import ApproachError, InputError, OptionError
 from hplan.planar_chain import ComplexArray, two_links
 from hplan.polyline import curve_length
@@ -44,7 +44,7 @@ LEAST_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class Standoffs:
+class Standoffs(Record):
     """Where straight approaches begin.
 
     Attributes:
@@ -59,7 +59,7 @@ class Standoffs:
 
 
 @dataclass(frozen=True, eq=False)
-class ApproachPolyline:
+class ApproachPolyline(Record):
     """Waypoints of an approach whose straight joint-space segments stay near it.
 
     Attributes:
@@ -74,7 +74,7 @@ class ApproachPolyline:
 
 
 @dataclass(frozen=True, eq=False)
-class ApproachPath:
+class ApproachPath(Record):
     """The path from the stand-off to the goal, or back; its parameter is the distance, scaled to the joint length.
 
     Attributes:

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hplan.arrays import BoolArray, FloatArray, IntArray, frozen, readonly
+from hplan.arrays import BoolArray, FloatArray, IntArray, Record, frozen, readonly
 from hplan.clearance_kernels import link_clearances, mark_near, path_is_clear
 from hplan.clearance_rows import GATE, rows_of
 from hplan.errors import OptionError
@@ -26,7 +26,7 @@ _NEAR_STEP = 0.05
 
 
 @dataclass(frozen=True, eq=False)
-class ClearanceField:
+class ClearanceField(Record):
     """Arm and obstacles as flat arrays, ready for the kernels.
 
     Attributes:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, TypeAlias, assert_never
+from typing import Any, Literal, TypeAlias, assert_never
 from weakref import WeakKeyDictionary
 
 import coal
@@ -73,6 +72,8 @@ class CollisionScene:
     A cloud is one tree of bounding volumes about its points, asked with its radius taken off the distance. Wherever a
     link does not reach the points themselves the distance is right, and at most two `_SPECK` too small; where it does,
     the depth is at least the radius, and may be less than the true one.
+
+    Several threads may ask at once. A scene can be pickled; it is built anew from robot and obstacles.
     """
 
     def __init__(
@@ -98,6 +99,8 @@ class CollisionScene:
             raise OptionError("links", links, f"one of {', '.join(LINK_SHAPES)}")
         self.robot = robot
         self.links = links
+        self._made_of = (tuple(obstacles), growth)
+        self._touched: tuple[str, ...] = ()
         self.link_names = robot.arm.link_names
         #: Names of the obstacles; from `own_first` on of the parts of the arm that a link can touch.
         self.obstacle_names = tuple(obstacle.name for obstacle in obstacles)
@@ -131,6 +134,19 @@ class CollisionScene:
             own_pairs,
         )
 
+    def __getstate__(self) -> dict[str, Any]:
+        """What it is built from: Pinocchio's data cannot be pickled."""
+        obstacles, growth = self._made_of
+        built = {"robot": self.robot, "obstacles": obstacles, "links": self.links, "growth": growth}
+        return {"built": built, "touched": self._touched}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Build it."""
+        whole = CollisionScene(**state["built"])
+        for name in state["touched"]:
+            whole = whole.touching(name)
+        vars(self).update(vars(whole))
+
     def _own_pairs(self, counts: list[int]) -> tuple[list[pin.GeometryObject], list[tuple[int, int]]]:
         """Pairs of links, of so many shapes each, that can touch, and of pedestal and turret where they can.
 
@@ -163,7 +179,9 @@ class CollisionScene:
 
     def touching(self, name: str) -> CollisionScene:
         """The same scene where the last link may touch the obstacles of a name: their distance counts as infinite."""
-        other = copy.copy(self)
+        other = object.__new__(CollisionScene)
+        vars(other).update(vars(self))
+        other._touched = (*self._touched, name)
         other._beyond = self._beyond.copy()
         named = [obstacle == name for obstacle in self.obstacle_names[: self.own_first]]
         other._beyond[self._first_shape[-1] :, named] = -np.inf
@@ -193,7 +211,7 @@ class CollisionScene:
         return self._geometry.distances(np.asarray(q, dtype=np.float64)) - self._taken_off
 
     def place(self, q: FloatArray) -> None:
-        """Put the links where `distances_of` is to look at them."""
+        """Put the links where `distances_of` is to look at them, in this thread."""
         self._geometry.place(q)
 
     def distances_of(self, pairs: IntArray) -> FloatArray:

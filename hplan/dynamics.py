@@ -21,7 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from hplan.arrays import FloatArray, readonly
+from hplan.arrays import FloatArray, Record, readonly
 from hplan.kernels import kernel
 
 #: Pinocchio's joints of one axis, fixed in the joint's own frame.
@@ -35,7 +35,7 @@ _FIXED, _EVEN, _ODD, _PLACE, _SHIFT, _TURN, _SLIDE, _CENTRE, _INERTIA, _NUMBERS 
 
 
 @dataclass(frozen=True, eq=False)
-class InverseDynamics:
+class InverseDynamics(Record):
     """Pinocchio's model, and its joints and bodies as one flat array.
 
     Attributes:

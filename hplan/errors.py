@@ -7,6 +7,7 @@ returns for it.
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, ClassVar
@@ -14,6 +15,9 @@ from typing import Any, ClassVar
 
 class HplanError(Exception):
     """Root of all hplan errors.
+
+    Errors can be pickled and copied, whatever their constructor takes: they are restored from what they hold, notes
+    included. As for Python's own, traceback and cause stay behind; what cannot be pickled becomes its text.
 
     Attributes:
         data: The facts of the error, ready for JSON.
@@ -36,6 +40,24 @@ class HplanError(Exception):
     def as_dict(self) -> dict[str, Any]:
         """The error as the report's `error` object: `kind`, `message` and the facts."""
         return {"kind": self.kind, "message": self.message, **self.data}
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Restore without the constructor, whose arguments are not kept."""
+        state = {name: value if _can_be_pickled(value) else repr(value) for name, value in vars(self).items()}
+        return _without_constructor, (type(self), self.args), state
+
+
+def _without_constructor(kind: type[HplanError], arguments: tuple[Any, ...]) -> HplanError:
+    """An error with its `args` and nothing else."""
+    return kind.__new__(kind, *arguments)
+
+
+def _can_be_pickled(value: object) -> bool:
+    try:
+        pickle.dumps(value)
+    except Exception:  # whatever a foreign class raises
+        return False
+    return True
 
 
 class InputError(HplanError):

@@ -30,7 +30,7 @@ from typing import Any, assert_never
 import numpy as np
 import pinocchio as pin
 
-from hplan.arrays import FloatArray, readonly
+from hplan.arrays import FloatArray, Record, readonly
 from hplan.collision import CollisionScene, Contact
 from hplan.errors import InputError, RobotFileError
 from hplan.motion import Movement
@@ -78,7 +78,7 @@ class Touch:
 
 
 @dataclass(frozen=True, eq=False)
-class Execution:
+class Execution(Record):
     """What became of a motion. Joints are in the robot's order.
 
     Attributes:

@@ -6,6 +6,7 @@ objects costs n^3. Obstacles are therefore spread over several models, each with
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Sequence
 from typing import Final
 
@@ -18,30 +19,39 @@ from hplan.arrays import BoolArray, FloatArray, IntArray
 _CHUNK: Final = 128
 
 
-class _Part:
-    """A geometry model, whole, and the data to query it.
+class _PartData:
+    """What queries of one geometry model write into.
 
     Attributes:
-        geometry: The model.
-        data: Its data.
+        geometry: Pinocchio's data.
         results: Results of its pairs; they stay where they are, and taking one out anew costs more than what it says.
-        numbers: Numbers of its pairs among all.
         current: Whether its shapes stand where the arm was last placed.
     """
 
-    def __init__(self, geometry: pin.GeometryModel, numbers: IntArray) -> None:
-        self.geometry = geometry
-        self.data = geometry.createData()
-        self.results = list(self.data.distanceResults)
-        self.numbers = numbers
+    def __init__(self, geometry: pin.GeometryModel) -> None:
+        self.geometry = geometry.createData()
+        self.results = list(self.geometry.distanceResults)
         self.current = False
+
+
+class _QueryData(threading.local):
+    """What queries write into: every thread has its own, made when it first asks.
+
+    Attributes:
+        arm: Where the joints are.
+        parts: The data of each geometry model.
+    """
+
+    def __init__(self, model: pin.Model, geometries: Sequence[pin.GeometryModel]) -> None:
+        self.arm = model.createData()
+        self.parts = [_PartData(geometry) for geometry in geometries]
 
 
 class GeometryPairs:
     """Numbered pairs of shapes of an arm and obstacles, and their distances.
 
     Pairs are each moving shape with each obstacle, moving shape by moving shape; then the chosen ones. Models are built
-    whole before their data, as Pinocchio demands.
+    whole before their data, as Pinocchio demands. Several threads may ask at once.
     """
 
     def __init__(
@@ -62,8 +72,9 @@ class GeometryPairs:
             chosen: Further pairs, of numbers among `movers` and, after them, `others`.
         """
         self._model = model
-        self._data = model.createData()
-        self._parts: list[_Part] = []
+        self._geometries: list[pin.GeometryModel] = []
+        #: Numbers of each model's pairs among all.
+        self._numbers: list[IntArray] = []
         self.count = len(movers) * len(obstacles) + len(chosen)
         starts = range(0, max(len(obstacles), 1), _CHUNK)
         for start in starts:
@@ -84,47 +95,50 @@ class GeometryPairs:
                 for first, second in chosen:
                     geometry.addCollisionPair(pin.CollisionPair(places[first], places[second]))
                 numbers = np.append(numbers, np.arange(self.count - len(chosen), self.count))
-            self._parts.append(_Part(geometry, numbers))
-        # In which part a pair is, and its number there.
+            self._geometries.append(geometry)
+            self._numbers.append(numbers)
+        self._query = _QueryData(model, self._geometries)
+        # In which model a pair is, and its number there.
         self._part_of = np.zeros(self.count, dtype=np.int64)
         self._local = np.zeros(self.count, dtype=np.int64)
-        for number, part in enumerate(self._parts):
-            self._part_of[part.numbers] = number
-            self._local[part.numbers] = np.arange(len(part.numbers))
+        for part, numbers in enumerate(self._numbers):
+            self._part_of[numbers] = part
+            self._local[numbers] = np.arange(len(numbers))
 
     def place(self, q: FloatArray) -> None:
-        """Put the arm where `distances_of` is to look at it, (dof,) joint angles."""
-        pin.forwardKinematics(self._model, self._data, q)
-        for part in self._parts:
-            part.current = False
+        """Put the arm where `distances_of` is to look at it in this thread, (dof,) joint angles."""
+        query = self._query
+        pin.forwardKinematics(self._model, query.arm, q)
+        for data in query.parts:
+            data.current = False
 
     def distances(self, q: FloatArray) -> FloatArray:
         """Signed distances of all pairs at one configuration, (dof,) -> (count,) [m]."""
         self.place(q)
+        query = self._query
         found = np.empty(self.count)
-        for part in self._parts:
-            pin.computeDistances(part.geometry, self._placed(part))
-            found[part.numbers] = [result.min_distance for result in part.results]
+        for part, (geometry, numbers) in enumerate(zip(self._geometries, self._numbers, strict=True)):
+            pin.computeDistances(geometry, self._placed(query, part))
+            found[numbers] = [result.min_distance for result in query.parts[part].results]
         return found
 
     def distances_of(self, pairs: IntArray) -> FloatArray:
         """Signed distances of some pairs where the arm was last placed, (k,) numbers -> (k,) [m]."""
-        parts = self._parts
+        query, geometries = self._query, self._geometries
         found = np.empty(len(pairs))
         where = zip(self._part_of[pairs].tolist(), self._local[pairs].tolist(), strict=True)
         for number, (part, local) in enumerate(where):
-            geometry, data = parts[part].geometry, self._placed(parts[part])
-            found[number] = pin.computeDistance(geometry, data, local).min_distance
+            found[number] = pin.computeDistance(geometries[part], self._placed(query, part), local).min_distance
         return found
 
     def in_collision(self, configurations: FloatArray, margins: FloatArray) -> BoolArray:
         """Whether any pair is nearer than its margin, (n, dof) configurations, (count,) margins [m] -> (n,)."""
         q = np.asfortranarray(configurations.T)
         found = np.zeros(q.shape[1], dtype=np.bool_)
-        for part in self._parts:
-            pool = pin.GeometryPool(self._model, part.geometry, 1)
+        for geometry, numbers in zip(self._geometries, self._numbers, strict=True):
+            pool = pin.GeometryPool(self._model, geometry, 1)
             requests = pool.getGeometryDatas()[0].collisionRequests
-            for request, margin in zip(requests, margins[part.numbers].tolist(), strict=True):
+            for request, margin in zip(requests, margins[numbers].tolist(), strict=True):
                 request.security_margin = margin
                 # Asked for yes or no alone, coal 3.0 misses deep collisions of boxes, cylinders and hulls where one
                 # shape stands symmetrically in the other or its core touches a face; with contacts it does not.
@@ -132,9 +146,10 @@ class GeometryPairs:
             found |= np.asarray(pin.computeCollisionsInParallel(1, pool, q, True, False), dtype=np.bool_)
         return found
 
-    def _placed(self, part: _Part) -> pin.GeometryData:
-        """The data of a part, its shapes where the arm was last placed."""
-        if not part.current:
-            pin.updateGeometryPlacements(self._model, self._data, part.geometry, part.data)
-            part.current = True
-        return part.data
+    def _placed(self, query: _QueryData, part: int) -> pin.GeometryData:
+        """The data of a model, its shapes where the arm was last placed."""
+        data = query.parts[part]
+        if not data.current:
+            pin.updateGeometryPlacements(self._model, query.arm, self._geometries[part], data.geometry)
+            data.current = True
+        return data.geometry

@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hplan.arrays import BoolArray, FloatArray, IntArray, WordArray, frozen, readonly
+from hplan.arrays import BoolArray, FloatArray, IntArray, Record, WordArray, frozen, readonly
 from hplan.errors import InputError, OptionError
 
 #: Largest number of nodes that a grid may have (one bit each: 256 MB).
@@ -20,7 +20,7 @@ MAX_NODES = 2**31
 
 
 @dataclass(frozen=True, eq=False)
-class Grid:
+class Grid(Record):
     """Equally spaced nodes over a box.
 
     Attributes:
@@ -89,7 +89,7 @@ class Grid:
 
 
 @dataclass(frozen=True, eq=False)
-class Occupancy:
+class Occupancy(Record):
     """Which nodes of a grid are free.
 
     Attributes:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hplan.approach import ApproachPath, standoffs
-from hplan.arrays import FloatArray, frozen
+from hplan.arrays import FloatArray, Record, frozen
 from hplan.errors import BlockedError
 from hplan.inverse import reach
 from hplan.path import least_duration
@@ -42,7 +42,7 @@ SPARE = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
-class Grasp:
+class Grasp(Record):
     """One way to have the tool at the point.
 
     Attributes:

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hplan.arrays import BoolArray, FloatArray, IntArray, frozen
+from hplan.arrays import BoolArray, FloatArray, IntArray, Record, frozen
 from hplan.errors import InputError, OptionError, UnreachableError
 from hplan.planar_chain import ANGLE_TOLERANCE, MATCH_TOLERANCE, ComplexArray, FreeChain, Reached, Window
 from hplan.robot import Robot
@@ -45,7 +45,7 @@ _TURN = 2.0 * np.pi
 
 
 @dataclass(frozen=True, eq=False)
-class Candidates:
+class Candidates(Record):
     """Configurations that put the tool at a point.
 
     Attributes:

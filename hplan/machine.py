@@ -18,7 +18,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from hplan.arrays import FloatArray, readonly
+from hplan.arrays import FloatArray, Record, readonly
 from hplan.errors import InputError, JointLimitError, RobotFileError
 from hplan.path import Limits
 from hplan.robot_files import check_links_and_joints, read_urdf_xml
@@ -30,7 +30,7 @@ _MOVABLE = ("revolute", "prismatic", "continuous")
 
 
 @dataclass(frozen=True, eq=False)
-class Machine:
+class Machine(Record):
     """A robot reduced to the joints that move.
 
     Attributes:

@@ -9,7 +9,7 @@ from typing import Protocol
 
 import numpy as np
 
-from hplan.arrays import FloatArray, readonly
+from hplan.arrays import FloatArray, Record, readonly
 from hplan.csv_file import CsvFile
 
 _POSITION, _VELOCITY = "_pos_rad", "_vel_rad_s"
@@ -36,7 +36,7 @@ class Movement(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class Motion(Record):
     """Positions and velocities over time, from wherever they come.
 
     Attributes:

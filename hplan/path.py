@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hplan.arrays import FloatArray, readonly
+from hplan.arrays import FloatArray, Record, readonly
 from hplan.errors import OptionError
 
 
@@ -74,7 +74,7 @@ class GeometricPath(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Limits:
+class Limits(Record):
     """Limits of a motion, one entry for each joint.
 
     Attributes:

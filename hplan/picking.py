@@ -40,7 +40,7 @@ from hplan.pipeline import Workspace, last_stretch
 from hplan.problem import pose_problem
 from hplan.report import StageClock
 from hplan.robot import Robot
-from hplan.route import Task
+from hplan.route import Task, no_progress
 from hplan.scene import Fruit, Goal, Scene
 from hplan.surroundings import Surroundings
 from hplan.trajectory import Trajectory
@@ -79,7 +79,7 @@ class World:
             InputError: Start or goal cannot be taken.
         """
         problem = pose_problem(around, start, goal, locked_joints=scene.locked_joints)
-        return Task(around, scene, problem, self.options, StageClock(), self._workspace.layers, lambda _: None)
+        return Task(around, scene, problem, self.options, StageClock(), self._workspace.layers, no_progress)
 
 
 @dataclass(frozen=True, eq=False)

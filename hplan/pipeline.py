@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from hplan.arrays import FloatArray
+from hplan.arrays import FloatArray, Record
 from hplan.certificate import Certificate, all_of
 from hplan.errors import CertificationError, HplanError, TimingError
 from hplan.grid import Occupancy
@@ -19,7 +19,7 @@ from hplan.postprocess import SplinePath
 from hplan.problem import Problem, pose_problem
 from hplan.report import StageClock, versions
 from hplan.robot import Robot
-from hplan.route import Progress, Task
+from hplan.route import Progress, Task, no_progress
 from hplan.scene import Scene, Solid
 from hplan.search import SearchResult
 from hplan.surroundings import Surroundings
@@ -44,7 +44,7 @@ class Phase:
 
 
 @dataclass(frozen=True, eq=False)
-class PlanResult:
+class PlanResult(Record):
     """A plan.
 
     Attributes:
@@ -82,7 +82,7 @@ class PlanResult:
 
 
 def plan(
-    robot: Robot, scene: Scene, options: PlanOptions | None = None, *, progress: Progress = lambda _: None
+    robot: Robot, scene: Scene, options: PlanOptions | None = None, *, progress: Progress = no_progress
 ) -> PlanResult:
     """Plan a motion from the scene's start to its goal.
 
@@ -121,12 +121,13 @@ class Workspace:
         tracking_error = options.tracking_error if options.certify else 0.0
         solids, clearance, sigmas = scene.solids_with_goal, scene.clearance, options.sigmas
         asked = solids, clearance, tracking_error, sigmas
-        if self._last is None or self._last[0] != asked:
+        last = self._last
+        if last is None or last[0] != asked:
             around = Surroundings.of(
                 self.robot, solids, clearance=clearance, tracking_error=tracking_error, sigmas=sigmas
             )
-            self._last = asked, around
-        return self._last[1]
+            self._last = last = asked, around
+        return last[1]
 
 
 def plan_with(
@@ -134,7 +135,7 @@ def plan_with(
     scene: Scene,
     options: PlanOptions,
     *,
-    progress: Progress = lambda _: None,
+    progress: Progress = no_progress,
     before: Motion | None = None,
 ) -> PlanResult:
     """As `plan`, with what earlier plans of the same robot have left.

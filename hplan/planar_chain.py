@@ -24,7 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hplan.arrays import BoolArray, FloatArray, IntArray
+from hplan.arrays import BoolArray, FloatArray, IntArray, Record
 from hplan.robot import PlanarArm
 
 ComplexArray = NDArray[np.complex128]
@@ -50,7 +50,7 @@ _TRIED, _CLOSER = 720, 3
 
 
 @dataclass(frozen=True)
-class Window:
+class Window(Record):
     """An interval of absolute angles of the last link.
 
     Attributes:
@@ -68,7 +68,7 @@ class Window:
 
 
 @dataclass(frozen=True, eq=False)
-class Reached:
+class Reached(Record):
     """Configurations that reach points.
 
     Attributes:
@@ -83,7 +83,7 @@ class Reached:
 
 
 @dataclass(frozen=True, eq=False)
-class FreeChain:
+class FreeChain(Record):
     """The last links of a planar arm as a chain of those joints that are free; see the module's text.
 
     Attributes:

@@ -8,6 +8,7 @@ handed out was certified among the obstacles as they are now.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from threading import RLock
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
@@ -21,6 +22,9 @@ from hplan.scene import Box, Capsule, Goal, Mesh, PointCloud, Scene, Sphere, Sta
 
 class Planner:
     """Plans again and again for one robot.
+
+    Several threads may use one planner: a change and a plan wait for the plan that is under way. A planner can be
+    pickled; its memory of layers stays behind.
 
     Attributes:
         robot: The arm.
@@ -42,6 +46,15 @@ class Planner:
         self.scene = scene
         self.last: PlanResult | None = None
         self._workspace = Workspace(robot)
+        self._lock = RLock()
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What a user sees of it."""
+        return {"robot": self.robot, "scene": self.scene, "options": self.options, "last": self.last}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Go on from there."""
+        vars(self).update(state, _workspace=Workspace(state["robot"]), _lock=RLock())
 
     def plan(self) -> PlanResult:
         """Plan as `hplan.plan` does, whatever was planned before.
@@ -49,8 +62,9 @@ class Planner:
         Raises:
             HplanError: As `hplan.plan`.
         """
-        self.last = plan_with(self._workspace, self.scene, self.options)
-        return self.last
+        with self._lock:
+            self.last = plan_with(self._workspace, self.scene, self.options)
+            return self.last
 
     def replan(self) -> PlanResult:
         """Plan again after a change.
@@ -63,9 +77,10 @@ class Planner:
         Raises:
             HplanError: As `hplan.plan`.
         """
-        before = None if self.last is None else self.last.motion
-        self.last = plan_with(self._workspace, self.scene, self.options, before=before)
-        return self.last
+        with self._lock:
+            before = None if self.last is None else self.last.motion
+            self.last = plan_with(self._workspace, self.scene, self.options, before=before)
+            return self.last
 
     def add(self, obstacle: Sphere | Capsule | Box | Mesh | PointCloud) -> None:
         """Add an obstacle.
@@ -74,9 +89,11 @@ class Planner:
             InputError: There is one of that name, or it is no obstacle.
         """
         _check_kind(obstacle)
-        if obstacle.name in self._names():
-            raise InputError(f"there is an obstacle {obstacle.name!r} already; names must differ", name=obstacle.name)
-        self._change((*self.scene.obstacles, obstacle))
+        with self._lock:
+            if obstacle.name in self._names():
+                message = f"there is an obstacle {obstacle.name!r} already; names must differ"
+                raise InputError(message, name=obstacle.name)
+            self._change((*self.scene.obstacles, obstacle))
 
     def remove(self, name: str) -> None:
         """Take an obstacle away.
@@ -84,8 +101,9 @@ class Planner:
         Raises:
             InputError: There is none of that name.
         """
-        index = self._index(name)
-        self._change((*self.scene.obstacles[:index], *self.scene.obstacles[index + 1 :]))
+        with self._lock:
+            index = self._index(name)
+            self._change((*self.scene.obstacles[:index], *self.scene.obstacles[index + 1 :]))
 
     def move(self, name: str, **changes: Any) -> None:
         """Give an obstacle other values, as `move("post", center=(1, 0, 1))`.
@@ -93,9 +111,10 @@ class Planner:
         Raises:
             InputError: There is none of that name, or it has no such value, or cannot have it.
         """
-        index = self._index(name)
-        moved = _changed(self.scene.obstacles[index], changes)
-        self._change((*self.scene.obstacles[:index], moved, *self.scene.obstacles[index + 1 :]))
+        with self._lock:
+            index = self._index(name)
+            moved = _changed(self.scene.obstacles[index], changes)
+            self._change((*self.scene.obstacles[:index], moved, *self.scene.obstacles[index + 1 :]))
 
     def aim(self, *, start: Start | None = None, goal: Goal | None = None) -> None:
         """Begin elsewhere, or go elsewhere.
@@ -104,7 +123,8 @@ class Planner:
             SceneError: A fruit that the scene does not have.
         """
         changes: dict[str, Any] = {key: value for key, value in (("start", start), ("goal", goal)) if value is not None}
-        self.scene = _changed(self.scene, changes)
+        with self._lock:
+            self.scene = _changed(self.scene, changes)
 
     def _change(self, obstacles: tuple[Sphere | Capsule | Box | Mesh | PointCloud, ...]) -> None:
         # The names were looked at, and the obstacles are checked: no need to check the scene again.

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hplan.arrays import BoolArray, FloatArray, IntArray, readonly
+from hplan.arrays import BoolArray, FloatArray, IntArray, Record, readonly
 from hplan.collision import check_clear
 from hplan.errors import InputError
 from hplan.robot import Robot
@@ -16,7 +16,7 @@ from hplan.surroundings import Surroundings
 
 
 @dataclass(frozen=True, eq=False)
-class Problem:
+class Problem(Record):
     """Where to go from and to, and with which joints.
 
     Attributes:

@@ -15,7 +15,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from hplan.arrays import FloatArray, readonly
+from hplan.arrays import FloatArray, Record, readonly
 from hplan.dynamics import InverseDynamics
 from hplan.errors import InputError, JointLimitError
 from hplan.family_reader import FamilyReader, joint_range
@@ -24,7 +24,7 @@ from hplan.robot_files import LIMITS_SUFFIX, read_limits, read_models
 
 
 @dataclass(frozen=True, eq=False)
-class PlanarArm:
+class PlanarArm(Record):
     """The planar chain inside the robot, in the coordinates of its own plane.
 
     The plane's origin is the first planar joint (the shoulder); its first axis is horizontal, its second points
@@ -72,7 +72,7 @@ class PlanarArm:
 
 
 @dataclass(frozen=True, eq=False)
-class Robot:
+class Robot(Record):
     """A harvesting arm: Pinocchio's models, the planar chain inside, and every limit.
 
     Attributes:

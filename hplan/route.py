@@ -13,10 +13,11 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from hplan.arrays import BoolArray, FloatArray, IntArray, WordArray, frozen
+from hplan.arrays import BoolArray, FloatArray, IntArray, Record, WordArray, frozen
 from hplan.blockage import blockers
 from hplan.clearance import ClearanceField
 from hplan.connect import joined_nodes
@@ -49,6 +50,10 @@ ASIDE = 2e-3
 Progress = Callable[[str], None]
 
 
+def no_progress(_: str) -> None:
+    """Where nobody wants to know the stages."""
+
+
 @dataclass(frozen=True)
 class Rung:
     """One try: how fine the grid is, and how much obstacles are grown in it.
@@ -68,7 +73,7 @@ class Rung:
 
 
 @dataclass(frozen=True, eq=False)
-class Route:
+class Route(Record):
     """A way over the grid.
 
     Attributes:
@@ -85,7 +90,7 @@ class Route:
 
 
 @dataclass(frozen=True, eq=False)
-class Task:
+class Task(Record):
     """What every try at one motion shares.
 
     Attributes:
@@ -115,6 +120,10 @@ class Task:
     def field(self) -> ClearanceField:
         """Distances between the arm and what it must keep clear of."""
         return self.around.field
+
+    def __getstate__(self) -> dict[str, tuple[Any, bool]]:
+        """The fields; who listens to the progress of a plan does not travel with it."""
+        return {**super().__getstate__(), "progress": (no_progress, False)}
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
@@ -371,28 +380,47 @@ class _Ends:
         return np.empty((0, len(lattice.shape)), dtype=np.int64)
 
 
+@dataclass(frozen=True, eq=False)
+class Enclosure(Record):
+    """The region of a grid over yaws that one end is enclosed in.
+
+    Attributes:
+        around: The arm and what it must keep clear of.
+        growth: By how much obstacles were grown [m].
+        grid: The grid.
+        reached: (rows, words) nodes of the region, as in `Occupancy`.
+        what: Which end it is, in words.
+    """
+
+    around: Surroundings
+    growth: float
+    grid: Grid
+    reached: WordArray
+    what: str
+
+    def explained(self) -> NoPathError:
+        """The error that says what bounds the region, at the yaw at which it is largest."""
+        grid, robot = self.grid, self.around.robot
+        layer = int(slice_sizes(self.reached).argmax())
+        planar = Grid(grid.lower[:-1], grid.step[:-1], grid.shape[:-1])
+        at = float(grid.lower[-1] + layer * grid.step[-1])
+        sections = sections_at(robot, self.around.bodies(self.growth), at, within_reach=False)
+        inside = (self.reached[:, layer >> 6] >> np.uint64(layer & 63)) & np.uint64(1) > 0
+        return _no_path(robot, sections, planar, inside.reshape(planar.shape), self.what)
+
+
 class EnclosedError(NoPathError):
     """One end is enclosed on a grid over yaws; `explained` finds out by what."""
 
-    def __init__(
-        self,
-        which: str,
-        reached_cells: int,
-        size: int,
-        *,
-        open_ended: bool,
-        explain: Callable[[str], NoPathError],
-    ) -> None:
-        """Store what is known at once; `explain` makes the whole error from the sentence."""
-        other = "goal" if which == "start" else "start"
-        self._what = f"the {which} is connected to {reached_cells} of {size} nodes, and the {other} is not among them"
-        super().__init__(f"no path exists on the grid: {self._what}", reached_cells=reached_cells)
+    def __init__(self, region: Enclosure, reached_cells: int, *, open_ended: bool) -> None:
+        """Store what is known at once."""
+        super().__init__(f"no path exists on the grid: {region.what}", reached_cells=reached_cells)
         self.open_ended = open_ended
-        self._explain = explain
+        self._region = region
 
     def explained(self) -> NoPathError:
         """The same with what bounds the region, which takes longer to find than whether another grid is open."""
-        return self._explain(self._what)
+        return self._region.explained()
 
 
 def _enclosed(task: Task, rung: Rung, space: Occupancy, lattice: Lattice, fronts: Wavefronts) -> EnclosedError:
@@ -405,22 +433,11 @@ def _enclosed(task: Task, rung: Rung, space: Occupancy, lattice: Lattice, fronts
     open_above = int(ever[last >> 6]) >> (last & 63) & 1 and (
         grid.lower[-1] + (last + 1) * grid.step[-1] <= yaw.upper[0] + 1e-9
     )
-
-    def explain(what: str) -> NoPathError:
-        layer = int(slice_sizes(reached).argmax())
-        planar = Grid(grid.lower[:-1], grid.step[:-1], grid.shape[:-1])
-        at = float(grid.lower[-1] + layer * grid.step[-1])
-        sections = sections_at(task.robot, task.around.bodies(rung.growth), at, within_reach=False)
-        inside = (reached[:, layer >> 6] >> np.uint64(layer & 63)) & np.uint64(1) > 0
-        return _no_path(task.robot, sections, planar, inside.reshape(planar.shape), what)
-
-    return EnclosedError(
-        fronts.enclosed,
-        int(np.bitwise_count(reached).sum()),
-        grid.size,
-        open_ended=bool(open_below or open_above),
-        explain=explain,
-    )
+    count, which = int(np.bitwise_count(reached).sum()), fronts.enclosed
+    other = "goal" if which == "start" else "start"
+    what = f"the {which} is connected to {count} of {grid.size} nodes, and the {other} is not among them"
+    region = Enclosure(task.around, rung.growth, grid, reached, what)
+    return EnclosedError(region, count, open_ended=bool(open_below or open_above))
 
 
 def _no_path(robot: Robot, sections: ArmSections, grid: Grid, reached: BoolArray, what: str) -> NoPathError:

@@ -27,7 +27,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hplan.arrays import FloatArray, IntArray, frozen, readonly
+from hplan.arrays import FloatArray, IntArray, Record, frozen, readonly
 from hplan.errors import InputError, OptionError
 from hplan.plane import convex_hull
 from hplan.robot import Robot
@@ -79,7 +79,7 @@ class RoundedPolygon:
 
 
 @dataclass(frozen=True, eq=False)
-class ArmSections:
+class ArmSections(Record):
     """The sections of all obstacles, link by link, as flat arrays for the kernels.
 
     Link `k` is concerned by sections `link_start[k]` to `link_start[k + 1]`; section `s` has the vertices
@@ -113,7 +113,7 @@ class ArmSections:
 
 
 @dataclass(frozen=True, eq=False)
-class Bodies:
+class Bodies(Record):
     """Obstacles made ready for cutting, once for all yaws: balls, each point of a cloud one, and hulls of points.
 
     Attributes:
@@ -334,13 +334,13 @@ _BASE: WeakKeyDictionary[Robot, dict[float, ArmSections]] = WeakKeyDictionary()
 
 def _base_sections(robot: Robot, contact: SelfContact, clearance: float) -> ArmSections:
     """Sections of turret and pedestal, to each link that can touch them; they are the same at every yaw."""
-    known = _BASE.setdefault(robot, {})
+    known = _BASE.get(robot, {})
     if clearance not in known:
-        known.clear()
         cut = _cut(robot, bodies_of(contact.bodies, clearance=clearance), 0.0, 0.0, "capsule", within_reach=True)
         links = _links_of(cut)
         wanted = [link in contact.bodies[body].links for link, body in zip(links, cut.obstacle_of, strict=True)]
-        known[clearance] = _picked(cut, np.flatnonzero(wanted), links)
+        # A table of one, replaced and never changed: another thread may hold the one before.
+        known = _BASE[robot] = {clearance: _picked(cut, np.flatnonzero(wanted), links)}
     return known[clearance]
 
 

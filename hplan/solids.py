@@ -21,7 +21,7 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
-from hplan.arrays import FloatArray, IntArray, frozen, readonly
+from hplan.arrays import FloatArray, IntArray, Record, frozen, readonly
 
 #: Most vertices of a hull.
 HULL_VERTICES: Final = 128
@@ -43,7 +43,7 @@ _COPLANAR: Final = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class Hull:
+class Hull(Record):
     """The convex hull of a few points, grown by a radius.
 
     Attributes:
@@ -200,7 +200,7 @@ def _distance_to_triangles(points: FloatArray, triangles: FloatArray) -> FloatAr
 
 
 @dataclass(frozen=True, eq=False)
-class Cloud:
+class Cloud(Record):
     """Many balls of one radius.
 
     Attributes:

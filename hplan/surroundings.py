@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hplan.arrays import FloatArray, frozen
+from hplan.arrays import FloatArray, Record, frozen
 from hplan.clearance import ClearanceField
 from hplan.collision import CollisionScene, base_contacts, base_radius
 from hplan.errors import InputError
@@ -24,7 +24,7 @@ BASE_DEPTH = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
-class Surroundings:
+class Surroundings(Record):
     """An arm among solids.
 
     Attributes:

@@ -17,7 +17,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from hplan.arrays import FloatArray
+from hplan.arrays import FloatArray, Record
 from hplan.certificate import Certificate, all_of
 from hplan.errors import CertificationError, HplanError, OptionError, TourError, UnreachableError
 from hplan.harvest import Grasp
@@ -27,7 +27,7 @@ from hplan.picking import NO_MOTION, Motions, Part, Stop, World, carrying, drop_
 from hplan.pipeline import Phase
 from hplan.report import versions
 from hplan.robot import Robot
-from hplan.route import Progress
+from hplan.route import Progress, no_progress
 from hplan.scene import Goal, Scene
 from hplan.timing import resting
 from hplan.trajectory import Trajectory, joined
@@ -73,7 +73,7 @@ class TourOptions:
 
 
 @dataclass(frozen=True, eq=False)
-class Leg:
+class Leg(Record):
     """A part of a tour, at rest at both ends: to one fruit and, where it is next, to the drop-off; or the way back.
 
     Attributes:
@@ -112,7 +112,7 @@ class Unreached:
 
 
 @dataclass(frozen=True, eq=False)
-class TourResult:
+class TourResult(Record):
     """A tour.
 
     Attributes:
@@ -148,7 +148,7 @@ def plan_tour(
     *,
     fruits: Sequence[str] | None = None,
     tour: TourOptions | None = None,
-    progress: Progress = lambda _: None,
+    progress: Progress = no_progress,
 ) -> TourResult:
     """Plan a picking tour from the scene's start; of its goal only `approach_deg` counts, for all fruits.
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hplan.arrays import FloatArray, readonly
+from hplan.arrays import FloatArray, Record, readonly
 from hplan.csv_file import CsvFile
 from hplan.errors import InputError
 from hplan.files import write_text
@@ -24,7 +24,7 @@ JOINED = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class Trajectory:
+class Trajectory(Record):
     """Samples of a motion, at rest at both ends unless asked for otherwise.
 
     Attributes:

@@ -14,7 +14,7 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from hplan.arrays import FloatArray, frozen
+from hplan.arrays import FloatArray, Record, frozen
 from hplan.certificate import Certificate, certify
 from hplan.errors import CertificationError, HplanError, NoPathError, TimingError
 from hplan.mend import mended
@@ -76,7 +76,7 @@ Origin: TypeAlias = Literal["none", "direct", "roadmap", "search", "mended", "ke
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class Motion(Record):
     """A certified motion from configuration to configuration.
 
     Attributes:

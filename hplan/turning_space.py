@@ -7,6 +7,7 @@ yaw, and one word of a row holds 64 yaws.
 from __future__ import annotations
 
 import math
+from threading import Lock
 
 import numpy as np
 
@@ -61,6 +62,15 @@ class Layers:
         self._most_bytes = most_bytes
         self._bytes = 0
         self._held: dict[bytes, WordArray] = {}
+        self._lock = Lock()
+
+    def __getstate__(self) -> int:
+        """Only how many bytes may be held: a pickled plan need not carry them."""
+        return self._most_bytes
+
+    def __setstate__(self, most_bytes: int) -> None:
+        """Hold nothing yet."""
+        self.__init__(most_bytes)  # type: ignore[misc]
 
     def free_words(self, robot: Robot, sections: ArmSections, planar: Grid) -> WordArray:
         """Free bits of a layer, as in `Occupancy`."""
@@ -69,12 +79,19 @@ class Layers:
         found = self._held.get(key)
         if found is None:
             found = occupancy(robot.arm, sections, planar).free_words
-            self._held[key] = found
-            self._bytes += len(key) + found.nbytes
+            self._keep(key, found)
+        return found
+
+    def _keep(self, key: bytes, words: WordArray) -> None:
+        """Hold a layer, unless another thread has put it there meanwhile, and let the oldest go."""
+        with self._lock:
+            if key in self._held:
+                return
+            self._held[key] = words
+            self._bytes += len(key) + words.nbytes
             while self._bytes > self._most_bytes and len(self._held) > 1:
                 oldest = next(iter(self._held))
                 self._bytes -= len(oldest) + self._held.pop(oldest).nbytes
-        return found
 
 
 def turning_occupancy(

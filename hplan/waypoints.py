@@ -18,7 +18,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from hplan import timing
-from hplan.arrays import FloatArray, readonly
+from hplan.arrays import FloatArray, Record, readonly
 from hplan.corner_rounding import as_waypoints, largest_deviation, rounded_path
 from hplan.errors import InputError, JointLimitError, TimingError
 from hplan.machine import Machine, limits_of, read_machine
@@ -196,7 +196,7 @@ def _grid(path: SplinePath) -> FloatArray:
 
 
 @dataclass(frozen=True, eq=False)
-class LimitShares:
+class LimitShares(Record):
     """How much of its limits each joint uses.
 
     Attributes:

@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hplan.arrays import BoolArray, FloatArray, frozen, readonly
+from hplan.arrays import BoolArray, FloatArray, Record, frozen, readonly
 from hplan.clearance import ClearanceField
 from hplan.clearance_kernels import link_clearances, proven_advance
 from hplan.errors import InputError
@@ -31,7 +31,7 @@ PANELS = 6
 
 
 @dataclass(frozen=True, eq=False)
-class SplinePath:
+class SplinePath(Record):
     """A path from its first control point to its last; the parameter runs about as the joint-space length.
 
     Attributes:

@@ -13,12 +13,12 @@ from functools import lru_cache
 
 import numpy as np
 
-from hplan.arrays import FloatArray, IntArray, WordArray, readonly
+from hplan.arrays import FloatArray, IntArray, Record, WordArray, readonly
 from hplan.grid import words_for
 
 
 @dataclass(frozen=True, eq=False)
-class Lattice:
+class Lattice(Record):
     """A grid's geometry for the kernels: bordered rows and the moves between them.
 
     Attributes:

@@ -14,7 +14,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from hplan.arrays import BoolArray, IntArray, WordArray, frozen
+from hplan.arrays import BoolArray, IntArray, Record, WordArray, frozen
 from hplan.grid import words_for
 from hplan.kernels import kernel
 from hplan.search.flood import bits_of, flood_slices
@@ -28,7 +28,7 @@ SliceSearch: TypeAlias = Callable[[Lattice, WordArray, IntArray, IntArray], tupl
 
 
 @dataclass(frozen=True, eq=False)
-class Layers:
+class Layers(Record):
     """Neighbouring slices, searched.
 
     Attributes:

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from hplan.arrays import BoolArray, FloatArray, IntArray
+from hplan.arrays import BoolArray, FloatArray, IntArray, Record
 from hplan.search.layers import Layers
 
 #: What carried the path, or the verdict that there is none: the union of the slices between start and goal; the union
@@ -59,7 +59,7 @@ class StageTimes:
 
 
 @dataclass(frozen=True, eq=False)
-class SearchResult:
+class SearchResult(Record):
     """A path over grid nodes and how it was found.
 
     Attributes:

@@ -13,9 +13,9 @@ Hermite`); a trajectory of hplan is exactly that curve. On it
 - the acceleration and torque columns, which a controller may feed forward, must keep the limits too;
 - the motion begins and ends at rest, unless that is not asked for.
 
-Assumed: rigid links inside their capsules, obstacles where the scene says, tracking within `tracking_error` [rad] a
-joint (it takes from the clearance; the limits are those of the commanded motion). Not covered: flexing, the base's own
-motion, contact forces, what is not in the scene.
+Assumed: rigid links inside their capsules, obstacles where the scene says, tracking within a model of its error
+(`hplan.tracking`; it takes from the clearance; the limits are those of the commanded motion). Not covered: flexing, the
+base's own motion, contact forces, what is not in the scene.
 """
 
 from __future__ import annotations
@@ -29,9 +29,10 @@ from hplan.arrays import FloatArray
 from hplan.clearance_proof import prove_clearance
 from hplan.collision import CollisionScene, Contact
 from hplan.dynamics import InverseDynamics
-from hplan.errors import InputError, OptionError
+from hplan.errors import InputError
 from hplan.robot import Robot
 from hplan.scene import Scene
+from hplan.tracking import TrackingModel
 from hplan.trajectory import Trajectory
 
 #: Use of a limit up to which it counts as kept.
@@ -90,6 +91,7 @@ def certify(
     trajectory: Trajectory,
     *,
     tracking_error: float = 0.0,
+    tracking_delay_s: float = 0.0,
     rest_to_rest: bool = True,
     judge: CollisionScene | None = None,
 ) -> Certificate:
@@ -99,7 +101,8 @@ def certify(
         robot: The arm.
         scene: Obstacles and the clearance to keep.
         trajectory: The timed motion; its joints are the robot's.
-        tracking_error: Largest deviation of any joint from the trajectory [rad].
+        tracking_error: Largest deviation of any joint from the trajectory at rest [rad].
+        tracking_delay_s: What comes to it for each rad/s of the joint's velocity [s].
         rest_to_rest: Whether the motion has to begin and end at rest.
         judge: The scene in coal, where it is already there.
 
@@ -108,14 +111,13 @@ def certify(
 
     Raises:
         InputError: The trajectory has other joints than the robot.
-        OptionError: A tracking error that is negative or not finite.
+        OptionError: A tracking error or delay that is negative or not finite.
     """
     if trajectory.joint_names != robot.joint_names:
         raise InputError(
             f"the trajectory moves {', '.join(trajectory.joint_names)}; the robot has {', '.join(robot.joint_names)}"
         )
-    if not (np.isfinite(tracking_error) and tracking_error >= 0.0):
-        raise OptionError("tracking_error", tracking_error, "a finite number of radians >= 0")
+    tracking = TrackingModel(tracking_error, tracking_delay_s)
     judge = CollisionScene(robot, scene.solids) if judge is None else judge
     bezier = _bezier(trajectory)
     use = _limit_use(robot, trajectory, bezier)
@@ -128,12 +130,13 @@ def certify(
         for where, velocity in (("begins", trajectory.velocity[0]), ("ends", trajectory.velocity[-1])):
             if np.abs(velocity).max() > REST:
                 violations.append(f"the motion {where} at {np.abs(velocity).max():.4g} rad/s, not at rest")
-    proof = prove_clearance(robot, bezier, judge, tracking_error, scene.clearance)
+    speeds = _fastest(trajectory, bezier) if tracking.delay_s > 0.0 else np.zeros((1, robot.dof))
+    proof = prove_clearance(robot, bezier, judge, tracking.deviations(speeds), scene.clearance)
     if not proof.shown:
         nearest = proof.nearest or Contact("", "", 0.0)
         violations.append(
             f"link {nearest.link!r} comes to {1e3 * nearest.distance_m:.3g} mm of {nearest.other}; to be shown: more "
-            f"than {1e3 * scene.clearance:.3g} mm at a tracking error of {tracking_error:g} rad"
+            f"than {1e3 * scene.clearance:.3g} mm at {tracking}"
         )
     return Certificate(not violations, proof.clearance_m, proof.nearest, use, proof.checks, tuple(violations))
 
@@ -164,12 +167,23 @@ def _bezier(trajectory: Trajectory) -> FloatArray:
     return np.stack([q[:-1], q[:-1] + third * v[:-1], q[1:] - third * v[1:], q[1:]], axis=1)
 
 
+def _velocities(trajectory: Trajectory, bezier: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(pieces, 1) durations, and the (pieces, 3, dof) Bezier points of the velocity."""
+    duration = np.diff(trajectory.time)[:, None] if len(trajectory.time) > 1 else np.ones((1, 1))
+    return duration, 3.0 * np.diff(bezier, axis=1) / duration[:, None]
+
+
+def _fastest(trajectory: Trajectory, bezier: FloatArray) -> FloatArray:
+    """(pieces, dof) what |velocity| does not pass within each cubic: it lies in the hull of its Bezier points."""
+    fastest: FloatArray = np.abs(_velocities(trajectory, bezier)[1]).max(axis=1)
+    return fastest
+
+
 def _limit_use(robot: Robot, trajectory: Trajectory, bezier: FloatArray) -> LimitUse:
     middle, half = 0.5 * (robot.lower + robot.upper), 0.5 * (robot.upper - robot.lower)
     position = np.abs(bezier - middle).max(axis=(0, 1)) / half
-    duration = np.diff(trajectory.time)[:, None] if len(trajectory.time) > 1 else np.ones((1, 1))
     # Derivatives of the cubic: velocity (quadratic, three Bezier points), acceleration (linear, its two ends).
-    velocity = 3.0 * np.diff(bezier, axis=1) / duration[:, None]
+    duration, velocity = _velocities(trajectory, bezier)
     acceleration = 2.0 * np.diff(velocity, axis=1) / duration[:, None]
     peak = np.abs(velocity[:, [0, 2]]).max(axis=(0, 1))
     start, end = acceleration[:, 0], acceleration[:, 1]

@@ -1,10 +1,23 @@
-"""Clearance over the whole of a motion: conservative advancement along its cubics, each pair at its own pace.
+r"""Clearance over the whole of a motion: conservative advancement along its cubics, each pair at its own pace.
 
 A pair is a link and an obstacle, or two parts of the arm. Each has a mover: that of an obstacle is the link, and each
 pair of parts of the arm has one of its own, the link as seen from the other part. What a pair has to spare when coal is
 asked, less what has been shown so far (at most half of what any pair had to spare), its mover may travel before the
 pair is asked again; so at least what is shown remains at all times. Places are counted in rows. Where the proof has to
 give up, the rest of the motion is searched for the worst.
+
+**Tracking.** Joints that are off by their deviations bring a pair nearer by its sway, at most :math:`m_r` in piece
+:math:`r` of the motion. It is replaced by the piecewise linear :math:`\tilde m` with the values
+:math:`M_r = \max(m_{r - 1}, m_r)` at the rows, so that :math:`\tilde m(x) \ge m_r` at every place :math:`x` of piece
+:math:`r`. With :math:`T` what the mover travels up to a place and :math:`V` by how much :math:`\tilde m` has risen in
+all up to there, both piecewise linear, a pair of distance :math:`d(a)` when coal is asked at :math:`a` has at every
+later place
+
+.. math::
+    d(x) - \tilde m(x) \ge d(a) - [T(x) - T(a)] - \tilde m(a) - [V(x) - V(a)],
+
+so the advancement counts :math:`T + V` as travel and :math:`d(a) - \tilde m(a)`, less the distance to be kept, as
+spare.
 """
 
 from __future__ import annotations
@@ -47,7 +60,7 @@ class Proof:
 
 
 def prove_clearance(
-    robot: Robot, bezier: FloatArray, judge: CollisionScene, tracking_error: float, needed: float
+    robot: Robot, bezier: FloatArray, judge: CollisionScene, deviations: FloatArray, needed: float
 ) -> Proof:
     """Show that every pair keeps its distance at all times, or find where it does not.
 
@@ -55,12 +68,12 @@ def prove_clearance(
         robot: The arm.
         bezier: (pieces, 4, dof) Bezier points of the motion's cubics.
         judge: The arm among the obstacles.
-        tracking_error: Largest deviation of any joint [rad].
+        deviations: (pieces, dof) largest deviation of each joint within each cubic, or (1, dof) for all of them [rad].
         needed: Distance to be kept [m].
     """
     if not judge.pairs:
         return Proof(True, math.inf, None, 0)
-    search = _Advancement(robot, bezier, judge, tracking_error, needed)
+    search = _Advancement(robot, bezier, judge, deviations, needed)
     # At the start all pairs at once; those that cannot come near in the whole motion are not asked again.
     distances = judge.pair_distances(bezier[0, 0])
     going = search.take(np.arange(len(distances)), distances, 0.0)
@@ -88,7 +101,7 @@ class _Advancement:
     """
 
     def __init__(
-        self, robot: Robot, bezier: FloatArray, judge: CollisionScene, tracking_error: float, needed: float
+        self, robot: Robot, bezier: FloatArray, judge: CollisionScene, deviations: FloatArray, needed: float
     ) -> None:
         own = _own_pairs(judge)
         first, links = len(judge.pairs) - len(own), len(judge.link_names)
@@ -98,9 +111,12 @@ class _Advancement:
         bounds = [_link_bounds(robot, rates), *(pair_rates(robot, link, other, rates) for link, other in own)]
         moved = np.cumsum(np.column_stack(bounds), axis=0).T
         self._travel = np.column_stack([np.zeros(len(moved)), moved])
-        sway = [*robot.sway(tracking_error), *(pair_sway(robot, link, other, tracking_error) for link, other in own)]
-        self._sway = np.array(sway)[self._mover_of]
-        self._kept = self._sway + needed
+        sways = [robot.sway(deviations), *(pair_sway(robot, link, other, deviations) for link, other in own)]
+        self._sway = _at_rows(np.column_stack(sways).T, len(bezier))
+        if len(deviations) > 1:
+            risen = np.cumsum(np.maximum(np.diff(self._sway, axis=1), 0.0), axis=1)
+            self._travel[:, 1:] += risen
+        self._needed = needed
         self._at = 0.0
         self.due = np.full(len(judge.pairs), math.inf)
         self.shown = math.inf
@@ -120,7 +136,7 @@ class _Advancement:
         """Take what coal says of some pairs; whether the proof goes on."""
         self._at = at
         least, self.shown = _put_off(
-            pairs, distances, at, self._kept, self._mover_of, self._travel, self.shown, self.due
+            pairs, distances, at, self._needed, self._mover_of, self._sway, self._travel, self.shown, self.due
         )
         self.nearest = min(self.nearest, (float(distances[least]), int(pairs[least])))
         return self.shown > 0.0
@@ -145,7 +161,7 @@ class _Advancement:
             while due and due[0][0] == row:
                 pairs.append(heapq.heappop(due)[1])
             for pair, distance in zip(pairs, self._judge.distances_of(np.array(pairs)).tolist(), strict=True):
-                sway = float(self._sway[pair])
+                sway = float(self._sway[self._mover_of[pair], row])
                 self.nearest = min(self.nearest, (distance, pair))
                 least = min(least, distance - sway)
                 farther = min(distance - self.nearest[0], distance - sway - least)
@@ -171,12 +187,28 @@ def _due_before(due: FloatArray, pairs: IntArray) -> IntArray:
 
 
 @kernel
+def _linear(values: FloatArray, at: float) -> float:
+    """What is linear between its values at the rows, at a place."""
+    row = min(int(at), len(values) - 2)
+    value: float = values[row] + (at - row) * (values[row + 1] - values[row])
+    return value
+
+
+def _at_rows(sway: FloatArray, pieces: int) -> FloatArray:
+    """(movers, pieces + 1) the larger sway of the two pieces at each row, from that of the pieces, or of all in one."""
+    if sway.shape[1] == 1:
+        return np.repeat(sway, pieces + 1, axis=1)
+    return np.maximum(np.column_stack([sway[:, :1], sway]), np.column_stack([sway, sway[:, -1:]]))
+
+
+@kernel
 def _put_off(
     pairs: IntArray,
     distances: FloatArray,
     at: float,
-    kept: FloatArray,
+    needed: float,
     mover_of: IntArray,
+    sway: FloatArray,
     travel: FloatArray,
     shown: float,
     due: FloatArray,
@@ -187,10 +219,11 @@ def _put_off(
         Which of them has the smallest distance, and what is then shown; 0 where the proof has to give up.
     """
     least = 0
+    spares = np.empty(len(pairs))
     for i in range(len(pairs)):
         if not distances[i] >= distances[least]:
             least = i
-        spare = distances[i] - kept[pairs[i]]
+        spare = spares[i] = distances[i] - (_linear(sway[mover_of[pairs[i]]], at) + needed)
         if not spare > SMALLEST_STEP:
             shown = 0.0
         shown = min(shown, 0.5 * spare)
@@ -198,7 +231,7 @@ def _put_off(
         return least, 0.0
     for i in range(len(pairs)):
         pair = pairs[i]
-        spare = distances[i] - kept[pair]
+        spare = spares[i]
         due[pair] = math.inf
         if spare < math.inf:  # else these two may touch
             place = place_after(travel[mover_of[pair]], at, min(spare - shown, MOST_TRAVEL * spare))

@@ -13,8 +13,17 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hplan.errors import HplanError, InputError, OptionError, OutputError
-from hplan.terminal import add_robot, add_scene, command_parser, loading, prepare_folder, run_command
+from hplan.errors import HplanError, InputError, OutputError
+from hplan.terminal import (
+    add_robot,
+    add_scene,
+    add_tracking,
+    command_parser,
+    loading,
+    prepare_folder,
+    run_command,
+    tracking_of,
+)
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -96,7 +105,7 @@ def _parser() -> argparse.ArgumentParser:
     add("--step", type=float, default=1.0, metavar="DEG", help="spacing of the joint grid (default: 1)")
     add("--rate", type=float, default=250.0, metavar="HZ", help="rows per second in the CSV (default: 250)")
     add("--speed", type=float, default=1.0, metavar="SHARE", help="share of full speed, in (0, 1] (default: 1)")
-    add("--tracking-error", type=float, default=0.0, metavar="DEG", help="joint deviation that the proof covers")
+    add_tracking(parser)
     add("--sigmas", type=float, default=3.0, metavar="K", help="an uncertain obstacle grows by K sigma (default: 3)")
     add("--standoff", type=float, default=0.1, metavar="M", help="straight approach to a fruit (default: 0.1)")
     add("--uncertified", action="store_true", help="write the motion even if it is not certified; the report says so")
@@ -136,8 +145,7 @@ def _run(
             from hplan.view.page import write_page
             from hplan.view.yaw_section import check_yaw
 
-        if not arguments.tracking_error >= 0.0:
-            raise OptionError("--tracking-error", arguments.tracking_error, "a number of degrees >= 0")
+        tracking = tracking_of(arguments)
         options = PlanOptions(
             method=arguments.method,
             step_deg=arguments.step,
@@ -145,7 +153,8 @@ def _run(
             link_model=arguments.link_model,
             rate_hz=arguments.rate,
             speed=arguments.speed,
-            tracking_error=math.radians(arguments.tracking_error),
+            tracking_error=tracking.still_rad,
+            tracking_delay_s=tracking.delay_s,
             sigmas=arguments.sigmas,
             standoff=arguments.standoff,
             certify=not arguments.uncertified,

@@ -11,6 +11,7 @@ from hplan.errors import OptionError
 from hplan.path import check_rate, check_speed
 from hplan.postprocess import OBJECTIVES, Objective
 from hplan.section import LinkModel, check_link_model
+from hplan.tracking import TrackingModel
 
 Method = Literal["two-level", "dense"]
 METHODS: tuple[Method, ...] = ("two-level", "dense")
@@ -27,7 +28,8 @@ class PlanOptions:
         link_model: Link model of the C-space; motions are always certified for capsules.
         rate_hz: Rows of the trajectory per second.
         speed: Share of the velocity limits to use, in (0, 1].
-        tracking_error: Deviation from the trajectory to be covered by the certificate, each joint [rad].
+        tracking_error: Deviation from the trajectory to be covered by the certificate, each joint, at rest [rad].
+        tracking_delay_s: What comes to it for each rad/s of the joint's velocity [s].
         sigmas: How many standard deviations of its place an obstacle is grown by, where the scene gives one.
         standoff: Length of the straight approach to a fruit or a point [m]; shorter where it cannot be had.
         certify: False exports what was not certified, and says so.
@@ -40,6 +42,7 @@ class PlanOptions:
     rate_hz: float = 250.0
     speed: float = 1.0
     tracking_error: float = 0.0
+    tracking_delay_s: float = 0.0
     sigmas: float = 3.0
     standoff: float = 0.1
     certify: bool = True
@@ -55,9 +58,13 @@ class PlanOptions:
             raise OptionError("step_deg", self.step_deg, "a positive number of degrees")
         check_rate(self.rate_hz)
         check_speed(self.speed)
-        if not (np.isfinite(self.tracking_error) and self.tracking_error >= 0.0):
-            raise OptionError("tracking_error", self.tracking_error, "a finite number of radians >= 0")
+        TrackingModel(self.tracking_error, self.tracking_delay_s)
         for name in ("sigmas", "standoff"):
             value = getattr(self, name)
             if not (np.isfinite(value) and value >= 0.0):
                 raise OptionError(name, value, "a finite number >= 0")
+
+    @property
+    def tracking(self) -> TrackingModel:
+        """The deviation that motions make room for: none where they need not be certified."""
+        return TrackingModel(self.tracking_error, self.tracking_delay_s) if self.certify else TrackingModel()

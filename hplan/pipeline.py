@@ -319,6 +319,7 @@ def _report(
             "min_clearance_m": certificate.min_clearance_m,
             "nearest": None if nearest is None else vars(nearest),
             "tracking_error_rad": options.tracking_error,
+            "tracking_delay_s": options.tracking_delay_s,
             "limit_use": vars(certificate.limit_use),
             "violations": list(certificate.violations),
         },

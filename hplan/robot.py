@@ -155,18 +155,22 @@ class Robot(Record):
         x, y, z = np.moveaxis(at_zero, -1, 0)
         return np.stack([cos * x - sin * y, sin * x + cos * y, z], axis=-1)
 
-    def sway(self, deviation: float) -> FloatArray:
-        """How far an axis point of each link may be from its place when every joint is off by `deviation` [rad].
+    def sway(self, deviation: ArrayLike) -> FloatArray:
+        """How far an axis point of each link may be from its place when joints are off by `deviation` at most.
 
-        The absolute angle of link i is off by i deviations at most, and each link adds its length times that; yaw
-        adds its own times the largest distance from the yaw axis.
+        The absolute angle of a link is off by no more than the joints up to it together, and each link adds its length
+        times that; yaw adds its own deviation times the largest distance from the yaw axis.
+
+        Args:
+            deviation: One number for all joints, or (..., dof) [rad].
 
         Returns:
-            (links,) distances [m].
+            (..., links) distances [m].
         """
-        lengths = self.arm.lengths
-        sway: FloatArray = deviation * np.cumsum(lengths * np.arange(1, len(lengths) + 1))
-        return sway + deviation * self.yaw_radius if self.has_yaw else sway
+        off = np.asarray(deviation, dtype=np.float64)
+        off = off if off.ndim else np.full(self.dof, off)
+        sway: FloatArray = np.cumsum(self.arm.lengths * np.cumsum(off[..., self.arm_slice], axis=-1), axis=-1)
+        return sway + off[..., :1] * self.yaw_radius if self.has_yaw else sway
 
     @property
     def yaw_radius(self) -> FloatArray:

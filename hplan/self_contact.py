@@ -26,6 +26,7 @@ from typing import Final, Literal
 from weakref import WeakKeyDictionary
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from hplan.arrays import FloatArray, frozen
 from hplan.family_reader import outline
@@ -98,23 +99,26 @@ def self_contact(robot: Robot) -> SelfContact:
     return found
 
 
-def pair_sway(robot: Robot, link: int, other: int, deviation: float) -> float:
-    """How much nearer a link may come to another part of the arm when every joint is off by `deviation` [rad].
+def pair_sway(robot: Robot, link: int, other: int, deviation: ArrayLike) -> FloatArray:
+    """How much nearer a link may come to another part of the arm when joints are off by `deviation` at most.
 
     Args:
         robot: The arm.
         link: The link.
         other: A link before it, `TURRET` or `GROUND`.
-        deviation: Deviation of every joint [rad].
+        deviation: One number for all joints, or (..., dof) [rad].
 
     Returns:
-        A distance [m].
+        (...) distances [m].
     """
+    off = np.asarray(deviation, dtype=np.float64)
+    off = off if off.ndim else np.full(robot.dof, off)
     after = max(other, TURRET) + 1
-    lengths = robot.arm.lengths[after : link + 1]
-    sway = deviation * float((lengths * np.arange(1, len(lengths) + 1)).sum())
-    yaws = robot.has_yaw and other == GROUND
-    return sway + deviation * float(robot.yaw_radius[link]) if yaws else sway
+    turns = np.cumsum(off[..., robot.arm_slice][..., after : link + 1], axis=-1)
+    sway: FloatArray = turns @ robot.arm.lengths[after : link + 1]
+    if robot.has_yaw and other == GROUND:
+        sway = sway + off[..., 0] * robot.yaw_radius[link]
+    return sway
 
 
 def pair_rates(robot: Robot, link: int, other: int, rates: FloatArray) -> FloatArray:

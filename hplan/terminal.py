@@ -7,16 +7,19 @@ from __future__ import annotations
 
 import argparse
 import gc
+import math
 import textwrap
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hplan.errors import HplanError, OutputError
+from hplan.errors import HplanError, OptionError, OutputError
 
 if TYPE_CHECKING:
     from rich.console import Console
+
+    from hplan.tracking import TrackingModel
 
 #: Exit status where what was looked at is not in order.
 FAILED = 5
@@ -94,6 +97,28 @@ def add_robot(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("--robot", type=Path, metavar="URDF", help="robot (default: the harvester that ships with hplan)")
     add("--limits", type=Path, metavar="YAML", help="acceleration limits (default: NAME.limits.yaml beside the URDF)")
+
+
+def add_tracking(parser: argparse.ArgumentParser) -> None:
+    """Add the options `--tracking-error` and `--tracking-delay`."""
+    add = parser.add_argument
+    add("--tracking-error", type=float, default=0.0, metavar="DEG", help="deviation of each joint that is allowed for")
+    add("--tracking-delay", type=float, default=0.0, metavar="MS", help="the same, for each unit of joint velocity")
+
+
+def tracking_of(arguments: argparse.Namespace) -> TrackingModel:
+    """What `--tracking-error` and `--tracking-delay` say.
+
+    Raises:
+        OptionError: One that is negative or not finite.
+    """
+    from hplan.tracking import TrackingModel
+
+    error_deg, delay_ms = arguments.tracking_error, arguments.tracking_delay
+    for option, value, unit in (("--tracking-error", error_deg, "degrees"), ("--tracking-delay", delay_ms, "ms")):
+        if not 0.0 <= value < math.inf:
+            raise OptionError(option, value, f"a finite number of {unit} >= 0")
+    return TrackingModel(math.radians(error_deg), 1e-3 * delay_ms)
 
 
 def prepare_folder(folder: Path) -> None:

@@ -360,6 +360,7 @@ class _Planner:
                 "min_clearance_m": certificate.min_clearance_m,
                 "nearest": None if nearest_pair is None else vars(nearest_pair),
                 "tracking_error_rad": self.options.tracking_error,
+                "tracking_delay_s": self.options.tracking_delay_s,
                 "limit_use": vars(certificate.limit_use),
                 "violations": list(certificate.violations),
             },

@@ -197,6 +197,7 @@ def judged(task: Task, trajectory: Trajectory) -> Certificate:
             task.scene,
             trajectory,
             tracking_error=task.options.tracking_error,
+            tracking_delay_s=task.options.tracking_delay_s,
             judge=task.around.judge,
         )
 

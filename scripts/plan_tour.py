@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hplan.errors import HplanError, OptionError, OutputError
-from hplan.terminal import add_robot, command_parser, prepare_folder, run_command
+from hplan.terminal import add_robot, add_tracking, command_parser, prepare_folder, run_command, tracking_of
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -70,7 +70,7 @@ def _parser() -> argparse.ArgumentParser:
     add("--standoff", type=float, default=0.1, metavar="M", help="length of straight approaches (default: 0.1)")
     add("--rate", type=float, default=250.0, metavar="HZ", help="rows per second in the CSV (default: 250)")
     add("--speed", type=float, default=1.0, metavar="SHARE", help="share of full speed, in (0, 1] (default: 1)")
-    add("--tracking-error", type=float, default=0.0, metavar="DEG", help="joint deviation that the proof covers")
+    add_tracking(parser)
     add("--quiet", action="store_true", help="no progress, no summary")
     return parser
 
@@ -97,7 +97,6 @@ def _run(
 ) -> tuple[TourResult, list[str]]:
     """Load, plan and write; gives the tour and the names of its files."""
     progress("reading robot and scene")
-    import math
 
     from hplan.options import PlanOptions
     from hplan.report import write_report
@@ -108,13 +107,13 @@ def _run(
     from hplan.trajectory import write_csv
     from hplan.view.page import write_page
 
-    if not arguments.tracking_error >= 0.0:
-        raise OptionError("--tracking-error", arguments.tracking_error, "a number of degrees >= 0")
+    tracking = tracking_of(arguments)
     options = PlanOptions(
         standoff=arguments.standoff,
         rate_hz=arguments.rate,
         speed=arguments.speed,
-        tracking_error=math.radians(arguments.tracking_error),
+        tracking_error=tracking.still_rad,
+        tracking_delay_s=tracking.delay_s,
     )
     tour = _tour_options(arguments)
     robot = load_robot(arguments.robot, limits=arguments.limits)

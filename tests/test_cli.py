@@ -440,6 +440,21 @@ def test_tracking_error_costs_clearance(run: Run, scene_file: SceneFile) -> None
     assert report_of(folder)["certificate"]["tracking_error_rad"] == pytest.approx(math.radians(0.1))
 
 
+def test_tracking_delay_is_reported(run: Run, scene_file: SceneFile) -> None:
+    away = scene_file(start={"joints_deg": [0, 5, 5, 5]}, goal={"joints_deg": [0, 45, 60, 70]}, obstacles=[])
+    status, folder = run(away, "--tracking-delay", 4)
+    assert status == 0
+    proof = report_of(folder)["certificate"]
+    assert (proof["tracking_error_rad"], proof["tracking_delay_s"]) == (0.0, pytest.approx(0.004))
+
+
+@pytest.mark.parametrize("option", ["--tracking-error", "--tracking-delay"])
+@pytest.mark.parametrize("value", ["-1", "nan", "inf"])
+def test_tracking_that_is_none(fails: Fails, option: str, value: str) -> None:
+    error, _ = fails(2, option, value)
+    assert (error["kind"], error["option"]) == ("OptionError", option)
+
+
 @pytest.mark.parametrize(
     ("name", "content", "reason"),
     [

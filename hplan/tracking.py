@@ -1,0 +1,64 @@
+r"""How far a controlled arm may be from its trajectory.
+
+Errors of tracking grow with speed: what is commanded comes late, and feed-forward is wrong by a share of it. So each
+joint is taken to deviate from its commanded position :math:`q_j(t)` by no more than
+
+.. math:: e_j(t) = \text{still} + \text{delay} \cdot |\dot q_j(t)|.
+
+Configurations at rest need room for the first part alone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hplan.arrays import FloatArray
+from hplan.errors import OptionError
+
+
+@dataclass(frozen=True)
+class TrackingModel:
+    """Largest deviation of each joint from the commanded motion.
+
+    Attributes:
+        still_rad: Deviation at rest [rad].
+        delay_s: What comes to it for each rad/s of the joint's commanded velocity [s].
+    """
+
+    still_rad: float = 0.0
+    delay_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Check the values.
+
+        Raises:
+            OptionError: One that is negative or not finite.
+        """
+        for option, value, unit in (
+            ("tracking_error", self.still_rad, "radians"),
+            ("tracking_delay_s", self.delay_s, "seconds"),
+        ):
+            if not (isinstance(value, int | float | np.number) and np.isfinite(value) and value >= 0.0):
+                raise OptionError(option, value, f"a finite number of {unit} >= 0")
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether there is no deviation at all."""
+        return self.still_rad == 0.0 and self.delay_s == 0.0
+
+    def deviations(self, velocity: ArrayLike) -> FloatArray:
+        """Largest deviations at joint velocities [rad/s], of the same shape [rad]."""
+        deviations: FloatArray = self.still_rad + self.delay_s * np.abs(np.asarray(velocity, dtype=np.float64))
+        return deviations
+
+    def scaled(self, share: float) -> TrackingModel:
+        """The model with a share of both deviations."""
+        return TrackingModel(share * self.still_rad, share * self.delay_s)
+
+    def __str__(self) -> str:
+        """The model in words."""
+        error = f"a tracking error of {self.still_rad:g} rad"
+        return f"{error} + {1e3 * self.delay_s:g} ms of velocity" if self.delay_s else error

@@ -28,6 +28,7 @@ from pydantic_core import PydanticCustomError
 
 from hplan.arrays import FloatArray, IntArray, readonly
 from hplan.errors import SceneError
+from hplan.scene_limits import FARTHEST_M, MOST_OBSTACLES, MOST_SHAPE_BYTES, ByteBudget
 from hplan.solids import Cloud, Hull
 
 if TYPE_CHECKING:
@@ -35,9 +36,12 @@ if TYPE_CHECKING:
 
 FORMAT: Final = "hplan-scene/1"
 
-Vector: TypeAlias = tuple[float, float, float]
+Angles: TypeAlias = tuple[float, float, float]
+Coordinate: TypeAlias = Annotated[float, Field(ge=-FARTHEST_M, le=FARTHEST_M)]
+Vector: TypeAlias = tuple[Coordinate, Coordinate, Coordinate]
+Size: TypeAlias = Annotated[float, Field(gt=0.0, le=FARTHEST_M)]
 Name: TypeAlias = Annotated[str, Field(min_length=1)]
-Sigma: TypeAlias = Annotated[float, Field(ge=0.0)]
+Sigma: TypeAlias = Annotated[float, Field(ge=0.0, le=FARTHEST_M)]
 
 
 _Data = TypeVar("_Data", "Mesh", "PointCloud")
@@ -79,7 +83,7 @@ class Sphere(_Convex):
     kind: Literal["sphere"] = "sphere"
     name: Name
     center: Vector
-    radius: PositiveFloat
+    radius: Size
     sigma: Sigma = 0.0
 
     @property
@@ -100,7 +104,7 @@ class Capsule(_Convex):
     name: Name
     start: Vector = Field(alias="from")
     end: Vector = Field(alias="to")
-    radius: PositiveFloat
+    radius: Size
     sigma: Sigma = 0.0
 
     @property
@@ -120,8 +124,8 @@ class Box(_Convex):
     kind: Literal["box"] = "box"
     name: Name
     center: Vector
-    size: tuple[PositiveFloat, PositiveFloat, PositiveFloat]
-    rpy_deg: Vector = (0.0, 0.0, 0.0)
+    size: tuple[Size, Size, Size]
+    rpy_deg: Angles = (0.0, 0.0, 0.0)
     sigma: Sigma = 0.0
 
     @property
@@ -141,7 +145,7 @@ class Box(_Convex):
         return 0.0
 
 
-def _rotation(rpy_deg: Vector) -> FloatArray:
+def _rotation(rpy_deg: Angles) -> FloatArray:
     """(3, 3) rotation by roll, pitch and yaw about fixed axes x, y, z."""
     roll, pitch, yaw = (math.radians(angle) for angle in rpy_deg)
     cr, sr, cp, sp, cy, sy = (f(a) for a in (roll, pitch, yaw) for f in (math.cos, math.sin))
@@ -187,7 +191,7 @@ class Mesh(_FromData):
     name: Name
     file: Name | None = None
     position: Vector = (0.0, 0.0, 0.0)
-    rpy_deg: Vector = (0.0, 0.0, 0.0)
+    rpy_deg: Angles = (0.0, 0.0, 0.0)
     scale: PositiveFloat = 1.0
     sigma: Sigma = 0.0
 
@@ -216,9 +220,12 @@ class Mesh(_FromData):
             return self
         self._data, self._path = _shape_data(self.file, read_surface, info)
         span = float(np.ptp(self._data.vertices, axis=0).max()) * self.scale
-        if not 1e-4 <= span <= 1e4:
-            below = "file" if self.file else "name"
+        farthest = float(np.abs(self._data.vertices).max()) * self.scale
+        below = "file" if self.file else "name"
+        if not 1e-4 <= span <= FARTHEST_M:
             raise _fault(f"the mesh is {span:.3g} m across; expected 0.1 mm to 10 km: look at its scale", below)
+        if not farthest <= FARTHEST_M:
+            raise _fault(f"the mesh reaches {farthest:.3g} m; expected at most 10 km: look at its scale", below)
         return self
 
     @property
@@ -256,9 +263,9 @@ class PointCloud(_FromData):
     kind: Literal["points"] = "points"
     name: Name
     file: Name | None = None
-    radius: PositiveFloat
+    radius: Size
     position: Vector = (0.0, 0.0, 0.0)
-    rpy_deg: Vector = (0.0, 0.0, 0.0)
+    rpy_deg: Angles = (0.0, 0.0, 0.0)
     sigma: Sigma = 0.0
 
     @classmethod
@@ -320,7 +327,9 @@ def _made_of(cls: type[_Data], name: str, make: Callable[[], Surface | PointSet]
         raise SceneError(str(error), where=name) from error
 
 
-def _shape_data(file: str | None, read: Callable[[Path], _Shape], info: ValidationInfo) -> tuple[_Shape, Path | None]:
+def _shape_data(
+    file: str | None, read: Callable[[Path, ByteBudget], _Shape], info: ValidationInfo
+) -> tuple[_Shape, Path | None]:
     """The data of a mesh or cloud, and the file it is from."""
     context = info.context or {}
     if file is None:
@@ -329,7 +338,7 @@ def _shape_data(file: str | None, read: Callable[[Path], _Shape], info: Validati
         return context["data"], None
     path = Path(context.get("folder", "")) / file
     try:
-        return read(path), path.absolute()
+        return read(path, context.get("budget") or ByteBudget(MOST_SHAPE_BYTES)), path.absolute()
     except ValueError as error:
         raise _fault(str(error), "file") from error
 
@@ -346,7 +355,7 @@ class Fruit(_Strict):
 
     name: Name
     center: Vector
-    radius: PositiveFloat
+    radius: Size
     sigma: Sigma = 0.0
 
 
@@ -429,9 +438,9 @@ class Scene(_Strict):
     start: Start
     goal: Goal
     locked_joints: tuple[str, ...] = ()
-    clearance: Annotated[float, Field(ge=0.0)] = 0.0
-    obstacles: tuple[Obstacle, ...] = ()
-    fruits: tuple[Fruit, ...] = ()
+    clearance: Annotated[float, Field(ge=0.0, le=FARTHEST_M)] = 0.0
+    obstacles: Annotated[tuple[Obstacle, ...], Field(max_length=MOST_OBSTACLES)] = ()
+    fruits: Annotated[tuple[Fruit, ...], Field(max_length=MOST_OBSTACLES)] = ()
 
     @model_validator(mode="after")
     def _names_are_unique(self) -> Scene:

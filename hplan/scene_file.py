@@ -14,6 +14,7 @@ from hplan.errors import SceneError
 from hplan.files import write_text
 from hplan.resources import scenes_dir
 from hplan.scene import Mesh, PointCloud, Scene
+from hplan.scene_limits import MOST_SCENE_BYTES, MOST_SHAPE_BYTES, ByteBudget
 from hplan.yaml_text import read_yaml, write_yaml
 
 
@@ -30,15 +31,17 @@ def load_scene(path: Path | str | None = None) -> Scene:
 
     Raises:
         SceneError: Missing or malformed file, unknown or repeated key, value of the wrong kind or range, a mesh or
-            point file that cannot be used; names the key and its line.
+            point file that cannot be used; names the key and its line. More than `hplan.scene_limits` allow.
     """
     path = default_scene_path() if path is None else Path(path)
     try:
-        text = path.read_text(encoding="utf-8")
+        text = ByteBudget(MOST_SCENE_BYTES).read(path).decode("utf-8")
     except OSError as error:
         raise SceneError(error.strerror or str(error), path=path) from error
     except UnicodeDecodeError as error:
         raise SceneError("it is not UTF-8 text", path=path) from error
+    except ValueError as error:
+        raise SceneError(str(error), path=path) from error
     return parse_scene(text, path=path)
 
 
@@ -48,6 +51,8 @@ def parse_scene(text: str, *, path: Path | str | None = None) -> Scene:
     Raises:
         SceneError: As `load_scene`.
     """
+    if len(text) > MOST_SCENE_BYTES:
+        raise SceneError(f"it has {len(text):,} characters; at most {MOST_SCENE_BYTES:,} are read", path=path)
     try:
         content, node = read_yaml(text)
     except yaml.MarkedYAMLError as error:
@@ -56,7 +61,8 @@ def parse_scene(text: str, *, path: Path | str | None = None) -> Scene:
     if not isinstance(content, dict) or node is None:
         raise SceneError("expected a mapping of keys (format, name, start, goal, ...)", path=path)
     try:
-        return Scene.model_validate(content, context={"folder": Path() if path is None else Path(path).parent})
+        folder = Path() if path is None else Path(path).parent
+        return Scene.model_validate(content, context={"folder": folder, "budget": ByteBudget(MOST_SHAPE_BYTES)})
     except ValidationError as error:
         first = min(error.errors(), key=lambda item: item["type"] != "extra_forbidden")
         below = ("kind",) if first["type"] == "union_tag_invalid" else first.get("ctx", {}).get("below", ())

@@ -19,18 +19,12 @@ from numpy.typing import ArrayLike
 from hplan.arrays import FloatArray, IntArray, readonly
 from hplan.convex_pieces import Pieces, convex_pieces
 from hplan.files import write_text
+from hplan.scene_limits import FARTHEST_M, MOST_POINTS, MOST_TRIANGLES, ByteBudget
 from hplan.solids import Cloud, Hull
 
 #: Files that hold a surface, and files that hold points.
 MESH_FORMATS: Final = (".stl", ".ply", ".obj", ".off")
 POINT_FORMATS: Final = (".ply", ".xyz")
-
-#: Most triangles and points that are taken.
-MOST_TRIANGLES: Final = 200_000
-MOST_POINTS: Final = 2_000_000
-
-#: Nothing in a scene is farther from its origin [m].
-_FARTHEST: Final = 1e5
 
 _T = TypeVar("_T")
 
@@ -81,7 +75,8 @@ class Surface(_Kept):
         Raises:
             ValueError: It is empty, not finite, not closed, flat or inside out.
         """
-        points = _checked_points(vertices, "vertices")
+        # Millimetres, it may be: `Mesh` looks at them again after scaling.
+        points = _checked_points(vertices, "vertices", 1e3 * FARTHEST_M)
         corners = np.asarray(faces)
         if corners.ndim != 2 or corners.shape[1] != 3 or corners.dtype.kind not in "iu":
             raise ValueError(f"faces should be (m, 3) whole numbers, got {corners.dtype} of shape {corners.shape}")
@@ -127,7 +122,7 @@ class PointSet(_Kept):
         Raises:
             ValueError: There are none or too many, or not all are finite.
         """
-        found = _checked_points(points, "points")
+        found = _checked_points(points, "points", FARTHEST_M)
         if len(found) > MOST_POINTS:
             raise ValueError(
                 f"the cloud has {len(found)} points; thin it to at most {MOST_POINTS}, by voxels of about its radius"
@@ -139,26 +134,34 @@ class PointSet(_Kept):
         return Cloud.of(name, self.points @ rotation.T + position, radius, sigma)
 
 
-def read_surface(path: Path) -> Surface:
+def read_surface(path: Path, budget: ByteBudget) -> Surface:
     """Read a mesh file.
 
+    Args:
+        path: The file.
+        budget: How large it may be.
+
     Raises:
-        ValueError: It cannot be read, or its surface is not closed, flat or inside out.
+        ValueError: It is too large, cannot be read, or its surface is not closed, flat or inside out.
     """
-    loaded = _load(path, MESH_FORMATS, "mesh")
+    loaded = _load(path, budget, MESH_FORMATS, "mesh")
     faces = getattr(loaded, "faces", None)
     if faces is None or len(faces) == 0:
         raise ValueError("the mesh is empty: it has no triangles")
     return Surface.of(loaded.vertices, np.asarray(faces))
 
 
-def read_points(path: Path) -> PointSet:
+def read_points(path: Path, budget: ByteBudget) -> PointSet:
     """Read a file of points; of a mesh, its vertices.
+
+    Args:
+        path: The file.
+        budget: How large it may be.
 
     Raises:
         ValueError: It cannot be read, is empty or too large, or not all of its points are finite.
     """
-    loaded = _load(path, POINT_FORMATS, "point")
+    loaded = _load(path, budget, POINT_FORMATS, "point")
     vertices = getattr(loaded, "vertices", None)
     return PointSet.of(np.zeros((0, 3)) if vertices is None else vertices)
 
@@ -189,12 +192,12 @@ def placed_pieces(
     return tuple(hull.moved(name, rotation, position, sigma) for hull in surface.pieces(scale).hulls)
 
 
-def _load(path: Path, formats: tuple[str, ...], what: str) -> Any:
+def _load(path: Path, budget: ByteBudget, formats: tuple[str, ...], what: str) -> Any:
     """What trimesh makes of a file."""
     if path.suffix.lower() not in formats:
         raise ValueError(f"{path.name!r} is no {what} file that can be read; convert it to one of {', '.join(formats)}")
     try:
-        content = path.read_bytes()
+        content = budget.read(path)
     except OSError as error:
         raise ValueError(f"cannot read {os.fspath(path)}: {error.strerror or error}") from error
     except ValueError as error:
@@ -217,7 +220,7 @@ def _load(path: Path, formats: tuple[str, ...], what: str) -> Any:
     return loaded
 
 
-def _checked_points(points: ArrayLike, what: str) -> FloatArray:
+def _checked_points(points: ArrayLike, what: str, farthest: float) -> FloatArray:
     try:
         found = np.array(points, dtype=np.float64)
     except (TypeError, ValueError) as error:
@@ -230,8 +233,8 @@ def _checked_points(points: ArrayLike, what: str) -> FloatArray:
     if bad.any():
         first = int(bad.argmax())
         raise ValueError(f"{int(bad.sum())} of {len(found)} {what} are not finite; the first is number {first}")
-    if float(np.abs(found).max()) > _FARTHEST:
-        raise ValueError(f"{what} reach {float(np.abs(found).max()):.3g}; expected metres, at most {_FARTHEST:g}")
+    if float(np.abs(found).max()) > farthest:
+        raise ValueError(f"{what} reach {float(np.abs(found).max()):.3g}; expected metres, at most {farthest:g}")
     return found
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Final
 
 import yaml
 
@@ -27,6 +27,10 @@ _PLAIN: dict[str, tuple[str, list[str], Callable[[str], Any]]] = {
 }
 
 
+#: Most keys, values, lists and mappings of a document. (PyYAML reads about 30,000 a second.)
+MOST_VALUES: Final = 500_000
+
+
 def read_yaml(text: str) -> tuple[Any, yaml.Node | None]:
     """Read one document.
 
@@ -34,7 +38,8 @@ def read_yaml(text: str) -> tuple[Any, yaml.Node | None]:
         The content (mappings as dict, lists as tuple) and its node, which knows the lines; (None, None) if empty.
 
     Raises:
-        yaml.MarkedYAMLError: Malformed text, a repeated key, an alias, or a tag that is none of JSON's types.
+        yaml.MarkedYAMLError: Malformed text, a repeated key, an alias, a tag that is none of JSON's types, or more than
+            `MOST_VALUES`.
     """
     try:
         loader = _Loader(text)
@@ -56,6 +61,7 @@ class _Loader(yaml.SafeLoader):
 
     yaml_implicit_resolvers = {}  # noqa: RUF012
     yaml_constructors = {}  # noqa: RUF012
+    values = 0
 
     def scan_to_next_token(self) -> None:
         super().scan_to_next_token()
@@ -67,6 +73,10 @@ class _Loader(yaml.SafeLoader):
         if self.check_event(yaml.AliasEvent):
             event = self.peek_event()  # type: ignore[no-untyped-call]
             raise yaml.MarkedYAMLError(problem=f"alias *{event.anchor}: write it out", problem_mark=event.start_mark)
+        self.values += 1
+        if self.values > MOST_VALUES:
+            mark = self.peek_event().start_mark  # type: ignore[no-untyped-call]
+            raise yaml.MarkedYAMLError(problem=f"more than {MOST_VALUES:,} values", problem_mark=mark)
         return super().compose_node(parent, index)
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:

@@ -12,6 +12,7 @@ from hplan.errors import OutputError, SceneError
 from hplan.resources import scenes_dir
 from hplan.scene import Box, Capsule, Fruit, Goal, Scene, Sphere, Start
 from hplan.scene_file import default_scene_path, dump_scene, load_scene, parse_scene, save_scene
+from hplan.scene_limits import FARTHEST_M
 
 HEAD = """\
 format: hplan-scene/1
@@ -113,8 +114,8 @@ names = st.text(st.characters(exclude_categories=["Cs"]), min_size=1, max_size=2
 odd_names = st.sampled_from(
     ["1e5", "1.5e3", "08", "no", "null", "~", "2026-01-31", "a: b", "#", "- a", "'", '"', " a ", "\n", "a\x85b"]
 )
-numbers = st.floats(-1e9, 1e9)
-lengths = st.floats(1e-12, 1e9)
+numbers = st.floats(-FARTHEST_M, FARTHEST_M)
+lengths = st.floats(1e-12, FARTHEST_M)
 vectors = st.tuples(numbers, numbers, numbers)
 
 
@@ -129,7 +130,7 @@ def scenes(draw):
             st.builds(Goal, joints_deg=joints) | st.builds(Goal, position=vectors) | st.just(Goal(fruit=labels[4]))
         ),
         locked_joints=draw(st.lists(names | odd_names, max_size=3).map(tuple)),
-        clearance=draw(st.floats(0.0, 1e9)),
+        clearance=draw(st.floats(0.0, FARTHEST_M)),
         obstacles=draw(
             st.tuples(
                 st.builds(Sphere, name=st.just(labels[1]), center=vectors, radius=lengths),
@@ -205,6 +206,25 @@ BAD_CONTENT = {
     "too large for a float": ("clearance: 1e400\n", 5, "clearance", "finite number (got inf)"),
     "a huge whole number": (f"clearance: {'1' * 400}\n", 5, "clearance", "valid number (got 111"),
     "negative clearance": ("clearance: -0.01\n", 5, "clearance", "greater than or equal to 0 (got -0.01)"),
+    "a coordinate of 1e308": (
+        obstacle("name: b, kind: sphere, center: [0, -1e308, 0], radius: 1"),
+        7,
+        "obstacles[1].center[1]",
+        "greater than or equal to -10000 (got -1e+308)",
+    ),
+    "a size of 1e200": (
+        obstacle("name: b, kind: box, center: [0, 0, 0], size: [1, 1, 1e200]"),
+        7,
+        "obstacles[1].size[2]",
+        "less than or equal to 10000 (got 1e+200)",
+    ),
+    "a radius beyond the limit": (
+        "fruits:\n  - {name: f, center: [1, 0, 1], radius: 10000.1}\n",
+        6,
+        "fruits[0].radius",
+        "less than or equal to 10000 (got 10000.1)",
+    ),
+    "a clearance of 1e308": ("clearance: 1e308\n", 5, "clearance", "less than or equal to 10000"),
     "text for a number": ("clearance: wide\n", 5, "clearance", "valid number (got 'wide')"),
     "quoted number": ("clearance: '1'\n", 5, "clearance", "valid number (got '1')"),
     "truth for a number": ("clearance: true\n", 5, "clearance", "valid number (got True)"),
@@ -286,6 +306,7 @@ BAD_CONTENT = {
 }
 
 
+@pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("case", BAD_CONTENT)
 def test_bad_content(case):
     text, line, where, message = BAD_CONTENT[case]

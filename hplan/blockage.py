@@ -10,7 +10,7 @@ from hplan.arrays import BoolArray
 from hplan.cspace import occupancy
 from hplan.grid import Grid
 from hplan.robot import PlanarArm
-from hplan.section import ArmSections, only
+from hplan.section import ArmSections, meeting_pairs, only
 
 
 def blockers(arm: PlanarArm, sections: ArmSections, grid: Grid, reached: BoolArray) -> list[dict[str, Any]]:
@@ -29,21 +29,21 @@ def blockers(arm: PlanarArm, sections: ArmSections, grid: Grid, reached: BoolArr
     border = _grown(reached) & ~reached
     last = np.degrees(grid.axis(len(grid.shape) - 1))
     found = []
-    for link, link_name in enumerate(arm.link_names):
-        for obstacle, obstacle_name in enumerate(sections.obstacle_names):
-            cells = occupancy(arm, only(sections, link, obstacle), grid).occupied & border
-            count = int(cells.sum())
-            if count == 0:
-                continue
-            slices = np.flatnonzero(cells.any(axis=tuple(range(cells.ndim - 1))))
-            found.append(
-                {
-                    "obstacle": obstacle_name,
-                    "link": link_name,
-                    "cells": count,
-                    "slices_deg": [round(float(last[slices[0]]), 6), round(float(last[slices[-1]]), 6)],
-                }
-            )
+    for link, obstacle in meeting_pairs(sections):
+        link_name, obstacle_name = arm.link_names[link], sections.obstacle_names[obstacle]
+        cells = occupancy(arm, only(sections, link, obstacle), grid).occupied & border
+        count = int(cells.sum())
+        if count == 0:
+            continue
+        slices = np.flatnonzero(cells.any(axis=tuple(range(cells.ndim - 1))))
+        found.append(
+            {
+                "obstacle": obstacle_name,
+                "link": link_name,
+                "cells": count,
+                "slices_deg": [round(float(last[slices[0]]), 6), round(float(last[slices[-1]]), 6)],
+            }
+        )
     return sorted(found, key=lambda item: -item["cells"])
 
 

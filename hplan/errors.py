@@ -208,17 +208,23 @@ class NoPathError(HplanError):
     """No path exists on the grid; this was shown by flooding all that the start reaches.
 
     `blockers` lists what bounds the reached region, largest part first, each a mapping with `obstacle`, `link`,
-    `cells` and `slices_deg` (first and last value of the last planned joint at which it blocks). `open_ended` is set
+    `cells` and `slices_deg` (first and last value of the last planned joint at which it blocks). `goals` is for how
+    many goals, all that there were, it was shown; the other facts are of the first of them. `open_ended` is set
     where the region ends at the edge of the yaws that were looked at, so that a wider range might open it.
     """
 
     exit_status = 3
     open_ended = False
 
-    def __init__(self, message: str, *, reached_cells: int, blockers: Sequence[Mapping[str, Any]] = ()) -> None:
-        """Store how many cells the start reaches and what bounds them."""
-        super().__init__(message, reached_cells=reached_cells, blockers=[dict(blocker) for blocker in blockers])
+    def __init__(
+        self, message: str, *, reached_cells: int, blockers: Sequence[Mapping[str, Any]] = (), goals: int = 1
+    ) -> None:
+        """Store how many cells the start reaches, what bounds them, and for how many goals it was shown."""
+        super().__init__(
+            message, reached_cells=reached_cells, blockers=[dict(blocker) for blocker in blockers], goals=goals
+        )
         self.reached_cells = reached_cells
+        self.goals = goals
         self.blockers = tuple(dict(blocker) for blocker in blockers)
 
 

@@ -28,10 +28,10 @@ from hplan.errors import (
     BlockedError,
     CertificationError,
     ConfigurationInCollisionError,
-    HplanError,
     NoPathError,
     TimingError,
 )
+from hplan.grasp_motion import motion_to_grasp
 from hplan.harvest import Grasp, grasps, least_standoff, promising
 from hplan.options import PlanOptions
 from hplan.ordering import Costs, Visits
@@ -193,19 +193,28 @@ class Motions:
             HplanError: One of `NO_MOTION`: it is blocked, or no certified motion leads there.
         """
         around = self._around[-1]
-        near, hub = around.touching(fruit.name), self._stops[self._hub].configuration
+        near, hub, what = around.touching(fruit.name), self._stops[self._hub].configuration, f"fruit {fruit.name!r}"
         ways = grasps(
             around,
             near,
             np.array(fruit.center),
             hub,
-            what=f"fruit {fruit.name!r}",
+            what=what,
             standoff=self._worlds[1].options.standoff,
             least_standoff=least_standoff(around, fruit),
             approach_deg=self.scene.goal.approach_deg,
             locked=self.scene.locked_joints,
         )
-        shown, move, pick = self._first_reached(promising(ways, around, near, hub), fruit.name)
+        self.planned += 1
+
+        def task_of(grasp: Grasp) -> Task:
+            return self._worlds[1].task(grasp.transit_among(around, near), self.scene, hub, grasp.standoff)
+
+        likely = promising(ways, around, near, hub)
+        shown, motion, pick = motion_to_grasp(
+            ways, likely, task_of, lambda grasp, _: self._planned_pick(grasp, fruit.name), what
+        )
+        move = _Move.of([("transit", motion.trajectory, motion.certificate)])
         spread = [ways[i] for i in np.unique(np.linspace(0, len(ways) - 1, max(0, keep - 1)).astype(int))]
         for number, grasp in enumerate([shown, *(way for way in spread if way is not shown)]):
             place = len(self._grasps)
@@ -264,27 +273,6 @@ class Motions:
                 return number
         self._stops.append(stop)
         return len(self._stops) - 1
-
-    def _first_reached(self, likely: list[Grasp], fruit: str) -> tuple[Grasp, _Move, _Move]:
-        """The first way to take a fruit that a certified motion from the hub leads to."""
-        hub, world, around = self._stops[self._hub], self._worlds[1], self._around[-1]
-        tasks = []
-        for grasp in likely:
-            where = self._near(around, hub, Stop(grasp.standoff, fruit if grasp.distance == 0.0 else None))
-            tasks.append(world.task(where, self.scene, hub.configuration, grasp.standoff))
-        refused: HplanError | None = None
-        left = list(range(len(likely)))
-        while left:
-            self.planned += 1
-            number, motion = find_motion([tasks[i] for i in left])
-            grasp = likely[left.pop(number)]
-            try:
-                pick = self._planned_pick(grasp, fruit)
-            except (CertificationError, TimingError) as error:
-                refused = refused or error.with_traceback(None)
-                continue
-            return grasp, _Move.of([("transit", motion.trajectory, motion.certificate)]), pick
-        raise refused or CertificationError(f"no motion to fruit {fruit!r} could be certified")
 
     def _planned_pick(self, grasp: Grasp, fruit: str) -> _Move:
         """Approach and retreat."""
@@ -411,17 +399,22 @@ def drop_off(goal: Goal, scene: Scene, empty: World, loaded: World, start: Float
         HplanError: One of `NO_MOTION`: it is blocked, or no certified motion from the start leads there.
         InputError: Joints that are no configuration, or in collision.
     """
-    around, before = loaded.around(scene), empty.around(scene)
+    around, before, what = loaded.around(scene), empty.around(scene), "the drop-off"
+
     joints = goal.joints()
     if joints is not None:
-        ways = [around.robot.check_configuration(joints, "drop_off")]
-    else:
-        found = grasps(
-            around, around, np.array(goal.position), start, what="the drop-off", standoff=0.0,
-            approach_deg=goal.approach_deg, locked=scene.locked_joints,
-        )  # fmt: skip
-        ways = [grasp.goal for grasp in promising(found, around, around, start)]
-    for q in ways:
+        q = around.robot.check_configuration(joints, "drop_off")
         check_clear(around.judge, q, around.clearance, "drop_off")
-    number, motion = find_motion([empty.task(before, scene, start, q) for q in ways])
-    return DropOff(ways[number], ("transit", motion.trajectory, motion.certificate))
+        _, motion = find_motion([empty.task(before, scene, start, q)])
+        return DropOff(q, ("transit", motion.trajectory, motion.certificate))
+    ways = grasps(
+        around, around, np.array(goal.position), start, what=what, standoff=0.0, approach_deg=goal.approach_deg,
+        locked=scene.locked_joints,
+    )  # fmt: skip
+
+    def task_of(grasp: Grasp) -> Task:
+        check_clear(around.judge, grasp.goal, around.clearance, "goal")
+        return empty.task(before, scene, start, grasp.goal)
+
+    grasp, motion, _ = motion_to_grasp(ways, promising(ways, around, around, start), task_of, lambda *_: None, what)
+    return DropOff(grasp.goal, ("transit", motion.trajectory, motion.certificate))

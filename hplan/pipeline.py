@@ -10,7 +10,8 @@ import numpy as np
 
 from hplan.arrays import FloatArray, Record
 from hplan.certificate import Certificate, all_of
-from hplan.errors import CertificationError, HplanError, TimingError
+from hplan.errors import CertificationError, TimingError
+from hplan.grasp_motion import motion_to_grasp
 from hplan.grid import Occupancy
 from hplan.harvest import Grasp, grasps, least_standoff, promising
 from hplan.options import PlanOptions
@@ -183,6 +184,7 @@ def _reach(
     """Transit, approach and, from a fruit, retreat."""
     fruit = next((fruit for fruit in scene.fruits if fruit.name == scene.goal.fruit), None)
     near = around if fruit is None else around.touching(fruit.name)
+    what = "the point" if fruit is None else f"fruit {fruit.name!r}"
     progress("grasps")
     with clock.stage("grasps"):
         ways = grasps(
@@ -190,31 +192,24 @@ def _reach(
             near,
             np.array(scene.goal.position if fruit is None else fruit.center),
             start,
-            what="the point" if fruit is None else f"fruit {fruit.name!r}",
+            what=what,
             standoff=options.standoff,
             least_standoff=0.0 if fruit is None else least_standoff(around, fruit),
             approach_deg=scene.goal.approach_deg,
             locked=scene.locked_joints,
         )
-        shortlist = promising(ways, around, near, start)
-        tasks = []
-        for grasp in shortlist:
-            where = grasp.transit_among(around, near)
-            problem = pose_problem(where, start, grasp.standoff, locked_joints=scene.locked_joints)
-            tasks.append(Task(where, scene, problem, options, clock, workspace.layers, progress))
-    refused: HplanError | None = None
-    left = list(range(len(shortlist)))
-    while left:
-        number, motion = find_motion([tasks[i] for i in left])
-        grasp = shortlist[left.pop(number)]
-        try:
-            parts = [("transit", motion.trajectory, motion.certificate)]
-            parts += last_stretch(replace(tasks[0], around=near), grasp, fruit is not None)
-        except CertificationError as error:
-            refused = refused or error.with_traceback(None)
-            continue
-        return _result(scene, clock, grasp, motion, parts)
-    raise refused or CertificationError("no motion could be certified")
+        likely = promising(ways, around, near, start)
+
+    def task_of(grasp: Grasp) -> Task:
+        where = grasp.transit_among(around, near)
+        problem = pose_problem(where, start, grasp.standoff, locked_joints=scene.locked_joints)
+        return Task(where, scene, problem, options, clock, workspace.layers, progress)
+
+    def last_of(grasp: Grasp, motion: Motion) -> list[tuple[str, Trajectory, Certificate]]:
+        return last_stretch(replace(motion.task, around=near), grasp, fruit is not None)
+
+    grasp, motion, last = motion_to_grasp(ways, likely, task_of, last_of, what)
+    return _result(scene, clock, grasp, motion, [("transit", motion.trajectory, motion.certificate), *last])
 
 
 def last_stretch(task: Task, grasp: Grasp, retreat: bool) -> list[tuple[str, Trajectory, Certificate]]:

@@ -13,16 +13,16 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from hplan.arrays import BoolArray, FloatArray, IntArray, Record, WordArray, frozen
-from hplan.blockage import blockers
 from hplan.clearance import ClearanceField
 from hplan.connect import joined_nodes
 from hplan.cspace import occupancy
-from hplan.errors import CertificationError, NoPathError, OptionError
+from hplan.enclosure import EnclosedError, PlanarRegion, TurningRegion, open_ended
+from hplan.errors import CertificationError, OptionError
 from hplan.grid import Grid, Occupancy
 from hplan.mend import escapes, mended
 from hplan.options import PlanOptions
@@ -31,7 +31,7 @@ from hplan.report import StageClock
 from hplan.robot import Robot
 from hplan.scene import Scene
 from hplan.search import SearchResult, dense_search, reachable, two_level_search
-from hplan.search.flood import has_bit, slice_sizes
+from hplan.search.flood import has_bit
 from hplan.search.lattice import Lattice
 from hplan.search.result import path_cost
 from hplan.search.wavefront import Wavefronts, meet
@@ -144,12 +144,16 @@ class Task(Record):
         Raises:
             CertificationError: One of them is joined to no node.
         """
-        problem = self.problem
-        return self._end(space, problem.start, margin, "start"), self._end(space, problem.goal, margin, "goal")
+        return self.end(space, "start", margin), self.end(space, "goal", margin)
 
-    def _end(self, space: Occupancy, q: FloatArray, margin: float, which: str) -> _Ends:
-        """The nodes nearby; in a tight place those that a way out of it leads to."""
+    def end(self, space: Occupancy, which: Literal["start", "goal"], margin: float) -> _Ends:
+        """The nodes that start or goal is joined to nearby; in a tight place those that a way out of it leads to.
+
+        Raises:
+            CertificationError: There is none.
+        """
         problem = self.problem
+        q = problem.start if which == "start" else problem.goal
         ways = escapes(q, self.field, problem.lower, problem.upper, margin)
         for way in itertools.chain([q[None]], ways):
             nodes = joined_nodes(space, way[-1], self.axes, self.field, margin)
@@ -211,14 +215,15 @@ def find_route(task: Task, rung: Rung, margin: float) -> Route:
             evaluated [m].
 
     Raises:
-        NoPathError: There is none on the grid; an `EnclosedError` where the base turns.
+        EnclosedError: There is none on the grid.
         CertificationError: Start or goal cannot be joined to the grid; no way on it can be shown clear.
         OptionError: A step that gives no grid.
     """
     return _turning_route(task, rung, margin) if task.problem.turns else _planar_route(task, rung, margin)
 
 
-def _planar_route(task: Task, rung: Rung, margin: float) -> Route:
+def planar_space(task: Task, rung: Rung) -> tuple[Occupancy, ArmSections]:
+    """The C-space with the base locked, and the sections it is made of."""
     with task.stage("cspace"):
         sections = sections_at(
             task.robot,
@@ -227,7 +232,11 @@ def _planar_route(task: Task, rung: Rung, margin: float) -> Route:
             link_model=task.options.link_model,
             within_reach=False,
         )
-        space = occupancy(task.robot.arm, sections, task.planar_grid(rung.step_deg))
+        return occupancy(task.robot.arm, sections, task.planar_grid(rung.step_deg)), sections
+
+
+def _planar_route(task: Task, rung: Rung, margin: float) -> Route:
+    space, sections = planar_space(task, rung)
     start, goal = task.ends(space, margin)
     search, nodes = _planar_search(task, space, sections, start, goal)
     return Route(space, search, task.configurations(space.grid, nodes, start, goal)[0], rung.step_deg)
@@ -255,10 +264,11 @@ def _planar_search(
         if int(reached.sum()) > most[0]:
             most = (int(reached.sum()), reached)
     what = f"the start reaches {most[0]} of {space.grid.size} nodes, not the goal"
-    raise _no_path(task.robot, sections, space.grid, most[1], what)
+    raise EnclosedError(PlanarRegion(what, space.grid, task.robot, sections, most[1]), most[0], open_ended=False)
 
 
-def _turning_route(task: Task, rung: Rung, margin: float) -> Route:
+def turning_space(task: Task, rung: Rung) -> Occupancy:
+    """The C-space over planar joints and yaw."""
     problem = task.problem
     with task.stage("cspace"):
         planar = task.planar_grid(rung.step_deg)
@@ -266,9 +276,13 @@ def _turning_route(task: Task, rung: Rung, margin: float) -> Route:
             problem.start[0], problem.goal[0], math.radians(rung.step_deg), problem.lower[0], problem.upper[0],
             rung.beyond,
         )  # fmt: skip
-        space = turning_occupancy(
+        return turning_occupancy(
             task.robot, task.around.bodies(rung.growth), planar, *yaws, thick=rung.thick, layers=task.layers
         )
+
+
+def _turning_route(task: Task, rung: Rung, margin: float) -> Route:
+    problem, space = task.problem, turning_space(task, rung)
     start, goal = task.ends(space, margin)
     lattice = Lattice.of(space.grid.shape, space.grid.step)
     free = lattice.bordered(space.free_words)
@@ -380,75 +394,11 @@ class _Ends:
         return np.empty((0, len(lattice.shape)), dtype=np.int64)
 
 
-@dataclass(frozen=True, eq=False)
-class Enclosure(Record):
-    """The region of a grid over yaws that one end is enclosed in.
-
-    Attributes:
-        around: The arm and what it must keep clear of.
-        growth: By how much obstacles were grown [m].
-        grid: The grid.
-        reached: (rows, words) nodes of the region, as in `Occupancy`.
-        what: Which end it is, in words.
-    """
-
-    around: Surroundings
-    growth: float
-    grid: Grid
-    reached: WordArray
-    what: str
-
-    def explained(self) -> NoPathError:
-        """The error that says what bounds the region, at the yaw at which it is largest."""
-        grid, robot = self.grid, self.around.robot
-        layer = int(slice_sizes(self.reached).argmax())
-        planar = Grid(grid.lower[:-1], grid.step[:-1], grid.shape[:-1])
-        at = float(grid.lower[-1] + layer * grid.step[-1])
-        sections = sections_at(robot, self.around.bodies(self.growth), at, within_reach=False)
-        inside = (self.reached[:, layer >> 6] >> np.uint64(layer & 63)) & np.uint64(1) > 0
-        return _no_path(robot, sections, planar, inside.reshape(planar.shape), self.what)
-
-
-class EnclosedError(NoPathError):
-    """One end is enclosed on a grid over yaws; `explained` finds out by what."""
-
-    def __init__(self, region: Enclosure, reached_cells: int, *, open_ended: bool) -> None:
-        """Store what is known at once."""
-        super().__init__(f"no path exists on the grid: {region.what}", reached_cells=reached_cells)
-        self.open_ended = open_ended
-        self._region = region
-
-    def explained(self) -> NoPathError:
-        """The same with what bounds the region, which takes longer to find than whether another grid is open."""
-        return self._region.explained()
-
-
 def _enclosed(task: Task, rung: Rung, space: Occupancy, lattice: Lattice, fronts: Wavefronts) -> EnclosedError:
     """The error for an end that is enclosed; `open_ended` where more yaws might open it."""
-    grid, yaw = space.grid, task.problem
-    reached = lattice.unbordered(fronts.reached)
-    ever = np.bitwise_or.reduce(reached)
-    last = grid.shape[-1] - 1
-    open_below = int(ever[0]) & 1 and grid.lower[-1] - grid.step[-1] >= yaw.lower[0] - 1e-9
-    open_above = int(ever[last >> 6]) >> (last & 63) & 1 and (
-        grid.lower[-1] + (last + 1) * grid.step[-1] <= yaw.upper[0] + 1e-9
-    )
+    grid, reached = space.grid, lattice.unbordered(fronts.reached)
     count, which = int(np.bitwise_count(reached).sum()), fronts.enclosed
     other = "goal" if which == "start" else "start"
     what = f"the {which} is connected to {count} of {grid.size} nodes, and the {other} is not among them"
-    region = Enclosure(task.around, rung.growth, grid, reached, what)
-    return EnclosedError(region, count, open_ended=bool(open_below or open_above))
-
-
-def _no_path(robot: Robot, sections: ArmSections, grid: Grid, reached: BoolArray, what: str) -> NoPathError:
-    """The error that says what bounds a region."""
-    walls = blockers(robot.arm, sections, grid, reached)
-    message = f"no path exists on the grid: {what}"
-    if walls:
-        first = walls[0]
-        low, high = first["slices_deg"]
-        message += (
-            f"; most of their border is held by obstacle {first['obstacle']!r} against link {first['link']!r}"
-            f" ({robot.arm.joint_names[-1]} from {low:g} to {high:g} deg)"
-        )
-    return NoPathError(message, reached_cells=int(reached.sum()), blockers=walls)
+    region = TurningRegion(what, grid, task.around, rung.growth, reached)
+    return EnclosedError(region, count, open_ended=open_ended(task.problem, grid, reached))

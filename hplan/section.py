@@ -449,3 +449,9 @@ def only(sections: ArmSections, link: int, obstacle: int) -> ArmSections:
     made = _picked(sections, np.flatnonzero((links == link) & (sections.obstacle_of == obstacle)), links)
     own = (sections.own_pairs[:, 0] == link) & (sections.own_pairs[:, 2] == obstacle)
     return replace(made, own_pairs=frozen(sections.own_pairs[own]), own_radii=frozen(sections.own_radii[own]))
+
+
+def meeting_pairs(sections: ArmSections) -> list[tuple[int, int]]:
+    """The pairs of link and obstacle that can meet at all, in order: most obstacles are not cut by the plane."""
+    pairs = set(zip(_links_of(sections).tolist(), sections.obstacle_of.tolist(), strict=True))
+    return sorted(pairs | {(link, obstacle) for link, _, obstacle in sections.own_pairs.tolist()})

@@ -16,13 +16,16 @@ import numpy as np
 
 from hplan.arrays import FloatArray, Record, frozen
 from hplan.certificate import Certificate, certify
-from hplan.errors import CertificationError, HplanError, NoPathError, TimingError
+from hplan.enclosed_goals import Component, enclosed_goals
+from hplan.enclosure import EnclosedError
+from hplan.errors import CertificationError, HplanError, NoPathError, OptionError, TimingError
 from hplan.mend import mended
 from hplan.path import GeometricPath, Limits
 from hplan.path import least_duration as least_between
 from hplan.postprocess import PostprocessOptions, SplinePath, fast_path
+from hplan.refusals import Refusals
 from hplan.roadmap import BRIEF, WIDE, Effort, quick_way
-from hplan.route import EnclosedError, Route, Rung, Task, find_route
+from hplan.route import Route, Rung, Task, find_route
 from hplan.timing import resting, time_path
 from hplan.trajectory import Trajectory
 
@@ -51,6 +54,12 @@ TURNING = (
     (1.0, 45.0, 5e-3, True),
     (1.0, 45.0, 0.02, False),
 )
+
+#: So far the base may turn beyond start and goal where many goals are decided at once, tried in turn [deg].
+WIDTHS = (45.0, 360.0)
+
+#: Goals at yaws that differ by less than this have the same grid.
+SAME_YAW = 1e-9
 
 #: A motion that takes more than this many times the least duration has corners that could only just be rounded. It is
 #: taken if no other try gives a faster one.
@@ -108,10 +117,18 @@ def find_motion(tasks: Sequence[Task]) -> tuple[int, Motion]:
         Which of them, and the motion.
 
     Raises:
-        NoPathError: No path exists on the grid to any of them; of the first.
+        NoPathError: No path exists on the grid to any of them.
         TimingError: The path cannot be timed.
         CertificationError: No motion could be certified.
     """
+    found = first_motion(tasks)
+    if isinstance(found, Refusals):
+        raise found.error()
+    return found
+
+
+def first_motion(tasks: Sequence[Task]) -> tuple[int, Motion] | Refusals:
+    """As `find_motion`; where there is none, why there is none to each of the goals."""
     attempts = [_Attempts(task) for task in tasks]
     for number, attempt in enumerate(attempts):
         if attempt.task.problem.is_empty:
@@ -123,15 +140,39 @@ def find_motion(tasks: Sequence[Task]) -> tuple[int, Motion]:
         return _around(attempts)
     number, motion = straight
     enough = WORTHWHILE * motion.trajectory.duration
-    better = [attempt for attempt in attempts[:number] if least_duration(attempt.task) < enough]
+    better = [other for other in range(number) if least_duration(attempts[other].task) < enough]
     if better:
-        try:
-            other, detour = _first_turning(better[:1], TURNING[:1])
-        except HplanError:
-            return straight
-        if detour.trajectory.duration < motion.trajectory.duration:
-            return other, detour
+        detour = _second_look(attempts[better[0] : better[0] + 1], TURNING[:1])
+        if detour is not None and detour[1].trajectory.duration < motion.trajectory.duration:
+            return better[0], detour[1]
     return straight
+
+
+def without_path(tasks: Sequence[Task]) -> list[NoPathError | None]:
+    """To which of several goals no path exists on the finest grid, decided for all at once.
+
+    Args:
+        tasks: One for each goal, from the same start among the same obstacles.
+
+    Returns:
+        For each goal the error that says so; None where a path exists, or where that is left open.
+    """
+    attempts = [_Attempts(task) for task in tasks]
+    errors: list[NoPathError | None] = [None] * len(tasks)
+    left = list(range(len(tasks)))
+    for beyond_deg in WIDTHS:
+        if not left:
+            break
+        rung = Rung(tasks[0].options.step_deg, beyond=math.radians(beyond_deg))
+        try:
+            shown = _enclosed([attempts[number] for number in left], rung)
+        except OptionError:  # no such grid
+            break
+        for number, component in zip(left, shown, strict=True):
+            if component is not None and not component.open_ended:
+                errors[number] = _no_path(component)
+        left = [number for number, component in zip(left, shown, strict=True) if component and component.open_ended]
+    return errors
 
 
 def renewed(task: Task, before: Motion) -> Motion:
@@ -247,11 +288,14 @@ def _straight(attempts: Sequence[_Attempts]) -> tuple[int, Motion] | None:
     return None
 
 
-def _around(attempts: Sequence[_Attempts]) -> tuple[int, Motion]:
+def _around(attempts: Sequence[_Attempts]) -> tuple[int, Motion] | Refusals:
     """The quicker of a motion found in a roadmap and one found on grids."""
     quick = _by_roadmap(attempts[:ROADMAPS])
     if quick is None:
-        number, motion = _first_turning(attempts, TURNING)
+        found = _first_turning(attempts, TURNING)
+        if isinstance(found, Refusals):
+            return found
+        number, motion = found
         if number >= ROADMAPS or attempts[number].is_close(motion):
             return number, motion
         other = attempts[number].by_roadmap(WIDE, quicker_than_s=motion.trajectory.duration + CORNERS_S)
@@ -259,11 +303,19 @@ def _around(attempts: Sequence[_Attempts]) -> tuple[int, Motion]:
     number, motion = quick
     if attempts[number].is_close(motion):
         return quick
+    detour = _second_look(attempts, TURNING[:SECOND_LOOKS])
+    return quick if detour is None or _quicker(motion, detour[1]) is motion else detour
+
+
+def _second_look(
+    attempts: Sequence[_Attempts], rungs: Sequence[tuple[float, float, float, bool]]
+) -> tuple[int, Motion] | None:
+    """A motion over grids where there is another already; None where there is none, or no such grid."""
     try:
-        of_grid, other = _first_turning(attempts, TURNING[:SECOND_LOOKS])
-    except HplanError:
-        return quick
-    return quick if _quicker(motion, other) is motion else (of_grid, other)
+        found = _first_turning(attempts, rungs)
+    except OptionError:
+        return None
+    return None if isinstance(found, Refusals) else found
 
 
 def _quicker(first: Motion, second: Motion) -> Motion:
@@ -280,33 +332,38 @@ def _by_roadmap(attempts: Sequence[_Attempts]) -> tuple[int, Motion] | None:
     return None
 
 
-def _first_planar(attempts: Sequence[_Attempts]) -> tuple[int, Motion]:
+def _first_planar(attempts: Sequence[_Attempts]) -> tuple[int, Motion] | Refusals:
     """The first goal that grids lead to, the base locked."""
-    refused: HplanError | None = None
+    refused: dict[int, HplanError] = {}
     for number, attempt in enumerate(attempts):
+        if number in refused:
+            continue
         try:
             return number, attempt.planar()
-        except (CertificationError, NoPathError) as error:
-            refused = refused or error.with_traceback(None)
-    raise refused or CertificationError("no motion could be certified")
+        except (CertificationError, TimingError) as error:
+            refused[number] = error.with_traceback(None)
+        except NoPathError as error:
+            refused[number] = _kept(error, number)
+            rest = [other for other in range(number + 1, len(attempts)) if other not in refused]
+            shown = without_path([attempts[other].task for other in rest])
+            refused |= {other: error for other, error in zip(rest, shown, strict=True) if error is not None}
+    return Refusals(tuple(refused[number] for number in range(len(attempts))))
 
 
 def _first_turning(
     attempts: Sequence[_Attempts], rungs: Sequence[tuple[float, float, float, bool]]
-) -> tuple[int, Motion]:
+) -> tuple[int, Motion] | Refusals:
     """The first goal that grids lead to, coarse and near ones first, the base turning.
 
-    What is closed on the finest grid, whatever the yaw, is closed. Errors are kept without tracebacks, which would keep
-    this frame, and so the grids, until garbage is collected.
+    What is closed on the finest grid, whatever the yaw, is closed.
     """
-    refused: CertificationError | TimingError | None = None
-    closed: dict[tuple[int, float], tuple[float, EnclosedError]] = {}
+    refused: dict[int, HplanError] = {}
+    closed: dict[tuple[int, float], _Closed] = {}
     slow: tuple[int, Motion] | None = None
     for coarser, beyond_deg, growth, thick in rungs:
         failed: list[FloatArray] = []  # goals tried on this grid
         for number, attempt in enumerate(attempts):
-            before = closed.get((number, coarser))
-            if before is not None and not (before[1].open_ended and beyond_deg > before[0]):
+            if (number, coarser) in closed and not closed[number, coarser].may_open(beyond_deg):
                 continue
             goal, near = attempt.task.problem.goal, math.radians(2.0 * coarser * attempt.task.options.step_deg)
             if coarser > 1.0 and any(np.abs(goal - other).max() < near for other in failed):
@@ -320,15 +377,62 @@ def _first_turning(
                 if slow is None or motion.trajectory.duration < slow[1].trajectory.duration:
                     slow = number, motion
             except (CertificationError, TimingError) as error:
-                refused = refused or error.with_traceback(None)
+                refused.setdefault(number, error.with_traceback(None))
             except EnclosedError as error:
-                if not thick and growth == 0.0:
-                    closed[number, coarser] = beyond_deg, error.with_traceback(None)
+                if thick or growth > 0.0:
+                    continue
+                closed[number, coarser] = _Closed(beyond_deg, error.open_ended, _kept(error, number))
+                # The same grid may show it of others.
+                rest = [
+                    other
+                    for other in range(number + 1, len(attempts))
+                    if abs(attempts[other].task.problem.goal[0] - goal[0]) < SAME_YAW
+                    and not ((other, coarser) in closed and not closed[other, coarser].may_open(beyond_deg))
+                ]
+                for other, component in zip(rest, _enclosed([attempts[k] for k in rest], rung), strict=True):
+                    if component is not None:
+                        closed[other, coarser] = _Closed(beyond_deg, component.open_ended, _no_path(component))
     if slow is not None:
         return slow
-    if (0, 1.0) in closed and not closed[0, 1.0][1].open_ended:
-        raise closed[0, 1.0][1].explained()
-    raise refused or CertificationError("no motion could be certified")
+    shown = {number: one.error for (number, coarser), one in closed.items() if coarser == 1.0 and not one.open_ended}
+    none = CertificationError("no motion could be certified")
+    return Refusals(tuple(shown.get(number, refused.get(number, none)) for number in range(len(attempts))))
+
+
+@dataclass(frozen=True, eq=False)
+class _Closed:
+    """A goal to which no path exists on the grids of one step, up to a range of yaws.
+
+    Attributes:
+        beyond_deg: How far the base turned beyond start and goal [deg].
+        open_ended: Whether more yaws might open it.
+        error: What says so.
+    """
+
+    beyond_deg: float
+    open_ended: bool
+    error: NoPathError
+
+    def may_open(self, beyond_deg: float) -> bool:
+        """Whether a path may exist over more yaws."""
+        return self.open_ended and beyond_deg > self.beyond_deg
+
+
+def _enclosed(attempts: Sequence[_Attempts], rung: Rung) -> list[Component | None]:
+    """Which goals the start is not connected to on one grid."""
+    if not attempts:
+        return []
+    return enclosed_goals([attempt.task for attempt in attempts], rung, [0.1 * each.margin(0.0) for each in attempts])
+
+
+def _no_path(component: Component) -> NoPathError:
+    return NoPathError("no path exists on the grid", reached_cells=component.cells)
+
+
+def _kept(error: NoPathError, number: int) -> NoPathError:
+    """An error of a goal without what keeps grids in memory: its traceback and, but for the first, its explanation."""
+    error = error.bare if isinstance(error, EnclosedError) and number > 0 else error
+    return error.with_traceback(None)
 
 
 @dataclass(frozen=True, eq=False)

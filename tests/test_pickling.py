@@ -20,9 +20,9 @@ from planned import fruit, task
 import hplan
 from hplan import errors
 from hplan.collision import CollisionScene
+from hplan.enclosure import EnclosedError
 from hplan.errors import HplanError
 from hplan.robot import Robot
-from hplan.route import EnclosedError
 from hplan.scene import Goal, Mesh, PointCloud, Scene
 from hplan.solids import Cloud
 

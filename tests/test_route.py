@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from planned import assert_clear, frame_about_upper_arm, post, random_scene, task
 
+from hplan.enclosure import EnclosedError
 from hplan.errors import CertificationError, HplanError, NoPathError, OptionError
 from hplan.grid import Occupancy
 from hplan.options import PlanOptions
@@ -18,7 +19,7 @@ from hplan.pipeline import Workspace
 from hplan.problem import pose_problem
 from hplan.report import StageClock
 from hplan.robot import Robot
-from hplan.route import EnclosedError, Route, Rung, Task, find_route
+from hplan.route import Route, Rung, Task, find_route
 from hplan.scene import Scene, Sphere
 from hplan.turning_space import turning_occupancy, yaw_axis
 

@@ -279,22 +279,40 @@ class BlockedError(HplanError):
     """A fruit or a point that the arm could reach if nothing were in the way.
 
     `obstacles` lists what is, most often first, each a mapping with `obstacle`, `link` and the number of
-    `configurations`.
+    `configurations`, of those at evenly spaced approach angles. `refined` more were tried at angles in between, where
+    these come nearest to being clear; the best of all has the clearance `best_clearance_m` beyond the one to keep.
     """
 
     exit_status = 3
 
-    def __init__(self, what: str, tried: int, obstacles: Sequence[Mapping[str, Any]]) -> None:
-        """Name what cannot be reached, how many configurations were tried and what is in their way."""
+    def __init__(
+        self,
+        what: str,
+        tried: int,
+        obstacles: Sequence[Mapping[str, Any]],
+        *,
+        refined: int = 0,
+        best_clearance_m: float | None = None,
+    ) -> None:
+        """Name what cannot be reached, how many configurations were tried, what is in their way and by how much."""
         names = ", ".join(f"{o['obstacle']!r} ({o['link']}: {o['configurations']})" for o in obstacles[:3])
+        more = f", and so do {refined} at finer approach angles" if refined else ""
+        if best_clearance_m is not None and best_clearance_m > 0.0:
+            more += (
+                f"; the best of them has only {1e3 * best_clearance_m:.3g} mm to spare, too little to be shown clear"
+            )
         super().__init__(
-            f"{what} is blocked: all {tried} configurations that reach it collide, with {names}",
+            f"{what} is blocked: all {tried} configurations that reach it collide, with {names}{more}",
             what=what,
             tried=tried,
             obstacles=[dict(o) for o in obstacles],
+            refined=refined,
+            best_clearance_m=best_clearance_m,
         )
         self.what = what
         self.obstacles = tuple(dict(o) for o in obstacles)
+        self.refined = refined
+        self.best_clearance_m = best_clearance_m
 
 
 class TourError(HplanError):

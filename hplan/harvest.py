@@ -19,7 +19,8 @@ from numpy.typing import ArrayLike
 from hplan.approach import ApproachPath, standoffs
 from hplan.arrays import FloatArray, Record, frozen
 from hplan.errors import BlockedError
-from hplan.inverse import reach
+from hplan.finer_angles import Refined, refined
+from hplan.inverse import Candidates, reach
 from hplan.path import least_duration
 from hplan.robot import Robot
 from hplan.scene import Fruit
@@ -100,11 +101,20 @@ def grasps(
         OptionError: As `reach`.
     """
     robot = around.robot
-    found = reach(robot, position, approach_deg=approach_deg, count=COUNT, start=start, locked=locked)
+
+    def within(approach_deg: float | tuple[float, float] | None, count: int) -> Candidates:
+        return reach(robot, position, approach_deg=approach_deg, count=count, start=start, locked=locked)
+
+    found = within(approach_deg, COUNT)
     clear = np.array([near.field.clearance(q) > SPARE for q in found.configurations])
-    if not clear.any():
-        raise _blocked(what, near, found.configurations)
-    goals, angles = frozen(found.configurations[clear]), found.approach[clear]
+    if clear.any():
+        found = Candidates(found.configurations[clear], found.approach[clear])
+    else:
+        finer = refined(found, within, near.field.clearance, SPARE, approach_deg)
+        if finer.candidates is None:
+            raise _blocked(what, near, found.configurations, finer)
+        found = finer.candidates
+    goals, angles = frozen(found.configurations), found.approach
     chosen: dict[int, tuple[float, FloatArray]] = {}
     # A straight approach takes three joints in the arm plane.
     straight = sum(name not in locked for name in robot.arm.joint_names) >= 3
@@ -174,7 +184,7 @@ def _least_duration(robot: Robot, start: FloatArray, standoff: FloatArray, goal:
     return sum(least_duration(a, b, *limits) for a, b in ((start, standoff), (standoff, goal)))
 
 
-def _blocked(what: str, near: Surroundings, configurations: FloatArray) -> BlockedError:
+def _blocked(what: str, near: Surroundings, configurations: FloatArray, finer: Refined) -> BlockedError:
     """The error that names what is in the way, the most frequent first."""
     nearest = [near.judge.nearest(q) for q in configurations]
     counts = Counter((contact.link, contact.obstacle) for contact in nearest if contact is not None)
@@ -182,4 +192,4 @@ def _blocked(what: str, near: Surroundings, configurations: FloatArray) -> Block
         {"obstacle": obstacle, "link": link, "configurations": count}
         for (link, obstacle), count in counts.most_common()
     ]
-    return BlockedError(what, len(configurations), obstacles)
+    return BlockedError(what, len(configurations), obstacles, refined=finer.tried, best_clearance_m=finer.best_m)

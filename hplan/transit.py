@@ -159,19 +159,21 @@ def without_path(tasks: Sequence[Task]) -> list[NoPathError | None]:
     """
     attempts = [_Attempts(task) for task in tasks]
     errors: list[NoPathError | None] = [None] * len(tasks)
-    left = list(range(len(tasks)))
-    for beyond_deg in WIDTHS:
-        if not left:
-            break
-        rung = Rung(tasks[0].options.step_deg, beyond=math.radians(beyond_deg))
-        try:
-            shown = _enclosed([attempts[number] for number in left], rung)
-        except OptionError:  # no such grid
-            break
-        for number, component in zip(left, shown, strict=True):
-            if component is not None and not component.open_ended:
-                errors[number] = _no_path(component)
-        left = [number for number, component in zip(left, shown, strict=True) if component and component.open_ended]
+    todo = list(range(len(tasks)))
+    while todo:
+        yaw = tasks[todo[0]].problem.goal[0]
+        left = [number for number in todo if abs(tasks[number].problem.goal[0] - yaw) < SAME_YAW]
+        todo = [number for number in todo if number not in left]
+        for beyond_deg in WIDTHS:
+            rung = Rung(tasks[0].options.step_deg, beyond=math.radians(beyond_deg))
+            try:
+                shown = dict(zip(left, _enclosed([attempts[number] for number in left], rung), strict=True))
+            except OptionError:  # no such grid
+                break
+            for number, component in shown.items():
+                if component is not None and not component.open_ended:
+                    errors[number] = _no_path(component)
+            left = [number for number, component in shown.items() if component is not None and component.open_ended]
     return errors
 
 

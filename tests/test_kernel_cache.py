@@ -99,11 +99,15 @@ def test_nowhere_to_keep_them(folder: Path) -> None:
     assert sorted(path.name for path in folder.iterdir()) == ["__pycache__", "kernels.py"]
 
 
-@pytest.mark.parametrize("suffix", [".nbi", ".nbc"])
 @pytest.mark.parametrize(
-    "damage",
-    [lambda data: b"", lambda data: data[: len(data) // 2], lambda data: b"x" * len(data), lambda data: data[:-1]],
-    ids=["empty", "half", "other", "one byte short"],
+    ("suffix", "damage"),
+    [
+        (".nbi", lambda data: data[: len(data) // 2]),
+        (".nbi", lambda data: b""),
+        (".nbc", lambda data: data[:-1]),
+        (".nbc", lambda data: b"x" * len(data)),
+    ],
+    ids=["half an index", "an empty index", "code one byte short", "something else for code"],
 )
 def test_damaged_files(folder: Path, suffix: str, damage: Callable[[bytes], bytes]) -> None:
     run(folder)

@@ -118,7 +118,7 @@ def certify(
         nearest = proof.nearest or Contact("", "", 0.0)
         violations.append(
             f"link {nearest.link!r} comes to {1e3 * nearest.distance_m:.3g} mm of {nearest.other}; to be shown: more "
-            f"than {1e3 * scene.clearance:.3g} mm at {tracking}"
+            f"than {1e3 * scene.clearance:.3g} mm at a tracking error of {tracking}"
         )
     return Certificate(not violations, proof.clearance_m, proof.nearest, use, proof.checks, tuple(violations))
 

@@ -27,9 +27,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hplan.arrays import BoolArray, FloatArray, Record, frozen
+from hplan.arrays import BoolArray, ComplexArray, FloatArray, Record, frozen
+from hplan.elementary import argument, modulus, product
 from hplan.errors import ApproachError, InputError, OptionError
-from hplan.planar_chain import ComplexArray, two_links
+from hplan.planar_chain import two_links
 from hplan.polyline import curve_length
 from hplan.robot import Robot
 
@@ -299,7 +300,7 @@ class _Stretches:
         plane: ComplexArray = points[..., 0] + 1j * points[..., 1]
         first, second, third = (plane[:, k] for k in moving)
         last = plane[:, -2] - plane[:, -1]
-        turned = (third - second) * np.conj(second - first)
+        turned = product(third - second, np.conj(second - first))
         return cls(
             robot=robot,
             index=(index[0], index[1], index[2]),
@@ -307,10 +308,10 @@ class _Stretches:
             goal=q[:, index],
             lower=robot.lower[index],
             upper=robot.upper[index],
-            near=np.abs(second - first),
-            far=np.abs(third - second),
+            near=modulus(second - first),
+            far=modulus(third - second),
             wrist=third - first,
-            back=last / np.abs(last),
+            back=last / modulus(last),
             side=np.where(turned.imag < 0.0, -1.0, 1.0),
         )
 
@@ -342,13 +343,13 @@ class _Stretches:
         _, half, bend, _ = two_links(self.near[:, None], self.far[:, None], wrist)
         _, half_at_goal, bend_at_goal, _ = two_links(self.near[:, None], self.far[:, None], self.wrist[:, None])
         # Seen from a point beside it, a straight line turns by less than half a turn.
-        swept = wrist * np.conj(self.wrist)[:, None]
-        first = np.arctan2(swept.imag, swept.real) - side * (half - half_at_goal)
+        swept = product(wrist, np.conj(self.wrist)[:, None])
+        first = argument(swept) - side * (half - half_at_goal)
         return first, first + side * (bend - bend_at_goal)
 
     def _rates(self, a1: FloatArray, a2: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(k, m) first derivatives of the two links' absolute angles by distance."""
-        back, sin = np.angle(self.back)[:, None], np.sin(a2 - a1)
+        back, sin = argument(self.back)[:, None], np.sin(a2 - a1)
         return np.cos(back - a2) / (self.near[:, None] * sin), -np.cos(back - a1) / (self.far[:, None] * sin)
 
     def keeps_elbow(self, distance: FloatArray) -> BoolArray:
@@ -401,15 +402,15 @@ class _Stretches:
         )
         # |wrist + t back - center|^2 = squared
         apart = self.wrist[:, None] - center
-        half = (apart * np.conj(self.back)[:, None]).real
-        under = half**2 - np.abs(apart) ** 2 + squared
+        half = product(apart, np.conj(self.back)[:, None]).real
+        under = half**2 - modulus(apart) ** 2 + squared
         root = np.sqrt(np.maximum(under, 0.0))
         return np.where(np.tile(under >= 0.0, 2), np.concatenate([-half - root, -half + root], axis=1), 0.0)
 
     def chord_deviations(self, cuts: FloatArray) -> FloatArray:
         """(m - 1, 2) bounds of the two links' angles off chords between successive distances, on the first stretch."""
         lengths, width = np.array([self.near[0], self.far[0]]), np.diff(cuts)
-        foot = np.clip(-(self.wrist[0] * np.conj(self.back[0])).real, cuts[:-1], cuts[1:])
+        foot = np.clip(-product(self.wrist[:1], np.conj(self.back[:1])).real, cuts[:-1], cuts[1:])
         sines = np.sin(self._bends(np.concatenate([cuts, foot])[None])[0][0])
         sin = np.minimum(np.minimum(sines[: len(width)], sines[1 : len(cuts)]), sines[len(cuts) :])
         cos = np.sqrt(1.0 - np.minimum(sin, 1.0) ** 2)
@@ -418,7 +419,7 @@ class _Stretches:
         angles = np.stack(
             [goal[0] + turned[0] for goal, turned in zip(self._at_goal, self._turns(cuts[None]), strict=True)], 1
         )
-        along = np.abs(np.cos(np.angle(self.back[0]) - angles))[:, ::-1]
+        along = np.abs(np.cos(argument(self.back[:1]) - angles))[:, ::-1]
         share = np.maximum(along[:-1], along[1:]) + 0.5 * width[:, None] * steepest[:, ::-1]
         pull = lengths * (np.minimum(1.0, share) * steepest) ** 2
         second = (pull[:, ::-1] + pull * cos[:, None]) * steepest

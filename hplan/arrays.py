@@ -14,6 +14,7 @@ IntArray: TypeAlias = NDArray[np.int64]
 ShortArray: TypeAlias = NDArray[np.int32]
 BoolArray: TypeAlias = NDArray[np.bool_]
 WordArray: TypeAlias = NDArray[np.uint64]
+ComplexArray: TypeAlias = NDArray[np.complex128]
 
 _T = TypeVar("_T", bound=np.generic)
 

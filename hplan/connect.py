@@ -7,6 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from hplan import ties
 from hplan.arrays import FloatArray, IntArray
 from hplan.clearance import ClearanceField
 from hplan.grid import Occupancy
@@ -43,8 +44,8 @@ def joined_nodes(
     low, high = np.floor(position).astype(int) - REACH + 1, np.ceil(position).astype(int) + REACH - 1
     ranges = [range(max(0, a), min(count - 1, b) + 1) for a, b, count in zip(low, high, grid.shape, strict=True)]
     nodes = np.array(list(itertools.product(*ranges)), dtype=np.int64)
-    order = np.argsort(np.linalg.norm((nodes - position) * grid.step, axis=1), kind="stable")
-    for node in nodes[order]:
+    distances = np.sqrt((((nodes - position) * grid.step) ** 2).sum(axis=1))
+    for node in nodes[ties.argsort(distances)]:
         if not occupancy.is_free(node):
             continue
         there = q.copy()

@@ -26,6 +26,7 @@ from typing import Final
 
 import numpy as np
 
+from hplan import ties
 from hplan.arrays import BoolArray, FloatArray, IntArray
 from hplan.solids import Hull, hull_of
 
@@ -221,7 +222,7 @@ def _rough_volume(points: FloatArray) -> float:
         return 0.0
     points = points[:: 1 + len(points) // _SAMPLES]
     try:
-        return float(ConvexHull(points[np.unique((_SUPPORTS @ points.T).argmax(axis=1))]).volume)
+        return float(ConvexHull(points[np.unique(ties.on_raster(_SUPPORTS @ points.T).argmax(axis=1))]).volume)
     except QhullError:
         return 0.0
 

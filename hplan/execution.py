@@ -30,6 +30,7 @@ from typing import Any, assert_never
 import numpy as np
 import pinocchio as pin
 
+from hplan import ties
 from hplan.arrays import FloatArray, Record, readonly
 from hplan.collision import CollisionScene, Contact
 from hplan.errors import InputError, RobotFileError
@@ -394,4 +395,4 @@ def _nearest(robot: Robot, scene: Scene, position: FloatArray) -> Contact | None
     """The smallest distance at any of the configurations that are finite."""
     judge = CollisionScene(robot, scene.solids)
     found = [contact for q in position if np.isfinite(q).all() and (contact := judge.nearest(q)) is not None]
-    return min(found, key=lambda contact: contact.distance_m, default=None)
+    return found[ties.argmin([contact.distance_m for contact in found])] if found else None

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from hplan import ties
 from hplan.errors import RobotFamilyError
 
 #: Lengths below this are zero, offsets below this are on the plane [m].
@@ -113,7 +116,7 @@ class FamilyReader:
         up = up / np.linalg.norm(up) if np.linalg.norm(up) > 1e-6 else np.array([0.0, 1.0, 0.0])
         forward = np.cross(up, normal)
         reach = float(forward @ (points[-1] - points[0]))
-        lead = reach if abs(reach) > GEOMETRY_TOLERANCE else float(forward[np.argmax(np.abs(forward))])
+        lead = reach if abs(reach) > GEOMETRY_TOLERANCE else float(forward[ties.argmax(np.abs(forward))])
         if lead < 0.0:
             forward = -forward
         normal = np.cross(forward, up)
@@ -133,13 +136,13 @@ class FamilyReader:
         for name, length in zip(self.link_names, lengths, strict=True):
             if length < GEOMETRY_TOLERANCE:
                 raise self._fault(f"link {name!r}", "it has no length")
-        absolute = np.arctan2(steps[:, 1], steps[:, 0])
+        absolute = np.array([math.atan2(y, x) for x, y in steps.tolist()])
         relative = np.diff(absolute, prepend=0.0)
         self.origin = points[0]
         self.axes = np.stack([forward, up])
         self.lengths = lengths
         self.signs = np.sign(axes @ normal)
-        self.offsets = np.arctan2(np.sin(relative), np.cos(relative))
+        self.offsets = np.array([math.atan2(math.sin(bend), math.cos(bend)) for bend in relative.tolist()])
 
     @staticmethod
     def _link_name(model: pin.Model, joint: int) -> str:

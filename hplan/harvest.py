@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from hplan import ties
 from hplan.approach import ApproachPath, standoffs
 from hplan.arrays import FloatArray, Record, frozen
 from hplan.errors import BlockedError
@@ -131,7 +132,7 @@ def grasps(
         Grasp(goals[i], begin, distance, float(angles[i]), _least_duration(robot, start, begin, goals[i]))
         for i, (distance, begin) in chosen.items()
     ]
-    return tuple(sorted(ways, key=lambda grasp: grasp.least_duration))
+    return tuple(ways[i] for i in ties.argsort([grasp.least_duration for grasp in ways]).tolist())
 
 
 def promising(ways: Sequence[Grasp], around: Surroundings, near: Surroundings, start: FloatArray) -> list[Grasp]:
@@ -150,8 +151,7 @@ def promising(ways: Sequence[Grasp], around: Surroundings, near: Surroundings, s
 
 def least_standoff(around: Surroundings, fruit: Fruit) -> float:
     """Where the tool is clear of the fruit it is going to take [m]."""
-    arm, sway = around.robot.arm, around.robot.sway(around.deviation)
-    return fruit.radius + float(arm.half_widths[-1] + sway[-1]) + around.clearance + 2.0 * SPARE
+    return fruit.radius + float(around.robot.arm.half_widths[-1]) + around.clearance + 2.0 * SPARE
 
 
 def _distances(standoff: float, least: float) -> list[float]:

@@ -13,6 +13,7 @@ up. Joints beyond three are set to values of a grid, the ones nearest the base f
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -21,9 +22,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hplan.arrays import BoolArray, FloatArray, IntArray, Record, frozen
+from hplan import ties
+from hplan.arrays import BoolArray, ComplexArray, FloatArray, IntArray, Record, frozen
+from hplan.elementary import arctan2, modulus, product
 from hplan.errors import InputError, OptionError, UnreachableError
-from hplan.planar_chain import ANGLE_TOLERANCE, MATCH_TOLERANCE, ComplexArray, FreeChain, Reached, Window
+from hplan.planar_chain import ANGLE_TOLERANCE, MATCH_TOLERANCE, FreeChain, Reached, Window
 from hplan.robot import Robot
 
 #: Configurations between the ends of continua, where no number is given.
@@ -199,8 +202,8 @@ class _Task:
             out: FloatArray = np.zeros(len(yaws))
         else:
             out = np.sqrt(max(distance**2 - aside**2, 0.0)) * np.array([1.0, -1.0])
-            bearing = np.arctan2(self.position[1], self.position[0])
-            yaws = bearing - np.arctan2(fy, fx) - np.arctan2(aside, out)
+            bearing = math.atan2(self.position[1], self.position[0])
+            yaws = bearing - math.atan2(fy, fx) - arctan2(aside, out)
         turns = np.floor((yaws - robot.lower[0] + ANGLE_TOLERANCE) / _TURN)
         return _Views(yaws - _TURN * turns, (out - ahead) + 1j * (self.position[2] - origin[2]), 0.0)
 
@@ -231,7 +234,7 @@ class _Task:
         angles = np.cumsum(arm.signs * base + arm.offsets, axis=1)[:, :first]
         root = (arm.lengths[:first] * np.exp(1j * angles)).sum(axis=1)
         turns = angles[:, -1]
-        points = (self.views.point[views] - root[:, None]) * np.exp(-1j * turns[:, None])
+        points = product(self.views.point[views] - root[:, None], np.exp(-1j * turns[:, None]))
         return points.ravel(), np.repeat(turns, len(views))
 
     def solve(self, count: int) -> tuple[FloatArray, FloatArray]:
@@ -355,8 +358,8 @@ def _arm_reason(task: _Task) -> UnreachableError:
         return _unreachable(task, "off_plane", f"it is {beside:.6g} m beside the arm plane", beside_m=beside)
     farthest = float(lengths.sum())
     nearest = max(0.0, 2.0 * float(lengths.max()) - farthest)
-    beyond = float(np.abs(points).min()) - farthest
-    short = nearest - float(np.abs(points).max())
+    beyond = float(modulus(points).min()) - farthest
+    short = nearest - float(modulus(points).max())
     if beyond > 0.0:
         return _unreachable(
             task, "too_far", f"it is {beyond:.6g} m beyond the reach of {farthest:.6g} m", excess_m=beyond
@@ -381,10 +384,10 @@ def _limit_reason(task: _Task) -> UnreachableError:
         view = index % len(views)
         joints, q = [0, *joints], np.column_stack([out[view], q])
         excess = np.column_stack([task.yaw_excess[view], excess])
-    best = int(excess.sum(axis=1).argmin())
+    best = ties.argmin(excess.sum(axis=1))
     passed: list[dict[str, Any]] = []
     text: list[str] = []
-    for which in np.argsort(-excess[best]):
+    for which in ties.argsort(-excess[best]):
         joint, beyond = joints[which], float(np.degrees(excess[best, which]))
         if passed and excess[best, which] < ROUNDING:
             break

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from hplan import ties
 from hplan.arrays import FloatArray, frozen
 from hplan.clearance import ClearanceField
 
@@ -161,6 +162,7 @@ def _out(
             return None
         push = np.zeros(len(q))
         push[movable] = np.linalg.pinv(gradients, rcond=1e-2) @ (wanted + 0.5 * _BEYOND - clearances[near])
-        push *= min(1.0, _LARGEST_PUSH / max(float(np.abs(push).max()), 1e-12))
+        # Heuristic, so it need not have all its digits, and the last ones are not the same on every processor.
+        push = ties.on_raster(push * min(1.0, _LARGEST_PUSH / max(float(np.abs(push).max()), 1e-12)))
         q = np.clip(q + push, lower, upper)
     return q if field.clearance(q) >= wanted else None

@@ -22,6 +22,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hplan import ties
 from hplan.arrays import BoolArray, FloatArray, IntArray, frozen
 from hplan.kernels import kernel
 
@@ -136,7 +137,7 @@ def best(costs: Costs, before: IntArray | None = None) -> Visits:
     if before is not None:
         orders.insert(0, np.asarray(before, dtype=np.int64))
     found = [_improved(np.array(order), *costs.arrays) for order in orders]
-    cost, order = min(found, key=lambda pair: pair[0])
+    cost, order = found[ties.argmin([cost for cost, _ in found])]
     if before is None or not np.array_equal(order, orders[0]):
         return along(costs, order)  # there is time for kicks once nothing else moves
     random = np.random.default_rng(0)

@@ -21,8 +21,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hplan import ties
 from hplan.arrays import FloatArray, IntArray, readonly
 from hplan.certificate import Certificate
+from hplan.collision import check_clear
 from hplan.errors import (
     BlockedError,
     CertificationError,
@@ -356,7 +358,7 @@ class Motions:
         return self._pick(step[0]) if len(step) == 1 else self._move(step[0], step[1], bool(step[2]))
 
     def _costs(self) -> Costs:
-        """True durations where they are known, bounds elsewhere."""
+        """True durations where they are known, bounds elsewhere; on a raster, so that equal sums of them are equal."""
         stops = np.array([stop.configuration for stop in self._stops])
         least = rest_to_rest(np.abs(stops[:, None] - stops), *self._limits).max(axis=2)
         seconds = np.stack([least, least])
@@ -374,11 +376,11 @@ class Motions:
             last = seconds[0, places, home] if self._back else np.zeros(len(pick))
         return Costs(
             begin=readonly(self._begin, np.int64),
-            first=readonly(seconds[0, self._here, places] + pick),
-            onward=readonly(seconds[int(self._carries), places, places] + pick),
-            drop=readonly(drop),
-            away=readonly(seconds[0, hub, places] + pick),
-            last=readonly(last),
+            first=readonly(ties.on_raster(seconds[0, self._here, places] + pick)),
+            onward=readonly(ties.on_raster(seconds[int(self._carries), places, places] + pick)),
+            drop=readonly(ties.on_raster(drop)),
+            away=readonly(ties.on_raster(seconds[0, hub, places] + pick)),
+            last=readonly(ties.on_raster(last)),
             capacity=self._every if self._carries else 0,
         )
 
@@ -403,7 +405,7 @@ def drop_off(goal: Goal, scene: Scene, empty: World, loaded: World, start: Float
     joints = goal.joints()
     if joints is not None:
         q = around.robot.check_configuration(joints, "drop_off")
-        around.check_clear(q, "drop_off")
+        check_clear(around.judge, q, around.clearance, "drop_off")
         _, motion = find_motion([empty.task(before, scene, start, q)])
         return DropOff(q, ("transit", motion.trajectory, motion.certificate))
     ways = grasps(
@@ -412,7 +414,7 @@ def drop_off(goal: Goal, scene: Scene, empty: World, loaded: World, start: Float
     )  # fmt: skip
 
     def task_of(grasp: Grasp) -> Task:
-        around.check_clear(grasp.goal, "goal")
+        check_clear(around.judge, grasp.goal, around.clearance, "goal")
         return empty.task(before, scene, start, grasp.goal)
 
     grasp, motion, _ = motion_to_grasp(ways, promising(ways, around, around, start), task_of, lambda *_: None, what)

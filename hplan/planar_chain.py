@@ -22,12 +22,11 @@ import cmath
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hplan.arrays import BoolArray, FloatArray, IntArray, Record
+from hplan import ties
+from hplan.arrays import BoolArray, ComplexArray, FloatArray, IntArray, Record
+from hplan.elementary import arccos, arctan2, argument, modulus
 from hplan.robot import PlanarArm
-
-ComplexArray = NDArray[np.complex128]
 
 #: A point this far out of reach is reached by a straight or folded arm [m].
 REACH_TOLERANCE = 1e-10
@@ -201,7 +200,7 @@ class FreeChain(Record):
             q, excess = self._excess(self.joints(absolute))
             if closer == _CLOSER or not len(index):
                 break
-            best = absolute[excess.sum(axis=1).argmin(), -1]
+            best = absolute[ties.argmin(excess.sum(axis=1)), -1]
             tried = np.tile(best + step * np.linspace(-1.0, 1.0, 101), (len(points), 1))
             step *= 0.02
         corners = self._corners(points)
@@ -225,8 +224,8 @@ class FreeChain(Record):
             # A straight or folded elbow is one configuration, not two.
             sides = ok[:, None] & np.stack([ok, (bend > 0.0) & (bend < np.pi)], axis=1)
             return np.nonzero(sides)[0], absolute[sides]
-        ok = np.abs(np.abs(points) - self.lengths.sum()) <= MATCH_TOLERANCE
-        return np.flatnonzero(ok), np.arctan2(points.imag, points.real)[ok, None][:, :count]
+        ok = np.abs(modulus(points) - self.lengths.sum()) <= MATCH_TOLERANCE
+        return np.flatnonzero(ok), argument(points)[ok, None][:, :count]
 
     def _directed(self, points: ComplexArray, last: FloatArray) -> tuple[IntArray, FloatArray]:
         """Which point, and absolute angles, for (b, j) absolute angles of the last of three pieces."""
@@ -254,7 +253,7 @@ class FreeChain(Record):
         if len(point):
             sum_ = np.cumsum(widths[point, cell])
             station = sum_[-1] * (np.arange(count) + 0.5) / count
-            which = np.minimum(np.searchsorted(sum_, station), len(sum_) - 1)
+            which = np.minimum(np.searchsorted(sum_, station * (1.0 - 1e-12)), len(sum_) - 1)
             last = start[point[which], cell[which]] + (widths[point[which], cell[which]] - (sum_[which] - station))
             bearing, half, bend, _ = two_links(
                 self.lengths[0], self.lengths[1], points[point[which]] - self.lengths[2] * np.exp(1j * last)
@@ -274,8 +273,8 @@ class FreeChain(Record):
         ends = self.signs * np.stack([self.lower, self.upper]) + self.offsets
         shoulder, elbow, wrist = ends[:, 0], np.array([*ends[:, 1], 0.0, np.pi]), ends[:, 2]
         upper_arm, forearm = l1 + l2 * np.exp(1j * elbow), l2 + l3 * np.exp(1j * wrist)
-        near = np.concatenate([[l2, l2], np.abs(upper_arm), [l1, l1]])
-        far = np.concatenate([np.full(6, l3), np.abs(forearm)])
+        near = np.concatenate([[l2, l2], modulus(upper_arm), [l1, l1]])
+        far = np.concatenate([np.full(6, l3), modulus(forearm)])
         start = np.concatenate([l1 * np.exp(1j * shoulder), np.zeros(6)])
         bearing, half, bend, ok = two_links(near, far, points[:, None] - start)
         first = bearing[..., None] - _SIDES * half[..., None]
@@ -285,8 +284,8 @@ class FreeChain(Record):
             shoulder,
             elbow,
             wrist,
-            np.angle(upper_arm),
-            np.angle(forearm),
+            argument(upper_arm),
+            argument(forearm),
             first,
             second,
             sides.reshape(len(points), -1),
@@ -369,16 +368,16 @@ def two_links(
         in [0, pi]; whether the point is in reach. The first link is at bearing - half and the second at bend from
         it, or the first at bearing + half and the second at -bend.
     """
-    distance = np.abs(points)
+    distance = modulus(points)
     product = np.maximum(2.0 * near * far, 1e-300)
     squares, square = near * near + far * far, distance * distance
     cos = (square - squares) / product
     # Rounding of the last digit would bend a straight elbow by 1e-8; nearer than that it is straight, or folded.
     cos = np.where(np.abs(cos) >= 1.0 - _LAST_DIGITS * (square + squares) / product, np.copysign(1.0, cos), cos)
-    bend = np.arccos(cos)
-    half = np.arctan2(far * np.sin(bend), near + far * cos)
+    bend = arccos(cos)
+    half = arctan2(far * np.sin(bend), near + far * cos)
     ok = (distance <= near + far + REACH_TOLERANCE) & (distance >= np.abs(near - far) - REACH_TOLERANCE)
-    return np.arctan2(points.imag, points.real), half, bend, ok
+    return argument(points), half, bend, ok
 
 
 def _above(angle: FloatArray, low: FloatArray | float) -> FloatArray:

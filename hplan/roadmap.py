@@ -95,8 +95,11 @@ def low_discrepancy(count: int, dimensions: int) -> FloatArray:
     """
     root = 2.0
     for _ in range(64):
-        root = (1.0 + root) ** (1.0 / (dimensions + 1))
-    return (0.5 + np.outer(np.arange(1, count + 1), root ** -np.arange(1.0, dimensions + 1))) % 1.0
+        # Newton's method, by products alone: the last digit of a power depends on the processor.
+        power = math.prod([root] * dimensions)
+        root -= (power * root - root - 1.0) / ((dimensions + 1) * power - 1.0)
+    steps = np.cumprod(np.full(dimensions, 1.0 / root))
+    return (0.5 + np.outer(np.arange(1, count + 1), steps)) % 1.0
 
 
 @kernel

@@ -21,6 +21,7 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
+from hplan import ties
 from hplan.arrays import FloatArray, IntArray, Record, frozen, readonly
 
 #: Most vertices of a hull.
@@ -150,13 +151,13 @@ def _some_vertices(corners: FloatArray, most: int) -> tuple[IntArray, Any]:
 
     axes = np.array([(x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)], dtype=np.float64)
     axes = axes[np.abs(axes).sum(axis=1) % 2 == 1]  # along the axes and the space diagonals
-    kept = np.unique((corners @ axes.T).argmax(axis=0))
+    kept = np.unique(ties.on_raster(corners @ axes.T).argmax(axis=0))
     while True:
         hull = ConvexHull(corners[kept])
         excess = corners @ hull.equations[:, :3].T + hull.equations[:, 3]
-        peaks = np.unique(excess.argmax(axis=0))
+        peaks = np.unique(ties.on_raster(excess).argmax(axis=0))
         height = excess[peaks].max(axis=1)
-        new = peaks[np.argsort(-height, kind="stable")][: min(8, most - len(kept))]
+        new = peaks[ties.argsort(-height)][: min(8, most - len(kept))]
         new = new[excess[new].max(axis=1) > HULL_ERROR]
         if len(new) == 0:
             return kept, hull

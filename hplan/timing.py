@@ -27,6 +27,7 @@ In all the motion takes :math:`m + 1` to :math:`m + 2` periods longer than toppr
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
@@ -324,7 +325,7 @@ def _rows(profile: _Profile, limits: Limits, period: float, window: int, stretch
         )
         if limits.jerk is not None:
             jerk = np.diff(acceleration, axis=0, prepend=0.0, append=0.0) / period
-            excess = max(excess, np.cbrt(_largest_use(jerk, limits.jerk, moves)))
+            excess = max(excess, math.cbrt(_largest_use(jerk, limits.jerk, moves)))
         if excess <= 1.0 + KEPT:
             position = (control[:-2] + 4.0 * control[1:-1] + control[2:]) / 6.0
             velocity = 0.5 * (change[1:] + change[:-1])

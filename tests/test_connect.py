@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 
 import numpy as np
 import pytest
@@ -37,7 +38,7 @@ def joined(robot, grid, q, obstacles=(), occupied=(), yaw=0.0):
 
 
 def far_from_the_node(grid, node, q):
-    return float(np.linalg.norm(grid.coordinates(np.array(node)) - q))
+    return math.dist(grid.coordinates(np.array(node)), q)
 
 
 @pytest.mark.parametrize("node", [(0, 0, 0), (4, 3, 7), (10, 10, 10)])
@@ -55,8 +56,18 @@ def test_off_a_node_all_within_reach_come_the_nearest_first(robot, grid):
     expected = itertools.product(range(3, 7), range(4, 7), range(5, 9))
     assert sorted(found) == sorted(expected)
     distances = [far_from_the_node(grid, node, q) for node in found]
-    assert distances == sorted(distances)
+    assert all(one <= other + 1e-12 for one, other in itertools.pairwise(distances))
     assert joined(robot, grid, q) == found
+
+
+def test_of_nodes_equally_far_the_first_comes_first(robot, grid):
+    """The second axis is half-way between nodes, and with equal steps mirrored offsets are as far as each other."""
+    found = joined(robot, grid, np.array([4.3, 4.5, 6.3]) * STEP)
+    place = {node: number for number, node in enumerate(found)}
+    assert len(found) == 64
+    for i, j, k in found:
+        for other in ((i, 9 - j, k), (k - 2, j, i + 2)):
+            assert (place[i, j, k] < place[other]) == ((i, j, k) < other) or other == (i, j, k)
 
 
 def test_no_node_beyond_the_limits(robot, grid):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from hplan import ties
 from hplan.arrays import FloatArray
 from hplan.clearance import ClearanceField
 from hplan.errors import CertificationError, InputError
@@ -84,7 +85,7 @@ def _fastest(
             if len(found) == STARTS or (found and found[-1][1] <= GOOD_ENOUGH * least):
                 break
         if found:
-            return min(found, key=lambda item: item[1])[0]
+            return found[ties.argmin([seconds for _, seconds in found])][0]
     # Where no spline could be pushed clear: the polyline with its corners rounded as far as they can be.
     return hasten(smooth(taut, field, margin=smallest), field, options, margin=0.5 * smallest)[0]
 

@@ -148,6 +148,32 @@ def test_kept_and_mended(robot: Robot) -> None:
     assert_motion(robot, grazed, mended)
 
 
+@pytest.mark.parametrize("joint", ["base_yaw", "shoulder", "elbow", "wrist"])
+def test_another_range_of_a_joint_is_another_task(robot: Robot, joint: str) -> None:
+    """Start and goal are the same, but the earlier motion went around something with a joint that is now locked."""
+    scene = task((0.0, 30.0, 20.0, 20.0), (60.0, 30.0, 20.0, 20.0), [post("post", 30.0, 1.2, 0.0, 2.0, 0.05)])
+    before = find_motion([posed(robot, scene, OPTIONS)])[1]
+    assert after(robot, before, scene).origin == "kept"
+    changed = posed(robot, scene, OPTIONS)
+    place = robot.joint_names.index(joint)
+    for name, value in (("lower", -0.01), ("upper", 0.01)):
+        limits = np.array(getattr(changed.problem, name))
+        limits[place] = limits[place] - value  # narrower by a little
+        problem = replace(changed.problem, **{name: limits})
+        with pytest.raises(CertificationError, match="another task"):
+            renewed(replace(changed, problem=problem), before)
+
+
+def test_a_joint_locked_since_does_not_move(robot: Robot) -> None:
+    obstacles = [post("post", 30.0, 1.2, 0.0, 2.0, 0.05)]
+    scene = task(START, (60.0, 30.0, 20.0, 20.0), obstacles)
+    before = find_motion([posed(robot, scene, OPTIONS)])[1]
+    assert np.ptp(before.trajectory.position[:, 1]) > 0.1
+    locked = task(START, (60.0, 30.0, 20.0, 20.0), obstacles, locked_joints=("shoulder",))
+    with pytest.raises(CertificationError, match="another task"):
+        after(robot, before, locked)
+
+
 def test_detours_are_given_up(robot: Robot) -> None:
     scene = task(START, (60.0, 30.0, 20.0, 20.0), [post("post", 30.0, 1.2, 0.0, 2.0, 0.05)])
     before = find_motion([posed(robot, scene, OPTIONS)])[1]

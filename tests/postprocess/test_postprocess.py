@@ -303,6 +303,17 @@ def test_hastened(robot, field, judge, grid_path, options, limits):
         assert time_path(path, robot.model, free).duration == pytest.approx(value, rel=0.05)
 
 
+@pytest.mark.parametrize("count", [8, 14, 25])
+def test_estimate_is_that_of_the_spline_returned(field, grid_path, options, count):
+    """Steps that push neighbours out of the obstacle change more pieces than the point's own: all of them count."""
+    taut = shorten(grid_path, field, margin=MARGIN)
+    pushed = clear_spline(taut, field, options, count=count, margin=MARGIN)
+    for trials in (200, 1000, 3000):
+        fast, estimate = hasten(pushed, field, replace(options, trials=trials), margin=MARGIN)
+        again = hasten(fast, field, replace(options, trials=0), margin=MARGIN)
+        assert again[1] == pytest.approx(estimate, rel=1e-9)
+
+
 def test_estimate_of_a_straight_motion_by_hand(robot, options):
     """Accelerate, cruise, brake: v / a + length / v."""
     empty = ClearanceField.of(robot, [])
@@ -442,12 +453,13 @@ def test_far_obstacles_change_nothing(robot, grid_path, scene, options, objectiv
 def test_what_the_optimisers_left_out_is_not_touched(robot, options, monkeypatch):
     """With next to nothing in sight the proof still has everything, and the search is repeated with all of it."""
     monkeypatch.setattr(postprocess_path, "NEAR", 1e-6)
+    monkeypatch.setattr(postprocess_path, "FEW", 0)
     ball = Sphere(name="ball", center=(1.0, 0.0, 1.9), radius=0.15)
     field, judge = ClearanceField.of(robot, [ball]), CollisionScene(robot, [ball])
-    path = np.radians([[0, 0, 0, 0], [0, 0, 90, 70], [0, 45, 90, 90], [0, 45, 60, 70]])
-    if not field.is_clear(path, 1e-4):
-        path = np.radians([[0, 0, 0, 0], [0, 0, 0, 90], [0, 0, 90, 90], [0, 45, 90, 90], [0, 45, 60, 70]])
+    path = np.radians([[0, 0, 0, 0], [0, 0, 90, 90], [0, 60, 90, 90], [0, 60, 0, 0]])
     assert field.is_clear(path, 1e-4)
-    assert field.near(path, 1e-6).clearance(path[0]) == np.inf
+    unseen = field.near(path, 1e-6)
+    assert len(unseen.solids) == 0
+    assert not fast_path(path, unseen, options).is_clear(field, 1e-6)  # would go straight through the ball
     found = fast_path(path, field, options)
     assert_kept(robot, judge, found, path[0], path[-1])

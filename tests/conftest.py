@@ -3,12 +3,17 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 from toy_urdf import urdf
 
 from hplan.machine import read_machine
 from hplan.robot import Robot, load_robot
 from hplan.scene import Scene
 from hplan.scene_file import load_scene
+
+# The same examples in every run, and no limit on the time of one: the first compiles kernels.
+settings.register_profile("hplan", derandomize=True, deadline=None)
+settings.load_profile("hplan")
 
 
 @pytest.fixture(scope="session")

@@ -82,7 +82,7 @@ def test_what_is_convex_is_one_piece():
     assert pieces.excess == pieces.hulls[0].rounding < 0.01
 
 
-@settings(max_examples=8, deadline=None, derandomize=True)
+@settings(max_examples=8)
 @given(st.integers(0, 10_000))
 def test_random_heaps_of_blocks(seed):
     """Solids with tunnels and hollows, blocks that touch at an edge or a corner only, and parts that are apart."""

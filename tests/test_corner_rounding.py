@@ -31,7 +31,7 @@ coordinate = st.one_of(
 polylines = npst.arrays(np.float64, st.tuples(st.integers(2, 9), st.integers(1, 4)), elements=coordinate)
 
 
-@settings(deadline=None, max_examples=300)
+@settings(max_examples=300)
 @given(polylines, st.sampled_from([1e-4, 1e-2, 0.1, 1.0]))
 @example(np.array([[0.0], [1.0], [0.0]]), 0.1)
 @example(np.array([[0.0, 0], [1, 0], [0, 1e-9], [1, 1]]), 0.01)
@@ -54,7 +54,7 @@ def test_path_keeps_to_the_polyline(points, deviation):
         at += int(passed[at:].argmax())
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(polylines, st.sampled_from([0.03, 0.3]))
 def test_path_runs_along_the_polyline(points, deviation):
     path = rounded_path(points, deviation)

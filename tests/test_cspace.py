@@ -233,7 +233,7 @@ def test_random_arms_among_polygons():
     assert 0.1 < np.mean(shares) < 0.9
 
 
-@settings(deadline=None, max_examples=100)
+@settings(max_examples=100)
 @given(st.integers(0, 2**32 - 1), st.sampled_from(LINK_MODELS), st.booleans())
 def test_any_scene(seed, model, polygons):
     check_random_scene(seed, model, polygons and model == "capsule")

@@ -50,7 +50,7 @@ def segment_to_box(a, u, half):
     return min(distance(t) for t in (0.0, low, high, 1.0))
 
 
-@settings(max_examples=300, deadline=None, derandomize=True)
+@settings(max_examples=300)
 @given(vector, vector, vector, vector)
 @example((0, 0, 0), (0, 0, 0), (1, 0, 0), (0, 0, 0))
 @example((0, 0, 0), (0, 0, 0), (1, 1, 0), (0, -2, 0))
@@ -77,7 +77,7 @@ def test_nearly_parallel_segments(angle):
         assert segment_segment(*a, *u, *b, *v) == pytest.approx(expected, abs=2e-5 if angle else 1e-9)
 
 
-@settings(max_examples=300, deadline=None, derandomize=True)
+@settings(max_examples=300)
 @given(vector, vector, st.tuples(*[st.floats(0.01, 2.0)] * 3))
 @example((-2, 0.5, 0), (4, 0, 0), (1, 0.5, 1))
 @example((-2, 1.5, 0), (4, 0, 0), (1, 1, 1))

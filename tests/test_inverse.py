@@ -135,7 +135,7 @@ def test_harvester_grid_is_found(robot):
         assert_reached(robot, reach(robot, position, start=q), position)
 
 
-@settings(max_examples=60, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
+@settings(max_examples=60, suppress_health_check=list(HealthCheck))
 @given(seed=st.integers(0, 2**32 - 1))
 def test_random_arms(robot, seed):
     rng = np.random.default_rng(seed)
@@ -150,7 +150,7 @@ def test_random_arms(robot, seed):
     assert nearest(given_angle, q) < 1e-5
 
 
-@settings(max_examples=40, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
+@settings(max_examples=40, suppress_health_check=list(HealthCheck))
 @given(seed=st.integers(0, 2**32 - 1))
 def test_feasible_directions_against_a_scan(robot, seed):
     rng = np.random.default_rng(seed)
@@ -346,7 +346,7 @@ def test_approach_out_of_reach(robot):
     assert reach(robot, position, approach_deg=(low, low)).approach == pytest.approx(np.radians([low]))
 
 
-@settings(max_examples=60, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
+@settings(max_examples=60, suppress_health_check=list(HealthCheck))
 @given(seed=st.integers(0, 2**32 - 1))
 def test_limits_in_the_way(robot, seed):
     """With the limits that are named moved by as much as is said, the point is reached; by less, it is not."""

@@ -232,7 +232,7 @@ balls = st.lists(
 )
 
 
-@settings(max_examples=150, deadline=None, derandomize=True)
+@settings(max_examples=150)
 @given(joints, steps, balls)
 def test_mended_among_random_balls(first: Any, moves: Any, places: Any) -> None:
     solids = [Sphere(name=f"b{i}", center=place[:3], radius=place[3]) for i, place in enumerate(places)]

@@ -42,7 +42,7 @@ def test_turned_then_moved(write):
     np.testing.assert_allclose(top.core, [[1.4, -2.0, 1.3], [1.4, -1.9, 2.1]], atol=1e-12)
 
 
-@settings(derandomize=True, max_examples=50)
+@settings(max_examples=50)
 @given(
     ends=st.lists(st.floats(-10, 10), min_size=6, max_size=6),
     position=st.tuples(*[st.floats(-100, 100)] * 3),

@@ -142,7 +142,7 @@ def test_values_out_of_range(options, message):
 points = st.tuples(*[st.floats(-1, 1)] * 3)
 
 
-@settings(derandomize=True, max_examples=60)
+@settings(max_examples=60)
 @given(st.lists(st.tuples(points, points, st.floats(0.001, 0.05)), min_size=1, max_size=6), points)
 def test_distances_from_wood(pieces, point):
     wood = [capsule(f"w {i}", *piece) for i, piece in enumerate(pieces)]
@@ -154,7 +154,7 @@ def test_distances_from_wood(pieces, point):
     np.testing.assert_allclose(Crop(wood, 0.04, FruitZone()).wood_distances(np.array(point)), expected, atol=1e-6)
 
 
-@settings(derandomize=True, max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     st.lists(st.tuples(points, points, st.floats(0.002, 0.05)), min_size=1, max_size=8),
     st.integers(1, 12),

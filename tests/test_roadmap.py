@@ -56,7 +56,7 @@ def test_straight_where_nothing_is_in_the_way(robot: Robot) -> None:
     np.testing.assert_array_equal(way, [START, GOAL])
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(seed=st.integers(0, 10**6), count=st.integers(1, 40))
 def test_clear_and_no_slower_than_by_one_configuration(robot: Robot, seed: int, count: int) -> None:
     rng = np.random.default_rng(seed)

@@ -324,7 +324,7 @@ def specs(draw: st.DrawFn) -> ArmSpec:
     )
 
 
-@settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=15, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(spec=specs())
 def test_any_spec_survives_the_files(spec, tmp_path):
     urdf, limits_path = write_robot(spec, tmp_path / "arm.urdf")

@@ -151,7 +151,7 @@ def scenes(draw):
     )
 
 
-@settings(deadline=None, max_examples=150)
+@settings(max_examples=150)
 @given(scenes())
 def test_round_trip(scene):
     assert parse_scene(dump_scene(scene)) == scene
@@ -400,7 +400,7 @@ def test_text_that_is_no_scene(text, line, message):
     assert caught.value.exit_status == 2
 
 
-@settings(deadline=None, max_examples=300)
+@settings(max_examples=300)
 @given(st.text(st.sampled_from("{}[]:,-?&*!|>'\"%@`#~.0123456789eEabnul \n\t<="), max_size=40))
 def test_no_text_raises_anything_else(text):
     for whole in (text, HEAD + text, f"{HEAD}obstacles: {text}"):

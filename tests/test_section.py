@@ -176,7 +176,7 @@ def test_boxes():
     assert np.mean(np.array(sides) > 0) > 0.5
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(st.integers(0, 2**32 - 1))
 def test_any_capsule(seed):
     rng = np.random.default_rng(seed)
@@ -358,7 +358,7 @@ PLACES = {
 }
 
 
-@settings(deadline=None, max_examples=100)
+@settings(max_examples=100)
 @given(
     st.integers(0, 2**32 - 1),
     st.sampled_from(["ball", "capsule", "box", "hull"]),

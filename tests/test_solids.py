@@ -47,7 +47,7 @@ def test_many_vertices_are_simplified_from_outside(most):
     assert {tuple(point) for point in hull.core} <= {tuple(point) for point in points}
 
 
-@settings(max_examples=25, deadline=None, derandomize=True)
+@settings(max_examples=25)
 @given(st.integers(0, 10_000), st.integers(4, 300), st.floats(0.01, 1.0))
 def test_hulls_hold_their_points(seed, count, flatness):
     rng = np.random.default_rng(seed)
@@ -61,7 +61,7 @@ def test_hulls_hold_their_points(seed, count, flatness):
     assert len(turned.edges) == len(turned.core) + len(turned.planes) - 2  # Euler
 
 
-@settings(max_examples=40, deadline=None, derandomize=True)
+@settings(max_examples=40)
 @given(st.integers(0, 10_000), st.integers(1, 400), st.sampled_from([1e-3, 0.02, 1.0]))
 def test_balls_after_merging_hold_those_before(seed, count, size):
     points = np.random.default_rng(seed).uniform(0.0, size, (count, 3))

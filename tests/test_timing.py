@@ -158,7 +158,7 @@ def test_reference_motion_is_at_a_limit_nearly_all_the_time(robot, limits, refer
     assert (use >= 0.999).mean() >= 0.7
 
 
-@settings(max_examples=25, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.integers(0, 10**6), st.integers(4, 12), st.sampled_from([60.0, 250.0, 1000.0]), st.booleans())
 def test_random_motions_keep_their_limits(robot, limits, smooth_limits, seed, count, rate, with_jerk):
     path = curve(seed, robot, count)

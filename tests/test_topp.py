@@ -107,12 +107,7 @@ def cosine(end, points):
     return grid
 
 
-@settings(
-    max_examples=80,
-    deadline=None,
-    derandomize=True,
-    suppress_health_check=[HealthCheck.function_scoped_fixture],
-)
+@settings(max_examples=80, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     seed=st.integers(0, 10**6),
     span=st.sampled_from([1.0, 1.0, 0.3, 1e-2, 1e-4, 1e-6]),

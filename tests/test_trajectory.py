@@ -190,7 +190,7 @@ def test_columns_are_where_the_header_says(tmp_path):
     assert [float(row["time_s"]) for row in rows] == trajectory.time.tolist()
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(
     st.integers(1, 6).flatmap(
         lambda n: st.tuples(

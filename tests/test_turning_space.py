@@ -25,7 +25,7 @@ def free_nodes(space: Occupancy) -> BoolArray:
     return bits[:, : space.grid.shape[-1]].reshape(space.grid.shape).astype(bool)
 
 
-@settings(max_examples=200, deadline=None, derandomize=True)
+@settings(max_examples=200)
 @given(
     start=st.floats(LOWER, UPPER),
     goal=st.floats(LOWER, UPPER),

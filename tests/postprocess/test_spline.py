@@ -25,7 +25,7 @@ def control_points(draw):
     return points
 
 
-everywhere = settings(max_examples=60, deadline=None, derandomize=True)
+everywhere = settings(max_examples=60)
 
 
 @everywhere

@@ -55,7 +55,7 @@ def check(free: BoolArray, step: FloatArray, start: IntArray, goal: IntArray) ->
         assert length == pytest.approx(least, abs=1e-9)
 
 
-@settings(max_examples=200, deadline=None, derandomize=True)
+@settings(max_examples=200)
 @given(
     shape=st.one_of(st.tuples(*[st.integers(1, 7)] * 3), st.tuples(*[st.integers(1, 4)] * 4)),
     density=st.sampled_from([0.0, 0.1, 0.3, 0.5]),

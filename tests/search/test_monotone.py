@@ -26,7 +26,7 @@ def paths_of(free: BoolArray, start: list[int], goal: list[int], wanted: range) 
     return found, [lattice.row_coordinates[path_rows[a:b]] for a, b in itertools.pairwise(begins)]
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     shape=st.tuples(st.integers(1, 8), st.integers(1, 8), st.sampled_from([1, 3, 64, 65, 130])),
     density=st.sampled_from([0.0, 0.1, 0.3, 0.5]),

@@ -69,7 +69,7 @@ def random_case(
     return free, start, goal, rng.choice(STEPS, len(shape))
 
 
-@settings(max_examples=150, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=150, suppress_health_check=[HealthCheck.too_slow])
 @given(
     shape=st.one_of(
         st.tuples(st.integers(1, 14), st.integers(1, 14)),

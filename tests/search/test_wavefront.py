@@ -56,7 +56,7 @@ def check(free: BoolArray, start: IntArray, goal: IntArray) -> None:
     np.testing.assert_array_equal(reached, component(free, end))
 
 
-@settings(max_examples=150, deadline=None, derandomize=True)
+@settings(max_examples=150)
 @given(
     shape=st.one_of(
         st.tuples(st.integers(1, 20), st.integers(1, 20)),

@@ -21,7 +21,9 @@ from numpy.typing import ArrayLike
 from hplan.arrays import FloatArray, Record, readonly
 from hplan.errors import InputError, JointLimitError, RobotFileError
 from hplan.path import Limits
-from hplan.robot_files import check_links_and_joints, read_urdf_xml
+from hplan.urdf_check import check_models
+from hplan.urdf_file import read_urdf
+from hplan.urdf_xml import read_urdf_xml
 
 #: End of a continuous joint's range [rad].
 ENDLESS = 1e9
@@ -60,15 +62,16 @@ def read_machine(
             it.
 
     Raises:
-        RobotFileError: Missing file, malformed XML, or refused by Pinocchio.
+        RobotFileError: Missing file, malformed XML, content that `hplan.urdf_file` or Pinocchio refuses, or that
+            Pinocchio reads otherwise.
         InputError: A joint that does not exist, or that cannot move; no joint at all.
         JointLimitError: A joint held outside its limits.
     """
     path = Path(path)
     root = read_urdf_xml(path)
     elements = {str(joint.get("name")): joint for joint in root.findall("joint") if joint.get("type") != "fixed"}
+    read_urdf(path, root, geometry=False)
     tied = _cut_mimics(root)
-    check_links_and_joints(path, root)
     moving = [name for name in elements if name not in tied] if joints is None else list(joints)
     hold = {} if hold is None else hold
     for name in [*moving, *hold]:
@@ -92,6 +95,7 @@ def read_machine(
     except (ValueError, RuntimeError) as error:
         reason = f"Pinocchio refuses it: {error} (its reader's own words, if any, are on the terminal)"
         raise RobotFileError(path, reason) from error
+    check_models(path, read_urdf(path, root, geometry=False), model)
     for name, attributes in missing.items():
         for attribute in attributes:
             limit = model.velocityLimit if attribute == "velocity" else model.effortLimit

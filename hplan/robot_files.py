@@ -5,9 +5,6 @@ Any robot's; which of them hplan can plan for is decided in `hplan.family_reader
 
 from __future__ import annotations
 
-import math
-import xml.etree.ElementTree as ET
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +14,9 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, PositiveFloat, ValidationError
 
 from hplan.errors import RobotFileError
+from hplan.urdf_check import check_models
+from hplan.urdf_file import Urdf, read_urdf
+from hplan.urdf_xml import line_of, read_urdf_xml
 from hplan.yaml_text import read_yaml
 
 #: Key `format` of a limits file.
@@ -27,114 +27,42 @@ LIMITS_SUFFIX = ".limits.yaml"
 
 
 def read_models(urdf_path: Path) -> tuple[pin.Model, pin.GeometryModel, pin.GeometryModel]:
-    """Read a URDF of any robot with Pinocchio: kinematic, collision and visual model.
+    """Read a URDF of serial joints with Pinocchio: kinematic, collision and visual model.
 
-    Pinocchio raises one ValueError for every fault and writes the reason to the terminal, so the file and its XML
-    are checked first.
+    Pinocchio raises one ValueError for every fault and writes the reason to the terminal, and passes over much that it
+    cannot read; so the file is read by itself first, strictly, and what Pinocchio has is compared with it.
 
     Raises:
-        RobotFileError: Missing or unreadable file, malformed XML, or refused by Pinocchio.
+        RobotFileError: Missing or unreadable file, malformed XML, content that `hplan.urdf_file` or Pinocchio refuses,
+            or that Pinocchio reads otherwise.
     """
-    root = read_urdf_xml(urdf_path)
-    check_links_and_joints(urdf_path, root)
-    _check_numbers(urdf_path, root)
+    urdf = read_urdf(urdf_path, read_urdf_xml(urdf_path))
+    _check_family(urdf_path, urdf)
     try:
         models: tuple[pin.Model, pin.GeometryModel, pin.GeometryModel]
         models = pin.buildModelsFromUrdf(str(urdf_path), package_dirs=[str(urdf_path.parent)])
     except (ValueError, RuntimeError) as error:
         reason = f"Pinocchio refuses it: {error} (its reader's own words, if any, are on the terminal)"
         raise RobotFileError(urdf_path, reason) from error
+    check_models(urdf_path, urdf, models[0], models[1])
     return models
 
 
-def read_urdf_xml(path: Path) -> ET.Element:
-    """Read a URDF's XML and nothing more: its root element.
+def _check_family(path: Path, urdf: Urdf) -> None:
+    """Refuse what a file may say but no arm of the family can have: joints that mimic, limits of zero.
 
     Raises:
-        RobotFileError: Missing or unreadable file, malformed XML, or no robot.
+        RobotFileError: There is one; names line and element.
     """
-    try:
-        root = ET.parse(path).getroot()
-    except OSError as error:
-        raise RobotFileError(path, error.strerror or str(error)) from error
-    except (ET.ParseError, LookupError, ValueError) as error:  # the last two: an encoding that Python does not know
-        raise RobotFileError(path, f"malformed XML: {error}") from error
-    if root.tag != "robot":
-        raise RobotFileError(path, f"the root element is <{root.tag}>, expected <robot>")
-    return root
-
-
-def check_links_and_joints(path: Path, root: ET.Element) -> None:
-    """Refuse what Pinocchio would refuse without a reason, or take in silence: names and what joins what.
-
-    Raises:
-        RobotFileError: A name missing or given twice, a joint to a link that does not exist, a joint that mimics.
-    """
-    if not root.get("name"):
-        raise RobotFileError(path, "the robot has no name")
-    links = [link.get("name") for link in root.findall("link")]
-    joints = [joint.get("name") for joint in root.findall("joint")]
-    for kind, names in (("link", links), ("joint", joints)):
-        if None in names:
-            raise RobotFileError(path, f"a <{kind}> has no name")
-        twice = sorted({str(name) for name in names if names.count(name) > 1})
-        if twice:
-            raise RobotFileError(path, f"{kind} {twice[0]!r} is defined twice")
-    for joint in root.findall("joint"):
-        for end in ("parent", "child"):
-            element = joint.find(end)
-            link = None if element is None else element.get("link")
-            if link not in links:
-                raise RobotFileError(path, f"joint {joint.get('name')!r}: its {end} link {link!r} does not exist")
-        if joint.find("mimic") is not None:
-            raise RobotFileError(path, f"joint {joint.get('name')!r} mimics another; every joint must move by itself")
-
-
-def _check_numbers(path: Path, root: ET.Element) -> None:
-    """The same for the numbers that safety depends on: sizes of collision geometry, masses, joint limits."""
-    for link in root.findall("link"):
-        where = f"link {link.get('name')!r}"
-        for mass in link.findall("inertial/mass"):
-            _number(path, where, mass, "value", "not negative", lambda value: value >= 0.0)
-        for collision in link.findall("collision"):
-            shape = collision.find("geometry/*")
-            if shape is None:
-                raise RobotFileError(path, f"{where}: a <collision> has no geometry")
-            for attribute in ("radius", "length", "size"):
-                if attribute in shape.attrib:
-                    _number(path, where, shape, attribute, "positive", lambda value: value > 0.0)
-    for joint in root.findall("joint"):
-        if joint.get("type") != "revolute":
-            continue
-        where = f"joint {joint.get('name')!r}"
-        limit = joint.find("limit")
-        if limit is None:
-            raise RobotFileError(path, f"{where}: it has no <limit>")
-        for attribute in sorted(limit.attrib.keys() & {"lower", "upper"}):
-            _number(path, where, limit, attribute, "in radians", math.isfinite)
-        for attribute in ("velocity", "effort"):
-            _number(path, where, limit, attribute, "positive", lambda value: value > 0.0)
-
-
-def _number(
-    path: Path,
-    where: str,
-    element: ET.Element,
-    attribute: str,
-    expected: str,
-    accepts: Callable[[float], bool],
-) -> None:
-    """Require an attribute that holds a finite number, or several with spaces between, that `accepts` lets pass."""
-    text = element.get(attribute)
-    if text is None:
-        raise RobotFileError(path, f"{where}: <{element.tag}> has no {attribute}")
-    try:
-        values = [float(word) for word in text.split()]
-    except ValueError:
-        values = []
-    if not values or not all(math.isfinite(value) and accepts(value) for value in values):
-        reason = f"{where}: {attribute} of <{element.tag}> is {text!r}, expected a finite number that is {expected}"
-        raise RobotFileError(path, reason)
+    for joint in urdf.joints.values():
+        where = f"{line_of(joint.element)}joint {joint.name!r}"
+        if joint.element.find("mimic") is not None:
+            raise RobotFileError(path, f"{where} mimics another; every joint must move by itself")
+        for key in ("velocity", "effort") if joint.kind == "revolute" else ():
+            if not joint.limits[key] > 0.0:
+                text = joint.element.find("limit").get(key)  # type: ignore[union-attr]
+                reason = f"{where}: {key} of <limit> is {text!r}, expected a finite number that is positive"
+                raise RobotFileError(path, reason)
 
 
 class _LimitsFile(BaseModel):

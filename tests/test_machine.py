@@ -114,7 +114,12 @@ def test_link_and_joint_of_one_name(write):
         ("<robot", "malformed XML"),
         ("<sdf/>", "root element is <sdf>"),
         (urdf().replace('name="b"', 'name="a"'), "'a' is defined twice"),
-        (urdf().replace("<limit", "<limits"), "Pinocchio refuses it"),
+        (urdf().replace("<limit", "<limits"), "line 1: joint 'a': <limits> in <joint> means nothing"),
+        (urdf().replace('<child link="l2"/>', '<child link="l1"/>'), "Pinocchio refuses it"),
+        (urdf().replace('lower="-3"', 'lower="-3,0"'), "lower of <limit> is '-3,0', expected a finite number"),
+        (urdf().replace('<mass value="1"/>', '<mass value="1_0"/>'), "value of <mass> is '1_0'"),
+        (urdf().replace('xyz="0.4 0 0"', 'xyz="0.4 0"'), "xyz of <origin> is '0.4 0', expected 3 finite numbers"),
+        (urdf().replace('"b"', '"b&#10;c"'), "is called 'b\\\\nc'"),
     ],
 )
 def test_bad_robot_file(tmp_path, write, text, reason):

@@ -1,0 +1,78 @@
+"""A URDF's XML, with the line of every element."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from pathlib import Path
+from typing import Any, Final
+from xml.parsers import expat
+
+from hplan.errors import RobotFileError
+
+#: Most bytes of a URDF.
+MOST_BYTES: Final = 16_000_000
+
+#: Encodings that all readers of URDF understand alike: they take the bytes for UTF-8, whatever is declared.
+_ENCODINGS: Final = ("utf-8", "us-ascii", "ascii")
+
+
+class Element(ET.Element):
+    """An element that knows its line; 0 where it is from no file."""
+
+    line = 0
+
+
+def read_urdf_xml(path: Path) -> ET.Element:
+    """Read a URDF's XML and nothing more: its root element; all elements are `Element`.
+
+    Raises:
+        RobotFileError: Missing or unreadable file, too large, malformed XML, a document type, or no robot.
+    """
+    try:
+        with path.open("rb") as file:
+            content = file.read(MOST_BYTES + 1)
+    except OSError as error:
+        raise RobotFileError(path, error.strerror or str(error)) from error
+    except ValueError as error:
+        raise RobotFileError(path, f"its name cannot be that of a file: {error}") from error
+    if len(content) > MOST_BYTES:
+        raise RobotFileError(path, f"it has more than {MOST_BYTES:,} bytes")
+    root = _parsed(path, content)
+    if root.tag != "robot":
+        raise RobotFileError(path, f"the root element is <{root.tag}>, expected <robot>")
+    return root
+
+
+def line_of(element: ET.Element) -> str:
+    """Where an element stands, as the beginning of a message."""
+    line = getattr(element, "line", 0)
+    return f"line {line}: " if line else ""
+
+
+def _parsed(path: Path, content: bytes) -> ET.Element:
+    parser = expat.ParserCreate()
+    parser.buffer_text = True
+    builder = ET.TreeBuilder(element_factory=Element)
+
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        builder.start(tag, attributes).line = parser.CurrentLineNumber  # type: ignore[attr-defined]
+
+    def declaration(_version: str, encoding: str | None, _standalone: int) -> None:
+        if encoding is not None and encoding.lower() not in _ENCODINGS:
+            raise RobotFileError(path, f"malformed XML: unknown encoding {encoding!r}; URDF is read as UTF-8")
+
+    def document_type(*_: Any) -> None:
+        reason = f"line {parser.CurrentLineNumber}: it has a document type, whose entities readers of URDF differ on"
+        raise RobotFileError(path, reason)
+
+    parser.StartElementHandler = start
+    parser.EndElementHandler = builder.end
+    parser.CharacterDataHandler = builder.data
+    parser.XmlDeclHandler = declaration
+    parser.StartDoctypeDeclHandler = document_type
+    try:
+        parser.Parse(content, True)
+    except (expat.ExpatError, LookupError, ValueError) as error:
+        raise RobotFileError(path, f"malformed XML: {error}") from error
+    root: ET.Element = builder.close()
+    return root

@@ -7,9 +7,11 @@ Hermite`); a trajectory of hplan is exactly that curve. On it
   instant, the hull of the cubic's derivative bounds how far any point of the link can move before the next one, and the
   distance minus that bound must stay positive all the way (conservative advancement, each pair at its own pace). Where
   the arm can touch itself, its links from one another and from what carries it too, the motion as seen from there;
-- **position, velocity and acceleration** are bounded exactly: the acceleration is linear between rows, the velocity
-  has its extremes at rows or where the acceleration is zero, the position within the hull of the Bezier points;
-- **torque** is inverse dynamics at the rows and in between, at most 2 ms apart: a fine sample, not a bound;
+- **position, velocity and acceleration** are bounded for all times: the acceleration is linear between rows, the
+  velocity has its extremes at rows or where the acceleration is zero, the position lies in the hull of the Bezier
+  points;
+- **torque** is bounded too: inverse dynamics at both ends of each cubic, and what it can do in between
+  (`hplan.torque_bound`);
 - the acceleration and torque columns, which a controller may feed forward, must keep the limits too;
 - the motion begins and ends at rest, unless that is not asked for.
 
@@ -29,8 +31,8 @@ from hplan import ties
 from hplan.arrays import FloatArray
 from hplan.clearance_proof import prove_clearance
 from hplan.collision import CollisionScene, Contact
-from hplan.dynamics import InverseDynamics
 from hplan.errors import InputError
+from hplan.limit_use import LimitUse, cubic_pieces, limit_use
 from hplan.robot import Robot
 from hplan.scene import Scene
 from hplan.tracking import TrackingModel
@@ -39,28 +41,8 @@ from hplan.trajectory import Trajectory
 #: Use of a limit up to which it counts as kept.
 LIMIT_TOLERANCE = 1.001
 
-#: Longest time between two looks at the torque [s].
-TORQUE_PERIOD = 2e-3
-
 #: Speed at the ends that still counts as rest [rad/s].
 REST = 1e-6
-
-
-@dataclass(frozen=True)
-class LimitUse:
-    """Largest share of each limit that the trajectory uses; position: 1 at a limit, over 1 outside.
-
-    Attributes:
-        position: Largest distance from the middle of the joint range, as a share of half the range.
-        velocity: Largest |velocity| / limit.
-        acceleration: Largest |acceleration| / limit.
-        torque: Largest |torque| / limit.
-    """
-
-    position: float
-    velocity: float
-    acceleration: float
-    torque: float
 
 
 @dataclass(frozen=True)
@@ -73,7 +55,7 @@ class Certificate:
             part of the arm that it can touch [m]; inf where there is none. Where the clearance is not shown, the
             smallest distance found, negative in contact.
         nearest: Link and obstacle, or part of the arm, at the smallest distance that was evaluated.
-        limit_use: Largest use of each limit.
+        limit_use: Upper bound of the use of each limit.
         checks: Number of configurations at which distances were evaluated.
         violations: What was not shown, in words; empty when verified.
     """
@@ -120,8 +102,8 @@ def certify(
         )
     tracking = TrackingModel(tracking_error, tracking_delay_s)
     judge = CollisionScene(robot, scene.solids) if judge is None else judge
-    bezier = _bezier(trajectory)
-    use = _limit_use(robot, trajectory, bezier)
+    bezier, duration = cubic_pieces(trajectory)
+    use = limit_use(robot, trajectory, bezier, duration)
     violations = [
         f"{what} reaches {share:.4f} of its limit"
         for what, share in vars(use).items()
@@ -131,13 +113,13 @@ def certify(
         for where, velocity in (("begins", trajectory.velocity[0]), ("ends", trajectory.velocity[-1])):
             if np.abs(velocity).max() > REST:
                 violations.append(f"the motion {where} at {np.abs(velocity).max():.4g} rad/s, not at rest")
-    speeds = _fastest(trajectory, bezier) if tracking.delay_s > 0.0 else np.zeros((1, robot.dof))
+    speeds = _fastest(bezier, duration) if tracking.delay_s > 0.0 else np.zeros((1, robot.dof))
     proof = prove_clearance(robot, bezier, judge, tracking.deviations(speeds), scene.clearance)
     if not proof.shown:
         nearest = proof.nearest or Contact("", "", 0.0)
         violations.append(
             f"link {nearest.link!r} comes to {1e3 * nearest.distance_m:.3g} mm of {nearest.other}; to be shown: more "
-            f"than {1e3 * scene.clearance:.3g} mm at {tracking}"
+            f"than {1e3 * scene.clearance:.3g} mm at a tracking error of {tracking}"
         )
     return Certificate(not violations, proof.clearance_m, proof.nearest, use, proof.checks, tuple(violations))
 
@@ -159,75 +141,7 @@ def all_of(parts: Sequence[Certificate]) -> Certificate:
     )
 
 
-def _bezier(trajectory: Trajectory) -> FloatArray:
-    """(rows - 1, 4, dof) Bezier points of the cubics between rows; one constant piece for a single row."""
-    q, v = trajectory.position, trajectory.velocity
-    if len(q) == 1:
-        return np.repeat(q[:, None, :], 4, axis=1)
-    third = np.diff(trajectory.time)[:, None] / 3.0
-    return np.stack([q[:-1], q[:-1] + third * v[:-1], q[1:] - third * v[1:], q[1:]], axis=1)
-
-
-def _velocities(trajectory: Trajectory, bezier: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(pieces, 1) durations, and the (pieces, 3, dof) Bezier points of the velocity."""
-    duration = np.diff(trajectory.time)[:, None] if len(trajectory.time) > 1 else np.ones((1, 1))
-    return duration, 3.0 * np.diff(bezier, axis=1) / duration[:, None]
-
-
-def _fastest(trajectory: Trajectory, bezier: FloatArray) -> FloatArray:
-    """(pieces, dof) what |velocity| does not pass within each cubic: it lies in the hull of its Bezier points."""
-    fastest: FloatArray = np.abs(_velocities(trajectory, bezier)[1]).max(axis=1)
+def _fastest(bezier: FloatArray, duration: FloatArray) -> FloatArray:
+    """(pieces, dof) bounds of |velocity| within each cubic: it lies in the hull of its Bezier points [rad/s]."""
+    fastest: FloatArray = 3.0 * np.abs(np.diff(bezier, axis=1)).max(axis=1) / duration[:, None]
     return fastest
-
-
-def _limit_use(robot: Robot, trajectory: Trajectory, bezier: FloatArray) -> LimitUse:
-    middle, half = 0.5 * (robot.lower + robot.upper), 0.5 * (robot.upper - robot.lower)
-    position = np.abs(bezier - middle).max(axis=(0, 1)) / half
-    # Derivatives of the cubic: velocity (quadratic, three Bezier points), acceleration (linear, its two ends).
-    duration, velocity = _velocities(trajectory, bezier)
-    acceleration = 2.0 * np.diff(velocity, axis=1) / duration[:, None]
-    peak = np.abs(velocity[:, [0, 2]]).max(axis=(0, 1))
-    start, end = acceleration[:, 0], acceleration[:, 1]
-    turning = start * end < 0.0
-    share = np.where(turning, start / np.where(turning, start - end, 1.0), 0.0)
-    inner = velocity[:, 0] + duration * share * (start + 0.5 * share * (end - start))
-    peak = np.maximum(peak, np.abs(inner).max(axis=0))
-    peak_acceleration = np.maximum(np.abs(acceleration).max(axis=(0, 1)), np.abs(trajectory.acceleration).max(axis=0))
-    torque = _torques(robot.dynamics, bezier, velocity, acceleration, float(duration.max()))
-    return LimitUse(
-        position=float(position.max()),
-        velocity=_share(np.maximum(peak, np.abs(trajectory.velocity).max(axis=0)), robot.velocity_limit),
-        acceleration=_share(peak_acceleration, robot.acceleration_limit),
-        torque=_share(np.maximum(torque, np.abs(trajectory.torque).max(axis=0)), robot.torque_limit),
-    )
-
-
-def _share(peak: FloatArray, limit: FloatArray) -> float:
-    """Largest share of a limit; a joint that does not move may have a limit of zero."""
-    idle = (peak <= 1e-9) & (limit <= 0.0)
-    return float(np.where(idle, 0.0, peak / np.where(limit > 0.0, limit, 1e-300)).max())
-
-
-def _torques(
-    dynamics: InverseDynamics, bezier: FloatArray, velocity: FloatArray, acceleration: FloatArray, longest: float
-) -> FloatArray:
-    """(dof,) largest |torque| at the rows and, `TORQUE_PERIOD` apart, between them."""
-    parts = max(1, int(np.ceil(longest / TORQUE_PERIOD - 1e-9)))
-    t = (np.arange(parts) / parts)[:, None, None]
-    u = 1.0 - t
-    q = _cubic(np.moveaxis(bezier, 1, 0)[:, None], t)
-    v = u**2 * velocity[:, 0] + 2.0 * u * t * velocity[:, 1] + t**2 * velocity[:, 2]
-    a = u * acceleration[:, 0] + t * acceleration[:, 1]
-    rows = [values.reshape(-1, bezier.shape[2]) for values in (q, v, a)]
-    rows = [
-        np.vstack([inner, end[-1]])
-        for inner, end in zip(rows, (bezier[:, 3], velocity[:, 2], acceleration[:, 1]), strict=True)
-    ]
-    return np.asarray(np.abs(dynamics.torques(*rows)).max(axis=0))
-
-
-def _cubic(points: FloatArray, t: float | FloatArray) -> FloatArray:
-    """Cubics with the given four Bezier points (first axis) at their parameters."""
-    u = 1.0 - t
-    value: FloatArray = u**3 * points[0] + 3.0 * u * u * t * points[1] + 3.0 * u * t * t * points[2] + t**3 * points[3]
-    return value

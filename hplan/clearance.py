@@ -30,7 +30,7 @@ class ClearanceField(Record):
     """Arm and obstacles as flat arrays, ready for the kernels.
 
     Attributes:
-        chain: (links, 4) rows: length, half-width [m], sign, zero offset.
+        chain: (links, 4) rows: length, half-width with the link's sway [m], sign, zero offset.
         base: (10,) shoulder position, the plane's horizontal and upward axes, all at yaw 0; 1 where joint 0 is a yaw.
         solids: (rows, 21) balls, capsules, boxes, hulls and nodes of clouds, grown by the clearance to keep.
         data: Facets and edges of hulls, and points of clouds, one after the other; rows say where.
@@ -51,6 +51,7 @@ class ClearanceField(Record):
         *,
         clearance: ArrayLike = 0.0,
         own_clearance: float | None = None,
+        deviation: float = 0.0,
     ) -> ClearanceField:
         """The field of a robot among obstacles.
 
@@ -60,12 +61,14 @@ class ClearanceField(Record):
             clearance: By how much each of them is grown [m], one number or one for each.
             own_clearance: Clearance that parts of the arm are to keep from one another [m]; None for the smallest of
                 the others.
+            deviation: By how much every joint may be off [rad]; each link is as much thicker as it may then sway.
         """
         arm = robot.arm
+        widths = arm.half_widths + robot.sway(deviation)
         base = [*robot.plane_origin, *robot.plane_axes[0], *robot.plane_axes[1], float(robot.has_yaw)]
-        solids, data, owner = rows_of(robot, obstacles, clearance, own_clearance)
+        solids, data, owner = rows_of(robot, obstacles, clearance, own_clearance, deviation)
         return cls(
-            chain=readonly(np.column_stack([arm.lengths, arm.half_widths, arm.signs, arm.offsets])),
+            chain=readonly(np.column_stack([arm.lengths, widths, arm.signs, arm.offsets])),
             base=readonly(base),
             solids=readonly(solids),
             data=readonly(data),

@@ -104,15 +104,13 @@ class _Advancement:
         self, robot: Robot, bezier: FloatArray, judge: CollisionScene, deviations: FloatArray, needed: float
     ) -> None:
         own = _own_pairs(judge)
-        first, links = len(judge.pairs) - len(own), len(judge.link_names)
         self._bezier, self._judge = bezier, judge
-        self._mover_of = np.array([link for link, _ in judge.pairs[:first]] + list(range(links, links + len(own))))
+        self._mover_of = _movers(judge, len(own))
         rates = 3.0 * np.diff(bezier, axis=1)
         bounds = [_link_bounds(robot, rates), *(pair_rates(robot, link, other, rates) for link, other in own)]
         moved = np.cumsum(np.column_stack(bounds), axis=0).T
         self._travel = np.column_stack([np.zeros(len(moved)), moved])
-        sways = [robot.sway(deviations), *(pair_sway(robot, link, other, deviations) for link, other in own)]
-        self._sway = _at_rows(np.column_stack(sways).T, len(bezier))
+        self._sway = _at_rows(_sways(judge, deviations), len(bezier))
         if len(deviations) > 1:
             risen = np.cumsum(np.maximum(np.diff(self._sway, axis=1), 0.0), axis=1)
             self._travel[:, 1:] += risen
@@ -273,6 +271,24 @@ def _point(bezier: FloatArray, at: float) -> FloatArray:
             + t * t * t * bezier[piece, 3, j]
         )
     return q
+
+
+def pair_sways(judge: CollisionScene, deviations: FloatArray) -> FloatArray:
+    """By how much each pair may come nearer when joints are off by deviations, (k, dof) [rad] -> (pairs, k) [m]."""
+    return _sways(judge, deviations)[_movers(judge, len(judge.own_others))]
+
+
+def _sways(judge: CollisionScene, deviations: FloatArray) -> FloatArray:
+    """(movers, k) by how much the movers' pairs may come nearer [m]."""
+    robot = judge.robot
+    own = [pair_sway(robot, link, other, deviations) for link, other in _own_pairs(judge)]
+    return np.column_stack([robot.sway(deviations), *own]).T
+
+
+def _movers(judge: CollisionScene, own: int) -> IntArray:
+    """(pairs,) the mover of each pair."""
+    links = len(judge.link_names)
+    return np.array([link for link, _ in judge.pairs[: len(judge.pairs) - own]] + list(range(links, links + own)))
 
 
 def _own_pairs(judge: CollisionScene) -> list[tuple[int, int]]:

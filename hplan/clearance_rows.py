@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from hplan.arrays import FloatArray, IntArray
 from hplan.robot import Robot
 from hplan.scene import Box, Capsule, Solid, Sphere
-from hplan.self_contact import BaseBody, self_contact
+from hplan.self_contact import BaseBody, pair_sway, self_contact
 from hplan.solids import Cloud, Hull, hull_of
 
 #: Columns of a row: kind, radius, bounding centre (3) and radius, 14 numbers of its kind, the row to go on with where
@@ -32,7 +32,11 @@ _THICKNESS = 1e-5
 
 
 def rows_of(
-    robot: Robot, obstacles: Sequence[Solid], clearance: ArrayLike, own_clearance: float | None
+    robot: Robot,
+    obstacles: Sequence[Solid],
+    clearance: ArrayLike,
+    own_clearance: float | None,
+    deviation: float = 0.0,
 ) -> tuple[FloatArray, FloatArray, IntArray]:
     """Rows of obstacles, then of the parts of the arm that can touch it.
 
@@ -41,6 +45,7 @@ def rows_of(
         obstacles: Obstacles.
         clearance: As for `hplan.clearance.ClearanceField.of`.
         own_clearance: The same.
+        deviation: The same; only pairs of links grow here, as links do not know what they meet.
 
     Returns:
         `solids`, `data` and `owner` of `hplan.clearance.ClearanceField`.
@@ -63,7 +68,7 @@ def rows_of(
         row_count += len(rows)
         data_count += len(more)
     if contact.links:
-        blocks.append(_pair_rows(robot, contact.links, own, row_count))
+        blocks.append(_pair_rows(robot, contact.links, own, deviation, row_count))
         owner.append(np.full(len(contact.links), -1))
     return np.concatenate(blocks), np.concatenate(data), np.concatenate(owner)
 
@@ -128,12 +133,15 @@ def _base_solid(body: BaseBody) -> Solid:
     return replace(hull_of(core, body.name, most=len(core) + 14), rounding=body.rounding)
 
 
-def _pair_rows(robot: Robot, pairs: Sequence[tuple[int, int]], clearance: float, first: int) -> FloatArray:
+def _pair_rows(
+    robot: Robot, pairs: Sequence[tuple[int, int]], clearance: float, deviation: float, first: int
+) -> FloatArray:
     """The rows of pairs of links, from number `first` on; they have no place, and are near to everything."""
     rows, widths = np.zeros((len(pairs), _COLUMNS)), robot.arm.half_widths
     inner, outer = np.array(pairs).T
     rows[:, 0], rows[:, 5] = PAIR, np.inf
-    rows[:, 6], rows[:, 7], rows[:, 8] = inner, outer, widths[inner] + widths[outer] + clearance
+    sway = np.array([pair_sway(robot, j, i, deviation) for i, j in pairs])
+    rows[:, 6], rows[:, 7], rows[:, 8] = inner, outer, widths[inner] + widths[outer] + clearance + sway
     rows[:, 20] = first + 1 + np.arange(len(pairs))
     return rows
 

@@ -307,20 +307,30 @@ def base_radius(robot: Robot) -> float:
     return radius
 
 
-def check_clear(judge: CollisionScene, q: FloatArray, clearance: float, which: str) -> float:
+def check_clear(judge: CollisionScene, q: FloatArray, clearance: float, which: str, *, sway: ArrayLike = 0.0) -> float:
     """What a configuration has beyond the clearance to keep [m], inf without obstacles.
 
+    Args:
+        judge: The arm among the obstacles.
+        q: (dof,) configuration.
+        clearance: Clearance to keep [m].
+        which: What the configuration is, for the error.
+        sway: By how much each of the judge's pairs may come nearer than at this configuration [m].
+
     Raises:
-        ConfigurationInCollisionError: It touches an obstacle or itself, or comes closer than `clearance`; names link,
-            obstacle or other part of the arm, and depth.
+        ConfigurationInCollisionError: It touches an obstacle or itself, or comes closer than `clearance` and sway;
+            names link, obstacle or other part of the arm, and depth.
     """
-    nearest = judge.nearest(q)
-    if nearest is None:
+    distances = judge.pair_distances(q)
+    if distances.size == 0:
         return float("inf")
-    beyond = nearest.distance_m - clearance
+    sways = np.broadcast_to(np.asarray(sway, dtype=np.float64), distances.shape)
+    worst = int((distances - sways).argmin())
+    beyond = float(distances[worst] - sways[worst]) - clearance
     if beyond <= 0.0:
+        nearest = judge.contact(*judge.pairs[worst], float(distances[worst]))
         raise ConfigurationInCollisionError(
-            which, nearest.link, nearest.obstacle, -beyond, clearance, other=nearest.other
+            which, nearest.link, nearest.obstacle, -beyond, clearance + float(sways[worst]), other=nearest.other
         )
     return beyond
 

@@ -42,19 +42,24 @@ class InverseDynamics(Record):
         model: Pinocchio's model.
         bodies: (nv, 18, 3) each joint and its body; None where the model has joints other than of one fixed axis, for
             which Pinocchio is asked.
+        sizes: (nv, 5) of each body the distance of its joint from its parent's and of its centre from its joint, its
+            mass, the largest eigenvalue of its inertia about the centre, and its parent's row (nv for the base); None
+            where not all joints turn about a fixed axis.
     """
 
     model: pin.Model
     bodies: FloatArray | None
+    sizes: FloatArray | None
 
     @classmethod
     def of(cls, model: pin.Model) -> InverseDynamics:
         """Read what it takes from a model."""
         joints = model.joints.tolist()[1:]
         if any(joint.shortname() not in _TURNING + _SLIDING for joint in joints):
-            return cls(model, None)
+            return cls(model, None, None)
         bodies = [_body(model, number, joint) for number, joint in enumerate(joints, start=1)]
-        return cls(model, readonly(np.array(bodies).reshape(-1, 18, 3)))
+        rows = readonly(np.array(bodies).reshape(-1, 18, 3))
+        return cls(model, rows, _sizes(rows))
 
     def torques(self, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
         """(n, nv) torques of (n, nq) positions, (n, nv) velocities and accelerations [N m]."""
@@ -64,7 +69,7 @@ class InverseDynamics(Record):
             return np.array(found).reshape(len(q), self.model.nv)
         torque = np.empty((len(q), len(self.bodies)))
         q, v, a = (np.ascontiguousarray(values, dtype=np.float64) for values in (q, v, a))
-        _newton_euler(q, v, a, self.bodies, np.array(self.model.gravity.linear), torque)
+        newton_euler(q, v, a, self.bodies, np.array(self.model.gravity.linear), torque)
         return torque
 
     def gravity(self, q: FloatArray) -> FloatArray:
@@ -92,10 +97,26 @@ def _body(model: pin.Model, number: int, joint: pin.JointModel) -> FloatArray:
     return rows
 
 
+def _sizes(bodies: FloatArray) -> FloatArray | None:
+    """`InverseDynamics.sizes` of its `bodies`."""
+    if bodies[:, _SLIDE].any():
+        return None
+    parent = bodies[:, _NUMBERS, 2]
+    columns = (
+        np.linalg.norm(bodies[:, _PLACE], axis=1),
+        np.linalg.norm(bodies[:, _CENTRE], axis=1),
+        bodies[:, _NUMBERS, 0],
+        np.linalg.norm(bodies[:, _INERTIA : _INERTIA + 3], ord=2, axis=(1, 2)),
+        np.where(parent < 0.0, len(bodies), parent),
+    )
+    return readonly(np.column_stack(columns))
+
+
 @kernel
-def _newton_euler(
+def newton_euler(
     q: FloatArray, v: FloatArray, a: FloatArray, bodies: FloatArray, gravity: FloatArray, torque: FloatArray
 ) -> None:
+    """Fill in the (n, nv) torques of (n, nv) positions, velocities and accelerations."""
     count = bodies.shape[0]
     turn = np.empty((count, 3, 3))  # to the parent's frame
     arm = np.empty((count, 3))  # from the parent's joint to this one, in the parent's frame

@@ -41,6 +41,12 @@ class HplanError(Exception):
         """The error as the report's `error` object: `kind`, `message` and the facts."""
         return {"kind": self.kind, "message": self.message, **self.data}
 
+    def add(self, sentence: str, **data: Any) -> None:
+        """Add a sentence and its facts."""
+        self.message = f"{self.message}; {sentence}"
+        self.args = (self.message, *self.args[1:])
+        self.data |= data
+
     def __reduce__(self) -> tuple[Any, ...]:
         """Restore without the constructor, whose arguments are not kept."""
         state = {name: value if _can_be_pickled(value) else repr(value) for name, value in vars(self).items()}

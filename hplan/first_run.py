@@ -2,8 +2,8 @@
 
 numba compiles a kernel when it is first called, one after the other, and keeps it on disk. What a plan calls up to the
 path on the grid takes about as long to compile as what it calls from there on. So another process calls the latter
-meanwhile, on a way through the reference scene, and the plan waits for it before it gets there. Without that process a
-plan compiles all of them itself.
+meanwhile, on a way through the reference scene, and the plan waits for it before it gets there. Without that process,
+or where kernels cannot be kept on disk, a plan compiles all of them itself.
 """
 
 from __future__ import annotations
@@ -11,14 +11,13 @@ from __future__ import annotations
 import contextlib
 import os
 import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from pathlib import Path
-from typing import Any, cast
 
 import numpy as np
 
+from hplan.child_process import import_environment, python_module
+from hplan.kernel_cache import can_be_kept, is_kept
 from hplan.topp import greedy
 
 #: Longest wait for the other process [s].
@@ -29,13 +28,8 @@ _FOLDED_DEG = (80.0, 80.0)
 
 
 def is_first_run() -> bool:
-    """Whether a kernel that every plan needs is not on disk, or older than its source."""
-    function = cast(Any, greedy)
-    source = Path(function.py_func.__code__.co_filename).stat()
-    version = f"py{sys.version_info.major}{sys.version_info.minor}"
-    kept = Path(function.stats.cache_path).glob(f"*.{function.py_func.__name__}-*.{version}.nbi")
-    # An installer may give a file the time at which it was packed; when it came here is told by its change time.
-    return not any(index.stat().st_mtime >= max(source.st_mtime, source.st_ctime) for index in kept)
+    """Whether a kernel that every plan needs is not on disk as its source stands."""
+    return not is_kept(greedy)
 
 
 @contextmanager
@@ -48,7 +42,8 @@ def compiling_beside(first_run: bool) -> Iterator[Callable[[], None]]:
     Yields:
         A function that waits until they are.
     """
-    other = _start() if first_run and len(os.sched_getaffinity(0)) > 1 else None
+    useful = first_run and can_be_kept(greedy) and len(os.sched_getaffinity(0)) > 1
+    other = _start() if useful else None
 
     def wait() -> None:
         if other is not None:
@@ -68,7 +63,7 @@ def _start() -> subprocess.Popen[bytes] | None:
     nowhere = subprocess.DEVNULL
     try:
         return subprocess.Popen(
-            [sys.executable, "-m", "hplan.first_run"], stdin=nowhere, stdout=nowhere, stderr=nowhere
+            python_module("hplan.first_run"), stdin=nowhere, stdout=nowhere, stderr=nowhere, env=import_environment()
         )
     except OSError:
         return None

@@ -151,7 +151,8 @@ def promising(ways: Sequence[Grasp], around: Surroundings, near: Surroundings, s
 
 def least_standoff(around: Surroundings, fruit: Fruit) -> float:
     """Where the tool is clear of the fruit it is going to take [m]."""
-    return fruit.radius + float(around.robot.arm.half_widths[-1]) + around.clearance + 2.0 * SPARE
+    arm, sway = around.robot.arm, around.robot.sway(around.deviation)
+    return fruit.radius + float(arm.half_widths[-1] + sway[-1]) + around.clearance + 2.0 * SPARE
 
 
 def _distances(standoff: float, least: float) -> list[float]:

@@ -8,6 +8,8 @@ from typing import ParamSpec, TypeVar, cast
 import numba as nb
 import numpy as np
 
+from hplan.kernel_cache import keep_on_disk
+
 P = ParamSpec("P")
 R = TypeVar("R")
 
@@ -20,7 +22,8 @@ def kernel(function: Callable[P, R]) -> Callable[P, R]:
     compiled on its own. Read-only arrays are a type of their own, and so is every number written out in a call from
     kernel to kernel; so a kernel is called with the same kinds everywhere.
     """
-    compiled: Callable[P, R] = nb.njit(cache=True, no_cfunc_wrapper=True, error_model="numpy")(function)
+    compiled: Callable[P, R] = nb.njit(no_cfunc_wrapper=True, error_model="numpy")(function)
+    keep_on_disk(compiled)
     return compiled
 
 
@@ -29,7 +32,8 @@ def inlined(function: Callable[P, R]) -> Callable[P, R]:
 
     Kernels on disk are not made anew when what they take from another file changes: inlined functions, constants.
     """
-    compiled: Callable[P, R] = nb.njit(cache=True, inline="always")(function)
+    compiled: Callable[P, R] = nb.njit(inline="always")(function)
+    keep_on_disk(compiled)
     return compiled
 
 

@@ -24,7 +24,6 @@ import numpy as np
 from hplan import ties
 from hplan.arrays import FloatArray, IntArray, readonly
 from hplan.certificate import Certificate
-from hplan.collision import check_clear
 from hplan.errors import (
     BlockedError,
     CertificationError,
@@ -405,7 +404,7 @@ def drop_off(goal: Goal, scene: Scene, empty: World, loaded: World, start: Float
     joints = goal.joints()
     if joints is not None:
         q = around.robot.check_configuration(joints, "drop_off")
-        check_clear(around.judge, q, around.clearance, "drop_off")
+        around.check_clear(q, "drop_off")
         _, motion = find_motion([empty.task(before, scene, start, q)])
         return DropOff(q, ("transit", motion.trajectory, motion.certificate))
     ways = grasps(
@@ -414,7 +413,7 @@ def drop_off(goal: Goal, scene: Scene, empty: World, loaded: World, start: Float
     )  # fmt: skip
 
     def task_of(grasp: Grasp) -> Task:
-        check_clear(around.judge, grasp.goal, around.clearance, "goal")
+        around.check_clear(grasp.goal, "goal")
         return empty.task(before, scene, start, grasp.goal)
 
     grasp, motion, _ = motion_to_grasp(ways, promising(ways, around, around, start), task_of, lambda *_: None, what)

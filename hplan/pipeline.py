@@ -119,7 +119,7 @@ class Workspace:
     def around(self, scene: Scene, options: PlanOptions) -> Surroundings:
         """The robot among the scene's solids, all fruits among them; the same as before where these are the same."""
         # What need not be certified need not make room for the tracking error either; it is judged all the same.
-        tracking_error = options.tracking_error if options.certify else 0.0
+        tracking_error = options.tracking.still_rad
         solids, clearance, sigmas = scene.solids_with_goal, scene.clearance, options.sigmas
         asked = solids, clearance, tracking_error, sigmas
         last = self._last

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hplan.arrays import BoolArray, FloatArray, IntArray, Record, readonly
-from hplan.collision import check_clear
 from hplan.errors import InputError
 from hplan.robot import Robot
 from hplan.surroundings import Surroundings
@@ -72,8 +71,8 @@ def pose_problem(
             joint=name,
         )
     spare = min(
-        check_clear(around.judge, first, around.clearance, "start"),
-        check_clear(around.judge, last, around.clearance, "goal"),
+        around.check_clear(first, "start"),
+        around.check_clear(last, "goal"),
     )
     return Problem(
         start=first,

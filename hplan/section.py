@@ -32,7 +32,7 @@ from hplan.errors import InputError, OptionError
 from hplan.plane import convex_hull
 from hplan.robot import Robot
 from hplan.section_kernels import cut_balls, cut_hulls
-from hplan.self_contact import SelfContact, self_contact
+from hplan.self_contact import SelfContact, pair_sway, self_contact
 
 #: How a link is modelled: the capsule, the paper's three cases to the letter, or the exact rectangle.
 LinkModel: TypeAlias = Literal["capsule", "paper", "rectangle"]
@@ -127,6 +127,7 @@ class Bodies(Record):
         around: (hulls, 4) a ball around each core: centre and radius [m].
         names: Names of the obstacles.
         own_clearance: Clearance that parts of the arm are to keep from one another [m].
+        deviation: By how much every joint may be off [rad]; sections grow by what each link may then sway.
     """
 
     ball_centres: FloatArray
@@ -139,6 +140,7 @@ class Bodies(Record):
     around: FloatArray
     names: tuple[str, ...]
     own_clearance: float
+    deviation: float = 0.0
 
 
 #: What `_hulls` makes of none.
@@ -146,7 +148,11 @@ _NO_HULLS = readonly(np.zeros((0, 3))), readonly([0], np.int64), readonly(np.zer
 
 
 def bodies_of(
-    obstacles: Sequence[ConvexObstacle], *, clearance: ArrayLike = 0.0, own_clearance: float | None = None
+    obstacles: Sequence[ConvexObstacle],
+    *,
+    clearance: ArrayLike = 0.0,
+    own_clearance: float | None = None,
+    deviation: float = 0.0,
 ) -> Bodies:
     """Make obstacles ready for cutting.
 
@@ -155,6 +161,7 @@ def bodies_of(
         clearance: Distance to keep from every obstacle [m], one number or one for each.
         own_clearance: Distance that parts of the arm are to keep from one another [m]; None for the smallest of the
             others.
+        deviation: By how much every joint may be off [rad].
 
     Raises:
         OptionError: A clearance that is negative or no number, or not one for each obstacle.
@@ -197,6 +204,7 @@ def bodies_of(
         around=around,
         names=tuple(obstacle.name for obstacle in obstacles),
         own_clearance=float(margins.min()) if own_clearance is None and margins.size else float(own_clearance or 0.0),
+        deviation=deviation,
     )
 
 
@@ -271,7 +279,7 @@ def sections_at(
         _require_disc(len(bodies.hull_points), bodies.names[int(bodies.hull_owners[0])])
     sections = _cut(robot, bodies, yaw, float(half_angle), link_model, within_reach=within_reach)
     contact = self_contact(robot)
-    return _with_itself(sections, robot, contact, bodies.own_clearance) if contact.possible else sections
+    return _with_itself(sections, robot, contact, bodies) if contact.possible else sections
 
 
 def _cut(
@@ -280,7 +288,7 @@ def _cut(
     """The sections of the bodies alone."""
     rectangle = link_model == "rectangle"
     widths, none = robot.arm.half_widths, np.zeros(robot.arm.link_count)
-    growth = none if rectangle else widths
+    growth = (none if rectangle else widths) + robot.sway(bodies.deviation)
     # A box link's corner is farther out than its axis; capsules have their width in the section.
     reaches = np.cumsum(robot.arm.lengths) + (widths if rectangle else none)
     if not within_reach:
@@ -310,12 +318,12 @@ def _cut(
     )
 
 
-def _with_itself(sections: ArmSections, robot: Robot, contact: SelfContact, clearance: float) -> ArmSections:
+def _with_itself(sections: ArmSections, robot: Robot, contact: SelfContact, bodies: Bodies) -> ArmSections:
     """The same sections, and what the arm can touch of itself; whatever the model, by its capsules."""
     arm, count = robot.arm, len(sections.obstacle_names)
     touched = sorted({i for i, _ in contact.links})
     if contact.bodies:
-        sections = _joined(sections, _base_sections(robot, contact, clearance))
+        sections = _joined(sections, _base_sections(robot, contact, bodies))
     first = len(sections.obstacle_names)
     return replace(
         sections,
@@ -324,24 +332,33 @@ def _with_itself(sections: ArmSections, robot: Robot, contact: SelfContact, clea
         own_pairs=readonly(
             np.array([(j, i, first + touched.index(i)) for i, j in contact.links]).reshape(-1, 3), np.int64
         ),
-        own_radii=readonly([arm.half_widths[i] + arm.half_widths[j] + clearance for i, j in contact.links]),
+        own_radii=readonly(
+            [
+                arm.half_widths[i]
+                + arm.half_widths[j]
+                + bodies.own_clearance
+                + pair_sway(robot, j, i, bodies.deviation)
+                for i, j in contact.links
+            ]
+        ),
     )
 
 
-#: Sections of turret and pedestal that were made before, by the clearance to keep from them.
-_BASE: WeakKeyDictionary[Robot, dict[float, ArmSections]] = WeakKeyDictionary()
+#: Sections of turret and pedestal that were made before, by the clearance to keep from them and the joints' deviation.
+_BASE: WeakKeyDictionary[Robot, dict[tuple[float, float], ArmSections]] = WeakKeyDictionary()
 
 
-def _base_sections(robot: Robot, contact: SelfContact, clearance: float) -> ArmSections:
+def _base_sections(robot: Robot, contact: SelfContact, bodies: Bodies) -> ArmSections:
     """Sections of turret and pedestal, to each link that can touch them; they are the same at every yaw."""
-    known = _BASE.get(robot, {})
-    if clearance not in known:
-        cut = _cut(robot, bodies_of(contact.bodies, clearance=clearance), 0.0, 0.0, "capsule", within_reach=True)
+    known, kept = _BASE.get(robot, {}), (bodies.own_clearance, bodies.deviation)
+    if kept not in known:
+        grown = bodies_of(contact.bodies, clearance=bodies.own_clearance, deviation=bodies.deviation)
+        cut = _cut(robot, grown, 0.0, 0.0, "capsule", within_reach=True)
         links = _links_of(cut)
         wanted = [link in contact.bodies[body].links for link, body in zip(links, cut.obstacle_of, strict=True)]
         # A table of one, replaced and never changed: another thread may hold the one before.
-        known = _BASE[robot] = {clearance: _picked(cut, np.flatnonzero(wanted), links)}
-    return known[clearance]
+        known = _BASE[robot] = {kept: _picked(cut, np.flatnonzero(wanted), links)}
+    return known[kept]
 
 
 def _links_of(sections: ArmSections) -> IntArray:

@@ -1,7 +1,8 @@
 """What an arm has to keep clear of, made ready for planning and for judging.
 
-The clearance to keep differs from obstacle to obstacle: to the scene's own comes what the tracking error may take, and
-for an obstacle whose place is uncertain a chosen number of its standard deviations.
+The clearance to keep differs from obstacle to obstacle: for one whose place is uncertain a chosen number of its
+standard deviations comes to the scene's own. And it differs from link to link, by what a tracking error may take: the
+outer links sway farther.
 """
 
 from __future__ import annotations
@@ -14,11 +15,13 @@ import numpy as np
 from hplan import ties
 from hplan.arrays import FloatArray, Record, frozen
 from hplan.clearance import ClearanceField
-from hplan.collision import CollisionScene, base_contacts, base_radius
-from hplan.errors import InputError
+from hplan.clearance_proof import pair_sways
+from hplan.collision import CollisionScene, base_contacts, base_radius, check_clear
+from hplan.errors import ConfigurationInCollisionError, InputError
 from hplan.robot import Robot
 from hplan.scene import Solid
 from hplan.section import Bodies, bodies_of
+from hplan.tracking import TrackingModel, name_margin
 
 #: An obstacle may be this deep in pedestal or turret [m]: they stand on something.
 BASE_DEPTH = 1e-3
@@ -31,9 +34,10 @@ class Surroundings(Record):
     Attributes:
         robot: The arm.
         solids: What it keeps clear of.
-        clearance: Clearance to keep from all of them [m]: the scene's, and what the tracking error may take.
+        clearance: Clearance to keep from all of them [m].
+        deviation: By how much every joint may be off where the arm rests [rad].
         growth: (solids,) clearance to keep from each beyond that, for its uncertainty [m].
-        field: Distances between arm and solids, less the clearance to keep.
+        field: Distances between arm and solids, less the clearance to keep and what the deviation may take.
         judge: The solids in coal, each grown by its own growth.
         touched: Name of the solids that the last link may touch; None for none.
     """
@@ -41,6 +45,7 @@ class Surroundings(Record):
     robot: Robot
     solids: tuple[Solid, ...]
     clearance: float
+    deviation: float
     growth: FloatArray
     field: ClearanceField
     judge: CollisionScene
@@ -62,17 +67,19 @@ class Surroundings(Record):
             robot: The arm.
             solids: What it keeps clear of.
             clearance: Clearance to keep [m].
-            tracking_error: Deviation of any joint that motions have to allow for [rad].
+            tracking_error: Deviation of any joint at rest that is to be allowed for [rad].
             sigmas: How many standard deviations of its place an obstacle grows by.
         """
         growth = frozen(np.array([sigmas * solid.sigma for solid in solids], dtype=np.float64))
-        keep = clearance + float(robot.sway(tracking_error).max())
         return cls(
             robot=robot,
             solids=tuple(solids),
-            clearance=keep,
+            clearance=clearance,
+            deviation=tracking_error,
             growth=growth,
-            field=ClearanceField.of(robot, solids, clearance=keep + growth, own_clearance=keep),
+            field=ClearanceField.of(
+                robot, solids, clearance=clearance + growth, own_clearance=clearance, deviation=tracking_error
+            ),
             judge=CollisionScene(robot, solids, growth=growth),
         )
 
@@ -88,7 +95,30 @@ class Surroundings(Record):
             [self.solids[i] for i in kept],
             clearance=self.clearance + self.growth[kept] + more,
             own_clearance=self.clearance + more,
+            deviation=self.deviation,
         )
+
+    def check_clear(self, q: FloatArray, which: str) -> float:
+        """What a configuration at rest has beyond the clearance to keep and the sway of each link [m].
+
+        Args:
+            q: (dof,) configuration.
+            which: What it is, for the error.
+
+        Raises:
+            ConfigurationInCollisionError: It has less; names link, obstacle or other part of the arm, and depth, and
+                where it is the deviation that leaves too little, the largest that would do.
+        """
+        if self.deviation == 0.0:
+            return check_clear(self.judge, q, self.clearance, which)
+        sway = pair_sways(self.judge, np.full((1, self.robot.dof), self.deviation))[:, 0]
+        try:
+            return check_clear(self.judge, q, self.clearance, which, sway=sway)
+        except ConfigurationInCollisionError as error:
+            spare = self.judge.pair_distances(q) - self.clearance
+            share = float((spare / np.maximum(sway, 1e-300)).min())
+            name_margin(error, TrackingModel(self.deviation), share)
+            raise
 
     def check_base(self, yaw: float) -> None:
         """Refuse obstacles in which pedestal or turret stand: no motion of the arm changes that.

@@ -10,13 +10,14 @@ Configurations at rest need room for the first part alone.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from hplan.arrays import FloatArray
-from hplan.errors import OptionError
+from hplan.errors import HplanError, OptionError
 
 
 @dataclass(frozen=True)
@@ -60,5 +61,25 @@ class TrackingModel:
 
     def __str__(self) -> str:
         """The model in words."""
-        error = f"a tracking error of {self.still_rad:g} rad"
-        return f"{error} + {1e3 * self.delay_s:g} ms of velocity" if self.delay_s else error
+        error = f"{math.degrees(self.still_rad):.4g} deg"
+        return f"{error} + {1e3 * self.delay_s:.4g} ms of velocity" if self.delay_s else error
+
+
+def name_margin(error: HplanError, asked: TrackingModel, share: float) -> None:
+    """Let an error say that what it refuses was refused for a tracking error, and the largest that would do.
+
+    Args:
+        error: The error.
+        asked: The tracking error asked for.
+        share: Share of it that would do; where none would, the error has another reason and is left as it is.
+    """
+    if not share > 0.0:
+        return
+    largest = asked.scaled(share)
+    error.add(
+        f"this allows for a tracking error of {asked}; up to {largest} would do",
+        tracking_error_deg=math.degrees(asked.still_rad),
+        tracking_delay_ms=1e3 * asked.delay_s,
+        largest_tracking_error_deg=math.degrees(largest.still_rad),
+        largest_tracking_delay_ms=1e3 * largest.delay_s,
+    )

@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 import os
+import tempfile
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -103,9 +105,24 @@ def test_failure_while_writing_leaves_the_old_file(tmp_path, monkeypatch, fault)
     assert names(tmp_path) == ["a.txt"]
 
 
-@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
-def test_read_only_folder(tmp_path):
-    tmp_path.chmod(0o500)
-    with pytest.raises(OutputError, match="Permission denied"):
-        write_text(tmp_path / "a.txt", "text")
-    tmp_path.chmod(0o700)
+@contextmanager
+def without_privileges():
+    """Root may write anywhere; inside, this process is nobody in particular."""
+    if os.geteuid() != 0:
+        yield
+        return
+    os.seteuid(65534)
+    try:
+        yield
+    finally:
+        os.seteuid(0)
+
+
+def test_read_only_folder():
+    with tempfile.TemporaryDirectory() as name:  # others may not enter pytest's own folders
+        folder = Path(name)
+        folder.chmod(0o555)
+        with without_privileges(), pytest.raises(OutputError, match="Permission denied"):
+            write_text(folder / "a.txt", "text")
+        assert names(folder) == []
+        folder.chmod(0o755)

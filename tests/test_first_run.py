@@ -32,25 +32,12 @@ def test_each_process_compiles_its_half_once(tmp_path: Path) -> None:
     assert [name for name in everything if not name.endswith(".1.nbc")] == []
 
 
-def test_first_run_until_the_kernels_are_kept_and_newer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_first_run_is_one_without_kernels_on_disk(tmp_path: Path) -> None:
+    """How it is told is tested with the cache itself."""
     first_run.compile_from_postprocessing_on()
     assert not first_run.is_first_run()
-    source = Path(first_run.__file__).with_name("topp.py")
-
-    class Kernel:
-        py_func = first_run.greedy.py_func  # type: ignore[attr-defined]
-
-        class stats:  # noqa: N801 - numba's name
-            cache_path = str(tmp_path)
-
-    monkeypatch.setattr(first_run, "greedy", Kernel)
-    assert first_run.is_first_run()
-    index = tmp_path / f"topp.greedy-1.py{sys.version_info.major}{sys.version_info.minor}.nbi"
-    index.touch()
-    assert not first_run.is_first_run()
-    old = source.stat().st_mtime - 10.0
-    os.utime(index, (old, old))
-    assert first_run.is_first_run()
+    code = "from hplan.first_run import is_first_run; raise SystemExit(not is_first_run())"
+    assert compiled_by(["-c", code], tmp_path) == set()
 
 
 def begun(code: str) -> subprocess.Popen[bytes]:
@@ -85,17 +72,35 @@ def test_the_other_process_does_not_outlive_the_plan(monkeypatch: pytest.MonkeyP
     assert other.returncode is not None
 
 
-@pytest.mark.parametrize(("first", "processors"), [(False, 2), (True, 1)], ids=["later run", "one processor"])
+@pytest.mark.parametrize(
+    ("first", "processors", "kept"),
+    [(False, 2, True), (True, 1, True), (True, 2, False)],
+    ids=["later run", "one processor", "nowhere to keep what it compiles"],
+)
 def test_no_other_process_where_it_would_not_help(
-    first: bool, processors: int, monkeypatch: pytest.MonkeyPatch
+    first: bool, processors: int, kept: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def start() -> Any:
         raise AssertionError
 
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(processors)))
+    monkeypatch.setattr(first_run, "can_be_kept", lambda _: kept)
     monkeypatch.setattr(first_run, "_start", start)
     with first_run.compiling_beside(first) as compiled:
         compiled()
+
+
+def test_the_other_process_runs_nothing_of_the_working_directory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    marker = tmp_path / "was-run"
+    for name in ("yaml", "numpy", "hplan"):
+        (tmp_path / f"{name}.py").write_text(f"open({str(marker)!r}, 'w').close()\nraise SystemExit('run')")
+    monkeypatch.chdir(tmp_path)
+    other = first_run._start()
+    assert other is not None
+    assert other.wait(300) == 0
+    assert not marker.exists()
 
 
 def test_where_no_process_can_be_started(monkeypatch: pytest.MonkeyPatch) -> None:

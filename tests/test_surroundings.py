@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,13 +12,15 @@ from arm_variants import load_variant, random_obstacles
 from planned import post
 
 from hplan.arm_spec import ArmSpec
+from hplan.arrays import FloatArray
 from hplan.clearance import ClearanceField
 from hplan.collision import CollisionScene, base_contacts
-from hplan.errors import InputError
+from hplan.errors import ConfigurationInCollisionError, InputError
 from hplan.robot import Robot, load_robot
 from hplan.robot_family import write_robot
 from hplan.scene import Box, PointCloud, Sphere
 from hplan.section import sections_at
+from hplan.self_contact import pair_sway
 from hplan.surroundings import BASE_DEPTH, Surroundings
 
 BALLS = (
@@ -42,8 +46,8 @@ def test_each_obstacle_grows_by_its_own_uncertainty(robot: Robot) -> None:
 def test_field_bodies_and_judge_agree(robot: Robot) -> None:
     """A configuration is in contact for the sections if it is for the field, which gives no less than coal."""
     around = Surroundings.of(robot, BALLS, clearance=0.01, tracking_error=0.002, sigmas=2.0)
-    assert around.clearance == pytest.approx(0.01 + robot.sway(0.002).max())
     bodies = around.bodies(0.003)
+    assert bodies.deviation == 0.002
     radii = np.array([0.1, 0.12, 0.14]) + around.clearance + 0.003
     np.testing.assert_allclose(bodies.ball_radii, radii)
     assert bodies.names == ("sure", "vague", "vaguer")
@@ -79,16 +83,70 @@ def test_the_arm_keeps_the_clearance_from_itself_too(tmp_path: Path) -> None:
     plain, seen = ClearanceField.of(bendy, []), 0
     for solids in ([], [far]):
         around = Surroundings.of(bendy, solids, clearance=0.03, tracking_error=0.001, sigmas=3.0)
-        assert around.bodies(0.002).own_clearance == pytest.approx(around.clearance + 0.002)
+        # From the pedestal a link keeps its own sway; two links keep what the outer one may sway, seen from the inner.
+        keep = around.clearance + float(pair_sway(bendy, 2, 0, 0.001))
+        most = around.clearance + float(bendy.sway(0.001).max())
         for q in rng.uniform(bendy.lower, bendy.upper, (60, bendy.dof)):
             before, after = plain.clearance(q), around.field.clearance(q)
             if before < 0.5:
                 seen += 1
                 assert after < before
-                assert after == pytest.approx(
-                    ClearanceField.of(bendy, [], own_clearance=around.clearance).clearance(q), abs=1e-12
-                )
+                low, high = (ClearanceField.of(bendy, [], own_clearance=own).clearance(q) for own in (most, keep))
+                assert low - 1e-12 <= after <= high + 1e-12
+        assert around.bodies(0.002).own_clearance == 0.032
+        sections = sections_at(bendy, around.bodies(0.002), 0.0)
+        np.testing.assert_allclose(sections.own_radii, 0.05 + 0.03 + keep + 0.002)
     assert seen > 20
+
+
+def test_each_link_sways_by_its_own(robot: Robot) -> None:
+    """Field and sections are those of an arm that is as much thicker; coal has the same distances less the sway."""
+    error, rng = 0.01, np.random.default_rng(4)
+    arm = replace(robot.arm, half_widths=robot.arm.half_widths + robot.sway(error))
+    thicker = replace(robot, arm=arm)
+    around, same = Surroundings.of(robot, BALLS, tracking_error=error), Surroundings.of(thicker, BALLS)
+    for yaw in (0.0, 0.1):
+        ours, theirs = (sections_at(one.robot, one.bodies(), yaw) for one in (around, same))
+        np.testing.assert_allclose(ours.radii, theirs.radii, rtol=1e-12)
+        np.testing.assert_array_equal(ours.link_start, theirs.link_start)
+    for q in rng.uniform(robot.lower, robot.upper, (20, 4)):
+        np.testing.assert_allclose(around.field.link_clearances(q), same.field.link_clearances(q), atol=1e-12)
+        least = (around.judge.distances(q) - robot.sway(error)[:, None]).min()
+        if least > 0.0:
+            assert around.check_clear(q, "here") == pytest.approx(least, abs=1e-12)
+        else:
+            with pytest.raises(ConfigurationInCollisionError):
+                around.check_clear(q, "here")
+
+
+def test_refusal_of_a_configuration_names_the_largest_error(robot: Robot) -> None:
+    """True: with a little less the configuration is taken, with a little more it is not."""
+    rng, kinds = np.random.default_rng(6), {"free": 0, "margin": 0, "contact": 0}
+
+    def check(q: FloatArray, error: float) -> None:
+        Surroundings.of(robot, BALLS, clearance=0.01, tracking_error=error).check_clear(q, "start")
+
+    for q in rng.uniform(robot.lower, robot.upper, (40, 4)):
+        distances = Surroundings.of(robot, BALLS).judge.distances(q) - 0.01
+        if (distances > robot.sway(0.1)[:, None]).all():
+            kinds["free"] += 1
+            check(q, 0.1)
+            continue
+        with pytest.raises(ConfigurationInCollisionError) as refused:
+            check(q, 0.1)
+        facts = refused.value.data
+        if distances.min() <= 0.0:
+            kinds["contact"] += 1
+            assert "largest_tracking_error_deg" not in facts
+            continue
+        kinds["margin"] += 1
+        assert facts["tracking_error_deg"] == pytest.approx(math.degrees(0.1))
+        assert "would do" in str(refused.value)
+        largest = math.radians(facts["largest_tracking_error_deg"])
+        check(q, 0.999 * largest)
+        with pytest.raises(ConfigurationInCollisionError):
+            check(q, 1.001 * largest)
+    assert min(kinds.values()) >= 1
 
 
 def test_the_last_link_alone_may_touch(robot: Robot) -> None:

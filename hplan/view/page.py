@@ -9,14 +9,15 @@ from __future__ import annotations
 import contextlib
 import html
 import importlib.util
-import io
 import json
 import subprocess
+import threading
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+from hplan.child_process import import_environment, python_module
 from hplan.errors import HplanError
 from hplan.files import write_text
 from hplan.robot import Robot
@@ -26,6 +27,9 @@ from hplan.view import scenery
 from hplan.view.framing import ASPECT
 from hplan.view.stage import APPROACH_COLOR, GOAL_COLOR, START_COLOR, Stretch, stage
 from hplan.view.three import Json
+
+#: Longest wait for the live server [s].
+START_S = 60.0
 
 _PAGE = """<!DOCTYPE html>
 <html lang="en">
@@ -171,7 +175,7 @@ def write_page(
 class LiveView:
     """A running meshcat server that shows one motion; `close` ends it, as does leaving a `with` block."""
 
-    def __init__(self, url: str, zmq_url: str, process: subprocess.Popen[bytes]) -> None:
+    def __init__(self, url: str, zmq_url: str, process: subprocess.Popen[str]) -> None:
         """Hold what `serve` has started."""
         self.url = url
         self.zmq_url = zmq_url
@@ -189,12 +193,7 @@ class LiveView:
 
     def close(self) -> None:
         """End the server."""
-        if self.running:
-            self._process.kill()
-        self._process.wait()
-        for stream in (self._process.stdout, self._process.stderr):
-            if stream is not None:
-                stream.close()
+        _end(self._process)
 
     def __enter__(self) -> LiveView:
         """Return the view itself."""
@@ -230,8 +229,8 @@ def serve(
         phases: Parts of the motion, as `PlanResult.phases`.
 
     Returns:
-        The running view; its `url` is for a browser on this machine. The server ends with `close`, and with this
-        process.
+        The running view; its `url` is for a browser on this machine, the only one that reaches it. The server ends
+        with `close`, and with this process, however that ends.
 
     Raises:
         InputError: As `render_page`.
@@ -239,14 +238,7 @@ def serve(
     """
     commands = stage(robot, scene, trajectory, picked=picked, dropped=dropped, phases=phases)
     _viewer_source()  # says plainly that meshcat is missing
-    from meshcat.servers.zmqserver import start_zmq_server_as_subprocess
-
-    said = io.StringIO()
-    try:
-        with contextlib.redirect_stdout(said):
-            process, zmq_url, url = start_zmq_server_as_subprocess()
-    except (OSError, RuntimeError, ValueError) as error:
-        raise HplanError(f"the meshcat server does not start: {said.getvalue().strip() or error}") from error
+    process, zmq_url, url = _start_server()
     view = LiveView(url, zmq_url, process)
     try:
         _send(zmq_url, commands)
@@ -254,6 +246,51 @@ def serve(
         view.close()
         raise
     return view
+
+
+def _start_server() -> tuple[subprocess.Popen[str], str, str]:
+    """The process of `hplan.view.server`, and its addresses for commands and for a browser.
+
+    Raises:
+        HplanError: It does not start.
+    """
+    try:
+        process = subprocess.Popen(
+            python_module("hplan.view.server"),
+            stdin=subprocess.PIPE,  # never written to: the server ends with it
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            env=import_environment(),
+            text=True,
+        )
+    except OSError as error:
+        raise HplanError(f"the meshcat server does not start: {error}") from error
+    too_late = threading.Timer(START_S, process.kill)
+    too_late.start()
+    try:
+        said: list[str] = []
+        for line in process.stdout or ():
+            said.append(line)
+            if line.startswith("web_url="):
+                addresses = dict(each.rstrip("\n").split("=", 1) for each in said if "_url=" in each)
+                return process, addresses["zmq_url"], addresses["web_url"]
+    except BaseException:
+        _end(process)
+        raise
+    finally:
+        too_late.cancel()
+    _end(process)
+    raise HplanError(f"the meshcat server does not start: {''.join(said).strip() or 'it says nothing'}")
+
+
+def _end(process: subprocess.Popen[str]) -> None:
+    """End a process and close its pipes."""
+    if process.poll() is None:
+        process.kill()
+    process.wait()
+    for stream in (process.stdin, process.stdout):
+        if stream is not None:
+            stream.close()
 
 
 def _send(zmq_url: str, commands: Sequence[Json]) -> None:

@@ -116,7 +116,7 @@ def yaw_section(
         robot,
         [solid for solid in scene.solids if solid.name not in picked],
         clearance=scene.clearance,
-        tracking_error=choice.tracking_error if choice.certify else 0.0,
+        tracking_error=choice.tracking.still_rad,
         sigmas=choice.sigmas,
     )
     planar = robot.arm_slice

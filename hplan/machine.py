@@ -70,7 +70,7 @@ def read_machine(
     path = Path(path)
     root = read_urdf_xml(path)
     elements = {str(joint.get("name")): joint for joint in root.findall("joint") if joint.get("type") != "fixed"}
-    read_urdf(path, root, geometry=False)
+    read_urdf(path, root, any_robot=True)
     tied = _cut_mimics(root)
     moving = [name for name in elements if name not in tied] if joints is None else list(joints)
     hold = {} if hold is None else hold
@@ -95,7 +95,7 @@ def read_machine(
     except (ValueError, RuntimeError) as error:
         reason = f"Pinocchio refuses it: {error} (its reader's own words, if any, are on the terminal)"
         raise RobotFileError(path, reason) from error
-    check_models(path, read_urdf(path, root, geometry=False), model)
+    check_models(path, read_urdf(path, root, any_robot=True), model)
     for name, attributes in missing.items():
         for attribute in attributes:
             limit = model.velocityLimit if attribute == "velocity" else model.effortLimit

@@ -12,6 +12,7 @@ import re
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 from dataclasses import dataclass
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Final
 
@@ -59,6 +60,13 @@ _CHILDREN: Final[Mapping[str, frozenset[str]]] = {
     ),
 }
 _EXTENSIONS: Final = frozenset({"contact", "contact_coefficients", "joint_properties", "sensor", "verbose"})
+
+#: Elements that no program adds attributes to.
+_CLOSED: Final = frozenset({"origin", "mass", "inertia", "axis", "parent", "child"})
+
+#: Likeness from which on an unknown name is a misspelling (`difflib.SequenceMatcher.ratio`).
+_ALIKE: Final = 0.8
+
 _REPEATED: Final = frozenset({"visual", "collision"})
 
 #: Attributes that give the size of a shape.
@@ -154,20 +162,23 @@ class Urdf:
     joints: Mapping[str, Joint]
 
 
-def read_urdf(path: Path, root: ET.Element, *, geometry: bool = True) -> Urdf:
+def read_urdf(path: Path, root: ET.Element, *, any_robot: bool = False) -> Urdf:
     """Read what a URDF says.
+
+    Robots of others hold elements of programs that are not known here, and inertias of no body where it does not
+    matter; of these nothing is refused but what looks like a misspelling, and no number that cannot be read.
 
     Args:
         path: The file, for messages.
         root: Its root element.
-        geometry: Whether shapes are looked at.
+        any_robot: Whether it is a robot of others, for its joints and inertias alone: shapes are not looked at.
 
     Raises:
         RobotFileError: A name missing, repeated or unprintable; a joint to a link that does not exist; an element or
             attribute that is missing, unknown, or there twice; a number that is none, or out of range; an inertia that
             no body has. Names line and element.
     """
-    reader = _Reader(path, geometry)
+    reader = _Reader(path, any_robot)
     reader.check_name(root, "the robot")
     links, joints = root.findall("link"), root.findall("joint")
     for kind, elements in (("link", links), ("joint", joints)):
@@ -185,9 +196,9 @@ def read_urdf(path: Path, root: ET.Element, *, geometry: bool = True) -> Urdf:
 class _Reader:
     """Reads the elements of one file."""
 
-    def __init__(self, path: Path, geometry: bool) -> None:
+    def __init__(self, path: Path, any_robot: bool) -> None:
         self._path = path
-        self._geometry = geometry
+        self._any_robot = any_robot
 
     def fault(self, element: ET.Element, reason: str) -> RobotFileError:
         return RobotFileError(self._path, line_of(element) + reason)
@@ -206,17 +217,16 @@ class _Reader:
         where = f"link {element.get('name')!r}"
         self._check_parts(element, where)
         inertial = element.find("inertial")
-        if self._geometry:
-            for visual in element.findall("visual"):
-                self._geometry_of(visual, where)
-                self._origin_of(visual, where)
+        for visual in [] if self._any_robot else element.findall("visual"):
+            self._geometry_of(visual, where)
+            self._origin_of(visual, where)
         return Link(
             element,
             str(element.get("name")),
             None if inertial is None else self._inertial(inertial, where),
             tuple(
                 Shape(shape, *self._geometry_of(shape, where), self._placement(shape, where))
-                for shape in (element.findall("collision") if self._geometry else ())
+                for shape in ([] if self._any_robot else element.findall("collision"))
             ),
         )
 
@@ -276,15 +286,21 @@ class _Reader:
             self._numbers(inertia, key, where, 1)[0] for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
         )
         matrix = readonly([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        self._check_inertia(inertia, matrix, where)
+        return Inertial(value, self._placement(element, where), matrix)
+
+    def _check_inertia(self, element: ET.Element, matrix: FloatArray, where: str) -> None:
+        """Refuse an inertia that no body has."""
         moments = np.linalg.eigvalsh(matrix)
-        spare = _INERTIA_TOLERANCE * float(np.abs(moments).max())
+        spare = max(_INERTIA_TOLERANCE * float(np.abs(moments).max()), 1e-12)
+        if self._any_robot:
+            return
         if moments[0] < -spare or moments[2] > moments[0] + moments[1] + spare:
             raise self.fault(
-                inertia,
+                element,
                 f"{where}: <inertia> has principal moments {', '.join(f'{moment:.6g}' for moment in moments)} kg m^2; "
                 "of a body none is negative, and none is larger than the sum of the others",
             )
-        return Inertial(value, self._placement(element, where), matrix)
 
     def _geometry_of(self, element: ET.Element, where: str) -> tuple[str, tuple[float, ...]]:
         """Kind and size of the shape of a `<collision>` or `<visual>`."""
@@ -350,17 +366,23 @@ class _Reader:
         seen: set[str] = set()
         for part in element:
             if part.tag not in known:
-                if ":" in part.tag or part.tag in _EXTENSIONS:
+                if self._means_something(part.tag, known):
                     continue
                 reason = f"{where}: <{part.tag}> in <{element.tag}> means nothing, expected {', '.join(sorted(known))}"
                 raise self.fault(part, reason)
             if part.tag in seen and part.tag not in _REPEATED:
                 raise self.fault(part, f"{where}: a second <{part.tag}> in <{element.tag}>; only one would count")
             seen.add(part.tag)
-            attributes = _ATTRIBUTES.get(part.tag)
-            for attribute in part.attrib if attributes is not None else ():
-                if attribute not in attributes and ":" not in attribute:  # type: ignore[operator]
+            attributes = _ATTRIBUTES.get(part.tag, frozenset(part.attrib))
+            for attribute in sorted(part.attrib.keys() - attributes):
+                if part.tag in _CLOSED or not self._means_something(attribute, attributes):
                     raise self.fault(part, f"{where}: {attribute} of <{part.tag}> means nothing")
+
+    def _means_something(self, name: str, known: frozenset[str]) -> bool:
+        """Whether an unknown name may be an extension, and is no misspelling of a known one."""
+        if ":" in name or name in _EXTENSIONS:
+            return True
+        return self._any_robot and not get_close_matches(name.lower(), known, 1, _ALIKE)
 
 
 def _rotation(roll: float, pitch: float, yaw: float) -> FloatArray:

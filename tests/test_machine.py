@@ -11,6 +11,7 @@ from toy_urdf import LIMIT, urdf
 
 from hplan.errors import InputError, JointLimitError, RobotFileError
 from hplan.machine import ENDLESS, limits_of, read_machine
+from hplan.robot_files import read_models
 from hplan.waypoints import time_waypoints
 
 
@@ -107,6 +108,17 @@ def test_link_and_joint_of_one_name(write):
     assert machine.held == {"l2": 0.0}
 
 
+def test_what_programs_add_to_robots_of_others_may_stay(write):
+    """As in the URDFs of the Panda, ANYmal, PR2 and SO-101."""
+    text = urdf().replace("<limit", '<dynamics damping="1" D="1"/><limit gear_velocity="5"')
+    text = text.replace('<link name="l0"/>', '<link name="l0"><self_filter/><origin/><sensor/></link>')
+    text = text.replace('ixx="0.01"', 'ixx="0.5"')
+    machine = read_machine(write("others.urdf", text))
+    assert machine.model.inertias[1].inertia[0, 0] == 0.5
+    with pytest.raises(RobotFileError, match="<self_filter> in <link> means nothing"):
+        read_models(write("ours.urdf", text))
+
+
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
@@ -119,6 +131,8 @@ def test_link_and_joint_of_one_name(write):
         (urdf().replace('lower="-3"', 'lower="-3,0"'), "lower of <limit> is '-3,0', expected a finite number"),
         (urdf().replace('<mass value="1"/>', '<mass value="1_0"/>'), "value of <mass> is '1_0'"),
         (urdf().replace('xyz="0.4 0 0"', 'xyz="0.4 0"'), "xyz of <origin> is '0.4 0', expected 3 finite numbers"),
+        (urdf().replace("<mass", "<Mass"), "<Mass> in <inertial> means nothing"),
+        (urdf().replace("<origin xyz", "<origin xzy"), "xzy of <origin> means nothing"),
         (urdf().replace('"b"', '"b&#10;c"'), "is called 'b\\\\nc'"),
     ],
 )

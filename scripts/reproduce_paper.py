@@ -72,7 +72,7 @@ def run(options: argparse.Namespace, errors: Console) -> tuple[Reproduction, Com
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
     from hplan.reproduction.figures import figures
-    from hplan.reproduction.measure import measure
+    from hplan.reproduction.measure import STEPS, measure
     from hplan.reproduction.output import write_all
     from hplan.reproduction.random_scenes import compare
     from hplan.reproduction.tables import markdown
@@ -84,7 +84,7 @@ def run(options: argparse.Namespace, errors: Console) -> tuple[Reproduction, Com
         SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
         console=errors, transient=True,
     ) as progress:  # fmt: skip
-        steps = progress.add_task("measuring", total=9)
+        steps = progress.add_task("measuring", total=STEPS)
         numbers, evidence = measure(
             report=lambda text: progress.update(steps, advance=1, description=f"measuring: {text}")
         )

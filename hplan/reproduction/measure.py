@@ -13,12 +13,14 @@ import numpy as np
 
 from hplan import cspace
 from hplan.arrays import FloatArray, IntArray
+from hplan.errors import InputError
 from hplan.grid import Grid, Occupancy
 from hplan.reproduction.demonstration import demonstration
-from hplan.reproduction.plain import PlainTwoLevel, plain_two_level
+from hplan.reproduction.plain import PlainTwoLevel, path_found, plain_two_level
 from hplan.reproduction.results import PAPER, Gap, ModelRow, Reproduction, Run
 from hplan.reproduction.slip import printed_arctan, slip_of
-from hplan.reproduction.ties import distances_from, try_ties
+from hplan.reproduction.ties import distances_from
+from hplan.reproduction.variants import try_variants
 from hplan.robot import Robot, load_robot
 from hplan.scene_file import load_scene
 from hplan.search import SearchResult, dense_search, slices_with_path, two_level_search
@@ -29,6 +31,9 @@ from hplan.search.row_bounds import row_bounds
 from hplan.section import LINK_MODELS, ArmSections, LinkModel, arm_sections
 
 _T = TypeVar("_T")
+
+#: How often `measure` reports what is being done.
+STEPS = 12
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,10 +86,7 @@ def measure(
     """As `reproduce`, with the evidence for the figures."""
     robot, scene = load_robot(), load_scene()
     grid = cspace.joint_grid(robot.arm, math.radians(1.0))
-    start_joints, goal_joints = scene.start.joints(), scene.goal.joints()
-    assert start_joints is not None
-    assert goal_joints is not None
-    start, goal = grid.nearest(start_joints[robot.arm_slice]), grid.nearest(goal_joints[robot.arm_slice])
+    start, goal = (_node(grid, pose.joints(), robot) for pose in (scene.start, scene.goal))
 
     models = []
     for link_model in LINK_MODELS:
@@ -100,8 +102,11 @@ def measure(
     report("two levels, hplan")
     straight, straight_ms = _timed(lambda: two_level_search(occupancy, start, goal, octile=False), repetitions)
     default, default_ms = _timed(lambda: two_level_search(occupancy, start, goal), repetitions)
-    report("ties")
-    ties = try_ties(occupancy, plain, start, goal, tie_choices)
+    occupancies: dict[LinkModel, Occupancy] = {
+        "capsule": occupancy,
+        "paper": cspace.occupancy(robot.arm, arm_sections(robot, scene.solids, link_model="paper"), grid),
+    }
+    variants = try_variants(occupancies, start, goal, tie_choices, report)
     report("arctan(x / y)")
     slips = [slip_of(printed_arctan(robot, grid, sections, in_link_frame=flag), start, goal) for flag in (True, False)]
     report("workspace demonstration")
@@ -110,14 +115,13 @@ def measure(
     demo_result, demo_ms = _timed(lambda: two_level_search(demo, demo_start, demo_goal, octile=False), repetitions)
 
     scale = 180.0 / math.pi
-    assert plain.second.path is not None
     numbers = Reproduction(
         paper=PAPER,
         nodes=grid.size,
         dense=_run(dense, dense_ms, scale),
         plain=Run(
             cost=plain.second.cost * scale,
-            points=len(plain.second.path),
+            points=len(path_found(plain.second)),
             layer_expansions=sum(plain.expansions.values()),
             path_expansions=plain.second.expansions.total,
             settled=0,
@@ -129,7 +133,7 @@ def measure(
         hplan=_run(default, default_ms, scale, settled=_settled_rows(occupancy, start, goal)),
         models=tuple(models),
         gap=_gap(occupancy, plain, start),
-        ties=ties,
+        variants=variants,
         sparse_nodes=int(plain.union.sum()),
         demo_dense=_run(demo_dense, demo_dense_ms, 1.0),
         demo_two_level=_run(demo_result, demo_ms, 1.0),
@@ -145,6 +149,17 @@ def measure(
     return numbers, evidence
 
 
+def _node(grid: Grid, joints: FloatArray | None, robot: Robot) -> IntArray:
+    """Grid node of the scene's start or goal.
+
+    Raises:
+        InputError: It is not given by joint angles.
+    """
+    if joints is None:
+        raise InputError("the example wants its start and goal as joint angles")
+    return grid.nearest(joints[robot.arm_slice])
+
+
 def _timed(work: Callable[[], _T], repetitions: int) -> tuple[_T, float]:
     """The run of median time: its result and its time [ms]. One run before all warms up."""
     work()
@@ -158,11 +173,10 @@ def _timed(work: Callable[[], _T], repetitions: int) -> tuple[_T, float]:
 
 
 def _run(result: SearchResult, total_ms: float, scale: float, settled: int = 0) -> Run:
-    assert result.path is not None
     expansions = result.expansions
     return Run(
         cost=result.cost * scale,
-        points=len(result.path),
+        points=len(path_found(result)),
         layer_expansions=expansions.layers,
         path_expansions=expansions.sparse + expansions.fallback,
         settled=settled,
@@ -188,14 +202,13 @@ def _model_row(
     occupancy, cspace_ms = _timed(lambda: cspace.occupancy(robot.arm, sections, grid), max(20, repetitions))
     dense = dense_search(occupancy, start, goal)
     degrees = np.degrees(grid.axis(2)[slices_with_path(occupancy, start, goal)])
-    assert dense.path is not None
     return ModelRow(
         link_model=link_model,
         occupied=occupancy.occupied_count,
         first_feasible_deg=round(float(degrees[0])),
         last_feasible_deg=round(float(degrees[-1])),
         dense_cost_deg=math.degrees(dense.cost),
-        dense_points=len(dense.path),
+        dense_points=len(path_found(dense)),
         dense_expansions=dense.expansions.total,
         cspace_ms=cspace_ms,
     )

@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from hplan.reproduction.plain import Restoration
+from hplan.section import LinkModel
+
 
 @dataclass(frozen=True)
 class Paper:
@@ -14,6 +17,7 @@ class Paper:
         dense_cost_deg: Cost of the dense A* [deg].
         dense_points: Points of its path.
         dense_expansions: Nodes it expands.
+        dense_time_s: Its time [s].
         two_level_cost_deg: Cost of the two-level method [deg].
         two_level_points: Points of its path.
         two_level_expansions: Nodes that its second level expands.
@@ -24,11 +28,17 @@ class Paper:
     dense_cost_deg: float = 145.214952
     dense_points: int = 107
     dense_expansions: int = 154_647
+    dense_time_s: float = 23.5
     two_level_cost_deg: float = 145.800739
     two_level_points: int = 108
     two_level_expansions: int = 6_605
     two_level_time_s: float = 2.56
     first_feasible_deg: int = 45
+
+    @property
+    def time_ratio(self) -> float:
+        """Time of the dense A* over that of the two-level method."""
+        return self.dense_time_s / self.two_level_time_s
 
 
 PAPER = Paper()
@@ -138,6 +148,33 @@ class Ties:
 
 
 @dataclass(frozen=True)
+class Variant:
+    """The method to the letter with one choice of what the paper's text leaves open.
+
+    Attributes:
+        link_model: Link model of the C-space.
+        last_slice_deg: Last theta3 slice searched, from 0 [deg].
+        restoration: What restoration carries back towards the start.
+        cost_deg: Cost of the second level [deg].
+        points: Points of its path.
+        layer_expansions: Nodes expanded in the slices.
+        path_expansions: Nodes expanded by the second level.
+        sparse_nodes: Nodes of the sparse union.
+        ties: What ties between slice paths do to it.
+    """
+
+    link_model: LinkModel
+    last_slice_deg: int
+    restoration: Restoration
+    cost_deg: float
+    points: int
+    layer_expansions: int
+    path_expansions: int
+    sparse_nodes: int
+    ties: Ties
+
+
+@dataclass(frozen=True)
 class Slip:
     """The example with the bearing read as the paper prints it, arctan(x / y).
 
@@ -167,7 +204,7 @@ class Reproduction:
         hplan: `two_level_search` as it is by default: jump points in the slices, row bounds on the union.
         models: The three link models.
         gap: The feasibility gap (capsule model).
-        ties: What ties do.
+        variants: The method to the letter by link model, slices searched and reading of the restoration.
         sparse_nodes: Nodes of the sparse union (plain).
         demo_dense: Workspace demonstration, dense A*, in the paper's unit.
         demo_two_level: The same, two-level with the straight-line bound.
@@ -185,7 +222,7 @@ class Reproduction:
     hplan: Run
     models: tuple[ModelRow, ...]
     gap: Gap
-    ties: Ties
+    variants: tuple[Variant, ...]
     sparse_nodes: int
     demo_dense: Run
     demo_two_level: Run
@@ -194,6 +231,22 @@ class Reproduction:
     slip_arm_plane: Slip
     versions: dict[str, str]
 
+    def variant(
+        self, last_slice_deg: int, restoration: Restoration = "path", link_model: LinkModel = "capsule"
+    ) -> Variant:
+        """The variant of these choices."""
+        return next(
+            variant
+            for variant in self.variants
+            if (variant.last_slice_deg, variant.restoration, variant.link_model)
+            == (last_slice_deg, restoration, link_model)
+        )
+
+    @property
+    def ties(self) -> Ties:
+        """What ties do to the variant that runs everywhere else: slices 0..70 deg, the path carried back."""
+        return self.variant(70).ties
+
     def as_dict(self) -> dict[str, Any]:
         """The numbers ready for JSON."""
-        return {"format": "hplan-reproduction/1", **asdict(self)}
+        return {"format": "hplan-reproduction/1", **asdict(self), "ties": asdict(self.ties)}

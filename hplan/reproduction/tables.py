@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
+from hplan.reproduction.plain import RESTORATIONS
 from hplan.reproduction.random_scenes import Comparison
 from hplan.reproduction.results import Reproduction
 
@@ -12,6 +13,8 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 Rows = list[tuple[str, ...]]
+
+VARIANTS_TITLE = "Plain by slices searched [deg], what restoration carries back, and link model"
 
 
 def comparison_rows(r: Reproduction) -> tuple[tuple[str, ...], Rows]:
@@ -22,7 +25,7 @@ def comparison_rows(r: Reproduction) -> tuple[tuple[str, ...], Rows]:
         ("dense A*: cost [deg]", f"{paper.dense_cost_deg:.6f}", f"{r.dense.cost:.6f}", "", ""),
         ("dense A*: points", f"{paper.dense_points}", f"{r.dense.points}", "", ""),
         ("dense A*: expansions", f"{paper.dense_expansions:,}", f"{r.dense.path_expansions:,}", "", ""),
-        ("dense A*: time [ms]", "-", f"{r.dense.total_ms:.1f}", "", ""),
+        ("dense A*: time [ms]", f"{1e3 * paper.dense_time_s:,.0f}", f"{r.dense.total_ms:.1f}", "", ""),
     ]
     runs, by_nodes = (r.plain, r.straight, r.hplan), (r.plain, r.straight)
     rows += [
@@ -36,6 +39,8 @@ def comparison_rows(r: Reproduction) -> tuple[tuple[str, ...], Rows]:
         ("  in all", "not given", *(f"{run.total_expansions:,}" for run in runs)),
         ("  flooded", "-", *(f"{run.flooded:,}" for run in runs)),
         ("two-level: time [ms]", f"{1e3 * paper.two_level_time_s:,.0f}", *(f"{run.total_ms:.1f}" for run in runs)),
+        ("time, dense / two-level", f"{paper.time_ratio:.1f}",
+         *(f"{r.dense.total_ms / run.total_ms:.1f}" for run in runs)),
     ]  # fmt: skip
     return header, rows
 
@@ -70,6 +75,29 @@ def model_rows(r: Reproduction) -> tuple[tuple[str, ...], Rows]:
     return header, rows
 
 
+def variant_rows(r: Reproduction) -> tuple[tuple[str, ...], Rows]:
+    """Header and rows of the table of what the paper's text leaves open."""
+    header = ("slices, restored", "model", "cost [deg]", "points", "layers", "second", "over ties")
+    rows: Rows = [
+        (
+            f"0..{variant.last_slice_deg}, {variant.restoration.removeprefix('first ')}",
+            variant.link_model,
+            f"{variant.cost_deg:.6f}",
+            str(variant.points),
+            f"{variant.layer_expansions:,}",
+            f"{variant.path_expansions:,}",
+            f"{variant.ties.fewest_expansions:,}..{variant.ties.most_expansions:,}",
+        )
+        for variant in sorted(r.variants, key=lambda variant: RESTORATIONS.index(variant.restoration))
+    ]
+    paper = r.paper
+    rows.append(
+        ("published", "-", f"{paper.two_level_cost_deg:.6f}", str(paper.two_level_points), "-",
+         f"{paper.two_level_expansions:,}", "-")
+    )  # fmt: skip
+    return header, rows
+
+
 def demo_rows(r: Reproduction) -> tuple[tuple[str, ...], Rows]:
     """Header and rows of the table of the workspace demonstration."""
     header = ("workspace", "cost", "points", "layers", "second", "in all", "time [ms]")
@@ -91,6 +119,30 @@ def demo_rows(r: Reproduction) -> tuple[tuple[str, ...], Rows]:
     return header, rows
 
 
+def left_open(r: Reproduction) -> list[str]:
+    """What the paper's text leaves open, how it is read here, and what the other reading gives."""
+    near, far = r.variant(70), r.variant(90)
+    near_letter, far_letter = r.variant(70, link_model="paper"), r.variant(90, link_model="paper")
+    alone = r.variant(70, "first waypoint")
+    published = f"{r.paper.two_level_cost_deg:.6f} deg with {r.paper.two_level_points} points"
+    return [
+        f"Slices. The paper gives no range of theta3. Over 0..70 deg, from the start's slice to the goal's, the second "
+        f"level expands {near.path_expansions:,} nodes ({near_letter.path_expansions:,} with the paper's own link "
+        f"model), over 0..90 deg {far.path_expansions:,} ({far_letter.path_expansions:,}); the paper reports "
+        f"{r.paper.two_level_expansions:,}, more than any of {near.ties.choices} choices among equally short slice "
+        f"paths ({max(near.ties.most_expansions, near_letter.ties.most_expansions):,} and "
+        f"{max(far.ties.most_expansions, far_letter.ties.most_expansions):,} at most). Cost and points are the same. "
+        "0..70 deg runs here.",
+        f'Restoration. "First waypoint propagated backward" has two readings. The one that runs here carries back the '
+        f"first slice path, waypoint by waypoint from its first on, cut before contact: {near.cost_deg:.6f} deg with "
+        f"{near.points} points, up to {near.ties.highest_cost_deg:.6f} deg over the ties, the paper's {published} "
+        f"between them. The other carries back the first waypoint alone: the arm then turns only the wrist up to "
+        f"{r.gap.first_with_deg} deg, and the cost is {alone.cost_deg:.6f} deg with {alone.points} points, "
+        f"{alone.ties.lowest_cost_deg:.6f} to {alone.ties.highest_cost_deg:.6f} deg over the ties, with "
+        f"{alone.path_expansions:,} nodes expanded: not the paper's.",
+    ]
+
+
 def left_out(r: Reproduction) -> list[str]:
     """What the paper does not count."""
     total = r.plain.total_expansions
@@ -101,9 +153,11 @@ def left_out(r: Reproduction) -> list[str]:
         f"{r.gap.layers_without} slices that have no path. In all {total:,}, against {r.dense.total_expansions:,} "
         f"for the dense A*: {total / r.dense.total_expansions:.2f} of it, not "
         f"{r.paper.two_level_expansions / r.paper.dense_expansions:.3f}.",
-        f"The total time. Its {r.paper.two_level_time_s:g} s stand beside the expansions of the second level. Here the "
-        f"plain run takes {r.plain.total_ms:.0f} ms, {r.plain.layer_ms:.0f} ms of it in the layers; the dense A* "
-        f"{r.dense.total_ms:.0f} ms, hplan's two levels {r.hplan.total_ms:.1f} ms.",
+        f"The total time. Its {r.paper.two_level_time_s:g} s stand beside the expansions of the second level, and its "
+        f"dense A* takes {r.paper.dense_time_s:g} s, {r.paper.time_ratio:.1f} times as long. Here the plain run takes "
+        f"{r.plain.total_ms:.0f} ms, {r.plain.layer_ms:.0f} ms of it in the layers; the dense A* "
+        f"{r.dense.total_ms:.0f} ms, {r.dense.total_ms / r.plain.total_ms:.1f} times as long; hplan's two levels "
+        f"{r.hplan.total_ms:.1f} ms.",
         "What happens where restoration does not reach: a gap on the goal's side or in the middle, or no slice with a "
         "path. The method as printed is not complete.",
     ]
@@ -211,6 +265,10 @@ def markdown(r: Reproduction, scenes: Comparison | None = None) -> str:
         "The workspace demonstration, straight-line bound: cost in its own unit; expansions of the layers, of the "
         "second level and in all.",
         table(*demo_rows(r)),
+        VARIANTS_TITLE + ": second-level cost and points; nodes expanded in the layers, by the second level, and by it "
+        f"over {r.ties.choices} choices among equally short slice paths.",
+        table(*variant_rows(r)),
+        "What the paper's text leaves open:\n\n" + "\n".join(f"- {text}" for text in left_open(r)),
         "What the paper leaves out:\n\n" + "\n".join(f"- {text}" for text in left_out(r)),
         "Where hplan differs:\n\n" + "\n".join(f"- {text}" for text in differences(r)),
     ]
@@ -247,7 +305,12 @@ def show(r: Reproduction, console: Console, scenes: Comparison | None = None) ->
     console.print(gap_text(r), markup=False)
     table(f"Link models: occupied of {r.nodes:,}, slices with a path, dense A*, C-space [ms]", *model_rows(r))
     table("The workspace demonstration, straight-line bound: cost in its own unit", *demo_rows(r))
-    for title, texts in (("What the paper leaves out", left_out(r)), ("Where hplan differs", differences(r))):
+    table(f"{VARIANTS_TITLE}: nodes expanded", *variant_rows(r))
+    for title, texts in (
+        ("What the paper's text leaves open", left_open(r)),
+        ("What the paper leaves out", left_out(r)),
+        ("Where hplan differs", differences(r)),
+    ):
         console.print(f"\n[bold]{title}[/bold]")
         items = Table.grid(padding=(0, 1))
         for text in texts:

@@ -11,7 +11,8 @@ connectivity restoration, and a second A* on the sparse union. Three searches ar
   the grid; once with plain A* and the paper's straight-line bound, once as it is by default, with jump points in the
   slices and a bound that knows the union.
 
-Figure numbers follow the paper's order of presentation as far as it is known here; subjects and layout are our own.
+Each figure has the number and the subject of the paper's; the layout is our own. What the paper's text leaves open, the
+slices searched and what restoration carries back, is run each way.
 """
 
 from __future__ import annotations
@@ -39,7 +40,8 @@ SEED = 1
 DISAGREE, INTERRUPTED = 5, 130
 
 _EPILOG = """\
-writes into DIR: reproduction.json, reproduction.md, and the figures (PNG)
+writes into DIR: reproduction.json, reproduction.md, figure-02-... to figure-16-... by the paper's numbers, and
+overview (PNG)
 
 exit status:
   0  done
@@ -92,7 +94,7 @@ def run(options: argparse.Namespace, errors: Console) -> tuple[Reproduction, Com
             compared = progress.add_task("random scenes", total=options.scenes)
             scenes = compare(options.scenes, SEED, lambda done: progress.update(compared, completed=done))
         if not options.no_figures:
-            drawings = figures(evidence)
+            drawings = figures(numbers, evidence)
             drawn = progress.add_task("drawing", total=len(drawings))
             for name, draw in drawings.items():
                 progress.update(drawn, description=f"drawing: {name}")

@@ -10,12 +10,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+from paper_run import FIGURES, measured_paper
 from PIL import Image
 from script_loader import load_script
 
+from hplan.grid import Grid, Occupancy
 from hplan.reproduction import measure, output, random_scenes, tables
 from hplan.reproduction.demonstration import DEMO_CENTRE
+from hplan.reproduction.plain import carried_back
 from hplan.reproduction.results import PAPER
+from hplan.search import dense_search
 
 script = load_script("reproduce_paper")
 
@@ -27,12 +31,12 @@ def compared() -> random_scenes.Comparison:
 
 @pytest.fixture(scope="module")
 def measured() -> Any:
-    return measure.measure(repetitions=1, tie_choices=4)
+    return measured_paper()
 
 
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch, measured: Any) -> None:
-    monkeypatch.setattr(measure, "measure", lambda *_, **__: measured)
+    monkeypatch.setattr(measure, "measure", lambda *_, **__: measured[:2])
 
 
 def test_dense_is_the_papers(measured: Any) -> None:
@@ -44,7 +48,7 @@ def test_dense_is_the_papers(measured: Any) -> None:
 
 
 def test_two_levels_to_the_letter(measured: Any) -> None:
-    r, e = measured
+    r, e, _ = measured
     assert r.plain.cost <= 145.215
     assert r.plain.points <= 107
     assert 5_000 < r.plain.path_expansions < 6_605
@@ -108,6 +112,72 @@ def test_ties_bracket_the_papers_two_level_result(measured: Any) -> None:
     assert ties.lowest_cost_deg >= paper.dense_cost_deg - 1e-6
 
 
+@pytest.mark.parametrize(
+    ("link_model", "last_deg", "restoration", "layers", "second", "sparse"),
+    [
+        ("capsule", 70, "path", 146_296, 5_412, 6_291),
+        ("capsule", 90, "path", 182_991, 6_166, 8_297),
+        ("paper", 70, "path", 146_818, 5_414, 6_425),
+        ("paper", 90, "path", 183_757, 6_169, 8_415),
+        ("capsule", 70, "first waypoint", 146_296, 2_227, 3_005),
+        ("capsule", 90, "first waypoint", 182_991, 3_806, 5_011),
+        ("paper", 70, "first waypoint", 146_818, 2_229, 3_005),
+        ("paper", 90, "first waypoint", 183_757, 3_818, 4_995),
+    ],
+)
+def test_what_the_text_leaves_open_is_run_each_way(
+    measured: Any, link_model: Any, last_deg: int, restoration: Any, layers: int, second: int, sparse: int
+) -> None:
+    r = measured[0]
+    assert len(r.variants) == 8
+    variant = r.variant(last_deg, restoration, link_model)
+    assert (variant.layer_expansions, variant.path_expansions, variant.sparse_nodes) == (layers, second, sparse)
+    cost, points = (145.214952, 107) if restoration == "path" else (169.521325, 148)
+    assert variant.cost_deg == pytest.approx(cost, abs=1e-6)
+    assert variant.points == points
+    assert variant.ties.choices == 4
+    assert variant.ties.most_expansions < PAPER.two_level_expansions
+
+
+def test_the_plain_run_is_the_first_variant(measured: Any) -> None:
+    r = measured[0]
+    variant = r.variant(70)
+    assert (variant.cost_deg, variant.points) == (r.plain.cost, r.plain.points)
+    assert (variant.layer_expansions, variant.path_expansions) == (r.plain.layer_expansions, r.plain.path_expansions)
+    assert variant.sparse_nodes == r.sparse_nodes
+
+
+def test_the_first_waypoint_alone_can_never_give_the_papers_cost(measured: Any) -> None:
+    """Below the first slice with a path only the wrist turns; from the last such node, nothing beats the dense A*."""
+    r, e, _ = measured
+    turned = r.gap.last_without_deg
+    rest = dense_search(e.occupancy, np.array([0, 0, turned]), e.goal)
+    assert turned + math.degrees(rest.cost) == pytest.approx(169.521325, abs=1e-6)
+    for variant in r.variants:
+        if variant.restoration == "first waypoint":
+            assert variant.ties.lowest_cost_deg >= turned + math.degrees(rest.cost) - 1e-9 > PAPER.two_level_cost_deg
+
+
+def test_the_first_waypoint_alone_is_a_column_cut_before_contact() -> None:
+    grid = Grid.over((0.0, 0.0, 0.0), (3.0, 3.0, 5.0), 1.0)
+    occupied = np.zeros(grid.shape, dtype=np.bool_)
+    occupied[1, 1, 3] = occupied[0, 0, 1] = True
+    occupancy = Occupancy.from_mask(grid, occupied)
+    paths = {4: np.array([[0, 0, 4], [1, 1, 4], [2, 2, 4]])}
+    assert {k: len(v) for k, v in carried_back(occupancy, paths, 0).items()} == {3: 1, 2: 1, 1: 0, 0: 0}
+    paths[4][0] = 0, 1, 4
+    assert {k: len(v) for k, v in carried_back(occupancy, paths, 2).items()} == {3: 1, 2: 1}
+    occupied[1, 1, 3] = False
+    occupancy = Occupancy.from_mask(grid, occupied)
+    assert {k: len(v) for k, v in carried_back(occupancy, paths, 0).items()} == dict.fromkeys(range(4), 3)
+    alone = carried_back(occupancy, paths, 0, "first waypoint")
+    assert {k: v.tolist() for k, v in alone.items()} == {k: [[0, 1, k]] for k in range(4)}
+
+
+def test_progress_is_reported_step_by_step(measured: Any) -> None:
+    assert len(measured[2]) == measure.STEPS
+
+
 def test_arctan_as_printed_is_not_the_papers_example(measured: Any) -> None:
     link, plane = measured[0].slip_link_frame, measured[0].slip_arm_plane
     assert not link.goal_is_free
@@ -118,7 +188,7 @@ def test_arctan_as_printed_is_not_the_papers_example(measured: Any) -> None:
 
 
 def test_workspace_demonstration(measured: Any) -> None:
-    r, e = measured
+    r, e, _ = measured
     assert r.demo_layers == 21
     # 50 steps in x, 40 of them with y, 20 of those with z: no path is shorter, and the sphere need not cost anything.
     assert r.demo_dense.cost == pytest.approx(20 * math.sqrt(3) + 20 * math.sqrt(2) + 10)
@@ -146,6 +216,11 @@ def test_report_names_what_is_left_out(measured: Any) -> None:
         "6,605",
         "145.800739",
         "2,560",
+        "23,500",
+        "| 9.2 |",
+        "5,414",
+        "6,169",
+        "169.521325",
         "128,891",
         "127,973",
         "127,342",
@@ -153,23 +228,47 @@ def test_report_names_what_is_left_out(measured: Any) -> None:
         f"{r.plain.layer_expansions:,}",
         f"{r.gap.expansions_without:,}",
     )
-    for needed in (*numbers, "arctan(x/y)", "Ties.", "Flooding.", "Jump points.", "Bound.", "Restoration."):
+    for needed in (*numbers, "arctan(x/y)", "Slices.", "Ties.", "Flooding.", "Jump points.", "Bound.", "Restoration."):
         assert needed in text, needed
     for line in text.splitlines():
         if line.startswith("|"):
             assert line.endswith("|")
 
 
+def test_times_are_compared_as_ratios(measured: Any) -> None:
+    r = replace(
+        measured[0],
+        dense=replace(measured[0].dense, total_ms=50.0),
+        plain=replace(measured[0].plain, total_ms=20.0),
+        straight=replace(measured[0].straight, total_ms=10.0),
+        hplan=replace(measured[0].hplan, total_ms=0.5),
+    )
+    rows = {row[0].strip(): row[1:] for row in tables.comparison_rows(r)[1]}
+    assert rows["dense A*: time [ms]"] == ("23,500", "50.0", "", "")
+    assert rows["time, dense / two-level"] == ("9.2", "2.5", "5.0", "100.0")
+
+
+def test_table_of_what_the_text_leaves_open(measured: Any) -> None:
+    header, rows = tables.variant_rows(measured[0])
+    assert [len(row) for row in rows] == [len(header)] * 9
+    assert [row[0] for row in rows[::2]] == ["0..70, path"] * 2 + ["0..70, waypoint"] * 2 + ["published"]
+    assert rows[3][:6] == ("0..90, path", "paper", "145.214952", "107", "183,757", "6,169")
+    assert rows[-1] == ("published", "-", "145.800739", "108", "-", "6,605", "-")
+    # In a terminal of 80 columns nothing is cut off.
+    widths = [max(len(row[column]) for row in [header, *rows]) for column in range(len(header))]
+    assert sum(widths) + 2 * len(widths) <= 80
+
+
 @pytest.mark.usefixtures("quick")
 def test_command_line_writes_everything(tmp_path: Path, measured: Any, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "new" / "paper"
     assert script.main(["--out", str(out)]) == 0
-    names = {path.name for path in out.iterdir()}
-    assert {name[:9] for name in names if name.startswith("figure_")} == {
-        f"figure_{number:02d}" for number in (6, 7, 8, 9, 10, 11, 12, 14, 15)
-    }
-    assert {"reproduction.json", "reproduction.md", "overview.png"} <= names
-    assert len(names) == 12
+    assert sorted(path.name for path in out.iterdir()) == [
+        *FIGURES,
+        "overview.png",
+        "reproduction.json",
+        "reproduction.md",
+    ]
     for path in out.glob("*.png"):
         assert path.stat().st_size < 300_000
         with Image.open(path) as image:
@@ -179,6 +278,8 @@ def test_command_line_writes_everything(tmp_path: Path, measured: Any, capsys: p
     assert numbers["format"] == "hplan-reproduction/1"
     assert numbers["dense"]["path_expansions"] == measured[0].dense.path_expansions
     assert numbers["paper"]["two_level_time_s"] == 2.56
+    assert numbers["paper"]["dense_time_s"] == 23.5
+    assert numbers["ties"] == numbers["variants"][0]["ties"]
     printed = capsys.readouterr().out
     assert "What the paper leaves out" in printed
     assert "145.214952" in printed

@@ -1,62 +1,88 @@
-"""The paper's figures, drawn from the evidence."""
+"""The paper's figures by its own numbers, drawn from the evidence."""
 
 from __future__ import annotations
 
+import functools
+import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hplan.arrays import FloatArray
+from hplan.grid import Grid
 from hplan.reproduction.demonstration import DEMO_CENTRE, DEMO_DIAMETER
+from hplan.reproduction.figure_comparison import comparison
+from hplan.reproduction.figure_execution import snapshots
+from hplan.reproduction.figure_link_cases import link_case
+from hplan.reproduction.figure_two_links import two_links
+from hplan.reproduction.figures_joint_space import cspace_obstacle, overview, paths_in_cspace, sparse_path
+from hplan.reproduction.figures_workspace import workspace_layers, workspace_path
 from hplan.reproduction.measure import Evidence
+from hplan.reproduction.plain import path_found
+from hplan.reproduction.results import Reproduction
 from hplan.view.figure_data import clearance_field
-from hplan.view.figures_3d import cspace_and_path, overview, workspace
-from hplan.view.figures_arm import arm_and_obstacle, link_cases, motions
-from hplan.view.figures_cspace import layer_paths, restoration, slices, two_link_cspace
+from hplan.view.figure_style import styled
+from hplan.view.figures_arm import arm_and_obstacle, motions
+from hplan.view.figures_cspace import slice_paths, slices
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+#: theta3 of the slices in Figures 10 and 11 [deg].
+SLICES_DEG = (0.0, 22.0, 44.0, 45.0, 66.0, 70.0)
+#: Layers in Figure 7, in the paper's unit.
+LAYERS = (5.0, 6.0, 12.0, 18.0, 24.0, 25.0)
 
-def figures(evidence: Evidence) -> dict[str, Callable[[], Figure]]:
-    """File name -> how to draw it."""
+
+def figures(numbers: Reproduction, evidence: Evidence) -> dict[str, Callable[[], Figure]]:
+    """File name -> how to draw it, in the paper's order; the overview, which the paper does not have, comes last."""
     e = evidence
-    arm, grid = e.robot.arm, e.occupancy.grid
-    start_q, goal_q = grid.coordinates(e.start), grid.coordinates(e.goal)
-    first = min(e.plain.paths)
-    assert e.dense.path is not None
-    assert e.plain.second.path is not None
-    assert e.demo_result.path is not None
-    dense_path, sparse_path, demo_path = e.dense.path, e.plain.second.path, e.demo_result.path
+    arm, grid, disc = e.robot.arm, e.occupancy.grid, (e.centre, e.radius)
+    ends = grid.coordinates(e.start), grid.coordinates(e.goal)
+    dense, two_level = path_found(e.dense), path_found(e.plain.second)
+    joint_paths = {"Dense A*": grid.coordinates(dense), "Two-level": grid.coordinates(two_level)}
     field = clearance_field(arm, e.sections, grid)
+    ball = (DEMO_CENTRE, 0.5 * DEMO_DIAMETER)
+    layers = e.demo_result.slice_paths, path_found(e.demo_result)
+    shown = _nearest(grid, np.radians(SLICES_DEG))
+    shown_layers = _nearest(e.demo.grid, np.array(LAYERS))
+    degrees = [round(math.degrees(value)) for value in grid.axis(2)]
+    expansions = {degrees[number]: count for number, count in e.plain.expansions.items()}
+    found = {degrees[number] for number in e.plain.paths}
 
-    def at(*degrees: float) -> list[int]:
-        return [int(np.argmin(np.abs(np.degrees(grid.axis(2)) - value))) for value in degrees]
-
-    return {
-        "figure_06_link_cases.png": link_cases,
-        "figure_07_arm_and_obstacle.png": lambda: arm_and_obstacle(arm, e.centre, e.radius, start_q, goal_q),
-        "figure_08_cspace_links_1_2.png": lambda: two_link_cspace(arm, e.sections, grid),
-        "figure_09_slices.png": lambda: slices(
-            arm, e.sections, e.occupancy, e.start, e.goal, at(0, 30, 44, 45, 70, 90)
-        ),
-        "figure_10_layer_paths.png": lambda: layer_paths(
-            e.occupancy, e.start, e.goal, e.plain.paths, e.plain.expansions, [first - 1, first, *at(57, 70)]
-        ),
-        "figure_11_restoration.png": lambda: restoration(
-            e.occupancy, e.start, e.goal, e.plain.paths[first], e.plain.heads, [first - 1, *at(30, 15, 0)]
-        ),
-        "figure_12_workspace.png": lambda: workspace(
-            e.demo, DEMO_CENTRE, 0.5 * DEMO_DIAMETER, e.demo_result.slice_paths, demo_path
-        ),
-        "figure_14_cspace_and_path.png": lambda: cspace_and_path(
-            grid, field, e.plain.paths, e.plain.heads, sparse_path
-        ),
-        "figure_15_motion.png": lambda: motions(
-            arm,
-            e.centre,
-            e.radius,
-            {"Dense A*": grid.coordinates(dense_path), "Two-level": grid.coordinates(sparse_path)},
-        ),
-        "overview.png": lambda: overview(arm, e.centre, e.radius, grid, field, sparse_path),
+    drawings: dict[tuple[int, str], Callable[[], Figure]] = {
+        (2, "link-and-circle-case-1"): lambda: link_case(1),
+        (3, "link-and-circle-case-2"): lambda: link_case(2),
+        (4, "link-and-circle-case-3"): lambda: link_case(3),
+        (5, "two-links"): lambda: two_links(arm, e.sections, grid),
+        (6, "workspace-path"): lambda: workspace_path(e.demo, *ball, *layers),
+        (7, "workspace-layers"): lambda: workspace_layers(e.demo, *ball, *layers, shown_layers),
+        (8, "arm-and-obstacle"): lambda: arm_and_obstacle(arm, *disc, *ends),
+        (9, "cspace"): lambda: cspace_obstacle(grid, field, e.start, e.goal, e.occupancy.occupied_count),
+        (10, "slices"): lambda: slices(arm, e.sections, e.occupancy, e.start, e.goal, shown),
+        (11, "slice-paths"): lambda: slice_paths(e.occupancy, e.start, e.goal, e.plain.paths, e.plain.heads, shown),
+        (12, "sparse-path"): lambda: sparse_path(grid, field, e.plain.paths, e.plain.heads, two_level),
+        (13, "execution"): lambda: snapshots(arm, *disc, grid, field, two_level),
+        (14, "paths-in-cspace"): lambda: paths_in_cspace(grid, field, dense, two_level),
+        (15, "paths-in-workspace"): lambda: motions(arm, *disc, joint_paths),
+        (16, "comparison"): lambda: comparison(numbers, expansions, found),
     }
+    named = {
+        f"figure-{number:02d}-{subject}.png": functools.partial(_numbered, number, draw)
+        for (number, subject), draw in drawings.items()
+    }
+    return {**named, "overview.png": lambda: overview(arm, *disc, grid, field, two_level)}
+
+
+def _nearest(grid: Grid, values: FloatArray) -> list[int]:
+    """Slices nearest to values along the grid's last axis."""
+    return [int(number) for number in np.rint((values - grid.lower[-1]) / grid.step[-1])]
+
+
+@styled
+def _numbered(number: int, draw: Callable[[], Figure]) -> Figure:
+    """Draw a figure and set the paper's number before its title."""
+    figure = draw()
+    figure.suptitle(f"Fig. {number}.  {figure.get_suptitle()}", x=0.012, ha="left")
+    return figure

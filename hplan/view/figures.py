@@ -1,7 +1,7 @@
-"""All figures, gathered, and the look they share; each is drawn in the module of its subject.
+"""The look that all figures share, and the figures of an arm in its plane and of slices of its C-space.
 
-`figures_arm` draws the arm in its plane, `figures_cspace` the C-space and its slices, `figures_3d` what has three
-dimensions; `figure_style` holds colours and saving, `figure_data` the arrays that are drawn.
+`figures_arm` draws the arm in its plane, `figures_cspace` slices of the C-space; `figures_3d` has what figures in three
+dimensions need; `figure_style` holds colours and saving, `figure_data` the arrays that are drawn.
 """
 
 from __future__ import annotations
@@ -19,9 +19,8 @@ from hplan.view.figure_style import (
     require_matplotlib,
     styled,
 )
-from hplan.view.figures_3d import cspace_and_path, overview, workspace
-from hplan.view.figures_arm import arm_and_obstacle, link_cases, motions
-from hplan.view.figures_cspace import layer_paths, restoration, slices, two_link_cspace
+from hplan.view.figures_arm import arm_and_obstacle, motions
+from hplan.view.figures_cspace import slice_paths, slices
 
 __all__ = [
     "GOAL",
@@ -32,17 +31,11 @@ __all__ = [
     "RESTORED",
     "START",
     "arm_and_obstacle",
-    "cspace_and_path",
-    "layer_paths",
-    "link_cases",
     "motions",
     "new_figure",
-    "overview",
     "png_bytes",
     "require_matplotlib",
-    "restoration",
+    "slice_paths",
     "slices",
     "styled",
-    "two_link_cspace",
-    "workspace",
 ]

@@ -1,4 +1,4 @@
-"""Figures of the method in three dimensions: the C-space obstacle with the path, the workspace demonstration.
+"""Surfaces and lines in three dimensions: the C-space obstacle, and which parts of a line it hides.
 
 The obstacle's surface is made by surface nets: one vertex in each cell that the surface crosses, one quadrilateral
 for each grid edge that it cuts. It is shaded here and seen in parallel projection, so that what a line passes behind
@@ -8,32 +8,13 @@ can be told exactly by following the line of sight through the field; hidden par
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from hplan.arrays import BoolArray, FloatArray, IntArray
-from hplan.grid import Grid, Occupancy
-from hplan.robot import PlanarArm
-from hplan.view.figure_style import (
-    FAINT,
-    GOAL,
-    INK,
-    OBSTACLE,
-    OBSTACLE_TINT,
-    PATH,
-    QUIET,
-    RESTORED,
-    START,
-    new_figure,
-    styled,
-)
-from hplan.view.figures_arm import draw_motion
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from hplan.grid import Grid
+from hplan.view.figure_style import FAINT, QUIET
 
 #: Value of the field beyond the grid: closes the surface on the grid's faces.
 _OUTSIDE = 1e3
@@ -160,7 +141,7 @@ def joint_box(axes: Any, grid: Grid, zoom: float) -> None:
     axes.set_ylim(low[1], high[1])
     axes.set_zlim(low[2], high[2])
     axes.set_box_aspect((1.0, 1.0, 1.0), zoom=zoom)
-    _panes(axes)
+    panes(axes)
     axes.set_xlabel(r"$\theta_1$ [deg]", labelpad=2)
     axes.set_ylabel(r"$\theta_2$ [deg]", labelpad=2)
     axes.set_zlabel(r"$\theta_3$ [deg]", labelpad=0)
@@ -169,7 +150,8 @@ def joint_box(axes: Any, grid: Grid, zoom: float) -> None:
     axes.xaxis.set_ticks([tick for tick in axes.get_xticks() if tick > low[0] + 1e-9])  # it stands where theta2's ends
 
 
-def _panes(axes: Any) -> None:
+def panes(axes: Any) -> None:
+    """Look of the walls, grid lines and ticks of 3-D axes."""
     for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
         axis.set_pane_color((0.975, 0.98, 0.985, 1.0))
         axis.line.set_color(QUIET)
@@ -178,10 +160,20 @@ def _panes(axes: Any) -> None:
     axes.tick_params(pad=0)
 
 
-def _draw_line(
+def draw_line(
     axes: Any, points: FloatArray, covered: BoolArray, color: str, width: float, zorder: float, halo: float = 0.0
 ) -> None:
-    """Draw a 3-D line, what is covered dotted and faint."""
+    """Draw a 3-D line, what is covered dotted and faint.
+
+    Args:
+        axes: Matplotlib's `Axes3D`.
+        points: (m, 3) points.
+        covered: (m,) which of them are hidden.
+        color: Colour.
+        width: Width of the line [points].
+        zorder: Drawing order.
+        halo: How much wider than the line its white margin is [points].
+    """
     for index, last in _runs(covered):
         piece = points[index : last + 1]
         if covered[index]:
@@ -198,231 +190,3 @@ def _runs(flags: BoolArray) -> list[tuple[int, int]]:
     firsts = [0, *(int(change) for change in changes)]
     lasts = [*firsts[1:], len(flags) - 1]
     return list(zip(firsts, lasts, strict=True))
-
-
-def _draw_sparse_lines(
-    axes: Any, grid: Grid, field: FloatArray, pieces: Mapping[int, IntArray], towards: FloatArray, color: str
-) -> None:
-    """Draw the slice paths that the viewer sees."""
-    from mpl_toolkits.mplot3d.art3d import Line3DCollection
-
-    seen, covered = [], []
-    for path in pieces.values():
-        if len(path) < 2:
-            continue
-        behind = hidden(field, path.astype(np.float64), towards)
-        points = np.degrees(grid.coordinates(path))
-        segments = np.stack([points[:-1], points[1:]], axis=1)
-        dark = behind[:-1] | behind[1:]
-        seen.append(segments[~dark])
-        covered.append(segments[dark])
-    for parts, width, alpha, zorder in ((seen, 0.9, 0.75, 4.0), (covered, 0.5, 0.16, 3.0)):
-        if sum(len(part) for part in parts) > 0:
-            lines = np.concatenate(parts)
-            axes.add_collection3d(Line3DCollection(lines, colors=color, linewidths=width, alpha=alpha, zorder=zorder))
-
-
-def _draw_path(axes: Any, grid: Grid, field: FloatArray, path: IntArray, towards: FloatArray) -> bool:
-    """Draw the path with its ends; returns whether a part of it is hidden."""
-    points = np.degrees(grid.coordinates(path))
-    covered = hidden(field, path.astype(np.float64), towards)
-    _draw_line(axes, points, covered, INK, 2.8, 7.0, halo=1.8)
-    for point, color, marker in ((points[0], START, "o"), (points[-1], GOAL, "s")):
-        axes.plot(*point[:, None], marker, color=color, ms=9, mec="white", mew=1.2, zorder=9)
-    return bool(covered.any())
-
-
-@styled
-def cspace_and_path(
-    grid: Grid,
-    field: FloatArray,
-    paths: Mapping[int, IntArray],
-    heads: Mapping[int, IntArray],
-    path: IntArray,
-    *,
-    elevation: float = 27.0,
-    azimuth: float = 128.0,
-) -> Figure:
-    """Figure 14: the C-space obstacle, the sparse graph and the path through it.
-
-    Args:
-        grid: Grid over three joints.
-        field: (N1, N2, N3) values at its nodes, negative inside the obstacle.
-        paths: Slice -> (m, 3) path of its own.
-        heads: Slice -> (k, 3) restored part.
-        path: (m, 3) path of the second level.
-        elevation: Height of the viewer [deg].
-        azimuth: Direction of the viewer [deg].
-    """
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
-    figure = new_figure(8.2, 6.6, "The C-space obstacle, the sparse graph and the path")
-    axes: Any = figure.add_subplot(projection="3d", computed_zorder=False)
-    axes.set_proj_type("ortho")
-    axes.view_init(elev=elevation, azim=azimuth)
-    towards = draw_cspace_obstacle(axes, grid, field)
-    _draw_sparse_lines(axes, grid, field, heads, towards, RESTORED)
-    _draw_sparse_lines(axes, grid, field, paths, towards, PATH)
-    behind = _draw_path(axes, grid, field, path, towards)
-    joint_box(axes, grid, 1.06)
-    figure.legend(
-        handles=[
-            Patch(fc=OBSTACLE, label="forbidden"),
-            Line2D([], [], color=PATH, lw=1.6, label="slice paths"),
-            Line2D([], [], color=RESTORED, lw=1.6, label="restored parts"),
-            Line2D([], [], color=INK, lw=2.8, label="path (dotted: behind)" if behind else "path"),
-            Line2D([], [], marker="o", color=START, ls="none", ms=8, label="start"),
-            Line2D([], [], marker="s", color=GOAL, ls="none", ms=8, label="goal"),
-        ],
-        loc="outside lower center", ncols=6, columnspacing=1.3, handlelength=1.6,
-    )  # fmt: skip
-    return figure
-
-
-@styled
-def overview(
-    arm: PlanarArm,
-    centre: ArrayLike,
-    radius: float,
-    grid: Grid,
-    field: FloatArray,
-    path: IntArray,
-    *,
-    elevation: float = 27.0,
-    azimuth: float = 128.0,
-) -> Figure:
-    """The method in one picture: the path in the C-space, and the motion that it is.
-
-    Args:
-        arm: The planar chain, three links.
-        centre: (2,) centre of the disc obstacle [m].
-        radius: Its radius [m].
-        grid: Grid over the three joints.
-        field: (N1, N2, N3) values at its nodes, negative inside the obstacle.
-        path: (m, 3) node indices.
-        elevation: Height of the viewer [deg].
-        azimuth: Direction of the viewer [deg].
-    """
-    figure = new_figure(11.0, 4.6, "", placed=True)
-    axes: Any = figure.add_axes((0.0, 0.0, 0.43, 0.93), projection="3d", computed_zorder=False)
-    axes.set_proj_type("ortho")
-    axes.view_init(elev=elevation, azim=azimuth)
-    towards = draw_cspace_obstacle(axes, grid, field)
-    _draw_path(axes, grid, field, path, towards)
-    joint_box(axes, grid, 0.98)
-    right = figure.add_axes((0.5, 0.11, 0.49, 0.79))
-    draw_motion(right, arm, centre, radius, grid.coordinates(path), color=INK)
-    for x, text in ((0.02, "A path through joint space"), (0.5, "The same path as a motion of the arm")):
-        figure.text(x, 0.945, text, fontweight="bold", fontsize=11.5)
-    return figure
-
-
-@styled
-def workspace(
-    occupancy: Occupancy,
-    centre: ArrayLike,
-    radius: float,
-    paths: Mapping[int, IntArray],
-    path: IntArray,
-    *,
-    elevation: float = 22.0,
-    azimuth: float = -62.0,
-) -> Figure:
-    """Figure 12: the workspace demonstration, layer by layer and in space.
-
-    Args:
-        occupancy: The (N1, N2, N3) workspace grid.
-        centre: (3,) centre of the sphere, in the grid's unit.
-        radius: Its radius.
-        paths: Layer -> (m, 3) path of its own.
-        path: (m, 3) path of the second level.
-        elevation: Height of the viewer [deg].
-        azimuth: Direction of the viewer [deg].
-    """
-    from matplotlib import colormaps
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import Normalize
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Circle
-
-    grid = occupancy.grid
-    middle = np.asarray(centre, dtype=np.float64)
-    heights = grid.axis(2)
-    norm = Normalize(float(heights[0]), float(heights[-1]))
-    colors = colormaps["viridis"]
-    points = grid.coordinates(path)
-    figure = new_figure(11.0, 5.5, "The same search in the workspace: a sphere, layer by layer")
-    panels = figure.add_gridspec(1, 2, width_ratios=(1.0, 1.12))
-
-    flat = figure.add_subplot(panels[0, 0])
-    for number, layer in paths.items():
-        place = grid.coordinates(layer)
-        flat.plot(place[:, 0], place[:, 1], color=colors(norm(heights[number])), lw=1.2, zorder=3)
-    for number in np.linspace(0, len(heights) - 1, len(heights)).astype(int):
-        square = radius**2 - (heights[number] - middle[2]) ** 2
-        if square > 0.0:
-            flat.add_patch(
-                Circle((middle[0], middle[1]), math.sqrt(square), fc=OBSTACLE_TINT, ec=OBSTACLE, lw=0.5, alpha=0.22)
-            )
-    flat.plot(points[:, 0], points[:, 1], color="white", lw=4.2, zorder=4)
-    flat.plot(points[:, 0], points[:, 1], color=INK, lw=2.4, zorder=5)
-    flat.set_title(f"The {len(paths)} layer paths seen from above", fontweight="bold")
-    flat.set_aspect("equal")
-    high = grid.coordinates(np.array(grid.shape) - 1)
-    flat.set_xlim(grid.lower[0], high[0])
-    flat.set_ylim(grid.lower[1], high[1])
-    flat.set_xlabel("x [unit]")
-    flat.set_ylabel("y [unit]")
-
-    axes: Any = figure.add_subplot(panels[0, 1], projection="3d", computed_zorder=False)
-    axes.set_proj_type("ortho")
-    axes.view_init(elev=elevation, azim=azimuth)
-    mesh = np.stack(np.meshgrid(*(grid.axis(k) for k in range(3)), indexing="ij"), axis=-1)
-    field = np.linalg.norm(mesh - middle, axis=-1) - radius
-    towards = _draw_ball(axes, middle, radius)
-    for number, layer in paths.items():
-        behind = hidden(field, layer.astype(np.float64), towards, gap=1.0)
-        color = colors(norm(heights[number]))
-        _draw_line(axes, grid.coordinates(layer), behind, color, 1.1, 4.0 + 0.01 * number)
-    behind = hidden(field, path.astype(np.float64), towards, gap=1.0)
-    _draw_line(axes, points, behind, INK, 2.6, 7.0, halo=1.6)
-    for end, color, marker in ((0, START, "o"), (-1, GOAL, "s")):
-        axes.plot(*points[end][:, None], marker, color=color, ms=9, mec="white", mew=1.2, zorder=9)
-        flat.plot(*points[end][:2], marker, color=color, ms=9, mec="white", mew=1.2, zorder=9)
-    axes.set_xlim(grid.lower[0], high[0])
-    axes.set_ylim(grid.lower[1], high[1])
-    axes.set_zlim(grid.lower[2], high[2])
-    axes.set_box_aspect(tuple(high - grid.lower), zoom=1.25)
-    _panes(axes)
-    axes.set_title("The path over their union", fontweight="bold", y=0.985)
-    axes.set_xlabel("x [unit]", labelpad=2)
-    axes.set_ylabel("y [unit]", labelpad=2)
-    axes.set_zlabel("z [unit]", labelpad=-2)
-    axes.set_zticks(np.linspace(heights[0], heights[-1], 3)[1:])
-    axes.set_yticks([tick for tick in axes.get_yticks() if grid.lower[1] <= tick < high[1]])
-    bar = figure.colorbar(ScalarMappable(norm, colors), ax=axes, shrink=0.55, pad=0.08, aspect=18)
-    bar.set_label("layer z [unit]")
-    bar.set_ticks(np.linspace(heights[0], heights[-1], 5).tolist())
-    bar.outline.set_visible(False)
-    figure.legend(
-        handles=[
-            Line2D([], [], color=colors(0.5), lw=1.4, label="layer paths (dotted: behind)"),
-            Line2D([], [], color=INK, lw=2.6, label="path"),
-            Line2D([], [], marker="o", color=OBSTACLE_TINT, ls="none", ms=10, label="sphere"),
-            Line2D([], [], marker="o", color=START, ls="none", ms=8, label="start"),
-            Line2D([], [], marker="s", color=GOAL, ls="none", ms=8, label="goal"),
-        ],
-        loc="outside lower center", ncols=5,
-    )  # fmt: skip
-    return figure
-
-
-def _draw_ball(axes: Any, centre: FloatArray, radius: float) -> FloatArray:
-    """Draw a shaded ball; returns the unit vector to the viewer."""
-    grid = Grid.over(centre - radius - 1.0, centre + radius + 1.0, radius / 14.0)
-    mesh = np.stack(np.meshgrid(*(grid.axis(k) for k in range(3)), indexing="ij"), axis=-1)
-    field = np.linalg.norm(mesh - centre, axis=-1) - radius
-    # The obstacle is drawn in degrees of radians: hand it a grid whose "radians" give these units.
-    scaled = Grid(np.radians(grid.lower), np.radians(grid.step), grid.shape)
-    return draw_cspace_obstacle(axes, scaled, field)

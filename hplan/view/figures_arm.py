@@ -1,4 +1,4 @@
-"""Figures of the arm in its plane: a link and a disc, the arm at start and goal, its motion.
+"""Figures of the arm in its plane: at start and goal, and its motion.
 
 Each figure is a function that takes data and returns a matplotlib `Figure`. Angles come in radians, as everywhere in
 hplan, and are drawn in degrees.
@@ -15,14 +15,11 @@ from numpy.typing import ArrayLike
 
 from hplan.arrays import FloatArray
 from hplan.robot import PlanarArm
-from hplan.view.figure_data import half_angles
 from hplan.view.figure_style import (
-    FAINT,
     GOAL,
     INK,
     LINKS,
     OBSTACLE,
-    OBSTACLE_TINT,
     PATH,
     QUIET,
     START,
@@ -92,98 +89,33 @@ def draw_disc(axes: Axes, centre: ArrayLike, radius: float, grown: float | None 
         axes.add_patch(Circle((x, y), grown, facecolor="none", edgecolor=OBSTACLE, lw=1.0, ls=(0, (3, 2)), zorder=3))
 
 
-@styled
-def link_cases(length: float = 1.0, half_width: float = 0.06, radius: float = 0.2) -> Figure:
-    """Figure 6: a link and a disc, the three cases of equations (1)-(3).
+def draw_link(
+    axes: Axes, joint: ArrayLike, heading: float, length: float, half_width: float, *, alpha: float = 1.0
+) -> FloatArray:
+    """Draw one capsule link with its axis; returns its (2,) tip [m].
 
     Args:
+        axes: Where to draw.
+        joint: (2,) near joint [m].
+        heading: Direction of the link [rad].
         length: Length of the link [m].
         half_width: Half-width of the link [m].
-        radius: Radius of the obstacle [m].
+        alpha: Opacity.
     """
-    from matplotlib.patches import Arc, Polygon, Wedge
+    from matplotlib.patches import Polygon
 
-    grown = radius + half_width
-    limit = math.hypot(length, grown)
-    bearing = math.radians(38.0)
-    cases = (
-        (0.78 * limit, "Case 1: the side touches", r"$\rho^2 \leq L^2 + R^2$",
-         r"$\delta = \arcsin\,\dfrac{R}{\rho}$"),
-        (limit + 0.55 * (length + grown - limit), "Case 2: the tip touches", r"$\sqrt{L^2 + R^2} < \rho \leq L + R$",
-         r"$\delta = \arccos\,\dfrac{L^2 + \rho^2 - R^2}{2 L \rho}$"),
-        (1.1 * (length + grown), "Case 3: out of reach", r"$\rho > L + R$", "no angle is forbidden"),
-    )  # fmt: skip
-    figure = new_figure(11.0, 5.0, "A link and a disc: which joint angles are forbidden", bottom=0.09)
-    for place, (rho, title, condition, result) in enumerate(cases):
-        axes = figure.add_subplot(1, 3, place + 1)
-        direction = np.array([math.cos(bearing), math.sin(bearing)])
-        centre = rho * direction
-        half = float(half_angles(rho, length, grown))
-        axes.set_title(title, fontweight="bold")
-        axes.plot([0.0, 1.32], [0.0, 0.0], color=FAINT, lw=1.0, zorder=0)
-        axes.plot([0.0, centre[0]], [0.0, centre[1]], color=INK, lw=1.0, ls=(0, (5, 2, 1, 2)), zorder=6)
-        axes.plot(*centre, "+", color="white", ms=8, mew=1.4, zorder=7)
-        draw_disc(axes, centre, radius, grown)
-        reach = np.linspace(math.radians(-4.0), math.radians(88.0), 60)
-        axes.plot(length * np.cos(reach), length * np.sin(reach), color=QUIET, lw=0.8, ls=":", zorder=1)
-        axes.text(length * math.cos(reach[0]) + 0.02, length * math.sin(reach[0]) - 0.01, "reach $L$", fontsize=8,
-                  color=QUIET, ha="left", va="top")  # fmt: skip
-        if math.isfinite(half):
-            low, high = bearing - half, bearing + half
-            axes.add_patch(
-                Wedge((0, 0), length, math.degrees(low), math.degrees(high), fc=OBSTACLE_TINT, alpha=0.35, lw=0)
-            )
-            for angle, opacity in ((low, 1.0), (high, 0.55)):
-                tip = length * np.array([math.cos(angle), math.sin(angle)])
-                axes.add_patch(
-                    Polygon(capsule_outline((0, 0), tip, half_width), fc=LINKS[1], ec="white", alpha=opacity, zorder=4)
-                )
-                axes.plot([0, tip[0]], [0, tip[1]], color="white", lw=0.8, zorder=5)
-                touch = tip if place == 1 else math.sqrt(rho**2 - grown**2) * tip / length
-                axes.plot([centre[0], touch[0]], [centre[1], touch[1]], color=INK, lw=1.1, zorder=6)
-                axes.plot(*touch, "o", color=INK, ms=3.5, zorder=7)
-            middle = 0.5 * (centre + touch)
-            normal = np.array([-(touch - centre)[1], (touch - centre)[0]]) / grown
-            x, y = middle - 0.055 * normal
-            axes.text(x, y, "$R$", ha="center", va="center", fontsize=10, zorder=8)
-            size = 0.98
-            axes.add_patch(Arc((0, 0), size, size, theta1=math.degrees(bearing), theta2=math.degrees(high), color=INK))
-            axes.add_patch(Arc((0, 0), size, size, theta1=math.degrees(low), theta2=math.degrees(bearing), color=INK))
-            angle = 0.5 * (bearing + high)
-            axes.text(0.41 * math.cos(angle), 0.41 * math.sin(angle), r"$\delta$", fontsize=10.5, ha="center",
-                      va="center", zorder=8)  # fmt: skip
-        else:
-            angle = math.radians(14.0)
-            tip = length * np.array([math.cos(angle), math.sin(angle)])
-            axes.add_patch(Polygon(capsule_outline((0, 0), tip, half_width), fc=LINKS[1], ec="white", zorder=4))
-            axes.plot([0, tip[0]], [0, tip[1]], color="white", lw=0.8, zorder=5)
-            foot = centre + grown * np.array([math.cos(1.9), math.sin(1.9)])
-            axes.plot([centre[0], foot[0]], [centre[1], foot[1]], color=INK, lw=1.1, zorder=6)
-            axes.text(centre[0] - 0.11, centre[1] + 0.11, "$R$", ha="center", va="center", fontsize=10, zorder=8)
-        along = (0.58, 0.68, 0.62)[place]
-        x, y = along * direction + 0.05 * np.array([-direction[1], direction[0]])
-        axes.text(x, y, r"$\rho$", fontsize=11, ha="center", va="center", zorder=8)
-        axes.add_patch(Arc((0, 0), 0.42, 0.42, theta1=0, theta2=math.degrees(bearing), color=INK, lw=1.0, zorder=8))
-        axes.text(0.24, -0.055, r"$\varphi$", fontsize=10, ha="center", va="center", zorder=8)
-        axes.plot(0, 0, "o", color=INK, ms=6, mec="white", zorder=9)
-        axes.set_aspect("equal")
-        axes.set_xlim(-0.12, 1.4)
-        axes.set_ylim(-0.13, 1.17)
-        axes.axis("off")
-        axes.text(0.5, -0.05, condition, transform=axes.transAxes, ha="center", va="top", fontsize=10.5)
-        axes.text(0.5, -0.16, result, transform=axes.transAxes, ha="center", va="top", fontsize=11.5)
-    figure.text(
-        0.5, 0.012,
-        r"Forbidden: $|\theta - \varphi| \leq \delta$, every angle where $\rho \leq R$.   $R = r + w$: obstacle "
-        r"(solid) grown by the link's half-width (dashed).   Bearing $\varphi = \mathrm{arctan2}(y, x)$.",
-        ha="center", va="bottom", fontsize=8.5, color=QUIET,
-    )  # fmt: skip
-    return figure
+    near = np.asarray(joint, dtype=np.float64)
+    tip: FloatArray = near + length * np.array([math.cos(heading), math.sin(heading)])
+    axes.add_patch(
+        Polygon(capsule_outline(near, tip, half_width), fc=LINKS[1], ec="white", lw=0.8, alpha=alpha, zorder=4)
+    )
+    axes.plot([near[0], tip[0]], [near[1], tip[1]], color="white", lw=0.8, zorder=5)
+    return tip
 
 
 @styled
 def arm_and_obstacle(arm: PlanarArm, centre: ArrayLike, radius: float, start: ArrayLike, goal: ArrayLike) -> Figure:
-    """Figure 7: the arm in its plane at start and goal, and the obstacle.
+    """The arm in its plane at start and goal, and the obstacle.
 
     Args:
         arm: The planar chain.
@@ -194,7 +126,7 @@ def arm_and_obstacle(arm: PlanarArm, centre: ArrayLike, radius: float, start: Ar
     """
     from matplotlib.patches import Arc
 
-    figure = new_figure(7.2, 5.2, "The arm in its plane: start, goal and obstacle")
+    figure = new_figure(7.2, 5.2, "Arm and obstacle: start and goal in the arm plane")
     axes = figure.add_subplot()
     x, y = (float(value) for value in np.asarray(centre))
     draw_disc(axes, (x, y), radius)
@@ -206,7 +138,8 @@ def arm_and_obstacle(arm: PlanarArm, centre: ArrayLike, radius: float, start: Ar
     for q, color, name in ((start, START, "start"), (goal, GOAL, "goal")):
         points = arm.joint_points(q)
         draw_arm(axes, arm, q)
-        axes.plot(points[-1, 0], points[-1, 1], "o", color=color, ms=9, mec="white", mew=1.2, zorder=9)
+        marker = "o" if name == "start" else "s"
+        axes.plot(points[-1, 0], points[-1, 1], marker, color=color, ms=9, mec="white", mew=1.2, zorder=9)
         degrees = ", ".join(f"{value:g}" for value in np.degrees(np.asarray(q)))
         up = name == "start"
         axes.text(points[-1, 0], points[-1, 1] + (0.09 if up else -0.09), f"{name}\n$\\theta$ = ({degrees})°",
@@ -254,7 +187,7 @@ def draw_motion(
     poses: int = 9,
     color: str = PATH,
 ) -> None:
-    """Draw a motion stroboscopically: poses from light to dark, the tool's way, start and goal.
+    """Draw a motion stroboscopically: poses from light to dark, the tool's path, start and goal.
 
     Args:
         axes: Where to draw.
@@ -263,7 +196,7 @@ def draw_motion(
         radius: Its radius [m].
         path: (m, n) joint angles.
         poses: Poses to show, start and goal among them.
-        color: Colour of the tool's way.
+        color: Colour of the tool's path.
     """
     from matplotlib.colors import to_hex, to_rgb
 
@@ -298,7 +231,7 @@ def motions(
     radius: float,
     paths: Mapping[str, FloatArray],
 ) -> Figure:
-    """Figure 15: the arm's motion, one column for each method, and the joint angles along the path.
+    """The arm's motion, one column for each method, and the joint angles along the path.
 
     Args:
         arm: The planar chain.
@@ -306,7 +239,7 @@ def motions(
         radius: Its radius [m].
         paths: Name -> (m, n) joint angles; one or two methods.
     """
-    figure = new_figure(10.4, 6.7, "The motion in the workspace")
+    figure = new_figure(10.4, 6.7, "Both paths in the workspace")
     panels = figure.subplots(2, len(paths), height_ratios=(2.35, 1.0), squeeze=False)
     longest = max(float(_travelled(path)[-1]) for path in paths.values())
     for column, (name, path) in enumerate(paths.items()):

@@ -58,63 +58,33 @@ def case() -> Case:
     return Case(robot.arm, sections, grid, occupancy, field, start, goal, result, result.path, first, heads)
 
 
-def expansions(case: Case) -> dict[int, int]:
-    return dict.fromkeys(range(24), 100)
-
-
-def ball(radius: float = 7.5) -> tuple[Occupancy, FloatArray, FloatArray]:
+def ball(radius: float = 7.5) -> FloatArray:
     grid = Grid.over((0.0, 0.0, 5.0), (60.0, 60.0, 25.0), 1.0)
-    centre = np.array([30.0, 30.0, 15.0])
     mesh = np.stack(np.meshgrid(*(grid.axis(k) for k in range(3)), indexing="ij"), axis=-1)
-    field = np.linalg.norm(mesh - centre, axis=-1) - radius
-    return Occupancy.from_mask(grid, field <= 0.0), centre, field
-
-
-def draw_workspace(case: Case) -> Any:
-    occupancy, centre, _ = ball()
-    result = two_level_search(occupancy, [5, 10, 0], [55, 50, 20])
-    assert result.path is not None
-    return figures_3d.workspace(occupancy, centre, 7.5, result.slice_paths, result.path)
+    return np.asarray(np.linalg.norm(mesh - (30.0, 30.0, 15.0), axis=-1) - radius)
 
 
 CENTRE, RADIUS = (1.0, 1.3), 0.15
 DRAWINGS: dict[str, tuple[Callable[[Case], Any], tuple[float, float]]] = {
-    "link cases": (lambda c: figures.link_cases(), (11.0, 5.0)),
     "arm": (
         lambda c: figures.arm_and_obstacle(
             c.arm, CENTRE, RADIUS, c.grid.coordinates(c.start), c.grid.coordinates(c.goal)
         ),
         (7.2, 5.2),
     ),
-    "two links": (lambda c: figures.two_link_cspace(c.arm, c.sections, c.grid), (10.6, 4.9)),
     "slices": (
         lambda c: figures.slices(c.arm, c.sections, c.occupancy, c.start, c.goal, [0, 10, 14, 15, 23, 30]),
         (9.6, 6.9),
     ),
-    "layers": (
-        lambda c: figures.layer_paths(
-            c.occupancy, c.start, c.goal, c.result.slice_paths, expansions(c), [c.first - 1, c.first, 20, 23]
+    "slice paths": (
+        lambda c: figures.slice_paths(
+            c.occupancy, c.start, c.goal, c.result.slice_paths, c.heads, [0, 7, c.first - 1, c.first, 20, 23]
         ),
-        (10.4, 6.2),
-    ),
-    "restoration": (
-        lambda c: figures.restoration(
-            c.occupancy, c.start, c.goal, c.result.slice_paths[c.first], c.heads, [c.first - 1, 9, 4, 0]
-        ),
-        (10.4, 6.2),
+        (9.6, 9.2),
     ),
     "motions": (
         lambda c: figures.motions(c.arm, CENTRE, RADIUS, {"A": c.grid.coordinates(c.path)}),
         (10.4, 6.7),
-    ),
-    "workspace": (draw_workspace, (11.0, 5.5)),
-    "C-space": (
-        lambda c: figures_3d.cspace_and_path(c.grid, c.field, c.result.slice_paths, c.heads, c.path),
-        (8.2, 6.6),
-    ),
-    "overview": (
-        lambda c: figures_3d.overview(c.arm, CENTRE, RADIUS, c.grid, c.field, c.path),
-        (11.0, 4.6),
     ),
 }
 
@@ -140,28 +110,19 @@ def test_the_same_figure_gives_the_same_bytes(case: Case) -> None:
     assert figures.png_bytes(draw(case), dpi=60) == figures.png_bytes(draw(case), dpi=60)
 
 
-def test_a_path_behind_the_obstacle_is_drawn_too(case: Case) -> None:
-    front = figures_3d.cspace_and_path(case.grid, case.field, case.result.slice_paths, case.heads, case.path)
-    back = figures_3d.cspace_and_path(
-        case.grid, case.field, case.result.slice_paths, case.heads, case.path, azimuth=-60.0
-    )
-    labels = [[text.get_text() for text in figure.legends[0].get_texts()] for figure in (front, back)]
-    assert "path" in labels[0]
-    assert "path (dotted: behind)" in labels[1]
-
-
 def test_figures_never_import_pyplot() -> None:
     code = (
-        "import sys; from hplan.view import figures, figures_3d; assert 'matplotlib' not in sys.modules;"
-        "figures.png_bytes(figures.link_cases(), 40); assert 'matplotlib.pyplot' not in sys.modules"
+        "import sys; from hplan.reproduction.figure_link_cases import link_case;"
+        "from hplan.view import figures, figures_3d; assert 'matplotlib' not in sys.modules;"
+        "figures.png_bytes(link_case(1), 40); assert 'matplotlib.pyplot' not in sys.modules"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
-def test_without_matplotlib_the_error_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_matplotlib_the_error_says_what_to_install(case: Case, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     with pytest.raises(InputError, match=r"figures need the extra: pip install 'hplan\[figures\]'") as caught:
-        figures.link_cases()
+        figures.motions(case.arm, CENTRE, RADIUS, {"A": case.grid.coordinates(case.path)})
     assert caught.value.exit_status == 2
     assert caught.value.data == {"extra": "figures"}
 
@@ -211,7 +172,7 @@ def test_figures_of_one_disc_refuse_other_obstacles(case: Case) -> None:
     for shapes in ([], [disc, disc], [bar]):
         sections = planar_sections(shapes, case.arm.half_widths)
         with pytest.raises(InputError, match="exactly one disc"):
-            figures.two_link_cspace(case.arm, sections, case.grid)
+            figure_data.clearance_field(case.arm, sections, case.grid)
 
 
 class TestSurfaceNet:
@@ -249,6 +210,6 @@ class TestSurfaceNet:
 
 
 def test_hidden_is_what_lies_behind_the_ball() -> None:
-    _, _, field = ball()
+    field = ball()
     points = np.array([[30.0, 50.0, 10.0], [30.0, 5.0, 10.0], [50.0, 50.0, 10.0]])
     assert figures_3d.hidden(field, points, np.array([0.0, -1.0, 0.0])).tolist() == [True, False, False]

@@ -1,0 +1,35 @@
+"""The reproduction of the paper, measured once for all tests that look at it."""
+
+from __future__ import annotations
+
+import functools
+
+from hplan.reproduction import measure
+from hplan.reproduction.results import Reproduction
+
+#: The paper's figures, by its numbers, in the order in which a folder lists them.
+FIGURES = [
+    "figure-02-link-and-circle-case-1.png",
+    "figure-03-link-and-circle-case-2.png",
+    "figure-04-link-and-circle-case-3.png",
+    "figure-05-two-links.png",
+    "figure-06-workspace-path.png",
+    "figure-07-workspace-layers.png",
+    "figure-08-arm-and-obstacle.png",
+    "figure-09-cspace.png",
+    "figure-10-slices.png",
+    "figure-11-slice-paths.png",
+    "figure-12-sparse-path.png",
+    "figure-13-execution.png",
+    "figure-14-paths-in-cspace.png",
+    "figure-15-paths-in-workspace.png",
+    "figure-16-comparison.png",
+]
+
+
+@functools.cache
+def measured_paper() -> tuple[Reproduction, measure.Evidence, list[str]]:
+    """Numbers, evidence and what was reported on the way; times of one run, four choices among ties."""
+    steps: list[str] = []
+    numbers, evidence = measure.measure(repetitions=1, tie_choices=4, report=steps.append)
+    return numbers, evidence, steps

@@ -102,7 +102,7 @@ class ClearanceField(Record):
             last = start + int(np.count_nonzero(self.owner[start:end] == self.owner[start]))
             gate = solids[start + before[start]]
             gate[:] = self.solids[start]
-            gate[0], gate[6], gate[7] = GATE, 0, len(self.chain) - 2
+            gate[0], gate[6], gate[7], gate[8] = GATE, 0, len(self.chain) - 2, 0.0
             gate[20] = last + before[last]
         owner = np.insert(self.owner, np.flatnonzero(first), self.owner[first])
         return replace(self, solids=frozen(solids), owner=frozen(owner))

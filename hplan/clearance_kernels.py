@@ -40,6 +40,26 @@ def _links_apart(q: FloatArray, first: int, chain: FloatArray, inner: int, outer
 
 
 @kernel
+def _segment_distance(
+    x: float, y: float, z: float, ux: float, uy: float, uz: float,
+    solids: FloatArray, s: int, data: FloatArray, limit: float,
+) -> float:  # fmt: skip
+    """Distance of a segment from the core of a row that is a point, a segment or a hull; any above the limit beyond."""
+    if solids[s, 0] == POINT:
+        apart: float = point_segment(solids[s, 6], solids[s, 7], solids[s, 8], x, y, z, ux, uy, uz)
+    elif solids[s, 0] == SEGMENT:
+        apart = segment_segment(
+            x, y, z, ux, uy, uz, solids[s, 6], solids[s, 7], solids[s, 8],
+            solids[s, 9] - solids[s, 6], solids[s, 10] - solids[s, 7], solids[s, 11] - solids[s, 8],
+        )  # fmt: skip
+    else:
+        apart = segment_hull(
+            x, y, z, ux, uy, uz, data, int(solids[s, 6]), int(solids[s, 7]), int(solids[s, 8]), limit
+        )  # fmt: skip
+    return apart
+
+
+@kernel
 def link_clearances(
     q: FloatArray, chain: FloatArray, base: FloatArray, solids: FloatArray, data: FloatArray, result: FloatArray
 ) -> None:
@@ -98,6 +118,14 @@ def link_clearances(
                 )  # fmt: skip
             elif kind == GATE:
                 if not solids[s, 6] <= k <= solids[s, 7]:
+                    following = int(solids[s, 20])
+                elif solids[s, 8] > 0.0:
+                    # What turns with the arm plane, from the link as it stands at yaw 0.
+                    distance = _segment_distance(
+                        yaw_cos * x + yaw_sin * y, yaw_cos * y - yaw_sin * x, z,
+                        yaw_cos * ux + yaw_sin * uy, yaw_cos * uy - yaw_sin * ux, uz,
+                        solids, s + 1, data, least + solids[s, 1],
+                    )  # fmt: skip
                     following = int(solids[s, 20])
             elif kind == PAIR:
                 if k == solids[s, 7]:

@@ -1,7 +1,8 @@
 r"""Clearance over the whole of a motion: conservative advancement along its cubics, each pair at its own pace.
 
-A pair is a link and an obstacle, or two parts of the arm. Each has a mover: that of an obstacle is the link, and each
-pair of parts of the arm has one of its own, the link as seen from the other part. What a pair has to spare when coal is
+A pair is a link and an obstacle, a turning shape of the turret and an obstacle, or two parts of the arm. Each has a
+mover: that of an obstacle is the link, or the turret, which the yaw alone moves; that of two parts of the arm is one of
+them as seen from the other. What a pair has to spare when coal is
 asked, less what has been shown so far (at most half of what any pair had to spare), its mover may travel before the
 pair is asked again; so at least what is shown remains at all times. Places are counted in rows. Where the proof has to
 give up, the rest of the motion is searched for the worst.
@@ -24,11 +25,13 @@ from __future__ import annotations
 
 import heapq
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from hplan.arrays import FloatArray, IntArray
+from hplan.base_shapes import GROUND, TURRET
 from hplan.collision import CollisionScene, Contact
 from hplan.kernels import kernel
 from hplan.robot import Robot
@@ -71,6 +74,8 @@ def prove_clearance(
         deviations: (pieces, dof) largest deviation of each joint within each cubic, or (1, dof) for all of them [rad].
         needed: Distance to be kept [m].
     """
+    # Pairs that touch only beyond the limits, where a deviation leads, are asked too.
+    judge = judge.covering(float(deviations.max()), needed)
     if not judge.pairs:
         return Proof(True, math.inf, None, 0)
     search = _Advancement(robot, bezier, judge, deviations, needed)
@@ -103,14 +108,13 @@ class _Advancement:
     def __init__(
         self, robot: Robot, bezier: FloatArray, judge: CollisionScene, deviations: FloatArray, needed: float
     ) -> None:
-        own = _own_pairs(judge)
         self._bezier, self._judge = bezier, judge
-        self._mover_of = _movers(judge, len(own))
+        self._mover_of, others = _movers(judge)
         rates = 3.0 * np.diff(bezier, axis=1)
-        bounds = [_link_bounds(robot, rates), *(pair_rates(robot, link, other, rates) for link, other in own)]
+        bounds = [_link_bounds(robot, rates), *(pair_rates(robot, part, other, rates) for part, other in others)]
         moved = np.cumsum(np.column_stack(bounds), axis=0).T
         self._travel = np.column_stack([np.zeros(len(moved)), moved])
-        self._sway = _at_rows(_sways(judge, deviations), len(bezier))
+        self._sway = _at_rows(_sways(robot, others, deviations), len(bezier))
         if len(deviations) > 1:
             risen = np.cumsum(np.maximum(np.diff(self._sway, axis=1), 0.0), axis=1)
             self._travel[:, 1:] += risen
@@ -275,26 +279,29 @@ def _point(bezier: FloatArray, at: float) -> FloatArray:
 
 def pair_sways(judge: CollisionScene, deviations: FloatArray) -> FloatArray:
     """By how much each pair may come nearer when joints are off by deviations, (k, dof) [rad] -> (pairs, k) [m]."""
-    return _sways(judge, deviations)[_movers(judge, len(judge.own_others))]
+    mover_of, others = _movers(judge)
+    return _sways(judge.robot, others, deviations)[mover_of]
 
 
-def _sways(judge: CollisionScene, deviations: FloatArray) -> FloatArray:
-    """(movers, k) by how much the movers' pairs may come nearer [m]."""
-    robot = judge.robot
-    own = [pair_sway(robot, link, other, deviations) for link, other in _own_pairs(judge)]
-    return np.column_stack([robot.sway(deviations), *own]).T
+def _sways(robot: Robot, others: Sequence[tuple[int, int]], deviations: FloatArray) -> FloatArray:
+    """(movers, k) by how much the movers' pairs may come nearer [m]: of the links, then of the others."""
+    found = [pair_sway(robot, part, other, deviations) for part, other in others]
+    return np.column_stack([robot.sway(deviations), *found]).T
 
 
-def _movers(judge: CollisionScene, own: int) -> IntArray:
-    """(pairs,) the mover of each pair."""
-    links = len(judge.link_names)
-    return np.array([link for link, _ in judge.pairs[: len(judge.pairs) - own]] + list(range(links, links + own)))
+def _movers(judge: CollisionScene) -> tuple[IntArray, list[tuple[int, int]]]:
+    """The mover of each pair, and the movers after the links: a part, and what its motion is seen from.
 
-
-def _own_pairs(judge: CollisionScene) -> list[tuple[int, int]]:
-    """The link of each pair of parts of the arm, and the other part."""
-    first = len(judge.pairs) - len(judge.own_others)
-    return [(link, other) for (link, _), other in zip(judge.pairs[first:], judge.own_others, strict=True)]
+    The links as seen from the ground are the first movers.
+    """
+    first, links = len(judge.pairs) - len(judge.own_others), len(judge.link_names)
+    seen_from = [GROUND] * first + judge.own_others
+    parts = [
+        (mover if mover < links else TURRET, other) for (mover, _), other in zip(judge.pairs, seen_from, strict=True)
+    ]
+    movers = list(dict.fromkeys([*((link, GROUND) for link in range(links)), *parts]))
+    numbers = {mover: number for number, mover in enumerate(movers)}
+    return np.array([numbers[part] for part in parts], dtype=np.int64), movers[links:]
 
 
 def _link_bounds(robot: Robot, rates: FloatArray) -> FloatArray:

@@ -2,7 +2,8 @@
 
 The rows of a cloud are the nodes of its tree: where a node's bounding ball is farther than the nearest solid so far,
 all rows below it are skipped. What carries the arm (`hplan.self_contact`) stands below a gate that only the links pass
-that can touch it.
+that can touch it. A shape that turns with the arm plane is given as it stands at yaw 0, and links are then taken as
+they stand at yaw 0 too; its bounding ball is about the yaw axis, so that it holds the shape at every yaw.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hplan.arrays import FloatArray, IntArray
+from hplan.base_shapes import TURRET
 from hplan.robot import Robot
 from hplan.scene import Box, Capsule, Solid, Sphere
 from hplan.self_contact import BaseBody, pair_sway, self_contact
@@ -23,7 +25,8 @@ from hplan.solids import Cloud, Hull, hull_of
 
 #: Columns of a row: kind, radius, bounding centre (3) and radius, 14 numbers of its kind, the row to go on with where
 #: the bounding ball is too far. A node is an inner one of a cloud's tree, its leaves are lots of points. The row below
-#: a gate is for the links from one to another; a pair is one link of the arm to one after it.
+#: a gate is for the links from one to another, and turns with them where the gate says 1; a pair is one link of the arm
+#: to one after it.
 POINT, SEGMENT, BOX, HULL, NODE, LOT, GATE, PAIR = 0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0
 _COLUMNS = 21
 
@@ -55,7 +58,7 @@ def rows_of(
     growth = np.asarray(clearance, dtype=np.float64)
     grown = np.broadcast_to(growth, (len(obstacles),)).tolist()
     own = float(growth.min()) if own_clearance is None and growth.size else own_clearance or 0.0
-    contact = self_contact(robot)
+    contact = self_contact(robot, deviation=deviation, clearance=own)
     for index, part in [*enumerate(obstacles), *((-1, body) for body in contact.bodies)]:
         if isinstance(part, BaseBody):
             rows, more = _base_rows(part, own, data_count)
@@ -108,12 +111,20 @@ def _rows(obstacle: Solid, clearance: float, offset: int) -> tuple[FloatArray, F
 
 
 def _base_rows(body: BaseBody, clearance: float, offset: int) -> tuple[FloatArray, FloatArray]:
-    """As `_rows`, below the gate that lets the links pass that can touch the body."""
-    rows, data = _rows(_base_solid(body), clearance, offset)
-    gate = rows[:1].copy()
-    gate[0, 0], gate[0, 6], gate[0, 7], gate[0, 20] = GATE, body.links[0], body.links[-1], 2
-    rows[:, 20] += 1
-    return np.concatenate([gate, rows]), data
+    """As `_rows`, below gates that let the links pass that can touch the body: one for each run of them."""
+    solid, data = _rows(_base_solid(body), clearance, offset)
+    turns = body.carrier == TURRET and not body.is_round
+    if turns:
+        # About the axis: within the centre's distance from it, and the ball's radius.
+        solid[:, 5] += np.hypot(solid[:, 2], solid[:, 3])
+        solid[:, 2:4] = 0.0
+    links, blocks = np.array(body.links), list[FloatArray]()
+    for run in np.split(links, np.flatnonzero(np.diff(links) > 1) + 1):
+        rows = np.concatenate([solid[:1], solid])
+        rows[0, 0], rows[0, 6], rows[0, 7], rows[0, 8] = GATE, run[0], run[-1], float(turns)
+        rows[:, 20] = 2 * (len(blocks) + 1)
+        blocks.append(rows)
+    return np.concatenate(blocks), data
 
 
 def _base_solid(body: BaseBody) -> Solid:

@@ -13,7 +13,10 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from hplan import ties
+from hplan.arm_pairs import below, fold_pairs, link_pairs, turret_pairs, turret_shapes
 from hplan.arrays import BoolArray, FloatArray, IntArray
+from hplan.base_shapes import TURRET
+from hplan.base_shapes import filled as _filled
 from hplan.errors import ConfigurationInCollisionError, OptionError
 from hplan.geometry_pairs import GeometryPairs
 from hplan.grid import Grid
@@ -60,21 +63,36 @@ class OwnContact(Contact):
 
 
 class CollisionScene:
-    """Links and obstacles as pairs of shapes, and their distances.
+    """Arm and obstacles as pairs of shapes, and their distances.
 
-    Links are the arm's: bodies that the planar joints do not move (pedestal, turret) do not meet obstacles here;
-    `base_contacts` looks at those. Pairs are each link shape with each obstacle, link by link; then, where the arm can
-    touch itself, link shapes with one another and with the URDF's shapes of pedestal and turret. By `links` they are
+    Pairs are each link shape with each obstacle, link by link, and so each shape of the turret that is not round about
+    the yaw axis; then those that there are of parts of the arm (`hplan.self_contact`). Pedestal, and what of the turret
+    is round, do not meet obstacles here; `base_contacts` looks at those. By `links`, link shapes are
 
     - `capsule`: the capsules of `robot.arm`, which hold the URDF's collision geometry;
     - `box`: square beams from joint to joint, of the capsules' half-widths (in the arm plane: the paper's rectangle);
     - `urdf`: the URDF's collision geometry itself, meshes by their convex hulls (as surfaces they are hollow to coal).
+
+    Neighbours that fold into one another are asked as capsules always.
 
     A cloud is one tree of bounding volumes about its points, asked with its radius taken off the distance. Wherever a
     link does not reach the points themselves the distance is right, and at most two `_SPECK` too small; where it does,
     the depth is at least the radius, and may be less than the true one.
 
     Several threads may ask at once. A scene can be pickled; it is built anew from robot and obstacles.
+
+    Attributes:
+        robot: The arm.
+        links: Shape of the links.
+        link_names: Names of the links.
+        mover_names: The same, then names of the turret's bodies that have other shapes than round ones.
+        obstacle_names: Names of the obstacles; from `own_first` on of the parts of the arm that another can touch.
+        own_first: How many obstacles there are.
+        link_shapes: Shapes of the links, link by link.
+        pairs: Mover, by its place in `mover_names`, and obstacle or part, in `obstacle_names`, of each pair.
+        own_others: What the motion of each of the last of `pairs` is seen from: a link, `TURRET` or `GROUND`.
+        deviation: How far joints may be beyond their limits [rad]; parts of the arm that touch up to there are pairs.
+        clearance: Distance that parts of the arm are to keep from each other [m]; those that come nearer are pairs.
     """
 
     def __init__(
@@ -84,6 +102,9 @@ class CollisionScene:
         *,
         links: LinkShapes = "capsule",
         growth: ArrayLike = 0.0,
+        deviation: float = 0.0,
+        clearance: float = 0.0,
+        single_joint_pairs: bool = True,
     ) -> None:
         """Build the geometry of a robot among obstacles.
 
@@ -92,6 +113,10 @@ class CollisionScene:
             obstacles: Obstacles.
             links: Shape of the links.
             growth: By how much obstacles are grown [m], one number or one for each.
+            deviation: How far joints may be beyond their limits [rad].
+            clearance: Distance to be kept [m]; parts of the arm that cannot come so near to each other are no pairs.
+            single_joint_pairs: Whether pairs that depend on one joint alone, turret and folded neighbours, are among
+                the pairs: the C-space does not hold them, ranges of joints are narrowed instead.
 
         Raises:
             OptionError: Unknown link shape.
@@ -100,46 +125,71 @@ class CollisionScene:
             raise OptionError("links", links, f"one of {', '.join(LINK_SHAPES)}")
         self.robot = robot
         self.links = links
-        self._made_of = (tuple(obstacles), growth)
+        self._built: dict[str, Any] = {
+            "robot": robot,
+            "obstacles": tuple(obstacles),
+            "links": links,
+            "growth": growth,
+            "deviation": deviation,
+            "clearance": clearance,
+            "single_joint_pairs": single_joint_pairs,
+        }
         self._touched: tuple[str, ...] = ()
         self.link_names = robot.arm.link_names
-        #: Names of the obstacles; from `own_first` on of the parts of the arm that a link can touch.
-        self.obstacle_names = tuple(obstacle.name for obstacle in obstacles)
-        self.own_first = len(self.obstacle_names)
+        self.deviation = float(deviation)
+        self.clearance = float(clearance)
         shapes = _urdf_shapes(robot) if links == "urdf" else [[shape] for shape in _link_shapes(robot, links)]
-        # The shapes of link k are the rows from `_first_shape[k]` on.
-        self._first_shape = np.cumsum([0, *(len(of_link) for of_link in shapes[:-1])])
-        #: Shapes of the links, link by link.
+        turret = turret_shapes(robot) if single_joint_pairs else {}
+        movers = [*shapes, *(placed for _, placed in turret.values())]
+        self.mover_names = (*self.link_names, *turret)
+        # The shapes of mover k are the rows from `_first_shape[k]` on.
+        self._first_shape = np.cumsum([0, *(len(of_mover) for of_mover in movers[:-1])])
         self.link_shapes = [shape for of_link in shapes for shape in of_link]
+        self._mover_shapes = [shape for of_mover in movers for shape in of_mover]
         #: What is to be taken off coal's distance of each shape from each obstacle [m].
         beyond = np.array([_beyond_geometry(obstacle) for obstacle in obstacles], dtype=np.float64)
         beyond += np.asarray(growth, dtype=np.float64)
-        self._beyond: FloatArray = np.tile(beyond, (len(self.link_shapes), 1))
-        #: Number of the link and of the obstacle of each pair.
+        self._beyond: FloatArray = np.tile(beyond, (len(self._mover_shapes), 1))
+        for row, shape in enumerate(shape for of_body, _ in turret.values() for shape in of_body):
+            self._beyond[len(self.link_shapes) + row, below(shape, obstacles)] = -np.inf
         self.pairs = [
-            (link, obstacle)
-            for link, of_link in enumerate(shapes)
-            for _ in of_link
+            (mover, obstacle)
+            for mover, of_mover in enumerate(movers)
+            for _ in of_mover
             for obstacle in range(len(obstacles))
         ]
-        #: What each of the last of `pairs` is near to: a link, `self_contact.TURRET` or `self_contact.GROUND`.
-        self.own_others: list[int] = []
-        bodies, own_pairs = self._own_pairs([len(of_link) for of_link in shapes])
-        # The same for all pairs; parts of the arm do not grow.
-        self._taken_off: FloatArray = np.append(self._beyond, np.zeros(len(self.own_others)))
-        self._geometry = GeometryPairs(
-            robot.model,
-            self.link_shapes,
-            [_solid(obstacle) for obstacle in obstacles],
-            bodies,
-            own_pairs,
-        )
+        contact = self_contact(robot, deviation=deviation, clearance=clearance)
+        own = list(link_pairs(robot, contact, shapes))
+        if single_joint_pairs:
+            own += fold_pairs(robot, contact, _link_shapes(robot, "capsule"))
+            own += turret_pairs(robot, contact)
+        self.own_others = [pair.other for pair in own]
+        self.own_first = len(obstacles)
+        parts = tuple(dict.fromkeys(pair.other_name for pair in own))
+        self.obstacle_names = (*(obstacle.name for obstacle in obstacles), *parts)
+        self.pairs += [
+            (
+                self.mover_names.index(pair.mover_name, len(shapes)) if pair.mover == TURRET else pair.mover,
+                self.own_first + parts.index(pair.other_name),
+            )
+            for pair in own
+        ]
+        # Parts of the arm do not grow.
+        self._taken_off: FloatArray = np.append(self._beyond, np.zeros(len(own)))
+        # By what they are: the same shape is added once.
+        numbers = {id(shape): number for number, shape in enumerate(self._mover_shapes)}
+        added: list[pin.GeometryObject] = []
+        for shape in (shape for pair in own for shape in pair.shapes):
+            if id(shape) not in numbers:
+                numbers[id(shape)] = len(self._mover_shapes) + len(added)
+                added.append(shape)
+        chosen = [(numbers[id(pair.shapes[0])], numbers[id(pair.shapes[1])]) for pair in own]
+        solids = [_solid(obstacle) for obstacle in obstacles]
+        self._geometry = GeometryPairs(robot.model, self._mover_shapes, solids, added, chosen)
 
     def __getstate__(self) -> dict[str, Any]:
         """What it is built from: Pinocchio's data cannot be pickled."""
-        obstacles, growth = self._made_of
-        built = {"robot": self.robot, "obstacles": obstacles, "links": self.links, "growth": growth}
-        return {"built": built, "touched": self._touched}
+        return {"built": self._built, "touched": self._touched}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Build it."""
@@ -148,35 +198,19 @@ class CollisionScene:
             whole = whole.touching(name)
         vars(self).update(vars(whole))
 
-    def _own_pairs(self, counts: list[int]) -> tuple[list[pin.GeometryObject], list[tuple[int, int]]]:
-        """Pairs of links, of so many shapes each, that can touch, and of pedestal and turret where they can.
-
-        Returns:
-            The shapes of pedestal and turret, and numbers of pairs of shapes, the links' first.
-        """
-        contact = self_contact(self.robot)
-        columns: dict[str, int] = {}
-        bodies: list[pin.GeometryObject] = []
-        pairs: list[tuple[int, int]] = []
-
-        def add(link: int, other: int, others: Sequence[int], name: str) -> None:
-            column = columns.setdefault(name, self.own_first + len(columns))
-            for first in range(self._first_shape[link], self._first_shape[link] + counts[link]):
-                for second in others:
-                    pairs.append((first, second))
-                    self.pairs.append((link, column))
-                    self.own_others.append(other)
-
-        for i, j in contact.links:
-            add(j, i, range(self._first_shape[i], self._first_shape[i] + counts[i]), self.link_names[i])
-        for body in contact.bodies:
-            shape = self.robot.collision_model.geometryObjects[body.shape]
-            name = f"body:{body.name}:{body.shape}"
-            bodies.append(pin.GeometryObject(name, shape.parentJoint, shape.placement, _filled(shape)))
-            for link in body.links:
-                add(link, body.carrier, [len(self.link_shapes) + len(bodies) - 1], body.name)
-        self.obstacle_names += tuple(columns)
-        return bodies, pairs
+    def covering(self, deviation: float, clearance: float) -> CollisionScene:
+        """The same scene with the pairs that a tracking error [rad] and a clearance [m] ask for."""
+        if deviation <= self.deviation and clearance == self.clearance:
+            return self
+        if not any(
+            self_contact(self.robot, deviation=more, clearance=keep).possible
+            for more, keep in ((deviation, clearance), (self.deviation, self.clearance))
+        ):
+            return self
+        other = CollisionScene(**{**self._built, "deviation": max(deviation, self.deviation), "clearance": clearance})
+        for name in self._touched:
+            other = other.touching(name)
+        return other
 
     def touching(self, name: str) -> CollisionScene:
         """The same scene where the last link may touch the obstacles of a name: their distance counts as infinite."""
@@ -185,26 +219,27 @@ class CollisionScene:
         other._touched = (*self._touched, name)
         other._beyond = self._beyond.copy()
         named = [obstacle == name for obstacle in self.obstacle_names[: self.own_first]]
-        other._beyond[self._first_shape[-1] :, named] = -np.inf
+        last = slice(self._first_shape[len(self.link_names) - 1], len(self.link_shapes))
+        other._beyond[last, named] = -np.inf
         other._taken_off = self._taken_off.copy()
         other._taken_off[: self._beyond.size] = other._beyond.ravel()
         return other
 
     def distances(self, q: ArrayLike) -> FloatArray:
-        """Signed distances at one configuration, (dof,) -> (links, obstacle names) [m]; negative is the depth.
+        """Signed distances at one configuration, (dof,) -> (movers, obstacle names) [m]; negative is the depth.
 
-        Infinite where a link cannot touch that part of the arm.
+        Infinite where a link, or the turret, cannot touch that part of the arm or obstacle.
         """
         found = self.pair_distances(q)
         table = (found[: self._beyond.size] if self.own_others else found).reshape(self._beyond.shape)
-        if len(self.link_shapes) != len(self.link_names):
+        if len(self._mover_shapes) != len(self.mover_names):
             table = np.minimum.reduceat(table, self._first_shape)
         if not self.own_others:
             return table
-        whole = np.full((len(self.link_names), len(self.obstacle_names)), np.inf)
+        whole = np.full((len(self.mover_names), len(self.obstacle_names)), np.inf)
         whole[:, : self.own_first] = table
-        links, columns = np.array(self.pairs[self._beyond.size :]).T
-        np.minimum.at(whole, (links, columns), found[self._beyond.size :])
+        movers, columns = np.array(self.pairs[self._beyond.size :]).T
+        np.minimum.at(whole, (movers, columns), found[self._beyond.size :])
         return whole
 
     def pair_distances(self, q: ArrayLike) -> FloatArray:
@@ -219,10 +254,10 @@ class CollisionScene:
         """Signed distances of some of the `pairs` where the links were last placed, (k,) numbers -> (k,) [m]."""
         return self._geometry.distances_of(pairs) - self._taken_off[pairs]
 
-    def contact(self, link: int, obstacle: int, distance: float) -> Contact:
-        """A distance between a link and what has a place in `obstacle_names`, by name."""
+    def contact(self, mover: int, obstacle: int, distance: float) -> Contact:
+        """A distance between what has a place in `mover_names` and what has one in `obstacle_names`, by name."""
         kind = Contact if obstacle < self.own_first else OwnContact
-        return kind(self.link_names[link], self.obstacle_names[obstacle], distance)
+        return kind(self.mover_names[mover], self.obstacle_names[obstacle], distance)
 
     def nearest(self, q: ArrayLike) -> Contact | None:
         """The link and obstacle, or part of the arm, nearest to each other, or None where there is nothing to meet."""
@@ -391,15 +426,6 @@ def _urdf_shapes(robot: Robot) -> list[list[pin.GeometryObject]]:
             ]
         )
     return found
-
-
-def _filled(shape: pin.GeometryObject) -> coal.CollisionGeometry:
-    """A shape's geometry; of a mesh, the convex hull."""
-    geometry = shape.geometry
-    if isinstance(geometry, coal.BVHModelBase):
-        geometry.buildConvexHull(True, "Qt")
-        return geometry.convex
-    return geometry
 
 
 def _solid(obstacle: Solid) -> pin.GeometryObject:

@@ -211,12 +211,13 @@ class OutputError(InputError):
 
 
 class NoPathError(HplanError):
-    """No path exists on the grid; this was shown by flooding all that the start reaches.
+    """No path exists on the grid, as flooding all that the start reaches shows; or none at all: a joint is blocked.
 
-    `blockers` lists what bounds the reached region, largest part first, each a mapping with `obstacle`, `link`,
-    `cells` and `slices_deg` (first and last value of the last planned joint at which it blocks). `goals` is for how
-    many goals, all that there were, it was shown; the other facts are of the first of them. `open_ended` is set
-    where the region ends at the edge of the yaws that were looked at, so that a wider range might open it.
+    `blockers` lists what bounds the reached region, largest part first, each a mapping with `obstacle`, `link`, `cells`
+    and `slices_deg` (first and last value at which it blocks, of the last planned joint or of the one that is blocked).
+    `goals` is for how many goals, all that there were, it was shown; the other facts are of the first of them.
+    `open_ended` is set where the region ends at the edge of the yaws that were looked at, so that a wider range might
+    open it.
     """
 
     exit_status = 3

@@ -22,6 +22,7 @@ from hplan.arrays import FloatArray, Record, frozen
 from hplan.errors import BlockedError
 from hplan.finer_angles import Refined, refined
 from hplan.inverse import Candidates, reach
+from hplan.joint_ranges import LEAST_MARGIN, JointRanges, joint_ranges
 from hplan.path import least_duration
 from hplan.robot import Robot
 from hplan.scene import Fruit
@@ -38,6 +39,9 @@ SEARCHED = 8
 
 #: Where an approach is looked at, as shares of its length.
 _LOOKS = (0.25, 0.5, 0.75, 1.0)
+
+#: What counts as the clearance of a configuration that no motion leads to, as a joint is blocked before [m].
+BEYOND = -1.0
 
 #: Clearance that a grasp and its stand-off have beyond the one to keep, and half of it all along the approach [m].
 SPARE = 1e-3
@@ -97,23 +101,30 @@ def grasps(
 
     Raises:
         UnreachableError: No configuration reaches the point, whatever is in the way.
-        BlockedError: Obstacles are in the way of all that do; names them.
+        BlockedError: Obstacles are in the way of all that do, or block a joint on every way there; names them.
+        ConfigurationInCollisionError: The start touches something that blocks a joint.
         InputError: A position or an approach that is none.
         OptionError: As `reach`.
     """
     robot = around.robot
+    ranges = joint_ranges(around.judge, start, LEAST_MARGIN)
+    if ranges.walls:
+        around.check_clear(start, "start")
 
     def within(approach_deg: float | tuple[float, float] | None, count: int) -> Candidates:
         return reach(robot, position, approach_deg=approach_deg, count=count, start=start, locked=locked)
 
+    def clearance(q: FloatArray) -> float:
+        return near.field.clearance(q) if ranges.wall_before(q) is None else BEYOND
+
     found = within(approach_deg, COUNT)
-    clear = np.array([near.field.clearance(q) > SPARE for q in found.configurations])
+    clear = np.array([clearance(q) > SPARE for q in found.configurations])
     if clear.any():
         found = Candidates(found.configurations[clear], found.approach[clear])
     else:
-        finer = refined(found, within, near.field.clearance, SPARE, approach_deg)
+        finer = refined(found, within, clearance, SPARE, approach_deg)
         if finer.candidates is None:
-            raise _blocked(what, near, found.configurations, finer)
+            raise _blocked(what, near, ranges, found.configurations, finer)
         found = finer.candidates
     goals, angles = frozen(found.configurations), found.approach
     chosen: dict[int, tuple[float, FloatArray]] = {}
@@ -123,7 +134,7 @@ def grasps(
         left = [i for i in range(len(goals)) if i not in chosen]
         if not left:
             break
-        for i, begin in zip(left, _clear_standoffs(around, near, goals[left], distance, locked), strict=True):
+        for i, begin in zip(left, _clear_standoffs(around, near, ranges, goals[left], distance, locked), strict=True):
             if begin is not None:
                 chosen[i] = (distance, begin)
     if not chosen:
@@ -164,7 +175,12 @@ def _distances(standoff: float, least: float) -> list[float]:
 
 
 def _clear_standoffs(
-    around: Surroundings, near: Surroundings, goals: FloatArray, distance: float, locked: Sequence[str]
+    around: Surroundings,
+    near: Surroundings,
+    ranges: JointRanges,
+    goals: FloatArray,
+    distance: float,
+    locked: Sequence[str],
 ) -> list[FloatArray | None]:
     """For each goal the configuration at the stand-off, if arm and approach are clear of obstacles there.
 
@@ -175,7 +191,12 @@ def _clear_standoffs(
     ways = np.stack([goals, *(stage.configurations for stage in stages)], axis=1)
     begins: list[FloatArray | None] = []
     for feasible, way in zip(stages[-1].feasible, ways, strict=True):
-        usable = feasible and around.field.clearance(way[-1]) > SPARE and near.field.is_clear(way, 0.5 * SPARE)
+        usable = (
+            feasible
+            and ranges.wall_before(way[-1]) is None
+            and around.field.clearance(way[-1]) > SPARE
+            and near.field.is_clear(way, 0.5 * SPARE)
+        )
         begins.append(frozen(way[-1].copy()) if usable else None)
     return begins
 
@@ -186,9 +207,14 @@ def _least_duration(robot: Robot, start: FloatArray, standoff: FloatArray, goal:
     return sum(least_duration(a, b, *limits) for a, b in ((start, standoff), (standoff, goal)))
 
 
-def _blocked(what: str, near: Surroundings, configurations: FloatArray, finer: Refined) -> BlockedError:
+def _blocked(
+    what: str, near: Surroundings, ranges: JointRanges, configurations: FloatArray, finer: Refined
+) -> BlockedError:
     """The error that names what is in the way, the most frequent first."""
-    nearest = [near.judge.nearest(q) for q in configurations]
+    walls = [ranges.wall_before(q) for q in configurations]
+    nearest = [
+        near.judge.nearest(q) if wall is None else wall.contact for q, wall in zip(configurations, walls, strict=True)
+    ]
     counts = Counter((contact.link, contact.obstacle) for contact in nearest if contact is not None)
     obstacles = [
         {"obstacle": obstacle, "link": link, "configurations": count}

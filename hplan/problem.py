@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from hplan.arrays import BoolArray, FloatArray, IntArray, Record, readonly
 from hplan.errors import InputError
+from hplan.joint_ranges import narrowed
 from hplan.robot import Robot
 from hplan.surroundings import Surroundings
 
@@ -22,8 +23,9 @@ class Problem(Record):
         start: (dof,) configuration.
         goal: (dof,) configuration.
         movable: Indices of the joints that may move.
-        lower: (dof,) joint limits; a joint that may not move has its start value as both.
-        upper: (dof,) joint limits.
+        lower: (dof,) joint limits, or where turret and folded neighbours let the joint go from the start
+            (`hplan.joint_ranges`); a joint that may not move has its start value as both.
+        upper: (dof,) the same.
         spare_clearance: Least clearance of start and goal beyond the one to keep [m]; inf without obstacles.
         turns: Whether the base may turn.
     """
@@ -59,6 +61,7 @@ def pose_problem(
         JointLimitError: Start or goal outside the limits.
         ConfigurationInCollisionError: Start or goal in collision, or closer to an obstacle than the clearance to
             keep; names link, obstacle and depth.
+        NoPathError: No motion leads from start to goal, as turret or neighbouring links block a joint in between.
     """
     robot = around.robot
     first = robot.check_configuration(start, "start")
@@ -74,12 +77,14 @@ def pose_problem(
         around.check_clear(first, "start"),
         around.check_clear(last, "goal"),
     )
+    last = readonly(np.where(locked, first, last))
+    ranges = narrowed(around.judge, first, last, spare)
     return Problem(
         start=first,
-        goal=readonly(np.where(locked, first, last)),
+        goal=last,
         movable=readonly(np.flatnonzero(~locked), np.int64),
-        lower=readonly(np.where(locked, first, robot.lower)),
-        upper=readonly(np.where(locked, first, robot.upper)),
+        lower=readonly(np.where(locked, first, ranges.lower)),
+        upper=readonly(np.where(locked, first, ranges.upper)),
         spare_clearance=spare,
         turns=robot.has_yaw and not locked[0],
     )

@@ -13,7 +13,8 @@ by a radius, and every :math:`S` is given as a *rounded polygon*: the hull of a 
 `hplan.section_kernels` shows.
 
 Where the arm can touch itself (`hplan.self_contact`), what carries it is one more obstacle to the links that can touch
-it, the same at every yaw. Links against links are kept as pairs: where they lie depends on the joints.
+it. What turns with the arm plane, or is round about the yaw axis, is cut the same at every yaw. Links against links are
+kept as pairs: where they lie depends on the joints.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ from hplan.errors import InputError, OptionError
 from hplan.plane import convex_hull
 from hplan.robot import Robot
 from hplan.section_kernels import cut_balls, cut_hulls
-from hplan.self_contact import SelfContact, pair_sway, self_contact
+from hplan.self_contact import BaseBody, SelfContact, pair_sway, self_contact
 
 #: How a link is modelled: the capsule, the paper's three cases to the letter, or the exact rectangle.
 LinkModel: TypeAlias = Literal["capsule", "paper", "rectangle"]
@@ -278,8 +279,10 @@ def sections_at(
     if link_model == "rectangle" and len(bodies.hull_owners):
         _require_disc(len(bodies.hull_points), bodies.names[int(bodies.hull_owners[0])])
     sections = _cut(robot, bodies, yaw, float(half_angle), link_model, within_reach=within_reach)
-    contact = self_contact(robot)
-    return _with_itself(sections, robot, contact, bodies) if contact.possible else sections
+    contact = self_contact(robot, deviation=bodies.deviation, clearance=bodies.own_clearance)
+    if not (contact.links or contact.bodies):
+        return sections
+    return _with_itself(sections, robot, contact, bodies, yaw, float(half_angle))
 
 
 def _cut(
@@ -318,12 +321,18 @@ def _cut(
     )
 
 
-def _with_itself(sections: ArmSections, robot: Robot, contact: SelfContact, bodies: Bodies) -> ArmSections:
+def _with_itself(
+    sections: ArmSections, robot: Robot, contact: SelfContact, bodies: Bodies, yaw: float, half_angle: float
+) -> ArmSections:
     """The same sections, and what the arm can touch of itself; whatever the model, by its capsules."""
     arm, count = robot.arm, len(sections.obstacle_names)
     touched = sorted({i for i, _ in contact.links})
     if contact.bodies:
-        sections = _joined(sections, _base_sections(robot, contact, bodies))
+        same = tuple(body for body in contact.bodies if body.follows_arm_plane)
+        others = tuple(body for body in contact.bodies if not body.follows_arm_plane)
+        sections = _joined(sections, _constant_sections(robot, same, bodies))
+        if others:
+            sections = _joined(sections, _base_sections(robot, others, bodies, yaw, half_angle))
     first = len(sections.obstacle_names)
     return replace(
         sections,
@@ -344,21 +353,29 @@ def _with_itself(sections: ArmSections, robot: Robot, contact: SelfContact, bodi
     )
 
 
-#: Sections of turret and pedestal that were made before, by the clearance to keep from them and the joints' deviation.
+#: Sections of turret and pedestal that are the same at every yaw and were made before, by the clearance to keep from
+#: them and the joints' deviation.
 _BASE: WeakKeyDictionary[Robot, dict[tuple[float, float], ArmSections]] = WeakKeyDictionary()
 
 
-def _base_sections(robot: Robot, contact: SelfContact, bodies: Bodies) -> ArmSections:
-    """Sections of turret and pedestal, to each link that can touch them; they are the same at every yaw."""
+def _constant_sections(robot: Robot, parts: Sequence[BaseBody], bodies: Bodies) -> ArmSections:
+    """Sections of what of turret and pedestal is cut the same at every yaw, made once."""
     known, kept = _BASE.get(robot, {}), (bodies.own_clearance, bodies.deviation)
     if kept not in known:
-        grown = bodies_of(contact.bodies, clearance=bodies.own_clearance, deviation=bodies.deviation)
-        cut = _cut(robot, grown, 0.0, 0.0, "capsule", within_reach=True)
-        links = _links_of(cut)
-        wanted = [link in contact.bodies[body].links for link, body in zip(links, cut.obstacle_of, strict=True)]
         # A table of one, replaced and never changed: another thread may hold the one before.
-        known = _BASE[robot] = {kept: _picked(cut, np.flatnonzero(wanted), links)}
+        known = _BASE[robot] = {kept: _base_sections(robot, parts, bodies, 0.0, 0.0)}
     return known[kept]
+
+
+def _base_sections(
+    robot: Robot, parts: Sequence[BaseBody], bodies: Bodies, yaw: float, half_angle: float
+) -> ArmSections:
+    """Sections of parts of turret and pedestal, to each link that can touch them."""
+    grown = bodies_of(parts, clearance=bodies.own_clearance, deviation=bodies.deviation)
+    cut = _cut(robot, grown, yaw, half_angle, "capsule", within_reach=True)
+    links = _links_of(cut)
+    wanted = [link in parts[body].links for link, body in zip(links, cut.obstacle_of, strict=True)]
+    return _picked(cut, np.flatnonzero(wanted), links)
 
 
 def _links_of(sections: ArmSections) -> IntArray:

@@ -7,6 +7,7 @@ outer links sway farther.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -14,6 +15,7 @@ import numpy as np
 
 from hplan import ties
 from hplan.arrays import FloatArray, Record, frozen
+from hplan.base_shapes import BASE_DEPTH, turning_shapes
 from hplan.clearance import ClearanceField
 from hplan.clearance_proof import pair_sways
 from hplan.collision import CollisionScene, base_contacts, base_radius, check_clear
@@ -22,9 +24,6 @@ from hplan.robot import Robot
 from hplan.scene import Solid
 from hplan.section import Bodies, bodies_of
 from hplan.tracking import TrackingModel, name_margin
-
-#: An obstacle may be this deep in pedestal or turret [m]: they stand on something.
-BASE_DEPTH = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +79,7 @@ class Surroundings(Record):
             field=ClearanceField.of(
                 robot, solids, clearance=clearance + growth, own_clearance=clearance, deviation=tracking_error
             ),
-            judge=CollisionScene(robot, solids, growth=growth),
+            judge=CollisionScene(robot, solids, growth=growth, deviation=tracking_error, clearance=clearance),
         )
 
     def touching(self, name: str) -> Surroundings:
@@ -137,9 +136,11 @@ class Surroundings(Record):
         contacts = base_contacts(self.robot, touched, yaw, margin=-BASE_DEPTH)
         if contacts:
             worst = contacts[ties.argmin([contact.distance_m for contact in contacts])]
+            turns = any(shape.name == worst.link for shape in turning_shapes(self.robot))
             raise InputError(
-                f"obstacle {worst.obstacle!r} is {-1e3 * worst.distance_m:.3g} mm deep in the robot's "
-                f"{worst.link!r}, which does not move: move the obstacle, or the robot",
+                f"obstacle {worst.obstacle!r} is {-1e3 * worst.distance_m:.3g} mm deep in the robot's {worst.link!r}, "
+                + (f"at a yaw of {math.degrees(yaw):.4g} deg" if turns else "which does not move")
+                + ": move the obstacle, or the robot",
                 obstacle=worst.obstacle,
                 link=worst.link,
                 depth_m=-worst.distance_m,

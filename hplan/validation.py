@@ -300,9 +300,9 @@ def _compare(
     progress: Progress,
 ) -> Iterator[Comparison]:
     """Ask one judge at every node, and compare each model with its answers."""
-    judge = CollisionScene(robot, scene.solids, links=shapes)
-    grid = models[0][1].grid
     clearance = scene.clearance
+    judge = CollisionScene(robot, scene.solids, links=shapes, clearance=clearance, single_joint_pairs=False)
+    grid = models[0][1].grid
     tallies = [_Tally() for _ in models]
     judge_occupied, judge_s = 0, 0.0
     rows = max(1, CHUNK // grid.shape[-1])

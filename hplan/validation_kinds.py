@@ -362,7 +362,7 @@ class _Judge:
 
     def __init__(self, robot: Robot, scene: Scene) -> None:
         self._clearance = scene.clearance
-        self._solids = CollisionScene(robot, scene.solids)
+        self._solids = CollisionScene(robot, scene.solids, clearance=scene.clearance, single_joint_pairs=False)
         bare = [
             Cloud(obstacle.name, obstacle.points, obstacle.radius, np.zeros((0, 7)))
             for obstacle in scene.obstacles

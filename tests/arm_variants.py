@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -72,7 +73,7 @@ def load_variant(name: str, folder: Path, *, touches_itself: bool = False) -> Ro
     robot = load_robot(path)
     np.testing.assert_allclose(robot.arm.half_widths, widths, rtol=1e-12)
     if not touches_itself:
-        _KNOWN[robot] = SelfContact((), ())
+        _KNOWN[robot] = defaultdict(SelfContact)  # whatever tracking error and clearance
     return robot
 
 

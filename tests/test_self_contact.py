@@ -78,7 +78,7 @@ class Truth:
         self.base = [g for g in robot.collision_model.geometryObjects if g.parentJoint < self.moving]
 
     def distances(self, q):
-        """By (link, other): another link's number, or the name of what carries the arm; neighbours left out."""
+        """By (link, other): another link's number, or the name of a part of the base; what joins them left out."""
         robot, data = self.robot, self.robot.model.createData()
         pin.forwardKinematics(robot.model, data, np.asarray(q, dtype=float))
         points = axis_points(robot, q)
@@ -93,11 +93,11 @@ class Truth:
         for shape in self.base:
             at = data.oMi[shape.parentJoint] * shape.placement
             name = robot.model.frames[shape.parentFrame].name
-            neighbour = shape.parentJoint == self.moving - 1
-            for link in range(1 if neighbour else 0, len(self.links)):
-                found[link, name] = self._distance(
-                    self.links[link], placed[link], shape.geometry, coal.Transform3s(at.rotation, at.translation)
-                )
+            at = coal.Transform3s(at.rotation, at.translation)
+            shoulder = coal.Sphere(float(robot.arm.half_widths[0])), coal.Transform3s(np.eye(3), points[0])
+            carries = self._distance(*shoulder, shape.geometry, at) <= 0.0
+            for link in range(1 if carries else 0, len(self.links)):
+                found[link, name] = self._distance(self.links[link], placed[link], shape.geometry, at)
         return found
 
     def clearance(self, q):

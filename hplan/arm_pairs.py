@@ -1,0 +1,121 @@
+"""Pairs of parts of the arm in coal, and what of the turret meets obstacles.
+
+The turret's shapes that are round about the yaw axis, and the pedestal, stand still: they are no part of any motion,
+and looked at once (`hplan.collision.base_contacts`). So is an obstacle that no point of a turning shape comes down to:
+a horizontal plane between the two stays between them, whatever the yaw.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import coal
+import numpy as np
+import pinocchio as pin
+
+from hplan.arrays import BoolArray
+from hplan.base_shapes import BASE_DEPTH, GROUND, TURRET, BaseShape, filled, turning_shapes
+from hplan.robot import Robot
+from hplan.scene import Solid
+from hplan.self_contact import SelfContact
+
+
+@dataclass(frozen=True, eq=False)
+class ArmPair:
+    """Two parts of the arm.
+
+    Attributes:
+        mover: The link, or `TURRET`.
+        other: What the motion is seen from: a link before it, `TURRET`, or `GROUND`.
+        mover_name: Name of its body.
+        other_name: Name of the other body.
+        shapes: The two shapes.
+    """
+
+    mover: int
+    other: int
+    mover_name: str
+    other_name: str
+    shapes: tuple[pin.GeometryObject, pin.GeometryObject]
+
+
+def link_pairs(robot: Robot, contact: SelfContact, shapes: Sequence[Sequence[pin.GeometryObject]]) -> Iterator[ArmPair]:
+    """Links against one another and against pedestal and turret, where they can touch.
+
+    Args:
+        robot: The arm.
+        contact: What can touch.
+        shapes: Shapes of each link.
+    """
+    names = robot.arm.link_names
+    for i, j in contact.links:
+        for pair in itertools.product(shapes[j], shapes[i]):
+            yield ArmPair(j, i, names[j], names[i], pair)
+    for body in contact.bodies:
+        placed = _placed(robot, body.shape)
+        for link in body.links:
+            for shape in shapes[link]:
+                yield ArmPair(link, body.carrier, names[link], body.name, (shape, placed))
+
+
+def fold_pairs(robot: Robot, contact: SelfContact, capsules: Sequence[pin.GeometryObject]) -> Iterator[ArmPair]:
+    """Neighbours that can fold into one another: what of one is beyond the joint's own reach, and the whole other one.
+
+    Args:
+        robot: The arm.
+        contact: What can touch.
+        capsules: Capsule of each link, z from its joint to the next.
+    """
+    names = robot.arm.link_names
+    for fold in contact.folds:
+        inner, outer = capsules[fold.inner], capsules[fold.inner + 1]
+        for trimmed in fold.trims:
+            pair = (_beyond_joint(outer, fold.own_reach, 1.0), inner)
+            if trimmed == fold.inner:
+                pair = (outer, _beyond_joint(inner, fold.own_reach, -1.0))
+            yield ArmPair(fold.inner + 1, fold.inner, names[fold.inner + 1], names[fold.inner], pair)
+
+
+def turret_pairs(robot: Robot, contact: SelfContact) -> Iterator[ArmPair]:
+    """Turning shapes of the turret against those of the pedestal."""
+    for shape, other in contact.turret:
+        pair = (_placed(robot, shape.number), _placed(robot, other.number))
+        yield ArmPair(TURRET, GROUND, shape.name, other.name, pair)
+
+
+def turret_shapes(robot: Robot) -> dict[str, tuple[list[BaseShape], list[pin.GeometryObject]]]:
+    """By body, the shapes of the turret that are not round about the yaw axis, and the same in coal."""
+    found: dict[str, tuple[list[BaseShape], list[pin.GeometryObject]]] = {}
+    for shape in turning_shapes(robot):
+        shapes, placed = found.setdefault(shape.name, ([], []))
+        shapes.append(shape)
+        placed.append(_placed(robot, shape.number))
+    return found
+
+
+def below(shape: BaseShape, obstacles: Sequence[Solid]) -> BoolArray:
+    """(obstacles,) which ones a turning shape never comes down to, but for the depth that the base may have in them.
+
+    Where highest(obstacle) <= lowest(shape) + `BASE_DEPTH` at one yaw, it is so at all: turning about the vertical
+    keeps heights. No point of the shape is then deeper in the obstacle than `BASE_DEPTH`.
+    """
+    tops = [float(obstacle.core[:, 2].max()) + obstacle.rounding for obstacle in obstacles]
+    return np.array(tops) <= shape.bottom + BASE_DEPTH
+
+
+def _placed(robot: Robot, number: int) -> pin.GeometryObject:
+    """A shape of pedestal or turret, filled."""
+    shape = robot.collision_model.geometryObjects[number]
+    return pin.GeometryObject(f"body:{number}", shape.parentJoint, shape.placement, filled(shape))
+
+
+def _beyond_joint(capsule: pin.GeometryObject, reach: float, along: float) -> pin.GeometryObject:
+    """What of a link's capsule is farther than `reach` from its joint (`along` 1), or from the next one (-1)."""
+    geometry = capsule.geometry
+    length = 2.0 * float(geometry.halfLength) - reach
+    shifted = capsule.placement * pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.5 * along * reach]))
+    return pin.GeometryObject(
+        f"{capsule.name}:beyond:{along:g}", capsule.parentJoint, shifted, coal.Capsule(float(geometry.radius), length)
+    )

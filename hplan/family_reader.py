@@ -14,6 +14,9 @@ from hplan.errors import RobotFamilyError
 #: Lengths below this are zero, offsets below this are on the plane [m].
 GEOMETRY_TOLERANCE = 1e-6
 
+#: Axes this near to a direction have it [rad]: over ten metres 10 nm, of which no bound needs to take account.
+AXIS_TOLERANCE = 1e-9
+
 _REVOLUTE = ("JointModelRX", "JointModelRY", "JointModelRZ", "JointModelRevoluteUnaligned")
 
 
@@ -81,15 +84,21 @@ class FamilyReader:
 
     def _find_yaw(self, model: pin.Model, axes: NDArray[np.float64]) -> bool:
         """True where joint 0 is vertical and the others are not parallel to it."""
-        if len(axes) == 1 or np.allclose(np.abs(axes[0] @ axes[1]), 1.0, atol=1e-9):
+        if len(axes) == 1:
+            return False
+        beside = _angle_between(axes[0], axes[1])
+        if beside <= AXIS_TOLERANCE:
             return False
         name = model.names[1]
-        if not np.allclose(np.abs(axes[0, 2]), 1.0, atol=1e-9):
-            raise self._fault(f"joint {name!r}", "it is not parallel to the next joint and not vertical either")
+        tilt = _angle_between(axes[0], np.array([0.0, 0.0, 1.0]))
+        if tilt > AXIS_TOLERANCE:
+            reason = "it is not parallel to the next joint and not vertical either"
+            raise self._fault(f"joint {name!r}", reason + _nearly(min(beside, tilt)))
         if axes[0, 2] < 0.0:
             raise self._fault(f"joint {name!r}", "the yaw axis points down; turn it to +z")
-        if abs(axes[1, 2]) > 1e-9:
-            raise self._fault(f"joint {model.names[2]!r}", "it is not perpendicular to the yaw axis")
+        lean = abs(math.atan2(axes[1, 2], math.hypot(axes[1, 0], axes[1, 1])))
+        if lean > AXIS_TOLERANCE:
+            raise self._fault(f"joint {model.names[2]!r}", "it is not perpendicular to the yaw axis" + _nearly(lean))
         beside = self.data.oMi[1].translation[:2]
         if np.linalg.norm(beside) > GEOMETRY_TOLERANCE:
             raise self._fault(
@@ -106,10 +115,11 @@ class FamilyReader:
         first: int,
     ) -> None:
         for offset, axis in enumerate(axes):
-            if abs(abs(axis @ axes[0]) - 1.0) > 1e-9:
+            angle = _angle_between(axis, axes[0])
+            if angle > AXIS_TOLERANCE:
                 raise self._fault(
                     f"joint {model.names[first + 1 + offset]!r}",
-                    f"it is not parallel to joint {model.names[first + 1]!r}",
+                    f"it is not parallel to joint {model.names[first + 1]!r}{_nearly(angle)}",
                 )
         normal = axes[0]
         up = np.array([0.0, 0.0, 1.0]) - normal[2] * normal
@@ -171,6 +181,21 @@ class FamilyReader:
             except TypeError as error:
                 raise self._fault(f"link {name!r}", str(error)) from error
         self.half_widths = np.array(widths)
+
+
+def _angle_between(axis: NDArray[np.float64], other: NDArray[np.float64]) -> float:
+    """Angle between two lines of unit direction, 0 to a right angle (the cosine would lose small ones)."""
+    return math.atan2(float(np.linalg.norm(np.cross(axis, other))), abs(float(axis @ other)))
+
+
+def _nearly(angle: float) -> str:
+    """What to do about an axis that was surely meant to have a direction, and is off by a small angle."""
+    if angle > 0.01:
+        return ""
+    return (
+        f", by {angle:.3g} rad, of which {AXIS_TOLERANCE:g} is taken: write angles in full, a right one as "
+        "1.5707963267948966, or turn the <axis> instead of the <origin>"
+    )
 
 
 def joint_range(model: pin.Model) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

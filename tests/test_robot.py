@@ -297,6 +297,46 @@ def test_yaw_axis_down(load_edited, tmp_path):
         load_robot(path)
 
 
+TILTS = {
+    "yaw": ('<axis xyz="0 0 1"/>', '<axis xyz="{} 0 1"/>', "joint 'base_yaw': it is not parallel to the next joint"),
+    "shoulder": ('<axis xyz="0 -1 0"/>', '<axis xyz="0 -1 {}"/>', "joint 'shoulder': it is not perpendicular to the"),
+    "wrist": (
+        '<axis xyz="0 -1 0"/>\n    <limit effort="30"',
+        '<axis xyz="{} -1 0"/>\n    <limit effort="30"',
+        "joint 'wrist': it is not parallel to joint 'shoulder'",
+    ),
+}
+
+
+@pytest.mark.parametrize("tilt", [4.4e-3, 3.673e-6, 2e-9])
+@pytest.mark.parametrize("axis", TILTS)
+def test_axes_off_by_a_little_are_refused_and_say_what_to_do(load_edited, tmp_path, axis, tilt):
+    """0.25 deg passed for vertical once, and 4e-5 rad for parallel: a bound of the proof was then none."""
+    old, new, message = TILTS[axis]
+    load_edited()
+    path = tmp_path / "harvester.urdf"
+    path.write_text(SHIPPED.replace(old, new.format(repr(tilt)), 1))
+    with pytest.raises(RobotFamilyError) as caught:
+        load_robot(path)
+    assert message in caught.value.message
+    assert f", by {tilt:.3g} rad, of which 1e-09 is taken: write angles in full" in caught.value.message
+    path.write_text(SHIPPED.replace(old, new.format("1e-10"), 1))
+    assert load_robot(path).has_yaw
+
+
+@pytest.mark.parametrize(("angle", "taken"), [("1.5708", False), ("1.5707963", False), ("1.570796327", True)])
+def test_right_angles_are_to_be_written_in_full(load_edited, angle, taken):
+    """A shoulder turned onto its side by `rpy`, as CAD programs write it."""
+    edit = origin_of("upper_arm", f'xyz="0 0 0.6" rpy="{angle} 0 0"')
+    axis = ('<axis xyz="0 -1 0"/>', '<axis xyz="0 0 1"/>')
+    elbow = origin_of("forearm", 'xyz="1 0 0" rpy="-1.5707963267948966 0 0"')
+    if taken:
+        assert load_edited(edit, axis, elbow).arm.signs[0] in (-1.0, 1.0)
+        return
+    with pytest.raises(RobotFamilyError, match=r"a right one as 1\.5707963267948966"):
+        load_edited(edit, axis, elbow)
+
+
 def test_yaw_axis_beside_the_origin(load_edited, tmp_path):
     load_edited()
     old = re.search(r'<child link="turret"/>\s*<origin xyz="0 0 0"/>', SHIPPED).group()

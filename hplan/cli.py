@@ -6,21 +6,21 @@ Heavy imports wait until the arguments are understood.
 from __future__ import annotations
 
 import argparse
-import contextlib
 import sys
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hplan.errors import HplanError, InputError, OutputError
+from hplan.errors import InputError
+from hplan.job_folder import JobFolder, parse_job
 from hplan.terminal import (
+    CommandParser,
     add_robot,
     add_scene,
     add_tracking,
     command_parser,
     loading,
-    prepare_folder,
     run_command,
     tracking_of,
 )
@@ -33,10 +33,13 @@ if TYPE_CHECKING:
     from hplan.robot import Robot
     from hplan.scene import Scene
 
-#: Files of a finished job; the report comes last, so that it never speaks of files that are not there.
+#: Files of a finished job.
 TRAJECTORY, PAGE, REPORT = "trajectory.csv", "scene.html", "report.json"
 #: Files of the C-space view, where it is asked for.
 CSPACE_PAGE, CSPACE_FIGURE = "cspace.html", "cspace.png"
+
+#: Where they go unless something else is said.
+OUT = Path("out")
 
 _DESCRIPTION = """\
 Plan a collision-free motion of a harvesting arm, time it, certify it, and write it for the controller:
@@ -67,35 +70,33 @@ _STAGE_WORDS = {
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
-    arguments = _parser().parse_args(argv)
+    arguments = parse_job(_parser(), argv, OUT, _job_folder)
     return run_command(lambda console, errors: _plan(arguments, console, errors))
+
+
+def _job_folder(path: Path) -> JobFolder:
+    return JobFolder(path, (TRAJECTORY, PAGE, CSPACE_PAGE, CSPACE_FIGURE), REPORT)
 
 
 def _plan(arguments: argparse.Namespace, console: Console, errors: Console) -> int:
     """Plan, write, show what came of it; returns the exit status."""
-    names: dict[str, str | None] = {"scene": None, "robot": None}
-    folder: Path = arguments.out
-    prepare_folder(folder)
-    _clear(folder)
-    try:
-        robot, scene, result = _run(arguments, folder, errors, names)
-    except BaseException as error:
-        _write_failure(folder, error, names)
-        raise
+    folder = _job_folder(arguments.out)
+    with folder.job():
+        robot, scene, result = _run(arguments, folder, errors)
     if not arguments.quiet:
-        _show_summary(console, result, folder)
+        _show_summary(console, result, folder.path)
     if arguments.view:
         _view(console, robot, scene, result)
     return 0
 
 
-def _parser() -> argparse.ArgumentParser:
+def _parser() -> CommandParser:
     parser = command_parser(
         _DESCRIPTION, _EXIT_STATUS, prog="plan_and_time.py" if sys.argv[0].endswith("plan_and_time.py") else "hplan"
     )
     add_scene(parser)
     add = parser.add_argument
-    add("--out", type=Path, default=Path("out"), metavar="DIR", help="folder to write into (default: out)")
+    add("--out", type=Path, default=OUT, metavar="DIR", help="folder to write into (default: out)")
     add_robot(parser)
     add("--method", choices=("two-level", "dense"), default="two-level", help="search (default: two-level)")
     add(
@@ -117,19 +118,7 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _clear(folder: Path) -> None:
-    """Remove the files of a job; an earlier job's trajectory must not be taken for the result of this one.
-
-    What cannot be removed (a folder of that name) cannot be written either, and is reported then.
-    """
-    for name in (TRAJECTORY, PAGE, REPORT, CSPACE_PAGE, CSPACE_FIGURE):
-        with contextlib.suppress(OSError):
-            (folder / name).unlink(missing_ok=True)
-
-
-def _run(
-    arguments: argparse.Namespace, folder: Path, errors: Console, names: dict[str, str | None]
-) -> tuple[Robot, Scene, PlanResult]:
+def _run(arguments: argparse.Namespace, folder: JobFolder, errors: Console) -> tuple[Robot, Scene, PlanResult]:
     """Load, plan and write."""
     with _Progress(errors, quiet=arguments.quiet) as progress:
         progress("load")
@@ -160,22 +149,23 @@ def _run(
             certify=not arguments.uncertified,
         )
         robot = load_robot(arguments.robot, limits=arguments.limits)
-        names["robot"] = robot.name
+        folder.robot = robot.name
         yaw = None if arguments.cspace_yaw is None else math.radians(arguments.cspace_yaw)
         wants_cspace = arguments.cspace or yaw is not None
         if wants_cspace:
             check_yaw(robot, yaw)
         scene = load_scene(arguments.scene)
-        names["scene"] = scene.name
+        folder.scene = scene.name
         result = _planned(robot, scene, options, progress)
         progress("export")
         begin = time.perf_counter()
-        write_csv(result.trajectory, folder / TRAJECTORY)
-        write_page(robot, scene, result.trajectory, folder / PAGE, picked=result.picked, phases=result.phases)
-        if wants_cspace:
-            _write_cspace(robot, scene, options, result, yaw, folder)
-        result = with_export_time(result, time.perf_counter() - begin)
-        write_report(result.report, folder / REPORT)
+        with folder.filling() as staging:
+            write_csv(result.trajectory, staging / TRAJECTORY)
+            write_page(robot, scene, result.trajectory, staging / PAGE, picked=result.picked, phases=result.phases)
+            if wants_cspace:
+                _write_cspace(robot, scene, options, result, yaw, staging)
+            result = with_export_time(result, time.perf_counter() - begin)
+            write_report(result.report, staging / REPORT)
     return robot, scene, result
 
 
@@ -239,16 +229,6 @@ class _Progress:
     def __call__(self, stage: str) -> None:
         if self._status is not None:
             self._status.update(_STAGE_WORDS.get(stage, stage) + self.note)
-
-
-def _write_failure(folder: Path, error: BaseException, names: dict[str, str | None]) -> None:
-    """Leave nothing of a failed job but its report; after an interrupt or a fault of hplan's own, nothing at all."""
-    from hplan.report import failure_report, write_report
-
-    _clear(folder)
-    if isinstance(error, HplanError):
-        with contextlib.suppress(OutputError):
-            write_report(failure_report(error, scene=names["scene"], robot=names["robot"]), folder / REPORT)
 
 
 def _show_summary(console: Console, result: PlanResult, folder: Path) -> None:

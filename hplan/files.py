@@ -21,8 +21,7 @@ def write_text(path: Path | str, text: str) -> Path:
     temporary: Path | None = None
     try:
         target = path.resolve()
-        if target.exists() and not target.is_file():
-            raise OutputError(path, "it is a folder" if target.is_dir() else "it is no ordinary file")
+        check_replaceable(target, path)
         handle, name = tempfile.mkstemp(dir=target.parent, prefix=".hplan-")
         temporary = Path(name)
         with os.fdopen(handle, "w", encoding="utf-8", newline="") as stream:
@@ -38,3 +37,13 @@ def write_text(path: Path | str, text: str) -> Path:
         if temporary is not None:
             temporary.unlink(missing_ok=True)
     return path
+
+
+def check_replaceable(target: Path, path: Path) -> None:
+    """Refuse to put a file where something else than a file is.
+
+    Raises:
+        OutputError: There is; names it as `path`.
+    """
+    if target.exists() and not target.is_file():
+        raise OutputError(path, "it is a folder" if target.is_dir() else "it is no ordinary file")

@@ -10,16 +10,27 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hplan.errors import HplanError, OptionError, OutputError
-from hplan.terminal import add_robot, add_tracking, command_parser, prepare_folder, run_command, tracking_of
+from hplan.errors import OptionError
+from hplan.job_folder import JobFolder, parse_job
+from hplan.terminal import (
+    CommandParser,
+    add_robot,
+    add_tracking,
+    command_parser,
+    run_command,
+    tracking_of,
+)
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from hplan.tour import TourOptions, TourResult
 
-#: Files of a finished job, the report last; with `--csv each`, a CSV for each leg in place of the one.
+#: Files of a finished job; with `--csv each`, a CSV for each leg in place of the one.
 TRAJECTORY, PAGE, REPORT = "tour.csv", "scene.html", "tour.json"
+
+#: Where they go unless something else is said.
+OUT = Path("out")
 
 _DESCRIPTION = """\
 Plan a picking tour through the fruits of a scene, from its start, in the order in which the certified motions take the
@@ -47,15 +58,19 @@ exit status:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
-    arguments = _parser().parse_args(argv)
+    arguments = parse_job(_parser(), argv, OUT, _job_folder)
     return run_command(lambda console, errors: _plan(arguments, console, errors))
 
 
-def _parser() -> argparse.ArgumentParser:
+def _job_folder(path: Path) -> JobFolder:
+    return JobFolder(path, (TRAJECTORY, "tour-[0-9]*-*.csv", PAGE), REPORT)
+
+
+def _parser() -> CommandParser:
     parser = command_parser(_DESCRIPTION, _EPILOG)
     parser.add_argument("scene", nargs="?", type=Path, help="scene file (default: the tour that ships with hplan)")
     add = parser.add_argument
-    add("--out", type=Path, default=Path("out"), metavar="DIR", help="folder to write into (default: out)")
+    add("--out", type=Path, default=OUT, metavar="DIR", help="folder to write into (default: out)")
     add_robot(parser)
     add("--fruits", nargs="+", metavar="NAME", help="fruits to pick (default: all)")
     drop = parser.add_mutually_exclusive_group()
@@ -77,23 +92,16 @@ def _parser() -> argparse.ArgumentParser:
 
 def _plan(arguments: argparse.Namespace, console: Console, errors: Console) -> int:
     """Plan, write, show what came of it; returns the exit status."""
-    folder: Path = arguments.out
-    names: dict[str, str | None] = {"scene": None, "robot": None}
-    prepare_folder(folder)
-    _clear(folder)
-    try:
-        with _progress(errors, arguments.quiet) as progress:
-            result, files = _run(arguments, folder, progress, names)
-    except BaseException as error:
-        _write_failure(folder, error, names)
-        raise
+    folder = _job_folder(arguments.out)
+    with folder.job(), _progress(errors, arguments.quiet) as progress:
+        result, files = _run(arguments, folder, progress)
     if not arguments.quiet:
-        _show(console, result, folder, files)
+        _show(console, result, folder.path, files)
     return 0
 
 
 def _run(
-    arguments: argparse.Namespace, folder: Path, progress: Callable[[str], None], names: dict[str, str | None]
+    arguments: argparse.Namespace, folder: JobFolder, progress: Callable[[str], None]
 ) -> tuple[TourResult, list[str]]:
     """Load, plan and write; gives the tour and the names of its files."""
     progress("reading robot and scene")
@@ -117,9 +125,9 @@ def _run(
     )
     tour = _tour_options(arguments)
     robot = load_robot(arguments.robot, limits=arguments.limits)
-    names["robot"] = robot.name
+    folder.robot = robot.name
     scene = load_scene(scenes_dir() / "tour.yaml" if arguments.scene is None else arguments.scene)
-    names["scene"] = scene.name
+    folder.scene = scene.name
     result = plan_tour(robot, scene, options, fruits=arguments.fruits, tour=tour, progress=progress)
     progress("writing files")
     motions = {TRAJECTORY: result.trajectory}
@@ -129,13 +137,13 @@ def _run(
             f"tour-{number:0{digits}}-{_file_word(leg.name)}.csv": leg.trajectory
             for number, leg in enumerate(result.legs, start=1)
         }
-    for name, motion in motions.items():
-        write_csv(motion, folder / name)
     phases = [phase for leg in result.legs for phase in leg.phases]
-    write_page(
-        robot, scene, result.trajectory, folder / PAGE, picked=result.picked, dropped=result.dropped, phases=phases
-    )
-    write_report({**result.report, "files": list(motions)}, folder / REPORT)
+    with folder.filling() as staging:
+        for name, motion in motions.items():
+            write_csv(motion, staging / name)
+        shown = {"picked": result.picked, "dropped": result.dropped, "phases": phases}
+        write_page(robot, scene, result.trajectory, staging / PAGE, **shown)
+        write_report({**result.report, "files": list(motions)}, staging / REPORT)
     return result, [*motions, REPORT, PAGE]
 
 
@@ -166,23 +174,6 @@ def _tour_options(arguments: argparse.Namespace) -> TourOptions:
 def _file_word(name: str) -> str:
     """A name as part of a file's name."""
     return re.sub(r"[^A-Za-z0-9]+", "-", name).strip("-") or "fruit"
-
-
-def _clear(folder: Path) -> None:
-    """Remove the files of an earlier job; what cannot be removed cannot be written either, and is reported then."""
-    for path in (folder / TRAJECTORY, folder / PAGE, folder / REPORT, *sorted(folder.glob("tour-[0-9]*-*.csv"))):
-        with contextlib.suppress(OSError):
-            path.unlink(missing_ok=True)
-
-
-def _write_failure(folder: Path, error: BaseException, names: dict[str, str | None]) -> None:
-    """Leave nothing of a failed job but its report; after an interrupt or a fault of hplan's own, nothing at all."""
-    from hplan.report import failure_report, write_report
-
-    _clear(folder)
-    if isinstance(error, HplanError):
-        with contextlib.suppress(OutputError):
-            write_report(failure_report(error, scene=names["scene"], robot=names["robot"]), folder / REPORT)
 
 
 @contextlib.contextmanager

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hplan.errors import OptionError, OutputError, RobotFileError
-from hplan.terminal import command_parser, run_command
+from hplan.terminal import CommandParser, command_parser, named_output, run_command
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -20,6 +20,9 @@ if TYPE_CHECKING:
     from hplan.path import Limits
     from hplan.trajectory import Trajectory
     from hplan.waypoints import Machine
+
+#: Where the motion goes unless something else is said.
+OUT = Path("timed.csv")
 
 _DESCRIPTION = """\
 Time the fastest motion through waypoints, from rest to rest, under the URDF's velocity and torque limits and given
@@ -44,7 +47,9 @@ exit status:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
-    arguments = _parser().parse_args(argv)
+    parser = _parser()
+    parser.on_usage_error = lambda _: _forget(sys.argv[1:] if argv is None else argv)
+    arguments = parser.parse_args(argv)
 
     def command(console: Console, _: Console) -> int:
         _prepare(arguments)
@@ -54,7 +59,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     return run_command(command)
 
 
-def _parser() -> argparse.ArgumentParser:
+def _parser() -> CommandParser:
     parser = command_parser(_DESCRIPTION, _EPILOG)
     add = parser.add_argument
     add("urdf", type=Path, metavar="URDF", help="the robot; its meshes are not needed")
@@ -70,9 +75,21 @@ def _parser() -> argparse.ArgumentParser:
     add("--deviation", type=float, default=1.0, metavar="DEG", help="largest distance from the polyline (default: 1)")
     add("--rate", type=float, default=250.0, metavar="HZ", help="rows per second in the CSV (default: 250)")
     add("--speed", type=float, default=1.0, metavar="SHARE", help="share of full speed, in (0, 1] (default: 1)")
-    add("--out", type=Path, default=Path("timed.csv"), metavar="FILE.csv", help="file to write (default: timed.csv)")
+    add("--out", type=Path, default=OUT, metavar="FILE.csv", help="file to write (default: timed.csv)")
     add("--quiet", action="store_true", help="no summary")
     return parser
+
+
+def _forget(argv: Sequence[str]) -> None:
+    """Remove an earlier result where arguments cannot be understood, unless they name it as something to read too."""
+    out = named_output(argv, OUT)
+    if out is None or out.suffix != ".csv" or not out.is_file():
+        return
+    named = [Path(text) for text in argv if Path(text).exists() and Path(text).samefile(out)]
+    given = sum(text == "--out" for text in argv)
+    if len(named) <= given:
+        with contextlib.suppress(OSError):
+            out.unlink()
 
 
 def _prepare(arguments: argparse.Namespace) -> None:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hplan.arrays import BoolArray, FloatArray, IntArray, Record, frozen, readonly
-from hplan.clearance_kernels import link_clearances, mark_near, path_is_clear
+from hplan.clearance_kernels import clearances_along, link_clearances, mark_near, path_is_clear
 from hplan.clearance_rows import GATE, rows_of
 from hplan.errors import OptionError
 from hplan.robot import Robot
@@ -143,6 +143,13 @@ class ClearanceField(Record):
         """
         result = np.empty(len(self.chain))
         link_clearances(np.asarray(q, dtype=np.float64), self.chain, self.base, self.solids, self.data, result)
+        return result
+
+    def along(self, configurations: ArrayLike) -> FloatArray:
+        """Clearances of the links at many configurations, (n, dof) -> (n, links) [m]; as `link_clearances`."""
+        points = np.array(configurations, dtype=np.float64, order="C")
+        result = np.empty((len(points), len(self.chain)))
+        clearances_along(points, self.chain, self.base, self.solids, self.data, result)
         return result
 
     def clearance(self, q: ArrayLike) -> float:

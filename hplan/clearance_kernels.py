@@ -142,6 +142,15 @@ def link_clearances(
 
 
 @kernel
+def clearances_along(
+    points: FloatArray, chain: FloatArray, base: FloatArray, solids: FloatArray, data: FloatArray, result: FloatArray
+) -> None:
+    """Clearance of each link at (n, dof) configurations, written into (n, links)."""
+    for i in range(points.shape[0]):
+        link_clearances(points[i], chain, base, solids, data, result[i])
+
+
+@kernel
 def mark_near(
     path: FloatArray, chain: FloatArray, base: FloatArray, solids: FloatArray, distance: float, near: BoolArray
 ) -> None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -82,19 +83,28 @@ class Limits(Record):
         acceleration: (dof,) [rad/s^2].
         torque: (dof,) [N m], or None where torque is not limited.
         jerk: (dof,) [rad/s^3], or None where jerk is not limited.
+        path_speed: Largest path speeds ds/dt at (n,) increasing path parameters; None where there are none.
     """
 
     velocity: FloatArray
     acceleration: FloatArray
     torque: FloatArray | None = None
     jerk: FloatArray | None = None
+    path_speed: Callable[[FloatArray], FloatArray] | None = None
 
     def scaled(self, speed: float) -> Limits:
-        """The limits of the same motions at `speed` times their pace (torque stays: gravity does not slow down).
+        """The limits of the same motions at `speed` times their pace.
+
+        Torque stays, as gravity does not slow down, and so do path speeds.
 
         Raises:
             OptionError: The speed is not in (0, 1].
         """
         check_speed(speed)
         jerk = None if self.jerk is None else readonly(self.jerk * speed**3)
-        return Limits(readonly(self.velocity * speed), readonly(self.acceleration * speed**2), self.torque, jerk)
+        return replace(
+            self,
+            velocity=readonly(self.velocity * speed),
+            acceleration=readonly(self.acceleration * speed**2),
+            jerk=jerk,
+        )

@@ -25,7 +25,7 @@ from hplan.scene import Scene, Solid
 from hplan.search import SearchResult
 from hplan.surroundings import Surroundings
 from hplan.trajectory import Trajectory, joined
-from hplan.transit import Motion, certified, find_motion, renewed, timed
+from hplan.transit import Motion, executable, find_motion, renewed
 from hplan.turning_space import Layers
 
 
@@ -217,8 +217,8 @@ def last_stretch(task: Task, grasp: Grasp, retreat: bool) -> list[tuple[str, Tra
     path = grasp.path(task.robot, task.scene.locked_joints)
     if path is None:
         return []
-    there = timed(task, path)
-    parts = [("approach", there, certified(task, there))]
+    there, shown = executable(task, path)
+    parts = [("approach", there, shown)]
     if retreat:
         # The same motion backwards: accelerations and torques stay as they are, and so do all the distances.
         parts.append(("retreat", there.reversed, parts[0][2]))

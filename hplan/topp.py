@@ -64,15 +64,16 @@ def fastest_speed(
     Raises:
         TimingError: There is no motion within the limits; `cause` is toppra's code.
     """
+    # toppra's tolerances are absolute; on a short path a longer parameter brings ds/dt to about 10.
+    span = float(grid[-1] - grid[0])
+    scale = 10.0 / np.sqrt(max(float(limits.acceleration.max()), _TINY) * span) if span < _SHORT else 1.0
+    ceiling = np.inf if limits.path_speed is None else scale * limits.path_speed(grid)
     constraints: list[Any] = [
-        _Velocity(np.maximum(limits.velocity, _TINY)),
+        _Velocity(np.maximum(limits.velocity, _TINY), ceiling),
         _Acceleration(np.maximum(limits.acceleration, _TINY)),
     ]
     if limits.torque is not None:
         constraints.append(_Torque(dynamics, np.maximum(limits.torque, _TINY)))
-    # toppra's tolerances are absolute; on a short path a longer parameter brings ds/dt to about 10.
-    span = float(grid[-1] - grid[0])
-    scale = 10.0 / np.sqrt(max(float(limits.acceleration.max()), _TINY) * span) if span < _SHORT else 1.0
     view = _Path(path, grid, scale)
     instance = Passes(constraints, view, gridpoints=scale * grid)
     _, speed, _ = instance.compute_parameterization(scale * float(rates[0]), scale * float(rates[1]))
@@ -111,15 +112,19 @@ class _Path(toppra.interpolator.AbstractGeometricPath):  # type: ignore[misc]
 
 
 class _Velocity(constraint.LinearConstraint):  # type: ignore[misc]
-    """|q'| ds/dt <= limit at the grid points, as a bound of x; `JointVelocityConstraint` without its loops."""
+    """|q'| ds/dt <= limit and ds/dt <= ceiling at the grid points, as a bound of x.
 
-    def __init__(self, limit: FloatArray) -> None:
+    `JointVelocityConstraint` without its loops.
+    """
+
+    def __init__(self, limit: FloatArray, ceiling: float | FloatArray) -> None:
         super().__init__()
-        self._limit = limit
+        self._limit, self._ceiling = limit, ceiling
 
     def compute_constraint_params(self, path: Any, gridpoints: FloatArray, *_: Any) -> tuple[Any, ...]:
         """Return toppra's a, b, c, F, g, ubound, of which there are none, and xbound."""
         fastest = (self._limit / np.maximum(np.abs(path(gridpoints, 1)), 1e-300)).min(axis=1)
+        fastest = np.minimum(fastest, self._ceiling)
         bound = np.stack([np.zeros(len(fastest)), np.minimum(fastest**2, _BOUND)], axis=1)
         return None, None, None, None, None, None, bound
 

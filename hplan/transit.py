@@ -26,6 +26,7 @@ from hplan.postprocess import PostprocessOptions, SplinePath, fast_path
 from hplan.refusals import Refusals
 from hplan.roadmap import BRIEF, WIDE, Effort, quick_way
 from hplan.route import Route, Rung, Task, find_route
+from hplan.speed_ceiling import SpeedCeiling, averaging_s
 from hplan.timing import resting, time_path
 from hplan.trajectory import Trajectory
 
@@ -78,6 +79,9 @@ CORNERS_S = 0.3
 #: A route is searched to a goal that promises to be reached in less than this share of the time of a straight motion.
 WORTHWHILE = 0.7
 
+
+#: Shares of the clearance that sway may take which comes with speed, tried in turn until a motion is certified.
+CEILINGS = (0.75, 0.5, 0.2)
 
 #: A motion is empty, straight, along a way found in a roadmap or on a grid, along that of an earlier motion, or an
 #: earlier motion.
@@ -205,16 +209,44 @@ def least_duration(task: Task) -> float:
     return least_between(problem.start, problem.goal, robot.velocity_limit, robot.acceleration_limit)
 
 
-def timed(task: Task, path: GeometricPath) -> Trajectory:
+def timed(task: Task, path: GeometricPath, share: float = 0.0) -> Trajectory:
     """The fastest motion along a path under the robot's limits.
+
+    Args:
+        task: What is asked.
+        path: The path.
+        share: Share of the clearance that the sway may take which comes with speed; 0 where speed is not to care.
 
     Raises:
         TimingError: There is none.
     """
-    robot, options = task.robot, task.options
+    robot, options, delay_s = task.robot, task.options, task.options.tracking.delay_s
     with task.stage("timing"):
         limits = Limits(robot.velocity_limit, robot.acceleration_limit, robot.torque_limit, robot.jerk_limit)
-        return time_path(path, robot.dynamics, limits.scaled(options.speed), rate_hz=options.rate_hz)
+        limits = limits.scaled(options.speed)
+        if share > 0.0:
+            averaged_s = averaging_s(limits, options.rate_hz)
+            limits = replace(limits, path_speed=SpeedCeiling(robot, path, task.field, delay_s, share, averaged_s))
+        return time_path(path, robot.dynamics, limits, rate_hz=options.rate_hz)
+
+
+def executable(task: Task, path: GeometricPath) -> tuple[Trajectory, Certificate]:
+    """The fastest certified motion along a path.
+
+    Where tracking errors grow with speed, tight places are run slowly, and where that is not enough, more slowly.
+
+    Raises:
+        TimingError: There is none within the limits.
+        CertificationError: It is asked for, and something was not shown.
+    """
+    shares = CEILINGS if task.options.tracking.delay_s > 0.0 else (0.0,)
+    for share in shares[:-1]:
+        trajectory = timed(task, path, share)
+        certificate = judged(task, trajectory)
+        if certificate.verified:
+            return trajectory, certificate
+    trajectory = timed(task, path, shares[-1])
+    return trajectory, certified(task, trajectory)
 
 
 def certified(task: Task, trajectory: Trajectory) -> Certificate:
@@ -274,8 +306,8 @@ def finished(task: Task, route: Route | None, way: FloatArray, margin: float, or
                 objective=options.objective,
             ),
         )
-    trajectory = timed(task, path)
-    return Motion(task, route, way, path, trajectory, certified(task, trajectory), origin)
+    trajectory, certificate = executable(task, path)
+    return Motion(task, route, way, path, trajectory, certificate, origin)
 
 
 def _straight(attempts: Sequence[_Attempts]) -> tuple[int, Motion] | None:

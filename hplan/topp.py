@@ -117,7 +117,7 @@ class _Velocity(constraint.LinearConstraint):  # type: ignore[misc]
     `JointVelocityConstraint` without its loops.
     """
 
-    def __init__(self, limit: FloatArray, ceiling: float | FloatArray) -> None:
+    def __init__(self, limit: FloatArray, ceiling: float | FloatArray = np.inf) -> None:
         super().__init__()
         self._limit, self._ceiling = limit, ceiling
 

@@ -92,6 +92,15 @@ def test_ceiling_by_the_formula(robot: Robot) -> None:
     assert (own[~tight] >= (robot.velocity_limit / np.maximum(rates, 1e-300)).min(axis=1)[~tight]).all()
 
 
+def test_the_tight_place_may_be_between_two_grid_points(robot: Robot) -> None:
+    path = turning()
+    field = ClearanceField.of(robot, [bead(robot, 0.002)])
+    ceiling = ceiling_of(robot, path, field)
+    between, on = np.linspace(0.0, path.end, 10), np.linspace(0.0, path.end, 11)  # yaw 0 is halfway
+    assert ceiling(between).min() == pytest.approx(ceiling(on).min(), rel=1e-9)
+    assert np.isfinite(ceiling(between)).sum() == 2
+
+
 def test_nothing_near_is_no_ceiling(robot: Robot) -> None:
     path = turning()
     ceiling = ceiling_of(robot, path, ClearanceField.of(robot, [bead(robot, 0.5)]))

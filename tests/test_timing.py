@@ -219,10 +219,7 @@ def torque_bound(robot, smooth_limits, path, share):
     )
 
 
-@pytest.mark.parametrize(
-    "rate",
-    [pytest.param(10.0, marks=pytest.mark.xfail(strict=True, reason="torque is kept at rows, not between")), 50.0],
-)
+@pytest.mark.parametrize("rate", [10.0, 25.0, 50.0])
 def test_torque_of_motions_bound_by_it(robot, smooth_limits, rate):
     for seed in range(4):
         path = curve(seed, robot)
@@ -246,13 +243,21 @@ def test_rows_are_near_the_path(robot, limits):
 
 
 @pytest.mark.parametrize("seed", [2, 7])
-@pytest.mark.parametrize(
-    "points", [3200, pytest.param(GRID_POINTS, marks=pytest.mark.xfail(strict=True, reason="fewer points than rows"))]
-)
-def test_random_motions_are_at_a_limit_nearly_all_the_time(robot, limits, smooth_limits, seed, points):
-    for kept in (limits, smooth_limits):
-        use = row_uses(time_path(curve(seed, robot), robot.model, kept, grid_points=points), kept)
-        assert (use >= 0.99).mean() >= 0.8
+@pytest.mark.parametrize(("points", "with_jerk"), [(3200, True), (3200, False), (GRID_POINTS, True)])
+def test_random_motions_are_at_a_limit_nearly_all_the_time(robot, limits, smooth_limits, seed, points, with_jerk):
+    kept = limits if with_jerk else smooth_limits
+    use = row_uses(time_path(curve(seed, robot), robot.model, kept, grid_points=points), kept)
+    assert (use >= 0.99).mean() >= 0.8
+
+
+@pytest.mark.parametrize("seed", [2, 7])
+def test_what_is_lost_without_jerk_limits(robot, smooth_limits, seed):
+    """With fewer points than rows, what passes a limit between points slows the whole motion: by 6 % at most here."""
+    few, many = (
+        time_path(curve(seed, robot), robot.model, smooth_limits, grid_points=points) for points in (GRID_POINTS, 3200)
+    )
+    assert 1.03 * many.duration < few.duration < 1.06 * many.duration
+    assert np.median(row_uses(few, smooth_limits)) >= 0.9
 
 
 def test_same_motion_twice(robot, limits, reference_path):
@@ -347,24 +352,20 @@ def test_to_a_given_speed(robot, limits, smooth_limits, seed, points, near, with
 
 
 @pytest.mark.parametrize(
-    ("rate", "speeds"),
+    ("rate", "speeds", "off"),
     [
-        (RATE, (0.05, 0.05)),
-        (RATE, (0.5, 0.2)),
-        pytest.param(
-            25.0,
-            (0.3, 0.3),
-            marks=pytest.mark.xfail(strict=True, reason="the lead is slowed down too, so the first row stands off"),
-        ),
+        (RATE, (0.05, 0.05), 1e-5),
+        (RATE, (0.5, 0.2), 1e-5),
+        (25.0, (0.3, 0.3), 0.02 * 0.3 / 25.0),  # as the text of `time_path` says
     ],
 )
-def test_from_and_to_given_speeds(robot, limits, rate, speeds):
+def test_from_and_to_given_speeds(robot, limits, rate, speeds, off):
     path = straight(START, GOAL)
     trajectory = time_path(path, robot.model, limits, rate_hz=rate, start_speed=speeds[0], end_speed=speeds[1])
     ends = np.linalg.norm(trajectory.velocity[[0, -1]], axis=1)
     assert (ends <= np.array(speeds) * (1 + 1e-6)).all()
     assert (ends >= np.array(speeds) * (1 - 2.0 / rate)).all()
-    np.testing.assert_allclose(trajectory.position[[0, -1]], path.evaluate([0.0, path.end]), atol=1e-5)
+    np.testing.assert_allclose(trajectory.position[[0, -1]], path.evaluate([0.0, path.end]), rtol=0, atol=off)
 
 
 def test_speeds_shorten_the_motion(robot, limits):

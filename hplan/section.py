@@ -129,6 +129,7 @@ class Bodies(Record):
         names: Names of the obstacles.
         own_clearance: Clearance that parts of the arm are to keep from one another [m].
         deviation: By how much every joint may be off [rad]; sections grow by what each link may then sway.
+        touched: Index into `names` of the obstacle that the last link may touch; -1 where there is none.
     """
 
     ball_centres: FloatArray
@@ -142,6 +143,7 @@ class Bodies(Record):
     names: tuple[str, ...]
     own_clearance: float
     deviation: float = 0.0
+    touched: int = -1
 
 
 #: What `_hulls` makes of none.
@@ -154,6 +156,7 @@ def bodies_of(
     clearance: ArrayLike = 0.0,
     own_clearance: float | None = None,
     deviation: float = 0.0,
+    touched: int = -1,
 ) -> Bodies:
     """Make obstacles ready for cutting.
 
@@ -163,6 +166,7 @@ def bodies_of(
         own_clearance: Distance that parts of the arm are to keep from one another [m]; None for the smallest of the
             others.
         deviation: By how much every joint may be off [rad].
+        touched: Number of the obstacle that the last link may touch; -1 where there is none.
 
     Raises:
         OptionError: A clearance that is negative or no number, or not one for each obstacle.
@@ -206,6 +210,7 @@ def bodies_of(
         names=tuple(obstacle.name for obstacle in obstacles),
         own_clearance=float(margins.min()) if own_clearance is None and margins.size else float(own_clearance or 0.0),
         deviation=deviation,
+        touched=touched,
     )
 
 
@@ -279,6 +284,10 @@ def sections_at(
     if link_model == "rectangle" and len(bodies.hull_owners):
         _require_disc(len(bodies.hull_points), bodies.names[int(bodies.hull_owners[0])])
     sections = _cut(robot, bodies, yaw, float(half_angle), link_model, within_reach=within_reach)
+    if bodies.touched >= 0:
+        links = _links_of(sections)
+        spared = (sections.obstacle_of == bodies.touched) & (links == robot.arm.link_count - 1)
+        sections = _picked(sections, np.flatnonzero(~spared), links)
     contact = self_contact(robot, deviation=bodies.deviation, clearance=bodies.own_clearance)
     if not (contact.links or contact.bodies):
         return sections

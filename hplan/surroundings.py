@@ -83,18 +83,19 @@ class Surroundings(Record):
         )
 
     def touching(self, name: str) -> Surroundings:
-        """The same where the last link may touch the solids of a name; bodies for cutting do not know them at all."""
+        """The same where the last link may touch the solid of a name."""
         touched = np.array([solid.name == name for solid in self.solids], dtype=np.bool_)
         return replace(self, field=self.field.sparing(touched), judge=self.judge.touching(name), touched=name)
 
     def bodies(self, more: float = 0.0) -> Bodies:
         """The solids made ready for cutting, grown by the clearance to keep and `more` [m]."""
-        kept = [number for number, solid in enumerate(self.solids) if solid.name != self.touched]
+        names = [solid.name for solid in self.solids]
         return bodies_of(
-            [self.solids[i] for i in kept],
-            clearance=self.clearance + self.growth[kept] + more,
+            self.solids,
+            clearance=self.clearance + self.growth + more,
             own_clearance=self.clearance + more,
             deviation=self.deviation,
+            touched=names.index(self.touched) if self.touched in names else -1,
         )
 
     def check_clear(self, q: FloatArray, which: str) -> float:

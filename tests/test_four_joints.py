@@ -25,9 +25,7 @@ from planned import (
 from hplan.collision import CollisionScene
 from hplan.errors import (
     BlockedError,
-    CertificationError,
     ConfigurationInCollisionError,
-    HplanError,
     InputError,
     NoPathError,
     OptionError,
@@ -355,13 +353,8 @@ def test_standoff(robot: Robot, standoff: float) -> None:
     scene = task(FOLDED, Goal(fruit="apple"), fruits=(fruit("apple", 40.0, 1.2, 1.9),))
     result = plan(robot, scene, PlanOptions(step_deg=2.0, standoff=standoff))
     assert_sound(robot, scene, result)
-    least = 0.04 + 0.03 + 0.002
     assert result.grasp is not None
-    assert result.grasp.distance in (
-        0.0,
-        pytest.approx(max(standoff, least)),
-        pytest.approx(max(0.5 * standoff, least)),
-    )
+    assert result.grasp.distance == pytest.approx(max(standoff, 0.04 + 0.03 + 0.002), abs=1e-12)
 
 
 @pytest.mark.parametrize("locked", [("base_yaw",), ("elbow",), ("wrist",), ("base_yaw", "shoulder")])
@@ -379,9 +372,6 @@ def test_locked_joints(robot: Robot, goal: str, locked: tuple[str, ...]) -> None
     assert (result.grasp.distance > 0.0) == (locked == ("base_yaw",))
 
 
-IN_THE_WAY = pytest.mark.xfail(reason="on the planar grid the forearm is led through the fruit", strict=True)
-
-
 @pytest.mark.parametrize(
     ("start", "locked"),
     [
@@ -389,7 +379,7 @@ IN_THE_WAY = pytest.mark.xfail(reason="on the planar grid the forearm is led thr
         ((40.0, 0.0, 20.0, 90.0), ("base_yaw",)),
         ((0.0, 90.0, 45.0, 90.0), ()),
         ((40.0, 90.0, 45.0, 90.0), ()),
-        pytest.param((40.0, 90.0, 45.0, 90.0), ("base_yaw",), marks=IN_THE_WAY),
+        ((40.0, 90.0, 45.0, 90.0), ("base_yaw",)),
     ],
 )
 def test_no_straight_approach(robot: Robot, start: tuple[float, ...], locked: tuple[str, ...]) -> None:
@@ -469,33 +459,32 @@ def test_base_in_an_obstacle(robot: Robot) -> None:
 # Many scenes
 
 
+#: Scenes of random obstacles without a motion, by their seeds: fruits and paths that are not to be had, and no others.
+NONE = dict.fromkeys((3, 6, 9, 51, 57), UnreachableError) | {31: NoPathError}
+
+
 @pytest.mark.parametrize("seed", range(30))
 def test_random_scenes(robot: Robot, seed: int) -> None:
-    """A sound motion, or an error that says what is wrong."""
     scene = random_scene(seed, robot)
-    typed = [NoPathError, CertificationError]
-    if scene.goal.fruit is not None:
-        typed += [UnreachableError, BlockedError]
-    try:
-        result = plan(robot, scene, COARSE)
-    except tuple(typed):
+    if seed in NONE:
+        with pytest.raises(NONE[seed]):
+            plan(robot, scene, COARSE)
         return
-    assert_sound(robot, scene, result)
+    assert_sound(robot, scene, plan(robot, scene, COARSE))
 
 
 def test_random_scenes_are_worth_it(robot: Robot) -> None:
-    """Motions of all kinds come out of them, and few errors."""
+    """Motions of all kinds come out of them."""
     kinds: dict[str, int] = {}
     for seed in range(30, 60):
         scene = random_scene(seed, robot)
-        try:
-            result = plan(robot, scene, PlanOptions(step_deg=3.0))
-        except HplanError as error:
-            kinds[error.kind] = kinds.get(error.kind, 0) + 1
+        if seed in NONE:
+            with pytest.raises(NONE[seed]):
+                plan(robot, scene, PlanOptions(step_deg=3.0))
             continue
+        result = plan(robot, scene, PlanOptions(step_deg=3.0))
         assert_sound(robot, scene, result)
-        kind = "/".join(planner_of(result))
+        kind = planner_of(result)[0]
         kinds[kind] = kinds.get(kind, 0) + 1
-    assert {"direct/none", "two-level/column", "two-level/wavefront"} & kinds.keys() != set()
-    assert len(kinds) >= 3
-    assert sum(count for kind, count in kinds.items() if "/" in kind) >= 20
+    assert kinds.keys() == {"direct", "roadmap", "two-level"}
+    assert min(kinds.values()) >= 2

@@ -22,7 +22,7 @@ from shapes import blocks
 
 from hplan.certificate import certify
 from hplan.collision import CollisionScene
-from hplan.errors import ConfigurationInCollisionError, HplanError, InputError, NoPathError, SceneError
+from hplan.errors import ConfigurationInCollisionError, InputError, NoPathError, SceneError
 from hplan.options import PlanOptions
 from hplan.pipeline import PlanResult, plan
 from hplan.planner import Planner
@@ -160,7 +160,7 @@ def test_obstacle_that_wanders_through(robot: Robot) -> None:
             continue  # it stands where the start or the goal is
         seen.add(method(result))
         assert_fresh(robot, planner, result)
-    assert {"kept", "direct", "mended"} & seen == {"kept", "direct", "mended"} or len(seen) >= 3
+    assert seen >= {"direct", "kept", "mended", "roadmap"}
 
 
 def test_new_goal_and_start(robot: Robot) -> None:
@@ -246,21 +246,14 @@ def test_what_stands_in_the_base_is_refused(robot: Robot) -> None:
 
 @pytest.mark.parametrize("seed", range(8))
 def test_random_changes(robot: Robot, seed: int) -> None:
-    """Obstacles of a random scene come one by one, and go: every motion is sound, or the error is a typed one."""
+    """Obstacles of a random scene come one by one, and go; all of them leave a motion, and each is sound."""
     whole = random_scene(3 * seed + 1, robot)
     planner = Planner(robot, whole.with_obstacles([]), PlanOptions(step_deg=3.0))
-    planned = 0
     changes: list[Any] = [("add", item) for item in whole.obstacles]
     changes += [("remove", item.name) for item in whole.obstacles[::2]]
     for kind, value in changes:
         getattr(planner, kind)(value)
-        try:
-            result = planner.replan()
-        except HplanError:
-            continue
-        planned += 1
-        assert_fresh(robot, planner, result)
-    assert planned > 0
+        assert_fresh(robot, planner, planner.replan())
 
 
 # Changes

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, TypeAlias, assert_never
+from typing import Any
 from weakref import WeakKeyDictionary
 
 import coal
@@ -17,25 +17,15 @@ from hplan.arm_pairs import below, fold_pairs, link_pairs, turret_pairs, turret_
 from hplan.arrays import BoolArray, FloatArray, IntArray
 from hplan.base_shapes import TURRET
 from hplan.base_shapes import filled as _filled
+from hplan.coal_shapes import LINK_SHAPES, LinkShapes, beyond_geometry, link_shapes, solid_shape, urdf_shapes
 from hplan.errors import ConfigurationInCollisionError, OptionError
 from hplan.geometry_pairs import GeometryPairs
 from hplan.grid import Grid
 from hplan.robot import Robot
-from hplan.scene import Box, Capsule, Solid, Sphere
+from hplan.scene import Solid
 from hplan.self_contact import self_contact
-from hplan.solids import Cloud, Hull
 
-#: Shape of the links: the planner's capsules, beams of the same half-widths, or the URDF's collision geometry.
-LinkShapes: TypeAlias = Literal["capsule", "box", "urdf"]
-LINK_SHAPES: tuple[LinkShapes, ...] = ("capsule", "box", "urdf")
-
-#: What depends on the robot alone.
-_LINK_SHAPES: WeakKeyDictionary[Robot, dict[LinkShapes, list[pin.GeometryObject]]] = WeakKeyDictionary()
 _BASE_RADII: WeakKeyDictionary[Robot, float] = WeakKeyDictionary()
-
-
-#: Size of the triangle that stands for a point of a cloud [m].
-_SPECK = 1e-7
 
 
 @dataclass(frozen=True)
@@ -76,7 +66,7 @@ class CollisionScene:
     Neighbours that fold into one another are asked as capsules always.
 
     A cloud is one tree of bounding volumes about its points, asked with its radius taken off the distance. Wherever a
-    link does not reach the points themselves the distance is right, and at most two `_SPECK` too small; where it does,
+    link does not reach the points themselves the distance is right, and at most 2e-7 m too small; where it does,
     the depth is at least the radius, and may be less than the true one.
 
     Several threads may ask at once. A scene can be pickled; it is built anew from robot and obstacles.
@@ -138,7 +128,7 @@ class CollisionScene:
         self.link_names = robot.arm.link_names
         self.deviation = float(deviation)
         self.clearance = float(clearance)
-        shapes = _urdf_shapes(robot) if links == "urdf" else [[shape] for shape in _link_shapes(robot, links)]
+        shapes = urdf_shapes(robot) if links == "urdf" else [[shape] for shape in link_shapes(robot, links)]
         turret = turret_shapes(robot) if single_joint_pairs else {}
         movers = [*shapes, *(placed for _, placed in turret.values())]
         self.mover_names = (*self.link_names, *turret)
@@ -147,7 +137,7 @@ class CollisionScene:
         self.link_shapes = [shape for of_link in shapes for shape in of_link]
         self._mover_shapes = [shape for of_mover in movers for shape in of_mover]
         #: What is to be taken off coal's distance of each shape from each obstacle [m].
-        beyond = np.array([_beyond_geometry(obstacle) for obstacle in obstacles], dtype=np.float64)
+        beyond = np.array([beyond_geometry(obstacle) for obstacle in obstacles], dtype=np.float64)
         beyond += np.asarray(growth, dtype=np.float64)
         self._beyond: FloatArray = np.tile(beyond, (len(self._mover_shapes), 1))
         for row, shape in enumerate(shape for of_body, _ in turret.values() for shape in of_body):
@@ -161,7 +151,7 @@ class CollisionScene:
         contact = self_contact(robot, deviation=deviation, clearance=clearance)
         own = list(link_pairs(robot, contact, shapes))
         if single_joint_pairs:
-            own += fold_pairs(robot, contact, _link_shapes(robot, "capsule"))
+            own += fold_pairs(robot, contact, link_shapes(robot, "capsule"))
             own += turret_pairs(robot, contact)
         self.own_others = [pair.other for pair in own]
         self.own_first = len(obstacles)
@@ -184,7 +174,7 @@ class CollisionScene:
                 numbers[id(shape)] = len(self._mover_shapes) + len(added)
                 added.append(shape)
         chosen = [(numbers[id(pair.shapes[0])], numbers[id(pair.shapes[1])]) for pair in own]
-        solids = [_solid(obstacle) for obstacle in obstacles]
+        solids = [solid_shape(obstacle) for obstacle in obstacles]
         self._geometry = GeometryPairs(robot.model, self._mover_shapes, solids, added, chosen)
 
     def __getstate__(self) -> dict[str, Any]:
@@ -311,7 +301,7 @@ def base_contacts(
         place = data.oMi[shape.parentJoint] * shape.placement
         name = str(robot.model.frames[shape.parentFrame].name)
         for obstacle in obstacles:
-            solid = _solid(obstacle)
+            solid = solid_shape(obstacle)
             distance = coal.distance(
                 body,
                 coal.Transform3s(place.rotation, place.translation),
@@ -319,7 +309,7 @@ def base_contacts(
                 coal.Transform3s(solid.placement.rotation, solid.placement.translation),
                 coal.DistanceRequest(),
                 coal.DistanceResult(),
-            ) - _beyond_geometry(obstacle)
+            ) - beyond_geometry(obstacle)
             if distance <= margin:
                 found.append(Contact(name, obstacle.name, float(distance)))
     return tuple(found)
@@ -382,108 +372,3 @@ def sampled_occupancy(judge: CollisionScene, grid: Grid, yaw: float = 0.0) -> Bo
     if robot.has_yaw:
         nodes = np.column_stack([np.full(len(nodes), yaw), nodes])
     return judge.in_collision(nodes).reshape(grid.shape)
-
-
-def _link_shapes(robot: Robot, links: LinkShapes) -> list[pin.GeometryObject]:
-    """Each link's capsule or beam, in the frame of its joint; made once for each robot."""
-    known = _LINK_SHAPES.setdefault(robot, {})
-    if links in known:
-        return known[links]
-    model, arm = robot.model, robot.arm
-    data = model.createData()
-    neutral = np.zeros(model.nq)
-    pin.forwardKinematics(model, data, neutral)
-    points = robot.plane_origin + arm.joint_points(neutral[robot.arm_slice]) @ robot.plane_axes
-    normal = np.cross(robot.plane_axes[0], robot.plane_axes[1])
-    first = 2 if robot.has_yaw else 1
-    shapes = []
-    for k, name in enumerate(arm.link_names):
-        half_width, length = float(arm.half_widths[k]), float(arm.lengths[k])
-        if links == "box":
-            along = (points[k + 1] - points[k]) / length
-            rotation = np.stack([np.cross(normal, along), normal, along], axis=1)
-            placement = pin.SE3(rotation, 0.5 * (points[k] + points[k + 1]))
-            shape = coal.Box(2.0 * half_width, 2.0 * half_width, length)
-        else:
-            placement = _along(points[k], points[k + 1])
-            shape = coal.Capsule(half_width, length)
-        local = data.oMi[first + k].inverse() * placement
-        shapes.append(pin.GeometryObject(f"link:{name}", first + k, local, shape))
-    known[links] = shapes
-    return shapes
-
-
-def _urdf_shapes(robot: Robot) -> list[list[pin.GeometryObject]]:
-    """The URDF's collision shapes of each link."""
-    first = 2 if robot.has_yaw else 1
-    found = []
-    for k, name in enumerate(robot.arm.link_names):
-        shapes = [g for g in robot.collision_model.geometryObjects if g.parentJoint == first + k]
-        found.append(
-            [
-                pin.GeometryObject(f"link:{name}:{number}", first + k, shape.placement, _filled(shape))
-                for number, shape in enumerate(shapes)
-            ]
-        )
-    return found
-
-
-def _solid(obstacle: Solid) -> pin.GeometryObject:
-    """An obstacle as a fixed geometry object; a cloud without its radius (`_beyond_geometry`)."""
-    placement = pin.SE3.Identity()
-    if isinstance(obstacle, Sphere):
-        placement, shape = pin.SE3(np.eye(3), np.array(obstacle.center)), coal.Sphere(float(obstacle.radius))
-    elif isinstance(obstacle, Capsule):
-        start, end = np.array(obstacle.start), np.array(obstacle.end)
-        placement = _along(start, end)
-        shape = coal.Capsule(float(obstacle.radius), float(np.linalg.norm(end - start)))
-    elif isinstance(obstacle, Box):
-        placement = pin.SE3(obstacle.rotation, np.array(obstacle.center))
-        shape = coal.Box(*(float(size) for size in obstacle.size))
-    elif isinstance(obstacle, Hull):
-        tree = _triangles(obstacle.core, obstacle.faces)
-        tree.buildConvexHull(True, "Qt")
-        shape = tree.convex
-        shape.setSweptSphereRadius(float(obstacle.rounding))
-    elif isinstance(obstacle, Cloud):
-        shape = _cloud_tree(obstacle)
-    else:
-        assert_never(obstacle)
-    return pin.GeometryObject(f"obstacle:{obstacle.name}", 0, placement, shape)
-
-
-def _beyond_geometry(obstacle: Solid) -> float:
-    """How far an obstacle reaches beyond its geometry in coal, whose trees take no radius [m]."""
-    return obstacle.rounding if isinstance(obstacle, Cloud) else 0.0
-
-
-#: The trees of clouds that are in use: 0.3 s for 100,000 points.
-_TREES: WeakKeyDictionary[Cloud, coal.BVHModelOBBRSS] = WeakKeyDictionary()
-
-
-def _cloud_tree(cloud: Cloud) -> coal.BVHModelOBBRSS:
-    """The points of a cloud as tiny triangles about them, built once."""
-    if cloud not in _TREES:
-        # Of triangles that are mere points, coal's distance from a ball is wrong.
-        corners = _SPECK * np.array([[1.0, 0.0, 0.5], [-0.5, 0.75, -0.25], [-0.5, -0.75, -0.25]])
-        points = (cloud.core[:, None] + corners).reshape(-1, 3)
-        _TREES[cloud] = _triangles(points, np.arange(len(points)).reshape(-1, 3))
-    return _TREES[cloud]
-
-
-def _triangles(points: FloatArray, faces: IntArray) -> coal.BVHModelOBBRSS:
-    tree = coal.BVHModelOBBRSS()
-    tree.beginModel(len(faces), len(points))
-    tree.addVertices(np.array(points))
-    tree.addTriangles(faces.astype(np.int32))
-    tree.endModel()
-    return tree
-
-
-def _along(start: FloatArray, end: FloatArray) -> pin.SE3:
-    """Placement in the middle of a segment, z along it."""
-    axis = end - start
-    length = np.linalg.norm(axis)
-    turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), axis / length) if length > 0.0 else None
-    rotation = np.eye(3) if turn is None else turn.toRotationMatrix()
-    return pin.SE3(rotation, 0.5 * (start + end))

@@ -30,7 +30,8 @@ from typing import Any
 import numpy as np
 
 from hplan.arrays import BoolArray, FloatArray, IntArray
-from hplan.collision import LINK_SHAPES, CollisionScene, Contact, LinkShapes, base_contacts
+from hplan.coal_shapes import LINK_SHAPES, LinkShapes
+from hplan.collision import CollisionScene, Contact, base_contacts
 from hplan.cspace import joint_grid, occupancy
 from hplan.errors import InputError, OptionError
 from hplan.grid import Grid, Occupancy

@@ -5,7 +5,7 @@ from __future__ import annotations
 import coal
 import numpy as np
 
-from hplan.collision import _solid
+from hplan.coal_shapes import solid_shape
 from hplan.scene import Solid
 
 
@@ -73,7 +73,7 @@ def ball(radius: float = 0.2, n: int = 40) -> tuple[np.ndarray, np.ndarray]:
 
 def distances(solid: Solid, points: np.ndarray) -> np.ndarray:
     """Signed distances of points from a convex solid, by coal."""
-    item = _solid(solid)
+    item = solid_shape(solid)
     place = coal.Transform3s(item.placement.rotation, item.placement.translation)
     bead = coal.Sphere(1e-3)
     found = [

@@ -14,7 +14,8 @@ from script_loader import load_script
 
 import hplan.validation as validation
 import hplan.validation_kinds as validation_kinds
-from hplan.collision import LINK_SHAPES, CollisionScene, base_contacts
+from hplan.coal_shapes import LINK_SHAPES
+from hplan.collision import CollisionScene, base_contacts
 from hplan.cspace import joint_grid, occupancy
 from hplan.errors import InputError, JointLimitError, OptionError
 from hplan.grid import Occupancy

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import Final
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -89,7 +90,7 @@ def joint_ranges(scene: CollisionScene, q: FloatArray, margin: float = MARGIN) -
     pairs = _turret_pairs(scene)
     if len(pairs):
         for end in (lower, upper):
-            end[0], contact = _free_yaw(scene, pairs, q, float(end[0]), margin)
+            end[0], contact = _known_free_yaw(scene, pairs, q, float(end[0]), margin)
             if contact is not None:
                 walls.append(Wall(0, float(end[0]), end is upper, contact))
     arm, first = robot.arm, robot.arm_slice.start
@@ -155,6 +156,23 @@ def _turret_pairs(scene: CollisionScene) -> IntArray:
     if len(scene.mover_names) == links:
         return np.zeros(0, dtype=np.int64)
     return np.array([number for number, (mover, _) in enumerate(scene.pairs) if mover >= links], dtype=np.int64)
+
+
+#: Ends of free intervals that were found before, by yaw, end of the range and margin: every grasp of a fruit asks.
+_KNOWN: WeakKeyDictionary[CollisionScene, dict[tuple[float, float, float], tuple[float, Contact | None]]] = (
+    WeakKeyDictionary()
+)
+
+
+def _known_free_yaw(
+    scene: CollisionScene, pairs: IntArray, q: FloatArray, end: float, margin: float
+) -> tuple[float, Contact | None]:
+    """As `_free_yaw`, which the yaw alone decides."""
+    known, key = _KNOWN.get(scene, {}), (float(q[0]), end, margin)
+    if key not in known:
+        # Tables are replaced and never changed: another thread may read the one before.
+        known = _KNOWN[scene] = {**known, key: _free_yaw(scene, pairs, q, end, margin)}
+    return known[key]
 
 
 def _free_yaw(

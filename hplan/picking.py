@@ -276,9 +276,10 @@ class Motions:
 
     def _planned_pick(self, grasp: Grasp, fruit: str) -> _Move:
         """Approach and retreat."""
-        near = self._around[-1].touching(fruit)
-        task = self._worlds[1].task(near, self.scene, grasp.goal, grasp.goal)
-        return _Move.of(last_stretch(task, grasp, True))
+        around = self._around[-1]
+        task = self._worlds[1].task(around.touching(fruit), self.scene, grasp.goal, grasp.goal)
+        target = next(other for other in self.scene.fruits if other.name == fruit)
+        return _Move.of(last_stretch(task, grasp, target, around.judge))
 
     @staticmethod
     def _near(around: Surroundings, *stops: Stop) -> Surroundings:

@@ -9,19 +9,23 @@ from typing import Any
 import numpy as np
 
 from hplan.arrays import FloatArray, Record
-from hplan.certificate import Certificate, all_of
+from hplan.certificate import Certificate, Stretch, all_of, stretches
+from hplan.collision import CollisionScene
+from hplan.digests import Digests
 from hplan.errors import CertificationError, TimingError
+from hplan.goal_contact import contact_window
 from hplan.grasp_motion import motion_to_grasp
 from hplan.grid import Occupancy
 from hplan.harvest import Grasp, grasps, least_standoff, promising
+from hplan.limit_use import cubic_pieces
 from hplan.options import PlanOptions
 from hplan.polyline import path_length
 from hplan.postprocess import SplinePath
 from hplan.problem import Problem, pose_problem
-from hplan.report import StageClock, versions
+from hplan.report import StageClock, certificate_report, versions
 from hplan.robot import Robot
 from hplan.route import Progress, Task, no_progress
-from hplan.scene import Scene, Solid
+from hplan.scene import Fruit, Scene, Solid
 from hplan.search import SearchResult
 from hplan.surroundings import Surroundings
 from hplan.trajectory import Trajectory, joined
@@ -206,23 +210,37 @@ def _reach(
         return Task(where, scene, problem, options, clock, workspace.layers, progress)
 
     def last_of(grasp: Grasp, motion: Motion) -> list[tuple[str, Trajectory, Certificate]]:
-        return last_stretch(replace(motion.task, around=near), grasp, fruit is not None)
+        return last_stretch(replace(motion.task, around=near), grasp, fruit, around.judge)
 
     grasp, motion, last = motion_to_grasp(ways, likely, task_of, last_of, what)
     return _result(scene, clock, grasp, motion, [("transit", motion.trajectory, motion.certificate), *last])
 
 
-def last_stretch(task: Task, grasp: Grasp, retreat: bool) -> list[tuple[str, Trajectory, Certificate]]:
-    """Approach and retreat, timed and certified."""
+def last_stretch(
+    task: Task, grasp: Grasp, fruit: Fruit | None, judge: CollisionScene
+) -> list[tuple[str, Trajectory, Certificate]]:
+    """Approach and, from a fruit, retreat, timed and certified.
+
+    Args:
+        task: A motion among everything but the fruit.
+        grasp: Where the tool goes.
+        fruit: The fruit there, which the last link may touch (`hplan.goal_contact`); None for none.
+        judge: The arm among everything.
+    """
     path = grasp.path(task.robot, task.scene.locked_joints)
     if path is None:
         return []
-    there, shown = executable(task, path)
-    parts = [("approach", there, shown)]
-    if retreat:
-        # The same motion backwards: accelerations and torques stay as they are, and so do all the distances.
-        parts.append(("retreat", there.reversed, parts[0][2]))
-    return parts
+
+    def among(there: Trajectory) -> list[Stretch]:
+        bezier, _ = cubic_pieces(there)
+        contact = None if fruit is None else contact_window(task.robot, bezier, fruit.center)
+        return stretches(judge, len(bezier), contact, None if fruit is None else fruit.name)
+
+    there, shown = executable(task, path, among)
+    if fruit is None:
+        return [("approach", there, shown)]
+    # The same motion backwards: accelerations and torques stay as they are, and so do all the distances.
+    return [("approach", there, shown), ("retreat", there.reversed, shown)]
 
 
 def _result(
@@ -236,7 +254,12 @@ def _result(
     ends = np.cumsum([part.duration for _, part, _ in parts]).tolist()
     phases = tuple(Phase(name, begin, end) for (name, _, _), begin, end in zip(parts, [0.0, *ends], ends, strict=False))
     trajectory = joined([part for _, part, _ in parts])
-    certificate = all_of([certificate for _, _, certificate in parts])
+    certificate = replace(
+        all_of([certificate for _, _, certificate in parts]),
+        goal_contact=None if scene.goal.fruit is None else "approach" if len(phases) > 1 else "motion",
+        contact_s=_contact_times(scene, phases),
+        digests=Digests.of(motion.task.robot, scene, trajectory),
+    )
     route = motion.route
     return PlanResult(
         problem=motion.task.problem,
@@ -251,6 +274,13 @@ def _result(
         motion=motion,
         report=_report(scene, clock, grasp, motion, phases, trajectory, certificate),
     )
+
+
+def _contact_times(scene: Scene, phases: Sequence[Phase]) -> tuple[float, float] | None:
+    """From when to when the last link may touch the fruit: from the stand-off on; without an approach, all the time."""
+    if scene.goal.fruit is None:
+        return None
+    return phases[1 if len(phases) > 1 else 0].start_s, phases[-1].end_s
 
 
 def _report(
@@ -276,7 +306,6 @@ def _report(
             "flooded_cells": spent.flooded,
         }
     length_deg = float(np.degrees(path_length(way)))
-    nearest = certificate.nearest
     return {
         "status": "ok",
         "scene": scene.name,
@@ -309,15 +338,7 @@ def _report(
             "rate_hz": options.rate_hz,
             "samples": trajectory.samples,
         },
-        "certificate": {
-            "verified": certificate.verified,
-            "min_clearance_m": certificate.min_clearance_m,
-            "nearest": None if nearest is None else vars(nearest),
-            "tracking_error_rad": options.tracking_error,
-            "tracking_delay_s": options.tracking_delay_s,
-            "limit_use": vars(certificate.limit_use),
-            "violations": list(certificate.violations),
-        },
+        "certificate": certificate_report(certificate, options),
         "versions": versions(),
     }
 

@@ -10,10 +10,14 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib import metadata
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from hplan.errors import HplanError
 from hplan.files import write_text
+
+if TYPE_CHECKING:
+    from hplan.certificate import Certificate
+    from hplan.options import PlanOptions
 
 #: Stages of a plan, in order.
 STAGES = (
@@ -65,6 +69,29 @@ def _versions() -> dict[str, str]:
 def versions() -> dict[str, str]:
     """Versions of hplan and of what it stands on."""
     return dict(_versions())
+
+
+def certificate_report(certificate: Certificate, options: PlanOptions) -> dict[str, Any]:
+    """What a certificate says, and what it is about, as `report.json` has it.
+
+    Args:
+        certificate: The certificate.
+        options: How it was asked for: tracking error and standard deviations.
+    """
+    nearest, digests = certificate.nearest, certificate.digests
+    return {
+        "verified": certificate.verified,
+        "min_clearance_m": certificate.min_clearance_m,
+        "nearest": None if nearest is None else vars(nearest),
+        "tracking_error_rad": options.tracking_error,
+        "tracking_delay_s": options.tracking_delay_s,
+        "sigmas": options.sigmas,
+        "goal_contact": certificate.goal_contact,
+        "contact_s": None if certificate.contact_s is None else list(certificate.contact_s),
+        "limit_use": vars(certificate.limit_use),
+        "violations": list(certificate.violations),
+        "digests": None if digests is None else vars(digests),
+    }
 
 
 def failure_report(error: HplanError, *, scene: str | None, robot: str | None) -> dict[str, Any]:

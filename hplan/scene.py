@@ -7,6 +7,7 @@ what a mesh or a point cloud becomes (`hplan.solids`).
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -169,6 +170,12 @@ class _FromData(_Obstacle):
         """Where its file was found, or None where it was made of arrays."""
         return self._path
 
+    @property
+    def data_digest(self) -> str:
+        """SHA-256 of its data before scale, turn and shift, in hexadecimal digits; made once."""
+        digest: str = self._data.once("digest", lambda: _sha256(self._data.arrays))
+        return digest
+
     def write(self, path: Path) -> Path:
         """Write its data as a PLY file, before scale, turn and shift.
 
@@ -178,6 +185,14 @@ class _FromData(_Obstacle):
         from hplan.shape_data import write_shape
 
         return write_shape(self._data, path)
+
+
+def _sha256(arrays: Sequence[FloatArray | IntArray]) -> str:
+    found = hashlib.sha256()
+    for array in arrays:
+        found.update(f"{array.dtype.kind}{array.shape}".encode())
+        found.update(np.ascontiguousarray(array, dtype=array.dtype.newbyteorder("<")).tobytes())
+    return found.hexdigest()
 
 
 class Mesh(_FromData):

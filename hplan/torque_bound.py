@@ -210,7 +210,8 @@ def _remainders(bezier: FloatArray, duration: FloatArray, sizes: FloatArray, gra
             bend = 0.0
             for m in range(3):
                 bend += _CHOOSE[2, m] * z[k, m] * moment[k, 2 - m]
-            bend *= 0.125 * h * h
+            if bend > 0.0:  # else it may be zero by infinity, in a long pause
+                bend *= 0.125 * h * h
             slack[i, k] = bend if bend < np.inf else np.inf
             if above < bodies:
                 for n in range(3):

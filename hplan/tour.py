@@ -11,7 +11,7 @@ import itertools
 import math
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any, Literal
 
@@ -19,13 +19,14 @@ import numpy as np
 
 from hplan.arrays import FloatArray, Record
 from hplan.certificate import Certificate, all_of
+from hplan.digests import Digests
 from hplan.errors import CertificationError, HplanError, OptionError, TourError, UnreachableError
 from hplan.harvest import Grasp
 from hplan.options import PlanOptions
 from hplan.ordering import Costs, Visits, along, best, nearest
 from hplan.picking import NO_MOTION, Motions, Part, Stop, World, carrying, drop_off
 from hplan.pipeline import Phase
-from hplan.report import versions
+from hplan.report import certificate_report, versions
 from hplan.robot import Robot
 from hplan.route import Progress, no_progress
 from hplan.scene import Goal, Scene
@@ -281,7 +282,8 @@ class _Planner:
             here = legs[-1].trajectory.position[-1]
         picked, dropped = _times(legs)
         trajectory = joined([leg.trajectory for leg in legs])
-        certificate = all_of([leg.certificate for leg in legs])
+        digests = Digests.of(self.robot, self.scene, trajectory)
+        certificate = replace(all_of([leg.certificate for leg in legs]), digests=digests)
         return TourResult(
             order=tuple(picked),
             legs=tuple(legs),
@@ -318,7 +320,6 @@ class _Planner:
         picked: Mapping[str, float], unreached: Sequence[Unreached],
     ) -> dict[str, Any]:  # fmt: skip
         """The report of a tour, in the shape of `tour.json`."""
-        nearest_pair = certificate.nearest
         return {
             "status": "ok",
             "scene": self.scene.name,
@@ -355,15 +356,7 @@ class _Planner:
                 "rate_hz": self.options.rate_hz,
                 "samples": trajectory.samples,
             },
-            "certificate": {
-                "verified": certificate.verified,
-                "min_clearance_m": certificate.min_clearance_m,
-                "nearest": None if nearest_pair is None else vars(nearest_pair),
-                "tracking_error_rad": self.options.tracking_error,
-                "tracking_delay_s": self.options.tracking_delay_s,
-                "limit_use": vars(certificate.limit_use),
-                "violations": list(certificate.violations),
-            },
+            "certificate": certificate_report(certificate, self.options),
             "versions": versions(),
         }
 

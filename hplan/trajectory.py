@@ -120,21 +120,26 @@ def csv_header(joint_names: tuple[str, ...]) -> list[str]:
     return ["time_s", *(f"{joint}_{quantity}" for joint in joint_names for quantity in QUANTITIES)]
 
 
+def as_table(trajectory: Trajectory) -> FloatArray:
+    """(n, 1 + 4 dof) the rows of the trajectory's CSV, in the order of `csv_header`; no zero has a sign."""
+    columns = np.stack(
+        [trajectory.position, trajectory.velocity, trajectory.acceleration, trajectory.torque],
+        axis=2,
+    )
+    table: FloatArray = np.column_stack([trajectory.time, columns.reshape(trajectory.samples, -1)]) + 0.0
+    return table
+
+
 def write_csv(trajectory: Trajectory, path: Path | str) -> Path:
     """Write the trajectory as RFC 4180 CSV: one header line, no comments, values that read back exactly.
 
     Raises:
         OutputError: The file cannot be written.
     """
-    columns = np.stack(
-        [trajectory.position, trajectory.velocity, trajectory.acceleration, trajectory.torque],
-        axis=2,
-    )
-    table = np.column_stack([trajectory.time, columns.reshape(trajectory.samples, -1)]) + 0.0
     text = io.StringIO(newline="")
     writer = csv.writer(text)
     writer.writerow(csv_header(trajectory.joint_names))
-    writer.writerows(table.tolist())
+    writer.writerows(as_table(trajectory).tolist())
     return write_text(path, text.getvalue())
 
 

@@ -8,14 +8,14 @@ from coarse and near to fine and wide, and the quicker motion is taken.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias
 
 import numpy as np
 
 from hplan.arrays import FloatArray, Record, frozen
-from hplan.certificate import Certificate, certify
+from hplan.certificate import Certificate, Stretch, certify_among
 from hplan.enclosed_goals import Component, enclosed_goals
 from hplan.enclosure import EnclosedError
 from hplan.errors import CertificationError, HplanError, NoPathError, OptionError, TimingError
@@ -28,6 +28,7 @@ from hplan.roadmap import BRIEF, WIDE, Effort, quick_way
 from hplan.route import Route, Rung, Task, find_route
 from hplan.speed_ceiling import SpeedCeiling, averaging_s
 from hplan.timing import resting, time_path
+from hplan.tracking import TrackingModel
 from hplan.trajectory import Trajectory
 
 #: Clearance asked for wherever a motion is evaluated, beyond the scene's own [m]; less where start or goal have less.
@@ -230,10 +231,17 @@ def timed(task: Task, path: GeometricPath, share: float = 0.0) -> Trajectory:
         return time_path(path, robot.dynamics, limits, rate_hz=options.rate_hz)
 
 
-def executable(task: Task, path: GeometricPath) -> tuple[Trajectory, Certificate]:
+def executable(
+    task: Task, path: GeometricPath, among: Callable[[Trajectory], Sequence[Stretch]] | None = None
+) -> tuple[Trajectory, Certificate]:
     """The fastest certified motion along a path.
 
     Where tracking errors grow with speed, tight places are run slowly, and where that is not enough, more slowly.
+
+    Args:
+        task: What was asked.
+        path: The path.
+        among: What the arm is judged among in a motion along it; the task's surroundings where this is None.
 
     Raises:
         TimingError: There is none within the limits.
@@ -242,20 +250,25 @@ def executable(task: Task, path: GeometricPath) -> tuple[Trajectory, Certificate
     shares = CEILINGS if task.options.tracking.delay_s > 0.0 else (0.0,)
     for share in shares[:-1]:
         trajectory = timed(task, path, share)
-        certificate = judged(task, trajectory)
+        certificate = judged(task, trajectory, None if among is None else among(trajectory))
         if certificate.verified:
             return trajectory, certificate
     trajectory = timed(task, path, shares[-1])
-    return trajectory, certified(task, trajectory)
+    return trajectory, certified(task, trajectory, None if among is None else among(trajectory))
 
 
-def certified(task: Task, trajectory: Trajectory) -> Certificate:
+def certified(task: Task, trajectory: Trajectory, among: Sequence[Stretch] | None = None) -> Certificate:
     """The certificate of a motion.
+
+    Args:
+        task: What was asked.
+        trajectory: The motion.
+        among: What the arm is judged among, stretch by stretch; the task's surroundings where this is None.
 
     Raises:
         CertificationError: It is asked for, and something was not shown.
     """
-    certificate = judged(task, trajectory)
+    certificate = judged(task, trajectory, among)
     if task.options.certify and not certificate.verified:
         raise CertificationError(
             f"the motion is not certified: {'; '.join(certificate.violations)}",
@@ -264,16 +277,16 @@ def certified(task: Task, trajectory: Trajectory) -> Certificate:
     return certificate
 
 
-def judged(task: Task, trajectory: Trajectory) -> Certificate:
-    """The certificate of a motion, whatever it says."""
+def judged(task: Task, trajectory: Trajectory, among: Sequence[Stretch] | None = None) -> Certificate:
+    """The certificate of a motion, whatever it says; arguments as of `certified`."""
+    options = task.options
     with task.stage("certificate"):
-        return certify(
+        return certify_among(
             task.robot,
-            task.scene,
             trajectory,
-            tracking_error=task.options.tracking_error,
-            tracking_delay_s=task.options.tracking_delay_s,
-            judge=task.around.judge,
+            [(slice(0, max(1, trajectory.samples - 1)), task.around.judge)] if among is None else among,
+            clearance=task.scene.clearance,
+            tracking=TrackingModel(options.tracking_error, options.tracking_delay_s),
         )
 
 

@@ -18,9 +18,9 @@ from hplan.trajectory import Trajectory, read_csv, write_csv
 FINE = 1e-4
 
 
-def certify(*arguments, rest_to_rest=False, **options):
-    """Many motions here run through at speed."""
-    return certificates.certify(*arguments, rest_to_rest=rest_to_rest, **options)
+def certify(*arguments, rest_to_rest=False, check_ends=False, **options):
+    """Many motions here run through at speed, and few from a scene's start to its goal."""
+    return certificates.certify(*arguments, rest_to_rest=rest_to_rest, check_ends=check_ends, **options)
 
 
 def rows(robot, time, position, velocity, acceleration=None):

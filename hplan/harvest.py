@@ -27,6 +27,7 @@ from hplan.path import least_duration
 from hplan.robot import Robot
 from hplan.scene import Fruit
 from hplan.surroundings import Surroundings
+from hplan.tracking import TrackingModel, name_margin
 
 #: Configurations that are looked at, about.
 COUNT = 64
@@ -124,7 +125,12 @@ def grasps(
     else:
         finer = refined(found, within, clearance, SPARE, approach_deg)
         if finer.candidates is None:
-            raise _blocked(what, near, ranges, found.configurations, finer)
+            error = _blocked(what, near, ranges, found.configurations, finer)
+            if near.deviation > 0.0:
+                free = [q for q in found.configurations if ranges.wall_before(q) is None]
+                share = near.share_of_deviation(np.array(free), SPARE) if free else 0.0
+                name_margin(error, TrackingModel(near.deviation), share)
+            raise error
         found = finer.candidates
     goals, angles = frozen(found.configurations), found.approach
     chosen: dict[int, tuple[float, FloatArray]] = {}

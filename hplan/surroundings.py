@@ -23,7 +23,7 @@ from hplan.errors import ConfigurationInCollisionError, InputError
 from hplan.robot import Robot
 from hplan.scene import Solid
 from hplan.section import Bodies, bodies_of
-from hplan.tracking import TrackingModel, name_margin
+from hplan.tracking import TrackingModel, largest_share, name_margin
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,6 +119,31 @@ class Surroundings(Record):
             share = float((spare / np.maximum(sway, 1e-300)).min())
             name_margin(error, TrackingModel(self.deviation), share)
             raise
+
+    def share_of_deviation(self, configurations: FloatArray, spare: float) -> float:
+        """Largest share of the deviation at which one of some configurations still has a clearance.
+
+        Args:
+            configurations: (n, dof).
+            spare: Clearance asked for beyond the one to keep [m].
+
+        Returns:
+            A share for which that is so, `hplan.tracking.SHARE_ERROR` below the largest at most; 0 where there is none.
+        """
+
+        def is_clear(share: float) -> bool:
+            smaller = ClearanceField.of(
+                self.robot,
+                self.solids,
+                clearance=self.clearance + self.growth,
+                own_clearance=self.clearance,
+                deviation=share * self.deviation,
+            )
+            if self.touched is not None:
+                smaller = smaller.sparing(np.array([solid.name == self.touched for solid in self.solids]))
+            return bool((smaller.along(configurations).min(axis=1) > spare).any())
+
+        return largest_share(is_clear)
 
     def check_base(self, yaw: float) -> None:
         """Refuse obstacles in which pedestal or turret stand: no motion of the arm changes that.

@@ -11,6 +11,7 @@ Configurations at rest need room for the first part alone.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +19,9 @@ from numpy.typing import ArrayLike
 
 from hplan.arrays import FloatArray
 from hplan.errors import HplanError, OptionError
+
+#: How exactly the largest tracking error is found that would do, as a share of the one asked for.
+SHARE_ERROR = 1e-3
 
 
 @dataclass(frozen=True)
@@ -83,3 +87,21 @@ def name_margin(error: HplanError, asked: TrackingModel, share: float) -> None:
         largest_tracking_error_deg=math.degrees(largest.still_rad),
         largest_tracking_delay_ms=1e3 * largest.delay_s,
     )
+
+
+def largest_share(would_do: Callable[[float], bool]) -> float:
+    """The largest share of a tracking error that would do, of which smaller ones would then do too, by bisection.
+
+    Args:
+        would_do: Whether a share does.
+
+    Returns:
+        A share that does, less than `SHARE_ERROR` below the largest; 0 where none does.
+    """
+    if not would_do(0.0):
+        return 0.0
+    low, high = 0.0, 1.0
+    while high - low > SHARE_ERROR:
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if would_do(middle) else (low, middle)
+    return low

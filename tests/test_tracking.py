@@ -10,12 +10,12 @@ import pytest
 from hplan.certificate import Certificate, certify
 from hplan.clearance_proof import prove_clearance
 from hplan.collision import CollisionScene
-from hplan.errors import OptionError
+from hplan.errors import BlockedError, OptionError
 from hplan.options import PlanOptions
 from hplan.pipeline import plan
 from hplan.robot import Robot
-from hplan.scene import Box, Capsule, Goal, Scene, Solid, Sphere, Start
-from hplan.tracking import TrackingModel
+from hplan.scene import Box, Capsule, Fruit, Goal, Scene, Solid, Sphere, Start
+from hplan.tracking import SHARE_ERROR, TrackingModel, largest_share
 from hplan.trajectory import Trajectory
 
 STILL, DELAY = 0.004, 0.02
@@ -213,3 +213,35 @@ def test_the_upper_arm_keeps_what_it_may_sway_itself(robot: Robot) -> None:
     result = plan(robot, scene, PlanOptions(tracking_error=math.radians(1.0)))
     assert result.certificate.verified
     assert result.certificate.min_clearance_m > 0.02
+
+
+def test_refusal_of_all_grasps_names_the_largest_error(robot: Robot) -> None:
+    """True: with 99 % of it the fruit is not blocked, and is picked; with 101 % it is blocked."""
+    twigs = [Sphere(name=f"twig {i}", center=(1.6, side, 1.43), radius=0.05) for i, side in enumerate((-0.09, 0.09))]
+    scene = Scene(
+        name="between twigs",
+        start=Start(joints_deg=(60.0, 30.0, 20.0, 20.0)),
+        goal=Goal(fruit="apple"),
+        obstacles=tuple(twigs),
+        fruits=(Fruit(name="apple", center=(1.6, 0.0, 1.5), radius=0.03),),
+    )
+    with pytest.raises(BlockedError) as refused:
+        plan(robot, scene, PlanOptions(tracking_error=math.radians(1.0)))
+    facts = refused.value.data
+    assert facts["tracking_error_deg"] == pytest.approx(1.0)
+    largest = math.radians(facts["largest_tracking_error_deg"])
+    assert f"up to {facts['largest_tracking_error_deg']:.4g} deg would do" in refused.value.message
+    assert plan(robot, scene, PlanOptions(tracking_error=0.99 * largest)).certificate.verified
+    with pytest.raises(BlockedError):
+        plan(robot, scene, PlanOptions(tracking_error=1.01 * largest))
+    wall = Box(name="wall", center=(1.6, 0.0, 1.43), size=(1.0, 1.0, 0.05))
+    with pytest.raises(BlockedError) as closed:
+        plan(robot, scene.with_obstacles([wall]), PlanOptions(tracking_error=math.radians(1.0)))
+    assert "tracking_error_deg" not in closed.value.data
+
+
+def test_largest_share() -> None:
+    assert largest_share(lambda share: False) == 0.0
+    for true in (0.003, 0.31, 0.9999):
+        found = largest_share(lambda share, true=true: share <= true)  # type: ignore[misc]
+        assert true - SHARE_ERROR <= found <= true

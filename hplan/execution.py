@@ -8,13 +8,15 @@ second the controller takes the reference between the rows as the cubic that has
 .. math::
     \tau = \mathrm{rnea}(q_d, \dot q_d, \ddot q_d) + K_p (q_d - q) + K_d (\dot q_d - \dot q)
 
-with gains for `BANDWIDTH` and critical damping on each joint's largest inertia along the motion. The motors give no
-more than their limits. Contacts between the arm and an obstacle push back, and are reported; the arm does not touch
-itself or the ground here. After the last row the controller holds it for `HOLD` seconds, so that a motion that does
-not end at rest shows it.
+with gains for the plant's bandwidth and critical damping on each joint's largest inertia along the motion. The motors
+give no more than their limits. Contacts between the arm and an obstacle push back, and are reported; the arm does not
+touch itself or the ground here. After the last row the controller holds it for `HOLD` seconds, so that a motion that
+does not end at rest shows it.
 
 The simulated arm has the URDF's masses and the controller knows them, so what is seen is the motion's own doing, not
-that of a wrong model, friction or flexing.
+that of a wrong model, friction or flexing. A `Plant` may differ: its masses are others than the controller believes,
+and commands reach it late. How far the joints then are from the reference can be held against a model of tracking
+errors (`Execution.is_within`).
 
 MuJoCo comes with the extra `execution`: `pip install 'hplan[execution]'`.
 """
@@ -35,9 +37,11 @@ from hplan.arrays import FloatArray, Record, readonly
 from hplan.collision import CollisionScene, Contact
 from hplan.errors import InputError, RobotFileError
 from hplan.motion import Movement
+from hplan.plant import Plant
 from hplan.robot import Robot
 from hplan.scene import Box, Capsule, Scene, Solid, Sphere
 from hplan.solids import Cloud, Hull
+from hplan.tracking import TrackingModel
 
 #: Period of the controller [s].
 CONTROL_PERIOD = 1e-3
@@ -47,9 +51,6 @@ SUBSTEPS = 4
 
 #: How long the last row is held [s].
 HOLD = 0.25
-
-#: Natural frequency of the position loop [rad/s].
-BANDWIDTH = 40.0
 
 #: Error of each joint up to which a configuration counts as reached [rad].
 GOAL_TOLERANCE = math.radians(0.5)
@@ -100,6 +101,8 @@ class Execution(Record):
             obstacles.
         time: (k,) instants of the controller [s].
         position: (k, dof) where the joints were.
+        reference: (k, dof) where they should have been.
+        reference_velocity: (k, dof) the velocity that they should have had [rad/s].
     """
 
     joint_names: tuple[str, ...]
@@ -116,6 +119,13 @@ class Execution(Record):
     nearest: Contact | None
     time: FloatArray
     position: FloatArray
+    reference: FloatArray
+    reference_velocity: FloatArray
+
+    def is_within(self, tracking: TrackingModel) -> bool:
+        """Whether no joint was ever farther from its reference than a model of tracking errors allows."""
+        off = np.abs(self.position - self.reference)
+        return bool((off <= tracking.deviations(self.reference_velocity)).all())
 
     @property
     def ok(self) -> bool:
@@ -129,7 +139,7 @@ class Execution(Record):
         return tuple(name for name, peak, limit in both if peak > limit)
 
 
-def execute(robot: Robot, scene: Scene, motion: Movement) -> Execution:
+def execute(robot: Robot, scene: Scene, motion: Movement, plant: Plant | None = None) -> Execution:
     """Let a simulated arm run a motion among the obstacles of a scene.
 
     The arm starts in the motion's first row, at that row's velocity. What the planar joints do not move is executed
@@ -139,6 +149,7 @@ def execute(robot: Robot, scene: Scene, motion: Movement) -> Execution:
         robot: The arm; MuJoCo reads its URDF.
         scene: Obstacles, start and goal.
         motion: The motion; its joints are the robot's, in any order.
+        plant: How the simulated machine differs; None where it does not.
 
     Raises:
         InputError: MuJoCo is not installed; the motion has other joints than the robot, time that does not increase
@@ -150,7 +161,8 @@ def execute(robot: Robot, scene: Scene, motion: Movement) -> Execution:
     start, goal = (_joints(robot, scene, which) for which in ("start", "goal"))
     goal = reference.position[-1] if goal is None else goal
     model, obstacle_of = _model(mujoco, robot, scene)
-    return _Simulation(mujoco, robot, model, obstacle_of, reference).run(scene, start, goal)
+    plant = Plant() if plant is None else plant
+    return _Simulation(mujoco, robot, model, obstacle_of, reference, plant).run(scene, start, goal)
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,10 +216,19 @@ class _Simulation:
     """One arm in one world, about to run one motion."""
 
     def __init__(
-        self, mujoco: ModuleType, robot: Robot, model: Any, obstacle_of: dict[int, str], reference: _Reference
+        self,
+        mujoco: ModuleType,
+        robot: Robot,
+        model: Any,
+        obstacle_of: dict[int, str],
+        reference: _Reference,
+        plant: Plant,
     ) -> None:
         self.mujoco, self.robot, self.model, self.obstacle_of = mujoco, robot, model, obstacle_of
-        self.reference = reference
+        self.reference, self.plant = reference, plant
+        self.pin_data = robot.model.createData()
+        model.body_mass[:] *= plant.mass_factor
+        model.body_inertia[:] *= plant.mass_factor
         self.data = mujoco.MjData(model)
         joints = [model.joint(name) for name in robot.joint_names]
         self.q_at = np.array([int(joint.qposadr[0]) for joint in joints])
@@ -220,9 +241,14 @@ class _Simulation:
         duration = float(self.reference.time[-1])
         ticks = math.ceil(duration / CONTROL_PERIOD - 1e-9) + math.ceil(HOLD / CONTROL_PERIOD)
         clock: FloatArray = CONTROL_PERIOD * np.arange(ticks + 1, dtype=np.float64)
-        q_ref, v_ref, a_ref = self.reference.at(clock)
-        pin_data = self.robot.model.createData()
-        feed = np.array([pin.rnea(self.robot.model, pin_data, *row) for row in zip(q_ref, v_ref, a_ref, strict=True)])
+        q_ref, v_ref, _ = self.reference.at(clock)
+        # What the controller follows comes late; before it comes the arm is held, or goes on, as it begins.
+        late = clock - self.plant.command_delay_s
+        q_late, v_late, a_late = self.reference.at(np.maximum(late, 0.0))
+        q_late = q_late + np.minimum(late, 0.0)[:, None] * v_late
+        a_late[late < 0.0] = 0.0
+        rows = zip(q_late, v_late, a_late, strict=True)
+        feed = np.array([pin.rnea(self.robot.model, self.pin_data, *row) for row in rows])
         stiffness, damping = self._gains(q_ref)
         limit = self.robot.torque_limit
         self.data.qpos[self.q_at] = q_ref[0]
@@ -238,7 +264,11 @@ class _Simulation:
             position[k] = q
             if k == ticks:
                 break
-            torque[k] = feed[k] + stiffness * (q_ref[k] - q) + damping * (v_ref[k] - v)
+            if self.plant.decoupled:
+                error = self.plant.bandwidth * (q_late[k] - q) + 2.0 * (v_late[k] - v)
+                torque[k] = feed[k] + self._inertia(q_late[k]) @ (self.plant.bandwidth * error)
+            else:
+                torque[k] = feed[k] + stiffness * (q_late[k] - q) + damping * (v_late[k] - v)
             self.data.ctrl[self.motors] = np.clip(torque[k], -limit, limit)
             for _ in range(SUBSTEPS):
                 self.mujoco.mj_step(self.model, self.data)
@@ -263,14 +293,21 @@ class _Simulation:
             nearest=_nearest(self.robot, scene, position),
             time=readonly(clock),
             position=readonly(position),
+            reference=readonly(q_ref),
+            reference_velocity=readonly(v_ref),
         )
 
     def _gains(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Stiffness [N m/rad] and damping [N m s/rad] of each joint."""
         rows = np.unique(np.linspace(0, len(q) - 1, _INERTIA_SAMPLES).astype(np.int64))
-        data = self.robot.model.createData()
-        inertia = np.max([np.diag(pin.crba(self.robot.model, data, q[row])) for row in rows], axis=0)
-        return BANDWIDTH**2 * inertia, 2.0 * BANDWIDTH * inertia
+        inertia = np.max([np.diag(self._inertia(q[row])) for row in rows], axis=0)
+        bandwidth = self.plant.bandwidth
+        return bandwidth**2 * inertia, 2.0 * bandwidth * inertia
+
+    def _inertia(self, q: FloatArray) -> FloatArray:
+        """(dof, dof) inertia matrix that the controller knows, symmetric."""
+        upper = np.triu(pin.crba(self.robot.model, self.pin_data, q))
+        return np.asarray(upper + np.triu(upper, 1).T)
 
     def _note_contacts(self) -> None:
         """Keep the first time and the largest depth of each pair that touches now."""

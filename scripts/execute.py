@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hplan.terminal import FAILED, add_robot, add_scene, command_parser, run_command
+from hplan.terminal import FAILED, add_robot, add_scene, add_tracking, command_parser, run_command, tracking_of
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -18,7 +18,8 @@ if TYPE_CHECKING:
 
 _DESCRIPTION = """\
 Run a trajectory in MuJoCo: the robot's own URDF with torque motors, the scene's obstacles as solid bodies, and a
-1 kHz controller (inverse dynamics ahead, PD on what is left). Judges trajectories of any planner.
+1 kHz controller (inverse dynamics ahead, PD on what is left). Judges trajectories of any planner. The masses may be
+others than the controller knows, and the controller late; with a tracking error it says whether that was kept.
 """
 
 _EPILOG = """\
@@ -47,14 +48,20 @@ def _run(arguments: argparse.Namespace, console: Console) -> int:
     """Execute and show; returns the exit status."""
     from hplan.execution import execute
     from hplan.motion import read_motion
+    from hplan.plant import Plant
     from hplan.robot import load_robot
     from hplan.scene_file import load_scene
 
     motion = read_motion(arguments.trajectory)
     robot = load_robot(arguments.robot, limits=arguments.limits)
     scene = load_scene(arguments.scene)
-    result = execute(robot, scene, motion)
+    plant = Plant(arguments.mass_factor, 1e-3 * arguments.command_delay, arguments.bandwidth)
+    result = execute(robot, scene, motion, plant)
     _show(console, arguments.trajectory, scene, result)
+    tracking = tracking_of(arguments)
+    if not tracking.is_exact:
+        kept = "no joint was" if result.is_within(tracking) else "[bold red]some joint was[/]"
+        console.print(f"{kept} farther from its reference than a tracking error of {tracking}\n")
     return 0 if result.ok else FAILED
 
 
@@ -63,6 +70,13 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("trajectory", type=Path, metavar="TRAJECTORY.csv", help="the motion")
     add_scene(parser)
     add_robot(parser)
+    add = parser.add_argument
+    add(
+        "--mass-factor", type=float, default=1.0, metavar="F", help="masses, as multiples of those the controller knows"
+    )
+    add("--command-delay", type=float, default=0.0, metavar="MS", help="by how much the controller is late")
+    add("--bandwidth", type=float, default=40.0, metavar="RAD/S", help="of the position loop (default: 40)")
+    add_tracking(parser)
     return parser
 
 

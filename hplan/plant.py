@@ -1,0 +1,41 @@
+"""The machine that runs a motion in simulation, where it is another than its controller believes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hplan.errors import OptionError
+
+#: Natural frequency of the position loop [rad/s].
+BANDWIDTH = 40.0
+
+
+@dataclass(frozen=True)
+class Plant:
+    """How the simulated machine differs from what its controller believes, and how stiff the controller is.
+
+    Attributes:
+        mass_factor: Masses and inertias of its bodies, as multiples of the URDF's.
+        command_delay_s: By how much the controller is late: it follows the reference of so long ago [s].
+        bandwidth: Natural frequency of its position loop [rad/s].
+        decoupled: Whether what is left of the errors is commanded as accelerations, through the inertia matrix, and not
+            joint by joint; a stiff loop of joints that push one another does not come to rest.
+    """
+
+    mass_factor: float = 1.0
+    command_delay_s: float = 0.0
+    bandwidth: float = BANDWIDTH
+    decoupled: bool = False
+
+    def __post_init__(self) -> None:
+        """Check the values.
+
+        Raises:
+            OptionError: One that no machine has.
+        """
+        for option, least in (("mass_factor", 0.0), ("command_delay_s", None), ("bandwidth", 0.0)):
+            value = getattr(self, option)
+            if not (np.isfinite(value) and (value >= 0.0 if least is None else value > least)):
+                raise OptionError(option, value, f"a finite number {'>= 0' if least is None else '> 0'}")

@@ -20,6 +20,7 @@ import numpy as np
 import pinocchio as pin
 
 from hplan.arrays import FloatArray, frozen
+from hplan.convex_shape import convex_hull_shape
 from hplan.family_reader import outline
 from hplan.robot import Robot
 
@@ -118,8 +119,7 @@ def filled(shape: pin.GeometryObject) -> coal.CollisionGeometry:
     """A shape's geometry; of a mesh, the convex hull."""
     geometry = shape.geometry
     if isinstance(geometry, coal.BVHModelBase):
-        geometry.buildConvexHull(True, "Qt")
-        return geometry.convex
+        return convex_hull_shape(np.asarray(geometry.vertices(), dtype=np.float64))
     return geometry
 
 

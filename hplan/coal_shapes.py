@@ -11,6 +11,7 @@ import pinocchio as pin
 
 from hplan.arrays import FloatArray, IntArray
 from hplan.base_shapes import filled
+from hplan.convex_shape import convex_shape
 from hplan.robot import Robot
 from hplan.scene import Box, Capsule, Solid, Sphere
 from hplan.solids import Cloud, Hull
@@ -83,10 +84,7 @@ def solid_shape(obstacle: Solid) -> pin.GeometryObject:
         placement = pin.SE3(obstacle.rotation, np.array(obstacle.center))
         shape = coal.Box(*(float(size) for size in obstacle.size))
     elif isinstance(obstacle, Hull):
-        tree = _triangles(obstacle.core, obstacle.faces)
-        tree.buildConvexHull(True, "Qt")
-        shape = tree.convex
-        shape.setSweptSphereRadius(float(obstacle.rounding))
+        shape = convex_shape(obstacle)
     elif isinstance(obstacle, Cloud):
         shape = _cloud_tree(obstacle)
     else:

@@ -10,8 +10,11 @@ on the surface, and then a vertex of a triangle clipped by :math:`C`, or inside 
     \{\text{corners of } C \text{ in } S_C\}).
 
 Triangles in the plane of a cut count on the side where the solid is; whether a corner is inside is asked a `_NUDGE`
-inwards of the box, by the winding number. (Hulls of many vertices are simplified from outside, see `hplan.solids`;
-parts thinner than `_THIN` are left to their neighbours. So "hold" means up to less than a micrometre.)
+inwards of the box, by the winding number. (Hulls of many vertices are simplified from outside, see `hplan.solids`. What
+a cut leaves within `_IN_PLANE` of it is on its other side. So "hold" means up to less than a micrometre.)
+
+A surface may hold sheets beside solids: leaves and panels, two faces back to back or nearly so. A part thinner than
+`hplan.solids.THIN` is made thicker by as much to either side, so that hulls of sheets have a volume too.
 
 How far the pieces stand out is looked at on a grid: voxels that hold surface, or are enclosed by such, stand for the
 solid. The piece that stands out farthest is cut next, where the hulls of the halves have the least volume together,
@@ -28,7 +31,7 @@ import numpy as np
 
 from hplan import ties
 from hplan.arrays import BoolArray, FloatArray, IntArray
-from hplan.solids import Hull, hull_of
+from hplan.solids import THIN, Hull, hull_of, thickening
 
 #: How far pieces may stand out: this [m], or this share of the mesh's longest side where that is more.
 TOLERANCE: Final = 5e-3
@@ -36,9 +39,6 @@ RELATIVE_TOLERANCE: Final = 0.02
 
 #: Most pieces of a mesh.
 PIECES: Final = 64
-
-#: Parts of a solid thinner than this are not made pieces of their own [m].
-_THIN: Final = 1e-7
 
 #: Vertices this near to a plane lie in it [m]: what single precision makes of a metre.
 _IN_PLANE: Final = 1e-7
@@ -106,10 +106,12 @@ def convex_pieces(vertices: FloatArray, faces: IntArray) -> Pieces:
             heapq.heappush(waiting, (-room.excess(half.hull), number, half))
     ready += [(-excess, part) for excess, _, part in sorted(waiting, key=lambda item: item[1])]
     hulls = tuple(part.hull for _, part in ready)
-    # The hulls of the parts overlap nowhere, so volumes tell whether they are the solid itself.
-    surplus = sum(_volume(hull.core[hull.faces]) for hull in hulls) / _volume(triangles) - 1.0
-    exact = abs(surplus) <= 1e-6 and all(hull.rounding == 0.0 for hull in hulls)
-    return Pieces(hulls, 0.0 if exact else max(excess for excess, _ in ready) + room.blur)
+    # The hulls of the parts overlap nowhere, so volumes tell whether they are the solid itself; of sheets they do not.
+    solid = [part.hull for _, part in ready if not part.is_thin]
+    surplus = sum(_volume(hull.core[hull.faces]) for hull in solid) / _volume(triangles) - 1.0
+    exact = abs(surplus) <= 1e-6 and all(hull.rounding == 0.0 for hull in solid)
+    inexact = [excess for excess, part in ready if part.is_thin or not exact]
+    return Pieces(hulls, max(inexact) + room.blur + THIN if inexact else 0.0)
 
 
 def _volume(triangles: FloatArray) -> float:
@@ -136,44 +138,75 @@ def _is_convex(vertices: FloatArray, faces: IntArray) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class _Part:
-    """What of the solid is in a box: the box, the surface clipped by it, the hull."""
+    """What of the solid is in a box.
+
+    Attributes:
+        low: (3,) lower corner of the box [m].
+        high: (3,) upper corner of the box [m].
+        triangles: (n, 3, 3) the surface clipped by it [m].
+        thickening: (k, 3) by what its points are shifted to make it a body; one row of zeros where it is one [m].
+        hull: The convex hull.
+    """
 
     low: FloatArray
     high: FloatArray
     triangles: FloatArray
+    thickening: FloatArray
     hull: Hull
+
+    @property
+    def is_thin(self) -> bool:
+        """Whether it is a sheet, or a part of one."""
+        return len(self.thickening) > 1
+
+    @property
+    def extent(self) -> tuple[FloatArray, FloatArray]:
+        """Lower and upper corner of what may be cut, (3,) each [m]."""
+        points = self.triangles.reshape(-1, 3) if self.is_thin else self.hull.core
+        return points.min(axis=0), points.max(axis=0)
+
+    def rough_volume(self, triangles: FloatArray) -> float:
+        """Volume of the hull of some of its triangles, made as thick as it is [m^3]."""
+        return _rough_volume((triangles.reshape(-1, 1, 3) + self.thickening).reshape(-1, 3))
 
 
 def _part(low: FloatArray, high: FloatArray, triangles: FloatArray, surface: FloatArray) -> _Part | None:
-    """The part of the solid in a box, or None where there is nothing of substance."""
+    """The part of the solid in a box, or None where there is nothing."""
     corners = np.array([(x, y, z) for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
     nudge = _NUDGE * np.sign(0.5 * (low + high) - corners)
     inside = corners[np.abs(winding_numbers(corners + nudge, surface)) > 0.25]
     points = np.unique(np.concatenate([triangles.reshape(-1, 3), inside]), axis=0)
-    if len(points) < 4:
+    if len(points) == 0:
         return None
-    middle = points.mean(axis=0)
-    _, _, axes = np.linalg.svd(points - middle, full_matrices=False)
-    local = (points - middle) @ axes.T
-    if np.ptp(local[:, 2]) < _THIN:
-        return None
+    thicker = thickening(points)
+    points = (points[:, None] + thicker).reshape(-1, 3)
     try:
         hull = hull_of(points)
-    except ValueError:  # so thin that Qhull gives up: the block about it
-        ends = np.stack([local.min(axis=0), local.max(axis=0)])
-        block = np.array([(ends[i, 0], ends[j, 1], ends[k, 2]) for i in (0, 1) for j in (0, 1) for k in (0, 1)])
-        hull = hull_of((block + 1e-6 * np.sign(block - block.mean(axis=0))) @ axes + middle)
-    return _Part(low, high, triangles, hull)
+    except ValueError:  # so thin that Qhull gives up
+        hull = hull_of(_block(points))
+    return _Part(low, high, triangles, thicker, hull)
+
+
+def _block(points: FloatArray) -> FloatArray:
+    """(8, 3) corners of a block along the principal axes of points, larger by `THIN` on every side."""
+    middle = points.mean(axis=0)
+    axes = np.linalg.eigh((points - middle).T @ (points - middle))[1].T
+    local = (points - middle) @ axes.T
+    low, high = local.min(axis=0) - THIN, local.max(axis=0) + THIN
+    ends = np.stack([low, high])
+    corners = np.array([(ends[i, 0], ends[j, 1], ends[k, 2]) for i in (0, 1) for j in (0, 1) for k in (0, 1)])
+    block: FloatArray = corners @ axes + middle
+    return block
 
 
 def _halves(part: _Part, places: list[FloatArray], surface: FloatArray) -> tuple[_Part, ...] | None:
     """The part cut in two, or None where no cut is left to try."""
-    low, high = part.hull.core.min(axis=0), part.hull.core.max(axis=0)
+    low, high = part.extent
     extent = high - low
     folds = [_between(found, low[axis], high[axis], 2.0 * _NUDGE) for axis, found in enumerate(places)]
     # A few folds are those of a thing made of blocks: cut there alone, and the pieces are the blocks.
     angular = sum(map(len, folds)) > 0 and max(map(len, folds)) <= _PLACES
-    whole = max(_rough_volume(part.triangles.reshape(-1, 3)), 1e-300)
+    whole = max(part.rough_volume(part.triangles), 1e-300)
     best: tuple[float, int, float] | None = None
     for axis in range(3):
         here = folds[axis]
@@ -182,8 +215,8 @@ def _halves(part: _Part, places: list[FloatArray], surface: FloatArray) -> tuple
             here = np.concatenate([some, low[axis] + extent[axis] * np.array([0.25, 0.5, 0.75])])
             here = _between(np.unique(here), low[axis], high[axis], max(2.0 * _NUDGE, 1e-3 * extent[axis]))
         for at in here.tolist():
-            below, above = (_clipped(part.triangles, axis, at, side).reshape(-1, 3) for side in (-1.0, 1.0))
-            volumes = _rough_volume(below), _rough_volume(above)
+            below, above = (_clipped(part.triangles, axis, at, side) for side in (-1.0, 1.0))
+            volumes = part.rough_volume(below), part.rough_volume(above)
             cost = (sum(volumes) + _EVENNESS * abs(volumes[0] - volumes[1])) / whole
             cost += _SHORT_WAY * (1.0 - extent[axis] / extent.max())
             if best is None or cost < best[0] - 1e-9:

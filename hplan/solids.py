@@ -30,6 +30,9 @@ HULL_VERTICES: Final = 128
 #: Nothing is simplified that stands out by less than this: vertices beyond it are not kept [m].
 HULL_ERROR: Final = 2e-4
 
+#: Points that are no farther apart than this in some direction are made thicker by it to either side [m].
+THIN: Final = 1e-5
+
 #: No ball of a cloud grows by more than this where points are merged [m].
 MERGE_ERROR: Final = 1e-3
 
@@ -143,6 +146,16 @@ def hull_of(points: FloatArray, name: str = "", *, most: int = HULL_VERTICES) ->
     outside = corners[excess > 0.0]
     rounding = float(_distance_to_triangles(outside, core[hull.simplices]).max(initial=0.0))
     return _oriented(name, core, rounding)
+
+
+def thickening(points: FloatArray) -> FloatArray:
+    """(k, 3) shifts by which (n, 3) points are to be copied so that their hull has a volume; zeros where it has one."""
+    local = points - points.mean(axis=0)
+    axes = np.linalg.eigh(local.T @ local)[1].T
+    shifts = np.zeros((1, 3))
+    for axis in axes[np.ptp(local @ axes.T, axis=0) < THIN]:
+        shifts = np.concatenate([shifts - THIN * axis, shifts + THIN * axis])
+    return shifts
 
 
 def _some_vertices(corners: FloatArray, most: int) -> tuple[IntArray, Any]:

@@ -13,6 +13,7 @@ from arm_variants import VARIANTS, axis_points, coal_distances, load_variant, ra
 from shapes import torus
 
 from hplan.collision import CollisionScene, base_contacts, base_radius, check_clear, sampled_occupancy
+from hplan.convex_shape import convex_hull_shape
 from hplan.cspace import joint_grid, occupancy
 from hplan.errors import ConfigurationInCollisionError, OptionError
 from hplan.resources import urdf_dir
@@ -312,6 +313,17 @@ def test_meshes_are_filled(tmp_path):
     assert judge.distances(FLAT)[2, 0] < 0
     assert judge.distances(FLAT)[2, 1] == pytest.approx(0.19, abs=1e-5)
     assert judge.in_collision([FLAT]).tolist() == [True]
+
+
+def test_flat_and_needle_like_hulls_do_not_end_the_process(robot):
+    """coal's own convex hull of these does."""
+    flat = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]])
+    assert convex_hull_shape(flat).num_points == 8
+    assert convex_hull_shape(np.array([[0.0, 0, 0], [0, 0, 1]])).num_points >= 4
+    rng = np.random.default_rng(0)
+    needle = hull_of(rng.uniform(-1.0, 1.0, (12, 3)) * [1.4e-5, 1e-5, 3e-2] + [2.1, 0.0, 1.6], "needle")
+    judge = CollisionScene(robot, [needle])
+    assert judge.distances(FLAT)[2, 0] == pytest.approx(needle.core[:, 2].min() - 0.6 - 0.03, abs=1e-4)
 
 
 def test_unknown_shape(robot):

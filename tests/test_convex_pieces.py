@@ -8,7 +8,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from shapes import ball, blocks, crate, distances, torus, uncovered
 
+from hplan import PlanOptions, certify, plan
 from hplan.convex_pieces import PIECES, _clipped, convex_pieces, winding_numbers
+from hplan.scene import Goal, Mesh, Scene, Start
+
+#: The arm is lifted, from 20 to 60 deg.
+MOTION = Scene(name="lift", start=Start(joints_deg=(0.0, 20.0, 0.0, 0.0)), goal=Goal(joints_deg=(0.0, 60.0, 0.0, 0.0)))
 
 
 def turned(vertices: np.ndarray) -> np.ndarray:
@@ -97,6 +102,67 @@ def test_random_heaps_of_blocks(seed):
     high = np.column_stack([planes[axis][cells[:, axis] + 1] for axis in range(3)])
     share = rng.choice([0.0, 1.0, 0.3, 0.8], (len(cells), 3))  # many are corners
     assert uncovered(pieces.hulls, low + share * (high - low)) <= 2e-6
+
+
+def sheet(rng: np.random.Generator, thickness: float) -> tuple[np.ndarray, np.ndarray]:
+    """A sheet with holes and notches: of no thickness as two faces back to back, flat or bent, any way up."""
+    filled = rng.random((rng.integers(1, 4), rng.integers(1, 4), 1)) < 0.7
+    filled[0, 0] = True
+    x, y = (np.cumsum(rng.uniform(0.05, 0.3, size + 1)) for size in filled.shape[:2])
+    vertices, faces = blocks(filled, x, y, np.array([0.0, 1.0]))
+    bend = rng.choice([0.0, 0.2]) * (vertices[:, 0] ** 2 - vertices[:, 1])
+    if thickness == 0.0:  # the lower faces, and the same from above
+        low = faces[(vertices[faces][:, :, 2] == 0.0).all(axis=1)]
+        faces = np.concatenate([low, low[:, ::-1]])
+    vertices = np.column_stack([vertices[:, :2], thickness * vertices[:, 2] + bend])[:, rng.permutation(3)]
+    return turned(vertices) if rng.random() < 0.4 else vertices, faces
+
+
+@settings(max_examples=12)
+@given(st.integers(0, 10_000))
+def test_sheets_among_solids_are_held(seed):
+    """All points of all triangles, of panels and leaves too, beside, through and on solids."""
+    rng = np.random.default_rng(seed)
+    filled = rng.random((2, 2, 2)) < 0.6
+    filled[0, 0, 0] = True
+    vertices, faces = blocks(filled, *(np.cumsum(rng.uniform(0.05, 0.3, 3)) for _ in range(3)))
+    for _ in range(rng.integers(1, 4)):
+        more, its_faces = sheet(rng, rng.choice([0.0, 5e-8, 3e-7, 2e-6, 1e-3]))
+        shift = rng.uniform(-1.0, 1.0, 3)
+        on = rng.integers(3)  # a sheet's corner in the plane of a side of a block
+        shift[on] = rng.choice([shift[on], vertices[0, on] - more[0, on]])
+        faces = np.concatenate([faces, its_faces + len(vertices)])
+        vertices = np.concatenate([vertices, more + shift])
+    mesh = Mesh.of("tree", vertices, faces)
+    points, triangles = mesh.surface
+    covered = np.vstack([points, surface_points(points, triangles, 200)])
+    assert uncovered(mesh.solids, covered) <= 1e-6
+    # No point of a piece is farther from the surface than is said.
+    near = surface_points(points, triangles, 4000)
+    mixed = np.vstack([rng.dirichlet(np.full(len(hull.core), 0.2), 10) @ hull.core for hull in mesh.solids])
+    outside = mixed[np.abs(winding_numbers(mixed, points[triangles])) < 0.5]
+    gaps = [np.linalg.norm(near - point, axis=1).min() for point in outside]
+    assert max(gaps, default=0.0) <= mesh.excess + 0.05  # `near` is not everywhere
+
+
+@pytest.mark.parametrize("thickness", [0.0, 5e-8, 9e-8, 2e-7, 1e-6])
+def test_a_motion_through_a_sheet_is_not_certified(robot, thickness):
+    """A trunk out of reach, and a panel across the arm, which was dropped once: the motion was verified."""
+    trunk, its_faces = blocks(np.ones((1, 1, 1), dtype=bool), *(np.array([0.0, size]) for size in (0.1, 0.1, 1.0)))
+    panel, faces = blocks(np.ones((1, 1, 1), dtype=bool), *(np.array([0.0, size]) for size in (1.0, 0.6, 0.6)))
+    if thickness == 0.0:
+        faces = faces[(panel[faces][:, :, 0] == 0.0).all(axis=1)]
+        faces = np.concatenate([faces, faces[:, ::-1]])
+    panel = panel * [thickness, 1.0, 1.0] + [1.2, -0.3, 1.3]
+    vertices = np.concatenate([trunk + np.array([2.6, 0.0, 0.0]), panel])
+    tree = Mesh.of("tree", vertices, np.concatenate([its_faces, faces + len(trunk)]))
+    assert len(tree.solids) == 2
+    assert 0.0 < tree.excess < 0.1
+    motion = plan(robot, MOTION, PlanOptions(certify=False)).trajectory
+    assert certify(robot, MOTION, motion).verified
+    certificate = certify(robot, MOTION.with_obstacles([tree]), motion)
+    assert not certificate.verified
+    assert certificate.min_clearance_m < 0.0
 
 
 def test_the_same_every_time():

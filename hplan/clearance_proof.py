@@ -41,8 +41,8 @@ from hplan.self_contact import pair_rates, pair_sway
 #: Spare clearance below which the proof gives up [m]: its steps, half of what is spare, would become too small.
 SMALLEST_STEP = 1e-5
 
-#: Largest share of what a pair has to spare that its link may travel before the next look: where coal iterates (hulls),
-#: its distances are good to a few micrometres.
+#: Largest share of what a pair has to spare that its link may travel before the next look: far away, coal's distances
+#: are good to a share of them.
 MOST_TRAVEL = 0.99
 
 
@@ -140,7 +140,11 @@ class _Advancement:
             rates = 3.0 * np.diff(bezier, axis=1)
             bounds = [_link_bounds(robot, rates), *(pair_rates(robot, part, other, rates) for part, other in others)]
             moved = np.column_stack(bounds).T
-            self._sway = _at_rows(_sways(robot, others, deviations), len(bezier))
+            sways = _sways(robot, others, deviations)
+            if judge.links != "capsule":
+                moved = moved + _off_axis(judge, others, np.abs(rates).max(axis=1))
+                sways = sways + _off_axis(judge, others, deviations)
+            self._sway = _at_rows(sways, len(bezier))
             if len(deviations) > 1:
                 moved = moved + np.maximum(np.diff(self._sway, axis=1), 0.0)
             self._travel = np.column_stack([np.zeros(len(moved)), np.cumsum(moved, axis=1)])
@@ -150,7 +154,7 @@ class _Advancement:
             # For the search of the rows alone: after such a piece every pair may be anywhere.
             moved = np.where(moved <= LONGEST_TRAVEL, moved, LONGEST_TRAVEL)
             self._travel[:, 1:] = np.cumsum(moved, axis=1)
-        self._needed = needed
+        self._kept = needed + judge.distance_errors
         self._at = 0.0
         self.due = np.full(len(judge.pairs), math.inf)
         self.shown = math.inf
@@ -170,7 +174,7 @@ class _Advancement:
         """Take what coal says of some pairs; whether the proof goes on."""
         self._at = at
         least, self.shown = _put_off(
-            pairs, distances, at, self._needed, self._mover_of, self._sway, self._travel, self.shown, self.due
+            pairs, distances, at, self._kept, self._mover_of, self._sway, self._travel, self.shown, self.due
         )
         self.nearest = min(self.nearest, (float(distances[least]), int(pairs[least])))
         return self.shown > 0.0
@@ -243,7 +247,7 @@ def _put_off(
     pairs: IntArray,
     distances: FloatArray,
     at: float,
-    needed: float,
+    kept: FloatArray,
     mover_of: IntArray,
     sway: FloatArray,
     travel: FloatArray,
@@ -260,7 +264,7 @@ def _put_off(
     for i in range(len(pairs)):
         if not distances[i] >= distances[least]:
             least = i
-        spare = spares[i] = distances[i] - (_linear(sway[mover_of[pairs[i]]], at) + needed)
+        spare = spares[i] = distances[i] - (_linear(sway[mover_of[pairs[i]]], at) + kept[pairs[i]])
         if not spare > SMALLEST_STEP:
             shown = 0.0
         shown = min(shown, 0.5 * spare)
@@ -322,6 +326,24 @@ def _sways(robot: Robot, others: Sequence[tuple[int, int]], deviations: FloatArr
     """(movers, k) by how much the movers' pairs may come nearer [m]: of the links, then of the others."""
     found = [pair_sway(robot, part, other, deviations) for part, other in others]
     return np.column_stack([robot.sway(deviations), *found]).T
+
+
+def _off_axis(judge: CollisionScene, others: Sequence[tuple[int, int]], turns: FloatArray) -> FloatArray:
+    """(movers, k) how much farther than its axis a link that is no capsule moves as joints turn by (k, dof) [m].
+
+    A ball about a point of the axis moves as that point does; what is at most r from the axis by r times the link's
+    turn more, which is at most the sum of the turns of the joints before it. Seen from another link, that one's own
+    turn comes to it.
+    """
+    arm = judge.robot.arm
+    reach = arm.half_widths * {"capsule": 0.0, "urdf": 1.0, "box": math.sqrt(2.0)}[judge.links]
+    first = 1 if judge.robot.has_yaw else 0
+    turned = np.cumsum(np.abs(turns), axis=1)[:, first:].T
+    found = [reach[link] * turned[link] for link in range(arm.link_count)]
+    for part, other in others:
+        own = reach[part] * turned[part] if part >= 0 else np.zeros(len(turns))
+        found.append(own + (reach[part] * turned[other] if part >= 0 and other >= 0 else 0.0))
+    return np.array(found)
 
 
 def _movers(judge: CollisionScene) -> tuple[IntArray, list[tuple[int, int]]]:

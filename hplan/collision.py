@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -17,6 +18,7 @@ from hplan.arm_pairs import below, fold_pairs, link_pairs, turret_pairs, turret_
 from hplan.arrays import BoolArray, FloatArray, IntArray
 from hplan.base_shapes import TURRET
 from hplan.base_shapes import filled as _filled
+from hplan.coal_accuracy import distance_errors
 from hplan.coal_shapes import LINK_SHAPES, LinkShapes, beyond_geometry, link_shapes, solid_shape, urdf_shapes
 from hplan.errors import ConfigurationInCollisionError, OptionError
 from hplan.geometry_pairs import GeometryPairs
@@ -154,6 +156,7 @@ class CollisionScene:
             own += fold_pairs(robot, contact, link_shapes(robot, "capsule"))
             own += turret_pairs(robot, contact)
         self.own_others = [pair.other for pair in own]
+        self._own_shapes = [pair.shapes for pair in own]
         self.own_first = len(obstacles)
         parts = tuple(dict.fromkeys(pair.other_name for pair in own))
         self.obstacle_names = (*(obstacle.name for obstacle in obstacles), *parts)
@@ -187,6 +190,11 @@ class CollisionScene:
         for name in state["touched"]:
             whole = whole.touching(name)
         vars(self).update(vars(whole))
+
+    @cached_property
+    def distance_errors(self) -> FloatArray:
+        """(pairs,) by how much distances of `pairs` may be too large [m] (`hplan.coal_accuracy`)."""
+        return distance_errors(self._mover_shapes, self._built["obstacles"], self._own_shapes)
 
     def covering(self, deviation: float, clearance: float) -> CollisionScene:
         """The same scene with the pairs that a tracking error [rad] and a clearance [m] ask for."""

@@ -213,8 +213,11 @@ def test_pairs_that_are_not_asked_keep_what_is_shown(robot, scene, links):
         assert certificate.checks == len(judge.asked)
         answers = [answer for _, answers in judge.asked for answer in answers.values()]
         assert certificate.nearest.distance_m == min(answers)
-        # A sound proof takes half of the smallest answer; more is not left of what was never asked for.
-        assert certificate.min_clearance_m == pytest.approx(0.5 * min(answers))
+        # A sound proof takes half of the smallest answer, less what coal may be over; more is not left of what was
+        # never asked for.
+        errors = judge.distance_errors
+        least = min(answer - errors[pair] for _, found in judge.asked for pair, answer in found.items())
+        assert certificate.min_clearance_m == pytest.approx(0.5 * least)
         assert len(answers) < 0.7 * len(judge.asked) * len(judge.pairs)
         for q, answers in judge.asked[::5]:
             table = judge.distances(q)
@@ -242,6 +245,38 @@ def test_refused_motion_reports_the_smallest_distance_at_the_rows_that_follow(ro
         wide = certify(robot, around, trajectory, judge=judge, tracking_error=0.01)
         after = [(judge.distances(q) - robot.sway(0.01)[:, None]).min() for q in trajectory.position]
         assert wide.min_clearance_m == pytest.approx(min(after), abs=1e-9)
+
+
+def test_no_more_is_certified_than_what_is_left_when_the_motion_ends_before_the_next_look(robot, scene):
+    """The stretched arm turns straight towards a ball, as fast as can be bounded, and stops at some distance."""
+    ball = Sphere(name="far", center=(0.0, 2.0, 0.6), radius=0.05)
+    around = scene.with_obstacles([ball])
+    judge = CollisionScene(robot, around.solids)
+    for end in (0.2, 0.5, 0.8, 1.0, 1.2, 1.3):
+        trajectory = quintic(robot, np.zeros(4), np.array([end, 0.0, 0.0, 0.0]), 4.0)
+        certificate = certify(robot, around, trajectory)
+        assert certificate.verified
+        true = judge.distances(trajectory.position[-1]).min()
+        assert 0.3 * true < certificate.min_clearance_m <= true
+
+
+@pytest.mark.parametrize("links", ["urdf", "box"])
+def test_links_that_are_no_capsules_are_bounded_off_their_axes(robot, scene, links):
+    """The last link of an upright arm turns about its joint: a corner far from the axis sweeps farthest."""
+    rng = np.random.default_rng(21)
+    shown = 0
+    for _ in range(20):
+        start, end = rng.uniform(robot.lower, robot.upper, (2, 4))
+        around = scene.with_obstacles(random_obstacles(rng))
+        judge = CollisionScene(robot, around.solids, links=links)
+        if judge.distances(start).min() <= 1e-3:
+            continue
+        trajectory = quintic(robot, start, end, 0.4)
+        certificate = certify(robot, around, trajectory, judge=judge)
+        if not any(violation.startswith("link") for violation in certificate.violations):
+            shown += 1
+            assert certificate.min_clearance_m <= sampled_clearance(judge, trajectory, 5e-4) + 1e-9
+    assert shown >= 3
 
 
 def test_pair_that_may_touch_is_as_good_as_not_there(robot, scene):
@@ -280,7 +315,7 @@ def test_place_reached_by_a_travel():
 # Limits
 
 
-@pytest.mark.parametrize(("share", "verified"), [(1.0, True), (1.0005, True), (1.005, False)])
+@pytest.mark.parametrize(("share", "verified"), [(1.0, True), (1.0009, True), (1.0011, False), (1.005, False)])
 def test_velocity(robot, scene, share, verified):
     speed = share * robot.velocity_limit[1]
     certificate = certify(robot, scene.with_obstacles([]), swing(robot, 0.2, 0.2 + 0.5 * speed, 0.5, 101))

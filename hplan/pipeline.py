@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from hplan.arrays import FloatArray, Record
-from hplan.certificate import Certificate, Stretch, all_of, stretches
+from hplan.certificate import Certificate, Stretch, all_of, certify, stretches
 from hplan.collision import CollisionScene
 from hplan.digests import Digests
-from hplan.errors import CertificationError, TimingError
+from hplan.errors import CertificationError, HplanError, NoPathError, TimingError
 from hplan.goal_contact import contact_window
 from hplan.grasp_motion import motion_to_grasp
 from hplan.grid import Occupancy
@@ -28,6 +28,7 @@ from hplan.route import Progress, Task, no_progress
 from hplan.scene import Fruit, Scene, Solid
 from hplan.search import SearchResult
 from hplan.surroundings import Surroundings
+from hplan.tracking import largest_share, name_margin
 from hplan.trajectory import Trajectory, joined
 from hplan.transit import Motion, executable, find_motion, renewed
 from hplan.turning_space import Layers
@@ -155,6 +156,41 @@ def plan_with(
     Raises:
         HplanError: As `plan`.
     """
+    try:
+        return _planned(workspace, scene, options, progress, before)
+    except (NoPathError, TimingError, CertificationError) as error:
+        if not options.tracking.is_exact:
+            share = _share_with_room(workspace, scene, options)
+            name_margin(error, options.tracking, share, "the motion found without one has room for")
+        raise
+
+
+def _share_with_room(workspace: Workspace, scene: Scene, options: PlanOptions) -> float:
+    """Share of the tracking error for which a motion planned without one can be certified; 0 where there is none."""
+    try:
+        found = plan_with(workspace, scene, replace(options, tracking_error=0.0, tracking_delay_s=0.0))
+    except HplanError:
+        return 0.0
+
+    def is_certified(share: float) -> bool:
+        tracking = options.tracking.scaled(share)
+        return certify(
+            workspace.robot,
+            scene,
+            found.trajectory,
+            tracking_error=tracking.still_rad,
+            tracking_delay_s=tracking.delay_s,
+            sigmas=options.sigmas,
+            goal_contact="approach" if len(found.phases) > 1 else "motion",
+        ).verified
+
+    return largest_share(is_certified)
+
+
+def _planned(
+    workspace: Workspace, scene: Scene, options: PlanOptions, progress: Progress, before: Motion | None
+) -> PlanResult:
+    """The plan."""
     clock, robot, goal = StageClock(), workspace.robot, scene.goal.joints()
     start = robot.check_configuration(scene.start.configuration, "start")
     around = workspace.around(scene, options)

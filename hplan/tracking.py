@@ -69,19 +69,20 @@ class TrackingModel:
         return f"{error} + {1e3 * self.delay_s:.4g} ms of velocity" if self.delay_s else error
 
 
-def name_margin(error: HplanError, asked: TrackingModel, share: float) -> None:
+def name_margin(error: HplanError, asked: TrackingModel, share: float, enough: str = "what would do is") -> None:
     """Let an error say that what it refuses was refused for a tracking error, and the largest that would do.
 
     Args:
         error: The error.
         asked: The tracking error asked for.
         share: Share of it that would do; where none would, the error has another reason and is left as it is.
+        enough: The words for that.
     """
     if not share > 0.0:
         return
     largest = asked.scaled(share)
     error.add(
-        f"this allows for a tracking error of {asked}; up to {largest} would do",
+        f"this allows for a tracking error of {asked}; {enough} up to {largest}",
         tracking_error_deg=math.degrees(asked.still_rad),
         tracking_delay_ms=1e3 * asked.delay_s,
         largest_tracking_error_deg=math.degrees(largest.still_rad),

@@ -10,7 +10,7 @@ import pytest
 from hplan.certificate import Certificate, certify
 from hplan.clearance_proof import prove_clearance
 from hplan.collision import CollisionScene
-from hplan.errors import BlockedError, OptionError
+from hplan.errors import BlockedError, CertificationError, NoPathError, OptionError
 from hplan.options import PlanOptions
 from hplan.pipeline import plan
 from hplan.robot import Robot
@@ -230,7 +230,7 @@ def test_refusal_of_all_grasps_names_the_largest_error(robot: Robot) -> None:
     facts = refused.value.data
     assert facts["tracking_error_deg"] == pytest.approx(1.0)
     largest = math.radians(facts["largest_tracking_error_deg"])
-    assert f"up to {facts['largest_tracking_error_deg']:.4g} deg would do" in refused.value.message
+    assert f"would do is up to {facts['largest_tracking_error_deg']:.4g} deg" in refused.value.message
     assert plan(robot, scene, PlanOptions(tracking_error=0.99 * largest)).certificate.verified
     with pytest.raises(BlockedError):
         plan(robot, scene, PlanOptions(tracking_error=1.01 * largest))
@@ -238,6 +238,44 @@ def test_refusal_of_all_grasps_names_the_largest_error(robot: Robot) -> None:
     with pytest.raises(BlockedError) as closed:
         plan(robot, scene.with_obstacles([wall]), PlanOptions(tracking_error=math.radians(1.0)))
     assert "tracking_error_deg" not in closed.value.data
+
+
+def turning_above_a_bead(gap: float) -> Scene:
+    """Only the base turns, the tip of the arm a little above a ball half way."""
+    tip = (2.2 * math.cos(math.radians(30.0)), 2.2 * math.sin(math.radians(30.0)), 0.6)
+    center = (tip[0], tip[1], tip[2] - 0.03 - 0.02 - gap)
+    return Scene(
+        name="above a bead",
+        start=Start(joints_deg=(0.0, 0.0, 0.0, 0.0)),
+        goal=Goal(joints_deg=(60.0, 0.0, 0.0, 0.0)),
+        locked_joints=("shoulder", "elbow", "wrist"),
+        obstacles=(Sphere(name="bead", center=center, radius=0.02),),
+    )
+
+
+@pytest.mark.parametrize("delay_s", [0.0, 0.01])
+def test_refusal_of_a_motion_names_what_there_is_room_for(robot: Robot, delay_s: float) -> None:
+    """True: the motion found without an error is certified with that much, and not with a little more."""
+    gap = 0.02
+    scene, error = turning_above_a_bead(gap), math.radians(1.0)
+    with pytest.raises((NoPathError, CertificationError)) as refused:
+        plan(robot, scene, PlanOptions(tracking_error=error, tracking_delay_s=delay_s))
+    facts, motion = refused.value.data, plan(robot, scene).trajectory
+    assert (facts["tracking_error_deg"], facts["tracking_delay_ms"]) == (pytest.approx(1.0), 1e3 * delay_s)
+    assert "has room for up to" in refused.value.message
+    share = facts["largest_tracking_error_deg"]
+    assert facts["largest_tracking_delay_ms"] == pytest.approx(share * 1e3 * delay_s)
+    for factor, shown in ((0.999, True), (1.01, False)):
+        asked = {"tracking_error": factor * share * error, "tracking_delay_s": factor * share * delay_s}
+        assert certify(robot, scene, motion, **asked).verified == shown
+    if delay_s == 0.0:
+        assert robot.sway(share * error)[-1] == pytest.approx(gap, rel=0.01)
+
+
+def test_what_is_refused_anyway_names_no_error(robot: Robot) -> None:
+    with pytest.raises((NoPathError, CertificationError)) as refused:
+        plan(robot, turning_above_a_bead(-0.01), PlanOptions(tracking_error=1e-3))
+    assert "tracking_error_deg" not in refused.value.data
 
 
 def test_largest_share() -> None:

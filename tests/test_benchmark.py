@@ -323,9 +323,10 @@ def test_small_helpers() -> None:
     assert fitted_slope([1, 10, 100], [2, 200, 20000]) == pytest.approx(2.0)
     assert math.isnan(fitted_slope([1, 1], [2, 3]))
     assert math.isnan(spread([])["median"])
-    array, rise = peak_memory_mb(lambda: np.ones(4_000_000))
-    assert array.sum() == 4_000_000
-    assert math.isnan(rise) or 25.0 < rise < 60.0
+    array, rise = peak_memory_mb(lambda: np.ones(50_000_000))
+    assert array.sum() == 50_000_000
+    # 400 MB, less what the process had left of earlier peaks; nothing else here takes a tenth of that.
+    assert math.isnan(rise) or 300.0 < rise < 440.0
 
 
 def test_planners_where_installed(robot: Robot, scene: Scene) -> None:

@@ -479,6 +479,17 @@ def test_single_row(robot, scene):
     assert certificate.limit_use.velocity == 0.0
 
 
+@pytest.mark.parametrize("turn_deg", [5.0, 10.0, 15.0, 20.0, 25.0, 29.0])
+def test_no_more_is_shown_than_there_is_where_few_looks_do(robot, scene, turn_deg):
+    """The stretched arm turns towards a ball: its tip comes nearer by all that it travels, until one look would do."""
+    tip = robot.tool_positions(np.radians([35.0, 0.0, 0.0, 0.0]))
+    ball = scene.with_obstacles([Sphere(name="ball", center=tuple(tip.tolist()), radius=0.05)])
+    motion = quintic(robot, np.zeros(4), np.radians([turn_deg, 0.0, 0.0, 0.0]))
+    certificate = certify(robot, ball, motion)
+    least = CollisionScene(robot, ball.solids).distances(motion.position[-1]).min()
+    assert 0.4 * least < certificate.min_clearance_m <= least + 1e-9
+
+
 def test_without_obstacles_the_clearance_is_infinite(robot, scene):
     certificate = certify(robot, scene.with_obstacles([]), quintic(robot, np.zeros(4), np.full(4, 0.3)))
     assert certificate.verified
@@ -489,10 +500,15 @@ def test_without_obstacles_the_clearance_is_infinite(robot, scene):
 # Rest and the columns that a controller may feed forward
 
 
-def test_motion_that_is_not_at_rest_at_its_ends_is_refused(robot, scene):
+@pytest.mark.parametrize("end", ["begins", "ends", "both"])
+def test_motion_that_is_not_at_rest_at_its_ends_is_refused(robot, scene, end):
     moving = swing(robot, 0.3, 0.4, 0.2, 51)
-    certificate = certify(robot, scene, moving, rest_to_rest=True)
-    assert [violation.split()[2] for violation in certificate.violations] == ["begins", "ends"]
+    velocity = np.array(moving.velocity)
+    if end != "both":
+        velocity[-1 if end == "begins" else 0] = 0.0
+    certificate = certify(robot, scene.with_obstacles([]), replace(moving, velocity=velocity), rest_to_rest=True)
+    told = [violation.split()[2] for violation in certificate.violations if violation.startswith("the motion")]
+    assert told == (["begins", "ends"] if end == "both" else [end])
 
 
 def test_single_row_with_velocity_is_refused(robot, scene):

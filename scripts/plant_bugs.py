@@ -1,0 +1,233 @@
+"""Plant bugs one at a time in a copy of the tree, and say which of them the tests notice."""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+import tomllib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+TABLE = ROOT / "tests" / "planted_bugs.toml"
+
+_DESCRIPTION = """\
+Each bug of tests/planted_bugs.toml is one small change to the package: a text that a file holds exactly once, and what
+stands there instead. It is planted in a copy of the tree, the tests named with it run until the first that fails, and
+the file is put back. A bug that no test notices is a hole in the suite.
+"""
+
+_EPILOG = """\
+exit status:
+  0  every bug was noticed
+  2  a bug does not fit the tree: its text is not found, or found more than once; or the test fails without it
+  5  a bug went unnoticed
+"""
+
+#: What the tests need of the tree.
+_COPIED = ("hplan", "scripts", "tests", "urdf", "pyproject.toml", "README.md", "CHANGELOG.md", "LICENSE", "docs", ".ci")
+
+#: A bug that makes the tests run longer than this is noticed [s].
+_PATIENCE_S = 600.0
+
+
+@dataclass(frozen=True)
+class Bug:
+    """A small change to one file.
+
+    Attributes:
+        id: Its name.
+        file: The file, from the root of the tree.
+        old: What the file holds, exactly once.
+        new: What stands there instead.
+        tests: Arguments of pytest: the tests that should notice.
+        what: What a user would get.
+    """
+
+    id: str
+    file: str
+    old: str
+    new: str
+    tests: tuple[str, ...]
+    what: str
+
+    def planted(self, root: Path) -> str:
+        """The text of the file with the bug.
+
+        Raises:
+            ValueError: The file does not hold the old text exactly once, or the new one is no Python.
+        """
+        text = (root / self.file).read_text(encoding="utf-8")
+        if (count := text.count(self.old)) != 1:
+            raise ValueError(f"{self.file} holds its text {count} times")
+        changed = text.replace(self.old, self.new)
+        try:
+            ast.parse(changed)
+        except SyntaxError as error:
+            raise ValueError(f"what stands there instead is no Python: {error}") from error
+        return changed
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line; returns the exit status."""
+    parser = argparse.ArgumentParser(
+        description=_DESCRIPTION, epilog=_EPILOG, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("ids", nargs="*", metavar="ID", help="the bugs to plant (default: all)")
+    parser.add_argument("--check", action="store_true", help="only see that all of them fit the tree")
+    arguments = parser.parse_args(argv)
+    bugs = read_table()
+    if unknown := set(arguments.ids) - {bug.id for bug in bugs}:
+        parser.error(f"there is no bug {', '.join(sorted(unknown))}")
+    bugs = [bug for bug in bugs if not arguments.ids or bug.id in arguments.ids]
+    stale = _stale(bugs)
+    for line in stale:
+        print(line)
+    if arguments.check or stale:
+        return 2 if stale else 0
+    with tempfile.TemporaryDirectory() as folder:
+        return _campaign(bugs, _Copy(Path(folder) / "tree"))
+
+
+def read_table(path: Path = TABLE) -> list[Bug]:
+    """The bugs of a table."""
+    with path.open("rb") as stream:
+        rows = tomllib.load(stream)["bug"]
+    return [Bug(**{**row, "tests": tuple(row["tests"])}) for row in rows]
+
+
+def _stale(bugs: Sequence[Bug]) -> list[str]:
+    """Why bugs do not fit the tree, a line each."""
+    lines = []
+    for bug in bugs:
+        try:
+            bug.planted(ROOT)
+        except (OSError, ValueError) as error:
+            lines.append(f"{bug.id}: stale: {error}")
+    return lines
+
+
+def _campaign(bugs: Sequence[Bug], copy: _Copy) -> int:
+    """Plant bug after bug, telling of each; returns the exit status."""
+    caught, missed, broken = 0, list[str](), list[str]()
+    for bug in bugs:
+        begin = time.perf_counter()
+        with copy.planted(bug):
+            failure = copy.failure(bug.tests)
+        if failure is None:
+            missed.append(bug.id)
+            verdict = "MISSED"
+        elif not copy.passes(failure):
+            broken.append(bug.id)
+            verdict = "BROKEN"  # the test fails without the bug, too
+        else:
+            caught += 1
+            verdict = "caught"
+        print(f"{bug.id:28}{verdict:8}{time.perf_counter() - begin:6.0f} s  {failure or ''}", flush=True)
+    print(f"\n{caught} of {len(bugs)} caught; missed: {', '.join(missed) or 'none'}")
+    return 2 if broken else 5 if missed else 0
+
+
+class _Copy:
+    """A copy of the tree, its compiled kernels with it, in which tests run."""
+
+    def __init__(self, root: Path) -> None:
+        """Copy what the tests need."""
+        self.root = root
+        root.mkdir()
+        for name in _COPIED:
+            source, target = ROOT / name, root / name
+            if source.is_dir():
+                shutil.copytree(source, target, ignore=shutil.ignore_patterns("*.pyc", ".*_cache"))
+            elif source.exists():
+                shutil.copy2(source, target)
+        self._passes: dict[str, bool] = {}
+
+    def failure(self, tests: Sequence[str]) -> str | None:
+        """The first test that fails, or what keeps the tests from running; None where all pass."""
+        command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", "--no-header", *tests]
+        own = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
+        own["PYTHONPATH"] = str(self.root)
+        try:
+            done = subprocess.run(
+                command, cwd=self.root, env=own, capture_output=True, text=True, timeout=_PATIENCE_S, check=False
+            )
+        except subprocess.TimeoutExpired:
+            return f"no end after {_PATIENCE_S:.0f} s"
+        if done.returncode == 0:
+            return None
+        named = re.findall(r"^(?:FAILED|ERROR) (.+?)(?: - .*)?$", done.stdout, re.MULTILINE)
+        return named[0] if named else f"pytest ends with {done.returncode}: {done.stdout[-200:]!r}"
+
+    def passes(self, test: str) -> bool:
+        """Whether a test passes in the tree as it is; whatever is no test does."""
+        if "::" not in test:
+            return True
+        if test not in self._passes:
+            self._passes[test] = self.failure([test]) is None
+        return self._passes[test]
+
+    def planted(self, bug: Bug) -> _Planted:
+        """The copy with a bug, for a while."""
+        return _Planted(self.root, bug)
+
+
+class _Planted:
+    """A bug in a copy; kernels compiled from what it may change are set aside meanwhile."""
+
+    def __init__(self, root: Path, bug: Bug) -> None:
+        """Nothing yet."""
+        self._root, self._bug = root, bug
+
+    def __enter__(self) -> None:
+        """Plant it."""
+        file = self._root / self._bug.file
+        self._text = file.read_text(encoding="utf-8")
+        changed = self._bug.planted(self._root)
+        self._aside = Path(tempfile.mkdtemp(dir=self._root.parent))
+        self._folders = {path.parent for path in (self._root / "hplan").rglob("*.nbi")}
+        for folder in self._folders:
+            target = self._aside / folder.relative_to(self._root)
+            shutil.copytree(folder, target)
+        # numba does not see that what a kernel has inlined from another file is another now.
+        for module in _dependents(self._root, self._bug.file):
+            for path in module.parent.glob(f"__pycache__/{module.stem}.*.nb[ic]"):
+                path.unlink()
+        file.write_text(changed, encoding="utf-8")
+
+    def __exit__(self, *_: object) -> None:
+        """Put everything back as it was."""
+        (self._root / self._bug.file).write_text(self._text, encoding="utf-8")
+        for folder in {path.parent for path in (self._root / "hplan").rglob("*.nb[ic]")}:
+            shutil.rmtree(folder)
+        for folder in self._folders:
+            shutil.copytree(self._aside / folder.relative_to(self._root), folder, dirs_exist_ok=True)
+        shutil.rmtree(self._aside)
+
+
+def _dependents(root: Path, file: str) -> set[Path]:
+    """The modules whose kernels may hold code of a file: it and all that import it, if it has kernels or constants."""
+    modules = {path: path.read_text(encoding="utf-8") for path in (root / "hplan").rglob("*.py")}
+    compiled = {path for path, text in modules.items() if "@kernel" in text or "@inlined" in text}
+    found, new = set[Path](), {root / file}
+    while new:
+        found |= new
+        names = {".".join(path.relative_to(root).with_suffix("").parts) for path in new}
+        new = {
+            path
+            for path in compiled - found
+            if any(re.search(rf"^from {re.escape(name)} import", modules[path], re.MULTILINE) for name in names)
+        }
+    return found & compiled
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -71,7 +71,8 @@ def folded_angles(arm: PlanarArm, fold: Fold, radius: float) -> list[tuple[float
         radius: Distance of their axes [m].
     """
     joint = fold.inner + 1
-    half = max(_half_angle(fold.own_reach, float(arm.lengths[_other(fold, link)]), radius) for link in fold.trims)
+    # Where both reach beyond the joint's own region, either is long enough to give the same angle.
+    half = _half_angle(fold.own_reach, float(arm.lengths[_other(fold, fold.trims[0])]), radius)
     if half < 0.0:
         return []
     # The outer link lies on the inner one where it is turned by half a turn.

@@ -390,6 +390,22 @@ def test_a_clearance_field_near_a_motion_keeps_what_turns_with_the_arm(tmp_path)
         np.testing.assert_allclose(field.only(np.zeros(len(obstacles), bool)).link_clearances(q), alone, atol=1e-12)
 
 
+@pytest.mark.parametrize(("at", "link"), [((0.8, 0.0, 0.95), 0), ((1.9, 0.0, 1.2), 2)])
+def test_what_turns_with_the_arm_is_behind_nothing_else(tmp_path, at, link):
+    """Its bounding ball is at every yaw where it is: another obstacle, farther away, does not hide it."""
+    robot = fitted(tmp_path, {"turret": [box((0.05, 0.05, 0.3), at)]})
+    for yaw in (-2.5, 0.0, 3.0):
+        q = np.array([yaw, 0.1, 0.2, 0.1])
+        alone = ClearanceField.of(robot, []).link_clearances(q)[link]
+        assert 0.01 < alone < 0.15
+        assert alone == pytest.approx(CollisionScene(robot, []).distances(q)[link].min(), abs=1e-6)
+        end = axis_points(robot, q)[link + 1]
+        beside = end + 0.4 * np.array([-math.sin(yaw), math.cos(yaw), 0.0])
+        field = ClearanceField.of(robot, [Sphere(name="ball", center=tuple(beside), radius=0.05)])
+        assert field.link_clearances(q)[link] == pytest.approx(alone, abs=1e-12)
+        assert field.near([q, q], 0.2).link_clearances(q)[link] == pytest.approx(alone, abs=1e-12)
+
+
 # Neighbours that fold
 
 

@@ -305,6 +305,23 @@ def test_a_cabinet_on_the_pedestal_is_asked_against_the_upper_arm(tmp_path):
     assert min(bodies.clearance(q) for q in result.trajectory.position[::4]) >= result.certificate.min_clearance_m > 0.0
 
 
+def test_thick_layers_hold_what_stands_on_the_pedestal(tmp_path):
+    robot = fitted(tmp_path, {"base_link": [box((0.2, 0.2, 1.0), (0.6, 0.0, 0.5))]})
+    judge, grid = CollisionScene(robot, []), joint_grid(robot.arm, math.radians(15.0))
+    nodes = grid.coordinates(np.stack(np.unravel_index(np.arange(grid.size), grid.shape), axis=-1))
+    middle, half_angle, contacts = 0.4, 0.2, 0
+    thin, thick = (
+        occupancy(robot.arm, sections_at(robot, bodies_of([]), middle, half_angle=half), grid).occupied.ravel()
+        for half in (0.0, half_angle)
+    )
+    assert (thin <= thick).all()
+    for node, occupied, inside in zip(nodes, thick, thin, strict=True):
+        if judge.distances([middle - 0.95 * half_angle, *node]).min() < -1e-6:
+            assert occupied
+            contacts += not inside
+    assert contacts > 10
+
+
 def test_what_carries_the_shoulder_is_left_out_and_nothing_else(tmp_path):
     forks = [box((0.08, 0.011, 0.108), (0.0, y, 0.546)) for y in (-0.0365, 0.0365)]
     beside = box((0.1, 0.1, 0.3), (0.2, 0.0, 0.35))
@@ -352,11 +369,12 @@ def test_distances_and_sections_of_what_is_on_the_base_are_those_of_coal(tmp_pat
         grid = joint_grid(robot.arm, math.radians(25.0))
         nodes = grid.coordinates(np.stack(np.unravel_index(np.arange(grid.size), grid.shape), axis=-1))
         yaws = rng.uniform(robot.lower[0], robot.upper[0], 2) if robot.has_yaw else [0.0]
-        for yaw, half_angle in zip(yaws, (0.0, 0.05), strict=False):
+        for yaw, half_angle in zip(yaws, (0.0, 0.2), strict=False):
             sections = sections_at(robot, bodies_of([]), float(yaw), half_angle=half_angle if robot.has_yaw else 0.0)
             ours = occupancy(robot.arm, sections, grid).occupied.ravel()
             for node, occupied in zip(nodes, ours, strict=True):
-                q = [yaw, *node] if robot.has_yaw else node
+                # Thick layers hold what is met anywhere in them.
+                q = [yaw + 0.95 * half_angle, *node] if robot.has_yaw else node
                 table = judge.distances(q)
                 least = float(table.min())
                 if least < -1e-6:

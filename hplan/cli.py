@@ -53,6 +53,8 @@ exit status:
   3  no path exists (shown on the grid)
   4  the motion cannot be timed
   5  the motion is not certified
+
+hplan certify judges a trajectory; see hplan certify --help.
 """
 
 _STAGE_WORDS = {
@@ -69,8 +71,16 @@ _STAGE_WORDS = {
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command line; returns the exit status."""
-    arguments = parse_job(_parser(), argv, OUT, _job_folder)
+    """Run the command line; returns the exit status.
+
+    The first argument may name a command, `plan` or `certify`; without one a scene is planned.
+    """
+    words = list(sys.argv[1:] if argv is None else argv)
+    if words[:1] == ["certify"]:
+        from hplan import certify_command
+
+        return certify_command.main(words[1:])
+    arguments = parse_job(_parser(), words[1:] if words[:1] == ["plan"] else words, OUT, _job_folder)
     return run_command(lambda console, errors: _plan(arguments, console, errors))
 
 

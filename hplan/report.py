@@ -106,12 +106,17 @@ def failure_report(error: HplanError, *, scene: str | None, robot: str | None) -
 
 
 def write_report(report: dict[str, Any], path: Path | str) -> Path:
-    """Write a report as JSON; what is not finite becomes null, as JSON knows no infinity.
+    """Write a report as JSON (`report_text`).
 
     Raises:
         OutputError: The file cannot be written.
     """
-    return write_text(path, json.dumps(_plain(report), indent=2, allow_nan=False) + "\n")
+    return write_text(path, report_text(report))
+
+
+def report_text(report: dict[str, Any]) -> str:
+    """A report as JSON; what is not finite becomes null, as JSON knows no infinity."""
+    return json.dumps(_plain(report), indent=2, allow_nan=False) + "\n"
 
 
 def _plain(value: Any) -> Any:

@@ -1,0 +1,8 @@
+"""Judge a trajectory, or the folder of a job."""
+
+import sys
+
+from hplan.certify_command import main
+
+if __name__ == "__main__":
+    sys.exit(main(prog="certify.py"))

@@ -16,10 +16,14 @@ import numpy as np
 import pinocchio as pin
 
 from hplan.arrays import BoolArray
-from hplan.base_shapes import BASE_DEPTH, GROUND, TURRET, BaseShape, filled, turning_shapes
+from hplan.base_shapes import BASE_DEPTH, GROUND, TURRET, BaseShape, always, filled, turning_shapes
+from hplan.coal_shapes import beyond_geometry, solid_shape
 from hplan.robot import Robot
 from hplan.scene import Solid
 from hplan.self_contact import SelfContact
+
+#: Heights that differ by less are the same [m].
+_ROUNDING = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,14 +99,24 @@ def turret_shapes(robot: Robot) -> dict[str, tuple[list[BaseShape], list[pin.Geo
     return found
 
 
-def below(shape: BaseShape, obstacles: Sequence[Solid]) -> BoolArray:
-    """(obstacles,) which ones a turning shape never comes down to, but for the depth that the base may have in them.
+def below(robot: Robot, shape: BaseShape, obstacles: Sequence[Solid]) -> BoolArray:
+    """(obstacles,) which ones a turning shape never comes down to, or stands on.
 
-    Where highest(obstacle) <= lowest(shape) + `BASE_DEPTH` at one yaw, it is so at all: turning about the vertical
-    keeps heights. No point of the shape is then deeper in the obstacle than `BASE_DEPTH`.
+    Turning about the vertical keeps heights: an obstacle whose top is not above the shape's bottom is never entered.
+    One that is, by `BASE_DEPTH` at most, carries the shape where it is within `BASE_DEPTH` of it at every yaw, as the
+    ground is; one that the shape only turns over, or into, is in its way.
     """
-    tops = [float(obstacle.core[:, 2].max()) + obstacle.rounding for obstacle in obstacles]
-    return np.array(tops) <= shape.bottom + BASE_DEPTH
+    tops = np.array([float(obstacle.core[:, 2].max()) + obstacle.rounding for obstacle in obstacles])
+    never: BoolArray = tops <= shape.bottom + _ROUNDING
+    for number in np.flatnonzero(~never & (tops <= shape.bottom + BASE_DEPTH)).tolist():
+        body, beyond = solid_shape(obstacles[number]), beyond_geometry(obstacles[number])
+
+        def distance(yaw: float, body: pin.GeometryObject = body, beyond: float = beyond) -> float:
+            return shape.distance_to(yaw, body.geometry, body.placement) - beyond
+
+        low, high = float(robot.lower[0]), float(robot.upper[0])
+        never[number] = always(distance, low, high, shape.radius, BASE_DEPTH)
+    return never
 
 
 def _placed(robot: Robot, number: int) -> pin.GeometryObject:

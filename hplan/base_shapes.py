@@ -84,8 +84,12 @@ class BaseShape:
 
     def distance_at(self, yaw: float, other: BaseShape) -> float:
         """Signed distance from a shape of the pedestal where the turret is at a yaw [m]."""
+        return self.distance_to(yaw, other.geometry, other.placement)
+
+    def distance_to(self, yaw: float, other: coal.CollisionGeometry, placement: pin.SE3) -> float:
+        """Signed distance from what stands still where the turret is at a yaw [m]."""
         turn = pin.SE3(pin.utils.rotate("z", yaw), np.zeros(3))
-        return _distance(self.geometry, turn * self.placement, other.geometry, other.placement)
+        return _distance(self.geometry, turn * self.placement, other, placement)
 
 
 #: Radius of the ball that stands for a point [m].

@@ -143,7 +143,7 @@ class CollisionScene:
         beyond += np.asarray(growth, dtype=np.float64)
         self._beyond: FloatArray = np.tile(beyond, (len(self._mover_shapes), 1))
         for row, shape in enumerate(shape for of_body, _ in turret.values() for shape in of_body):
-            self._beyond[len(self.link_shapes) + row, below(shape, obstacles)] = -np.inf
+            self._beyond[len(self.link_shapes) + row, below(robot, shape, obstacles)] = -np.inf
         self.pairs = [
             (mover, obstacle)
             for mover, of_mover in enumerate(movers)

@@ -5,7 +5,8 @@ Three questions, each with motions drawn at random:
 - *certified*: random members of the family among obstacles of all kinds; of no motion that `plan` certifies does any
   body touch an obstacle or another body, looked at every millisecond of the exported rows;
 - *grazing*: an obstacle is put where some moving body penetrates it by 0.1 to 5 mm at some instant of a certified
-  motion; `certify` must not verify it;
+  motion; `certify` must not verify it. What carries the turret is none: an obstacle in which a body of the turret
+  stands at every yaw, by 1 mm at most;
 - *clear*: an obstacle is put where everything keeps 1 to 5 mm from it; `certify` must verify it. Everything is: links
   as capsules along their axes as wide as `PlanarArm.half_widths` says, which hold what is fixed to them, all other
   bodies by their own shapes. The least distance over the motion, looked at every millisecond, is the gap.
@@ -42,7 +43,7 @@ from hplan.robot import Robot, load_robot
 from hplan.scene import Scene
 from hplan.scene_file import load_scene
 from hplan.trajectory import Trajectory, write_csv
-from hplan.validation_judge import STANDS_M, Bodies, between_rows, capsule, read_rows
+from hplan.validation_judge import ALWAYS, STANDS_M, Bodies, between_rows, capsule, read_rows
 from hplan.validation_members import write_member, write_stl
 
 #: Members of the family; certified motions, grazing and clear obstacles of all of them together, in full.
@@ -337,7 +338,7 @@ class _Member:
         if found is None:
             return False
         item, body, row = found
-        if body not in self.moving:
+        if body not in self.moving or self.stands_on(item, body, depth):
             return False
         self.tally.grazing += 1
         self.tally.grazed[_kind(self.bodies.names[body])] += 1
@@ -345,6 +346,17 @@ class _Member:
             case = {"member": self.name, "depth_m": depth, "body": self.bodies.names[body], "time_s": float(times[row])}
             self.tally.verified.append({**case, "obstacle": item})
         return True
+
+    def stands_on(self, item: dict[str, Any], body: int, depth: float) -> bool:
+        """Whether a body of the turret is in an obstacle at every yaw, no deeper than it may stand in one."""
+        if not self.robot.has_yaw or self.bodies.geometry.geometryObjects[body].parentJoint != 1 or depth > STANDS_M:
+            return False
+        path = self.folder / "stands.json"
+        path.write_text(json.dumps({"obstacles": [item]}), "utf-8")
+        q = np.tile(self.bodies.model.lowerPositionLimit, (ALWAYS, 1))
+        q[:, 0] = np.linspace(self.robot.lower[0], self.robot.upper[0], ALWAYS)
+        among = Bodies(self.robot.urdf_path, path)
+        return bool((among.distances(q, [(body, among.count)]) < 0.0).all())
 
     def pass_by(self, scene: Scene, trajectory: Trajectory, q: FloatArray) -> bool:
         """One clear obstacle; whether it could be placed."""

@@ -170,6 +170,20 @@ def test_the_ground_is_below_whatever_the_yaw(tmp_path):
     assert shown(certify(robot, scene_of(REST, FAR, [floor]), motion))
 
 
+@pytest.mark.parametrize("depth", [1e-4, 5e-4, 9e-4, -1e-3])
+@pytest.mark.parametrize("kind", ["ball", "box"])
+def test_what_the_turret_grazes_from_above_is_in_its_way(tmp_path, kind, depth):
+    """However little: it does not stand on it, but turns into it."""
+    robot = fitted(tmp_path, {"turret": [box((0.2, 0.1, 0.1), (-0.3, 0.0, 0.45))]})
+    top = max((shape for shape in base_shapes(robot) if shape.carrier == TURRET), key=lambda shape: shape.radius).bottom
+    top += depth
+    obstacle = Sphere(name="kerb", center=(0.0, 0.3, top - 0.05), radius=0.05)
+    if kind == "box":
+        obstacle = Box(name="kerb", center=(0.0, 0.3, top - 0.05), size=(0.1, 0.1, 0.1))
+    motion = quintic(robot, REST, (-170.0, *REST[1:]))
+    assert bool(shown(certify(robot, scene_of(REST, FAR, [obstacle]), motion))) == (depth < 0.0)
+
+
 def test_round_turrets_are_looked_at_once(robot):
     judge = CollisionScene(robot, [POST])
     assert turret_radius(robot) == 0.0

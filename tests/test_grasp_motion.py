@@ -225,11 +225,11 @@ def test_a_grasp_whose_approach_fails_is_left_for_another(robot: Robot, monkeypa
     first = plan(robot, scene, COARSE).grasp
     asked: list[Grasp] = []
 
-    def fails_at_first(task: Any, grasp: Grasp, retreat: bool) -> Any:
+    def fails_at_first(task: Any, grasp: Grasp, *rest: Any) -> Any:
         asked.append(grasp)
         if len(asked) == 1:
             raise CertificationError("the approach is not certified")
-        return last_stretch(task, grasp, retreat)
+        return last_stretch(task, grasp, *rest)
 
     monkeypatch.setattr("hplan.pipeline.last_stretch", fails_at_first)
     other = plan(robot, scene, COARSE)

@@ -7,6 +7,7 @@ import re
 from dataclasses import dataclass
 from typing import Any
 
+from hplan.arguments import number, truth
 from hplan.errors import OptionError
 
 _HALF_PI = math.pi / 2
@@ -58,8 +59,7 @@ class ArmSpec:
             OptionError: A value is no finite number or out of its range, or a count does not match.
         """
         _check_name(self.name)
-        if self.has_yaw not in (True, False):
-            raise OptionError("has_yaw", self.has_yaw, "True or False")
+        truth("has_yaw", self.has_yaw)
         n_links = self._keep_positive("link_lengths", None)
         n_joints = n_links + int(self.has_yaw)
         for option in ("link_half_widths", "link_masses"):
@@ -124,13 +124,7 @@ def _check_name(name: Any) -> None:
 
 
 def _finite(option: str, value: Any) -> float:
-    try:
-        number = float(value)
-    except (TypeError, ValueError):
-        raise OptionError(option, value, "a number") from None
-    if not math.isfinite(number):
-        raise OptionError(option, value, "a finite number")
-    return number
+    return number(option, value, "a finite number")
 
 
 def _floats(option: str, values: Any, count: int | None) -> tuple[float, ...]:

@@ -34,12 +34,13 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from hplan import ties
+from hplan.arguments import instance, number, one_of, truth
 from hplan.arrays import FloatArray
 from hplan.base_shapes import BASE_DEPTH
 from hplan.clearance_proof import Proof, prove_clearance
 from hplan.collision import CollisionScene, Contact, base_contacts
 from hplan.digests import Digests
-from hplan.errors import InputError, OptionError
+from hplan.errors import InputError
 from hplan.goal_contact import contact_window
 from hplan.limit_use import LimitUse, cubic_pieces, limit_use
 from hplan.robot import Robot
@@ -130,11 +131,14 @@ def certify(
         OptionError: A tracking error or delay, or a number of standard deviations, that is negative or not finite;
             another contact with the goal.
     """
+    instance("robot", robot, Robot, "load_robot")
+    instance("scene", scene, Scene, "load_scene")
+    instance("trajectory", trajectory, Trajectory, "plan or read_csv")
+    truth("check_ends", check_ends)
+    truth("rest_to_rest", rest_to_rest)
     tracking = TrackingModel(tracking_error, tracking_delay_s)
-    if not (np.isfinite(sigmas) and sigmas >= 0.0):
-        raise OptionError("sigmas", sigmas, "a finite number >= 0")
-    if goal_contact not in GOAL_CONTACTS:
-        raise OptionError("goal_contact", goal_contact, f"one of {', '.join(GOAL_CONTACTS)}")
+    number("sigmas", sigmas, "a finite number >= 0", lambda value: value >= 0.0)
+    one_of("goal_contact", goal_contact, GOAL_CONTACTS)
     _check_joints(robot, trajectory)
     bezier, _ = cubic_pieces(trajectory)
     contact, violations, fruit = None, list[str](), None

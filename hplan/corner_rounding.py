@@ -23,13 +23,12 @@ the corners, and it lies in the hull of the waypoints: joint limits that they ke
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import ArrayLike
 
+from hplan.arguments import number, numbers
 from hplan.arrays import FloatArray, readonly
-from hplan.errors import InputError, OptionError
+from hplan.errors import InputError
 from hplan.postprocess.spline import SplinePath
 
 #: Smallest deviation that can be asked for [rad]: sharper corners are too much for toppra's tolerances.
@@ -68,8 +67,8 @@ def rounded_path(waypoints: ArrayLike, deviation_rad: float) -> SplinePath:
         OptionError: The deviation is too small or not finite.
     """
     points = as_waypoints(waypoints)
-    if not (math.isfinite(deviation_rad) and deviation_rad >= LEAST_DEVIATION):
-        raise OptionError("deviation_rad", deviation_rad, f"a finite number of radians >= {LEAST_DEVIATION:g}")
+    expected = f"a finite number of radians >= {LEAST_DEVIATION:g}"
+    number("deviation_rad", deviation_rad, expected, lambda given: given >= LEAST_DEVIATION)
     points = _thinned(points, THINNING * deviation_rad - SAME)
     if len(points) < 2:
         return SplinePath(readonly(np.repeat(points, 4, axis=0)), readonly([0.0] * 4 + [1.0] * 4))
@@ -96,15 +95,9 @@ def as_waypoints(waypoints: ArrayLike) -> FloatArray:
     Raises:
         InputError: No waypoint, no list of equally many numbers each, or a value that is not finite.
     """
-    try:
-        points = np.array(waypoints, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise InputError("waypoints: expected a list of configurations, all of the same number of joints") from error
-    if points.ndim != 2 or 0 in points.shape:
+    points = numbers("waypoints", waypoints, (None, None))
+    if 0 in points.shape:
         raise InputError(f"waypoints: expected an array (waypoints, joints), got shape {points.shape}")
-    if not np.isfinite(points).all():
-        number = int(np.argmin(np.isfinite(points).all(axis=1))) + 1
-        raise InputError(f"waypoint {number} holds a value that is not finite", waypoint=number)
     return points
 
 
@@ -144,10 +137,16 @@ def largest_deviation(positions: ArrayLike, waypoints: ArrayLike) -> float:
     """Largest distance of configurations from the polyline through waypoints, Euclidean norm [rad].
 
     Args:
-        positions: (k, dof) configurations.
+        positions: (k, dof) configurations, k >= 1.
         waypoints: (n, dof).
+
+    Raises:
+        InputError: One of them is no such array of finite numbers.
     """
-    q, points = np.asarray(positions, dtype=np.float64), as_waypoints(waypoints)
+    points = as_waypoints(waypoints)
+    q = numbers("positions", positions, (None, points.shape[1]))
+    if not len(q):
+        raise InputError("positions: expected at least one configuration")
     nearest = np.linalg.norm(q - points[0], axis=1)
     for start, step in zip(points[:-1], np.diff(points, axis=0), strict=True):
         squared = float(step @ step)

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from hplan.arguments import decimal, file_path, is_float
 from hplan.errors import InputError
 
 
@@ -36,7 +37,7 @@ class CsvFile:
         Raises:
             InputError: Missing or unreadable file, not UTF-8, or malformed.
         """
-        path = Path(path)
+        path = file_path("path", path)
         try:
             with path.open(encoding="utf-8-sig", newline="") as stream:
                 reader = csv.reader(stream, strict=True)
@@ -96,12 +97,9 @@ class CsvFile:
             yield line, texts, numbers
 
     def _number(self, line: int, name: str, text: str) -> float:
-        try:
-            value = float(text)
-        except ValueError:
-            raise self.fault(line, f"{name} is {text!r}, expected a number") from None
-        if not math.isfinite(value):
-            raise self.fault(line, f"{name} is {text!r}, expected a finite number")
+        value = decimal(text)
+        if value is None:
+            raise self.fault(line, f"{name} is {text!r}, expected a {'finite ' if is_float(text) else ''}number")
         return value
 
 

@@ -101,8 +101,10 @@ class RobotFamilyError(InputError):
         self.reason = reason
 
 
-class SceneError(InputError):
+class SceneError(InputError, ValueError):
     """A scene, or a scene file, that does not say what it should.
+
+    It is a `ValueError` too, as what pydantic raises of its own is.
 
     `where` is the key path (`obstacles[0].radius`), `line` its 1-based line in the file where that is known.
     """
@@ -189,10 +191,12 @@ class OptionError(InputError):
 
     def __init__(self, option: str, value: Any, expected: str) -> None:
         """Name the option, the value given and what would be right."""
+        shown = repr(value)
+        shown = shown if len(shown) <= 200 else f"{shown[:197]}..."
         super().__init__(
-            f"{option} = {value!r}: expected {expected}",
+            f"{option} = {shown}: expected {expected}",
             option=option,
-            value=repr(value),
+            value=shown,
             expected=expected,
         )
         self.option = option

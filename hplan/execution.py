@@ -33,9 +33,10 @@ import numpy as np
 import pinocchio as pin
 
 from hplan import ties
+from hplan.arguments import instance
 from hplan.arrays import FloatArray, Record, readonly
 from hplan.collision import CollisionScene, Contact
-from hplan.errors import InputError, RobotFileError
+from hplan.errors import InputError, OptionError, RobotFileError
 from hplan.motion import Movement
 from hplan.plant import Plant
 from hplan.robot import Robot
@@ -156,6 +157,10 @@ def execute(robot: Robot, scene: Scene, motion: Movement, plant: Plant | None = 
             or values that are not finite; the scene's start or goal is not one of this robot.
         RobotFileError: MuJoCo refuses the URDF.
     """
+    instance("robot", robot, Robot, "load_robot")
+    instance("scene", scene, Scene, "load_scene")
+    if not all(hasattr(motion, name) for name in ("joint_names", "time", "position", "velocity")):
+        raise OptionError("motion", motion, "a Trajectory, as from plan, or a Motion, as from read_motion")
     mujoco = _mujoco()
     reference = _Reference.of(robot, motion)
     start, goal = (_joints(robot, scene, which) for which in ("start", "goal"))

@@ -6,6 +6,7 @@ import os
 import tempfile
 from pathlib import Path
 
+from hplan.arguments import file_path, instance
 from hplan.errors import OutputError
 
 
@@ -17,7 +18,8 @@ def write_text(path: Path | str, text: str) -> Path:
     Raises:
         OutputError: The file cannot be written.
     """
-    path = Path(path)
+    path = Path(path) if isinstance(path, str | os.PathLike) else file_path("path", path)
+    instance("text", text, str)
     temporary: Path | None = None
     try:
         target = path.resolve()

@@ -12,11 +12,15 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
+from hplan.arguments import instance, numbers
 from hplan.arrays import BoolArray, FloatArray, IntArray, Record, WordArray, frozen, readonly
 from hplan.errors import InputError, OptionError
 
 #: Largest number of nodes that a grid may have (one bit each: 256 MB).
 MAX_NODES = 2**31
+
+#: Largest limit of a grid, far beyond any joint's; differences of what is larger overflow.
+_FARTHEST = 1e12
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,13 +52,23 @@ class Grid(Record):
             OptionError: A step that is not positive and finite, limits in the wrong order or not finite, or a grid of
                 more than `MAX_NODES` nodes.
         """
-        low = np.array(lower, dtype=np.float64)
-        high = np.array(upper, dtype=np.float64)
-        steps = np.asarray(step, dtype=np.float64)
-        if steps.shape not in ((), low.shape) or not (np.isfinite(steps).all() and (steps > 0.0).all()):
-            raise OptionError("step", step, f"a positive finite spacing, one number or {low.size}")
-        if low.ndim != 1 or low.shape != high.shape or not (np.isfinite(high - low).all() and (low <= high).all()):
-            raise OptionError("limits", (low.tolist(), high.tolist()), "finite lower limits, none above the upper one")
+        try:
+            low, high = numbers("lower", lower, (None,)), numbers("upper", upper, (None,))
+        except InputError as error:
+            raise OptionError("limits", (lower, upper), f"finite lower limits and upper ones: {error}") from error
+        expected = f"a positive finite spacing, one number or {low.size}"
+        try:
+            steps = numbers("step", step, (low.size,) if isinstance(step, np.ndarray | list | tuple) else ())
+        except InputError as error:
+            raise OptionError("step", step, expected) from error
+        if not (steps > 0.0).all():
+            raise OptionError("step", step, expected)
+        if low.shape != high.shape or not ((np.abs([low, high]) <= _FARTHEST).all() and (low <= high).all()):
+            raise OptionError(
+                "limits",
+                (low.tolist(), high.tolist()),
+                f"finite lower limits, none above the upper one, and all within {_FARTHEST:g}",
+            )
         counts = np.where(low < high, np.maximum(1.0, np.ceil((high - low) / steps - 1e-9)), 0.0)
         if float(np.prod(counts + 1.0)) > MAX_NODES:
             raise OptionError("step", step, f"a spacing that gives at most {MAX_NODES} nodes")
@@ -108,6 +122,10 @@ class Occupancy(Record):
         Raises:
             InputError: The mask has another shape than the grid.
         """
+        instance("grid", grid, Grid, "Grid.over")
+        occupied = instance("occupied", occupied, np.ndarray)
+        if occupied.dtype != np.bool_:
+            raise OptionError("occupied", f"an array of {occupied.dtype}", "an array of truth values")
         if occupied.shape != grid.shape:
             raise InputError(
                 f"occupancy mask has shape {occupied.shape}, the grid {grid.shape}",

@@ -18,6 +18,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
+from hplan.arguments import file_path, instance, list_of, number, truth
 from hplan.arrays import FloatArray, Record, readonly
 from hplan.errors import InputError, JointLimitError, RobotFileError
 from hplan.path import Limits
@@ -67,13 +68,17 @@ def read_machine(
         InputError: A joint that does not exist, or that cannot move; no joint at all.
         JointLimitError: A joint held outside its limits.
     """
-    path = Path(path)
+    path = file_path("path", path)
+    if joints is not None:
+        joints = list_of("joints", joints, str, "names")
+    hold = {} if hold is None else dict(instance("hold", hold, dict))
+    for name, value in hold.items():
+        number(f"hold[{name!r}]", value, "a position [rad]")
     root = read_urdf_xml(path)
     elements = {str(joint.get("name")): joint for joint in root.findall("joint") if joint.get("type") != "fixed"}
     read_urdf(path, root, any_robot=True)
     tied = _cut_mimics(root)
     moving = [name for name in elements if name not in tied] if joints is None else list(joints)
-    hold = {} if hold is None else hold
     for name in [*moving, *hold]:
         if name not in elements:
             raise InputError(f"robot file {path}: there is no joint {name!r} that moves", path=str(path), joint=name)
@@ -181,10 +186,15 @@ def limits_of(
     Raises:
         InputError: A limit that is not finite or negative, as where the URDF gives none; names the joint.
     """
+    instance("model", model, pin.Model, "read_machine")
+    truth("torque", torque)
     names = tuple(model.names)[1:]
 
     def checked(what: str, values: ArrayLike) -> FloatArray:
-        array = readonly(np.broadcast_to(np.asarray(values, dtype=np.float64), (model.nv,)))
+        try:
+            array = readonly(np.broadcast_to(np.asarray(values, dtype=np.float64), (model.nv,)))
+        except (TypeError, ValueError) as error:
+            raise InputError(f"{what}: expected one number, or {model.nv}", option=what) from error
         for name, value in zip(names, array, strict=False):
             if value == np.inf:
                 raise InputError(f"joint {name!r} has no {what} limit; the motion needs one", joint=name)

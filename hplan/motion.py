@@ -9,8 +9,10 @@ from typing import Protocol
 
 import numpy as np
 
+from hplan.arguments import list_of, numbers
 from hplan.arrays import FloatArray, Record, readonly
 from hplan.csv_file import CsvFile
+from hplan.errors import InputError
 
 _POSITION, _VELOCITY = "_pos_rad", "_vel_rad_s"
 
@@ -61,7 +63,15 @@ class Motion(Record):
             joint_names: Names of the joints.
             time: (n,) strictly increasing [s].
             position: (n, joints).
+
+        Raises:
+            InputError: One of them is no such list of finite numbers, or time does not increase.
         """
+        joint_names = list_of("joint_names", joint_names, str, "names")
+        time = numbers("time", time, (None,))
+        if not len(time) or not (np.diff(time) > 0.0).all():
+            raise InputError("time: expected at least one value, each later than the one before")
+        position = numbers("position", position, (len(time), len(joint_names)))
         velocity = np.zeros_like(position)
         if len(time) > 2:
             before, after = np.diff(time)[:-1, None], np.diff(time)[1:, None]

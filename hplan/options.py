@@ -5,9 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-import numpy as np
-
-from hplan.errors import OptionError
+from hplan.arguments import number, one_of, truth
 from hplan.path import check_rate, check_speed
 from hplan.postprocess import OBJECTIVES, Objective
 from hplan.section import LinkModel, check_link_model
@@ -49,20 +47,16 @@ class PlanOptions:
 
     def __post_init__(self) -> None:
         """Check the values."""
-        if self.method not in METHODS:
-            raise OptionError("method", self.method, f"one of {', '.join(METHODS)}")
-        if self.objective not in OBJECTIVES:
-            raise OptionError("objective", self.objective, f"one of {', '.join(OBJECTIVES)}")
+        one_of("method", self.method, METHODS)
+        one_of("objective", self.objective, OBJECTIVES)
         check_link_model(self.link_model)
-        if not (np.isfinite(self.step_deg) and self.step_deg > 0.0):
-            raise OptionError("step_deg", self.step_deg, "a positive number of degrees")
+        number("step_deg", self.step_deg, "a positive number of degrees", lambda step: step > 0.0)
         check_rate(self.rate_hz)
         check_speed(self.speed)
         TrackingModel(self.tracking_error, self.tracking_delay_s)
         for name in ("sigmas", "standoff"):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value >= 0.0):
-                raise OptionError(name, value, "a finite number >= 0")
+            number(name, getattr(self, name), "a finite number >= 0", lambda value: value >= 0.0)
+        truth("certify", self.certify)
 
     @property
     def tracking(self) -> TrackingModel:

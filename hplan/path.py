@@ -9,8 +9,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
+from hplan.arguments import number
 from hplan.arrays import FloatArray, Record, readonly
-from hplan.errors import OptionError
 
 
 def check_rate(rate_hz: float) -> None:
@@ -19,8 +19,9 @@ def check_rate(rate_hz: float) -> None:
     Raises:
         OptionError: It is not between 1 and 100000.
     """
-    if not (np.isfinite(rate_hz) and 1.0 <= rate_hz <= 100_000.0):
-        raise OptionError("rate_hz", rate_hz, "a number of rows per second between 1 and 100000")
+    number(
+        "rate_hz", rate_hz, "a number of rows per second between 1 and 100000", lambda rate: 1.0 <= rate <= 100_000.0
+    )
 
 
 def check_speed(speed: float) -> None:
@@ -29,8 +30,7 @@ def check_speed(speed: float) -> None:
     Raises:
         OptionError: It is not in (0, 1].
     """
-    if not (np.isfinite(speed) and 0.0 < speed <= 1.0):
-        raise OptionError("speed", speed, "a factor in (0, 1]")
+    number("speed", speed, "a factor in (0, 1]", lambda share: 0.0 < share <= 1.0)
 
 
 def rest_to_rest(distance: FloatArray, velocity: ArrayLike, acceleration: ArrayLike) -> FloatArray:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from hplan.arguments import instance
 from hplan.arrays import FloatArray, Record
 from hplan.certificate import Certificate, Stretch, all_of, certify, stretches
 from hplan.collision import CollisionScene
@@ -109,7 +110,20 @@ def plan(
         TimingError: The path cannot be timed.
         CertificationError: No motion could be certified.
     """
+    check_task(robot, scene, options)
     return plan_with(Workspace(robot), scene, PlanOptions() if options is None else options, progress=progress)
+
+
+def check_task(robot: Robot, scene: Scene, options: PlanOptions | None) -> None:
+    """Refuse what is no robot, scene or options, such as the first two the wrong way round.
+
+    Raises:
+        OptionError: It is none.
+    """
+    instance("robot", robot, Robot, "load_robot")
+    instance("scene", scene, Scene, "load_scene")
+    if options is not None:
+        instance("options", options, PlanOptions)
 
 
 class Workspace:

@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
 from hplan.errors import InputError, SceneError
 from hplan.options import PlanOptions
-from hplan.pipeline import PlanResult, Workspace, plan_with
+from hplan.pipeline import PlanResult, Workspace, check_task, plan_with
 from hplan.robot import Robot
 from hplan.scene import Box, Capsule, Goal, Mesh, PointCloud, Scene, Sphere, Start, Vector
 
@@ -40,7 +40,11 @@ class Planner:
             robot: The arm.
             scene: Obstacles and task.
             options: How to plan.
+
+        Raises:
+            OptionError: One of them is none.
         """
+        check_task(robot, scene, options)
         self.robot = robot
         self.options = PlanOptions() if options is None else options
         self.scene = scene
@@ -90,7 +94,7 @@ class Planner:
         """
         _check_kind(obstacle)
         with self._lock:
-            if obstacle.name in self._names():
+            if obstacle.name in {item.name for item in (*self.scene.obstacles, *self.scene.fruits)}:
                 message = f"there is an obstacle {obstacle.name!r} already; names must differ"
                 raise InputError(message, name=obstacle.name)
             self._change((*self.scene.obstacles, obstacle))
@@ -130,9 +134,6 @@ class Planner:
         # The names were looked at, and the obstacles are checked: no need to check the scene again.
         self.scene = self.scene.model_copy(update={"obstacles": obstacles})
 
-    def _names(self) -> set[str]:
-        return {item.name for item in (*self.scene.obstacles, *self.scene.fruits)}
-
     def _index(self, name: str) -> int:
         for index, obstacle in enumerate(self.scene.obstacles):
             if obstacle.name == name:
@@ -156,8 +157,8 @@ def _changed(item: _Model, changes: Mapping[str, Any]) -> _Model:
     """A checked copy with other values.
 
     Raises:
-        InputError: A value that it does not have, or cannot have.
-        SceneError: Values that contradict each other.
+        InputError: A value that it does not have.
+        SceneError: A value that it cannot have, or values that contradict each other.
     """
     fields = type(item).model_fields
     unknown = [key for key in changes if key not in fields]
@@ -166,14 +167,14 @@ def _changed(item: _Model, changes: Mapping[str, Any]) -> _Model:
     if isinstance(item, (Mesh, PointCloud)) and not changes.keys() <= {"position", "rpy_deg"}:
         raise InputError("of a mesh or a point cloud only position and rpy_deg can be changed; add another instead")
     copied = item.model_copy
+    if isinstance(item, (Mesh, PointCloud)):
+        # What was read from the file stays.
+        return copied(update={key: _vector(key, value) for key, value in changes.items()})
+    return type(item).model_validate({**{key: getattr(item, key) for key in fields}, **changes})
+
+
+def _vector(key: str, value: Any) -> Vector:
     try:
-        if isinstance(item, (Mesh, PointCloud)):
-            # What was read from the file stays.
-            return copied(update={key: _VECTOR.validate_python(value) for key, value in changes.items()})
-        return type(item).model_validate({**{key: getattr(item, key) for key in fields}, **changes})
+        return _VECTOR.validate_python(value)
     except ValidationError as error:
-        first = error.errors()[0]
-        if first["type"] == "scene":
-            raise SceneError(first["msg"], where=".".join(str(step) for step in first["ctx"]["below"])) from error
-        where = ".".join(str(step) for step in first["loc"])
-        raise InputError(f"{where}: {first['msg']} (got {first['input']!r})", where=where) from error
+        raise SceneError(f"expected three finite numbers (got {value!r})", where=key, value=value) from error

@@ -15,6 +15,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
+from hplan.arguments import file_path, instance
 from hplan.arrays import FloatArray, Record, readonly
 from hplan.dynamics import InverseDynamics
 from hplan.errors import InputError, JointLimitError
@@ -187,12 +188,15 @@ class Robot(Record):
         """
         expected = f"{which}: expected {self.dof} joint values ({', '.join(self.joint_names)})"
         try:
-            values = np.array(q, dtype=np.float64)
-        except (TypeError, ValueError) as error:
+            values = np.array(q)
+        except ValueError as error:
             raise InputError(f"{expected}, got {q!r}", which=which, expected=self.dof) from error
         if values.shape != (self.dof,):
             got = str(values.size) if values.ndim == 1 else f"an array of shape {values.shape}"
             raise InputError(f"{expected}, got {got}", which=which, expected=self.dof, shape=list(values.shape))
+        if values.dtype.kind not in "fiu":
+            raise InputError(f"{expected}, got {q!r}", which=which, expected=self.dof)
+        values = values.astype(np.float64)
         for joint, value in zip(self.joint_names, values, strict=True):
             if not np.isfinite(value):
                 raise InputError(
@@ -221,11 +225,12 @@ def load_robot(
         RobotFileError: The URDF or the limits file is missing, malformed or incomplete.
         RobotFamilyError: The URDF is well-formed but no planar arm on an optional yaw; says which element and why.
     """
-    urdf_path = urdf_dir() / "harvester.urdf" if path is None else Path(path)
+    urdf_path = urdf_dir() / "harvester.urdf" if path is None else file_path("path", path)
+    instance("tool_frame", tool_frame, str)
     model, collision_model, visual_model = read_models(urdf_path)
     kinematics = FamilyReader(model, collision_model, tool_frame)
     joint_names = tuple(model.names)[1:]
-    limits_path = urdf_path.with_suffix(LIMITS_SUFFIX) if limits is None else Path(limits)
+    limits_path = urdf_path.with_suffix(LIMITS_SUFFIX) if limits is None else file_path("limits", limits)
     acceleration, jerk = read_limits(limits_path, joint_names)
     lower, upper = joint_range(model)
     arm_slice = slice(1 if kinematics.has_yaw else 0, None)

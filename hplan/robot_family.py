@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from hplan.arguments import file_path, instance, whole
 from hplan.arm_spec import HARVESTER, ArmSpec
 from hplan.errors import OptionError, OutputError, RobotFileError
 from hplan.files import write_text
@@ -44,7 +45,8 @@ def write_robot(spec: ArmSpec, urdf_path: Path | str) -> tuple[Path, Path]:
         OptionError: The path does not end in `.urdf`.
         OutputError: A file cannot be written; nothing half-written is left behind then.
     """
-    urdf_path = Path(urdf_path)
+    instance("spec", spec, ArmSpec)
+    urdf_path = file_path("urdf_path", urdf_path)
     if urdf_path.suffix != ".urdf":
         raise OptionError("urdf_path", str(urdf_path), "a file name ending in .urdf")
     limits_path = urdf_path.with_suffix(LIMITS_SUFFIX)
@@ -97,9 +99,9 @@ def cross_check(urdf_path: Path | str, samples: int = 100, seed: int = 0) -> Cro
     """
     import yourdfpy
 
-    if samples < 1:
-        raise OptionError("samples", samples, "a positive number")
-    path = Path(urdf_path)
+    whole("samples", samples, 1)
+    whole("seed", seed, 0)
+    path = file_path("urdf_path", urdf_path)
     model, _, _ = read_models(path)
     for name, joint in zip(list(model.names)[1:], list(model.joints)[1:], strict=True):
         if joint.nq != 1:

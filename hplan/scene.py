@@ -29,11 +29,17 @@ from pydantic_core import PydanticCustomError
 
 from hplan.arrays import FloatArray, IntArray, readonly
 from hplan.errors import SceneError
+from hplan.scene_fault import scene_error
 from hplan.scene_limits import FARTHEST_M, MOST_OBSTACLES, MOST_SHAPE_BYTES, ByteBudget
 from hplan.solids import Cloud, Hull
 
 if TYPE_CHECKING:
+    from pydantic._internal._model_construction import ModelMetaclass
+
     from hplan.shape_data import PointSet, Surface
+
+if not TYPE_CHECKING:
+    ModelMetaclass = type(BaseModel)  # it has no public name
 
 FORMAT: Final = "hplan-scene/1"
 
@@ -45,14 +51,52 @@ Name: TypeAlias = Annotated[str, Field(min_length=1)]
 Sigma: TypeAlias = Annotated[float, Field(ge=0.0, le=FARTHEST_M)]
 
 
+_Part = TypeVar("_Part", bound=BaseModel)
 _Data = TypeVar("_Data", "Mesh", "PointCloud")
 _Shape = TypeVar("_Shape", "Surface", "PointSet")
 
 
-class _Strict(BaseModel):
-    """Immutable, no unknown keys, no NaN or infinity, no text where a number belongs."""
+class _SceneErrors(ModelMetaclass):
+    """Classes whose constructor raises a `SceneError` for a wrong value."""
+
+    if not TYPE_CHECKING:
+
+        def __call__(self, *arguments, **values):
+            """Make an object."""
+            try:
+                return super().__call__(*arguments, **values)
+            except ValidationError as error:
+                raise scene_error(error) from error
+
+
+class _Strict(BaseModel, metaclass=_SceneErrors):
+    """Immutable, no unknown keys, no NaN or infinity, no text where a number belongs.
+
+    Raises:
+        SceneError: A value of the wrong kind or range.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, populate_by_name=True, strict=True)
+
+    if not TYPE_CHECKING:
+
+        @classmethod
+        def model_validate(cls, *arguments, **options):
+            """As pydantic's, but for the error."""
+            try:
+                return super().model_validate(*arguments, **options)
+            except ValidationError as error:
+                raise scene_error(error) from error
+
+
+def validated(kind: type[_Part], content: Any, context: dict[str, Any]) -> _Part:
+    """A part of a scene from its content, for callers who know more of where a fault is.
+
+    Raises:
+        ValidationError: A value of the wrong kind or range.
+    """
+    made: _Part = kind.__pydantic_validator__.validate_python(content, context=context)
+    return made
 
 
 class _Obstacle(_Strict):
@@ -333,7 +377,7 @@ def _made_of(cls: type[_Data], name: str, make: Callable[[], Surface | PointSet]
     """An obstacle whose data is at hand."""
     try:
         data = make()
-        return cls.model_validate({"name": name, **fields}, context={"data": data})
+        return validated(cls, {"name": name, **fields}, {"data": data})
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(str(step) for step in first["loc"]) or name

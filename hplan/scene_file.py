@@ -10,10 +10,12 @@ from typing import Any
 import yaml
 from pydantic import ValidationError
 
+from hplan.arguments import file_path, instance
 from hplan.errors import SceneError
 from hplan.files import write_text
 from hplan.resources import scenes_dir
-from hplan.scene import Mesh, PointCloud, Scene
+from hplan.scene import Mesh, PointCloud, Scene, validated
+from hplan.scene_fault import dotted, plain_message, worst_fault
 from hplan.scene_limits import MOST_SCENE_BYTES, MOST_SHAPE_BYTES, ByteBudget
 from hplan.yaml_text import read_yaml, write_yaml
 
@@ -33,7 +35,7 @@ def load_scene(path: Path | str | None = None) -> Scene:
         SceneError: Missing or malformed file, unknown or repeated key, value of the wrong kind or range, a mesh or
             point file that cannot be used; names the key and its line. More than `hplan.scene_limits` allow.
     """
-    path = default_scene_path() if path is None else Path(path)
+    path = default_scene_path() if path is None else file_path("path", path)
     try:
         text = ByteBudget(MOST_SCENE_BYTES).read(path).decode("utf-8")
     except OSError as error:
@@ -51,6 +53,7 @@ def parse_scene(text: str, *, path: Path | str | None = None) -> Scene:
     Raises:
         SceneError: As `load_scene`.
     """
+    instance("text", text, str)
     if len(text) > MOST_SCENE_BYTES:
         raise SceneError(f"it has {len(text):,} characters; at most {MOST_SCENE_BYTES:,} are read", path=path)
     try:
@@ -62,15 +65,15 @@ def parse_scene(text: str, *, path: Path | str | None = None) -> Scene:
         raise SceneError("expected a mapping of keys (format, name, start, goal, ...)", path=path)
     try:
         folder = Path() if path is None else Path(path).parent
-        return Scene.model_validate(content, context={"folder": folder, "budget": ByteBudget(MOST_SHAPE_BYTES)})
+        return validated(Scene, content, {"folder": folder, "budget": ByteBudget(MOST_SHAPE_BYTES)})
     except ValidationError as error:
-        first = min(error.errors(), key=lambda item: item["type"] != "extra_forbidden")
+        first = worst_fault(error)
         below = ("kind",) if first["type"] == "union_tag_invalid" else first.get("ctx", {}).get("below", ())
         steps = _present_steps(content, (*first["loc"], *below))
         raise SceneError(
-            _plain_message(first),
+            plain_message(first, _WORDS),
             path=path,
-            where=_dotted(steps),
+            where=dotted(steps),
             line=_line_of(node, steps),
             value=None if isinstance(first["input"], dict) else first["input"],
         ) from error
@@ -82,6 +85,7 @@ def dump_scene(scene: Scene) -> str:
     Raises:
         SceneError: A mesh or point cloud has no file; `save_scene` writes one.
     """
+    instance("scene", scene, Scene, "load_scene")
     for index, obstacle in enumerate(scene.obstacles):
         if isinstance(obstacle, Mesh | PointCloud) and obstacle.file is None:
             reason = f"{obstacle.name!r} was made of arrays and has no file; save_scene writes one beside the scene"
@@ -102,8 +106,10 @@ def save_scene(scene: Scene, path: Path | str) -> Path:
     Raises:
         OutputError: A file cannot be written.
     """
+    instance("scene", scene, Scene, "load_scene")
+    path = file_path("path", path)
     obstacles = [
-        _with_file(obstacle, Path(path), index) if isinstance(obstacle, Mesh | PointCloud) else obstacle
+        _with_file(obstacle, path, index) if isinstance(obstacle, Mesh | PointCloud) else obstacle
         for index, obstacle in enumerate(scene.obstacles)
     ]
     return write_text(path, dump_scene(scene.model_copy(update={"obstacles": tuple(obstacles)})))
@@ -143,11 +149,6 @@ def _present_steps(content: Any, location: Sequence[int | str]) -> list[int | st
     return steps
 
 
-def _dotted(steps: Sequence[int | str]) -> str:
-    text = "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in steps)
-    return text.lstrip(".")
-
-
 def _line_of(node: yaml.Node, steps: Sequence[int | str]) -> int:
     """1-based line of the deepest node along `steps` that the file holds."""
     line = node.start_mark.line
@@ -163,35 +164,9 @@ def _line_of(node: yaml.Node, steps: Sequence[int | str]) -> int:
     return int(line) + 1
 
 
-def _plain_message(fault: Any) -> str:
-    """Pydantic's message in the scene file's own words."""
-    kind, value = fault["type"], fault["input"]
-    if kind == "extra_forbidden":
-        return "unknown key"
-    if kind == "missing":
-        return "too few values" if isinstance(fault["loc"][-1], int) else "this key is missing"
-    if kind == "union_tag_not_found":
-        return "this key is missing: kind (sphere, capsule, box, mesh or points)"
-    if kind == "union_tag_invalid":
-        return f"kind is {fault['ctx']['tag']!r}, expected one of {fault['ctx']['expected_tags']}"
-    if kind in ("model_type", "model_attributes_type", "dict_type"):
-        return f"input should be a mapping of keys (got {_short(value)})"
-    message = str(fault["msg"]).removeprefix("Value error, ")
-    for theirs, ours in _WORDS.items():
-        message = message.replace(theirs, ours)
-    message = message[0].lower() + message[1:]
-    return message if isinstance(value, dict) else f"{message} (got {_short(value)})"
-
-
 #: Pydantic's words for what a scene file calls otherwise.
 _WORDS = {
     "a valid tuple": "a list",
     "a valid string": "text",
     "Tuple should have": "list should have",
-    " after validation": "",
 }
-
-
-def _short(value: Any) -> str:
-    text = repr(list(value) if isinstance(value, tuple) else value)
-    return text if len(text) <= 60 else f"{text[:57]}..."

@@ -28,6 +28,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import ArrayLike
 
+from hplan.arguments import one_of
 from hplan.arrays import FloatArray, IntArray, Record, frozen, readonly
 from hplan.errors import InputError, OptionError
 from hplan.plane import convex_hull
@@ -468,8 +469,7 @@ def check_link_model(link_model: str) -> None:
     Raises:
         OptionError: It is none of `LINK_MODELS`.
     """
-    if link_model not in LINK_MODELS:
-        raise OptionError("link_model", link_model, f"one of {', '.join(LINK_MODELS)}")
+    one_of("link_model", link_model, LINK_MODELS)
 
 
 def _require_disc(points: int, name: str) -> None:

@@ -77,7 +77,10 @@ class Surface(_Kept):
         """
         # Millimetres, it may be: `Mesh` looks at them again after scaling.
         points = _checked_points(vertices, "vertices", 1e3 * FARTHEST_M)
-        corners = np.asarray(faces)
+        try:
+            corners = np.asarray(faces)
+        except ValueError as error:
+            raise ValueError("faces should be (m, 3) whole numbers, got rows of different lengths") from error
         if corners.ndim != 2 or corners.shape[1] != 3 or corners.dtype.kind not in "iu":
             raise ValueError(f"faces should be (m, 3) whole numbers, got {corners.dtype} of shape {corners.shape}")
         if len(corners) == 0:

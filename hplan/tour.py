@@ -17,6 +17,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from hplan.arguments import instance, list_of, one_of, truth, whole
 from hplan.arrays import FloatArray, Record
 from hplan.certificate import Certificate, all_of
 from hplan.digests import Digests
@@ -25,7 +26,7 @@ from hplan.harvest import Grasp
 from hplan.options import PlanOptions
 from hplan.ordering import Costs, Visits, along, best, nearest
 from hplan.picking import NO_MOTION, Motions, Part, Stop, World, carrying, drop_off
-from hplan.pipeline import Phase
+from hplan.pipeline import Phase, check_task
 from hplan.report import certificate_report, versions
 from hplan.robot import Robot
 from hplan.route import Progress, no_progress
@@ -61,16 +62,18 @@ class TourOptions:
 
     def __post_init__(self) -> None:
         """Check the values."""
+        if self.drop_off is not None:
+            instance("drop_off", self.drop_off, Goal)
         if self.drop_off is not None and self.drop_off.fruit is not None:
             raise OptionError("drop_off", self.drop_off.fruit, "joints or a position, not a fruit")
         if self.every is not None and self.drop_off is None:
             raise OptionError("every", self.every, "a drop-off with it")
-        if self.every is not None and not (isinstance(self.every, int) and self.every >= 1):
-            raise OptionError("every", self.every, "a number of fruits >= 1")
-        if self.order not in ORDERS:
-            raise OptionError("order", self.order, f"one of {', '.join(ORDERS)}")
-        if not (isinstance(self.grasps, int) and self.grasps >= 1):
-            raise OptionError("grasps", self.grasps, "a number of ways to take a fruit >= 1")
+        if self.every is not None:
+            whole("every", self.every, 1)
+        one_of("order", self.order, ORDERS)
+        whole("grasps", self.grasps, 1)
+        truth("back", self.back)
+        truth("compare", self.compare)
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,6 +173,9 @@ def plan_tour(
         NoPathError: No path from the start to the drop-off exists on the grid; names what blocks it.
         CertificationError: No motion to the drop-off could be certified.
     """
+    check_task(robot, scene, options)
+    if tour is not None:
+        instance("tour", tour, TourOptions)
     planner = _Planner(
         robot, scene, PlanOptions() if options is None else options, TourOptions() if tour is None else tour, progress
     )
@@ -183,7 +189,7 @@ def _names(scene: Scene, fruits: Sequence[str] | None) -> list[str]:
         OptionError: One that is not there or named twice, or none at all.
     """
     known = [fruit.name for fruit in scene.fruits]
-    names = known if fruits is None else list(fruits)
+    names = known if fruits is None else list(list_of("fruits", fruits, str, "names"))
     if not names:
         raise OptionError("fruits", names, "a fruit to pick" if known else "a scene with fruits")
     for number, name in enumerate(names):

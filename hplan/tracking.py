@@ -17,8 +17,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from hplan.arguments import number
 from hplan.arrays import FloatArray
-from hplan.errors import HplanError, OptionError
+from hplan.errors import HplanError
 
 #: How exactly the largest tracking error is found that would do, as a share of the one asked for.
 SHARE_ERROR = 1e-3
@@ -46,8 +47,7 @@ class TrackingModel:
             ("tracking_error", self.still_rad, "radians"),
             ("tracking_delay_s", self.delay_s, "seconds"),
         ):
-            if not (isinstance(value, int | float | np.number) and np.isfinite(value) and value >= 0.0):
-                raise OptionError(option, value, f"a finite number of {unit} >= 0")
+            number(option, value, f"a finite number of {unit} >= 0", lambda given: given >= 0.0)
 
     @property
     def is_exact(self) -> bool:

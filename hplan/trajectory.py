@@ -11,7 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from hplan.arrays import FloatArray, Record, readonly
+from hplan.arguments import instance, list_of, numbers
+from hplan.arrays import FloatArray, Record
 from hplan.csv_file import CsvFile
 from hplan.errors import InputError
 from hplan.files import write_text
@@ -45,20 +46,16 @@ class Trajectory(Record):
 
     def __post_init__(self) -> None:
         """Check shapes, values and time, and make the arrays read-only."""
-        time = readonly(self.time)
+        object.__setattr__(self, "joint_names", list_of("trajectory: joint_names", self.joint_names, str, "names"))
+        time = numbers("trajectory: time", self.time, (None,))
         object.__setattr__(self, "time", time)
-        if time.ndim != 1 or len(time) == 0 or time[0] != 0.0 or not np.isfinite(time).all():
+        if len(time) == 0 or time[0] != 0.0:
             raise InputError("trajectory: time must be a list of finite values that starts at 0")
         if not (np.diff(time) > 0.0).all():
             raise InputError(f"trajectory: time does not increase at sample {int(np.argmin(np.diff(time) > 0.0)) + 1}")
         shape = (len(time), len(self.joint_names))
         for name in ("position", "velocity", "acceleration", "torque"):
-            values = readonly(getattr(self, name))
-            if values.shape != shape:
-                raise InputError(f"trajectory: {name} has shape {values.shape}, expected {shape}")
-            if not np.isfinite(values).all():
-                raise InputError(f"trajectory: {name} holds a value that is not finite")
-            object.__setattr__(self, name, values)
+            object.__setattr__(self, name, numbers(f"trajectory: {name}", getattr(self, name), shape))
 
     @property
     def duration(self) -> float:
@@ -89,6 +86,7 @@ def joined(parts: Sequence[Trajectory]) -> Trajectory:
     Raises:
         InputError: No motion, motions of other joints, or one that begins elsewhere or at another velocity.
     """
+    parts = list_of("parts", parts, Trajectory, "trajectories")
     if not parts:
         raise InputError("joined: there is no motion to join")
     for number, (first, second) in enumerate(itertools.pairwise(parts)):
@@ -136,6 +134,7 @@ def write_csv(trajectory: Trajectory, path: Path | str) -> Path:
     Raises:
         OutputError: The file cannot be written.
     """
+    instance("trajectory", trajectory, Trajectory, "plan or read_csv")
     text = io.StringIO(newline="")
     writer = csv.writer(text)
     writer.writerow(csv_header(trajectory.joint_names))
@@ -157,10 +156,10 @@ def read_csv(path: Path | str) -> Trajectory:
         quantities = ", ".join("NAME_" + quantity for quantity in QUANTITIES)
         raise file.fault(1, f"expected the columns time_s and, for each joint, {quantities}")
     rows: list[list[float]] = []
-    for line, texts, numbers in file.timed_rows(range(len(file.header))):
-        if not rows and numbers[0] != 0.0:
+    for line, texts, values in file.timed_rows(range(len(file.header))):
+        if not rows and values[0] != 0.0:
             raise file.fault(line, f"time_s is {texts[0]}, expected 0 in the first sample")
-        rows.append(numbers)
+        rows.append(values)
     table = np.array(rows)
     columns = table[:, 1:].reshape(len(table), len(joints), len(QUANTITIES))
     return Trajectory(joints, table[:, 0], *(columns[:, :, i] for i in range(len(QUANTITIES))))

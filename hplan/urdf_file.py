@@ -8,7 +8,6 @@ Whether Pinocchio reads the same is shown in `hplan.urdf_check`.
 from __future__ import annotations
 
 import math
-import re
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -19,13 +18,11 @@ from typing import Final
 import numpy as np
 import pinocchio as pin
 
+from hplan.arguments import DECIMAL
 from hplan.arrays import FloatArray, readonly
 from hplan.errors import RobotFileError
 from hplan.scene_limits import FARTHEST_M
 from hplan.urdf_xml import line_of
-
-#: A number as C++ reads it in the C locale.
-_NUMBER: Final = re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?")
 
 #: Part of the largest principal moment by which an inertia may miss what a body can have: CAD programs round.
 _INERTIA_TOLERANCE: Final = 1e-3
@@ -350,7 +347,7 @@ class _Reader:
         if text is None:
             raise self.fault(element, f"{where}: <{element.tag}> has no {attribute}")
         words = [word for word in text.split(" ") if word]
-        numbers = tuple(map(float, words)) if all(map(_NUMBER.fullmatch, words)) else ()
+        numbers = tuple(map(float, words)) if all(map(DECIMAL.fullmatch, words)) else ()
         if len(numbers) != count or not all(map(math.isfinite, numbers)):
             expected = "a finite number" if count == 1 else f"{count} finite numbers with spaces between"
             raise self._bad_number(element, attribute, where, expected)

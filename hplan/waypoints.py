@@ -18,6 +18,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from hplan import timing
+from hplan.arguments import decimal, file_path, instance, list_of
 from hplan.arrays import FloatArray, Record, readonly
 from hplan.corner_rounding import as_waypoints, largest_deviation, rounded_path
 from hplan.errors import InputError, JointLimitError, TimingError
@@ -71,7 +72,8 @@ def read_waypoints(path: Path | str, joint_names: Sequence[str]) -> FloatArray:
         InputError: Missing or unreadable file, a joint without a column or with two, a line of another length, a value
             that is no finite number, no waypoint at all; names the line.
     """
-    path = Path(path)
+    path = file_path("path", path)
+    joint_names = list_of("joint_names", joint_names, str, "names")
 
     def fault(line: int, reason: str) -> InputError:
         return InputError(f"waypoint file {path}, line {line}: {reason}", path=str(path), line=line, reason=reason)
@@ -102,19 +104,12 @@ def read_waypoints(path: Path | str, joint_names: Sequence[str]) -> FloatArray:
     for number, (line, row) in enumerate(rows[1:]):
         if len(row) != len(header):
             raise fault(line, f"{len(row)} values, expected {len(header)}")
-        waypoints[number] = [_number(row[column]) for column in columns]
-        for value, column in zip(waypoints[number], columns, strict=True):
-            if not math.isfinite(value):
-                raise fault(line, f"{header[column]} is {row[column]!r}, expected a finite number")
+        for place, column in enumerate(columns):
+            value = decimal(row[column])
+            if value is None:
+                raise fault(line, f"{header[column]} is {row[column]!r}, expected a finite number in decimal digits")
+            waypoints[number, place] = value
     return readonly(waypoints)
-
-
-def _number(text: str) -> float:
-    """The number that a cell holds, or nan."""
-    try:
-        return math.nan if "_" in text else float(text)
-    except ValueError:
-        return math.nan
 
 
 def time_waypoints(
@@ -146,6 +141,8 @@ def time_waypoints(
         OptionError: A deviation, rate or speed out of range.
         TimingError: No motion within the limits exists; names the joint and the cause.
     """
+    instance("model", model, pin.Model, "read_machine")
+    instance("limits", limits, Limits, "limits_of")
     names = tuple(model.names)[1:]
     for name, joint in zip(names, tuple(model.joints)[1:], strict=True):
         if (joint.nq, joint.nv) != (1, 1):
@@ -223,6 +220,8 @@ def limit_shares(trajectory: Trajectory, limits: Limits) -> LimitShares:
         trajectory: The motion.
         limits: (dof,) limits; for `binding` to say what holds a slowed motion back, scaled like it.
     """
+    instance("trajectory", trajectory, Trajectory, "time_waypoints")
+    instance("limits", limits, Limits, "limits_of")
 
     def shares(values: FloatArray, limit: FloatArray) -> FloatArray:
         size = np.abs(values)

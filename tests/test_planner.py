@@ -327,7 +327,7 @@ def test_unknown_names(robot: Robot) -> None:
         ({"radius": "1"}, "radius"),
         ({"sigma": -0.1}, "sigma"),
         ({"center": (0.0, 0.0)}, "center"),
-        ({"center": (0.0, 0.0, math.inf)}, r"center\.2"),
+        ({"center": (0.0, 0.0, math.inf)}, r"center\[2\]"),
         ({"kind": "box"}, "kind"),
     ],
 )

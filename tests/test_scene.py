@@ -69,7 +69,7 @@ def test_with_obstacles_is_another_scene():
     other = scene.with_obstacles([BALL])
     assert scene.obstacles == ()
     assert other == a_scene(fruits=(APPLE,), clearance=0.01, locked_joints=("base_yaw",), obstacles=(BALL,))
-    with pytest.raises(ValidationError, match="two obstacles are called 'ball'"):
+    with pytest.raises(SceneError, match="two obstacles are called 'ball'"):
         scene.with_obstacles([BALL, BALL])
 
 
@@ -104,13 +104,13 @@ def test_approach_of_a_point_or_a_fruit(approach):
 
 @pytest.mark.parametrize("approach", [math.nan, math.inf, "90", (0.0,), (0.0, math.nan), (0.0, 1.0, 2.0), True])
 def test_approaches_that_are_none(approach):
-    with pytest.raises(ValidationError):
+    with pytest.raises(SceneError):
         Goal(fruit="apple", approach_deg=approach)
 
 
 @pytest.mark.parametrize("joints", [{"joints_deg": (1.0,)}, {"joints_rad": (1.0,)}])
 def test_joints_leave_no_approach(joints):
-    with pytest.raises(ValidationError, match="approach_deg belongs to a position or a fruit"):
+    with pytest.raises(SceneError, match="approach_deg belongs to a position or a fruit"):
         Goal(**joints, approach_deg=90.0)
 
 
@@ -134,19 +134,19 @@ def test_nothing_changes_in_place():
     ],
 )
 def test_scenes_that_contradict_themselves(changes, message):
-    with pytest.raises(ValidationError, match=message):
+    with pytest.raises(SceneError, match=message):
         a_scene(**changes)
 
 
 @pytest.mark.parametrize("given", [{}, {"joints_deg": (0.0,), "joints_rad": (0.0,)}])
 def test_one_way_to_give_a_configuration(given):
-    with pytest.raises(ValidationError, match="exactly one of joints_deg, joints_rad"):
+    with pytest.raises(SceneError, match="exactly one of joints_deg, joints_rad"):
         Start(**given)
-    with pytest.raises(ValidationError, match="exactly one of joints_deg, joints_rad, position, fruit"):
+    with pytest.raises(SceneError, match="exactly one of joints_deg, joints_rad, position, fruit"):
         Goal(**given)
 
 
 @pytest.mark.parametrize("radius", [0.0, -1.0, math.nan, math.inf, "1", True])
 def test_bad_radius(radius):
-    with pytest.raises(ValidationError):
+    with pytest.raises(SceneError):
         Sphere(name="ball", center=(0.0, 0.0, 0.0), radius=radius)

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from hplan.arguments import instance, list_of
 from hplan.arrays import FloatArray
 from hplan.errors import OptionError
 from hplan.orchard.checks import check_count, check_number
@@ -158,7 +159,8 @@ def fruit_at_tips(
     count = check_count("count", count, 0, 10_000)
     radius = check_number("radius", radius, 1e-3, 1.0)
     seed = check_count("seed", seed, 0)
-    crop = Crop(capsules, radius, FruitZone() if zone is None else zone)
+    capsules = list_of("capsules", capsules, Capsule, "capsules")
+    crop = Crop(capsules, radius, FruitZone() if zone is None else instance("zone", zone, FruitZone))
     tips = _tips(crop)
     order = np.argsort(np.random.default_rng(seed).random(len(tips)), kind="stable")
     taken: set[tuple[int, int]] = set()

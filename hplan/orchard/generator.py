@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from hplan.arguments import instance, list_of
 from hplan.errors import OptionError
 from hplan.orchard.capsule_file import import_capsules
 from hplan.orchard.checks import check_number, check_numbers
@@ -41,7 +42,7 @@ def generate(options: OrchardOptions | None = None, *, start_deg: Sequence[float
         OptionError: More fruits than there is room for, a goal that does not hang there, or a start that is no list
             of numbers.
     """
-    options = OrchardOptions() if options is None else options
+    options = OrchardOptions() if options is None else instance("options", options, OrchardOptions)
     wood: list[Capsule] = []
     for number, y in enumerate(_places_in_row(options.trees, options.spacing), start=1):
         limbs = grow_tree(options, np.array([options.distance, y, 0.0]), np.random.default_rng([options.seed, number]))
@@ -97,8 +98,9 @@ def measured_orchard(
         InputError: A file that is not in order.
         OptionError: A value out of its range, or more fruits than there is room for.
     """
+    paths = list_of("paths", paths, str | Path, "files")
     if not paths:
-        raise OptionError("paths", list(paths), "at least one file")
+        raise OptionError("paths", [], "at least one file")
     if not (isinstance(name, str) and name):
         raise OptionError("name", name, "a text that is not empty")
     distance = check_number("distance", distance, -FARTHEST, FARTHEST)

@@ -7,6 +7,7 @@ import math
 from dataclasses import dataclass
 from typing import Final, Literal, TypeAlias, get_args
 
+from hplan.arguments import one_of
 from hplan.errors import OptionError
 from hplan.orchard.checks import check_numbers, keep_count, keep_number
 
@@ -121,8 +122,9 @@ class OrchardOptions:
         """
         if not (isinstance(self.name, str) and self.name):
             raise OptionError("name", self.name, "a text that is not empty")
-        if self.form not in FORMS:
-            raise OptionError("form", self.form, f"one of {', '.join(FORMS)}")
+        one_of("form", self.form, FORMS)
+        if self.goal is not None and not (isinstance(self.goal, str) and self.goal):
+            raise OptionError("goal", self.goal, "the name of a fruit, or None for the first")
         for option, (least, most) in _COUNTS.items():
             keep_count(self, option, least, most)
         for option, (low, high) in _MEASURES.items():

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from hplan.arrays import frozen
 from hplan.grid import Occupancy
 from hplan.search.astar import astar
-from hplan.search.endpoints import checked_node
+from hplan.search.endpoints import check_occupancy, checked_node
 from hplan.search.lattice import Lattice
 from hplan.search.node_set import NodeSet
 from hplan.search.result import Expansions, SearchResult, StageTimes
@@ -28,6 +28,7 @@ def dense_search(occupancy: Occupancy, start: ArrayLike, goal: ArrayLike, *, oct
         InputError: Start or goal is no node of the grid, or not free.
     """
     begin = time.perf_counter()
+    check_occupancy(occupancy)
     lattice = Lattice.of(occupancy.grid.shape, occupancy.grid.step)
     path, cost, expansions = astar(
         lattice,

@@ -5,9 +5,19 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from hplan.arguments import instance
 from hplan.arrays import IntArray
 from hplan.errors import InputError
 from hplan.grid import Occupancy
+
+
+def check_occupancy(occupancy: Occupancy) -> None:
+    """Refuse what is none.
+
+    Raises:
+        OptionError: It is none.
+    """
+    instance("occupancy", occupancy, Occupancy, "Occupancy.from_mask")
 
 
 def checked_node(occupancy: Occupancy, index: ArrayLike, which: str) -> IntArray:
@@ -16,7 +26,11 @@ def checked_node(occupancy: Occupancy, index: ArrayLike, which: str) -> IntArray
     Raises:
         InputError: It is no node of the grid, or an occupied one.
     """
-    node = np.asarray(index)
+    check_occupancy(occupancy)
+    try:
+        node = np.asarray(index)
+    except ValueError:  # rows of different lengths
+        node = np.empty(0)
     shape = occupancy.grid.shape
     if node.shape != (len(shape),) or not np.issubdtype(node.dtype, np.integer):
         raise InputError(f"{which}: expected {len(shape)} whole numbers, got {index!r}", which=which)

@@ -13,7 +13,7 @@ from hplan.arrays import BoolArray, IntArray, WordArray, frozen
 from hplan.grid import Occupancy
 from hplan.kernels import kernel
 from hplan.search.bits import lowest_bit, popcount
-from hplan.search.endpoints import checked_node
+from hplan.search.endpoints import check_occupancy, checked_node
 from hplan.search.lattice import Lattice
 
 
@@ -90,6 +90,7 @@ def reachable(occupancy: Occupancy, start: ArrayLike) -> BoolArray:
         InputError: The start is no node of the grid, or not free.
     """
     node = checked_node(occupancy, start, "start")
+    check_occupancy(occupancy)
     lattice = Lattice.of(occupancy.grid.shape, occupancy.grid.step)
     free = lattice.bordered(occupancy.free_words)
     reached, _ = flood_from(lattice, free, node)
@@ -111,6 +112,7 @@ def slices_with_path(occupancy: Occupancy, start: ArrayLike, goal: ArrayLike) ->
     Raises:
         InputError: Start or goal is no node of the grid, or not free.
     """
+    check_occupancy(occupancy)
     lattice = Lattice.of(occupancy.grid.shape, occupancy.grid.step)
     start_row = lattice.row_of(checked_node(occupancy, start, "start"))
     goal_row = lattice.row_of(checked_node(occupancy, goal, "goal"))

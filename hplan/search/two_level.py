@@ -22,7 +22,7 @@ from hplan.arrays import IntArray, WordArray, frozen
 from hplan.grid import Occupancy
 from hplan.search.astar import astar
 from hplan.search.column import by_column
-from hplan.search.endpoints import checked_node
+from hplan.search.endpoints import check_occupancy, checked_node
 from hplan.search.flood import flood_from, has_bit
 from hplan.search.lattice import Lattice
 from hplan.search.layers import Layers, SliceSearch, search_layers
@@ -55,6 +55,7 @@ def two_level_search(occupancy: Occupancy, start: ArrayLike, goal: ArrayLike, *,
     """
     start = checked_node(occupancy, start, "start")
     goal = checked_node(occupancy, goal, "goal")
+    check_occupancy(occupancy)
     lattice = Lattice.of(occupancy.grid.shape, occupancy.grid.step)
     begin = time.perf_counter()
     found = _two_level(lattice, lattice.bordered(occupancy.free_words), start, goal, octile=octile)

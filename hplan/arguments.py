@@ -1,0 +1,167 @@
+"""Checks of what public functions are given: each returns the value as it is used, or says what it should be.
+
+Values, not calls: a wrong number of arguments is Python's own `TypeError`.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+from collections.abc import Callable, Iterable, Sequence
+from numbers import Integral, Real
+from pathlib import Path
+from typing import Any, Final, TypeVar
+
+import numpy as np
+
+from hplan.arrays import FloatArray, readonly
+from hplan.errors import InputError, OptionError
+
+_T = TypeVar("_T")
+
+#: A number in a file: digits 0 to 9, point, exponent; not `1_0`, `infinity`, `0x1` or digits of other scripts.
+DECIMAL: Final = re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?")
+
+
+def is_number(value: object) -> bool:
+    """Whether a value is a finite real number; truth values are none."""
+    if isinstance(value, bool | np.bool_) or not isinstance(value, Real):
+        return False
+    try:
+        return math.isfinite(value)
+    except OverflowError:  # a whole number beyond all floats
+        return False
+
+
+def number(option: str, value: Any, expected: str, accepts: Callable[[float], bool] = lambda _: True) -> float:
+    """A finite number that `accepts` lets pass.
+
+    Raises:
+        OptionError: It is none.
+    """
+    if not (is_number(value) and accepts(float(value))):
+        raise OptionError(option, value, expected)
+    return float(value)
+
+
+def whole(option: str, value: Any, least: int, most: int | None = None) -> int:
+    """A whole number in a range.
+
+    Raises:
+        OptionError: It is none.
+    """
+    is_whole = isinstance(value, Integral) and not isinstance(value, bool)
+    if not is_whole or value < least or (most is not None and value > most):
+        raise OptionError(option, value, f"a whole number >= {least}" + ("" if most is None else f" and <= {most}"))
+    return int(value)
+
+
+def truth(option: str, value: Any) -> bool:
+    """True or False.
+
+    Raises:
+        OptionError: It is neither.
+    """
+    if not isinstance(value, bool | np.bool_):
+        raise OptionError(option, value, "True or False")
+    return bool(value)
+
+
+def one_of(option: str, value: Any, choices: Sequence[str]) -> str:
+    """One of a few words.
+
+    Raises:
+        OptionError: It is none of them.
+    """
+    if not (isinstance(value, str) and value in choices):
+        raise OptionError(option, value, f"one of {', '.join(choices)}")
+    return value
+
+
+def instance(option: str, value: Any, kind: type[_T], where_from: str = "") -> _T:
+    """An object of a class.
+
+    Raises:
+        OptionError: It is none; `where_from` says where one comes from.
+    """
+    if not isinstance(value, kind):
+        raise OptionError(option, value, f"a {kind.__name__}{f', as from {where_from}' if where_from else ''}")
+    return value
+
+
+def file_path(option: str, value: Any) -> Path:
+    """A path.
+
+    Raises:
+        OptionError: It is no text or path, empty, or holds a null character.
+    """
+    text = os.fspath(value) if isinstance(value, os.PathLike) else value
+    if not isinstance(text, str) or not text or "\0" in text:
+        raise OptionError(option, value, "the path of a file")
+    return Path(text)
+
+
+def decimal(text: str) -> float | None:
+    """The finite number that a cell of a file holds, blanks about it allowed; None where it holds none."""
+    word = text.strip(" \t")
+    value = float(word) if DECIMAL.fullmatch(word) else math.inf
+    return value if math.isfinite(value) else None
+
+
+def is_float(text: str) -> bool:
+    """Whether Python takes a text for a number, as it does `nan` and `1_0`."""
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def list_of(option: str, values: Any, kind: Any, what: str) -> tuple[Any, ...]:
+    """Several objects of a class; a text is not taken letter by letter.
+
+    Raises:
+        OptionError: It is no list, or something else is in it.
+    """
+    if isinstance(values, str | bytes) or not isinstance(values, Iterable):
+        raise OptionError(option, values, f"a list of {what}")
+    items = tuple(values)
+    for index, item in enumerate(items):
+        if not isinstance(item, kind):
+            raise OptionError(f"{option}[{index}]", item, f"one of a list of {what}")
+    return items
+
+
+def numbers(option: str, values: Any, shape: tuple[int | None, ...]) -> FloatArray:
+    """A read-only array of finite numbers; None in the shape stands for any count.
+
+    Raises:
+        InputError: It is none.
+    """
+    words = ", ".join("n" if count is None else str(count) for count in shape)
+    expected = f"({words},), a list of finite numbers" if len(shape) == 1 else f"({words}) finite numbers"
+    try:
+        array = np.asarray(values)
+    except ValueError as error:  # rows of different lengths
+        raise InputError(f"{option}: expected {expected}, got rows of different lengths", option=option) from error
+    if array.size and array.dtype.kind not in "fiu":
+        raise InputError(f"{option}: expected {expected}, got {_short(values)}", option=option)
+    fits = array.ndim == len(shape) and all(
+        wanted is None or wanted == count for wanted, count in zip(shape, array.shape, strict=True)
+    )
+    if not fits:
+        raise InputError(f"{option} has shape {array.shape}, expected {expected}", option=option)
+    with np.errstate(over="ignore"):  # of longer floats
+        result = readonly(array)
+    if not np.isfinite(result).all():
+        place = np.argwhere(~np.isfinite(result))[0].tolist()
+        raise InputError(
+            f"{option} holds a value that is not finite: {result[tuple(place)]} at {place}", option=option, place=place
+        )
+    return result
+
+
+def _short(value: object) -> str:
+    text = repr(value)
+    return text if len(text) <= 80 else f"{text[:77]}..."

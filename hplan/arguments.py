@@ -1,6 +1,7 @@
 """Checks of what public functions are given: each returns the value as it is used, or says what it should be.
 
-Values, not calls: a wrong number of arguments is Python's own `TypeError`.
+Values, not calls: a wrong number of arguments is Python's own `TypeError`. Arrays are looked at in
+`hplan.array_arguments`, for commands check paths before NumPy is loaded.
 """
 
 from __future__ import annotations
@@ -13,10 +14,7 @@ from numbers import Integral, Real
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
-import numpy as np
-
-from hplan.arrays import FloatArray, readonly
-from hplan.errors import InputError, OptionError
+from hplan.errors import OptionError
 
 _T = TypeVar("_T")
 
@@ -26,7 +24,7 @@ DECIMAL: Final = re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]
 
 def is_number(value: object) -> bool:
     """Whether a value is a finite real number; truth values are none."""
-    if isinstance(value, bool | np.bool_) or not isinstance(value, Real):
+    if isinstance(value, bool) or not isinstance(value, Real):
         return False
     try:
         return math.isfinite(value)
@@ -63,7 +61,7 @@ def truth(option: str, value: Any) -> bool:
     Raises:
         OptionError: It is neither.
     """
-    if not isinstance(value, bool | np.bool_):
+    if not isinstance(value, bool):
         raise OptionError(option, value, "True or False")
     return bool(value)
 
@@ -131,37 +129,3 @@ def list_of(option: str, values: Any, kind: Any, what: str) -> tuple[Any, ...]:
         if not isinstance(item, kind):
             raise OptionError(f"{option}[{index}]", item, f"one of a list of {what}")
     return items
-
-
-def numbers(option: str, values: Any, shape: tuple[int | None, ...]) -> FloatArray:
-    """A read-only array of finite numbers; None in the shape stands for any count.
-
-    Raises:
-        InputError: It is none.
-    """
-    words = ", ".join("n" if count is None else str(count) for count in shape)
-    expected = f"({words},), a list of finite numbers" if len(shape) == 1 else f"({words}) finite numbers"
-    try:
-        array = np.asarray(values)
-    except ValueError as error:  # rows of different lengths
-        raise InputError(f"{option}: expected {expected}, got rows of different lengths", option=option) from error
-    if array.size and array.dtype.kind not in "fiu":
-        raise InputError(f"{option}: expected {expected}, got {_short(values)}", option=option)
-    fits = array.ndim == len(shape) and all(
-        wanted is None or wanted == count for wanted, count in zip(shape, array.shape, strict=True)
-    )
-    if not fits:
-        raise InputError(f"{option} has shape {array.shape}, expected {expected}", option=option)
-    with np.errstate(over="ignore"):  # of longer floats
-        result = readonly(array)
-    if not np.isfinite(result).all():
-        place = np.argwhere(~np.isfinite(result))[0].tolist()
-        raise InputError(
-            f"{option} holds a value that is not finite: {result[tuple(place)]} at {place}", option=option, place=place
-        )
-    return result
-
-
-def _short(value: object) -> str:
-    text = repr(value)
-    return text if len(text) <= 80 else f"{text[:77]}..."

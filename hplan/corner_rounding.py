@@ -26,7 +26,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hplan.arguments import number, numbers
+from hplan.arguments import number
+from hplan.array_arguments import numbers
 from hplan.arrays import FloatArray, readonly
 from hplan.errors import InputError
 from hplan.postprocess.spline import SplinePath

@@ -12,7 +12,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hplan.arguments import instance, numbers
+from hplan.arguments import instance
+from hplan.array_arguments import numbers
 from hplan.arrays import BoolArray, FloatArray, IntArray, Record, WordArray, frozen, readonly
 from hplan.errors import InputError, OptionError
 

@@ -9,7 +9,8 @@ from typing import Protocol
 
 import numpy as np
 
-from hplan.arguments import list_of, numbers
+from hplan.arguments import list_of
+from hplan.array_arguments import numbers
 from hplan.arrays import FloatArray, Record, readonly
 from hplan.csv_file import CsvFile
 from hplan.errors import InputError

@@ -11,7 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from hplan.arguments import instance, list_of, numbers
+from hplan.arguments import instance, list_of
+from hplan.array_arguments import numbers
 from hplan.arrays import FloatArray, Record
 from hplan.csv_file import CsvFile
 from hplan.errors import InputError

@@ -28,7 +28,7 @@ In all the motion takes :math:`m + 1` to :math:`m + 2` periods longer than toppr
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 
@@ -57,6 +57,12 @@ KEPT = 2e-4
 
 #: Where rows are farther apart than this, torque is kept at as many times between them [s].
 TORQUE_PERIOD_S = 0.01
+
+#: Most rows of a motion: as many take 0.2 GB.
+MOST_ROWS = 400_000
+
+#: Numbers of control points to average that are tried one by one; of larger ones each is tried that is so much larger.
+ONE_BY_ONE, GROWTH = 128, 1.02
 
 #: How often the motion may be slowed down.
 MOST_STRETCHES = 20
@@ -90,7 +96,7 @@ def time_path(
 
     Raises:
         TimingError: No motion within the limits exists; names the joint and the cause.
-        OptionError: A rate that is not between 1 and 100000, or a speed that is negative.
+        OptionError: A rate that is not between 1 and 100000, a speed that is negative, more than `MOST_ROWS` rows.
     """
     check_rate(rate_hz)
     if grid_points < 10:
@@ -259,10 +265,18 @@ def _smoothing_window(profile_for: Callable[[int], _Profile], limits: Limits, pe
     padded = np.concatenate([np.zeros_like(raw[:1]), raw, np.zeros_like(raw[:1])])
     allowed = jerk[moves] * period * (1.0 + 1e-6)
     enough = int(np.ceil((2.0 * limits.acceleration[moves] / (jerk[moves] * period)).max(initial=1.0)))
-    for window in range(1, min(enough, len(padded) - 1)):
+    for window in _windows(min(enough, len(padded) - 1)):
         if (np.abs(padded[window:] - padded[:-window]) <= allowed * window).all():
             return window
     return max(1, enough)
+
+
+def _windows(end: int) -> Iterator[int]:
+    """Numbers of control points below an end that are tried."""
+    window = 1
+    while window < end:
+        yield window
+        window = max(window + 1, int(window * GROWTH)) if window >= ONE_BY_ONE else window + 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -328,6 +342,14 @@ def _rows(profile: _Profile, limits: Limits, period: float, window: int, stretch
         if moving_end:
             stretch *= max(1.0, np.ceil(duration / period - 1e-9)) * period / duration
             duration = profile.arrival[-1] * stretch
+        rows = duration / period + window
+        if not rows <= MOST_ROWS:
+            raise OptionError(
+                "rate_hz",
+                round(1.0 / period, 9),
+                f"at most {MOST_ROWS:,} rows, where the motion lasts {duration:.4g} s and would have {rows:,.0f}: "
+                "a lower rate, or a higher speed",
+            )
         steps = max(1, int(np.ceil(duration / period - 1e-9))) + window + 1
         # Row i stands on control points i to i + window + 1; those of the first are all before the motion begins,
         # those of the last all after it has ended.

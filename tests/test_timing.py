@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+import tracemalloc
 from dataclasses import replace
 from functools import partial
 
@@ -13,6 +15,7 @@ from hypothesis import strategies as st
 
 from hplan.clearance import ClearanceField
 from hplan.errors import InputError, OptionError, TimingError
+from hplan.options import PlanOptions
 from hplan.path import Limits
 from hplan.pipeline import plan
 from hplan.postprocess import SplinePath
@@ -580,3 +583,27 @@ def test_robots_of_other_sizes(tmp_path, links, with_jerk):
         trajectory = time_path(path, robot.model, kept)
         assert trajectory.joint_names == robot.joint_names
         assert_sound(trajectory, robot.model, kept, path=path, jerk=False)
+
+
+def test_motions_of_too_many_rows_are_refused_before_they_are_made(robot, scene):
+    """A thousandth of full speed: half an hour, 450,000 rows."""
+    begin = time.process_time()
+    tracemalloc.start()
+    with pytest.raises(OptionError, match=r"lasts 1\d\d\d s and would have 4\d\d,\d\d\d") as error:
+        plan(robot, scene, PlanOptions(speed=1e-3))
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert error.value.data["option"] == "rate_hz"
+    assert peak < 2e8
+    assert time.process_time() - begin < 10.0
+    with pytest.raises(OptionError, match="rows"):
+        plan(robot, scene, PlanOptions(speed=1e-9))
+
+
+def test_a_hundredth_of_full_speed(robot, scene):
+    """Averages over a thousand rows keep the jerk: they are not tried one by one."""
+    begin = time.process_time()
+    result = plan(robot, scene, PlanOptions(speed=0.01))
+    assert result.certificate.verified
+    assert time.process_time() - begin < 20.0
+    assert result.trajectory.duration == pytest.approx(100.0 * plan(robot, scene).trajectory.duration, rel=0.05)

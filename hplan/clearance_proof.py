@@ -106,12 +106,12 @@ def prove_clearance(
     distances = judge.pair_distances(bezier[0, 0])
     going = search.take(np.arange(len(distances)), distances, 0.0)
     while going:
-        pairs, at = _first(search.due)
+        pairs, at, q = _first(search.due, bezier)
         if at == math.inf:
             return Proof("shown", needed + search.shown, search.contact(), search.checks, len(bezier))
         if search.checks >= budget:
             return search.worst("checks")
-        search.place(at)
+        search.place(q)
         going = search.ask(pairs, at)
         # Together with the pair that is due, those that would be before it is due again.
         others = _due_before(search.due, pairs)
@@ -161,9 +161,9 @@ class _Advancement:
         self.nearest = math.inf, 0
         self.checks = 1
 
-    def place(self, at: float) -> None:
-        """Put the arm where it is at a place."""
-        self._judge.place(_point(self._bezier, at))
+    def place(self, q: FloatArray) -> None:
+        """Put the arm at a configuration."""
+        self._judge.place(q)
         self.checks += 1
 
     def ask(self, pairs: IntArray, at: float) -> bool:
@@ -196,8 +196,7 @@ class _Advancement:
         while due:
             row = due[0][0]
             # Points of Bezier between the rows may be no numbers.
-            self._judge.place(self._bezier[row, 0] if row < rows else self._bezier[-1, 3])
-            self.checks += 1
+            self.place(self._bezier[row, 0] if row < rows else self._bezier[-1, 3])
             pairs = []
             while due and due[0][0] == row:
                 pairs.append(heapq.heappop(due)[1])
@@ -214,10 +213,27 @@ class _Advancement:
 
 
 @kernel
-def _first(due: FloatArray) -> tuple[IntArray, float]:
-    """The pair that is due first, and where."""
+def _point(bezier: FloatArray, at: float) -> FloatArray:
+    """Configuration at a place counted in rows."""
+    piece = min(int(at), bezier.shape[0] - 1)
+    t = at - piece
+    u = 1.0 - t
+    q = np.empty(bezier.shape[2])
+    for j in range(len(q)):
+        q[j] = (
+            u * u * u * bezier[piece, 0, j]
+            + 3.0 * u * u * t * bezier[piece, 1, j]
+            + 3.0 * u * t * t * bezier[piece, 2, j]
+            + t * t * t * bezier[piece, 3, j]
+        )
+    return q
+
+
+@kernel
+def _first(due: FloatArray, bezier: FloatArray) -> tuple[IntArray, float, FloatArray]:
+    """The pair that is due first, the place (infinite: after the end), and the configuration there."""
     first = np.argmin(due)
-    return np.array([first]), due[first]
+    return np.array([first]), due[first], _point(bezier, min(due[first], float(bezier.shape[0])))
 
 
 @kernel
@@ -297,23 +313,6 @@ def place_after(travel: FloatArray, at: float, part: float) -> float:
         return math.inf
     place: float = row + (limit - travel[row]) / (travel[row + 1] - travel[row])
     return place
-
-
-@kernel
-def _point(bezier: FloatArray, at: float) -> FloatArray:
-    """Configuration at a place counted in rows."""
-    piece = min(int(at), bezier.shape[0] - 1)
-    t = at - piece
-    u = 1.0 - t
-    q = np.empty(bezier.shape[2])
-    for j in range(len(q)):
-        q[j] = (
-            u * u * u * bezier[piece, 0, j]
-            + 3.0 * u * u * t * bezier[piece, 1, j]
-            + 3.0 * u * t * t * bezier[piece, 2, j]
-            + t * t * t * bezier[piece, 3, j]
-        )
-    return q
 
 
 def pair_sways(judge: CollisionScene, deviations: FloatArray) -> FloatArray:

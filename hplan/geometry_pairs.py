@@ -108,6 +108,11 @@ class GeometryPairs:
     def place(self, q: FloatArray) -> None:
         """Put the arm where `distances_of` is to look at it in this thread, (dof,) joint angles."""
         query = self._query
+        if len(query.parts) == 1:  # one call in place of two
+            only = query.parts[0]
+            pin.updateGeometryPlacements(self._model, query.arm, self._geometries[0], only.geometry, q)
+            only.current = True
+            return
         pin.forwardKinematics(self._model, query.arm, q)
         for data in query.parts:
             data.current = False
@@ -125,6 +130,9 @@ class GeometryPairs:
     def distances_of(self, pairs: IntArray) -> FloatArray:
         """Signed distances of some pairs where the arm was last placed, (k,) numbers -> (k,) [m]."""
         query, geometries = self._query, self._geometries
+        if len(geometries) == 1:  # as almost always: no look-up of where a pair is
+            geometry, data = geometries[0], query.parts[0].geometry
+            return np.array([pin.computeDistance(geometry, data, pair).min_distance for pair in pairs.tolist()])
         found = np.empty(len(pairs))
         where = zip(self._part_of[pairs].tolist(), self._local[pairs].tolist(), strict=True)
         for number, (part, local) in enumerate(where):

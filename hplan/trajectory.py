@@ -90,6 +90,8 @@ def joined(parts: Sequence[Trajectory]) -> Trajectory:
     parts = list_of("parts", parts, Trajectory, "trajectories")
     if not parts:
         raise InputError("joined: there is no motion to join")
+    if len(parts) == 1:
+        return parts[0]
     for number, (first, second) in enumerate(itertools.pairwise(parts)):
         if second.joint_names != first.joint_names:
             raise InputError(f"joined: motion {number + 1} moves other joints than the one before it")

@@ -219,7 +219,7 @@ def certify_among(
     bezier, duration = cubic_pieces(trajectory)
     use = limit_use(robot, trajectory, bezier, duration)
     violations = [
-        f"{what} reaches {share:.4f} of its limit"
+        f"{what} reaches {share:{'.4f' if share < 1e4 else '.4g'}} of its limit"
         for what, share in vars(use).items()
         if not share <= (LIMIT_TOLERANCE if what != "position" else 1.0 + 1e-6)
     ]

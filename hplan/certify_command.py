@@ -21,6 +21,7 @@ from hplan.terminal import (
     add_tracking,
     command_parser,
     loading,
+    percent,
     run_command,
     tracking_of,
 )
@@ -179,7 +180,7 @@ def _show(console: Console, report: dict[str, Any]) -> None:
         for violation in proof["violations"]:
             table.add_row("", escape(violation))
         table.add_row("clearance", f"{clearance} mm, the smallest found")
-    table.add_row("limits used", ", ".join(f"{k} {100 * v:.1f}" for k, v in proof["limit_use"].items()) + " %")
+    table.add_row("limits used", ", ".join(f"{k} {percent(v)}" for k, v in proof["limit_use"].items()) + " %")
     error, delay = math.degrees(proof["tracking_error_rad"]), 1e3 * proof["tracking_delay_s"]
     table.add_row("covered", f"tracking error {error:g} deg, delay {delay:g} ms; {proof['sigmas']:g} sigma")
     if proof["contact_s"] is not None:

@@ -21,6 +21,7 @@ from hplan.terminal import (
     add_tracking,
     command_parser,
     loading,
+    percent,
     run_command,
     tracking_of,
 )
@@ -276,7 +277,7 @@ def _show_summary(console: Console, result: PlanResult, folder: Path) -> None:
     add("motion", f"[bold]{motion['duration_s']:.3f} s[/], {rows}")
     if len(result.phases) > 1:
         add("", ", ".join(f"{phase.name} {phase.end_s - phase.start_s:.3f} s" for phase in result.phases))
-    add("limits used", ", ".join(f"{name} {100 * share:.1f}" for name, share in proof["limit_use"].items()) + " %")
+    add("limits used", ", ".join(f"{name} {percent(share)}" for name, share in proof["limit_use"].items()) + " %")
     add("clearance", _clearance_words(proof))
     if proof["nearest"] is not None:
         nearest = proof["nearest"]

@@ -279,3 +279,8 @@ def prepare_folder(folder: Path) -> None:
         raise OutputError(folder, "it is a file, not a folder") from error
     except OSError as error:
         raise OutputError(folder, error.strerror or str(error)) from error
+
+
+def percent(share: float) -> str:
+    """A share in percent, without the sign; in powers of ten where it is beyond all use."""
+    return f"{100.0 * share:{'.1f' if share < 1e4 else '.3g'}}"

@@ -83,6 +83,18 @@ def test_a_trajectory_that_was_changed_a_little(job, capsys):
     assert said(capsys, job / "trajectory.csv")[0] == 0
 
 
+def test_numbers_beyond_all_use_are_shown_in_powers_of_ten(job, capsys):
+    rows = (job / "trajectory.csv").read_text().splitlines()
+    cells = rows[100].split(",")
+    cells[2] = "1e300"  # a velocity
+    rows[100] = ",".join(cells)
+    (job / "trajectory.csv").write_text("\n".join(rows) + "\n")
+    assert cli.main(["certify", str(job / "trajectory.csv")]) == 5
+    shown = capsys.readouterr().out
+    assert "e+30" in shown
+    assert "0000000000" not in shown
+
+
 def test_another_scene_and_another_robot(job, capsys, tmp_path):
     text = (scenes_dir() / "table-1.yaml").read_text()
     (tmp_path / "other.yaml").write_text(text.replace("radius: 0.15", "radius: 0.1499"))

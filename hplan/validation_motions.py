@@ -55,6 +55,9 @@ PATIENCE = 8
 #: Depth of grazing and gap of clear obstacles [m].
 DEPTHS, GAPS = (1e-4, 5e-3), (1e-3, 5e-3)
 
+#: Where a member gives too few, as it touches itself nearly everywhere, another is drawn, up to so many in all.
+REDRAWN = 4
+
 #: Steps of the grid by the number of links [deg].
 STEPS = {1: 3.0, 2: 3.0, 3: 6.0, 4: 12.0, 5: 20.0}
 
@@ -153,10 +156,12 @@ def _of_member(share: tuple[int, int, int, int]) -> Tally:
     rng, tally = np.random.default_rng([seed, number]), Tally()
     with TemporaryDirectory() as name:
         folder = Path(name)
-        robot = _loaded(folder, rng, tally)
-        look = _Member(robot, folder, rng, tally, f"{seed}/{number}")
-        look.certified_motions(motions)
-        look.grazing_motions(grazing)
+        for _ in range(REDRAWN):
+            member = _Member(_loaded(folder, rng, tally), folder, rng, tally, f"{seed}/{number}")
+            member.certified_motions(motions - tally.certified)
+            member.grazing_motions(grazing - tally.grazing, grazing - tally.clear)
+            if (tally.certified, tally.grazing, tally.clear) == (motions, grazing, grazing):
+                break
     return tally
 
 
@@ -197,8 +202,8 @@ class _Member:
 
     def certified_motions(self, wanted: int) -> None:
         """Ask for motions among obstacles until so many were certified, and look at each."""
-        before = self.tally.asked
-        while wanted > 0 and self.tally.asked - before < PATIENCE * max(1, wanted + self.tally.certified):
+        most = self.tally.asked + PATIENCE * wanted
+        while wanted > 0 and self.tally.asked < most:
             self.tally.asked += 1
             start, goal = self.configuration(), self.configuration()
             path = self.scene(start, goal)
@@ -304,11 +309,11 @@ class _Member:
 
     # Grazing and clear obstacles
 
-    def grazing_motions(self, wanted: int) -> None:
-        """Put grazing and clear obstacles beside motions, each motion a few times."""
-        grazing = clear = tries = 0
-        while (grazing < wanted or clear < wanted) and tries < PATIENCE * max(1, wanted):
-            tries += 1
+    def grazing_motions(self, grazing: int, clear: int) -> None:
+        """Put so many grazing and clear obstacles beside motions, each motion a few times."""
+        tries = PATIENCE * max(grazing, clear)
+        while (grazing > 0 or clear > 0) and tries > 0:
+            tries -= 1
             scene = self.free(self.configuration(), self.configuration())
             try:
                 motion = plan(self.robot, scene, PlanOptions(step_deg=STEPS[self.robot.arm.link_count]))
@@ -318,10 +323,10 @@ class _Member:
             if len(q) < 2:
                 continue
             for _ in range(3):
-                if grazing < wanted:
-                    grazing += self.graze(scene, motion.trajectory, times, q)
-                if clear < wanted:
-                    clear += self.pass_by(scene, motion.trajectory, q)
+                if grazing > 0:
+                    grazing -= self.graze(scene, motion.trajectory, times, q)
+                if clear > 0:
+                    clear -= self.pass_by(scene, motion.trajectory, q)
 
     def free(self, start: FloatArray, goal: FloatArray) -> Scene:
         """A task without obstacles."""

@@ -166,7 +166,7 @@ def test_obstacles_stand_where_they_are_said_to(tmp_path: Path, monkeypatch: pyt
         return found
 
     monkeypatch.setattr(validation._Member, "placed", watched)
-    member.grazing_motions(4)
+    member.grazing_motions(4, 4)
     assert len(placed) >= 8
     for real, asked in placed:
         assert abs(real - asked) <= 0.05 * abs(asked) + 2e-6

@@ -32,13 +32,16 @@ import numpy as np
 from hplan.arrays import FloatArray, IntArray
 from hplan.dynamics import InverseDynamics, newton_euler
 from hplan.errors import InputError
-from hplan.kernels import kernel
+from hplan.kernels import any_int, kernel
 
 #: How far the bound may lie above the largest sample, as a share of the limit, before pieces are halved.
 GAP = 5e-5
 
 #: Samples that halving may take: some, and for each piece.
 SAMPLES, SAMPLES_PER_PIECE = 20_000, 16
+
+#: Derivatives that are needed: of axes and inertias, and of vectors in bodies.
+_OF_AXES, _OF_VECTORS = any_int(3), any_int(4)
 
 _CHOOSE = np.array([[1.0, 0.0, 0.0, 0.0], [1.0, 1.0, 0.0, 0.0], [1.0, 2.0, 1.0, 0.0], [1.0, 3.0, 3.0, 1.0]])
 
@@ -189,14 +192,14 @@ def _remainders(bezier: FloatArray, duration: FloatArray, sizes: FloatArray, gra
             rate[3] = 6.0 * abs((p3 - p2) - 2.0 * (p2 - p1) + (p1 - p0)) / (h * h * h)
             above = int(sizes[k, 4])
             z[k, 0], s[k, 0], d[k, 0], tensor[k, 0] = 1.0, sizes[k, 0], sizes[k, 1], sizes[k, 3]
-            _turned(w[above], z[k], 3, 1.0)
-            _turned(w[above], s[k], 4, 1.0)
+            _turned(w[above], z[k], _OF_AXES, 1.0)
+            _turned(w[above], s[k], _OF_VECTORS, 1.0)
             for n in range(4):
                 w[k, n] = w[above, n]
                 for m in range(n + 1):
                     w[k, n] += _CHOOSE[n, m] * z[k, m] * rate[n - m + 1]
-            _turned(w[k], d[k], 4, 1.0)
-            _turned(w[k], tensor[k], 3, 2.0)
+            _turned(w[k], d[k], _OF_VECTORS, 1.0)
+            _turned(w[k], tensor[k], _OF_AXES, 2.0)
             for n in range(3):
                 acc[k, n] = acc[above, n] + s[k, n + 2]
                 force[k, n] = sizes[k, 2] * (acc[k, n] + d[k, n + 2])

@@ -109,6 +109,7 @@ def test_what_a_killed_job_has_left_goes_with_the_next(folder: JobFolder) -> Non
 AT_THE_REPORT = """
 import os, signal, sys, time
 import hplan.report
+signal.signal({number}, signal.SIG_DFL)  # which it is not where the tests run under nohup
 def end(*_):
     os.kill(os.getpid(), {number})
     time.sleep(60)

@@ -24,7 +24,8 @@ from hplan.view import page
 from hplan.view.page import LiveView, serve
 
 SERVE = """
-import sys, numpy as np
+import signal, sys, numpy as np
+signal.signal(signal.SIGHUP, signal.SIG_DFL)  # which it is not where the tests run under nohup
 from hplan.robot import load_robot
 from hplan.scene_file import load_scene
 from hplan.trajectory import Trajectory

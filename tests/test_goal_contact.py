@@ -14,6 +14,7 @@ from hplan.approach import ApproachPath
 from hplan.certificate import certify
 from hplan.errors import CertificationError, OptionError
 from hplan.goal_contact import OFFSET, THERE, TURN, contact_window
+from hplan.inverse import reach
 from hplan.limit_use import cubic_pieces
 from hplan.resources import scenes_dir
 from hplan.scene import Fruit, Goal, Scene, Start
@@ -235,5 +236,24 @@ def test_approach_that_is_not_straight_is_not_certified(robot, picked, monkeypat
         return replace(motion, position=motion.position + s * np.radians([3.0, 0.0, 0.0, 0.0]))
 
     monkeypatch.setattr(transit, "timed", bent)
-    with pytest.raises(CertificationError, match="apple"):
+    with pytest.raises(CertificationError, match=r"link 'hand' comes to -\S+ mm of obstacle 'apple'"):
         hplan.plan(robot, scene)
+
+
+def test_last_link_that_pivots_about_the_fruit_leaves_its_direction(robot, apple):
+    """The tool stays at the centre, the hand turns about it by 10 deg: at most `TURN` to both sides is one approach."""
+    q, rows = GRASP, []
+    for angle in np.arange(52.0, 62.01, 0.1):
+        found = reach(robot, apple.center, approach_deg=angle).configurations
+        q = found[np.abs(found - q).max(axis=1).argmin()]
+        rows.append(q)
+    position = np.array(rows)
+    time = 0.02 * np.arange(len(position))
+    velocity = np.gradient(position, time, axis=0)
+    zero = 0.0 * position
+    bezier, _ = cubic_pieces(Trajectory(robot.joint_names, time, position, velocity, zero, zero))
+    assert np.linalg.norm(robot.tool_positions(position) - apple.center, axis=1).max() < THERE
+    window = contact_window(robot, bezier, apple.center)
+    angles = position[window.start : window.stop + 1, 1:].sum(axis=1)
+    assert TURN - np.radians(0.11) <= np.ptp(angles) <= 2.0 * TURN + 1e-9
+    assert np.ptp(position[:, 1:].sum(axis=1)) > 4.0 * TURN

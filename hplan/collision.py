@@ -295,6 +295,8 @@ def base_contacts(
         yaw: Yaw of the turret.
         margin: Distance up to which a pair counts as touching [m].
     """
+    if not obstacles:
+        return ()
     first = 2 if robot.has_yaw else 1
     q = np.zeros(robot.dof)
     if robot.has_yaw:

@@ -135,6 +135,10 @@ def assert_grasps(robot: Robot, scene: Scene, result: PlanResult) -> None:
     """The tool comes to the point, along the last link, and from a fruit goes back."""
     grasp, trajectory, name = result.grasp, result.trajectory, scene.goal.fruit
     assert grasp is not None
+    heading = last_link(robot, grasp.goal)
+    told = math.radians(result.report["grasp"]["approach_deg"])
+    upward = robot.plane_at(robot.yaw_of(grasp.goal))[1] @ heading
+    assert math.cos(told - math.atan2(upward[1], upward[0])) > 1.0 - 1e-9
     target = scene.goal.position if name is None else next(f.center for f in scene.fruits if f.name == name)
     np.testing.assert_allclose(robot.tool_positions(grasp.goal), target, rtol=0, atol=1e-6)
     bounds = scene.goal.approach_deg

@@ -528,6 +528,27 @@ def test_motion_that_is_not_at_rest_at_its_ends_is_refused(robot, scene, end):
     assert told == (["begins", "ends"] if end == "both" else [end])
 
 
+def test_motions_one_after_the_other(robot, scene):
+    """The worst of all parts."""
+    straight = quintic(robot, np.zeros(4), np.array([0.2, 0.0, 0.0, 0.0]))
+    back = straight.reversed
+    moving = replace(back, velocity=np.where(np.arange(back.samples)[:, None] == back.samples - 1, 0.1, back.velocity))
+    near = scene.with_obstacles([Sphere(name="near", center=(1.0, -0.3, 0.6), radius=0.1)])
+    far = scene.with_obstacles([Sphere(name="far", center=(1.0, -0.8, 0.6), radius=0.1)])
+    parts = [certify(robot, far, straight), certify(robot, near, moving, rest_to_rest=True)]
+    for some in (parts, parts[::-1]):
+        whole = certificates.all_of(some)
+        assert not whole.verified
+        assert whole.min_clearance_m == parts[1].min_clearance_m < parts[0].min_clearance_m
+        assert whole.nearest.obstacle == "near"
+        assert whole.checks == parts[0].checks + parts[1].checks
+        assert whole.violations == parts[1].violations
+        for name, value in vars(whole.limit_use).items():
+            assert value == max(getattr(part.limit_use, name) for part in parts)
+    assert certificates.all_of(parts[:1]) is parts[0]
+    assert certificates.all_of([parts[0], parts[0]]).verified
+
+
 def test_single_row_with_velocity_is_refused(robot, scene):
     still = rows(robot, [0.0], np.zeros((1, 4)), np.zeros((1, 4)))
     assert certify(robot, scene, still, rest_to_rest=True).verified

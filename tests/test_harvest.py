@@ -12,7 +12,7 @@ from planned import at, last_link, post
 from hplan.approach import ApproachPath
 from hplan.collision import CollisionScene
 from hplan.errors import BlockedError, InputError, OptionError, UnreachableError
-from hplan.harvest import SPARE, Grasp, grasps
+from hplan.harvest import SEARCHED, SPARE, Grasp, grasps, promising
 from hplan.inverse import reach
 from hplan.robot import Robot
 from hplan.scene import Box, Sphere
@@ -257,3 +257,25 @@ def test_results_cannot_be_changed(robot: Robot) -> None:
     for grasp in found(robot):
         assert not grasp.goal.flags.writeable
         assert not grasp.standoff.flags.writeable
+
+
+@pytest.mark.parametrize("behind", [0, 1, 5, 8, 9, 20])
+@pytest.mark.parametrize("beside", [0, 3])
+def test_promising_are_the_first_straight_one_and_some_of_those_before(robot: Robot, behind: int, beside: int) -> None:
+    """Some stand-offs behind a wall, then some on this side of it."""
+    around = Surroundings.of(
+        robot, [Box(name="wall", center=(1.0, 0.58, 1.0), size=(1.6, 0.02, 2.4), rpy_deg=(0, 0, 30))]
+    )
+
+    def grasp_at(yaw_deg: float) -> Grasp:
+        q = np.radians([yaw_deg, 20.0, 20.0, 20.0])
+        return Grasp(goal=q, standoff=q, distance=0.1, approach=0.0, least_duration=1.0)
+
+    ways = [*(grasp_at(70.0 + i) for i in range(behind)), *(grasp_at(-30.0 - i) for i in range(beside))]
+    start = np.radians([-10.0, 20.0, 20.0, 20.0])
+    straight = [around.field.is_clear(np.stack([start, grasp.standoff]), SPARE) for grasp in ways]
+    assert straight == [False] * behind + [True] * beside
+    likely = promising(ways, around, around, start)
+    assert len(likely) <= SEARCHED + 1
+    expected = ways[: behind : max(1, math.ceil(behind / SEARCHED))] + ways[behind : behind + 1]
+    assert [id(grasp) for grasp in likely] == [id(grasp) for grasp in expected]

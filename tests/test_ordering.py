@@ -131,6 +131,15 @@ def test_nearest_goes_on_to_the_nearest() -> None:
     assert found.cost == pytest.approx(cost_of(carried, found))
 
 
+@pytest.mark.parametrize("capacity", [1, 2, 3, 7])
+@pytest.mark.parametrize("seed", range(3))
+def test_nearest_never_carries_more_than_it_can(seed: int, capacity: int) -> None:
+    found = nearest(random_costs(seed, 13, capacity=capacity))
+    ends = [*np.flatnonzero(found.dropped).tolist(), 12]
+    loads = np.diff([-1, *ends]).tolist()
+    assert loads == [capacity] * (13 // capacity) + [13 % capacity] * (13 % capacity > 0)
+
+
 def test_nearest_takes_the_drop_off_where_there_is_no_way_on() -> None:
     onward = np.full((2, 2), np.inf)
     costs = Costs(np.arange(3), np.array([1.0, 2.0]), onward, np.ones(2), np.ones(2), np.ones(2), 2)

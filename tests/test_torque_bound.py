@@ -124,6 +124,22 @@ def test_torque_between_rows_far_apart(robot):
     assert bound[joint] == pytest.approx(true[:, joint].max(), abs=1.1 * GAP * robot.torque_limit[joint])
 
 
+@pytest.mark.parametrize("joint", [1, 2, 3])
+def test_bound_of_one_joint_that_turns_slowly(tmp_path, joint):
+    """Gravity alone: the remainder is close to the truth, so that every half of an interval needs both its ends."""
+    robot, rng = load_variant("upright on a yaw", tmp_path), np.random.default_rng(7)
+    limit = np.full(4, 1e9)
+    limit[joint] = 1.0
+    for span in rng.uniform(0.3, 3.0, 30):
+        position = np.tile(rng.uniform(-2.0, 2.0, 4), (2, 1))
+        position[1, joint] += span
+        velocity = np.zeros((2, 4))
+        velocity[:, joint] = 1.0 / 40.0
+        bezier, duration = cubic_pieces(hermite(robot, np.array([0.0, 40.0 * span]), position, velocity))
+        true = np.abs(sampled(robot, bezier, duration, 501))[..., joint].max()
+        assert true * (1.0 - 1e-9) <= largest_torques(robot.dynamics, bezier, duration, limit)[joint] <= 1.001 * true
+
+
 @pytest.mark.parametrize("length", [1.0, 1e3, 1e9])
 def test_a_pause_takes_no_samples(robot, length, monkeypatch):
     position = np.tile([0.0, 0.3, 0.5, 0.2], (2, 1))

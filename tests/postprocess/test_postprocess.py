@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.optimize import linprog
 
 from hplan.clearance import ClearanceField
 from hplan.collision import CollisionScene
@@ -14,7 +15,7 @@ from hplan.errors import CertificationError, InputError
 from hplan.options import PlanOptions
 from hplan.path import Limits
 from hplan.pipeline import plan
-from hplan.postprocess import OBJECTIVES, PostprocessOptions, SplinePath, fast_path, path_length, shorten, smooth
+from hplan.postprocess import OBJECTIVES, PostprocessOptions, SplinePath, fast, fast_path, path_length, shorten, smooth
 from hplan.postprocess import path as postprocess_path
 from hplan.postprocess.clear import clear_spline, tighten
 from hplan.postprocess.fast import hasten
@@ -312,6 +313,29 @@ def test_estimate_is_that_of_the_spline_returned(field, grid_path, options, coun
         fast, estimate = hasten(pushed, field, replace(options, trials=trials), margin=MARGIN)
         again = hasten(fast, field, replace(options, trials=0), margin=MARGIN)
         assert again[1] == pytest.approx(estimate, rel=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_largest_speeds_at_which_all_joints_can_accelerate(options, seed):
+    """Against linear programs: the largest x with |q' u + q'' x| <= a for some u, and |q'|^2 x <= v^2."""
+    control = np.random.default_rng(seed).uniform(-1.0, 1.0, (9, 4))
+    movable = np.arange(4)
+    spline = SplinePath.through(control)
+    _, first, second = fast._derivative_weights(spline.knots, 6)
+    demands = np.empty((len(first), 9))
+    velocity = 100.0 * options.velocity  # where joints disagree, not how fast each of them is
+    fast._demands(control, 0, 5, first, second, velocity, options.acceleration, movable, demands)
+    for row, (weights, bends) in enumerate(zip(first, second, strict=True)):
+        piece = min(row // 8, 5)
+        p, c = weights @ control[piece : piece + 4], bends @ control[piece : piece + 4]
+        sides = np.stack([p, c], axis=1)
+        found = linprog(
+            [0.0, -1.0],
+            np.vstack([sides, -sides]),
+            np.tile(options.acceleration, 2),
+            bounds=[(None, None), (0.0, float(((velocity / p) ** 2).min()))],
+        )
+        assert demands[row, -1] == pytest.approx(found.x[1], rel=1e-6)
 
 
 def test_estimate_of_a_straight_motion_by_hand(robot, options):

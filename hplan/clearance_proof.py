@@ -367,9 +367,34 @@ def _link_bounds(robot: Robot, rates: FloatArray) -> FloatArray:
     yaw times the largest distance from the yaw axis; the turns are bounded by the hull of the derivative, whose
     (pieces, 3, dof) Bezier points are `rates`.
     """
-    arm = robot.arm
-    turns = np.abs(np.cumsum(arm.signs * rates[..., robot.arm_slice], axis=2)).max(axis=1)
-    bounds: FloatArray = np.cumsum(arm.lengths * turns, axis=1)
-    if robot.has_yaw:
-        bounds = bounds + np.abs(rates[..., 0]).max(axis=1)[:, None] * robot.yaw_radius
-    return bounds
+    arm, first = robot.arm, 1 if robot.has_yaw else 0
+    return _travels(rates, first, arm.signs, arm.lengths, robot.yaw_radius)
+
+
+@kernel
+def _travels(
+    rates: FloatArray, first: int, signs: FloatArray, lengths: FloatArray, yaw_radius: FloatArray
+) -> FloatArray:
+    """The compiled part of `_link_bounds`; what is no number stays none."""
+    result, turned = np.empty((rates.shape[0], len(lengths))), np.empty(rates.shape[1])
+    for piece in range(rates.shape[0]):
+        swing = 0.0
+        for i in range(len(turned)):
+            turned[i] = 0.0
+            if first:
+                swing = _larger(swing, abs(rates[piece, i, 0]))
+        bound = 0.0
+        for k in range(len(lengths)):
+            turn = 0.0
+            for i in range(len(turned)):
+                turned[i] += signs[k] * rates[piece, i, first + k]
+                turn = _larger(turn, abs(turned[i]))
+            bound += lengths[k] * turn
+            result[piece, k] = bound + swing * yaw_radius[k] if first else bound
+    return result
+
+
+@kernel
+def _larger(first: float, second: float) -> float:
+    """The larger of two numbers; none where one of them is none."""
+    return second if second > first or second != second else first

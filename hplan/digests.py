@@ -60,10 +60,11 @@ def trajectory_digest(trajectory: Trajectory) -> str:
 def scene_digest(scene: Scene) -> str:
     """The digest of a scene: the same wherever its meshes and clouds lie."""
     found = _Digest(scene.format)
-    found.add_text(scene.model_dump_json(exclude={"obstacles": {"__all__": {"file"}}}))
-    for obstacle in scene.obstacles:
-        if isinstance(obstacle, Mesh | PointCloud):
-            found.add_text(obstacle.data_digest)
+    read = [obstacle for obstacle in scene.obstacles if isinstance(obstacle, Mesh | PointCloud)]
+    # Leaving fields out takes five times as long, where there are any or not.
+    found.add_text(scene.model_dump_json(exclude={"obstacles": {"__all__": {"file"}}} if read else None))
+    for obstacle in read:
+        found.add_text(obstacle.data_digest)
     return found.word
 
 

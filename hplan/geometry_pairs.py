@@ -40,11 +40,13 @@ class _QueryData(threading.local):
     Attributes:
         arm: Where the joints are.
         parts: The data of each geometry model.
+        single: Arm and part where there is one model alone: looking up what belongs to a thread takes its time.
     """
 
     def __init__(self, model: pin.Model, geometries: Sequence[pin.GeometryModel]) -> None:
         self.arm = model.createData()
         self.parts = [_PartData(geometry) for geometry in geometries]
+        self.single = (self.arm, self.parts[0]) if len(self.parts) == 1 else None
 
 
 class GeometryPairs:
@@ -108,10 +110,11 @@ class GeometryPairs:
     def place(self, q: FloatArray) -> None:
         """Put the arm where `distances_of` is to look at it in this thread, (dof,) joint angles."""
         query = self._query
-        if len(query.parts) == 1:  # one call in place of two
-            only = query.parts[0]
-            pin.updateGeometryPlacements(self._model, query.arm, self._geometries[0], only.geometry, q)
-            only.current = True
+        single = query.single
+        if single is not None:  # one call in place of two
+            arm, part = single
+            pin.updateGeometryPlacements(self._model, arm, self._geometries[0], part.geometry, q)
+            part.current = True
             return
         pin.forwardKinematics(self._model, query.arm, q)
         for data in query.parts:
@@ -130,8 +133,9 @@ class GeometryPairs:
     def distances_of(self, pairs: IntArray) -> FloatArray:
         """Signed distances of some pairs where the arm was last placed, (k,) numbers -> (k,) [m]."""
         query, geometries = self._query, self._geometries
-        if len(geometries) == 1:  # as almost always: no look-up of where a pair is
-            geometry, data = geometries[0], query.parts[0].geometry
+        single = query.single
+        if single is not None:  # as almost always: no look-up of where a pair is
+            geometry, data = geometries[0], single[1].geometry
             return np.array([pin.computeDistance(geometry, data, pair).min_distance for pair in pairs.tolist()])
         found = np.empty(len(pairs))
         where = zip(self._part_of[pairs].tolist(), self._local[pairs].tolist(), strict=True)

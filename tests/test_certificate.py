@@ -563,3 +563,14 @@ def test_column_beyond_the_limit_is_refused(robot, scene, column):
     values[7, 2] = 1e4
     certificate = certify(robot, scene, replace(motion, **{column: values}))
     assert [violation.split()[0] for violation in certificate.violations] == [column]
+
+
+@pytest.mark.parametrize("spoilt", [None, np.nan, np.inf])
+def test_travel_of_links_is_that_of_plain_numpy(robot, spoilt):
+    rng = np.random.default_rng(7)
+    rates = rng.normal(size=(40, 3, robot.dof)) * 10.0 ** rng.uniform(-3.0, 3.0, size=(40, 1, 1))
+    if spoilt is not None:
+        rates[5, 1, 2] = rates[9, 0, 0] = spoilt
+    turns = np.abs(np.cumsum(robot.arm.signs * rates[..., robot.arm_slice], axis=2)).max(axis=1)
+    expected = np.cumsum(robot.arm.lengths * turns, axis=1) + np.abs(rates[..., :1]).max(axis=1) * robot.yaw_radius
+    np.testing.assert_array_equal(clearance_proof._link_bounds(robot, rates), expected)

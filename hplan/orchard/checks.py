@@ -2,22 +2,11 @@
 
 from __future__ import annotations
 
-from numbers import Integral, Real
+from numbers import Real
 from typing import Any
 
+from hplan.arguments import whole
 from hplan.errors import OptionError
-
-
-def check_count(option: str, value: Any, least: int, most: int | None = None) -> int:
-    """A whole number in a range.
-
-    Raises:
-        OptionError: It is none.
-    """
-    whole = isinstance(value, Integral) and not isinstance(value, bool)
-    if not whole or value < least or (most is not None and value > most):
-        raise OptionError(option, value, f"a whole number >= {least}" + ("" if most is None else f" and <= {most}"))
-    return int(value)
 
 
 def check_number(option: str, value: Any, low: float, high: float) -> float:
@@ -47,9 +36,9 @@ def keep_count(options: Any, option: str, least: int, most: int | None) -> None:
     """Check a field of a frozen dataclass and keep it as an int.
 
     Raises:
-        OptionError: As `check_count`.
+        OptionError: As `whole`.
     """
-    object.__setattr__(options, option, check_count(option, getattr(options, option), least, most))
+    object.__setattr__(options, option, whole(option, getattr(options, option), least, most))
 
 
 def keep_number(options: Any, option: str, low: float, high: float) -> None:

@@ -13,10 +13,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from hplan.arguments import instance, list_of
+from hplan.arguments import instance, list_of, whole
 from hplan.arrays import FloatArray
 from hplan.errors import OptionError
-from hplan.orchard.checks import check_count, check_number
+from hplan.orchard.checks import check_number
 from hplan.orchard.options import FruitZone
 from hplan.orchard.pieces import DECIMALS
 from hplan.scene import Capsule, Fruit
@@ -156,9 +156,9 @@ def fruit_at_tips(
     Raises:
         OptionError: A value out of its range, or more fruits than there is room for.
     """
-    count = check_count("count", count, 0, 10_000)
+    count = whole("count", count, 0, 10_000)
     radius = check_number("radius", radius, 1e-3, 1.0)
-    seed = check_count("seed", seed, 0)
+    seed = whole("seed", seed, 0)
     capsules = list_of("capsules", capsules, Capsule, "capsules")
     crop = Crop(capsules, radius, FruitZone() if zone is None else instance("zone", zone, FruitZone))
     tips = _tips(crop)

@@ -10,16 +10,16 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from hplan.certificate import Certificate, certify
     from hplan.errors import HplanError
-    from hplan.options import PlanOptions
-    from hplan.pipeline import PlanResult, plan
-    from hplan.planner import Planner
-    from hplan.robot import Robot, load_robot
-    from hplan.scene import Scene
-    from hplan.scene_file import load_scene, save_scene
-    from hplan.tour import TourOptions, TourResult, plan_tour
-    from hplan.trajectory import Trajectory, read_csv, write_csv
+    from hplan.planning.plan import PlanResult, plan
+    from hplan.planning.planner import Planner
+    from hplan.problem.options import PlanOptions
+    from hplan.robot.model import Robot, load_robot
+    from hplan.scene.file import load_scene, save_scene
+    from hplan.scene.model import Scene
+    from hplan.timing.trajectory import Trajectory, read_csv, write_csv
+    from hplan.tour.tour import TourOptions, TourResult, plan_tour
+    from hplan.verification.certificate import Certificate, certify
 
 __version__ = "0.1.0"
 
@@ -45,24 +45,24 @@ __all__ = [
 ]
 
 _HOME = {
-    "Certificate": "certificate",
+    "Certificate": "verification.certificate",
     "HplanError": "errors",
-    "PlanOptions": "options",
-    "PlanResult": "pipeline",
-    "Planner": "planner",
-    "Robot": "robot",
-    "Scene": "scene",
-    "TourOptions": "tour",
-    "TourResult": "tour",
-    "Trajectory": "trajectory",
-    "certify": "certificate",
-    "load_robot": "robot",
-    "load_scene": "scene_file",
-    "plan": "pipeline",
-    "plan_tour": "tour",
-    "read_csv": "trajectory",
-    "save_scene": "scene_file",
-    "write_csv": "trajectory",
+    "PlanOptions": "problem.options",
+    "PlanResult": "planning.plan",
+    "Planner": "planning.planner",
+    "Robot": "robot.model",
+    "Scene": "scene.model",
+    "TourOptions": "tour.tour",
+    "TourResult": "tour.tour",
+    "Trajectory": "timing.trajectory",
+    "certify": "verification.certificate",
+    "load_robot": "robot.model",
+    "load_scene": "scene.file",
+    "plan": "planning.plan",
+    "plan_tour": "tour.tour",
+    "read_csv": "timing.trajectory",
+    "save_scene": "scene.file",
+    "write_csv": "timing.trajectory",
 }
 
 

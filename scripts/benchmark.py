@@ -8,9 +8,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from hplan.cli.terminal import FAILED as FAULT
+from hplan.cli.terminal import command_parser, prepare_folder, run_command
 from hplan.errors import InputError, OutputError
-from hplan.terminal import FAILED as FAULT
-from hplan.terminal import command_parser, prepare_folder, run_command
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -61,7 +61,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             raise InputError("--scenes: expected a number of at least 1", scenes=arguments.scenes)
         prepare_folder(arguments.out)
         results = run(arguments, errors)
-        from hplan.benchmark.tables import show
+        from studies.benchmark.tables import show
 
         show(console, results)
         for path in write(results, arguments.out):
@@ -105,11 +105,12 @@ def run(arguments: argparse.Namespace, errors: Console) -> dict[str, Any]:
 
 
 def _measure(arguments: argparse.Namespace, progress: Callable[[str, int, int], None]) -> dict[str, Any]:
-    from hplan.benchmark import clutter, growth, orchards, recheck, reference, replanning
-    from hplan.benchmark.measure import environment
-    from hplan.benchmark.planners import Ompl
-    from hplan.robot import load_robot
-    from hplan.scene_file import load_scene
+    from studies.benchmark import clutter, growth, orchards, recheck, reference, replanning
+    from studies.benchmark.measure import environment
+    from studies.benchmark.planners import Ompl
+
+    from hplan.robot.model import load_robot
+    from hplan.scene.file import load_scene
 
     robot, scene = load_robot(), load_scene()
     quick, seed = arguments.quick, arguments.seed
@@ -141,11 +142,12 @@ def write(results: dict[str, Any], folder: Path) -> list[Path]:
     Raises:
         OutputError: A file cannot be written.
     """
-    from hplan.benchmark.figures import figures
-    from hplan.benchmark.tables import to_markdown
-    from hplan.files import write_text
-    from hplan.report import write_report
-    from hplan.view.figures import png_bytes, require_matplotlib
+    from studies.benchmark.figures import figures
+    from studies.benchmark.tables import to_markdown
+    from studies.view.figures import png_bytes, require_matplotlib
+
+    from hplan.base.files import write_text
+    from hplan.base.report import write_report
 
     written = [
         write_report(results, folder / "benchmark.json"),

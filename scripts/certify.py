@@ -2,7 +2,7 @@
 
 import sys
 
-from hplan.certify_command import main
+from hplan.cli.certify_command import main
 
 if __name__ == "__main__":
     sys.exit(main(prog="certify.py"))

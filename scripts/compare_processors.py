@@ -108,7 +108,7 @@ def _differences(one: dict[str, NDArray], other: dict[str, NDArray], tolerance: 
 def _planned() -> Iterator[tuple[str, NDArray]]:
     """Arrays of choices and numbers, by name."""
     from hplan import PlanOptions, TourOptions, load_robot, load_scene, plan, plan_tour
-    from hplan.resources import scenes_dir
+    from hplan.base.data_files import scenes_dir
 
     robot = load_robot()
     scenes = {path.stem: load_scene(path) for path in sorted(scenes_dir().glob("*.yaml"))}

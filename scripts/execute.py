@@ -8,13 +8,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hplan.terminal import FAILED, add_robot, add_scene, add_tracking, command_parser, run_command, tracking_of
+from hplan.cli.terminal import FAILED, add_robot, add_scene, add_tracking, command_parser, run_command, tracking_of
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from hplan.execution import Execution
-    from hplan.scene import Scene
+    from hplan.scene.model import Scene
+    from hplan.verification.simulation import Execution
 
 _DESCRIPTION = """\
 Run a trajectory in MuJoCo: the robot's own URDF with torque motors, the scene's obstacles as solid bodies, and a
@@ -46,11 +46,11 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _run(arguments: argparse.Namespace, console: Console) -> int:
     """Execute and show; returns the exit status."""
-    from hplan.execution import execute
-    from hplan.motion import read_motion
-    from hplan.plant import Plant
-    from hplan.robot import load_robot
-    from hplan.scene_file import load_scene
+    from hplan.robot.model import load_robot
+    from hplan.scene.file import load_scene
+    from hplan.verification.plant import Plant
+    from hplan.verification.recorded_motion import read_motion
+    from hplan.verification.simulation import execute
 
     motion = read_motion(arguments.trajectory)
     robot = load_robot(arguments.robot, limits=arguments.limits)

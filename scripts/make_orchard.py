@@ -8,14 +8,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from hplan.cli.terminal import command_parser, run_command
 from hplan.errors import OptionError, OutputError
-from hplan.terminal import command_parser, run_command
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from hplan.orchard import FruitZone
-    from hplan.scene import Scene
+    from hplan.scene.model import Scene
 
 _DESCRIPTION = """\
 Write a scene with a row of fruit trees in front of the arm. The same options give the same file, byte for byte.
@@ -81,7 +81,7 @@ def _parser() -> argparse.ArgumentParser:
 
 def _run(arguments: argparse.Namespace, console: Console) -> int:
     """Make the scene, write it and say what is in it."""
-    from hplan.scene_file import save_scene
+    from hplan.scene.file import save_scene
 
     out: Path = arguments.out
     if any(out.resolve() == path.resolve() for path in arguments.files or ()):

@@ -2,7 +2,7 @@
 
 import sys
 
-from hplan.cli import main
+from hplan.cli.main import main
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -10,9 +10,8 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hplan.errors import OptionError
-from hplan.job_folder import JobFolder, parse_job
-from hplan.terminal import (
+from hplan.cli.job_folder import JobFolder, parse_job
+from hplan.cli.terminal import (
     CommandParser,
     add_robot,
     add_tracking,
@@ -20,11 +19,12 @@ from hplan.terminal import (
     run_command,
     tracking_of,
 )
+from hplan.errors import OptionError
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from hplan.tour import TourOptions, TourResult
+    from hplan.tour.tour import TourOptions, TourResult
 
 #: Files of a finished job; with `--csv each`, a CSV for each leg in place of the one.
 TRAJECTORY, PAGE, REPORT = "tour.csv", "scene.html", "tour.json"
@@ -106,13 +106,13 @@ def _run(
     """Load, plan and write; gives the tour and the names of its files."""
     progress("reading robot and scene")
 
-    from hplan.options import PlanOptions
-    from hplan.report import write_report
-    from hplan.resources import scenes_dir
-    from hplan.robot import load_robot
-    from hplan.scene_file import load_scene
-    from hplan.tour import plan_tour
-    from hplan.trajectory import write_csv
+    from hplan.base.data_files import scenes_dir
+    from hplan.base.report import write_report
+    from hplan.problem.options import PlanOptions
+    from hplan.robot.model import load_robot
+    from hplan.scene.file import load_scene
+    from hplan.timing.trajectory import write_csv
+    from hplan.tour.tour import plan_tour
     from hplan.view.page import write_page
 
     tracking = tracking_of(arguments)
@@ -149,8 +149,8 @@ def _run(
 
 def _tour_options(arguments: argparse.Namespace) -> TourOptions:
     """What the tour is to be like."""
-    from hplan.scene import Goal
-    from hplan.tour import TourOptions
+    from hplan.scene.model import Goal
+    from hplan.tour.tour import TourOptions
 
     drop = None
     for option, key in (("drop_off", "position"), ("drop_off_joints", "joints_deg")):

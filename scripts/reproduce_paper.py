@@ -6,7 +6,7 @@ connectivity restoration, and a second A* on the sparse union. Three searches ar
 
 - *dense*: A* on all 753,571 nodes, `hplan.search.dense_search`;
 - *plain*: the two levels to the letter of the paper, written out in a page of plain code: A* in every slice, with or
-  without a path; the first path carried back towards the start; A* on the union (`hplan.reproduction.plain`);
+  without a path; the first path carried back towards the start; A* on the union (`studies.paper.plain`);
 - *hplan*: `hplan.search.two_level_search`, which floods before it searches, restores on both sides and is complete on
   the grid; once with plain A* and the paper's straight-line bound, once as it is by default, with jump points in the
   slices and a bound that knows the union.
@@ -30,9 +30,8 @@ from hplan.errors import HplanError, OptionError
 
 if TYPE_CHECKING:
     from rich.console import Console
-
-    from hplan.reproduction.random_scenes import Comparison
-    from hplan.reproduction.results import Reproduction
+    from studies.paper.random_scenes import Comparison
+    from studies.paper.results import Reproduction
 
 #: The random scenes are always the same ones.
 SEED = 1
@@ -72,12 +71,12 @@ def parser() -> argparse.ArgumentParser:
 def run(options: argparse.Namespace, errors: Console) -> tuple[Reproduction, Comparison | None, int]:
     """Measure, draw and write what was asked for; the numbers, and how many files were written."""
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+    from studies.paper.figures import figures
+    from studies.paper.measure import STEPS, measure
+    from studies.paper.output import write_all
+    from studies.paper.random_scenes import compare
+    from studies.paper.tables import markdown
 
-    from hplan.reproduction.figures import figures
-    from hplan.reproduction.measure import STEPS, measure
-    from hplan.reproduction.output import write_all
-    from hplan.reproduction.random_scenes import compare
-    from hplan.reproduction.tables import markdown
     from hplan.view.figure_style import png_bytes
 
     scenes: Comparison | None = None
@@ -120,7 +119,7 @@ def main(arguments: list[str] | None = None) -> int:
             from hplan.view.figure_style import require_matplotlib
 
             require_matplotlib()
-        from hplan.reproduction.output import check_writable
+        from studies.paper.output import check_writable
 
         check_writable(options.out)
         numbers, scenes, files = run(options, errors)
@@ -131,7 +130,7 @@ def main(arguments: list[str] | None = None) -> int:
     except KeyboardInterrupt:
         errors.print("interrupted")
         return INTERRUPTED
-    from hplan.reproduction.tables import markdown, show
+    from studies.paper.tables import markdown, show
 
     if options.markdown:
         sys.stdout.write(markdown(numbers, scenes))

@@ -9,14 +9,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hplan.terminal import FAILED, add_robot, add_tracking, command_parser, run_command, tracking_of
+from hplan.cli.terminal import FAILED, add_robot, add_tracking, command_parser, run_command, tracking_of
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from hplan.options import PlanOptions
-    from hplan.pipeline import PlanResult, Workspace
-    from hplan.scene import Scene
+    from hplan.planning.plan import PlanResult, Workspace
+    from hplan.problem.options import PlanOptions
+    from hplan.scene.model import Scene
 
 _DESCRIPTION = """\
 Which fruits that can be picked without a tracking error can be picked with one, and in how much more time; and, with
@@ -57,13 +57,13 @@ def _run(arguments: argparse.Namespace, console: Console) -> int:
     """Plan, execute, show; returns the exit status."""
     import numpy as np
 
-    from hplan.execution import execute
-    from hplan.options import PlanOptions
-    from hplan.pipeline import Workspace
-    from hplan.plant import Plant
-    from hplan.resources import scenes_dir
-    from hplan.robot import load_robot
-    from hplan.scene_file import load_scene
+    from hplan.base.data_files import scenes_dir
+    from hplan.planning.plan import Workspace
+    from hplan.problem.options import PlanOptions
+    from hplan.robot.model import load_robot
+    from hplan.scene.file import load_scene
+    from hplan.verification.plant import Plant
+    from hplan.verification.simulation import execute
 
     tracking, robot = tracking_of(arguments), load_robot(arguments.robot, limits=arguments.limits)
     plants = [
@@ -103,7 +103,7 @@ def _run(arguments: argparse.Namespace, console: Console) -> int:
 def _planned(workspace: Workspace, scene: Scene, options: PlanOptions) -> PlanResult | None:
     """The plan, or None where there is none."""
     from hplan.errors import HplanError
-    from hplan.pipeline import plan_with
+    from hplan.planning.plan import plan_with
 
     try:
         return plan_with(workspace, scene, options)

@@ -10,16 +10,16 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from hplan.cli.terminal import CommandParser, command_parser, named_output, run_command
 from hplan.errors import OptionError, OutputError, RobotFileError
-from hplan.terminal import CommandParser, command_parser, named_output, run_command
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from hplan.arrays import FloatArray
-    from hplan.path import Limits
-    from hplan.trajectory import Trajectory
-    from hplan.waypoints import Machine
+    from hplan.base.arrays import FloatArray
+    from hplan.robot.limits import Limits
+    from hplan.timing.trajectory import Trajectory
+    from hplan.waypoints.timing import Machine
 
 #: Where the motion goes unless something else is said.
 OUT = Path("timed.csv")
@@ -112,8 +112,8 @@ def _prepare(arguments: argparse.Namespace) -> None:
 
 def _run(arguments: argparse.Namespace, console: Console) -> None:
     """Read, time, write, and say how it went."""
-    from hplan.trajectory import write_csv
-    from hplan.waypoints import read_machine, read_waypoints, time_waypoints
+    from hplan.timing.trajectory import write_csv
+    from hplan.waypoints.timing import read_machine, read_waypoints, time_waypoints
 
     machine = read_machine(arguments.urdf, arguments.joints, hold=dict(map(_held, arguments.hold)))
     waypoints = read_waypoints(arguments.waypoints, machine.joint_names)
@@ -142,8 +142,8 @@ def _held(text: str) -> tuple[str, float]:
 
 def _limits(arguments: argparse.Namespace, machine: Machine) -> Limits:
     """The URDF's limits, with acceleration (and jerk) from the YAML or the number given."""
-    from hplan.robot_files import read_limits
-    from hplan.waypoints import limits_of
+    from hplan.robot.files import read_limits
+    from hplan.waypoints.timing import limits_of
 
     torque = not arguments.no_torque
     if arguments.acceleration is not None:
@@ -183,7 +183,7 @@ def _show(
     from rich.markup import escape
     from rich.table import Table
 
-    from hplan.waypoints import AT_LIMIT, largest_deviation, limit_shares
+    from hplan.waypoints.timing import AT_LIMIT, largest_deviation, limit_shares
 
     full, paced = limit_shares(trajectory, limits), limit_shares(trajectory, limits.scaled(arguments.speed))
     facts = Table.grid(padding=(0, 2, 0, 2))

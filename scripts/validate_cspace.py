@@ -11,14 +11,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from hplan.cli.terminal import FAILED, add_robot, add_scene, command_parser, prepare_folder, run_command
 from hplan.errors import OptionError, OutputError
-from hplan.terminal import FAILED, add_robot, add_scene, command_parser, prepare_folder, run_command
 
 if TYPE_CHECKING:
     from rich.console import Console
-
-    from hplan.validation import Comparison, Difference, Validation
-    from hplan.validation_kinds import KindsValidation
+    from studies.validation.cspace import Comparison, Difference, Validation
+    from studies.validation.kinds import KindsValidation
 
 RESULT, KINDS_RESULT = "validation.json", "validation-kinds.json"
 
@@ -76,7 +75,7 @@ def _run(arguments: argparse.Namespace, console: Console, errors: Console) -> in
         _show_kinds(console, kinds)
         ok, report = kinds.ok, kinds.as_dict()
     if path is not None:
-        from hplan.report import write_report
+        from hplan.base.report import write_report
 
         write_report(report, path)
         console.print(f"written to {path}\n", markup=False, soft_wrap=True)
@@ -136,9 +135,10 @@ def _validate(arguments: argparse.Namespace, errors: Console) -> Validation:
         step = 1.0 if arguments.step is None else arguments.step
         if not (math.isfinite(step) and step > 0.0):
             raise OptionError("--step", step, "a positive number of degrees")
-        from hplan.robot import load_robot
-        from hplan.scene_file import load_scene
-        from hplan.validation import validate_cspace
+        from studies.validation.cspace import validate_cspace
+
+        from hplan.robot.model import load_robot
+        from hplan.scene.file import load_scene
 
         robot = load_robot(arguments.robot, limits=arguments.limits)
         scene = load_scene(arguments.scene)
@@ -170,9 +170,10 @@ def _validate_kinds(arguments: argparse.Namespace, errors: Console) -> KindsVali
     with Progress(*columns, console=errors, transient=True, disable=not errors.is_terminal) as bars:
         task = bars.add_task("loading", total=None)
 
-        from hplan.robot import load_robot
-        from hplan.validation_kinds import CONFIGURATIONS, SCENES, validate_kinds
-        from hplan.validation_scenes import KINDS
+        from studies.validation.kinds import CONFIGURATIONS, SCENES, validate_kinds
+        from studies.validation.scenes import KINDS
+
+        from hplan.robot.model import load_robot
 
         return validate_kinds(
             load_robot(arguments.robot, limits=arguments.limits),
@@ -291,7 +292,7 @@ def _show(console: Console, result: Validation) -> None:
 
 def _show_differences(console: Console, result: Validation, c: Comparison) -> None:
     """The worst of the nodes that differ, both ways."""
-    from hplan.section import SECTION_ERROR
+    from hplan.cspace.sections import SECTION_ERROR
 
     pair = f"{c.link_model} and coal's {c.judge}"
     if c.faults:

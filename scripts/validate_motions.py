@@ -8,13 +8,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from hplan.cli.terminal import FAILED, command_parser, prepare_folder, run_command
 from hplan.errors import OptionError
-from hplan.terminal import FAILED, command_parser, prepare_folder, run_command
 
 if TYPE_CHECKING:
     from rich.console import Console
-
-    from hplan.validation_motions import Tally
+    from studies.validation.motions import Tally
 
 RESULT = "validation-motions.json"
 
@@ -46,7 +45,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _run(arguments: argparse.Namespace, console: Console, errors: Console) -> int:
     """Draw, look and show; returns the exit status."""
-    from hplan.validation_motions import GRAZING, MEMBERS, MOTIONS, validate_motions
+    from studies.validation.motions import GRAZING, MEMBERS, MOTIONS, validate_motions
 
     if arguments.out is not None:
         prepare_folder(arguments.out)
@@ -67,7 +66,7 @@ def _run(arguments: argparse.Namespace, console: Console, errors: Console) -> in
     )  # fmt: skip
     _show(console, tally)
     if arguments.out is not None:
-        from hplan.report import write_report
+        from hplan.base.report import write_report
 
         write_report(tally.as_dict(), arguments.out / RESULT)
         console.print(f"written to {arguments.out / RESULT}\n", markup=False, soft_wrap=True)

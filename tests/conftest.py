@@ -6,10 +6,10 @@ import pytest
 from hypothesis import settings
 from toy_urdf import urdf
 
-from hplan.machine import read_machine
-from hplan.robot import Robot, load_robot
-from hplan.scene import Scene
-from hplan.scene_file import load_scene
+from hplan.robot.model import Robot, load_robot
+from hplan.scene.file import load_scene
+from hplan.scene.model import Scene
+from hplan.waypoints.machine import read_machine
 
 # The same examples in every run, and no limit on the time of one: the first compiles kernels.
 settings.register_profile("hplan", derandomize=True, deadline=None)

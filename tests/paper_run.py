@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import functools
 
-from hplan.reproduction import measure
-from hplan.reproduction.results import Reproduction
+from studies.paper import measure
+from studies.paper.results import Reproduction
 
 #: The paper's figures, by its numbers, in the order in which a folder lists them.
 FIGURES = [

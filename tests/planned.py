@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from hplan.certificate import LIMIT_TOLERANCE
-from hplan.collision import CollisionScene
-from hplan.pipeline import PlanResult
-from hplan.robot import Robot
-from hplan.scene import Box, Capsule, Fruit, Goal, Scene, Sphere, Start
-from hplan.trajectory import Trajectory
+from hplan.collision.coal_scene import CollisionScene
+from hplan.planning.plan import PlanResult
+from hplan.robot.model import Robot
+from hplan.scene.model import Box, Capsule, Fruit, Goal, Scene, Sphere, Start
+from hplan.timing.trajectory import Trajectory
+from hplan.verification.certificate import LIMIT_TOLERANCE
 
 Obstacles = Sequence[Any]
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import coal
 import numpy as np
 
-from hplan.coal_shapes import solid_shape
-from hplan.scene import Solid
+from hplan.collision.coal_shapes import solid_shape
+from hplan.scene.model import Solid
 
 
 def blocks(filled: np.ndarray, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

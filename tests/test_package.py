@@ -10,9 +10,9 @@ from typing import Any
 import pytest
 
 import hplan
-from hplan.resources import scenes_dir, urdf_dir
-from hplan.robot import load_robot
-from hplan.scene_file import default_scene_path, load_scene
+from hplan.base.data_files import scenes_dir, urdf_dir
+from hplan.robot.model import load_robot
+from hplan.scene.file import default_scene_path, load_scene
 
 ROOT = Path(__file__).parents[1]
 
@@ -34,7 +34,7 @@ def test_resources_are_found() -> None:
 
 
 def test_installed_urdf_goes_before_the_checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("hplan.resources._PACKAGE", tmp_path / "hplan")
+    monkeypatch.setattr("hplan.base.data_files._PACKAGE", tmp_path / "hplan")
     (tmp_path / "hplan").mkdir()
     assert urdf_dir() == tmp_path / "urdf"
     (tmp_path / "hplan" / "urdf").mkdir()

@@ -19,12 +19,12 @@ from planned import fruit, task
 
 import hplan
 from hplan import errors
-from hplan.collision import CollisionScene
-from hplan.enclosure import EnclosedError
+from hplan.collision.coal_scene import CollisionScene
 from hplan.errors import HplanError
-from hplan.robot import Robot
-from hplan.scene import Goal, Mesh, PointCloud, Scene
-from hplan.solids import Cloud
+from hplan.planning.enclosure import EnclosedError
+from hplan.robot.model import Robot
+from hplan.scene.model import Goal, Mesh, PointCloud, Scene
+from hplan.scene.solids import Cloud
 
 SAMPLES = [
     HplanError("what", fact=1),

@@ -12,7 +12,7 @@ import pytest
 import trimesh
 
 import hplan
-from hplan.scene import PointCloud
+from hplan.scene.model import PointCloud
 
 README = Path(__file__).parents[1] / "README.md"
 

@@ -13,21 +13,21 @@ import numpy as np
 import pytest
 
 import hplan
-from hplan.arguments import decimal
-from hplan.corner_rounding import largest_deviation, rounded_path
+from hplan.base.arguments import decimal
+from hplan.base.files import write_text
 from hplan.errors import HplanError, InputError, SceneError
-from hplan.execution import execute
-from hplan.files import write_text
-from hplan.grid import Grid, Occupancy
-from hplan.motion import Motion, read_motion
 from hplan.orchard import FruitZone, OrchardOptions, fruit_at_tips, generate, import_capsules, measured_orchard
-from hplan.robot_family import HARVESTER, ArmSpec, cross_check, write_robot
-from hplan.scene import Box, Capsule, Fruit, Goal, Mesh, PointCloud, Scene, Sphere, Start
-from hplan.scene_file import dump_scene, parse_scene
+from hplan.robot.tracking import TrackingModel
+from hplan.robot_family.members import HARVESTER, ArmSpec, cross_check, write_robot
+from hplan.scene.file import dump_scene, parse_scene
+from hplan.scene.model import Box, Capsule, Fruit, Goal, Mesh, PointCloud, Scene, Sphere, Start
 from hplan.search import dense_search, reachable, slices_with_path, two_level_search
-from hplan.tour import TourOptions
-from hplan.tracking import TrackingModel
-from hplan.waypoints import limit_shares, limits_of, read_machine, read_waypoints, time_waypoints
+from hplan.search.grid import Grid, Occupancy
+from hplan.tour.tour import TourOptions
+from hplan.verification.recorded_motion import Motion, read_motion
+from hplan.verification.simulation import execute
+from hplan.waypoints.corner_rounding import largest_deviation, rounded_path
+from hplan.waypoints.timing import limit_shares, limits_of, read_machine, read_waypoints, time_waypoints
 
 NAN, INF = math.nan, math.inf
 
@@ -479,7 +479,7 @@ CASES: dict[str, Case] = {
         {"path": NO_FILE, "joint_names": (None, "a", [1], 1.0)},
     ),
     "write_report": (
-        lambda **given: importlib.import_module("hplan.report").write_report(**given),
+        lambda **given: importlib.import_module("hplan.base.report").write_report(**given),
         {"report": {}, "path": "a.json"},
         {"path": (*NO_PATH, ".")},
     ),
@@ -638,7 +638,14 @@ def test_a_scenes_errors_are_value_errors_too() -> None:
 
 
 def test_every_public_function_is_among_the_cases() -> None:
-    modules = ["hplan", "hplan.scene", "hplan.orchard", "hplan.waypoints", "hplan.search", "hplan.robot_family"]
+    modules = [
+        "hplan",
+        "hplan.scene.model",
+        "hplan.orchard",
+        "hplan.waypoints.timing",
+        "hplan.search",
+        "hplan.robot_family.members",
+    ]
     names = {name for module in modules for name in getattr(importlib.import_module(module), "__all__", ())}
     results = {"Certificate", "HplanError", "PlanResult", "Robot", "TourResult", "LimitShares", "Machine", "CrossCheck",
         "Expansions", "SearchResult", "StageTimes"}  # fmt: skip

@@ -9,12 +9,12 @@ import math
 from collections import Counter
 from pathlib import Path
 
-from hplan.csv_file import CsvFile
+from hplan.base.csv_file import CsvFile
 from hplan.errors import OptionError
 from hplan.orchard.checks import check_number, check_numbers
 from hplan.orchard.options import FARTHEST
 from hplan.orchard.pieces import capsule
-from hplan.scene import Capsule, Vector
+from hplan.scene.model import Capsule, Vector
 
 _NUMBERS = ("x1", "y1", "z1", "x2", "y2", "z2", "radius")
 _COLUMNS = ("kind", *_NUMBERS)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from numbers import Real
 from typing import Any
 
-from hplan.arguments import whole
+from hplan.base.arguments import whole
 from hplan.errors import OptionError
 
 

@@ -13,13 +13,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from hplan.arguments import instance, list_of, whole
-from hplan.arrays import FloatArray
+from hplan.base.arguments import instance, list_of, whole
+from hplan.base.arrays import FloatArray
 from hplan.errors import OptionError
 from hplan.orchard.checks import check_number
 from hplan.orchard.options import FruitZone
 from hplan.orchard.pieces import DECIMALS
-from hplan.scene import Capsule, Fruit
+from hplan.scene.model import Capsule, Fruit
 
 #: Gap that rounding cannot close [m].
 _GAP = 1e-4

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hplan.arguments import instance, list_of
+from hplan.base.arguments import instance, list_of
 from hplan.errors import OptionError
 from hplan.orchard.capsule_file import import_capsules
 from hplan.orchard.checks import check_number, check_numbers
@@ -16,7 +16,7 @@ from hplan.orchard.fruits import fruit_at_tips, hang_fruits
 from hplan.orchard.options import FARTHEST, TUCKED_DEG, FruitZone, OrchardOptions
 from hplan.orchard.pieces import DECIMALS, capsule, rounded
 from hplan.orchard.wood import Limb, grow_tree
-from hplan.scene import Box, Capsule, Fruit, Goal, Scene, Start
+from hplan.scene.model import Box, Capsule, Fruit, Goal, Scene, Start
 
 #: Radius of a post, and its height above the trees' and the topmost wire [m].
 _POST_RADIUS, _POST_SPARE = 0.04, 0.1

@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass
 from typing import Final, Literal, TypeAlias, get_args
 
-from hplan.arguments import one_of
+from hplan.base.arguments import one_of
 from hplan.errors import OptionError
 from hplan.orchard.checks import check_numbers, keep_count, keep_number
 

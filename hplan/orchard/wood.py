@@ -14,7 +14,7 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from hplan.arrays import FloatArray
+from hplan.base.arrays import FloatArray
 from hplan.orchard.options import OrchardOptions
 
 Kind: TypeAlias = Literal["trunk", "arm", "branch", "shoot"]

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from hplan.arrays import FloatArray, IntArray, ShortArray, WordArray
-from hplan.kernels import inlined, kernel
+from hplan.base.arrays import FloatArray, IntArray, ShortArray, WordArray
+from hplan.base.kernels import inlined, kernel
 from hplan.search.bits import lowest_bit, popcount
 from hplan.search.heap import begin, pop, push
 from hplan.search.lattice import Lattice

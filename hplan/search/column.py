@@ -11,11 +11,11 @@ import math
 
 import numpy as np
 
-from hplan.arrays import FloatArray, IntArray, WordArray
-from hplan.kernels import kernel
+from hplan.base.arrays import FloatArray, IntArray, WordArray
+from hplan.base.kernels import kernel
 from hplan.search.flood import flood_from
 from hplan.search.lattice import Lattice
-from hplan.search.layers import SliceSearch, slice_words
+from hplan.search.slice_search import SliceSearch, slice_words
 
 
 def by_column(

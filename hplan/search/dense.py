@@ -6,10 +6,10 @@ import time
 
 from numpy.typing import ArrayLike
 
-from hplan.arrays import frozen
-from hplan.grid import Occupancy
+from hplan.base.arrays import frozen
 from hplan.search.astar import astar
 from hplan.search.endpoints import check_occupancy, checked_node
+from hplan.search.grid import Occupancy
 from hplan.search.lattice import Lattice
 from hplan.search.node_set import NodeSet
 from hplan.search.result import Expansions, SearchResult, StageTimes

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hplan.arguments import instance
-from hplan.arrays import IntArray
+from hplan.base.arguments import instance
+from hplan.base.arrays import IntArray
 from hplan.errors import InputError
-from hplan.grid import Occupancy
+from hplan.search.grid import Occupancy
 
 
 def check_occupancy(occupancy: Occupancy) -> None:

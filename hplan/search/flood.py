@@ -9,11 +9,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hplan.arrays import BoolArray, IntArray, WordArray, frozen
-from hplan.grid import Occupancy
-from hplan.kernels import kernel
+from hplan.base.arrays import BoolArray, IntArray, WordArray, frozen
+from hplan.base.kernels import kernel
 from hplan.search.bits import lowest_bit, popcount
 from hplan.search.endpoints import check_occupancy, checked_node
+from hplan.search.grid import Occupancy
 from hplan.search.lattice import Lattice
 
 

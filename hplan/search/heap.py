@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from typing import TypeAlias
 
-from hplan.arrays import FloatArray, IntArray, ShortArray
-from hplan.kernels import inlined
+from hplan.base.arrays import FloatArray, IntArray, ShortArray
+from hplan.base.kernels import inlined
 
 #: Nodes or places, of either size.
 Numbers: TypeAlias = IntArray | ShortArray

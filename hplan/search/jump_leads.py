@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from hplan.arrays import IntArray, WordArray
-from hplan.kernels import kernel
+from hplan.base.arrays import IntArray, WordArray
+from hplan.base.kernels import kernel
 
 #: (8, 2) the directions in which an obstacle lets a path turn.
 SIDES = np.array([[2, 3], [2, 3], [0, 1], [0, 1], [1, 3], [0, 3], [1, 2], [0, 2]])

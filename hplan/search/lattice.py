@@ -13,8 +13,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from hplan.arrays import FloatArray, IntArray, Record, WordArray, readonly
-from hplan.grid import words_for
+from hplan.base.arrays import FloatArray, IntArray, Record, WordArray, readonly
+from hplan.search.grid import words_for
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hplan.arrays import IntArray, ShortArray, WordArray
-from hplan.kernels import kernel
+from hplan.base.arrays import IntArray, ShortArray, WordArray
+from hplan.base.kernels import kernel
 from hplan.search.bits import popcount
 
 

@@ -12,11 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hplan.arrays import BoolArray, IntArray, ShortArray, WordArray
-from hplan.kernels import any_int, kernel
+from hplan.base.arrays import BoolArray, IntArray, ShortArray, WordArray
+from hplan.base.kernels import any_int, kernel
 from hplan.search.lattice import Lattice
-from hplan.search.layers import Layers
 from hplan.search.node_set import NodeSet, ranked
+from hplan.search.slice_search import Layers
 
 #: No slice.
 _NONE = any_int(-1)

@@ -8,8 +8,8 @@ from typing import Literal
 
 import numpy as np
 
-from hplan.arrays import BoolArray, FloatArray, IntArray, Record
-from hplan.search.layers import Layers
+from hplan.base.arrays import BoolArray, FloatArray, IntArray, Record
+from hplan.search.slice_search import Layers
 
 #: What carried the path, or the verdict that there is none: the union of the slices between start and goal; the union
 #: of all slices; flooding, and the dense search on what it reached; a column, free in all slices between; two

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hplan.arrays import FloatArray, IntArray, frozen
-from hplan.kernels import kernel
+from hplan.base.arrays import FloatArray, IntArray, frozen
+from hplan.base.kernels import kernel
 from hplan.search.heap import begin, pop, push
 from hplan.search.lattice import Lattice
 from hplan.search.node_set import NodeSet

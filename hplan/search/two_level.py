@@ -18,18 +18,18 @@ from dataclasses import dataclass
 
 from numpy.typing import ArrayLike
 
-from hplan.arrays import IntArray, WordArray, frozen
-from hplan.grid import Occupancy
+from hplan.base.arrays import IntArray, WordArray, frozen
 from hplan.search.astar import astar
 from hplan.search.column import by_column
 from hplan.search.endpoints import check_occupancy, checked_node
 from hplan.search.flood import flood_from, has_bit
+from hplan.search.grid import Occupancy
 from hplan.search.lattice import Lattice
-from hplan.search.layers import Layers, SliceSearch, search_layers
 from hplan.search.node_set import NodeSet
 from hplan.search.restoration import union_of
 from hplan.search.result import Expansions, Fallback, SearchResult, StageTimes, path_cost
 from hplan.search.row_bounds import row_bounds
+from hplan.search.slice_search import Layers, SliceSearch, search_layers
 from hplan.search.wavefront import meet
 
 #: Axes from which on the fallback is by wavefronts.

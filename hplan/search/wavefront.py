@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hplan.arrays import FloatArray, IntArray, WordArray, frozen
-from hplan.kernels import kernel
+from hplan.base.arrays import FloatArray, IntArray, WordArray, frozen
+from hplan.base.kernels import kernel
 from hplan.search.bits import lowest_bit, popcount
 from hplan.search.flood import flood_from, has_bit, in_lines
 from hplan.search.lattice import Lattice

@@ -11,9 +11,9 @@ from typing import Any
 
 from numpy.typing import ArrayLike
 
-from hplan.arrays import FloatArray
-from hplan.view import three
-from hplan.view.three import Body, Json
+from hplan.base.arrays import FloatArray
+from hplan.view import three_js as three
+from hplan.view.three_js import Body, Json
 
 #: Path of the node that holds all.
 ROOT = "/hplan"

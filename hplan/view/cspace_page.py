@@ -11,14 +11,15 @@ from pathlib import Path
 
 import numpy as np
 
-from hplan.arrays import FloatArray
-from hplan.files import write_text
-from hplan.view import framing, three
+from hplan.base.arrays import FloatArray
+from hplan.base.files import write_text
+from hplan.view import framing
+from hplan.view import three_js as three
 from hplan.view.commands import ROOT, animation, clip, moving, node, set_object, set_transform
-from hplan.view.figures_3d import surface_net
+from hplan.view.cspace_surface import surface_net
 from hplan.view.page import document
-from hplan.view.stage import GOAL_COLOR, REST_S, START_COLOR
-from hplan.view.three import Body, Json
+from hplan.view.scene_stage import GOAL_COLOR, REST_S, START_COLOR
+from hplan.view.three_js import Body, Json
 from hplan.view.yaw_section import YawSection
 
 REGION_COLOR = 0xE07B39

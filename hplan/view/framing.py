@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hplan.arrays import FloatArray
-from hplan.view import three
+from hplan.base.arrays import FloatArray
+from hplan.view import three_js as three
 from hplan.view.commands import set_object, set_property
-from hplan.view.three import Json
+from hplan.view.three_js import Json
 
 #: The picture is composed for windows at least this wide (width / height).
 ASPECT = 1.3

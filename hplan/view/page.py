@@ -17,16 +17,16 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from hplan.child_process import import_environment, python_module
+from hplan.base.child_process import import_environment, python_module
+from hplan.base.files import write_text
 from hplan.errors import HplanError
-from hplan.files import write_text
-from hplan.robot import Robot
-from hplan.scene import Scene
-from hplan.trajectory import Trajectory
+from hplan.robot.model import Robot
+from hplan.scene.model import Scene
+from hplan.timing.trajectory import Trajectory
 from hplan.view import scenery
 from hplan.view.framing import ASPECT
-from hplan.view.stage import APPROACH_COLOR, GOAL_COLOR, START_COLOR, Stretch, stage
-from hplan.view.three import Json
+from hplan.view.scene_stage import APPROACH_COLOR, GOAL_COLOR, START_COLOR, Stretch, stage
+from hplan.view.three_js import Json
 
 #: Longest wait for the live server [s].
 START_S = 60.0

@@ -15,13 +15,13 @@ from typing import assert_never
 
 import numpy as np
 
-from hplan.arrays import FloatArray
+from hplan.base.arrays import FloatArray
 from hplan.errors import InputError
-from hplan.scene import Box, Capsule, Fruit, Mesh, PointCloud, Scene, Sphere
-from hplan.view import three
+from hplan.scene.model import Box, Capsule, Fruit, Mesh, PointCloud, Scene, Sphere
+from hplan.view import three_js as three
 from hplan.view.commands import ROOT, clip, moving, node, set_object, set_property, set_transform, showing
 from hplan.view.framing import FIELD_OF_VIEW_DEG
-from hplan.view.three import Body, Json
+from hplan.view.three_js import Body, Json
 
 
 @dataclass(frozen=True)

@@ -13,16 +13,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hplan.arrays import FloatArray, frozen
+from hplan.base.arrays import FloatArray, frozen
 from hplan.errors import InputError, OptionError
-from hplan.grid import Grid
-from hplan.options import PlanOptions
-from hplan.robot import Robot
-from hplan.scene import Scene
-from hplan.surroundings import Surroundings
-from hplan.trajectory import Trajectory
-from hplan.view.figures_3d import hidden
-from hplan.view.stage import Stretch
+from hplan.problem.options import PlanOptions
+from hplan.problem.world import Surroundings
+from hplan.robot.model import Robot
+from hplan.scene.model import Scene
+from hplan.search.grid import Grid
+from hplan.timing.trajectory import Trajectory
+from hplan.view.cspace_surface import hidden
+from hplan.view.scene_stage import Stretch
 
 #: Spacing of the grid on which the region is found, and its most nodes, about.
 _STEP_DEG, _MOST_NODES = 2.0, 100_000

@@ -10,8 +10,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from hplan.arrays import BoolArray, FloatArray, IntArray
-from hplan.grid import Grid, Occupancy
+from hplan.base.arrays import BoolArray, FloatArray, IntArray
+from hplan.search.grid import Grid, Occupancy
 
 Node = tuple[int, ...]
 

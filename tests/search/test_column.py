@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from reference import assert_path, component, make_occupancy
 
-from hplan.arrays import BoolArray, FloatArray, IntArray
+from hplan.base.arrays import BoolArray, FloatArray, IntArray
 from hplan.search import two_level_search
 from hplan.search.astar import astar
 from hplan.search.column import by_column

@@ -11,9 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from reference import make_occupancy, path_cost, shortest
 
-from hplan.arrays import BoolArray, IntArray
+from hplan.base.arrays import BoolArray, IntArray
+from hplan.search.direct_slices import MonotonePaths
 from hplan.search.lattice import Lattice
-from hplan.search.monotone import MonotonePaths
 
 
 def paths_of(free: BoolArray, start: list[int], goal: list[int], wanted: range) -> tuple[MonotonePaths, list[IntArray]]:

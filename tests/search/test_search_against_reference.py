@@ -10,7 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from reference import assert_path, component, make_occupancy, path_cost, shortest, slice_paths, union_mask
 
-from hplan.arrays import BoolArray, FloatArray, IntArray
+from hplan.base.arrays import BoolArray, FloatArray, IntArray
 from hplan.search import dense_search, reachable, slices_with_path, two_level_search
 
 STEPS = [1.0, 1.0, 0.3, 2.5, 0.01]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from reference import make_occupancy, neighbours, shortest
 
-from hplan.arrays import FloatArray
+from hplan.base.arrays import FloatArray
 from hplan.search.astar import _bound
 from hplan.search.lattice import Lattice
 from hplan.search.node_set import NodeSet

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from reference import assert_path, component, make_occupancy, shortest
 
-from hplan.arrays import BoolArray
+from hplan.base.arrays import BoolArray
 from hplan.search import Fallback, SearchResult, reachable, two_level_search
 
 SHAPE = (7, 6, 10)

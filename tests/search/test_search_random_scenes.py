@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hplan.reproduction.random_scenes import compare
+from studies.paper.random_scenes import compare
 
 
 def test_two_level_agrees_with_dense_on_random_scenes() -> None:

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from reference import assert_path, make_occupancy, path_cost
+from studies.paper.random_scenes import GRID, disc_occupancy
 
-from hplan.arrays import BoolArray
+from hplan.base.arrays import BoolArray
+from hplan.cspace.sections import LinkModel
 from hplan.errors import InputError
-from hplan.grid import Grid, Occupancy
-from hplan.reproduction.random_scenes import GRID, disc_occupancy
 from hplan.search import SearchResult, dense_search, reachable, slices_with_path, two_level_search
-from hplan.section import LinkModel
+from hplan.search.grid import Grid, Occupancy
 
 START, GOAL = [0, 0, 0], [45, 60, 70]
 DISC = np.array([[1.0, 1.3, 0.15]])

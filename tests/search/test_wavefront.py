@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from reference import assert_path, component, make_occupancy
 
-from hplan.arrays import BoolArray, IntArray
+from hplan.base.arrays import BoolArray, IntArray
 from hplan.search.lattice import Lattice
 from hplan.search.wavefront import Wavefronts, meet
 

@@ -11,16 +11,17 @@ from typing import Any
 import numpy as np
 import pytest
 from PIL import Image
+from studies.view import figure_data, figures, figures_arm
 
-from hplan import cspace
-from hplan.arrays import FloatArray, IntArray
+from hplan.base.arrays import FloatArray, IntArray
+from hplan.cspace import occupancy as cspace
+from hplan.cspace.sections import ArmSections, RoundedPolygon, arm_sections, planar_sections
 from hplan.errors import InputError
-from hplan.grid import Grid, Occupancy
-from hplan.robot import PlanarArm, load_robot
-from hplan.scene_file import load_scene
+from hplan.robot.model import PlanarArm, load_robot
+from hplan.scene.file import load_scene
 from hplan.search import SearchResult, dense_search, two_level_search
-from hplan.section import ArmSections, RoundedPolygon, arm_sections, planar_sections
-from hplan.view import figure_data, figures, figures_3d, figures_arm
+from hplan.search.grid import Grid, Occupancy
+from hplan.view import cspace_surface as figures_3d
 
 
 @dataclass(frozen=True)
@@ -112,7 +113,7 @@ def test_the_same_figure_gives_the_same_bytes(case: Case) -> None:
 
 def test_figures_never_import_pyplot() -> None:
     code = (
-        "import sys; from hplan.reproduction.figure_link_cases import link_case;"
+        "import sys; from studies.paper.figure_link_cases import link_case;"
         "from hplan.view import figures, figures_3d; assert 'matplotlib' not in sys.modules;"
         "figures.png_bytes(link_case(1), 40); assert 'matplotlib.pyplot' not in sys.modules"
     )

@@ -19,16 +19,16 @@ from PIL import Image
 from shapes import crate
 
 from hplan.errors import InputError, OutputError
-from hplan.pipeline import Phase
-from hplan.robot import Robot, load_robot
-from hplan.robot_family import ArmSpec, write_robot
-from hplan.scene import Box, Capsule, Fruit, Goal, Mesh, PointCloud, Scene, Sphere, Start
-from hplan.scene_file import load_scene
-from hplan.trajectory import Trajectory
-from hplan.view import three
+from hplan.planning.plan import Phase
+from hplan.robot.model import Robot, load_robot
+from hplan.robot_family.members import ArmSpec, write_robot
+from hplan.scene.file import load_scene
+from hplan.scene.model import Box, Capsule, Fruit, Goal, Mesh, PointCloud, Scene, Sphere, Start
+from hplan.timing.trajectory import Trajectory
+from hplan.view import three_js as three
 from hplan.view.page import render_page, serve, write_page
+from hplan.view.scene_stage import APPROACH_COLOR, FRAME_RATE_HZ, MOST_FRAMES, REST_S, keyframe_times, stage
 from hplan.view.scenery import OTHER
-from hplan.view.stage import APPROACH_COLOR, FRAME_RATE_HZ, MOST_FRAMES, REST_S, keyframe_times, stage
 
 CHROMIUM_FLAGS = (
     "--headless=new",
@@ -361,9 +361,9 @@ def test_a_path_that_cannot_be_written(robot: Robot, tmp_path: Path) -> None:
 def test_a_page_needs_no_import_of_meshcat() -> None:
     code = (
         "import sys, numpy as np\n"
-        "from hplan.robot import load_robot\n"
-        "from hplan.scene_file import load_scene\n"
-        "from hplan.trajectory import Trajectory\n"
+        "from hplan.robot.model import load_robot\n"
+        "from hplan.scene.file import load_scene\n"
+        "from hplan.timing.trajectory import Trajectory\n"
         "from hplan.view.page import render_page\n"
         "row = np.zeros((1, 4))\n"
         "robot = load_robot()\n"

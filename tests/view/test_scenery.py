@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 
 from hplan.errors import InputError
-from hplan.robot import Robot
-from hplan.scene import Box, Capsule, Fruit, Goal, Scene, Start
-from hplan.trajectory import Trajectory
-from hplan.view import framing, three
+from hplan.robot.model import Robot
+from hplan.scene.model import Box, Capsule, Fruit, Goal, Scene, Start
+from hplan.timing.trajectory import Trajectory
+from hplan.view import framing
+from hplan.view import three_js as three
 from hplan.view.page import render_page
+from hplan.view.scene_stage import REST_S, stage
 from hplan.view.scenery import BULK, LEAVES, METAL, OTHER, WOOD, Look, look_of, picks
-from hplan.view.stage import REST_S, stage
 
 CAPSULES = (
     Capsule(name="tree 1 branch 1", start=(1.6, 0.5, 0.0), end=(1.2, 0.1, 1.4), radius=0.03),
@@ -227,7 +228,7 @@ def test_covered() -> None:
 
 
 def test_a_smooth_surface_has_outward_normals() -> None:
-    from hplan.view.figures_3d import surface_net
+    from hplan.view.cspace_surface import surface_net
 
     grid = np.linalg.norm(np.stack(np.meshgrid(*[np.linspace(-1, 1, 21)] * 3, indexing="ij"), axis=-1), axis=-1) - 0.7
     vertices, faces = surface_net(grid)

@@ -19,16 +19,16 @@ import pytest
 
 import hplan
 from hplan.errors import HplanError
-from hplan.trajectory import Trajectory
+from hplan.timing.trajectory import Trajectory
 from hplan.view import page
 from hplan.view.page import LiveView, serve
 
 SERVE = """
 import signal, sys, numpy as np
 signal.signal(signal.SIGHUP, signal.SIG_DFL)  # which it is not where the tests run under nohup
-from hplan.robot import load_robot
-from hplan.scene_file import load_scene
-from hplan.trajectory import Trajectory
+from hplan.robot.model import load_robot
+from hplan.scene.file import load_scene
+from hplan.timing.trajectory import Trajectory
 from hplan.view.page import serve
 row = np.zeros((1, 4))
 robot = load_robot()

@@ -13,19 +13,19 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from hplan.cli import main
-from hplan.collision import CollisionScene
+from hplan.cli.main import main
+from hplan.collision.coal_scene import CollisionScene
 from hplan.errors import InputError, OptionError, OutputError
-from hplan.grid import Grid
-from hplan.options import PlanOptions
-from hplan.robot import Robot, load_robot
-from hplan.robot_family import HARVESTER, write_robot
-from hplan.scene import Capsule, Fruit, Goal, Scene, Sphere, Start
-from hplan.trajectory import Trajectory
+from hplan.problem.options import PlanOptions
+from hplan.robot.model import Robot, load_robot
+from hplan.robot_family.members import HARVESTER, write_robot
+from hplan.scene.model import Capsule, Fruit, Goal, Scene, Sphere, Start
+from hplan.search.grid import Grid
+from hplan.timing.trajectory import Trajectory
+from hplan.view.cspace_figure import cspace_at_yaw
 from hplan.view.cspace_page import render_cspace_page, write_cspace_page
+from hplan.view.cspace_surface import surface_net
 from hplan.view.figure_style import png_bytes, write_png
-from hplan.view.figures_3d import surface_net
-from hplan.view.figures_yaw import cspace_at_yaw
 from hplan.view.yaw_section import YawSection, yaw_section
 
 GOAL = (math.radians(30.0), math.pi / 4, math.pi / 3, math.radians(70.0))

@@ -1,0 +1,131 @@
+"""Checks of what public functions are given: each returns the value as it is used, or says what it should be.
+
+Values, not calls: a wrong number of arguments is Python's own `TypeError`. Arrays are looked at in
+`hplan.base.array_arguments`, for commands check paths before NumPy is loaded.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+from collections.abc import Callable, Iterable, Sequence
+from numbers import Integral, Real
+from pathlib import Path
+from typing import Any, Final, TypeVar
+
+from hplan.errors import OptionError
+
+_T = TypeVar("_T")
+
+#: A number in a file: digits 0 to 9, point, exponent; not `1_0`, `infinity`, `0x1` or digits of other scripts.
+DECIMAL: Final = re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?")
+
+
+def is_number(value: object) -> bool:
+    """Whether a value is a finite real number; truth values are none."""
+    if isinstance(value, bool) or not isinstance(value, Real):
+        return False
+    try:
+        return math.isfinite(value)
+    except OverflowError:  # a whole number beyond all floats
+        return False
+
+
+def number(option: str, value: Any, expected: str, accepts: Callable[[float], bool] = lambda _: True) -> float:
+    """A finite number that `accepts` lets pass.
+
+    Raises:
+        OptionError: It is none.
+    """
+    if not (is_number(value) and accepts(float(value))):
+        raise OptionError(option, value, expected)
+    return float(value)
+
+
+def whole(option: str, value: Any, least: int, most: int | None = None) -> int:
+    """A whole number in a range.
+
+    Raises:
+        OptionError: It is none.
+    """
+    is_whole = isinstance(value, Integral) and not isinstance(value, bool)
+    if not is_whole or value < least or (most is not None and value > most):
+        raise OptionError(option, value, f"a whole number >= {least}" + ("" if most is None else f" and <= {most}"))
+    return int(value)
+
+
+def truth(option: str, value: Any) -> bool:
+    """True or False.
+
+    Raises:
+        OptionError: It is neither.
+    """
+    if not isinstance(value, bool):
+        raise OptionError(option, value, "True or False")
+    return bool(value)
+
+
+def one_of(option: str, value: Any, choices: Sequence[str]) -> str:
+    """One of a few words.
+
+    Raises:
+        OptionError: It is none of them.
+    """
+    if not (isinstance(value, str) and value in choices):
+        raise OptionError(option, value, f"one of {', '.join(choices)}")
+    return value
+
+
+def instance(option: str, value: Any, kind: type[_T], where_from: str = "") -> _T:
+    """An object of a class.
+
+    Raises:
+        OptionError: It is none; `where_from` says where one comes from.
+    """
+    if not isinstance(value, kind):
+        raise OptionError(option, value, f"a {kind.__name__}{f', as from {where_from}' if where_from else ''}")
+    return value
+
+
+def file_path(option: str, value: Any) -> Path:
+    """A path.
+
+    Raises:
+        OptionError: It is no text or path, empty, or holds a null character.
+    """
+    text = os.fspath(value) if isinstance(value, os.PathLike) else value
+    if not isinstance(text, str) or not text or "\0" in text:
+        raise OptionError(option, value, "the path of a file")
+    return Path(text)
+
+
+def decimal(text: str) -> float | None:
+    """The finite number that a cell of a file holds, blanks about it allowed; None where it holds none."""
+    word = text.strip(" \t")
+    value = float(word) if DECIMAL.fullmatch(word) else math.inf
+    return value if math.isfinite(value) else None
+
+
+def is_float(text: str) -> bool:
+    """Whether Python takes a text for a number, as it does `nan` and `1_0`."""
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def list_of(option: str, values: Any, kind: Any, what: str) -> tuple[Any, ...]:
+    """Several objects of a class; a text is not taken letter by letter.
+
+    Raises:
+        OptionError: It is no list, or something else is in it.
+    """
+    if isinstance(values, str | bytes) or not isinstance(values, Iterable):
+        raise OptionError(option, values, f"a list of {what}")
+    items = tuple(values)
+    for index, item in enumerate(items):
+        if not isinstance(item, kind):
+            raise OptionError(f"{option}[{index}]", item, f"one of a list of {what}")
+    return items

@@ -1,0 +1,18 @@
+"""Where the files that ship with hplan are, installed or in a checkout."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+_PACKAGE = Path(__file__).resolve().parents[1]
+
+
+def urdf_dir() -> Path:
+    """Folder of the shipped robots: inside the package in a wheel, beside it in a checkout."""
+    installed = _PACKAGE / "urdf"
+    return installed if installed.is_dir() else _PACKAGE.parent / "urdf"
+
+
+def scenes_dir() -> Path:
+    """Folder of the shipped scenes."""
+    return _PACKAGE / "scenes"

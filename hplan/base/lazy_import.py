@@ -1,0 +1,61 @@
+"""Modules that a package imports but seldom uses, imported only when it does."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from types import ModuleType
+from typing import Any
+
+
+class _Deferred(ModuleType):
+    """Stands for a module until one of its attributes is asked for."""
+
+    def __getattr__(self, name: str) -> Any:
+        """The module's attribute."""
+        if sys.modules.get(self.__name__) is self:
+            del sys.modules[self.__name__]
+        return getattr(importlib.import_module(self.__name__), name)
+
+
+@contextmanager
+def deferred(*names: str) -> Iterator[None]:
+    """Import these modules inside the block, as `import name`, only when they are used.
+
+    Args:
+        names: Full names of modules, parents before what they contain. Modules that are there already stay.
+    """
+    made = {name: _Deferred(name) for name in names if name not in sys.modules}
+    for name, module in made.items():
+        parent, _, child = name.rpartition(".")
+        if parent in made:
+            setattr(made[parent], child, module)
+    sys.modules.update(made)
+    try:
+        yield
+    finally:
+        for name, module in made.items():
+            if sys.modules.get(name) is module:
+                del sys.modules[name]
+
+
+def lazy_names(package: str, homes: Mapping[str, tuple[str, ...]]) -> Callable[[str], Any]:
+    """A module-level `__getattr__` that loads a package's public names from their modules on first use.
+
+    Args:
+        package: Name of the package, its `__name__`.
+        homes: Public names for each module that defines them.
+    """
+    home_of = {name: module for module, names in homes.items() for name in names}
+
+    def load(name: str) -> Any:
+        """Load one name and keep it in the package."""
+        if name not in home_of:
+            raise AttributeError(f"module {package!r} has no attribute {name!r}")
+        value = getattr(importlib.import_module(home_of[name]), name)
+        vars(sys.modules[package])[name] = value
+        return value
+
+    return load

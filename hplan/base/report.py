@@ -1,0 +1,129 @@
+"""What a plan took and gave, as the numbers of `report.json`."""
+
+from __future__ import annotations
+
+import functools
+import json
+import math
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from importlib import metadata
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hplan.base.files import write_text
+from hplan.errors import HplanError
+
+if TYPE_CHECKING:
+    from hplan.problem.options import PlanOptions
+    from hplan.verification.certificate import Certificate
+
+#: Stages of a plan, in order.
+STAGES = (
+    "grasps", "roadmap", "cspace", "layers", "sparse", "fallback", "postprocess", "timing", "certificate", "export",
+)  # fmt: skip
+
+#: Packages whose versions a report names.
+_PACKAGES = ("hplan", "pin", "coal", "toppra", "numba", "numpy")
+
+
+class StageClock:
+    """Wall-clock time of each stage [s]; a stage entered again adds up."""
+
+    def __init__(self) -> None:
+        """Start the clock of the whole."""
+        self._begin = time.perf_counter()
+        self.seconds = dict.fromkeys(STAGES, 0.0)
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Time what runs inside as part of a stage."""
+        begin = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.add(name, time.perf_counter() - begin)
+
+    def add(self, name: str, seconds: float) -> None:
+        """Add time that was measured elsewhere."""
+        self.seconds[name] += seconds
+
+    def as_ms(self) -> dict[str, float]:
+        """Times by stage and in all [ms]."""
+        table = {name: round(1e3 * seconds, 4) for name, seconds in self.seconds.items()}
+        return {**table, "total": round(1e3 * (time.perf_counter() - self._begin), 4)}
+
+
+@functools.cache
+def _versions() -> dict[str, str]:
+    found = {}
+    for package in _PACKAGES:
+        try:
+            found[package] = metadata.version(package)
+        except metadata.PackageNotFoundError:
+            found[package] = "not installed as a package"
+    return found
+
+
+def versions() -> dict[str, str]:
+    """Versions of hplan and of what it stands on."""
+    return dict(_versions())
+
+
+def certificate_report(certificate: Certificate, options: PlanOptions) -> dict[str, Any]:
+    """What a certificate says, and what it is about, as `report.json` has it.
+
+    Args:
+        certificate: The certificate.
+        options: How it was asked for: tracking error and standard deviations.
+    """
+    nearest, digests = certificate.nearest, certificate.digests
+    return {
+        "verified": certificate.verified,
+        "min_clearance_m": certificate.min_clearance_m,
+        "nearest": None if nearest is None else vars(nearest),
+        "tracking_error_rad": options.tracking_error,
+        "tracking_delay_s": options.tracking_delay_s,
+        "sigmas": options.sigmas,
+        "goal_contact": certificate.goal_contact,
+        "contact_s": None if certificate.contact_s is None else list(certificate.contact_s),
+        "limit_use": vars(certificate.limit_use),
+        "violations": list(certificate.violations),
+        "digests": None if digests is None else vars(digests),
+    }
+
+
+def failure_report(error: HplanError, *, scene: str | None, robot: str | None) -> dict[str, Any]:
+    """The report of a plan that failed."""
+    return {
+        "status": "failed",
+        "scene": scene,
+        "robot": robot,
+        "error": error.as_dict(),
+        "versions": versions(),
+    }
+
+
+def write_report(report: dict[str, Any], path: Path | str) -> Path:
+    """Write a report as JSON (`report_text`).
+
+    Raises:
+        OutputError: The file cannot be written.
+    """
+    return write_text(path, report_text(report))
+
+
+def report_text(report: dict[str, Any]) -> str:
+    """A report as JSON; what is not finite becomes null, as JSON knows no infinity."""
+    return json.dumps(_plain(report), indent=2, allow_nan=False) + "\n"
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

@@ -1,0 +1,141 @@
+"""The folder that a planning command writes into: free of an earlier job's files, and filled at once or not at all.
+
+Files are made in a folder of their own inside it and then moved, the report before any trajectory. So wherever a job
+ends, by a fault, a full disk or a signal, no trajectory stands there without the report that belongs to it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import os
+import shutil
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from hplan.base.files import check_replaceable
+from hplan.cli.terminal import CommandParser, named_output, prepare_folder
+from hplan.errors import HplanError, InputError, OutputError
+
+#: Name of the folder in which a process makes its files.
+_STAGING = ".hplan-job-"
+
+
+class JobFolder:
+    """A folder, and the files in it that are a job's.
+
+    Attributes:
+        path: The folder.
+        robot: Name of the robot, once it is known; for the report of a failure.
+        scene: Name of the scene, likewise.
+    """
+
+    def __init__(self, path: Path, files: Sequence[str], report: str) -> None:
+        """Change nothing yet.
+
+        Args:
+            path: The folder.
+            files: Names of a job's files, or patterns of them.
+            report: Name of the report.
+        """
+        self.path = path
+        self.robot: str | None = None
+        self.scene: str | None = None
+        self._files = (*files, report)
+        self._report = report
+
+    @contextmanager
+    def job(self) -> Iterator[None]:
+        """Make the folder ready; should the job inside fail, leave nothing of it but its report.
+
+        Raises:
+            OutputError: The folder cannot be made or written.
+        """
+        prepare_folder(self.path)
+        self.clear()
+        try:
+            yield
+        except BaseException as error:
+            self.fail(error)
+            raise
+
+    @contextmanager
+    def filling(self) -> Iterator[Path]:
+        """A folder to write files into, which come to stand in this one when the block ends.
+
+        Raises:
+            OutputError: A file cannot be written, or moved to its place.
+        """
+        staging = self.path / f"{_STAGING}{os.getpid()}"
+        try:
+            try:
+                staging.mkdir()
+                yield staging
+                for file in sorted(staging.iterdir(), key=lambda file: (file.suffix == ".csv", file.name)):
+                    check_replaceable(self.path / file.name, self.path / file.name)
+                    file.replace(self.path / file.name)
+            except OutputError as error:
+                raise OutputError(self.path / error.path.name, error.reason) from error
+            except OSError as error:
+                name = Path(error.filename or staging).name
+                raise OutputError(self.path / name, error.strerror or str(error)) from error
+        finally:
+            shutil.rmtree(staging, ignore_errors=True)
+
+    def clear(self) -> None:
+        """Remove the files of a job; an earlier job's trajectory must not be taken for the result of this one.
+
+        What cannot be removed (a folder of that name) cannot be written either, and is reported then. What processes
+        that were killed have left goes too.
+        """
+        for pattern in self._files:
+            for file in sorted(self.path.glob(pattern)):
+                with contextlib.suppress(OSError):
+                    file.unlink(missing_ok=True)
+        for staging in self.path.glob(f"{_STAGING}*"):
+            number = staging.name.removeprefix(_STAGING)
+            if number.isdecimal() and not _runs(int(number)):
+                shutil.rmtree(staging, ignore_errors=True)
+
+    def fail(self, error: BaseException) -> None:
+        """Leave the report of a failed job; after a signal or a fault of hplan's own, nothing at all."""
+        from hplan.base.report import failure_report, write_report
+
+        self.clear()
+        if isinstance(error, HplanError):
+            with contextlib.suppress(OutputError):
+                write_report(failure_report(error, scene=self.scene, robot=self.robot), self.path / self._report)
+
+
+def parse_job(
+    parser: CommandParser, arguments: Sequence[str] | None, out: Path, folder_at: Callable[[Path], JobFolder]
+) -> argparse.Namespace:
+    """Understand the arguments of a command that writes into the folder `--out`.
+
+    Arguments that cannot be understood are a failed job as well, if the folder that they name is there.
+
+    Args:
+        parser: Of the command.
+        arguments: What it was given; None for the program's own.
+        out: Where files go unless something else is said.
+        folder_at: The job's folder at a path.
+    """
+
+    def refuse(message: str) -> None:
+        path = named_output(arguments, out)
+        if path is not None and path.is_dir():
+            folder_at(path).fail(InputError(message))
+
+    parser.on_usage_error = refuse
+    return parser.parse_args(arguments)
+
+
+def _runs(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:  # someone else's
+        return True
+    return True

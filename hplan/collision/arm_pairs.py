@@ -1,0 +1,135 @@
+"""Pairs of parts of the arm in coal, and what of the turret meets obstacles.
+
+The turret's shapes that are round about the yaw axis, and the pedestal, stand still: they are no part of any motion,
+and looked at once (`hplan.collision.coal_scene.base_contacts`). So is an obstacle that no point of a turning shape
+comes down to: a horizontal plane between the two stays between them, whatever the yaw.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import coal
+import numpy as np
+import pinocchio as pin
+
+from hplan.base.arrays import BoolArray
+from hplan.collision.coal_shapes import beyond_geometry, solid_shape
+from hplan.robot.base_shapes import BASE_DEPTH, GROUND, TURRET, BaseShape, always, filled, turning_shapes
+from hplan.robot.model import Robot
+from hplan.robot.self_contact import SelfContact
+from hplan.scene.model import Solid
+
+#: Heights that differ by less are the same [m].
+_ROUNDING = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class ArmPair:
+    """Two parts of the arm.
+
+    Attributes:
+        mover: The link, or `TURRET`.
+        other: What the motion is seen from: a link before it, `TURRET`, or `GROUND`.
+        mover_name: Name of its body.
+        other_name: Name of the other body.
+        shapes: The two shapes.
+    """
+
+    mover: int
+    other: int
+    mover_name: str
+    other_name: str
+    shapes: tuple[pin.GeometryObject, pin.GeometryObject]
+
+
+def link_pairs(robot: Robot, contact: SelfContact, shapes: Sequence[Sequence[pin.GeometryObject]]) -> Iterator[ArmPair]:
+    """Links against one another and against pedestal and turret, where they can touch.
+
+    Args:
+        robot: The arm.
+        contact: What can touch.
+        shapes: Shapes of each link.
+    """
+    names = robot.arm.link_names
+    for i, j in contact.links:
+        for pair in itertools.product(shapes[j], shapes[i]):
+            yield ArmPair(j, i, names[j], names[i], pair)
+    for body in contact.bodies:
+        placed = _placed(robot, body.shape)
+        for link in body.links:
+            for shape in shapes[link]:
+                yield ArmPair(link, body.carrier, names[link], body.name, (shape, placed))
+
+
+def fold_pairs(robot: Robot, contact: SelfContact, capsules: Sequence[pin.GeometryObject]) -> Iterator[ArmPair]:
+    """Neighbours that can fold into one another: what of one is beyond the joint's own reach, and the whole other one.
+
+    Args:
+        robot: The arm.
+        contact: What can touch.
+        capsules: Capsule of each link, z from its joint to the next.
+    """
+    names = robot.arm.link_names
+    for fold in contact.folds:
+        inner, outer = capsules[fold.inner], capsules[fold.inner + 1]
+        for trimmed in fold.trims:
+            pair = (_beyond_joint(outer, fold.own_reach, 1.0), inner)
+            if trimmed == fold.inner:
+                pair = (outer, _beyond_joint(inner, fold.own_reach, -1.0))
+            yield ArmPair(fold.inner + 1, fold.inner, names[fold.inner + 1], names[fold.inner], pair)
+
+
+def turret_pairs(robot: Robot, contact: SelfContact) -> Iterator[ArmPair]:
+    """Turning shapes of the turret against those of the pedestal."""
+    for shape, other in contact.turret:
+        pair = (_placed(robot, shape.number), _placed(robot, other.number))
+        yield ArmPair(TURRET, GROUND, shape.name, other.name, pair)
+
+
+def turret_shapes(robot: Robot) -> dict[str, tuple[list[BaseShape], list[pin.GeometryObject]]]:
+    """By body, the shapes of the turret that are not round about the yaw axis, and the same in coal."""
+    found: dict[str, tuple[list[BaseShape], list[pin.GeometryObject]]] = {}
+    for shape in turning_shapes(robot):
+        shapes, placed = found.setdefault(shape.name, ([], []))
+        shapes.append(shape)
+        placed.append(_placed(robot, shape.number))
+    return found
+
+
+def below(robot: Robot, shape: BaseShape, obstacles: Sequence[Solid]) -> BoolArray:
+    """(obstacles,) which ones a turning shape never comes down to, or stands on.
+
+    Turning about the vertical keeps heights: an obstacle whose top is not above the shape's bottom is never entered.
+    One that is, by `BASE_DEPTH` at most, carries the shape where it is within `BASE_DEPTH` of it at every yaw, as the
+    ground is; one that the shape only turns over, or into, is in its way.
+    """
+    tops = np.array([float(obstacle.core[:, 2].max()) + obstacle.rounding for obstacle in obstacles])
+    never: BoolArray = tops <= shape.bottom + _ROUNDING
+    for number in np.flatnonzero(~never & (tops <= shape.bottom + BASE_DEPTH)).tolist():
+        body, beyond = solid_shape(obstacles[number]), beyond_geometry(obstacles[number])
+
+        def distance(yaw: float, body: pin.GeometryObject = body, beyond: float = beyond) -> float:
+            return shape.distance_to(yaw, body.geometry, body.placement) - beyond
+
+        low, high = float(robot.lower[0]), float(robot.upper[0])
+        never[number] = always(distance, low, high, shape.radius, BASE_DEPTH)
+    return never
+
+
+def _placed(robot: Robot, number: int) -> pin.GeometryObject:
+    """A shape of pedestal or turret, filled."""
+    shape = robot.collision_model.geometryObjects[number]
+    return pin.GeometryObject(f"body:{number}", shape.parentJoint, shape.placement, filled(shape))
+
+
+def _beyond_joint(capsule: pin.GeometryObject, reach: float, along: float) -> pin.GeometryObject:
+    """What of a link's capsule is farther than `reach` from its joint (`along` 1), or from the next one (-1)."""
+    geometry = capsule.geometry
+    length = 2.0 * float(geometry.halfLength) - reach
+    shifted = capsule.placement * pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.5 * along * reach]))
+    return pin.GeometryObject(
+        f"{capsule.name}:beyond:{along:g}", capsule.parentJoint, shifted, coal.Capsule(float(geometry.radius), length)
+    )

@@ -1,0 +1,172 @@
+"""Clearance of the arm in 3-D, and motions shown clear over continuous time.
+
+Distances are exact for capsule links against balls, capsules, boxes, hulls and clouds of balls. A motion is shown clear
+by a bound on how far each link moves (`hplan.collision.clearance_kernels`).
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hplan.base.arrays import BoolArray, FloatArray, IntArray, Record, frozen, readonly
+from hplan.collision.clearance_kernels import clearances_along, link_clearances, mark_near, path_is_clear
+from hplan.collision.obstacle_rows import GATE, rows_of
+from hplan.errors import OptionError
+from hplan.robot.model import Robot
+from hplan.scene.model import Solid
+
+#: Largest turn of a joint between two looks at what is near a motion.
+_NEAR_STEP = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class ClearanceField(Record):
+    """Arm and obstacles as flat arrays, ready for the kernels.
+
+    Attributes:
+        chain: (links, 4) rows: length, half-width with the link's sway [m], sign, zero offset.
+        base: (10,) shoulder position, the plane's horizontal and upward axes, all at yaw 0; 1 where joint 0 is a yaw.
+        solids: (rows, 21) balls, capsules, boxes, hulls and nodes of clouds, grown by the clearance to keep.
+        data: Facets and edges of hulls, and points of clouds, one after the other; rows say where.
+        owner: (rows,) index of the solid behind each row, -1 for parts of the arm.
+    """
+
+    chain: FloatArray
+    base: FloatArray
+    solids: FloatArray
+    data: FloatArray
+    owner: IntArray
+
+    @classmethod
+    def of(
+        cls,
+        robot: Robot,
+        obstacles: Sequence[Solid],
+        *,
+        clearance: ArrayLike = 0.0,
+        own_clearance: float | None = None,
+        deviation: float = 0.0,
+    ) -> ClearanceField:
+        """The field of a robot among obstacles.
+
+        Args:
+            robot: The arm.
+            obstacles: What it keeps clear of.
+            clearance: By how much each of them is grown [m], one number or one for each.
+            own_clearance: Clearance that parts of the arm are to keep from one another [m]; None for the smallest of
+                the others.
+            deviation: By how much every joint may be off [rad]; each link is as much thicker as it may then sway.
+        """
+        arm = robot.arm
+        widths = arm.half_widths + robot.sway(deviation)
+        base = [*robot.plane_origin, *robot.plane_axes[0], *robot.plane_axes[1], float(robot.has_yaw)]
+        solids, data, owner = rows_of(robot, obstacles, clearance, own_clearance, deviation)
+        return cls(
+            chain=readonly(np.column_stack([arm.lengths, widths, arm.signs, arm.offsets])),
+            base=readonly(base),
+            solids=readonly(solids),
+            data=readonly(data),
+            owner=readonly(owner, np.int64),
+        )
+
+    def only(self, kept: BoolArray) -> ClearanceField:
+        """The field of some of the solids, and of the arm itself.
+
+        Args:
+            kept: (solids,) which of them.
+        """
+        return self._of_rows(np.append(kept, True)[self.owner])
+
+    def sparing(self, touched: BoolArray) -> ClearanceField:
+        """The field where the last link may touch some of the solids.
+
+        Args:
+            touched: (solids,) which of them.
+        """
+        if len(self.chain) < 2:
+            return self.only(~touched)
+        rows = np.append(touched, False)[self.owner]
+        first = rows & (np.concatenate([[-2], self.owner[:-1]]) != self.owner)  # where a gate comes before the row
+        before = np.concatenate([[0], np.cumsum(first)])
+        solids = np.insert(self.solids, np.flatnonzero(first), 0.0, axis=0)
+        moved = np.arange(len(rows)) + before[1:]
+        solids[moved, 20] = self.solids[:, 20] + before[self.solids[:, 20].astype(np.int64)]
+        ends = np.append(np.flatnonzero(first), len(rows))[1:]
+        for start, end in zip(np.flatnonzero(first).tolist(), ends.tolist(), strict=True):
+            last = start + int(np.count_nonzero(self.owner[start:end] == self.owner[start]))
+            gate = solids[start + before[start]]
+            gate[:] = self.solids[start]
+            gate[0], gate[6], gate[7], gate[8] = GATE, 0, len(self.chain) - 2, 0.0
+            gate[20] = last + before[last]
+        owner = np.insert(self.owner, np.flatnonzero(first), self.owner[first])
+        return replace(self, solids=frozen(solids), owner=frozen(owner))
+
+    def near(self, path: ArrayLike, distance: float) -> ClearanceField:
+        """The field of what is near a motion: for optimisers, who prove in the end with the whole one.
+
+        Args:
+            path: (m, dof) waypoints; between them the motion is looked at every `_NEAR_STEP`.
+            distance: Distance from the links up to which solids, by their bounding balls, are kept [m].
+        """
+        points = np.asarray(path, dtype=np.float64)
+        parts = [points[:1]]
+        for first, last in itertools.pairwise(points):
+            count = max(1, math.ceil(float(np.abs(last - first).max()) / _NEAR_STEP))
+            parts.append(first + np.linspace(0.0, 1.0, count + 1)[1:, None] * (last - first))
+        kept = np.zeros(len(self.solids), dtype=np.bool_)
+        mark_near(np.concatenate(parts), self.chain, self.base, self.solids, distance, kept)
+        return self._of_rows(kept)
+
+    def _of_rows(self, kept: BoolArray) -> ClearanceField:
+        """The field of some rows; where a node is left out, so is all below it."""
+        rows = np.flatnonzero(kept)
+        place = np.searchsorted(rows, np.arange(len(self.solids) + 1))  # where the rows kept come to stand
+        solids = self.solids[rows]
+        solids[:, 20] = place[solids[:, 20].astype(np.int64)]
+        return replace(self, solids=frozen(solids), owner=frozen(self.owner[rows]))
+
+    def link_clearances(self, q: ArrayLike) -> FloatArray:
+        """Clearance of each link at one configuration.
+
+        Args:
+            q: (dof,) configuration.
+
+        Returns:
+            (links,) distances to the nearest obstacle [m], inf without obstacles. Negative in contact; the depth is
+            exact for balls and for capsules whose axis is not crossed, a lower bound of the depth otherwise.
+        """
+        result = np.empty(len(self.chain))
+        link_clearances(np.asarray(q, dtype=np.float64), self.chain, self.base, self.solids, self.data, result)
+        return result
+
+    def along(self, configurations: ArrayLike) -> FloatArray:
+        """Clearances of the links at many configurations, (n, dof) -> (n, links) [m]; as `link_clearances`."""
+        points = np.array(configurations, dtype=np.float64, order="C")
+        result = np.empty((len(points), len(self.chain)))
+        clearances_along(points, self.chain, self.base, self.solids, self.data, result)
+        return result
+
+    def clearance(self, q: ArrayLike) -> float:
+        """Least clearance of any link at one configuration [m]."""
+        return float(self.link_clearances(q).min())
+
+    def is_clear(self, path: ArrayLike, margin: float) -> bool:
+        """Whether the straight joint-space motions between waypoints are shown clear.
+
+        Args:
+            path: (m, dof) waypoints.
+            margin: Clearance asked for wherever it is evaluated [m], positive. A step from clearance `d` may use up
+                `d` before the next look finds at least `margin`, so half of it is shown to be kept everywhere.
+        """
+        if not margin > 0.0:
+            raise OptionError("margin", margin, "a positive number of metres")
+        points = np.array(path, dtype=np.float64, order="C")
+        return bool(
+            np.isfinite(points).all() and path_is_clear(points, self.chain, self.base, self.solids, self.data, margin)
+        )

@@ -1,0 +1,86 @@
+r"""How far coal's distances may be above the true ones.
+
+Measured on coal 3.0 against long double arithmetic; a proof takes these off every distance.
+
+- Where coal iterates (GJK, shapes with corners), 60,000 pairs of hulls of the size of an arm were over by 1.2e-6 m at
+  most: `ITERATION`.
+- Next to boxes of 1e5 m by 36e-6 m, of 1e8 m by 0.8e-3 m: `SIZE` for each metre of the larger shape.
+- Axes of capsules of lengths :math:`l_1, l_2` with :math:`l_1 l_2 \sin \theta \le 1.5 \cdot 10^{-7}` m² are taken for
+  parallel, and any pair of their points for the nearest. So the distance is over by at most
+  :math:`\min(l_1, l_2) \sin \theta \le 1.5 \cdot 10^{-7} / \max(l_1, l_2)` m², and by the shorter length: 30e-6 m
+  between capsules of 5 mm.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import coal
+import numpy as np
+import pinocchio as pin
+
+from hplan.base.arrays import FloatArray
+from hplan.scene.model import Box, Capsule, Solid, Sphere
+
+#: Where coal iterates [m].
+ITERATION = 2e-6
+
+#: By size of the larger shape [m/m].
+SIZE = 1e-9
+
+#: Axes of capsules: square root of 100 machine epsilons, which is where coal draws the line [m^2].
+PARALLEL = 1.5e-7
+
+
+def distance_errors(
+    movers: Sequence[pin.GeometryObject],
+    solids: Sequence[Solid],
+    pairs: Sequence[tuple[pin.GeometryObject, pin.GeometryObject]],
+) -> FloatArray:
+    """By how much distances may be too large [m].
+
+    Args:
+        movers: Shapes of the arm.
+        solids: Obstacles.
+        pairs: Pairs of shapes of the arm.
+
+    Returns:
+        (movers * solids + pairs,) of each mover with each obstacle, mover by mover, then of the pairs.
+    """
+    first = np.array([_extent(shape) for shape in movers]).reshape(-1, 2)
+    second = np.array([_solid_extent(solid) for solid in solids]).reshape(-1, 2)
+    both = np.array([[_extent(shape) for shape in pair] for pair in pairs]).reshape(-1, 2, 2)
+    among = _errors(first[:, None], second[None])
+    return np.append(among, _errors(both[:, 0], both[:, 1]))
+
+
+def _errors(first: FloatArray, second: FloatArray) -> FloatArray:
+    """Errors of pairs, from (..., 2) size and length of axis of both."""
+    longer = np.maximum(first[..., 1], second[..., 1])
+    shorter = np.minimum(first[..., 1], second[..., 1])
+    with np.errstate(divide="ignore"):
+        parallel = np.minimum(np.where(longer > 0.0, PARALLEL / longer, 0.0), shorter)
+    errors: FloatArray = ITERATION + SIZE * np.maximum(first[..., 0], second[..., 0]) + parallel
+    return errors
+
+
+def _extent(shape: pin.GeometryObject) -> tuple[float, float]:
+    """Size of a shape, and the length of its axis if it is a capsule, else infinity [m]."""
+    geometry = shape.geometry
+    if isinstance(geometry, coal.Capsule):
+        return 2.0 * float(geometry.halfLength + geometry.radius), 2.0 * float(geometry.halfLength)
+    geometry.computeLocalAABB()
+    return 2.0 * float(geometry.aabb_radius), math.inf
+
+
+def _solid_extent(solid: Solid) -> tuple[float, float]:
+    """The same of an obstacle."""
+    if isinstance(solid, Sphere):
+        return 2.0 * solid.radius, math.inf
+    if isinstance(solid, Capsule):
+        length = math.dist(solid.start, solid.end)
+        return length + 2.0 * solid.radius, length
+    if isinstance(solid, Box):
+        return math.hypot(*solid.size), math.inf
+    return float(np.linalg.norm(np.ptp(solid.core, axis=0))) + 2.0 * solid.rounding, math.inf

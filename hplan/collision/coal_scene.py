@@ -1,0 +1,384 @@
+"""The scene in coal, by way of Pinocchio: the judge that shares no formula with the analytic planner."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+from weakref import WeakKeyDictionary
+
+import coal
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike
+
+from hplan.base import ties
+from hplan.base.arrays import BoolArray, FloatArray, IntArray
+from hplan.collision.arm_pairs import below, fold_pairs, link_pairs, turret_pairs, turret_shapes
+from hplan.collision.coal_accuracy import distance_errors
+from hplan.collision.coal_shapes import LINK_SHAPES, LinkShapes, beyond_geometry, link_shapes, solid_shape, urdf_shapes
+from hplan.collision.geometry_pairs import GeometryPairs
+from hplan.errors import ConfigurationInCollisionError, OptionError
+from hplan.robot.base_shapes import TURRET
+from hplan.robot.base_shapes import filled as _filled
+from hplan.robot.model import Robot
+from hplan.robot.self_contact import self_contact
+from hplan.scene.model import Solid
+from hplan.search.grid import Grid
+
+_BASE_RADII: WeakKeyDictionary[Robot, float] = WeakKeyDictionary()
+
+
+@dataclass(frozen=True)
+class Contact:
+    """A link and an obstacle, and the signed distance between them [m]."""
+
+    link: str
+    obstacle: str
+    distance_m: float
+
+    @property
+    def other(self) -> str:
+        """What the link is near to, in words."""
+        return f"obstacle {self.obstacle!r}"
+
+
+@dataclass(frozen=True)
+class OwnContact(Contact):
+    """A link and another part of the arm, `obstacle`, and the signed distance between them [m]."""
+
+    @property
+    def other(self) -> str:
+        """What the link is near to, in words."""
+        return f"link {self.obstacle!r}"
+
+
+class CollisionScene:
+    """Arm and obstacles as pairs of shapes, and their distances.
+
+    Pairs are each link shape with each obstacle, link by link, and so each shape of the turret that is not round about
+    the yaw axis; then those that there are of parts of the arm (`hplan.robot.self_contact`). Pedestal, and what of the
+    turret is round, do not meet obstacles here; `base_contacts` looks at those. By `links`, link shapes are
+
+    - `capsule`: the capsules of `robot.arm`, which hold the URDF's collision geometry;
+    - `box`: square beams from joint to joint, of the capsules' half-widths (in the arm plane: the paper's rectangle);
+    - `urdf`: the URDF's collision geometry itself, meshes by their convex hulls (as surfaces they are hollow to coal).
+
+    Neighbours that fold into one another are asked as capsules always.
+
+    A cloud is one tree of bounding volumes about its points, asked with its radius taken off the distance. Wherever a
+    link does not reach the points themselves the distance is right, and at most 2e-7 m too small; where it does,
+    the depth is at least the radius, and may be less than the true one.
+
+    Several threads may ask at once. A scene can be pickled; it is built anew from robot and obstacles.
+
+    Attributes:
+        robot: The arm.
+        links: Shape of the links.
+        link_names: Names of the links.
+        mover_names: The same, then names of the turret's bodies that have other shapes than round ones.
+        obstacle_names: Names of the obstacles; from `own_first` on of the parts of the arm that another can touch.
+        own_first: How many obstacles there are.
+        link_shapes: Shapes of the links, link by link.
+        pairs: Mover, by its place in `mover_names`, and obstacle or part, in `obstacle_names`, of each pair.
+        own_others: What the motion of each of the last of `pairs` is seen from: a link, `TURRET` or `GROUND`.
+        deviation: How far joints may be beyond their limits [rad]; parts of the arm that touch up to there are pairs.
+        clearance: Distance that parts of the arm are to keep from each other [m]; those that come nearer are pairs.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        obstacles: Sequence[Solid],
+        *,
+        links: LinkShapes = "capsule",
+        growth: ArrayLike = 0.0,
+        deviation: float = 0.0,
+        clearance: float = 0.0,
+        single_joint_pairs: bool = True,
+    ) -> None:
+        """Build the geometry of a robot among obstacles.
+
+        Args:
+            robot: The arm.
+            obstacles: Obstacles.
+            links: Shape of the links.
+            growth: By how much obstacles are grown [m], one number or one for each.
+            deviation: How far joints may be beyond their limits [rad].
+            clearance: Distance to be kept [m]; parts of the arm that cannot come so near to each other are no pairs.
+            single_joint_pairs: Whether pairs that depend on one joint alone, turret and folded neighbours, are among
+                the pairs: the C-space does not hold them, ranges of joints are narrowed instead.
+
+        Raises:
+            OptionError: Unknown link shape.
+        """
+        if links not in LINK_SHAPES:
+            raise OptionError("links", links, f"one of {', '.join(LINK_SHAPES)}")
+        self.robot = robot
+        self.links = links
+        self._built: dict[str, Any] = {
+            "robot": robot,
+            "obstacles": tuple(obstacles),
+            "links": links,
+            "growth": growth,
+            "deviation": deviation,
+            "clearance": clearance,
+            "single_joint_pairs": single_joint_pairs,
+        }
+        self._touched: tuple[str, ...] = ()
+        self.link_names = robot.arm.link_names
+        self.deviation = float(deviation)
+        self.clearance = float(clearance)
+        shapes = urdf_shapes(robot) if links == "urdf" else [[shape] for shape in link_shapes(robot, links)]
+        turret = turret_shapes(robot) if single_joint_pairs else {}
+        movers = [*shapes, *(placed for _, placed in turret.values())]
+        self.mover_names = (*self.link_names, *turret)
+        # The shapes of mover k are the rows from `_first_shape[k]` on.
+        self._first_shape = np.cumsum([0, *(len(of_mover) for of_mover in movers[:-1])])
+        self.link_shapes = [shape for of_link in shapes for shape in of_link]
+        self._mover_shapes = [shape for of_mover in movers for shape in of_mover]
+        #: What is to be taken off coal's distance of each shape from each obstacle [m].
+        beyond = np.array([beyond_geometry(obstacle) for obstacle in obstacles], dtype=np.float64)
+        beyond += np.asarray(growth, dtype=np.float64)
+        self._beyond: FloatArray = np.tile(beyond, (len(self._mover_shapes), 1))
+        for row, shape in enumerate(shape for of_body, _ in turret.values() for shape in of_body):
+            self._beyond[len(self.link_shapes) + row, below(robot, shape, obstacles)] = -np.inf
+        self.pairs = [
+            (mover, obstacle)
+            for mover, of_mover in enumerate(movers)
+            for _ in of_mover
+            for obstacle in range(len(obstacles))
+        ]
+        contact = self_contact(robot, deviation=deviation, clearance=clearance)
+        own = list(link_pairs(robot, contact, shapes))
+        if single_joint_pairs:
+            own += fold_pairs(robot, contact, link_shapes(robot, "capsule"))
+            own += turret_pairs(robot, contact)
+        self.own_others = [pair.other for pair in own]
+        self._own_shapes = [pair.shapes for pair in own]
+        self.own_first = len(obstacles)
+        parts = tuple(dict.fromkeys(pair.other_name for pair in own))
+        self.obstacle_names = (*(obstacle.name for obstacle in obstacles), *parts)
+        self.pairs += [
+            (
+                self.mover_names.index(pair.mover_name, len(shapes)) if pair.mover == TURRET else pair.mover,
+                self.own_first + parts.index(pair.other_name),
+            )
+            for pair in own
+        ]
+        # Parts of the arm do not grow.
+        self._taken_off: FloatArray = np.append(self._beyond, np.zeros(len(own)))
+        # By what they are: the same shape is added once.
+        numbers = {id(shape): number for number, shape in enumerate(self._mover_shapes)}
+        added: list[pin.GeometryObject] = []
+        for shape in (shape for pair in own for shape in pair.shapes):
+            if id(shape) not in numbers:
+                numbers[id(shape)] = len(self._mover_shapes) + len(added)
+                added.append(shape)
+        chosen = [(numbers[id(pair.shapes[0])], numbers[id(pair.shapes[1])]) for pair in own]
+        solids = [solid_shape(obstacle) for obstacle in obstacles]
+        self._geometry = GeometryPairs(robot.model, self._mover_shapes, solids, added, chosen)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What it is built from: Pinocchio's data cannot be pickled."""
+        return {"built": self._built, "touched": self._touched}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Build it."""
+        whole = CollisionScene(**state["built"])
+        for name in state["touched"]:
+            whole = whole.touching(name)
+        vars(self).update(vars(whole))
+
+    @cached_property
+    def distance_errors(self) -> FloatArray:
+        """(pairs,) by how much distances of `pairs` may be too large [m] (`hplan.collision.coal_accuracy`)."""
+        return distance_errors(self._mover_shapes, self._built["obstacles"], self._own_shapes)
+
+    def covering(self, deviation: float, clearance: float) -> CollisionScene:
+        """The same scene with the pairs that a tracking error [rad] and a clearance [m] ask for."""
+        if deviation <= self.deviation and clearance == self.clearance:
+            return self
+        if not any(
+            self_contact(self.robot, deviation=more, clearance=keep).possible
+            for more, keep in ((deviation, clearance), (self.deviation, self.clearance))
+        ):
+            return self
+        other = CollisionScene(**{**self._built, "deviation": max(deviation, self.deviation), "clearance": clearance})
+        for name in self._touched:
+            other = other.touching(name)
+        return other
+
+    def touching(self, name: str) -> CollisionScene:
+        """The same scene where the last link may touch the obstacles of a name: their distance counts as infinite."""
+        other = object.__new__(CollisionScene)
+        vars(other).update(vars(self))
+        other._touched = (*self._touched, name)
+        other._beyond = self._beyond.copy()
+        named = [obstacle == name for obstacle in self.obstacle_names[: self.own_first]]
+        last = slice(self._first_shape[len(self.link_names) - 1], len(self.link_shapes))
+        other._beyond[last, named] = -np.inf
+        other._taken_off = self._taken_off.copy()
+        other._taken_off[: self._beyond.size] = other._beyond.ravel()
+        return other
+
+    def distances(self, q: ArrayLike) -> FloatArray:
+        """Signed distances at one configuration, (dof,) -> (movers, obstacle names) [m]; negative is the depth.
+
+        Infinite where a link, or the turret, cannot touch that part of the arm or obstacle.
+        """
+        found = self.pair_distances(q)
+        table = (found[: self._beyond.size] if self.own_others else found).reshape(self._beyond.shape)
+        if len(self._mover_shapes) != len(self.mover_names):
+            table = np.minimum.reduceat(table, self._first_shape)
+        if not self.own_others:
+            return table
+        whole = np.full((len(self.mover_names), len(self.obstacle_names)), np.inf)
+        whole[:, : self.own_first] = table
+        movers, columns = np.array(self.pairs[self._beyond.size :]).T
+        np.minimum.at(whole, (movers, columns), found[self._beyond.size :])
+        return whole
+
+    def pair_distances(self, q: ArrayLike) -> FloatArray:
+        """Signed distances of all `pairs` at one configuration, (dof,) -> (pairs,) [m]."""
+        return self._geometry.distances(np.asarray(q, dtype=np.float64)) - self._taken_off
+
+    def place(self, q: FloatArray) -> None:
+        """Put the links where `distances_of` is to look at them, in this thread."""
+        self._geometry.place(q)
+
+    def distances_of(self, pairs: IntArray) -> FloatArray:
+        """Signed distances of some of the `pairs` where the links were last placed, (k,) numbers -> (k,) [m]."""
+        return self._geometry.distances_of(pairs) - self._taken_off[pairs]
+
+    def contact(self, mover: int, obstacle: int, distance: float) -> Contact:
+        """A distance between what has a place in `mover_names` and what has one in `obstacle_names`, by name."""
+        kind = Contact if obstacle < self.own_first else OwnContact
+        return kind(self.mover_names[mover], self.obstacle_names[obstacle], distance)
+
+    def nearest(self, q: ArrayLike) -> Contact | None:
+        """The link and obstacle, or part of the arm, nearest to each other, or None where there is nothing to meet."""
+        distances = self.distances(q)
+        if distances.size == 0:
+            return None
+        link, obstacle = np.unravel_index(ties.argmin(distances), distances.shape)
+        return self.contact(int(link), int(obstacle), float(distances.min()))
+
+    def in_collision(self, configurations: ArrayLike, *, margin: float = 0.0) -> BoolArray:
+        """Whether each of (n, dof) configurations touches an obstacle or the arm itself, in one compiled call.
+
+        Args:
+            configurations: (n, dof) joint angles.
+            margin: Distance up to which a pair counts as touching [m]; where it is negative, depth from which on (of a
+                cloud no more than its radius: the points themselves count always).
+        """
+        q = np.asarray(configurations, dtype=np.float64)
+        if not self.obstacle_names:
+            return np.zeros(len(q), dtype=np.bool_)
+        margins = margin + self._taken_off
+        # Of trees coal knows no negative margin.
+        margins[self._taken_off > 0.0] = np.maximum(0.0, margins[self._taken_off > 0.0])
+        return self._geometry.in_collision(q, margins)
+
+
+def base_contacts(
+    robot: Robot, obstacles: Sequence[Solid], yaw: float = 0.0, *, margin: float = 0.0
+) -> tuple[Contact, ...]:
+    """Obstacles that touch what the planar joints do not move: pedestal and turret, as the URDF gives them.
+
+    They are no part of the C-space, since no motion of the arm at this yaw changes them.
+
+    Args:
+        robot: The arm.
+        obstacles: Obstacles.
+        yaw: Yaw of the turret.
+        margin: Distance up to which a pair counts as touching [m].
+    """
+    if not obstacles:
+        return ()
+    first = 2 if robot.has_yaw else 1
+    q = np.zeros(robot.dof)
+    if robot.has_yaw:
+        q[0] = yaw
+    data = robot.model.createData()
+    pin.forwardKinematics(robot.model, data, q)
+    found = []
+    for shape in robot.collision_model.geometryObjects:
+        if shape.parentJoint >= first:
+            continue
+        body = _filled(shape)
+        place = data.oMi[shape.parentJoint] * shape.placement
+        name = str(robot.model.frames[shape.parentFrame].name)
+        for obstacle in obstacles:
+            solid = solid_shape(obstacle)
+            distance = coal.distance(
+                body,
+                coal.Transform3s(place.rotation, place.translation),
+                solid.geometry,
+                coal.Transform3s(solid.placement.rotation, solid.placement.translation),
+                coal.DistanceRequest(),
+                coal.DistanceResult(),
+            ) - beyond_geometry(obstacle)
+            if distance <= margin:
+                found.append(Contact(name, obstacle.name, float(distance)))
+    return tuple(found)
+
+
+def base_radius(robot: Robot) -> float:
+    """Radius of a ball about `base_link`'s origin that holds pedestal and turret, whatever the yaw [m]."""
+    known = _BASE_RADII.get(robot)
+    if known is not None:
+        return known
+    first = 2 if robot.has_yaw else 1
+    radius = 0.0
+    for shape in robot.collision_model.geometryObjects:
+        if shape.parentJoint < first:
+            shape.geometry.computeLocalAABB()
+            # Joint 0 turns about the vertical through the origin: distances from there stay.
+            centre = robot.model.jointPlacements[shape.parentJoint] * shape.placement * shape.geometry.aabb_center
+            radius = max(radius, float(np.linalg.norm(centre)) + shape.geometry.aabb_radius)
+    _BASE_RADII[robot] = radius
+    return radius
+
+
+def check_clear(judge: CollisionScene, q: FloatArray, clearance: float, which: str, *, sway: ArrayLike = 0.0) -> float:
+    """What a configuration has beyond the clearance to keep [m], inf without obstacles.
+
+    Args:
+        judge: The arm among the obstacles.
+        q: (dof,) configuration.
+        clearance: Clearance to keep [m].
+        which: What the configuration is, for the error.
+        sway: By how much each of the judge's pairs may come nearer than at this configuration [m].
+
+    Raises:
+        ConfigurationInCollisionError: It touches an obstacle or itself, or comes closer than `clearance` and sway;
+            names link, obstacle or other part of the arm, and depth.
+    """
+    distances = judge.pair_distances(q)
+    if distances.size == 0:
+        return float("inf")
+    sways = np.broadcast_to(np.asarray(sway, dtype=np.float64), distances.shape)
+    worst = int((distances - sways).argmin())
+    beyond = float(distances[worst] - sways[worst]) - clearance
+    if beyond <= 0.0:
+        nearest = judge.contact(*judge.pairs[worst], float(distances[worst]))
+        raise ConfigurationInCollisionError(
+            which, nearest.link, nearest.obstacle, -beyond, clearance + float(sways[worst]), other=nearest.other
+        )
+    return beyond
+
+
+def sampled_occupancy(judge: CollisionScene, grid: Grid, yaw: float = 0.0) -> BoolArray:
+    """Occupancy of a grid over the planar joints by asking coal at every node.
+
+    Returns:
+        Mask of the grid's shape, True where some link touches an obstacle.
+    """
+    robot = judge.robot
+    axes = [grid.axis(number) for number in range(len(grid.shape))]
+    nodes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
+    if robot.has_yaw:
+        nodes = np.column_stack([np.full(len(nodes), yaw), nodes])
+    return judge.in_collision(nodes).reshape(grid.shape)

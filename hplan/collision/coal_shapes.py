@@ -1,0 +1,129 @@
+"""Links and obstacles as shapes of coal, placed by Pinocchio."""
+
+from __future__ import annotations
+
+from typing import Literal, TypeAlias, assert_never
+from weakref import WeakKeyDictionary
+
+import coal
+import numpy as np
+import pinocchio as pin
+
+from hplan.base.arrays import FloatArray, IntArray
+from hplan.robot.base_shapes import filled
+from hplan.robot.convex_shape import convex_shape
+from hplan.robot.model import Robot
+from hplan.scene.model import Box, Capsule, Solid, Sphere
+from hplan.scene.solids import Cloud, Hull
+
+#: Shape of the links: the planner's capsules, beams of the same half-widths, or the URDF's collision geometry.
+LinkShapes: TypeAlias = Literal["capsule", "box", "urdf"]
+LINK_SHAPES: tuple[LinkShapes, ...] = ("capsule", "box", "urdf")
+
+#: What depends on the robot alone.
+_LINK_SHAPES: WeakKeyDictionary[Robot, dict[LinkShapes, list[pin.GeometryObject]]] = WeakKeyDictionary()
+
+#: Size of the triangle that stands for a point of a cloud [m].
+_SPECK = 1e-7
+
+
+def link_shapes(robot: Robot, links: LinkShapes) -> list[pin.GeometryObject]:
+    """Each link's capsule or beam, in the frame of its joint; made once for each robot."""
+    known = _LINK_SHAPES.setdefault(robot, {})
+    if links in known:
+        return known[links]
+    model, arm = robot.model, robot.arm
+    data = model.createData()
+    neutral = np.zeros(model.nq)
+    pin.forwardKinematics(model, data, neutral)
+    points = robot.plane_origin + arm.joint_points(neutral[robot.arm_slice]) @ robot.plane_axes
+    normal = np.cross(robot.plane_axes[0], robot.plane_axes[1])
+    first = 2 if robot.has_yaw else 1
+    shapes = []
+    for k, name in enumerate(arm.link_names):
+        half_width, length = float(arm.half_widths[k]), float(arm.lengths[k])
+        if links == "box":
+            along = (points[k + 1] - points[k]) / length
+            rotation = np.stack([np.cross(normal, along), normal, along], axis=1)
+            placement = pin.SE3(rotation, 0.5 * (points[k] + points[k + 1]))
+            shape = coal.Box(2.0 * half_width, 2.0 * half_width, length)
+        else:
+            placement = _along(points[k], points[k + 1])
+            shape = coal.Capsule(half_width, length)
+        local = data.oMi[first + k].inverse() * placement
+        shapes.append(pin.GeometryObject(f"link:{name}", first + k, local, shape))
+    known[links] = shapes
+    return shapes
+
+
+def urdf_shapes(robot: Robot) -> list[list[pin.GeometryObject]]:
+    """The URDF's collision shapes of each link."""
+    first = 2 if robot.has_yaw else 1
+    found = []
+    for k, name in enumerate(robot.arm.link_names):
+        shapes = [g for g in robot.collision_model.geometryObjects if g.parentJoint == first + k]
+        found.append(
+            [
+                pin.GeometryObject(f"link:{name}:{number}", first + k, shape.placement, filled(shape))
+                for number, shape in enumerate(shapes)
+            ]
+        )
+    return found
+
+
+def solid_shape(obstacle: Solid) -> pin.GeometryObject:
+    """An obstacle as a fixed geometry object; a cloud without its radius (`beyond_geometry`)."""
+    placement = pin.SE3.Identity()
+    if isinstance(obstacle, Sphere):
+        placement, shape = pin.SE3(np.eye(3), np.array(obstacle.center)), coal.Sphere(float(obstacle.radius))
+    elif isinstance(obstacle, Capsule):
+        start, end = np.array(obstacle.start), np.array(obstacle.end)
+        placement = _along(start, end)
+        shape = coal.Capsule(float(obstacle.radius), float(np.linalg.norm(end - start)))
+    elif isinstance(obstacle, Box):
+        placement = pin.SE3(obstacle.rotation, np.array(obstacle.center))
+        shape = coal.Box(*(float(size) for size in obstacle.size))
+    elif isinstance(obstacle, Hull):
+        shape = convex_shape(obstacle)
+    elif isinstance(obstacle, Cloud):
+        shape = _cloud_tree(obstacle)
+    else:
+        assert_never(obstacle)
+    return pin.GeometryObject(f"obstacle:{obstacle.name}", 0, placement, shape)
+
+
+def beyond_geometry(obstacle: Solid) -> float:
+    """How far an obstacle reaches beyond its geometry in coal, whose trees take no radius [m]."""
+    return obstacle.rounding if isinstance(obstacle, Cloud) else 0.0
+
+
+#: The trees of clouds that are in use: 0.3 s for 100,000 points.
+_TREES: WeakKeyDictionary[Cloud, coal.BVHModelOBBRSS] = WeakKeyDictionary()
+
+
+def _cloud_tree(cloud: Cloud) -> coal.BVHModelOBBRSS:
+    """The points of a cloud as tiny triangles about them, built once."""
+    if cloud not in _TREES:
+        # Of triangles that are mere points, coal's distance from a ball is wrong.
+        corners = _SPECK * np.array([[1.0, 0.0, 0.5], [-0.5, 0.75, -0.25], [-0.5, -0.75, -0.25]])
+        points = (cloud.core[:, None] + corners).reshape(-1, 3)
+        _TREES[cloud] = _triangles(points, np.arange(len(points)).reshape(-1, 3))
+    return _TREES[cloud]
+
+
+def _triangles(points: FloatArray, faces: IntArray) -> coal.BVHModelOBBRSS:
+    tree = coal.BVHModelOBBRSS()
+    tree.beginModel(len(faces), len(points))
+    tree.addVertices(np.array(points))
+    tree.addTriangles(faces.astype(np.int32))
+    tree.endModel()
+    return tree
+
+
+def _along(start: FloatArray, end: FloatArray) -> pin.SE3:
+    """Placement in the middle of a segment, z along it."""
+    axis = end - start
+    length = np.linalg.norm(axis)
+    turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), axis / length) if length > 0.0 else None
+    rotation = np.eye(3) if turn is None else turn.toRotationMatrix()
+    return pin.SE3(rotation, 0.5 * (start + end))

@@ -1,0 +1,160 @@
+"""Distances of a segment in space from a point, a segment, a box and a hull; 0 where the two meet."""
+
+from __future__ import annotations
+
+import math
+
+from hplan.base.arrays import FloatArray
+from hplan.base.kernels import inlined, kernel
+
+
+@inlined
+def point_segment(
+    cx: float, cy: float, cz: float, ax: float, ay: float, az: float, ux: float, uy: float, uz: float
+) -> float:
+    """Distance of a point from the segment a, a + u."""
+    dx, dy, dz = cx - ax, cy - ay, cz - az
+    square = ux * ux + uy * uy + uz * uz
+    t = 0.0
+    if square > 0.0:
+        t = min(1.0, max(0.0, (dx * ux + dy * uy + dz * uz) / square))
+    dx, dy, dz = dx - t * ux, dy - t * uy, dz - t * uz
+    return math.sqrt(dx * dx + dy * dy + dz * dz)
+
+
+@kernel
+def segment_segment(
+    ax: float, ay: float, az: float, ux: float, uy: float, uz: float,
+    bx: float, by: float, bz: float, vx: float, vy: float, vz: float,
+) -> float:  # fmt: skip
+    """Distance between the segments a, a + u and b, b + v.
+
+    Closest points by clamping (Ericson, Real-Time Collision Detection, 5.1.9).
+    """
+    rx, ry, rz = ax - bx, ay - by, az - bz
+    uu, vv = ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz
+    vr = vx * rx + vy * ry + vz * rz
+    if uu <= 1e-18 and vv <= 1e-18:
+        return math.sqrt(rx * rx + ry * ry + rz * rz)
+    s, t = 0.0, 0.0
+    if uu <= 1e-18:
+        t = min(1.0, max(0.0, vr / vv))
+    else:
+        ur = ux * rx + uy * ry + uz * rz
+        if vv <= 1e-18:
+            s = min(1.0, max(0.0, -ur / uu))
+        else:
+            uv = ux * vx + uy * vy + uz * vz
+            determinant = uu * vv - uv * uv
+            if determinant > 1e-12 * uu * vv:
+                s = min(1.0, max(0.0, (uv * vr - ur * vv) / determinant))
+            t = (uv * s + vr) / vv
+            if t < 0.0:
+                t = 0.0
+                s = min(1.0, max(0.0, -ur / uu))
+            elif t > 1.0:
+                t = 1.0
+                s = min(1.0, max(0.0, (uv - ur) / uu))
+    dx, dy, dz = rx + s * ux - t * vx, ry + s * uy - t * vy, rz + s * uz - t * vz
+    return math.sqrt(dx * dx + dy * dy + dz * dz)
+
+
+@inlined
+def _beyond(x: float, half: float) -> float:
+    """How far, with sign, a coordinate is outside [-half, half]."""
+    return x - half if x > half else (x + half if x < -half else 0.0)
+
+
+@kernel
+def segment_box(
+    ax: float, ay: float, az: float, ux: float, uy: float, uz: float, hx: float, hy: float, hz: float
+) -> float:  # fmt: skip
+    """Distance of the segment a, a + u from the box of half sizes h, in the box's frame.
+
+    The squared distance is convex and piecewise quadratic along the segment; its derivative is piecewise linear and
+    changes sign between two of the at most eight breakpoints (faces crossed, ends).
+    """
+    low, high = 0.0, 1.0
+    slope_low = 2.0 * (_beyond(ax, hx) * ux + _beyond(ay, hy) * uy + _beyond(az, hz) * uz)
+    slope_high = 2.0 * (_beyond(ax + ux, hx) * ux + _beyond(ay + uy, hy) * uy + _beyond(az + uz, hz) * uz)
+    t = 0.0
+    if slope_low >= 0.0:
+        t = 0.0
+    elif slope_high <= 0.0:
+        t = 1.0
+    else:
+        for axis in range(3):
+            a = ax if axis == 0 else (ay if axis == 1 else az)
+            u = ux if axis == 0 else (uy if axis == 1 else uz)
+            h = hx if axis == 0 else (hy if axis == 1 else hz)
+            if u == 0.0:
+                continue
+            for side in (-1.0, 1.0):
+                x = (side * h - a) / u
+                if low < x < high:
+                    px, py, pz = ax + x * ux, ay + x * uy, az + x * uz
+                    slope = 2.0 * (_beyond(px, hx) * ux + _beyond(py, hy) * uy + _beyond(pz, hz) * uz)
+                    if slope >= 0.0:
+                        high, slope_high = x, slope
+                    else:
+                        low, slope_low = x, slope
+        t = low - slope_low * (high - low) / (slope_high - slope_low)
+    dx, dy, dz = _beyond(ax + t * ux, hx), _beyond(ay + t * uy, hy), _beyond(az + t * uz, hz)
+    return math.sqrt(dx * dx + dy * dy + dz * dz)
+
+
+@kernel
+def segment_hull(
+    ax: float, ay: float, az: float, ux: float, uy: float, uz: float,
+    data: FloatArray, first: int, middle: int, last: int, enough: float,
+) -> float:  # fmt: skip
+    """Distance of the segment a, a + u from a hull, or some number from `enough` up where it is no less than that.
+
+    Facets stand in data[first:middle], edges in data[middle:last]. The nearest point of the hull lies on an edge, or on
+    the facet above which an end of the segment stands highest.
+    """
+    bx, by, bz = ax + ux, ay + uy, az + uz
+    enter, leave = 0.0, 1.0
+    apart, top_a, top_b, at_a, at_b = -math.inf, -math.inf, -math.inf, first, first
+    for f in range(first, middle, 4):
+        a = data[f] * ax + data[f + 1] * ay + data[f + 2] * az - data[f + 3]
+        b = data[f] * bx + data[f + 1] * by + data[f + 2] * bz - data[f + 3]
+        if a > top_a:
+            top_a, at_a = a, f
+        if b > top_b:
+            top_b, at_b = b, f
+        apart = max(apart, min(a, b))
+        if a > 0.0 and b > 0.0:
+            leave = -1.0
+        elif a > 0.0:
+            enter = max(enter, a / (a - b))
+        elif b > 0.0:
+            leave = min(leave, a / (a - b))
+    if enter <= leave:
+        return 0.0  # part of the segment is below every facet
+    if apart >= enough:
+        return apart
+    least = enough
+    for end in range(2):
+        height, at = (top_a, at_a) if end == 0 else (top_b, at_b)
+        if height > 0.0:
+            px = (ax if end == 0 else bx) - height * data[at]
+            py = (ay if end == 0 else by) - height * data[at + 1]
+            pz = (az if end == 0 else bz) - height * data[at + 2]
+            inside = True
+            for f in range(first, middle, 4):
+                if data[f] * px + data[f + 1] * py + data[f + 2] * pz - data[f + 3] > 1e-9:
+                    inside = False
+                    break
+            if inside:
+                least = min(least, height)
+    for e in range(middle, last, 7):
+        # No edge that is farther than the nearest so far, by its middle and half its length.
+        mx, my, mz = data[e] + 0.5 * data[e + 3], data[e + 1] + 0.5 * data[e + 4], data[e + 2] + 0.5 * data[e + 5]
+        if point_segment(mx, my, mz, ax, ay, az, ux, uy, uz) - data[e + 6] < least:
+            distance = segment_segment(
+                ax, ay, az, ux, uy, uz,
+                data[e], data[e + 1], data[e + 2], data[e + 3], data[e + 4], data[e + 5],
+            )  # fmt: skip
+            least = min(least, distance)
+    return least

@@ -1,0 +1,167 @@
+"""Pairs of shapes in Pinocchio, for any number of obstacles in time and memory linear in it.
+
+`pinocchio.GeometryModel.addGeometryObject` copies a table of all pairs of its objects each time, so that a model of n
+objects costs n^3. Obstacles are therefore spread over several models, each with all the moving shapes.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+import pinocchio as pin
+
+from hplan.base.arrays import BoolArray, FloatArray, IntArray
+
+#: Most obstacles in one geometry model.
+_CHUNK: Final = 128
+
+
+class _PartData:
+    """What queries of one geometry model write into.
+
+    Attributes:
+        geometry: Pinocchio's data.
+        results: Results of its pairs; they stay where they are, and taking one out anew costs more than what it says.
+        current: Whether its shapes stand where the arm was last placed.
+    """
+
+    def __init__(self, geometry: pin.GeometryModel) -> None:
+        self.geometry = geometry.createData()
+        self.results = list(self.geometry.distanceResults)
+        self.current = False
+
+
+class _QueryData(threading.local):
+    """What queries write into: every thread has its own, made when it first asks.
+
+    Attributes:
+        arm: Where the joints are.
+        parts: The data of each geometry model.
+        single: Arm and part where there is one model alone: looking up what belongs to a thread takes its time.
+    """
+
+    def __init__(self, model: pin.Model, geometries: Sequence[pin.GeometryModel]) -> None:
+        self.arm = model.createData()
+        self.parts = [_PartData(geometry) for geometry in geometries]
+        self.single = (self.arm, self.parts[0]) if len(self.parts) == 1 else None
+
+
+class GeometryPairs:
+    """Numbered pairs of shapes of an arm and obstacles, and their distances.
+
+    Pairs are each moving shape with each obstacle, moving shape by moving shape; then the chosen ones. Models are built
+    whole before their data, as Pinocchio demands. Several threads may ask at once.
+    """
+
+    def __init__(
+        self,
+        model: pin.Model,
+        movers: Sequence[pin.GeometryObject],
+        obstacles: Sequence[pin.GeometryObject],
+        others: Sequence[pin.GeometryObject] = (),
+        chosen: Sequence[tuple[int, int]] = (),
+    ) -> None:
+        """Build the geometry models.
+
+        Args:
+            model: The arm.
+            movers: Shapes that meet every obstacle.
+            obstacles: Fixed shapes.
+            others: Shapes that meet no obstacle.
+            chosen: Further pairs, of numbers among `movers` and, after them, `others`.
+        """
+        self._model = model
+        self._geometries: list[pin.GeometryModel] = []
+        #: Numbers of each model's pairs among all.
+        self._numbers: list[IntArray] = []
+        self.count = len(movers) * len(obstacles) + len(chosen)
+        starts = range(0, max(len(obstacles), 1), _CHUNK)
+        for start in starts:
+            geometry = pin.GeometryModel()
+            for shape in movers:
+                geometry.addGeometryObject(shape)
+            chunk = obstacles[start : start + _CHUNK]
+            for shape in chunk:
+                geometry.addGeometryObject(shape)
+            wanted = np.zeros((geometry.ngeoms, geometry.ngeoms), dtype=np.bool_)
+            wanted[: len(movers), len(movers) :] = True
+            geometry.setCollisionPairs(wanted)
+            rows = np.arange(len(movers))[:, None] * len(obstacles)
+            numbers = (rows + np.arange(start, start + len(chunk))).ravel()
+            if start == starts[-1]:
+                added = [geometry.addGeometryObject(shape) for shape in others]
+                places = [*range(len(movers)), *added]
+                for first, second in chosen:
+                    geometry.addCollisionPair(pin.CollisionPair(places[first], places[second]))
+                numbers = np.append(numbers, np.arange(self.count - len(chosen), self.count))
+            self._geometries.append(geometry)
+            self._numbers.append(numbers)
+        self._query = _QueryData(model, self._geometries)
+        # In which model a pair is, and its number there.
+        self._part_of = np.zeros(self.count, dtype=np.int64)
+        self._local = np.zeros(self.count, dtype=np.int64)
+        for part, numbers in enumerate(self._numbers):
+            self._part_of[numbers] = part
+            self._local[numbers] = np.arange(len(numbers))
+
+    def place(self, q: FloatArray) -> None:
+        """Put the arm where `distances_of` is to look at it in this thread, (dof,) joint angles."""
+        query = self._query
+        single = query.single
+        if single is not None:  # one call in place of two
+            arm, part = single
+            pin.updateGeometryPlacements(self._model, arm, self._geometries[0], part.geometry, q)
+            part.current = True
+            return
+        pin.forwardKinematics(self._model, query.arm, q)
+        for data in query.parts:
+            data.current = False
+
+    def distances(self, q: FloatArray) -> FloatArray:
+        """Signed distances of all pairs at one configuration, (dof,) -> (count,) [m]."""
+        self.place(q)
+        query = self._query
+        found = np.empty(self.count)
+        for part, (geometry, numbers) in enumerate(zip(self._geometries, self._numbers, strict=True)):
+            pin.computeDistances(geometry, self._placed(query, part))
+            found[numbers] = [result.min_distance for result in query.parts[part].results]
+        return found
+
+    def distances_of(self, pairs: IntArray) -> FloatArray:
+        """Signed distances of some pairs where the arm was last placed, (k,) numbers -> (k,) [m]."""
+        query, geometries = self._query, self._geometries
+        single = query.single
+        if single is not None:  # as almost always: no look-up of where a pair is
+            geometry, data = geometries[0], single[1].geometry
+            return np.array([pin.computeDistance(geometry, data, pair).min_distance for pair in pairs.tolist()])
+        found = np.empty(len(pairs))
+        where = zip(self._part_of[pairs].tolist(), self._local[pairs].tolist(), strict=True)
+        for number, (part, local) in enumerate(where):
+            found[number] = pin.computeDistance(geometries[part], self._placed(query, part), local).min_distance
+        return found
+
+    def in_collision(self, configurations: FloatArray, margins: FloatArray) -> BoolArray:
+        """Whether any pair is nearer than its margin, (n, dof) configurations, (count,) margins [m] -> (n,)."""
+        q = np.asfortranarray(configurations.T)
+        found = np.zeros(q.shape[1], dtype=np.bool_)
+        for geometry, numbers in zip(self._geometries, self._numbers, strict=True):
+            pool = pin.GeometryPool(self._model, geometry, 1)
+            requests = pool.getGeometryDatas()[0].collisionRequests
+            for request, margin in zip(requests, margins[numbers].tolist(), strict=True):
+                request.security_margin = margin
+                # Asked for yes or no alone, coal 3.0 misses deep collisions of boxes, cylinders and hulls where one
+                # shape stands symmetrically in the other or its core touches a face; with contacts it does not.
+                request.enable_contact = True
+            found |= np.asarray(pin.computeCollisionsInParallel(1, pool, q, True, False), dtype=np.bool_)
+        return found
+
+    def _placed(self, query: _QueryData, part: int) -> pin.GeometryData:
+        """The data of a model, its shapes where the arm was last placed."""
+        data = query.parts[part]
+        if not data.current:
+            pin.updateGeometryPlacements(self._model, query.arm, self._geometries[part], data.geometry)
+            data.current = True
+        return data.geometry

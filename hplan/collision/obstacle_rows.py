@@ -1,0 +1,170 @@
+"""Obstacles, and what the arm can touch of itself, as rows of numbers for the kernels of clearance.
+
+The rows of a cloud are the nodes of its tree: where a node's bounding ball is farther than the nearest solid so far,
+all rows below it are skipped. What carries the arm (`hplan.robot.self_contact`) stands below a gate that only the links
+pass that can touch it. A shape that turns with the arm plane is given as it stands at yaw 0, and links are then taken
+as they stand at yaw 0 too; its bounding ball is about the yaw axis, so that it holds the shape at every yaw.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import assert_never
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hplan.base.arrays import FloatArray, IntArray
+from hplan.robot.base_shapes import TURRET
+from hplan.robot.model import Robot
+from hplan.robot.self_contact import BaseBody, pair_sway, self_contact
+from hplan.scene.model import Box, Capsule, Solid, Sphere
+from hplan.scene.solids import Cloud, Hull, hull_of
+
+#: Columns of a row: kind, radius, bounding centre (3) and radius, 14 numbers of its kind, the row to go on with where
+#: the bounding ball is too far. A node is an inner one of a cloud's tree, its leaves are lots of points. The row below
+#: a gate is for the links from one to another, and turns with them where the gate says 1; a pair is one link of the arm
+#: to one after it.
+POINT, SEGMENT, BOX, HULL, NODE, LOT, GATE, PAIR = 0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0
+_COLUMNS = 21
+
+#: A hull whose points lie in one plane is made so thick [m].
+_THICKNESS = 1e-5
+
+
+def rows_of(
+    robot: Robot,
+    obstacles: Sequence[Solid],
+    clearance: ArrayLike,
+    own_clearance: float | None,
+    deviation: float = 0.0,
+) -> tuple[FloatArray, FloatArray, IntArray]:
+    """Rows of obstacles, then of the parts of the arm that can touch it.
+
+    Args:
+        robot: The arm.
+        obstacles: Obstacles.
+        clearance: As for `hplan.collision.clearance_field.ClearanceField.of`.
+        own_clearance: The same.
+        deviation: The same; only pairs of links grow here, as links do not know what they meet.
+
+    Returns:
+        `solids`, `data` and `owner` of `hplan.collision.clearance_field.ClearanceField`.
+    """
+    blocks, data, owner = [np.zeros((0, _COLUMNS))], [np.zeros(0)], [np.zeros(0, dtype=np.int64)]
+    row_count = data_count = 0
+    growth = np.asarray(clearance, dtype=np.float64)
+    grown = np.broadcast_to(growth, (len(obstacles),)).tolist()
+    own = float(growth.min()) if own_clearance is None and growth.size else own_clearance or 0.0
+    contact = self_contact(robot, deviation=deviation, clearance=own)
+    for index, part in [*enumerate(obstacles), *((-1, body) for body in contact.bodies)]:
+        if isinstance(part, BaseBody):
+            rows, more = _base_rows(part, own, data_count)
+        else:
+            rows, more = _rows(part, grown[index], data_count)
+        rows[:, 20] += row_count
+        blocks.append(rows)
+        data.append(more)
+        owner.append(np.full(len(rows), index))
+        row_count += len(rows)
+        data_count += len(more)
+    if contact.links:
+        blocks.append(_pair_rows(robot, contact.links, own, deviation, row_count))
+        owner.append(np.full(len(contact.links), -1))
+    return np.concatenate(blocks), np.concatenate(data), np.concatenate(owner)
+
+
+def _rows(obstacle: Solid, clearance: float, offset: int) -> tuple[FloatArray, FloatArray]:
+    """Rows of an obstacle, its first one number 0, and the data that they point to from `offset` on."""
+    if isinstance(obstacle, Cloud):
+        return _cloud_rows(obstacle, clearance, offset), obstacle.core.ravel()
+    data = np.zeros(0)
+    row = np.zeros((1, _COLUMNS))
+    first = row[0]
+    radius = obstacle.rounding + clearance
+    if isinstance(obstacle, Sphere):
+        first[0], first[6:9] = POINT, obstacle.center
+        centre, reach = obstacle.center, 0.0
+    elif isinstance(obstacle, Capsule):
+        first[0], first[6:9], first[9:12] = SEGMENT, obstacle.start, obstacle.end
+        (ax, ay, az), (bx, by, bz) = obstacle.start, obstacle.end
+        centre = 0.5 * (ax + bx), 0.5 * (ay + by), 0.5 * (az + bz)
+        reach = 0.5 * math.dist(obstacle.start, obstacle.end)
+    elif isinstance(obstacle, Box):
+        first[0], first[6:9] = BOX, 0.5 * np.array(obstacle.size)
+        first[9:18] = obstacle.rotation.T.ravel()  # rows: the box's axes in base_link
+        centre, reach = obstacle.center, 0.5 * math.hypot(*obstacle.size)
+    elif isinstance(obstacle, Hull):
+        edges = np.column_stack([obstacle.edges, 0.5 * np.linalg.norm(obstacle.edges[:, 3:], axis=1)])
+        data = np.concatenate([obstacle.planes.ravel(), edges.ravel()])
+        first[0], first[6], first[7], first[8] = HULL, offset, offset + obstacle.planes.size, offset + len(data)
+        low, high = obstacle.core.min(axis=0), obstacle.core.max(axis=0)
+        centre = tuple((0.5 * (low + high)).tolist())
+        reach = float(np.linalg.norm(obstacle.core - centre, axis=1).max())
+    else:
+        assert_never(obstacle)
+    # Rounding errors never make the bounding ball too small.
+    first[1], first[2:5], first[5], first[20] = radius, centre, (reach + radius) * (1.0 + 1e-12), 1
+    return row, data
+
+
+def _base_rows(body: BaseBody, clearance: float, offset: int) -> tuple[FloatArray, FloatArray]:
+    """As `_rows`, below gates that let the links pass that can touch the body: one for each run of them."""
+    solid, data = _rows(_base_solid(body), clearance, offset)
+    turns = body.carrier == TURRET and not body.is_round
+    if turns:
+        # About the axis: within the centre's distance from it, and the ball's radius.
+        solid[:, 5] += np.hypot(solid[:, 2], solid[:, 3])
+        solid[:, 2:4] = 0.0
+    links, blocks = np.array(body.links), list[FloatArray]()
+    for run in np.split(links, np.flatnonzero(np.diff(links) > 1) + 1):
+        rows = np.concatenate([solid[:1], solid])
+        rows[0, 0], rows[0, 6], rows[0, 7], rows[0, 8] = GATE, run[0], run[-1], float(turns)
+        rows[:, 20] = 2 * (len(blocks) + 1)
+        blocks.append(rows)
+    return np.concatenate(blocks), data
+
+
+def _base_solid(body: BaseBody) -> Solid:
+    """A shape of turret or pedestal as a solid."""
+    core = body.core
+    _, spread, directions = np.linalg.svd(core - core.mean(axis=0), full_matrices=False)
+    flat = np.count_nonzero(spread > 1e-9)
+    if flat == 0:
+        return Sphere(name=body.name, center=tuple(core[0]), radius=body.rounding)
+    if flat == 1:
+        a, b = core[np.argsort(core @ directions[0])][[0, -1]]
+        return Capsule.model_validate(
+            {"name": body.name, "from": tuple(a.tolist()), "to": tuple(b.tolist()), "radius": body.rounding}
+        )
+    if flat == 2:
+        core = np.vstack([core - _THICKNESS * directions[2], core + _THICKNESS * directions[2]])
+    return replace(hull_of(core, body.name, most=len(core) + 14), rounding=body.rounding)
+
+
+def _pair_rows(
+    robot: Robot, pairs: Sequence[tuple[int, int]], clearance: float, deviation: float, first: int
+) -> FloatArray:
+    """The rows of pairs of links, from number `first` on; they have no place, and are near to everything."""
+    rows, widths = np.zeros((len(pairs), _COLUMNS)), robot.arm.half_widths
+    inner, outer = np.array(pairs).T
+    rows[:, 0], rows[:, 5] = PAIR, np.inf
+    sway = np.array([pair_sway(robot, j, i, deviation) for i, j in pairs])
+    rows[:, 6], rows[:, 7], rows[:, 8] = inner, outer, widths[inner] + widths[outer] + clearance + sway
+    rows[:, 20] = first + 1 + np.arange(len(pairs))
+    return rows
+
+
+def _cloud_rows(cloud: Cloud, clearance: float, offset: int) -> FloatArray:
+    """The nodes of a cloud's tree."""
+    tree = cloud.tree
+    rows = np.zeros((len(tree), _COLUMNS))
+    rows[:, 0] = np.where(tree[:, 2] == np.arange(len(tree)) + 1, LOT, NODE)  # what has nothing below it is a leaf
+    rows[:, 1] = cloud.rounding + clearance
+    rows[:, 2:5] = tree[:, 3:6]
+    rows[:, 5] = tree[:, 6] * (1.0 + 1e-12) + rows[:, 1]
+    rows[:, 6:8] = offset + 3 * tree[:, :2]
+    rows[:, 20] = tree[:, 2]
+    return rows

@@ -1,0 +1,441 @@
+r"""Analytic C-space: closed-form intervals of forbidden joint angles, link by link (the paper's equations 1-3).
+
+A link of length :math:`L` turns about its near joint. A disc of radius :math:`R` (obstacle grown by the link's
+half-width) stands at distance :math:`\rho` from the joint, at bearing :math:`\varphi`. The link's axis meets it for
+
+.. math::
+    |\theta - \varphi| \le \begin{cases}
+        \arcsin(R / \rho)                                & \rho^2 \le L^2 + R^2 \quad (1) \\
+        \arccos\frac{L^2 + \rho^2 - R^2}{2 L \rho}       & \rho \le L + R \quad (2) \\
+        \text{never}                                     & \text{beyond} \quad (3)
+    \end{cases}
+
+and always where :math:`\rho \le R`. That is exact for a capsule link. The paper puts case 3 at
+:math:`\rho > \sqrt{L^2 + w^2} + r`, the reach of a rectangle's corner (model `paper`); the model `rectangle` solves
+the rectangle itself. Angles run counter-clockwise from +x of the arm plane, bearings by arctan2(y, x). The paper
+prints arctan(x / y), which gives its figures in no frame (`scripts/reproduce_paper.py` tries both).
+
+A rounded polygon is met in one interval too: the hull of the intervals of its corner discs and of the points where
+its straight sides leave the link's reach.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hplan.base.arrays import BoolArray, FloatArray, IntArray, WordArray, frozen, readonly
+from hplan.base.kernels import inlined, kernel
+from hplan.cspace.sections import LINK_MODELS, ArmSections
+from hplan.errors import InputError
+from hplan.robot.model import PlanarArm
+from hplan.robot.self_contact import part_of_arm
+from hplan.search.grid import Grid, Occupancy
+
+_CAPSULE, _PAPER, _RECTANGLE = range(len(LINK_MODELS))
+_ALL = np.uint64(0xFFFFFFFFFFFFFFFF)
+
+#: A joint closer than this to a rounded polygon is in it: bearings of points beside it would be noise [m].
+_TOUCHING = 1e-12
+
+
+def joint_grid(arm: PlanarArm, step: float | FloatArray) -> Grid:
+    """Grid over the joint range of the planar joints.
+
+    Args:
+        arm: The planar chain.
+        step: Largest spacing [rad], one number or one for each joint.
+
+    Raises:
+        OptionError: A step that is not positive, or too small.
+    """
+    return Grid.over(arm.lower, arm.upper, step)
+
+
+def occupancy(arm: PlanarArm, sections: ArmSections, grid: Grid) -> Occupancy:
+    """Occupancy of the joint grid: which nodes make some link meet some section.
+
+    For `n` joints of `N` nodes each: one interval a section for the first link, `N` for the second, `N**(n - 1)`
+    for the last, whose rows are filled by interval.
+
+    Args:
+        arm: The planar chain.
+        sections: Obstacles cut by the arm plane.
+        grid: Grid over the planar joints.
+
+    Raises:
+        InputError: The grid or the sections are not those of an arm with this many links.
+    """
+    links = arm.link_count
+    if len(grid.shape) != links or len(sections.link_start) != links + 1:
+        raise InputError(
+            f"occupancy: the arm has {links} links, the grid {len(grid.shape)} axes and the sections are for "
+            f"{len(sections.link_start) - 1} links",
+        )
+    words = _fill(
+        np.array(grid.shape),
+        grid.lower,
+        grid.step,
+        arm.lengths,
+        arm.half_widths,
+        arm.signs,
+        arm.offsets,
+        LINK_MODELS.index(sections.link_model),
+        sections.link_start,
+        sections.vertex_start,
+        sections.vertices,
+        sections.radii,
+        sections.bounds,
+    )
+    for (link, other, _), radius in zip(sections.own_pairs.tolist(), sections.own_radii.tolist(), strict=True):
+        if link < links:
+            _take_out_contact(words, arm, grid, link, other, radius)
+    return Occupancy(grid, frozen(words))
+
+
+def _take_out_contact(words: WordArray, arm: PlanarArm, grid: Grid, link: int, other: int, radius: float) -> None:
+    """Clear the bits of all nodes at which the axis of a link is within a radius of that of one before it.
+
+    That depends on the joints between them alone: the links after `other` are an arm of their own, and `other` is an
+    obstacle to the last of them.
+    """
+    between = slice(other + 1, link + 1)
+    length = float(arm.lengths[other])
+    before = ArmSections(
+        link_model="capsule",
+        link_start=readonly([*([0] * (link - other)), 1], np.int64),
+        vertex_start=readonly([0, 2], np.int64),
+        vertices=readonly([[-length, 0.0], [0.0, 0.0]]),
+        radii=readonly([radius]),
+        bounds=readonly([[-0.5 * length, 0.0, 0.5 * length + radius]]),
+        obstacle_of=readonly([0], np.int64),
+        obstacle_names=(arm.link_names[other],),
+    )
+    part = Grid(grid.lower[between], grid.step[between], grid.shape[between])
+    apart = occupancy(part_of_arm(arm, other + 1, link), before, part)
+    rows = words.reshape(math.prod(grid.shape[: other + 1]), -1, words.shape[1])
+    if link == arm.link_count - 1:
+        rows &= apart.free_words
+    else:
+        rows = words.reshape(len(rows), part.size, -1)
+        rows[:, apart.occupied.ravel()] = 0
+
+
+@inlined
+def _disc_half_angle(rho: float, length: float, radius: float) -> float:
+    """Equations (1) and (2) for rho > radius; -1 where the disc is out of reach."""
+    if rho > length + radius:
+        return -1.0
+    if rho * rho <= length * length + radius * radius:
+        return math.asin(radius / rho)
+    cosine = (length * length + rho * rho - radius * radius) / (2.0 * length * rho)
+    return math.acos(min(1.0, cosine))
+
+
+@kernel
+def _rectangle_half_angles(rho: float, length: float, half_width: float, radius: float) -> tuple[float, float]:
+    """Smallest and largest |bearing| at which a disc meets a rectangle [0, length] x [-w, w]; -1 where never.
+
+    The rectangle grown by the disc's radius reaches to `extent(a)` in direction `a`, which rises from `a = 0` to
+    the corner and falls from there to `a = pi`; each branch below inverts one of its pieces.
+    """
+    corner = math.hypot(length, half_width)
+    if rho > corner + radius:
+        return -1.0, -1.0
+    if rho <= radius:
+        return 0.0, math.pi
+    to_corner = math.atan2(half_width, length)
+    lowest = 0.0
+    if rho > length + radius:
+        if rho <= math.hypot(length + radius, half_width):
+            lowest = math.acos((length + radius) / rho)
+        else:
+            lowest = to_corner - _arc(rho, corner, radius)
+    if rho <= math.hypot(radius, half_width):
+        highest = math.pi - math.acos(radius / rho)
+    elif rho <= half_width + radius:
+        sine = (rho * rho + half_width * half_width - radius * radius) / (2.0 * rho * half_width)
+        highest = math.pi - math.asin(min(1.0, sine))
+    elif rho <= math.hypot(length, half_width + radius):
+        highest = math.asin((half_width + radius) / rho)
+    else:
+        highest = to_corner + _arc(rho, corner, radius)
+    return lowest, highest
+
+
+@inlined
+def _arc(rho: float, centre: float, radius: float) -> float:
+    """Angle between the directions to a circle's centre and to its point at distance rho."""
+    cosine = (rho * rho + centre * centre - radius * radius) / (2.0 * rho * centre)
+    return math.acos(max(-1.0, min(1.0, cosine)))
+
+
+@kernel
+def _polygon_interval(
+    vertices: FloatArray,
+    first: int,
+    last: int,
+    radius: float,
+    px: float,
+    py: float,
+    cos: float,
+    sin: float,
+    length: float,
+) -> tuple[int, float, float]:
+    """Angles, relative to the direction (cos, sin), at which a link from (px, py) meets a rounded polygon.
+
+    The interval is narrower than pi, so its ends are found among the directions to points by the sign of their cross
+    products, and only these two are made angles.
+
+    Returns 0 (never), 1 (between the two angles, the second may pass pi) or 2 (always).
+    """
+    count = last - first
+    inside = count >= 3
+    square_length, square_radius = length * length, radius * radius
+    sure = max(0.0, length - radius)  # a corner nearer than this is within reach with all of its disc
+    lx, ly, hx, hy = 0.0, 0.0, 0.0, 0.0
+    ax, ay = vertices[last - 1, 0] - px, vertices[last - 1, 1] - py
+    before = ax * ax + ay * ay
+    for i in range(count):
+        # The corner, and the side that leads to it from the corner before.
+        bx, by = vertices[first + i, 0] - px, vertices[first + i, 1] - py
+        square = bx * bx + by * by
+        if square <= (radius + _TOUCHING) * (radius + _TOUCHING):
+            return 2, 0.0, 0.0
+        if square <= square_length + square_radius:
+            tangent = math.sqrt(square - square_radius)  # equation (1), both tangents as directions
+            lx, ly, hx, hy = _widen(
+                lx, ly, hx, hy, bx * tangent + by * radius, by * tangent - bx * radius,
+                bx * tangent - by * radius, by * tangent + bx * radius,
+            )  # fmt: skip
+        elif square <= (length + radius) * (length + radius):
+            along = 0.5 * (square_length + square - square_radius)  # equation (2), times the distance
+            across = math.sqrt(max(0.0, square_length * square - along * along))
+            lx, ly, hx, hy = _widen(
+                lx, ly, hx, hy, bx * along + by * across, by * along - bx * across,
+                bx * along - by * across, by * along + bx * across,
+            )  # fmt: skip
+        ex, ey = bx - ax, by - ay
+        edge = ex * ex + ey * ey
+        if edge > 0.0:
+            outward = ex * ay - ey * ax  # how far the joint stands to the right of the side, times its length
+            along = -(ex * ax + ey * ay)
+            if outward > 0.0:
+                inside = False
+            if 0.0 <= along <= edge and outward * outward <= (radius + _TOUCHING) * (radius + _TOUCHING) * edge:
+                return 2, 0.0, 0.0
+            # Where the straight side to the right leaves the reach. (Two vertices make two sides, there and back, and
+            # so both sides of a stadium.)
+            if before > sure * sure or square > sure * sure:
+                size = math.sqrt(edge)
+                distance = outward / size - radius
+                if abs(distance) < length:
+                    chord = math.sqrt(square_length - distance * distance)
+                    ux, uy = ex / size, ey / size
+                    for direction in (-1.0, 1.0):
+                        t = along / size + direction * chord
+                        if 0.0 <= t <= size:
+                            x = ax + t * ux + radius * uy
+                            y = ay + t * uy - radius * ux
+                            lx, ly, hx, hy = _widen(lx, ly, hx, hy, x, y, x, y)
+        ax, ay, before = bx, by, square
+    if inside:
+        return 2, 0.0, 0.0
+    if lx == 0.0 and ly == 0.0:
+        return 0, 0.0, 0.0
+    low = math.atan2(cos * ly - sin * lx, cos * lx + sin * ly)
+    return 1, low, low + max(0.0, math.atan2(lx * hy - ly * hx, lx * hx + ly * hy))
+
+
+@inlined
+def _widen(
+    lx: float, ly: float, hx: float, hy: float, ax: float, ay: float, bx: float, by: float
+) -> tuple[float, float, float, float]:
+    """Widen the cone from direction l to direction h, counter-clockwise, to hold the one from a to b."""
+    if lx == 0.0 and ly == 0.0:
+        return ax, ay, bx, by
+    if lx * ay - ly * ax < 0.0:
+        lx, ly = ax, ay
+    if hx * by - hy * bx > 0.0:
+        hx, hy = bx, by
+    return lx, ly, hx, hy
+
+
+@kernel
+def _mark(
+    rows: WordArray,
+    r: int,
+    low: float,
+    high: float,
+    lower: float,
+    step: float,
+    count: int,
+    sign: float,
+    offset: float,
+) -> None:
+    """Clear the bits of row `r` whose joint angle gives a relative link angle in [low, high] (mod 2 pi)."""
+    if sign < 0.0:
+        low, high = offset - high, offset - low
+    else:
+        low, high = low - offset, high - offset
+    turn = 2.0 * math.pi
+    if high < lower or high >= lower + turn:
+        shift = turn * math.ceil((lower - high) / turn)
+        low, high = low + shift, high + shift
+    upper = lower + step * (count - 1)
+    while low <= upper:
+        first = max(0, math.ceil((low - lower) / step))
+        last = min(count - 1, math.floor((high - lower) / step))
+        if first <= last:
+            for word in range(first >> 6, (last >> 6) + 1):
+                mask = _ALL
+                if word == first >> 6:
+                    mask &= _ALL << np.uint64(first & 63)
+                if word == last >> 6:
+                    mask &= _ALL >> np.uint64(63 - (last & 63))
+                rows[r, word] &= ~mask
+        low, high = low + turn, high + turn
+
+
+@kernel
+def _fill_link(
+    rows: WordArray,
+    alive: BoolArray,
+    px: FloatArray,
+    py: FloatArray,
+    cos: FloatArray,
+    sin: FloatArray,
+    length: float,
+    half_width: float,
+    sign: float,
+    offset: float,
+    lower: float,
+    step: float,
+    count: int,
+    model: int,
+    first_section: int,
+    last_section: int,
+    vertex_start: IntArray,
+    vertices: FloatArray,
+    radii: FloatArray,
+    bounds: FloatArray,
+) -> None:
+    """Free bits of one link's rows: its joint at (px, py), the link before it along (cos, sin).
+
+    A row whose earlier links collide (not `alive`) is occupied whole.
+    """
+    words = rows.shape[1]
+    corner = math.hypot(length, half_width)
+    reach = corner if model == _RECTANGLE else length
+    tail = _ALL >> np.uint64((64 - count) & 63)
+    for r in range(rows.shape[0]):
+        blocked = not alive[r]
+        for w in range(words):
+            rows[r, w] = np.uint64(0) if blocked else (tail if w == words - 1 else _ALL)
+        if blocked:
+            continue
+        for s in range(first_section, last_section):
+            dx, dy = bounds[s, 0] - px[r], bounds[s, 1] - py[r]
+            limit = reach + bounds[s, 2]
+            square = dx * dx + dy * dy
+            if square > limit * limit:
+                continue
+            radius = radii[s]
+            # The forbidden angles: `state` 0 none, 1 [low, high], 2 all, 3 [low, high] and its mirror image.
+            state, low, high, bearing = 0, 0.0, 0.0, 0.0
+            if vertex_start[s + 1] - vertex_start[s] > 1:
+                state, low, high = _polygon_interval(
+                    vertices, vertex_start[s], vertex_start[s + 1], radius, px[r], py[r], cos[r], sin[r], length
+                )  # fmt: skip
+            else:
+                rho = math.sqrt(square)
+                bearing = math.atan2(cos[r] * dy - sin[r] * dx, cos[r] * dx + sin[r] * dy)
+                if rho <= radius:
+                    state = 2
+                elif model == _RECTANGLE:
+                    low, high = _rectangle_half_angles(rho, length, half_width, radius)
+                    if high >= 0.0:
+                        state = 3 if low > 0.0 else 1
+                        low = low if low > 0.0 else -high
+                elif model == _CAPSULE or rho <= corner + radius - half_width:
+                    high = _disc_half_angle(rho, length, radius)
+                    low = -high
+                    state = 1 if high >= 0.0 else 0
+            if state == 2:
+                for w in range(words):
+                    rows[r, w] = np.uint64(0)
+                break
+            if state != 0:
+                _mark(rows, r, bearing + low, bearing + high, lower, step, count, sign, offset)
+            if state == 3:
+                _mark(rows, r, bearing - high, bearing - low, lower, step, count, sign, offset)
+
+
+@kernel
+def _advance(
+    rows: WordArray,
+    px: FloatArray,
+    py: FloatArray,
+    cos: FloatArray,
+    sin: FloatArray,
+    length: float,
+    sign: float,
+    offset: float,
+    lower: float,
+    step: float,
+    count: int,
+) -> tuple[BoolArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+    """The next link's rows: which are alive, the position of its joint, the direction of this link."""
+    size = rows.shape[0] * count
+    alive = np.empty(size, dtype=np.bool_)
+    next_px, next_py = np.empty(size), np.empty(size)
+    next_cos, next_sin = np.empty(size), np.empty(size)
+    turn_cos, turn_sin = np.empty(count), np.empty(count)
+    for b in range(count):
+        angle = sign * (lower + b * step) + offset
+        turn_cos[b], turn_sin[b] = math.cos(angle), math.sin(angle)
+    for r in range(rows.shape[0]):
+        for b in range(count):
+            i = r * count + b
+            alive[i] = (rows[r, b >> 6] >> np.uint64(b & 63)) & np.uint64(1) != np.uint64(0)
+            c = cos[r] * turn_cos[b] - sin[r] * turn_sin[b]
+            s = sin[r] * turn_cos[b] + cos[r] * turn_sin[b]
+            next_cos[i], next_sin[i] = c, s
+            next_px[i] = px[r] + length * c
+            next_py[i] = py[r] + length * s
+    return alive, next_px, next_py, next_cos, next_sin
+
+
+@kernel
+def _fill(
+    shape: IntArray,
+    lower: FloatArray,
+    step: FloatArray,
+    lengths: FloatArray,
+    half_widths: FloatArray,
+    signs: FloatArray,
+    offsets: FloatArray,
+    model: int,
+    link_start: IntArray,
+    vertex_start: IntArray,
+    vertices: FloatArray,
+    radii: FloatArray,
+    bounds: FloatArray,
+) -> WordArray:
+    """Free bits of all rows, link by link."""
+    px, py, sin = np.zeros(1), np.zeros(1), np.zeros(1)
+    cos, alive = np.ones(1), np.ones(1, dtype=np.bool_)
+    rows = np.empty((1, (shape[0] + 63) >> 6), dtype=np.uint64)
+    for k in range(len(shape)):
+        if k > 0:
+            alive, px, py, cos, sin = _advance(
+                rows, px, py, cos, sin, lengths[k - 1], signs[k - 1], offsets[k - 1], lower[k - 1], step[k - 1],
+                shape[k - 1],
+            )  # fmt: skip
+            rows = np.empty((len(alive), (shape[k] + 63) >> 6), dtype=np.uint64)
+        _fill_link(
+            rows, alive, px, py, cos, sin, lengths[k], half_widths[k], signs[k], offsets[k], lower[k], step[k],
+            shape[k], model, link_start[k], link_start[k + 1], vertex_start, vertices, radii, bounds,
+        )  # fmt: skip
+    return rows

@@ -1,0 +1,166 @@
+"""C-space of an arm whose base turns: one layer of the planar C-space for each yaw, stacked along the last axis.
+
+The grid's axes are the planar joints and then the yaw, so that a slice of the last axis is the paper's problem at that
+yaw, and one word of a row holds 64 yaws.
+"""
+
+from __future__ import annotations
+
+import math
+from threading import Lock
+
+import numpy as np
+
+from hplan.base.arrays import WordArray, frozen
+from hplan.base.kernels import kernel
+from hplan.cspace.occupancy import occupancy
+from hplan.cspace.sections import ArmSections, Bodies, sections_at
+from hplan.errors import OptionError
+from hplan.robot.model import Robot
+from hplan.search.grid import Grid, Occupancy, words_for
+
+#: Largest C-space with a turning base [bytes], one bit a node: a search takes five times as much.
+MOST_BYTES = 150_000_000
+
+
+def yaw_axis(
+    start: float, goal: float, step: float, lower: float, upper: float, beyond: float
+) -> tuple[float, float, int]:
+    """Equally spaced yaws that hold start and goal and go beyond them where the limits allow.
+
+    Args:
+        start: Yaw of the start.
+        goal: Yaw of the goal.
+        step: Largest spacing.
+        lower: Lower limit of the yaw.
+        upper: Upper limit of the yaw.
+        beyond: How far to go beyond start and goal.
+
+    Returns:
+        The first yaw, the spacing and the number of yaws. Where start and goal are nearer to each other than half a
+        step, only the start's yaw is met exactly.
+    """
+    low, high = min(start, goal), max(start, goal)
+    if high - low >= 0.5 * step:
+        step = (high - low) / math.ceil((high - low) / step - 1e-9)
+    else:
+        low = high = start
+    below = math.floor(min(beyond, low - lower) / step + 1e-9)
+    above = math.floor(min(beyond, upper - high) / step + 1e-9)
+    return low - below * step, step, round((high - low) / step) + below + above + 1
+
+
+class Layers:
+    """Planar layers that were computed before, found again by what they are made from: grid and sections.
+
+    A layer whose sections have not changed need not be computed again, whatever else has changed in the scene. Once
+    more than `most_bytes` are held, the oldest go.
+    """
+
+    def __init__(self, most_bytes: int = 64_000_000) -> None:
+        """Hold nothing yet."""
+        self._most_bytes = most_bytes
+        self._bytes = 0
+        self._held: dict[bytes, WordArray] = {}
+        self._lock = Lock()
+
+    def __getstate__(self) -> int:
+        """Only how many bytes may be held: a pickled plan need not carry them."""
+        return self._most_bytes
+
+    def __setstate__(self, most_bytes: int) -> None:
+        """Hold nothing yet."""
+        self.__init__(most_bytes)  # type: ignore[misc]
+
+    def free_words(self, robot: Robot, sections: ArmSections, planar: Grid) -> WordArray:
+        """Free bits of a layer, as in `Occupancy`."""
+        parts = (planar.lower, planar.step, np.array(planar.shape), sections.link_start, sections.vertex_start)
+        key = b"".join(part.tobytes() for part in (*parts, sections.vertices, sections.radii, sections.own_radii))
+        found = self._held.get(key)
+        if found is None:
+            found = occupancy(robot.arm, sections, planar).free_words
+            self._keep(key, found)
+        return found
+
+    def _keep(self, key: bytes, words: WordArray) -> None:
+        """Hold a layer, unless another thread has put it there meanwhile, and let the oldest go."""
+        with self._lock:
+            if key in self._held:
+                return
+            self._held[key] = words
+            self._bytes += len(key) + words.nbytes
+            while self._bytes > self._most_bytes and len(self._held) > 1:
+                oldest = next(iter(self._held))
+                self._bytes -= len(oldest) + self._held.pop(oldest).nbytes
+
+
+def turning_occupancy(
+    robot: Robot,
+    bodies: Bodies,
+    planar: Grid,
+    first_yaw: float,
+    yaw_step: float,
+    count: int,
+    *,
+    thick: bool,
+    layers: Layers,
+) -> Occupancy:
+    """Which nodes of planar grid times yaws are free.
+
+    Args:
+        robot: The arm, with a yaw.
+        bodies: The obstacles.
+        planar: Grid over the planar joints.
+        first_yaw: Yaw of the first layer.
+        yaw_step: Spacing of the layers.
+        count: Number of layers.
+        thick: Whether a layer holds the obstacles at all yaws nearer to it than to others, not at its own yaw alone.
+        layers: Layers that are already there; of this robot only.
+
+    Raises:
+        OptionError: A grid that takes more than `MOST_BYTES`.
+    """
+    size = 8 * planar.size * words_for(count)
+    if size > MOST_BYTES:
+        raise OptionError(
+            "step_deg",
+            round(math.degrees(yaw_step), 6),
+            f"a larger step: with the base turning, one bit for each of {planar.size} nodes and {count} yaws takes "
+            f"{size / 1e6:.0f} MB, more than {MOST_BYTES / 1e6:.0f} MB, and a search five times that",
+        )
+    grid = Grid(np.append(planar.lower, first_yaw), np.append(planar.step, yaw_step), (*planar.shape, count))
+    half_angle = 0.5 * yaw_step if thick else 0.0
+    words = np.empty((planar.size, words_for(count)), dtype=np.uint64)
+    for place in range(words_for(count)):
+        yaws = first_yaw + yaw_step * np.arange(64 * place, min(count, 64 * place + 64))
+        sections = (sections_at(robot, bodies, yaw, half_angle=half_angle) for yaw in yaws.tolist())
+        _stack(np.stack([layers.free_words(robot, each, planar) for each in sections]), planar.shape[-1], place, words)
+    return Occupancy(grid, frozen(words))
+
+
+@kernel
+def _stack(free: WordArray, count: int, place: int, words: WordArray) -> None:
+    """Word `place` of every node's row from 64 planar occupancies, (layers, rows, words): a bit from each of them.
+
+    64 words of 64 bits are transposed: blocks of 32 bits change places across the diagonal, then blocks of 16 in each
+    of these, and so on.
+    """
+    layers, rows, planar_words = free.shape
+    block = np.empty(64, dtype=np.uint64)
+    for row in range(rows):
+        for word in range(planar_words):
+            for k in range(64):
+                block[k] = free[k, row, word] if k < layers else np.uint64(0)
+            size, mask = 32, np.uint64(0xFFFFFFFF)
+            while size > 0:
+                shift = np.uint64(size)
+                for base in range(0, 64, 2 * size):
+                    for k in range(base, base + size):
+                        change = ((block[k] >> shift) ^ block[k + size]) & mask
+                        block[k] ^= change << shift
+                        block[k + size] ^= change
+                size >>= 1
+                mask ^= mask << np.uint64(size)
+            first = row * count + 64 * word
+            for k in range(min(64, count - 64 * word)):
+                words[first + k, place] = block[k]

@@ -1,0 +1,438 @@
+r"""The straight approach: the tool moves to its goal along the last link's own direction, which does not turn.
+
+The yaw stands still, and so does the direction u of the last link; the last free joint, the wrist, then moves on a
+straight line with it. Two joints carry the wrist. With t the distance of the tool from its goal, their inverse
+kinematics (`hplan.planar.planar_chain`) for the wrist at :math:`p(t) = p(0) - t u` gives the path. With :math:`l_1,
+l_2` their lengths, :math:`\alpha_1, \alpha_2` their absolute angles, :math:`u_1, u_2` their directions and :math:`e =
+\alpha_2 - \alpha_1`, differentiating :math:`l_1 u_1 + l_2 u_2 = p(t)` once and twice gives
+
+.. math::
+    \alpha_1' &= \frac{p' \cdot u_2}{l_1 \sin e}, &
+    \alpha_1'' &= \frac{l_1 \alpha_1'^2 \cos e + l_2 \alpha_2'^2}{l_1 \sin e}, \\
+    \alpha_2' &= -\frac{p' \cdot u_1}{l_2 \sin e}, &
+    \alpha_2'' &= -\frac{l_1 \alpha_1'^2 + l_2 \alpha_2'^2 \cos e}{l_2 \sin e}.
+
+They are exact and finite as long as the elbow keeps away from straight and folded, which is asked for. A joint comes
+to one of its limits where the wrist crosses a circle, and so does the elbow to what it keeps away from; between
+these at most 16 distances, each a root of a quadratic, everything is kept or not throughout. So the largest stand-off
+is exact too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hplan.base.arrays import BoolArray, ComplexArray, FloatArray, Record, frozen
+from hplan.base.elementary import argument, modulus, product
+from hplan.base.polyline import curve_length
+from hplan.errors import ApproachError, InputError, OptionError
+from hplan.planar.planar_chain import two_links
+from hplan.robot.model import Robot
+
+#: The elbow keeps this angle from straight and from folded [rad]; there, joint speeds pass all bounds.
+STRAIGHT = np.radians(1.0)
+
+#: A joint may be beyond its limit by rounding [rad].
+ROUNDING = 1e-10
+
+#: Smallest tolerance of a polyline [m].
+LEAST_TOLERANCE = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Standoffs(Record):
+    """Where straight approaches begin.
+
+    Attributes:
+        configurations: (k, dof) the configurations at the stand-off, or as far towards it as is possible.
+        feasible: (k,) whether the whole stretch from there to the goal is possible.
+        largest: (k,) largest stand-off possible, at most the one asked for [m].
+    """
+
+    configurations: FloatArray
+    feasible: BoolArray
+    largest: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class ApproachPolyline(Record):
+    """Waypoints of an approach whose straight joint-space segments stay near it.
+
+    Attributes:
+        points: (m, dof) waypoints, on the path.
+        deviation: Largest distance of any joint of a segment from its value on the path [rad].
+        sway: (links,) largest distance of any axis point of each link from its place on the path [m].
+    """
+
+    points: FloatArray
+    deviation: float
+    sway: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class ApproachPath(Record):
+    """The path from the stand-off to the goal, or back; its parameter is the distance, scaled to the joint length.
+
+    Attributes:
+        robot: The arm.
+        goal: (dof,) configuration at the goal.
+        standoff: Distance of the tool from its goal where the path begins [m].
+        locked: Names of joints that stand still.
+        backward: True for the way from the goal to the stand-off.
+    """
+
+    robot: Robot
+    goal: FloatArray
+    standoff: float
+    locked: tuple[str, ...] = ()
+    backward: bool = False
+
+    @property
+    def reversed(self) -> ApproachPath:
+        """The same path the other way: of an approach the retreat."""
+        return replace(self, backward=not self.backward)
+
+    @cached_property
+    def length(self) -> float:
+        """Joint-space length, by Gauss-Legendre quadrature."""
+        # Denser towards both ends, where the elbow may be nearly straight.
+        panels = 0.5 * self.standoff * (1.0 - np.cos(np.linspace(0.0, np.pi, 17)))
+
+        def speed(t: FloatArray) -> FloatArray:
+            rates = self._stretch.joints(t.reshape(1, -1), 1)[0]
+            speeds: FloatArray = np.linalg.norm(rates, axis=-1).reshape(t.shape)
+            return speeds
+
+        return curve_length(speed, panels)
+
+    @property
+    def end(self) -> float:
+        """Last parameter; the first is 0."""
+        return self.length
+
+    @cached_property
+    def breaks(self) -> FloatArray:
+        """(2,) the ends of the parameter; the path is one piece."""
+        return frozen(np.array([0.0, self.end]))
+
+    def evaluate(self, s: ArrayLike, derivative: int = 0) -> FloatArray:
+        """Points or derivatives with respect to the parameter.
+
+        Args:
+            s: (...) parameters in [0, end]; clipped to it.
+            derivative: 0, 1 or 2.
+
+        Returns:
+            (..., dof) values.
+        """
+        share = np.clip(np.asarray(s, dtype=np.float64) / self.end, 0.0, 1.0)
+        distance = self.standoff * (share if self.backward else 1.0 - share)
+        rate = (self.standoff if self.backward else -self.standoff) / self.end
+        moved = self._stretch.joints(distance.reshape(1, -1), derivative)[0].reshape(*share.shape, -1)
+        q = np.broadcast_to(self.goal if derivative == 0 else 0.0, (*share.shape, self.robot.dof)).copy()
+        q[..., list(self._stretch.index)] += moved * rate**derivative
+        if derivative == 0:
+            # Rounding at a limit, and at the goal.
+            q = np.minimum(np.maximum(q, self.robot.lower), self.robot.upper)
+            q[distance == 0.0] = self.goal
+        return q
+
+    def polyline(self, tolerance: float = 1e-4) -> ApproachPolyline:
+        r"""Waypoints whose segments stay near the path.
+
+        On a segment of the width h a joint is off by at most :math:`h^2 / 8` times the largest second derivative. That
+        is bounded by the formulas above: :math:`\sin e` is smallest at an end of the segment or where the wrist is
+        nearest to the first joint, and :math:`|p' \cdot u_2|` passes its values at the ends by no more than
+        :math:`\alpha_2` turns.
+
+        Args:
+            tolerance: Distance from the path that no axis point of a link may pass at equal parameter [m].
+
+        Raises:
+            OptionError: A tolerance below `LEAST_TOLERANCE`.
+        """
+        if not (np.isfinite(tolerance) and tolerance >= LEAST_TOLERANCE):
+            raise OptionError("tolerance", tolerance, f"a number of metres >= {LEAST_TOLERANCE:g}")
+        cuts = np.array([0.0, self.standoff])
+        off = self._stretch.chord_deviations(cuts)
+        while (coarse := self._stretch.sways(off)[:, -1] > tolerance).any():
+            cuts = np.sort(np.concatenate([cuts, 0.5 * (cuts[:-1] + cuts[1:])[coarse]]))
+            off = self._stretch.chord_deviations(cuts)
+        share = cuts / self.standoff if self.backward else 1.0 - cuts[::-1] / self.standoff
+        joints = max(float(off.max()), float(off.sum(axis=1).max()))
+        return ApproachPolyline(
+            frozen(self.evaluate(share * self.end)), joints, frozen(self._stretch.sways(off).max(axis=0))
+        )
+
+    @cached_property
+    def _stretch(self) -> _Stretches:
+        return _Stretches.back_from(self.robot, self.goal[None], self.locked)
+
+
+def straight_approach(robot: Robot, goal: ArrayLike, standoff: float, *, locked: Sequence[str] = ()) -> ApproachPath:
+    """The straight path to a goal configuration along the last link's direction.
+
+    Args:
+        robot: The arm.
+        goal: (dof,) goal configuration.
+        standoff: Distance of the tool from its goal where the path begins [m].
+        locked: Names of joints that stand still. Of the free joints in the plane the first two and the last move.
+
+    Raises:
+        InputError: A goal that is no configuration, a joint that does not exist.
+        OptionError: A stand-off that is not positive.
+        ApproachError: Fewer than three joints that may move, or a limit or the elbow in the way; says how far it goes.
+    """
+    q = robot.check_configuration(goal, "goal")
+    found = standoffs(robot, q[None], standoff, locked=locked)
+    if not found.feasible[0]:
+        raise _too_long(_Stretches.back_from(robot, q[None], locked), standoff, float(found.largest[0]))
+    return ApproachPath(robot, q, float(standoff), tuple(locked))
+
+
+def standoffs(robot: Robot, candidates: ArrayLike, distance: float, *, locked: Sequence[str] = ()) -> Standoffs:
+    """Where straight approaches to many goal configurations begin, and which of them are possible.
+
+    Args:
+        robot: The arm.
+        candidates: (k, dof) goal configurations.
+        distance: Stand-off [m].
+        locked: Names of joints that stand still.
+
+    Raises:
+        InputError: Candidates of another shape, a joint that does not exist.
+        OptionError: A distance that is not positive.
+        ApproachError: Fewer than three joints that may move.
+    """
+    q = np.asarray(candidates, dtype=np.float64)
+    if q.ndim != 2 or q.shape[1] != robot.dof:
+        raise InputError(f"candidates: expected {robot.dof} joint values in each row, got the shape {q.shape}")
+    if not (np.isfinite(distance) and distance > 0.0):
+        raise OptionError("standoff", distance, "a positive number of metres")
+    stretch = _Stretches.back_from(robot, q, locked, standoff=distance)
+    largest = stretch.largest(distance)
+    configurations = q.copy()
+    configurations[:, list(stretch.index)] += stretch.joints(largest[:, None], 0)[:, 0]
+    configurations = np.minimum(np.maximum(configurations, robot.lower), robot.upper)
+    return Standoffs(frozen(configurations), frozen(largest >= distance), frozen(largest))
+
+
+def _too_long(stretch: _Stretches, standoff: float, largest: float) -> ApproachError:
+    """What is in the way just beyond the largest stand-off."""
+    beyond = np.array([[min(largest + 1e-6, standoff)]])
+    q = stretch.joints(beyond, 0)[0, 0] + stretch.goal[0]
+    excess = np.maximum(stretch.lower - q, q - stretch.upper)
+    possible = f"{largest:.6g} m is possible" if largest > 0.0 else "none is possible"
+    if not stretch.keeps_elbow(beyond)[0, 0]:
+        return ApproachError(
+            standoff,
+            "elbow",
+            f"the elbow would come within {np.degrees(STRAIGHT):.4g} deg of straight or folded; {possible}",
+            largest_standoff_m=largest,
+        )
+    joint = stretch.robot.joint_names[stretch.index[int(excess.argmax())]]
+    return ApproachError(
+        standoff,
+        "joint_limit",
+        f"joint {joint!r} would pass its limit; {possible}",
+        largest_standoff_m=largest,
+        joint=joint,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Stretches:
+    """Straight stretches back from k goals; distances from the goals are (k, m) arrays.
+
+    Attributes:
+        robot: The arm.
+        index: Indices of the three joints that move.
+        signs: (3,) their senses.
+        goal: (k, 3) their values at the goals.
+        lower: (3,) their lower limits.
+        upper: (3,) their upper limits.
+        near: (k,) distance from the first of them to the second [m].
+        far: (k,) distance from the second to the third, the wrist [m].
+        wrist: (k,) the wrist at the goal, from the first joint, as horizontal + i upward [m].
+        back: (k,) direction in which the wrist leaves the goal.
+        side: (k,) +1 or -1, side of the elbow.
+    """
+
+    robot: Robot
+    index: tuple[int, int, int]
+    signs: FloatArray
+    goal: FloatArray
+    lower: FloatArray
+    upper: FloatArray
+    near: FloatArray
+    far: FloatArray
+    wrist: ComplexArray
+    back: ComplexArray
+    side: FloatArray
+
+    @classmethod
+    def back_from(cls, robot: Robot, q: FloatArray, locked: Sequence[str], *, standoff: float = 0.0) -> _Stretches:
+        """Stretches from (k, dof) configurations; `standoff` is for the error.
+
+        Raises:
+            InputError: A joint that does not exist.
+            ApproachError: Fewer than three joints that may move.
+        """
+        for name in locked:
+            if name not in robot.joint_names:
+                raise InputError(
+                    f"there is no joint {name!r}; the robot has {', '.join(robot.joint_names)}", joint=name
+                )
+        free = [k for k, name in enumerate(robot.arm.joint_names) if name not in locked]
+        if len(free) < 3:
+            names = ", ".join(robot.arm.joint_names[k] for k in free) or "none"
+            detail = f"it takes three joints in the arm plane, and those that may move are {names}"
+            raise ApproachError(standoff, "joints", detail, largest_standoff_m=0.0)
+        moving = [free[0], free[1], free[-1]]
+        shift = robot.dof - robot.arm.link_count
+        index = [shift + k for k in moving]
+        points = robot.arm.joint_points(q[:, shift:])
+        plane: ComplexArray = points[..., 0] + 1j * points[..., 1]
+        first, second, third = (plane[:, k] for k in moving)
+        last = plane[:, -2] - plane[:, -1]
+        turned = product(third - second, np.conj(second - first))
+        return cls(
+            robot=robot,
+            index=(index[0], index[1], index[2]),
+            signs=robot.arm.signs[moving],
+            goal=q[:, index],
+            lower=robot.lower[index],
+            upper=robot.upper[index],
+            near=modulus(second - first),
+            far=modulus(third - second),
+            wrist=third - first,
+            back=last / modulus(last),
+            side=np.where(turned.imag < 0.0, -1.0, 1.0),
+        )
+
+    @cached_property
+    def _at_goal(self) -> tuple[FloatArray, FloatArray]:
+        """(k,) absolute angles of the two links at the goals."""
+        bearing, half, bend, _ = two_links(self.near, self.far, self.wrist)
+        first = bearing - self.side * half
+        return first, first + self.side * bend
+
+    def joints(self, distance: FloatArray, derivative: int) -> FloatArray:
+        """(k, m, 3) the three joints' change from the goal, or their derivatives by distance."""
+        first, second = self._turns(distance)
+        if derivative > 0:
+            a1, a2 = self._at_goal[0][:, None] + first, self._at_goal[1][:, None] + second
+            first, second = self._rates(a1, a2)
+            if derivative > 1:
+                near, far = self.near[:, None], self.far[:, None]
+                sin, cos = np.sin(a2 - a1), np.cos(a2 - a1)
+                first, second = (
+                    (near * first**2 * cos + far * second**2) / (near * sin),
+                    -(near * first**2 + far * second**2 * cos) / (far * sin),
+                )
+        return np.stack([first, second - first, -second], axis=-1) * self.signs
+
+    def _turns(self, distance: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(k, m) by how much the two links have turned since the goal."""
+        wrist, side = self.wrist[:, None] + distance * self.back[:, None], self.side[:, None]
+        _, half, bend, _ = two_links(self.near[:, None], self.far[:, None], wrist)
+        _, half_at_goal, bend_at_goal, _ = two_links(self.near[:, None], self.far[:, None], self.wrist[:, None])
+        # Seen from a point beside it, a straight line turns by less than half a turn.
+        swept = product(wrist, np.conj(self.wrist)[:, None])
+        first = argument(swept) - side * (half - half_at_goal)
+        return first, first + side * (bend - bend_at_goal)
+
+    def _rates(self, a1: FloatArray, a2: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(k, m) first derivatives of the two links' absolute angles by distance."""
+        back, sin = argument(self.back)[:, None], np.sin(a2 - a1)
+        return np.cos(back - a2) / (self.near[:, None] * sin), -np.cos(back - a1) / (self.far[:, None] * sin)
+
+    def keeps_elbow(self, distance: FloatArray) -> BoolArray:
+        """(k, m) whether the elbow keeps away from straight and folded."""
+        bend, ok = self._bends(distance)
+        kept: BoolArray = ok & (bend >= STRAIGHT) & (bend <= np.pi - STRAIGHT)
+        return kept
+
+    def _bends(self, distance: FloatArray) -> tuple[FloatArray, BoolArray]:
+        """(k, m) angles between the two links, in [0, pi], and whether the wrist is in reach."""
+        wrist = self.wrist[:, None] + distance * self.back[:, None]
+        return two_links(self.near[:, None], self.far[:, None], wrist)[2:]
+
+    def largest(self, distance: float) -> FloatArray:
+        """(k,) the largest stand-offs possible, at most the given one."""
+        cuts = np.sort(np.clip(self._crossings(), 0.0, distance), axis=1)
+        cuts = np.pad(cuts, ((0, 0), (1, 1)), constant_values=((0.0, 0.0), (0.0, distance)))
+        middle = 0.5 * (cuts[:, :-1] + cuts[:, 1:])
+        q = self.goal[:, None] + self.joints(middle, 0)
+        kept = ((q >= self.lower - ROUNDING) & (q <= self.upper + ROUNDING)).all(axis=-1)
+        kept &= self.keeps_elbow(middle)
+        broken = ~kept & (np.diff(cuts, axis=1) > 0.0)
+        reached: FloatArray = np.where(
+            broken.any(axis=1), np.take_along_axis(cuts, broken.argmax(axis=1)[:, None], axis=1)[:, 0], distance
+        )
+        return reached
+
+    def _crossings(self) -> FloatArray:
+        """(k, 16) distances at which some joint may come to a limit or the elbow to its bounds; 0 where never."""
+        near, far, goal = self.near[:, None], self.far[:, None], self.goal[:, :, None]
+        first, second = (angle[:, None] for angle in self._at_goal)
+        # (k, 3, 2) turns of the joints, in the links' sense, that bring them to their limits.
+        left = self.signs[:, None] * (np.stack([self.lower, self.upper], axis=1) - goal)
+        bends = np.concatenate(
+            [second - first + left[:, 1], np.broadcast_to([STRAIGHT, np.pi - STRAIGHT], (len(goal), 2))],
+            axis=1,
+        )
+        center = np.concatenate(
+            [near * np.exp(1j * (first + left[:, 0])), np.zeros_like(bends), far * np.exp(1j * (second - left[:, 2]))],
+            axis=1,
+        )
+        shape = (len(goal), 2)
+        squared = np.concatenate(
+            [
+                np.broadcast_to(far**2, shape),
+                near**2 + far**2 + 2.0 * near * far * np.cos(bends),
+                np.broadcast_to(near**2, shape),
+            ],
+            axis=1,
+        )
+        # |wrist + t back - center|^2 = squared
+        apart = self.wrist[:, None] - center
+        half = product(apart, np.conj(self.back)[:, None]).real
+        under = half**2 - modulus(apart) ** 2 + squared
+        root = np.sqrt(np.maximum(under, 0.0))
+        return np.where(np.tile(under >= 0.0, 2), np.concatenate([-half - root, -half + root], axis=1), 0.0)
+
+    def chord_deviations(self, cuts: FloatArray) -> FloatArray:
+        """(m - 1, 2) bounds of the two links' angles off chords between successive distances, on the first stretch."""
+        lengths, width = np.array([self.near[0], self.far[0]]), np.diff(cuts)
+        foot = np.clip(-product(self.wrist[:1], np.conj(self.back[:1])).real, cuts[:-1], cuts[1:])
+        sines = np.sin(self._bends(np.concatenate([cuts, foot])[None])[0][0])
+        sin = np.minimum(np.minimum(sines[: len(width)], sines[1 : len(cuts)]), sines[len(cuts) :])
+        cos = np.sqrt(1.0 - np.minimum(sin, 1.0) ** 2)
+        steepest = 1.0 / (lengths * sin[:, None])
+        # |p' . u_2| and |p' . u_1| at the ends, and by how much they may be passed in between.
+        angles = np.stack(
+            [goal[0] + turned[0] for goal, turned in zip(self._at_goal, self._turns(cuts[None]), strict=True)], 1
+        )
+        along = np.abs(np.cos(argument(self.back[:1]) - angles))[:, ::-1]
+        share = np.maximum(along[:-1], along[1:]) + 0.5 * width[:, None] * steepest[:, ::-1]
+        pull = lengths * (np.minimum(1.0, share) * steepest) ** 2
+        second = (pull[:, ::-1] + pull * cos[:, None]) * steepest
+        deviation: FloatArray = width[:, None] ** 2 / 8.0 * second
+        return deviation
+
+    def sways(self, deviation: FloatArray) -> FloatArray:
+        """(j, links) distances of axis points from their places when the two links' angles are off by (j, 2)."""
+        arm = self.robot.arm
+        first, second, third = (joint - (self.robot.dof - arm.link_count) for joint in self.index)
+        link = np.arange(arm.link_count)
+        swung = arm.lengths[:, None] * np.stack(
+            [(link >= first) & (link < second), (link >= second) & (link < third)], 1
+        )
+        sways: FloatArray = deviation @ np.cumsum(swung, axis=0).T
+        return sways

@@ -1,0 +1,92 @@
+"""The first run after hplan was installed, when its kernels have yet to be compiled: on two processors at once.
+
+numba compiles a kernel when it is first called, one after the other, and keeps it on disk. What a plan calls up to the
+path on the grid takes about as long to compile as what it calls from there on. So another process calls the latter
+meanwhile, on a way through the reference scene, and the plan waits for it before it gets there. Without that process,
+or where kernels cannot be kept on disk, a plan compiles all of them itself.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import subprocess
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import numpy as np
+
+from hplan.base.child_process import import_environment, python_module
+from hplan.base.kernel_cache import can_be_kept, is_kept
+from hplan.timing.topp import greedy
+
+#: Longest wait for the other process [s].
+PATIENCE_S = 120.0
+
+#: Elbow and wrist while the shoulder turns, on a way around the ball of the reference scene [deg].
+_FOLDED_DEG = (80.0, 80.0)
+
+
+def is_first_run() -> bool:
+    """Whether a kernel that every plan needs is not on disk as its source stands."""
+    return not is_kept(greedy)
+
+
+@contextmanager
+def compiling_beside(first_run: bool) -> Iterator[Callable[[], None]]:
+    """Inside the block the kernels from post-processing on are compiled by another process, if this is the first run.
+
+    Args:
+        first_run: What `is_first_run` says.
+
+    Yields:
+        A function that waits until they are.
+    """
+    useful = first_run and can_be_kept(greedy) and len(os.sched_getaffinity(0)) > 1
+    other = _start() if useful else None
+
+    def wait() -> None:
+        if other is not None:
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                other.wait(PATIENCE_S)
+
+    try:
+        yield wait
+    finally:
+        if other is not None:
+            other.kill()
+            other.wait()
+
+
+def _start() -> subprocess.Popen[bytes] | None:
+    """The other process; None where none can be started."""
+    nowhere = subprocess.DEVNULL
+    try:
+        return subprocess.Popen(
+            python_module("hplan.planning.compile_ahead"),
+            stdin=nowhere,
+            stdout=nowhere,
+            stderr=nowhere,
+            env=import_environment(),
+        )
+    except OSError:
+        return None
+
+
+def compile_from_postprocessing_on() -> None:
+    """Smooth, time and certify a way through the reference scene."""
+    from hplan.planning.find_motion import MARGIN, finished
+    from hplan.problem.options import PlanOptions
+    from hplan.robot.model import load_robot
+    from hplan.scene.file import load_scene
+    from hplan.tour.motions import World
+
+    scene, world = load_scene(), World(load_robot(), PlanOptions())
+    start, goal = scene.start.configuration, scene.goal.configuration
+    way = np.stack([start, start, goal, goal])
+    way[1:3, -2:] = np.radians(_FOLDED_DEG)
+    finished(world.task(world.around(scene), scene, start, goal), None, way, MARGIN, "search")
+
+
+if __name__ == "__main__":
+    compile_from_postprocessing_on()

@@ -1,0 +1,180 @@
+"""A planner that lives as long as the scene changes: obstacles come, move and go, and the motion is planned anew.
+
+What does not change is kept from plan to plan: the robot's planar layers (a layer is computed again only if what the
+arm plane cuts there has changed), and the motion itself, as long as it can still be certified. Every motion that is
+handed out was certified among the obstacles as they are now.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from threading import RLock
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
+
+from hplan.errors import InputError, SceneError
+from hplan.planning.plan import PlanResult, Workspace, check_task, plan_with
+from hplan.problem.options import PlanOptions
+from hplan.robot.model import Robot
+from hplan.scene.model import Box, Capsule, Goal, Mesh, PointCloud, Scene, Sphere, Start, Vector
+
+
+class Planner:
+    """Plans again and again for one robot.
+
+    Several threads may use one planner: a change and a plan wait for the plan that is under way. A planner can be
+    pickled; its memory of layers stays behind.
+
+    Attributes:
+        robot: The arm.
+        options: How to plan.
+        scene: The scene as it is now.
+        last: The last plan; None before the first.
+    """
+
+    def __init__(self, robot: Robot, scene: Scene, options: PlanOptions | None = None) -> None:
+        """Begin with a scene.
+
+        Args:
+            robot: The arm.
+            scene: Obstacles and task.
+            options: How to plan.
+
+        Raises:
+            OptionError: One of them is none.
+        """
+        check_task(robot, scene, options)
+        self.robot = robot
+        self.options = PlanOptions() if options is None else options
+        self.scene = scene
+        self.last: PlanResult | None = None
+        self._workspace = Workspace(robot)
+        self._lock = RLock()
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What a user sees of it."""
+        return {"robot": self.robot, "scene": self.scene, "options": self.options, "last": self.last}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Go on from there."""
+        vars(self).update(state, _workspace=Workspace(state["robot"]), _lock=RLock())
+
+    def plan(self) -> PlanResult:
+        """Plan as `hplan.plan` does, whatever was planned before.
+
+        Raises:
+            HplanError: As `hplan.plan`.
+        """
+        with self._lock:
+            self.last = plan_with(self._workspace, self.scene, self.options)
+            return self.last
+
+    def replan(self) -> PlanResult:
+        """Plan again after a change.
+
+        The last motion stays if it can be certified among the obstacles as they are now, and is mended if it cannot. A
+        new one is searched for where that fails too, where a straight motion has become possible, where start or goal
+        has changed, and to a fruit or a point. So the result depends on what was planned before; `plan` gives the one
+        that does not.
+
+        Raises:
+            HplanError: As `hplan.plan`.
+        """
+        with self._lock:
+            before = None if self.last is None else self.last.motion
+            self.last = plan_with(self._workspace, self.scene, self.options, before=before)
+            return self.last
+
+    def add(self, obstacle: Sphere | Capsule | Box | Mesh | PointCloud) -> None:
+        """Add an obstacle.
+
+        Raises:
+            InputError: There is one of that name, or it is no obstacle.
+        """
+        _check_kind(obstacle)
+        with self._lock:
+            if obstacle.name in {item.name for item in (*self.scene.obstacles, *self.scene.fruits)}:
+                message = f"there is an obstacle {obstacle.name!r} already; names must differ"
+                raise InputError(message, name=obstacle.name)
+            self._change((*self.scene.obstacles, obstacle))
+
+    def remove(self, name: str) -> None:
+        """Take an obstacle away.
+
+        Raises:
+            InputError: There is none of that name.
+        """
+        with self._lock:
+            index = self._index(name)
+            self._change((*self.scene.obstacles[:index], *self.scene.obstacles[index + 1 :]))
+
+    def move(self, name: str, **changes: Any) -> None:
+        """Give an obstacle other values, as `move("post", center=(1, 0, 1))`.
+
+        Raises:
+            InputError: There is none of that name, or it has no such value, or cannot have it.
+        """
+        with self._lock:
+            index = self._index(name)
+            moved = _changed(self.scene.obstacles[index], changes)
+            self._change((*self.scene.obstacles[:index], moved, *self.scene.obstacles[index + 1 :]))
+
+    def aim(self, *, start: Start | None = None, goal: Goal | None = None) -> None:
+        """Begin elsewhere, or go elsewhere.
+
+        Raises:
+            SceneError: A fruit that the scene does not have.
+        """
+        changes: dict[str, Any] = {key: value for key, value in (("start", start), ("goal", goal)) if value is not None}
+        with self._lock:
+            self.scene = _changed(self.scene, changes)
+
+    def _change(self, obstacles: tuple[Sphere | Capsule | Box | Mesh | PointCloud, ...]) -> None:
+        # The names were looked at, and the obstacles are checked: no need to check the scene again.
+        self.scene = self.scene.model_copy(update={"obstacles": obstacles})
+
+    def _index(self, name: str) -> int:
+        for index, obstacle in enumerate(self.scene.obstacles):
+            if obstacle.name == name:
+                return index
+        raise InputError(f"there is no obstacle {name!r}", name=name)
+
+
+_Model = TypeVar("_Model", bound=BaseModel)
+_KINDS = (Sphere, Capsule, Box, Mesh, PointCloud)
+_VECTOR: TypeAdapter[Vector] = TypeAdapter(Vector, config=ConfigDict(allow_inf_nan=False, strict=True))
+
+
+def _check_kind(item: object) -> None:
+    """Refuse what is no obstacle."""
+    if not isinstance(item, _KINDS):
+        kinds = ", ".join(kind.__name__ for kind in _KINDS)
+        raise InputError(f"expected one of {kinds}, got {type(item).__name__} {item!r}")
+
+
+def _changed(item: _Model, changes: Mapping[str, Any]) -> _Model:
+    """A checked copy with other values.
+
+    Raises:
+        InputError: A value that it does not have.
+        SceneError: A value that it cannot have, or values that contradict each other.
+    """
+    fields = type(item).model_fields
+    unknown = [key for key in changes if key not in fields]
+    if unknown:
+        raise InputError(f"a {type(item).__name__.lower()} has no {unknown[0]!r}; it has {', '.join(fields)}")
+    if isinstance(item, (Mesh, PointCloud)) and not changes.keys() <= {"position", "rpy_deg"}:
+        raise InputError("of a mesh or a point cloud only position and rpy_deg can be changed; add another instead")
+    copied = item.model_copy
+    if isinstance(item, (Mesh, PointCloud)):
+        # What was read from the file stays.
+        return copied(update={key: _vector(key, value) for key, value in changes.items()})
+    return type(item).model_validate({**{key: getattr(item, key) for key in fields}, **changes})
+
+
+def _vector(key: str, value: Any) -> Vector:
+    try:
+        return _VECTOR.validate_python(value)
+    except ValidationError as error:
+        raise SceneError(f"expected three finite numbers (got {value!r})", where=key, value=value) from error

@@ -1,0 +1,59 @@
+"""Why no motion leads to any of several goals, put into one error."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+
+from hplan.errors import CertificationError, HplanError, NoPathError, TimingError
+from hplan.planning.enclosure import EnclosedError
+
+#: So many reasons stand in the sentence; `data` has all of them.
+TOLD = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Refusals:
+    """Errors of several goals.
+
+    Attributes:
+        errors: One for each goal, in the goals' order; at least one.
+    """
+
+    errors: tuple[HplanError, ...]
+
+    def error(self, goals: str = "goals") -> HplanError:
+        """The one error to raise: `NoPathError` only where no path was shown for every goal.
+
+        Args:
+            goals: What the goals are, in the plural.
+        """
+        first, count = self.errors[0], len(self.errors)
+        if count == 1:
+            return first.explained() if isinstance(first, EnclosedError) else first
+        tally = Counter(_reason(error) for error in self.errors).most_common()  # in order of appearance where equal
+        reasons = [{"reason": reason, "goals": number} for reason, number in tally]
+        if isinstance(first, NoPathError) and all(isinstance(error, NoPathError) for error in self.errors):
+            return _no_path(first, count, goals)
+        text = "; ".join(f"{number} x {reason}" for reason, number in tally[:TOLD])
+        message = f"no certified motion to any of {count} {goals}: {text}{'; ...' if len(tally) > TOLD else ''}"
+        failed = next(error for error in self.errors if not isinstance(error, NoPathError))
+        if isinstance(failed, TimingError) and not any(isinstance(error, CertificationError) for error in self.errors):
+            return TimingError(message, joint=failed.joint, cause=failed.cause)
+        return CertificationError(message, goals=count, reasons=reasons)
+
+
+def _reason(error: HplanError) -> str:
+    return "no path exists on the grid" if isinstance(error, NoPathError) else error.message
+
+
+def _no_path(first: NoPathError, count: int, goals: str) -> NoPathError:
+    """No path to any of the goals, told of the first."""
+    told = first.explained() if isinstance(first, EnclosedError) else first
+    detail = told.message.removeprefix("no path exists on the grid: ")
+    return NoPathError(
+        f"no path exists on the grid to any of {count} {goals}; to the first of them: {detail}",
+        reached_cells=told.reached_cells,
+        blockers=told.blockers,
+        goals=count,
+    )

@@ -1,0 +1,104 @@
+"""A planning problem for a given robot: two checked configurations and the joints that may move."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hplan.base.arrays import BoolArray, FloatArray, IntArray, Record, readonly
+from hplan.errors import InputError
+from hplan.problem.joint_ranges import narrowed
+from hplan.problem.world import Surroundings
+from hplan.robot.model import Robot
+
+
+@dataclass(frozen=True, eq=False)
+class Problem(Record):
+    """Where to go from and to, and with which joints.
+
+    Attributes:
+        start: (dof,) configuration.
+        goal: (dof,) configuration.
+        movable: Indices of the joints that may move.
+        lower: (dof,) joint limits, or where turret and folded neighbours let the joint go from the start
+            (`hplan.problem.joint_ranges`); a joint that may not move has its start value as both.
+        upper: (dof,) the same.
+        spare_clearance: Least clearance of start and goal beyond the one to keep [m]; inf without obstacles.
+        turns: Whether the base may turn.
+    """
+
+    start: FloatArray
+    goal: FloatArray
+    movable: IntArray
+    lower: FloatArray
+    upper: FloatArray
+    spare_clearance: float
+    turns: bool
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether start and goal are the same configuration."""
+        return bool(np.abs(self.goal - self.start).max() < 1e-9)
+
+
+def pose_problem(
+    around: Surroundings, start: ArrayLike, goal: ArrayLike, *, locked_joints: Sequence[str] = ()
+) -> Problem:
+    """Check two configurations and locked joints against a robot and its surroundings.
+
+    Args:
+        around: Arm and obstacles.
+        start: (dof,) configuration.
+        goal: (dof,) configuration.
+        locked_joints: Names of joints that keep their start value.
+
+    Raises:
+        InputError: A configuration that is none; a locked joint that the robot does not have, or whose goal differs
+            from its start.
+        JointLimitError: Start or goal outside the limits.
+        ConfigurationInCollisionError: Start or goal in collision, or closer to an obstacle than the clearance to
+            keep; names link, obstacle and depth.
+        NoPathError: No motion leads from start to goal, as turret or neighbouring links block a joint in between.
+    """
+    robot = around.robot
+    first = robot.check_configuration(start, "start")
+    last = robot.check_configuration(goal, "goal")
+    locked = locked_mask(robot, locked_joints)
+    for joint in np.flatnonzero(locked & (np.abs(last - first) > 1e-9)):
+        name = robot.joint_names[joint]
+        raise InputError(
+            f"joint {name!r} is locked at {first[joint]:.6g} rad, but the goal wants it at {last[joint]:.6g} rad",
+            joint=name,
+        )
+    spare = min(
+        around.check_clear(first, "start"),
+        around.check_clear(last, "goal"),
+    )
+    last = readonly(np.where(locked, first, last))
+    ranges = narrowed(around.judge, first, last, spare)
+    return Problem(
+        start=first,
+        goal=last,
+        movable=readonly(np.flatnonzero(~locked), np.int64),
+        lower=readonly(np.where(locked, first, ranges.lower)),
+        upper=readonly(np.where(locked, first, ranges.upper)),
+        spare_clearance=spare,
+        turns=robot.has_yaw and not locked[0],
+    )
+
+
+def locked_mask(robot: Robot, names: Sequence[str]) -> BoolArray:
+    """(dof,) which joints are locked.
+
+    Raises:
+        InputError: A joint that the robot does not have.
+    """
+    unknown = [name for name in names if name not in robot.joint_names]
+    if unknown:
+        raise InputError(
+            f"locked_joints names {unknown[0]!r}; the robot has {', '.join(robot.joint_names)}", joint=unknown[0]
+        )
+    return np.array([name in names for name in robot.joint_names], dtype=np.bool_)

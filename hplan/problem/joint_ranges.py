@@ -1,0 +1,202 @@
+"""Ranges of joints that are left where turret or neighbouring links block others: intervals about the start.
+
+Whether a turning shape of the turret touches an obstacle, or the pedestal, depends on the yaw alone; whether neighbours
+fold into one another, on the joint between them. A motion is continuous, so each of these coordinates stays in the free
+interval in which it begins. The planner knows that as narrower joint limits. A goal in another interval cannot be
+reached by any motion: that is shown, not a matter of the grid.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+from weakref import WeakKeyDictionary
+
+import numpy as np
+
+from hplan.base import ties
+from hplan.base.arrays import FloatArray, IntArray, frozen
+from hplan.collision.coal_scene import CollisionScene, Contact, OwnContact
+from hplan.errors import NoPathError
+from hplan.robot.base_shapes import turret_radius
+from hplan.robot.folding import folded_angles
+from hplan.robot.self_contact import self_contact
+
+#: What intervals leave to spare, at most [m]; less where start or goal have less.
+MARGIN: Final = 1e-3
+
+#: Where a goal is out of reach with the margin, it is so with this one [m]: less cannot be certified.
+LEAST_MARGIN: Final = 3e-5
+
+#: A configuration that is beyond a wall by less than this is at it [rad].
+_ROUNDING: Final = 1e-9
+
+#: An interval ends where what is left to spare is less than this share of its margin.
+_ENOUGH: Final = 0.1
+
+
+@dataclass(frozen=True)
+class Wall:
+    """What bounds the free interval of a joint.
+
+    Attributes:
+        joint: Number of the joint.
+        angle: Where the free interval ends [rad].
+        is_upper: Whether that is its upper end.
+        contact: The two bodies, and what they have there beyond the distance to keep [m].
+    """
+
+    joint: int
+    angle: float
+    is_upper: bool
+    contact: Contact
+
+    def is_before(self, q: FloatArray) -> bool:
+        """Whether a (dof,) configuration is beyond it."""
+        value = float(q[self.joint])
+        return value > self.angle + _ROUNDING if self.is_upper else value < self.angle - _ROUNDING
+
+
+@dataclass(frozen=True, eq=False)
+class JointRanges:
+    """Free intervals of all joints about a configuration.
+
+    Attributes:
+        lower: (dof,) where they begin [rad].
+        upper: (dof,) where they end [rad].
+        walls: What bounds those that are narrower than the joint limits.
+    """
+
+    lower: FloatArray
+    upper: FloatArray
+    walls: tuple[Wall, ...]
+
+    def wall_before(self, q: FloatArray) -> Wall | None:
+        """What a motion to a (dof,) configuration meets first; None where the configuration is in the intervals."""
+        return next((wall for wall in reversed(self.walls) if wall.is_before(q)), None)
+
+
+def joint_ranges(scene: CollisionScene, q: FloatArray, margin: float = MARGIN) -> JointRanges:
+    """The intervals in which joints can move from a configuration.
+
+    Args:
+        scene: The arm among obstacles, made for the tracking error and the clearance to keep.
+        q: (dof,) a configuration with more than `margin` to spare.
+        margin: What to leave to spare [m].
+    """
+    robot = scene.robot
+    lower, upper = robot.lower.copy(), robot.upper.copy()
+    walls: list[Wall] = []
+    pairs = _turret_pairs(scene)
+    if len(pairs):
+        for end in (lower, upper):
+            end[0], contact = _known_free_yaw(scene, pairs, q, float(end[0]), margin)
+            if contact is not None:
+                walls.append(Wall(0, float(end[0]), end is upper, contact))
+    arm, first = robot.arm, robot.arm_slice.start
+    for fold in self_contact(robot, deviation=scene.deviation, clearance=scene.clearance).folds:
+        inner, outer = fold.inner, fold.inner + 1
+        joint = first + outer
+        # Of a joint that is off by the tracking error, no point of the outer link is farther off than its length times
+        # that: what the proof takes from the distance.
+        kept = scene.clearance + scene.deviation * float(arm.lengths[outer]) + margin
+        radius = float(arm.half_widths[inner] + arm.half_widths[outer]) + kept
+        folded = OwnContact(arm.link_names[outer], arm.link_names[inner], margin)
+        for low, high in folded_angles(arm, fold, radius):
+            if high <= q[joint] and high > lower[joint]:
+                lower[joint] = high
+                walls.append(Wall(joint, high, False, folded))
+            elif low >= q[joint] and low < upper[joint]:
+                upper[joint] = low
+                walls.append(Wall(joint, low, True, folded))
+    return JointRanges(frozen(lower), frozen(upper), tuple(walls))
+
+
+def narrowed(scene: CollisionScene, start: FloatArray, goal: FloatArray, spare: float) -> JointRanges:
+    """The intervals about a start, its goal among them.
+
+    Args:
+        scene: The arm among obstacles, made for the tracking error and the clearance to keep.
+        start: (dof,) configuration.
+        goal: (dof,) configuration.
+        spare: What both have beyond the clearance to keep [m].
+
+    Raises:
+        NoPathError: The goal is beyond what no motion passes; names it, and the angles that are blocked.
+    """
+    ranges = joint_ranges(scene, start, min(MARGIN, 0.5 * spare))
+    if ranges.wall_before(goal) is None:
+        return ranges
+    least = min(LEAST_MARGIN, 0.5 * spare)
+    ranges = joint_ranges(scene, start, least)
+    wall = ranges.wall_before(goal)
+    if wall is None:
+        return ranges
+    beyond = joint_ranges(scene, goal, least)
+    other = beyond.lower if wall.is_upper else beyond.upper
+    raise _no_path(scene, wall, float(other[wall.joint]))
+
+
+def _no_path(scene: CollisionScene, wall: Wall, other: float) -> NoPathError:
+    """The error that names what blocks a joint from a wall to another angle."""
+    low, high = sorted(np.degrees([wall.angle, other]).tolist())
+    contact = wall.contact
+    message = (
+        f"no path exists: between start and goal, from {low:.4g} to {high:.4g} deg of joint "
+        f"{scene.robot.joint_names[wall.joint]!r}, {contact.link!r} is in {contact.other}, or nearer than the "
+        "clearance to keep, whatever the other joints do"
+    )
+    blocker = {"obstacle": contact.obstacle, "link": contact.link, "cells": 0, "slices_deg": (low, high)}
+    return NoPathError(message, reached_cells=0, blockers=[blocker])
+
+
+def _turret_pairs(scene: CollisionScene) -> IntArray:
+    """Numbers of the pairs of the turret."""
+    links = len(scene.link_names)
+    if len(scene.mover_names) == links:
+        return np.zeros(0, dtype=np.int64)
+    return np.array([number for number, (mover, _) in enumerate(scene.pairs) if mover >= links], dtype=np.int64)
+
+
+#: Ends of free intervals that were found before, by yaw, end of the range and margin: every grasp of a fruit asks.
+_KNOWN: WeakKeyDictionary[CollisionScene, dict[tuple[float, float, float], tuple[float, Contact | None]]] = (
+    WeakKeyDictionary()
+)
+
+
+def _known_free_yaw(
+    scene: CollisionScene, pairs: IntArray, q: FloatArray, end: float, margin: float
+) -> tuple[float, Contact | None]:
+    """As `_free_yaw`, which the yaw alone decides."""
+    known, key = _KNOWN.get(scene, {}), (float(q[0]), end, margin)
+    if key not in known:
+        # Tables are replaced and never changed: another thread may read the one before.
+        known = _KNOWN[scene] = {**known, key: _free_yaw(scene, pairs, q, end, margin)}
+    return known[key]
+
+
+def _free_yaw(
+    scene: CollisionScene, pairs: IntArray, q: FloatArray, end: float, margin: float
+) -> tuple[float, Contact | None]:
+    """How far the base can turn towards an end of its range, and what stops it before, if anything.
+
+    Conservative advancement, each pair at its own pace: no point of the turret moves farther than its turn times
+    `turret_radius`, so the base may turn by d / radius before a pair that has d to spare is asked again.
+    """
+    radius = turret_radius(scene.robot)
+    kept = scene.clearance + scene.deviation * radius + margin
+    at, length, direction = q.copy(), abs(end - float(q[0])), 1.0 if end >= q[0] else -1.0
+    turned, due = 0.0, np.zeros(len(pairs))
+    while True:
+        asked = np.flatnonzero(due <= turned)
+        at[0] = q[0] + direction * turned
+        scene.place(at)
+        spare = scene.distances_of(pairs[asked]) - kept
+        least = ties.argmin(spare)
+        if spare[least] <= _ENOUGH * margin:
+            mover, obstacle = scene.pairs[int(pairs[asked[least]])]
+            return float(at[0]), scene.contact(mover, obstacle, float(spare[least]))
+        due[asked] = turned + spare / radius
+        turned = float(due.min())
+        if turned >= length:
+            return end, None

@@ -1,0 +1,174 @@
+"""What an arm has to keep clear of, made ready for planning and for judging.
+
+The clearance to keep differs from obstacle to obstacle: for one whose place is uncertain a chosen number of its
+standard deviations comes to the scene's own. And it differs from link to link, by what a tracking error may take: the
+outer links sway farther.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hplan.base import ties
+from hplan.base.arrays import FloatArray, Record, frozen
+from hplan.collision.clearance_field import ClearanceField
+from hplan.collision.coal_scene import CollisionScene, base_contacts, base_radius, check_clear
+from hplan.cspace.sections import Bodies, bodies_of
+from hplan.errors import ConfigurationInCollisionError, InputError
+from hplan.robot.base_shapes import BASE_DEPTH, turning_shapes
+from hplan.robot.model import Robot
+from hplan.robot.tracking import TrackingModel, largest_share, name_margin
+from hplan.scene.model import Solid
+from hplan.verification.clearance_proof import pair_sways
+
+
+@dataclass(frozen=True, eq=False)
+class Surroundings(Record):
+    """An arm among solids.
+
+    Attributes:
+        robot: The arm.
+        solids: What it keeps clear of.
+        clearance: Clearance to keep from all of them [m].
+        deviation: By how much every joint may be off where the arm rests [rad].
+        growth: (solids,) clearance to keep from each beyond that, for its uncertainty [m].
+        field: Distances between arm and solids, less the clearance to keep and what the deviation may take.
+        judge: The solids in coal, each grown by its own growth.
+        touched: Name of the solids that the last link may touch; None for none.
+    """
+
+    robot: Robot
+    solids: tuple[Solid, ...]
+    clearance: float
+    deviation: float
+    growth: FloatArray
+    field: ClearanceField
+    judge: CollisionScene
+    touched: str | None = None
+
+    @classmethod
+    def of(
+        cls,
+        robot: Robot,
+        solids: Sequence[Solid],
+        *,
+        clearance: float = 0.0,
+        tracking_error: float = 0.0,
+        sigmas: float = 0.0,
+    ) -> Surroundings:
+        """Make solids ready.
+
+        Args:
+            robot: The arm.
+            solids: What it keeps clear of.
+            clearance: Clearance to keep [m].
+            tracking_error: Deviation of any joint at rest that is to be allowed for [rad].
+            sigmas: How many standard deviations of its place an obstacle grows by.
+        """
+        growth = frozen(np.array([sigmas * solid.sigma for solid in solids], dtype=np.float64))
+        return cls(
+            robot=robot,
+            solids=tuple(solids),
+            clearance=clearance,
+            deviation=tracking_error,
+            growth=growth,
+            field=ClearanceField.of(
+                robot, solids, clearance=clearance + growth, own_clearance=clearance, deviation=tracking_error
+            ),
+            judge=CollisionScene(robot, solids, growth=growth, deviation=tracking_error, clearance=clearance),
+        )
+
+    def touching(self, name: str) -> Surroundings:
+        """The same where the last link may touch the solid of a name."""
+        touched = np.array([solid.name == name for solid in self.solids], dtype=np.bool_)
+        return replace(self, field=self.field.sparing(touched), judge=self.judge.touching(name), touched=name)
+
+    def bodies(self, more: float = 0.0) -> Bodies:
+        """The solids made ready for cutting, grown by the clearance to keep and `more` [m]."""
+        names = [solid.name for solid in self.solids]
+        return bodies_of(
+            self.solids,
+            clearance=self.clearance + self.growth + more,
+            own_clearance=self.clearance + more,
+            deviation=self.deviation,
+            touched=names.index(self.touched) if self.touched in names else -1,
+        )
+
+    def check_clear(self, q: FloatArray, which: str) -> float:
+        """What a configuration at rest has beyond the clearance to keep and the sway of each link [m].
+
+        Args:
+            q: (dof,) configuration.
+            which: What it is, for the error.
+
+        Raises:
+            ConfigurationInCollisionError: It has less; names link, obstacle or other part of the arm, and depth, and
+                where it is the deviation that leaves too little, the largest that would do.
+        """
+        if self.deviation == 0.0:
+            return check_clear(self.judge, q, self.clearance, which)
+        sway = pair_sways(self.judge, np.full((1, self.robot.dof), self.deviation))[:, 0]
+        try:
+            return check_clear(self.judge, q, self.clearance, which, sway=sway)
+        except ConfigurationInCollisionError as error:
+            spare = self.judge.pair_distances(q) - self.clearance
+            share = float((spare / np.maximum(sway, 1e-300)).min())
+            name_margin(error, TrackingModel(self.deviation), share)
+            raise
+
+    def share_of_deviation(self, configurations: FloatArray, spare: float) -> float:
+        """Largest share of the deviation at which one of some configurations still has a clearance.
+
+        Args:
+            configurations: (n, dof).
+            spare: Clearance asked for beyond the one to keep [m].
+
+        Returns:
+            A share for which that is so, `hplan.robot.tracking.SHARE_ERROR` below the largest at most; 0 where there is
+            none.
+        """
+
+        def is_clear(share: float) -> bool:
+            smaller = ClearanceField.of(
+                self.robot,
+                self.solids,
+                clearance=self.clearance + self.growth,
+                own_clearance=self.clearance,
+                deviation=share * self.deviation,
+            )
+            if self.touched is not None:
+                smaller = smaller.sparing(np.array([solid.name == self.touched for solid in self.solids]))
+            return bool((smaller.along(configurations).min(axis=1) > spare).any())
+
+        return largest_share(is_clear)
+
+    def check_base(self, yaw: float) -> None:
+        """Refuse obstacles in which pedestal or turret stand: no motion of the arm changes that.
+
+        The ground may touch the pedestal.
+
+        Args:
+            yaw: Yaw of the turret.
+
+        Raises:
+            InputError: There is one; names it, the body and the depth.
+        """
+        rows = self.field.solids
+        near = np.linalg.norm(rows[:, 2:5], axis=1) <= rows[:, 5] + base_radius(self.robot)
+        touched = [self.solids[i] for i in np.unique(self.field.owner[near]).tolist() if i >= 0]
+        contacts = base_contacts(self.robot, touched, yaw, margin=-BASE_DEPTH)
+        if contacts:
+            worst = contacts[ties.argmin([contact.distance_m for contact in contacts])]
+            turns = any(shape.name == worst.link for shape in turning_shapes(self.robot))
+            raise InputError(
+                f"obstacle {worst.obstacle!r} is {-1e3 * worst.distance_m:.3g} mm deep in the robot's {worst.link!r}, "
+                + (f"at a yaw of {math.degrees(yaw):.4g} deg" if turns else "which does not move")
+                + ": move the obstacle, or the robot",
+                obstacle=worst.obstacle,
+                link=worst.link,
+                depth_m=-worst.distance_m,
+            )

@@ -1,0 +1,200 @@
+r"""Convex shapes of what carries the arm: the pedestal, which stands still, and the turret, which turns with the yaw.
+
+Both take in the fixed links that hang on them: a cabinet, a counterweight, a camera mast. A shape that is round about
+the yaw axis is the same at every yaw. Of any other, no point is farther from where it was after a turn by
+:math:`\Delta\psi` than :math:`|\Delta\psi| \, r`, with :math:`r` its largest distance from the axis; and because the
+signed distance of two convex bodies is the largest separation of their supporting planes over all directions, it
+changes by no more than that, in contact too. `always` and `ever` decide by it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
+from weakref import WeakKeyDictionary
+
+import coal
+import numpy as np
+import pinocchio as pin
+
+from hplan.base.arrays import FloatArray, frozen
+from hplan.robot.convex_shape import convex_hull_shape
+from hplan.robot.family_reader import outline
+from hplan.robot.model import Robot
+
+#: What a link can touch that is no link: what turns with the arm plane, and what stands still.
+TURRET: Final = -1
+GROUND: Final = -2
+
+#: A shape whose axis is nowhere farther than this from the yaw axis is round about it [m].
+_ROUND: Final = 1e-6
+
+#: What stands on something else, or carries it, may be this deep in it [m].
+BASE_DEPTH: Final = 1e-3
+
+#: Distances over an interval of yaw are decided to this [m].
+_RESOLUTION: Final = 1e-4
+
+
+@dataclass(frozen=True, eq=False)
+class BaseShape:
+    """A convex shape of pedestal or turret; of a mesh, its convex hull.
+
+    Attributes:
+        number: Its place among the geometry objects of `Robot.collision_model`.
+        name: Name of its body in the URDF.
+        carrier: `TURRET` or `GROUND`.
+        geometry: The shape in coal.
+        placement: Its place in `base_link` at yaw 0.
+        points: (k, 3) points in `base_link` at yaw 0 whose hull, grown by `rounding`, holds it [m]; where it is round,
+            the hull of all that they sweep about the yaw axis.
+        rounding: Radius about the points [m].
+        is_round: Whether a turn about the yaw axis leaves it as it is.
+    """
+
+    number: int
+    name: str
+    carrier: int
+    geometry: coal.CollisionGeometry
+    placement: pin.SE3
+    points: FloatArray
+    rounding: float
+    is_round: bool
+
+    @cached_property
+    def radius(self) -> float:
+        """Largest distance of its points from the yaw axis [m]."""
+        return float(np.hypot(self.points[:, 0], self.points[:, 1]).max()) + self.rounding
+
+    @cached_property
+    def bottom(self) -> float:
+        """Height of its lowest point [m]."""
+        return float(self.points[:, 2].min()) - self.rounding
+
+    @cached_property
+    def top(self) -> float:
+        """Height of its highest point [m]."""
+        return float(self.points[:, 2].max()) + self.rounding
+
+    def distance_from(self, point: FloatArray) -> float:
+        """Distance from a (3,) point, both at yaw 0 [m]; not above 0 inside."""
+        return _distance(self.geometry, self.placement, coal.Sphere(_SPECK), pin.SE3(np.eye(3), point)) + _SPECK
+
+    def distance_at(self, yaw: float, other: BaseShape) -> float:
+        """Signed distance from a shape of the pedestal where the turret is at a yaw [m]."""
+        return self.distance_to(yaw, other.geometry, other.placement)
+
+    def distance_to(self, yaw: float, other: coal.CollisionGeometry, placement: pin.SE3) -> float:
+        """Signed distance from what stands still where the turret is at a yaw [m]."""
+        turn = pin.SE3(pin.utils.rotate("z", yaw), np.zeros(3))
+        return _distance(self.geometry, turn * self.placement, other, placement)
+
+
+#: Radius of the ball that stands for a point [m].
+_SPECK = 1e-3
+
+_KNOWN: WeakKeyDictionary[Robot, tuple[BaseShape, ...]] = WeakKeyDictionary()
+
+
+def base_shapes(robot: Robot) -> tuple[BaseShape, ...]:
+    """The shapes of pedestal and turret, in the order of the URDF; the turret of an arm without yaw stands still."""
+    known = _KNOWN.get(robot)
+    if known is None:
+        objects = robot.collision_model.geometryObjects
+        first = 2 if robot.has_yaw else 1
+        numbers = [number for number, shape in enumerate(objects) if shape.parentJoint < first]
+        known = _KNOWN[robot] = tuple(_base_shape(robot, number) for number in numbers)
+    return known
+
+
+def turning_shapes(robot: Robot) -> tuple[BaseShape, ...]:
+    """The shapes that stand elsewhere at every yaw: of the turret, and not round about the yaw axis."""
+    return tuple(shape for shape in base_shapes(robot) if shape.carrier == TURRET and not shape.is_round)
+
+
+def turret_radius(robot: Robot) -> float:
+    """Largest distance from the yaw axis of any point of the `turning_shapes` [m]; 0 without any."""
+    return max((shape.radius for shape in turning_shapes(robot)), default=0.0)
+
+
+def filled(shape: pin.GeometryObject) -> coal.CollisionGeometry:
+    """A shape's geometry; of a mesh, the convex hull."""
+    geometry = shape.geometry
+    if isinstance(geometry, coal.BVHModelBase):
+        return convex_hull_shape(np.asarray(geometry.vertices(), dtype=np.float64))
+    return geometry
+
+
+def ever(distance: Callable[[float], float], low: float, high: float, rate: float, level: float) -> bool:
+    """Whether a distance comes down to a level anywhere in an interval; sure where it says no.
+
+    Args:
+        distance: The distance at a place [m].
+        low: First place.
+        high: Last place.
+        rate: How fast it can change at most: |d(a) - d(b)| <= rate |a - b|.
+        level: The level [m].
+    """
+    left = [(low, high)]
+    while left:
+        low, high = left.pop()
+        middle, half = 0.5 * (low + high), 0.5 * (high - low)
+        found = distance(middle)
+        if found <= level:
+            return True
+        # Within the half-width the distance falls by rate * half at most.
+        if found - rate * half > level:
+            continue
+        if rate * half <= _RESOLUTION:
+            return True
+        left += [(low, middle), (middle, high)]
+    return False
+
+
+def always(distance: Callable[[float], float], low: float, high: float, rate: float, level: float) -> bool:
+    """Whether a distance is at a level or below all over an interval; sure where it says yes. See `ever`."""
+    return not ever(lambda place: -distance(place), low, high, rate, -level)
+
+
+def _base_shape(robot: Robot, number: int) -> BaseShape:
+    shape = robot.collision_model.geometryObjects[number]
+    placement = robot.model.jointPlacements[shape.parentJoint] * shape.placement
+    is_round = robot.has_yaw and _is_round(shape.geometry, placement)
+    points, rounding = outline(shape, rim_from_outside=not is_round)
+    return BaseShape(
+        number=number,
+        name=str(robot.model.frames[shape.parentFrame].name),
+        carrier=GROUND if shape.parentJoint == 0 else TURRET,
+        geometry=filled(shape),
+        placement=placement,
+        points=frozen(points @ placement.rotation.T + placement.translation),
+        rounding=float(rounding),
+        is_round=is_round,
+    )
+
+
+def _is_round(geometry: coal.CollisionGeometry, placement: pin.SE3) -> bool:
+    """Whether a sphere's centre, or the axis of a cylinder or capsule, is on the yaw axis."""
+    if isinstance(geometry, coal.Sphere):
+        half_length = 0.0
+    elif isinstance(geometry, coal.Capsule | coal.Cylinder):
+        half_length = max(float(geometry.halfLength), float(geometry.radius))
+    else:
+        return False
+    tilt = float(np.hypot(*placement.rotation[:2, 2]))
+    return float(np.hypot(*placement.translation[:2])) + tilt * half_length <= _ROUND
+
+
+def _distance(a: coal.CollisionGeometry, at: pin.SE3, b: coal.CollisionGeometry, other: pin.SE3) -> float:
+    return float(
+        coal.distance(
+            a,
+            coal.Transform3s(at.rotation, at.translation),
+            b,
+            coal.Transform3s(other.rotation, other.translation),
+            coal.DistanceRequest(),
+            coal.DistanceResult(),
+        )
+    )

@@ -1,0 +1,110 @@
+"""What timing needs to know: a geometric path, and the limits of a motion along it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hplan.base.arguments import number
+from hplan.base.arrays import FloatArray, Record, readonly
+
+
+def check_rate(rate_hz: float) -> None:
+    """Refuse a rate of rows that no controller has.
+
+    Raises:
+        OptionError: It is not between 1 and 100000.
+    """
+    number(
+        "rate_hz", rate_hz, "a number of rows per second between 1 and 100000", lambda rate: 1.0 <= rate <= 100_000.0
+    )
+
+
+def check_speed(speed: float) -> None:
+    """Refuse a share of full speed that is none.
+
+    Raises:
+        OptionError: It is not in (0, 1].
+    """
+    number("speed", speed, "a factor in (0, 1]", lambda share: 0.0 < share <= 1.0)
+
+
+def rest_to_rest(distance: FloatArray, velocity: ArrayLike, acceleration: ArrayLike) -> FloatArray:
+    """Durations of the fastest motions over distances, each from rest to rest on its own.
+
+    Args:
+        distance: (...) distances >= 0.
+        velocity: Largest speeds.
+        acceleration: Largest accelerations.
+
+    Returns:
+        (...) durations [s]; 0 for a distance of 0.
+    """
+    speed, push = np.asarray(velocity, dtype=np.float64), np.asarray(acceleration, dtype=np.float64)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        cruise = distance / speed + speed / push
+        durations = np.where(distance * push >= speed**2, cruise, 2.0 * np.sqrt(distance / push))
+    return np.where(distance > 0.0, durations, 0.0)
+
+
+def least_duration(start: FloatArray, goal: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> float:
+    """What no motion from rest to rest between two configurations can undercut [s]: that of the slowest joint alone.
+
+    Args:
+        start: (dof,) configuration.
+        goal: (dof,) configuration.
+        velocity: (dof,) largest speeds.
+        acceleration: (dof,) largest accelerations.
+    """
+    return float(rest_to_rest(np.abs(goal - start), velocity, acceleration).max())
+
+
+class GeometricPath(Protocol):
+    """A twice differentiable curve in joint space over [0, end]."""
+
+    @property
+    def breaks(self) -> FloatArray:
+        """Increasing parameters where pieces meet, the ends among them."""
+
+    def evaluate(self, s: ArrayLike, derivative: int = 0) -> FloatArray:
+        """Points or derivatives at (...) parameters, as (..., dof)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Limits(Record):
+    """Limits of a motion, one entry for each joint.
+
+    Attributes:
+        velocity: (dof,) [rad/s].
+        acceleration: (dof,) [rad/s^2].
+        torque: (dof,) [N m], or None where torque is not limited.
+        jerk: (dof,) [rad/s^3], or None where jerk is not limited.
+        path_speed: Largest path speeds ds/dt at (n,) increasing path parameters; None where there are none.
+    """
+
+    velocity: FloatArray
+    acceleration: FloatArray
+    torque: FloatArray | None = None
+    jerk: FloatArray | None = None
+    path_speed: Callable[[FloatArray], FloatArray] | None = None
+
+    def scaled(self, speed: float) -> Limits:
+        """The limits of the same motions at `speed` times their pace.
+
+        Torque stays, as gravity does not slow down, and so do path speeds.
+
+        Raises:
+            OptionError: The speed is not in (0, 1].
+        """
+        check_speed(speed)
+        jerk = None if self.jerk is None else readonly(self.jerk * speed**3)
+        return replace(
+            self,
+            velocity=readonly(self.velocity * speed),
+            acceleration=readonly(self.acceleration * speed**2),
+            jerk=jerk,
+        )

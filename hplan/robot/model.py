@@ -1,0 +1,265 @@
+"""The arm that hplan plans for: an optional yaw, then parallel revolute joints in one plane.
+
+Everything is read from the files with Pinocchio: how many links, their lengths, axes, half-widths and limits.
+What URDF cannot say (acceleration, jerk) stands in a limits YAML beside it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike
+
+from hplan.base.arguments import file_path, instance
+from hplan.base.arrays import FloatArray, Record, readonly
+from hplan.base.data_files import urdf_dir
+from hplan.errors import InputError, JointLimitError
+from hplan.robot.dynamics import InverseDynamics
+from hplan.robot.family_reader import FamilyReader, joint_range
+from hplan.robot.files import LIMITS_SUFFIX, read_limits, read_models
+
+
+@dataclass(frozen=True, eq=False)
+class PlanarArm(Record):
+    """The planar chain inside the robot, in the coordinates of its own plane.
+
+    The plane's origin is the first planar joint (the shoulder); its first axis is horizontal, its second points
+    up. Link `k` is the segment from its joint to the next one (the last ends at the tool frame). Relative link
+    angles, counter-clockwise from the first axis, are `signs * q + offsets`.
+
+    Attributes:
+        joint_names: Names of the `n` planar joints.
+        link_names: Names of the `n` links they move.
+        lengths: (n,) link lengths [m].
+        half_widths: (n,) radii of the capsules that enclose the links [m].
+        signs: (n,) +1 or -1, sense of each joint.
+        offsets: (n,) relative link angles at q = 0.
+        lower: (n,) lower joint limits.
+        upper: (n,) upper joint limits.
+    """
+
+    joint_names: tuple[str, ...]
+    link_names: tuple[str, ...]
+    lengths: FloatArray
+    half_widths: FloatArray
+    signs: FloatArray
+    offsets: FloatArray
+    lower: FloatArray
+    upper: FloatArray
+
+    @property
+    def link_count(self) -> int:
+        """Number of planar links."""
+        return len(self.link_names)
+
+    def joint_points(self, q: ArrayLike) -> FloatArray:
+        """Joint and tool positions in the plane.
+
+        Args:
+            q: (..., n) planar joint angles.
+
+        Returns:
+            (..., n + 1, 2) positions [m]: the joints from the shoulder on, the tool frame last.
+        """
+        angles = np.cumsum(self.signs * np.asarray(q, dtype=np.float64) + self.offsets, axis=-1)
+        steps = self.lengths[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+        origin = np.zeros_like(steps[..., :1, :])
+        return np.concatenate([origin, np.cumsum(steps, axis=-2)], axis=-2)
+
+
+@dataclass(frozen=True, eq=False)
+class Robot(Record):
+    """A harvesting arm: Pinocchio's models, the planar chain inside, and every limit.
+
+    Attributes:
+        name: Name in the URDF.
+        urdf_path: File it was read from.
+        model: Pinocchio's kinematic and inertial model.
+        collision_model: Collision geometry.
+        visual_model: Visual geometry.
+        joint_names: Names of the `dof` joints, base first.
+        has_yaw: True where joint 0 turns the arm plane about the vertical.
+        arm: The planar chain.
+        plane_origin: (3,) shoulder position at yaw 0, in `base_link` [m].
+        plane_axes: (2, 3) the plane's horizontal and upward unit vectors at yaw 0.
+        tool_frame: Name of the frame at the end of the arm.
+        lower: (dof,) lower joint limits.
+        upper: (dof,) upper joint limits.
+        velocity_limit: (dof,) [rad/s].
+        acceleration_limit: (dof,) [rad/s^2].
+        torque_limit: (dof,) [N m].
+        jerk_limit: (dof,) [rad/s^3], or None where the limits file gives none.
+    """
+
+    name: str
+    urdf_path: Path
+    model: pin.Model
+    collision_model: pin.GeometryModel
+    visual_model: pin.GeometryModel
+    joint_names: tuple[str, ...]
+    has_yaw: bool
+    arm: PlanarArm
+    plane_origin: FloatArray
+    plane_axes: FloatArray
+    tool_frame: str
+    lower: FloatArray
+    upper: FloatArray
+    velocity_limit: FloatArray
+    acceleration_limit: FloatArray
+    torque_limit: FloatArray
+    jerk_limit: FloatArray | None
+
+    @property
+    def dof(self) -> int:
+        """Number of joints."""
+        return len(self.joint_names)
+
+    @cached_property
+    def dynamics(self) -> InverseDynamics:
+        """Torques of the model's motions."""
+        return InverseDynamics.of(self.model)
+
+    @property
+    def arm_slice(self) -> slice:
+        """Where the planar joints stand in a configuration."""
+        return slice(1 if self.has_yaw else 0, None)
+
+    def yaw_of(self, q: ArrayLike) -> float:
+        """Yaw of a configuration (0 for a robot without one)."""
+        return float(np.asarray(q)[0]) if self.has_yaw else 0.0
+
+    def plane_at(self, yaw: float) -> tuple[FloatArray, FloatArray]:
+        """The arm plane turned by `yaw`.
+
+        Returns:
+            The (3,) origin in `base_link` [m] and the (3, 3) rows: horizontal axis, upward axis, unit normal.
+        """
+        cos, sin = math.cos(yaw), math.sin(yaw)
+        turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+        (ax, ay, az), (bx, by, bz) = self.plane_axes.tolist()
+        axes = np.array([[ax, ay, az], [bx, by, bz], [ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx]])
+        return turn @ self.plane_origin, axes @ turn.T
+
+    def tool_positions(self, q: ArrayLike) -> FloatArray:
+        """Tool positions of configurations, (..., dof) -> (..., 3), in `base_link` [m]."""
+        q = np.asarray(q, dtype=np.float64)
+        tip = self.arm.joint_points(q[..., self.arm_slice])[..., -1, :]
+        at_zero = self.plane_origin + tip @ self.plane_axes
+        if not self.has_yaw:
+            return at_zero
+        cos, sin = np.cos(q[..., 0]), np.sin(q[..., 0])
+        x, y, z = np.moveaxis(at_zero, -1, 0)
+        return np.stack([cos * x - sin * y, sin * x + cos * y, z], axis=-1)
+
+    def sway(self, deviation: ArrayLike) -> FloatArray:
+        """How far an axis point of each link may be from its place when joints are off by `deviation` at most.
+
+        The absolute angle of a link is off by no more than the joints up to it together, and each link adds its length
+        times that; yaw adds its own deviation times the largest distance from the yaw axis.
+
+        Args:
+            deviation: One number for all joints, or (..., dof) [rad].
+
+        Returns:
+            (..., links) distances [m].
+        """
+        off = np.asarray(deviation, dtype=np.float64)
+        off = off if off.ndim else np.full(self.dof, off)
+        sway: FloatArray = np.cumsum(self.arm.lengths * np.cumsum(off[..., self.arm_slice], axis=-1), axis=-1)
+        return sway + off[..., :1] * self.yaw_radius if self.has_yaw else sway
+
+    @property
+    def yaw_radius(self) -> FloatArray:
+        """(links,) largest distance of any point of each link's axis from the yaw axis [m]."""
+        radius: FloatArray = np.hypot(*self.plane_origin[:2]) + np.cumsum(self.arm.lengths)
+        return radius
+
+    def check_configuration(self, q: ArrayLike, which: str) -> FloatArray:
+        """Return `q` as a read-only (dof,) array.
+
+        Raises:
+            InputError: No list of numbers, wrong number of joints, or a value that is not finite.
+            JointLimitError: Outside the joint limits (by more than 1e-9 rad; closer values are clipped).
+        """
+        expected = f"{which}: expected {self.dof} joint values ({', '.join(self.joint_names)})"
+        try:
+            values = np.array(q)
+        except ValueError as error:
+            raise InputError(f"{expected}, got {q!r}", which=which, expected=self.dof) from error
+        if values.shape != (self.dof,):
+            got = str(values.size) if values.ndim == 1 else f"an array of shape {values.shape}"
+            raise InputError(f"{expected}, got {got}", which=which, expected=self.dof, shape=list(values.shape))
+        if values.dtype.kind not in "fiu":
+            raise InputError(f"{expected}, got {q!r}", which=which, expected=self.dof)
+        values = values.astype(np.float64)
+        for joint, value in zip(self.joint_names, values, strict=True):
+            if not np.isfinite(value):
+                raise InputError(
+                    f"{which}: joint {joint!r} is at {value}, expected a finite number", which=which, joint=joint
+                )
+        for joint, value, lower, upper in zip(self.joint_names, values, self.lower, self.upper, strict=True):
+            if not lower - 1e-9 <= value <= upper + 1e-9:
+                raise JointLimitError(which, joint, float(value), float(lower), float(upper))
+        return readonly(np.clip(values, self.lower, self.upper))
+
+
+def load_robot(
+    path: Path | str | None = None,
+    *,
+    limits: Path | str | None = None,
+    tool_frame: str = "tool0",
+) -> Robot:
+    """Load a robot of the family.
+
+    Args:
+        path: URDF file; None for the harvester that ships with hplan.
+        limits: Limits YAML; None for the file beside the URDF, `NAME.limits.yaml`.
+        tool_frame: Frame at the end of the last link.
+
+    Raises:
+        RobotFileError: The URDF or the limits file is missing, malformed or incomplete.
+        RobotFamilyError: The URDF is well-formed but no planar arm on an optional yaw; says which element and why.
+    """
+    urdf_path = urdf_dir() / "harvester.urdf" if path is None else file_path("path", path)
+    instance("tool_frame", tool_frame, str)
+    model, collision_model, visual_model = read_models(urdf_path)
+    kinematics = FamilyReader(model, collision_model, tool_frame)
+    joint_names = tuple(model.names)[1:]
+    limits_path = urdf_path.with_suffix(LIMITS_SUFFIX) if limits is None else file_path("limits", limits)
+    acceleration, jerk = read_limits(limits_path, joint_names)
+    lower, upper = joint_range(model)
+    arm_slice = slice(1 if kinematics.has_yaw else 0, None)
+    arm = PlanarArm(
+        joint_names=joint_names[arm_slice],
+        link_names=kinematics.link_names,
+        lengths=readonly(kinematics.lengths),
+        half_widths=readonly(kinematics.half_widths),
+        signs=readonly(kinematics.signs),
+        offsets=readonly(kinematics.offsets),
+        lower=readonly(lower[arm_slice]),
+        upper=readonly(upper[arm_slice]),
+    )
+    return Robot(
+        name=model.name,
+        urdf_path=urdf_path,
+        model=model,
+        collision_model=collision_model,
+        visual_model=visual_model,
+        joint_names=joint_names,
+        has_yaw=kinematics.has_yaw,
+        arm=arm,
+        plane_origin=readonly(kinematics.origin),
+        plane_axes=readonly(kinematics.axes),
+        tool_frame=tool_frame,
+        lower=readonly(lower),
+        upper=readonly(upper),
+        velocity_limit=readonly(model.velocityLimit),
+        acceleration_limit=readonly(acceleration),
+        torque_limit=readonly(model.effortLimit),
+        jerk_limit=None if jerk is None else readonly(jerk),
+    )

@@ -1,0 +1,356 @@
+r"""Where an arm can touch itself: link against link, and links and turret against what carries the arm.
+
+Two parts are left out where they *always* touch: neighbours about their joint, parts that what lies between holds so
+near together, and a link and the shape that carries the joint it turns about. Of all others those are pairs that can
+touch within the joint limits, beyond these by the tracking error, or come nearer than the clearance to keep. Where none
+can, as with the harvester, nothing is looked at anywhere.
+
+**Links** :math:`i < j`: how they lie to each other depends on the joints :math:`i + 1 \ldots j` alone. Seen from link
+:math:`i` a point of link :math:`j` moves no farther than
+
+.. math:: \sum_{m = i + 1}^{j} L_m \, |\Delta \varphi_m - \Delta \varphi_i|,
+
+with :math:`\varphi` the absolute angles in the plane. **The turret** turns with the arm plane: it is as a link
+before the first, of angle 0. **The pedestal** stands still; to the motion seen from it comes that of the yaw.
+
+**Neighbours** overlap at their joint. What is farther from it than `FOLD_REACH` times the distance that they have to
+keep (half-widths and clearance) must not touch the other one: they may fold up to 160.5 degrees, and the links of
+any longer reach are then as far apart at that place as they have to be (`hplan.robot.folding`).
+
+**The turret against the pedestal** depends on the yaw alone. Shapes of which one is round about the yaw axis are to
+each other what they are at any yaw, and so are those that a horizontal plane separates: they are left out.
+
+Which links can touch is decided by bisection of the joint ranges: a box of joint angles cannot hold a contact if the
+links are farther apart at its middle than its half-widths can move them. Where that takes too long, they can touch.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Final, Literal
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hplan.base.arrays import FloatArray, frozen
+from hplan.base.planar_geometry import convex_hull, polygon_distances
+from hplan.robot.base_shapes import (
+    BASE_DEPTH,
+    GROUND,
+    TURRET,
+    BaseShape,
+    always,
+    base_shapes,
+    ever,
+    turning_shapes,
+    turret_radius,
+)
+from hplan.robot.folding import Fold, folds
+from hplan.robot.model import PlanarArm, Robot
+
+#: Parts are taken to be able to touch if they come this near [m]: positions are kept to 1e-6 rad, distances to 1e-5 m.
+SLACK: Final = 1e-4
+
+#: Most boxes of joint angles that are looked at together.
+_MOST_BOXES: Final = 20_000
+
+#: Corners of the polygon that stands for a circle, drawn around it.
+_CORNERS: Final = 32
+
+
+@dataclass(frozen=True, eq=False)
+class BaseBody:
+    """A convex shape of turret or pedestal that some link can touch.
+
+    Attributes:
+        name: Name of its body in the URDF.
+        shape: Its number among the geometry objects of `Robot.collision_model`.
+        carrier: `TURRET` or `GROUND`.
+        core: (k, 3) points in `base_link`, at yaw 0, whose hull, grown by `rounding`, holds it [m].
+        rounding: Radius about the core [m].
+        links: The links that can touch it.
+        is_round: Whether it is the same at every yaw.
+    """
+
+    name: str
+    shape: int
+    carrier: int
+    core: FloatArray
+    rounding: float
+    links: tuple[int, ...]
+    is_round: bool = True
+
+    @property
+    def loose(self) -> Literal[False]:
+        """Never: it is the hull of its core grown by its rounding."""
+        return False
+
+    @property
+    def follows_arm_plane(self) -> bool:
+        """Whether the arm plane cuts it the same at every yaw: it is round, or turns with the plane."""
+        return self.is_round or self.carrier == TURRET
+
+
+@dataclass(frozen=True, eq=False)
+class SelfContact:
+    """The pairs that can touch.
+
+    Attributes:
+        links: Pairs (i, j) of links, i < j, that are no neighbours.
+        bodies: Shapes of turret and pedestal that links can touch.
+        folds: Neighbours that can fold into one another.
+        turret: Pairs of a shape of the turret and one of the pedestal.
+    """
+
+    links: tuple[tuple[int, int], ...] = ()
+    bodies: tuple[BaseBody, ...] = ()
+    folds: tuple[Fold, ...] = ()
+    turret: tuple[tuple[BaseShape, BaseShape], ...] = ()
+
+    @property
+    def possible(self) -> bool:
+        """Whether any pair can touch."""
+        return bool(self.links or self.bodies or self.folds or self.turret)
+
+
+#: By robot, then by tracking error and clearance.
+_KNOWN: WeakKeyDictionary[Robot, dict[tuple[float, float], SelfContact]] = WeakKeyDictionary()
+
+#: Tracking errors are rounded up to multiples of this [rad].
+_DEVIATION_STEP: Final = 5e-3
+
+#: So many pairs of tracking error and clearance are kept of a robot.
+_MOST_KNOWN: Final = 32
+
+
+def self_contact(robot: Robot, *, deviation: float = 0.0, clearance: float = 0.0) -> SelfContact:
+    """The pairs of a robot that can touch, decided once.
+
+    Args:
+        robot: The arm.
+        deviation: How far any joint may be beyond its limits [rad]: the tracking error.
+        clearance: Distance that parts have to keep [m]. Parts that are always nearer than that, as a low shoulder is to
+            the pedestal, are asked only whether they can touch.
+    """
+    known = _KNOWN.get(robot, {})
+    key = _rounded_up(deviation), float(clearance)
+    try:
+        return known[key]
+    except KeyError:
+        pass
+    arm = replace(robot.arm, lower=robot.arm.lower - key[0], upper=robot.arm.upper + key[0])
+    found = SelfContact(
+        links=_link_pairs(arm, key[1]),
+        bodies=tuple(_bodies(robot, arm, *key)),
+        folds=folds(arm, key[1], SLACK),
+        turret=tuple(_turret_pairs(robot, *key)),
+    )
+    # Tables are replaced and never changed: another thread may read the one before.
+    _KNOWN[robot] = {**dict(list(known.items())[1 - _MOST_KNOWN :]), key: found}
+    return found
+
+
+def _rounded_up(deviation: float) -> float:
+    """A tracking error that is no less, one of few: that of a motion depends on how fast it is [rad]."""
+    if not deviation < math.tau:
+        return math.tau  # a whole turn either way is all that there is
+    return _DEVIATION_STEP * math.ceil(deviation / _DEVIATION_STEP - 1e-9)
+
+
+def pair_sway(robot: Robot, link: int, other: int, deviation: ArrayLike) -> FloatArray:
+    """How much nearer a link may come to another part of the arm when joints are off by `deviation` at most.
+
+    Args:
+        robot: The arm.
+        link: The link, or `TURRET` for the turret against what stands still.
+        other: A link before it, `TURRET` or `GROUND`.
+        deviation: One number for all joints, or (..., dof) [rad].
+
+    Returns:
+        (...) distances [m].
+    """
+    off = np.asarray(deviation, dtype=np.float64)
+    off = off if off.ndim else np.full(robot.dof, off)
+    if link == TURRET:
+        turned: FloatArray = off[..., 0] * turret_radius(robot)
+        return turned
+    after = max(other, TURRET) + 1
+    turns = np.cumsum(off[..., robot.arm_slice][..., after : link + 1], axis=-1)
+    sway: FloatArray = turns @ robot.arm.lengths[after : link + 1]
+    if robot.has_yaw and other == GROUND:
+        sway = sway + off[..., 0] * robot.yaw_radius[link]
+    return sway
+
+
+def pair_rates(robot: Robot, link: int, other: int, rates: FloatArray) -> FloatArray:
+    """How fast points of a link move at most, seen from another part of the arm.
+
+    Args:
+        robot: The arm.
+        link: The link, or `TURRET` for the turret against what stands still.
+        other: A link before it, `TURRET` or `GROUND`.
+        rates: (pieces, c, dof) joint rates of each piece of a motion; every rate within it lies in the hull of its c.
+
+    Returns:
+        (pieces,) speeds, metres in the unit of the rates.
+    """
+    if link == TURRET:
+        # The yaw alone moves it, each point about the axis: at no more than the turn times its distance from there.
+        turret: FloatArray = np.abs(rates[..., 0]).max(axis=1) * turret_radius(robot)
+        return turret
+    arm, after = robot.arm, max(other, TURRET) + 1
+    turns = np.cumsum(arm.signs * rates[..., robot.arm_slice], axis=2)
+    if after > 0:
+        turns = turns - turns[..., after - 1 : after]
+    speeds: FloatArray = np.abs(turns[..., after : link + 1]).max(axis=1) @ arm.lengths[after : link + 1]
+    if robot.has_yaw and other == GROUND:
+        speeds = speeds + np.abs(rates[..., 0]).max(axis=1) * robot.yaw_radius[link]
+    return speeds
+
+
+def part_of_arm(arm: PlanarArm, first: int, last: int) -> PlanarArm:
+    """Links `first` to `last` by themselves; the plane's first axis is the direction of the link before them."""
+    part = slice(first, last + 1)
+    return replace(
+        arm,
+        joint_names=arm.joint_names[part],
+        link_names=arm.link_names[part],
+        lengths=arm.lengths[part],
+        half_widths=arm.half_widths[part],
+        signs=arm.signs[part],
+        offsets=arm.offsets[part],
+        lower=arm.lower[part],
+        upper=arm.upper[part],
+    )
+
+
+def _link_pairs(arm: PlanarArm, clearance: float) -> tuple[tuple[int, int], ...]:
+    pairs = []
+    for i in range(arm.link_count):
+        before = np.array([[-arm.lengths[i], 0.0], [0.0, 0.0]])  # link i, from where link i + 1 begins
+        for j in range(i + 2, arm.link_count):
+            radius = float(arm.half_widths[i] + arm.half_widths[j])
+            # The links between hold the end of one at the beginning of the other: never farther apart than this.
+            held = float(arm.lengths[i + 1 : j].sum()) - radius
+            reach = SLACK + (clearance if held > clearance else 0.0)
+            if held > 0.0 and _can_touch(part_of_arm(arm, i + 1, j), before, radius + reach):
+                pairs.append((i, j))
+    return tuple(pairs)
+
+
+def _bodies(robot: Robot, arm: PlanarArm, deviation: float, clearance: float) -> list[BaseBody]:
+    """Shapes of turret and pedestal that some link can touch."""
+    found = []
+    normal = np.cross(*robot.plane_axes)
+    for shape in base_shapes(robot):
+        still_in_plane = not shape.is_round and (shape.carrier == TURRET or not robot.has_yaw)
+        core = shape.points if still_in_plane else _swept(shape)
+        # Its shadow in the arm plane holds its section there, at every yaw.
+        shadow = convex_hull((core - robot.plane_origin) @ robot.plane_axes.T)
+        aside = (core - robot.plane_origin) @ normal
+        beside_plane = max(float(aside.min()), -float(aside.max()), 0.0)
+        touching: list[int] = []
+        for link in range(arm.link_count):
+            radius = shape.rounding + float(arm.half_widths[link])
+            held = partial(_is_held, robot, shape, deviation, float(arm.half_widths[link] - arm.lengths[:link].sum()))
+            if held(0.0):
+                continue  # it carries the shoulder, or the links between are too short to leave it
+            reach = SLACK + (0.0 if clearance > 0.0 and held(clearance) else clearance)
+            if beside_plane <= radius + reach and _can_touch(part_of_arm(arm, 0, link), shadow, radius + reach):
+                touching.append(link)
+        if touching:
+            own = frozen(np.unique(core if shape.is_round else shape.points, axis=0))
+            found.append(
+                BaseBody(shape.name, shape.number, shape.carrier, own, shape.rounding, tuple(touching), shape.is_round)
+            )
+    return found
+
+
+def _is_held(robot: Robot, shape: BaseShape, deviation: float, within: float, clearance: float) -> bool:
+    """Whether a shape of the base is within a distance, and the clearance, of the shoulder at every yaw.
+
+    A link of half-width w begins no farther from the shoulder than the lengths before it, and so always touches what is
+    within w less those lengths of the shoulder.
+    """
+    level = within + clearance
+    if level < 0.0:
+        return False
+    shoulder = robot.plane_origin
+    if not robot.has_yaw or shape.carrier == TURRET or shape.is_round:
+        return shape.distance_from(shoulder) <= level
+    radius = float(np.hypot(*shoulder[:2]))
+
+    def distance(yaw: float) -> float:
+        cos, sin = np.cos(yaw), np.sin(yaw)
+        turned = np.array([cos * shoulder[0] - sin * shoulder[1], sin * shoulder[0] + cos * shoulder[1], shoulder[2]])
+        return shape.distance_from(turned)
+
+    if radius <= 1e-9:
+        return distance(0.0) <= level
+    return always(distance, robot.lower[0] - deviation, robot.upper[0] + deviation, radius, level)
+
+
+def _swept(shape: BaseShape) -> FloatArray:
+    """Core points of a hull, to be grown by the rounding, that holds what a shape sweeps about the yaw axis."""
+    points = shape.points
+    # It lies in the hull of the rings that the points sweep.
+    profile = np.column_stack([np.hypot(points[:, 0], points[:, 1]), points[:, 2]])
+    profile = convex_hull(np.vstack([profile, profile * [-1.0, 1.0]]))
+    radius, height = profile[profile[:, 0] >= 0.0].T
+    angles = (np.arange(_CORNERS) + 0.5) * (2.0 * np.pi / _CORNERS)
+    ring = radius / np.cos(np.pi / _CORNERS)
+    rings = [np.outer(np.cos(angles), ring), np.outer(np.sin(angles), ring), np.tile(height, (_CORNERS, 1))]
+    return np.stack(rings, axis=-1).reshape(-1, 3)
+
+
+def _turret_pairs(robot: Robot, deviation: float, clearance: float) -> list[tuple[BaseShape, BaseShape]]:
+    """Shapes of the turret and of the pedestal that can touch as the base turns."""
+    if not robot.has_yaw:
+        return []
+    low, high = robot.lower[0] - deviation, robot.upper[0] + deviation
+    found = []
+    for shape in turning_shapes(robot):
+        for other in base_shapes(robot):
+            if other.carrier == TURRET or other.is_round:
+                continue
+            # A horizontal plane between them stays between them.
+            if shape.bottom >= other.top - BASE_DEPTH or other.bottom >= shape.top - BASE_DEPTH:
+                continue
+            distance = partial(_turned_distance, shape, other)
+            rate = min(shape.radius, other.radius)  # either may be taken to turn
+            if always(distance, low, high, rate, 0.0):
+                continue
+            held = clearance > 0.0 and always(distance, low, high, rate, clearance)
+            if ever(distance, low, high, rate, SLACK + (0.0 if held else clearance)):
+                found.append((shape, other))
+    return found
+
+
+def _turned_distance(shape: BaseShape, other: BaseShape, yaw: float) -> float:
+    return shape.distance_at(yaw, other)
+
+
+def _can_touch(arm: PlanarArm, polygon: FloatArray, radius: float) -> bool:
+    """Whether the axis of the last link can come within a distance of a convex polygon; sure where it says no."""
+    lower, upper = arm.lower[None], arm.upper[None]
+    reach = np.cumsum(arm.lengths[::-1])[::-1]  # how far a point of the last link can be from each joint
+    while True:
+        half = 0.5 * (upper - lower)
+        points = arm.joint_points(lower + half)
+        spare = polygon_distances(points[:, -2], points[:, -1], polygon) - radius
+        if (spare <= 0.0).any():
+            return True
+        left = spare <= half @ reach
+        if not left.any():
+            return False
+        if int(left.sum()) > _MOST_BOXES:
+            return True
+        lower, upper, half = lower[left], upper[left], half[left]
+        rows, widest = np.arange(len(half)), (half * reach).argmax(axis=1)
+        middle = lower[rows, widest] + half[rows, widest]
+        below, above = upper.copy(), lower.copy()
+        below[rows, widest] = above[rows, widest] = middle
+        lower, upper = np.concatenate([lower, above]), np.concatenate([below, upper])

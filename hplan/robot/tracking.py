@@ -1,0 +1,108 @@
+r"""How far a controlled arm may be from its trajectory.
+
+Errors of tracking grow with speed: what is commanded comes late, and feed-forward is wrong by a share of it. So each
+joint is taken to deviate from its commanded position :math:`q_j(t)` by no more than
+
+.. math:: e_j(t) = \text{still} + \text{delay} \cdot |\dot q_j(t)|.
+
+Configurations at rest need room for the first part alone.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hplan.base.arguments import number
+from hplan.base.arrays import FloatArray
+from hplan.errors import HplanError
+
+#: How exactly the largest tracking error is found that would do, as a share of the one asked for.
+SHARE_ERROR = 1e-3
+
+
+@dataclass(frozen=True)
+class TrackingModel:
+    """Largest deviation of each joint from the commanded motion.
+
+    Attributes:
+        still_rad: Deviation at rest [rad].
+        delay_s: What comes to it for each rad/s of the joint's commanded velocity [s].
+    """
+
+    still_rad: float = 0.0
+    delay_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Check the values.
+
+        Raises:
+            OptionError: One that is negative or not finite.
+        """
+        for option, value, unit in (
+            ("tracking_error", self.still_rad, "radians"),
+            ("tracking_delay_s", self.delay_s, "seconds"),
+        ):
+            number(option, value, f"a finite number of {unit} >= 0", lambda given: given >= 0.0)
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether there is no deviation at all."""
+        return self.still_rad == 0.0 and self.delay_s == 0.0
+
+    def deviations(self, velocity: ArrayLike) -> FloatArray:
+        """Largest deviations at joint velocities [rad/s], of the same shape [rad]."""
+        deviations: FloatArray = self.still_rad + self.delay_s * np.abs(np.asarray(velocity, dtype=np.float64))
+        return deviations
+
+    def scaled(self, share: float) -> TrackingModel:
+        """The model with a share of both deviations."""
+        return TrackingModel(share * self.still_rad, share * self.delay_s)
+
+    def __str__(self) -> str:
+        """The model in words."""
+        error = f"{math.degrees(self.still_rad):.4g} deg"
+        return f"{error} + {1e3 * self.delay_s:.4g} ms of velocity" if self.delay_s else error
+
+
+def name_margin(error: HplanError, asked: TrackingModel, share: float, enough: str = "what would do is") -> None:
+    """Let an error say that what it refuses was refused for a tracking error, and the largest that would do.
+
+    Args:
+        error: The error.
+        asked: The tracking error asked for.
+        share: Share of it that would do; where none would, the error has another reason and is left as it is.
+        enough: The words for that.
+    """
+    if not share > 0.0:
+        return
+    largest = asked.scaled(share)
+    error.add(
+        f"this allows for a tracking error of {asked}; {enough} up to {largest}",
+        tracking_error_deg=math.degrees(asked.still_rad),
+        tracking_delay_ms=1e3 * asked.delay_s,
+        largest_tracking_error_deg=math.degrees(largest.still_rad),
+        largest_tracking_delay_ms=1e3 * largest.delay_s,
+    )
+
+
+def largest_share(would_do: Callable[[float], bool]) -> float:
+    """The largest share of a tracking error that would do, of which smaller ones would then do too, by bisection.
+
+    Args:
+        would_do: Whether a share does.
+
+    Returns:
+        A share that does, less than `SHARE_ERROR` below the largest; 0 where none does.
+    """
+    if not would_do(0.0):
+        return 0.0
+    low, high = 0.0, 1.0
+    while high - low > SHARE_ERROR:
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if would_do(middle) else (low, middle)
+    return low

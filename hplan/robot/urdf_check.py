@@ -1,0 +1,193 @@
+"""Whether Pinocchio's models are what the URDF says, element by element.
+
+The reference is the strict reading of `hplan.robot.urdf_file`. Fixed joints fuse links: their inertias add up in the
+joint that moves them, and their shapes move with it.
+"""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final
+
+import coal
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike
+
+from hplan.base.arrays import FloatArray
+from hplan.errors import RobotFileError
+from hplan.robot.urdf_file import Joint, Link, Shape, Urdf
+from hplan.robot.urdf_xml import line_of
+
+#: How far two readings of one number may be apart, as a share of one plus its size.
+_TOLERANCE: Final = 1e-9
+
+_MOVING: Final = ("revolute", "continuous", "prismatic")
+
+
+def check_models(path: Path, urdf: Urdf, model: pin.Model, collision_model: pin.GeometryModel | None = None) -> None:
+    """Compare what Pinocchio read with what the file says.
+
+    Joints, their placements, axes and limits; where links are; inertias, those of links that move together as a whole;
+    and, if there is a collision model, kinds, sizes and places of shapes (of a mesh its scale, and that it is not
+    empty).
+
+    Args:
+        path: The file, for messages.
+        urdf: What it says.
+        model: Pinocchio's kinematic model, not reduced.
+        collision_model: Its collision model, if it is to be compared.
+
+    Raises:
+        RobotFileError: They differ; names the element, and both values.
+    """
+    check = _Check(path, model)
+    moving = [joint for joint in urdf.joints.values() if joint.kind != "fixed"]
+    if model.njoints - 1 != len(moving):
+        raise RobotFileError(path, f"Pinocchio reads {model.njoints - 1} moving joints, the file has {len(moving)}")
+    inertias = [np.zeros((6, 6)) for _ in range(model.njoints)]
+    last: list[Link | None] = [None] * model.njoints
+    shapes = {} if collision_model is None else {str(shape.name): shape for shape in collision_model.geometryObjects}
+    count = 0
+    for link, carrier, placement in _placed_links(check, urdf):
+        check.link(link, carrier, placement)
+        if link.inertial is not None:
+            place = placement * link.inertial.placement
+            inertias[carrier] += _spatial_inertia(link.inertial.mass, place, link.inertial.inertia)
+            last[carrier] = link
+        for number, shape in enumerate(link.shapes if collision_model is not None else ()):
+            check.shape(link, shape, shapes.get(f"{link.name}_{number}"), carrier, placement * shape.placement)
+            count += 1
+    if count != len(shapes):
+        raise RobotFileError(path, f"Pinocchio reads {len(shapes)} collision shapes, the file has {count}")
+    for number, inertia in enumerate(inertias):
+        found = np.array(model.inertias[number].matrix())
+        what = "the inertia of what it moves" if number else "the inertia of what stands still"
+        owner = last[number]
+        name = f"joint {model.names[number]!r}" if owner is None or number else f"link {owner.name!r}"
+        check.same(None if owner is None else owner.element, name, what, found, inertia)
+
+
+def _placed_links(check: _Check, urdf: Urdf) -> Iterator[tuple[Link, int, pin.SE3]]:
+    """Each link, the joint of the model that carries it, and its placement there, from the root on."""
+    below: dict[str, list[Joint]] = {}
+    for joint in urdf.joints.values():
+        below.setdefault(joint.parent, []).append(joint)
+    children = {joint.child for joint in urdf.joints.values()}
+    waiting = [(link, 0, pin.SE3.Identity()) for name, link in urdf.links.items() if name not in children]
+    while waiting:
+        link, carrier, placement = waiting.pop()
+        yield link, carrier, placement
+        for joint in below.get(link.name, ()):
+            place = placement * joint.placement
+            if joint.kind == "fixed":
+                waiting.append((urdf.links[joint.child], carrier, place))
+            else:
+                number = check.joint(joint, carrier, place)
+                waiting.append((urdf.links[joint.child], number, pin.SE3.Identity()))
+
+
+class _Check:
+    """Compares elements with one model."""
+
+    def __init__(self, path: Path, model: pin.Model) -> None:
+        self._path = path
+        self._model = model
+
+    def same(self, element: ET.Element | None, name: str, what: str, found: ArrayLike, said: ArrayLike) -> None:
+        """Refuse numbers that differ."""
+        ours, theirs = np.asarray(said, dtype=np.float64), np.asarray(found, dtype=np.float64)
+        if ours.shape == theirs.shape and np.abs(ours - theirs).max() <= _TOLERANCE * (1.0 + np.abs(ours).max()):
+            return
+        raise self._fault(element, f"{name}: Pinocchio reads {what} as {_short(theirs)}, the file says {_short(ours)}")
+
+    def joint(self, joint: Joint, carrier: int, placement: pin.SE3) -> int:
+        """Compare a moving joint; returns its number."""
+        model, name = self._model, f"joint {joint.name!r}"
+        if not model.existJointName(joint.name):
+            raise self._fault(joint.element, f"{name}: Pinocchio reads no joint of that name")
+        number = int(model.getJointId(joint.name))
+        self.same(joint.element, name, "its carrier", model.parents[number], carrier)
+        self.same(
+            joint.element, name, "its placement", model.jointPlacements[number].homogeneous, placement.homogeneous
+        )
+        if joint.kind not in _MOVING:
+            return number
+        self._axis(joint, name, number)
+        moved = model.joints[number]
+        limits = {"velocity": model.velocityLimit[moved.idx_v], "effort": model.effortLimit[moved.idx_v]}
+        if joint.kind != "continuous":
+            limits |= {"lower": model.lowerPositionLimit[moved.idx_q], "upper": model.upperPositionLimit[moved.idx_q]}
+        for key, value in limits.items():
+            if key in joint.limits or joint.kind != "continuous":
+                self.same(joint.element, name, f"its {key} limit", value, joint.limits.get(key, 0.0))
+        return number
+
+    def _axis(self, joint: Joint, name: str, number: int) -> None:
+        """Compare the axis of a joint, which is of no length only in a robot that is refused elsewhere."""
+        length = float(np.linalg.norm(joint.axis))
+        if length == 0.0:
+            return
+        moved = self._model.joints[number]
+        data = moved.createData()
+        moved.calc(data, pin.neutral(self._model)[moved.idx_q : moved.idx_q + moved.nq])
+        motion = np.ravel(data.S)
+        rows = slice(0, 3) if joint.kind == "prismatic" else slice(3, 6)
+        self.same(joint.element, name, "its axis", motion[rows], joint.axis / length)
+
+    def link(self, link: Link, carrier: int, placement: pin.SE3) -> None:
+        """Compare where a link is."""
+        model, name = self._model, f"link {link.name!r}"
+        if not model.existBodyName(link.name):
+            raise self._fault(link.element, f"{name}: Pinocchio reads no link of that name")
+        frame = model.frames[model.getBodyId(link.name)]
+        self.same(link.element, name, "its carrier", frame.parentJoint, carrier)
+        self.same(link.element, name, "its place", frame.placement.homogeneous, placement.homogeneous)
+
+    def shape(
+        self, link: Link, shape: Shape, found: pin.GeometryObject | None, carrier: int, placement: pin.SE3
+    ) -> None:
+        """Compare a collision shape."""
+        name = f"link {link.name!r}"
+        if found is None:
+            raise self._fault(shape.element, f"{name}: Pinocchio reads no such <collision>")
+        kind, size = _kind_and_size(found)
+        if kind != shape.kind:
+            raise self._fault(shape.element, f"{name}: Pinocchio reads a {kind}, the file says {shape.kind}")
+        self.same(shape.element, name, f"the size of its {kind}", size, shape.size)
+        self.same(shape.element, name, f"the carrier of its {kind}", found.parentJoint, carrier)
+        self.same(
+            shape.element, name, f"the placement of its {kind}", found.placement.homogeneous, placement.homogeneous
+        )
+
+    def _fault(self, element: ET.Element | None, reason: str) -> RobotFileError:
+        return RobotFileError(self._path, ("" if element is None else line_of(element)) + reason)
+
+
+def _kind_and_size(shape: pin.GeometryObject) -> tuple[str, tuple[float, ...]]:
+    """Kind and size of Pinocchio's shape, as `hplan.robot.urdf_file.Shape` has them."""
+    geometry = shape.geometry
+    if isinstance(geometry, coal.Box):
+        return "box", tuple(2.0 * np.asarray(geometry.halfSide))
+    if isinstance(geometry, coal.Sphere):
+        return "sphere", (geometry.radius,)
+    if isinstance(geometry, coal.Cylinder):
+        return "cylinder", (geometry.radius, 2.0 * geometry.halfLength)
+    if isinstance(geometry, coal.BVHModelBase) and geometry.num_tris > 0:
+        return "mesh", tuple(shape.meshScale)
+    return type(geometry).__name__, ()
+
+
+def _spatial_inertia(mass: float, placement: pin.SE3, inertia: FloatArray) -> FloatArray:
+    """(6, 6) inertia of a body about the origin of the frame in which its centre of mass is placed."""
+    x, y, z = placement.translation
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    about = placement.rotation @ inertia @ placement.rotation.T - mass * cross @ cross
+    return np.block([[mass * np.eye(3), -mass * cross], [mass * cross, about]])
+
+
+def _short(numbers: FloatArray) -> str:
+    rounded = np.round(numbers, 9) + 0.0
+    return f"{float(rounded):.9g}" if rounded.ndim == 0 else str(rounded.tolist())

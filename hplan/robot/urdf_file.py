@@ -1,0 +1,394 @@
+"""What a URDF says, read strictly: links, joints, inertia and collision geometry as numbers.
+
+`urdfdom`, which Pinocchio reads with, passes over much that it cannot read: a mass whose origin has a decimal comma is
+no mass, an element whose name is misspelled is not there. Here all of that is a fault with its line and element.
+Whether Pinocchio reads the same is shown in `hplan.robot.urdf_check`.
+"""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ET
+from collections.abc import Mapping
+from dataclasses import dataclass
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import pinocchio as pin
+
+from hplan.base.arguments import DECIMAL
+from hplan.base.arrays import FloatArray, readonly
+from hplan.errors import RobotFileError
+from hplan.robot.urdf_xml import line_of
+from hplan.scene.limits import FARTHEST_M
+
+#: Part of the largest principal moment by which an inertia may miss what a body can have: CAD programs round.
+_INERTIA_TOLERANCE: Final = 1e-3
+
+#: Elements and the attributes and elements that each may have; none means any. Those with a prefix (`drake:`) are
+#: extensions, and so are `_EXTENSIONS`.
+_ATTRIBUTES: Final[Mapping[str, frozenset[str]]] = {
+    "origin": frozenset({"xyz", "rpy"}),
+    "mass": frozenset({"value"}),
+    "inertia": frozenset({"ixx", "ixy", "ixz", "iyy", "iyz", "izz"}),
+    "box": frozenset({"size"}),
+    "sphere": frozenset({"radius"}),
+    "cylinder": frozenset({"radius", "length"}),
+    "mesh": frozenset({"filename", "scale"}),
+    "parent": frozenset({"link"}),
+    "child": frozenset({"link"}),
+    "axis": frozenset({"xyz"}),
+    "limit": frozenset({"lower", "upper", "velocity", "effort"}),
+    "dynamics": frozenset({"damping", "friction"}),
+    "mimic": frozenset({"joint", "multiplier", "offset"}),
+    "safety_controller": frozenset({"soft_lower_limit", "soft_upper_limit", "k_position", "k_velocity"}),
+    "calibration": frozenset({"rising", "falling", "reference_position"}),
+}
+_CHILDREN: Final[Mapping[str, frozenset[str]]] = {
+    "link": frozenset({"inertial", "visual", "collision"}),
+    "inertial": frozenset({"origin", "mass", "inertia"}),
+    "collision": frozenset({"origin", "geometry"}),
+    "visual": frozenset({"origin", "geometry", "material"}),
+    "geometry": frozenset({"box", "sphere", "cylinder", "mesh"}),
+    "joint": frozenset(
+        {"origin", "parent", "child", "axis", "limit", "dynamics", "mimic", "safety_controller", "calibration"}
+    ),
+}
+_EXTENSIONS: Final = frozenset({"contact", "contact_coefficients", "joint_properties", "sensor", "verbose"})
+
+#: Elements that no program adds attributes to.
+_CLOSED: Final = frozenset({"origin", "mass", "inertia", "axis", "parent", "child"})
+
+#: Likeness from which on an unknown name is a misspelling (`difflib.SequenceMatcher.ratio`).
+_ALIKE: Final = 0.8
+
+_REPEATED: Final = frozenset({"visual", "collision"})
+
+#: Attributes that give the size of a shape.
+_SIZES: Final = {"box": ("size",), "sphere": ("radius",), "cylinder": ("radius", "length")}
+
+_KINDS: Final = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
+
+
+@dataclass(frozen=True, eq=False)
+class Inertial:
+    """Mass and inertia of a link.
+
+    Attributes:
+        mass: [kg].
+        placement: The centre of mass, and the axes of the inertia, in the link's frame.
+        inertia: (3, 3) about the centre of mass [kg m^2].
+    """
+
+    mass: float
+    placement: pin.SE3
+    inertia: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """A collision geometry.
+
+    Attributes:
+        element: Its `<collision>`.
+        kind: `box`, `sphere`, `cylinder` or `mesh`.
+        size: Edges of a box; radius of a sphere; radius and length of a cylinder; scale of a mesh [m].
+        placement: In the link's frame.
+    """
+
+    element: ET.Element
+    kind: str
+    size: tuple[float, ...]
+    placement: pin.SE3
+
+
+@dataclass(frozen=True, eq=False)
+class Link:
+    """A link.
+
+    Attributes:
+        element: Its `<link>`.
+        name: Its name.
+        inertial: Mass and inertia, where the file gives them.
+        shapes: Collision geometry.
+    """
+
+    element: ET.Element
+    name: str
+    inertial: Inertial | None
+    shapes: tuple[Shape, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Joint:
+    """A joint.
+
+    Attributes:
+        element: Its `<joint>`.
+        name: Its name.
+        kind: `revolute`, `continuous`, `prismatic`, `fixed`, `floating` or `planar`.
+        parent: Name of the link that carries it.
+        child: Name of the link that it moves.
+        placement: In the parent link's frame.
+        axis: (3,) axis as the file gives it, of any length.
+        limits: `lower`, `upper`, `velocity`, `effort`, those that the file gives [rad, m, s, N, N m].
+    """
+
+    element: ET.Element
+    name: str
+    kind: str
+    parent: str
+    child: str
+    placement: pin.SE3
+    axis: FloatArray
+    limits: Mapping[str, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Urdf:
+    """A robot as its file describes it.
+
+    Attributes:
+        links: Links by name.
+        joints: Joints by name.
+    """
+
+    links: Mapping[str, Link]
+    joints: Mapping[str, Joint]
+
+
+def read_urdf(path: Path, root: ET.Element, *, any_robot: bool = False) -> Urdf:
+    """Read what a URDF says.
+
+    Robots of others hold elements of programs that are not known here, and inertias of no body where it does not
+    matter; of these nothing is refused but what looks like a misspelling, and no number that cannot be read.
+
+    Args:
+        path: The file, for messages.
+        root: Its root element.
+        any_robot: Whether it is a robot of others, for its joints and inertias alone: shapes are not looked at.
+
+    Raises:
+        RobotFileError: A name missing, repeated or unprintable; a joint to a link that does not exist; an element or
+            attribute that is missing, unknown, or there twice; a number that is none, or out of range; an inertia that
+            no body has. Names line and element.
+    """
+    reader = _Reader(path, any_robot)
+    reader.check_name(root, "the robot")
+    links, joints = root.findall("link"), root.findall("joint")
+    for kind, elements in (("link", links), ("joint", joints)):
+        seen: set[str] = set()
+        for element in elements:
+            reader.check_name(element, f"a <{kind}>")
+            name = str(element.get("name"))
+            if name in seen:
+                raise reader.fault(element, f"{kind} {name!r} is defined twice")
+            seen.add(name)
+    found = {str(link.get("name")): reader.link(link) for link in links}
+    return Urdf(found, {str(joint.get("name")): reader.joint(joint, found) for joint in joints})
+
+
+class _Reader:
+    """Reads the elements of one file."""
+
+    def __init__(self, path: Path, any_robot: bool) -> None:
+        self._path = path
+        self._any_robot = any_robot
+
+    def fault(self, element: ET.Element, reason: str) -> RobotFileError:
+        return RobotFileError(self._path, line_of(element) + reason)
+
+    def check_name(self, element: ET.Element, what: str) -> None:
+        name = element.get("name")
+        if not name or not name.strip():
+            raise self.fault(element, f"{what} has no name")
+        if not name.isprintable() or name != name.strip():
+            reason = (
+                f"{what} is called {name!r}; a name holds no line break, no control character, no space at its ends"
+            )
+            raise self.fault(element, reason)
+
+    def link(self, element: ET.Element) -> Link:
+        where = f"link {element.get('name')!r}"
+        self._check_parts(element, where)
+        inertial = element.find("inertial")
+        for visual in [] if self._any_robot else element.findall("visual"):
+            self._geometry_of(visual, where)
+            self._origin_of(visual, where)
+        return Link(
+            element,
+            str(element.get("name")),
+            None if inertial is None else self._inertial(inertial, where),
+            tuple(
+                Shape(shape, *self._geometry_of(shape, where), self._placement(shape, where))
+                for shape in ([] if self._any_robot else element.findall("collision"))
+            ),
+        )
+
+    def joint(self, element: ET.Element, links: Mapping[str, Link]) -> Joint:
+        name, kind = str(element.get("name")), element.get("type")
+        where = f"joint {name!r}"
+        self._check_parts(element, where)
+        if kind not in _KINDS:
+            raise self.fault(element, f"{where}: its type is {kind!r}, expected one of {', '.join(_KINDS)}")
+        axis = element.find("axis")
+        return Joint(
+            element,
+            name,
+            kind,
+            self._end(element, "parent", links, where),
+            self._end(element, "child", links, where),
+            self._placement(element, where),
+            readonly((1.0, 0.0, 0.0) if axis is None else self._numbers(axis, "xyz", where, 3)),
+            self._limits(element, where, kind),
+        )
+
+    def _end(self, joint: ET.Element, end: str, links: Mapping[str, Link], where: str) -> str:
+        """The link at the `parent` or `child` end of a joint."""
+        part = joint.find(end)
+        link = None if part is None else part.get("link")
+        if link is None or link not in links:
+            raise self.fault(joint, f"{where}: its {end} link {link!r} does not exist")
+        return link
+
+    def _limits(self, joint: ET.Element, where: str, kind: str) -> dict[str, float]:
+        for tag in ("dynamics", "safety_controller", "mimic", "calibration"):
+            for part in joint.findall(tag):
+                for attribute in sorted(part.attrib.keys() & (_ATTRIBUTES[tag] - {"joint"})):
+                    self._numbers(part, attribute, where, 1)
+        limit = joint.find("limit")
+        bounded = kind in ("revolute", "prismatic")
+        if limit is None:
+            if bounded:
+                raise self.fault(joint, f"{where}: it has no <limit>")
+            return {}
+        limits: dict[str, float] = {}
+        for attribute in ("lower", "upper", "velocity", "effort"):
+            if attribute in limit.attrib or (bounded and attribute in ("velocity", "effort")):
+                (limits[attribute],) = self._numbers(limit, attribute, where, 1)
+        return limits
+
+    def _inertial(self, element: ET.Element, where: str) -> Inertial:
+        self._check_parts(element, where)
+        mass, inertia = element.find("mass"), element.find("inertia")
+        if mass is None or inertia is None:
+            missing = "mass" if mass is None else "inertia"
+            raise self.fault(element, f"{where}: <inertial> has no <{missing}>; without it it would not count at all")
+        (value,) = self._numbers(mass, "value", where, 1)
+        if value < 0.0:
+            raise self._bad_number(mass, "value", where, "a finite number that is not negative")
+        xx, xy, xz, yy, yz, zz = (
+            self._numbers(inertia, key, where, 1)[0] for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+        )
+        matrix = readonly([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        self._check_inertia(inertia, matrix, where)
+        return Inertial(value, self._placement(element, where), matrix)
+
+    def _check_inertia(self, element: ET.Element, matrix: FloatArray, where: str) -> None:
+        """Refuse an inertia that no body has."""
+        moments = np.linalg.eigvalsh(matrix)
+        spare = max(_INERTIA_TOLERANCE * float(np.abs(moments).max()), 1e-12)
+        if self._any_robot:
+            return
+        if moments[0] < -spare or moments[2] > moments[0] + moments[1] + spare:
+            raise self.fault(
+                element,
+                f"{where}: <inertia> has principal moments {', '.join(f'{moment:.6g}' for moment in moments)} kg m^2; "
+                "of a body none is negative, and none is larger than the sum of the others",
+            )
+
+    def _geometry_of(self, element: ET.Element, where: str) -> tuple[str, tuple[float, ...]]:
+        """Kind and size of the shape of a `<collision>` or `<visual>`."""
+        self._check_parts(element, where)
+        geometry = element.find("geometry")
+        if geometry is None or len(geometry) == 0:
+            raise self.fault(element, f"{where}: a <{element.tag}> has no geometry")
+        self._check_parts(geometry, where)
+        if len(geometry) > 1:
+            raise self.fault(geometry, f"{where}: a <geometry> has {len(geometry)} shapes; only the first would count")
+        shape = geometry[0]
+        if shape.tag == "mesh":
+            if not shape.get("filename"):
+                raise self.fault(shape, f"{where}: <mesh> has no filename")
+            scale = self._numbers(shape, "scale", where, 3) if "scale" in shape.attrib else (1.0, 1.0, 1.0)
+            if 0.0 in scale:
+                raise self._bad_number(shape, "scale", where, "3 finite numbers that are not 0")
+            return "mesh", scale
+        size: list[float] = []
+        for attribute in _SIZES[shape.tag]:
+            numbers = self._numbers(shape, attribute, where, 3 if attribute == "size" else 1)
+            if not all(0.0 < number <= FARTHEST_M for number in numbers):
+                expected = f"a finite number that is positive, at most {FARTHEST_M:g} m"
+                raise self._bad_number(shape, attribute, where, expected)
+            size += numbers
+        return shape.tag, tuple(size)
+
+    def _placement(self, element: ET.Element, where: str) -> pin.SE3:
+        """Where the `<origin>` of an element puts it."""
+        xyz, rpy = self._origin_of(element, where)
+        return pin.SE3(_rotation(*rpy), np.array(xyz))
+
+    def _origin_of(self, element: ET.Element, where: str) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """The numbers `xyz` and `rpy` of the `<origin>` of an element."""
+        origin, none = element.find("origin"), (0.0, 0.0, 0.0)
+        if origin is None:
+            return none, none
+        xyz = self._numbers(origin, "xyz", where, 3) if "xyz" in origin.attrib else none
+        rpy = self._numbers(origin, "rpy", where, 3) if "rpy" in origin.attrib else none
+        if max(map(abs, xyz)) > FARTHEST_M:
+            raise self._bad_number(origin, "xyz", where, f"3 finite numbers of at most {FARTHEST_M:g} m")
+        return xyz, rpy
+
+    def _numbers(self, element: ET.Element, attribute: str, where: str, count: int) -> tuple[float, ...]:
+        """The numbers of an attribute, with spaces between."""
+        text = element.get(attribute)
+        if text is None:
+            raise self.fault(element, f"{where}: <{element.tag}> has no {attribute}")
+        words = [word for word in text.split(" ") if word]
+        numbers = tuple(map(float, words)) if all(map(DECIMAL.fullmatch, words)) else ()
+        if len(numbers) != count or not all(map(math.isfinite, numbers)):
+            expected = "a finite number" if count == 1 else f"{count} finite numbers with spaces between"
+            raise self._bad_number(element, attribute, where, expected)
+        return numbers
+
+    def _bad_number(self, element: ET.Element, attribute: str, where: str, expected: str) -> RobotFileError:
+        reason = f"{where}: {attribute} of <{element.tag}> is {element.get(attribute)!r}, expected {expected}"
+        return self.fault(element, reason)
+
+    def _check_parts(self, element: ET.Element, where: str) -> None:
+        """Refuse what readers of URDF pass over: unknown elements and attributes, and a second one of its kind."""
+        known = _CHILDREN[element.tag]
+        seen: set[str] = set()
+        for part in element:
+            if part.tag not in known:
+                if self._means_something(part.tag, known):
+                    continue
+                reason = f"{where}: <{part.tag}> in <{element.tag}> means nothing, expected {', '.join(sorted(known))}"
+                raise self.fault(part, reason)
+            if part.tag in seen and part.tag not in _REPEATED:
+                raise self.fault(part, f"{where}: a second <{part.tag}> in <{element.tag}>; only one would count")
+            seen.add(part.tag)
+            attributes = _ATTRIBUTES.get(part.tag, frozenset(part.attrib))
+            for attribute in sorted(part.attrib.keys() - attributes):
+                if part.tag in _CLOSED or not self._means_something(attribute, attributes):
+                    raise self.fault(part, f"{where}: {attribute} of <{part.tag}> means nothing")
+
+    def _means_something(self, name: str, known: frozenset[str]) -> bool:
+        """Whether an unknown name may be an extension, and is no misspelling of a known one."""
+        if ":" in name or name in _EXTENSIONS:
+            return True
+        return self._any_robot and not get_close_matches(name.lower(), known, 1, _ALIKE)
+
+
+def _rotation(roll: float, pitch: float, yaw: float) -> FloatArray:
+    """(3, 3) rotation by angles about the fixed axes x, y, z."""
+    cr, sr, cp, sp, cy, sy = (f(a) for a in (roll, pitch, yaw) for f in (math.cos, math.sin))
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )

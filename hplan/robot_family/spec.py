@@ -1,0 +1,159 @@
+"""What a member of the robot family is: its links, joints and limits, checked; and the one that ships."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from typing import Any
+
+from hplan.base.arguments import number, truth
+from hplan.errors import OptionError
+
+_HALF_PI = math.pi / 2
+
+
+@dataclass(frozen=True)
+class ArmSpec:
+    """One member of the family: n planar links on an optional yaw.
+
+    The per-joint values follow `joint_names`: the yaw first where there is one, then the n planar
+    joints. Any sequence of numbers is accepted and kept as a tuple of floats.
+
+    Attributes:
+        name: Name of the robot: letters, digits, `_` and single `-` between them.
+        link_lengths: n lengths from joint to joint, the last one to `tool0` [m].
+        link_half_widths: n capsule radii [m].
+        link_masses: n masses, each spread as a solid cylinder along its link [kg].
+        lower: Lower position limits, n or n + 1 of them [rad].
+        upper: Upper position limits [rad].
+        velocity: Velocity limits [rad/s].
+        effort: Torque limits [N m].
+        acceleration: Acceleration limits [rad/s^2].
+        jerk: Jerk limits [rad/s^3]; None leaves them out of the limits file.
+        shoulder_height: Height of the first planar axis above the ground [m].
+        has_yaw: Whether the turret turns about the vertical through the origin of `base_link`.
+        base_mass: Mass of the pedestal [kg].
+        turret_mass: Mass of the turret [kg].
+    """
+
+    name: str
+    link_lengths: tuple[float, ...]
+    link_half_widths: tuple[float, ...]
+    link_masses: tuple[float, ...]
+    lower: tuple[float, ...]
+    upper: tuple[float, ...]
+    velocity: tuple[float, ...]
+    effort: tuple[float, ...]
+    acceleration: tuple[float, ...]
+    jerk: tuple[float, ...] | None = None
+    shoulder_height: float = 0.6
+    has_yaw: bool = True
+    base_mass: float = 40.0
+    turret_mass: float = 12.0
+
+    def __post_init__(self) -> None:
+        """Check every value and keep sequences as tuples of floats.
+
+        Raises:
+            OptionError: A value is no finite number or out of its range, or a count does not match.
+        """
+        _check_name(self.name)
+        truth("has_yaw", self.has_yaw)
+        n_links = self._keep_positive("link_lengths", None)
+        n_joints = n_links + int(self.has_yaw)
+        for option in ("link_half_widths", "link_masses"):
+            self._keep_positive(option, n_links)
+        for option in ("velocity", "effort", "acceleration"):
+            self._keep_positive(option, n_joints)
+        if self.jerk is not None:
+            self._keep_positive("jerk", n_joints)
+        for option in ("lower", "upper"):
+            object.__setattr__(self, option, _floats(option, getattr(self, option), n_joints))
+        for joint, lower, upper in zip(self.joint_names, self.lower, self.upper, strict=True):
+            if not lower < upper:
+                raise OptionError(f"lower[{joint}]", lower, f"less than the upper limit {upper!r}")
+        for option in ("shoulder_height", "base_mass", "turret_mass"):
+            value = _finite(option, getattr(self, option))
+            _require_positive(option, value)
+            object.__setattr__(self, option, value)
+
+    def _keep_positive(self, option: str, count: int | None) -> int:
+        """Replace a field by its tuple of positive floats and return how many they are."""
+        values = _floats(option, getattr(self, option), count)
+        for index, value in enumerate(values):
+            _require_positive(f"{option}[{index}]", value)
+        object.__setattr__(self, option, values)
+        return len(values)
+
+    @property
+    def n_links(self) -> int:
+        """Number of planar links."""
+        return len(self.link_lengths)
+
+    @property
+    def planar_joint_names(self) -> tuple[str, ...]:
+        """Names of the n planar joints, from the shoulder outwards."""
+        if self.n_links == 3:
+            return ("shoulder", "elbow", "wrist")
+        return tuple(f"joint_{i}" for i in range(1, self.n_links + 1))
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the movable joints: `base_yaw` where there is a yaw, then the planar ones."""
+        return (("base_yaw",) if self.has_yaw else ()) + self.planar_joint_names
+
+    @property
+    def arm_link_names(self) -> tuple[str, ...]:
+        """Names of the n planar links, from the shoulder outwards."""
+        if self.n_links == 3:
+            return ("upper_arm", "forearm", "hand")
+        return tuple(f"link_{i}" for i in range(1, self.n_links + 1))
+
+    @property
+    def link_names(self) -> tuple[str, ...]:
+        """Names of all links, from the ground to the tool."""
+        return ("base_link", "turret", *self.arm_link_names, "tool0")
+
+
+def _check_name(name: Any) -> None:
+    # A double hyphen would end the XML comment that quotes the spec.
+    pattern = r"[A-Za-z][A-Za-z0-9_]*(-[A-Za-z0-9_]+)*"
+    if not (isinstance(name, str) and re.fullmatch(pattern, name)):
+        raise OptionError("name", name, "letters, digits, '_' and single '-', a letter first")
+
+
+def _finite(option: str, value: Any) -> float:
+    return number(option, value, "a finite number")
+
+
+def _floats(option: str, values: Any, count: int | None) -> tuple[float, ...]:
+    expected = "at least one number" if count is None else f"{count} numbers"
+    if isinstance(values, str):
+        raise OptionError(option, values, expected)
+    try:
+        items = list(values)
+    except TypeError:
+        raise OptionError(option, values, expected) from None
+    if not items or (count is not None and len(items) != count):
+        raise OptionError(option, values, expected)
+    return tuple(_finite(f"{option}[{index}]", item) for index, item in enumerate(items))
+
+
+def _require_positive(option: str, value: float) -> None:
+    if not value > 0.0:
+        raise OptionError(option, value, "a positive number")
+
+
+HARVESTER = ArmSpec(
+    name="harvester",
+    link_lengths=(1.0, 0.8, 0.4),
+    link_half_widths=(0.05, 0.04, 0.03),
+    link_masses=(6.0, 3.5, 1.2),
+    lower=(-math.pi, 0.0, 0.0, 0.0),
+    upper=(math.pi, _HALF_PI, _HALF_PI, _HALF_PI),
+    velocity=(1.5, 1.2, 1.5, 2.0),
+    effort=(150.0, 250.0, 120.0, 30.0),
+    acceleration=(3.0, 3.0, 4.0, 6.0),
+    jerk=(150.0, 150.0, 200.0, 300.0),
+)

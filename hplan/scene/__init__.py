@@ -1,0 +1,53 @@
+"""Scenes: obstacles, fruit, start and goal as frozen data; their YAML files; meshes and point clouds as convex solids.
+
+May use `base`. Knows no robot.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from hplan.base.lazy_import import lazy_names
+
+if TYPE_CHECKING:
+    from hplan.scene.file import default_scene_path, dump_scene, load_scene, parse_scene, save_scene
+    from hplan.scene.model import FORMAT, Box, Capsule, Fruit, Goal, Mesh, Obstacle, PointCloud, Scene, Sphere, Start
+
+__all__ = [
+    "FORMAT",
+    "Box",
+    "Capsule",
+    "Fruit",
+    "Goal",
+    "Mesh",
+    "Obstacle",
+    "PointCloud",
+    "Scene",
+    "Sphere",
+    "Start",
+    "default_scene_path",
+    "dump_scene",
+    "load_scene",
+    "parse_scene",
+    "save_scene",
+]
+
+__getattr__ = lazy_names(
+    __name__,
+    {
+        "hplan.scene.model": (
+            "FORMAT",
+            "Box",
+            "Capsule",
+            "Fruit",
+            "Goal",
+            "Mesh",
+            "Obstacle",
+            "PointCloud",
+            "Scene",
+            "Sphere",
+            "Start",
+        ),
+        "hplan.scene.file": ("default_scene_path", "dump_scene", "load_scene", "parse_scene", "save_scene"),
+    },
+)

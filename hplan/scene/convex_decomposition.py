@@ -1,0 +1,402 @@
+r"""A closed surface to convex pieces whose union holds the solid inside it.
+
+The solid :math:`S` is cut by planes: each part is the closure :math:`S_C` of what its interior shares with the interior
+of a box :math:`C` of a partition of space. Each part is replaced by its convex hull, so the pieces hold the solid
+whatever the cuts. The hull is exact: :math:`S_C` is in the hull of its extreme points, and an extreme point is either
+on the surface, and then a vertex of a triangle clipped by :math:`C`, or inside the solid, and then a corner of
+:math:`C`. Hence
+
+.. math:: \mathrm{conv}(S_C) = \mathrm{conv}(\text{vertices of the clipped triangles} \cup
+    \{\text{corners of } C \text{ in } S_C\}).
+
+Triangles in the plane of a cut count on the side where the solid is; whether a corner is inside is asked a `_NUDGE`
+inwards of the box, by the winding number. (Hulls of many vertices are simplified from outside, see
+`hplan.scene.solids`. What a cut leaves within `_IN_PLANE` of it is on its other side. So "hold" means up to less than a
+micrometre.)
+
+A surface may hold sheets beside solids: leaves and panels, two faces back to back or nearly so. A part thinner than
+`hplan.scene.solids.THIN` is made thicker by as much to either side, so that hulls of sheets have a volume too.
+
+How far the pieces stand out is looked at on a grid: voxels that hold surface, or are enclosed by such, stand for the
+solid. The piece that stands out farthest is cut next, where the hulls of the halves have the least volume together,
+until none stands out by more than the tolerance or there are `PIECES`.
+"""
+
+from __future__ import annotations
+
+import heapq
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from hplan.base import ties
+from hplan.base.arrays import BoolArray, FloatArray, IntArray
+from hplan.scene.solids import THIN, Hull, hull_of, thickening
+
+#: How far pieces may stand out: this [m], or this share of the mesh's longest side where that is more.
+TOLERANCE: Final = 5e-3
+RELATIVE_TOLERANCE: Final = 0.02
+
+#: Most pieces of a mesh.
+PIECES: Final = 64
+
+#: Vertices this near to a plane lie in it [m]: what single precision makes of a metre.
+_IN_PLANE: Final = 1e-7
+
+#: How far inside a box its corner is looked at [m].
+_NUDGE: Final = 2e-7
+
+#: Places along an axis at which a cut is tried, besides quarter, half and three quarters.
+_PLACES: Final = 6
+
+#: What an uneven cut costs, as a share of the difference: no single cut lessens the hulls of a ring, and an even one
+#: leads on.
+_EVENNESS: Final = 0.03
+
+#: Some points of a part speak for it while cuts are compared, no more than this.
+_SAMPLES: Final = 3000
+
+#: What a cut across a short side costs beside one across the longest.
+_SHORT_WAY: Final = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Pieces:
+    """Convex pieces of a solid.
+
+    Attributes:
+        hulls: The pieces; their union holds the solid.
+        excess: No point of a piece is farther than this from the solid [m]; 0 where it is convex as it is. (Hollows
+            that the surface encloses count as solid.)
+    """
+
+    hulls: tuple[Hull, ...]
+    excess: float
+
+
+def convex_pieces(vertices: FloatArray, faces: IntArray) -> Pieces:
+    """Convex pieces of the solid inside a closed surface.
+
+    Args:
+        vertices: (n, 3) vertices [m].
+        faces: (m, 3) triangles, counter-clockwise as seen from outside; closed.
+
+    Raises:
+        ValueError: The vertices lie in one plane.
+    """
+    whole = hull_of(vertices)
+    if _is_convex(vertices, faces):
+        return Pieces((whole,), whole.rounding)
+    triangles = vertices[faces]
+    room = _Room.of(triangles)
+    places = _reflex_places(vertices, faces)
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    ready: list[tuple[float, _Part]] = []
+    first = _part(low, high, triangles, triangles)
+    waiting = [] if first is None else [(-room.excess(first.hull), 0, first)]
+    number = 0
+    while waiting and max(len(waiting) + len(ready), number // 8) < PIECES and -waiting[0][0] > room.tolerance:
+        excess, _, part = heapq.heappop(waiting)
+        halves = _halves(part, places, triangles)
+        if halves is None:
+            ready.append((-excess, part))
+            continue
+        for half in halves:
+            number += 1
+            heapq.heappush(waiting, (-room.excess(half.hull), number, half))
+    ready += [(-excess, part) for excess, _, part in sorted(waiting, key=lambda item: item[1])]
+    hulls = tuple(part.hull for _, part in ready)
+    # The hulls of the parts overlap nowhere, so volumes tell whether they are the solid itself; of sheets they do not.
+    solid = [part.hull for _, part in ready if not part.is_thin]
+    surplus = sum(_volume(hull.core[hull.faces]) for hull in solid) / _volume(triangles) - 1.0
+    exact = abs(surplus) <= 1e-6 and all(hull.rounding == 0.0 for hull in solid)
+    inexact = [excess for excess, part in ready if part.is_thin or not exact]
+    return Pieces(hulls, max(inexact) + room.blur + THIN if inexact else 0.0)
+
+
+def _volume(triangles: FloatArray) -> float:
+    """Volume inside a closed surface [m^3]."""
+    a, b, c = (triangles[:, i] - triangles[0, 0] for i in range(3))
+    return float((a * np.cross(b, c)).sum() / 6.0)
+
+
+def _is_convex(vertices: FloatArray, faces: IntArray) -> bool:
+    """Whether no vertex is above the plane of any triangle."""
+    size = float(np.ptp(vertices, axis=0).max())
+    corners = vertices[faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    sizes = np.linalg.norm(normals, axis=1)
+    flat = sizes <= 1e-12 * size * size
+    normals = normals[~flat] / sizes[~flat, None]
+    offsets = (normals * corners[~flat, 0]).sum(axis=1)
+    chunk = max(1, 4_000_000 // len(vertices))
+    return all(
+        float((normals[k : k + chunk] @ vertices.T - offsets[k : k + chunk, None]).max()) <= 1e-7 * size
+        for k in range(0, len(normals), chunk)
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """What of the solid is in a box.
+
+    Attributes:
+        low: (3,) lower corner of the box [m].
+        high: (3,) upper corner of the box [m].
+        triangles: (n, 3, 3) the surface clipped by it [m].
+        thickening: (k, 3) by what its points are shifted to make it a body; one row of zeros where it is one [m].
+        hull: The convex hull.
+    """
+
+    low: FloatArray
+    high: FloatArray
+    triangles: FloatArray
+    thickening: FloatArray
+    hull: Hull
+
+    @property
+    def is_thin(self) -> bool:
+        """Whether it is a sheet, or a part of one."""
+        return len(self.thickening) > 1
+
+    @property
+    def extent(self) -> tuple[FloatArray, FloatArray]:
+        """Lower and upper corner of what may be cut, (3,) each [m]."""
+        points = self.triangles.reshape(-1, 3) if self.is_thin else self.hull.core
+        return points.min(axis=0), points.max(axis=0)
+
+    def rough_volume(self, triangles: FloatArray) -> float:
+        """Volume of the hull of some of its triangles, made as thick as it is [m^3]."""
+        return _rough_volume((triangles.reshape(-1, 1, 3) + self.thickening).reshape(-1, 3))
+
+
+def _part(low: FloatArray, high: FloatArray, triangles: FloatArray, surface: FloatArray) -> _Part | None:
+    """The part of the solid in a box, or None where there is nothing."""
+    corners = np.array([(x, y, z) for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
+    nudge = _NUDGE * np.sign(0.5 * (low + high) - corners)
+    inside = corners[np.abs(winding_numbers(corners + nudge, surface)) > 0.25]
+    points = np.unique(np.concatenate([triangles.reshape(-1, 3), inside]), axis=0)
+    if len(points) == 0:
+        return None
+    thicker = thickening(points)
+    points = (points[:, None] + thicker).reshape(-1, 3)
+    try:
+        hull = hull_of(points)
+    except ValueError:  # so thin that Qhull gives up
+        hull = hull_of(_block(points))
+    return _Part(low, high, triangles, thicker, hull)
+
+
+def _block(points: FloatArray) -> FloatArray:
+    """(8, 3) corners of a block along the principal axes of points, larger by `THIN` on every side."""
+    middle = points.mean(axis=0)
+    axes = np.linalg.eigh((points - middle).T @ (points - middle))[1].T
+    local = (points - middle) @ axes.T
+    low, high = local.min(axis=0) - THIN, local.max(axis=0) + THIN
+    ends = np.stack([low, high])
+    corners = np.array([(ends[i, 0], ends[j, 1], ends[k, 2]) for i in (0, 1) for j in (0, 1) for k in (0, 1)])
+    block: FloatArray = corners @ axes + middle
+    return block
+
+
+def _halves(part: _Part, places: list[FloatArray], surface: FloatArray) -> tuple[_Part, ...] | None:
+    """The part cut in two, or None where no cut is left to try."""
+    low, high = part.extent
+    extent = high - low
+    folds = [_between(found, low[axis], high[axis], 2.0 * _NUDGE) for axis, found in enumerate(places)]
+    # A few folds are those of a thing made of blocks: cut there alone, and the pieces are the blocks.
+    angular = sum(map(len, folds)) > 0 and max(map(len, folds)) <= _PLACES
+    whole = max(part.rough_volume(part.triangles), 1e-300)
+    best: tuple[float, int, float] | None = None
+    for axis in range(3):
+        here = folds[axis]
+        if not angular:
+            some = here[np.linspace(0, len(here) - 1, min(len(here), _PLACES)).round().astype(int)]
+            here = np.concatenate([some, low[axis] + extent[axis] * np.array([0.25, 0.5, 0.75])])
+            here = _between(np.unique(here), low[axis], high[axis], max(2.0 * _NUDGE, 1e-3 * extent[axis]))
+        for at in here.tolist():
+            below, above = (_clipped(part.triangles, axis, at, side) for side in (-1.0, 1.0))
+            volumes = part.rough_volume(below), part.rough_volume(above)
+            cost = (sum(volumes) + _EVENNESS * abs(volumes[0] - volumes[1])) / whole
+            cost += _SHORT_WAY * (1.0 - extent[axis] / extent.max())
+            if best is None or cost < best[0] - 1e-9:
+                best = (cost, axis, at)
+    if best is None:
+        return None
+    _, axis, at = best
+    halves = []
+    for side in (-1.0, 1.0):
+        lower, upper = part.low.copy(), part.high.copy()
+        (upper if side < 0.0 else lower)[axis] = at
+        halves.append(_part(lower, upper, _clipped(part.triangles, axis, at, side), surface))
+    return tuple(half for half in halves if half is not None)
+
+
+def _between(places: FloatArray, low: float, high: float, gap: float) -> FloatArray:
+    """The places between two others, and not too near to these."""
+    return places[(places > low + gap) & (places < high - gap)]
+
+
+def _directions() -> FloatArray:
+    grid = np.array([(x, y, z) for x in range(-2, 3) for y in range(-2, 3) for z in range(-2, 3)], dtype=np.float64)
+    shell = grid[np.abs(grid).max(axis=1) == 2]
+    directions: FloatArray = shell / np.linalg.norm(shell, axis=1, keepdims=True)
+    return directions
+
+
+_SUPPORTS: Final = _directions()
+
+
+def _rough_volume(points: FloatArray) -> float:
+    """Volume of the hull of the points farthest in some directions [m^3]; 0 where they are flat."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    if len(points) < 4:
+        return 0.0
+    points = points[:: 1 + len(points) // _SAMPLES]
+    try:
+        return float(ConvexHull(points[np.unique(ties.on_raster(_SUPPORTS @ points.T).argmax(axis=1))]).volume)
+    except QhullError:
+        return 0.0
+
+
+def _clipped(triangles: FloatArray, axis: int, at: float, side: float) -> FloatArray:
+    """The triangles' parts on one side of a plane (where side * (coordinate - at) > 0), as triangles.
+
+    Of those that lie in the plane, the ones that bound a solid on this side.
+    """
+    height = side * (triangles[:, :, axis] - at)
+    height[np.abs(height) <= _IN_PLANE] = 0.0
+    above = height > 0.0
+    count = above.sum(axis=1)
+    whole = (height >= 0.0).all(axis=1)
+    level = whole & (count == 0)
+    corners = triangles[level]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    parts = [triangles[whole & ~level], corners[side * normals[:, axis] < 0.0]]
+    for number in (1, 2):
+        rows = np.flatnonzero((count == number) & ~whole)
+        # Turned so that the vertex that is alone comes first.
+        lone = (above[rows] if number == 1 else ~above[rows]).argmax(axis=1)
+        turn = (lone[:, None] + np.arange(3)) % 3
+        corners = np.take_along_axis(triangles[rows], turn[:, :, None], axis=1)
+        heights = np.take_along_axis(height[rows], turn, axis=1)
+        a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+        ha, hb, hc = heights[:, :1], heights[:, 1:2], heights[:, 2:]
+        ab, ac = a + ha / (ha - hb) * (b - a), a + ha / (ha - hc) * (c - a)
+        ab[:, axis] = ac[:, axis] = at
+        if number == 1:
+            parts.append(np.stack([a, ab, ac], axis=1))
+        else:
+            parts += [np.stack([ab, b, c], axis=1), np.stack([ab, c, ac], axis=1)]
+    return np.concatenate(parts)
+
+
+def winding_numbers(points: FloatArray, triangles: FloatArray) -> FloatArray:
+    """How often a closed surface goes round each of (n, 3) points: 1 inside, 0 outside, between on the surface."""
+    total = np.zeros(len(points))
+    for k, point in enumerate(points):
+        a, b, c = (triangles[:, i] - point for i in range(3))
+        la, lb, lc = (np.sqrt((side * side).sum(axis=1)) for side in (a, b, c))
+        ab, bc, ca = (a * b).sum(axis=1), (b * c).sum(axis=1), (c * a).sum(axis=1)
+        numerator = (a * np.cross(b, c)).sum(axis=1)
+        total[k] = np.arctan2(numerator, la * lb * lc + ab * lc + bc * la + ca * lb).sum() / (2.0 * np.pi)
+    return total
+
+
+def _reflex_places(vertices: FloatArray, faces: IntArray) -> list[FloatArray]:
+    """Coordinates, axis by axis, of the vertices at which the surface folds inwards: good places for cuts."""
+    corners = vertices[faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+    size = float(np.ptp(vertices, axis=0).max())
+    sides: dict[tuple[int, int], tuple[int, int]] = {}
+    folded: set[int] = set()
+    for face, (a, b, c) in enumerate(faces.tolist()):
+        for start, end, apex in ((a, b, c), (b, c, a), (c, a, b)):
+            other = sides.pop((end, start), None)
+            if other is None:
+                sides[start, end] = (face, apex)
+            elif (vertices[apex] - vertices[start]) @ normals[other[0]] > 1e-6 * size:
+                folded |= {start, end}
+    rows = vertices[sorted(folded)].reshape(-1, 3)
+    found = []
+    for axis in range(3):
+        places = np.unique(rows[:, axis])
+        found.append(places[np.diff(places, prepend=-np.inf) > _IN_PLANE])
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class _Room:
+    """Voxels about the mesh.
+
+    Attributes:
+        origin: (3,) centre of the first voxel [m].
+        edge: Edge of a voxel [m].
+        distance: Distance of each voxel's centre from the nearest one of the solid [m].
+        tolerance: How far a piece may stand out [m].
+    """
+
+    origin: FloatArray
+    edge: float
+    distance: FloatArray
+    tolerance: float
+
+    @classmethod
+    def of(cls, triangles: FloatArray) -> _Room:
+        """Voxels half as large as the tolerance."""
+        from scipy import ndimage
+
+        low, high = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
+        tolerance = max(TOLERANCE, RELATIVE_TOLERANCE * float((high - low).max()))
+        edge = 0.5 * tolerance
+        origin = low - 0.5 * edge
+        shape = tuple((np.ceil((high - low) / edge) + 2).astype(int).tolist())
+        solid: BoolArray = np.zeros(shape, dtype=np.bool_)
+        for points in _covering_points(triangles, 0.7 * edge):
+            solid[tuple(np.rint((points - origin) / edge).astype(int).T)] = True
+        distance = edge * ndimage.distance_transform_edt(~ndimage.binary_fill_holes(solid))
+        return cls(origin, edge, distance, tolerance)
+
+    @property
+    def blur(self) -> float:
+        """What a distance between centres may lack: half a voxel's diagonal at either end [m]."""
+        return float(np.sqrt(3.0) * self.edge)
+
+    def excess(self, hull: Hull) -> float:
+        """How far the hull stands out, by the voxels whose centre is nearer to it than half their diagonal [m]."""
+        margin = 0.5 * self.blur + hull.rounding
+        low = np.floor((hull.core.min(axis=0) - margin - self.origin) / self.edge).astype(int)
+        high = np.ceil((hull.core.max(axis=0) + margin - self.origin) / self.edge).astype(int) + 1
+        low, high = np.maximum(low, 0), np.minimum(high, self.distance.shape)
+        near = self.distance[low[0] : high[0], low[1] : high[1], low[2] : high[2]]
+        index = np.argwhere(near > 0.5 * self.tolerance)
+        # Farthest first, so that the first one in the hull is the answer.
+        far = near[tuple(index.T)]
+        order = np.argsort(-far, kind="stable")
+        for k in range(0, len(order), 20_000):
+            some = order[k : k + 20_000]
+            centers = self.origin + self.edge * (index[some] + low)
+            within = (centers @ hull.planes[:, :3].T <= hull.planes[:, 3] + margin).all(axis=1)
+            if within.any():
+                return float(far[some[int(within.argmax())]])
+        return 0.5 * self.tolerance
+
+
+def _covering_points(triangles: FloatArray, spacing: float) -> list[FloatArray]:
+    """Points on all triangles, at most `spacing` apart [m]: triangles are halved along the longest side until small."""
+    found = [triangles.reshape(-1, 3)]
+    while len(triangles):
+        sides = np.linalg.norm(triangles - triangles[:, [1, 2, 0]], axis=2)
+        triangles = triangles[sides.max(axis=1) > spacing]
+        sides = sides[sides.max(axis=1) > spacing]
+        turn = (sides.argmax(axis=1)[:, None] + np.arange(3)) % 3
+        corners = np.take_along_axis(triangles, turn[:, :, None], axis=1)
+        middle = 0.5 * (corners[:, 0] + corners[:, 1])
+        found.append(middle)
+        first = np.stack([corners[:, 0], middle, corners[:, 2]], axis=1)
+        second = np.stack([middle, corners[:, 1], corners[:, 2]], axis=1)
+        triangles = np.concatenate([first, second])
+    return found

@@ -1,0 +1,172 @@
+"""The scene file: YAML (and so JSON) to `Scene` and back, with the line of every fault."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+from pydantic import ValidationError
+
+from hplan.base.arguments import file_path, instance
+from hplan.base.data_files import scenes_dir
+from hplan.base.files import write_text
+from hplan.base.yaml_text import read_yaml, write_yaml
+from hplan.errors import SceneError
+from hplan.scene.fault import dotted, plain_message, worst_fault
+from hplan.scene.limits import MOST_SCENE_BYTES, MOST_SHAPE_BYTES, ByteBudget
+from hplan.scene.model import Mesh, PointCloud, Scene, validated
+
+
+def default_scene_path() -> Path:
+    """File of the reference scene, Table 1 of the paper."""
+    return scenes_dir() / "table-1.yaml"
+
+
+def load_scene(path: Path | str | None = None) -> Scene:
+    """Read a scene file (YAML, and so JSON).
+
+    Args:
+        path: The file; None for the reference scene.
+
+    Raises:
+        SceneError: Missing or malformed file, unknown or repeated key, value of the wrong kind or range, a mesh or
+            point file that cannot be used; names the key and its line. More than `hplan.scene.limits` allow.
+    """
+    path = default_scene_path() if path is None else file_path("path", path)
+    try:
+        text = ByteBudget(MOST_SCENE_BYTES).read(path).decode("utf-8")
+    except OSError as error:
+        raise SceneError(error.strerror or str(error), path=path) from error
+    except UnicodeDecodeError as error:
+        raise SceneError("it is not UTF-8 text", path=path) from error
+    except ValueError as error:
+        raise SceneError(str(error), path=path) from error
+    return parse_scene(text, path=path)
+
+
+def parse_scene(text: str, *, path: Path | str | None = None) -> Scene:
+    """Read a scene from YAML text; `path` is named in errors, and files are looked for in its folder.
+
+    Raises:
+        SceneError: As `load_scene`.
+    """
+    instance("text", text, str)
+    if len(text) > MOST_SCENE_BYTES:
+        raise SceneError(f"it has {len(text):,} characters; at most {MOST_SCENE_BYTES:,} are read", path=path)
+    try:
+        content, node = read_yaml(text)
+    except yaml.MarkedYAMLError as error:
+        line = None if error.problem_mark is None else error.problem_mark.line + 1
+        raise SceneError(f"malformed YAML: {error.problem}", path=path, line=line) from error
+    if not isinstance(content, dict) or node is None:
+        raise SceneError("expected a mapping of keys (format, name, start, goal, ...)", path=path)
+    try:
+        folder = Path() if path is None else Path(path).parent
+        return validated(Scene, content, {"folder": folder, "budget": ByteBudget(MOST_SHAPE_BYTES)})
+    except ValidationError as error:
+        first = worst_fault(error)
+        below = ("kind",) if first["type"] == "union_tag_invalid" else first.get("ctx", {}).get("below", ())
+        steps = _present_steps(content, (*first["loc"], *below))
+        raise SceneError(
+            plain_message(first, _WORDS),
+            path=path,
+            where=dotted(steps),
+            line=_line_of(node, steps),
+            value=None if isinstance(first["input"], dict) else first["input"],
+        ) from error
+
+
+def dump_scene(scene: Scene) -> str:
+    """The scene as YAML text that `parse_scene` reads back to an equal scene; files are named as they were.
+
+    Raises:
+        SceneError: A mesh or point cloud has no file; `save_scene` writes one.
+    """
+    instance("scene", scene, Scene, "load_scene")
+    for index, obstacle in enumerate(scene.obstacles):
+        if isinstance(obstacle, Mesh | PointCloud) and obstacle.file is None:
+            reason = f"{obstacle.name!r} was made of arrays and has no file; save_scene writes one beside the scene"
+            raise SceneError(reason, where=f"obstacles[{index}].file")
+    content = scene.model_dump(mode="json", by_alias=True, exclude_none=True)
+    for item in (*content["obstacles"], *content["fruits"]):
+        if item["sigma"] == 0.0:
+            del item["sigma"]
+    return write_yaml(content)
+
+
+def save_scene(scene: Scene, path: Path | str) -> Path:
+    """Write a scene file; a file of that name is replaced whole or not at all.
+
+    Meshes and point clouds made of arrays are written beside it, as `STEM-NUMBER-NAME.ply`; files that were found from
+    another folder are named so that they are found from this one.
+
+    Raises:
+        OutputError: A file cannot be written.
+    """
+    instance("scene", scene, Scene, "load_scene")
+    path = file_path("path", path)
+    obstacles = [
+        _with_file(obstacle, path, index) if isinstance(obstacle, Mesh | PointCloud) else obstacle
+        for index, obstacle in enumerate(scene.obstacles)
+    ]
+    return write_text(path, dump_scene(scene.model_copy(update={"obstacles": tuple(obstacles)})))
+
+
+def _with_file(obstacle: Mesh | PointCloud, scene_path: Path, index: int) -> Mesh | PointCloud:
+    """The obstacle with a file that a scene at `scene_path` finds."""
+    folder = scene_path.absolute().parent
+    if obstacle.file is None:
+        plain = "".join(sign if sign.isalnum() or sign in "-_." else "-" for sign in obstacle.name)
+        file = f"{scene_path.stem}-{index}-{plain}.ply"
+        obstacle.write(folder / file)
+    else:
+        file = obstacle.file
+        if obstacle.path is not None and (folder / file).absolute() != obstacle.path:
+            file = Path(os.path.relpath(obstacle.path, folder)).as_posix()
+    return obstacle.model_copy(update={"file": file})
+
+
+def _present_steps(content: Any, location: Sequence[int | str]) -> list[int | str]:
+    """The part of pydantic's location that stands in the file (it adds the tag of a union, and keys not there)."""
+    steps: list[int | str] = []
+    for step in location:
+        if isinstance(content, dict):
+            if step in content:
+                content = content[step]
+            elif content.get("kind") == step:
+                continue
+            else:
+                steps.append(step)
+                break
+        elif isinstance(content, tuple) and isinstance(step, int) and step < len(content):
+            content = content[step]
+        else:
+            break
+        steps.append(step)
+    return steps
+
+
+def _line_of(node: yaml.Node, steps: Sequence[int | str]) -> int:
+    """1-based line of the deepest node along `steps` that the file holds."""
+    line = node.start_mark.line
+    for step in steps:
+        if isinstance(node, yaml.MappingNode):
+            found = [(key, value) for key, value in node.value if key.value == step]
+            if not found:
+                break
+            line, node = found[0][0].start_mark.line, found[0][1]
+        elif isinstance(node, yaml.SequenceNode) and isinstance(step, int):
+            node = node.value[step]
+            line = node.start_mark.line
+    return int(line) + 1
+
+
+#: Pydantic's words for what a scene file calls otherwise.
+_WORDS = {
+    "a valid tuple": "a list",
+    "a valid string": "text",
+    "Tuple should have": "list should have",
+}

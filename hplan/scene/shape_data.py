@@ -1,0 +1,272 @@
+"""What mesh and point files hold, checked: closed surfaces and sets of points.
+
+Read through trimesh, which is imported when the first file is read. Faults are `ValueError`s that say what is wrong and
+what would be right; the scene adds where.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hplan.base.arrays import FloatArray, IntArray, readonly
+from hplan.base.files import write_text
+from hplan.scene.convex_decomposition import Pieces, convex_pieces
+from hplan.scene.limits import FARTHEST_M, MOST_POINTS, MOST_TRIANGLES, ByteBudget
+from hplan.scene.solids import Cloud, Hull
+
+#: Files that hold a surface, and files that hold points.
+MESH_FORMATS: Final = (".stl", ".ply", ".obj", ".off")
+POINT_FORMATS: Final = (".ply", ".xyz")
+
+_T = TypeVar("_T")
+
+
+class _Kept:
+    """Equal by its arrays; remembers what was made of it, so that meshes are cut and trees built once."""
+
+    arrays: tuple[FloatArray | IntArray, ...]
+    _made: dict[Any, Any]
+
+    def __eq__(self, other: object) -> bool:
+        return type(other) is type(self) and all(
+            np.array_equal(mine, theirs) for mine, theirs in zip(self.arrays, other.arrays, strict=True)
+        )
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def once(self, key: Any, make: Callable[[], _T]) -> _T:
+        """What `make` gave the first time it was asked for under this key."""
+        if key not in self._made:
+            self._made[key] = make()
+        found: _T = self._made[key]
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class Surface(_Kept):
+    """A closed surface of triangles.
+
+    Attributes:
+        vertices: (n, 3) vertices, in the file's units.
+        faces: (m, 3) triangles, counter-clockwise as seen from outside.
+    """
+
+    vertices: FloatArray
+    faces: IntArray
+    _made: dict[Any, Any] = field(default_factory=dict, repr=False)
+
+    @property
+    def arrays(self) -> tuple[FloatArray | IntArray, ...]:  # type: ignore[override]
+        """What makes two of them equal."""
+        return self.vertices, self.faces
+
+    @classmethod
+    def of(cls, vertices: ArrayLike, faces: ArrayLike) -> Surface:
+        """A surface from (n, 3) vertices and (m, 3) triangles; vertices at one place become one.
+
+        Raises:
+            ValueError: It is empty, not finite, not closed, flat or inside out.
+        """
+        # Millimetres, it may be: `Mesh` looks at them again after scaling.
+        points = _checked_points(vertices, "vertices", 1e3 * FARTHEST_M)
+        try:
+            corners = np.asarray(faces)
+        except ValueError as error:
+            raise ValueError("faces should be (m, 3) whole numbers, got rows of different lengths") from error
+        if corners.ndim != 2 or corners.shape[1] != 3 or corners.dtype.kind not in "iu":
+            raise ValueError(f"faces should be (m, 3) whole numbers, got {corners.dtype} of shape {corners.shape}")
+        if len(corners) == 0:
+            raise ValueError("the mesh is empty: it has no triangles")
+        if len(corners) > MOST_TRIANGLES:
+            raise ValueError(f"the mesh has {len(corners)} triangles; simplify it to at most {MOST_TRIANGLES}")
+        if corners.min() < 0 or corners.max() >= len(points):
+            raise ValueError(f"a triangle names vertex {corners.max()}, but there are {len(points)}")
+        points, place = np.unique(points, axis=0, return_inverse=True)
+        corners = place.ravel()[corners]
+        corners = corners[(corners != corners[:, [1, 2, 0]]).all(axis=1)]
+        _check_closed(points, corners)
+        points = points - 0.0
+        used, index = np.unique(corners, return_inverse=True)
+        return cls(readonly(points[used]), readonly(index.reshape(-1, 3), np.int64))
+
+    def pieces(self, scale: float) -> Pieces:
+        """Convex pieces whose union holds the solid, in metres; cut once."""
+        return self.once(scale, lambda: convex_pieces(self.vertices * scale, self.faces))
+
+
+@dataclass(frozen=True, eq=False)
+class PointSet(_Kept):
+    """Points.
+
+    Attributes:
+        points: (n, 3) points [m].
+    """
+
+    points: FloatArray
+    _made: dict[Any, Any] = field(default_factory=dict, repr=False)
+
+    @property
+    def arrays(self) -> tuple[FloatArray | IntArray, ...]:  # type: ignore[override]
+        """What makes two of them equal."""
+        return (self.points,)
+
+    @classmethod
+    def of(cls, points: ArrayLike) -> PointSet:
+        """A set of (n, 3) points.
+
+        Raises:
+            ValueError: There are none or too many, or not all are finite.
+        """
+        found = _checked_points(points, "points", FARTHEST_M)
+        if len(found) > MOST_POINTS:
+            raise ValueError(
+                f"the cloud has {len(found)} points; thin it to at most {MOST_POINTS}, by voxels of about its radius"
+            )
+        return cls(readonly(found))
+
+    def cloud(self, name: str, radius: float, rotation: FloatArray, position: FloatArray, sigma: float) -> Cloud:
+        """The points as balls, turned and shifted."""
+        return Cloud.of(name, self.points @ rotation.T + position, radius, sigma)
+
+
+def read_surface(path: Path, budget: ByteBudget) -> Surface:
+    """Read a mesh file.
+
+    Args:
+        path: The file.
+        budget: How large it may be.
+
+    Raises:
+        ValueError: It is too large, cannot be read, or its surface is not closed, flat or inside out.
+    """
+    loaded = _load(path, budget, MESH_FORMATS, "mesh")
+    faces = getattr(loaded, "faces", None)
+    if faces is None or len(faces) == 0:
+        raise ValueError("the mesh is empty: it has no triangles")
+    return Surface.of(loaded.vertices, np.asarray(faces))
+
+
+def read_points(path: Path, budget: ByteBudget) -> PointSet:
+    """Read a file of points; of a mesh, its vertices.
+
+    Args:
+        path: The file.
+        budget: How large it may be.
+
+    Raises:
+        ValueError: It cannot be read, is empty or too large, or not all of its points are finite.
+    """
+    loaded = _load(path, budget, POINT_FORMATS, "point")
+    vertices = getattr(loaded, "vertices", None)
+    return PointSet.of(np.zeros((0, 3)) if vertices is None else vertices)
+
+
+def write_shape(data: Surface | PointSet, path: Path) -> Path:
+    """Write a surface or points as a PLY file that reads back to the same numbers.
+
+    Raises:
+        OutputError: The file cannot be written.
+    """
+    points = data.arrays[0]
+    text = io.StringIO()
+    text.write(f"ply\nformat ascii 1.0\nelement vertex {len(points)}\n")
+    text.write("".join(f"property double {axis}\n" for axis in "xyz"))
+    if isinstance(data, Surface):
+        text.write(f"element face {len(data.faces)}\nproperty list uchar int vertex_indices\n")
+    text.write("end_header\n")
+    np.savetxt(text, points, fmt="%.17g")
+    if isinstance(data, Surface):
+        np.savetxt(text, np.insert(data.faces, 0, 3, axis=1), fmt="%d")
+    return write_text(path, text.getvalue())
+
+
+def placed_pieces(
+    surface: Surface, scale: float, name: str, rotation: FloatArray, position: FloatArray, sigma: float
+) -> tuple[Hull, ...]:
+    """The pieces of a surface as hulls of one name, turned and shifted."""
+    return tuple(hull.moved(name, rotation, position, sigma) for hull in surface.pieces(scale).hulls)
+
+
+def _load(path: Path, budget: ByteBudget, formats: tuple[str, ...], what: str) -> Any:
+    """What trimesh makes of a file."""
+    if path.suffix.lower() not in formats:
+        raise ValueError(f"{path.name!r} is no {what} file that can be read; convert it to one of {', '.join(formats)}")
+    try:
+        content = budget.read(path)
+    except OSError as error:
+        raise ValueError(f"cannot read {os.fspath(path)}: {error.strerror or error}") from error
+    except ValueError as error:
+        raise ValueError(f"cannot read {os.fspath(path)!r}: {error}") from error
+    if not content.strip():
+        raise ValueError(f"{os.fspath(path)} is empty")
+    import trimesh
+
+    try:
+        loaded = trimesh.load(
+            io.BytesIO(content),
+            file_type=path.suffix.lower()[1:],
+            process=False,
+            force="mesh" if what == "mesh" else None,
+        )
+    except Exception as error:  # trimesh raises whatever its parsers run into
+        raise ValueError(
+            f"{os.fspath(path)} is no whole {path.suffix} file ({type(error).__name__}: {error})"
+        ) from error
+    return loaded
+
+
+def _checked_points(points: ArrayLike, what: str, farthest: float) -> FloatArray:
+    try:
+        found = np.array(points, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{what} should be (n, 3) numbers") from error
+    if found.size == 0:
+        raise ValueError(f"there are no {what}")
+    if found.ndim != 2 or found.shape[1] != 3:
+        raise ValueError(f"{what} should be (n, 3) numbers, got shape {found.shape}")
+    bad = ~np.isfinite(found).all(axis=1)
+    if bad.any():
+        first = int(bad.argmax())
+        raise ValueError(f"{int(bad.sum())} of {len(found)} {what} are not finite; the first is number {first}")
+    if float(np.abs(found).max()) > farthest:
+        raise ValueError(f"{what} reach {float(np.abs(found).max()):.3g}; expected metres, at most {farthest:g}")
+    return found
+
+
+def _check_closed(points: FloatArray, faces: IntArray) -> None:
+    """Refuse what bounds no solid."""
+    if len(faces) == 0:
+        raise ValueError("the mesh is empty: all of its triangles are points or lines")
+    size = np.ptp(points, axis=0)
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    forward = np.where(edges[:, 0] < edges[:, 1], 1, -1)
+    _, edge = np.unique(np.sort(edges, axis=1), axis=0, return_inverse=True)
+    edge = edge.ravel()
+    balance, uses = np.bincount(edge, forward), np.bincount(edge)
+    if (uses % 2 == 1).any():
+        holes = int((uses % 2 == 1).sum())
+        raise ValueError(
+            f"the mesh is open: {holes} edges have no triangle on their other side; close its holes, so that it bounds "
+            "a solid"
+        )
+    if (balance != 0).any():
+        raise ValueError(
+            f"the triangles of the mesh are not turned alike: at {int((balance != 0).sum())} edges neighbours disagree "
+            "which side is outside; make the orientation consistent"
+        )
+    a, b, c = (points[faces[:, i]] - points.mean(axis=0) for i in range(3))
+    volume = float((a * np.cross(b, c)).sum() / 6.0)
+    axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2]
+    thickness = float(np.ptp(points @ axes.T, axis=0).min())
+    if abs(volume) <= 1e-15 * float(size.max()) ** 3 or thickness <= 1e-6 * float(size.max()):
+        raise ValueError(f"the mesh is flat: sides {size.tolist()}, volume {volume:.3g}; an obstacle needs a volume")
+    if volume < 0.0:
+        raise ValueError(f"the mesh is inside out: its volume is {volume:.3g}; flip its faces")

@@ -1,0 +1,288 @@
+r"""Solids that a scene's meshes and point clouds become: convex hulls, and clouds of balls.
+
+Every solid has `name`, `core` (k, 3), `rounding`, `loose` and `sigma`. Where it is not loose, the solid is the hull of
+its core grown by its rounding; where it is, each core point is a ball of that radius by itself.
+
+**Hull.** A hull of more than `HULL_VERTICES` vertices keeps some of them, :math:`V`, and takes as its rounding the
+distance of the farthest other one from :math:`\mathrm{conv}\,V`. The grown hull is convex and holds every vertex, so
+it holds the whole; nothing of it is farther outside than its rounding.
+
+**Cloud.** Points in one voxel of a grid may become one ball, whose radius grows by the distance of the farthest of them
+from it, never more than `MERGE_ERROR`: the balls before lie in the balls after. The points are kept in the order of a
+tree: split at the median of the longest side, again and again, so that neighbours stand together.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Final, Literal
+
+import numpy as np
+
+from hplan.base import ties
+from hplan.base.arrays import FloatArray, IntArray, Record, frozen, readonly
+
+#: Most vertices of a hull.
+HULL_VERTICES: Final = 128
+
+#: Nothing is simplified that stands out by less than this: vertices beyond it are not kept [m].
+HULL_ERROR: Final = 2e-4
+
+#: Points that are no farther apart than this in some direction are made thicker by it to either side [m].
+THIN: Final = 1e-5
+
+#: No ball of a cloud grows by more than this where points are merged [m].
+MERGE_ERROR: Final = 1e-3
+
+#: Points are merged where that leaves at most this share of the balls.
+_WORTH_MERGING: Final = 0.7
+
+#: Most points in a leaf of a cloud's tree.
+LEAF: Final = 16
+
+#: Two facets whose normals differ by less than this are one.
+_COPLANAR: Final = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Hull(Record):
+    """The convex hull of a few points, grown by a radius.
+
+    Attributes:
+        name: Name of the obstacle it is (a part of).
+        core: (k, 3) vertices of the hull [m].
+        faces: (m, 3) triangles of vertices, counter-clockwise as seen from outside.
+        rounding: Radius about the core [m].
+        sigma: Standard deviation of its position [m].
+    """
+
+    name: str
+    core: FloatArray
+    faces: IntArray
+    rounding: float = 0.0
+    sigma: float = 0.0
+
+    @property
+    def loose(self) -> Literal[False]:
+        """Never: the solid is the hull of its core grown by its rounding."""
+        return False
+
+    @cached_property
+    def planes(self) -> FloatArray:
+        """(f, 4) facets: outward unit normal and offset; the core is where normal @ x <= offset for all."""
+        return self._facets[0]
+
+    @cached_property
+    def edges(self) -> FloatArray:
+        """(e, 6) edges between facets: one end, and the vector to the other."""
+        return self._facets[1]
+
+    @cached_property
+    def _facets(self) -> tuple[FloatArray, FloatArray]:
+        corners = self.core[self.faces]
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        sizes = np.linalg.norm(normals, axis=1, keepdims=True)
+        normals = normals / np.maximum(sizes, 1e-300)
+        # The largest triangle of a facet speaks for it: its normal is the most exact.
+        facet_of = np.full(len(normals), -1)
+        leaders: list[int] = []
+        offsets = (normals * corners[:, 0]).sum(axis=1)
+        for face in np.argsort(-sizes[:, 0], kind="stable"):
+            if facet_of[face] < 0:
+                same = (facet_of < 0) & (normals @ normals[face] > 1.0 - _COPLANAR)
+                same &= np.abs(offsets - offsets[face]) < 1e-9
+                same[face] = True
+                facet_of[same] = len(leaders)
+                leaders.append(int(face))
+        # Every vertex is on or below: rounding errors shift the plane outward, never into the hull.
+        normals = normals[leaders]
+        planes = np.column_stack([normals, (normals @ self.core.T).max(axis=1)])
+        sides: dict[tuple[int, int], int] = {}
+        rows = []
+        for face, (a, b, c) in enumerate(self.faces.tolist()):
+            for start, end in ((a, b), (b, c), (c, a)):
+                other = sides.pop((end, start), None)
+                if other is None:
+                    sides[start, end] = face
+                elif facet_of[other] != facet_of[face]:
+                    vector = self.core[end] - self.core[start]
+                    rows.append([*self.core[start], *vector])
+        return frozen(planes), frozen(np.array(rows, dtype=np.float64).reshape(-1, 6))
+
+    def moved(self, name: str, rotation: FloatArray, position: FloatArray, sigma: float) -> Hull:
+        """The same hull turned and shifted, under another name."""
+        core = frozen(np.ascontiguousarray(self.core @ rotation.T + position))
+        return Hull(name, core, self.faces, self.rounding, sigma)
+
+
+def hull_of(points: FloatArray, name: str = "", *, most: int = HULL_VERTICES) -> Hull:
+    """The convex hull of points in general position, with at most `most` vertices.
+
+    Args:
+        points: (n, 3) points that do not lie in one plane [m].
+        name: Name of the obstacle.
+        most: Most vertices, 14 or more.
+
+    Returns:
+        The hull; its rounding is 0 where all vertices are kept.
+
+    Raises:
+        ValueError: The points lie in one plane.
+    """
+    from scipy.spatial import ConvexHull, QhullError
+
+    try:
+        whole = ConvexHull(points)
+        corners = points[whole.vertices]
+        if len(corners) <= most:
+            return _oriented(name, corners, 0.0)
+        kept, hull = _some_vertices(corners, most)
+    except QhullError as error:
+        raise ValueError("the points lie in one plane") from error
+    core = corners[kept]
+    excess = (corners @ hull.equations[:, :3].T + hull.equations[:, 3]).max(axis=1)
+    outside = corners[excess > 0.0]
+    rounding = float(_distance_to_triangles(outside, core[hull.simplices]).max(initial=0.0))
+    return _oriented(name, core, rounding)
+
+
+def thickening(points: FloatArray) -> FloatArray:
+    """(k, 3) shifts by which (n, 3) points are to be copied so that their hull has a volume; zeros where it has one."""
+    local = points - points.mean(axis=0)
+    axes = np.linalg.eigh(local.T @ local)[1].T
+    shifts = np.zeros((1, 3))
+    for axis in axes[np.ptp(local @ axes.T, axis=0) < THIN]:
+        shifts = np.concatenate([shifts - THIN * axis, shifts + THIN * axis])
+    return shifts
+
+
+def _some_vertices(corners: FloatArray, most: int) -> tuple[IntArray, Any]:
+    """Rows of the vertices that are kept, and their hull: those that stand out farthest, a few at a time."""
+    from scipy.spatial import ConvexHull
+
+    axes = np.array([(x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)], dtype=np.float64)
+    axes = axes[np.abs(axes).sum(axis=1) % 2 == 1]  # along the axes and the space diagonals
+    kept = np.unique(ties.on_raster(corners @ axes.T).argmax(axis=0))
+    while True:
+        hull = ConvexHull(corners[kept])
+        excess = corners @ hull.equations[:, :3].T + hull.equations[:, 3]
+        peaks = np.unique(ties.on_raster(excess).argmax(axis=0))
+        height = excess[peaks].max(axis=1)
+        new = peaks[ties.argsort(-height)][: min(8, most - len(kept))]
+        new = new[excess[new].max(axis=1) > HULL_ERROR]
+        if len(new) == 0:
+            return kept, hull
+        kept = np.union1d(kept, new)
+
+
+def _oriented(name: str, points: FloatArray, rounding: float) -> Hull:
+    """The hull of a few points, its faces turned outward and its vertices in their order."""
+    from scipy.spatial import ConvexHull
+
+    hull = ConvexHull(points)
+    index = np.full(len(points), -1)
+    vertices = np.sort(hull.vertices)
+    index[vertices] = np.arange(len(vertices))
+    core = readonly(points[vertices])
+    faces = index[hull.simplices]
+    corners = core[faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    inward = (normals * hull.equations[:, :3]).sum(axis=1) < 0.0
+    faces[inward] = faces[inward][:, ::-1]
+    return Hull(name, core, readonly(faces, np.int64), rounding)
+
+
+def _distance_to_triangles(points: FloatArray, triangles: FloatArray) -> FloatArray:
+    """(n,) distances of points from the nearest of some triangles."""
+    least = np.full(len(points), np.inf)
+    for a, b, c in triangles:
+        normal = np.cross(b - a, c - a)
+        size = np.linalg.norm(normal)
+        inner = np.full(len(points), size > 0.0)
+        for start, end in ((a, b), (b, c), (c, a)):
+            along = end - start
+            square = float(along @ along)
+            t = np.clip((points - start) @ along / square, 0.0, 1.0) if square > 0.0 else np.zeros(len(points))
+            least = np.minimum(least, np.linalg.norm(points - start - t[:, None] * along, axis=1))
+            inner &= (points - start) @ np.cross(normal, along) >= 0.0
+        if size > 0.0:
+            height = np.abs((points - a) @ normal) / size
+            least = np.where(inner, np.minimum(least, height), least)
+    return least
+
+
+@dataclass(frozen=True, eq=False)
+class Cloud(Record):
+    """Many balls of one radius.
+
+    Attributes:
+        name: Name of the obstacle.
+        core: (n, 3) centres [m], in the order of the tree.
+        rounding: Radius of every ball [m].
+        tree: (nodes, 7) the tree, each node before its children: first centre and the one past the last; the number
+            of the next node that is no descendant; then centre and radius of a ball about its centres [m].
+        sigma: Standard deviation of its position [m].
+    """
+
+    name: str
+    core: FloatArray
+    rounding: float
+    tree: FloatArray
+    sigma: float = 0.0
+
+    @property
+    def loose(self) -> Literal[True]:
+        """Always: each core point is a ball by itself."""
+        return True
+
+    @classmethod
+    def of(cls, name: str, points: FloatArray, radius: float, sigma: float = 0.0) -> Cloud:
+        """The balls about (n, 3) points, n > 0; near ones merged where that makes them notably fewer."""
+        centers, growth = _merged(points)
+        order, tree = _tree(centers)
+        return cls(name, readonly(centers[order]), radius + growth, frozen(tree), sigma)
+
+
+def _merged(points: FloatArray) -> tuple[FloatArray, float]:
+    """Fewer points, and the distance of the farthest old one from its new one [m]."""
+    points = np.unique(points, axis=0)
+    # In a voxel of this edge no two points are farther apart than twice the error along its diagonal.
+    edge = 2.0 * MERGE_ERROR / math.sqrt(3.0)
+    _, voxel = np.unique(np.floor(points / edge), axis=0, return_inverse=True)
+    voxel = voxel.ravel()
+    count = int(voxel.max()) + 1
+    if count > _WORTH_MERGING * len(points):
+        return points, 0.0
+    low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
+    np.minimum.at(low, voxel, points)
+    np.maximum.at(high, voxel, points)
+    centers = 0.5 * (low + high)
+    return centers, float(np.linalg.norm(points - centers[voxel], axis=1).max())
+
+
+def _tree(points: FloatArray) -> tuple[IntArray, FloatArray]:
+    """The order of the points in a tree split at medians, and its nodes as in `Cloud`."""
+    order = np.arange(len(points))
+    nodes: list[list[float]] = []
+    # A node's place on the stack is its parts still to come; what is finished learns where the next one begins.
+    stack = [(0, len(points), -1)]
+    while stack:
+        first, last, closes = stack.pop()
+        if closes >= 0:
+            nodes[closes][2] = len(nodes)
+            continue
+        inside = points[order[first:last]]
+        low, high = inside.min(axis=0), inside.max(axis=0)
+        center = 0.5 * (low + high)
+        radius = math.sqrt(float(((inside - center) ** 2).sum(axis=1).max()))
+        number = len(nodes)
+        nodes.append([first, last, number + 1, *center, radius])
+        if last - first <= LEAF:
+            continue
+        middle = (first + last) // 2
+        split = np.argpartition(inside[:, int((high - low).argmax())], middle - first)
+        order[first:last] = order[first:last][split]
+        stack += [(0, 0, number), (middle, last, -1), (first, middle, -1)]
+    return order, np.array(nodes)

@@ -1,0 +1,109 @@
+"""The way from a grid path to a path worth executing."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hplan.base import ties
+from hplan.base.arrays import FloatArray
+from hplan.collision.clearance_field import ClearanceField
+from hplan.errors import CertificationError, InputError
+from hplan.robot.limits import least_duration, rest_to_rest
+from hplan.smoothing.minimize_duration import hasten
+from hplan.smoothing.options import PostprocessOptions
+from hplan.smoothing.push_clear import clear_spline, tighten
+from hplan.smoothing.round_corners import smooth
+from hplan.smoothing.shortcut import shorten
+from hplan.smoothing.spline import SplinePath
+
+#: Numbers of control points tried in turn: for the fastest motion as few as will do, for the shortest path many.
+FAST_CONTROL_POINTS = (6, 8, 7, 9, 10, 12, 14, 17, 20, 25, 30, 44)
+SHORT_CONTROL_POINTS = (44, 64)
+
+#: How many of them are carried through for the fastest motion: the search is local, so each finds another path.
+STARTS = 2
+
+#: Ends nearer to each other than this are one [rad].
+NO_WAY = 1e-9
+
+#: A motion that takes no longer than this share of the least duration of its ends is as good as the fastest.
+GOOD_ENOUGH = 1.005
+
+#: Obstacles farther than this from the grid path are left out while the spline is moved [m].
+NEAR = 0.15
+
+#: With no more rows in the field than this all are looked at.
+FEW = 20
+
+#: Share of the margin that is still asked for where the full one cannot be kept.
+SMALLEST_SHARE = 0.05
+
+
+def fast_path(path: FloatArray, field: ClearanceField, options: PostprocessOptions) -> SplinePath:
+    """A smooth path worth executing: shortened, splined, then moved to where it is fast, or pulled taut.
+
+    Args:
+        path: (m, dof) waypoints of the grid path, m >= 2.
+        field: Arm and obstacles.
+        options: Limits, margin, aim and effort.
+
+    Raises:
+        InputError: The path ends where it begins.
+        CertificationError: The grid path's own motions cannot be shown clear, or its corners cannot be rounded.
+    """
+    if np.linalg.norm(path[-1] - path[0]) < NO_WAY:
+        raise InputError("the path ends where it begins; there is no motion to make")
+    smallest = SMALLEST_SHARE * options.margin
+    if not field.is_clear(path, smallest):
+        raise CertificationError("the motions between the nodes of the grid path cannot be shown clear")
+    if options.objective == "length":
+        return _short(path, field, options, smallest)
+    least = least_duration(path[0], path[-1], options.velocity, options.acceleration)
+    straight = straight_duration(path[0], path[-1], options)
+    if straight <= GOOD_ENOUGH * least and field.is_clear(path[[0, -1]], options.margin):
+        return SplinePath.through(np.linspace(path[0], path[-1], 4))
+    # What is far away does not matter to the optimisers; the proof does not leave it out.
+    fields = (field.near(path, NEAR), field) if len(field.solids) > FEW else (field,)
+    for around in fields:
+        found = _fastest(path, around, options, smallest, least)
+        if around is field or found.is_clear(field, 0.5 * smallest):
+            break
+    return found
+
+
+def _fastest(
+    path: FloatArray, field: ClearanceField, options: PostprocessOptions, smallest: float, least: float
+) -> SplinePath:
+    """The fastest of a few splines along a clear path; all shown clear of what the field knows."""
+    for margin in (options.margin, 0.25 * options.margin, smallest):
+        taut = shorten(path, field, margin=margin, rounds=options.shortcuts)
+        found: list[tuple[SplinePath, float]] = []
+        for count in FAST_CONTROL_POINTS:
+            spline = clear_spline(taut, field, options, count=count, margin=margin)
+            if spline is not None:
+                found.append(hasten(spline, field, options, margin=margin))
+            if len(found) == STARTS or (found and found[-1][1] <= GOOD_ENOUGH * least):
+                break
+        if found:
+            return found[ties.argmin([seconds for _, seconds in found])][0]
+    # Where no spline could be pushed clear: the polyline with its corners rounded as far as they can be.
+    return hasten(smooth(taut, field, margin=smallest), field, options, margin=0.5 * smallest)[0]
+
+
+def straight_duration(start: FloatArray, goal: FloatArray, options: PostprocessOptions) -> float:
+    """Duration of the straight motion, all joints in proportion, under velocity and acceleration limits [s]."""
+    turn = np.abs(goal - start)
+    moves = turn > 0.0
+    speed = (options.velocity[moves] / turn[moves]).min()
+    acceleration = (options.acceleration[moves] / turn[moves]).min()
+    return float(rest_to_rest(np.ones(1), speed, acceleration)[0])
+
+
+def _short(path: FloatArray, field: ClearanceField, options: PostprocessOptions, margin: float) -> SplinePath:
+    """The shortest path: many control points, so that the spline can follow the obstacles closely."""
+    taut = shorten(path, field, margin=margin, rounds=options.shortcuts)
+    for count in SHORT_CONTROL_POINTS:
+        spline = clear_spline(taut, field, options, count=count, margin=margin)
+        if spline is not None:
+            return tighten(spline, field, options, margin=margin, rounds=options.taut_rounds)
+    return smooth(taut, field, margin=margin)

@@ -1,0 +1,260 @@
+"""The smooth path: a clamped cubic B-spline in joint space.
+
+Its second derivative is continuous, so no jump of acceleration comes from geometry. Every span is a cubic Bezier
+piece that lies in the hull of its four control points, and so the whole path is within the joint limits as soon as
+the control points are; the hull of a piece's derivative bounds its motion, which is what shows it clear.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hplan.base.arrays import BoolArray, FloatArray, Record, frozen, readonly
+from hplan.base.kernels import any_int, kernel
+from hplan.base.polyline import curve_length, stations
+from hplan.collision.clearance_field import ClearanceField
+from hplan.collision.clearance_kernels import link_clearances, proven_advance
+from hplan.errors import InputError
+
+#: Longest step along a piece with which an optimiser looks for contact before the proof.
+STRIDE = 1.0 / 16.0
+
+#: The first piece, for kernels.
+FIRST = any_int(0)
+
+#: Panels of a piece, each with Gauss-Legendre quadrature, for its length: a path may have cusps.
+PANELS = 6
+
+
+@dataclass(frozen=True, eq=False)
+class SplinePath(Record):
+    """A path from its first control point to its last; the parameter runs about as the joint-space length.
+
+    Attributes:
+        control: (n, dof) control points, n >= 4.
+        knots: (n + 4,) clamped knots.
+    """
+
+    control: FloatArray
+    knots: FloatArray
+
+    @classmethod
+    def through(cls, control: ArrayLike) -> SplinePath:
+        """The spline with these control points, its knots averaged from the control polygon's length.
+
+        Averaging (de Boor, A Practical Guide to Splines, XIII) makes the parameter follow the length.
+
+        Raises:
+            InputError: Fewer than 4 control points, the first two or the last two equal, or too many in between.
+        """
+        points = readonly(control)
+        station = stations(points)
+        if len(points) < 4:
+            raise InputError(f"a spline needs at least 4 control points, got {len(points)}")
+        inner = (station[1:-3] + station[2:-2] + station[3:-1]) / 3.0
+        knots = np.concatenate([[0.0] * 4, inner, [station[-1]] * 4])
+        if not (np.diff(knots[3:-3]) > 0.0).all() or not (np.diff(station)[[0, -1]] > 0.0).all():
+            raise InputError("too many control points coincide, or one is no number")
+        return cls(points, readonly(knots))
+
+    @cached_property
+    def breaks(self) -> FloatArray:
+        """(pieces + 1,) parameters where pieces meet."""
+        return readonly(self.knots[3:-3])
+
+    @cached_property
+    def pieces(self) -> FloatArray:
+        """(pieces, 4, dof) Bezier control points of the spans."""
+        return frozen(bezier_pieces(np.array(self.control), self.knots))
+
+    @property
+    def end(self) -> float:
+        """Last parameter; the first is 0."""
+        return float(self.knots[-1])
+
+    def evaluate(self, s: ArrayLike, derivative: int = 0) -> FloatArray:
+        """Points or derivatives with respect to the parameter.
+
+        Args:
+            s: (...) parameters in [0, end]; clipped to it.
+            derivative: 0, 1 or 2.
+
+        Returns:
+            (..., dof) values.
+        """
+        parameters = np.array(s, dtype=np.float64)
+        values = np.empty((parameters.size, self.control.shape[1]))
+        _evaluate(self.pieces, self.breaks, parameters.ravel(), derivative, values)
+        return values.reshape(*parameters.shape, -1)
+
+    @cached_property
+    def length(self) -> float:
+        """Joint-space length, by Gauss-Legendre quadrature on `PANELS` panels of each piece."""
+        share = np.arange(PANELS) / PANELS
+        inner = self.breaks[:-1, None] + share * np.diff(self.breaks)[:, None]
+        panels = np.append(inner.ravel(), self.breaks[-1])
+        return curve_length(lambda s: np.linalg.norm(self.evaluate(s, 1), axis=-1), panels)
+
+    def is_clear(self, field: ClearanceField, margin: float) -> bool:
+        """Whether the whole path is shown clear; `margin` [m] is asked for wherever it is evaluated."""
+        return bool(np.isfinite(self.control).all()) and not first_contact(self.pieces, field, margin).any()
+
+
+def first_contact(pieces: FloatArray, field: ClearanceField, margin: float) -> BoolArray:
+    """(pieces,) True for each Bezier piece that is not shown clear."""
+    arrays = field.chain, field.base, field.solids, field.data
+    return np.array([not piece_is_clear(piece, *arrays, margin, 0.0) for piece in np.array(pieces)])
+
+
+@kernel
+def copy_into(target: FloatArray, source: FloatArray) -> None:
+    """Copy a 2-D array (numba compiles the loop in a fraction of the time of `target[:] = source`)."""
+    for i in range(source.shape[0]):
+        for j in range(source.shape[1]):
+            target[i, j] = source[i, j]
+
+
+@kernel
+def bezier_piece(control: FloatArray, knots: FloatArray, span: int, result: FloatArray) -> None:
+    """Bezier control points of the span between knots[span] and knots[span + 1], by blossoming.
+
+    The blossom of a span is de Boor's recursion with another argument on each level; its values at the span's ends
+    taken 3, 2, 1, 0 times are the Bezier points.
+    """
+    dof = control.shape[1]
+    low, high = knots[span], knots[span + 1]
+    for which in range(4):
+        for joint in range(dof):
+            d0, d1 = control[span - 3, joint], control[span - 2, joint]
+            d2, d3 = control[span - 1, joint], control[span, joint]
+            x = high if which > 0 else low
+            a = (x - knots[span - 2]) / (knots[span + 1] - knots[span - 2])
+            b = (x - knots[span - 1]) / (knots[span + 2] - knots[span - 1])
+            c = (x - knots[span]) / (knots[span + 3] - knots[span])
+            d0, d1, d2 = d0 + a * (d1 - d0), d1 + b * (d2 - d1), d2 + c * (d3 - d2)
+            x = high if which > 1 else low
+            a = (x - knots[span - 1]) / (knots[span + 1] - knots[span - 1])
+            b = (x - knots[span]) / (knots[span + 2] - knots[span])
+            d0, d1 = d0 + a * (d1 - d0), d1 + b * (d2 - d1)
+            x = high if which > 2 else low
+            a = (x - low) / (high - low)
+            result[which, joint] = d0 + a * (d1 - d0)
+
+
+@kernel
+def _evaluate(
+    pieces: FloatArray, breaks: FloatArray, parameters: FloatArray, derivative: int, values: FloatArray
+) -> None:
+    """Points or derivatives of Bezier pieces, as `SplinePath.evaluate`."""
+    last = len(pieces) - 1
+    i = 0
+    for row in range(len(parameters)):
+        s = min(breaks[last + 1], max(breaks[0], parameters[row]))
+        # The piece of the parameter before is most often this one's too, or the one before this one's.
+        while i > 0 and s < breaks[i]:
+            i -= 1
+        while i < last and s >= breaks[i + 1]:
+            i += 1
+        width = breaks[i + 1] - breaks[i]
+        t = (s - breaks[i]) / width
+        u = 1.0 - t
+        for joint in range(values.shape[1]):
+            b0, b1, b2, b3 = pieces[i, 0, joint], pieces[i, 1, joint], pieces[i, 2, joint], pieces[i, 3, joint]
+            if derivative == 0:
+                value = u * u * (u * b0 + 3.0 * t * b1) + t * t * (3.0 * u * b2 + t * b3)
+            elif derivative == 1:
+                value = 3.0 * (u * u * (b1 - b0) + 2.0 * u * t * (b2 - b1) + t * t * (b3 - b2)) / width
+            else:
+                value = 6.0 * (u * (b2 - 2.0 * b1 + b0) + t * (b3 - 2.0 * b2 + b1)) / (width * width)
+            values[row, joint] = value
+
+
+@kernel
+def bezier_pieces(control: FloatArray, knots: FloatArray) -> FloatArray:
+    """Bezier control points of all spans."""
+    spans = control.shape[0] - 3
+    pieces = np.empty((spans, 4, control.shape[1]))
+    for i in range(spans):
+        bezier_piece(control, knots, i + 3, pieces[i])
+    return pieces
+
+
+@kernel
+def piece_bounds(piece: FloatArray, chain: FloatArray, base: FloatArray, result: FloatArray) -> None:
+    """Largest speed of any axis point of each link while a piece's own parameter runs from 0 to 1 [m].
+
+    As `clearance_kernels.motion_bounds`, from the hull of the derivative: each absolute link angle turns no faster than
+    at the fastest of the derivative's three control points.
+    """
+    first = 1 if base[9] > 0.0 else 0
+    swing = 0.0
+    if first:
+        for c in range(3):
+            swing = max(swing, 3.0 * abs(piece[c + 1, 0] - piece[c, 0]))
+    radius = np.hypot(base[0], base[1])
+    turn0, turn1, turn2, bound = 0.0, 0.0, 0.0, 0.0
+    for k in range(chain.shape[0]):
+        turn0 += chain[k, 2] * (piece[1, first + k] - piece[0, first + k])
+        turn1 += chain[k, 2] * (piece[2, first + k] - piece[1, first + k])
+        turn2 += chain[k, 2] * (piece[3, first + k] - piece[2, first + k])
+        bound += 3.0 * chain[k, 0] * max(abs(turn0), abs(turn1), abs(turn2))
+        radius += chain[k, 0]
+        result[k] = bound + swing * radius
+
+
+@kernel
+def piece_is_clear(
+    piece: FloatArray,
+    chain: FloatArray,
+    base: FloatArray,
+    solids: FloatArray,
+    data: FloatArray,
+    margin: float,
+    stride: float = 0.0,
+) -> bool:
+    """Conservative advancement along a Bezier piece; `margin` is asked for wherever it is evaluated.
+
+    With a `stride` the steps are never shorter than that: no proof then near contact, but cheap, for optimisers.
+    """
+    links, dof = chain.shape[0], piece.shape[1]
+    bounds, clear, q = np.empty(links), np.empty(links), np.empty(dof)
+    piece_bounds(piece, chain, base, bounds)
+    t = 0.0
+    while True:
+        u = 1.0 - t
+        w0, w1, w2, w3 = u * u * u, 3.0 * u * u * t, 3.0 * u * t * t, t * t * t
+        for i in range(dof):
+            q[i] = w0 * piece[0, i] + w1 * piece[1, i] + w2 * piece[2, i] + w3 * piece[3, i]
+        link_clearances(q, chain, base, solids, data, clear)
+        advance = proven_advance(clear, bounds, margin)
+        if advance < 0.0:
+            return False
+        if t >= 1.0:
+            return True
+        t = min(1.0, t + max(stride, advance))
+
+
+@kernel
+def pieces_are_clear(
+    control: FloatArray,
+    knots: FloatArray,
+    low: int,
+    high: int,
+    chain: FloatArray,
+    base: FloatArray,
+    solids: FloatArray,
+    data: FloatArray,
+    margin: float,
+    stride: float,
+) -> bool:
+    """Whether pieces low to high are clear in the sense of `piece_is_clear`."""
+    piece = np.empty((4, control.shape[1]))
+    for i in range(low, high + 1):
+        bezier_piece(control, knots, i + 3, piece)
+        if not piece_is_clear(piece, chain, base, solids, data, margin, stride):
+            return False
+    return True

@@ -1,0 +1,395 @@
+r"""Time along a path: the fastest under velocity, acceleration and torque limits (toppra), sampled for a controller.
+
+toppra finds the path speed on a grid of path parameters that holds the ends of the spline's pieces
+(`hplan.timing.topp`). The samples :math:`q_k = q(s(k h))` of that motion are then taken as control points of a uniform
+cubic B-spline in time, and the rows of the trajectory are its knots:
+
+.. math::
+    x_k = \tfrac16 (q_{k-1} + 4 q_k + q_{k+1}), \quad
+    \dot x_k = \frac{q_{k+1} - q_{k-1}}{2 h}, \quad
+    \ddot x_k = \frac{q_{k+1} - 2 q_k + q_{k-1}}{h^2}.
+
+These are averages of the motion's own position, velocity and acceleration over :math:`\pm h`, so its limits are kept.
+Between rows the acceleration is linear and the velocity lies in the hull of the differences
+:math:`(q_{k+1} - q_k) / h`, so limits on both, kept there, are kept in between; and a controller that interpolates with
+cubic (position and velocity) or quintic (acceleration as well) polynomials runs exactly this motion. It starts and
+ends with acceleration zero.
+
+Jerk: where limits on it are given, each control point is first replaced by the mean of :math:`m` successive ones.
+The acceleration then changes by no more than :math:`2 a / m` from row to row, and velocity and acceleration are again
+averages within their limits. The smallest :math:`m` that keeps the jerk is taken. The price is :math:`(m - 1) h` of
+duration and a deviation from the path of at most :math:`a (m h)^2 / 24` a joint, which the certificate sees, as it
+judges the rows.
+
+In all the motion takes :math:`m + 1` to :math:`m + 2` periods longer than toppra's. What passes a limit all the same
+(a little, by the spacing of the grid; torque is no linear function of the motion) is taken back by slowing down.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import cache, cached_property
+
+import numpy as np
+import pinocchio as pin
+
+from hplan.base.arrays import BoolArray, FloatArray
+from hplan.errors import OptionError, TimingError
+from hplan.robot.dynamics import InverseDynamics
+from hplan.robot.limits import GeometricPath, Limits, check_rate
+from hplan.timing.trajectory import Trajectory
+
+#: Grid points of the path parameter, beside the knots.
+GRID_POINTS = 400
+
+#: With fewer points than this for each row, what passes a limit between them slows the whole motion down; longer
+#: motions get more points, up to a number that takes a tenth of a second.
+POINTS_PER_ROW = 0.8
+MOST_POINTS = 4000
+
+#: Paths on which no joint leaves its place by as much as this are no motion [rad].
+NO_MOTION = 1e-7
+
+#: Share by which a limit may be passed before the motion is slowed down.
+KEPT = 2e-4
+
+#: Where rows are farther apart than this, torque is kept at as many times between them [s].
+TORQUE_PERIOD_S = 0.01
+
+#: Most rows of a motion: as many take 0.2 GB.
+MOST_ROWS = 400_000
+
+#: Numbers of control points to average that are tried one by one; of larger ones each is tried that is so much larger.
+ONE_BY_ONE, GROWTH = 128, 1.02
+
+#: How often the motion may be slowed down.
+MOST_STRETCHES = 20
+
+
+def time_path(
+    path: GeometricPath,
+    model: pin.Model | InverseDynamics,
+    limits: Limits,
+    *,
+    rate_hz: float = 250.0,
+    grid_points: int = GRID_POINTS,
+    grid: FloatArray | None = None,
+    start_speed: float = 0.0,
+    end_speed: float = 0.0,
+) -> Trajectory:
+    """The fastest motion along a path.
+
+    Args:
+        path: The path; its parameter should run about as the joint-space length.
+        model: Pinocchio's model, for torques, or what was made from it; its joints are the path's.
+        limits: Velocity, acceleration and, where given, torque and jerk limits.
+        rate_hz: Rows per second.
+        grid_points: Number of points at which the path speed is chosen, beside the ends of the path's pieces.
+        grid: (n,) increasing path parameters from 0 to the end to choose it at instead, for a motion from rest to rest.
+        start_speed: Joint-space speed along the path at its start [rad/s]; 0 starts from rest.
+        end_speed: Joint-space speed along the path at its end [rad/s]; 0 comes to rest. Where it is not, the motion is
+            slowed down by less than one period in all, and the speeds with it, to end on a row. Where the motion as a
+            whole is slowed down to keep a limit, so are they, and the first and the last row stand beside the path's
+            ends by a share of one period's motion (2 % of it at 25 Hz).
+
+    Raises:
+        TimingError: No motion within the limits exists; names the joint and the cause.
+        OptionError: A rate that is not between 1 and 100000, a speed that is negative, more than `MOST_ROWS` rows.
+    """
+    check_rate(rate_hz)
+    if grid_points < 10:
+        raise OptionError("grid_points", grid_points, "at least 10")
+    for option, value in (("start_speed", start_speed), ("end_speed", end_speed)):
+        if not (np.isfinite(value) and value >= 0.0):
+            raise OptionError(option, value, "a finite speed along the path >= 0")
+    if grid is not None and (start_speed or end_speed):
+        raise OptionError("grid", "given", "none where the ends of the motion are not at rest")
+    dynamics = model if isinstance(model, InverseDynamics) else InverseDynamics.of(model)
+    names = tuple(dynamics.model.names)[1:]
+    whole = _grid(path, grid_points, (0.0, 0.0)) if grid is None else grid
+    fine = path.evaluate(whole)
+    if np.ptp(fine, axis=0).max() < NO_MOTION:
+        return resting(dynamics.model, path.evaluate(0.0))
+    _check_limits(path, dynamics, limits, whole, names)
+    ends = np.array([0.0, path.breaks[-1]])
+    # Path speeds ds/dt at the ends; the parameter need not run exactly as the length.
+    rates = np.array([start_speed, end_speed]) / np.linalg.norm(path.evaluate(ends, 1), axis=1)
+
+    @cache
+    def profile_for(window: int) -> _Profile:
+        """With as much constant speed at each end as the rows' averages reach over; the same for all from rest."""
+        if window > 1 and not rates.any():
+            return profile_for(1)
+        leads = rates * (0.5 * (window + 1) / rate_hz)
+        if leads.sum() >= 0.5 * path.breaks[-1]:
+            raise TimingError("the path is too short for its start and end speeds", cause="speed at the ends")
+        ends = (float(leads[0]), float(leads[1]))
+        between = _grid(path, grid_points, ends) if rates.any() else whole
+        found = _Profile.along(path, dynamics, limits, between, rates)
+        wanted = int(POINTS_PER_ROW * found.arrival[-1] * rate_hz)
+        if grid is not None or wanted <= len(between):
+            return found
+        return _Profile.along(path, dynamics, limits, _grid(path, min(wanted, MOST_POINTS), ends), rates)
+
+    period = 1.0 / rate_hz
+    window = _smoothing_window(profile_for, limits, period)
+    return _sample(profile_for(window), dynamics, names, limits, period, window)
+
+
+def resting(model: pin.Model, q: FloatArray) -> Trajectory:
+    """The empty motion: one row at time 0, at rest."""
+    zero = np.zeros((1, model.nv))
+    torque = pin.rnea(model, model.createData(), q, zero[0], zero[0])
+    return Trajectory(tuple(model.names)[1:], np.zeros(1), q[None], zero, zero, torque[None])
+
+
+def _grid(path: GeometricPath, points: int, leads: tuple[float, float]) -> FloatArray:
+    """Path parameters, denser towards the ends, together with the ends of the pieces.
+
+    From rest the parameter grows with the square of time; cosine spacing makes the first intervals as short in time
+    as the others.
+    """
+    first, last = leads[0], float(path.breaks[-1]) - leads[1]
+    inner = path.breaks[(path.breaks > first) & (path.breaks < last)]
+    spaced = first + 0.5 * (last - first) * (1.0 - np.cos(np.linspace(0.0, np.pi, points)))
+    if len(inner) == 0:
+        return spaced
+    # Spaced points that stand close to a piece's end give way to it, so that few intervals become very short.
+    following = np.searchsorted(inner, spaced)
+    nearest = np.minimum(
+        np.abs(spaced - inner[np.minimum(following, len(inner) - 1)]),
+        np.abs(spaced - inner[np.maximum(following - 1, 0)]),
+    )
+    kept = nearest > 0.3 * np.gradient(spaced)
+    kept[[0, -1]] = True
+    grid: FloatArray = np.union1d(spaced[kept], inner)
+    return grid
+
+
+def _check_limits(
+    path: GeometricPath, dynamics: InverseDynamics, limits: Limits, grid: FloatArray, names: tuple[str, ...]
+) -> None:
+    """Say which joint and why before toppra can only say no."""
+    moves = np.abs(path.evaluate(grid, 1)).max(axis=0) > 1e-9
+    for what, values in (
+        ("velocity", limits.velocity),
+        ("acceleration", limits.acceleration),
+        ("jerk", limits.jerk),
+    ):
+        if values is None:
+            continue
+        for joint in np.flatnonzero(moves & ~(values > 0.0)):
+            raise TimingError(
+                f"joint {names[joint]!r} must move, but its {what} limit is {values[joint]:g}",
+                joint=names[joint],
+                cause=f"{what} limit of zero",
+            )
+    if limits.torque is None:
+        return
+    static = dynamics.gravity(path.evaluate(grid[::8]))
+    use = np.abs(static) / np.maximum(limits.torque, 1e-12)
+    point, joint = np.unravel_index(int(use.argmax()), use.shape)
+    if use[point, joint] > 1.0:
+        raise TimingError(
+            f"joint {names[joint]!r} needs {abs(static[point, joint]):.4g} N m to stand still on the path, "
+            f"its limit is {limits.torque[joint]:.4g} N m",
+            joint=names[joint],
+            cause="static torque exceeds the limit",
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class _Profile:
+    """The fastest motion along a path, in continuous time.
+
+    The path speed is linear in time between grid points. Before the first grid point and after the last one it is
+    constant, on the path's tangent where that leads beyond its ends.
+
+    Attributes:
+        path: The path.
+        grid: (n,) path parameters.
+        speed: (n,) ds/dt there.
+        arrival: (n,) times.
+    """
+
+    path: GeometricPath
+    grid: FloatArray
+    speed: FloatArray
+    arrival: FloatArray
+
+    @classmethod
+    def along(
+        cls, path: GeometricPath, dynamics: InverseDynamics, limits: Limits, grid: FloatArray, rates: FloatArray
+    ) -> _Profile:
+        """By toppra, with path speeds `rates` at the ends of the grid."""
+        from hplan.timing.topp import fastest_speed
+
+        speed = fastest_speed(path, dynamics, limits, grid, rates)
+        # The path acceleration is constant between grid points, so each interval takes 2 ds / (sum of its speeds).
+        lasting = 2.0 * np.diff(grid) / (speed[:-1] + speed[1:])
+        return cls(path, grid, speed, np.concatenate([[0.0], np.cumsum(lasting)]))
+
+    def positions(self, clock: FloatArray) -> FloatArray:
+        """(k, dof) configurations at times."""
+        time = np.clip(clock, 0.0, self.arrival[-1])
+        interval = np.clip(np.searchsorted(self.arrival, time, side="right") - 1, 0, len(self.arrival) - 2)
+        since = time - self.arrival[interval]
+        lasting = self.arrival[interval + 1] - self.arrival[interval]
+        acceleration = (self.speed[interval + 1] - self.speed[interval]) / lasting
+        parameter = self.grid[interval] + since * (self.speed[interval] + 0.5 * acceleration * since)
+        parameter += np.where(clock < 0.0, self.speed[0], self.speed[-1]) * (clock - time)
+        q = np.array(self.path.evaluate(parameter))
+        end = float(self.path.breaks[-1])
+        for outside, s in ((parameter < 0.0, 0.0), (parameter > end, end)):
+            if outside.any():
+                q[outside] += (parameter[outside] - s)[:, None] * self.path.evaluate(s, 1)
+        return q
+
+    @cached_property
+    def ends(self) -> FloatArray:
+        """(2, dof) configurations at both ends of the path."""
+        return self.path.evaluate(np.array([0.0, self.path.breaks[-1]]))
+
+
+def _smoothing_window(profile_for: Callable[[int], _Profile], limits: Limits, period: float) -> int:
+    """The fewest control points to average that keep the jerk limits; 2 a / (m h) <= jerk always suffices."""
+    if limits.jerk is None:
+        return 1
+    jerk = limits.jerk
+    profile = profile_for(1)
+    moves = np.ptp(profile.path.evaluate(profile.grid), axis=0) > NO_MOTION
+    # The mean of m control points changes its acceleration by the difference of two raw ones m rows apart, over m.
+    raw = _rows(profile, replace(limits, jerk=None), period, 1).acceleration[:, moves]
+    padded = np.concatenate([np.zeros_like(raw[:1]), raw, np.zeros_like(raw[:1])])
+    allowed = jerk[moves] * period * (1.0 + 1e-6)
+    enough = int(np.ceil((2.0 * limits.acceleration[moves] / (jerk[moves] * period)).max(initial=1.0)))
+    for window in _windows(min(enough, len(padded) - 1)):
+        if (np.abs(padded[window:] - padded[:-window]) <= allowed * window).all():
+            return window
+    return max(1, enough)
+
+
+def _windows(end: int) -> Iterator[int]:
+    """Numbers of control points below an end that are tried."""
+    window = 1
+    while window < end:
+        yield window
+        window = max(window + 1, int(window * GROWTH)) if window >= ONE_BY_ONE else window + 1
+
+
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """Position, velocity and acceleration at the rows, and the pace at which the profile was run."""
+
+    position: FloatArray
+    velocity: FloatArray
+    acceleration: FloatArray
+    stretch: float
+
+
+def _sample(
+    profile: _Profile, dynamics: InverseDynamics, names: tuple[str, ...], limits: Limits, period: float, window: int
+) -> Trajectory:
+    """The trajectory, slowed down where torque, which is no linear function of the motion, passes its limit."""
+    stretch = 1.0
+    for _ in range(MOST_STRETCHES):
+        rows = _rows(profile, limits, period, window, stretch)
+        torque = dynamics.torques(rows.position, rows.velocity, rows.acceleration)
+        excess = 0.0
+        if limits.torque is not None:
+            excess = _torque_excess(dynamics, rows.position, torque, limits.torque)
+            if period > TORQUE_PERIOD_S:
+                q, v, a = _between(rows, period)
+                excess = max(excess, _torque_excess(dynamics, q, dynamics.torques(q, v, a), limits.torque))
+        if excess <= 1.0:
+            time = np.arange(len(torque), dtype=np.float64) * period
+            return Trajectory(names, time, rows.position, rows.velocity, rows.acceleration, torque)
+        stretch = rows.stretch * excess
+    raise TimingError("no pace was found at which the motion keeps the torque limits", cause="torque limit not kept")
+
+
+def _between(rows: _Rows, period: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Positions, velocities and accelerations between the rows, where the acceleration is linear."""
+    parts = int(np.ceil(period / TORQUE_PERIOD_S - 1e-9))
+    t = (np.arange(1, parts) * (period / parts))[:, None, None]
+    a, jerk = rows.acceleration[:-1], np.diff(rows.acceleration, axis=0) / period
+    q, v = rows.position[:-1], rows.velocity[:-1]
+    states = q + t * (v + t * (0.5 * a + t * jerk / 6.0)), v + t * (a + 0.5 * t * jerk), a + t * jerk
+    position, velocity, acceleration = (values.reshape(-1, q.shape[1]) for values in states)
+    return position, velocity, acceleration
+
+
+def _torque_excess(dynamics: InverseDynamics, position: FloatArray, torque: FloatArray, limit: FloatArray) -> float:
+    """By how much the pace has to be slowed for the torque limits; gravity's share does not shrink with the pace."""
+    over = np.abs(torque) > limit * (1.0 + KEPT)
+    if not over.any():
+        return 0.0
+    gravity = dynamics.gravity(position)
+    room = np.maximum(limit - np.abs(gravity), 1e-3 * limit)
+    return float(max(1.0 + 1e-4, np.sqrt((np.abs(torque - gravity) / room)[over].max())))
+
+
+def _rows(profile: _Profile, limits: Limits, period: float, window: int, stretch: float = 1.0) -> _Rows:
+    """Rows at multiples of the period (see the module's text), `window` control points averaged.
+
+    Between grid points the velocity and acceleration limits are passed by a little; as much pace is taken back.
+    """
+    moving_end = profile.speed[-1] > 0.0
+    for _ in range(MOST_STRETCHES):
+        duration = profile.arrival[-1] * stretch
+        if moving_end:
+            stretch *= max(1.0, np.ceil(duration / period - 1e-9)) * period / duration
+            duration = profile.arrival[-1] * stretch
+        rows = duration / period + window
+        if not rows <= MOST_ROWS:
+            raise OptionError(
+                "rate_hz",
+                round(1.0 / period, 9),
+                f"at most {MOST_ROWS:,} rows, where the motion lasts {duration:.4g} s and would have {rows:,.0f}: "
+                "a lower rate, or a higher speed",
+            )
+        steps = max(1, int(np.ceil(duration / period - 1e-9))) + window + 1
+        # Row i stands on control points i to i + window + 1; those of the first are all before the motion begins,
+        # those of the last all after it has ended.
+        clock = (np.arange(steps + window + 2, dtype=np.float64) - (window + 1)) * (period / stretch)
+        control = profile.positions(clock)
+        if window > 1:
+            total = np.cumsum(np.concatenate([np.zeros((1, control.shape[1])), control - control[0]]), axis=0)
+            control = control[0] + (total[window:] - total[:-window]) / window
+        change = np.diff(control, axis=0) / period
+        acceleration = np.diff(change, axis=0) / period
+        moves = np.ptp(control, axis=0) > NO_MOTION
+        excess = max(
+            _largest_use(change, limits.velocity, moves),
+            np.sqrt(_largest_use(acceleration, limits.acceleration, moves)),
+        )
+        if limits.jerk is not None:
+            jerk = np.diff(acceleration, axis=0, prepend=0.0, append=0.0) / period
+            excess = max(excess, math.cbrt(_largest_use(jerk, limits.jerk, moves)))
+        if excess <= 1.0 + KEPT:
+            position = (control[:-2] + 4.0 * control[1:-1] + control[2:]) / 6.0
+            velocity = 0.5 * (change[1:] + change[:-1])
+            _make_exact(position, velocity, acceleration, control, profile)
+            return _Rows(position, velocity, acceleration, stretch)
+        stretch *= excess
+    raise TimingError("no pace was found at which the motion keeps its limits", cause="limits not kept")
+
+
+def _make_exact(
+    position: FloatArray, velocity: FloatArray, acceleration: FloatArray, control: FloatArray, profile: _Profile
+) -> None:
+    """Take rounding out of what is known: joints that stay where they are, and rest at the ends."""
+    still = np.ptp(control, axis=0) <= 1e-12
+    position[:, still] = profile.ends[0, still]
+    for end in (0, -1):
+        if profile.speed[end] == 0.0:
+            position[end] = profile.ends[end]
+            velocity[end] = acceleration[end] = 0.0
+
+
+def _largest_use(values: FloatArray, limit: FloatArray, joints: BoolArray) -> float:
+    """Largest share of a limit over the joints marked."""
+    share = np.abs(values).max(axis=0) / np.maximum(limit, 1e-12)
+    return float(share[joints].max(initial=0.0))

@@ -1,0 +1,168 @@
+"""A timed motion, sampled as the controller will run it, and its CSV."""
+
+from __future__ import annotations
+
+import csv
+import io
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from hplan.base.arguments import instance, list_of
+from hplan.base.array_arguments import numbers
+from hplan.base.arrays import FloatArray, Record
+from hplan.base.csv_file import CsvFile
+from hplan.base.files import write_text
+from hplan.errors import InputError
+
+#: Columns of the CSV for each joint, after `time_s`.
+QUANTITIES = ("pos_rad", "vel_rad_s", "acc_rad_s2", "torque_nm")
+
+#: Ends of motions nearer to each other than this are one [rad, rad/s].
+JOINED = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory(Record):
+    """Samples of a motion, at rest at both ends unless asked for otherwise.
+
+    Attributes:
+        joint_names: Names of the `dof` joints.
+        time: (n,) strictly increasing from 0 [s].
+        position: (n, dof).
+        velocity: (n, dof) [rad/s].
+        acceleration: (n, dof) [rad/s^2].
+        torque: (n, dof) joint torques by inverse dynamics [N m].
+    """
+
+    joint_names: tuple[str, ...]
+    time: FloatArray
+    position: FloatArray
+    velocity: FloatArray
+    acceleration: FloatArray
+    torque: FloatArray
+
+    def __post_init__(self) -> None:
+        """Check shapes, values and time, and make the arrays read-only."""
+        object.__setattr__(self, "joint_names", list_of("trajectory: joint_names", self.joint_names, str, "names"))
+        time = numbers("trajectory: time", self.time, (None,))
+        object.__setattr__(self, "time", time)
+        if len(time) == 0 or time[0] != 0.0:
+            raise InputError("trajectory: time must be a list of finite values that starts at 0")
+        if not (np.diff(time) > 0.0).all():
+            raise InputError(f"trajectory: time does not increase at sample {int(np.argmin(np.diff(time) > 0.0)) + 1}")
+        shape = (len(time), len(self.joint_names))
+        for name in ("position", "velocity", "acceleration", "torque"):
+            object.__setattr__(self, name, numbers(f"trajectory: {name}", getattr(self, name), shape))
+
+    @property
+    def duration(self) -> float:
+        """Time of the last sample [s]."""
+        return float(self.time[-1])
+
+    @property
+    def reversed(self) -> Trajectory:
+        """The motion backwards. Torques stay as they are: inverse dynamics knows velocity only by its square."""
+        return Trajectory(
+            self.joint_names,
+            self.time[-1] - self.time[::-1],
+            self.position[::-1],
+            -self.velocity[::-1],
+            self.acceleration[::-1],
+            self.torque[::-1],
+        )
+
+    @property
+    def samples(self) -> int:
+        """Number of samples."""
+        return len(self.time)
+
+
+def joined(parts: Sequence[Trajectory]) -> Trajectory:
+    """Motions one after the other; each begins where the one before it ends, and at its speed.
+
+    Raises:
+        InputError: No motion, motions of other joints, or one that begins elsewhere or at another velocity.
+    """
+    parts = list_of("parts", parts, Trajectory, "trajectories")
+    if not parts:
+        raise InputError("joined: there is no motion to join")
+    if len(parts) == 1:
+        return parts[0]
+    for number, (first, second) in enumerate(itertools.pairwise(parts)):
+        if second.joint_names != first.joint_names:
+            raise InputError(f"joined: motion {number + 1} moves other joints than the one before it")
+        gap = max(
+            float(np.abs(second.position[0] - first.position[-1]).max()),
+            float(np.abs(second.velocity[0] - first.velocity[-1]).max()),
+        )
+        if gap > JOINED:
+            raise InputError(
+                f"joined: motion {number + 1} does not go on where the one before it ends (off by {gap:.4g})",
+                motion=number + 1,
+            )
+    begins = np.concatenate([[0.0], np.cumsum([part.duration for part in parts])])
+    times = [part.time[1:] + begin for part, begin in zip(parts, begins, strict=False)]
+    return Trajectory(
+        parts[0].joint_names,
+        np.concatenate([[0.0], *times]),
+        *(
+            np.concatenate([getattr(parts[0], name)[:1], *(getattr(part, name)[1:] for part in parts)])
+            for name in ("position", "velocity", "acceleration", "torque")
+        ),
+    )
+
+
+def csv_header(joint_names: tuple[str, ...]) -> list[str]:
+    """Column names: `time_s`, then four for each joint."""
+    return ["time_s", *(f"{joint}_{quantity}" for joint in joint_names for quantity in QUANTITIES)]
+
+
+def as_table(trajectory: Trajectory) -> FloatArray:
+    """(n, 1 + 4 dof) the rows of the trajectory's CSV, in the order of `csv_header`; no zero has a sign."""
+    columns = np.stack(
+        [trajectory.position, trajectory.velocity, trajectory.acceleration, trajectory.torque],
+        axis=2,
+    )
+    table: FloatArray = np.column_stack([trajectory.time, columns.reshape(trajectory.samples, -1)]) + 0.0
+    return table
+
+
+def write_csv(trajectory: Trajectory, path: Path | str) -> Path:
+    """Write the trajectory as RFC 4180 CSV: one header line, no comments, values that read back exactly.
+
+    Raises:
+        OutputError: The file cannot be written.
+    """
+    instance("trajectory", trajectory, Trajectory, "plan or read_csv")
+    text = io.StringIO(newline="")
+    writer = csv.writer(text)
+    writer.writerow(csv_header(trajectory.joint_names))
+    writer.writerows(as_table(trajectory).tolist())
+    return write_text(path, text.getvalue())
+
+
+def read_csv(path: Path | str) -> Trajectory:
+    """Read a trajectory CSV, whoever wrote it.
+
+    Raises:
+        InputError: Missing file, other columns than `csv_header` gives, a cell that is no finite number, time that
+            does not increase strictly from 0; names the line.
+    """
+    file = CsvFile.read(path, "trajectory", "sample")
+    suffix = f"_{QUANTITIES[0]}"
+    joints = tuple(name.removesuffix(suffix) for name in file.header if name.endswith(suffix))
+    if not joints or file.header != csv_header(joints):
+        quantities = ", ".join("NAME_" + quantity for quantity in QUANTITIES)
+        raise file.fault(1, f"expected the columns time_s and, for each joint, {quantities}")
+    rows: list[list[float]] = []
+    for line, texts, values in file.timed_rows(range(len(file.header))):
+        if not rows and values[0] != 0.0:
+            raise file.fault(line, f"time_s is {texts[0]}, expected 0 in the first sample")
+        rows.append(values)
+    table = np.array(rows)
+    columns = table[:, 1:].reshape(len(table), len(joints), len(QUANTITIES))
+    return Trajectory(joints, table[:, 0], *(columns[:, :, i] for i in range(len(QUANTITIES))))

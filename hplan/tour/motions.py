@@ -1,0 +1,421 @@
+"""The motions that picking tours are made of, planned and certified once they are asked for.
+
+A motion between two places takes as long one way as the other, so each is planned once. Until then its cost is what no
+motion can undercut: the slowest joint on its own. A tour that is the best by such bounds has its motions planned, their
+true durations put in place of the bounds, and is sought anew, until nothing in it is a bound: then it is the best by
+true durations too, though most motions were never planned.
+
+All fruits stay obstacles all along, also those that would have been picked by then: what is shown holds in any order.
+From a hub (the start, or the drop-off where there is one) a way to every fruit is shown; where no direct motion is
+found between two places, the way over the hub is taken.
+
+What is carried to a drop-off is as if within the last link, made as thick as the thickest fruit; the arm is as thick
+from the stand-off before a fruit to the drop-off. The motions of the empty arm are planned as it is.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hplan.base import ties
+from hplan.base.arrays import FloatArray, IntArray, readonly
+from hplan.base.report import StageClock
+from hplan.errors import (
+    BlockedError,
+    CertificationError,
+    ConfigurationInCollisionError,
+    NoPathError,
+    TimingError,
+)
+from hplan.planning.find_motion import find_motion
+from hplan.planning.grasp_motion import motion_to_grasp
+from hplan.planning.grasps import Grasp, grasps, least_standoff, promising
+from hplan.planning.grid_route import Task, no_progress
+from hplan.planning.plan import Workspace, last_stretch
+from hplan.problem.definition import pose_problem
+from hplan.problem.options import PlanOptions
+from hplan.problem.world import Surroundings
+from hplan.robot.limits import Limits, rest_to_rest
+from hplan.robot.model import Robot
+from hplan.scene.model import Fruit, Goal, Scene
+from hplan.timing.trajectory import Trajectory
+from hplan.tour.ordering import Costs, Visits
+from hplan.verification.certificate import Certificate
+
+#: What says that there is no motion, or none was found; anything else is a fault of what was asked.
+NO_MOTION = (BlockedError, NoPathError, CertificationError, TimingError, ConfigurationInCollisionError)
+
+#: A part of a tour: the name of its phase, its motion, what was shown of it.
+Part = tuple[str, Trajectory, Certificate]
+
+
+def carrying(robot: Robot, radius: float) -> Robot:
+    """The arm with its last link as thick as a fruit that it carries."""
+    widths = np.array(robot.arm.half_widths)
+    widths[-1] = max(widths[-1], radius)
+    return replace(robot, arm=replace(robot.arm, half_widths=readonly(widths)))
+
+
+class World:
+    """An arm, empty or carrying, and the planar layers it leaves from plan to plan."""
+
+    def __init__(self, robot: Robot, options: PlanOptions) -> None:
+        """Begin with nothing."""
+        self.options = options
+        self._workspace = Workspace(robot)
+
+    def around(self, scene: Scene) -> Surroundings:
+        """The arm among all solids of a scene."""
+        return self._workspace.around(scene, self.options)
+
+    def task(self, around: Surroundings, scene: Scene, start: FloatArray, goal: FloatArray) -> Task:
+        """A motion to plan.
+
+        Raises:
+            InputError: Start or goal cannot be taken.
+        """
+        problem = pose_problem(around, start, goal, locked_joints=scene.locked_joints)
+        return Task(around, scene, problem, self.options, StageClock(), self._workspace.layers, no_progress)
+
+
+@dataclass(frozen=True, eq=False)
+class Stop:
+    """Where motions begin and end: at rest.
+
+    Attributes:
+        configuration: (dof,).
+        fruit: The fruit that the last link is at; None elsewhere.
+    """
+
+    configuration: FloatArray
+    fruit: str | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class _Move:
+    """A way between two stops, or back and forth between a stand-off and its fruit.
+
+    Attributes:
+        seconds: Its duration; infinite where there is none [s].
+        parts: Its motions.
+    """
+
+    seconds: float
+    parts: tuple[Part, ...]
+
+    @classmethod
+    def of(cls, parts: Sequence[Part]) -> _Move:
+        """Motions one after the other."""
+        return cls(sum(trajectory.duration for _, trajectory, _ in parts), tuple(parts))
+
+    @property
+    def reversed(self) -> _Move:
+        """The way back: the same distances, and the same torques."""
+        return replace(self, parts=tuple((name, motion.reversed, shown) for name, motion, shown in self.parts[::-1]))
+
+    def named(self, name: str) -> list[Part]:
+        """Its parts under another name, if it is one."""
+        return [(name or own, motion, shown) for own, motion, shown in self.parts]
+
+
+_NONE = _Move(math.inf, ())
+
+
+@dataclass(frozen=True, eq=False)
+class DropOff:
+    """Where the arm lets go of what it carries.
+
+    Attributes:
+        configuration: (dof,).
+        way: The motion there from the start.
+    """
+
+    configuration: FloatArray
+    way: Part
+
+
+class Motions:
+    """Places to pick from, and the motions between them.
+
+    Attributes:
+        fruits: The fruits, in the order in which they were added.
+        planned: How many motions between stops were planned, those among them that were not found.
+    """
+
+    def __init__(
+        self, scene: Scene, empty: World, loaded: World | None, *, here: Stop, home: Stop, drop: DropOff | None,
+        every: int, back: bool,
+    ) -> None:  # fmt: skip
+        """Begin without fruits.
+
+        Args:
+            scene: The obstacles, all fruits that hang among them.
+            empty: The arm as it is.
+            loaded: The arm as it carries; None where nothing is carried.
+            here: Where the tour begins.
+            home: Where it ends if it goes back.
+            drop: The drop-off, and how to get there from `home`; None where nothing is carried.
+            every: How many fruits are carried at most.
+            back: Whether the tour goes back.
+        """
+        self.scene, self.fruits, self.planned = scene, list[str](), 0
+        self._worlds = (empty, empty if loaded is None else loaded)
+        self._around = [world.around(scene) for world in self._worlds[: 1 if loaded is None else 2]]
+        self._every, self._back, self._carries = every, back, loaded is not None
+        self._stops: list[Stop] = []
+        self._here, self._home = self._stop(here), self._stop(home)
+        self._hub = self._home if drop is None else self._stop(Stop(drop.configuration))
+        self._begin = [0]
+        self._first = len(self._stops)  # stop of the first place
+        self._grasps: list[Grasp] = []
+        self._moves: dict[tuple[int, int, bool], _Move] = {}
+        self._picks: dict[int, _Move] = {}
+        if drop is not None and self._home != self._hub:
+            way, a, b = _Move.of([drop.way]), self._home, self._hub
+            self._moves[min(a, b), max(a, b), False] = way if a < b else way.reversed
+        robot, options = self._around[0].robot, empty.options
+        limits = Limits(robot.velocity_limit, robot.acceleration_limit).scaled(options.speed)
+        self._limits = limits.velocity, limits.acceleration
+
+    def add(self, fruit: Fruit, keep: int) -> None:
+        """Find ways to take a fruit: one that the hub is shown to lead to, and others by their bounds alone.
+
+        Args:
+            fruit: The fruit.
+            keep: How many ways are kept at most.
+
+        Raises:
+            UnreachableError: No configuration has the tool there.
+            HplanError: One of `NO_MOTION`: it is blocked, or no certified motion leads there.
+        """
+        around = self._around[-1]
+        near, hub, what = around.touching(fruit.name), self._stops[self._hub].configuration, f"fruit {fruit.name!r}"
+        ways = grasps(
+            around,
+            near,
+            np.array(fruit.center),
+            hub,
+            what=what,
+            standoff=self._worlds[1].options.standoff,
+            least_standoff=least_standoff(around, fruit),
+            approach_deg=self.scene.goal.approach_deg,
+            locked=self.scene.locked_joints,
+        )
+        self.planned += 1
+
+        def task_of(grasp: Grasp) -> Task:
+            return self._worlds[1].task(grasp.transit_among(around, near), self.scene, hub, grasp.standoff)
+
+        likely = promising(ways, around, near, hub)
+        shown, motion, pick = motion_to_grasp(
+            ways, likely, task_of, lambda grasp, _: self._planned_pick(grasp, fruit.name), what
+        )
+        move = _Move.of([("transit", motion.trajectory, motion.certificate)])
+        spread = [ways[i] for i in np.unique(np.linspace(0, len(ways) - 1, max(0, keep - 1)).astype(int))]
+        for number, grasp in enumerate([shown, *(way for way in spread if way is not shown)]):
+            place = len(self._grasps)
+            self._grasps.append(grasp)
+            self._stops.append(Stop(grasp.standoff, fruit.name if grasp.distance == 0.0 else None))
+            if number == 0:
+                self._picks[place] = pick
+                self._moves[self._hub, self._first + place, self._carries] = move
+        self._begin.append(len(self._grasps))
+        self.fruits.append(fruit.name)
+
+    def settle(self, solve: Callable[[Costs, Visits | None], Visits]) -> Visits:
+        """The tour that a solver finds by true durations.
+
+        Args:
+            solve: Finds a tour, given costs and the tour it found before.
+        """
+        visits: Visits | None = None
+        while True:
+            before, visits = visits, solve(self._costs(), visits)
+            missing = [step for leg in self._steps(visits) for _, step in leg if not self._known(step)]
+            for step in dict.fromkeys(missing):
+                self._take(step)
+            if not missing and before is not None and np.array_equal(before.places, visits.places):
+                return visits
+
+    def fruits_at(self, places: IntArray) -> IntArray:
+        """The numbers of the fruits at places."""
+        return np.searchsorted(self._begin, places, side="right") - 1
+
+    def legs(self, visits: Visits) -> list[tuple[str, Grasp, list[Part]]]:
+        """For each fruit of a tour its name, how it is taken, and the motions there and, if it is, to the drop-off."""
+        found = []
+        for place, leg in zip(visits.places.tolist(), self._steps(visits), strict=True):
+            parts = [part for name, step in leg if name != "return" for part in self._take(step).named(name)]
+            found.append((self._fruit_at(place), self._grasps[place], parts))
+        return found
+
+    def way_back(self, visits: Visits) -> list[Part]:
+        """From the end of a tour's last leg to where it goes back to."""
+        end = self._hub if self._carries else self._first + int(visits.places[-1])
+        return self._move(end, self._home, False).named("return")
+
+    def end(self, visits: Visits) -> Stop:
+        """Where a tour's last leg ends."""
+        return self._stops[self._hub if self._carries else self._first + int(visits.places[-1])]
+
+    def _fruit_at(self, place: int) -> str:
+        """The name of the fruit at a place."""
+        return self.fruits[int(self.fruits_at(np.array([place]))[0])]
+
+    def _stop(self, stop: Stop) -> int:
+        """The number of a stop, a new one unless there is the same already."""
+        for number, other in enumerate(self._stops):
+            if other.fruit == stop.fruit and np.array_equal(other.configuration, stop.configuration):
+                return number
+        self._stops.append(stop)
+        return len(self._stops) - 1
+
+    def _planned_pick(self, grasp: Grasp, fruit: str) -> _Move:
+        """Approach and retreat."""
+        around = self._around[-1]
+        task = self._worlds[1].task(around.touching(fruit), self.scene, grasp.goal, grasp.goal)
+        target = next(other for other in self.scene.fruits if other.name == fruit)
+        return _Move.of(last_stretch(task, grasp, target, around.judge))
+
+    @staticmethod
+    def _near(around: Surroundings, *stops: Stop) -> Surroundings:
+        """The surroundings of a motion between stops: at fruits, the last link may touch these."""
+        for name in {stop.fruit: None for stop in stops if stop.fruit is not None}:
+            around = around.touching(name)
+        return around
+
+    def _move(self, a: int, b: int, loaded: bool) -> _Move:
+        """The way from stop to stop; planned if it is not there yet."""
+        if a == b:
+            return _Move(0.0, ())
+        if a > b:
+            return self._move(b, a, loaded).reversed
+        key = a, b, loaded
+        if key not in self._moves:
+            self._moves[key] = self._direct(*key) or self._round(*key)
+        return self._moves[key]
+
+    def _direct(self, a: int, b: int, loaded: bool) -> _Move | None:
+        """The direct motion; None where none is found."""
+        ends, world, around = (self._stops[a], self._stops[b]), self._worlds[loaded], self._around[loaded]
+        self.planned += 1
+        try:
+            where = self._near(around, *ends)
+            _, motion = find_motion([world.task(where, self.scene, *(end.configuration for end in ends))])
+        except NO_MOTION:
+            return None
+        return _Move.of([("transit", motion.trajectory, motion.certificate)])
+
+    def _round(self, a: int, b: int, loaded: bool) -> _Move:
+        """The way over the hub; to the hub itself the empty arm may go as if it carried."""
+        if loaded:
+            return _NONE  # the drop-off is the hub: what is carried would be dropped there
+        if self._hub in (a, b):
+            return self._move(a, b, True) if self._carries else _NONE
+        there, on = self._move(a, self._hub, False), self._move(self._hub, b, False)
+        seconds = there.seconds + on.seconds
+        return _Move(seconds, (*there.parts, *on.parts)) if math.isfinite(seconds) else _NONE
+
+    def _pick(self, place: int) -> _Move:
+        """Approach and retreat at a place; planned if they are not there yet."""
+        if place not in self._picks:
+            try:
+                self._picks[place] = self._planned_pick(self._grasps[place], self._fruit_at(place))
+            except NO_MOTION:
+                self._picks[place] = _NONE
+        return self._picks[place]
+
+    def _steps(self, visits: Visits) -> list[list[tuple[str, tuple[int, ...]]]]:
+        """For each fruit of a tour the names of its phases and what they are: (place) or (stop, stop, loaded)."""
+        found = []
+        here = self._here
+        last = len(visits.places) - 1
+        for number, place in enumerate(visits.places.tolist()):
+            stop = self._first + place
+            full = self._carries and here not in (self._here, self._hub)
+            leg: list[tuple[str, tuple[int, ...]]] = [("transit", (here, stop, int(full))), ("", (place,))]
+            here = stop
+            if self._carries and (visits.dropped[number] or number == last):
+                leg.append(("drop", (stop, self._hub, 1)))
+                here = self._hub
+            found.append(leg)
+        if self._back and found:
+            found[-1].append(("return", (here, self._home, 0)))
+        return found
+
+    def _known(self, step: tuple[int, ...]) -> bool:
+        if len(step) == 1:
+            return step[0] in self._picks
+        a, b, loaded = step
+        return a == b or (min(a, b), max(a, b), bool(loaded)) in self._moves
+
+    def _take(self, step: tuple[int, ...]) -> _Move:
+        """What a step is made of, planned if need be."""
+        return self._pick(step[0]) if len(step) == 1 else self._move(step[0], step[1], bool(step[2]))
+
+    def _costs(self) -> Costs:
+        """True durations where they are known, bounds elsewhere; on a raster, so that equal sums of them are equal."""
+        stops = np.array([stop.configuration for stop in self._stops])
+        least = rest_to_rest(np.abs(stops[:, None] - stops), *self._limits).max(axis=2)
+        seconds = np.stack([least, least])
+        for (a, b, loaded), move in self._moves.items():
+            seconds[int(loaded), a, b] = seconds[int(loaded), b, a] = move.seconds
+        turns = np.array([np.abs(grasp.goal - grasp.standoff) for grasp in self._grasps])
+        pick = 2.0 * rest_to_rest(turns, *self._limits).max(axis=1)
+        for place, move in self._picks.items():
+            pick[place] = move.seconds
+        places, hub, home = slice(self._first, None), self._hub, self._home
+        drop = seconds[1, places, hub] if self._carries else np.full(len(pick), np.inf)
+        if self._carries:
+            last = drop + (seconds[0, hub, home] if self._back else 0.0)
+        else:
+            last = seconds[0, places, home] if self._back else np.zeros(len(pick))
+        return Costs(
+            begin=readonly(self._begin, np.int64),
+            first=readonly(ties.on_raster(seconds[0, self._here, places] + pick)),
+            onward=readonly(ties.on_raster(seconds[int(self._carries), places, places] + pick)),
+            drop=readonly(ties.on_raster(drop)),
+            away=readonly(ties.on_raster(seconds[0, hub, places] + pick)),
+            last=readonly(ties.on_raster(last)),
+            capacity=self._every if self._carries else 0,
+        )
+
+
+def drop_off(goal: Goal, scene: Scene, empty: World, loaded: World, start: FloatArray) -> DropOff:
+    """Where the arm lets go of what it carries: clear also as it carries, and reached from the start.
+
+    Args:
+        goal: Joints or a position.
+        scene: The obstacles.
+        empty: The arm as it is.
+        loaded: The arm as it carries.
+        start: (dof,) configuration from which it comes.
+
+    Raises:
+        UnreachableError: No configuration has the tool there.
+        HplanError: One of `NO_MOTION`: it is blocked, or no certified motion from the start leads there.
+        InputError: Joints that are no configuration, or in collision.
+    """
+    around, before, what = loaded.around(scene), empty.around(scene), "the drop-off"
+
+    joints = goal.joints()
+    if joints is not None:
+        q = around.robot.check_configuration(joints, "drop_off")
+        around.check_clear(q, "drop_off")
+        _, motion = find_motion([empty.task(before, scene, start, q)])
+        return DropOff(q, ("transit", motion.trajectory, motion.certificate))
+    ways = grasps(
+        around, around, np.array(goal.position), start, what=what, standoff=0.0, approach_deg=goal.approach_deg,
+        locked=scene.locked_joints,
+    )  # fmt: skip
+
+    def task_of(grasp: Grasp) -> Task:
+        around.check_clear(grasp.goal, "goal")
+        return empty.task(before, scene, start, grasp.goal)
+
+    grasp, motion, _ = motion_to_grasp(ways, promising(ways, around, around, start), task_of, lambda *_: None, what)
+    return DropOff(grasp.goal, ("transit", motion.trajectory, motion.certificate))

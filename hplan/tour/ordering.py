@@ -1,0 +1,330 @@
+r"""In which order to visit: fruits, each of which can be taken in several ways, with a drop-off in between.
+
+A *place* is one way to take one fruit. A tour takes each fruit at one of its places. From one place it goes to the next
+directly, or over the drop-off; directly at most as often as the arm can carry. For a given order of the fruits the
+best places and drop-offs follow by dynamic programming over the order: with :math:`V_i(v, l)` the least cost of having
+taken the first i fruits, the last of them at v and carrying l since the drop-off,
+
+.. math::
+    V_{i+1}(w, l + 1) &= \min_v V_i(v, l) + c(v, w), \\
+    V_{i+1}(w, 1) &= \min_{v, l} (V_i(v, l) + d(v)) + a(w).
+
+The order itself is exact for few fruits (the same over all subsets), else a local optimum: no reversal of a stretch
+and no move of up to three fruits, turned round or not, makes the tour shorter; kicks from a fixed seed look further.
+Costs may be infinite, and need not be symmetric.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hplan.base import ties
+from hplan.base.arrays import BoolArray, FloatArray, IntArray, frozen
+from hplan.base.kernels import kernel
+
+#: Up to so many fruits, and so many numbers in its table, the order is exact.
+EXACT, MOST_STATES = 11, 4_000_000
+
+#: How many fruits are moved together at most.
+SEGMENT = 3
+
+#: How often the search is begun anew from a disturbed order, before it ends.
+KICKS = 30
+
+#: What a change must gain to count, as a share of the cost.
+_GAIN = 1e-12
+
+
+@dataclass(frozen=True, eq=False)
+class Costs:
+    """What going from place to place costs, taking the fruit there included.
+
+    Attributes:
+        begin: (n + 1,) where the places of each of the n fruits begin, and the number of places m.
+        first: (m,) from the start.
+        onward: (m, m) from place to place directly.
+        drop: (m,) from a place to the drop-off; infinite where there is none.
+        away: (m,) from the drop-off to a place.
+        last: (m,) from a place to the end of the tour.
+        capacity: How many fruits are carried at most; 0 where they are not carried.
+    """
+
+    begin: IntArray
+    first: FloatArray
+    onward: FloatArray
+    drop: FloatArray
+    away: FloatArray
+    last: FloatArray
+    capacity: int
+
+    @property
+    def fruits(self) -> int:
+        """Number of fruits."""
+        return len(self.begin) - 1
+
+    @property
+    def fruit_of(self) -> IntArray:
+        """(m,) the fruit of each place."""
+        return np.repeat(np.arange(self.fruits), np.diff(self.begin))
+
+    @property
+    def arrays(self) -> tuple[IntArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, int]:
+        """All of it, as the kernels take it."""
+        return self.begin, self.first, self.onward, self.drop, self.away, self.last, self.capacity
+
+
+@dataclass(frozen=True, eq=False)
+class Visits:
+    """A tour.
+
+    Attributes:
+        cost: What it costs; infinite where there is none.
+        places: (n,) the places in the order of the tour.
+        dropped: (n,) whether the drop-off is visited between a place and the next one; the end is not told here.
+    """
+
+    cost: float
+    places: IntArray
+    dropped: BoolArray
+
+
+def along(costs: Costs, order: Sequence[int] | IntArray) -> Visits:
+    """The best tour that takes fruits in a given order, all or some of them."""
+    order = np.asarray(order, dtype=np.int64)
+    if not len(order):
+        return Visits(0.0, order, np.zeros(0, dtype=np.bool_))
+    cost, places, dropped = _along(order, *costs.arrays)
+    return Visits(float(cost), frozen(places), frozen(dropped))
+
+
+def nearest(costs: Costs) -> Visits:
+    """From each place to that fruit which is taken soonest from there; over the drop-off only where it must be."""
+    fruit_of, left = costs.fruit_of, np.ones(len(costs.first), dtype=np.bool_)
+    places: list[int] = []
+    dropped: list[bool] = []
+    load = 0
+    for _ in range(costs.fruits):
+        full = costs.capacity > 0 and load == costs.capacity
+        ways = costs.first if not places else costs.away if full else costs.onward[places[-1]]
+        if places and costs.capacity > 0 and not full and not np.isfinite(np.where(left, ways, np.inf)).any():
+            full, ways = True, costs.away
+        if places:
+            dropped.append(full)
+        place = int(np.argmin(np.where(left, ways, np.inf)))
+        if not left[place]:  # no place left can be gone to
+            place = int(np.argmax(left))
+        load = 1 if full else load + 1
+        places.append(place)
+        left &= fruit_of != fruit_of[place]
+    return Visits(_total(costs, places, dropped), np.array(places), np.array([*dropped, False]))
+
+
+def best(costs: Costs, before: IntArray | None = None) -> Visits:
+    """The best tour: exact for few fruits, else a local optimum.
+
+    Args:
+        costs: What it costs to go from place to place.
+        before: (n,) order of the fruits from which to go on.
+    """
+    n, m = costs.fruits, len(costs.first)
+    if n <= 2 or (n <= EXACT and (m * max(1, min(costs.capacity, n))) << n <= MOST_STATES):
+        return along(costs, _exact(n, *costs.arrays))
+    orders = [costs.fruit_of[nearest(costs).places]]
+    if before is not None:
+        orders.insert(0, np.asarray(before, dtype=np.int64))
+    found = [_improved(np.array(order), *costs.arrays) for order in orders]
+    cost, order = found[ties.argmin([cost for cost, _ in found])]
+    if before is None or not np.array_equal(order, orders[0]):
+        return along(costs, order)  # there is time for kicks once nothing else moves
+    random = np.random.default_rng(0)
+    for _ in range(KICKS):
+        cuts = np.sort(random.choice(np.arange(1, n), size=3, replace=False))
+        a, b, c, d = np.split(order, cuts)
+        other_cost, other = _improved(np.concatenate([a, c, b, d]), *costs.arrays)
+        if other_cost < cost * (1.0 - _GAIN):
+            cost, order = other_cost, other
+    return along(costs, order)
+
+
+def _total(costs: Costs, places: Sequence[int], dropped: Sequence[bool]) -> float:
+    """The cost of a tour."""
+    total = costs.first[places[0]] + costs.last[places[-1]]
+    for a, b, over in zip(places, places[1:], dropped, strict=False):
+        total += costs.drop[a] + costs.away[b] if over else costs.onward[a, b]
+    return float(total)
+
+
+@kernel
+def _advance(
+    begin: IntArray, onward: FloatArray, drop: FloatArray, away: FloatArray, capacity: int, f: int, g: int,
+    table: FloatArray,
+) -> None:  # fmt: skip
+    """From the values at the places of fruit f, in `table` (m, loads), those at the places of fruit g."""
+    loads = table.shape[1]
+    dropping = math.inf
+    for v in range(begin[f], begin[f + 1]):
+        for load in range(loads):
+            dropping = min(dropping, table[v, load] + drop[v])
+    for w in range(begin[g], begin[g + 1]):
+        for load in range(loads):
+            table[w, load] = math.inf
+        table[w, 0] = dropping + away[w]
+        for v in range(begin[f], begin[f + 1]):
+            if capacity == 0:
+                table[w, 0] = min(table[w, 0], table[v, 0] + onward[v, w])
+            else:
+                for load in range(loads - 1):
+                    table[w, load + 1] = min(table[w, load + 1], table[v, load] + onward[v, w])
+
+
+@kernel
+def _cost(
+    order: IntArray, begin: IntArray, first: FloatArray, onward: FloatArray, drop: FloatArray, away: FloatArray,
+    last: FloatArray, capacity: int, table: FloatArray,
+) -> float:  # fmt: skip
+    """The cost of the best tour in a given order."""
+    f = order[0]
+    for v in range(begin[f], begin[f + 1]):
+        for load in range(table.shape[1]):
+            table[v, load] = math.inf
+        table[v, 0] = first[v]
+    for i in range(1, len(order)):
+        _advance(begin, onward, drop, away, capacity, order[i - 1], order[i], table)
+    f = order[-1]
+    least = math.inf
+    for v in range(begin[f], begin[f + 1]):
+        for load in range(table.shape[1]):
+            least = min(least, table[v, load] + last[v])
+    return least
+
+
+@kernel
+def _along(
+    order: IntArray, begin: IntArray, first: FloatArray, onward: FloatArray, drop: FloatArray, away: FloatArray,
+    last: FloatArray, capacity: int,
+) -> tuple[float, IntArray, BoolArray]:  # fmt: skip
+    """The best tour in a given order: cost, places, drop-offs; traced back through the values."""
+    n, loads = len(order), max(1, min(capacity, len(order)))
+    table = np.empty((len(first), loads))
+    cost = _cost(order, begin, first, onward, drop, away, last, capacity, table)
+    places, dropped = np.empty(n, dtype=np.int64), np.zeros(n, dtype=np.bool_)
+    place, load, least = begin[order[-1]], 0, math.inf
+    for v in range(begin[order[-1]], begin[order[-1] + 1]):
+        for k in range(loads):
+            if table[v, k] + last[v] < least:
+                place, load, least = v, k, table[v, k] + last[v]
+    places[n - 1] = place
+    for i in range(n - 2, -1, -1):
+        f, came, kept, over, least = order[i], begin[order[i]], 0, False, math.inf
+        for v in range(begin[f], begin[f + 1]):
+            for k in range(loads):
+                if (capacity == 0 or k + 1 == load) and table[v, k] + onward[v, place] < least:
+                    came, kept, over, least = v, k, False, table[v, k] + onward[v, place]
+                if load == 0 and table[v, k] + drop[v] + away[place] < least:
+                    came, kept, over, least = v, k, True, table[v, k] + drop[v] + away[place]
+        place, load = came, kept
+        places[i], dropped[i] = place, over
+    return cost, places, dropped
+
+
+@kernel
+def _improved(
+    order: IntArray, begin: IntArray, first: FloatArray, onward: FloatArray, drop: FloatArray, away: FloatArray,
+    last: FloatArray, capacity: int,
+) -> tuple[float, IntArray]:  # fmt: skip
+    """The order that no reversal of a stretch and no move of a short one improves."""
+    n = len(order)
+    table = np.empty((len(first), max(1, min(capacity, n))))
+    cost = _cost(order, begin, first, onward, drop, away, last, capacity, table)
+    other = np.empty_like(order)
+    better = True
+    while better:
+        better = False
+        # Kinds of change: a stretch reversed (0); one of `kind` fruits moved (1 to SEGMENT), or moved and reversed.
+        for kind in range(2 * SEGMENT + 1):
+            size = (kind - 1) % SEGMENT + 1
+            turned = kind > SEGMENT
+            if turned and size == 1:
+                continue
+            for i in range(n):
+                for j in range(n):
+                    if kind == 0:
+                        if j <= i:
+                            continue
+                        for k in range(n):
+                            other[k] = order[i + j - k] if i <= k <= j else order[k]
+                    else:
+                        if i + size > n or j + size > n or i == j:
+                            continue
+                        # The stretch from i on is taken out and stands from j on afterwards.
+                        source = 0
+                        for k in range(n):
+                            if j <= k < j + size:
+                                other[k] = order[i + (j + size - 1 - k if turned else k - j)]
+                            else:
+                                if source == i:
+                                    source += size
+                                other[k] = order[source]
+                                source += 1
+                    trial = _cost(other, begin, first, onward, drop, away, last, capacity, table)
+                    if trial < cost * (1.0 - _GAIN):
+                        order, other = other, order
+                        cost, better = trial, True
+    return cost, order
+
+
+@kernel
+def _exact(
+    n: int, begin: IntArray, first: FloatArray, onward: FloatArray, drop: FloatArray, away: FloatArray,
+    last: FloatArray, capacity: int,
+) -> IntArray:  # fmt: skip
+    """The best order, by the least cost of each set of fruits taken, place and load at its end."""
+    m, loads = len(first), max(1, min(capacity, n))
+    value = np.full((1 << n, m, loads), math.inf)
+    # Where each state comes from: the place before, and its load.
+    before = np.full((1 << n, m, loads, 2), -1, dtype=np.int32)
+    for f in range(n):
+        for v in range(begin[f], begin[f + 1]):
+            value[1 << f, v, 0] = first[v]
+    for taken in range(1, (1 << n) - 1):
+        for f in range(n):
+            if not (taken >> f) & 1:
+                continue
+            for v in range(begin[f], begin[f + 1]):
+                for load in range(loads):
+                    here = value[taken, v, load]
+                    if here == math.inf:
+                        continue
+                    for g in range(n):
+                        if (taken >> g) & 1:
+                            continue
+                        then = taken | (1 << g)
+                        for w in range(begin[g], begin[g + 1]):
+                            if here + drop[v] + away[w] < value[then, w, 0]:
+                                value[then, w, 0] = here + drop[v] + away[w]
+                                before[then, w, 0, 0], before[then, w, 0, 1] = v, load
+                            carried = 0 if capacity == 0 else load + 1
+                            if carried < loads and here + onward[v, w] < value[then, w, carried]:
+                                value[then, w, carried] = here + onward[v, w]
+                                before[then, w, carried, 0], before[then, w, carried, 1] = v, load
+    fruit_of = np.empty(m, dtype=np.int64)
+    for f in range(n):
+        fruit_of[begin[f] : begin[f + 1]] = f
+    taken, place, load, least = (1 << n) - 1, -1, 0, math.inf
+    for v in range(m):
+        for k in range(loads):
+            if value[taken, v, k] + last[v] < least:
+                place, load, least = v, k, value[taken, v, k] + last[v]
+    order = np.arange(n)
+    for i in range(n - 1, -1, -1):
+        if place < 0:
+            break  # there is no tour
+        order[i] = fruit_of[place]
+        came, kept = before[taken, place, load, 0], before[taken, place, load, 1]
+        taken &= ~(1 << order[i])
+        place, load = came, kept
+    return order

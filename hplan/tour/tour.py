@@ -1,0 +1,394 @@
+"""Picking tours: many fruits from one start, in the order in which the arm is done soonest.
+
+The order is sought by the durations of certified motions (`hplan.tour.motions`, `hplan.tour.ordering`). Fruits that
+cannot be reached among all the others are tried again once those are picked, and come last. Times are those of motions:
+what the tool takes to grip or to let go is not in them, and the arm stands still where it would.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import Any, Literal
+
+import numpy as np
+
+from hplan.base.arguments import instance, list_of, one_of, truth, whole
+from hplan.base.arrays import FloatArray, Record
+from hplan.base.report import certificate_report, versions
+from hplan.errors import CertificationError, HplanError, OptionError, TourError, UnreachableError
+from hplan.planning.find_motion import certified
+from hplan.planning.grasps import Grasp
+from hplan.planning.grid_route import Progress, no_progress
+from hplan.planning.plan import Phase, check_task
+from hplan.problem.options import PlanOptions
+from hplan.robot.model import Robot
+from hplan.scene.model import Goal, Scene
+from hplan.timing.retime import resting
+from hplan.timing.trajectory import Trajectory, joined
+from hplan.tour.motions import NO_MOTION, Motions, Part, Stop, World, carrying, drop_off
+from hplan.tour.ordering import Costs, Visits, along, best, nearest
+from hplan.verification.certificate import Certificate, all_of
+from hplan.verification.digests import Digests
+
+Order = Literal["best", "nearest", "given"]
+ORDERS: tuple[Order, ...] = ("best", "nearest", "given")
+
+
+@dataclass(frozen=True)
+class TourOptions:
+    """What a tour is to be like.
+
+    Attributes:
+        drop_off: Where fruit is let go, by joints or by a position of the tool; None where the arm takes it in itself
+            (into a tube or a bin of its own) and carries nothing.
+        every: How many fruits are carried to the drop-off at most; one where this is None.
+        back: Whether the arm goes back to the start in the end.
+        order: `best`; `nearest`: always on to the fruit that is taken soonest; `given`: as the fruits are listed.
+        compare: Whether the report gives the durations of all three orders.
+        grasps: Among how many ways to take a fruit the best is sought.
+    """
+
+    drop_off: Goal | None = None
+    every: int | None = None
+    back: bool = False
+    order: Order = "best"
+    compare: bool = False
+    grasps: int = 4
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        if self.drop_off is not None:
+            instance("drop_off", self.drop_off, Goal)
+        if self.drop_off is not None and self.drop_off.fruit is not None:
+            raise OptionError("drop_off", self.drop_off.fruit, "joints or a position, not a fruit")
+        if self.every is not None and self.drop_off is None:
+            raise OptionError("every", self.every, "a drop-off with it")
+        if self.every is not None:
+            whole("every", self.every, 1)
+        one_of("order", self.order, ORDERS)
+        whole("grasps", self.grasps, 1)
+        truth("back", self.back)
+        truth("compare", self.compare)
+
+
+@dataclass(frozen=True, eq=False)
+class Leg(Record):
+    """A part of a tour, at rest at both ends: to one fruit and, where it is next, to the drop-off; or the way back.
+
+    Attributes:
+        fruit: Name of the fruit; None for the way back.
+        grasp: How it is taken; None for the way back.
+        begin_s: When it begins, in the tour [s].
+        phases: Its parts, by their times in the tour: `transit`, `approach`, `retreat`, `drop`, `return`.
+        trajectory: Its motion, from time 0 on.
+        certificate: What was shown of it.
+    """
+
+    fruit: str | None
+    grasp: Grasp | None
+    begin_s: float
+    phases: tuple[Phase, ...]
+    trajectory: Trajectory
+    certificate: Certificate
+
+    @property
+    def name(self) -> str:
+        """The fruit, or `return`."""
+        return "return" if self.fruit is None else self.fruit
+
+
+@dataclass(frozen=True, eq=False)
+class Unreached:
+    """A fruit that is not picked.
+
+    Attributes:
+        fruit: Its name.
+        error: Why.
+    """
+
+    fruit: str
+    error: HplanError
+
+
+@dataclass(frozen=True, eq=False)
+class TourResult(Record):
+    """A tour.
+
+    Attributes:
+        order: The fruits that are picked, in their order.
+        legs: One for each, and the way back where there is one.
+        trajectory: The whole motion; the arm rests between its phases.
+        certificate: What was shown of it.
+        picked: When the tool is at each fruit [s].
+        dropped: When each fruit is let go at the drop-off [s]; empty where there is none.
+        unreached: The fruits that are not picked.
+        report: The numbers of `tour.json`.
+    """
+
+    order: tuple[str, ...]
+    legs: tuple[Leg, ...]
+    trajectory: Trajectory
+    certificate: Certificate
+    picked: Mapping[str, float]
+    dropped: Mapping[str, float]
+    unreached: tuple[Unreached, ...]
+    report: dict[str, Any]
+
+    @property
+    def duration(self) -> float:
+        """Of the whole tour [s]."""
+        return self.trajectory.duration
+
+
+def plan_tour(
+    robot: Robot,
+    scene: Scene,
+    options: PlanOptions | None = None,
+    *,
+    fruits: Sequence[str] | None = None,
+    tour: TourOptions | None = None,
+    progress: Progress = no_progress,
+) -> TourResult:
+    """Plan a picking tour from the scene's start; of its goal only `approach_deg` counts, for all fruits.
+
+    Args:
+        robot: The arm.
+        scene: Obstacles and fruits; all fruits are obstacles until they are picked.
+        options: How to plan.
+        fruits: Names of the fruits to pick; all where this is None.
+        tour: What the tour is to be like.
+        progress: Called with what is being done.
+
+    Raises:
+        InputError: The scene does not fit the robot, or the start cannot be taken.
+        OptionError: A fruit that is not there or named twice, or none at all.
+        TourError: None of the fruits can be picked; says why.
+        UnreachableError: No configuration has the tool at the drop-off.
+        BlockedError: Obstacles are in the way of all that do; names them.
+        NoPathError: No path from the start to the drop-off exists on the grid; names what blocks it.
+        CertificationError: No motion to the drop-off could be certified.
+    """
+    check_task(robot, scene, options)
+    if tour is not None:
+        instance("tour", tour, TourOptions)
+    planner = _Planner(
+        robot, scene, PlanOptions() if options is None else options, TourOptions() if tour is None else tour, progress
+    )
+    return planner.run(_names(scene, fruits))
+
+
+def _names(scene: Scene, fruits: Sequence[str] | None) -> list[str]:
+    """The fruits to pick.
+
+    Raises:
+        OptionError: One that is not there or named twice, or none at all.
+    """
+    known = [fruit.name for fruit in scene.fruits]
+    names = known if fruits is None else list(list_of("fruits", fruits, str, "names"))
+    if not names:
+        raise OptionError("fruits", names, "a fruit to pick" if known else "a scene with fruits")
+    for number, name in enumerate(names):
+        if name not in known:
+            raise OptionError("fruits", name, f"fruits of the scene: {', '.join(known) or 'it has none'}")
+        if name in names[:number]:
+            raise OptionError("fruits", name, "each fruit once")
+    return names
+
+
+@dataclass(frozen=True, eq=False)
+class _Stage:
+    """A tour among one set of obstacles: its motions and what was found."""
+
+    motions: Motions
+    visits: Visits
+    totals: dict[str, float]
+    unreached: list[Unreached]
+
+
+class _Planner:
+    """All that one tour needs."""
+
+    def __init__(self, robot: Robot, scene: Scene, options: PlanOptions, tour: TourOptions, progress: Progress) -> None:
+        """Check the start and make the arm ready."""
+        self._begin = time.perf_counter()
+        self.robot, self.scene, self.options, self.tour, self.progress = robot, scene, options, tour, progress
+        self.empty = World(robot, options)
+        self.start = robot.check_configuration(scene.start.configuration, "start")
+        around = self.empty.around(scene)
+        around.check_base(robot.yaw_of(self.start))
+        self.empty.task(around, scene, self.start, self.start)
+
+    def run(self, names: list[str]) -> TourResult:
+        """The tour; what is blocked is tried again among what the fruits picked before it leave."""
+        loaded, drop = None, None
+        if self.tour.drop_off is not None:
+            self.progress("drop-off")
+            thickest = max(fruit.radius for fruit in self.scene.fruits if fruit.name in names)
+            loaded = World(carrying(self.robot, thickest), self.options)
+            drop = drop_off(self.tour.drop_off, self.scene, self.empty, loaded, self.start)
+        home = Stop(self.start)
+        scene, here, stages = self.scene, home, list[_Stage]()
+        left, unreached = names, list[Unreached]()
+        while left:
+            motions = Motions(
+                scene, self.empty, loaded, here=here, home=home, drop=drop, every=self.tour.every or 1,
+                back=self.tour.back,
+            )  # fmt: skip
+            stage = self._stage(motions, left)
+            unreached = [item for item in unreached if item.fruit not in left] + stage.unreached
+            if not math.isfinite(stage.visits.cost) or not motions.fruits:
+                break
+            stages.append(stage)
+            here = motions.end(stage.visits)
+            gone = set(motions.fruits)
+            scene = scene.model_copy(update={"fruits": tuple(f for f in scene.fruits if f.name not in gone)})
+            left = [item.fruit for item in stage.unreached if not isinstance(item.error, UnreachableError)]
+        if not stages:
+            raise TourError([(item.fruit, item.error) for item in unreached])
+        return self._result(stages, unreached)
+
+    def _stage(self, motions: Motions, names: Sequence[str]) -> _Stage:
+        """The tour over all those of some fruits that can be reached."""
+        unreached = []
+        fruits = {fruit.name: fruit for fruit in motions.scene.fruits}
+        for number, name in enumerate(names):
+            self.progress(f"fruit {number + 1} of {len(names)}")
+            try:
+                motions.add(fruits[name], self.tour.grasps)
+            except (UnreachableError, *NO_MOTION) as error:
+                unreached.append(Unreached(name, error))
+        self.progress("order")
+        found: dict[str, Visits] = {}
+        if motions.fruits:
+            orders = sorted(ORDERS, key=lambda order: order != self.tour.order)
+            found = {order: _visits(motions, order) for order in (orders if self.tour.compare else orders[:1])}
+        visits = found.get(self.tour.order, Visits(math.inf, np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.bool_)))
+        if motions.fruits and not math.isfinite(visits.cost):
+            cut_off = CertificationError("no certified motions join the places from which it could be picked to others")
+            unreached += [Unreached(name, cut_off) for name in motions.fruits]
+        return _Stage(motions, visits, {order: found[order].cost for order in ORDERS if order in found}, unreached)
+
+    def _result(self, stages: Sequence[_Stage], unreached: Sequence[Unreached]) -> TourResult:
+        """The tour and its report."""
+        drafts: list[tuple[str | None, Grasp | None, list[Part]]] = []
+        for stage in stages:
+            drafts += stage.motions.legs(stage.visits)
+        last = stages[-1]
+        if self.tour.back:
+            drafts.append((None, None, last.motions.way_back(last.visits)))
+        here, begin, legs = self.start, 0.0, list[Leg]()
+        for fruit, grasp, parts in drafts:
+            legs.append(self._leg(fruit, grasp, parts, here, begin))
+            begin = legs[-1].phases[-1].end_s
+            here = legs[-1].trajectory.position[-1]
+        picked, dropped = _times(legs)
+        trajectory = joined([leg.trajectory for leg in legs])
+        digests = Digests.of(self.robot, self.scene, trajectory)
+        certificate = replace(all_of([leg.certificate for leg in legs]), digests=digests)
+        return TourResult(
+            order=tuple(picked),
+            legs=tuple(legs),
+            trajectory=trajectory,
+            certificate=certificate,
+            picked=MappingProxyType(picked),
+            dropped=MappingProxyType(dropped),
+            unreached=tuple(unreached),
+            report=self._report(stages, legs, trajectory, certificate, picked, unreached),
+        )
+
+    def _leg(
+        self, fruit: str | None, grasp: Grasp | None, parts: Sequence[Part], here: FloatArray, begin: float
+    ) -> Leg:
+        """A leg of motions one after the other; of none, the arm rests where it is."""
+        if not parts:
+            rest = resting(self.robot.model, here)
+            around = self.empty.around(self.scene)
+            parts = [("return", rest, certified(self.empty.task(around, self.scene, here, here), rest))]
+        ends = np.cumsum([begin, *(motion.duration for _, motion, _ in parts)]).tolist()
+        return Leg(
+            fruit=fruit,
+            grasp=grasp,
+            begin_s=begin,
+            phases=tuple(
+                Phase(name, *span) for (name, _, _), span in zip(parts, itertools.pairwise(ends), strict=True)
+            ),
+            trajectory=joined([motion for _, motion, _ in parts]),
+            certificate=all_of([shown for _, _, shown in parts]),
+        )
+
+    def _report(
+        self, stages: Sequence[_Stage], legs: Sequence[Leg], trajectory: Trajectory, certificate: Certificate,
+        picked: Mapping[str, float], unreached: Sequence[Unreached],
+    ) -> dict[str, Any]:  # fmt: skip
+        """The report of a tour, in the shape of `tour.json`."""
+        return {
+            "status": "ok",
+            "scene": self.scene.name,
+            "robot": self.robot.name,
+            "tour": {
+                "order": self.tour.order,
+                "every": None if self.tour.drop_off is None else self.tour.every or 1,
+                "back": self.tour.back,
+            },
+            "order": list(picked),
+            "legs": [
+                {
+                    "fruit": leg.fruit,
+                    "begin_s": leg.begin_s,
+                    "picked_s": None if leg.fruit is None else picked[leg.fruit],
+                    "duration_s": leg.trajectory.duration,
+                    "phases": [vars(phase) for phase in leg.phases],
+                    "joints_rad": None if leg.grasp is None else leg.grasp.goal.tolist(),
+                    "verified": leg.certificate.verified,
+                    "min_clearance_m": leg.certificate.min_clearance_m,
+                }
+                for leg in legs
+            ],
+            "unreached": [{"fruit": item.fruit, "error": item.error.as_dict()} for item in unreached],
+            # Of the fruits that can be reached among all the others; by true durations.
+            "totals_s": {"fruits": len(stages[0].motions.fruits), **stages[0].totals},
+            "planner": {
+                "time_ms": round(1e3 * (time.perf_counter() - self._begin), 4),
+                "motions_planned": sum(stage.motions.planned for stage in stages),
+                "stages": len(stages),
+            },
+            "trajectory": {
+                "duration_s": trajectory.duration,
+                "rate_hz": self.options.rate_hz,
+                "samples": trajectory.samples,
+            },
+            "certificate": certificate_report(certificate, self.options),
+            "versions": versions(),
+        }
+
+
+def _visits(motions: Motions, order: Order) -> Visits:
+    """The tour in the best order, in that of the nearest neighbour, or in the one given; places as good as can be."""
+
+    def improved(costs: Costs, before: Visits | None) -> Visits:
+        return best(costs, None if before is None else costs.fruit_of[before.places])
+
+    if order == "best":
+        return motions.settle(improved)
+    fixed = np.arange(len(motions.fruits))
+    if order == "nearest":
+        fixed = motions.fruits_at(motions.settle(lambda costs, _: nearest(costs)).places)
+    return motions.settle(lambda costs, _: along(costs, fixed))
+
+
+def _times(legs: Sequence[Leg]) -> tuple[dict[str, float], dict[str, float]]:
+    """When each fruit is picked, and when it is let go at the drop-off [s]."""
+    picked: dict[str, float] = {}
+    dropped: dict[str, float] = {}
+    for leg in legs:
+        ends = {phase.name: phase.end_s for phase in leg.phases}
+        if leg.fruit is not None:
+            picked[leg.fruit] = ends.get("approach", ends.get("transit", leg.begin_s))
+        if "drop" in ends:
+            dropped |= {name: ends["drop"] for name in picked if name not in dropped}
+    return picked, dropped

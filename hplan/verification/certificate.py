@@ -1,0 +1,309 @@
+r"""The proof that comes with a trajectory.
+
+Between two rows the controller is taken to follow the cubic that has the rows' positions and velocities (`cubic
+Hermite`); a trajectory of hplan is exactly that curve. On it
+
+- **clearance** is shown over continuous time: coal gives the signed distance of a link from an obstacle at some
+  instant, the hull of the cubic's derivative bounds how far any point of the link can move before the next one, and the
+  distance minus that bound must stay positive all the way (conservative advancement, each pair at its own pace). Where
+  the arm can touch itself, its links from one another and from what carries it too, the motion as seen from there;
+- the **fruit that is the goal** may be touched by the last link only, and only on a straight approach to the grasp and
+  on the way back (`hplan.problem.goal_contact`); all other fruits are obstacles;
+- **position, velocity and acceleration** are bounded for all times: the acceleration is linear between rows, the
+  velocity has its extremes at rows or where the acceleration is zero, the position lies in the hull of the Bezier
+  points;
+- **torque** is bounded too: inverse dynamics at both ends of each cubic, and what it can do in between
+  (`hplan.verification.torque_bound`);
+- the acceleration and torque columns, which a controller may feed forward, must keep the limits too;
+- the motion begins and ends at rest, and does what the scene asks for (`hplan.verification.task_check`), unless that is
+  not wanted.
+
+The work is bounded: in proportion to the number of rows, whatever stands in them. What cannot be shown with it is not
+verified.
+
+Assumed: rigid links inside their capsules, obstacles where the scene says, tracking within a model of its error
+(`hplan.robot.tracking`; it takes from the clearance; the limits are those of the commanded motion). Not covered:
+flexing, the base's own motion, contact forces, what is not in the scene.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal, TypeAlias
+
+import numpy as np
+
+from hplan.base import ties
+from hplan.base.arguments import instance, number, one_of, truth
+from hplan.base.arrays import FloatArray
+from hplan.collision.coal_scene import CollisionScene, Contact, base_contacts
+from hplan.errors import InputError
+from hplan.problem.goal_contact import contact_window
+from hplan.robot.base_shapes import BASE_DEPTH
+from hplan.robot.model import Robot
+from hplan.robot.tracking import TrackingModel
+from hplan.scene.model import Scene
+from hplan.timing.trajectory import Trajectory
+from hplan.verification.clearance_proof import Proof, prove_clearance
+from hplan.verification.digests import Digests
+from hplan.verification.limit_use import LimitUse, cubic_pieces, limit_use
+from hplan.verification.task_check import task_violations
+
+#: Use of a limit up to which it counts as kept.
+LIMIT_TOLERANCE = 1.001
+
+#: Speed at the ends that still counts as rest [rad/s].
+REST = 1e-6
+
+#: When the last link may touch the fruit that is the goal: on a straight approach and back, or during the whole motion.
+GoalContact: TypeAlias = Literal["approach", "motion"]
+GOAL_CONTACTS: tuple[GoalContact, ...] = ("approach", "motion")
+
+#: A range of the motion's cubics, and what the arm is judged among there.
+Stretch: TypeAlias = tuple[slice, CollisionScene]
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """What was shown of a trajectory.
+
+    Attributes:
+        verified: Whether everything asked for was shown.
+        min_clearance_m: Distance that every link is shown to keep at all times from every obstacle, and from every
+            part of the arm that it can touch [m]; inf where there is none. Where the clearance is not shown, the
+            smallest distance found, negative in contact.
+        nearest: Link and obstacle, or part of the arm, at the smallest distance that was evaluated.
+        limit_use: Upper bound of the use of each limit.
+        checks: Number of configurations at which distances were evaluated.
+        violations: What was not shown, in words; empty when verified.
+        goal_contact: When the last link may touch the fruit that is the goal; None where no fruit is.
+        contact_s: The same as times, from and to [s]; None for never.
+        digests: The robot, the scene and the trajectory that it is about; None for a part of a motion.
+    """
+
+    verified: bool
+    min_clearance_m: float
+    nearest: Contact | None
+    limit_use: LimitUse
+    checks: int
+    violations: tuple[str, ...]
+    goal_contact: GoalContact | None = None
+    contact_s: tuple[float, float] | None = None
+    digests: Digests | None = None
+
+
+def certify(
+    robot: Robot,
+    scene: Scene,
+    trajectory: Trajectory,
+    *,
+    tracking_error: float = 0.0,
+    tracking_delay_s: float = 0.0,
+    sigmas: float = 3.0,
+    goal_contact: GoalContact = "approach",
+    check_ends: bool = True,
+    rest_to_rest: bool = True,
+    judge: CollisionScene | None = None,
+) -> Certificate:
+    """Judge a trajectory, wherever it comes from, as `plan` judges its own.
+
+    Args:
+        robot: The arm.
+        scene: Obstacles, the clearance to keep, and the task.
+        trajectory: The timed motion; its joints are the robot's.
+        tracking_error: Largest deviation of any joint from the trajectory at rest [rad].
+        tracking_delay_s: What comes to it for each rad/s of the joint's velocity [s].
+        sigmas: How many standard deviations of its place an obstacle is grown by, where the scene gives one.
+        goal_contact: `approach`: the last link may touch the fruit that is the goal on a straight approach and on the
+            way back, found in the motion. `motion`: it may during the whole motion; so `plan` judges where no straight
+            approach is clear.
+        check_ends: Whether the motion has to do what the scene asks for: begin at its start, reach its goal, leave its
+            locked joints where they are.
+        rest_to_rest: Whether the motion has to begin and end at rest.
+        judge: The arm among other solids than the scene's. They are taken as they are: `sigmas` and `goal_contact` are
+            not looked at, nor what pedestal and turret stand in.
+
+    Returns:
+        The certificate; read `verified`.
+
+    Raises:
+        InputError: The trajectory has other joints than the robot, or start or goal of the scene do not fit it.
+        OptionError: A tracking error or delay, or a number of standard deviations, that is negative or not finite;
+            another contact with the goal.
+    """
+    instance("robot", robot, Robot, "load_robot")
+    instance("scene", scene, Scene, "load_scene")
+    instance("trajectory", trajectory, Trajectory, "plan or read_csv")
+    truth("check_ends", check_ends)
+    truth("rest_to_rest", rest_to_rest)
+    tracking = TrackingModel(tracking_error, tracking_delay_s)
+    number("sigmas", sigmas, "a finite number >= 0", lambda value: value >= 0.0)
+    one_of("goal_contact", goal_contact, GOAL_CONTACTS)
+    _check_joints(robot, trajectory)
+    bezier, _ = cubic_pieces(trajectory)
+    contact, violations, fruit = None, list[str](), None
+    if judge is None:
+        solids = scene.solids_with_goal
+        judge = CollisionScene(robot, solids, growth=np.array([sigmas * solid.sigma for solid in solids]))
+        fruit = next((fruit for fruit in scene.fruits if fruit.name == scene.goal.fruit), None)
+        if fruit is not None:
+            whole = slice(0, len(bezier))
+            contact = whole if goal_contact == "motion" else contact_window(robot, bezier, fruit.center)
+        violations += [
+            f"obstacle {found.obstacle!r} is {-1e3 * found.distance_m:.3g} mm deep in the robot's {found.link!r}, "
+            "which does not move"
+            for found in base_contacts(robot, solids, robot.yaw_of(trajectory.position[0]), margin=-BASE_DEPTH)
+        ]
+    if check_ends:
+        violations += task_violations(robot, scene, bezier)
+    certificate = certify_among(
+        robot,
+        trajectory,
+        stretches(judge, len(bezier), contact, scene.goal.fruit),
+        clearance=scene.clearance,
+        tracking=tracking,
+        rest_to_rest=rest_to_rest,
+    )
+    return replace(
+        certificate,
+        verified=certificate.verified and not violations,
+        violations=(*violations, *certificate.violations),
+        goal_contact=None if fruit is None else goal_contact,
+        contact_s=None if contact is None else _times(trajectory, contact),
+        digests=Digests.of(robot, scene, trajectory),
+    )
+
+
+def stretches(judge: CollisionScene, pieces: int, contact: slice | None, fruit: str | None) -> list[Stretch]:
+    """The ranges of a motion of some cubics before, within and after that in which the last link may touch a fruit.
+
+    Args:
+        judge: The arm among everything.
+        pieces: Number of cubics.
+        contact: The range; None for none.
+        fruit: Name of the fruit.
+    """
+    if contact is None or fruit is None:
+        return [(slice(0, pieces), judge)]
+    found = [
+        (slice(0, contact.start), judge),
+        (contact, judge.touching(fruit)),
+        (slice(contact.stop, pieces), judge),
+    ]
+    return [(part, among) for part, among in found if part.start < part.stop]
+
+
+def certify_among(
+    robot: Robot,
+    trajectory: Trajectory,
+    among: Sequence[Stretch],
+    *,
+    clearance: float,
+    tracking: TrackingModel,
+    rest_to_rest: bool = True,
+) -> Certificate:
+    """Judge a trajectory, or part of one, among given solids.
+
+    Args:
+        robot: The arm.
+        trajectory: The timed motion; its joints are the robot's.
+        among: What the arm is judged among, stretch by stretch; together the whole motion.
+        clearance: Clearance to keep [m].
+        tracking: Deviation of the joints that is covered.
+        rest_to_rest: Whether the motion has to begin and end at rest.
+
+    Raises:
+        InputError: The trajectory has other joints than the robot.
+    """
+    _check_joints(robot, trajectory)
+    bezier, duration = cubic_pieces(trajectory)
+    use = limit_use(robot, trajectory, bezier, duration)
+    violations = [
+        f"{what} reaches {share:{'.4f' if share < 1e4 else '.4g'}} of its limit"
+        for what, share in vars(use).items()
+        if not share <= (LIMIT_TOLERANCE if what != "position" else 1.0 + 1e-6)
+    ]
+    if rest_to_rest:
+        for where, velocity in (("begins", trajectory.velocity[0]), ("ends", trajectory.velocity[-1])):
+            if np.abs(velocity).max() > REST:
+                violations.append(f"the motion {where} at {np.abs(velocity).max():.4g} rad/s, not at rest")
+    speeds = _fastest(bezier, duration) if tracking.delay_s > 0.0 else np.zeros((1, robot.dof))
+    with np.errstate(over="ignore"):
+        # Nothing is farther off than a joint that is off by a whole turn, or nobody knows how far.
+        deviations = np.fmin(tracking.deviations(speeds), 2.0 * np.pi)
+    proofs, wanted = [], f"more than {1e3 * clearance:.3g} mm at a tracking error of {tracking}"
+    for part, judge in among:
+        own = deviations if len(deviations) == 1 else deviations[part]
+        proof = prove_clearance(robot, bezier[part], judge, own, clearance)
+        proofs.append(proof)
+        violations += _not_shown(proof, trajectory, part.start, wanted)
+    missing = [proof.clearance_m for proof in proofs if not proof.shown]
+    return Certificate(
+        verified=not violations,
+        min_clearance_m=min(missing or (proof.clearance_m for proof in proofs)),
+        nearest=_nearest(proof.nearest for proof in proofs),
+        limit_use=use,
+        checks=sum(proof.checks for proof in proofs),
+        violations=tuple(violations),
+    )
+
+
+def all_of(parts: Sequence[Certificate]) -> Certificate:
+    """The certificate of motions one after the other."""
+    if len(parts) == 1:
+        return parts[0]
+    return Certificate(
+        verified=all(part.verified for part in parts),
+        min_clearance_m=min(part.min_clearance_m for part in parts),
+        nearest=_nearest(part.nearest for part in parts),
+        limit_use=LimitUse(
+            **{name: max(getattr(part.limit_use, name) for part in parts) for name in vars(parts[0].limit_use)}
+        ),
+        checks=sum(part.checks for part in parts),
+        violations=tuple(violation for part in parts for violation in part.violations),
+    )
+
+
+def _check_joints(robot: Robot, trajectory: Trajectory) -> None:
+    """Refuse a trajectory of other joints."""
+    if trajectory.joint_names != robot.joint_names:
+        raise InputError(
+            f"the trajectory moves {', '.join(trajectory.joint_names)}; the robot has {', '.join(robot.joint_names)}"
+        )
+
+
+def _not_shown(proof: Proof, trajectory: Trajectory, first: int, wanted: str) -> Iterator[str]:
+    """What of the clearance a proof does not show, in words; the first of its pieces is given."""
+    if proof.shown:
+        return
+    piece = first + int(proof.end)
+    begin = trajectory.time[min(piece, trajectory.samples - 1)]
+    end = trajectory.time[min(piece + 1, trajectory.samples - 1)]
+    if proof.outcome == "travel":
+        yield f"clearance cannot be shown: from {begin:.6g} s to {end:.6g} s the motion is too fast to be bounded"
+    elif proof.outcome == "checks":
+        at = begin + (proof.end - int(proof.end)) * (end - begin)
+        yield f"clearance is not shown beyond {at:.6g} s, where {proof.checks:,} checks are used up"
+    if proof.nearest is not None:
+        near = proof.nearest
+        yield f"link {near.link!r} comes to {1e3 * near.distance_m:.3g} mm of {near.other}; to be shown: {wanted}"
+
+
+def _nearest(contacts: Iterable[Contact | None]) -> Contact | None:
+    """The contact at the smallest distance; None for none."""
+    found = [contact for contact in contacts if contact is not None]
+    return found[ties.argmin([contact.distance_m for contact in found])] if found else None
+
+
+def _times(trajectory: Trajectory, pieces: slice) -> tuple[float, float]:
+    """When a range of a motion's cubics begins and ends [s]."""
+    last = trajectory.samples - 1
+    return float(trajectory.time[min(pieces.start, last)]), float(trajectory.time[min(pieces.stop, last)])
+
+
+def _fastest(bezier: FloatArray, duration: FloatArray) -> FloatArray:
+    """(pieces, dof) bounds of |velocity| within each cubic: it lies in the hull of its Bezier points [rad/s]."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        fastest: FloatArray = 3.0 * np.abs(np.diff(bezier, axis=1)).max(axis=1) / duration[:, None]
+    return fastest

@@ -1,0 +1,96 @@
+"""Use of the joint limits along a motion of cubics between rows, bounded for all times."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hplan.base.arrays import FloatArray
+from hplan.robot.model import Robot
+from hplan.timing.trajectory import Trajectory
+from hplan.verification.torque_bound import largest_torques
+
+
+@dataclass(frozen=True)
+class LimitUse:
+    """Upper bound of the share of each limit that a trajectory uses, at all times; infinite where numbers overflow.
+
+    Attributes:
+        position: Largest distance from the middle of the joint range, as a share of half the range: 1 at a limit.
+        velocity: Largest |velocity| / limit.
+        acceleration: Largest |acceleration| / limit.
+        torque: Largest |torque| / limit.
+    """
+
+    position: float
+    velocity: float
+    acceleration: float
+    torque: float
+
+
+def cubic_pieces(trajectory: Trajectory) -> tuple[FloatArray, FloatArray]:
+    """The cubics between the rows of a trajectory, with the rows' positions and velocities.
+
+    Returns:
+        (pieces, 4, dof) Bezier points [rad] and (pieces,) durations [s]; of a single row one constant piece of 1 s.
+        Points are not finite where numbers overflow.
+    """
+    q, v = trajectory.position, trajectory.velocity
+    if len(q) == 1:
+        return np.repeat(q[:, None, :], 4, axis=1), np.ones(1)
+    duration = np.diff(trajectory.time)
+    third = duration[:, None] / 3.0
+    with np.errstate(over="ignore", invalid="ignore"):
+        return np.stack([q[:-1], q[:-1] + third * v[:-1], q[1:] - third * v[1:], q[1:]], axis=1), duration
+
+
+def limit_use(robot: Robot, trajectory: Trajectory, bezier: FloatArray, duration: FloatArray) -> LimitUse:
+    """Bound the use of each limit over a motion's cubics, and by its columns for velocity, acceleration and torque.
+
+    Positions lie in the hull of the Bezier points, the acceleration is linear within a piece, and the velocity has its
+    extremes at rows or where the acceleration is zero; torques as in `hplan.verification.torque_bound`.
+
+    Args:
+        robot: The arm.
+        trajectory: The motion.
+        bezier: (pieces, 4, dof) its cubics.
+        duration: (pieces,) their durations [s].
+    """
+    middle, half = 0.5 * (robot.lower + robot.upper), 0.5 * (robot.upper - robot.lower)
+    h = duration[:, None]
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        position = np.abs(bezier - middle).max(axis=(0, 1)) / half
+        # Derivatives of the cubic: velocity (quadratic, three Bezier points), acceleration (linear, its two ends).
+        velocity = 3.0 * np.diff(bezier, axis=1) / h[:, None]
+        acceleration = 2.0 * np.diff(velocity, axis=1) / h[:, None]
+        start, end = acceleration[:, 0], acceleration[:, 1]
+        turning = start * end < 0.0
+        at = np.where(turning, start / np.where(turning, start - end, 1.0), 0.0)
+        inner = velocity[:, 0] + h * at * (start + 0.5 * at * (end - start))
+        speeds = (velocity[:, 0], velocity[:, 2], inner, trajectory.velocity)
+        pushes = (start, end, trajectory.acceleration)
+        peak_velocity, peak_acceleration = (
+            np.max([np.abs(values).max(axis=0) for values in parts], axis=0) for parts in (speeds, pushes)
+        )
+    peak_torque = np.maximum(
+        largest_torques(robot.dynamics, bezier, duration, robot.torque_limit), np.abs(trajectory.torque).max(axis=0)
+    )
+    return LimitUse(
+        position=_finite_or_inf(position),
+        velocity=_share(peak_velocity, robot.velocity_limit),
+        acceleration=_share(peak_acceleration, robot.acceleration_limit),
+        torque=_share(peak_torque, robot.torque_limit),
+    )
+
+
+def _share(peak: FloatArray, limit: FloatArray) -> float:
+    """Largest share of a limit; a joint that does not move may have a limit of zero."""
+    idle = (peak <= 1e-9) & (limit <= 0.0)
+    with np.errstate(over="ignore"):
+        return _finite_or_inf(np.where(idle, 0.0, peak / np.where(limit > 0.0, limit, 1e-300)))
+
+
+def _finite_or_inf(shares: FloatArray) -> float:
+    """The largest of some shares; infinite where one is not a number."""
+    return float(np.where(np.isnan(shares), np.inf, shares).max())

@@ -1,0 +1,111 @@
+"""A motion, whoever made it: positions and velocities over time, and their CSV."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from hplan.base.arguments import list_of
+from hplan.base.array_arguments import numbers
+from hplan.base.arrays import FloatArray, Record, readonly
+from hplan.base.csv_file import CsvFile
+from hplan.errors import InputError
+
+_POSITION, _VELOCITY = "_pos_rad", "_vel_rad_s"
+
+
+class Movement(Protocol):
+    """What is needed of a motion; a `Trajectory` has it, and so has a `Motion`."""
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the joints."""
+
+    @property
+    def time(self) -> FloatArray:
+        """(n,) strictly increasing [s]."""
+
+    @property
+    def position(self) -> FloatArray:
+        """(n, joints)."""
+
+    @property
+    def velocity(self) -> FloatArray:
+        """(n, joints) [rad/s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Motion(Record):
+    """Positions and velocities over time, from wherever they come.
+
+    Attributes:
+        joint_names: Names of the joints.
+        time: (n,) strictly increasing [s].
+        position: (n, joints).
+        velocity: (n, joints) [rad/s].
+    """
+
+    joint_names: tuple[str, ...]
+    time: FloatArray
+    position: FloatArray
+    velocity: FloatArray
+
+    @classmethod
+    def from_positions(cls, joint_names: Sequence[str], time: FloatArray, position: FloatArray) -> Motion:
+        """The motion through positions, from rest to rest.
+
+        A row's velocity is that of the parabola through it and its neighbours; the first and last rows are at rest.
+
+        Args:
+            joint_names: Names of the joints.
+            time: (n,) strictly increasing [s].
+            position: (n, joints).
+
+        Raises:
+            InputError: One of them is no such list of finite numbers, or time does not increase.
+        """
+        joint_names = list_of("joint_names", joint_names, str, "names")
+        time = numbers("time", time, (None,))
+        if not len(time) or not (np.diff(time) > 0.0).all():
+            raise InputError("time: expected at least one value, each later than the one before")
+        position = numbers("position", position, (len(time), len(joint_names)))
+        velocity = np.zeros_like(position)
+        if len(time) > 2:
+            before, after = np.diff(time)[:-1, None], np.diff(time)[1:, None]
+            slopes = np.diff(position, axis=0) / np.diff(time)[:, None]
+            velocity[1:-1] = (after * slopes[:-1] + before * slopes[1:]) / (before + after)
+        return cls(tuple(joint_names), readonly(time), readonly(position), readonly(velocity))
+
+
+def read_motion(path: Path | str) -> Motion:
+    """Read a CSV of a motion, whoever wrote it.
+
+    One header line; needed are `time_s` and a column `NAME_pos_rad` for each joint, in any order. Velocities are
+    taken from columns `NAME_vel_rad_s` where every joint has one, else the motion is that through the positions from
+    rest to rest (see `Motion.from_positions`). Other columns are ignored, so hplan's own files can be read.
+
+    Raises:
+        InputError: Missing file, missing or repeated columns, a cell that is no finite number, time that does not
+            increase strictly; names the line.
+    """
+    file = CsvFile.read(path, "motion", "row")
+    header = [name.strip() for name in file.header]
+    joints = tuple(name.removesuffix(_POSITION) for name in header if name.endswith(_POSITION))
+    if "time_s" not in header or not joints:
+        raise file.fault(1, f"expected a header with the columns time_s and, for each joint, NAME{_POSITION}")
+    twice = sorted({name for name in header if header.count(name) > 1})
+    if twice:
+        raise file.fault(1, f"column {twice[0]!r} is there twice")
+    wanted = ["time_s", *(joint + _POSITION for joint in joints)]
+    velocities = [joint + _VELOCITY for joint in joints]
+    if set(velocities) <= set(header):
+        wanted += velocities
+    table = np.array([row for _, _, row in file.timed_rows([header.index(name) for name in wanted])])
+    time, position = table[:, 0], table[:, 1 : len(joints) + 1]
+    if len(wanted) == len(joints) + 1:
+        return Motion.from_positions(joints, time, position)
+    return Motion(joints, readonly(time), readonly(position), readonly(table[:, len(joints) + 1 :]))

@@ -1,0 +1,440 @@
+r"""A motion, executed: tracked by a simulated arm with torque motors among the scene's obstacles (MuJoCo).
+
+The certificate proves a curve; this looks at what a machine makes of it, whoever planned it. MuJoCo reads the same
+URDF, with the obstacles as solid bodies; it shares no code with planner, certificate or coal. A thousand times a
+second the controller takes the reference between the rows as the cubic that has the rows' positions and velocities
+(cubic Hermite) and commands
+
+.. math::
+    \tau = \mathrm{rnea}(q_d, \dot q_d, \ddot q_d) + K_p (q_d - q) + K_d (\dot q_d - \dot q)
+
+with gains for the plant's bandwidth and critical damping on each joint's largest inertia along the motion. The motors
+give no more than their limits. Contacts between the arm and an obstacle push back, and are reported; the arm does not
+touch itself or the ground here. After the last row the controller holds it for `HOLD` seconds, so that a motion that
+does not end at rest shows it.
+
+The simulated arm has the URDF's masses and the controller knows them, so what is seen is the motion's own doing, not
+that of a wrong model, friction or flexing. A `Plant` may differ: its masses are others than the controller believes,
+and commands reach it late. How far the joints then are from the reference can be held against a model of tracking
+errors (`Execution.is_within`).
+
+MuJoCo comes with the extra `execution`: `pip install 'hplan[execution]'`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+from typing import Any, assert_never
+
+import numpy as np
+import pinocchio as pin
+
+from hplan.base import ties
+from hplan.base.arguments import instance
+from hplan.base.arrays import FloatArray, Record, readonly
+from hplan.collision.coal_scene import CollisionScene, Contact
+from hplan.errors import InputError, OptionError, RobotFileError
+from hplan.robot.model import Robot
+from hplan.robot.tracking import TrackingModel
+from hplan.scene.model import Box, Capsule, Scene, Solid, Sphere
+from hplan.scene.solids import Cloud, Hull
+from hplan.verification.plant import Plant
+from hplan.verification.recorded_motion import Movement
+
+#: Period of the controller [s].
+CONTROL_PERIOD = 1e-3
+
+#: Steps of the simulation for each of the controller's.
+SUBSTEPS = 4
+
+#: How long the last row is held [s].
+HOLD = 0.25
+
+#: Error of each joint up to which a configuration counts as reached [rad].
+GOAL_TOLERANCE = math.radians(0.5)
+
+#: Most balls of a cloud that MuJoCo is given.
+MOST_BALLS = 2_000
+
+#: Rows at which inertias are looked at for the gains.
+_INERTIA_SAMPLES = 50
+
+
+@dataclass(frozen=True)
+class Touch:
+    """A link and an obstacle that touched.
+
+    Attributes:
+        time_s: When they first did [s].
+        link: The link, by its name in the URDF.
+        obstacle: The obstacle.
+        depth_m: Largest depth to which one was pushed into the other [m].
+    """
+
+    time_s: float
+    link: str
+    obstacle: str
+    depth_m: float
+
+
+@dataclass(frozen=True, eq=False)
+class Execution(Record):
+    """What became of a motion. Joints are in the robot's order.
+
+    Attributes:
+        joint_names: Names of the `dof` joints.
+        duration_s: Time of the last row, counted from the first [s].
+        contacts: Pairs that touched, in the order of their first touch.
+        start_error_rad: Largest difference of a joint between the first row and the scene's start; NaN where the
+            scene gives no joints.
+        max_tracking_error_rad: (dof,) largest deviation from the reference, the hold included.
+        final_error_rad: (dof,) largest deviation from the goal between the last row and the end of the hold. The goal
+            is the scene's where it gives joints, else the last row.
+        ended_at_goal: Whether that is at most `GOAL_TOLERANCE` for every joint.
+        needed_torque_nm: (dof,) largest torque that the motion itself needs, by inverse dynamics [N m].
+        peak_torque_nm: (dof,) largest torque that the controller asked for [N m]; far more where the arm was held up.
+        torque_limit_nm: (dof,) the most that the motors give [N m].
+        saturated_s: Time during which some motor was asked for more than that [s].
+        nearest: Link and obstacle at the smallest distance at any of `time`, by coal with capsule links; None without
+            obstacles.
+        time: (k,) instants of the controller [s].
+        position: (k, dof) where the joints were.
+        reference: (k, dof) where they should have been.
+        reference_velocity: (k, dof) the velocity that they should have had [rad/s].
+    """
+
+    joint_names: tuple[str, ...]
+    duration_s: float
+    contacts: tuple[Touch, ...]
+    start_error_rad: float
+    max_tracking_error_rad: tuple[float, ...]
+    final_error_rad: tuple[float, ...]
+    ended_at_goal: bool
+    needed_torque_nm: tuple[float, ...]
+    peak_torque_nm: tuple[float, ...]
+    torque_limit_nm: tuple[float, ...]
+    saturated_s: float
+    nearest: Contact | None
+    time: FloatArray
+    position: FloatArray
+    reference: FloatArray
+    reference_velocity: FloatArray
+
+    def is_within(self, tracking: TrackingModel) -> bool:
+        """Whether no joint was ever farther from its reference than a model of tracking errors allows."""
+        off = np.abs(self.position - self.reference)
+        return bool((off <= tracking.deviations(self.reference_velocity)).all())
+
+    @property
+    def ok(self) -> bool:
+        """Whether nothing was touched and the arm ended at the goal."""
+        return not self.contacts and self.ended_at_goal
+
+    @property
+    def torque_exceeded(self) -> tuple[str, ...]:
+        """Joints of which more torque was asked than their motors give."""
+        both = zip(self.joint_names, self.peak_torque_nm, self.torque_limit_nm, strict=True)
+        return tuple(name for name, peak, limit in both if peak > limit)
+
+
+def execute(robot: Robot, scene: Scene, motion: Movement, plant: Plant | None = None) -> Execution:
+    """Let a simulated arm run a motion among the obstacles of a scene.
+
+    The arm starts in the motion's first row, at that row's velocity. What the planar joints do not move is executed
+    too: a turret that strikes an obstacle is a contact.
+
+    Args:
+        robot: The arm; MuJoCo reads its URDF.
+        scene: Obstacles, start and goal.
+        motion: The motion; its joints are the robot's, in any order.
+        plant: How the simulated machine differs; None where it does not.
+
+    Raises:
+        InputError: MuJoCo is not installed; the motion has other joints than the robot, time that does not increase
+            or values that are not finite; the scene's start or goal is not one of this robot.
+        RobotFileError: MuJoCo refuses the URDF.
+    """
+    instance("robot", robot, Robot, "load_robot")
+    instance("scene", scene, Scene, "load_scene")
+    if not all(hasattr(motion, name) for name in ("joint_names", "time", "position", "velocity")):
+        raise OptionError("motion", motion, "a Trajectory, as from plan, or a Motion, as from read_motion")
+    mujoco = _mujoco()
+    reference = _Reference.of(robot, motion)
+    start, goal = (_joints(robot, scene, which) for which in ("start", "goal"))
+    goal = reference.position[-1] if goal is None else goal
+    model, obstacle_of = _model(mujoco, robot, scene)
+    plant = Plant() if plant is None else plant
+    return _Simulation(mujoco, robot, model, obstacle_of, reference, plant).run(scene, start, goal)
+
+
+@dataclass(frozen=True, eq=False)
+class _Reference:
+    """A motion in the robot's order of joints, with time from 0."""
+
+    time: FloatArray
+    position: FloatArray
+    velocity: FloatArray
+
+    @classmethod
+    def of(cls, robot: Robot, motion: Movement) -> _Reference:
+        names = tuple(motion.joint_names)
+        if sorted(names) != sorted(robot.joint_names):
+            missing = [name for name in robot.joint_names if name not in names]
+            unknown = [name for name in names if name not in robot.joint_names]
+            reason = f"missing {', '.join(missing) or 'none'}; unknown {', '.join(unknown) or 'none'}"
+            raise InputError(f"the motion does not move the joints of {robot.name!r}: {reason}", joints=list(names))
+        order = [names.index(name) for name in robot.joint_names]
+        time = np.asarray(motion.time, dtype=np.float64)
+        position, velocity = (np.asarray(values, dtype=np.float64) for values in (motion.position, motion.velocity))
+        shape = (len(time), len(names))
+        if time.ndim != 1 or len(time) == 0 or position.shape != shape or velocity.shape != shape:
+            shapes = f"{time.shape}, {position.shape} and {velocity.shape}"
+            raise InputError(f"motion: time, position and velocity have the shapes {shapes}, which do not match")
+        if not all(np.isfinite(values).all() for values in (time, position, velocity)):
+            raise InputError("motion: it holds a value that is not finite")
+        if not (np.diff(time) > 0.0).all():
+            raise InputError(f"motion: time does not increase at row {int(np.argmin(np.diff(time) > 0.0)) + 1}")
+        return cls(time - time[0], position[:, order], velocity[:, order])
+
+    def at(self, clock: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Position, velocity and acceleration at instants, (k,) -> three of (k, dof); after the end, at rest there."""
+        if len(self.time) == 1:
+            q = np.repeat(self.position, len(clock), axis=0)
+            return q, np.zeros_like(q), np.zeros_like(q)
+        piece = np.clip(np.searchsorted(self.time, clock, side="right") - 1, 0, len(self.time) - 2)
+        h = (self.time[piece + 1] - self.time[piece])[:, None]
+        t = np.minimum((clock - self.time[piece])[:, None] / h, 1.0)
+        p0, p1 = self.position[piece], self.position[piece + 1]
+        m0, m1 = h * self.velocity[piece], h * self.velocity[piece + 1]
+        c2, c3 = 3.0 * (p1 - p0) - 2.0 * m0 - m1, 2.0 * (p0 - p1) + m0 + m1
+        q = p0 + t * (m0 + t * (c2 + t * c3))
+        v = (m0 + t * (2.0 * c2 + 3.0 * t * c3)) / h
+        a = (2.0 * c2 + 6.0 * t * c3) / h**2
+        over = (clock > self.time[-1])[:, None]
+        return np.where(over, self.position[-1], q), np.where(over, 0.0, v), np.where(over, 0.0, a)
+
+
+class _Simulation:
+    """One arm in one world, about to run one motion."""
+
+    def __init__(
+        self,
+        mujoco: ModuleType,
+        robot: Robot,
+        model: Any,
+        obstacle_of: dict[int, str],
+        reference: _Reference,
+        plant: Plant,
+    ) -> None:
+        self.mujoco, self.robot, self.model, self.obstacle_of = mujoco, robot, model, obstacle_of
+        self.reference, self.plant = reference, plant
+        self.pin_data = robot.model.createData()
+        model.body_mass[:] *= plant.mass_factor
+        model.body_inertia[:] *= plant.mass_factor
+        self.data = mujoco.MjData(model)
+        joints = [model.joint(name) for name in robot.joint_names]
+        self.q_at = np.array([int(joint.qposadr[0]) for joint in joints])
+        self.v_at = np.array([int(joint.dofadr[0]) for joint in joints])
+        self.motors = np.array([model.actuator(name).id for name in robot.joint_names])
+        self.touched: dict[tuple[str, str], tuple[float, float]] = {}
+
+    def run(self, scene: Scene, start: FloatArray | None, goal: FloatArray) -> Execution:
+        """Track the reference and hold its end."""
+        duration = float(self.reference.time[-1])
+        ticks = math.ceil(duration / CONTROL_PERIOD - 1e-9) + math.ceil(HOLD / CONTROL_PERIOD)
+        clock: FloatArray = CONTROL_PERIOD * np.arange(ticks + 1, dtype=np.float64)
+        q_ref, v_ref, _ = self.reference.at(clock)
+        # What the controller follows comes late; before it comes the arm is held, or goes on, as it begins.
+        late = clock - self.plant.command_delay_s
+        q_late, v_late, a_late = self.reference.at(np.maximum(late, 0.0))
+        q_late = q_late + np.minimum(late, 0.0)[:, None] * v_late
+        a_late[late < 0.0] = 0.0
+        rows = zip(q_late, v_late, a_late, strict=True)
+        feed = np.array([pin.rnea(self.robot.model, self.pin_data, *row) for row in rows])
+        stiffness, damping = self._gains(q_ref)
+        limit = self.robot.torque_limit
+        self.data.qpos[self.q_at] = q_ref[0]
+        self.data.qvel[self.v_at] = v_ref[0]
+        self.mujoco.mj_forward(self.model, self.data)
+        self._note_contacts()
+        position = np.full_like(q_ref, np.nan)
+        torque = np.zeros_like(q_ref)
+        for k in range(len(clock)):
+            q, v = self.data.qpos[self.q_at], self.data.qvel[self.v_at]
+            if not (np.isfinite(q).all() and np.isfinite(v).all()):
+                break
+            position[k] = q
+            if k == ticks:
+                break
+            if self.plant.decoupled:
+                error = self.plant.bandwidth * (q_late[k] - q) + 2.0 * (v_late[k] - v)
+                torque[k] = feed[k] + self._inertia(q_late[k]) @ (self.plant.bandwidth * error)
+            else:
+                torque[k] = feed[k] + stiffness * (q_late[k] - q) + damping * (v_late[k] - v)
+            self.data.ctrl[self.motors] = np.clip(torque[k], -limit, limit)
+            for _ in range(SUBSTEPS):
+                self.mujoco.mj_step(self.model, self.data)
+                self._note_contacts()
+        # A simulation that ran away counts as infinitely far off.
+        error = np.nan_to_num(np.abs(position - q_ref), nan=np.inf).max(axis=0)
+        resting = clock >= duration - 1e-9
+        final = np.nan_to_num(np.abs(position[resting] - goal), nan=np.inf).max(axis=0)
+        contacts = [Touch(time, *pair, depth) for pair, (time, depth) in self.touched.items()]
+        return Execution(
+            joint_names=self.robot.joint_names,
+            duration_s=duration,
+            contacts=tuple(contacts),
+            start_error_rad=math.nan if start is None else float(np.abs(q_ref[0] - start).max()),
+            max_tracking_error_rad=tuple(error.tolist()),
+            final_error_rad=tuple(final.tolist()),
+            ended_at_goal=bool((final <= GOAL_TOLERANCE).all()),
+            needed_torque_nm=tuple(np.abs(feed).max(axis=0).tolist()),
+            peak_torque_nm=tuple(np.abs(torque).max(axis=0).tolist()),
+            torque_limit_nm=tuple(limit.tolist()),
+            saturated_s=float((np.abs(torque) > limit).any(axis=1).sum() * CONTROL_PERIOD),
+            nearest=_nearest(self.robot, scene, position),
+            time=readonly(clock),
+            position=readonly(position),
+            reference=readonly(q_ref),
+            reference_velocity=readonly(v_ref),
+        )
+
+    def _gains(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Stiffness [N m/rad] and damping [N m s/rad] of each joint."""
+        rows = np.unique(np.linspace(0, len(q) - 1, _INERTIA_SAMPLES).astype(np.int64))
+        inertia = np.max([np.diag(self._inertia(q[row])) for row in rows], axis=0)
+        bandwidth = self.plant.bandwidth
+        return bandwidth**2 * inertia, 2.0 * bandwidth * inertia
+
+    def _inertia(self, q: FloatArray) -> FloatArray:
+        """(dof, dof) inertia matrix that the controller knows, symmetric."""
+        upper = np.triu(pin.crba(self.robot.model, self.pin_data, q))
+        return np.asarray(upper + np.triu(upper, 1).T)
+
+    def _note_contacts(self) -> None:
+        """Keep the first time and the largest depth of each pair that touches now."""
+        for number in range(self.data.ncon):
+            contact = self.data.contact[number]
+            geoms = [int(geom) for geom in contact.geom]
+            obstacle = next(self.obstacle_of[geom] for geom in geoms if geom in self.obstacle_of)
+            other = next(geom for geom in geoms if geom not in self.obstacle_of)
+            link = self.model.body(self.model.geom_bodyid[other]).name
+            depth = max(0.0, -float(contact.dist))
+            time, deepest = self.touched.get((link, obstacle), (float(self.data.time), 0.0))
+            self.touched[link, obstacle] = (time, max(deepest, depth))
+
+
+def _mujoco() -> ModuleType:
+    try:
+        import mujoco
+    except ImportError as error:
+        raise InputError(
+            "executing a motion needs MuJoCo, which is not installed: pip install 'hplan[execution]'", extra="execution"
+        ) from error
+    module: ModuleType = mujoco
+    return module
+
+
+def _model(mujoco: ModuleType, robot: Robot, scene: Scene) -> tuple[Any, dict[int, str]]:
+    """The arm with motors among the obstacles, and the obstacle's name for each geometry that is one."""
+    try:
+        spec = mujoco.MjSpec.from_file(str(robot.urdf_path))
+    except ValueError as error:
+        raise RobotFileError(robot.urdf_path, f"MuJoCo refuses it: {error}") from error
+    for mesh in spec.meshes:
+        mesh.file = _mesh_file(mesh.file, robot.urdf_path.parent)
+    spec.option.timestep = CONTROL_PERIOD / SUBSTEPS
+    spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+    for geom in spec.geoms:
+        # Two geometries meet where a bit is in the type of one and the affinity of the other: arm and obstacle only.
+        geom.contype, geom.conaffinity = int(bool(geom.contype or geom.conaffinity)), 0
+    for name, limit in zip(robot.joint_names, robot.torque_limit.tolist(), strict=True):
+        motor = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)  # a motor, of gain 1
+        motor.ctrllimited, motor.ctrlrange = True, [-limit, limit]
+    names = {}
+    for number, obstacle in enumerate(scene.solids):
+        for part, shape in enumerate(_shapes(mujoco, spec, obstacle, number)):
+            label = f"obstacle:{number}:{part}"
+            names[label] = obstacle.name
+            spec.worldbody.add_geom(name=label, contype=0, conaffinity=1, **shape)
+    try:
+        model = spec.compile()
+    except ValueError as error:
+        raise RobotFileError(robot.urdf_path, f"MuJoCo refuses it: {error}") from error
+    return model, {model.geom(label).id: name for label, name in names.items()}
+
+
+def _mesh_file(name: str, folder: Path) -> str:
+    """A mesh of the URDF where Pinocchio finds it; MuJoCo knows no URLs, and has left one slash of theirs."""
+    scheme, colon, rest = name.partition(":")
+    if colon and scheme == "package":
+        return str((folder / rest.lstrip("/")).resolve())
+    if colon and scheme == "file":
+        return "/" + rest.lstrip("/")
+    return str((folder / name).resolve())
+
+
+def _shapes(mujoco: ModuleType, spec: Any, obstacle: Solid, number: int) -> list[dict[str, Any]]:
+    """An obstacle in MuJoCo's words.
+
+    Raises:
+        InputError: A cloud of more than `MOST_BALLS` balls.
+    """
+    kinds = mujoco.mjtGeom
+    if isinstance(obstacle, Sphere):
+        return [{"type": kinds.mjGEOM_SPHERE, "pos": obstacle.center, "size": [obstacle.radius, 0.0, 0.0]}]
+    if isinstance(obstacle, Capsule):
+        start, end = np.array(obstacle.start), np.array(obstacle.end)
+        length, middle = float(np.linalg.norm(end - start)), 0.5 * (start + end)
+        if length < 1e-9:
+            return [{"type": kinds.mjGEOM_SPHERE, "pos": middle, "size": [obstacle.radius, 0.0, 0.0]}]
+        turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), (end - start) / length)
+        size, quat = [obstacle.radius, 0.5 * length, 0.0], [turn.w, turn.x, turn.y, turn.z]
+        return [{"type": kinds.mjGEOM_CAPSULE, "pos": middle, "quat": quat, "size": size}]
+    if isinstance(obstacle, Box):
+        turn = pin.Quaternion(obstacle.rotation)
+        size, quat = [0.5 * side for side in obstacle.size], [turn.w, turn.x, turn.y, turn.z]
+        return [{"type": kinds.mjGEOM_BOX, "pos": obstacle.center, "quat": quat, "size": size}]
+    if isinstance(obstacle, Hull):
+        name = f"obstacle:{number}"
+        mesh = spec.add_mesh(name=name, uservert=_grown_vertices(obstacle).ravel())
+        mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # small pieces have too little volume for it
+        return [{"type": kinds.mjGEOM_MESH, "meshname": name}]
+    if isinstance(obstacle, Cloud):
+        if len(obstacle.core) > MOST_BALLS:
+            raise InputError(
+                f"obstacle {obstacle.name!r} has {len(obstacle.core)} balls, too many for MuJoCo; thin its points to "
+                f"at most {MOST_BALLS} to execute the motion",
+                obstacle=obstacle.name,
+                balls=len(obstacle.core),
+            )
+        size = [obstacle.rounding, 0.0, 0.0]
+        return [{"type": kinds.mjGEOM_SPHERE, "pos": center, "size": size} for center in obstacle.core]
+    assert_never(obstacle)
+
+
+def _grown_vertices(hull: Hull) -> FloatArray:
+    """(n, 3) points whose hull, which is what MuJoCo takes, holds a hull grown by its rounding [m].
+
+    A cube of that half edge about each vertex: nothing is farther outside than 0.74 of the rounding.
+    """
+    if hull.rounding == 0.0:
+        return hull.core
+    signs = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+    grown: FloatArray = (hull.core[:, None] + hull.rounding * signs).reshape(-1, 3)
+    return grown
+
+
+def _joints(robot: Robot, scene: Scene, which: str) -> FloatArray | None:
+    joints = (scene.start if which == "start" else scene.goal).joints()
+    return None if joints is None else robot.check_configuration(joints, which)
+
+
+def _nearest(robot: Robot, scene: Scene, position: FloatArray) -> Contact | None:
+    """The smallest distance at any of the configurations that are finite."""
+    judge = CollisionScene(robot, scene.solids)
+    found = [contact for q in position if np.isfinite(q).all() and (contact := judge.nearest(q)) is not None]
+    return found[ties.argmin([contact.distance_m for contact in found])] if found else None

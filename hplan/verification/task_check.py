@@ -1,0 +1,79 @@
+"""Whether a trajectory does what its scene asks for: where it begins and ends, and which joints stand still."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from hplan.base.arrays import FloatArray
+from hplan.problem.definition import locked_mask
+from hplan.problem.goal_contact import THERE, instant_at
+from hplan.robot.model import Robot
+from hplan.scene.model import Scene
+
+#: Difference between joint values that counts as none [rad]; of an approach angle too.
+SAME = 1e-5
+
+
+def task_violations(robot: Robot, scene: Scene, bezier: FloatArray) -> Iterator[str]:
+    """What of the scene's task a motion does not do, in words.
+
+    It begins at the start. It ends at the goal: at its joints, or with the tool at its position; at the fruit the tool
+    is at some row, since a motion that picks it goes back. There the last link has the approach angle that is asked
+    for. Locked joints stand still.
+
+    Args:
+        robot: The arm.
+        scene: The scene.
+        bezier: (pieces, 4, dof) Bezier points of the motion's cubics.
+
+    Raises:
+        InputError: Start, goal or locked joints of the scene do not fit the robot.
+    """
+    rows = np.vstack([bezier[:, 0], bezier[-1:, 3]])
+    start = robot.check_configuration(scene.start.configuration, "start")
+    yield from _apart(robot, "begins", rows[0], start, "start")
+    locked = np.flatnonzero(locked_mask(robot, scene.locked_joints))
+    for joint in locked.tolist():
+        moved = np.abs(bezier[..., joint] - start[joint]).max()
+        if not moved <= SAME:
+            yield f"joint {robot.joint_names[joint]!r} is locked, but moves by {moved:.4g} rad"
+    goal = scene.goal.joints()
+    if goal is not None:
+        yield from _apart(robot, "ends", rows[-1], robot.check_configuration(goal, "goal"), "goal")
+        return
+    fruit = next((fruit for fruit in scene.fruits if fruit.name == scene.goal.fruit), None)
+    if fruit is None:
+        row, what = len(rows) - 1, "position"
+        away = instant_at(robot, rows[-1:], np.array(scene.goal.position))[1]
+    else:
+        row, away = instant_at(robot, rows, fruit.center)
+        what = f"fruit {fruit.name!r}"
+    if not away <= THERE:
+        when = "ends with the tool" if fruit is None else "brings the tool no nearer than"
+        yield f"the motion {when} {1e3 * away:.4g} mm from the goal, {what}"
+    else:
+        yield from _approach(robot, scene, rows[row])
+
+
+def _apart(robot: Robot, what: str, q: FloatArray, asked: FloatArray, which: str) -> Iterator[str]:
+    """Where a motion begins or ends elsewhere."""
+    off = np.abs(q - asked)
+    joint = int(off.argmax())
+    if not off[joint] <= SAME:
+        yield f"the motion {what} with joint {robot.joint_names[joint]!r} {off[joint]:.4g} rad from the scene's {which}"
+
+
+def _approach(robot: Robot, scene: Scene, q: FloatArray) -> Iterator[str]:
+    """Where the last link comes at another angle than the goal asks for."""
+    if scene.goal.approach_deg is None:
+        return
+    asked = np.radians(np.atleast_1d(scene.goal.approach_deg))
+    low, width = asked[0], asked[-1] - asked[0]
+    direction = float((robot.arm.signs * q[robot.arm_slice] + robot.arm.offsets).sum())
+    beyond = (direction - low + SAME) % (2.0 * np.pi)
+    if beyond > width + 2.0 * SAME:
+        angle = np.degrees(np.pi - (np.pi - direction) % (2.0 * np.pi))
+        wanted = " to ".join(f"{end:g}" for end in np.degrees(asked[[0, -1] if width > 0.0 else [0]]))
+        yield f"the last link is at {angle:.4g} deg at the goal; asked for: {wanted} deg"

@@ -1,0 +1,234 @@
+r"""Upper bounds of joint torques along cubic motions: samples, and what a torque can do between two of them.
+
+Between two samples :math:`h` apart a twice differentiable function exceeds the larger of them by no more than
+:math:`h^2 / 8 \max |\ddot \tau|` (the error of linear interpolation). So the torque of joint j on a cubic piece obeys
+
+.. math:: |\tau_j(t)| \le \max(|\tau_j(t_0)|, |\tau_j(t_1)|) + \tfrac18 (t_1 - t_0)^2 \, T_j,
+
+with both samples taken *on that piece*: the acceleration may jump where pieces meet. :math:`T_j` bounds
+:math:`|\ddot \tau_j|`. It follows from the recursive Newton-Euler equations in world coordinates,
+
+.. math::
+    \tau_j = z_j \cdot n_j, \quad n_j = \sum_{i \ge j} \bigl( (c_i - o_j) \times m_i (\ddot c_i - g)
+        + \tfrac{d}{dt} (I_i \omega_i) \bigr),
+
+by bounding the norm of each vector and of its time derivatives, from the base outward and back:
+
+- products: :math:`|(x y)^{(n)}| \le \sum_k \binom nk |x^{(k)}| |y^{(n - k)}|` (Leibniz);
+- a vector fixed in a body turns with it, :math:`\dot x = \omega \times x`; an inertia obeys
+  :math:`|\dot I| \le 2 |\omega| |I|`;
+- :math:`\omega_i = \omega_{i - 1} + z_i \dot q_i`, with :math:`|\dot q|, |\ddot q|, |\dddot q|` at most what the
+  Bezier points of the piece's derivatives say, and no fourth derivative.
+
+The rotor's share is linear in time and adds nothing. Pieces on which the bound could exceed the largest sample by more
+than a given share of the limit are halved, each time with a quarter of the remainder, up to a stated number of samples;
+what is not resolved then is bounded by what is known.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hplan.base.arrays import FloatArray, IntArray
+from hplan.base.kernels import any_int, kernel
+from hplan.errors import InputError
+from hplan.robot.dynamics import InverseDynamics, newton_euler
+
+#: How far the bound may lie above the largest sample, as a share of the limit, before pieces are halved.
+GAP = 5e-5
+
+#: Samples that halving may take: some, and for each piece.
+SAMPLES, SAMPLES_PER_PIECE = 20_000, 16
+
+#: Derivatives that are needed: of axes and inertias, and of vectors in bodies.
+_OF_AXES, _OF_VECTORS = any_int(3), any_int(4)
+
+_CHOOSE = np.array([[1.0, 0.0, 0.0, 0.0], [1.0, 1.0, 0.0, 0.0], [1.0, 2.0, 1.0, 0.0], [1.0, 3.0, 3.0, 1.0]])
+
+
+def largest_torques(
+    dynamics: InverseDynamics, bezier: FloatArray, duration: FloatArray, limit: FloatArray
+) -> FloatArray:
+    """Upper bounds of |torque| along a motion of cubic pieces.
+
+    Args:
+        dynamics: The arm's inverse dynamics.
+        bezier: (pieces, 4, dof) Bezier points [rad].
+        duration: (pieces,) durations [s].
+        limit: (dof,) torque limits, which say how close the bound has to be [N m].
+
+    Returns:
+        (dof,) bounds [N m]; the one nearest to its limit is at most `GAP` of the limit above the truth, unless the
+        motion is so fast, or its pieces so long, that the samples do not suffice. Infinite where numbers overflow.
+
+    Raises:
+        InputError: The model has joints that do not turn about fixed axes.
+    """
+    if dynamics.bodies is None or dynamics.sizes is None:
+        raise InputError("torques are bounded for joints that turn about fixed axes only")
+    most = SAMPLES + SAMPLES_PER_PIECE * len(bezier)
+    gravity = np.array(dynamics.model.gravity.linear)
+    scale = np.where(limit > 0.0, limit, 1.0)
+    with np.errstate(over="ignore", invalid="ignore"):
+        return _largest(bezier, duration, dynamics.bodies, dynamics.sizes, gravity, scale, GAP, most)
+
+
+@kernel
+def _largest(
+    bezier: FloatArray,
+    duration: FloatArray,
+    bodies: FloatArray,
+    sizes: FloatArray,
+    gravity: FloatArray,
+    scale: FloatArray,
+    gap: float,
+    most: int,
+) -> FloatArray:
+    count, dof = bezier.shape[0], bezier.shape[2]
+    slack = _remainders(bezier, duration, sizes, _norm(gravity))
+    # Open intervals: their pieces, where they begin, their lengths as a share of the piece, |torque| at both ends.
+    piece, begin, width = np.arange(count), np.zeros(count), np.ones(count)
+    first = _torques_at(bezier, duration, piece, begin, bodies, gravity)
+    last = _torques_at(bezier, duration, piece, width, bodies, gravity)
+    peak, bound, spent = np.zeros(dof), np.zeros(dof), 0
+    for i in range(count):
+        for j in range(dof):
+            peak[j] = max(peak[j], first[i, j], last[i, j])
+    while True:
+        enough = gap
+        for j in range(dof):
+            enough = max(enough, peak[j] / scale[j] + gap)
+        is_open = np.zeros(len(piece), dtype=np.bool_)
+        for i in range(len(piece)):
+            for j in range(dof):
+                high = max(first[i, j], last[i, j]) + width[i] * width[i] * slack[piece[i], j]
+                is_open[i] |= high > enough * scale[j]
+        halved = np.flatnonzero(is_open)
+        if spent + len(halved) > most:
+            halved = halved[:0]
+            is_open[:] = False
+        for i in range(len(piece)):
+            if not is_open[i]:
+                for j in range(dof):
+                    high = max(first[i, j], last[i, j]) + width[i] * width[i] * slack[piece[i], j]
+                    bound[j] = max(bound[j], high)
+        if len(halved) == 0:
+            return bound
+        spent += len(halved)
+        piece, begin, half = piece[halved], begin[halved], 0.5 * width[halved]
+        middle = _torques_at(bezier, duration, piece, begin + half, bodies, gravity)
+        for i in range(len(middle)):
+            for j in range(dof):
+                peak[j] = max(peak[j], middle[i, j])
+        first = np.concatenate((first[halved], middle))
+        last = np.concatenate((middle, last[halved]))
+        piece, width = np.concatenate((piece, piece)), np.concatenate((half, half))
+        begin = np.concatenate((begin, begin + half))
+
+
+@kernel
+def _norm(vector: FloatArray) -> float:
+    """Euclidean norm."""
+    total = 0.0
+    for value in vector:
+        total += value * value
+    return float(np.sqrt(total))
+
+
+@kernel
+def _torques_at(
+    bezier: FloatArray,
+    duration: FloatArray,
+    piece: IntArray,
+    at: FloatArray,
+    bodies: FloatArray,
+    gravity: FloatArray,
+) -> FloatArray:
+    """(n, dof) |torque| at places within pieces, infinite where it is not a number."""
+    count, dof = len(piece), bezier.shape[2]
+    q, v, a, torque = np.empty((count, dof)), np.empty((count, dof)), np.empty((count, dof)), np.empty((count, dof))
+    for i in range(count):
+        h, t = duration[piece[i]], at[i]
+        u = 1.0 - t
+        for j in range(dof):
+            p0, p1, p2, p3 = (
+                bezier[piece[i], 0, j],
+                bezier[piece[i], 1, j],
+                bezier[piece[i], 2, j],
+                bezier[piece[i], 3, j],
+            )
+            q[i, j] = u * u * u * p0 + 3.0 * u * u * t * p1 + 3.0 * u * t * t * p2 + t * t * t * p3
+            v[i, j] = 3.0 * (u * u * (p1 - p0) + 2.0 * u * t * (p2 - p1) + t * t * (p3 - p2)) / h
+            a[i, j] = 6.0 * (u * ((p2 - p1) - (p1 - p0)) + t * ((p3 - p2) - (p2 - p1))) / (h * h)
+    newton_euler(q, v, a, bodies, gravity, torque)
+    for i in range(count):
+        for j in range(dof):
+            value = abs(torque[i, j])
+            torque[i, j] = value if value < np.inf else np.inf
+    return torque
+
+
+@kernel
+def _remainders(bezier: FloatArray, duration: FloatArray, sizes: FloatArray, gravity: float) -> FloatArray:
+    """(pieces, dof) most by which |torque| within a piece can exceed its ends: h^2 / 8 times the bound of the text.
+
+    Rows of `w`, `z`, `s`, `d`, `tensor`, `acc`, `force`, `moment` are norms: of a body's angular velocity, of its
+    joint's axis, of the vectors from the parent's joint to its own and on to its centre of mass, of its inertia, of the
+    acceleration of its joint, of force and of moment there; column n is the n-th time derivative.
+    """
+    count, bodies = bezier.shape[0], sizes.shape[0]
+    w, acc = np.zeros((bodies + 1, 4)), np.zeros((bodies + 1, 3))  # the last row is the base's
+    acc[bodies, 0] = gravity
+    z, s, d = np.zeros((bodies, 4)), np.zeros((bodies, 5)), np.zeros((bodies, 5))
+    tensor, force, moment = np.zeros((bodies, 4)), np.zeros((bodies, 3)), np.zeros((bodies, 3))
+    rate = np.zeros(5)
+    slack = np.zeros((count, bodies))
+    for i in range(count):
+        h = duration[i]
+        for k in range(bodies):
+            p0, p1, p2, p3 = bezier[i, 0, k], bezier[i, 1, k], bezier[i, 2, k], bezier[i, 3, k]
+            rate[1] = 3.0 * max(abs(p1 - p0), abs(p2 - p1), abs(p3 - p2)) / h
+            rate[2] = 6.0 * max(abs((p2 - p1) - (p1 - p0)), abs((p3 - p2) - (p2 - p1))) / (h * h)
+            rate[3] = 6.0 * abs((p3 - p2) - 2.0 * (p2 - p1) + (p1 - p0)) / (h * h * h)
+            above = int(sizes[k, 4])
+            z[k, 0], s[k, 0], d[k, 0], tensor[k, 0] = 1.0, sizes[k, 0], sizes[k, 1], sizes[k, 3]
+            _turned(w[above], z[k], _OF_AXES, 1.0)
+            _turned(w[above], s[k], _OF_VECTORS, 1.0)
+            for n in range(4):
+                w[k, n] = w[above, n]
+                for m in range(n + 1):
+                    w[k, n] += _CHOOSE[n, m] * z[k, m] * rate[n - m + 1]
+            _turned(w[k], d[k], _OF_VECTORS, 1.0)
+            _turned(w[k], tensor[k], _OF_AXES, 2.0)
+            for n in range(3):
+                acc[k, n] = acc[above, n] + s[k, n + 2]
+                force[k, n] = sizes[k, 2] * (acc[k, n] + d[k, n + 2])
+                moment[k, n] = 0.0
+                for m in range(n + 2):
+                    moment[k, n] += _CHOOSE[n + 1, m] * tensor[k, m] * w[k, n + 1 - m]
+                for m in range(n + 1):
+                    moment[k, n] += _CHOOSE[n, m] * d[k, m] * force[k, n - m]
+        for k in range(bodies - 1, -1, -1):
+            above = int(sizes[k, 4])
+            bend = 0.0
+            for m in range(3):
+                bend += _CHOOSE[2, m] * z[k, m] * moment[k, 2 - m]
+            if bend > 0.0:  # else it may be zero by infinity, in a long pause
+                bend *= 0.125 * h * h
+            slack[i, k] = bend if bend < np.inf else np.inf
+            if above < bodies:
+                for n in range(3):
+                    force[above, n] += force[k, n]
+                    moment[above, n] += moment[k, n]
+                    for m in range(n + 1):
+                        moment[above, n] += _CHOOSE[n, m] * s[k, m] * force[k, n - m]
+    return slack
+
+
+@kernel
+def _turned(w: FloatArray, x: FloatArray, orders: int, factor: float) -> None:
+    """Fill in the derivatives up to an order of what turns with a body."""
+    for n in range(orders):
+        x[n + 1] = 0.0
+        for m in range(n + 1):
+            x[n + 1] += factor * _CHOOSE[n, m] * w[m] * x[n - m]

@@ -1,0 +1,347 @@
+"""What the page shows, as commands to meshcat's viewer: arm, scene, tool path, ghosts, ground, lights and camera.
+
+The commands are plain dictionaries, the same for the page in a file and for the live server, and the same on every run.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Protocol
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from hplan.base.arrays import FloatArray
+from hplan.errors import InputError
+from hplan.robot.model import Robot
+from hplan.scene.model import Scene, Solid
+from hplan.timing.trajectory import Trajectory
+from hplan.view import framing, scenery
+from hplan.view import three_js as three
+from hplan.view.commands import ROOT, animation, clip, node, set_object, set_transform, turning
+from hplan.view.framing import Frame
+from hplan.view.three_js import Body, Json
+
+#: Most keyframes for each second of motion, and most of a whole motion: pages of long tours stay small.
+FRAME_RATE_HZ = 60.0
+MOST_FRAMES = 2400
+#: Rest at the goal before the motion starts again [s].
+REST_S = 1.0
+
+START_COLOR = 0x3D7EFF
+GOAL_COLOR = 0x12A150
+APPROACH_COLOR = 0xF08A1D
+
+_GRID_COLOR = (0.35, 0.42, 0.50)
+
+#: The camera stands to the side of the arm plane, turned forwards, or backwards, by this and raised by this [deg].
+_AZIMUTH_DEG = 32.0
+_ELEVATION_DEG = 17.0
+
+#: Rings of all tubes of the tool path together, about, and how far apart they are at least [m].
+_RINGS, _RING_SPACING = 900, 0.02
+
+
+class Stretch(Protocol):
+    """A part of a motion, as `hplan.planning.plan.Phase` is one: its name, when it begins and ends [s]."""
+
+    @property
+    def name(self) -> str:
+        """`approach`, `retreat`, or another name."""
+
+    @property
+    def start_s(self) -> float:
+        """When it begins [s]."""
+
+    @property
+    def end_s(self) -> float:
+        """When it ends [s]."""
+
+
+def stage(
+    robot: Robot,
+    scene: Scene,
+    trajectory: Trajectory,
+    *,
+    picked: Mapping[str, float] | None = None,
+    dropped: Mapping[str, float] | None = None,
+    phases: Sequence[Stretch] = (),
+) -> list[Json]:
+    """Everything on the page.
+
+    Args:
+        robot: The arm.
+        scene: What stands around it.
+        trajectory: The motion; with a single sample the arm stands still.
+        picked: Fruit and when the tool reaches it [s]; it changes its colour then, and moves with the tool.
+        dropped: Fruit and when the tool lets it go [s]; where it is not named, that is at the end of the retreat.
+        phases: Parts of the motion; `approach` is drawn in a colour of its own, `retreat` is the way back.
+
+    Returns:
+        Commands for meshcat's viewer, in the order in which they are to be handled.
+
+    Raises:
+        InputError: The trajectory is of other joints than the robot's; `picked` names a fruit that the scene does not
+            have, or a time outside the motion.
+    """
+    if trajectory.joint_names != robot.joint_names:
+        got, expected = ", ".join(trajectory.joint_names), ", ".join(robot.joint_names)
+        raise InputError(
+            f"the trajectory moves {got}; the joints of {robot.name!r} are {expected}",
+            expected=list(robot.joint_names),
+            got=list(trajectory.joint_names),
+        )
+    retreats = [(phase.start_s, phase.end_s) for phase in phases if phase.name == "retreat"]
+    picks = scenery.picks(scene, picked or {}, dropped or {}, retreats, trajectory.duration)
+    view = _frame(robot, scene, trajectory, [_row_at(trajectory, pick.since) for pick in picks])
+    commands = [
+        *framing.lights(view),
+        *framing.camera(view),
+        # The viewer's camera can only circle the world's origin, so the world is moved there.
+        set_transform(ROOT, three.transform(position=-view.target)),
+        set_object(f"{ROOT}/ground", _ground(view)),
+        *scenery.obstacles(scene),
+        *scenery.fruits(scene, goal=scene.goal.fruit if len(picks) < 2 else None),
+        *_arm(robot, trajectory.position[0]),
+    ]
+    if trajectory.samples > 1:
+        # One ghost for the goal would say little of several.
+        if len(picks) < 2:
+            last = _row_at(trajectory, picks[0].since if picks else trajectory.duration)
+            commands.extend(_ghost(robot, trajectory.position[0], "start", START_COLOR, 1))
+            commands.extend(_ghost(robot, trajectory.position[last], "goal", GOAL_COLOR, 2))
+        commands.append(set_object(f"{ROOT}/tool path", _tool_path(robot, trajectory, phases)))
+        commands.extend(scenery.picked_fruits(picks))
+        commands.append(_animation(robot, trajectory, picks))
+    return commands
+
+
+def keyframe_times(trajectory: Trajectory) -> FloatArray:
+    """Times of the keyframes, (k,) from 0 to the end, at most `FRAME_RATE_HZ` of them a second and `MOST_FRAMES`."""
+    steps = min(trajectory.samples - 1, int(np.ceil(trajectory.duration * FRAME_RATE_HZ)), MOST_FRAMES)
+    if steps == trajectory.samples - 1:
+        return trajectory.time
+    times: FloatArray = np.linspace(0.0, trajectory.duration, steps + 1)
+    return times
+
+
+# The arm.
+
+
+def _joint_paths(model: pin.Model, top: str) -> list[str]:
+    """Path of the viewer's node for each joint of the model; a joint's node stands in its parent's."""
+    paths = [f"{ROOT}/{top}"]
+    for joint in range(1, model.njoints):
+        paths.append(f"{paths[model.parents[joint]]}/{node('joint', model.names[joint])}")
+    return paths
+
+
+def _arm(robot: Robot, q: FloatArray) -> list[Json]:
+    bodies: dict[int, Body] = defaultdict(Body)
+    for item in robot.visual_model.geometryObjects:
+        surface = three.material(three.color_of(item.meshColor), opacity=float(item.meshColor[3]))
+        shape, pose = item.geometry, item.placement.homogeneous
+        three.add_shape(bodies[item.parentJoint], shape, surface, pose, name=item.name)
+    return _posed(robot, q, "arm", bodies)
+
+
+def _ghost(robot: Robot, q: FloatArray, name: str, color: int, layer: int) -> list[Json]:
+    surface = three.ghost_material(color, 0.28, layer)
+    bodies: dict[int, Body] = defaultdict(Body)
+    # What stands below the shoulder is left out: at most it turns in place.
+    first = robot.model.getJointId(robot.arm.joint_names[0])
+    for item in robot.visual_model.geometryObjects:
+        if item.parentJoint >= first:
+            shape, pose = item.geometry, item.placement.homogeneous
+            three.add_shape(bodies[item.parentJoint], shape, surface, pose, name=item.name, shadow=False, order=2)
+    return _posed(robot, q, f"{name} pose", bodies)
+
+
+def _posed(robot: Robot, q: FloatArray, top: str, bodies: dict[int, Body]) -> list[Json]:
+    model, data = robot.model, robot.model.createData()
+    pin.forwardKinematics(model, data, q)
+    commands = []
+    for joint, path in enumerate(_joint_paths(model, top)):
+        if joint > 0:
+            commands.append(set_transform(path, data.liMi[joint].homogeneous))
+        if len(bodies[joint]) > 0:
+            commands.append(set_object(path, bodies[joint]))
+    return commands
+
+
+def _animation(robot: Robot, trajectory: Trajectory, picks: Sequence[scenery.Pick]) -> Json:
+    """Every joint's turn over time and the way of picked fruits, in seconds of the motion, again and again."""
+    model, data = robot.model, robot.model.createData()
+    times = keyframe_times(trajectory)
+    configurations = np.column_stack([np.interp(times, trajectory.time, column) for column in trajectory.position.T])
+    turns = np.empty((model.njoints, len(times) + 1, 4))
+    # The last key is repeated, so that the arm rests at the goal.
+    for k, q in enumerate(np.vstack([configurations, configurations[-1:]])):
+        pin.forwardKinematics(model, data, q)
+        for joint in range(1, model.njoints):
+            turns[joint, k] = pin.Quaternion(data.liMi[joint].rotation).coeffs()
+    end = trajectory.duration + REST_S
+    # A revolute joint moves in its parent's frame by turning alone: between keyframes the viewer's interpolation of
+    # the turn is exact.
+    clips = [
+        clip(path, turning([*times, end], turns[joint]))
+        for joint, path in enumerate(_joint_paths(model, "arm"))
+        if joint > 0
+    ]
+    return animation([*clips, *scenery.picked_clips(picks, times, robot.tool_positions(configurations), end)])
+
+
+def _row_at(trajectory: Trajectory, time: float) -> int:
+    """The row nearest to a time [s]."""
+    return int(np.argmin(np.abs(trajectory.time - time)))
+
+
+def _tool_path(robot: Robot, trajectory: Trajectory, phases: Iterable[Stretch]) -> Body:
+    """The tool's way as a tube that turns from the start's colour to the goal's, approaches apart; a ball each end."""
+    body = Body()
+    tool = robot.tool_positions(trajectory.position)
+    stretches = [
+        (phase.name, _row_at(trajectory, phase.start_s), _row_at(trajectory, phase.end_s))
+        for phase in phases
+        if phase.name != "retreat"  # the approach's way, backwards
+    ] or [("transit", 0, trajectory.samples - 1)]
+    last = stretches[-1][2]
+    for name, point, color in (("start", tool[0], START_COLOR), ("goal", tool[last], GOAL_COLOR)):
+        body.add(three.sphere(0.022), three.material(color), three.transform(position=point), name=name, shadow=False)
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(tool, axis=0), axis=1))])
+    surface = three.material(0xFFFFFF, kind="MeshLambertMaterial", vertexColors=True)
+    # The many ways of a tour are thinner.
+    radius, sides = (0.009, 10) if len(stretches) <= 3 else (0.005, 6)
+    for name, first, end in stretches:
+        length = float(along[end] - along[first])
+        if length > 1e-3:
+            # Evenly spaced along the way: slow stretches do not crowd.
+            count = max(int(np.ceil(length / max(_RING_SPACING, along[-1] / _RINGS))), 8)
+            stations = np.linspace(along[first], along[end], count + 1)
+            rows = slice(first, end + 1)
+            points = np.column_stack([np.interp(stations, along[rows], axis) for axis in tool[rows].T])
+            share = stations[:, None] / along[last]
+            colors = (1.0 - share) * _rgb(START_COLOR) + share * _rgb(GOAL_COLOR)
+            if name == "approach":
+                colors = np.tile(_rgb(APPROACH_COLOR), (count + 1, 1))
+            tube = three.tube(points, 1.2 * radius if name == "approach" else radius, colors, sides=sides)
+            body.add(tube, surface, name="way" if name == "transit" else name, shadow=False)
+    return body
+
+
+# Ground and camera.
+
+
+def _frame(robot: Robot, scene: Scene, trajectory: Trajectory, picks: Sequence[int]) -> Frame:
+    """Place the camera so that arm and scene fill the picture and the arm plane is seen from the side.
+
+    Where several fruits are picked, it is the plane in the middle of those picks. Of the four sides, before and behind
+    the arm, that is taken from which the least of the arm and its way is hidden.
+    """
+    count = min(25 * max(1, len(picks)), 100)
+    rows = np.unique([*np.linspace(0, trajectory.samples - 1, count).astype(int), *picks])
+    configurations = trajectory.position[rows]
+    yaws = [robot.yaw_of(q) for q in (trajectory.position[picks] if len(picks) > 1 else configurations)]
+    yaw = 0.5 * (min(yaws) + max(yaws))
+    elevation = np.radians(_ELEVATION_DEG)
+    arm = _arm_points(robot, configurations)
+    before, widths = _in_the_way(scene)
+    sides = yaw + np.radians([turn for side in (-90.0, 90.0) for turn in (side + _AZIMUTH_DEG, side - _AZIMUTH_DEG)])
+    hidden = [framing.covered(arm, before, widths, azimuth, elevation) for azimuth in sides]
+    return framing.frame(_visible_points(robot, scene, arm), float(sides[int(np.argmin(hidden))]), elevation)
+
+
+def _arm_points(robot: Robot, configurations: FloatArray) -> FloatArray:
+    """Joints, tool and middles of links of each configuration, (n, 3) [m]."""
+    points: list[NDArray[np.float64]] = []
+    for q in configurations:
+        origin, axes = robot.plane_at(robot.yaw_of(q))
+        joints = robot.arm.joint_points(q[robot.arm_slice])
+        points.append(origin + np.vstack([joints, 0.5 * (joints[1:] + joints[:-1])]) @ axes[:2])
+    return np.vstack(points)
+
+
+def _in_the_way(scene: Scene) -> tuple[FloatArray, FloatArray]:
+    """Points of solids, (n, 3) [m], and how far each one's solid reaches about it, (n,) [m]."""
+    points, widths = [np.zeros((0, 3))], [np.zeros(0)]
+    for solid in scene.solids:
+        core = solid.core
+        if solid.loose:
+            core = core[:: -(-len(core) // 500)]
+        elif len(core) > 1:
+            share = np.linspace(0.0, 1.0, 5)[:, None, None]
+            core = ((1.0 - share) * core + share * core[::-1]).reshape(-1, 3)
+        points.append(core)
+        widths.append(np.full(len(core), solid.rounding))
+    return np.vstack(points), np.concatenate(widths)
+
+
+def _visible_points(robot: Robot, scene: Scene, arm: FloatArray) -> FloatArray:
+    """Points that the picture must hold, (n, 3) [m]: the moving arm, its foot, obstacles near the arm, fruits."""
+    width = float(robot.arm.half_widths.max())
+    points = [arm - width, arm + width, _footprint(robot)]
+    reach = float(robot.arm.lengths.sum())
+    for core, rounding in (
+        *((_outline(solid), solid.rounding) for item in scene.obstacles for solid in item.solids),
+        *((np.array([fruit.center]), fruit.radius) for fruit in scene.fruits),
+    ):
+        corners = np.vstack([core - rounding, core + rounding])
+        # A long wire or a distant wall may leave the picture; what the arm can touch may not.
+        points.append(np.clip(corners, robot.plane_origin - reach, robot.plane_origin + reach))
+    result = np.vstack(points)
+    result[:, 2] = np.maximum(result[:, 2], 0.0)
+    return result
+
+
+def _outline(solid: Solid) -> FloatArray:
+    """Points of a solid that speak for its extent, (k, 3) [m]."""
+    return np.stack([solid.core.min(axis=0), solid.core.max(axis=0)]) if solid.loose else solid.core
+
+
+def _footprint(robot: Robot) -> FloatArray:
+    """A square on the ground about the foot, (4, 3) [m]."""
+    side = 0.16 * np.array([(x, y, 0.0) for x in (-1, 1) for y in (-1, 1)])
+    return side * max(1.0, float(robot.arm.lengths[0]))
+
+
+def _ground(view: Frame) -> Body:
+    """Faint lines 0.5 m apart on the ground z = 0 that fade with distance, and the shadows between them."""
+    body = Body()
+    spacing = 0.5
+    extent = spacing * np.ceil((2.2 * view.radius + 1.0) / spacing)
+    middle = spacing * np.round(view.ground / spacing)
+    ticks = np.arange(-extent, extent + 0.5 * spacing, spacing)
+    n = len(ticks)
+    x, y = (grid.ravel() for grid in np.meshgrid(ticks, ticks, indexing="ij"))
+    fade = np.clip(1.0 - np.hypot(x, y) / extent, 0.0, 1.0)
+    colors = np.column_stack([np.tile(_GRID_COLOR, (n * n, 1)), 0.55 * fade * fade * (3.0 - 2.0 * fade)])
+    index = np.arange(n * n).reshape(n, n)
+    pairs = np.vstack(
+        [
+            np.column_stack([index[:-1].ravel(), index[1:].ravel()]),
+            np.column_stack([index[:, :-1].ravel(), index[:, 1:].ravel()]),
+        ]
+    )
+    seen = (colors[pairs, 3] > 0.0).any(axis=1)
+    points = np.column_stack([x + middle[0], y + middle[1], np.zeros(n * n)])
+    lines = three.material(0xFFFFFF, opacity=0.999, kind="LineBasicMaterial", vertexColors=True, depthWrite=False)
+    body.add(
+        three.line_segments(points, pairs[seen], colors),
+        lines,
+        name="grid",
+        kind="LineSegments",
+        shadow=False,
+        order=-1,
+    )
+    # Only the shadows of this plane are drawn.
+    catcher = three.material(0x1F2A3A, opacity=0.22, kind="ShadowMaterial", depthWrite=False)
+    plane = {"type": "PlaneGeometry", "width": float(2.0 * extent), "height": float(2.0 * extent)}
+    pose = three.transform(position=[*middle, 0.0])
+    body.add(plane, catcher, pose, name="shadows", shadow=False, order=-2)
+    return body
+
+
+def _rgb(color: int) -> FloatArray:
+    return np.array([(color >> shift & 0xFF) / 255.0 for shift in (16, 8, 0)])

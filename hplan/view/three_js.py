@@ -1,0 +1,391 @@
+"""Bodies, materials and lights in the JSON of three.js, which is what meshcat's viewer draws.
+
+Written here as plain dictionaries, for three reasons: meshcat's own classes give every object a random identifier (a
+page would differ from run to run), cannot say half-spheres, shadows or stencils, and cost 0.2 s to import.
+
+Lengths are in metres, colours `0xrrggbb`, placements 4x4 matrices.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, TypeAlias
+
+import coal
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hplan.base.arrays import FloatArray, IntArray
+
+Json: TypeAlias = dict[str, Any]
+
+#: Segments around a full turn of a round body.
+_SEGMENTS = 48
+#: The same for bodies of which there may be hundreds.
+_COPY_SEGMENTS = 20
+_HALF_PI = 0.5 * np.pi
+
+# Constants of three.js (and so of WebGL).
+_NOT_EQUAL, _REPLACE = 517, 7681
+
+
+def transform(rotation: ArrayLike | None = None, position: ArrayLike | None = None) -> FloatArray:
+    """The (4, 4) matrix of a (3, 3) rotation and a (3,) position [m]."""
+    matrix = np.eye(4)
+    if rotation is not None:
+        matrix[:3, :3] = rotation
+    if position is not None:
+        matrix[:3, 3] = position
+    return matrix
+
+
+def numbers(values: ArrayLike) -> list[float]:
+    """The values as a flat list, rounded to 1e-6 (a micrometre); the page stays small and the same on every run."""
+    flat: list[float] = (np.round(np.ravel(np.asarray(values, dtype=np.float64)), 6) + 0.0).tolist()
+    return flat
+
+
+def color_of(rgb: Sequence[float] | NDArray[np.float64]) -> int:
+    """A colour from red, green and blue in 0..1."""
+    red, green, blue = (round(255.0 * min(max(float(value), 0.0), 1.0)) for value in rgb[:3])
+    return (red << 16) | (green << 8) | blue
+
+
+def material(color: int, *, opacity: float = 1.0, kind: str = "MeshStandardMaterial", **properties: Any) -> Json:
+    """A surface; anything of three.js's material can be added by its name there."""
+    see_through = {"transparent": True, "opacity": round(opacity, 3)} if opacity < 1.0 else {}
+    gloss = {"roughness": 0.55, "metalness": 0.05} if kind == "MeshStandardMaterial" else {}
+    return {"type": kind, "color": color, **gloss, **see_through, **properties}
+
+
+def dots_material(color: int, size: float) -> Json:
+    """Dots of one size [m] at a field of view of 90 degrees; the farther away, the smaller they look."""
+    return {"type": "PointsMaterial", "color": color, "size": round(size, 6), "sizeAttenuation": True}
+
+
+def ghost_material(color: int, opacity: float, layer: int) -> Json:
+    """A translucent surface that covers each pixel once, however many bodies of the same `layer` lie behind it."""
+    return material(
+        color,
+        opacity=opacity,
+        kind="MeshLambertMaterial",
+        depthWrite=False,
+        # An arm that stands in its ghost must not flicker: the ghost lies a little deeper.
+        polygonOffset=True,
+        polygonOffsetFactor=1,
+        polygonOffsetUnits=8,
+        stencilWrite=True,
+        stencilRef=layer,
+        stencilFunc=_NOT_EQUAL,
+        stencilZPass=_REPLACE,
+    )
+
+
+class Body:
+    """An object under construction: meshes that share geometries and materials, under one node of the viewer."""
+
+    def __init__(self) -> None:
+        """Start with nothing."""
+        self._geometries: list[Json] = []
+        self._materials: list[Json] = []
+        self._meshes: list[Json] = []
+
+    def __len__(self) -> int:
+        """Number of meshes."""
+        return len(self._meshes)
+
+    def add(
+        self,
+        geometry: Mapping[str, Any],
+        surface: Mapping[str, Any],
+        placement: FloatArray | None = None,
+        *,
+        name: str = "",
+        kind: str = "Mesh",
+        shadow: bool = True,
+        order: int = 0,
+    ) -> None:
+        """Add a mesh.
+
+        Args:
+            geometry: Shape.
+            surface: Material.
+            placement: (4, 4) pose in the node's frame; None for the node's own.
+            name: Name in the viewer.
+            kind: `Mesh`, `LineSegments`, `Points`, or `InstancedMesh` by `add_copies`.
+            shadow: Throws a shadow.
+            order: Smaller is drawn first, among see-through meshes.
+        """
+        mesh: Json = {
+            "uuid": f"m{len(self._meshes)}",
+            "type": kind,
+            "name": name,
+            "geometry": self._index(self._geometries, geometry, "g"),
+            "material": self._index(self._materials, surface, "s"),
+            "castShadow": shadow,
+            "receiveShadow": True,
+            "renderOrder": order,
+        }
+        if placement is not None:
+            mesh["matrix"] = numbers(placement.T)
+        self._meshes.append(mesh)
+
+    def add_copies(
+        self, geometry: Mapping[str, Any], surface: Mapping[str, Any], placements: FloatArray, *, name: str = ""
+    ) -> None:
+        """Add one shape in many places, drawn at one go.
+
+        Args:
+            geometry: Shape.
+            surface: Material.
+            placements: (n, 4, 4) poses in the node's frame; they may stretch the shape.
+            name: Name in the viewer.
+        """
+        self.add(geometry, surface, name=name, kind="InstancedMesh")
+        columns_first = np.swapaxes(placements, 1, 2)
+        # The viewer would look at the one shape to tell whether the copies are in the picture.
+        self._meshes[-1] |= {
+            "count": len(placements),
+            "instanceMatrix": {"array": numbers(columns_first)},
+            "frustumCulled": False,
+        }
+
+    def json(self) -> Json:
+        """The object as three.js's loader reads it."""
+        return {
+            "metadata": {"version": 4.5, "type": "Object"},
+            "geometries": self._geometries,
+            "materials": self._materials,
+            "object": {"uuid": "root", "type": "Group", "children": self._meshes},
+        }
+
+    @staticmethod
+    def _index(table: list[Json], item: Mapping[str, Any], prefix: str) -> str:
+        for known in table:
+            if {key: value for key, value in known.items() if key != "uuid"} == item:
+                return str(known["uuid"])
+        table.append({"uuid": f"{prefix}{len(table)}", **item})
+        return str(table[-1]["uuid"])
+
+
+# three.js's cylinders and hemispheres stand on y; ours on z.
+_Z_UP = transform(np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]))
+
+
+def box(size: Sequence[float] | NDArray[np.float64]) -> Json:
+    """A block with full edge lengths `size`."""
+    width, height, depth = numbers(np.asarray(size))
+    return {"type": "BoxGeometry", "width": width, "height": height, "depth": depth}
+
+
+def sphere(radius: float) -> Json:
+    """A ball."""
+    return {
+        "type": "SphereGeometry",
+        "radius": round(radius, 6),
+        "widthSegments": _SEGMENTS,
+        "heightSegments": _SEGMENTS // 2,
+    }
+
+
+def cylinder(radius: float, length: float, *, top_radius: float | None = None, open_ended: bool = False) -> Json:
+    """A cylinder or cone about y, `length` long."""
+    return {
+        "type": "CylinderGeometry",
+        "radiusTop": round(radius if top_radius is None else top_radius, 6),
+        "radiusBottom": round(radius, 6),
+        "height": round(length, 6),
+        "radialSegments": _SEGMENTS,
+        "openEnded": open_ended,
+    }
+
+
+def facets(vertices: ArrayLike, faces: ArrayLike) -> Json:
+    """Flat triangles with sharp edges: (n, 3) vertices [m], (m, 3) indices."""
+    corners = np.asarray(vertices, dtype=np.float64)[np.asarray(faces, dtype=np.int64)]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True) + 1e-30
+    return _buffers(np.arange(3 * len(corners)), position=corners, normal=np.repeat(normals, 3, axis=0))
+
+
+def surface(vertices: FloatArray, faces: IntArray) -> Json:
+    """A smooth surface: (n, 3) vertices, (m, 4) quadrilaterals, counter-clockwise seen from outside."""
+    corners = vertices[faces]
+    normal = np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
+    normals = np.zeros_like(vertices)
+    for corner in range(4):
+        np.add.at(normals, faces[:, corner], normal)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True) + 1e-30
+    triangles = np.stack([faces[:, [0, 1, 2]], faces[:, [0, 2, 3]]], axis=1)
+    return _buffers(triangles, position=np.round(vertices, 4), normal=np.round(normals, 2))
+
+
+def label(text: str, height: float) -> Json:
+    """A text that always faces the camera, as an object for a node; its letters are about `height` [m] tall."""
+    texture = {"uuid": "text", "type": "_text", "text": text, "font_size": 60, "font_face": "sans-serif"}
+    look = {"uuid": "look", "type": "SpriteMaterial", "map": "text", "transparent": True, "depthWrite": False}
+    side = round(height * 256.0 / 45.0, 6)  # letters of 60 px are 45 px tall, in a square of 256 px
+    return {
+        "metadata": {"version": 4.5, "type": "Object"},
+        "textures": [texture],
+        "materials": [{**look, "color": 0xFFFFFF}],
+        "object": {
+            "uuid": "label",
+            "type": "Sprite",
+            "material": "look",
+            "matrix": numbers(np.diag([side, side, 1.0, 1.0])),
+            "renderOrder": 4,
+        },
+    }
+
+
+def points(places: FloatArray) -> Json:
+    """Dots: (n, 3) places [m]."""
+    return _buffers(np.arange(len(places)), position=places)
+
+
+def line_segments(points: FloatArray, pairs: IntArray, colors: FloatArray) -> Json:
+    """Lines: (n, 3) points [m], (m, 2) indices, (n, 4) colours and opacities in 0..1."""
+    return _buffers(pairs, position=points, color=np.round(colors, 3))
+
+
+def _buffers(index: ArrayLike, **attributes: FloatArray) -> Json:
+    return {
+        "type": "BufferGeometry",
+        "data": {
+            "attributes": {
+                name: {
+                    "itemSize": values.shape[-1],
+                    "type": "Float32Array",
+                    "array": numbers(values),
+                    "normalized": False,
+                }
+                for name, values in attributes.items()
+            },
+            "index": {"type": "Uint32Array", "array": np.ravel(np.asarray(index, dtype=np.int64)).tolist()},
+        },
+    }
+
+
+def add_capsules(
+    body: Body, starts: FloatArray, ends: FloatArray, radii: FloatArray, surface: Mapping[str, Any], *, name: str = ""
+) -> None:
+    """Add capsules: open cylinders and half-spheres, so that no inner wall shows through.
+
+    Args:
+        body: Body they become a part of.
+        starts: (n, 3) one end of each axis [m].
+        ends: (n, 3) the other ends [m].
+        radii: (n,) radii [m].
+        surface: Material.
+        name: Name in the viewer.
+    """
+    walls, caps = [], []
+    for start, end, radius in zip(starts, ends, radii, strict=True):
+        length = float(np.linalg.norm(end - start))
+        turn = _turn_y_to((end - start) / length) if length > 0.0 else np.eye(3)
+        if length > 0.0:
+            walls.append(transform(turn * [radius, length, radius], 0.5 * (start + end)))
+        caps += [transform(turn * radius, end), transform(turn * [radius, -radius, -radius], start)]
+    if walls:
+        wall = {**cylinder(1.0, 1.0, open_ended=True), "radialSegments": _COPY_SEGMENTS}
+        body.add_copies(wall, surface, np.array(walls), name=name)
+    half = {"widthSegments": _COPY_SEGMENTS, "heightSegments": _COPY_SEGMENTS // 4}
+    cap = {**sphere(1.0), **half, "thetaStart": 0.0, "thetaLength": round(_HALF_PI, 9)}
+    body.add_copies(cap, surface, np.array(caps), name=f"{name} ends")
+
+
+def _turn_y_to(direction: FloatArray) -> FloatArray:
+    """A (3, 3) rotation that takes y to the unit vector `direction`."""
+    across = np.eye(3)[int(np.argmin(np.abs(direction)))]
+    x = np.cross(direction, across)
+    x /= np.linalg.norm(x)
+    return np.column_stack([x, direction, np.cross(x, direction)])
+
+
+def tube(points: FloatArray, radius: float, colors: FloatArray, *, sides: int = 10) -> Json:
+    """A round tube along a curve.
+
+    Args:
+        points: (n, 3) points, n >= 2, no two neighbours alike [m].
+        radius: Radius [m].
+        colors: (n, 3) colours along it, in 0..1.
+        sides: Corners of its section.
+    """
+    tangents = np.gradient(points, axis=0)
+    tangents /= np.linalg.norm(tangents, axis=1, keepdims=True) + 1e-12
+    # The frame is carried along from ring to ring: the tube does not twist.
+    normal = np.cross(tangents[0], np.eye(3)[int(np.argmin(np.abs(tangents[0])))])
+    normals = np.empty((len(points), sides, 3))
+    angles = 2.0 * np.pi * np.arange(sides) / sides
+    for k, tangent in enumerate(tangents):
+        normal = normal - tangent * (normal @ tangent)
+        normal /= np.linalg.norm(normal) + 1e-12
+        other = np.cross(tangent, normal)
+        normals[k] = np.cos(angles)[:, None] * normal + np.sin(angles)[:, None] * other
+    ring, side = np.meshgrid(np.arange(len(points) - 1), np.arange(sides), indexing="ij")
+    a, b = ring * sides + side, ring * sides + (side + 1) % sides
+    c, d = a + sides, b + sides
+    faces = np.stack([np.stack([a, b, c], axis=-1), np.stack([b, d, c], axis=-1)], axis=2)
+    return _buffers(
+        faces,
+        position=points[:, None] + radius * normals,
+        normal=np.round(normals, 3),
+        color=np.repeat(np.round(colors, 3), sides, axis=0),
+    )
+
+
+def add_shape(
+    body: Body,
+    shape: coal.CollisionGeometry,
+    surface: Mapping[str, Any],
+    placement: FloatArray,
+    *,
+    name: str = "",
+    shadow: bool = True,
+    order: int = 0,
+) -> bool:
+    """Add a shape of Pinocchio's geometry models.
+
+    Args:
+        body: Body it becomes a part of.
+        shape: Box, sphere, cylinder, cone, capsule, ellipsoid or mesh.
+        surface: Material.
+        placement: (4, 4) pose in the node's frame.
+        name: Name in the viewer.
+        shadow: Throws a shadow.
+        order: Smaller is drawn first, among see-through meshes.
+
+    Returns:
+        False where the shape is of a kind that cannot be drawn.
+    """
+
+    def add(geometry: Json, local: FloatArray | None = None) -> None:
+        pose = placement if local is None else placement @ local
+        body.add(geometry, surface, pose, name=name, shadow=shadow, order=order)
+
+    if isinstance(shape, coal.Box):
+        add(box(2.0 * shape.halfSide))
+    elif isinstance(shape, coal.Sphere):
+        add(sphere(shape.radius))
+    elif isinstance(shape, coal.Ellipsoid):
+        add(sphere(1.0), np.diag([*shape.radii, 1.0]))
+    elif isinstance(shape, coal.Cylinder):
+        add(cylinder(shape.radius, 2.0 * shape.halfLength), _Z_UP)
+    elif isinstance(shape, coal.Cone):
+        add(cylinder(shape.radius, 2.0 * shape.halfLength, top_radius=0.0), _Z_UP)
+    elif isinstance(shape, coal.Capsule):
+        add(cylinder(shape.radius, 2.0 * shape.halfLength, open_ended=True), _Z_UP)
+        for side in (-1.0, 1.0):
+            add(sphere(shape.radius), transform(position=[0.0, 0.0, side * shape.halfLength]))
+    elif isinstance(shape, coal.BVHModelBase):
+        add(facets(shape.vertices(), [_corners(shape.tri_indices(k)) for k in range(shape.num_tris)]))
+    elif isinstance(shape, coal.Convex):
+        add(facets(shape.points(), [_corners(shape.polygons(k)) for k in range(shape.num_polygons)]))
+    else:
+        return False
+    return True
+
+
+def _corners(triangle: Any) -> tuple[int, int, int]:
+    return triangle[0], triangle[1], triangle[2]

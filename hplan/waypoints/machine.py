@@ -1,0 +1,210 @@
+"""Any robot's URDF, reduced to the joints that move, and the limits of a motion of theirs.
+
+Nothing here knows the family of `hplan.robot.model`; the robot is whatever Pinocchio reads.
+
+Revolute, prismatic and continuous joints can move. A continuous joint becomes a revolute one without ends: its
+waypoints are angles that count on past a whole turn, and nothing is wrapped. Floating, planar and other joints of
+several coordinates, and joints that mimic another or are mimicked, cannot move; they can be held.
+"""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike
+
+from hplan.base.arguments import file_path, instance, list_of, number, truth
+from hplan.base.arrays import FloatArray, Record, readonly
+from hplan.errors import InputError, JointLimitError, RobotFileError
+from hplan.robot.limits import Limits
+from hplan.robot.urdf_check import check_models
+from hplan.robot.urdf_file import read_urdf
+from hplan.robot.urdf_xml import read_urdf_xml
+
+#: End of a continuous joint's range [rad].
+ENDLESS = 1e9
+
+_MOVABLE = ("revolute", "prismatic", "continuous")
+
+
+@dataclass(frozen=True, eq=False)
+class Machine(Record):
+    """A robot reduced to the joints that move.
+
+    Attributes:
+        model: Pinocchio's model of the moving joints; nq = nv. A limit that the URDF does not give is inf.
+        held: Where the other joints stand, by name; joints of several coordinates stand at their neutral position
+            and are None.
+    """
+
+    model: pin.Model
+    held: Mapping[str, float | None]
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the moving joints, in the model's order."""
+        return tuple(self.model.names)[1:]
+
+
+def read_machine(
+    path: Path | str, joints: Sequence[str] | None = None, *, hold: Mapping[str, float] | None = None
+) -> Machine:
+    """Read the kinematics and inertia of any robot from its URDF; geometry and meshes are not looked at.
+
+    Args:
+        path: URDF file.
+        joints: Names of the joints that move; None for all but those that mimic another or are mimicked.
+        hold: Positions of joints that do not move [rad]. Without one a joint stands at 0, or at the limit nearest to
+            it.
+
+    Raises:
+        RobotFileError: Missing file, malformed XML, content that `hplan.robot.urdf_file` or Pinocchio refuses, or that
+            Pinocchio reads otherwise.
+        InputError: A joint that does not exist, or that cannot move; no joint at all.
+        JointLimitError: A joint held outside its limits.
+    """
+    path = file_path("path", path)
+    if joints is not None:
+        joints = list_of("joints", joints, str, "names")
+    hold = {} if hold is None else dict(instance("hold", hold, dict))
+    for name, value in hold.items():
+        number(f"hold[{name!r}]", value, "a position [rad]")
+    root = read_urdf_xml(path)
+    elements = {str(joint.get("name")): joint for joint in root.findall("joint") if joint.get("type") != "fixed"}
+    read_urdf(path, root, any_robot=True)
+    tied = _cut_mimics(root)
+    moving = [name for name in elements if name not in tied] if joints is None else list(joints)
+    for name in [*moving, *hold]:
+        if name not in elements:
+            raise InputError(f"robot file {path}: there is no joint {name!r} that moves", path=str(path), joint=name)
+        if name in tied and name in moving:
+            raise _immovable(path, name, "moved", f"it and {tied[name]!r} move as one (mimic)")
+        kind = elements[name].get("type")
+        if kind not in _MOVABLE:
+            raise _immovable(
+                path, name, "moved or held", f"it is {kind}; revolute, prismatic and continuous joints can"
+            )
+        if name in moving and name in hold:
+            raise InputError(f"joint {name!r} cannot both move and be held", joint=name)
+    if not moving:
+        raise InputError(f"robot file {path}: no joint is to move", path=str(path))
+    missing = {name: _make_revolute(joint) for name, joint in elements.items() if joint.get("type") == "continuous"}
+    _rename_links(root)
+    try:
+        model = pin.buildModelFromXML(ET.tostring(root, encoding="unicode"))
+    except (ValueError, RuntimeError) as error:
+        reason = f"Pinocchio refuses it: {error} (its reader's own words, if any, are on the terminal)"
+        raise RobotFileError(path, reason) from error
+    check_models(path, read_urdf(path, root, any_robot=True), model)
+    for name, attributes in missing.items():
+        for attribute in attributes:
+            limit = model.velocityLimit if attribute == "velocity" else model.effortLimit
+            limit[model.joints[model.getJointId(name)].idx_v] = np.inf
+    return _reduced(model, moving, hold)
+
+
+def _cut_mimics(root: ET.Element) -> dict[str, str]:
+    """Make mimicking joints independent; returns each joint that mimics or is mimicked, with the other one."""
+    tied: dict[str, str] = {}
+    for joint in root.findall("joint"):
+        for mimic in joint.findall("mimic"):
+            joint.remove(mimic)
+            follower, leader = str(joint.get("name")), str(mimic.get("joint"))
+            tied[follower] = leader
+            tied.setdefault(leader, follower)
+    return tied
+
+
+def _rename_links(root: ET.Element) -> None:
+    """Keep names of links apart from those of joints: Pinocchio does not reduce a model that has one of both."""
+    for link in root.findall("link"):
+        link.set("name", f"link {link.get('name')}")
+    for joint in root.findall("joint"):
+        for end in (*joint.findall("parent"), *joint.findall("child")):
+            end.set("link", f"link {end.get('link')}")
+
+
+def _immovable(path: Path, joint: str, what: str, reason: str) -> InputError:
+    return InputError(
+        f"robot file {path}: joint {joint!r} cannot be {what}: {reason}. Name the joints to move; "
+        "the others stay where they are",
+        path=str(path),
+        joint=joint,
+        reason=reason,
+    )  # fmt: skip
+
+
+def _make_revolute(joint: ET.Element) -> list[str]:
+    """Turn a continuous joint into a revolute one without ends; returns which limits it does not give."""
+    joint.set("type", "revolute")
+    limit = joint.find("limit")
+    if limit is None:
+        limit = ET.SubElement(joint, "limit")
+    missing = [attribute for attribute in ("velocity", "effort") if attribute not in limit.attrib]
+    for attribute in missing:
+        limit.set(attribute, "0")
+    limit.set("lower", str(-ENDLESS))
+    limit.set("upper", str(ENDLESS))
+    return missing
+
+
+def _reduced(model: pin.Model, moving: Sequence[str], hold: Mapping[str, float]) -> Machine:
+    """The model with all joints but the moving ones fixed."""
+    reference = pin.neutral(model)
+    held: dict[str, float | None] = {}
+    for name in tuple(model.names)[1:]:
+        if name in moving:
+            continue
+        joint = model.joints[model.getJointId(name)]
+        if (joint.nq, joint.nv) != (1, 1):
+            held[name] = None
+            continue
+        low, high = float(model.lowerPositionLimit[joint.idx_q]), float(model.upperPositionLimit[joint.idx_q])
+        value = float(hold.get(name, min(max(0.0, low), high)))
+        if not low - 1e-9 <= value <= high + 1e-9:
+            raise JointLimitError("hold", name, value, low, high)
+        reference[joint.idx_q] = held[name] = value
+    return Machine(pin.buildReducedModel(model, [model.getJointId(name) for name in held], reference), held)
+
+
+def limits_of(
+    model: pin.Model, acceleration: ArrayLike, jerk: ArrayLike | None = None, *, torque: bool = True
+) -> Limits:
+    """The model's velocity and torque limits, with those that URDF cannot give.
+
+    Args:
+        model: Pinocchio's model; its limits are the URDF's, of which 0 is taken at its word.
+        acceleration: (dof,) or one for all [rad/s^2].
+        jerk: (dof,) or one for all [rad/s^3]; None leaves it unlimited.
+        torque: Whether torque is limited.
+
+    Raises:
+        InputError: A limit that is not finite or negative, as where the URDF gives none; names the joint.
+    """
+    instance("model", model, pin.Model, "read_machine")
+    truth("torque", torque)
+    names = tuple(model.names)[1:]
+
+    def checked(what: str, values: ArrayLike) -> FloatArray:
+        try:
+            array = readonly(np.broadcast_to(np.asarray(values, dtype=np.float64), (model.nv,)))
+        except (TypeError, ValueError) as error:
+            raise InputError(f"{what}: expected one number, or {model.nv}", option=what) from error
+        for name, value in zip(names, array, strict=False):
+            if value == np.inf:
+                raise InputError(f"joint {name!r} has no {what} limit; the motion needs one", joint=name)
+            if not (np.isfinite(value) and value >= 0.0):
+                raise InputError(f"joint {name!r}: its {what} limit is {value:g}, expected a number >= 0", joint=name)
+        return array
+
+    return Limits(
+        velocity=checked("velocity", model.velocityLimit),
+        acceleration=checked("acceleration", acceleration),
+        torque=checked("torque", model.effortLimit) if torque else None,
+        jerk=None if jerk is None else checked("jerk", jerk),
+    )

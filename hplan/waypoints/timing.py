@@ -1,0 +1,246 @@
+"""Timing alone: any robot's URDF, waypoints, and the fastest motion through them with its corners rounded.
+
+The robot is one of `hplan.waypoints.machine`, the path one of `hplan.waypoints.corner_rounding`. For a prismatic joint
+read metres wherever radians are written, in column names too.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike
+
+from hplan.base.arguments import decimal, file_path, instance, list_of
+from hplan.base.arrays import FloatArray, Record, readonly
+from hplan.errors import InputError, JointLimitError, TimingError
+from hplan.robot.limits import Limits
+from hplan.smoothing.spline import SplinePath
+from hplan.timing import retime as timing
+from hplan.timing.trajectory import QUANTITIES, Trajectory
+from hplan.waypoints.corner_rounding import as_waypoints, largest_deviation, rounded_path
+from hplan.waypoints.machine import Machine, limits_of, read_machine
+
+# What timing alone takes is found here, wherever it is defined.
+__all__ = [
+    "AT_LIMIT",
+    "DEVIATION",
+    "LimitShares",
+    "Machine",
+    "largest_deviation",
+    "limit_shares",
+    "limits_of",
+    "read_machine",
+    "read_waypoints",
+    "rounded_path",
+    "time_waypoints",
+]
+
+#: Deviation from the polyline at its corners, where none is given [rad].
+DEVIATION = math.radians(1.0)
+
+#: Grid points for half of a rounded corner: the fewest and the most; many corners have to share `MOST_POINTS`.
+CORNER_POINTS, MOST_POINTS = (10, 100), 60_000
+
+#: The same between two corners.
+STRAIGHT_POINTS = (10, 60)
+
+#: Use of a limit from which on a joint counts as what holds the motion back.
+AT_LIMIT = 0.99
+
+
+def read_waypoints(path: Path | str, joint_names: Sequence[str]) -> FloatArray:
+    """Read waypoints from a CSV: a header, then one line for each.
+
+    A joint's column is `NAME_pos_rad` or `NAME`, in radians; columns stand in any order, others are ignored, and so
+    are empty lines. A trajectory that hplan wrote can be read as well.
+
+    Args:
+        path: CSV file.
+        joint_names: The `dof` joints, in the order wanted.
+
+    Returns:
+        (n, dof) waypoints, n >= 1.
+
+    Raises:
+        InputError: Missing or unreadable file, a joint without a column or with two, a line of another length, a value
+            that is no finite number, no waypoint at all; names the line.
+    """
+    path = file_path("path", path)
+    joint_names = list_of("joint_names", joint_names, str, "names")
+
+    def fault(line: int, reason: str) -> InputError:
+        return InputError(f"waypoint file {path}, line {line}: {reason}", path=str(path), line=line, reason=reason)
+
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as stream:
+            reader = csv.reader(stream, strict=True)
+            rows = [(reader.line_num, [cell.strip() for cell in row]) for row in reader if any(map(str.strip, row))]
+    except OSError as error:
+        raise InputError(f"waypoint file {path}: {error.strerror}", path=str(path)) from error
+    except UnicodeDecodeError as error:
+        raise InputError(f"waypoint file {path}: it is not UTF-8 text", path=str(path)) from error
+    except csv.Error as error:
+        raise fault(reader.line_num, str(error)) from error
+    if not rows:
+        raise fault(1, "expected a header with the names of the joints")
+    first, header = rows[0]
+    columns = []
+    for joint in joint_names:
+        found = [index for index, name in enumerate(header) if name in (joint, f"{joint}_{QUANTITIES[0]}")]
+        if len(found) != 1:
+            how = "two columns" if found else f"no column; expected {joint}_{QUANTITIES[0]} or {joint}"
+            raise fault(first, f"joint {joint!r} has {how} (the columns are {', '.join(header)})")
+        columns.append(found[0])
+    if len(rows) == 1:
+        raise fault(first, "no waypoints follow the header")
+    waypoints = np.empty((len(rows) - 1, len(columns)))
+    for number, (line, row) in enumerate(rows[1:]):
+        if len(row) != len(header):
+            raise fault(line, f"{len(row)} values, expected {len(header)}")
+        for place, column in enumerate(columns):
+            value = decimal(row[column])
+            if value is None:
+                raise fault(line, f"{header[column]} is {row[column]!r}, expected a finite number in decimal digits")
+            waypoints[number, place] = value
+    return readonly(waypoints)
+
+
+def time_waypoints(
+    model: pin.Model,
+    waypoints: ArrayLike,
+    limits: Limits,
+    *,
+    deviation_rad: float = DEVIATION,
+    rate_hz: float = 250.0,
+    speed: float = 1.0,
+) -> Trajectory:
+    """The fastest motion through waypoints, from rest to rest, with corners rounded by `rounded_path`.
+
+    The rows are averages of the motion along the path over a period h (`hplan.timing.retime`), which takes them off it
+    by less than a h^2 / 6 a joint (a: acceleration; 3e-6 rad for 1 rad/s^2 at 250 Hz), more where jerk is limited. They
+    stay in the hull of the waypoints.
+
+    Args:
+        model: Pinocchio's model; all its joints have one coordinate (`read_machine` sees to that).
+        waypoints: (n, dof) configurations within the joint limits; equal ones are an empty motion.
+        limits: Limits of the motion, as from `limits_of`.
+        deviation_rad: Largest distance of path and polyline, Euclidean norm; at least 1e-4.
+        rate_hz: Rows per second.
+        speed: Share of full speed, in (0, 1].
+
+    Raises:
+        InputError: A joint of several coordinates; waypoints that are no (n, dof) array of finite numbers.
+        JointLimitError: A waypoint outside the joint limits (by more than 1e-9 rad); counted from 1.
+        OptionError: A deviation, rate or speed out of range.
+        TimingError: No motion within the limits exists; names the joint and the cause.
+    """
+    instance("model", model, pin.Model, "read_machine")
+    instance("limits", limits, Limits, "limits_of")
+    names = tuple(model.names)[1:]
+    for name, joint in zip(names, tuple(model.joints)[1:], strict=True):
+        if (joint.nq, joint.nv) != (1, 1):
+            raise InputError(
+                f"joint {name!r} ({joint.shortname()}) has {joint.nq} coordinates and {joint.nv} velocities; only "
+                "joints with one of each can be timed. hplan.waypoints.read_machine turns continuous joints into such",
+                joint=name,
+            )
+    points = as_waypoints(waypoints)
+    if points.shape[1] != len(names):
+        raise InputError(f"waypoints: {points.shape[1]} values each, expected {len(names)} ({', '.join(names)})")
+    lower, upper = model.lowerPositionLimit, model.upperPositionLimit
+    outside = (points < lower - 1e-9) | (points > upper + 1e-9)
+    for number, joint in np.argwhere(outside)[:1]:
+        value = float(points[number, joint])
+        raise JointLimitError(f"waypoint {number + 1}", names[joint], value, float(lower[joint]), float(upper[joint]))
+    points = np.clip(points, lower, upper)
+    if limits.torque is not None:
+        for joint in np.flatnonzero((np.ptp(points, axis=0) >= timing.NO_MOTION) & ~(limits.torque > 0.0)):
+            raise TimingError(
+                f"joint {names[joint]!r} must move, but its torque limit is {limits.torque[joint]:g}",
+                joint=names[joint],
+                cause="torque limit of zero",
+            )
+    path = rounded_path(points, deviation_rad)
+    return timing.time_path(path, model, limits.scaled(speed), rate_hz=rate_hz, grid=_grid(path))
+
+
+def _grid(path: SplinePath) -> FloatArray:
+    """Path parameters that suit the corners: many in each, however short it is, and fewer in between.
+
+    In a corner the joints that turn back pass a point at which the path acceleration does not move them; on a coarse
+    grid toppra lets it jump up and down there, and timing slows the whole motion to take that back.
+    """
+    breaks = path.breaks
+    corners = (len(breaks) - 2) // 3
+    each = MOST_POINTS // (3 * max(corners, 1))
+    even = np.linspace(0.0, 1.0, int(np.clip(each, *CORNER_POINTS)) + 1)
+    # Between corners, and from and to rest, dense at the ends; with no corner as many as for any path.
+    count = int(np.clip(each, *STRAIGHT_POINTS)) if corners else timing.GRID_POINTS
+    eased = 0.5 * (1.0 - np.cos(np.linspace(0.0, np.pi, count)))
+    # Pieces come in threes: straight, into the corner, out of it.
+    parts = [
+        low + (high - low) * (eased if piece % 3 == 0 else even)[:-1]
+        for piece, (low, high) in enumerate(pairwise(breaks))
+    ]
+    return np.concatenate([*parts, breaks[-1:]])
+
+
+@dataclass(frozen=True, eq=False)
+class LimitShares(Record):
+    """How much of its limits each joint uses.
+
+    Attributes:
+        velocity: (dof,) largest |velocity| / limit.
+        acceleration: (dof,) largest |acceleration| / limit.
+        torque: (dof,) largest |torque| / limit; None where torque is not limited.
+        jerk: (dof,) largest change of acceleration from row to row / limit; None where jerk is not limited.
+        binding: (dof,) share of the rows in which the joint uses `AT_LIMIT` or more of some limit other than jerk.
+        bound: Share of the rows in which any joint does.
+    """
+
+    velocity: FloatArray
+    acceleration: FloatArray
+    torque: FloatArray | None
+    jerk: FloatArray | None
+    binding: FloatArray
+    bound: float
+
+
+def limit_shares(trajectory: Trajectory, limits: Limits) -> LimitShares:
+    """Measure a trajectory's rows against limits; a joint at rest may have limits of zero.
+
+    Args:
+        trajectory: The motion.
+        limits: (dof,) limits; for `binding` to say what holds a slowed motion back, scaled like it.
+    """
+    instance("trajectory", trajectory, Trajectory, "time_waypoints")
+    instance("limits", limits, Limits, "limits_of")
+
+    def shares(values: FloatArray, limit: FloatArray) -> FloatArray:
+        size = np.abs(values)
+        return np.where(size <= 1e-9, 0.0, size / np.maximum(limit, 1e-12))
+
+    rows = [shares(trajectory.velocity, limits.velocity), shares(trajectory.acceleration, limits.acceleration)]
+    if limits.torque is not None:
+        rows.append(shares(trajectory.torque, limits.torque))
+    largest = [readonly(row.max(axis=0)) for row in rows]
+    at_limit = np.max(rows, axis=0) >= AT_LIMIT
+    jerk = None
+    if limits.jerk is not None:
+        change = np.diff(trajectory.acceleration, axis=0) / np.diff(trajectory.time)[:, None]
+        jerk = readonly(shares(change, limits.jerk).max(axis=0, initial=0.0))
+    return LimitShares(
+        velocity=largest[0],
+        acceleration=largest[1],
+        torque=largest[2] if len(largest) > 2 else None,
+        jerk=jerk,
+        binding=readonly(at_limit.mean(axis=0)),
+        bound=float(at_limit.any(axis=1).mean()),
+    )

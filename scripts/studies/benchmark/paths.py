@@ -1,0 +1,178 @@
+"""One path, three ways to make a motion of it: the common recipe, hplan's timing alone, hplan's post-processing too.
+
+- `spline`: a cubic spline through the waypoints, timed by toppra as its users are advised; not limited in jerk;
+- `rounded`: corners rounded within the clearance (`hplan.smoothing.round_corners`), timed and certified by hplan;
+- `processed`: hplan's whole post-processing (`hplan.postprocess.fast_path`), timed and certified by hplan.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from studies.benchmark.measure import median, timed
+from studies.benchmark.motions import Findings, look_at, toppra_motion
+
+from hplan.base.arrays import FloatArray
+from hplan.collision.clearance_field import ClearanceField
+from hplan.collision.coal_scene import CollisionScene
+from hplan.errors import HplanError
+from hplan.planning.find_motion import MARGIN
+from hplan.problem.definition import Problem, pose_problem
+from hplan.problem.world import Surroundings
+from hplan.robot.limits import Limits
+from hplan.robot.model import Robot
+from hplan.scene.model import Scene
+from hplan.smoothing.options import PostprocessOptions
+from hplan.smoothing.round_corners import smooth
+from hplan.smoothing.smooth_path import SMALLEST_SHARE, fast_path
+from hplan.smoothing.spline import SplinePath
+from hplan.timing.retime import time_path
+from hplan.verification.certificate import certify
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """A scene with all that its peers' paths are judged by."""
+
+    robot: Robot
+    scene: Scene
+    problem: Problem
+    field: ClearanceField
+    judge: CollisionScene
+    margin: float
+
+    @classmethod
+    def of(cls, robot: Robot, scene: Scene) -> Task:
+        """Get a scene ready, with the margin that hplan asks for in it."""
+        around = Surroundings.of(robot, scene.solids, clearance=scene.clearance)
+        problem = pose_problem(
+            around, scene.start.configuration, scene.goal.configuration, locked_joints=scene.locked_joints
+        )
+        return cls(robot, scene, problem, around.field, around.judge, min(MARGIN, 0.5 * problem.spare_clearance))
+
+    @property
+    def smallest_margin(self) -> float:
+        """The margin that hplan accepts at worst, which is what planners are asked to keep [m]."""
+        return SMALLEST_SHARE * self.margin
+
+    def options(self) -> PostprocessOptions:
+        """Options of hplan's post-processing, as `hplan.plan` sets them."""
+        return PostprocessOptions(
+            lower=self.problem.lower,
+            upper=self.problem.upper,
+            velocity=self.robot.velocity_limit,
+            acceleration=self.robot.acceleration_limit,
+            movable=self.problem.movable,
+            margin=self.margin,
+        )
+
+
+@dataclass(frozen=True)
+class Ways:
+    """What became of a path.
+
+    Attributes:
+        length_deg: Length of the path as given.
+        spline: What the common recipe does, or None where toppra finds no motion.
+        rounded_s: Duration of the certified motion with rounded corners, or None where there is none.
+        processed_s: Duration of the certified motion after hplan's post-processing, or None where there is none.
+        spline_ms: Time of the common recipe.
+        rounded_ms: Time from the path to the certified motion.
+        processed_ms: The same.
+    """
+
+    length_deg: float
+    spline: Findings | None
+    rounded_s: float | None
+    processed_s: float | None
+    spline_ms: float
+    rounded_ms: float
+    processed_ms: float
+
+
+def ways_of(task: Task, path: FloatArray) -> Ways:
+    """Make motions of a path that is clear at the smallest margin."""
+    robot = task.robot
+    motion, spline_ms = timed(lambda: toppra_motion(robot, path))
+    rounded, rounded_ms = timed(lambda: _certified(task, lambda: smooth(path, task.field, margin=task.smallest_margin)))
+    processed, processed_ms = timed(lambda: _certified(task, lambda: fast_path(path, task.field, task.options())))
+    return Ways(
+        length_deg=float(np.degrees(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())),
+        spline=None if motion is None else look_at(robot, task.judge, motion),
+        rounded_s=rounded,
+        processed_s=processed,
+        spline_ms=spline_ms,
+        rounded_ms=rounded_ms,
+        processed_ms=processed_ms,
+    )
+
+
+def _certified(task: Task, make: Any) -> float | None:
+    """Duration of the certified motion along a path, or None where there is none."""
+    robot = task.robot
+    try:
+        path: SplinePath = make()
+        trajectory = time_path(path, robot.dynamics, limits_of(robot))
+    except HplanError:
+        return None
+    certificate = certify(robot, task.scene, trajectory, judge=task.judge)
+    return trajectory.duration if certificate.verified else None
+
+
+def limits_of(robot: Robot) -> Limits:
+    """All limits of a robot."""
+    return Limits(robot.velocity_limit, robot.acceleration_limit, robot.torque_limit, robot.jerk_limit)
+
+
+def without_jerk(robot: Robot) -> Robot:
+    """The robot with no limit on jerk, as the common recipes see it."""
+    return replace(robot, jerk_limit=None)
+
+
+def summary(
+    ways: Sequence[Ways], path_ms: Sequence[float], hplan_s: Sequence[float], *, asked: int | None = None
+) -> dict[str, Any]:
+    """What became of several paths, one to a problem.
+
+    Args:
+        ways: One for each path found.
+        path_ms: Time to each path.
+        hplan_s: Duration of hplan's motion on the same problem, for the ratios.
+        asked: Number of problems, where not all were solved.
+    """
+    found = [(way.spline, ours) for way, ours in zip(ways, hplan_s, strict=True)]
+    splines = [(spline, ours) for spline, ours in found if spline is not None]
+    result: dict[str, Any] = {
+        "problems": len(ways) if asked is None else asked,
+        "solved": len(ways),
+        "length_deg": median([way.length_deg for way in ways]),
+        "path_ms": median(path_ms),
+        "spline": {
+            "duration_s": median([spline.duration_s for spline, _ in splines]),
+            "ratio": median([spline.duration_s / ours for spline, ours in splines]),
+            "total_ms": median([ms + way.spline_ms for ms, way in zip(path_ms, ways, strict=True)]),
+            "timed": len(splines),
+            "colliding": sum(spline.collides for spline, _ in splines),
+            "worst_depth_mm": max((spline.depth_mm for spline, _ in splines), default=0.0),
+            "outside_range": sum(spline.leaves_range for spline, _ in splines),
+            "worst_outside_deg": max((spline.outside_deg for spline, _ in splines), default=0.0),
+            "over_limits": sum(spline.breaks_limits for spline, _ in splines),
+            "usable": sum(not (s.collides or s.leaves_range or s.breaks_limits) for s, _ in splines),
+        },
+    }
+    for name in ("rounded", "processed"):
+        certified = [(getattr(way, f"{name}_s"), ours) for way, ours in zip(ways, hplan_s, strict=True)]
+        kept = [(duration, ours) for duration, ours in certified if duration is not None]
+        times = [ms + getattr(way, f"{name}_ms") for ms, way in zip(path_ms, ways, strict=True)]
+        result[name] = {
+            "certified": len(kept),
+            "duration_s": median([duration for duration, _ in kept]),
+            "ratio": median([duration / ours for duration, ours in kept]),
+            "best_ratio": min((duration / ours for duration, ours in kept), default=float("nan")),
+            "faster_than_hplan": sum(duration < 0.999 * ours for duration, ours in kept),
+            "total_ms": median(times),
+        }
+    return result

@@ -1,0 +1,407 @@
+r"""The C-space held against coal on random scenes of every kind of obstacle, with a base that turns.
+
+Of each scene `configurations` nodes are looked at, on small planar grids with random offsets at many yaws, so that
+nearly every node stands at no round number. Three sides answer for each:
+
+- the *intervals* of `hplan.cspace.occupancy` on the sections of `hplan.cspace.sections`, at that yaw or over an
+  interval that holds it;
+- the *distances* of `hplan.collision.clearance_field`, by their sign;
+- the *judge*: coal on capsule links placed by Pinocchio, which shares no formula with the other two. It looks at the
+  solids that keep the arm away, and besides at what they stand for: the triangles of meshes as they were given, and the
+  points of clouds before any were merged.
+
+What the judge forbids the intervals must forbid: anything else is *missed*, and one is too many. What the judge has
+free by more than `SPARE` they should leave free: what they do not is *lost*, and at one yaw may be `MOST_LOST`. Over an
+interval of yaw a node counts as free where all yaws looked at are, the ends among them; how much is lost there is told
+and not judged, as an arm that turns by an angle sweeps what no single yaw shows.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import coal
+import numpy as np
+import pinocchio as pin
+from studies.validation.cspace import CONTACT_TOLERANCE
+from studies.validation.scenes import KINDS, Kind, RandomScene, random_scene
+
+from hplan.base.arrays import BoolArray, FloatArray
+from hplan.base.report import versions
+from hplan.collision.clearance_field import ClearanceField
+from hplan.collision.coal_scene import CollisionScene
+from hplan.collision.geometry_pairs import GeometryPairs
+from hplan.cspace.occupancy import occupancy
+from hplan.cspace.sections import Bodies, bodies_of, sections_at
+from hplan.errors import OptionError
+from hplan.robot.model import Robot
+from hplan.scene.model import Mesh, PointCloud, Scene
+from hplan.scene.solids import Cloud
+from hplan.search.grid import Grid
+
+#: Free by more than this, a configuration should be free for the planner [m].
+SPARE: Final = 2e-3
+
+#: Share of such configurations that may be forbidden at one yaw.
+MOST_LOST: Final = 0.01
+
+#: Scenes of each kind, and configurations of each scene.
+SCENES, CONFIGURATIONS = 200, 20_000
+
+#: Nodes of a planar grid, about; a scene has as many grids, each at its yaw, as its configurations take.
+NODES: Final = 1_000
+
+#: Yaws looked at in an interval, two of them its ends.
+YAWS_WITHIN: Final = 5
+
+#: Half of an interval of yaw is between these.
+HALF_ANGLES: Final = (math.radians(0.2), math.radians(4.0))
+
+#: coal takes points for tiny triangles: of clouds a distance may be this much too small [m].
+_CLOUD_TOLERANCE: Final = 5e-7
+
+#: Told in full of what was missed.
+EXAMPLES: Final = 5
+
+#: Called with what is going on, how many scenes are done, and how many there are.
+Progress = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True)
+class Missed:
+    """A configuration that one side has free and the judge in collision, or the other way about.
+
+    Attributes:
+        scene: Number of the scene.
+        side: `intervals`, `distances` (free for this side) or `contact` (in contact for the distances alone).
+        joints_rad: The configuration.
+        distance_m: The judge's signed distance from the solids beyond the clearance [m].
+    """
+
+    scene: int
+    side: str
+    joints_rad: tuple[float, ...]
+    distance_m: float
+
+
+@dataclass(frozen=True)
+class KindResult:
+    """All scenes of one kind of obstacle.
+
+    Attributes:
+        kind: What the scenes hold.
+        layers: Whether sections were over intervals of yaw.
+        scenes: Number of scenes.
+        configurations: Configurations of all scenes.
+        colliding: Those that the judge has in collision.
+        missed: Those of them that the intervals have free.
+        in_contact: Not among the missed: free for the intervals or the distances, in contact for the judge up to
+            rounding.
+        differing: Configurations that the distances decide otherwise than the judge.
+        nodes: Nodes that were decided: the configurations, of intervals of yaw the nodes of the planar grids.
+        spare: Nodes that the judge has free by more than `SPARE`.
+        lost: Those of them that the intervals forbid.
+        widest_gap_m: Largest distance to spare at a node that is forbidden and free for the judge [m].
+        seconds: Time of all scenes [s].
+        examples: Some of what was missed or differs.
+    """
+
+    kind: Kind
+    layers: bool
+    scenes: int
+    configurations: int
+    colliding: int
+    missed: int
+    in_contact: int
+    differing: int
+    nodes: int
+    spare: int
+    lost: int
+    widest_gap_m: float
+    seconds: float
+    examples: tuple[Missed, ...]
+
+    @property
+    def lost_share(self) -> float:
+        """Lost nodes as a share of those that the judge has free by more than `SPARE`; 0 where there are none."""
+        return self.lost / max(1, self.spare)
+
+    @property
+    def ok(self) -> bool:
+        """Whether nothing was missed, distances agree, and at one yaw no more was lost than may be."""
+        return self.missed == self.differing == 0 and (self.layers or self.lost_share <= MOST_LOST)
+
+
+@dataclass(frozen=True)
+class KindsValidation:
+    """What came of holding random scenes against coal.
+
+    Attributes:
+        robot: Name of the robot.
+        seed: Seed of the scenes.
+        scenes: Scenes of each kind.
+        configurations: Configurations of each scene that were asked for.
+        results: One for each kind, then one for each kind over intervals of yaw.
+        total_s: Time of it all [s].
+    """
+
+    robot: str
+    seed: int
+    scenes: int
+    configurations: int
+    results: tuple[KindResult, ...]
+    total_s: float
+
+    @property
+    def ok(self) -> bool:
+        """Whether all results are."""
+        return all(result.ok for result in self.results)
+
+    def as_dict(self) -> dict[str, Any]:
+        """The numbers, as `hplan.base.report.write_report` writes them."""
+        return {
+            "ok": self.ok,
+            "robot": self.robot,
+            "seed": self.seed,
+            "scenes": self.scenes,
+            "configurations": self.configurations,
+            "spare_m": SPARE,
+            "most_lost": MOST_LOST,
+            "contact_tolerance_m": CONTACT_TOLERANCE,
+            "total_s": round(self.total_s, 3),
+            "results": [
+                {
+                    **{key: value for key, value in vars(result).items() if key not in ("examples", "seconds")},
+                    "lost_share": result.lost_share,
+                    "ok": result.ok,
+                    "seconds": round(result.seconds, 3),
+                    "examples": [dict(vars(example)) for example in result.examples],
+                }
+                for result in self.results
+            ],
+            "versions": versions(),
+        }
+
+
+def validate_kinds(
+    robot: Robot,
+    kinds: Sequence[Kind] = KINDS,
+    *,
+    scenes: int = SCENES,
+    configurations: int = CONFIGURATIONS,
+    seed: int = 0,
+    progress: Progress = lambda *_: None,
+) -> KindsValidation:
+    """Hold the C-space against coal on random scenes of each kind: at single yaws, then over intervals of yaw.
+
+    Args:
+        robot: The arm; without yaw there are no intervals.
+        kinds: Kinds of obstacles.
+        scenes: Scenes of each kind.
+        configurations: Configurations of each scene; as many or a few more are looked at.
+        seed: Seed of the scenes.
+        progress: Told how far it is.
+
+    Raises:
+        OptionError: No kind or an unknown one, or a number below 1 (of the seed: below 0).
+    """
+    begin = time.perf_counter()
+    unknown = [kind for kind in kinds if kind not in KINDS]
+    if unknown or not kinds:
+        raise OptionError("kinds", unknown[0] if unknown else (), f"some of {', '.join(KINDS)}")
+    for name, value, least in (("scenes", scenes, 1), ("configurations", configurations, 1), ("seed", seed, 0)):
+        if value < least:
+            raise OptionError(name, value, f"a whole number >= {least}")
+    results = []
+    for layers in (False, True) if robot.has_yaw else (False,):
+        for kind in kinds:
+            tally = _Tally(robot, kind, layers)
+            what = f"{kind}, intervals of yaw" if layers else kind
+            progress(what, 0, scenes)
+            for number in range(scenes):
+                tally.add(number, random_scene(robot, kind, number, seed=seed), configurations, seed)
+                progress(what, number + 1, scenes)
+            results.append(tally.result())
+    return KindsValidation(
+        robot=robot.name,
+        seed=seed,
+        scenes=scenes,
+        configurations=configurations,
+        results=tuple(results),
+        total_s=time.perf_counter() - begin,
+    )
+
+
+class _Tally:
+    """The counts of one kind, scene by scene."""
+
+    def __init__(self, robot: Robot, kind: Kind, layers: bool) -> None:
+        self._robot, self._kind, self._layers = robot, kind, layers
+        self._tolerance = _CLOUD_TOLERANCE if kind == "points" else CONTACT_TOLERANCE
+        self._begin = time.perf_counter()
+        self._scenes = self._configurations = self._colliding = self._missed = self._in_contact = 0
+        self._differing = self._nodes = self._spare = self._lost = 0
+        self._widest = 0.0
+        self._examples: list[Missed] = []
+
+    def add(self, number: int, made: RandomScene, configurations: int, seed: int) -> None:
+        """Look at one scene."""
+        robot, clearance = self._robot, made.scene.clearance
+        rng = np.random.default_rng([seed, number, KINDS.index(self._kind), int(self._layers)])
+        bodies = bodies_of(made.scene.solids, clearance=clearance)
+        looks = _intervals if self._layers else _single_yaws
+        # (nodes, yaws looked at, dof), and (nodes,) whether the node is forbidden
+        q, forbidden = looks(robot, bodies, made.sector, configurations, rng)
+        every = q.reshape(-1, robot.dof)
+        judge = _Judge(robot, made.scene)
+        colliding = judge.collides(every, 0.0)
+        # What is free may still be nearer than the spare.
+        spare = ~colliding
+        spare[spare] = ~judge.collides(every[spare], SPARE)
+        ours = np.repeat(forbidden, q.shape[1])
+        self._scenes += 1
+        self._configurations += len(every)
+        self._nodes += len(q)
+        self._colliding += int(colliding.sum())
+        self._missed += self._sort(number, "intervals", judge, every[colliding & ~ours], free=True)
+        spare_node, free_node = (mask.reshape(q.shape[:2]).all(axis=1) for mask in (spare, ~colliding))
+        self._spare += int(spare_node.sum())
+        self._lost += int((forbidden & spare_node).sum())
+        field = ClearanceField.of(robot, made.scene.solids, clearance=clearance)
+        if self._layers:
+            for node in np.flatnonzero(forbidden & free_node):
+                self._widest = max(self._widest, min(field.clearance(configuration) for configuration in q[node]))
+            return
+        clear = np.array([field.clearance(configuration) for configuration in every])
+        self._differing += self._sort(number, "distances", judge, every[colliding & (clear > 0.0)], free=True)
+        self._differing += self._sort(number, "contact", judge, every[~colliding & ~(clear > 0.0)], free=False)
+        self._widest = max(self._widest, float(clear[forbidden & free_node].max(initial=0.0)))
+
+    def _sort(self, number: int, side: str, judge: _Judge, q: FloatArray, *, free: bool) -> int:
+        """How many configurations are decided otherwise than by the judge, not those in contact up to rounding."""
+        if len(q) == 0:
+            return 0
+        sure = judge.collides(q, -self._tolerance) if free else ~judge.collides(q, self._tolerance)
+        self._in_contact += int((~sure).sum())
+        for configuration in q[sure][: EXAMPLES - len(self._examples)]:
+            distance = judge.distance(configuration)
+            self._examples.append(Missed(number, side, tuple(configuration.tolist()), distance))
+        return int(sure.sum())
+
+    def result(self) -> KindResult:
+        """What came of it."""
+        return KindResult(
+            kind=self._kind,
+            layers=self._layers,
+            scenes=self._scenes,
+            configurations=self._configurations,
+            colliding=self._colliding,
+            missed=self._missed,
+            in_contact=self._in_contact,
+            differing=self._differing,
+            nodes=self._nodes,
+            spare=self._spare,
+            lost=self._lost,
+            widest_gap_m=self._widest,
+            seconds=time.perf_counter() - self._begin,
+            examples=tuple(self._examples),
+        )
+
+
+def _single_yaws(
+    robot: Robot, bodies: Bodies, sector: tuple[float, float], configurations: int, rng: np.random.Generator
+) -> tuple[FloatArray, BoolArray]:
+    """Grids at some yaws: (nodes, 1, dof) configurations and (nodes,) whether each is forbidden."""
+    q, forbidden = [], []
+    for grid in _random_grids(robot, configurations, rng):
+        yaw = float(rng.uniform(*sector))
+        forbidden.append(occupancy(robot.arm, sections_at(robot, bodies, yaw), grid).occupied.ravel())
+        q.append(_at_yaws(robot, grid, np.array([yaw])))
+    return np.concatenate(q), np.concatenate(forbidden)
+
+
+def _intervals(
+    robot: Robot, bodies: Bodies, sector: tuple[float, float], configurations: int, rng: np.random.Generator
+) -> tuple[FloatArray, BoolArray]:
+    """Grids at some intervals of yaw: (nodes, yaws, dof) configurations and (nodes,) whether each is forbidden."""
+    q, forbidden = [], []
+    for grid in _random_grids(robot, math.ceil(configurations / YAWS_WITHIN), rng):
+        half_angle = math.exp(rng.uniform(*np.log(HALF_ANGLES)))
+        middle = float(rng.uniform(*sector))
+        yaws = middle + half_angle * np.concatenate([[-1.0, 1.0], rng.uniform(-1.0, 1.0, YAWS_WITHIN - 2)])
+        sections = sections_at(robot, bodies, middle, half_angle=half_angle)
+        forbidden.append(occupancy(robot.arm, sections, grid).occupied.ravel())
+        q.append(_at_yaws(robot, grid, yaws))
+    return np.concatenate(q), np.concatenate(forbidden)
+
+
+def _random_grids(robot: Robot, nodes: int, rng: np.random.Generator) -> Iterator[Grid]:
+    """Grids of `nodes` or a few more nodes in all, each shifted at random within its cells."""
+    links = robot.arm.link_count
+    count = max(2, math.floor(min(nodes, NODES) ** (1.0 / links) + 1e-9))
+    step = (robot.arm.upper - robot.arm.lower) / count
+    for _ in range(math.ceil(nodes / count**links)):
+        yield Grid(robot.arm.lower + rng.random(links) * step, step, (count,) * links)
+
+
+def _at_yaws(robot: Robot, grid: Grid, yaws: FloatArray) -> FloatArray:
+    """(nodes, yaws, dof) configurations of all nodes of a grid."""
+    planar = grid.coordinates(np.stack(np.unravel_index(np.arange(grid.size), grid.shape), axis=-1))
+    planar = np.repeat(planar[:, None], len(yaws), axis=1)
+    if not robot.has_yaw:
+        return planar
+    turned = np.broadcast_to(yaws[:, None], (grid.size, len(yaws), 1))
+    return np.concatenate([turned, planar], axis=2)
+
+
+class _Judge:
+    """coal's answer for one scene: its solids, and the surfaces and points that they stand for."""
+
+    def __init__(self, robot: Robot, scene: Scene) -> None:
+        self._clearance = scene.clearance
+        self._solids = CollisionScene(robot, scene.solids, clearance=scene.clearance, single_joint_pairs=False)
+        bare = [
+            Cloud(obstacle.name, obstacle.points, obstacle.radius, np.zeros((0, 7)))
+            for obstacle in scene.obstacles
+            if isinstance(obstacle, PointCloud)
+        ]
+        self._points = CollisionScene(robot, bare) if bare else None
+        surfaces = [obstacle.surface for obstacle in scene.obstacles if isinstance(obstacle, Mesh)]
+        self._surfaces = _Surfaces(self._solids, surfaces) if surfaces else None
+
+    def collides(self, q: FloatArray, beyond: float) -> BoolArray:
+        """Whether each of (n, dof) configurations is nearer to something than the clearance and a bit [m]."""
+        margin = self._clearance + beyond
+        found = self._solids.in_collision(q, margin=margin)
+        for others in (self._points, self._surfaces):
+            if others is not None:
+                found[~found] = others.in_collision(q[~found], margin=margin)
+        return found
+
+    def distance(self, q: FloatArray) -> float:
+        """Signed distance from the nearest solid beyond the clearance [m]."""
+        return float(self._solids.distances(q).min() - self._clearance)
+
+
+class _Surfaces:
+    """The links of a judge against triangles, which are hollow to coal: only what touches one is seen."""
+
+    def __init__(self, links: CollisionScene, surfaces: Sequence[tuple[FloatArray, Any]]) -> None:
+        trees = []
+        for index, (vertices, faces) in enumerate(surfaces):
+            tree = coal.BVHModelOBBRSS()
+            tree.beginModel(len(faces), len(vertices))
+            tree.addVertices(np.array(vertices))
+            tree.addTriangles(faces.astype(np.int32))
+            tree.endModel()
+            trees.append(pin.GeometryObject(f"surface:{index}", 0, pin.SE3.Identity(), tree))
+        self._geometry = GeometryPairs(links.robot.model, links.link_shapes, trees)
+
+    def in_collision(self, q: FloatArray, *, margin: float) -> BoolArray:
+        """Whether each of (n, dof) configurations touches a triangle, or comes nearer than a margin [m]."""
+        # Of trees coal knows no negative margin.
+        return self._geometry.in_collision(q, np.full(self._geometry.count, max(0.0, margin)))

@@ -1,0 +1,197 @@
+"""Random members of the family, drawn as URDFs: bodies of all kinds on pedestal, turret, links and tool.
+
+Nothing of hplan writes them: links are boxes or cylinders; pedestal and turret carry cabinets, counterweights and masts
+on fixed links; the last link carries boxes, and grippers whose meshes are written as STL.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial import ConvexHull
+
+from hplan.base.arrays import FloatArray
+
+#: Largest effort of a joint [N m]: torque is not what is looked at.
+EFFORT = 5000.0
+
+
+def write_member(folder: Path, rng: np.random.Generator) -> Path:
+    """Draw a member and write it.
+
+    Args:
+        folder: Where to write URDF, limits and meshes.
+        rng: Where its numbers come from.
+
+    Returns:
+        The URDF.
+    """
+    count, has_yaw = int(rng.integers(2, 6)), bool(rng.random() < 0.8)
+    lengths = np.sort(rng.uniform(0.3, 1.0, count))[::-1]
+    widths = np.sort(rng.uniform(0.02, 0.05, count))[::-1]
+    column = float(rng.uniform(0.3, 0.6))
+    parts = ['<?xml version="1.0"?>', '<robot name="drawn">', _link("base_link", _pedestal(rng, column))]
+    limits: list[str] = []
+    if rng.random() < 0.6:
+        place = _beside(rng, 0.3, 0.6, 0.0)
+        size = rng.uniform(0.1, 0.35, 3)
+        size[2] = rng.uniform(0.2, column + 0.5)
+        parts += _hung("cabinet", "base_link", [*place[:2], 0.5 * size[2]], _box(size), rng)
+    parent, place = "base_link", [0.0, 0.0, column]
+    if has_yaw:
+        parts.append(_link("turret", _turret(rng)))
+        reach = math.radians(float(rng.uniform(90.0, 180.0)))
+        parts.append(_joint("yaw", parent, "turret", place, "0 0 1", (-reach, reach)))
+        limits.append(f"yaw: {rng.uniform(1.5, 4.0):.3f}")
+        parts += _turret_load(rng)
+        parent, place = "turret", [float(rng.choice([0.0, rng.uniform(-0.1, 0.2)])), 0.0, float(rng.uniform(0.15, 0.3))]
+    for k in range(count):
+        length, width = float(lengths[k]), float(widths[k])
+        parts.append(_link(f"link_{k}", _beam(rng, length, width)))
+        low, high = _range(rng, k)
+        parts.append(_joint(f"joint_{k}", parent, f"link_{k}", place, rng.choice(["0 -1 0", "0 1 0"]), (low, high)))
+        limits.append(f"joint_{k}: {rng.uniform(2.0, 6.0):.3f}")
+        parent, place = f"link_{k}", [length, 0.0, 0.0]
+    parts += _tool(rng, folder, parent, float(lengths[-1]))
+    path = folder / "member.urdf"
+    path.write_text("\n".join([*parts, "</robot>"]) + "\n", encoding="utf-8")
+    table = "{" + ", ".join(limits) + "}"
+    path.with_suffix(".limits.yaml").write_text(f"format: hplan-limits/1\nacceleration_rad_s2: {table}\n", "utf-8")
+    return path
+
+
+def write_stl(path: Path, points: FloatArray) -> None:
+    """Write the convex hull of points as binary STL.
+
+    Args:
+        path: The file.
+        points: (k, 3) points [m].
+    """
+    hull = ConvexHull(points)
+    middle = points[hull.vertices].mean(axis=0)
+    rows = [b"\0" * 80, struct.pack("<I", len(hull.simplices))]
+    for simplex in hull.simplices:
+        a, b, c = points[simplex]
+        if np.cross(b - a, c - a) @ (a - middle) < 0.0:
+            b, c = c, b
+        rows.append(struct.pack("<12fH", 0.0, 0.0, 0.0, *a, *b, *c, 0))
+    path.write_bytes(b"".join(rows))
+
+
+def cylinder(radius: float, length: float) -> str:
+    """Geometry of a cylinder."""
+    return f'<cylinder radius="{radius:.6f}" length="{length:.6f}"/>'
+
+
+def _range(rng: np.random.Generator, joint: int) -> tuple[float, float]:
+    """Wide limits, about where the arm stands up or is stretched."""
+    middle = float(rng.uniform(-0.3, 0.3)) + (0.5 * math.pi * rng.choice([-1.0, 1.0]) if joint == 0 else 0.0)
+    half = math.radians(float(rng.uniform(70.0, 165.0)))
+    return middle - half, middle + half
+
+
+def _pedestal(rng: np.random.Generator, column: float) -> list[str]:
+    """What stands still below the yaw."""
+    if rng.random() < 0.5:
+        body = cylinder(float(rng.uniform(0.06, 0.15)), column - 0.02)
+    else:
+        body = _box([*rng.uniform(0.1, 0.3, 2), column - 0.02])
+    return [_collision(body, [0.0, 0.0, 0.5 * (column - 0.02)])]
+
+
+def _turret(rng: np.random.Generator) -> list[str]:
+    """What turns with the yaw, below the shoulder: boxes, or something round."""
+    if rng.random() < 0.3:
+        return [_collision(cylinder(float(rng.uniform(0.06, 0.12)), 0.1), [0.0, 0.0, 0.06])]
+    return [_collision(_box([*rng.uniform(0.1, 0.3, 2), 0.1]), [*rng.uniform(-0.03, 0.03, 2), 0.06])]
+
+
+def _turret_load(rng: np.random.Generator) -> list[str]:
+    """A counterweight behind, a mast beside."""
+    parts: list[str] = []
+    if rng.random() < 0.7:
+        size = rng.uniform(0.1, 0.3, 3)
+        place = [-float(rng.uniform(0.25, 0.55)), float(rng.uniform(-0.1, 0.1)), float(rng.uniform(0.05, 0.3))]
+        parts += _hung("counterweight", "turret", place, _box(size), rng)
+    if rng.random() < 0.7:
+        height, side = float(rng.uniform(0.3, 1.2)), float(rng.choice([-1.0, 1.0]))
+        place = [float(rng.uniform(-0.25, 0.15)), side * float(rng.uniform(0.15, 0.35)), 0.5 * height]
+        body = cylinder(0.02, height) if rng.random() < 0.5 else _box([0.04, 0.03, height])
+        parts += _hung("mast", "turret", place, body, rng, turned=False)
+    return parts
+
+
+def _beam(rng: np.random.Generator, length: float, width: float) -> list[str]:
+    """A link: a box or a cylinder along it, now and then a motor at its side."""
+    if rng.random() < 0.5:
+        beam = _collision(_box([length, 2.0 * width, 1.4 * width]), [0.5 * length, 0.0, 0.0])
+    else:
+        beam = _collision(cylinder(width, length), [0.5 * length, 0.0, 0.0], [0.0, 0.5 * math.pi, 0.0])
+    if rng.random() < 0.3:
+        place = [float(rng.uniform(0.3, 0.7)) * length, 0.0, 1.2 * width]
+        return [beam, _collision(_box([1.5 * width, 1.5 * width, 1.5 * width]), place)]
+    return [beam]
+
+
+def _tool(rng: np.random.Generator, folder: Path, parent: str, length: float) -> list[str]:
+    """The tool frame; a box on it, a gripper mesh on a fixed link behind it, or on the last link before it."""
+    size = rng.uniform(0.02, 0.08, 3)
+    on_tool = [_collision(_box(size), [-0.5 * size[0], 0.0, 0.0])] if rng.random() < 0.5 else []
+    parts = [_link("tool0", on_tool), _joint("tool", parent, "tool0", [length, 0.0, 0.0])]
+    if rng.random() < 0.6:
+        points = rng.uniform(-1.0, 1.0, (14, 3)) * rng.uniform(0.02, 0.07, 3)
+        write_stl(folder / "gripper.stl", points)
+        body = f'<mesh filename="{folder / "gripper.stl"}"/>'
+        hangs_on, place = ("tool0", [-0.05, 0.0, 0.0]) if rng.random() < 0.5 else (parent, [0.8 * length, 0.0, 0.03])
+        parts += _hung("gripper", hangs_on, place, body, rng)
+    return parts
+
+
+def _beside(rng: np.random.Generator, near: float, far: float, z: float) -> list[float]:
+    bearing, distance = float(rng.uniform(-math.pi, math.pi)), float(rng.uniform(near, far))
+    return [distance * math.cos(bearing), distance * math.sin(bearing), z]
+
+
+def _hung(
+    name: str, parent: str, place: Sequence[float], body: str, rng: np.random.Generator, *, turned: bool = True
+) -> list[str]:
+    """A fixed link with one body, turned about the vertical."""
+    turn = [0.0, 0.0, float(rng.uniform(-0.5, 0.5)) if turned else 0.0]
+    return [_link(name, [_collision(body, [0.0] * 3, turn)]), _joint(f"{name}_mount", parent, name, place)]
+
+
+def _link(name: str, collisions: Sequence[str]) -> str:
+    inertial = (
+        '<inertial><mass value="1"/><inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial>'
+    )
+    return f'<link name="{name}">{inertial}{"".join(collisions)}</link>'
+
+
+def _joint(
+    name: str, parent: str, child: str, place: Sequence[float], axis: str = "",
+    limits: tuple[float, float] | None = None,
+) -> str:  # fmt: skip
+    """A revolute joint, or a fixed one where there are no limits."""
+    ends = f'<parent link="{parent}"/><child link="{child}"/><origin xyz="{_text(place)}"/>'
+    if limits is None:
+        return f'<joint name="{name}" type="fixed">{ends}</joint>'
+    low, high = limits
+    limit = f'<limit lower="{low:.6f}" upper="{high:.6f}" velocity="3" effort="{EFFORT:g}"/>'
+    return f'<joint name="{name}" type="revolute">{ends}<axis xyz="{axis}"/>{limit}</joint>'
+
+
+def _box(size: Sequence[float] | FloatArray) -> str:
+    return f'<box size="{_text(size)}"/>'
+
+
+def _collision(body: str, place: Sequence[float], turn: Sequence[float] = (0.0, 0.0, 0.0)) -> str:
+    origin = f'<origin xyz="{_text(place)}" rpy="{_text(turn)}"/>'
+    return f"<collision>{origin}<geometry>{body}</geometry></collision>"
+
+
+def _text(values: Sequence[float] | FloatArray) -> str:
+    return " ".join(f"{float(value):.6f}" for value in values)

@@ -1,0 +1,88 @@
+"""The report: times, versions and JSON that every reader takes."""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from pathlib import Path
+
+import pytest
+
+import hplan
+from hplan.base.report import STAGES, StageClock, failure_report, versions, write_report
+from hplan.errors import JointLimitError, NoPathError, OutputError
+
+
+def test_clock_adds_up_what_a_stage_took() -> None:
+    clock = StageClock()
+    for _ in range(2):
+        with clock.stage("timing"):
+            time.sleep(0.002)
+    clock.add("layers", 0.5)
+    table = clock.as_ms()
+    assert tuple(table) == (*STAGES, "total")
+    assert 4.0 <= table["timing"] <= table["total"]
+    assert table["layers"] == 500.0
+    assert table["cspace"] == 0.0
+
+
+def test_clock_counts_a_stage_that_fails() -> None:
+    clock = StageClock()
+
+    def fail() -> None:
+        with clock.stage("cspace"):
+            time.sleep(0.001)
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        fail()
+    assert clock.seconds["cspace"] >= 0.001
+
+
+def test_clock_knows_its_stages() -> None:
+    with pytest.raises(KeyError):
+        StageClock().add("magic", 1.0)
+
+
+def test_versions() -> None:
+    found = versions()
+    assert set(found) == {"hplan", "pin", "coal", "toppra", "numba", "numpy"}
+    assert found["hplan"] in {hplan.__version__, "not installed as a package"}
+    assert found["numpy"][0].isdigit()
+
+
+def test_what_is_not_finite_becomes_null(tmp_path: Path) -> None:
+    path = write_report({"a": math.inf, "b": [-math.inf, {"c": (math.nan, 1.5)}], "d": None}, tmp_path / "r.json")
+    assert json.loads(path.read_text()) == {"a": None, "b": [None, {"c": [None, 1.5]}], "d": None}
+
+
+def test_report_that_cannot_be_written(tmp_path: Path) -> None:
+    with pytest.raises(OutputError) as error:
+        write_report({}, tmp_path / "missing" / "r.json")
+    assert error.value.path == tmp_path / "missing" / "r.json"
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_failure_report_carries_the_facts(tmp_path: Path) -> None:
+    error = JointLimitError("start", "elbow", -0.5, 0.0, math.pi / 2)
+    report = failure_report(error, scene="s", robot=None)
+    assert (report["status"], report["scene"], report["robot"]) == ("failed", "s", None)
+    assert report["error"] == {
+        "kind": "JointLimitError",
+        "message": "start: joint 'elbow' is at -0.5 rad, outside its limits [0, 1.5708] rad",
+        "which": "start",
+        "joint": "elbow",
+        "value_rad": -0.5,
+        "lower_rad": 0.0,
+        "upper_rad": math.pi / 2,
+    }
+    assert json.loads(write_report(report, tmp_path / "r.json").read_text()) == report
+
+
+def test_failure_report_of_no_path(tmp_path: Path) -> None:
+    blocker = {"obstacle": "ball", "link": "hand", "cells": 3, "slices_deg": [0.0, 4.0]}
+    report = failure_report(NoPathError("none", reached_cells=7, blockers=[blocker]), scene=None, robot=None)
+    written = json.loads(write_report(report, tmp_path / "r.json").read_text())
+    assert written["error"]["reached_cells"] == 7
+    assert written["error"]["blockers"] == [blocker]

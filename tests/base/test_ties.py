@@ -1,0 +1,62 @@
+"""Choices do not hang on the last bit, and elementary functions are the C library's."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+from hplan.base import elementary, ties
+
+#: The same distance by two sums.
+NEAR, NEARER = 0.20660599951286857, math.nextafter(0.20660599951286857, 0.0)
+
+
+def test_the_first_of_those_that_tie() -> None:
+    assert NEARER < NEAR
+    values = [1.0, NEAR, math.inf, NEARER, -1.0, NEAR]
+    assert ties.argsort(values).tolist() == [4, 1, 3, 5, 0, 2]
+    assert ties.argmin(values[:4]) == 1
+    assert ties.argmax([NEARER, NEAR, 0.0]) == 0
+    assert ties.argmax([NEARER, 0.3]) == 1
+
+
+def test_sums_on_the_raster_are_exact_in_any_order() -> None:
+    values = ties.on_raster(np.random.default_rng(0).uniform(0.0, 30.0, 6)).tolist()
+    sums = {sum(order) for order in itertools.permutations(values)}
+    assert len(sums) == 1
+    assert Fraction(sums.pop()) == sum(map(Fraction, values))
+
+
+def test_what_is_far_above_the_raster_stays() -> None:
+    values = np.random.default_rng(1).uniform(-1e3, 1e3, 100)
+    np.testing.assert_allclose(ties.on_raster(values), values, rtol=0, atol=0.5 * ties.RASTER)
+    assert ties.on_raster(-math.inf) == -math.inf
+
+
+@pytest.mark.parametrize("shape", [(500,), (20, 25)])
+def test_elementary_functions_are_those_of_the_c_library(shape: tuple[int, ...]) -> None:
+    rng = np.random.default_rng(2)
+    x, y, c, d = rng.uniform(-3.0, 3.0, (4, *shape))
+    points, others = x + 1j * y, c + 1j * d
+    expected = np.array([math.atan2(b, a) for a, b in zip(x.flat, y.flat, strict=True)]).reshape(shape)
+    np.testing.assert_array_equal(elementary.arctan2(y, x), expected)
+    np.testing.assert_array_equal(elementary.argument(points), expected)
+    np.testing.assert_array_equal(
+        elementary.arccos(x / 3.0), np.array([math.acos(a / 3.0) for a in x.flat]).reshape(shape)
+    )
+    np.testing.assert_array_equal(elementary.modulus(points), np.sqrt(x * x + y * y))
+    product = elementary.product(points, others)
+    np.testing.assert_array_equal(product.real, x * c - y * d)
+    np.testing.assert_array_equal(product.imag, x * d + y * c)
+    assert np.isnan(elementary.arccos(np.array([1.5]))).all()
+
+
+def test_elementary_functions_broadcast() -> None:
+    column, row = np.array([[1.0], [2.0]]), np.array([3.0, 4.0, 5.0])
+    assert elementary.arctan2(column, row).shape == (2, 3)
+    assert elementary.arctan2(1.0, row)[2] == math.atan2(1.0, 5.0)
+    assert elementary.product(column + 0j, row + 1j).shape == (2, 3)

@@ -1,0 +1,448 @@
+"""Clearances against coal and brute force, motion bounds and proofs against dense sampling."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+
+import numpy as np
+import pytest
+from arm_variants import VARIANTS, axis_points, coal_distances, load_variant, random_obstacles
+from shapes import torus
+
+from hplan.collision.clearance_field import ClearanceField
+from hplan.collision.clearance_kernels import motion_bounds, segment_is_clear
+from hplan.collision.coal_scene import CollisionScene
+from hplan.scene.model import Box, Capsule, Mesh, PointCloud, Sphere
+from hplan.scene.solids import Cloud, hull_of
+
+#: Where signed distances are this near to zero, either side may call it contact [m].
+TOUCH = 1e-6
+
+
+@pytest.fixture(params=VARIANTS)
+def variant(request, tmp_path):
+    return load_variant(request.param, tmp_path)
+
+
+def assert_clearances_match(robot, obstacles, configurations):
+    field = ClearanceField.of(robot, obstacles)
+    contacts = 0
+    for q in configurations:
+        expected = coal_distances(robot, q, obstacles).min(axis=1)
+        found = field.link_clearances(q)
+        apart = expected > TOUCH
+        np.testing.assert_allclose(found[apart], expected[apart], atol=1e-6, rtol=0)
+        assert (found[~apart] <= 2 * TOUCH).all()
+        assert field.clearance(q) == found.min()
+        contacts += int((~apart).sum())
+    return contacts
+
+
+# Clearance at a configuration
+
+
+def test_clearances_are_those_of_coal(variant):
+    rng = np.random.default_rng(1)
+    contacts = 0
+    for _ in range(12):
+        configurations = rng.uniform(variant.lower, variant.upper, (12, variant.dof))
+        contacts += assert_clearances_match(variant, random_obstacles(rng), configurations)
+    assert contacts > 0
+
+
+@pytest.mark.parametrize("kind", range(3))
+def test_each_obstacle_by_itself(robot, kind):
+    rng = np.random.default_rng(10 + kind)
+    for _ in range(30):
+        obstacle = random_obstacles(rng, 3)[kind]
+        assert_clearances_match(robot, [obstacle], rng.uniform(robot.lower, robot.upper, (4, 4)))
+
+
+def random_hull(rng, index, count=12):
+    points = rng.normal(size=(count, 3)) * rng.uniform(0.02, 0.3, 3)
+    name, place = f"h{index}", rng.uniform([-1.2, -1.2, 0.0], [1.2, 1.2, 1.6])
+    return hull_of(points + place, name)
+
+
+def by_points(robot, q, cloud):
+    """(links,) distances from every ball, one by one."""
+    ends = axis_points(robot, q)
+    found = []
+    for k, width in enumerate(robot.arm.half_widths):
+        along = ends[k + 1] - ends[k]
+        t = np.clip((cloud.core - ends[k]) @ along / (along @ along), 0.0, 1.0)
+        found.append(np.linalg.norm(cloud.core - ends[k] - t[:, None] * along, axis=1).min() - cloud.rounding - width)
+    return np.array(found)
+
+
+@pytest.mark.parametrize("count", [4, 12, 300])
+def test_hulls_are_those_of_coal(variant, count):
+    rng = np.random.default_rng(count)
+    free = 0
+    for index in range(6):
+        hull = random_hull(rng, index, count)
+        field, judge = ClearanceField.of(variant, [hull]), CollisionScene(variant, [hull])
+        for q in rng.uniform(variant.lower, variant.upper, (12, variant.dof)):
+            expected, found = judge.distances(q)[:, 0], field.link_clearances(q)
+            apart = expected > TOUCH
+            np.testing.assert_allclose(found[apart], expected[apart], atol=1e-6, rtol=0)
+            assert (found[~apart] <= 2 * TOUCH).all()
+            free += int(apart.sum())
+    assert free > 50
+
+
+def test_hull_by_hand(robot):
+    """A block as a hull is the block: above, beside, beyond the tip, pierced, about the whole link, grown."""
+    for center, size in (
+        ((0.5, 0, 1.0), (0.2, 0.2, 0.2)),
+        ((1.6, 0.4, 0.6), (0.1, 0.2, 0.1)),
+        ((2.5, 0, 0.6), (0.2, 0.2, 0.2)),
+        ((2.5, 0.4, 0.9), (0.2, 0.2, 0.2)),
+        ((0.5, 0, 0.6), (0.1, 0.3, 0.3)),
+        ((0.5, 0, 0.6), (2.0, 0.3, 0.3)),
+    ):
+        box = Box(name="b", center=center, size=size)
+        for rounding in (0.0, 0.03):
+            hull = dataclasses.replace(hull_of(box.core), rounding=rounding)
+            found = ClearanceField.of(robot, [hull]).link_clearances(np.zeros(4))
+            expected = ClearanceField.of(robot, [box]).link_clearances(np.zeros(4)) - rounding
+            np.testing.assert_allclose(found, expected, atol=1e-9)
+
+
+@pytest.mark.parametrize("count", [1, 2, 17, 2000])
+def test_clouds_ball_by_ball(variant, count):
+    rng = np.random.default_rng(count)
+    for spread in (0.05, 1.0):
+        points = rng.normal(size=(count, 3)) * spread * [1.0, 1.0, 0.2] + rng.uniform(-1, 1, 3)
+        cloud = Cloud.of("cloud", points, 0.02)
+        field = ClearanceField.of(variant, [cloud], clearance=0.01)
+        for q in rng.uniform(variant.lower, variant.upper, (15, variant.dof)):
+            np.testing.assert_allclose(field.link_clearances(q), by_points(variant, q, cloud) - 0.01, atol=1e-9)
+
+
+def test_all_kinds_together(robot):
+    """The nearest of all, whatever their order; every row knows its solid."""
+    rng = np.random.default_rng(3)
+    for _ in range(8):
+        cloud = Cloud.of("cloud", rng.uniform([0.6, -0.5, 0.5], [1.6, 0.5, 1.5], (200, 3)), 0.01)
+        second = Cloud.of("second", rng.uniform([-1.6, -0.5, 0.5], [-0.6, 0.5, 1.5], (90, 3)), 0.03)
+        solids = [*random_obstacles(rng, 3), random_hull(rng, 0), cloud, random_hull(rng, 1), second]
+        solids = [solids[i] for i in rng.permutation(len(solids))]
+        field = ClearanceField.of(robot, solids)
+        alone = [ClearanceField.of(robot, [solid]) for solid in solids]
+        for q in rng.uniform(robot.lower, robot.upper, (20, 4)):
+            expected = np.min([one.link_clearances(q) for one in alone], axis=0)
+            np.testing.assert_allclose(np.maximum(field.link_clearances(q), 0.0), np.maximum(expected, 0.0), atol=1e-9)
+        counts = [len(one.solids) for one in alone]
+        assert field.owner.tolist() == [i for i, count in enumerate(counts) for _ in range(count)]
+        for row, index in zip(field.solids, field.owner, strict=True):
+            reach = np.linalg.norm(solids[index].core - row[2:5], axis=1).min()
+            assert reach <= row[5]
+
+
+def test_meshes_and_points_of_a_scene(robot, scene):
+    ring = Mesh.of("ring", *torus(n=12), position=(1.2, 0.2, 1.0), rpy_deg=(90, 0, 0))
+    canopy = PointCloud.of("canopy", np.random.default_rng(0).uniform(-0.3, 0.3, (300, 3)), 0.01, position=(1, 0, 1.9))
+    solids = scene.with_obstacles([ring, canopy]).solids
+    field, judge = ClearanceField.of(robot, solids), CollisionScene(robot, solids)
+    for q in np.random.default_rng(1).uniform(robot.lower, robot.upper, (40, 4)):
+        expected = judge.distances(q).min(axis=1)
+        np.testing.assert_allclose(np.maximum(field.link_clearances(q), 0), np.maximum(expected, 0), atol=1e-6)
+    path = np.array([[0, 0, 0, 0], [0, 1.0, 0, 0]])
+    assert not field.is_clear(path, 1e-3)
+    assert ClearanceField.of(robot, canopy.solids).is_clear(path * 0.1, 1e-3)
+
+
+def test_links_in_line_with_and_across_obstacles(robot):
+    """Parallel segments, capsules of no length, a box whose faces the arm runs along."""
+    obstacles = [
+        Capsule(name="above", start=(0.3, 0, 1.0), end=(0.7, 0, 1.0), radius=0.05),
+        Capsule(name="ahead", start=(2.5, 0, 0.6), end=(3.0, 0, 0.6), radius=0.05),
+        Capsule(name="long", start=(-5, 0.4, 0.6), end=(5, 0.4, 0.6), radius=0.1),
+        Capsule(name="backwards", start=(2.0, 0, 0.2), end=(-1.0, 0, 0.2), radius=0.1),
+        Capsule(name="point", start=(1.2, 0.1, 0.9), end=(1.2, 0.1, 0.9), radius=0.1),
+        Box(name="block", center=(1.4, 0.0, 0.3), size=(0.6, 0.4, 0.2)),
+        Box(name="turned", center=(0.5, 0.6, 0.6), size=(0.2, 0.3, 0.4), rpy_deg=(0, 0, 90)),
+    ]
+    flat = np.zeros(4)
+    for obstacle in obstacles:
+        assert_clearances_match(robot, [obstacle], [flat, [np.pi / 2, 0, 0, 0], [0, np.pi / 2, 0, 0]])
+    for some in itertools.combinations(obstacles, 3):
+        assert_clearances_match(robot, some, [flat])
+    field = ClearanceField.of(robot, obstacles[:1])
+    ends = np.hypot([0.0, 0.3, 1.1], 0.4)  # of the capsule from the links' nearest points
+    np.testing.assert_allclose(field.link_clearances(flat), ends - 0.05 - robot.arm.half_widths, atol=1e-12)
+
+
+def test_depth_in_balls_is_exact(robot):
+    """Penetration of a ball whose centre is beside a link's axis, by the closed form."""
+    for depth in (1e-4, 0.02, 0.06):
+        ball = Sphere(name="ball", center=(0.4, 0.03, 0.6 + 0.04), radius=depth)
+        expected = 0.05 - 0.05 - depth
+        assert ClearanceField.of(robot, [ball]).link_clearances(np.zeros(4))[0] == pytest.approx(expected, abs=1e-12)
+
+
+def test_nearest_of_many_is_not_culled(robot):
+    """A wire far longer than the others has its middle far away; big obstacles hide small ones."""
+    rng = np.random.default_rng(4)
+    wire = Capsule(name="wire", start=(-40, 0.5, 1.0), end=(90, 0.7, 1.2), radius=0.002)
+    wall = Box(name="wall", center=(0, -5, 0), size=(30, 0.1, 30), rpy_deg=(3, 2, 1))
+    for _ in range(10):
+        obstacles = [wall, wire, *random_obstacles(rng, 30)]
+        rng.shuffle(obstacles)
+        assert_clearances_match(robot, obstacles, rng.uniform(robot.lower, robot.upper, (3, 4)))
+
+
+@pytest.mark.parametrize("clearance", [0.0, 0.013, 0.3])
+def test_obstacles_grown_by_the_clearance_to_keep(robot, clearance):
+    rng = np.random.default_rng(5)
+    obstacles = random_obstacles(rng)
+    plain, grown = ClearanceField.of(robot, obstacles), ClearanceField.of(robot, obstacles, clearance=clearance)
+    for q in rng.uniform(robot.lower, robot.upper, (20, 4)):
+        np.testing.assert_allclose(grown.link_clearances(q), plain.link_clearances(q) - clearance, atol=1e-12)
+
+
+def test_without_obstacles(robot):
+    field = ClearanceField.of(robot, [])
+    assert field.clearance(np.zeros(4)) == np.inf
+    assert field.is_clear(np.array([np.zeros(4), np.ones(4)]), 1e9)
+
+
+def crowd(rng):
+    """Solids of all kinds, clouds between others, and a clearance for each."""
+    clouds = [Cloud.of(f"c{i}", rng.uniform([0.3, -0.9, 0.3], [1.7, 0.9, 1.9], (120, 3)), 0.01) for i in range(2)]
+    solids = [*random_obstacles(rng, 6), random_hull(rng, 0), *clouds, random_hull(rng, 1)]
+    solids = [solids[i] for i in rng.permutation(len(solids))]
+    return solids, rng.uniform(0.0, 0.1, len(solids))
+
+
+def test_each_obstacle_grown_by_its_own_clearance(robot):
+    rng = np.random.default_rng(9)
+    for _ in range(4):
+        solids, keep = crowd(rng)
+        field = ClearanceField.of(robot, solids, clearance=keep)
+        alone = [ClearanceField.of(robot, [solid], clearance=each) for solid, each in zip(solids, keep, strict=True)]
+        for q in rng.uniform(robot.lower, robot.upper, (15, 4)):
+            expected = np.min([one.link_clearances(q) for one in alone], axis=0)
+            np.testing.assert_allclose(np.maximum(field.link_clearances(q), 0), np.maximum(expected, 0), atol=1e-9)
+
+
+def test_only_some_of_the_solids(robot):
+    """The field of some is the field made of these alone, clouds and hulls among them."""
+    rng = np.random.default_rng(10)
+    for _ in range(6):
+        solids, keep = crowd(rng)
+        field = ClearanceField.of(robot, solids, clearance=keep)
+        kept = rng.random(len(solids)) < 0.5
+        some = field.only(kept)
+        made = ClearanceField.of(
+            robot, [solid for solid, wanted in zip(solids, kept, strict=True) if wanted], clearance=keep[kept]
+        )
+        assert set(some.owner.tolist()) == set(np.flatnonzero(kept).tolist())
+        for q in rng.uniform(robot.lower, robot.upper, (15, 4)):
+            np.testing.assert_array_equal(some.link_clearances(q), made.link_clearances(q))
+    assert field.only(np.zeros(len(solids), dtype=bool)).clearance(np.zeros(4)) == np.inf
+    np.testing.assert_array_equal(field.only(np.ones(len(solids), dtype=bool)).solids, field.solids)
+    assert not some.solids.flags.writeable
+
+
+def test_some_solids_are_none_to_the_last_link(robot):
+    """Clouds and hulls too, and where only what is near is left of the field."""
+    rng = np.random.default_rng(13)
+    for _ in range(6):
+        solids, keep = crowd(rng)
+        field, touched = ClearanceField.of(robot, solids, clearance=keep), rng.random(len(solids)) < 0.5
+        spared, without = field.sparing(touched), field.only(~touched)
+        for q in rng.uniform(robot.lower, robot.upper, (15, 4)):
+            expected = np.append(field.link_clearances(q)[:-1], without.link_clearances(q)[-1])
+            np.testing.assert_array_equal(spared.link_clearances(q), expected)
+            near = spared.near(q[None], 0.1).link_clearances(q)
+            np.testing.assert_array_equal(near[expected < 0.1], expected[expected < 0.1])
+        np.testing.assert_array_equal(field.sparing(np.zeros(len(solids), dtype=bool)).solids, field.solids)
+    nothing = ClearanceField.of(robot, [])
+    assert nothing.sparing(np.zeros(0, dtype=bool)).clearance(np.zeros(4)) == np.inf
+
+
+def test_near_a_motion_the_field_is_the_whole_one(robot):
+    """Along the motion, wherever something is nearer than the distance asked for."""
+    rng = np.random.default_rng(11)
+    left_out = nearer = 0
+    for distance in (0.05, 0.3):
+        for _ in range(6):
+            solids, keep = crowd(rng)
+            field = ClearanceField.of(robot, solids, clearance=keep)
+            steps = np.vstack([rng.uniform(0, 1.2, 4), rng.normal(0, 0.3, (3, 4))])
+            path = np.clip(np.cumsum(steps, axis=0), robot.lower, robot.upper)
+            some = field.near(path, distance)
+            left_out += len(field.solids) - len(some.solids)
+            for a, b in itertools.pairwise(path):
+                for t in np.linspace(0.0, 1.0, 25):
+                    q = a + t * (b - a)
+                    whole, part = field.link_clearances(q), some.link_clearances(q)
+                    assert (part >= whole - 1e-12).all()
+                    # Between two looks a link may come nearer by what it moves in half a step.
+                    near = (whole < distance - 0.025 * 7.0 * 0.5) & (whole > 0.0)
+                    np.testing.assert_allclose(part[near], whole[near], atol=1e-12)
+                    nearer += int(near.sum())
+    assert left_out > 100
+    assert nearer > 100
+
+
+def test_near_a_single_configuration(robot):
+    far = Sphere(name="far", center=(-1.0, 0, 1.5), radius=0.1)
+    close = Sphere(name="close", center=(1.0, 0, 0.8), radius=0.1)
+    field = ClearanceField.of(robot, [far, close])
+    assert field.near(np.zeros((1, 4)), 0.2).owner.tolist() == [1]
+    assert field.near(np.zeros((1, 4)), 5.0).owner.tolist() == [0, 1]
+    assert field.near(np.zeros((1, 4)), 0.01).clearance(np.zeros(4)) == np.inf
+    sweep = np.array([[0.0, 0, 0, 0], [3.0, 0, 0, 0]])
+    aside = Sphere(name="aside", center=(0, 1.5, 0.6), radius=0.1)
+    assert ClearanceField.of(robot, [aside]).near(sweep, 0.1).owner.size == 1
+
+
+# Bounds on motion
+
+
+def bounds_of(field, turns):
+    result = np.empty(len(field.chain))
+    motion_bounds(np.asarray(turns, dtype=float), field.chain, field.base, result)
+    return result
+
+
+def test_no_axis_point_moves_farther_than_the_bound(variant):
+    rng = np.random.default_rng(7)
+    field = ClearanceField.of(variant, [])
+    closest = 0.0
+    for _ in range(25):
+        start, end = rng.uniform(variant.lower, variant.upper, (2, variant.dof))
+        if variant.has_yaw and rng.random() < 0.3:
+            end[1:] = start[1:]
+        end = start + rng.choice([1.0, 0.01]) * (end - start)
+        bounds = bounds_of(field, end - start)
+        before = axis_points(variant, start)
+        for t in np.linspace(0.0, 1.0, 41):
+            moved = np.linalg.norm(axis_points(variant, start + t * (end - start)) - before, axis=1)
+            farthest = np.maximum(moved[:-1], moved[1:])  # on a segment the displacement is largest at an end
+            assert (farthest <= t * bounds + 1e-12).all()
+            closest = max(closest, (farthest / np.maximum(t * bounds, 1e-12)).max())
+    assert closest > 0.5
+
+
+def test_bounds_are_tight_for_a_stretched_arm(robot):
+    """A small turn of the shoulder, and one of the yaw, move the tool by what the bound says."""
+    field = ClearanceField.of(robot, [])
+    for joint in (0, 1):
+        turns = np.zeros(4)
+        turns[joint] = 1e-3
+        moved = np.linalg.norm(axis_points(robot, turns) - axis_points(robot, np.zeros(4)), axis=1)[1:]
+        np.testing.assert_allclose(bounds_of(field, turns), moved, rtol=1e-5)
+    np.testing.assert_allclose(bounds_of(field, [0, 0.2, -0.2, 0]), [0.2, 0.2, 0.2], rtol=1e-14)
+    np.testing.assert_allclose(bounds_of(field, [-0.1, 0, 0, 0.5]), [0.1, 0.18, 0.42], rtol=1e-14)
+
+
+# Motions shown clear
+
+
+def dense_clearance(judge, start, end, samples=240):
+    return min(judge.distances(start + t * (end - start)).min() for t in np.linspace(0.0, 1.0, samples))
+
+
+def random_motions(robot, rng, count):
+    """Motions that pass near obstacles: their clearance is small beside that of random ones."""
+    found = 0
+    while found < count:
+        obstacles = random_obstacles(rng, 3)
+        judge, field = CollisionScene(robot, obstacles), ClearanceField.of(robot, obstacles)
+        for _ in range(20):
+            start = rng.uniform(robot.lower, robot.upper)
+            end = np.clip(start + rng.uniform(-0.5, 0.5, robot.dof), robot.lower, robot.upper)
+            near = field.clearance(0.5 * (start + end))
+            if -0.05 < near < 0.2 and field.clearance(start) > 0.0:
+                found += 1
+                yield field, judge, start, end
+
+
+def test_no_motion_in_contact_is_accepted_and_few_others_refused(robot):
+    rng = np.random.default_rng(8)
+    margin = 2e-3
+    accepted = refused = 0
+    for field, judge, start, end in random_motions(robot, rng, 500):
+        sampled = dense_clearance(judge, start, end)
+        if field.is_clear(np.stack([start, end]), margin):
+            accepted += 1
+            assert sampled >= 0.5 * margin
+        else:
+            refused += 1
+            # What was refused comes closer than the margin, at least between the samples.
+            assert sampled < margin + bounds_of(field, end - start).max() / 400
+    assert min(accepted, refused) > 100
+
+
+def test_contact_for_a_moment_is_refused(robot):
+    """A bead grazed by the tip between free configurations, and one just missed."""
+    start, end = np.array([0, 0.3, 0.0, 0.0]), np.array([0, 0.9, 0.0, 0.0])
+    for depth, at in itertools.product((1e-4, 1e-2), (0.31, 0.455, 0.6037, 0.88)):
+        for gap, clear in ((-depth, False), (depth, True)):
+            reach = 2.2 + 0.03 + 0.001 + gap
+            bead = Sphere(name="bead", center=(reach * np.cos(at), 0, 0.6 + reach * np.sin(at)), radius=0.001)
+            field = ClearanceField.of(robot, [bead])
+            assert field.is_clear([start, end], 0.5e-4) is clear
+            assert field.is_clear([end, start], 0.5e-4) is clear
+
+
+def test_yaw_sweeps_into_an_obstacle(robot):
+    post = Capsule(name="post", start=(1.0, 1.0, 0), end=(1.0, 1.0, 2), radius=0.02)
+    field = ClearanceField.of(robot, [post])
+    assert field.is_clear([[0, 0.1, 0, 0], [0.7, 0.1, 0, 0]], 1e-3)
+    assert not field.is_clear([[0, 0.1, 0, 0], [1.6, 0.1, 0, 0]], 1e-3)
+    assert field.is_clear([[0, 1.5, 0.2, 0], [1.6, 1.5, 0.2, 0]], 1e-3)
+
+
+def test_every_segment_of_a_path_counts(robot):
+    obstacle = Sphere(name="ball", center=(1.0, 0.0, 1.9), radius=0.15)
+    field = ClearanceField.of(robot, [obstacle])
+    free, blocked = np.radians([[0, 0, 0, 0], [0, 20, 0, 0]]), np.radians([[0, 0, 0, 0], [0, 90, 0, 0]])
+    assert field.is_clear(free, 1e-3)
+    assert not field.is_clear(blocked, 1e-3)
+    assert not field.is_clear(np.vstack([free, blocked[1]]), 1e-3)
+    assert not field.is_clear(np.vstack([blocked, free[1]]), 1e-3)
+    assert field.is_clear(free[:1], 1e-3)
+    assert field.is_clear(free[[0, 0]], 1e-3)
+    assert not field.is_clear(blocked[[1, 1]] * [0, 0.62, 0, 0], 1e-3)  # standing in contact
+
+
+def test_margin_is_asked_for(robot):
+    ball = Sphere(name="ball", center=(1.5, 0, 1.0), radius=0.1)
+    field = ClearanceField.of(robot, [ball])
+    path = np.array([[0, 0, 0, 0], [0, 0.05, 0, 0]])
+    least = min(field.clearance(q) for q in np.linspace(*path, 500))
+    assert field.is_clear(path, least - 1e-9)
+    assert not field.is_clear(path, least + 1e-5)
+    chain = (field.chain, field.base, field.solids, field.data)
+    assert segment_is_clear(path[0], path[1], *chain, least - 1e-9)
+
+
+@pytest.mark.parametrize("joint", [0, 1, 3])
+def test_motion_that_is_not_a_number_is_not_clear(robot, scene, joint):
+    path = np.radians([[0.0, 0, 0, 0], [0, 10, 0, 0]])
+    path[1, joint] = np.nan
+    assert not ClearanceField.of(robot, scene.solids).is_clear(path, 1e-3)
+
+
+def test_the_last_link_may_touch_some(robot):
+    """As a field for each link: the last one's does not know what it may touch, those of the others do."""
+    rng = np.random.default_rng(5)
+    for _ in range(6):
+        cloud = Cloud.of("cloud", rng.uniform([0.6, -0.5, 0.5], [1.6, 0.5, 1.5], (200, 3)), 0.01)
+        solids = [*random_obstacles(rng, 2), cloud, random_hull(rng, 0)]
+        solids = [solids[i] for i in rng.permutation(len(solids))]
+        touched = rng.random(len(solids)) < 0.4
+        field = ClearanceField.of(robot, solids, clearance=0.01)
+        spared, without = field.sparing(touched), field.only(~touched)
+        near = spared.near(rng.uniform(robot.lower, robot.upper, (4, 4)), 10.0)
+        for q in rng.uniform(robot.lower, robot.upper, (30, 4)):
+            expected = np.append(field.link_clearances(q)[:-1], without.link_clearances(q)[-1])
+            np.testing.assert_array_equal(spared.link_clearances(q), expected)
+            np.testing.assert_array_equal(near.link_clearances(q), expected)
+            np.testing.assert_array_equal(spared.only(~touched).link_clearances(q), without.link_clearances(q))

@@ -1,0 +1,116 @@
+"""coal's distances against exact ones: never above them by more than what the proof takes off."""
+
+from __future__ import annotations
+
+import coal
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from hplan.collision.coal_accuracy import ITERATION, PARALLEL, SIZE, distance_errors
+from hplan.collision.coal_scene import CollisionScene
+from hplan.collision.coal_shapes import solid_shape
+from hplan.scene.model import Box, Capsule, Goal, Scene, Sphere, Start
+from hplan.timing.trajectory import Trajectory
+from hplan.verification.certificate import certify
+
+
+def turned(z, rng):
+    """(3, 3) rotation with a given last axis."""
+    x = np.cross(z, rng.normal(size=3))
+    x /= np.linalg.norm(x)
+    return np.stack([x, np.cross(z, x), z], axis=1)
+
+
+def segments_apart(a, b, c, d):
+    """Distance of two segments that are apart in their common plane, or nearly, in long doubles."""
+    a, b, c, d = (np.asarray(point, dtype=np.longdouble) for point in (a, b, c, d))
+
+    def from_segment(point, begin, end):
+        along = end - begin
+        share = np.clip(((point - begin) @ along) / (along @ along), 0.0, 1.0)
+        return np.sqrt(((point - begin - share * along) ** 2).sum())
+
+    return min(from_segment(a, c, d), from_segment(b, c, d), from_segment(c, a, b), from_segment(d, a, b))
+
+
+def capsule_object(radius, length):
+    return pin.GeometryObject("capsule", 0, 0, pin.SE3.Identity(), coal.Capsule(radius, length))
+
+
+@pytest.mark.parametrize(("first", "second"), [(1.0, 1.0), (1.0, 0.05), (0.05, 0.05), (0.005, 1.0), (0.005, 0.005)])
+def test_nearly_parallel_capsules(first, second):
+    rng, worst, radius = np.random.default_rng(3), 0.0, 0.01
+    obstacle = Capsule(name="c", start=(0.0, 0.0, 0.0), end=(0.0, 0.0, second), radius=radius)
+    allowed = distance_errors([capsule_object(radius, first)], [obstacle], [])[0]
+    for _ in range(4000):
+        angle = 10.0 ** rng.uniform(-8.5, -6.5) / (first * second) * rng.choice([-1.0, 1.0])
+        along, aside = np.eye(3)[:2]
+        other = along * np.cos(angle) + aside * np.sin(angle)
+        center = aside * rng.uniform(0.03, 0.1) + along * rng.uniform(-0.5, 0.5) * (first + second)
+        ends = [0.5 * first * along, 0.5 * second * other]
+        true = segments_apart(-ends[0], ends[0], center - ends[1], center + ends[1]) - 2 * np.longdouble(radius)
+        found = coal.distance(
+            coal.Capsule(radius, first), coal.Transform3s(turned(along, rng), np.zeros(3)),
+            coal.Capsule(radius, second), coal.Transform3s(turned(other, rng), center),
+            coal.DistanceRequest(), coal.DistanceResult(),
+        )  # fmt: skip
+        worst = max(worst, float(found - true))
+    assert worst <= allowed
+    # What is allowed for is really there.
+    assert worst > 0.8 * PARALLEL / max(first, second)
+
+
+@pytest.mark.parametrize("size", [1.0, 1e2, 1e4])
+def test_capsules_above_large_boxes(size):
+    rng = np.random.default_rng(4)
+    box = Box(name="b", center=(0.0, 0.0, -0.5 * size), size=(size,) * 3)
+    allowed = distance_errors([capsule_object(0.05, 1.0)], [box], [])[0]
+    assert allowed >= SIZE * size
+    placed = solid_shape(box)
+    for _ in range(500):
+        along = rng.normal(size=3)
+        along /= np.linalg.norm(along)
+        gap = 10.0 ** rng.uniform(-5.0, 0.0)
+        center = np.array([*rng.uniform(-0.3, 0.3, 2) * size, gap + 0.05 + 0.5 * abs(along[2])])
+        if size < 10.0:
+            center[:2] = 0.0
+        found = coal.distance(
+            coal.Capsule(0.05, 1.0), coal.Transform3s(turned(along, rng), center),
+            placed.geometry, coal.Transform3s(placed.placement.rotation, placed.placement.translation),
+            coal.DistanceRequest(), coal.DistanceResult(),
+        )  # fmt: skip
+        if size >= 10.0 or abs(along[2]) > 0.9:
+            assert found - gap <= allowed
+
+
+def test_one_for_each_pair(robot):
+    obstacles = [
+        Sphere(name="s", center=(3.0, 0.0, 0.0), radius=0.5),
+        Capsule(name="c", start=(3.0, 0.0, 0.0), end=(3.0, 0.0, 0.01), radius=0.1),
+        Box(name="b", center=(3.0, 0.0, 0.0), size=(30.0, 40.0, 0.1)),
+    ]
+    judge = CollisionScene(robot, obstacles)
+    errors = judge.distance_errors
+    assert errors.shape == (len(judge.pairs),)
+    table = errors[: 3 * len(judge.link_names)].reshape(-1, 3)
+    lengths = robot.arm.lengths
+    np.testing.assert_allclose(table[:, 1] - table[:, 0], PARALLEL / lengths, atol=2e-9)
+    np.testing.assert_allclose(table[:, 2], ITERATION + 50.0 * SIZE, rtol=1e-4)
+    np.testing.assert_array_equal(judge.touching("s").distance_errors, errors)
+
+
+def test_the_proof_takes_them_off(robot, monkeypatch):
+    """At rest, half of what there is to spare is shown: of the distance, less the error."""
+    zero = np.zeros((1, 4))
+    still = Trajectory(robot.joint_names, np.zeros(1), zero, zero, zero, robot.dynamics.torques(zero, zero, zero))
+    ball = Sphere(name="s", center=(1.0, 0.0, 1.0), radius=0.2)
+    rest = (0.0,) * 4
+    scene = Scene(name="s", start=Start(joints_rad=rest), goal=Goal(joints_rad=rest), obstacles=(ball,))
+    found = certify(robot, scene, still)
+    errors = CollisionScene(robot, scene.solids).distance_errors
+    assert found.verified
+    assert found.min_clearance_m == pytest.approx(0.5 * (found.nearest.distance_m - errors[0]), rel=1e-9)
+    wide = CollisionScene(robot, scene.solids)
+    wide.distance_errors = errors + found.nearest.distance_m
+    assert not certify(robot, scene, still, judge=wide).verified

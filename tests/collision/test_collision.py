@@ -1,0 +1,430 @@
+"""The scene in coal against closed forms, and against the analytic occupancy."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+import shutil
+import struct
+
+import numpy as np
+import pytest
+from arm_variants import VARIANTS, axis_points, coal_distances, load_variant, random_obstacles
+from shapes import torus
+
+from hplan.base.data_files import urdf_dir
+from hplan.collision.coal_scene import CollisionScene, base_contacts, base_radius, check_clear, sampled_occupancy
+from hplan.cspace.occupancy import joint_grid, occupancy
+from hplan.cspace.sections import arm_sections
+from hplan.errors import ConfigurationInCollisionError, OptionError
+from hplan.robot.convex_shape import convex_hull_shape
+from hplan.robot.model import load_robot
+from hplan.scene.model import Box, Capsule, Mesh, Sphere
+from hplan.scene.solids import Cloud, hull_of
+
+FLAT = np.zeros(4)
+
+
+def point_to_segment(point, start, end):
+    along = end - start
+    t = np.clip((point - start) @ along / (along @ along), 0.0, 1.0)
+    return np.linalg.norm(point - start - t * along)
+
+
+def ball(x, y, z, radius=0.1, name="ball"):
+    return Sphere(name=name, center=(x, y, z), radius=radius)
+
+
+# Distances
+
+
+@pytest.mark.parametrize("name", VARIANTS)
+def test_distances_to_balls_by_the_closed_form(name, tmp_path):
+    robot = load_variant(name, tmp_path)
+    rng = np.random.default_rng(1)
+    balls = [ball(*rng.uniform(-1.5, 1.5, 3), radius=rng.uniform(0.02, 0.3), name=f"b{i}") for i in range(7)]
+    judge = CollisionScene(robot, balls)
+    for q in rng.uniform(robot.lower, robot.upper, (30, robot.dof)):
+        points = axis_points(robot, q)
+        expected = [
+            [point_to_segment(np.array(b.center), points[k], points[k + 1]) - b.radius - width for b in balls]
+            for k, width in enumerate(robot.arm.half_widths)
+        ]
+        np.testing.assert_allclose(judge.distances(q), expected, atol=1e-9)
+
+
+def test_distances_to_all_kinds(robot):
+    rng = np.random.default_rng(2)
+    for _ in range(10):
+        obstacles = random_obstacles(rng, 9)
+        judge = CollisionScene(robot, obstacles)
+        for q in rng.uniform(robot.lower, robot.upper, (5, 4)):
+            found, expected = judge.distances(q), coal_distances(robot, q, obstacles)
+            np.testing.assert_allclose(np.where(expected > 0, found, 0), np.maximum(expected, 0), atol=1e-6)
+            assert ((found <= 1e-6) == (expected <= 1e-6)).all()
+
+
+@pytest.mark.parametrize(
+    ("obstacle", "expected"),
+    [
+        (Capsule(name="o", start=(0.2, 0, 1.0), end=(0.8, 0, 1.0), radius=0.1), [0.25, 0.0, 0.0]),
+        (Capsule(name="o", start=(0.5, -1, 1.0), end=(0.5, 1, 1.0), radius=0.1), [0.25, 0.0, 0.0]),
+        (Capsule(name="o", start=(0.5, 0.3, 0.6), end=(0.5, 0.3, 0.6), radius=0.1), [0.15, 0.0, 0.0]),
+        (Box(name="o", center=(0.5, 0, 1.0), size=(0.2, 0.2, 0.2)), [0.25, 0.0, 0.0]),
+        (Box(name="o", center=(0.5, 0, 1.0), size=(0.2, 0.2, 0.2), rpy_deg=(0, 45, 0)), [0.35 - 0.1 * 2**0.5]),
+        (Box(name="o", center=(0.5, 0, 1.0), size=(0.2, 0.6, 0.2), rpy_deg=(90, 0, 0)), [0.35 - 0.3]),
+        (Box(name="o", center=(1.6, 1.0, 0.6), size=(0.2, 0.4, 0.2), rpy_deg=(0, 0, 90)), [0.0, 0.86]),
+        (Capsule(name="o", start=(2.7, 0, 0.6), end=(2.3, 0.0, 0.6), radius=0.02), [0.0, 0.0, 0.05]),
+    ],
+)  # fmt: skip
+def test_capsules_and_boxes_by_hand(robot, obstacle, expected):
+    found = CollisionScene(robot, [obstacle]).distances(FLAT)[:, 0]
+    for link, value in enumerate(expected):
+        if value:
+            assert found[link] == pytest.approx(value, abs=1e-6)
+
+
+def test_depth(robot):
+    for depth in (1e-4, 0.03):
+        below = ball(0.5, 0.0, 0.6 - 0.05 - 0.1 + depth)
+        assert CollisionScene(robot, [below]).distances(FLAT)[0, 0] == pytest.approx(-depth, abs=1e-7)
+
+
+def test_order_and_names(robot):
+    judge = CollisionScene(robot, [ball(0.5, 0, 1.0, name="near upper arm"), ball(1.5, 0, 1.2, name="forearm's")])
+    assert judge.link_names == ("upper_arm", "forearm", "hand")
+    assert judge.obstacle_names == ("near upper arm", "forearm's")
+    table = judge.distances(FLAT)
+    assert table.shape == (3, 2)
+    assert table[0, 0] == pytest.approx(0.25)
+    assert table[1, 1] == pytest.approx(0.46)
+    assert table[2, 0] == pytest.approx(np.hypot(1.3, 0.4) - 0.13)
+    nearest = judge.nearest(FLAT)
+    assert (nearest.link, nearest.obstacle) == ("upper_arm", "near upper arm")
+    assert nearest.distance_m == table.min()
+    nearest = judge.nearest(np.array([np.pi, 0, 0, 0]))
+    assert nearest.obstacle == "near upper arm"
+    assert judge.nearest(np.array([0, 0, 0.6, 0])).link == "forearm"
+
+
+def test_without_obstacles(robot):
+    judge = CollisionScene(robot, [])
+    assert judge.distances(FLAT).shape == (3, 0)
+    assert judge.nearest(FLAT) is None
+    assert judge.in_collision(np.zeros((5, 4))).tolist() == [False] * 5
+    assert check_clear(judge, FLAT, 0.1, "start") == np.inf
+
+
+# Hulls and clouds
+
+
+@pytest.mark.parametrize("links", ["capsule", "box", "urdf"])
+def test_a_hull_of_corners_is_the_box(robot, links):
+    rng = np.random.default_rng(5)
+    for index in range(6):
+        box = random_obstacles(rng, 3)[2]
+        hull = hull_of(box.core, "hull")
+        grown = dataclasses.replace(hull, rounding=0.05)
+        judge = CollisionScene(robot, [box, hull, grown], links=links)
+        for q in rng.uniform(robot.lower, robot.upper, (8, 4)):
+            found = judge.distances(q)
+            apart = found[:, 0] > 1e-6
+            np.testing.assert_allclose(found[apart, 1], found[apart, 0], atol=1e-6)
+            np.testing.assert_allclose(found[apart, 2], found[apart, 0] - 0.05, atol=1e-6)
+            assert (found[~apart] <= 1e-6).all()
+        assert judge.obstacle_names == (box.name, "hull", "hull")
+        assert index < 6
+
+
+@pytest.mark.parametrize("shape", ["room", "wall", "wire", "one", "twins"])
+@pytest.mark.parametrize("links", ["capsule", "box", "urdf"])
+def test_a_cloud_is_its_balls(robot, shape, links):
+    """The tree against its balls one by one."""
+    rng = np.random.default_rng(6)
+    points = rng.uniform([0.4, -0.6, 0.5], [1.8, 0.6, 1.7], (60, 3))
+    points = {
+        "room": points,
+        "wall": points * [0, 1, 1] + [1.4, 0, 0],
+        "wire": points * [1, 0, 0] + [0, 0.2, 1.3],
+        "one": points[:1],
+        "twins": np.repeat(points[:2], 9, axis=0),
+    }[shape]
+    cloud = Cloud.of("cloud", points, 0.03)
+    balls = [Sphere(name=f"b{i}", center=tuple(point), radius=0.03) for i, point in enumerate(cloud.core.tolist())]
+    judge, by_balls = (CollisionScene(robot, solids, links=links) for solids in ([cloud], balls))
+    configurations = rng.uniform(robot.lower, robot.upper, (40, 4)) * [0.3, 1, 1, 1]
+    least = []
+    for q in configurations:
+        found, expected = judge.distances(q)[:, 0], by_balls.distances(q).min(axis=1)
+        reached = expected <= -0.03 + 1e-6  # the links reach the points themselves
+        np.testing.assert_allclose(found[~reached], expected[~reached], atol=3e-6)
+        assert (found[reached] <= -0.03 + 2e-6).all()
+        least.append(expected.min())
+    for margin in (0.0, 0.1, -0.01):
+        sure = np.abs(np.array(least) - margin) > 1e-5
+        touching = judge.in_collision(configurations, margin=margin)
+        assert (touching == (np.array(least) <= margin))[sure].all()
+    judge.place(configurations[0])
+    table = judge.distances_of(np.arange(len(judge.pairs)))
+    assert min(table) == pytest.approx(judge.distances(configurations[0]).min())
+
+
+def test_pieces_of_a_mesh_bear_its_name(robot):
+    ring = Mesh.of("ring", *torus(n=12), position=(1.2, 0.0, 1.2))
+    judge = CollisionScene(robot, [*ring.solids, ball(0.5, 0, 3.0)])
+    assert judge.obstacle_names == ("ring",) * len(ring.solids) + ("ball",)
+    assert judge.nearest(FLAT).obstacle == "ring"
+
+
+def test_what_stands_in_the_base(robot):
+    cloud = Cloud.of("dust", np.array([[0.0, 0.0, 0.3], [3.0, 0, 0]]), 0.02)
+    crate = hull_of(Box(name="b", center=(0, 0, 0.1), size=(0.5, 0.5, 0.1)).core, "crate")
+    names = {(contact.link, contact.obstacle) for contact in base_contacts(robot, [cloud, crate])}
+    assert {obstacle for _, obstacle in names} == {"dust", "crate"}
+    assert base_contacts(robot, [Cloud.of("far", np.array([[0.0, 0.0, 5.0]]), 0.02)]) == ()
+
+
+# Grown obstacles, and those that may be touched
+
+
+@pytest.mark.parametrize("links", ["capsule", "box", "urdf"])
+def test_growth_of_each_obstacle(robot, links):
+    rng = np.random.default_rng(7)
+    cloud = Cloud.of("cloud", rng.uniform([0.4, -0.6, 0.5], [1.8, 0.6, 1.7], (30, 3)), 0.02)
+    obstacles = [*random_obstacles(rng, 6), cloud]
+    growth = rng.uniform(0.0, 0.1, len(obstacles))
+    plain = CollisionScene(robot, obstacles, links=links)
+    for given in (growth, 0.05):
+        grown, by = CollisionScene(robot, obstacles, links=links, growth=given), np.broadcast_to(given, len(obstacles))
+        configurations = rng.uniform(robot.lower, robot.upper, (60, 4))
+        least = []
+        for q in configurations:
+            np.testing.assert_allclose(grown.distances(q), plain.distances(q) - by, atol=1e-5)
+            least.append(float(grown.distances(q).min()))
+            grown.place(q)
+            one_by_one = grown.distances_of(np.arange(len(grown.pairs)))
+            np.testing.assert_allclose(grown.pair_distances(q), one_by_one, atol=1e-5)  # coal begins elsewhere
+            assert grown.nearest(q).distance_m == pytest.approx(least[-1], abs=1e-5)
+        sure = np.abs(least) > 1e-4
+        np.testing.assert_array_equal(grown.in_collision(configurations)[sure], (np.array(least) <= 0.0)[sure])
+
+
+def test_growth_without_obstacles(robot):
+    assert CollisionScene(robot, [], growth=[]).distances(FLAT).shape == (3, 0)
+    assert CollisionScene(robot, [], growth=0.1).nearest(FLAT) is None
+
+
+@pytest.mark.parametrize("links", ["capsule", "urdf"])
+def test_the_last_link_may_touch(robot, links):
+    fruit, other = ball(2.1, 0, 0.6, radius=0.05, name="fruit"), ball(2.0, 0.3, 0.7, name="other")
+    judge = CollisionScene(robot, [fruit, other], links=links, growth=[0.01, 0.0])
+    free = judge.touching("fruit")
+    full, table = judge.distances(FLAT), free.distances(FLAT)
+    assert full[2, 0] < 0.0
+    assert table[2, 0] == np.inf
+    np.testing.assert_array_equal(table[:2], full[:2])
+    np.testing.assert_array_equal(table[:, 1], full[:, 1])
+    assert judge.in_collision([FLAT]).tolist() == [True]
+    assert free.in_collision([FLAT]).tolist() == [False]
+    assert judge.nearest(FLAT).obstacle == "fruit"
+    assert free.nearest(FLAT).obstacle == "other"
+    pairs = free.pair_distances(FLAT)
+    assert np.isinf(pairs).sum() == sum(judge.obstacle_names[o] == "fruit" and k == 2 for k, o in judge.pairs)
+    free.place(FLAT)
+    assert free.distances_of(np.flatnonzero(np.isinf(pairs))[:1]) == np.inf
+    # Of others, and of links before the last, it is still an obstacle.
+    assert free.in_collision([[0.0, 0.0, 0.0, 0.0], [0.15, 0.05, 0.0, 0.0]]).tolist() == [False, True]
+    onto = judge.touching("other").touching("fruit")
+    assert np.isinf(onto.distances(FLAT)[2]).all()
+    assert (judge.touching("nobody").distances(FLAT) == full).all()
+    inside = CollisionScene(robot, [ball(1.4, 0, 0.6, name="fruit")], links=links).touching("fruit")
+    assert inside.in_collision([FLAT]).tolist() == [True]
+    assert inside.nearest(FLAT).link == "forearm"
+
+
+def test_pieces_of_a_mesh_may_be_touched_together(robot):
+    ring = Mesh.of("ring", *torus(n=12), position=(2.1, 0.0, 0.6))
+    free = CollisionScene(robot, ring.solids).touching("ring")
+    assert np.isinf(free.distances(FLAT)[2]).all()
+    assert np.isfinite(free.distances(FLAT)[:2]).all()
+
+
+# Shapes of the links
+
+
+def test_beams_have_corners(robot):
+    """Square beams of the capsules' half-widths, with flat ends at the joints."""
+    beams = CollisionScene(robot, [ball(0.5, 0.3, 0.9), ball(0.5, 0, 1.0), ball(2.7, 0, 0.6)], links="box")
+    found = beams.distances(FLAT)
+    assert found[0, 0] == pytest.approx(np.hypot(0.25, 0.25) - 0.1, abs=1e-7)
+    assert found[0, 1] == pytest.approx(0.25, abs=1e-7)
+    assert found[2, 2] == pytest.approx(0.4, abs=1e-7)
+    capsules = CollisionScene(robot, [ball(0.5, 0.3, 0.9), ball(2.7, 0, 0.6)]).distances(FLAT)
+    assert capsules[0, 0] == pytest.approx(np.hypot(0.3, 0.3) - 0.15, abs=1e-7)
+    assert capsules[2, 1] == pytest.approx(0.37, abs=1e-7)
+
+
+@pytest.mark.parametrize("name", VARIANTS)
+def test_beams_lie_along_the_links(name, tmp_path):
+    """A bead on the axis is within, one half a width beside it is on the skin; across the plane and in it."""
+    robot = load_variant(name, tmp_path)
+    q = np.random.default_rng(3).uniform(robot.lower, robot.upper)
+    points = axis_points(robot, q)
+    _, axes = robot.plane_at(robot.yaw_of(q))
+    for k, width in enumerate(robot.arm.half_widths):
+        along = points[k + 1] - points[k]
+        middle = points[k] + 0.4 * along
+        normal = axes[2]
+        for side in (normal, np.cross(normal, along / np.linalg.norm(along))):
+            bead = ball(*(middle + (width + 0.02) * side), radius=0.005)
+            assert CollisionScene(robot, [bead], links="box").distances(q)[k, 0] == pytest.approx(0.015, abs=1e-7)
+        corner = middle + (width + 0.01) * (normal + np.cross(normal, along / np.linalg.norm(along)))
+        found = CollisionScene(robot, [ball(*corner, radius=0.001)], links="box").distances(q)[k, 0]
+        assert found == pytest.approx(0.01 * 2**0.5 - 0.001, abs=1e-7)
+
+
+def test_collision_geometry_of_the_shipped_robot_is_its_capsules(robot):
+    rng = np.random.default_rng(4)
+    obstacles = random_obstacles(rng, 9)
+    capsules, urdf = CollisionScene(robot, obstacles), CollisionScene(robot, obstacles, links="urdf")
+    q = rng.uniform(robot.lower, robot.upper, (100, 4))
+    for row in q:
+        found, expected = urdf.distances(row), capsules.distances(row)
+        assert found.shape == expected.shape
+        np.testing.assert_allclose(np.maximum(found, 0), np.maximum(expected, 0), atol=1e-5)
+    np.testing.assert_array_equal(urdf.in_collision(q), capsules.in_collision(q))
+
+
+def test_meshes_are_filled(tmp_path):
+    """A bead wholly inside a link's mesh touches no face of it."""
+    corners = 0.5 * np.array([(x, y, z) for x in (0, 1) for y in (-0.2, 0.2) for z in (-0.2, 0.2)])
+    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    faces = [corners[[a, b, c]] for q in quads for a, b, c in ((q[0], q[1], q[2]), (q[0], q[2], q[3]))]
+    triangles = b"".join(struct.pack("<12fH", 0, 0, 0, *np.ravel(face), 0) for face in faces)
+    (tmp_path / "bar.stl").write_bytes(bytes(80) + struct.pack("<I", len(faces)) + triangles)
+    text = (urdf_dir() / "harvester.urdf").read_text()
+    mesh = '<collision><geometry><mesh filename="bar.stl"/></geometry></collision>'
+    text = re.sub(r'<collision name="hand.*</collision>', mesh, text, flags=re.DOTALL)
+    (tmp_path / "harvester.urdf").write_text(text)
+    shutil.copy(urdf_dir() / "harvester.limits.yaml", tmp_path)
+    robot = load_robot(tmp_path / "harvester.urdf")
+    inside, beside = ball(2.1, 0, 0.6, radius=0.01), ball(2.1, 0.3, 0.6, radius=0.01, name="beside")
+    judge = CollisionScene(robot, [inside, beside], links="urdf")
+    assert judge.distances(FLAT)[2, 0] < 0
+    assert judge.distances(FLAT)[2, 1] == pytest.approx(0.19, abs=1e-5)
+    assert judge.in_collision([FLAT]).tolist() == [True]
+
+
+def test_flat_and_needle_like_hulls_do_not_end_the_process(robot):
+    """coal's own convex hull of these does."""
+    flat = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]])
+    assert convex_hull_shape(flat).num_points == 8
+    assert convex_hull_shape(np.array([[0.0, 0, 0], [0, 0, 1]])).num_points >= 4
+    rng = np.random.default_rng(0)
+    needle = hull_of(rng.uniform(-1.0, 1.0, (12, 3)) * [1.4e-5, 1e-5, 3e-2] + [2.1, 0.0, 1.6], "needle")
+    judge = CollisionScene(robot, [needle])
+    assert judge.distances(FLAT)[2, 0] == pytest.approx(needle.core[:, 2].min() - 0.6 - 0.03, abs=1e-4)
+
+
+def test_unknown_shape(robot):
+    with pytest.raises(OptionError, match="one of capsule, box, urdf"):
+        CollisionScene(robot, [], links="mesh")
+
+
+# Yes or no for many configurations
+
+
+@pytest.mark.parametrize("links", ["capsule", "box", "urdf"])
+@pytest.mark.parametrize("margin", [0.0, 0.05, -0.02])
+def test_in_collision_is_what_the_distances_say(robot, links, margin):
+    rng = np.random.default_rng(5)
+    seen = np.zeros(2, dtype=int)
+    for _ in range(3):
+        judge = CollisionScene(robot, random_obstacles(rng, 12), links=links)
+        q = rng.uniform(robot.lower, robot.upper, (120, 4))
+        least = np.array([judge.distances(row).min() for row in q])
+        decided = np.abs(least - margin) > 1e-4
+        found = judge.in_collision(q, margin=margin)
+        np.testing.assert_array_equal(found[decided], least[decided] <= margin)
+        seen += np.bincount(found, minlength=2)
+    assert seen.min() > 10
+
+
+def test_in_collision_is_the_analytic_occupancy(robot):
+    rng = np.random.default_rng(6)
+    grid = joint_grid(robot.arm, np.radians(6.0))
+    for yaw in (0.0, 0.7, -2.0):
+        place = np.array([np.cos(yaw), np.sin(yaw)])
+        obstacles = random_obstacles(rng, 6)
+        obstacles.append(ball(*(0.9 * place), 1.6, radius=0.2, name="in the plane"))
+        analytic = occupancy(robot.arm, arm_sections(robot, obstacles, yaw=yaw), grid).occupied
+        sampled = sampled_occupancy(CollisionScene(robot, obstacles), grid, yaw)
+        assert 0.02 < analytic.mean() < 0.98
+        for node in np.argwhere(sampled != analytic):
+            # Sections of capsules across the plane are hulls from outside: only ever more than coal finds.
+            assert analytic[tuple(node)]
+        balls = [o for o in obstacles if isinstance(o, Sphere)]
+        analytic = occupancy(robot.arm, arm_sections(robot, balls, yaw=yaw), grid).occupied
+        np.testing.assert_array_equal(sampled_occupancy(CollisionScene(robot, balls), grid, yaw), analytic)
+
+
+# What the planar joints do not move
+
+
+def test_base_contacts(robot):
+    foot = Box(name="foot", center=(0, 0, 0.05), size=(0.02, 0.02, 0.02))
+    far = ball(1.5, 0.5, 0.5, name="far")
+    found = base_contacts(robot, [far, foot])
+    assert {contact.obstacle for contact in found} == {"foot"}
+    assert {contact.link for contact in found} <= {"base_link", "turret"}
+    assert all(contact.distance_m <= 0.0 for contact in found)
+    assert base_contacts(robot, [far]) == ()
+    assert base_contacts(robot, []) == ()
+    near = base_contacts(robot, [far], margin=2.0)
+    assert {contact.obstacle for contact in near} == {"far"}
+    assert all(0.0 < contact.distance_m <= 2.0 for contact in near)
+
+
+def test_ball_about_the_base(robot):
+    """It holds pedestal and turret at every yaw: nothing beyond it touches them, and it is not far too large."""
+    radius = base_radius(robot)
+    assert 0.6 < radius < 0.75
+    rng = np.random.default_rng(8)
+    for direction in rng.normal(size=(40, 3)):
+        place = (radius + 0.0201) * direction / np.linalg.norm(direction)
+        for yaw in (0.0, 1.0, -2.5):
+            assert base_contacts(robot, [ball(*place, radius=0.02)], yaw) == ()
+
+
+def test_base_without_shapes(tmp_path):
+    assert base_radius(load_variant("upright on a yaw", tmp_path)) == 0.0
+
+
+# Start and goal
+
+
+@pytest.mark.parametrize("clearance", [0.0, 0.02])
+def test_configuration_in_collision(robot, clearance):
+    judge = CollisionScene(robot, [ball(0.5, 0, 1.5, name="above"), ball(1.4, 0.0, 0.6 - 0.13, name="below")])
+    with pytest.raises(ConfigurationInCollisionError) as caught:
+        check_clear(judge, FLAT, clearance, "goal")
+    error = caught.value
+    assert (error.link, error.obstacle) == ("forearm", "below")
+    assert error.depth_m == pytest.approx(0.01 + clearance, abs=1e-7)
+    assert error.clearance_m == clearance
+    assert error.data["which"] == "goal"
+    assert error.exit_status == 2
+    for word in ("goal", "forearm", "below"):
+        assert word in error.message
+
+
+def test_configuration_closer_than_the_clearance(robot):
+    judge = CollisionScene(robot, [ball(0.5, 0, 1.0)])
+    assert check_clear(judge, FLAT, 0.2, "start") == pytest.approx(0.05, abs=1e-7)
+    with pytest.raises(ConfigurationInCollisionError) as caught:
+        check_clear(judge, FLAT, 0.3, "start")
+    assert caught.value.depth_m == pytest.approx(0.05, abs=1e-7)
+    assert caught.value.clearance_m == 0.3
+    touching = float(judge.distances(FLAT).min())
+    with pytest.raises(ConfigurationInCollisionError):
+        check_clear(judge, FLAT, touching, "start")

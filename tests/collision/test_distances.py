@@ -1,0 +1,89 @@
+"""Distances of segments against brute force."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from hplan.collision.distances import segment_box, segment_segment
+
+lattice = st.integers(-4, 4).map(lambda i: 0.5 * i)
+number = st.one_of(lattice, st.floats(-2.0, 2.0, width=32).map(lambda x: 0.0 if abs(x) < 1e-4 else x))
+vector = st.tuples(number, number, number)
+
+
+def point_to_segment(point, start, along):
+    square = along @ along
+    t = 0.0 if square == 0.0 else np.clip((point - start) @ along / square, 0.0, 1.0)
+    return np.linalg.norm(point - start - t * along)
+
+
+def segment_to_segment(a, u, b, v):
+    """Least over the ends of both, and over the inside of both where the lines' nearest points lie there."""
+    ends = [
+        point_to_segment(a, b, v),
+        point_to_segment(a + u, b, v),
+        point_to_segment(b, a, u),
+        point_to_segment(b + v, a, u),
+    ]
+    (s, t), _, rank, _ = np.linalg.lstsq(np.stack([u, -v], axis=1), b - a, rcond=1e-12)
+    if rank == 2 and 0.0 <= s <= 1.0 and 0.0 <= t <= 1.0:
+        ends.append(np.linalg.norm(a + s * u - b - t * v))
+    return min(ends)
+
+
+def segment_to_box(a, u, half):
+    """Ternary search: the distance of a point from a convex body is convex along the segment."""
+
+    def distance(t):
+        return np.linalg.norm(np.maximum(np.abs(a + t * u) - half, 0.0))
+
+    low, high = 0.0, 1.0
+    for _ in range(150):
+        third = (high - low) / 3.0
+        if distance(low + third) <= distance(high - third):
+            high -= third
+        else:
+            low += third
+    return min(distance(t) for t in (0.0, low, high, 1.0))
+
+
+@settings(max_examples=300)
+@given(vector, vector, vector, vector)
+@example((0, 0, 0), (0, 0, 0), (1, 0, 0), (0, 0, 0))
+@example((0, 0, 0), (0, 0, 0), (1, 1, 0), (0, -2, 0))
+@example((0, 0, 0), (1, 0, 0), (2, 1, 0), (0, 0, 0))
+@example((0, 0, 0), (1, 0, 0), (3, 0, 0), (-1, 0, 0))
+@example((0, 0, 0), (1, 0, 0), (-2, 1, 0), (1.5, 0, 0))
+@example((0, 0, 0), (1, 0, 0), (0.5, 1, 0), (2, 0, 0))
+@example((0, 0, 0), (1, 0, 0), (0.5, -1, 0), (0, 2, 0))
+def test_segment_to_segment(a, u, b, v):
+    expected = segment_to_segment(*(np.array(x, dtype=float) for x in (a, u, b, v)))
+    assert segment_segment(*(float(x) for x in (*a, *u, *b, *v))) == pytest.approx(expected, abs=1e-7)
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-12, 1e-9, 1e-7, 1e-6, 1e-5, 1e-3])
+def test_nearly_parallel_segments(angle):
+    """Each crosses the other's plane somewhere; the error stays far below the links' tolerances."""
+    rng = np.random.default_rng(6)
+    for _ in range(50):
+        u = rng.normal(size=3)
+        turn = np.cross(u, rng.normal(size=3))
+        v = rng.uniform(-2, 2) * (u + angle * turn)
+        a, b = np.zeros(3), rng.uniform(-1, 2) * u + rng.choice([0.0, 0.3]) * np.cross(u, turn) / (turn @ turn) ** 0.5
+        expected = segment_to_segment(a, u, b, v)
+        assert segment_segment(*a, *u, *b, *v) == pytest.approx(expected, abs=2e-5 if angle else 1e-9)
+
+
+@settings(max_examples=300)
+@given(vector, vector, st.tuples(*[st.floats(0.01, 2.0)] * 3))
+@example((-2, 0.5, 0), (4, 0, 0), (1, 0.5, 1))
+@example((-2, 1.5, 0), (4, 0, 0), (1, 1, 1))
+@example((-2, 2, 0), (4, -1, 0), (1, 1, 1))
+@example((0, 0, 0), (0.1, 0, 0), (1, 1, 1))
+@example((2, 2, 2), (0, 0, 0), (1, 1, 1))
+def test_segment_to_box(a, u, half):
+    expected = segment_to_box(*(np.array(x, dtype=float) for x in (a, u, half)))
+    assert segment_box(*(float(x) for x in (*a, *u, *half))) == pytest.approx(expected, abs=1e-7)

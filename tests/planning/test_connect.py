@@ -1,0 +1,139 @@
+"""Which nodes start and goal are joined to."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+
+from hplan.collision.clearance_field import ClearanceField
+from hplan.collision.coal_scene import CollisionScene
+from hplan.planning.grid_entry import joined_nodes
+from hplan.scene.model import Sphere
+from hplan.search.grid import Grid, Occupancy
+
+STEP = np.radians(9.0)
+PLANAR = slice(1, None)
+MARGIN = 1e-3
+
+
+@pytest.fixture(scope="module")
+def grid(robot):
+    return Grid.over(robot.lower[PLANAR], robot.upper[PLANAR], STEP)
+
+
+def joined(robot, grid, q, obstacles=(), occupied=(), yaw=0.0):
+    """Nodes joined to planar joint angles, as tuples."""
+    mask = np.zeros(grid.shape, dtype=bool)
+    for node in occupied:
+        mask[tuple(node)] = True
+    field = ClearanceField.of(robot, obstacles)
+    template = np.array([yaw, *q])
+    nodes = joined_nodes(Occupancy.from_mask(grid, mask), template, np.array([1, 2, 3]), field, MARGIN)
+    found = [tuple(int(i) for i in node) for node in nodes]
+    np.testing.assert_array_equal(template, [yaw, *q])
+    return found
+
+
+def far_from_the_node(grid, node, q):
+    return math.dist(grid.coordinates(np.array(node)), q)
+
+
+@pytest.mark.parametrize("node", [(0, 0, 0), (4, 3, 7), (10, 10, 10)])
+@pytest.mark.parametrize("off", [0.0, 1e-9, -1e-7 * STEP])
+def test_on_a_node(robot, grid, node, off):
+    q = grid.coordinates(np.array(node)) + off
+    assert joined(robot, grid, q) == [node]
+    assert joined(robot, grid, q, occupied=[node]) == []
+
+
+def test_off_a_node_all_within_reach_come_the_nearest_first(robot, grid):
+    q = (np.array([4.3, 5.0, 6.8])) * STEP
+    found = joined(robot, grid, q)
+    assert found[0] == (4, 5, 7)
+    expected = itertools.product(range(3, 7), range(4, 7), range(5, 9))
+    assert sorted(found) == sorted(expected)
+    distances = [far_from_the_node(grid, node, q) for node in found]
+    assert all(one <= other + 1e-12 for one, other in itertools.pairwise(distances))
+    assert joined(robot, grid, q) == found
+
+
+def test_of_nodes_equally_far_the_first_comes_first(robot, grid):
+    """The second axis is half-way between nodes, and with equal steps mirrored offsets are as far as each other."""
+    found = joined(robot, grid, np.array([4.3, 4.5, 6.3]) * STEP)
+    place = {node: number for number, node in enumerate(found)}
+    assert len(found) == 64
+    for i, j, k in found:
+        for other in ((i, 9 - j, k), (k - 2, j, i + 2)):
+            assert (place[i, j, k] < place[other]) == ((i, j, k) < other) or other == (i, j, k)
+
+
+def test_no_node_beyond_the_limits(robot, grid):
+    for q in (np.array([0.2, 0.4, 9.7]) * STEP, np.array([9.9, 9.99, 0.01]) * STEP):
+        found = joined(robot, grid, q)
+        assert found
+        assert min(map(min, found)) == 0
+        assert max(map(max, found)) == 10
+        assert found[0] == tuple(np.rint(q / STEP).astype(int))
+
+
+def test_occupied_nodes_are_left_out(robot, grid):
+    q = np.array([4.3, 5.2, 6.8]) * STEP
+    every = joined(robot, grid, q)
+    assert joined(robot, grid, q, occupied=every[:1]) == every[1:]
+    assert joined(robot, grid, q, occupied=every[2:9]) == every[:2] + every[9:]
+    assert joined(robot, grid, q, occupied=every) == []
+
+
+def test_motions_in_contact_are_left_out(robot, grid):
+    """A ball just above the hand: nodes with the shoulder higher are free by the mask, but not reached."""
+    q = np.array([4.4, 0.02, 0.03]) * STEP
+    angle = q.sum()
+    tip = np.array([2.2 * np.cos(angle), 0, 0.6 + 2.2 * np.sin(angle)])
+    ball = Sphere(name="ball", center=tuple(tip + 0.2 * np.array([-np.sin(angle), 0, np.cos(angle)])), radius=0.1)
+    judge = CollisionScene(robot, [ball])
+    assert judge.distances([0, *q]).min() > MARGIN
+    every, found = joined(robot, grid, q), joined(robot, grid, q, [ball])
+    assert 0 < len(found) < len(every)
+    assert found == [node for node in every if node in found]
+    for node in every:
+        there = np.array([0, *grid.coordinates(np.array(node))])
+        least = min(judge.distances(x).min() for x in np.linspace([0, *q], there, 400))
+        if node in found:
+            assert least >= 0.5 * MARGIN
+        else:
+            assert least < MARGIN + 1e-3
+    # With the base turned away nothing is in the way.
+    assert joined(robot, grid, q, [ball], yaw=1.0) == every
+
+
+def test_blocked_nearest_node(robot, grid):
+    """The nearest node is in contact though the mask calls it free; others are not."""
+    nearest = np.array([4, 2, 2])
+    q = (nearest + np.array([-0.4, 0.0, 0.0])) * STEP
+    there = np.array([0, *grid.coordinates(nearest)])
+    tip = robot.tool_positions(there)
+    ball = Sphere(name="ball", center=(float(tip[0]) - 0.02, 0.0, float(tip[2]) + 0.06), radius=0.04)
+    judge = CollisionScene(robot, [ball])
+    assert judge.distances(there).min() < 0.0
+    assert judge.distances([0, *q]).min() > 0.01
+    every, found = joined(robot, grid, q), joined(robot, grid, q, [ball])
+    assert every[0] == tuple(nearest)
+    assert found
+    assert found[0] != tuple(nearest)
+
+
+def test_configuration_in_contact_is_joined_to_nothing(robot, grid):
+    q = np.array([4.4, 2.2, 2.2]) * STEP
+    tip = robot.tool_positions(np.array([0, *q]))
+    assert joined(robot, grid, q, [Sphere(name="ball", center=tuple(map(float, tip)), radius=0.05)]) == []
+
+
+def test_one_joint(robot):
+    """A single planar joint moves, the others are locked: their axes have one node each."""
+    lower, upper = np.array([0.0, 0.3, 0.4]), np.array([1.0, 0.3, 0.4])
+    grid = Grid.over(lower, upper, 0.1)
+    found = joined(robot, grid, np.array([0.52, 0.3, 0.4]))
+    assert found == [(5, 0, 0), (6, 0, 0), (4, 0, 0), (7, 0, 0)]

@@ -1,0 +1,110 @@
+"""The first run: what is compiled, by which process, and that neither is left behind."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from hplan.planning import compile_ahead as first_run
+
+#: Modules whose kernels a plan calls only after the path on the grid is found.
+LATER = ("clear", "fast", "shorten", "spline", "topp", "dynamics", "clearance_proof")
+
+
+def compiled_by(command: list[str], cache: Path) -> set[str]:
+    """What is on disk after a command: kernels as module.function, each with its number."""
+    subprocess.run([sys.executable, *command], env={**os.environ, "NUMBA_CACHE_DIR": str(cache)}, check=True)
+    return {file.name for file in cache.rglob("*.nbc")}
+
+
+def test_each_process_compiles_its_half_once(tmp_path: Path) -> None:
+    """What is compiled for two kinds of argument doubles its share of the first run, and of every start."""
+    later = compiled_by(["-m", "hplan.planning.compile_ahead"], tmp_path)
+    everything = compiled_by(["-c", "import hplan; hplan.plan(hplan.load_robot(), hplan.load_scene())"], tmp_path)
+    assert {name.split(".")[0] for name in later} >= set(LATER)
+    assert len(everything - later) > 15
+    assert [name for name in everything - later if name.split(".")[0] in LATER] == []
+    assert [name for name in everything if not name.endswith(".1.nbc")] == []
+
+
+def test_a_first_run_is_one_without_kernels_on_disk(tmp_path: Path) -> None:
+    """How it is told is tested with the cache itself."""
+    first_run.compile_from_postprocessing_on()
+    assert not first_run.is_first_run()
+    code = "from hplan.planning.compile_ahead import is_first_run; raise SystemExit(not is_first_run())"
+    assert compiled_by(["-c", code], tmp_path) == set()
+
+
+def begun(code: str) -> subprocess.Popen[bytes]:
+    """A process that stands for the other one."""
+    return subprocess.Popen([sys.executable, "-c", code])
+
+
+@pytest.mark.parametrize("code", ["pass", "raise SystemExit(1)"], ids=["done", "failed"])
+def test_the_plan_waits_for_the_other_process(code: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    other = begun(code)
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1})
+    monkeypatch.setattr(first_run, "_start", lambda: other)
+    with first_run.compiling_beside(True) as compiled:
+        compiled()
+        assert other.returncode is not None
+
+
+def test_the_other_process_does_not_outlive_the_plan(monkeypatch: pytest.MonkeyPatch) -> None:
+    other = begun("import time; time.sleep(600)")
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1})
+    monkeypatch.setattr(first_run, "_start", lambda: other)
+    monkeypatch.setattr(first_run, "PATIENCE_S", 0.01)
+
+    def interrupted() -> None:
+        with first_run.compiling_beside(True) as compiled:
+            compiled()
+            assert other.returncode is None
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert other.returncode is not None
+
+
+@pytest.mark.parametrize(
+    ("first", "processors", "kept"),
+    [(False, 2, True), (True, 1, True), (True, 2, False)],
+    ids=["later run", "one processor", "nowhere to keep what it compiles"],
+)
+def test_no_other_process_where_it_would_not_help(
+    first: bool, processors: int, kept: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def start() -> Any:
+        raise AssertionError
+
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(processors)))
+    monkeypatch.setattr(first_run, "can_be_kept", lambda _: kept)
+    monkeypatch.setattr(first_run, "_start", start)
+    with first_run.compiling_beside(first) as compiled:
+        compiled()
+
+
+def test_the_other_process_runs_nothing_of_the_working_directory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    marker = tmp_path / "was-run"
+    for name in ("yaml", "numpy", "hplan"):
+        (tmp_path / f"{name}.py").write_text(f"open({str(marker)!r}, 'w').close()\nraise SystemExit('run')")
+    monkeypatch.chdir(tmp_path)
+    other = first_run._start()
+    assert other is not None
+    assert other.wait(300) == 0
+    assert not marker.exists()
+
+
+def test_where_no_process_can_be_started(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1})
+    monkeypatch.setattr(sys, "executable", "/nowhere/python")
+    with first_run.compiling_beside(True) as compiled:
+        compiled()

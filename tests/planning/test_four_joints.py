@@ -1,0 +1,496 @@
+"""The whole way where the base turns, and to fruits and points; every motion judged by coal at and between its rows."""
+
+from __future__ import annotations
+
+import gc
+import math
+import tracemalloc
+from typing import Any
+
+import numpy as np
+import pytest
+from planned import (
+    assert_clear,
+    assert_sound,
+    at,
+    between_rows,
+    frame_about_upper_arm,
+    fruit,
+    part,
+    post,
+    random_scene,
+    task,
+)
+
+from hplan.collision.coal_scene import CollisionScene
+from hplan.errors import (
+    BlockedError,
+    ConfigurationInCollisionError,
+    InputError,
+    NoPathError,
+    OptionError,
+    UnreachableError,
+)
+from hplan.planning.find_motion import least_duration
+from hplan.planning.plan import plan
+from hplan.problem.options import PlanOptions
+from hplan.robot.model import Robot
+from hplan.scene.model import Box, Goal, Scene, Sphere
+
+START, GOAL = (0.0, 30.0, 20.0, 20.0), (60.0, 30.0, 20.0, 20.0)
+FOLDED = (0.0, 80.0, 80.0, 80.0)
+APPLE = fruit("apple", 40.0, 1.3, 1.6)
+COARSE = PlanOptions(step_deg=2.0)
+
+
+def planner_of(result: Any) -> tuple[str, str]:
+    return result.report["planner"]["method"], result.report["planner"]["fallback"]
+
+
+# From joints to joints
+
+
+def test_straight_motion_without_search(robot: Robot) -> None:
+    for obstacles in ([], [post("low", 30.0, 1.2, 0.0, 0.9)]):
+        scene = task(START, GOAL, obstacles)
+        stages: list[str] = []
+        result = plan(robot, scene, progress=stages.append)
+        assert planner_of(result) == ("direct", "none")
+        assert result.search is None
+        assert result.occupancy is None
+        assert "cspace" not in stages
+        assert "search" not in stages
+        np.testing.assert_allclose(result.grid_path, np.radians([START, GOAL]))
+        assert_sound(robot, scene, result)
+        share = result.trajectory.position[:, 0] / math.radians(60.0)
+        np.testing.assert_allclose(
+            result.trajectory.position, np.radians(START) + share[:, None] * [math.radians(60), 0, 0, 0]
+        )
+
+
+def test_straight_motion_is_about_as_fast_as_can_be(robot: Robot) -> None:
+    result = plan(robot, task(START, (100.0, 70.0, 30.0, 60.0)))
+    assert result.trajectory.duration < 1.1 * least_duration(result.motion.task)
+
+
+@pytest.fixture
+def grids_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No roadmap is made before grids are searched."""
+    monkeypatch.setattr("hplan.planning.find_motion.ROADMAPS", 0)
+
+
+@pytest.mark.parametrize("high", [1.0, 1.3, 1.6, 2.2])
+def test_fold_turn_unfold(robot: Robot, high: float, grids_alone: None) -> None:
+    """A post between start and goal, near the axis: past it only over its top, or folded."""
+    scene = task((10.0, 30.0, 20.0, 20.0), (50.0, 30.0, 20.0, 20.0), [post("post", 30.0, 0.5, 0.0, high)])
+    result = plan(robot, scene)
+    assert planner_of(result) == ("two-level", "column")
+    assert result.search is not None
+    assert result.search.fallback == "column"
+    assert_sound(robot, scene, result)
+
+
+def around_the_bar() -> Scene:
+    """A bar in the arm plane above start and below goal: past it only beside it."""
+    bar = Sphere(name="ball", center=(1.3, 0.0, 1.6), radius=0.15)
+    return task((0.0, 10.0, 10.0, 10.0), (0.0, 70.0, 10.0, 10.0), [bar])
+
+
+def test_wavefronts_where_no_column_is_free(robot: Robot, grids_alone: None) -> None:
+    scene = around_the_bar()
+    result = plan(robot, scene)
+    assert planner_of(result) == ("two-level", "wavefront")
+    assert_sound(robot, scene, result)
+    assert result.report["planner"]["expansions"]["flooded_cells"] > 0
+
+
+def test_base_moves_where_the_plane_is_closed(robot: Robot) -> None:
+    """Start and goal at one yaw: the base leaves it and comes back. Locked, there is no path."""
+    scene = around_the_bar()
+    free = plan(robot, scene)
+    assert np.ptp(free.trajectory.position[:, 0]) > math.radians(2.0)
+    assert free.trajectory.duration < 1.5 * least_duration(free.motion.task)
+    with pytest.raises(NoPathError):
+        plan(robot, Scene(**{**vars(scene), "locked_joints": ("base_yaw",)}))
+
+
+@pytest.mark.parametrize("turned_deg", [0.0, 8.0])
+def test_base_moves_whenever_that_is_better(robot: Robot, turned_deg: float) -> None:
+    """The ball of the reference scene: in the plane the arm folds around it, beside it it need not."""
+    ball = Sphere(name="ball", center=at(0.5 * turned_deg, 1.0, 1.9), radius=0.15)
+    scene = task((0.0, 0.0, 0.0, 0.0), (turned_deg, 45.0, 60.0, 70.0), [ball])
+    free = plan(robot, scene)
+    assert_sound(robot, scene, free)
+    assert free.trajectory.duration < 1.3
+
+
+def test_locked_base_gives_the_planar_problem(robot: Robot, scene: Scene) -> None:
+    result = plan(robot, scene)
+    assert result.occupancy is not None
+    assert result.search is not None
+    assert result.occupancy.grid.shape == (91, 91, 91)
+    assert math.degrees(result.search.cost) == pytest.approx(145.2149523784, abs=1e-9)
+    assert (result.trajectory.position[:, 0] == 0.0).all()
+    elsewhere = task((20.0, 0.0, 0.0, 0.0), (30.0, 45.0, 60.0, 70.0), locked_joints=("base_yaw",))
+    with pytest.raises(InputError, match="joint 'base_yaw' is locked"):
+        plan(robot, elsewhere)
+
+
+def test_a_locked_joint_in_the_plane(robot: Robot) -> None:
+    scene = task(
+        (0.0, 30.0, 20.0, 20.0), (60.0, 60.0, 20.0, 50.0), [post("post", 30.0, 1.2, 0.0, 2.0)], locked_joints=("elbow",)
+    )
+    result = plan(robot, scene, COARSE)
+    assert_sound(robot, scene, result)
+    np.testing.assert_allclose(result.trajectory.position[:, 2], math.radians(20.0), atol=1e-12)
+
+
+@pytest.mark.parametrize("step_deg", [1.0, 3.0])
+@pytest.mark.parametrize("enclosed", ["start", "goal"])
+def test_no_path_whatever_the_yaw(robot: Robot, enclosed: str, step_deg: float) -> None:
+    """A frame of four bars about the upper arm: it cannot be drawn out, and the proof is quick."""
+    inside, outside = (60.0, 20.0, 20.0, 20.0), (0.0, 70.0, 20.0, 20.0)
+    ends = (inside, outside) if enclosed == "start" else (outside, inside)
+    scene = task(*ends, frame_about_upper_arm(60.0, 20.0))
+    with pytest.raises(NoPathError, match=f"no path exists on the grid: the {enclosed} is connected to") as caught:
+        plan(robot, scene, PlanOptions(step_deg=step_deg))
+    error = caught.value
+    assert error.reached_cells > 0
+    # What holds the arm above and below: walls are looked for in the plane.
+    assert {wall["obstacle"] for wall in error.blockers} == {"bar 0", "bar 2"}
+    assert error.blockers[0]["link"] == "upper_arm"
+    assert error.exit_status == 3
+    assert "'bar" in error.message
+
+
+@pytest.mark.parametrize(
+    "scene",
+    [
+        task(START, GOAL),
+        task(START, GOAL, [post("post", 30.0, 1.2, 0.0, 2.0)]),
+        around_the_bar(),
+        task(
+            FOLDED, Goal(fruit="apple"), [post("trunk", 47.0, 1.5, 0.0, 2.5)], fruits=(APPLE, fruit("b", 36, 1.3, 1.7))
+        ),
+    ],
+    ids=["direct", "column", "wavefront", "fruit"],
+)
+def test_same_input_same_output(robot: Robot, scene: Scene) -> None:
+    first, second = plan(robot, scene, COARSE), plan(robot, Scene(**vars(scene)), COARSE)
+    for name in ("time", "position", "velocity", "acceleration", "torque"):
+        assert getattr(first.trajectory, name).tobytes() == getattr(second.trajectory, name).tobytes()
+    assert first.certificate == second.certificate
+
+
+def bytes_of(step_deg: float) -> float:
+    """Of the C-space of a harvester that may turn all around, one bit a node and whole words."""
+    planar, yaws = 90.0 / step_deg + 1.0, 360.0 / step_deg + 1.0
+    return planar**3 * 8.0 * math.ceil(yaws / 64.0)
+
+
+def test_memory(robot: Robot, grids_alone: None) -> None:
+    """At the finest step, with all yaws open to the search."""
+    enclosed = task((0.0, 70.0, 20.0, 20.0), (60.0, 20.0, 20.0, 20.0), frame_about_upper_arm(60.0, 20.0))
+    plan(robot, around_the_bar(), COARSE)
+    with pytest.raises(NoPathError):
+        plan(robot, enclosed, COARSE)  # loads the kernels, whose memory is not the search's
+    tracemalloc.start()
+    plan(robot, around_the_bar())
+    with pytest.raises(NoPathError):
+        plan(robot, enclosed)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 8 * bytes_of(1.0)
+
+
+def test_nothing_is_left_behind(robot: Robot, grids_alone: None) -> None:
+    """A plan that tries several grids frees them at once: robot control may have turned garbage collection off."""
+    enclosed = task((0.0, 70.0, 20.0, 20.0), (60.0, 20.0, 20.0, 20.0), frame_about_upper_arm(60.0, 20.0))
+    for _ in range(2):  # kernels are loaded the first time
+        gc.collect()
+        gc.disable()
+        tracemalloc.start()
+        with pytest.raises(NoPathError):
+            plan(robot, enclosed, COARSE)
+        plan(robot, around_the_bar(), COARSE)
+        left = tracemalloc.get_traced_memory()[0]
+        tracemalloc.stop()
+        gc.enable()
+    assert left < bytes_of(2.0)
+
+
+def test_yaw_does_not_pass_its_limits(robot: Robot) -> None:
+    """The short way is closed: it leads past half a turn."""
+    scene = task((170.0, 30.0, 20.0, 20.0), (-170.0, 30.0, 20.0, 20.0))
+    result = plan(robot, scene)
+    assert_sound(robot, scene, result)
+    assert np.ptp(result.trajectory.position[:, 0]) == pytest.approx(math.radians(340.0))
+
+
+def test_start_equal_to_goal(robot: Robot) -> None:
+    scene = task(START, START, [post("post", 30.0, 1.2, 0.0, 2.0)])
+    result = plan(robot, scene)
+    assert result.trajectory.samples == 1
+    assert planner_of(result)[0] == "two-level"
+    assert_sound(robot, scene, result)
+
+
+def test_tracking_error_and_clearance(robot: Robot) -> None:
+    scene = task(START, GOAL, [post("post", 30.0, 1.2, 0.0, 2.0)], clearance=0.02)
+    error = 0.002
+    result = plan(robot, scene, PlanOptions(step_deg=2.0, tracking_error=error))
+    assert_sound(robot, scene, result)
+    rng = np.random.default_rng(0)
+    q = between_rows(result.trajectory, np.arange(result.trajectory.samples), 1)
+    for _ in range(8):
+        off = np.clip(q + rng.choice([-error, error], q.shape), robot.lower, robot.upper)
+        assert_clear(robot, scene, off)
+
+
+# Uncertain places
+
+
+@pytest.mark.parametrize("sigmas", [0.0, 1.0, 3.0])
+def test_uncertain_obstacles_are_passed_farther_away(robot: Robot, sigmas: float) -> None:
+    """By a multiple of what their places are known to, and not much more."""
+    sure, vague = post("sure", 20.0, 1.3, 0.0, 1.9), post("vague", 40.0, 1.3, 0.0, 1.9, sigma=0.02)
+    scene = task(START, GOAL, [sure, vague])
+    result = plan(robot, scene, PlanOptions(step_deg=2.0, sigmas=sigmas))
+    assert_sound(robot, scene, result, sigmas=sigmas)
+    judge = CollisionScene(robot, scene.solids)
+    nearest = np.min([judge.distances(q) for q in result.trajectory.position], axis=(0, 1))
+    assert nearest[0] > 0.0
+    assert sigmas * 0.02 < nearest[1] < sigmas * 0.02 + 0.05
+
+
+def test_uncertainty_takes_the_place_of_start_and_goal(robot: Robot) -> None:
+    """No sigmas: the obstacle counts as it stands; three: the goal is too near to it."""
+    tip = robot.tool_positions(np.radians(GOAL))
+    ball = Sphere(name="ball", center=tuple(np.add(tip, (0.0, 0.0, 0.15)).tolist()), radius=0.1, sigma=0.01)
+    scene = task(START, GOAL, [ball])
+    assert_sound(robot, scene, plan(robot, scene, PlanOptions(sigmas=1.0)), sigmas=1.0)
+    assert_sound(robot, scene, plan(robot, scene, PlanOptions(sigmas=0.0)), sigmas=0.0)
+    with pytest.raises(ConfigurationInCollisionError, match=r"goal is in collision: .*'ball'"):
+        plan(robot, scene, PlanOptions(sigmas=3.0))
+
+
+def test_the_target_fruit_is_uncertain(robot: Robot) -> None:
+    """It is kept clear of on the way, and touched at the end."""
+    for sigma in (0.0, 0.01):
+        target = fruit("apple", 40.0, 1.3, 1.6, sigma=sigma)
+        scene = task(FOLDED, Goal(fruit="apple"), fruits=(target,))
+        assert_sound(robot, scene, plan(robot, scene, COARSE))
+
+
+@pytest.mark.parametrize("field", ["sigmas", "standoff"])
+@pytest.mark.parametrize("value", [-1.0, math.nan, math.inf])
+def test_options_are_checked(field: str, value: float) -> None:
+    with pytest.raises(OptionError) as caught:
+        PlanOptions(**{field: value})
+    assert caught.value.option == field
+
+
+# Fruits and points
+
+CROWN = [
+    post("trunk", 48.0, 1.55, 0.0, 2.5),
+    Box(name="ground", center=(0.0, 0.0, -0.05), size=(6.0, 6.0, 0.1)),
+    Sphere(name="leaf", center=at(43.0, 1.2, 1.85), radius=0.06),
+]
+OTHERS = (fruit("b", 36.0, 1.3, 1.7), fruit("c", 45.0, 1.25, 1.5))
+
+
+def test_pick(robot: Robot) -> None:
+    scene = task(FOLDED, Goal(fruit="apple"), CROWN, fruits=(APPLE, *OTHERS))
+    result = plan(robot, scene)
+    assert_sound(robot, scene, result)
+    assert [phase.name for phase in result.phases] == ["transit", "approach", "retreat"]
+    assert result.grasp is not None
+    assert result.grasp.distance in (pytest.approx(0.1), pytest.approx(0.072))
+    report = result.report
+    assert report["grasp"]["fruit"] == "apple"
+    assert report["grasp"]["standoff_m"] == result.grasp.distance
+    assert report["phases"][1] == vars(result.phases[1])
+    # Nothing touches it before the approach, and the hand has it in its middle at the end of that.
+    judge = CollisionScene(robot, [solid for solid in scene.solids_with_goal if solid.name == "apple"])
+    approach = result.phases[1]
+    before = part(result.trajectory, 0.0, approach.start_s)
+    assert min(judge.distances(q).min() for q in result.trajectory.position[before]) > 0.0
+    there = result.trajectory.position[part(result.trajectory, approach.end_s, approach.end_s)]
+    np.testing.assert_allclose(robot.tool_positions(there), [APPLE.center], atol=1e-9)
+    assert judge.distances(there[0])[-1, 0] == pytest.approx(-0.04 - 0.03, abs=1e-6)
+    assert judge.distances(there[0])[:-1].min() > 0.0
+
+
+def test_retreat_is_the_approach_backwards(robot: Robot) -> None:
+    scene = task(FOLDED, Goal(fruit="apple"), CROWN, fruits=(APPLE, *OTHERS))
+    result = plan(robot, scene, COARSE)
+    _, there, back = (part(result.trajectory, phase.start_s, phase.end_s) for phase in result.phases)
+    np.testing.assert_allclose(result.trajectory.position[back], result.trajectory.position[there][::-1], atol=1e-12)
+    np.testing.assert_allclose(result.trajectory.velocity[back], -result.trajectory.velocity[there][::-1], atol=1e-12)
+
+
+@pytest.mark.parametrize("approach", [118.0, (112.0, 118.0), (-360.0, 360.0)])
+def test_approach_angle_is_kept(robot: Robot, approach: Any) -> None:
+    scene = task(FOLDED, Goal(fruit="apple", approach_deg=approach), CROWN, fruits=(APPLE, *OTHERS))
+    assert_sound(robot, scene, plan(robot, scene, COARSE))
+
+
+def test_approach_angle_that_cannot_be(robot: Robot) -> None:
+    scene = task(FOLDED, Goal(fruit="apple", approach_deg=-90.0), fruits=(APPLE,))
+    with pytest.raises(UnreachableError) as caught:
+        plan(robot, scene)
+    assert caught.value.reason == "approach"
+
+
+def test_to_a_point(robot: Robot) -> None:
+    scene = task(FOLDED, Goal(position=at(40.0, 1.3, 1.6)), CROWN, fruits=OTHERS)
+    result = plan(robot, scene, COARSE)
+    assert_sound(robot, scene, result)
+    assert result.report["grasp"]["fruit"] is None
+    np.testing.assert_allclose(robot.tool_positions(result.trajectory.position[-1]), at(40.0, 1.3, 1.6), atol=1e-9)
+    short = plan(robot, scene, PlanOptions(step_deg=2.0, standoff=0.0))
+    assert_sound(robot, scene, short)
+    assert [phase.name for phase in short.phases] == ["transit"]
+
+
+@pytest.mark.parametrize("standoff", [0.0, 0.05, 0.2])
+def test_standoff(robot: Robot, standoff: float) -> None:
+    scene = task(FOLDED, Goal(fruit="apple"), fruits=(fruit("apple", 40.0, 1.2, 1.9),))
+    result = plan(robot, scene, PlanOptions(step_deg=2.0, standoff=standoff))
+    assert_sound(robot, scene, result)
+    assert result.grasp is not None
+    assert result.grasp.distance == pytest.approx(max(standoff, 0.04 + 0.03 + 0.002), abs=1e-12)
+
+
+@pytest.mark.parametrize("locked", [("base_yaw",), ("elbow",), ("wrist",), ("base_yaw", "shoulder")])
+@pytest.mark.parametrize("goal", ["fruit", "position"])
+def test_locked_joints(robot: Robot, goal: str, locked: tuple[str, ...]) -> None:
+    there = np.array([40.0, 60.0, 45.0, 20.0])
+    start = tuple(float(there[k]) if name in locked else FOLDED[k] for k, name in enumerate(robot.joint_names))
+    point = tuple(robot.tool_positions(np.radians(there)).tolist())
+    aim = Goal(fruit="apple") if goal == "fruit" else Goal(position=point)
+    fruits = ({"name": "apple", "center": point, "radius": 0.04},) if goal == "fruit" else ()
+    scene = task(start, aim, [post("trunk", 55.0, 1.4, 0.0, 2.5)], fruits=fruits, locked_joints=locked)
+    result = plan(robot, scene, COARSE)
+    assert_sound(robot, scene, result)
+    assert result.grasp is not None
+    assert (result.grasp.distance > 0.0) == (locked == ("base_yaw",))
+
+
+@pytest.mark.parametrize(
+    ("start", "locked"),
+    [
+        ((40.0, 0.0, 90.0, 30.0), ()),
+        ((40.0, 0.0, 20.0, 90.0), ("base_yaw",)),
+        ((0.0, 90.0, 45.0, 90.0), ()),
+        ((40.0, 90.0, 45.0, 90.0), ()),
+        ((40.0, 90.0, 45.0, 90.0), ("base_yaw",)),
+    ],
+)
+def test_no_straight_approach(robot: Robot, start: tuple[float, ...], locked: tuple[str, ...]) -> None:
+    """The shoulder is at its limit wherever the tool is at the fruit: the hand comes to it from elsewhere."""
+    target = fruit("apple", 40.0, 1.2, 1.5)
+    scene = task(start, Goal(fruit="apple"), fruits=(target,), locked_joints=locked)
+    result = plan(robot, scene, COARSE)
+    assert_sound(robot, scene, result)
+    assert result.grasp is not None
+    assert result.grasp.distance == 0.0
+    assert result.report["grasp"]["standoff_m"] == 0.0
+
+
+# Where the fruit cannot be had
+
+
+@pytest.mark.parametrize(
+    ("target", "reason"),
+    [
+        (fruit("apple", 40.0, 3.2, 1.5), "too_far"),
+        (fruit("apple", 40.0, 1.4, 0.2), "joint_limit"),
+        (fruit("apple", 40.0, 0.1, 0.9), "joint_limit"),
+    ],
+)
+def test_unreachable(robot: Robot, target: Any, reason: str) -> None:
+    with pytest.raises(UnreachableError) as caught:
+        plan(robot, task(FOLDED, Goal(fruit="apple"), CROWN, fruits=(target,)))
+    assert caught.value.reason == reason
+    assert caught.value.exit_status == 3
+
+
+def test_fruit_beside_the_locked_plane(robot: Robot) -> None:
+    scene = task(FOLDED, Goal(fruit="apple"), fruits=(APPLE,), locked_joints=("base_yaw",))
+    with pytest.raises(UnreachableError, match="not with base_yaw locked") as caught:
+        plan(robot, scene)
+    assert caught.value.reason == "locked"
+
+
+def test_fruit_inside_a_trunk(robot: Robot) -> None:
+    scene = task(FOLDED, Goal(fruit="apple"), [post("trunk", 40.0, 1.3, 0.0, 2.5, 0.12)], fruits=(APPLE,))
+    with pytest.raises(BlockedError, match="fruit 'apple' is blocked") as caught:
+        plan(robot, scene)
+    assert {item["obstacle"] for item in caught.value.obstacles} == {"trunk"}
+
+
+def test_fruit_inside_another(robot: Robot) -> None:
+    scene = task(FOLDED, Goal(fruit="apple"), fruits=(APPLE, APPLE.model_copy(update={"name": "twin"})))
+    with pytest.raises(BlockedError) as caught:
+        plan(robot, scene)
+    assert {item["obstacle"] for item in caught.value.obstacles} == {"twin"}
+
+
+def test_point_in_an_obstacle(robot: Robot) -> None:
+    with pytest.raises(BlockedError, match="the point is blocked"):
+        plan(robot, task(FOLDED, Goal(position=at(48.0, 1.55, 1.5)), CROWN))
+
+
+def test_start_at_the_fruit(robot: Robot) -> None:
+    """The start touches what is to be picked: refused as any other collision."""
+    start = (40.0, 60.0, 45.0, 20.0)
+    point = tuple(robot.tool_positions(np.radians(start)).tolist())
+    scene = task(start, Goal(fruit="apple"), fruits=({"name": "apple", "center": point, "radius": 0.04},))
+    with pytest.raises(ConfigurationInCollisionError, match=r"start is in collision: .*'apple'"):
+        plan(robot, scene)
+
+
+def test_base_in_an_obstacle(robot: Robot) -> None:
+    rock = Sphere(name="rock", center=(0.1, 0.0, 0.2), radius=0.1)
+    for goal in (GOAL, Goal(fruit="apple")):
+        with pytest.raises(InputError, match=r"obstacle 'rock' is .* deep in the robot's 'base_link'"):
+            plan(robot, task(START, goal, [rock], fruits=(APPLE,)))
+    ground = Box(name="ground", center=(0.0, 0.0, -0.05), size=(6.0, 6.0, 0.1))
+    scene = task(START, GOAL, [ground])
+    assert_sound(robot, scene, plan(robot, scene))
+
+
+# Many scenes
+
+
+#: Scenes of random obstacles without a motion, by their seeds: fruits and paths that are not to be had, and no others.
+NONE = dict.fromkeys((3, 6, 9, 51, 57), UnreachableError) | {31: NoPathError}
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_random_scenes(robot: Robot, seed: int) -> None:
+    scene = random_scene(seed, robot)
+    if seed in NONE:
+        with pytest.raises(NONE[seed]):
+            plan(robot, scene, COARSE)
+        return
+    assert_sound(robot, scene, plan(robot, scene, COARSE))
+
+
+def test_random_scenes_are_worth_it(robot: Robot) -> None:
+    """Motions of all kinds come out of them."""
+    kinds: dict[str, int] = {}
+    for seed in range(30, 60):
+        scene = random_scene(seed, robot)
+        if seed in NONE:
+            with pytest.raises(NONE[seed]):
+                plan(robot, scene, PlanOptions(step_deg=3.0))
+            continue
+        result = plan(robot, scene, PlanOptions(step_deg=3.0))
+        assert_sound(robot, scene, result)
+        kind = planner_of(result)[0]
+        kinds[kind] = kinds.get(kind, 0) + 1
+    assert kinds.keys() == {"direct", "roadmap", "two-level"}
+    assert min(kinds.values()) >= 2

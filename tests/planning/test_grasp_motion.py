@@ -1,0 +1,387 @@
+"""A motion to one of several grasps: all are tried, at finer angles too, before it is said that there is none."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from arm_variants import load_variant
+from planned import assert_sound, between_rows, frame_about_upper_arm, post, task
+from test_route import posed
+
+import hplan.planning.grasp_motion
+import hplan.planning.grasps
+from hplan.collision.coal_scene import CollisionScene
+from hplan.errors import BlockedError, CertificationError, NoPathError, TimingError
+from hplan.planar.inverse_kinematics import Candidates, reach
+from hplan.planning.enclosed_goals import enclosed_goals
+from hplan.planning.enclosure import EnclosedError
+from hplan.planning.find_motion import find_motion, without_path
+from hplan.planning.finer_angles import FINEST, Refined, refined
+from hplan.planning.grasp_motion import motion_to_grasp
+from hplan.planning.grasps import SPARE, Grasp, grasps, least_standoff, promising
+from hplan.planning.grid_route import Rung, find_route
+from hplan.planning.plan import Workspace, last_stretch, plan
+from hplan.planning.refusals import Refusals
+from hplan.problem.options import PlanOptions
+from hplan.robot.model import Robot
+from hplan.scene.model import Capsule, Fruit, Goal, Scene, Sphere, Start
+from hplan.tour.tour import plan_tour
+
+COARSE = PlanOptions(step_deg=2.0)
+
+
+def to_apple(start_rad: Any, center: Any, *obstacles: Any, locked: tuple[str, ...] = ()) -> Scene:
+    return Scene(
+        name="apple",
+        start=Start(joints_rad=start_rad),
+        goal=Goal(fruit="apple"),
+        locked_joints=locked,
+        obstacles=obstacles,
+        fruits=(Fruit(name="apple", center=center, radius=0.03),),
+    )
+
+
+def bar(name: str, start: Any, end: Any, radius: float) -> Capsule:
+    return Capsule(name=name, start=start, end=end, radius=radius)
+
+
+#: One thin branch, and of 35 grasps a single one, not among the likely, is not cut off by it.
+BRANCH = to_apple(
+    (-0.622813, 1.570796, 1.570796, 1.570796),
+    (0.435, -0.312, 2.259),
+    bar("branch", (0.001, 0.069, 1.859), (0.242, -0.718, 2.732), 0.012),
+)
+
+#: The tool reaches the fruit between obstacles only at angles between those of the evenly spaced configurations.
+TIGHT = {
+    "turning": to_apple(
+        (0.0, 1.570796, 1.570796, 1.570796),
+        (-0.7663, 0.0, 2.4537),
+        bar("a", (-0.6244, 0.2383, 1.7301), (-1.4403, -0.4223, 2.3114), 0.0395),
+        bar("b", (-0.7307, 0.1581, 1.8258), (-0.6508, -0.4493, 2.8576), 0.0481),
+        bar("c", (0.0422, -0.3101, 2.24), (-0.747, 0.3807, 1.657), 0.047),
+    ),
+    "base locked": to_apple(
+        (0.0, 0.782105, 0.265473, 1.483496),
+        (0.373, 0.0, 2.594),
+        Sphere(name="a", center=(0.65, -0.1, 2.344), radius=0.087),
+        Sphere(name="b", center=(0.463, 0.061, 2.3), radius=0.089),
+        locked=("base_yaw",),
+    ),
+}
+
+
+def grasps_of(robot: Robot, scene: Scene) -> tuple[tuple[Grasp, ...], list[Grasp]]:
+    """All grasps of the goal's fruit, and the likely ones."""
+    around, start = Workspace(robot).around(scene, COARSE), scene.start.configuration
+    fruit = next(fruit for fruit in scene.fruits if fruit.name == scene.goal.fruit)
+    near = around.touching(fruit.name)
+    found = grasps(
+        around, near, fruit.center, start, what="it", standoff=0.1, least_standoff=least_standoff(around, fruit),
+        locked=scene.locked_joints,
+    )  # fmt: skip
+    return found, promising(found, around, near, start)
+
+
+def test_all_grasps_are_tried(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    ways, likely = grasps_of(robot, BRANCH)
+    assert len(likely) < len(ways)
+    result = plan(robot, BRANCH, COARSE)
+    assert_sound(robot, BRANCH, result)
+    assert result.grasp is not None
+    assert not any(np.array_equal(result.grasp.goal, grasp.goal) for grasp in likely)
+    monkeypatch.setattr(
+        "hplan.planning.plan.motion_to_grasp", lambda _, likely, *rest: motion_to_grasp(likely, likely, *rest)
+    )
+    with pytest.raises(NoPathError):
+        plan(robot, BRANCH, COARSE)
+
+
+def test_all_grasps_are_tried_in_a_tour(robot: Robot) -> None:
+    tour = plan_tour(robot, BRANCH, COARSE)
+    assert tour.order == ("apple",)
+    assert tour.certificate.verified
+
+
+@pytest.mark.parametrize("name", TIGHT)
+def test_finer_angles_before_blocked(robot: Robot, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = TIGHT[name]
+    assert_sound(robot, scene, plan(robot, scene, COARSE))
+    monkeypatch.setattr(hplan.planning.grasps, "refined", lambda *_: Refined(None, 0, -1.0))
+    with pytest.raises(BlockedError):
+        plan(robot, scene, COARSE)
+
+
+def test_finer_angles_keep_to_the_interval_asked_for(robot: Robot) -> None:
+    scene = TIGHT["turning"]
+    found = plan(robot, scene, COARSE).grasp
+    assert found is not None
+    angle = math.degrees(found.approach)
+    for low, high in ((angle - 20.0, angle + 20.0), (angle + 350.0, angle + 365.0)):
+        narrow = scene.model_copy(update={"goal": Goal(fruit="apple", approach_deg=(low, high))})
+        grasp = plan(robot, narrow, COARSE).grasp
+        assert grasp is not None
+        assert (math.degrees(grasp.approach) - low + 1e-7) % 360.0 <= high - low + 2e-7
+    for low, high in ((angle - 40.0, angle - 5.0), (angle, angle)):
+        aside = scene.model_copy(update={"goal": Goal(fruit="apple", approach_deg=(low, high))})
+        if low == high:
+            assert plan(robot, aside, COARSE).certificate.verified
+            continue
+        with pytest.raises(BlockedError):
+            plan(robot, aside, COARSE)
+
+
+@pytest.mark.parametrize("asked", [None, (100.0, 460.0), (100.0, 250.0), (-300.0, -100.0)])
+@pytest.mark.parametrize("peak_deg", [170.0, 178.7, -179.2, -130.3])
+def test_a_narrow_window_is_found_whatever_the_turn(asked: tuple[float, float] | None, peak_deg: float) -> None:
+    """Clearance falls by 0.5 m/rad from a peak of 2 mm, so that half a degree in all has more than 0 mm to spare."""
+
+    def within(interval: tuple[float, float], count: int) -> Candidates:
+        low, high = np.radians(interval)
+        assert low < high
+        if asked is not None and asked[1] - asked[0] < 360.0:
+            assert np.radians(asked[0]) - 1e-9 <= low < high <= np.radians(asked[1]) + 1e-9
+        angles = np.linspace(low, high, count + 2)
+        return Candidates(angles[:, None], np.pi - (np.pi - angles) % (2.0 * np.pi))
+
+    def clearance(q: np.ndarray) -> float:
+        away = (q[0] - math.radians(peak_deg) + np.pi) % (2.0 * np.pi) - np.pi
+        return 0.002 - 0.5 * abs(float(away))
+
+    evenly = within((-180.0, 180.0) if asked is None else asked, 40)
+    found = refined(evenly, within, clearance, 0.0015, asked)
+    assert found.candidates is not None
+    assert all(clearance(q) > 0.0015 for q in found.candidates.configurations)
+    assert refined(evenly, within, clearance, 0.00201, asked).candidates is None
+
+
+def test_blocked_says_how_many_were_tried_and_by_how_much(robot: Robot) -> None:
+    """The best clearance said is that of no configuration, however finely they are spaced."""
+    scene = TIGHT["base locked"]
+    tight = scene.with_obstacles(
+        [
+            ball.model_copy(update={"radius": ball.radius + 0.002})
+            for ball in scene.obstacles
+            if isinstance(ball, Sphere)
+        ]
+    )
+    with pytest.raises(BlockedError) as caught:
+        plan(robot, tight, COARSE)
+    error = caught.value
+    assert error.refined > 0
+    assert f"so do {error.refined} at finer approach angles" in error.message
+    near = Workspace(robot).around(tight, COARSE).touching("apple")
+    start = tight.start.configuration
+    fine = reach(robot, tight.fruits[0].center, count=4000, start=start, locked=tight.locked_joints).configurations
+    best = max(near.field.clearance(q) for q in fine)
+    assert error.best_clearance_m is not None
+    assert best - 1.0 * FINEST <= error.best_clearance_m <= min(best + 1e-4, SPARE)
+
+
+def test_no_path_is_said_of_all_grasps(robot: Robot) -> None:
+    fruit = {"name": "apple", "center": (-0.6, 0.6, 1.6), "radius": 0.04}
+    scene = task((0.0, 70.0, 20.0, 20.0), Goal(fruit="apple"), frame_about_upper_arm(0.0, 70.0), fruits=(fruit,))
+    ways, likely = grasps_of(robot, scene)
+    assert len(ways) > len(likely) > 1
+    with pytest.raises(NoPathError) as caught:
+        plan(robot, scene, PlanOptions(step_deg=3.0))
+    error = caught.value
+    assert error.goals == len(ways) == error.data["goals"]
+    assert f"to any of {len(ways)} grasps of fruit 'apple'" in error.message
+    assert {wall["obstacle"] for wall in error.blockers} <= {f"bar {i}" for i in range(4)}
+    assert error.blockers
+
+
+def test_some_not_certified_is_no_no_path(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The likely grasps cannot be certified, and no path is shown for all of the others, or the other way round."""
+    ways, likely = grasps_of(robot, BRANCH)
+    none = NoPathError("no path exists on the grid", reached_cells=7)
+    doubt = CertificationError("no way on the grid can be shown clear as a motion")
+    monkeypatch.setattr(hplan.planning.grasp_motion, "first_motion", lambda tasks: Refusals((doubt,) * len(tasks)))
+    monkeypatch.setattr(hplan.planning.grasp_motion, "without_path", lambda tasks: [none] * len(tasks))
+    with pytest.raises(CertificationError) as caught:
+        plan(robot, BRANCH, COARSE)
+    rest = len(ways) - len(likely)
+    assert caught.value.exit_status == 5
+    assert caught.value.data["reasons"] == [
+        {"reason": none.message, "goals": rest},
+        {"reason": doubt.message, "goals": len(likely)},
+    ]
+    assert f"any of {len(ways)} grasps of fruit 'apple': {rest} x no path exists on the grid; " in caught.value.message
+    monkeypatch.setattr(hplan.planning.grasp_motion, "first_motion", lambda tasks: Refusals((none,) * len(tasks)))
+    monkeypatch.setattr(hplan.planning.grasp_motion, "without_path", lambda tasks: [None] * len(tasks))
+    with pytest.raises(NoPathError):
+        plan(robot, BRANCH, COARSE)
+
+
+def test_a_grasp_whose_approach_fails_is_left_for_another(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = task(
+        (20.0, 80.0, 80.0, 80.0), Goal(fruit="a"), fruits=({"name": "a", "center": (1.0, 0.8, 1.6), "radius": 0.04},)
+    )
+    first = plan(robot, scene, COARSE).grasp
+    asked: list[Grasp] = []
+
+    def fails_at_first(task: Any, grasp: Grasp, *rest: Any) -> Any:
+        asked.append(grasp)
+        if len(asked) == 1:
+            raise CertificationError("the approach is not certified")
+        return last_stretch(task, grasp, *rest)
+
+    monkeypatch.setattr("hplan.planning.plan.last_stretch", fails_at_first)
+    other = plan(robot, scene, COARSE)
+    assert_sound(robot, scene, other)
+    assert other.grasp is asked[1] is not asked[0]
+    assert first is not None
+    np.testing.assert_array_equal(asked[0].goal, first.goal)
+    likely = grasps_of(robot, scene)[1]
+    assert any(np.array_equal(asked[1].goal, grasp.goal) for grasp in likely)
+
+
+def test_the_error_of_several_goals() -> None:
+    none, doubt = NoPathError("no path exists on the grid: here", reached_cells=7), CertificationError("doubt")
+    late = TimingError("late", joint="elbow", cause="torque")
+    assert Refusals((doubt,)).error() is doubt
+    assert isinstance(Refusals((none, none)).error(), NoPathError)
+    for errors, kind in (
+        ((none, doubt), CertificationError),
+        ((doubt, none, none), CertificationError),
+        ((late, doubt), CertificationError),
+        ((none, late), TimingError),
+    ):
+        assert type(Refusals(errors).error()) is kind
+    assert "3 goals: 2 x no path exists on the grid; 1 x doubt" in str(Refusals((doubt, none, none)).error())
+
+
+# Goals decided together
+
+
+@pytest.mark.parametrize("locked", [(), ("base_yaw",)])
+@pytest.mark.parametrize("seed", range(6))
+def test_enclosed_goals_are_those_to_which_no_route_is_found(robot: Robot, seed: int, locked: tuple[str, ...]) -> None:
+    rng = np.random.default_rng(seed)
+    bars = frame_about_upper_arm(0.0 if locked else 30.0, float(rng.uniform(10.0, 40.0)), 0.16)
+    yaws = (0.0,) if locked else (0.0, 30.0)
+    ends: list[Any] = []
+    while len(ends) < 7:
+        q = [float(rng.choice(yaws)), *rng.uniform(5.0, 85.0, 3).tolist()]
+        if CollisionScene(robot, bars).distances(np.radians(q)).min() > 0.005:
+            ends.append(tuple(q))
+    tasks = [posed(robot, task(ends[0], end, bars, locked_joints=locked)) for end in ends[1:]]
+    rung = Rung(3.0, beyond=2.0 * math.pi)
+    found = enclosed_goals(tasks, rung, [1e-4] * len(tasks))
+    for one, component in zip(tasks, found, strict=True):
+        try:
+            find_route(one, rung, 1e-4)
+        except EnclosedError:
+            assert component is not None
+            assert component.cells > 0
+        except CertificationError:
+            pass
+        else:
+            assert component is None
+
+
+def test_one_flood_decides_for_all_in_a_pocket(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    bars = frame_about_upper_arm(60.0, 20.0)
+    scenes = [task((0.0, 70.0, 20.0, 20.0), (60.0, 20.0, wrist, 20.0), bars) for wrist in (20.0, 30.0, 40.0, 50.0)]
+    tasks = [posed(robot, scene, PlanOptions(step_deg=3.0)) for scene in scenes]
+    assert all(isinstance(error, NoPathError) for error in without_path(tasks))
+    steps: list[float] = []
+
+    def counted(task: Any, rung: Rung, margin: float) -> Any:
+        steps.append(rung.step_deg)
+        return find_route(task, rung, margin)
+
+    monkeypatch.setattr("hplan.planning.find_motion.find_route", counted)
+    with pytest.raises(NoPathError) as caught:
+        find_motion(tasks)
+    assert caught.value.goals == 4
+    assert steps.count(3.0) == 1
+
+
+def test_more_yaws_may_open_what_is_closed_over_few(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A bar between start and goal, both at one yaw: closed over no other yaw, open over more."""
+    scene = task(
+        (0.0, 10.0, 20.0, 20.0), (0.0, 80.0, 20.0, 20.0), [bar("bar", (0.7, -0.3, 1.4), (0.7, 0.3, 1.4), 0.03)]
+    )
+    there = posed(robot, scene, PlanOptions(step_deg=4.0))
+    shown = enclosed_goals([there], Rung(4.0), [1e-4])[0]
+    assert shown is not None
+    assert shown.open_ended
+    monkeypatch.setattr("hplan.planning.find_motion.WIDTHS", (0.0,))
+    assert without_path([there]) == [None]
+
+
+def test_detour_is_to_the_goal_that_it_leads_to(robot: Robot) -> None:
+    """The second of three goals is worth a detour, the first is not, the third has a straight motion."""
+    start = (0.0, 30.0, 20.0, 20.0)
+    posts = [post("low", 15.0, 1.2, 0.0, 1.65, 0.03), post("behind", -120.0, 1.2, 0.0, 1.65, 0.03)]
+    goals = [(-140.0, 30.0, 20.0, 20.0), (30.0, 30.0, 20.0, 20.0), (-100.0, 30.0, 20.0, 20.0)]
+    tasks = [posed(robot, task(start, goal, posts), COARSE) for goal in goals]
+    number, motion = find_motion(tasks)
+    assert number == 1
+    np.testing.assert_array_equal(motion.way[-1], tasks[number].problem.goal)
+
+
+# Stand-off, approach and transit
+
+
+@pytest.mark.parametrize("clearance", [0.0, 0.005, 0.02])
+def test_least_standoff_keeps_the_clearance(robot: Robot, clearance: float) -> None:
+    """Where a short approach is asked for it is as long as it has to be, not left out."""
+    scene = task(
+        (10.0, 80.0, 80.0, 80.0), Goal(fruit="apple"), clearance=clearance,
+        fruits=({"name": "apple", "center": (1.0, 0.8, 1.6), "radius": 0.04},),
+    )  # fmt: skip
+    result = plan(robot, scene, PlanOptions(standoff=0.0))
+    assert_sound(robot, scene, result)
+    assert result.grasp is not None
+    least = 0.04 + float(robot.arm.half_widths[-1]) + clearance
+    assert least < result.grasp.distance < least + 0.005
+    spare = CollisionScene(robot, scene.solids_with_goal).distances(result.grasp.standoff).min()
+    assert clearance < spare < clearance + 0.005
+
+
+def test_approach_with_a_locked_joint_among_more_than_three(tmp_path: Path) -> None:
+    robot = load_variant("five links on a yaw", tmp_path)
+    there = np.array([0.3, 0.5, 0.4, -0.6, 0.5, 0.4])
+    start = there + np.array([0.2, 0.2, 0.0, 0.0, 0.2, 0.2])
+    fruit = {"name": "apple", "center": tuple(robot.tool_positions(there).tolist()), "radius": 0.03}
+    scene = Scene(
+        name="locked", start=Start(joints_rad=tuple(start.tolist())), goal=Goal(fruit="apple"),
+        fruits=(fruit,), locked_joints=("j1", "j2"),
+    )  # fmt: skip
+    result = plan(robot, scene, PlanOptions(step_deg=10.0))
+    assert result.certificate.verified
+    assert result.grasp is not None
+    assert result.grasp.distance > 0.0
+    assert [phase.name for phase in result.phases] == ["transit", "approach", "retreat"]
+    held = [robot.joint_names.index(name) for name in scene.locked_joints]
+    np.testing.assert_allclose(
+        result.trajectory.position[:, held], np.tile(start[held], (result.trajectory.samples, 1))
+    )
+
+
+@pytest.mark.parametrize(
+    ("there", "start"),
+    [
+        ((20.0, 49.017, 34.935, 53.6), (-4.0, 85.0, 33.0, 9.0)),
+        ((20.0, 60.617, 53.394, 67.921), (54.0, 67.0, 77.0, 22.0)),
+        ((20.0, 26.368, 56.306, 34.004), (-5.0, 78.0, 51.0, 44.0)),
+    ],
+)
+def test_no_link_touches_the_fruit_before_the_approach(robot: Robot, there: Any, start: Any) -> None:
+    """The shortest transits to the stand-off lead through the fruit, of a plan and of a tour."""
+    point = tuple(robot.tool_positions(np.radians(there)).tolist())
+    scene = task(start, Goal(fruit="apple"), fruits=({"name": "apple", "center": point, "radius": 0.04},))
+    judge = CollisionScene(robot, scene.solids_with_goal)
+    planned = plan(robot, scene, PlanOptions(rate_hz=100.0))
+    toured = plan_tour(robot, scene, PlanOptions(rate_hz=100.0))
+    for trajectory, phases in ((planned.trajectory, planned.phases), (toured.trajectory, toured.legs[0].phases)):
+        assert [phase.name for phase in phases] == ["transit", "approach", "retreat"]
+        rows = np.flatnonzero(trajectory.time <= phases[0].end_s + 1e-9)
+        assert min(judge.distances(q).min() for q in between_rows(trajectory, rows)) > 0.0

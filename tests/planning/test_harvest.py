@@ -1,0 +1,281 @@
+"""Grasps: the tool at the point, a straight way there along the last link, and what is said where there is none."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from planned import at, last_link, post
+
+from hplan.collision.coal_scene import CollisionScene
+from hplan.errors import BlockedError, InputError, OptionError, UnreachableError
+from hplan.planar.inverse_kinematics import reach
+from hplan.planar.straight_approach import ApproachPath
+from hplan.planning.grasps import SEARCHED, SPARE, Grasp, grasps, promising
+from hplan.problem.world import Surroundings
+from hplan.robot.model import Robot
+from hplan.scene.model import Box, Sphere
+
+START = np.radians([10.0, 80.0, 80.0, 80.0])
+FRUIT = Sphere(name="fruit", center=at(40.0, 1.3, 1.6), radius=0.04)
+
+
+def found(
+    robot: Robot, obstacles: Any = (), point: Any = FRUIT.center, fruit: bool = True, **more: Any
+) -> tuple[Grasp, ...]:
+    """Grasps of the fruit, or of a point, among obstacles."""
+    solids = [*obstacles, *([FRUIT] if fruit else [])]
+    around = Surroundings.of(robot, solids)
+    near = around.touching("fruit") if fruit else around
+    options = {"what": "fruit 'fruit'", "standoff": 0.1, "least_standoff": 0.075 if fruit else 0.0, **more}
+    return grasps(around, near, point, START, **options)
+
+
+def assert_grasps(robot: Robot, ways: tuple[Grasp, ...], around: Surroundings, near: Surroundings, point: Any) -> None:
+    assert ways
+    for grasp in ways:
+        np.testing.assert_allclose(robot.tool_positions(grasp.goal), point, atol=1e-6)
+        heading = last_link(robot, grasp.goal)
+        _, axes = robot.plane_at(grasp.goal[0])
+        assert math.atan2(heading @ axes[1], heading @ axes[0]) == pytest.approx(grasp.approach, abs=1e-6)
+        path = grasp.path(robot)
+        if grasp.distance == 0.0:
+            assert path is None
+            np.testing.assert_array_equal(grasp.standoff, grasp.goal)
+        else:
+            assert isinstance(path, ApproachPath)
+            away = robot.tool_positions(grasp.standoff) - point
+            np.testing.assert_allclose(away, -grasp.distance * heading, atol=1e-6)
+            np.testing.assert_allclose(path.evaluate(0.0), grasp.standoff, atol=1e-9)
+            np.testing.assert_allclose(path.evaluate(path.end), grasp.goal, atol=1e-12)
+            judged = around.judge.distances(grasp.standoff)
+            assert judged.size == 0 or judged.min() > 0.9 * SPARE
+            tools = robot.tool_positions(path.evaluate(np.linspace(0.0, path.end, 30)))
+            beside = (tools - point) - np.outer((tools - point) @ heading, heading)
+            assert np.linalg.norm(beside, axis=1).max() < 1e-9
+        judged = near.judge.distances(grasp.goal)
+        assert judged.size == 0 or judged.min() > 0.9 * SPARE
+    least = [grasp.least_duration for grasp in ways]
+    assert least == sorted(least)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_grasps_among_obstacles(robot: Robot, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    point = at(float(rng.uniform(-170, 170)), 1.3, 1.6)
+    fruit = Sphere(name="fruit", center=point, radius=0.04)
+    obstacles = [
+        Sphere(name=f"o{i}", center=tuple((np.array(point) + rng.uniform(-0.5, 0.5, 3)).tolist()), radius=0.05)
+        for i in range(8)
+    ]
+    obstacles = [ball for ball in obstacles if math.dist(ball.center, point) > 0.12]
+    around = Surroundings.of(robot, [*obstacles, fruit], clearance=0.005)
+    near = around.touching("fruit")
+    ways = grasps(around, near, point, START, what="it", standoff=0.12, least_standoff=0.08)
+    judged = Surroundings.of(robot, [*obstacles, fruit])
+    assert_grasps(robot, ways, judged, judged.touching("fruit"), point)
+    assert {grasp.distance for grasp in ways} <= {0.12, 0.08, 0.0}
+    # The distance is the longest that can be had: all of one kind, or shorter ones where the longer is in the way.
+    with_way = [grasp for grasp in ways if grasp.distance > 0.0]
+    assert not with_way or len(with_way) == len(ways)
+
+
+def test_without_obstacles_all_configurations_are_grasps(robot: Robot) -> None:
+    ways = found(robot, fruit=False, least_standoff=0.0, standoff=0.05)
+    around = Surroundings.of(robot, [])
+    assert_grasps(robot, ways, around, around, FRUIT.center)
+    every = reach(robot, FRUIT.center, count=64, start=START).configurations
+    assert {tuple(grasp.goal) for grasp in ways} <= {tuple(q) for q in every.tolist()}
+    assert {round(grasp.distance, 12) for grasp in ways} <= {0.05, 0.025, 0.01}
+
+
+def test_least_duration_is_that_of_the_slowest_joint(robot: Robot) -> None:
+    """By hand: at full speed but for the ends where that is reached, else speeding up half the way."""
+
+    def seconds(turn: float, speed: float, push: float) -> float:
+        return turn / speed + speed / push if turn >= speed**2 / push else 2.0 * math.sqrt(turn / push)
+
+    for grasp in found(robot)[:5]:
+        legs = [np.abs(b - a).tolist() for a, b in ((START, grasp.standoff), (grasp.standoff, grasp.goal))]
+        limits = robot.velocity_limit.tolist(), robot.acceleration_limit.tolist()
+        expected = sum(max(map(seconds, turns, *limits)) for turns in legs)
+        assert grasp.least_duration == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize("approach", [118.0, 125.0, (90.0, 120.0), (115.0, 470.0), (-360.0, 0.0)])
+def test_approach_is_kept(robot: Robot, approach: Any) -> None:
+    ways = found(robot, approach_deg=approach)
+    low, high = approach if isinstance(approach, tuple) else (approach, approach)
+    for grasp in ways:
+        assert (math.degrees(grasp.approach) - low + 1e-7) % 360.0 <= high - low + 2e-7
+
+
+def test_standoff_is_shorter_where_a_long_one_is_in_the_way(robot: Robot) -> None:
+    """A plate behind the hand at one approach angle leaves half of the stand-off, then a fifth, then none."""
+    free = found(robot, fruit=False, least_standoff=0.0, standoff=0.1)
+    grasp = free[len(free) // 2]
+    angle = math.degrees(grasp.approach)
+    heading = last_link(robot, grasp.goal)
+    wrist = np.array(FRUIT.center) - 0.4 * heading
+    lengths = {}
+    for gap in (0.3, 0.085, 0.045, 0.015):
+        # Beside the forearm's end, on the side to which it goes back.
+        place = wrist - (0.04 + gap + 0.01) * heading
+        bead = Sphere(name="bead", center=tuple(place.tolist()), radius=0.01)
+        try:
+            ways = found(robot, [bead], fruit=False, least_standoff=0.0, standoff=0.1, approach_deg=angle)
+        except BlockedError:
+            lengths[gap] = -1.0
+            continue
+        lengths[gap] = max(way.distance for way in ways)
+        around = Surroundings.of(robot, [bead])
+        assert_grasps(robot, ways, around, around, FRUIT.center)
+    values = [lengths[gap] for gap in sorted(lengths, reverse=True)]
+    assert values == sorted(values, reverse=True)
+    assert values[0] == 0.1
+    assert len(set(values)) >= 3, values
+
+
+def test_obstacles_on_the_way_in_are_seen(robot: Robot) -> None:
+    """Beads that a link sweeps over between the stand-off and the goal, clear of it at both."""
+    free = found(robot, fruit=False, standoff=0.4, point=at(40.0, 1.0, 1.7))
+    rng, seen = np.random.default_rng(0), 0
+    for grasp in [way for way in free if way.distance == 0.4][::4]:
+        path = grasp.path(robot)
+        assert path is not None
+        middle = path.evaluate(0.4 * path.end)
+        points = robot.plane_origin + robot.arm.joint_points(middle[1:]) @ robot.plane_axes
+        cos, sin = math.cos(middle[0]), math.sin(middle[0])
+        points = points @ np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
+        share = float(rng.uniform(0.1, 0.9))
+        place = (1.0 - share) * points[1] + share * points[2]
+        bead = Sphere(name="bead", center=tuple(place.tolist()), radius=0.005)
+        judge = CollisionScene(robot, [bead])
+        if min(judge.distances(q).min() for q in (grasp.standoff, grasp.goal)) < 2.0 * SPARE:
+            continue
+        seen += 1
+        angle = math.degrees(grasp.approach)
+        ways = found(robot, [bead], fruit=False, standoff=0.4, point=at(40.0, 1.0, 1.7), approach_deg=angle)
+        same = [way for way in ways if np.abs(way.goal - grasp.goal).max() < 1e-9]
+        assert [way.distance < 0.4 for way in same] == [True]
+    assert seen >= 3
+
+
+def test_standoff_within_the_fruit_is_none(robot: Robot) -> None:
+    assert {grasp.distance for grasp in found(robot, standoff=0.05, least_standoff=0.0)} == {0.0}
+
+
+def test_no_standoff_asked_for(robot: Robot) -> None:
+    ways = found(robot, fruit=False, standoff=0.0, least_standoff=0.0)
+    assert {grasp.distance for grasp in ways} == {0.0}
+    assert {grasp.distance for grasp in found(robot, standoff=0.0)} == {0.075}
+
+
+def test_longer_least_standoff_than_asked_for(robot: Robot) -> None:
+    assert {grasp.distance for grasp in found(robot, standoff=0.02, least_standoff=0.09)} == {0.09}
+
+
+@pytest.mark.parametrize("locked", [("elbow",), ("wrist",), ("shoulder", "elbow")])
+def test_no_straight_approach_with_fewer_than_three_joints(robot: Robot, locked: tuple[str, ...]) -> None:
+    goal = np.radians([30.0, 60.0, 45.0, 20.0])
+    start = np.array([goal[k] if name in locked else START[k] for k, name in enumerate(robot.joint_names)])
+    point = robot.tool_positions(goal)
+    around = Surroundings.of(robot, [])
+    ways = grasps(around, around, point, start, what="it", standoff=0.1, locked=locked)
+    assert {grasp.distance for grasp in ways} == {0.0}
+    held = [robot.joint_names.index(name) for name in locked]
+    for grasp in ways:
+        np.testing.assert_allclose(grasp.goal[held], start[held], atol=1e-12)
+    assert_grasps(robot, ways, around, around, point)
+
+
+def test_locked_base(robot: Robot) -> None:
+    start = START.copy()
+    start[0] = math.radians(40.0)
+    around = Surroundings.of(robot, [])
+    ways = grasps(around, around, FRUIT.center, start, what="it", standoff=0.1, locked=("base_yaw",))
+    assert all(grasp.goal[0] == start[0] == grasp.standoff[0] for grasp in ways)
+
+
+# Where there are none
+
+
+def test_blocked_names_what_is_in_the_way(robot: Robot) -> None:
+    trunk = post("trunk", 40.0, 1.3, 0.0, 3.0, 0.1)
+    with pytest.raises(BlockedError, match="fruit 'fruit' is blocked: all") as caught:
+        found(robot, [trunk])
+    error = caught.value
+    assert {item["obstacle"] for item in error.obstacles} == {"trunk"}
+    total = len(reach(robot, FRUIT.center, count=64, start=START).configurations)
+    assert error.data["tried"] == total == sum(item["configurations"] for item in error.obstacles)
+    assert all(item["link"] in robot.arm.link_names for item in error.obstacles)
+    assert error.exit_status == 3
+
+
+def test_blocked_most_frequent_first(robot: Robot) -> None:
+    """A cloth hangs about the fruit on all sides, a bead stands in one corner."""
+    shell = Box(name="shell", center=FRUIT.center, size=(0.3, 0.3, 0.3))
+    with pytest.raises(BlockedError) as caught:
+        found(robot, [shell])
+    counts = [item["configurations"] for item in caught.value.obstacles]
+    assert counts == sorted(counts, reverse=True)
+    assert "fruit" not in {item["obstacle"] for item in caught.value.obstacles}
+
+
+@pytest.mark.parametrize("approach", [-90.0, (0.0, 45.0)])
+def test_approach_that_cannot_be(robot: Robot, approach: Any) -> None:
+    with pytest.raises(UnreachableError) as caught:
+        found(robot, approach_deg=approach)
+    assert caught.value.reason == "approach"
+    assert caught.value.data["reachable_deg"]
+
+
+@pytest.mark.parametrize(
+    ("point", "reason"),
+    [((3.0, 0.0, 1.0), "too_far"), ((1.2, 0.8, 0.2), "joint_limit"), ((0.0, 0.0, 0.7), "joint_limit")],
+)
+def test_unreachable(robot: Robot, point: Any, reason: str) -> None:
+    with pytest.raises(UnreachableError) as caught:
+        found(robot, point=point, fruit=False)
+    assert caught.value.reason == reason
+
+
+def test_bad_values(robot: Robot) -> None:
+    with pytest.raises(InputError):
+        found(robot, point=(1.0, math.nan, 1.0))
+    with pytest.raises(InputError):
+        found(robot, point=(1.0, 1.0))
+    with pytest.raises(OptionError):
+        found(robot, approach_deg=(10.0, -10.0))
+    with pytest.raises(InputError):
+        found(robot, locked=("knee",))
+
+
+def test_results_cannot_be_changed(robot: Robot) -> None:
+    for grasp in found(robot):
+        assert not grasp.goal.flags.writeable
+        assert not grasp.standoff.flags.writeable
+
+
+@pytest.mark.parametrize("behind", [0, 1, 5, 8, 9, 20])
+@pytest.mark.parametrize("beside", [0, 3])
+def test_promising_are_the_first_straight_one_and_some_of_those_before(robot: Robot, behind: int, beside: int) -> None:
+    """Some stand-offs behind a wall, then some on this side of it."""
+    around = Surroundings.of(
+        robot, [Box(name="wall", center=(1.0, 0.58, 1.0), size=(1.6, 0.02, 2.4), rpy_deg=(0, 0, 30))]
+    )
+
+    def grasp_at(yaw_deg: float) -> Grasp:
+        q = np.radians([yaw_deg, 20.0, 20.0, 20.0])
+        return Grasp(goal=q, standoff=q, distance=0.1, approach=0.0, least_duration=1.0)
+
+    ways = [*(grasp_at(70.0 + i) for i in range(behind)), *(grasp_at(-30.0 - i) for i in range(beside))]
+    start = np.radians([-10.0, 20.0, 20.0, 20.0])
+    straight = [around.field.is_clear(np.stack([start, grasp.standoff]), SPARE) for grasp in ways]
+    assert straight == [False] * behind + [True] * beside
+    likely = promising(ways, around, around, start)
+    assert len(likely) <= SEARCHED + 1
+    expected = ways[: behind : max(1, math.ceil(behind / SEARCHED))] + ways[behind : behind + 1]
+    assert [id(grasp) for grasp in likely] == [id(grasp) for grasp in expected]

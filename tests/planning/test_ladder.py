@@ -1,0 +1,219 @@
+"""The ladder of grids: which are tried for which goals, in what order, and what is made of what each of them gives."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from planned import task
+from test_route import posed
+
+from hplan.errors import CertificationError, HplanError, NoPathError, TimingError
+from hplan.planning import find_motion as transit
+from hplan.planning.enclosure import EnclosedError
+from hplan.planning.find_motion import GROWTH, SLUGGISH, TURNING, Motion, find_motion
+from hplan.planning.grid_route import Rung, Task
+from hplan.problem.options import PlanOptions
+from hplan.robot.model import Robot
+from hplan.scene.model import Box
+
+START = (0.0, 30.0, 20.0, 20.0)
+STEP = 1.0
+
+#: What a grid gives for a goal, by its number: a motion of so many seconds, or an error.
+Outcome = float | HplanError
+Try = tuple[int, float, float, float, bool]
+
+#: A plate that the straight motion to any of the goals passes through.
+WALL = [Box(name="wall", center=(1.0, 0.3, 1.0), size=(1.4, 0.02, 2.0))]
+
+
+def goals(robot: Robot, *yaws: float) -> list[Task]:
+    """Tasks to goals behind the wall."""
+    scenes = [task(START, (yaw, 30.0, 20.0, 20.0), WALL) for yaw in yaws]
+    return [posed(robot, scene, PlanOptions(step_deg=STEP)) for scene in scenes]
+
+
+@pytest.fixture
+def ladder(monkeypatch: pytest.MonkeyPatch, robot: Robot) -> Callable[..., list[Try]]:
+    """Grids that give what they are told to; no roadmaps. Returns what has been tried."""
+    monkeypatch.setattr(transit, "ROADMAPS", 0)
+
+    def prepare(tasks: list[Task], outcome: Callable[[Try], Outcome]) -> list[Try]:
+        tried: list[Try] = []
+        straight = find_motion([posed(robot, task(START, (60.0, 30.0, 20.0, 20.0)))])[1]
+
+        def on_grid(attempts: Any, rung: Rung) -> Motion:
+            number = next(i for i, each in enumerate(tasks) if each is attempts.task)
+            tried.append((number, rung.step_deg, math.degrees(rung.beyond), rung.growth, rung.thick))
+            given = outcome(tried[-1])
+            if isinstance(given, HplanError):
+                raise given
+            time = np.linspace(0.0, given, straight.trajectory.samples)
+            return replace(straight, task=attempts.task, trajectory=replace(straight.trajectory, time=time))
+
+        monkeypatch.setattr(transit._Attempts, "on_grid", on_grid)
+        return tried
+
+    return prepare
+
+
+class Explained:
+    """A region that says so when it is asked what bounds it."""
+
+    what = "the start is enclosed"
+
+    def explained(self) -> NoPathError:
+        return NoPathError("explained", reached_cells=5)
+
+
+def enclosed(*, open_ended: bool) -> EnclosedError:
+    return EnclosedError(Explained(), 5, open_ended=open_ended)
+
+
+def rungs(number: int, steps: tuple[float, ...] = (2.0, 1.0)) -> list[Try]:
+    """All grids of these steps for a goal."""
+    return [(number, coarser * STEP, *more) for coarser, *more in TURNING if coarser in steps]
+
+
+def rounded(tried: list[Try]) -> list[Try]:
+    return [(n, step, round(beyond, 9), growth, thick) for n, step, beyond, growth, thick in tried]
+
+
+def test_grids_go_from_coarse_and_near_to_fine_and_wide() -> None:
+    """Of either step grids for all yaws, thin ones; of the fine one also thick ones and grown obstacles."""
+    assert [step for step, *_ in TURNING] == sorted((step for step, *_ in TURNING), reverse=True)
+    for step in (2.0, 1.0):
+        widths = [beyond for coarser, beyond, growth, thick in TURNING if coarser == step and not growth and not thick]
+        assert widths == sorted(widths)
+        assert widths[-1] == 360.0
+    fine = [rung[1:] for rung in TURNING if rung[0] == 1.0]
+    assert fine == [
+        (45.0, 0.0, False), (45.0, 0.0, True), (360.0, 0.0, False), (45.0, 5e-3, True), (45.0, 0.02, False),
+    ]  # fmt: skip
+
+
+def test_every_grid_is_tried_before_it_is_given_up(robot: Robot, ladder: Any) -> None:
+    tasks = goals(robot, 60.0)
+    tried = ladder(tasks, lambda _: CertificationError(f"number {len(tried)}"))
+    with pytest.raises(CertificationError, match=r"number 1$"):  # the first is what is told
+        find_motion(tasks)
+    assert rounded(tried) == rungs(0)
+
+
+@pytest.mark.parametrize("number", range(len(TURNING)))
+def test_the_first_grid_that_gives_a_quick_motion_ends_it(robot: Robot, ladder: Any, number: int) -> None:
+    tasks = goals(robot, 60.0)
+    tried = ladder(tasks, lambda _: 3.0 if len(tried) == number + 1 else TimingError("none", cause="test"))
+    assert find_motion(tasks)[1].trajectory.duration == 3.0
+    assert rounded(tried) == rungs(0)[: number + 1]
+
+
+def test_goals_in_one_pocket_are_tried_once_on_coarse_grids_and_each_on_fine_ones(robot: Robot, ladder: Any) -> None:
+    """Goals nearer than two steps of a coarse grid fail together there; no fine grid leaves one out."""
+    tasks = goals(robot, 60.0, 60.0 + 3.0 * STEP, 60.0 + 8.0 * STEP)
+    tried = ladder(tasks, lambda _: CertificationError("none"))
+    with pytest.raises(CertificationError):
+        find_motion(tasks)
+    for number, coarse in ((0, True), (1, False), (2, True)):
+        mine = [each for each in rounded(tried) if each[0] == number]
+        assert mine == rungs(number, (2.0, 1.0) if coarse else (1.0,))
+
+
+def test_a_pocket_that_opens_on_a_fine_grid(robot: Robot, ladder: Any) -> None:
+    tasks = goals(robot, 60.0, 60.5)
+    ladder(tasks, lambda one: 3.0 if one[:2] == (1, STEP) else CertificationError("none"))
+    assert find_motion(tasks)[0] == 1
+
+
+def test_sluggish_motions_are_taken_where_there_is_no_other(robot: Robot, ladder: Any) -> None:
+    """The quickest of them, after everything was tried."""
+    tasks = goals(robot, 60.0)
+    bound = SLUGGISH * transit.least_duration(tasks[0])
+    seconds = {3: bound + 2.0, 5: bound + 1.0, 8: bound + 3.0}
+    tried = ladder(tasks, lambda _: seconds.get(len(tried), CertificationError("none")))
+    number, motion = find_motion(tasks)
+    assert (number, motion.trajectory.duration) == (0, bound + 1.0)
+    assert len(tried) == len(TURNING)
+
+
+def test_a_quick_motion_beats_a_sluggish_one_found_before(robot: Robot, ladder: Any) -> None:
+    tasks = goals(robot, 60.0)
+    bound = SLUGGISH * transit.least_duration(tasks[0])
+    tried = ladder(tasks, lambda _: bound + 1.0 if len(tried) == 1 else 0.9 * bound)
+    assert find_motion(tasks)[1].trajectory.duration == 0.9 * bound
+    assert len(tried) == 2
+
+
+def test_closed_on_the_fine_grid_is_no_path(robot: Robot, ladder: Any) -> None:
+    """An end enclosed in the yaws of a grid, and not open to more of them, is not looked at again on its step."""
+    tasks = goals(robot, 60.0)
+    tried = ladder(tasks, lambda _: enclosed(open_ended=False))
+    with pytest.raises(NoPathError, match="explained"):
+        find_motion(tasks)
+    assert rounded(tried) == [rungs(0)[0], next(one for one in rungs(0) if one[1] == STEP)]
+
+
+def test_open_ended_is_tried_with_more_yaws(robot: Robot, ladder: Any) -> None:
+    """What is open to yaws beyond the grid is not closed, however often it is looked at."""
+    tasks = goals(robot, 60.0)
+    tried = ladder(tasks, lambda _: enclosed(open_ended=True))
+    with pytest.raises(CertificationError, match="no motion could be certified"):
+        find_motion(tasks)
+    # Thick grids close narrow ways, so they show nothing; of the others each wider one is tried.
+    assert [one[1:3] for one in rounded(tried) if not one[4] and not one[3]] == [
+        (2.0, 4.0), (2.0, 45.0), (2.0, 360.0), (1.0, 45.0), (1.0, 360.0),
+    ]  # fmt: skip
+
+
+def test_closed_on_a_thick_grid_shows_nothing(robot: Robot, ladder: Any) -> None:
+    tasks = goals(robot, 60.0)
+    tried = ladder(tasks, lambda one: enclosed(open_ended=False) if one[4] or one[3] else CertificationError("thin"))
+    with pytest.raises(CertificationError, match="thin"):
+        find_motion(tasks)
+    assert rounded(tried) == rungs(0)
+
+
+def test_closed_for_one_goal_is_not_closed_for_another(robot: Robot, ladder: Any) -> None:
+    tasks = goals(robot, 60.0, 80.0)
+
+    def outcome(one: Try) -> Outcome:
+        if one[0] == 0:
+            return enclosed(open_ended=False)
+        return 3.0 if one[1] == STEP else TimingError("none", cause="test")
+
+    ladder(tasks, outcome)
+    assert find_motion(tasks)[0] == 1
+
+
+# With the base locked
+
+
+def test_planar_ladder(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Grown obstacles first, then twice as fine; a way that is closed by growing them ends a step, but says nothing."""
+    scene = task((0.0, 10.0, 10.0, 10.0), (0.0, 40.0, 10.0, 10.0), locked_joints=("base_yaw",))
+    tried: list[tuple[float, float]] = []
+    closed_at: dict[tuple[float, float], HplanError] = {}
+
+    def on_grid(_: Any, rung: Rung) -> Motion:
+        tried.append((rung.step_deg, rung.growth))
+        raise closed_at.get(tried[-1], CertificationError(f"number {len(tried)}"))
+
+    monkeypatch.setattr(transit._Attempts, "on_grid", on_grid)
+    with pytest.raises(CertificationError, match=r"number 1$"):
+        find_motion([posed(robot, scene, PlanOptions(step_deg=STEP))])
+    assert tried == [(step, growth) for step in (STEP, 0.5 * STEP) for growth in GROWTH]
+    tried.clear()
+    closed_at[STEP, GROWTH[2]] = NoPathError("closed", reached_cells=0)
+    with pytest.raises(CertificationError, match=r"number 1$"):
+        find_motion([posed(robot, scene, PlanOptions(step_deg=STEP))])
+    assert tried == [*((STEP, growth) for growth in GROWTH[:3]), *((0.5 * STEP, growth) for growth in GROWTH)]
+    tried.clear()
+    closed_at[STEP, 0.0] = NoPathError("closed", reached_cells=0)
+    with pytest.raises(NoPathError, match="closed"):
+        find_motion([posed(robot, scene, PlanOptions(step_deg=STEP))])
+    assert tried == [(STEP, 0.0)]

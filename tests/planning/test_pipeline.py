@@ -1,0 +1,329 @@
+"""The whole way: what `plan` gives back, and when it refuses."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hplan.collision.coal_scene import CollisionScene, sampled_occupancy
+from hplan.errors import CertificationError, ConfigurationInCollisionError, InputError, NoPathError, OptionError
+from hplan.planning.plan import Workspace, plan, with_export_time
+from hplan.problem.options import PlanOptions
+from hplan.robot.model import Robot
+from hplan.scene.model import Box, Capsule, Fruit, Goal, Scene, Sphere, Start
+from hplan.search.grid import Grid
+from hplan.verification.certificate import certify
+
+START, GOAL = (0.0, 0.0, 0.0, 0.0), (0.0, 45.0, 60.0, 70.0)
+SHOULDER = np.array([0.0, 0.0, 0.6])
+
+Obstacles = Sequence[Sphere | Capsule | Box]
+
+
+def task(obstacles: Obstacles = (), start: Sequence[float] = START, goal: Sequence[float] = GOAL, **more: Any) -> Scene:
+    """A planar task, the base locked unless said otherwise."""
+    more["locked_joints"] = ("base_yaw", *more.pop("locked_joints", ()))
+    return Scene(
+        name="test",
+        start=Start(joints_deg=tuple(start)),
+        goal=Goal(joints_deg=tuple(goal)),
+        obstacles=tuple(obstacles),
+        **more,
+    )
+
+
+def disc(name: str, radius: float, angle_deg: float, distance: float) -> Sphere:
+    """A ball in the arm plane, placed by polar coordinates about the shoulder."""
+    angle = math.radians(angle_deg)
+    x, _, z = SHOULDER + distance * np.array([math.cos(angle), 0.0, math.sin(angle)])
+    return Sphere(name=name, center=(x, 0.0, z), radius=radius)
+
+
+def assert_sound(robot: Robot, scene: Scene, result: Any) -> None:
+    """What every plan must keep, judged by coal at every row and by the certificate."""
+    trajectory = result.trajectory
+    assert result.certificate.verified
+    assert result.report["certificate"]["verified"]
+    judge = CollisionScene(robot, scene.solids)
+    if judge.obstacle_names:
+        nearest = min(judge.distances(q).min() for q in trajectory.position)
+        assert nearest >= result.certificate.min_clearance_m > scene.clearance
+    assert (trajectory.position >= robot.lower - 1e-9).all()
+    assert (trajectory.position <= robot.upper + 1e-9).all()
+    np.testing.assert_allclose(trajectory.position[0], result.problem.start, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(trajectory.position[-1], result.problem.goal, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(trajectory.velocity[[0, -1]], 0.0, rtol=0, atol=1e-9)
+
+
+def test_reference_scene(robot: Robot, scene: Scene) -> None:
+    stages: list[str] = []
+    result = plan(robot, scene, progress=stages.append)
+    assert_sound(robot, scene, result)
+    assert stages == ["cspace", "search", "postprocess", "timing", "certificate"]
+    assert result.occupancy.occupied_count == 128_891
+    assert math.degrees(result.search.cost) == pytest.approx(145.2149523784, abs=1e-9)
+    assert result.grid_path.shape == (107, 4)
+    assert result.report["trajectory"]["samples"] == result.trajectory.samples
+
+
+def test_same_input_same_output(robot: Robot, scene: Scene) -> None:
+    first, second = plan(robot, scene), plan(robot, scene)
+    for name in ("time", "position", "velocity", "acceleration", "torque"):
+        assert getattr(first.trajectory, name).tobytes() == getattr(second.trajectory, name).tobytes()
+
+
+def test_result_arrays_cannot_be_changed(robot: Robot, scene: Scene) -> None:
+    result = plan(robot, scene)
+    with pytest.raises(ValueError, match="read-only"):
+        result.grid_path[0] = 1.0
+
+
+def test_export_time_is_added_to_the_report(robot: Robot, scene: Scene) -> None:
+    result = plan(robot, scene)
+    before, after = result.report["time_ms"], with_export_time(result, 0.012).report["time_ms"]
+    assert after["export"] == 12.0
+    assert after["total"] == pytest.approx(before["total"] + 12.0, abs=1e-3)
+    assert result.report["time_ms"]["export"] == 0.0
+
+
+@pytest.mark.parametrize(
+    ("field", "value"), [("method", "magic"), ("step_deg", 0.0), ("step_deg", -1.0), ("step_deg", math.nan)]
+)
+def test_options_are_checked_at_once(field: str, value: Any) -> None:
+    with pytest.raises(OptionError) as error:
+        PlanOptions(**{field: value})
+    assert error.value.option == field
+
+
+@pytest.mark.parametrize(("field", "value"), [("rate_hz", -3.0), ("speed", 7.0), ("tracking_error", -1.0)])
+def test_options_are_checked_for_an_empty_motion_too(robot: Robot, field: str, value: float) -> None:
+    with pytest.raises(OptionError):
+        plan(robot, task(goal=START), PlanOptions(**{field: value}))
+
+
+# Scenes
+
+
+@pytest.mark.parametrize(
+    "obstacles",
+    [
+        [disc("a", 0.1, 60.0, 1.7), disc("b", 0.05, 40.0, 2.0), disc("c", 0.2, 100.0, 1.0)],
+        [
+            Capsule(name="branch", start=(1.0, -1.0, 1.9), end=(1.2, 1.0, 2.1), radius=0.03),
+            Capsule(name="trunk", start=(2.5, 0.0, 0.0), end=(2.5, 0.0, 3.0), radius=0.08),
+        ],
+        [
+            Box(name="ground", center=(0.0, 0.0, -0.05), size=(6.0, 6.0, 0.1)),
+            Box(name="post", center=(1.0, 0.0, 2.0), size=(0.1, 0.1, 0.2), rpy_deg=(10.0, 20.0, 30.0)),
+        ],
+        [
+            disc("ball", 0.1, 60.0, 1.7),
+            Capsule(name="wire", start=(1.3, -2.0, 1.9), end=(1.3, 2.0, 1.9), radius=0.005),
+            Box(name="ground", center=(0.0, 0.0, -0.05), size=(6.0, 6.0, 0.1)),
+        ],
+    ],
+    ids=["spheres", "capsules", "boxes", "mixed"],
+)
+def test_several_obstacles_of_each_kind(robot: Robot, obstacles: Obstacles) -> None:
+    scene = task(obstacles)
+    assert_sound(robot, scene, plan(robot, scene))
+
+
+def test_fruit_is_an_obstacle(robot: Robot) -> None:
+    scene = task(fruits=(Fruit(name="apple", center=(1.0, 0.0, 1.9), radius=0.15),))
+    result = plan(robot, scene)
+    assert_sound(robot, scene, result)
+    assert result.certificate.nearest.obstacle == "apple"
+
+
+def test_clearance_is_kept(robot: Robot, scene: Scene) -> None:
+    wide = Scene(**{**vars(scene), "clearance": 0.03})
+    result = plan(robot, wide)
+    assert_sound(robot, wide, result)
+    assert result.certificate.min_clearance_m > 0.03
+
+
+def test_start_and_goal_beside_the_grid(robot: Robot, scene: Scene) -> None:
+    beside = task(scene.obstacles, (0.0, 0.31, 0.47, 0.5), (0.0, 44.713, 60.29, 69.51))
+    result = plan(robot, beside)
+    assert_sound(robot, beside, result)
+    np.testing.assert_allclose(result.grid_path[[0, -1]], [result.problem.start, result.problem.goal], atol=0)
+
+
+def test_base_stands_at_its_start_value(robot: Robot) -> None:
+    """The same task with the plane turned by 30 degrees has the same answer."""
+    x, y = math.cos(math.radians(30)), math.sin(math.radians(30))
+    turned = task([Sphere(name="ball", center=(x, y, 1.9), radius=0.15)], (30.0, *START[1:]), (30.0, *GOAL[1:]))
+    result = plan(robot, turned)
+    assert_sound(robot, turned, result)
+    assert math.degrees(result.search.cost) == pytest.approx(145.2149523784, abs=1e-9)
+    np.testing.assert_allclose(result.trajectory.position[:, 0], math.radians(30), rtol=0, atol=1e-12)
+
+
+def test_locked_joint_does_not_move(robot: Robot) -> None:
+    scene = task(
+        [disc("ball", 0.1, 100.0, 1.0)], (0.0, 0.0, 30.0, 0.0), (0.0, 45.0, 30.0, 70.0), locked_joints=("elbow",)
+    )
+    result = plan(robot, scene)
+    assert_sound(robot, scene, result)
+    np.testing.assert_allclose(result.trajectory.position[:, 2], math.radians(30), rtol=0, atol=1e-12)
+
+
+def test_single_joint_that_may_move(robot: Robot) -> None:
+    scene = task(
+        [disc("ball", 0.1, 120.0, 1.0)],
+        (0.0, 0.0, 30.0, 20.0),
+        (0.0, 45.0, 30.0, 20.0),
+        locked_joints=("elbow", "wrist"),
+    )
+    assert_sound(robot, scene, plan(robot, scene))
+
+
+def test_way_back(robot: Robot, scene: Scene) -> None:
+    back = task(scene.obstacles, GOAL, START)
+    result = plan(robot, back)
+    assert_sound(robot, back, result)
+    assert 145.2149 < math.degrees(result.search.cost) < 1.02 * 145.2150
+
+
+def test_start_equal_to_goal(robot: Robot, scene: Scene) -> None:
+    stay = task(scene.obstacles, GOAL, GOAL)
+    result = plan(robot, stay)
+    assert result.trajectory.samples == 1
+    assert result.search is None
+    assert result.path is None
+    assert result.report["planner"]["expansions"]["total"] == 0
+    assert_sound(robot, stay, result)
+
+
+# No path
+
+
+def joined(robot: Robot, scene: Scene, step_deg: float) -> bool:
+    """By brute force: whether start and goal are connected on the grid, every node judged by coal."""
+    ndimage = pytest.importorskip("scipy.ndimage")
+    grid = Grid.over(robot.lower[1:], robot.upper[1:], math.radians(step_deg))
+    judge = CollisionScene(robot, scene.solids)
+    occupied = sampled_occupancy(judge, grid)
+    labels, _ = ndimage.label(~occupied, structure=np.ones((3, 3, 3)))
+    start, goal = (labels[tuple(grid.nearest(target.joints()[1:]))] for target in (scene.start, scene.goal))
+    assert start != 0
+    assert goal != 0
+    return bool(start == goal)
+
+
+BLOCKED = {
+    "wall of discs": [disc(f"disc {i}", 0.08, 22.5, distance) for i, distance in enumerate([0.45, 0.65, 0.85, 1.05])],
+    "box between": [Box(name="box", center=(0.8, 0.0, 0.9), size=(0.2, 0.3, 0.1), rpy_deg=(0.0, -25.0, 0.0))],
+    "wire": [Capsule(name="wire", start=(0.8, -1.0, 0.95), end=(0.8, 1.0, 0.95), radius=0.01)],
+}
+
+
+@pytest.mark.parametrize("method", ["two-level", "dense"])
+@pytest.mark.parametrize("kind", BLOCKED)
+def test_no_path_names_what_blocks(robot: Robot, kind: str, method: Any) -> None:
+    scene = task(BLOCKED[kind])
+    assert not joined(robot, scene, 3.0)
+    with pytest.raises(NoPathError) as error:
+        plan(robot, scene, PlanOptions(step_deg=3.0, method=method))
+    names = {obstacle.name for obstacle in scene.obstacles}
+    first = error.value.blockers[0]
+    assert 0 < error.value.reached_cells < 31**3
+    assert {blocker["obstacle"] for blocker in error.value.blockers} <= names
+    assert (first["link"], first["slices_deg"]) == ("upper_arm", [0.0, 90.0])
+    for word in (repr(first["obstacle"]), "'upper_arm'", "wrist from 0 to 90 deg"):
+        assert word in str(error.value)
+
+
+def test_brute_force_agrees_where_there_is_a_path(robot: Robot, scene: Scene) -> None:
+    assert joined(robot, scene, 3.0)
+
+
+def clutter(seed: int, robot: Robot) -> Scene:
+    """Discs in the arm plane that leave start and goal 1 cm of room."""
+    random = np.random.default_rng(seed)
+    wanted, discs = int(random.integers(1, 9)), []
+    ends = np.radians([START, GOAL])
+    while len(discs) < wanted:
+        radius, angle, distance = random.uniform([0.03, 0.0, 0.3], [0.2, 180.0, 2.4])
+        candidate = disc(f"disc {len(discs)}", radius, angle, distance)
+        judge = CollisionScene(robot, [candidate])
+        if min(judge.distances(q).min() for q in ends) > 0.01:
+            discs.append(candidate)
+    return task(discs)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_random_scene_gives_a_certified_motion_or_no_path(robot: Robot, seed: int) -> None:
+    scene = clutter(seed, robot)
+    options = PlanOptions(step_deg=2.5)  # start and goal are nodes
+    try:
+        result = plan(robot, scene, options)
+    except NoPathError:
+        assert not joined(robot, scene, 2.5)
+    else:
+        assert_sound(robot, scene, result)
+
+
+# Refusals
+
+
+@pytest.mark.parametrize("which", ["start", "goal"])
+def test_end_with_no_free_node_near_is_not_certified(robot: Robot, which: str) -> None:
+    """Start or goal free, but walled in between the nodes of a coarse grid."""
+    pocket = [disc("above", 0.05, 28.0, 0.9), disc("below", 0.05, 12.0, 0.9)]
+    inside, outside = (0.0, 20.0, 0.0, 0.0), (0.0, 60.0, 0.0, 0.0)
+    ends = (inside, outside) if which == "start" else (outside, inside)
+    with pytest.raises(CertificationError, match=f"no motion from the {which}") as error:
+        plan(robot, task(pocket, *ends), PlanOptions(step_deg=45.0))
+    assert error.value.data["which"] == which
+
+
+def test_uncertified_result_says_so(robot: Robot, scene: Scene) -> None:
+    options = PlanOptions(tracking_error=0.3, certify=False)
+    result = plan(robot, scene, options)
+    assert not result.certificate.verified
+    assert result.report["certificate"]["verified"] is False
+    assert result.report["certificate"]["violations"]
+    with pytest.raises(ConfigurationInCollisionError, match="too close"):
+        plan(robot, scene, PlanOptions(tracking_error=0.3))
+
+
+def test_wrong_robot_for_the_scene(robot: Robot) -> None:
+    with pytest.raises(InputError, match="expected 4 joint values"):
+        plan(robot, task(start=(0.0, 0.0, 0.0), goal=(0.0, 1.0, 1.0)))
+
+
+def test_certificate_judges_the_motion_not_the_planner(robot: Robot, scene: Scene) -> None:
+    """A motion planned without the ball runs through the ball."""
+    blind = plan(robot, task())
+    judge = CollisionScene(robot, scene.solids)
+    assert min(judge.distances(q).min() for q in blind.trajectory.position) < -0.05
+    certificate = certify(robot, scene, blind.trajectory)
+    assert not certificate.verified
+    assert "'ball'" in certificate.violations[0]
+
+
+def test_what_is_kept_clear_of_is_made_ready_once(robot: Robot) -> None:
+    """As long as it stays the same, whatever the task; else anew."""
+    ball, fruit = disc("ball", 0.1, 90.0, 1.3), Fruit(name="apple", center=(0.0, 1.2, 0.8), radius=0.04)
+    scene, options = task([ball], fruits=(fruit,)), PlanOptions()
+    workspace = Workspace(robot)
+    around = workspace.around(scene, options)
+    assert workspace.around(scene.model_copy(update={"goal": Goal(fruit="apple")}), options) is around
+    assert workspace.around(task([ball.model_copy()], fruits=(fruit.model_copy(),)), options) is around
+    others = (
+        (task([disc("ball", 0.1, 90.0, 1.31)], fruits=(fruit,)), options),
+        (task([ball, disc("other", 0.1, 90.0, 1.3)], fruits=(fruit,)), options),
+        (task([ball]), options),
+        (task([ball], fruits=(fruit,), clearance=0.01), options),
+        (scene, PlanOptions(sigmas=2.0)),
+        (scene, PlanOptions(tracking_error=0.01)),
+    )
+    for other, chosen in others:
+        assert workspace.around(scene, options) is not workspace.around(other, chosen)
+        assert workspace.around(other, chosen).solids == other.solids_with_goal

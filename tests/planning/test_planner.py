@@ -1,0 +1,386 @@
+"""Planning as the scene changes: motions kept, mended, planned anew, and always certified among what is there now."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from planned import (
+    assert_clear,
+    assert_sound,
+    at,
+    between_rows,
+    frame_about_upper_arm,
+    fruit,
+    post,
+    random_scene,
+    task,
+)
+from shapes import blocks
+
+from hplan.collision.coal_scene import CollisionScene
+from hplan.errors import ConfigurationInCollisionError, InputError, NoPathError, SceneError
+from hplan.planning.plan import PlanResult, plan
+from hplan.planning.planner import Planner
+from hplan.problem.options import PlanOptions
+from hplan.robot.model import Robot
+from hplan.scene.model import Box, Fruit, Goal, Mesh, PointCloud, Scene, Sphere, Start
+from hplan.verification.certificate import certify
+
+START, GOAL = (0.0, 30.0, 20.0, 20.0), (60.0, 30.0, 20.0, 20.0)
+POST = post("post", 30.0, 1.2, 0.0, 2.0, 0.05)
+AWAY = post("post", -90.0, 1.2, 0.0, 2.0, 0.05)
+OPTIONS = PlanOptions(step_deg=2.0)
+
+
+def planner_for(robot: Robot, obstacles: Any = (), **more: Any) -> Planner:
+    return Planner(robot, task(START, GOAL, obstacles, **more), OPTIONS)
+
+
+def assert_fresh(robot: Robot, planner: Planner, result: PlanResult) -> None:
+    """Certified with a judge of its own among the obstacles as they are now."""
+    assert planner.last is result
+    assert_sound(robot, planner.scene, result)
+    solids = planner.scene.solids
+    judge = CollisionScene(robot, solids, growth=np.array([OPTIONS.sigmas * solid.sigma for solid in solids]))
+    certificate = certify(robot, planner.scene, result.motion.trajectory, judge=judge)
+    assert certificate.verified, certificate.violations
+
+
+def assert_same(first: PlanResult, second: PlanResult) -> None:
+    for name in ("time", "position", "velocity", "acceleration", "torque"):
+        assert getattr(first.trajectory, name).tobytes() == getattr(second.trajectory, name).tobytes()
+
+
+def method(result: PlanResult) -> str:
+    return str(result.report["planner"]["method"])
+
+
+# Plans
+
+
+def test_plan_is_that_of_the_function(robot: Robot) -> None:
+    """Whatever was planned before."""
+    planner = planner_for(robot)
+    for obstacles in ([], [POST], [POST.model_copy(update={"radius": 0.1})], [POST], []):
+        planner.scene = planner.scene.with_obstacles(obstacles)
+        result = planner.plan()
+        assert_same(result, plan(robot, planner.scene, OPTIONS))
+        assert_fresh(robot, planner, result)
+
+
+def test_options_have_defaults(robot: Robot) -> None:
+    planner = Planner(robot, task(START, GOAL))
+    assert planner.options == PlanOptions()
+    assert planner.last is None
+
+
+def test_first_replan_is_a_plan(robot: Robot) -> None:
+    planner = planner_for(robot, [POST])
+    assert_same(planner.replan(), plan(robot, planner.scene, OPTIONS))
+
+
+# Motions kept, mended, planned anew
+
+
+def test_motion_stays_while_it_can_be_certified(robot: Robot) -> None:
+    planner = planner_for(robot, [POST])
+    first = planner.plan()
+    planner.add(Sphere(name="far", center=at(-120.0, 1.5, 1.0), radius=0.2))
+    second = planner.replan()
+    assert method(second) == "kept"
+    assert_same(first, second)
+    assert second.search is None
+    assert_fresh(robot, planner, second)
+    planner.move("far", radius=0.1)
+    assert method(planner.replan()) == "kept"
+
+
+def test_straight_motion_stays(robot: Robot) -> None:
+    planner = planner_for(robot)
+    first = planner.plan()
+    assert method(first) == "direct"
+    planner.add(AWAY)
+    second = planner.replan()
+    assert method(second) == "kept"
+    assert_same(first, second)
+
+
+def test_motion_is_mended_where_an_obstacle_grazes_it(robot: Robot) -> None:
+    planner = planner_for(robot, [POST])
+    first = planner.plan()
+    q = first.trajectory.position[first.trajectory.samples // 2]
+    tip = robot.tool_positions(q)
+    planner.add(Sphere(name="bead", center=tuple(np.add(tip, (0.0, 0.0, 0.035)).tolist()), radius=0.01))
+    assert not certify(robot, planner.scene, first.trajectory).verified
+    second = planner.replan()
+    assert method(second) == "mended"
+    assert_fresh(robot, planner, second)
+
+
+def test_new_motion_where_mending_fails(robot: Robot) -> None:
+    planner = planner_for(robot)
+    planner.plan()
+    planner.add(post("tall", 30.0, 0.9, 0.0, 3.0, 0.15))
+    result = planner.replan()
+    assert method(result) not in ("kept", "direct")
+    assert_fresh(robot, planner, result)
+
+
+def test_straight_again_once_the_way_is_free(robot: Robot) -> None:
+    planner = planner_for(robot)
+    straight = planner.plan()
+    planner.add(POST)
+    around = planner.replan()
+    assert method(around) != "direct"
+    assert_fresh(robot, planner, around)
+    planner.remove("post")
+    again = planner.replan()
+    assert method(again) == "direct"
+    assert_same(again, straight)
+    planner.add(POST)
+    planner.replan()
+    planner.move("post", start=AWAY.start, end=AWAY.end)
+    assert method(planner.replan()) == "direct"
+
+
+def test_obstacle_that_wanders_through(robot: Robot) -> None:
+    """A post comes along the arm's way in small steps; every motion is certified among what is there."""
+    planner = planner_for(robot)
+    planner.add(AWAY)
+    seen = set()
+    for bearing in np.linspace(-25.0, 85.0, 23):
+        place = post("post", float(bearing), 1.35, 0.0, 1.75, 0.05)
+        planner.move("post", start=place.start, end=place.end)
+        try:
+            result = planner.replan()
+        except ConfigurationInCollisionError:
+            continue  # it stands where the start or the goal is
+        seen.add(method(result))
+        assert_fresh(robot, planner, result)
+    assert seen >= {"direct", "kept", "mended", "roadmap"}
+
+
+def test_new_goal_and_start(robot: Robot) -> None:
+    planner = planner_for(robot, [POST])
+    planner.plan()
+    planner.aim(goal=Goal(joints_deg=(60.0, 50.0, 20.0, 40.0)))
+    result = planner.replan()
+    assert_same(result, plan(robot, planner.scene, OPTIONS))
+    planner.aim(start=Start(joints_deg=(-20.0, 50.0, 20.0, 40.0)))
+    result = planner.replan()
+    np.testing.assert_allclose(np.degrees(result.trajectory.position[0]), [-20, 50, 20, 40], atol=1e-9)
+    assert_fresh(robot, planner, result)
+    planner.aim()
+    assert method(planner.replan()) == "kept"
+
+
+def test_fruit_is_planned_anew(robot: Robot) -> None:
+    scene = task((0.0, 80.0, 80.0, 80.0), Goal(fruit="a"), fruits=(fruit("a", 40, 1.3, 1.6), fruit("b", 20, 1.3, 1.7)))
+    planner = Planner(robot, scene, OPTIONS)
+    first = planner.replan()
+    assert_same(first, plan(robot, scene, OPTIONS))
+    planner.aim(goal=Goal(fruit="b"))
+    second = planner.replan()
+    assert second.report["grasp"]["fruit"] == "b"
+    assert_sound(robot, planner.scene, second)
+    # From a fruit to joints.
+    planner.aim(goal=Goal(joints_deg=GOAL))
+    assert_sound(robot, planner.scene, planner.replan())
+
+
+def test_start_equal_to_goal(robot: Robot) -> None:
+    planner = Planner(robot, task(START, START, [POST]), OPTIONS)
+    assert planner.plan().trajectory.samples == 1
+    assert planner.replan().trajectory.samples == 1
+    planner.add(Sphere(name="far", center=at(-120.0, 1.5, 1.0), radius=0.2))
+    assert planner.replan().trajectory.samples == 1
+
+
+def test_locked_base(robot: Robot, scene: Scene) -> None:
+    planner = Planner(robot, scene, OPTIONS)
+    first = planner.plan()
+    planner.add(Sphere(name="far", center=(-1.5, 0.0, 1.0), radius=0.2))
+    second = planner.replan()
+    assert method(second) == "kept"
+    assert_same(first, second)
+    planner.move("ball", center=(1.0, 0.0, 1.85))
+    assert_fresh(robot, planner, planner.replan())
+
+
+def test_uncertainty_counts_when_it_is_judged_again(robot: Robot) -> None:
+    planner = planner_for(robot, [POST])
+    first = planner.plan()
+    planner.move("post", sigma=0.02)
+    second = planner.replan()
+    assert method(second) != "kept"
+    assert_fresh(robot, planner, second)
+    judge = CollisionScene(robot, planner.scene.solids)
+    nearest = [min(judge.distances(q).min() for q in result.trajectory.position) for result in (first, second)]
+    assert nearest[0] < 0.06 < nearest[1]
+
+
+def test_a_plan_that_fails_leaves_the_last_one(robot: Robot) -> None:
+    planner = planner_for(robot, [POST])
+    first = planner.plan()
+    tip = robot.tool_positions(np.radians(GOAL))
+    planner.add(Sphere(name="on the goal", center=tuple(tip.tolist()), radius=0.05))
+    for attempt in (planner.plan, planner.replan):
+        with pytest.raises(ConfigurationInCollisionError, match="'on the goal'"):
+            attempt()
+        assert planner.last is first
+    planner.remove("on the goal")
+    assert method(planner.replan()) == "kept"
+
+
+def test_what_stands_in_the_base_is_refused(robot: Robot) -> None:
+    planner = planner_for(robot)
+    planner.plan()
+    planner.add(Sphere(name="rock", center=(0.1, 0.0, 0.2), radius=0.1))
+    for attempt in (planner.plan, planner.replan):
+        with pytest.raises(InputError, match="'rock'"):
+            attempt()
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_random_changes(robot: Robot, seed: int) -> None:
+    """Obstacles of a random scene come one by one, and go; all of them leave a motion, and each is sound."""
+    whole = random_scene(3 * seed + 1, robot)
+    planner = Planner(robot, whole.with_obstacles([]), PlanOptions(step_deg=3.0))
+    changes: list[Any] = [("add", item) for item in whole.obstacles]
+    changes += [("remove", item.name) for item in whole.obstacles[::2]]
+    for kind, value in changes:
+        getattr(planner, kind)(value)
+        assert_fresh(robot, planner, planner.replan())
+
+
+# Changes
+
+
+def test_obstacles_come_and_go(robot: Robot) -> None:
+    planner = planner_for(robot, [POST])
+    before = planner.scene
+    ball = Sphere(name="ball", center=(1.0, -1.0, 1.0), radius=0.1)
+    planner.add(ball)
+    assert planner.scene.obstacles == (POST, ball)
+    planner.move("ball", center=(1.0, -1.0, 2.0), sigma=0.01)
+    assert planner.scene.obstacles[1] == Sphere(name="ball", center=(1.0, -1.0, 2.0), radius=0.1, sigma=0.01)
+    planner.remove("post")
+    assert [obstacle.name for obstacle in planner.scene.obstacles] == ["ball"]
+    assert before.obstacles == (POST,)
+
+
+def test_meshes_and_clouds_move_with_their_data(robot: Robot) -> None:
+    shape = blocks(np.ones((1, 1, 1), dtype=bool), *(np.array([-0.1, 0.1]) for _ in range(3)))
+    box = Mesh.of("crate", *shape, position=(1.0, -1.0, 0.1))
+    cloud = PointCloud.of("dust", [[0.0, 0.0, 0.0], [0.1, 0.0, 0.0]], 0.01, position=(0.0, 1.5, 1.0))
+    planner = planner_for(robot, [box])
+    planner.add(cloud)
+    planner.plan()
+    planner.move("crate", position=(1.0, -1.5, 0.1), rpy_deg=(0.0, 0.0, 30.0))
+    planner.move("dust", position=(0.9, 0.5, 0.9))
+    moved = Mesh.of("crate", *shape, position=(1.0, -1.5, 0.1), rpy_deg=(0.0, 0.0, 30.0))
+    found = planner.scene.obstacles[0]
+    assert isinstance(found, Mesh)
+    np.testing.assert_allclose(found.surface[0], moved.surface[0])
+    assert len(found.solids) == len(moved.solids)
+    result = planner.replan()
+    assert_clear(robot, planner.scene, between_rows(result.trajectory, np.arange(result.trajectory.samples)))
+    for changes in ({"scale": 2.0}, {"file": "other.stl"}, {"radius": 0.1}):
+        with pytest.raises(InputError):
+            planner.move("crate", **changes)
+    for position in ((0.0, math.nan, 0.0), (0.0, 1.0), ("0", 0.0, 0.0), None):
+        with pytest.raises(InputError, match="got"):
+            planner.move("dust", position=position)
+
+
+@pytest.mark.parametrize("name", ["post", "apple"])
+def test_names_differ(robot: Robot, name: str) -> None:
+    planner = planner_for(robot, [POST], fruits=(fruit("apple", 0, 1.0, 2.0),))
+    before = planner.scene
+    with pytest.raises(InputError, match=f"there is an obstacle {name!r} already"):
+        planner.add(Sphere(name=name, center=(1.0, -1.0, 1.0), radius=0.1))
+    assert planner.scene is before
+
+
+def test_unknown_names(robot: Robot) -> None:
+    planner = planner_for(robot, [POST], fruits=(fruit("apple", 0, 1.0, 2.0),))
+    before = planner.scene
+    for name in ("nothing", "", "apple"):
+        with pytest.raises(InputError, match=f"there is no obstacle {name!r}"):
+            planner.remove(name)
+        with pytest.raises(InputError, match=f"there is no obstacle {name!r}"):
+            planner.move(name, radius=0.1)
+    assert planner.scene is before
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"centre": (0.0, 0.0, 1.0)}, "a sphere has no 'centre'; it has"),
+        ({"rpy_deg": (0.0, 0.0, 1.0)}, "a sphere has no 'rpy_deg'"),
+        ({"radius": 0.0}, r"radius: .*greater than 0 \(got 0.0\)"),
+        ({"radius": -1.0}, "radius"),
+        ({"radius": math.nan}, "radius"),
+        ({"radius": "1"}, "radius"),
+        ({"sigma": -0.1}, "sigma"),
+        ({"center": (0.0, 0.0)}, "center"),
+        ({"center": (0.0, 0.0, math.inf)}, r"center\[2\]"),
+        ({"kind": "box"}, "kind"),
+    ],
+)
+def test_values_that_cannot_be(robot: Robot, changes: dict[str, Any], message: str) -> None:
+    planner = planner_for(robot, [Sphere(name="ball", center=(1.0, -1.0, 1.0), radius=0.1)])
+    before = planner.scene
+    with pytest.raises(InputError, match=message):
+        planner.move("ball", **changes)
+    assert planner.scene is before
+
+
+@pytest.mark.parametrize(
+    "item", [None, "post", {"kind": "sphere"}, Fruit(name="f", center=(1.0, 0.0, 2.0), radius=0.1)]
+)
+def test_only_obstacles_can_be_added(robot: Robot, item: Any) -> None:
+    with pytest.raises(InputError, match="expected one of Sphere, Capsule, Box, Mesh, PointCloud, got"):
+        planner_for(robot).add(item)
+
+
+def test_aim_at_what_is_not_there(robot: Robot) -> None:
+    planner = planner_for(robot, fruits=(fruit("apple", 0, 1.0, 2.0),))
+    before = planner.scene
+    with pytest.raises(SceneError, match="'plum' is not among the fruits") as caught:
+        planner.aim(goal=Goal(fruit="plum"))
+    assert caught.value.where == "goal.fruit"
+    assert len(caught.value.message) < 100
+    with pytest.raises(InputError, match=r"goal: .*Goal"):
+        planner.aim(goal="apple")  # type: ignore[arg-type]
+    assert planner.scene is before
+    planner.aim(goal=Goal(joints_deg=(0.0, 0.0)))
+    with pytest.raises(InputError, match="goal: expected 4 joint values"):
+        planner.plan()
+
+
+def test_enclosed_goal(robot: Robot) -> None:
+    """Replanning says so, too, and finds the way again once the goal is free."""
+    planner = Planner(robot, task((0.0, 70.0, 20.0, 20.0), (60.0, 20.0, 20.0, 20.0)), PlanOptions(step_deg=3.0))
+    planner.plan()
+    bars = frame_about_upper_arm(60.0, 20.0)
+    for bar in bars:
+        planner.add(bar)
+    with pytest.raises(NoPathError) as caught:
+        planner.replan()
+    assert {wall["obstacle"] for wall in caught.value.blockers} <= {bar.name for bar in bars}
+    for bar in bars:
+        planner.remove(bar.name)
+    assert method(planner.replan()) in ("kept", "direct")
+
+
+def test_unused_box(robot: Robot) -> None:
+    """Changing one box leaves the others alone."""
+    boxes = [Box(name=f"b{i}", center=(-1.5, 0.3 * i, 0.5), size=(0.1, 0.1, 0.1)) for i in range(3)]
+    planner = planner_for(robot, boxes)
+    planner.move("b1", rpy_deg=(0.0, 0.0, 45.0))
+    assert planner.scene.obstacles[0] is boxes[0]
+    assert planner.scene.obstacles[2] is boxes[2]

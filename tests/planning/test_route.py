@@ -1,0 +1,181 @@
+"""Ways over the grid, planar and over yaw: ends, clearance, and what is said where there is none."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pytest
+from planned import assert_clear, frame_about_upper_arm, post, random_scene, task
+
+from hplan.base.report import StageClock
+from hplan.cspace.yaw_layers import turning_occupancy, yaw_axis
+from hplan.errors import CertificationError, HplanError, NoPathError, OptionError
+from hplan.planning.enclosure import EnclosedError
+from hplan.planning.grid_route import Route, Rung, Task, find_route
+from hplan.planning.plan import Workspace
+from hplan.problem.definition import pose_problem
+from hplan.problem.options import PlanOptions
+from hplan.robot.model import Robot
+from hplan.scene.model import Scene, Sphere
+from hplan.search.grid import Occupancy
+
+MARGIN = 1e-4
+
+
+def posed(robot: Robot, scene: Scene, options: PlanOptions | None = None) -> Task:
+    options = PlanOptions() if options is None else options
+    workspace = Workspace(robot)
+    around = workspace.around(scene, options)
+    ends = scene.start.configuration, scene.goal.configuration
+    problem = pose_problem(around, *ends, locked_joints=scene.locked_joints)
+    return Task(around, scene, problem, options, StageClock(), workspace.layers, lambda _: None)
+
+
+def along(path: np.ndarray, spacing: float = 0.01) -> np.ndarray:
+    parts = [np.linspace(a, b, 2 + int(np.abs(b - a).max() / spacing)) for a, b in itertools.pairwise(path)]
+    return np.concatenate(parts)
+
+
+def assert_route(robot: Robot, scene: Scene, route: Route) -> None:
+    np.testing.assert_array_equal(route.path[[0, -1]], [scene.start.configuration, scene.goal.configuration])
+    assert (route.path >= robot.lower - 1e-12).all()
+    assert (route.path <= robot.upper + 1e-12).all()
+    assert not route.path.flags.writeable
+    assert_clear(robot, scene, along(route.path), sigmas=0.0)
+
+
+BAR = [Sphere(name="ball", center=(1.3, 0.0, 1.6), radius=0.15)]
+BELOW, ABOVE = (0.0, 10.0, 10.0, 10.0), (0.0, 70.0, 10.0, 10.0)
+
+
+def test_axes_of_the_grid(robot: Robot, scene: Scene) -> None:
+    assert posed(robot, scene).axes.tolist() == [1, 2, 3]
+    assert posed(robot, task(BELOW, ABOVE)).axes.tolist() == [1, 2, 3, 0]
+
+
+def test_planar_way(robot: Robot, scene: Scene) -> None:
+    route = find_route(posed(robot, scene), Rung(1.0), MARGIN)
+    assert route.occupancy.occupied_count == 128_891
+    assert route.step_deg == 1.0
+    assert len(route.path) == 107
+    np.testing.assert_array_equal(route.path[[0, -1]], [scene.start.configuration, scene.goal.configuration])
+    assert (route.path[:, 0] == 0.0).all()
+
+
+def test_grown_obstacles_occupy_more(robot: Robot, scene: Scene) -> None:
+    counts = [
+        find_route(posed(robot, scene), Rung(3.0, growth), MARGIN).occupancy.occupied_count for growth in (0, 0.02)
+    ]
+    assert counts[0] < counts[1]
+
+
+@pytest.mark.parametrize("thick", [False, True])
+@pytest.mark.parametrize("step_deg", [2.0, 3.0, 5.0])
+def test_way_over_yaw(robot: Robot, step_deg: float, thick: bool) -> None:
+    scene = task((0.0, 30.0, 20.0, 20.0), (60.0, 30.0, 20.0, 20.0), [post("post", 30.0, 1.2, 0.0, 1.9)])
+    route = find_route(posed(robot, scene), Rung(step_deg, thick=thick), MARGIN)
+    assert_route(robot, scene, route)
+    assert len(route.occupancy.grid.shape) == 4
+    assert route.step_deg == step_deg
+    assert (route.path[:, 0] >= -1e-9).all()
+    assert (route.path[:, 0] <= math.radians(60.0) + 1e-9).all()
+
+
+def test_ends_beside_the_grid(robot: Robot) -> None:
+    scene = task((0.3, 31.7, 20.4, 21.1), (61.9, 29.2, 19.3, 22.2), [post("post", 30.0, 1.2, 0.0, 1.9)])
+    assert_route(robot, scene, find_route(posed(robot, scene), Rung(3.0), MARGIN))
+
+
+def test_beyond_start_and_goal(robot: Robot) -> None:
+    """Closed in the plane and open beside it: the error says that more yaws might help, and they do."""
+    scene = task(BELOW, ABOVE, BAR)
+    with pytest.raises(EnclosedError) as caught:
+        find_route(posed(robot, scene), Rung(2.0), MARGIN)
+    assert caught.value.open_ended
+    assert caught.value.reached_cells > 0
+    route = find_route(posed(robot, scene), Rung(2.0, beyond=math.radians(20.0)), MARGIN)
+    assert_route(robot, scene, route)
+    assert np.abs(route.path[:, 0]).max() > math.radians(2.0)
+    assert route.search.fallback == "wavefront"
+
+
+def test_enclosed_whatever_the_yaw(robot: Robot) -> None:
+    scene = task((0.0, 70.0, 20.0, 20.0), (60.0, 20.0, 20.0, 20.0), frame_about_upper_arm(60.0, 20.0))
+    with pytest.raises(EnclosedError) as caught:
+        find_route(posed(robot, scene), Rung(3.0, beyond=2.0 * math.pi), MARGIN)
+    error = caught.value
+    assert not error.open_ended
+    whole = error.explained()
+    assert isinstance(whole, NoPathError)
+    assert error.blockers == ()
+    assert {wall["obstacle"] for wall in whole.blockers} <= {f"bar {i}" for i in range(4)}
+    assert whole.blockers
+    assert whole.message.startswith(error.message)
+    assert "is not among them" in whole.message
+
+
+def test_step_that_gives_no_grid(robot: Robot, scene: Scene) -> None:
+    for where in (scene, task(BELOW, ABOVE, BAR)):
+        with pytest.raises(OptionError) as caught:
+            find_route(posed(robot, where), Rung(1e-6), MARGIN)
+        assert caught.value.option == "step_deg"
+
+
+def test_no_node_near_an_end(robot: Robot) -> None:
+    """A pocket between the nodes of a coarse grid, and no way out by the gradient."""
+    pocket = [post(f"p{i}", bearing, 1.0, 0.0, 3.0, 0.05) for i, bearing in enumerate((13.0, 31.0))]
+    scene = task((22.0, 20.0, 0.0, 0.0), (100.0, 20.0, 0.0, 0.0), pocket)
+    try:
+        route = find_route(posed(robot, scene), Rung(40.0), MARGIN)
+    except (CertificationError, EnclosedError):
+        return
+    assert_route(robot, scene, route)
+
+
+def labels_of(space: Occupancy) -> Any:
+    ndimage = pytest.importorskip("scipy.ndimage")
+    return ndimage.label(~space.occupied, structure=np.ones((3,) * len(space.grid.shape)))[0]
+
+
+def on_nodes(values: Sequence[float], step: float) -> tuple[float, ...]:
+    return tuple(float(step * round(value / step)) for value in values)
+
+
+@pytest.mark.parametrize("seed", range(24))
+def test_no_path_is_said_if_there_is_none(robot: Robot, seed: int) -> None:
+    """Random scenes, start and goal on nodes of a coarse grid, whose parts are labelled without hplan."""
+    step = 6.0
+    drawn = random_scene(5000 + seed, robot)
+    start = on_nodes(np.degrees(drawn.start.configuration).tolist(), step)
+    rng = np.random.default_rng(seed)
+    goal = (
+        start[0] + step * int(rng.integers(1, 8)) * (-1 if start[0] > 0 else 1),
+        *on_nodes(rng.uniform(6, 84, 3), step),
+    )
+    scene = task(start, goal, [*drawn.obstacles, *BAR])
+    try:
+        posed_task = posed(robot, scene)
+    except HplanError:
+        return
+    bodies, planar = posed_task.around.bodies(), posed_task.planar_grid(step)
+    ends = posed_task.problem.start, posed_task.problem.goal
+    yaws = yaw_axis(ends[0][0], ends[1][0], math.radians(step), robot.lower[0], robot.upper[0], 0.0)
+    space = turning_occupancy(robot, bodies, planar, *yaws, thick=False, layers=posed_task.layers)
+    labels = labels_of(space)
+    first, second = (labels[tuple(space.grid.nearest(q[posed_task.axes]))] for q in ends)
+    assert first > 0
+    assert second > 0
+    if first != second:
+        with pytest.raises(EnclosedError) as caught:
+            find_route(posed_task, Rung(step), MARGIN)
+        assert caught.value.reached_cells in {int((labels == part).sum()) for part in (first, second)}
+        return
+    try:
+        route = find_route(posed_task, Rung(step), MARGIN)
+    except CertificationError:
+        return  # there is a way, but not one that can be shown clear
+    assert_route(robot, scene, route)

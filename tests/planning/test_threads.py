@@ -1,0 +1,155 @@
+"""Threads that plan at once get what they would have got one after the other."""
+
+from __future__ import annotations
+
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import numpy as np
+import pytest
+from planned import post, task
+
+import hplan
+from hplan.collision.coal_scene import CollisionScene
+from hplan.cspace.yaw_layers import Layers
+from hplan.robot.model import Robot
+from hplan.scene.model import Scene, Sphere
+
+WORKERS = 4
+
+
+@pytest.fixture(autouse=True)
+def switching() -> Iterator[None]:
+    """Threads take turns as often as Python lets them."""
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(1e-5)
+    yield
+    sys.setswitchinterval(before)
+
+
+def scenes() -> list[Scene]:
+    """Different ones, so that an answer to another's question shows."""
+    return [
+        task((-40.0 + 3.0 * number, 30.0, 30.0, 30.0), (40.0, 30.0, 30.0, 30.0), [
+            post("post", float(number), 1.2, 0.3, 2.0),
+            Sphere(name="ball", center=(0.5, -1.2, 1.5), radius=0.1 + 0.01 * number),
+        ])
+        for number in range(4)
+    ]  # fmt: skip
+
+
+def at_once(jobs: list[Callable[[], Any]]) -> list[Any]:
+    """Run jobs in threads that begin together."""
+    gate = threading.Barrier(len(jobs))
+
+    def run(job: Callable[[], Any]) -> Any:
+        gate.wait()
+        return job()
+
+    with ThreadPoolExecutor(len(jobs)) as pool:
+        return list(pool.map(run, jobs))
+
+
+def assert_same(found: hplan.PlanResult, expected: hplan.PlanResult) -> None:
+    np.testing.assert_array_equal(found.trajectory.time, expected.trajectory.time)
+    np.testing.assert_array_equal(found.trajectory.position, expected.trajectory.position)
+    assert found.certificate.verified
+    assert found.certificate.min_clearance_m == pytest.approx(expected.certificate.min_clearance_m, abs=1e-12)
+
+
+def test_plans_with_one_robot(robot: Robot) -> None:
+    options = hplan.PlanOptions(step_deg=2.0)
+    expected = [hplan.plan(robot, scene, options) for scene in scenes()]
+    jobs = [lambda scene=scene: hplan.plan(robot, scene, options) for scene in scenes()]
+    for found, alone in zip(at_once(jobs), expected, strict=True):
+        assert_same(found, alone)
+
+
+def test_queries_of_one_collision_scene(robot: Robot) -> None:
+    """Where the arm is placed for one question must not move before it is answered."""
+    scene = CollisionScene(robot, scenes()[0].solids)
+    pairs = np.arange(len(scene.pairs))
+    places = np.random.default_rng(0).uniform(robot.lower, robot.upper, (WORKERS, robot.dof))
+
+    def ask(q: np.ndarray) -> np.ndarray:
+        answers = []
+        for _ in range(300):
+            scene.place(q)
+            answers.append(scene.distances_of(pairs))
+        return np.array(answers)
+
+    expected = [ask(q)[0] for q in places]
+    for found, alone in zip(at_once([lambda q=q: ask(q) for q in places]), expected, strict=True):
+        np.testing.assert_allclose(found, np.tile(alone, (300, 1)), rtol=0, atol=1e-9)
+
+
+def test_certificates_by_one_judge(robot: Robot) -> None:
+    scene = scenes()[0]
+    motions = [hplan.plan(robot, scene).trajectory]
+    motions += [motions[0].reversed]
+    judge = CollisionScene(robot, scene.solids)
+    expected = [
+        hplan.certify(robot, scene, motion, judge=judge, check_ends=False).min_clearance_m for motion in motions
+    ]
+    jobs = [
+        lambda motion=motion: hplan.certify(robot, scene, motion, judge=judge, check_ends=False)
+        for motion in motions * 2
+    ]
+    for found, alone in zip(at_once(jobs), expected * 2, strict=True):
+        assert found.verified
+        assert found.min_clearance_m == pytest.approx(alone, abs=1e-12)
+
+
+def test_one_planner(robot: Robot) -> None:
+    """Every plan is of a scene that there was, whole; none is of one that was being changed."""
+    start = scenes()[0]
+    planner = hplan.Planner(robot, start, hplan.PlanOptions(step_deg=2.0))
+    planner.plan()
+
+    def move(number: int) -> None:
+        for turn in range(6):
+            planner.move("ball", center=(0.5, -1.2, 1.5 + 0.01 * (number + turn)))
+            result = planner.replan()
+            scene = result.motion.task.scene
+            assert hplan.certify(robot, scene, result.trajectory).verified
+
+    at_once([lambda number=number: move(number) for number in range(3)])
+    assert planner.last is not None
+    assert planner.last.motion.task.scene == planner.scene
+
+
+def test_a_change_waits_for_the_plan_under_way(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    planner = hplan.Planner(robot, scenes()[0])
+    planning, go_on = threading.Event(), threading.Event()
+
+    def slow(*_: object, **__: object) -> None:
+        planning.set()
+        assert go_on.wait(30)
+
+    monkeypatch.setattr("hplan.planning.planner.plan_with", slow)
+    with ThreadPoolExecutor(2) as pool:
+        plan = pool.submit(planner.plan)
+        assert planning.wait(30)
+        removal = pool.submit(planner.remove, "ball")
+        assert not threading.Event().wait(0.1)
+        assert (removal.done(), len(planner.scene.obstacles)) == (False, 2)
+        go_on.set()
+        plan.result(30)
+        removal.result(30)
+    assert len(planner.scene.obstacles) == 1
+
+
+def test_layers_are_counted_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Many threads that put layers in and push others out."""
+    layers = Layers(10_000)
+    words = np.zeros(16, dtype=np.uint64)
+
+    def fill(first: int) -> None:
+        for number in range(2000):
+            layers._keep(f"{first + number % 97}".encode(), words)
+
+    at_once([lambda first=first: fill(first) for first in (0, 0, 50, 100)])
+    assert layers._bytes == sum(len(key) + held.nbytes for key, held in layers._held.items()) <= 10_000

@@ -1,0 +1,215 @@
+"""One motion: which goal and which try are taken, and what an earlier motion is good for."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from planned import at, between_rows, frame_about_upper_arm, post, task
+from test_route import ABOVE, BAR, BELOW, posed
+
+from hplan.collision.coal_scene import CollisionScene
+from hplan.errors import CertificationError, NoPathError
+from hplan.planning.find_motion import (
+    WORTHWHILE,
+    Motion,
+    certified,
+    find_motion,
+    judged,
+    least_duration,
+    renewed,
+    timed,
+)
+from hplan.planning.plan import plan
+from hplan.problem.options import PlanOptions
+from hplan.robot.model import Robot
+from hplan.scene.model import Scene, Sphere
+from hplan.verification.certificate import certify
+
+START = (0.0, 30.0, 20.0, 20.0)
+NEAR, FAR = (30.0, 30.0, 20.0, 20.0), (90.0, 30.0, 20.0, 20.0)
+OPTIONS = PlanOptions(step_deg=2.0)
+
+
+def assert_motion(robot: Robot, scene: Scene, motion: Motion) -> None:
+    assert motion.certificate.verified
+    assert certify(robot, scene, motion.trajectory).verified
+    judge = CollisionScene(robot, scene.solids)
+    q = between_rows(motion.trajectory, np.arange(motion.trajectory.samples))
+    assert not judge.obstacle_names or min(judge.distances(each).min() for each in q) > 0.0
+    np.testing.assert_array_equal(motion.way[[0, -1]], [motion.task.problem.start, motion.task.problem.goal])
+
+
+def test_least_duration(robot: Robot) -> None:
+    found = posed(robot, task(START, (30.0, 60.0, 25.0, 20.0)))
+    assert (robot.velocity_limit[1], robot.acceleration_limit[1]) == (1.2, 3.0)
+    # By hand: 30 deg of the shoulder at full speed, and what speeding up and slowing down take longer.
+    assert least_duration(found) == pytest.approx(math.radians(30.0) / 1.2 + 1.2 / 3.0, rel=1e-12)
+    assert least_duration(posed(robot, task(START, START))) == 0.0
+
+
+def test_first_goal_with_a_straight_motion(robot: Robot) -> None:
+    """The others behind it are not looked at."""
+    wall = [post("wall", 15.0, 1.2, 0.0, 2.6, 0.05)]
+    blocked, clear = task(START, NEAR, wall), task(START, (-40.0, 30.0, 20.0, 20.0), wall)
+    tasks = [posed(robot, scene, OPTIONS) for scene in (blocked, clear, clear)]
+    least = [least_duration(each) for each in tasks]
+    assert least[0] > WORTHWHILE * least[1]  # not enough is to be won by going around the wall
+    number, motion = find_motion(tasks)
+    assert (number, motion.origin) == (1, "direct")
+    assert_motion(robot, clear, motion)
+    number, motion = find_motion([posed(robot, task(START, NEAR)), posed(robot, task(START, FAR))])
+    assert (number, motion.origin) == (0, "direct")
+
+
+def test_a_nearer_goal_around_something_beats_a_far_straight_one(robot: Robot) -> None:
+    """A low post before the near goal costs little; the far goal takes more than twice as long."""
+    low = [post("low", 15.0, 1.7, 0.0, 1.65, 0.03)]
+    near = task(START, NEAR, low)
+    far = task(START, (-150.0, 30.0, 20.0, 20.0), low)
+    number, motion = find_motion([posed(robot, near, OPTIONS), posed(robot, far, OPTIONS)])
+    assert number == 0
+    assert_motion(robot, near, motion)
+    assert motion.trajectory.duration < find_motion([posed(robot, far, OPTIONS)])[1].trajectory.duration
+
+
+@pytest.mark.parametrize("locked", [(), ("base_yaw",)])
+def test_goal_that_is_the_start(robot: Robot, locked: tuple[str, ...]) -> None:
+    scene = task(BELOW, BELOW, BAR, locked_joints=locked)
+    number, motion = find_motion([posed(robot, scene)])
+    assert (number, motion.origin) == (0, "none")
+    assert motion.path is None
+    assert motion.route is None
+    assert motion.trajectory.samples == 1
+
+
+def test_no_path_to_any_goal(robot: Robot) -> None:
+    """The error is that of the first."""
+    bars = frame_about_upper_arm(60.0, 20.0)
+    inside = [task((0.0, 70.0, 20.0, 20.0), (60.0, 20.0, wrist, 20.0), bars) for wrist in (20.0, 40.0)]
+    tasks = [posed(robot, scene, PlanOptions(step_deg=3.0)) for scene in inside]
+    with pytest.raises(NoPathError) as caught:
+        find_motion(tasks)
+    assert caught.value.blockers
+    outside = task((0.0, 70.0, 20.0, 20.0), (100.0, 20.0, 20.0, 20.0), bars)
+    number, motion = find_motion([*tasks, posed(robot, outside, PlanOptions(step_deg=3.0))])
+    assert number == 2
+    assert_motion(robot, outside, motion)
+
+
+def test_locked_base_tries_the_goals_in_turn(robot: Robot) -> None:
+    closed = task(BELOW, ABOVE, BAR, locked_joints=("base_yaw",))
+    free = task(BELOW, (0.0, 12.0, 40.0, 30.0), BAR, locked_joints=("base_yaw",))
+    tasks = [posed(robot, closed, OPTIONS), posed(robot, free, OPTIONS)]
+    number, motion = find_motion(tasks)
+    assert number == 1
+    assert_motion(robot, free, motion)
+    with pytest.raises(NoPathError):
+        find_motion(tasks[:1])
+
+
+def test_what_is_not_certified_is_refused_unless_wanted(robot: Robot) -> None:
+    """A motion timed without the ball, judged with it."""
+    motion = find_motion([posed(robot, task(BELOW, ABOVE))])[1]
+    with_ball = posed(robot, task(BELOW, ABOVE, BAR))
+    assert not judged(with_ball, motion.trajectory).verified
+    with pytest.raises(CertificationError, match="'ball'") as caught:
+        certified(with_ball, motion.trajectory)
+    assert caught.value.data["violations"]
+    lax = replace(with_ball, options=PlanOptions(certify=False))
+    assert not certified(lax, motion.trajectory).verified
+
+
+def test_speed_and_rate(robot: Robot) -> None:
+    motion = find_motion([posed(robot, task(START, FAR))])[1]
+    assert motion.path is not None
+    slow = timed(posed(robot, task(START, FAR), PlanOptions(speed=0.5, rate_hz=100.0)), motion.path)
+    assert slow.time[1] == pytest.approx(0.01)
+    assert (np.abs(slow.velocity) <= 0.5005 * robot.velocity_limit).all()
+    assert slow.duration > motion.trajectory.duration
+
+
+# Earlier motions
+
+
+def after(robot: Robot, before: Motion, scene: Scene) -> Motion:
+    return renewed(posed(robot, scene, OPTIONS), before)
+
+
+def test_kept_and_mended(robot: Robot) -> None:
+    obstacles: list[Any] = [post("post", 30.0, 1.2, 0.0, 2.0, 0.05)]
+    scene = task(START, (60.0, 30.0, 20.0, 20.0), obstacles)
+    before = find_motion([posed(robot, scene, OPTIONS)])[1]
+    more = scene.with_obstacles([*obstacles, Sphere(name="far", center=at(-120.0, 1.5, 1.0), radius=0.2)])
+    kept = after(robot, before, more)
+    assert kept.origin == "kept"
+    assert kept.trajectory is before.trajectory
+    assert kept.task.scene is more
+    assert_motion(robot, more, kept)
+    again = after(robot, kept, scene)
+    assert again.origin == "kept"
+    tip = robot.tool_positions(before.trajectory.position[before.trajectory.samples // 2])
+    bead = Sphere(name="bead", center=tuple(np.add(tip, (0.0, 0.0, 0.035)).tolist()), radius=0.01)
+    grazed = scene.with_obstacles([*obstacles, bead])
+    mended = after(robot, before, grazed)
+    assert mended.origin == "mended"
+    assert_motion(robot, grazed, mended)
+
+
+@pytest.mark.parametrize("joint", ["base_yaw", "shoulder", "elbow", "wrist"])
+def test_another_range_of_a_joint_is_another_task(robot: Robot, joint: str) -> None:
+    """Start and goal are the same, but the earlier motion went around something with a joint that is now locked."""
+    scene = task((0.0, 30.0, 20.0, 20.0), (60.0, 30.0, 20.0, 20.0), [post("post", 30.0, 1.2, 0.0, 2.0, 0.05)])
+    before = find_motion([posed(robot, scene, OPTIONS)])[1]
+    assert after(robot, before, scene).origin == "kept"
+    changed = posed(robot, scene, OPTIONS)
+    place = robot.joint_names.index(joint)
+    for name, value in (("lower", -0.01), ("upper", 0.01)):
+        limits = np.array(getattr(changed.problem, name))
+        limits[place] = limits[place] - value  # narrower by a little
+        problem = replace(changed.problem, **{name: limits})
+        with pytest.raises(CertificationError, match="another task"):
+            renewed(replace(changed, problem=problem), before)
+
+
+def test_a_joint_locked_since_does_not_move(robot: Robot) -> None:
+    obstacles = [post("post", 30.0, 1.2, 0.0, 2.0, 0.05)]
+    scene = task(START, (60.0, 30.0, 20.0, 20.0), obstacles)
+    before = find_motion([posed(robot, scene, OPTIONS)])[1]
+    assert np.ptp(before.trajectory.position[:, 1]) > 0.1
+    locked = task(START, (60.0, 30.0, 20.0, 20.0), obstacles, locked_joints=("shoulder",))
+    with pytest.raises(CertificationError, match="another task"):
+        after(robot, before, locked)
+
+
+def test_detours_are_given_up(robot: Robot) -> None:
+    scene = task(START, (60.0, 30.0, 20.0, 20.0), [post("post", 30.0, 1.2, 0.0, 2.0, 0.05)])
+    before = find_motion([posed(robot, scene, OPTIONS)])[1]
+    with pytest.raises(CertificationError, match="detour"):
+        after(robot, before, scene.with_obstacles([]))
+    straight = find_motion([posed(robot, scene.with_obstacles([]), OPTIONS)])[1]
+    assert after(robot, straight, scene.with_obstacles([])).origin == "kept"
+
+
+def test_what_cannot_be_mended(robot: Robot) -> None:
+    scene = task(START, (60.0, 30.0, 20.0, 20.0))
+    before = find_motion([posed(robot, scene, OPTIONS)])[1]
+    wall = [post(f"p{i}", 30.0, 0.5 + 0.2 * i, 0.0, 3.0, 0.12) for i in range(8)]
+    with pytest.raises(CertificationError, match="cannot be mended"):
+        after(robot, before, scene.with_obstacles(wall))
+    assert plan(robot, scene.with_obstacles(wall[:3]), OPTIONS).certificate.verified
+
+
+def test_stages_are_announced_in_order(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[str] = []
+    found = replace(posed(robot, task(BELOW, ABOVE, BAR), OPTIONS), progress=seen.append)
+    find_motion([found])
+    assert seen == ["roadmap", "postprocess", "timing", "certificate"]
+    seen.clear()
+    monkeypatch.setattr("hplan.planning.find_motion.ROADMAPS", 0)
+    find_motion([found])
+    assert seen[:2] == ["cspace", "search"]
+    assert seen[-3:] == ["postprocess", "timing", "certificate"]

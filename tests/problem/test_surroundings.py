@@ -1,0 +1,237 @@
+"""What keeps the arm away: growth by uncertainty, the fruit that may be touched, what stands in the base."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from arm_variants import load_variant, random_obstacles
+from planned import post
+
+from hplan.base.arrays import FloatArray
+from hplan.collision.clearance_field import ClearanceField
+from hplan.collision.coal_scene import CollisionScene, base_contacts
+from hplan.cspace.sections import sections_at
+from hplan.errors import ConfigurationInCollisionError, InputError
+from hplan.problem.world import BASE_DEPTH, Surroundings
+from hplan.robot.model import Robot, load_robot
+from hplan.robot.self_contact import pair_sway
+from hplan.robot_family.members import write_robot
+from hplan.robot_family.spec import ArmSpec
+from hplan.scene.model import Box, PointCloud, Sphere
+
+BALLS = (
+    Sphere(name="sure", center=(1.0, 0.3, 1.0), radius=0.1),
+    Sphere(name="vague", center=(0.6, -0.4, 1.2), radius=0.1, sigma=0.01),
+    Sphere(name="vaguer", center=(1.6, 0.2, 0.9), radius=0.1, sigma=0.02),
+)
+
+
+def test_each_obstacle_grows_by_its_own_uncertainty(robot: Robot) -> None:
+    rng = np.random.default_rng(0)
+    for sigmas in (0.0, 1.0, 3.0):
+        around = Surroundings.of(robot, BALLS, clearance=0.02, sigmas=sigmas)
+        np.testing.assert_allclose(around.growth, sigmas * np.array([0.0, 0.01, 0.02]))
+        assert around.clearance == 0.02
+        plain = CollisionScene(robot, BALLS)
+        for q in rng.uniform(robot.lower, robot.upper, (20, 4)):
+            grown = plain.distances(q) - sigmas * np.array([0.0, 0.01, 0.02])
+            np.testing.assert_allclose(around.judge.distances(q), grown, atol=1e-9)
+            np.testing.assert_allclose(around.field.link_clearances(q), grown.min(axis=1) - 0.02, atol=1e-6)
+
+
+def test_field_bodies_and_judge_agree(robot: Robot) -> None:
+    """A configuration is in contact for the sections if it is for the field, which gives no less than coal."""
+    around = Surroundings.of(robot, BALLS, clearance=0.01, tracking_error=0.002, sigmas=2.0)
+    bodies = around.bodies(0.003)
+    assert bodies.deviation == 0.002
+    radii = np.array([0.1, 0.12, 0.14]) + around.clearance + 0.003
+    np.testing.assert_allclose(bodies.ball_radii, radii)
+    assert bodies.names == ("sure", "vague", "vaguer")
+
+
+def test_without_solids(robot: Robot) -> None:
+    around = Surroundings.of(robot, [], clearance=0.1, sigmas=3.0)
+    assert around.field.clearance(np.zeros(4)) == np.inf
+    assert around.judge.nearest(np.zeros(4)) is None
+    assert around.bodies().names == ()
+    around.check_base(0.0)
+    assert around.touching("none").bodies().names == ()
+
+
+def test_the_arm_keeps_the_clearance_from_itself_too(tmp_path: Path) -> None:
+    """With and without obstacles, and whatever their uncertainty."""
+    spec = ArmSpec(
+        name="bendy",
+        has_yaw=False,
+        link_lengths=(1.0, 0.8, 0.4),
+        link_half_widths=(0.05, 0.04, 0.03),
+        link_masses=(4.0, 3.0, 1.0),
+        lower=(-2.6,) * 3,
+        upper=(2.6,) * 3,
+        velocity=(1.5,) * 3,
+        effort=(300.0,) * 3,
+        acceleration=(3.0,) * 3,
+        jerk=(150.0,) * 3,
+    )
+    bendy = load_robot(write_robot(spec, tmp_path / "bendy.urdf")[0])
+    rng = np.random.default_rng(3)
+    far = Sphere(name="far", center=(0.0, 0.0, 9.0), radius=0.1, sigma=0.05)
+    plain, seen = ClearanceField.of(bendy, []), 0
+    for solids in ([], [far]):
+        around = Surroundings.of(bendy, solids, clearance=0.03, tracking_error=0.001, sigmas=3.0)
+        # From the pedestal a link keeps its own sway; two links keep what the outer one may sway, seen from the inner.
+        keep = around.clearance + float(pair_sway(bendy, 2, 0, 0.001))
+        most = around.clearance + float(bendy.sway(0.001).max())
+        # The first link, too, is asked against the pedestal, which does not carry its joint: it sways least.
+        least = around.clearance + float(bendy.sway(0.001)[0])
+        for q in rng.uniform(bendy.lower, bendy.upper, (60, bendy.dof)):
+            before, after = plain.clearance(q), around.field.clearance(q)
+            if before < 0.5:
+                seen += 1
+                assert after < before
+                low, high = (ClearanceField.of(bendy, [], own_clearance=own).clearance(q) for own in (most, least))
+                assert low - 1e-12 <= after <= high + 1e-12
+        assert around.bodies(0.002).own_clearance == 0.032
+        sections = sections_at(bendy, around.bodies(0.002), 0.0)
+        np.testing.assert_allclose(sections.own_radii, 0.05 + 0.03 + keep + 0.002)
+    assert seen > 20
+
+
+def test_each_link_sways_by_its_own(robot: Robot) -> None:
+    """Field and sections are those of an arm that is as much thicker; coal has the same distances less the sway."""
+    error, rng = 0.01, np.random.default_rng(4)
+    arm = replace(robot.arm, half_widths=robot.arm.half_widths + robot.sway(error))
+    thicker = replace(robot, arm=arm)
+    around, same = Surroundings.of(robot, BALLS, tracking_error=error), Surroundings.of(thicker, BALLS)
+    for yaw in (0.0, 0.1):
+        ours, theirs = (sections_at(one.robot, one.bodies(), yaw) for one in (around, same))
+        np.testing.assert_allclose(ours.radii, theirs.radii, rtol=1e-12)
+        np.testing.assert_array_equal(ours.link_start, theirs.link_start)
+    for q in rng.uniform(robot.lower, robot.upper, (20, 4)):
+        np.testing.assert_allclose(around.field.link_clearances(q), same.field.link_clearances(q), atol=1e-12)
+        least = (around.judge.distances(q) - robot.sway(error)[:, None]).min()
+        if least > 0.0:
+            assert around.check_clear(q, "here") == pytest.approx(least, abs=1e-12)
+        else:
+            with pytest.raises(ConfigurationInCollisionError):
+                around.check_clear(q, "here")
+
+
+def test_refusal_of_a_configuration_names_the_largest_error(robot: Robot) -> None:
+    """True: with a little less the configuration is taken, with a little more it is not."""
+    rng, kinds = np.random.default_rng(6), {"free": 0, "margin": 0, "contact": 0}
+
+    def check(q: FloatArray, error: float) -> None:
+        Surroundings.of(robot, BALLS, clearance=0.01, tracking_error=error).check_clear(q, "start")
+
+    for q in rng.uniform(robot.lower, robot.upper, (40, 4)):
+        distances = Surroundings.of(robot, BALLS).judge.distances(q) - 0.01
+        if (distances > robot.sway(0.1)[:, None]).all():
+            kinds["free"] += 1
+            check(q, 0.1)
+            continue
+        with pytest.raises(ConfigurationInCollisionError) as refused:
+            check(q, 0.1)
+        facts = refused.value.data
+        if distances.min() <= 0.0:
+            kinds["contact"] += 1
+            assert "largest_tracking_error_deg" not in facts
+            continue
+        kinds["margin"] += 1
+        assert facts["tracking_error_deg"] == pytest.approx(math.degrees(0.1))
+        assert "would do is up to" in str(refused.value)
+        largest = math.radians(facts["largest_tracking_error_deg"])
+        check(q, 0.999 * largest)
+        with pytest.raises(ConfigurationInCollisionError):
+            check(q, 1.001 * largest)
+    assert min(kinds.values()) >= 1
+
+
+def test_the_last_link_alone_may_touch(robot: Robot) -> None:
+    solids = [*BALLS, Sphere(name="fruit", center=(1.2, 0.0, 0.6), radius=0.04, sigma=0.01)]
+    around = Surroundings.of(robot, solids, clearance=0.01, sigmas=3.0)
+    near, without = around.touching("fruit"), Surroundings.of(robot, BALLS, clearance=0.01, sigmas=3.0)
+    rng = np.random.default_rng(1)
+    for q in rng.uniform([-0.3, 0.0, 0.0, 0.0], [0.3, 0.5, 0.5, 0.5], (60, 4)):
+        full, table = around.judge.distances(q), near.judge.distances(q)
+        assert table[-1, 3] == np.inf
+        np.testing.assert_array_equal(table[:, :3], full[:, :3])
+        np.testing.assert_array_equal(table[:-1], full[:-1])
+        expected = around.field.link_clearances(q)
+        expected[-1] = without.field.link_clearances(q)[-1]
+        np.testing.assert_allclose(near.field.link_clearances(q), expected, atol=1e-12)
+    # The C-space knows the fruit for the other links.
+    some, every = (sections_at(robot, one.bodies(), 0.0, within_reach=False) for one in (near, around))
+    for link in range(3):
+        mine, all_ = (list(one.obstacle_of[one.link_start[link] : one.link_start[link + 1]]) for one in (some, every))
+        assert 3 in all_
+        assert mine == [number for number in all_ if number != 3 or link < 2]
+    # What it was made from is as it was.
+    assert around.bodies().touched == -1
+    assert around.judge.distances(np.zeros(4))[-1, 3] < np.inf
+
+
+# What stands in the base
+
+
+def test_ground_may_touch_the_pedestal(robot: Robot) -> None:
+    ground = Box(name="ground", center=(0.0, 0.0, -0.05), size=(6.0, 6.0, 0.1))
+    Surroundings.of(robot, [ground], clearance=0.05, sigmas=3.0).check_base(0.0)
+    deeper = Box(name="ground", center=(0.0, 0.0, -0.05 + 2.0 * BASE_DEPTH), size=(6.0, 6.0, 0.1))
+    with pytest.raises(InputError, match="'ground' is 2 mm deep in the robot's 'base_link'"):
+        Surroundings.of(robot, [deeper]).check_base(0.0)
+
+
+@pytest.mark.parametrize(
+    ("obstacle", "link"),
+    [
+        (Sphere(name="rock", center=(0.1, 0.0, 0.2), radius=0.1), "base_link"),
+        (post("pole", 40.0, 0.05, 0.0, 3.0), "base_link"),
+        (Box(name="lid", center=(0.0, 0.0, 0.5), size=(0.05, 0.05, 0.05)), "turret"),
+        (PointCloud.of("dust", [[0.0, 0.0, 0.48], [2.0, 0.0, 1.0]], 0.01), "turret"),
+    ],
+    ids=["ball", "capsule", "box", "cloud"],
+)
+@pytest.mark.parametrize("yaw", [0.0, -2.0])
+def test_what_stands_in_the_base_is_named(robot: Robot, obstacle, link: str, yaw: float) -> None:
+    around = Surroundings.of(robot, [*BALLS, *obstacle.solids])
+    with pytest.raises(InputError) as caught:
+        around.check_base(yaw)
+    assert caught.value.data["obstacle"] == obstacle.name
+    assert caught.value.data["link"] == link
+    assert caught.value.data["depth_m"] > BASE_DEPTH
+    assert repr(obstacle.name) in caught.value.message
+
+
+def test_deepest_is_named(robot: Robot) -> None:
+    grazing = Sphere(name="grazing", center=(0.25, 0.0, 0.2), radius=0.14)
+    deep = Sphere(name="deep", center=(0.1, 0.0, 0.2), radius=0.14)
+    for solids in ([grazing, deep], [deep, grazing]):
+        with pytest.raises(InputError, match="'deep'"):
+            Surroundings.of(robot, solids).check_base(0.0)
+
+
+def test_no_obstacle_is_missed(robot: Robot) -> None:
+    """Only what is near the base is asked for; the answer is that of all."""
+    rng, refused = np.random.default_rng(2), 0
+    for _ in range(60):
+        solids = random_obstacles(rng, 6)
+        yaw = float(rng.uniform(-3.0, 3.0))
+        around = Surroundings.of(robot, solids, clearance=0.1)
+        if base_contacts(robot, solids, yaw, margin=-BASE_DEPTH):
+            refused += 1
+            with pytest.raises(InputError, match="deep in the robot's"):
+                around.check_base(yaw)
+        else:
+            around.check_base(yaw)
+    assert refused > 3
+
+
+def test_a_base_without_shape_has_nothing_in_it(tmp_path: Path) -> None:
+    bare = load_variant("upright on a yaw", tmp_path)
+    rock = Sphere(name="rock", center=(0.0, 0.0, 0.2), radius=0.1)
+    Surroundings.of(bare, [rock]).check_base(0.0)

@@ -1,0 +1,572 @@
+from __future__ import annotations
+
+import math
+import re
+import shutil
+import struct
+
+import coal
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from hplan.base.data_files import urdf_dir
+from hplan.errors import InputError, JointLimitError, RobotFamilyError, RobotFileError
+from hplan.robot.family_reader import outline
+from hplan.robot.files import read_limits, read_models
+from hplan.robot.model import Robot, load_robot
+from hplan.robot_family.members import HARVESTER, ArmSpec, write_robot
+
+HALF_PI = math.pi / 2
+SHIPPED = (urdf_dir() / "harvester.urdf").read_text()
+
+
+@pytest.fixture
+def load_edited(tmp_path):
+    """Load the shipped robot with texts of its URDF replaced, each from the shoulder joint on."""
+    shutil.copy(urdf_dir() / "harvester.limits.yaml", tmp_path)
+
+    def load(*edits: tuple[str, str]) -> Robot:
+        text = SHIPPED
+        for old, new in edits:
+            start = text.index(old, text.index('<joint name="shoulder"'))
+            text = text[:start] + new + text[start + len(old) :]
+        (tmp_path / "harvester.urdf").write_text(text)
+        return load_robot(tmp_path / "harvester.urdf")
+
+    return load
+
+
+def origin_of(child: str, new: str) -> tuple[str, str]:
+    """The edit that places a joint anew; `new` holds the attributes of its origin."""
+    old = re.search(rf'<child link="{child}"/>\s*<origin [^>]*/>', SHIPPED)
+    return old.group(), f'<child link="{child}"/><origin {new}/>'
+
+
+def collision_of_hand(new: str) -> tuple[str, str]:
+    old = re.search(r'<collision name="hand.*</collision>', SHIPPED, re.DOTALL)
+    return old.group(), new
+
+
+def assert_kinematics_match(robot: Robot) -> None:
+    """Joint points and tool positions are Pinocchio's, at random configurations and at random yaw."""
+    rng = np.random.default_rng(0)
+    data = robot.model.createData()
+    tool = robot.model.getFrameId(robot.tool_frame)
+    first = 2 if robot.has_yaw else 1
+    q = rng.uniform(robot.lower, robot.upper, (50, robot.dof))
+    tools = robot.tool_positions(q)
+    points = robot.arm.joint_points(q[:, robot.arm_slice])
+    for i in range(len(q)):
+        pin.framesForwardKinematics(robot.model, data, q[i])
+        world = [data.oMi[j].translation for j in range(first, robot.model.njoints)] + [data.oMf[tool].translation]
+        origin, axes = robot.plane_at(robot.yaw_of(q[i]))
+        in_plane = (np.array(world) - origin) @ axes.T
+        np.testing.assert_allclose(in_plane[:, :2], points[i], atol=1e-12)
+        np.testing.assert_allclose(in_plane[:, 2], 0.0, atol=1e-12)
+        np.testing.assert_allclose(tools[i], world[-1], atol=1e-12)
+        np.testing.assert_allclose(axes @ axes.T, np.eye(3), atol=1e-14)
+        assert np.linalg.det(axes) == pytest.approx(1.0)
+    np.testing.assert_array_equal(robot.tool_positions(q[3]), tools[3])
+
+
+# The shipped robot
+
+
+def test_shipped_robot(robot):
+    arm = robot.arm
+    assert robot.name == "harvester"
+    assert robot.dof == 4
+    assert robot.joint_names == ("base_yaw", "shoulder", "elbow", "wrist")
+    assert robot.has_yaw
+    assert robot.tool_frame == "tool0"
+    assert arm.joint_names == ("shoulder", "elbow", "wrist")
+    assert arm.link_names == ("upper_arm", "forearm", "hand")
+    assert arm.link_count == 3
+    np.testing.assert_allclose(arm.lengths, [1.0, 0.8, 0.4], rtol=1e-15)
+    np.testing.assert_allclose(arm.half_widths, [0.05, 0.04, 0.03], rtol=1e-14)
+    assert arm.signs.tolist() == [1.0, 1.0, 1.0]
+    assert arm.offsets.tolist() == [0.0, 0.0, 0.0]
+    assert arm.lower.tolist() == [0.0, 0.0, 0.0]
+    assert arm.upper.tolist() == [HALF_PI] * 3
+    assert robot.lower.tolist() == [-math.pi, 0.0, 0.0, 0.0]
+    assert robot.upper.tolist() == [math.pi, HALF_PI, HALF_PI, HALF_PI]
+    assert robot.velocity_limit.tolist() == [1.5, 1.2, 1.5, 2.0]
+    assert robot.torque_limit.tolist() == [150.0, 250.0, 120.0, 30.0]
+    assert robot.acceleration_limit.tolist() == [3.0, 3.0, 4.0, 6.0]
+    assert robot.jerk_limit.tolist() == list(HARVESTER.jerk)
+    assert robot.plane_origin.tolist() == [0.0, 0.0, 0.6]
+    assert robot.plane_axes.tolist() == [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
+    assert_kinematics_match(robot)
+
+
+def test_arrays_are_read_only(robot):
+    for array in (robot.lower, robot.torque_limit, robot.plane_axes, robot.arm.lengths, robot.arm.half_widths):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 1.0
+
+
+def test_plane_turns_with_the_yaw(robot):
+    origin, axes = robot.plane_at(HALF_PI)
+    np.testing.assert_allclose(origin, [0.0, 0.0, 0.6], atol=1e-15)
+    np.testing.assert_allclose(axes, [[0, 1, 0], [0, 0, 1], [1, 0, 0]], atol=1e-15)
+
+
+# The family
+
+
+@pytest.mark.parametrize("has_yaw", [True, False])
+@pytest.mark.parametrize("links", [1, 2, 3, 4, 5])
+def test_family(tmp_path, links, has_yaw):
+    joints = links + has_yaw
+    spec = ArmSpec(
+        name="cousin",
+        link_lengths=[0.7 - 0.1 * k for k in range(links)],
+        link_half_widths=[0.06 - 0.01 * k for k in range(links)],
+        link_masses=[2.0] * links,
+        lower=[-2.0 - k for k in range(joints)],
+        upper=[0.5 + k for k in range(joints)],
+        velocity=[1.0 + k for k in range(joints)],
+        effort=[200.0 + k for k in range(joints)],
+        acceleration=[2.0 + k for k in range(joints)],
+        shoulder_height=0.75,
+        has_yaw=has_yaw,
+    )
+    robot = load_robot(write_robot(spec, tmp_path / "cousin.urdf")[0])
+    assert robot.has_yaw is has_yaw
+    assert robot.joint_names == spec.joint_names
+    assert robot.arm.link_names == spec.arm_link_names
+    np.testing.assert_allclose(robot.arm.lengths, spec.link_lengths, rtol=1e-14)
+    np.testing.assert_allclose(robot.arm.half_widths, spec.link_half_widths, rtol=1e-14)
+    assert robot.lower.tolist() == list(spec.lower)
+    assert robot.upper.tolist() == list(spec.upper)
+    assert robot.velocity_limit.tolist() == list(spec.velocity)
+    assert robot.torque_limit.tolist() == list(spec.effort)
+    assert robot.acceleration_limit.tolist() == list(spec.acceleration)
+    assert robot.jerk_limit is None
+    np.testing.assert_allclose(robot.plane_origin, [0.0, 0.0, 0.75], rtol=1e-15)
+    assert_kinematics_match(robot)
+
+
+AXIS = '<axis xyz="0 -1 0"/>'
+TURNED_ELBOW = origin_of("forearm", 'xyz="1 0 0" rpy="0 -0.3 0"')
+
+
+@pytest.mark.parametrize(
+    ("edits", "signs", "offsets"),
+    [
+        ([(AXIS, '<axis xyz="0 1 0"/>')], [-1, 1, 1], [0, 0, 0]),
+        ([(AXIS, '<axis xyz="0 1 0"/>'), (AXIS, '<axis xyz="0 3 0"/>')], [-1, -1, 1], [0, 0, 0]),
+        ([TURNED_ELBOW], [1, 1, 1], [0, 0.3, 0]),
+        ([(AXIS, '<axis xyz="0 1 0"/>'), TURNED_ELBOW], [-1, 1, 1], [0, 0.3, 0]),
+        ([origin_of("upper_arm", 'xyz="0.2 0 0.5"')], [1, 1, 1], [0, 0, 0]),
+        ([origin_of("upper_arm", 'xyz="0 0 0.6" rpy="0 0 0.4"')], [1, 1, 1], [0, 0, 0]),
+        ([origin_of("upper_arm", 'xyz="-0.1 0 0.6" rpy="0 0 3.141592653589793"')], [1, 1, 1], [0, 0, 0]),
+        ([origin_of("upper_arm", 'xyz="0 0 0.6" rpy="0 -1.2 0"')], [1, 1, 1], [1.2, 0, 0]),
+        ([origin_of("upper_arm", 'xyz="0 0 0.6" rpy="0 -1.5707963267948966 0"')], [1, 1, 1], [HALF_PI, 0, 0]),
+        ([origin_of("hand", 'xyz="0.6 0 0.3"')], [1, 1, 1], [0, 0.463647609, -0.463647609]),
+    ],
+    ids=["+y", "two +y, one of length 3", "turned joint", "+y and turned joint", "shoulder beside the yaw axis",
+         "arm turned about z", "arm backwards", "arm raised at zero", "arm upright at zero", "cranked link"],
+)  # fmt: skip
+def test_members_with_other_zeros(load_edited, edits, signs, offsets):
+    robot = load_edited(*edits)
+    assert robot.arm.signs.tolist() == signs
+    np.testing.assert_allclose(robot.arm.offsets, offsets, atol=1e-9)
+    assert_kinematics_match(robot)
+
+
+def test_cranked_link_is_as_wide_as_its_capsule_must_be(load_edited):
+    """The forearm's geometry stays along x while its axis goes to the wrist, aside."""
+    robot = load_edited(origin_of("hand", 'xyz="0.6 0 0.3"'))
+    far_end = np.array([0.8, 0.0])
+    axis = np.array([0.6, 0.3]) / math.hypot(0.6, 0.3)
+    beyond = far_end - min(far_end @ axis, math.hypot(0.6, 0.3)) * axis
+    assert robot.arm.half_widths[1] == pytest.approx(np.linalg.norm(beyond) + 0.04, rel=1e-3)
+
+
+def test_horizontal_arm_without_yaw(tmp_path):
+    """Vertical parallel axes: the arm plane is horizontal."""
+    spec = ArmSpec("flat", (0.5, 0.4), (0.03, 0.03), (1, 1), (-2, -2), (2, 2), (1, 1), (50, 50), (2, 2), has_yaw=False)
+    urdf, _ = write_robot(spec, tmp_path / "flat.urdf")
+    urdf.write_text(urdf.read_text().replace(AXIS, '<axis xyz="0 0 1"/>'))
+    robot = load_robot(urdf)
+    assert not robot.has_yaw
+    assert abs(robot.plane_axes[:, 2]).max() == 0.0
+    assert_kinematics_match(robot)
+
+
+# Half-widths
+
+CYLINDER = '<geometry><cylinder radius="%g" length="%g"/></geometry>'
+
+
+@pytest.mark.parametrize(
+    ("collision", "half_width", "tolerance"),
+    [
+        ('<geometry><sphere radius="0.05"/></geometry><origin xyz="0.2 0 0"/>', 0.05, 1e-15),
+        ('<geometry><sphere radius="0.05"/></geometry><origin xyz="0.43 0.04 0"/>', 0.1, 1e-15),
+        ('<geometry><box size="0.4 0.06 0.08"/></geometry><origin xyz="0.2 0 0"/>', 0.05, 1e-15),
+        ('<geometry><box size="0.46 0.06 0.08"/></geometry><origin xyz="0.2 0 0"/>', math.hypot(0.03, 0.05), 1e-15),
+        (f'{CYLINDER % (0.03, 0.4)}<origin xyz="0.2 0 0" rpy="0 {HALF_PI} 0"/>', 0.03, 1e-15),
+        (f'{CYLINDER % (0.03, 0.48)}<origin xyz="0.2 0 0" rpy="0 {HALF_PI} 0"/>', 0.05, 1e-15),
+        (f'{CYLINDER % (0.03, 0.08)}<origin xyz="0.2 0 0"/>', 0.05, 2e-3),
+        (f'{CYLINDER % (0.02, 0.4)}<origin xyz="0.2 0.03 0.04" rpy="0 {HALF_PI} 0"/>', 0.07, 2e-3),
+        ('<geometry><mesh filename="wedge.stl" scale="1 1 2"/></geometry>', 0.06, 1e-6),
+    ],
+    ids=["sphere", "sphere aside", "box", "long box", "cylinder", "long cylinder", "upright cylinder",
+         "cylinder aside", "mesh"],
+)  # fmt: skip
+def test_half_width_holds_the_collision_geometry(load_edited, tmp_path, collision, half_width, tolerance):
+    """Never smaller than the geometry needs, and larger by no more than the tolerance."""
+    corners = [(0, 0, 0), (0.4, 0, 0), (0, 0.02, 0), (0, 0, 0.03)]
+    faces = [[corners[i] for i in face] for face in ((0, 1, 2), (0, 1, 3), (0, 2, 3), (1, 2, 3))]
+    triangles = b"".join(struct.pack("<12fH", *(0, 0, 0), *np.ravel(face), 0) for face in faces)
+    (tmp_path / "wedge.stl").write_bytes(bytes(80) + struct.pack("<I", len(faces)) + triangles)
+    robot = load_edited(collision_of_hand(f"<collision>{collision}</collision>"))
+    assert half_width * (1 - 1e-7) <= robot.arm.half_widths[2] <= half_width * (1 + 1e-7 + tolerance)
+    assert robot.arm.half_widths[:2] == pytest.approx([0.05, 0.04], rel=1e-14)
+
+
+def test_shape_of_no_known_outline_is_refused():
+    ground = pin.GeometryObject("ground", 0, pin.SE3.Identity(), coal.Halfspace(np.array([0.0, 0.0, 1.0]), 0.0))
+    with pytest.raises(TypeError, match="shape Halfspace is not supported"):
+        outline(ground, rim_from_outside=True)
+
+
+# Robots that are not of the family
+
+FAMILY_FAULTS = {
+    "continuous joint": ([('type="revolute"', 'type="continuous"')], "joint 'shoulder': it is continuous"),
+    "prismatic joint": ([('type="revolute"', 'type="prismatic"')], "joint 'shoulder': it is a JointModelPrismatic"),
+    "branch": ([('<parent link="upper_arm"/>', '<parent link="turret"/>')], "the chain branches here"),
+    "axis not parallel": (
+        [origin_of("forearm", 'xyz="1 0 0" rpy="0.1 0 0"')],
+        "joint 'elbow': it is not parallel to joint 'shoulder'",
+    ),
+    "axis not horizontal": (
+        [origin_of("upper_arm", 'xyz="0 0 0.6" rpy="0.1 0 0"')],
+        "joint 'shoulder': it is not perpendicular to the yaw axis",
+    ),
+    "axis without direction": ([(AXIS, '<axis xyz="0 0 0"/>')], "joint 'shoulder': its axis has no direction"),
+    "joint beside the plane": (
+        [origin_of("forearm", 'xyz="1 0.01 0"')], "'elbow': it lies -0.01 m beside the arm plane"
+    ),
+    "tool beside the plane": (
+        [origin_of("tool0", 'xyz="0.4 -0.02 0"')],
+        "'tool frame': it lies 0.02 m beside the arm plane",
+    ),
+    "plane beside the yaw axis": (
+        [origin_of("upper_arm", 'xyz="0 0.2 0.6"')],
+        "joint 'shoulder': the arm plane passes the yaw axis at -0.2 m",
+    ),
+    "no tool frame": (
+        [('<child link="tool0"/>', '<child link="tcp"/>'), ('<link name="tool0"', '<link name="tcp"')],
+        "frame 'tool0': it marks the end of the arm and is missing",
+    ),
+    "tool on an inner link": (
+        [('<parent link="hand"/>', '<parent link="forearm"/>')], "frame 'tool0': it is not on the last link"
+    ),
+    "link of no length": ([origin_of("hand", 'xyz="0 0 0"')], "link 'forearm': it has no length"),
+    "no collision geometry": ([collision_of_hand("")], "link 'hand': it has no collision geometry"),
+    "limits swapped": ([('lower="0"', 'lower="2"')], "'shoulder': its lower limit 2 rad is not below its upper"),
+    "limits equal": ([('upper="1.5707963267948966"', 'upper="0"')], "lower limit 0 rad is not below its upper limit 0"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", FAMILY_FAULTS)
+def test_family_faults_name_the_element(load_edited, case):
+    edits, message = FAMILY_FAULTS[case]
+    with pytest.raises(RobotFamilyError) as caught:
+        load_edited(*edits)
+    assert message in caught.value.message
+    assert caught.value.robot == "harvester"
+    assert caught.value.exit_status == 2
+
+
+def test_yaw_axis_down(load_edited, tmp_path):
+    load_edited()
+    path = tmp_path / "harvester.urdf"
+    path.write_text(SHIPPED.replace('<axis xyz="0 0 1"/>', '<axis xyz="0 0 -1"/>'))
+    with pytest.raises(RobotFamilyError, match="the yaw axis points down"):
+        load_robot(path)
+    path.write_text(SHIPPED.replace('<axis xyz="0 0 1"/>', '<axis xyz="1 0 0"/>'))
+    with pytest.raises(
+        RobotFamilyError, match="joint 'base_yaw': it is not parallel to the next joint and not vertical"
+    ):
+        load_robot(path)
+
+
+TILTS = {
+    "yaw": ('<axis xyz="0 0 1"/>', '<axis xyz="{} 0 1"/>', "joint 'base_yaw': it is not parallel to the next joint"),
+    "shoulder": ('<axis xyz="0 -1 0"/>', '<axis xyz="0 -1 {}"/>', "joint 'shoulder': it is not perpendicular to the"),
+    "wrist": (
+        '<axis xyz="0 -1 0"/>\n    <limit effort="30"',
+        '<axis xyz="{} -1 0"/>\n    <limit effort="30"',
+        "joint 'wrist': it is not parallel to joint 'shoulder'",
+    ),
+}
+
+
+@pytest.mark.parametrize("tilt", [4.4e-3, 3.673e-6, 2e-9])
+@pytest.mark.parametrize("axis", TILTS)
+def test_axes_off_by_a_little_are_refused_and_say_what_to_do(load_edited, tmp_path, axis, tilt):
+    """0.25 deg passed for vertical once, and 4e-5 rad for parallel: a bound of the proof was then none."""
+    old, new, message = TILTS[axis]
+    load_edited()
+    path = tmp_path / "harvester.urdf"
+    path.write_text(SHIPPED.replace(old, new.format(repr(tilt)), 1))
+    with pytest.raises(RobotFamilyError) as caught:
+        load_robot(path)
+    assert message in caught.value.message
+    assert f", by {tilt:.3g} rad, of which 1e-09 is taken: write angles in full" in caught.value.message
+    path.write_text(SHIPPED.replace(old, new.format("1e-10"), 1))
+    assert load_robot(path).has_yaw
+
+
+@pytest.mark.parametrize(("angle", "taken"), [("1.5708", False), ("1.5707963", False), ("1.570796327", True)])
+def test_right_angles_are_to_be_written_in_full(load_edited, angle, taken):
+    """A shoulder turned onto its side by `rpy`, as CAD programs write it."""
+    edit = origin_of("upper_arm", f'xyz="0 0 0.6" rpy="{angle} 0 0"')
+    axis = ('<axis xyz="0 -1 0"/>', '<axis xyz="0 0 1"/>')
+    elbow = origin_of("forearm", 'xyz="1 0 0" rpy="-1.5707963267948966 0 0"')
+    if taken:
+        assert load_edited(edit, axis, elbow).arm.signs[0] in (-1.0, 1.0)
+        return
+    with pytest.raises(RobotFamilyError, match=r"a right one as 1\.5707963267948966"):
+        load_edited(edit, axis, elbow)
+
+
+def test_yaw_axis_beside_the_origin(load_edited, tmp_path):
+    load_edited()
+    old = re.search(r'<child link="turret"/>\s*<origin xyz="0 0 0"/>', SHIPPED).group()
+    path = tmp_path / "harvester.urdf"
+    path.write_text(SHIPPED.replace(old, '<child link="turret"/><origin xyz="0.3 0 0.1"/>'))
+    with pytest.raises(RobotFamilyError, match=r"joint 'base_yaw': the yaw axis stands at \(0\.3, 0\) m"):
+        load_robot(path)
+    path.write_text(SHIPPED.replace(old, '<child link="turret"/><origin xyz="0 0 0.1" rpy="0 0 0.7"/>'))
+    assert_kinematics_match(load_robot(path))
+
+
+def test_no_moving_joint(tmp_path):
+    (tmp_path / "rock.urdf").write_text('<robot name="rock"><link name="base_link"/></robot>')
+    with pytest.raises(RobotFamilyError, match=r"robot 'rock' .* it has no moving joint"):
+        load_robot(tmp_path / "rock.urdf")
+
+
+def test_another_tool_frame(robot):
+    with pytest.raises(RobotFamilyError, match="frame 'gripper': it marks the end of the arm and is missing"):
+        load_robot(robot.urdf_path, tool_frame="gripper")
+
+
+def test_six_axis_arm_with_offsets_is_refused(tmp_path):
+    """Axes and offsets as of a UR5: a yaw, three parallel joints beside the plane, and two more across."""
+    joints = [
+        ("shoulder_pan", "0 0 0.089", "0 0 1"),
+        ("shoulder_lift", "0 0.136 0", "0 1 0"),
+        ("elbow", "0 -0.12 0.425", "0 1 0"),
+        ("wrist_1", "0 0 0.392", "0 1 0"),
+        ("wrist_2", "0 0.093 0", "0 0 1"),
+        ("wrist_3", "0 0 0.095", "0 1 0"),
+    ]
+    parts = ['<robot name="six_axes"><link name="base_link"/>']
+    parent = "base_link"
+    for name, xyz, axis in joints:
+        parts.append(
+            f'<joint name="{name}" type="revolute"><parent link="{parent}"/><child link="{name}_link"/>'
+            f'<origin xyz="{xyz}"/><axis xyz="{axis}"/><limit lower="-3" upper="3" velocity="3" effort="150"/></joint>'
+            f'<link name="{name}_link"><collision><geometry><sphere radius="0.1"/></geometry></collision></link>'
+        )
+        parent = f"{name}_link"
+    parts.append(
+        f'<joint name="flange" type="fixed"><parent link="{parent}"/><child link="tool0"/>'
+        '<origin xyz="0 0.08 0"/></joint><link name="tool0"/></robot>'
+    )
+    (tmp_path / "six.urdf").write_text("\n".join(parts))
+    with pytest.raises(RobotFamilyError) as caught:
+        load_robot(tmp_path / "six.urdf")
+    assert caught.value.message == (
+        "robot 'six_axes' is not a planar arm on an optional yaw: joint 'wrist_2': it is not parallel to joint "
+        "'shoulder_lift'"
+    )
+
+
+# Files that cannot be read
+
+
+def test_missing_file(tmp_path):
+    with pytest.raises(RobotFileError, match=r"robot file .*nowhere\.urdf: No such file or directory") as caught:
+        load_robot(tmp_path / "nowhere.urdf")
+    assert caught.value.path == tmp_path / "nowhere.urdf"
+    with pytest.raises(RobotFileError, match="Is a directory"):
+        load_robot(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "malformed XML: no element found: line 1"),
+        ("<robot name='a'><link></robot>", "malformed XML: mismatched tag: line 1"),
+        ("<?xml version='1.0' encoding='klingon'?><robot name='a'/>", "malformed XML: unknown encoding"),
+        ("<mujoco/>", "the root element is <mujoco>, expected <robot>"),
+        ("<robot/>", "the robot has no name"),
+        ("<robot name='a'><link/></robot>", "a <link> has no name"),
+        ("<robot name='a'><link name='b'/><joint/></robot>", "a <joint> has no name"),
+        ("<robot name='a'><link name='b'/><link name='b'/></robot>", "link 'b' is defined twice"),
+        ("<robot name='a'/>", "Pinocchio refuses it"),
+    ],
+)
+def test_text_that_is_no_urdf(tmp_path, text, message):
+    (tmp_path / "bad.urdf").write_text(text)
+    with pytest.raises(RobotFileError) as caught:
+        read_models(tmp_path / "bad.urdf")
+    assert message in caught.value.reason
+
+
+LIMIT = '<limit effort="250" velocity="1.2" lower="0" upper="1.5707963267948966"/>'
+
+FILE_FAULTS = {
+    "joint twice": (('<joint name="elbow"', '<joint name="shoulder"'), "joint 'shoulder' is defined twice"),
+    "no such link": (('<child link="hand"/>', '<child link="paw"/>'), "joint 'wrist': its child link 'paw' does not"),
+    "no parent": (('<parent link="hand"/>', ""), "its parent link None does not exist"),
+    "two parents": (('<child link="hand"/>', '<child link="forearm"/>'), "Pinocchio refuses it"),
+    "mimic": ((AXIS, f'{AXIS}<mimic joint="base_yaw"/>'), "joint 'shoulder' mimics another"),
+    "no limit": ((LIMIT, ""), "joint 'shoulder': it has no <limit>"),
+    "no effort": (('effort="250"', ""), "joint 'shoulder': <limit> has no effort"),
+    "infinite limit": (('lower="0"', 'lower="-inf"'), "lower of <limit> is '-inf', expected a finite number"),
+    "NaN limit": (('upper="1.5707963267948966"', 'upper="nan"'), "upper of <limit> is 'nan', expected a finite"),
+    "text limit": (('lower="0"', 'lower="low"'), "lower of <limit> is 'low', expected a finite number"),
+    "velocity of zero": (('velocity="1.2"', 'velocity="0"'), "'shoulder': velocity of <limit> is '0', expected"),
+    "negative effort": (('effort="250"', 'effort="-1"'), "'shoulder': effort of <limit> is '-1', expected"),
+    "negative mass": (('<mass value="6"/>', '<mass value="-6"/>'), "link 'upper_arm': value of <mass> is '-6'"),
+    "negative radius": (('<sphere radius="0.05"/>', '<sphere radius="-0.05"/>'), "radius of <sphere> is '-0.05'"),
+    "NaN radius": (('<sphere radius="0.05"/>', '<sphere radius="nan"/>'), "radius of <sphere> is 'nan'"),
+    "flat box": (collision_of_hand('<collision><geometry><box size="1 0 1"/></geometry></collision>'), "is '1 0 1'"),
+    "collision of nothing": (collision_of_hand("<collision><geometry/></collision>"), "a <collision> has no geometry"),
+    "missing mesh": (
+        collision_of_hand('<collision><geometry><mesh filename="nowhere.stl"/></geometry></collision>'),
+        "nowhere.stl could not be found",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", FILE_FAULTS)
+def test_file_faults_name_the_element(load_edited, case):
+    edit, message = FILE_FAULTS[case]
+    with pytest.raises(RobotFileError) as caught:
+        load_edited(edit)
+    assert message in caught.value.reason
+
+
+# The limits file
+
+GOOD_LIMITS = """\
+format: hplan-limits/1
+acceleration_rad_s2: {a: 1, b: 2.5}
+jerk_rad_s3: {b: 20, a: 1e1}
+"""
+
+
+def test_limits_in_the_order_of_the_joints(tmp_path):
+    path = tmp_path / "limits.yaml"
+    path.write_text(GOOD_LIMITS)
+    acceleration, jerk = read_limits(path, ("b", "a"))
+    assert acceleration.tolist() == [2.5, 1.0]
+    assert jerk.tolist() == [20.0, 10.0]
+
+
+def test_limits_from_another_file(robot, tmp_path):
+    path = tmp_path / "slow.yaml"
+    path.write_text("format: hplan-limits/1\nacceleration_rad_s2: {base_yaw: 1, shoulder: 1, elbow: 1, wrist: 1}\n")
+    slow = load_robot(robot.urdf_path, limits=path)
+    assert slow.acceleration_limit.tolist() == [1.0] * 4
+    assert slow.jerk_limit is None
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        (GOOD_LIMITS, "", "valid dictionary"),
+        (GOOD_LIMITS, "- a", "valid dictionary"),
+        ("{a: 1", "{a: ", "acceleration_rad_s2: a: "),
+        ("{a: 1", "{a: 0", "acceleration_rad_s2: a: Input should be greater than 0 (got 0)"),
+        ("{a: 1", "{a: -3", "greater than 0 (got -3)"),
+        ("{a: 1", "{a: .nan", "finite number (got nan)"),
+        ("{a: 1", "{a: .inf", "finite number (got inf)"),
+        ("{a: 1", "{a: fast", "valid number (got 'fast')"),
+        ("{a: 1", "{a: true", "valid number (got True)"),
+        ("{a: 1", "{a: '1'", "valid number (got '1')"),
+        ("{a: 1, ", "{", "acceleration_rad_s2: joints missing ['a'], unknown []"),
+        ("{a: 1", "{c: 3, a: 1", "acceleration_rad_s2: joints missing [], unknown ['c']"),
+        ("{b: 20", "{c: 20", "jerk_rad_s3: joints missing ['b'], unknown ['c']"),
+        ("{a: 1", "{a: 1, a: 9", "line 2: malformed YAML: key 'a' stands on line 2 already"),
+        ("acceleration_rad_s2: {a: 1, b: 2.5}", "", "acceleration_rad_s2: Field required"),
+        ("jerk_rad_s3", "snap", "snap: Extra inputs are not permitted"),
+        ("hplan-limits/1", "hplan-limits/2", "format is 'hplan-limits/2', expected 'hplan-limits/1'"),
+        ("{a: 1", "{a: [1", "line 2: malformed YAML"),
+        ("{a: 1", "{a: " + "[" * 5000, "nested too deeply"),
+    ],
+)
+def test_bad_limits(tmp_path, old, new, message):
+    path = tmp_path / "limits.yaml"
+    path.write_text(GOOD_LIMITS.replace(old, new))
+    with pytest.raises(RobotFileError) as caught:
+        read_limits(path, ("a", "b"))
+    assert message in caught.value.reason
+    assert caught.value.path == path
+
+
+def test_limits_file_that_cannot_be_read(tmp_path):
+    shutil.copy(urdf_dir() / "harvester.urdf", tmp_path)
+    with pytest.raises(RobotFileError, match=r"harvester\.limits\.yaml: No such file .* acceleration limits"):
+        load_robot(tmp_path / "harvester.urdf")
+    (tmp_path / "harvester.limits.yaml").write_bytes(b"\xff\xfe")
+    with pytest.raises(RobotFileError, match="not UTF-8"):
+        load_robot(tmp_path / "harvester.urdf")
+
+
+# Configurations
+
+
+def test_configuration_within_limits(robot):
+    q = robot.check_configuration([0, 1, 0.5, 0], "start")
+    assert q.tolist() == [0.0, 1.0, 0.5, 0.0]
+    assert not q.flags.writeable
+
+
+def test_configuration_a_rounding_error_outside_is_clipped(robot):
+    q = robot.check_configuration([math.pi + 1e-12, HALF_PI + 1e-10, -1e-10, 0.0], "start")
+    assert q.tolist() == [math.pi, HALF_PI, 0.0, 0.0]
+
+
+@pytest.mark.parametrize(
+    ("q", "message"),
+    [
+        ([0, 0, 0], "goal: expected 4 joint values (base_yaw, shoulder, elbow, wrist), got 3"),
+        ([], "got 0"),
+        (0.5, "got an array of shape ()"),
+        ([[0, 0], [0, 0]], "got an array of shape (2, 2)"),
+        ([[0, 0], [0]], "got [[0, 0], [0]]"),
+        (["a", "b", "c", "d"], "got ['a', 'b', 'c', 'd']"),
+        (None, "got an array of shape ()"),
+        ([0, math.nan, 0, 0], "goal: joint 'shoulder' is at nan, expected a finite number"),
+        ([0, 0, math.inf, 0], "goal: joint 'elbow' is at inf, expected a finite number"),
+    ],
+)
+def test_bad_configurations(robot, q, message):
+    with pytest.raises(InputError) as caught:
+        robot.check_configuration(q, "goal")
+    assert message in caught.value.message
+    assert caught.value.data["which"] == "goal"
+
+
+@pytest.mark.parametrize(("joint", "value"), [(0, 3.2), (1, -0.01), (3, 1.6)])
+def test_configuration_outside_the_limits(robot, joint, value):
+    q = np.zeros(4)
+    q[joint] = value
+    with pytest.raises(JointLimitError) as caught:
+        robot.check_configuration(q, "goal")
+    error = caught.value
+    assert error.joint == robot.joint_names[joint]
+    assert (error.value, error.lower, error.upper) == (value, robot.lower[joint], robot.upper[joint])
+    assert f"goal: joint {error.joint!r} is at {value} rad" in error.message

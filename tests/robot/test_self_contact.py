@@ -1,0 +1,586 @@
+"""Which parts of an arm can touch, and that C-space, distances, judge and certificate all know it; truth is coal's."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import replace
+
+import coal
+import numpy as np
+import pinocchio as pin
+import pytest
+from arm_variants import axis_points, coal_distances, load_variant, random_obstacles
+
+from hplan.base.planar_geometry import polygon_distances
+from hplan.collision.clearance_field import ClearanceField
+from hplan.collision.coal_scene import CollisionScene, sampled_occupancy
+from hplan.collision.obstacle_rows import _base_solid
+from hplan.cspace.blockers import blockers
+from hplan.cspace.occupancy import joint_grid, occupancy
+from hplan.cspace.sections import arm_sections, bodies_of, only, sections_at
+from hplan.errors import ConfigurationInCollisionError
+from hplan.planning.plan import plan
+from hplan.problem.options import PlanOptions
+from hplan.robot.model import Robot, load_robot
+from hplan.robot.self_contact import GROUND, TURRET, BaseBody, pair_rates, pair_sway, self_contact
+from hplan.robot_family.members import write_robot
+from hplan.robot_family.spec import ArmSpec
+from hplan.scene.model import Goal, Scene, Sphere, Start
+from hplan.search.grid import Grid
+from hplan.timing.trajectory import Trajectory
+from hplan.verification.certificate import certify
+
+#: A section of what carries the arm stands out by no more than this [m].
+STANDS_OUT = 2.5e-3
+
+#: Where signed distances are this near to zero, either side may call it contact [m].
+TOUCH = 1e-6
+
+
+def arm_of(folder, low, high, *, lengths=(1.0, 0.8, 0.4), widths=(0.05, 0.04, 0.03), has_yaw=True, height=0.6):
+    """A member of the family whose planar joints turn from `low` to `high` [deg], each alike or one by one."""
+    count = len(lengths)
+    low, high = (np.radians(np.broadcast_to(limit, (count,))).tolist() for limit in (low, high))
+    yaw = (math.pi,) if has_yaw else ()
+    joints = count + len(yaw)
+    spec = ArmSpec(
+        name="wide",
+        has_yaw=has_yaw,
+        link_lengths=lengths,
+        link_half_widths=widths,
+        link_masses=(4.0, 3.0, 1.0, 1.0, 1.0)[:count],
+        lower=(*(-limit for limit in yaw), *low),
+        upper=(*yaw, *high),
+        velocity=(1.5,) * joints,
+        effort=(300.0,) * joints,
+        acceleration=(3.0,) * joints,
+        jerk=(150.0,) * joints,
+        shoulder_height=height,
+    )
+    return load_robot(write_robot(spec, folder / "wide.urdf")[0])
+
+
+@pytest.fixture(scope="module")
+def wide(tmp_path_factory) -> Robot:
+    """The harvester, its planar joints free to turn by 150 deg either way."""
+    return arm_of(tmp_path_factory.mktemp("arm"), -150.0, 150.0)
+
+
+class Truth:
+    """Coal, asked without hplan: capsule links, and what carries the arm as the URDF gives it."""
+
+    def __init__(self, robot: Robot) -> None:
+        self.robot = robot
+        self.links = [
+            coal.Capsule(float(w), float(length))
+            for w, length in zip(robot.arm.half_widths, robot.arm.lengths, strict=True)
+        ]
+        self.moving = 2 if robot.has_yaw else 1
+        self.base = [g for g in robot.collision_model.geometryObjects if g.parentJoint < self.moving]
+
+    def distances(self, q):
+        """By (link, other): another link's number, or the name of a part of the base; what joins them left out."""
+        robot, data = self.robot, self.robot.model.createData()
+        pin.forwardKinematics(robot.model, data, np.asarray(q, dtype=float))
+        points = axis_points(robot, q)
+        placed = []
+        for a, b in itertools.pairwise(points):
+            turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), (b - a) / np.linalg.norm(b - a))
+            placed.append(coal.Transform3s(turn.toRotationMatrix(), 0.5 * (a + b)))
+        found = {}
+        for j, i in itertools.combinations(range(len(self.links)), 2):
+            if i - j >= 2:
+                found[i, j] = self._distance(self.links[i], placed[i], self.links[j], placed[j])
+        for shape in self.base:
+            at = data.oMi[shape.parentJoint] * shape.placement
+            name = robot.model.frames[shape.parentFrame].name
+            at = coal.Transform3s(at.rotation, at.translation)
+            shoulder = coal.Sphere(float(robot.arm.half_widths[0])), coal.Transform3s(np.eye(3), points[0])
+            carries = self._distance(*shoulder, shape.geometry, at) <= 0.0
+            for link in range(1 if carries else 0, len(self.links)):
+                found[link, name] = self._distance(self.links[link], placed[link], shape.geometry, at)
+        return found
+
+    def clearance(self, q):
+        return min(self.distances(q).values())
+
+    @staticmethod
+    def _distance(*pair):
+        return coal.distance(*pair, coal.DistanceRequest(), coal.DistanceResult())
+
+
+def random_arms(rng, folder, count):
+    """Arms of two to four links whose joints may turn far, or not so far."""
+    for _ in range(count):
+        links = int(rng.integers(2, 5))
+        low, high = -rng.uniform(0.0, 160.0, links), rng.uniform(20.0, 160.0, links)
+        lengths = tuple(rng.uniform(0.25, 1.0, links).round(3).tolist())
+        widths = tuple(np.sort(rng.uniform(0.02, 0.07, links))[::-1].round(3).tolist())
+        has_yaw, height = bool(rng.random() < 0.7), round(float(rng.uniform(0.3, 1.2)), 3)
+        yield arm_of(folder, low, high, lengths=lengths, widths=widths, has_yaw=has_yaw, height=height)
+
+
+def named_pairs(robot):
+    contact = self_contact(robot)
+    links = {(j, i) for i, j in contact.links}
+    bodies = {(k, body.name) for body in contact.bodies for k in body.links}
+    return links | bodies
+
+
+# Which pairs can touch
+
+
+def test_harvester_cannot_touch_itself(robot, scene):
+    contact = self_contact(robot)
+    assert not contact.possible
+    assert contact.links == contact.bodies == ()
+    assert CollisionScene(robot, []).pairs == []
+    assert len(ClearanceField.of(robot, []).solids) == 0
+    sections = arm_sections(robot, scene.solids)
+    assert len(sections.own_pairs) == sections.own_names == 0
+    assert sections.obstacle_names == tuple(solid.name for solid in scene.solids)
+
+
+def test_pairs_are_those_that_sampling_finds(tmp_path):
+    rng = np.random.default_rng(0)
+    seen, apart = 0, 0
+    for robot in random_arms(rng, tmp_path, 25):
+        truth, known = Truth(robot), named_pairs(robot)
+        least = {}
+        for q in rng.uniform(robot.lower, robot.upper, (300, robot.dof)):
+            for pair, distance in truth.distances(q).items():
+                least[pair] = min(distance, least.get(pair, np.inf))
+        touching = {pair for pair, distance in least.items() if distance < 0.0}
+        assert touching <= known
+        assert all(least[pair] < 0.3 for pair in known)  # 300 looks come near at least
+        seen += len(touching)
+        apart += len(least) - len(known)
+    assert seen > 30
+    assert apart > 10
+
+
+def test_limits_decide(tmp_path):
+    # Three links of 0.5 m make a triangle when both joints between turn by 120 deg.
+    lengths, widths = (0.5, 0.5, 0.5), (0.02, 0.02, 0.02)
+    free = arm_of(tmp_path, [0, -100, -100], [60, 100, 100], lengths=lengths, widths=widths)
+    assert self_contact(free).links == ()
+    folds = arm_of(tmp_path, [0, -120, -120], [60, 120, 120], lengths=lengths, widths=widths)
+    assert self_contact(folds).links == ((0, 2),)
+    assert self_contact(folds) is self_contact(folds)
+
+
+def test_what_is_held_together_is_left_out(tmp_path):
+    # The link between is shorter than the others are thick.
+    wrist = arm_of(tmp_path, [0, -30, -30], [30, 30, 30], lengths=(0.8, 0.06, 0.4), widths=(0.05, 0.04, 0.03))
+    assert self_contact(wrist).links == ()
+    longer = arm_of(tmp_path, [0, -30, -30], [30, 30, 30], lengths=(0.8, 0.09, 0.4), widths=(0.05, 0.04, 0.03))
+    assert self_contact(longer).links == ()
+    folds = arm_of(tmp_path, [0, -150, -150], [30, 150, 150], lengths=(0.8, 0.09, 0.4), widths=(0.05, 0.04, 0.03))
+    assert self_contact(folds).links == ((0, 2),)
+
+
+def test_pedestal_and_turret(wide):
+    bodies = {body.name: body for body in self_contact(wide).bodies}
+    assert bodies["base_link"].carrier == GROUND
+    assert bodies["turret"].carrier == TURRET
+    # The first link is the turret's neighbour; the tip of the second cannot come back to it.
+    assert (bodies["base_link"].links[0], bodies["turret"].links) == (0, (2,))
+
+
+def test_distances_from_polygons():
+    rng = np.random.default_rng(3)
+    square = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+    starts, ends = rng.uniform(-1.5, 2.5, (2, 500, 2))
+    t = np.linspace(0.0, 1.0, 2001)[:, None, None]
+    points = starts + t * (ends - starts)
+    for polygon in (square, square[:2], square[:1]):
+        size = polygon.max(axis=0)
+        expected = np.linalg.norm(points - np.clip(points, 0.0, size), axis=-1).min(axis=0)
+        found = polygon_distances(starts, ends, polygon)
+        assert (found <= expected + 1e-12).all()
+        np.testing.assert_allclose(found, expected, atol=2e-3)
+    assert polygon_distances(np.array([[0.4, 0.4]]), np.array([[0.6, 0.5]]), square) == [0.0]
+
+
+# C-space
+
+
+@pytest.mark.parametrize("clearance", [0.0, 0.02])
+def test_cspace_against_coal(tmp_path, clearance):
+    rng = np.random.default_rng(5)
+    contacts = 0
+    for robot in random_arms(rng, tmp_path, 8):
+        step = math.radians({2: 6.0, 3: 15.0, 4: 16.0}[robot.arm.link_count])
+        grid = joint_grid(robot.arm, step)
+        ours = occupancy(robot.arm, arm_sections(robot, [], clearance=clearance), grid).occupied.ravel()
+        truth, yaw = Truth(robot), rng.uniform(-3.0, 3.0)
+        nodes = grid.coordinates(np.stack(np.unravel_index(np.arange(grid.size), grid.shape), axis=-1))
+        known = named_pairs(robot)
+        some = rng.permutation(grid.size)[:6000]
+        for node, occupied in zip(nodes[some], ours[some], strict=True):
+            found = truth.distances([yaw, *node] if robot.has_yaw else node)
+            distance = min((d for pair, d in found.items() if pair in known), default=np.inf) - clearance
+            if distance < -TOUCH:
+                assert occupied
+                contacts += 1
+            elif distance > STANDS_OUT:
+                assert not occupied
+    assert contacts > 100
+
+
+def test_links_in_the_cspace_are_exact(wide):
+    # Pairs of links alone, by every node's distance.
+    grid = joint_grid(wide.arm, math.radians(12.0))
+    sections = arm_sections(wide, [])
+    hand = only(sections, 2, sections.obstacle_names.index("upper_arm"))
+    ours = occupancy(wide.arm, hand, grid).occupied
+    nodes = grid.coordinates(np.stack(np.unravel_index(np.arange(grid.size), grid.shape), axis=-1))
+    truth = Truth(wide)
+    theirs = np.array([truth.distances([0.0, *node])[2, 0] for node in nodes]).reshape(grid.shape)
+    clear_cut = np.abs(theirs) > TOUCH
+    np.testing.assert_array_equal(ours[clear_cut], (theirs < 0.0)[clear_cut])
+    assert 0 < ours.sum() < ours.size
+    # They lie to each other as the joints between them say, whatever the first.
+    assert (ours == ours[:1]).all()
+
+
+def segment_distances(a, b, c, d):
+    """Distances of segments a to b from segments c to d in the plane, (..., 2) points."""
+
+    def from_point(point, start, end):
+        along = end - start
+        share = np.clip(((point - start) * along).sum(axis=-1) / (along**2).sum(axis=-1), 0.0, 1.0)
+        return np.linalg.norm(point - start - share[..., None] * along, axis=-1)
+
+    def side(start, end, point):
+        u, v = end - start, point - start
+        return u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0]
+
+    least = np.minimum.reduce([from_point(a, c, d), from_point(b, c, d), from_point(c, a, b), from_point(d, a, b)])
+    crossing = (side(a, b, c) * side(a, b, d) < 0.0) & (side(c, d, a) * side(c, d, b) < 0.0)
+    return np.where(crossing, 0.0, least)
+
+
+@pytest.mark.parametrize("lengths", [(0.5, 0.6, 0.6, 0.4), (0.9, 0.5, 0.5, 0.3), (0.4, 0.8, 0.7, 0.9)])
+def test_four_links_in_the_cspace_are_exact(tmp_path, lengths):
+    """Every pair, tips along the axis of another link among them: where bounding discs are as large as they must be."""
+    robot = arm_of(
+        tmp_path, [0.0] + [-150.0] * 3, [10.0] + [150.0] * 3, lengths=lengths, widths=(0.05, 0.05, 0.05, 0.05)
+    )
+    arm = robot.arm
+    grid = Grid.over(arm.lower, arm.upper, np.radians([10.0, 6.0, 6.0, 6.0]))
+    sections = arm_sections(robot, [])
+    pairs = {(int(link), int(other)) for link, other, _ in sections.own_pairs}
+    assert pairs == {(2, 0), (3, 0), (3, 1)}
+    empty = replace(sections, own_pairs=sections.own_pairs[:0], own_radii=sections.own_radii[:0])
+    alone = occupancy(arm, empty, grid).occupied  # the base
+    points = arm.joint_points(grid.coordinates(np.stack(np.unravel_index(np.arange(grid.size), grid.shape), axis=-1)))
+    for number, (link, other) in enumerate(sections.own_pairs[:, :2].tolist()):
+        one = replace(
+            sections,
+            own_pairs=sections.own_pairs[number : number + 1],
+            own_radii=sections.own_radii[number : number + 1],
+        )
+        ours = occupancy(arm, one, grid).occupied & ~alone
+        distances = segment_distances(points[:, link], points[:, link + 1], points[:, other], points[:, other + 1])
+        apart = (distances - sections.own_radii[number]).reshape(grid.shape)
+        sure = (np.abs(apart) > TOUCH) & ~alone
+        np.testing.assert_array_equal(ours[sure], apart[sure] < 0.0)
+        assert (apart[sure] < 0.0).any()
+
+
+def test_cspace_with_obstacles_is_the_union(wide):
+    rng = np.random.default_rng(8)
+    grid = joint_grid(wide.arm, math.radians(10.0))
+    obstacles = random_obstacles(rng)
+    judge = CollisionScene(wide, obstacles)
+    for yaw, half_angle in ((0.4, 0.0), (-1.0, 0.02)):
+        ours = occupancy(wide.arm, sections_at(wide, bodies_of(obstacles), yaw, half_angle=half_angle), grid).occupied
+        theirs = sampled_occupancy(judge, grid, yaw)
+        wrong = np.argwhere(theirs & ~ours)
+        assert all(judge.distances([yaw, *grid.coordinates(node)]).min() > -TOUCH for node in wrong)
+        assert theirs.sum() <= ours.sum() <= 1.1 * theirs.sum()
+
+
+def test_own_clearance_is_the_smallest_unless_given():
+    discs = [Sphere(name="a", center=(1, 0, 1), radius=0.1), Sphere(name="b", center=(1, 0, 2), radius=0.1)]
+    assert bodies_of(discs, clearance=[0.03, 0.01]).own_clearance == 0.01
+    assert bodies_of(discs, clearance=0.02).own_clearance == 0.02
+    assert bodies_of([], clearance=np.zeros(0)).own_clearance == 0.0
+    assert bodies_of([], clearance=np.zeros(0), own_clearance=0.04).own_clearance == 0.04
+    assert bodies_of(discs, clearance=0.02, own_clearance=0.0).own_clearance == 0.0
+
+
+# Distances
+
+
+@pytest.mark.parametrize("name", ["upright on a yaw", "five links on a yaw", "tilted plane", "horizontal plane"])
+def test_clearances_of_variants(name, tmp_path):
+    robot = load_variant(name, tmp_path, touches_itself=True)
+    rng = np.random.default_rng(11)
+    obstacles = random_obstacles(rng)
+    field, truth = ClearanceField.of(robot, obstacles), Truth(robot)
+    for q in rng.uniform(robot.lower, robot.upper, (200, robot.dof)):
+        expected = coal_distances(robot, q, obstacles).min(axis=1)
+        for (link, _), distance in truth.distances(q).items():
+            expected[link] = min(expected[link], 0.5 * distance)
+        found = field.link_clearances(q)
+        apart = expected > TOUCH
+        np.testing.assert_allclose(found[apart], expected[apart], atol=1e-6, rtol=0)
+        assert (found[~apart] <= 2 * TOUCH).all()
+
+
+def test_distances_from_what_carries_the_arm(tmp_path):
+    rng = np.random.default_rng(12)
+    near = 0
+    for robot in random_arms(rng, tmp_path, 12):
+        contact = self_contact(robot)
+        field, truth = ClearanceField.of(robot, [], own_clearance=0.01), Truth(robot)
+        for q in rng.uniform(robot.lower, robot.upper, (100, robot.dof)):
+            distances = truth.distances(q)
+            lower = np.full(robot.arm.link_count, np.inf)
+            for i, j in contact.links:
+                lower[j] = min(lower[j], 0.5 * (distances[j, i] - 0.01))
+            for body in contact.bodies:
+                for link in body.links:
+                    lower[link] = min(lower[link], distances[link, body.name] - 0.01)
+            found = field.link_clearances(q)
+            # Nothing nearer than coal says is missed, and little is made up.
+            apart = lower > 0.0
+            assert (found[apart] <= lower[apart] + TOUCH).all()
+            assert (found[apart] >= lower[apart] - STANDS_OUT).all()
+            assert (found[~apart] <= TOUCH).all()
+            near += int((lower < 0.05).sum())
+    assert near > 100
+
+
+def test_near_and_only_keep_the_arm_itself(wide):
+    obstacles = random_obstacles(np.random.default_rng(2))
+    field = ClearanceField.of(wide, obstacles)
+    folded = np.radians([0.0, 20.0, 150.0, 120.0])
+    alone = ClearanceField.of(wide, []).link_clearances(folded)
+    assert alone.min() < 0.0
+    none = field.only(np.zeros(len(obstacles), dtype=bool))
+    np.testing.assert_array_equal(none.link_clearances(folded), alone)
+    near = field.near([folded, folded], 0.01)
+    assert (near.owner == -1).any()
+    assert near.link_clearances(folded).min() <= alone.min()
+
+
+def test_what_is_shown_clear_is_clear(wide):
+    rng = np.random.default_rng(13)
+    field, truth = ClearanceField.of(wide, []), Truth(wide)
+    shown = refused = 0
+    for start in rng.uniform(wide.lower, wide.upper, (150, 4)):
+        end = np.clip(start + rng.uniform(-1.2, 1.2, 4), wide.lower, wide.upper)
+        least = min(truth.clearance(start + t * (end - start)) for t in np.linspace(0.0, 1.0, 60))
+        if field.is_clear([start, end], 1e-3):
+            assert least > 0.0
+            shown += 1
+        else:
+            assert least < 5e-3
+            refused += 1
+    assert shown > 30
+    assert refused > 30
+
+
+# Judge
+
+
+def test_judge_against_coal(tmp_path):
+    rng = np.random.default_rng(21)
+    contacts = 0
+    for robot in random_arms(rng, tmp_path, 10):
+        obstacles = [Sphere(name="turret", center=(2.0, 0.5, 1.0), radius=0.2)]  # a name that the arm has too
+        judge, truth, known = CollisionScene(robot, obstacles), Truth(robot), named_pairs(robot)
+        assert judge.own_first == 1
+        urdf = CollisionScene(robot, obstacles, links="urdf")
+        configurations = rng.uniform(robot.lower, robot.upper, (40, robot.dof))
+        for q, touching in zip(configurations, judge.in_collision(configurations), strict=True):
+            table = judge.distances(q)
+            assert table.shape == (robot.arm.link_count, len(judge.obstacle_names))
+            expected = np.full(table.shape, np.inf)
+            expected[:, 0] = coal_distances(robot, q, obstacles)[:, 0]
+            for (link, other), distance in truth.distances(q).items():
+                if (link, other) in known:
+                    name = other if isinstance(other, str) else robot.arm.link_names[other]
+                    expected[link, 1 + judge.obstacle_names[1:].index(name)] = distance
+            apart = expected > 0.0  # depths are coal's by iteration, and depend on who comes first
+            np.testing.assert_allclose(table[apart], expected[apart], atol=1e-5)
+            np.testing.assert_allclose(table[~apart], expected[~apart], atol=1e-3)
+            np.testing.assert_allclose(urdf.distances(q).clip(min=0.0), expected.clip(min=0.0), atol=1e-5)
+            assert touching == (table.min() <= 0.0) or abs(table.min()) < 1e-5
+            contacts += int(table[:, 1:].min(initial=np.inf) < 0.0)
+            nearest = judge.nearest(q)
+            assert nearest.distance_m == pytest.approx(table.min(), abs=1e-5 if table.min() > 0.0 else 1e-3)
+    assert contacts > 20
+
+
+def test_a_fruit_of_a_links_name_may_be_touched_the_link_not(wide):
+    judge = CollisionScene(wide, [Sphere(name="upper_arm", center=(2.0, 0.0, 1.0), radius=0.05)]).touching("upper_arm")
+    table = judge.distances(np.zeros(4))
+    column = judge.obstacle_names.index("upper_arm", 1)
+    assert table[2, 0] == np.inf
+    assert table[2, column] == pytest.approx(0.8 - 0.08)
+
+
+# Bounds on motion, as seen from another part
+
+
+@pytest.mark.parametrize("has_yaw", [True, False])
+def test_bounds_hold_what_points_do(tmp_path, has_yaw):
+    robot = arm_of(tmp_path, -150, 150, lengths=(0.6, 0.5, 0.4, 0.3), widths=(0.04,) * 4, has_yaw=has_yaw)
+    rng, arm = np.random.default_rng(31), robot.arm
+    for _ in range(60):
+        start, turn = rng.uniform(-1.0, 1.0, (2, robot.dof))
+        for other, link in [*itertools.combinations(range(4), 2), *((TURRET, k) for k in range(4))]:
+            speed = pair_rates(robot, link, other, turn[None, None])[0]
+            sway = pair_sway(robot, link, other, float(np.abs(turn).max()))
+            assert speed <= sway + 1e-12
+            seen = [from_link(arm, q[robot.arm_slice], other, link) for q in (start, start + 1e-6 * turn)]
+            assert np.linalg.norm(seen[1] - seen[0], axis=-1).max() <= 1e-6 * speed * (1 + 1e-5) + 1e-12
+        for link in range(4):
+            speed = pair_rates(robot, link, GROUND, turn[None, None])[0]
+            seen = [axis_points(robot, q)[link : link + 2] for q in (start, start + 1e-6 * turn)]
+            assert np.linalg.norm(seen[1] - seen[0], axis=-1).max() <= 1e-6 * speed * (1 + 1e-5) + 1e-12
+            assert speed <= pair_sway(robot, link, GROUND, float(np.abs(turn).max())) + 1e-12
+
+
+def from_link(arm, q, other, link):
+    """Ends of a link in the frame of another, or in the plane."""
+    points = arm.joint_points(q)
+    ends = points[link : link + 2]
+    if other == TURRET:
+        return ends
+    along = (points[other + 1] - points[other]) / arm.lengths[other]
+    return (ends - points[other]) @ np.array([along, [-along[1], along[0]]]).T
+
+
+# Certificate
+
+
+def quintic(robot, start, end, duration=6.0, count=401):
+    t = np.linspace(0.0, 1.0, count)[:, None]
+    s, ds, dds = 10 * t**3 - 15 * t**4 + 6 * t**5, 30 * t**2 * (1 - t) ** 2, 60 * t * (1 - t) * (1 - 2 * t)
+    turn = np.asarray(end) - np.asarray(start)
+    return Trajectory(
+        joint_names=robot.joint_names,
+        time=duration * t[:, 0],
+        position=start + s * turn,
+        velocity=ds / duration * turn,
+        acceleration=dds / duration**2 * turn,
+        torque=np.zeros((count, robot.dof)),
+    )
+
+
+def bare(scene_clearance=0.0, obstacles=(), start=None, goal=None, **more):
+    return Scene(
+        name="bare",
+        start=Start(joints_deg=start or (0.0,) * 4),
+        goal=Goal(joints_deg=goal or (0.0,) * 4),
+        obstacles=tuple(obstacles),
+        clearance=scene_clearance,
+        **more,
+    )
+
+
+def clearance_is_shown(certificate):
+    return not any("comes to" in violation for violation in certificate.violations)
+
+
+def test_certificates_are_as_dense_sampling_says(tmp_path):
+    rng = np.random.default_rng(41)
+    shown = refused = 0
+    for robot in random_arms(rng, tmp_path, 14):
+        truth, known = Truth(robot), named_pairs(robot)
+        if not known:
+            continue
+        scene = bare()
+        for start in rng.uniform(robot.lower, robot.upper, (5, robot.dof)):
+            end = rng.uniform(robot.lower, robot.upper)
+            trajectory = quintic(robot, start, end)
+            least = min(
+                distance
+                for q in trajectory.position[::4]
+                for pair, distance in truth.distances(q).items()
+                if pair in known
+            )
+            certificate = certify(robot, scene, trajectory, check_ends=False)
+            if clearance_is_shown(certificate):
+                assert least >= certificate.min_clearance_m > 0.0
+                shown += 1
+            else:
+                assert least < 1e-3
+                assert certificate.min_clearance_m <= least + 1e-9 or certificate.min_clearance_m < 1e-4
+                refused += 1
+    assert shown > 15
+    assert refused > 15
+
+
+def test_a_fold_is_refused_and_named(wide):
+    start, end = np.zeros(4), np.radians([0.0, 60.0, 150.0, 120.0])
+    certificate = certify(wide, bare(), quintic(wide, start, end), check_ends=False)
+    assert not certificate.verified
+    (violation,) = [violation for violation in certificate.violations if "comes to" in violation]
+    assert "link 'hand' comes to" in violation
+    assert "of link 'upper_arm'" in violation
+    assert (certificate.nearest.link, certificate.nearest.obstacle) == ("hand", "upper_arm")
+    # Not as far, and it is shown; the yaw takes nothing from what links have to spare, the tracking error does.
+    nearly = np.radians([90.0, 0.0, 120.0, 100.0])
+    spare = Truth(wide).clearance(nearly)
+    assert 0.02 < spare < 0.2
+    for clearance, tracking_error, expected in ((0.0, 0.0, True), (spare + 1e-3, 0.0, False), (0.0, 0.2, False)):
+        certificate = certify(
+            wide, bare(clearance), quintic(wide, start, nearly), tracking_error=tracking_error, check_ends=False
+        )
+        assert clearance_is_shown(certificate) == expected
+
+
+# Planning
+
+
+def test_folded_start_is_refused_by_name(wide):
+    scene = bare(start=(0.0, 20.0, 150.0, 120.0), locked_joints=("base_yaw",))
+    with pytest.raises(ConfigurationInCollisionError, match="mm deep in link 'upper_arm'") as caught:
+        plan(wide, scene)
+    assert caught.value.link == "hand"
+    assert caught.value.obstacle == "upper_arm"
+    depth = -CollisionScene(wide, []).distances(np.radians(scene.start.joints_deg)).min()
+    assert caught.value.depth_m == pytest.approx(depth)
+
+
+@pytest.mark.parametrize("locked", [("base_yaw",), ()])
+@pytest.mark.parametrize(
+    ("start", "goal"),
+    [
+        ((-34.0, -33.0, -101.0, 106.0), (-34.0, 5.0, -109.0, -124.0)),
+        ((96.0, 125.0, 108.0, 137.0), (96.0, 12.0, 148.0, 61.0)),
+    ],
+)
+def test_an_arm_goes_around_itself(tmp_path, start, goal, locked):
+    robot = arm_of(tmp_path, [-60, -160, -160], [150, 160, 160], lengths=(0.7, 0.6, 0.5))
+    truth = Truth(robot)
+    assert min(truth.clearance(q) for q in np.linspace(np.radians(start), np.radians(goal), 100)) < -0.01
+    result = plan(robot, bare(start=start, goal=goal, locked_joints=locked), PlanOptions(step_deg=5.0))
+    assert result.certificate.verified
+    assert min(truth.clearance(q) for q in result.trajectory.position[::5]) >= result.certificate.min_clearance_m > 0.0
+
+
+def test_blockers_name_links(wide):
+    sections = arm_sections(wide, [])
+    grid = joint_grid(wide.arm, math.radians(15.0))
+    space = occupancy(wide.arm, sections, grid)
+    found = blockers(wide.arm, sections, grid, ~space.occupied)
+    assert ("hand", "upper_arm") in {(item["link"], item["obstacle"]) for item in found}
+
+
+def test_parts_of_the_base_as_solids() -> None:
+    """A point, a line, a plate and a body of the base, each as far away as its core says."""
+    corners = np.array([[0.3, 0.2, 0.1], [0.5, 0.2, 0.1], [0.5, 0.4, 0.1], [0.3, 0.4, 0.6]])
+    for count in range(1, 5):
+        solid = _base_solid(BaseBody("part", 0, TURRET, corners[:count], 0.04, (0, 1)))
+        assert solid.rounding == pytest.approx(0.04)
+        assert {tuple(corner) for corner in np.round(corners[:count], 6).tolist()} <= {
+            tuple(point) for point in np.round(solid.core, 4).tolist()
+        }

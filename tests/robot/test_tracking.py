@@ -1,0 +1,285 @@
+"""The model of tracking errors: its values, and the proof under it against deviations drawn inside it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from hplan.collision.coal_scene import CollisionScene
+from hplan.errors import BlockedError, CertificationError, NoPathError, OptionError
+from hplan.planning.plan import plan
+from hplan.problem.options import PlanOptions
+from hplan.robot.model import Robot
+from hplan.robot.tracking import SHARE_ERROR, TrackingModel, largest_share
+from hplan.scene.model import Box, Capsule, Fruit, Goal, Scene, Solid, Sphere, Start
+from hplan.timing.trajectory import Trajectory
+from hplan.verification.certificate import Certificate, certify
+from hplan.verification.clearance_proof import prove_clearance
+
+STILL, DELAY = 0.004, 0.02
+
+
+def trajectory_of(robot: Robot, time: np.ndarray, position: np.ndarray, velocity: np.ndarray) -> Trajectory:
+    zero = np.zeros_like(position)
+    return Trajectory(robot.joint_names, time, position, velocity, zero, zero)
+
+
+def swinging(robot: Robot, start: np.ndarray, end: np.ndarray, rng: np.random.Generator, rows: int = 15) -> Trajectory:
+    """Between two configurations, every joint at a velocity of its own that changes much from row to row."""
+    time = np.cumsum(np.append(0.0, rng.uniform(0.01, 0.1, rows - 1)))
+    share = (time / time[-1])[:, None]
+    position = start + (end - start) * share * share * (3.0 - 2.0 * share)
+    return trajectory_of(robot, time, position, np.gradient(position, time, axis=0) * rng.uniform(0.2, 1.8, (rows, 1)))
+
+
+def sampled(trajectory: Trajectory, per_piece: int) -> tuple[np.ndarray, np.ndarray]:
+    """Position and velocity of the cubics through the rows, densely."""
+    h = np.diff(trajectory.time)[:, None, None]
+    t = np.linspace(0.0, 1.0, per_piece)[:, None]
+    q, v = trajectory.position[:, None], trajectory.velocity[:, None]
+    a, b, m, n = q[:-1], q[1:], h * v[:-1], h * v[1:]
+    position = a + t * m + t**2 * (3 * (b - a) - 2 * m - n) + t**3 * (2 * (a - b) + m + n)
+    velocity = (m + 2 * t * (3 * (b - a) - 2 * m - n) + 3 * t**2 * (2 * (a - b) + m + n)) / h
+    return position.reshape(-1, q.shape[-1]), velocity.reshape(-1, q.shape[-1])
+
+
+def cluttered(rng: np.random.Generator) -> list[Solid]:
+    """A few obstacles within reach."""
+    solids: list[Solid] = []
+    for number in range(4):
+        x, y, z = rng.uniform([0.4, -0.8, 0.4], [2.0, 1.2, 2.2])
+        if number % 3 == 0:
+            solids.append(Sphere(name=f"o{number}", center=(x, y, z), radius=0.1))
+        elif number % 3 == 1:
+            solids.append(Capsule(name=f"o{number}", start=(x, y, z), end=(x + 0.3, y, z - 0.2), radius=0.05))
+        else:
+            solids.append(Box(name=f"o{number}", center=(x, y, z), size=(0.2, 0.1, 0.3), rpy_deg=(20, 40, 60)))
+    return solids
+
+
+def keeps_clear(certificate: Certificate) -> bool:
+    """Whether clearance is shown, whatever the limits say."""
+    return not any(violation.startswith("link") for violation in certificate.violations)
+
+
+def test_deviations_grow_with_speed() -> None:
+    model = TrackingModel(0.01, 0.003)
+    np.testing.assert_allclose(model.deviations([[0.0, -2.0], [1.0, 0.5]]), [[0.01, 0.016], [0.013, 0.0115]])
+    assert TrackingModel().is_exact
+    assert not TrackingModel(delay_s=1e-3).is_exact
+    assert not TrackingModel(1e-3).is_exact
+    assert model.scaled(0.5) == TrackingModel(0.005, 0.0015)
+
+
+@pytest.mark.parametrize("value", [-1e-9, math.nan, math.inf, None, "1"])
+@pytest.mark.parametrize(("field", "option"), [("still_rad", "tracking_error"), ("delay_s", "tracking_delay_s")])
+def test_values_that_are_no_deviation(value: object, field: str, option: str) -> None:
+    with pytest.raises(OptionError) as error:
+        TrackingModel(**{field: value})  # type: ignore[arg-type]
+    assert error.value.data["option"] == option
+    with pytest.raises(OptionError):
+        PlanOptions(**{option: value})  # type: ignore[arg-type]
+
+
+def test_what_is_not_certified_needs_no_room() -> None:
+    assert PlanOptions(tracking_error=0.1, tracking_delay_s=0.01).tracking == TrackingModel(0.1, 0.01)
+    assert PlanOptions(tracking_error=0.1, tracking_delay_s=0.01, certify=False).tracking.is_exact
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_no_deviation_inside_the_model_comes_nearer_than_certified(robot: Robot, scene: Scene, seed: int) -> None:
+    """Every joint off by as much as the model allows at its speed, either way, or by less, at dense instants."""
+    rng = np.random.default_rng(seed)
+    shown = 0
+    while shown < 4:
+        around = scene.with_obstacles(cluttered(rng))
+        judge = CollisionScene(robot, around.solids)
+        start, end = rng.uniform(robot.lower, robot.upper, (2, robot.dof))
+        start[0], end[0] = rng.uniform(-0.5, 0.5, 2)
+        trajectory = swinging(robot, start, end, rng)
+        certificate = certify(robot, around, trajectory, tracking_error=STILL, tracking_delay_s=DELAY, judge=judge)
+        if not keeps_clear(certificate) or certificate.min_clearance_m > 0.1:
+            continue
+        shown += 1
+        position, velocity = sampled(trajectory, 12)
+        off = TrackingModel(STILL, DELAY).deviations(velocity)
+        nearest = math.inf
+        for q, most in zip(position, off, strict=True):
+            for sign in (*rng.choice([-1.0, 1.0], (6, robot.dof)), *rng.uniform(-1.0, 1.0, (2, robot.dof))):
+                nearest = min(nearest, judge.distances(q + sign * most).min())
+        assert nearest >= certificate.min_clearance_m
+
+
+def stretched(robot: Robot, shoulder: np.ndarray, speed: np.ndarray, step: float) -> Trajectory:
+    """The stretched arm, the shoulder alone moving, in rows `step` apart [s]."""
+    position, velocity = np.zeros((2, len(shoulder), robot.dof))
+    position[:, 1], velocity[:, 1] = shoulder, speed
+    return trajectory_of(robot, step * np.arange(len(shoulder)), position, velocity)
+
+
+def beside_the_tip(robot: Robot, joint: int, gap: float) -> Sphere:
+    """A ball `gap` from the tip of the arm stretched out level, where a joint's turn would take the tip."""
+    tip = robot.tool_positions(np.zeros(4))
+    turn = robot.tool_positions(1e-6 * np.eye(4)[joint]) - tip
+    out = (robot.arm.half_widths[-1] + 0.02 + gap) * turn / np.linalg.norm(turn)
+    return Sphere(name="bead", center=tuple((tip + out).tolist()), radius=0.02)
+
+
+@pytest.mark.parametrize("joint", range(4))
+@pytest.mark.parametrize("still", [0.0, 0.002])
+def test_sway_is_as_large_as_it_has_to_be(robot: Robot, scene: Scene, joint: int, still: float) -> None:
+    """One joint leaves an obstacle at a constant speed: refused where a deviation would touch it, and only there."""
+    levers = np.array([2.2, 2.2, 1.2, 0.4])  # of the tip about the joints
+    speed, delay = 0.5, 0.01
+    level, upright = still * levers[0], still * levers[1:].sum()
+    reached = delay * speed * levers[joint] + (level if joint == 0 else upright)
+    never_both = upright if joint == 0 else level
+    velocity = np.tile(-speed * np.eye(4)[joint], (2, 1))
+    trajectory = trajectory_of(robot, np.array([0.0, 0.004]), np.array([[0.0], [0.004]]) * velocity, velocity)
+    for gap, shown in ((0.98 * reached, False), (1.02 * (reached + never_both), True)):
+        around = scene.with_obstacles([beside_the_tip(robot, joint, gap)])
+        certificate = certify(robot, around, trajectory, tracking_error=still, tracking_delay_s=delay)
+        assert keeps_clear(certificate) == shown
+
+
+def test_jerks_on_the_spot_count_by_their_speed(robot: Robot, scene: Scene) -> None:
+    """Jerky motions with hardly any travel, their sway rising and falling from row to row, a ball a little farther."""
+    rng = np.random.default_rng(5)
+    closest, refused, touching = math.inf, 0, 0
+    for _ in range(400):
+        still = rng.random(12) < 0.6
+        speed = np.where(still, 0.0, rng.uniform(-0.4, 0.4, 12))
+        place = np.cumsum(np.where(rng.random(12) < 0.7, 0.0, rng.uniform(-5e-4, 2e-4, 12)))
+        step = rng.choice([2e-3, 0.02])
+        gap, delay = rng.uniform(0.002, 0.05), 0.03
+        trajectory = stretched(robot, place, speed, step)
+        around = scene.with_obstacles([beside_the_tip(robot, 1, gap)])
+        judge = CollisionScene(robot, around.solids)
+        certificate = certify(robot, around, trajectory, tracking_delay_s=delay, rest_to_rest=False, judge=judge)
+        position, velocity = sampled(trajectory, 9)
+        nearest = min(judge.distances(q).min() for q in position + delay * np.abs(velocity))
+        touching += nearest <= 0.0
+        if keeps_clear(certificate):
+            assert nearest >= certificate.min_clearance_m
+            closest = min(closest, nearest)
+        else:
+            refused += 1
+    assert touching > 100
+    assert refused < 300
+    assert closest < 2e-3
+
+
+def test_bound_of_pieces_is_not_looser_than_that_of_the_largest_speed(robot: Robot, scene: Scene) -> None:
+    rng = np.random.default_rng(1)
+    better = constant_shown = 0
+    for _ in range(40):
+        around = scene.with_obstacles(cluttered(rng))
+        judge = CollisionScene(robot, around.solids)
+        start, end = rng.uniform(robot.lower, robot.upper, (2, robot.dof))
+        trajectory = swinging(robot, start, end, rng)
+        fastest = np.abs(sampled(trajectory, 12)[1]).max()
+        by_pieces = certify(robot, around, trajectory, tracking_delay_s=DELAY, judge=judge)
+        constant = certify(robot, around, trajectory, tracking_error=DELAY * fastest, judge=judge)
+        constant_shown += keeps_clear(constant)
+        assert keeps_clear(by_pieces) or not keeps_clear(constant)
+        better += keeps_clear(by_pieces) and not keeps_clear(constant)
+    assert constant_shown > 3
+    assert better > 3
+
+
+def test_deviations_that_do_not_change_are_one_for_all_pieces(robot: Robot, scene: Scene) -> None:
+    """To the last bit."""
+    rng = np.random.default_rng(2)
+    bezier = rng.uniform(0.1, 0.3, (9, 4, robot.dof)).cumsum(axis=1)
+    judge = CollisionScene(robot, scene.solids)
+    each = rng.uniform(0.0, 1e-3, (1, robot.dof))
+    one = prove_clearance(robot, bezier, judge, each, 0.0)
+    assert prove_clearance(robot, bezier, judge, np.repeat(each, len(bezier), axis=0), 0.0) == one
+
+
+def test_the_upper_arm_keeps_what_it_may_sway_itself(robot: Robot) -> None:
+    """A ball 60 mm beside the upper arm: that sways 35 mm with 1 deg a joint, the tool 105 mm, and nowhere near it."""
+    along = math.radians(57.0)
+    center = 0.5 * math.cos(along), 0.16, 0.6 + 0.5 * math.sin(along)
+    scene = Scene(
+        name="ball beside the upper arm",
+        start=Start(joints_deg=(0.0, 30.0, 90.0, 0.0)),
+        goal=Goal(joints_deg=(0.0, 85.0, 90.0, 0.0)),
+        locked_joints=("base_yaw",),
+        obstacles=(Sphere(name="ball", center=center, radius=0.03),),
+    )
+    result = plan(robot, scene, PlanOptions(tracking_error=math.radians(1.0)))
+    assert result.certificate.verified
+    assert result.certificate.min_clearance_m > 0.02
+
+
+def test_refusal_of_all_grasps_names_the_largest_error(robot: Robot) -> None:
+    """True: with 99 % of it the fruit is not blocked, and is picked; with 101 % it is blocked."""
+    twigs = [Sphere(name=f"twig {i}", center=(1.6, side, 1.43), radius=0.05) for i, side in enumerate((-0.09, 0.09))]
+    scene = Scene(
+        name="between twigs",
+        start=Start(joints_deg=(60.0, 30.0, 20.0, 20.0)),
+        goal=Goal(fruit="apple"),
+        obstacles=tuple(twigs),
+        fruits=(Fruit(name="apple", center=(1.6, 0.0, 1.5), radius=0.03),),
+    )
+    with pytest.raises(BlockedError) as refused:
+        plan(robot, scene, PlanOptions(tracking_error=math.radians(1.0)))
+    facts = refused.value.data
+    assert facts["tracking_error_deg"] == pytest.approx(1.0)
+    largest = math.radians(facts["largest_tracking_error_deg"])
+    assert f"would do is up to {facts['largest_tracking_error_deg']:.4g} deg" in refused.value.message
+    assert plan(robot, scene, PlanOptions(tracking_error=0.99 * largest)).certificate.verified
+    with pytest.raises(BlockedError):
+        plan(robot, scene, PlanOptions(tracking_error=1.01 * largest))
+    wall = Box(name="wall", center=(1.6, 0.0, 1.43), size=(1.0, 1.0, 0.05))
+    with pytest.raises(BlockedError) as closed:
+        plan(robot, scene.with_obstacles([wall]), PlanOptions(tracking_error=math.radians(1.0)))
+    assert "tracking_error_deg" not in closed.value.data
+
+
+def turning_above_a_bead(gap: float) -> Scene:
+    """Only the base turns, the tip of the arm a little above a ball half way."""
+    tip = (2.2 * math.cos(math.radians(30.0)), 2.2 * math.sin(math.radians(30.0)), 0.6)
+    center = (tip[0], tip[1], tip[2] - 0.03 - 0.02 - gap)
+    return Scene(
+        name="above a bead",
+        start=Start(joints_deg=(0.0, 0.0, 0.0, 0.0)),
+        goal=Goal(joints_deg=(60.0, 0.0, 0.0, 0.0)),
+        locked_joints=("shoulder", "elbow", "wrist"),
+        obstacles=(Sphere(name="bead", center=center, radius=0.02),),
+    )
+
+
+@pytest.mark.parametrize("delay_s", [0.0, 0.01])
+def test_refusal_of_a_motion_names_what_there_is_room_for(robot: Robot, delay_s: float) -> None:
+    """True: the motion found without an error is certified with that much, and not with a little more."""
+    gap = 0.02
+    scene, error = turning_above_a_bead(gap), math.radians(1.0)
+    with pytest.raises((NoPathError, CertificationError)) as refused:
+        plan(robot, scene, PlanOptions(tracking_error=error, tracking_delay_s=delay_s))
+    facts, motion = refused.value.data, plan(robot, scene).trajectory
+    assert (facts["tracking_error_deg"], facts["tracking_delay_ms"]) == (pytest.approx(1.0), 1e3 * delay_s)
+    assert "has room for up to" in refused.value.message
+    share = facts["largest_tracking_error_deg"]
+    assert facts["largest_tracking_delay_ms"] == pytest.approx(share * 1e3 * delay_s)
+    for factor, shown in ((0.999, True), (1.01, False)):
+        asked = {"tracking_error": factor * share * error, "tracking_delay_s": factor * share * delay_s}
+        assert certify(robot, scene, motion, **asked).verified == shown
+    if delay_s == 0.0:
+        assert robot.sway(share * error)[-1] == pytest.approx(gap, rel=0.01)
+
+
+def test_what_is_refused_anyway_names_no_error(robot: Robot) -> None:
+    with pytest.raises((NoPathError, CertificationError)) as refused:
+        plan(robot, turning_above_a_bead(-0.01), PlanOptions(tracking_error=1e-3))
+    assert "tracking_error_deg" not in refused.value.data
+
+
+def test_largest_share() -> None:
+    assert largest_share(lambda share: False) == 0.0
+    for true in (0.003, 0.31, 0.9999):
+        found = largest_share(lambda share, true=true: share <= true)  # type: ignore[misc]
+        assert true - SHARE_ERROR <= found <= true

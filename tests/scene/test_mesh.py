@@ -1,0 +1,209 @@
+"""Meshes in a scene: files, faults, placement, what the arm must keep clear of."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from shapes import crate, torus, uncovered
+
+from hplan.errors import SceneError
+from hplan.scene.file import dump_scene, load_scene, parse_scene, save_scene
+from hplan.scene.model import Box, Goal, Mesh, PointCloud, Scene, Start
+from hplan.scene.shape_data import MOST_TRIANGLES, Surface, write_shape
+
+HEAD = "format: hplan-scene/1\nname: a\nstart: {joints_deg: [0]}\ngoal: {joints_deg: [1]}\nobstacles:\n"
+BLOCK = Box(name="block", center=(0.5, 1.0, 1.5), size=(1.0, 2.0, 3.0))
+FACES = np.array(
+    [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4],
+     [1, 5, 7], [1, 7, 3]]
+)  # fmt: skip
+
+
+def a_scene(*obstacles, **changes) -> Scene:
+    return Scene(name="a", start=Start(joints_deg=(0,)), goal=Goal(joints_deg=(1,)), obstacles=obstacles, **changes)
+
+
+def export(kind: str, folder: Path, vertices=None, faces=None) -> Path:
+    import trimesh
+
+    vertices, faces = torus(n=12) if vertices is None else (vertices, faces)
+    path = folder / f"shape-{kind.replace(' ', '-')}.{kind.split()[-1]}"
+    options = {"encoding": "ascii"} if kind.startswith("ascii ply") else {}
+    if kind == "ascii stl":
+        options = {"file_type": "stl_ascii"}
+    trimesh.Trimesh(vertices, faces, process=False).export(path, **options)
+    return path
+
+
+@pytest.mark.parametrize("kind", ["stl", "ascii stl", "ply", "ascii ply", "obj", "off"])
+def test_formats(kind, tmp_path):
+    path = export(kind, tmp_path)
+    (tmp_path / "scene.yaml").write_text(HEAD + f"- {{name: ring, kind: mesh, file: {path.name}}}\n")
+    (mesh,) = load_scene(tmp_path / "scene.yaml").obstacles
+    vertices, faces = mesh.surface
+    expected, _ = torus(n=12)
+    assert (vertices.shape, faces.shape) == (expected.shape, (288, 3))
+    order, theirs = np.lexsort(vertices.round(5).T), np.lexsort(expected.round(5).T)
+    np.testing.assert_allclose(vertices[order], expected[theirs], atol=1e-6)
+    assert {solid.name for solid in mesh.solids} == {"ring"}
+
+
+def test_placement():
+    pose = {"position": (1.0, 2.0, 3.0), "rpy_deg": (10.0, 20.0, 30.0)}
+    rest = Mesh.of("m", 1000.0 * BLOCK.core, FACES, scale=1e-3, sigma=0.02, **pose)
+    (hull,) = rest.solids
+    turn = Box(name="b", center=(0, 0, 0), size=(1, 1, 1), rpy_deg=pose["rpy_deg"]).rotation
+    expected = BLOCK.core @ turn.T + pose["position"]
+    np.testing.assert_allclose(np.sort(hull.core.round(9), axis=0), np.sort(expected.round(9), axis=0), atol=1e-9)
+    vertices, faces = rest.surface
+    np.testing.assert_allclose(np.sort(vertices, axis=0), np.sort(expected, axis=0), atol=1e-9)
+    assert faces.shape == FACES.shape
+    assert (hull.sigma, hull.rounding, hull.loose, rest.excess) == (0.02, 0.0, False, 0.0)
+    assert not hull.core.flags.writeable
+
+
+def test_solids_hold_the_mesh():
+    mesh = Mesh.of("crate", *crate(), position=(1, 0, 0), rpy_deg=(0, 0, 45))
+    assert len(mesh.solids) == 5
+    assert uncovered(mesh.solids, mesh.surface[0]) <= 1e-6
+
+
+def test_pieces_are_cut_once(monkeypatch):
+    calls = []
+    from hplan.scene import shape_data
+
+    cut = shape_data.convex_pieces
+    monkeypatch.setattr(shape_data, "convex_pieces", lambda *given: (calls.append(1), cut(*given))[1])
+    mesh = Mesh.of("crate", *crate())
+    scene = a_scene(mesh)
+    assert scene.solids[0] is scene.solids[0] is scene.with_obstacles([mesh]).solids[0]
+    moved = mesh.model_copy(update={"position": (1.0, 0.0, 0.0), "name": "other"})
+    assert moved.solids[0].name == "other"
+    np.testing.assert_allclose(moved.solids[0].core, mesh.solids[0].core + np.array([1, 0, 0]))
+    assert len(calls) == 1
+    larger = mesh.model_copy(update={"scale": 2.0})
+    np.testing.assert_allclose(np.vstack([s.core for s in larger.solids]).max(axis=0), [0.5, 0.4, 0.6])
+    assert len(calls) == 2
+
+
+def faulty():
+    vertices, faces = torus(n=8)
+    nan = vertices.copy()
+    nan[3, 1] = np.nan
+    turned = faces.copy()
+    turned[5] = turned[5, ::-1]
+    flat = BLOCK.core * [1, 1, 0]
+    return {
+        "open": (vertices, faces[1:], "the mesh is open: 3 edges"),
+        "inside out": (vertices, faces[:, ::-1], "inside out: its volume is -.*flip its faces"),
+        "not a number": (nan, faces, r"1 of 64 vertices are not finite; the first is number 3"),
+        "turned": (vertices, turned, "not turned alike: at 3 edges"),
+        "flat": (flat, FACES, "the mesh is flat"),
+        "all but flat": (BLOCK.core * [1, 1, 1e-7], FACES, "the mesh is flat"),
+        "no triangles": (vertices, np.zeros((0, 3), dtype=int), "the mesh is empty"),
+        "no vertices": (np.zeros((0, 3)), faces, "there are no vertices"),
+        "all one": (np.zeros((64, 3)), faces, "the mesh is empty: all of its triangles are points or lines"),
+        "beyond": (vertices, faces + 1, "names vertex 64, but there are 64"),
+        "before": (vertices, faces - 1, "names vertex"),
+        "fractions": (vertices, faces.astype(float), "whole numbers"),
+        "shape": (vertices[:, :2], faces, r"\(n, 3\)"),
+        "text": ([["a", "b", "c"]], faces, r"\(n, 3\) numbers"),
+        "far": (vertices * 1e9, faces, "expected metres"),
+        "small": (vertices * 1e-9, faces, "m across; expected 0.1 mm"),
+        "huge": (vertices, np.zeros((MOST_TRIANGLES + 1, 3), dtype=int), "simplify it"),
+    }
+
+
+@pytest.mark.parametrize("name", faulty())
+def test_faulty_arrays(name):
+    vertices, faces, message = faulty()[name]
+    with pytest.raises(SceneError, match=message) as caught:
+        Mesh.of("ring", vertices, faces)
+    assert caught.value.where == "ring" or "m across" in caught.value.reason
+
+
+@pytest.mark.parametrize("name", ["open", "inside out", "flat"])
+@pytest.mark.parametrize("kind", ["stl", "ply"])
+def test_faulty_files(name, kind, tmp_path):
+    vertices, faces, message = faulty()[name]
+    path = export(kind, tmp_path, vertices, faces)
+    text = HEAD + f"- name: ring\n  kind: mesh\n  file: {path.name}\n"
+    with pytest.raises(SceneError, match=message) as caught:
+        parse_scene(text, path=tmp_path / "scene.yaml")
+    assert (caught.value.line, caught.value.where) == (8, "obstacles[0].file")
+    assert caught.value.path == tmp_path / "scene.yaml"
+
+
+@pytest.mark.parametrize(
+    ("entry", "content", "where", "message"),
+    [
+        ("file: no.stl", None, "file", "cannot read .*no.stl: No such file"),
+        ("file: empty.stl", b"", "file", "empty.stl is empty"),
+        ("file: junk.stl", b"this is no mesh", "file", "empty: it has no triangles"),
+        ("file: junk.ply", b"ply\nnonsense\n", "file", "is no whole .ply file"),
+        ("file: cut.ply", b"ply\nformat ascii 1.0\nelement vertex 3\n", "file", "ply"),
+        ("file: crate.dae", b"<xml/>", "file", "'crate.dae' is no mesh file .*convert it to one of .stl"),
+        ("file: .", None, "file", "no mesh file"),
+        ("file: ''", None, "file", "at least 1 character"),
+        ("scale: 2.0", None, "file", "this key is missing"),
+        ("{file: ring.ply, scale: 0}", None, "scale", "greater than 0"),
+        ("{file: ring.ply, scale: .nan}", None, "scale", "finite"),
+        ("{file: ring.ply, sigma: -1}", None, "sigma", "greater than or equal to 0"),
+        ("{file: ring.ply, position: [0, 0]}", None, "position", "too few values"),
+        ("{file: ring.ply, radius: 1}", None, "radius", "unknown key"),
+        ("{file: ring.ply, scale: 1.0e+7}", None, "file", "look at its scale"),
+    ],
+)  # fmt: skip
+def test_faulty_entries(entry, content, where, message, tmp_path):
+    write_shape(Surface.of(*torus(n=8)), tmp_path / "ring.ply")
+    if content is not None:
+        (tmp_path / entry.split()[1]).write_bytes(content)
+    inner = entry.strip("{}")
+    text = HEAD + f"- {{name: ring, kind: mesh, {inner}}}\n"
+    with pytest.raises(SceneError, match=message) as caught:
+        parse_scene(text, path=tmp_path / "scene.yaml")
+    assert caught.value.line == 6
+    assert caught.value.where.startswith(f"obstacles[0].{where}")
+
+
+def test_names_must_differ():
+    mesh = Mesh.of("ring", *torus(n=8))
+    with pytest.raises(ValueError, match="two obstacles are called 'ring'"):
+        a_scene(mesh, PointCloud.of("ring", [[0, 0, 0]], 0.1))
+
+
+def test_saved_and_read_again(tmp_path):
+    (tmp_path / "deep").mkdir()
+    write_shape(Surface.of(*crate()), tmp_path / "crate.ply")
+    scene = parse_scene(
+        HEAD + "- {name: crate, kind: mesh, file: crate.ply, position: [1, 0, 0], sigma: 0.01}\n",
+        path=tmp_path / "scene.yaml",
+    )
+    assert "file: crate.ply\n" in dump_scene(scene)
+    assert parse_scene(dump_scene(scene), path=tmp_path / "scene.yaml") == scene
+    assert load_scene(save_scene(scene, tmp_path / "again.yaml")) == scene
+    assert "file: crate.ply\n" in (tmp_path / "again.yaml").read_text()
+    there = load_scene(save_scene(scene, tmp_path / "deep" / "scene.yaml"))
+    assert there.obstacles[0].file == "../crate.ply"
+    assert there.obstacles[0].surface[0].tolist() == scene.obstacles[0].surface[0].tolist()
+
+
+def test_arrays_are_written_beside_the_scene(tmp_path):
+    scene = a_scene(Mesh.of("a/b", *torus(n=8)), Mesh.of("a-b", *crate()))
+    with pytest.raises(SceneError, match="has no file; save_scene writes one") as caught:
+        dump_scene(scene)
+    assert caught.value.where == "obstacles[0].file"
+    again = load_scene(save_scene(scene, tmp_path / "scene.yaml"))
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["scene-0-a-b.ply", "scene-1-a-b.ply", "scene.yaml"]
+    for mine, theirs in zip(scene.obstacles, again.obstacles, strict=True):
+        assert mine.surface[0].tolist() == theirs.surface[0].tolist()
+        assert mine.surface[1].tolist() == theirs.surface[1].tolist()
+
+
+def test_equal_by_shape():
+    one, other = Mesh.of("m", *torus(n=8)), Mesh.of("m", *torus(n=8))
+    assert one == other
+    assert one != Mesh.of("m", *torus(n=9))
+    assert one != one.model_copy(update={"scale": 2.0})

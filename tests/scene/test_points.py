@@ -1,0 +1,123 @@
+"""Point clouds in a scene: files, faults, placement, size."""
+
+from __future__ import annotations
+
+import struct
+
+import numpy as np
+import pytest
+
+from hplan.errors import SceneError
+from hplan.scene import shape_data
+from hplan.scene.file import dump_scene, load_scene, parse_scene, save_scene
+from hplan.scene.model import Box, PointCloud
+from hplan.scene.solids import Cloud
+
+HEAD = "format: hplan-scene/1\nname: a\nstart: {joints_deg: [0]}\ngoal: {joints_deg: [1]}\nobstacles:\n"
+POINTS = np.random.default_rng(0).uniform(-1, 1, (40, 3))
+
+
+def ply(points: np.ndarray, form: str, kind: str = "double", colors: bool = False) -> bytes:
+    """A PLY file byte by byte."""
+    header = f"ply\nformat {form} 1.0\ncomment by hand\nelement vertex {len(points)}\n"
+    header += "".join(f"property {kind} {axis}\n" for axis in "xyz")
+    header += "".join(f"property uchar {name}\n" for name in ("red", "green", "blue")) * colors + "end_header\n"
+    if form == "ascii":
+        rows = [" ".join([*(repr(float(x)) for x in point), *(["7"] * 3 * colors)]) for point in points]
+        return (header + "\n".join(rows) + "\n").encode()
+    order = "<" if form == "binary_little_endian" else ">"
+    letter = {"double": "d", "float": "f"}[kind]
+    body = b"".join(struct.pack(f"{order}3{letter}", *point) + b"\7" * 3 * colors for point in points)
+    return header.encode() + body
+
+
+def read(content: bytes, folder, entry="radius: 0.02", name="cloud.ply") -> PointCloud:
+    (folder / name).write_bytes(content)
+    text = HEAD + f"- {{name: canopy, kind: points, file: {name}, {entry}}}\n"
+    (cloud,) = parse_scene(text, path=folder / "scene.yaml").obstacles
+    return cloud
+
+
+@pytest.mark.parametrize("colors", [False, True])
+@pytest.mark.parametrize("kind", ["double", "float"])
+@pytest.mark.parametrize("form", ["ascii", "binary_little_endian", "binary_big_endian"])
+def test_ply(form, kind, colors, tmp_path):
+    (solid,) = read(ply(POINTS, form, kind, colors), tmp_path).solids
+    assert isinstance(solid, Cloud)
+    assert (solid.name, solid.loose, solid.rounding, solid.sigma) == ("canopy", True, 0.02, 0.0)
+    theirs = solid.core[np.lexsort(solid.core.round(5).T)]
+    tolerance = 0.0 if kind == "double" else 1e-7
+    np.testing.assert_allclose(theirs, POINTS[np.lexsort(POINTS.round(5).T)], atol=tolerance, rtol=0)
+    assert not solid.core.flags.writeable
+
+
+def test_xyz_and_placement(tmp_path):
+    content = "\n".join(" ".join(map(repr, point)) for point in POINTS.tolist()).encode()
+    entry = "radius: 0.02, position: [1, 2, 3], rpy_deg: [10, 20, 30], sigma: 0.005"
+    cloud = read(content, tmp_path, entry, "cloud.xyz")
+    (solid,) = cloud.solids
+    turn = Box(name="b", center=(0, 0, 0), size=(1, 1, 1), rpy_deg=(10.0, 20.0, 30.0)).rotation
+    expected = POINTS @ turn.T + [1, 2, 3]
+    np.testing.assert_allclose(np.sort(solid.core, axis=0), np.sort(expected, axis=0), atol=1e-12)
+    assert solid.sigma == 0.005
+
+
+@pytest.mark.parametrize(
+    ("content", "entry", "where", "message"),
+    [
+        (ply(POINTS[:0], "ascii"), "radius: 1", "file", "there are no points"),
+        (ply(POINTS[:0], "binary_big_endian"), "radius: 1", "file", "points|whole"),
+        (b"", "radius: 1", "file", "is empty"),
+        (b"ply\n\xff\xfe", "radius: 1", "file", "is no whole .ply file"),
+        (ply(POINTS, "binary_little_endian")[:-5], "radius: 1", "file", "is no whole .ply file"),
+        (ply(np.array([[0, 0, np.inf], [0, 0, np.nan]]), "binary_little_endian"), "radius: 1", "file", "2 of 2 points"),
+        (ply(POINTS * 1e8, "ascii"), "radius: 1", "file", "expected metres"),
+        (ply(POINTS, "ascii"), "radius: 0", "radius", "greater than 0"),
+        (ply(POINTS, "ascii"), "sigma: 0.1", "radius", "this key is missing"),
+        (ply(POINTS, "ascii"), "{radius: 1, scale: 2}", "scale", "unknown key"),
+    ],
+)  # fmt: skip
+def test_faults(content, entry, where, message, tmp_path):
+    with pytest.raises(SceneError, match=message) as caught:
+        read(content, tmp_path, entry.strip("{}"))
+    assert (caught.value.line, caught.value.where) == (6, f"obstacles[0].{where}")
+
+
+def test_other_formats_and_missing_files(tmp_path):
+    with pytest.raises(SceneError, match=r"'cloud.pcd' is no point file .*one of .ply, .xyz"):
+        read(b"# .PCD v.7", tmp_path, name="cloud.pcd")
+    with pytest.raises(SceneError, match=r"line 6, obstacles\[0\].file: cannot read .*gone.ply"):
+        parse_scene(HEAD + "- {name: a, kind: points, file: gone.ply, radius: 1}\n", path=tmp_path / "scene.yaml")
+
+
+@pytest.mark.parametrize(
+    ("points", "radius", "message"),
+    [
+        (np.zeros((0, 3)), 0.1, "there are no points"),
+        ([[0.0, 1.0]], 0.1, r"\(n, 3\)"),
+        (POINTS, -1.0, "greater than 0"),
+        (POINTS, np.nan, "finite"),
+        ([[0, 0, np.nan]], 0.1, "1 of 1 points are not finite"),
+    ],
+)
+def test_faulty_arrays(points, radius, message):
+    with pytest.raises(SceneError, match=message):
+        PointCloud.of("canopy", points, radius)
+
+
+def test_too_many(monkeypatch):
+    monkeypatch.setattr(shape_data, "MOST_POINTS", 39)
+    with pytest.raises(SceneError, match="has 40 points; thin it to at most 39"):
+        PointCloud.of("canopy", POINTS, 0.1)
+
+
+def test_a_large_cloud_is_no_burden(tmp_path):
+    """A hundred thousand points in a file, and no trace of them in the scene's text; the tree is built once."""
+    points = np.random.default_rng(0).uniform(0, 1, (100_000, 3))
+    cloud = PointCloud.of("canopy", points, 0.01)
+    assert cloud.solids[0] is cloud.solids[0]
+    scene = parse_scene(HEAD.replace("obstacles:", "obstacles: []")).with_obstacles([cloud])
+    again = load_scene(save_scene(scene, tmp_path / "scene.yaml"))
+    assert len(dump_scene(again)) < 400
+    assert again.obstacles[0].solids[0].core.tolist() == cloud.solids[0].core.tolist()
+    assert again == load_scene(tmp_path / "scene.yaml")

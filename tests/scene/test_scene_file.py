@@ -1,0 +1,418 @@
+from __future__ import annotations
+
+import contextlib
+import json
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hplan.base.data_files import scenes_dir
+from hplan.errors import OutputError, SceneError
+from hplan.scene.file import default_scene_path, dump_scene, load_scene, parse_scene, save_scene
+from hplan.scene.limits import FARTHEST_M
+from hplan.scene.model import Box, Capsule, Fruit, Goal, Scene, Sphere, Start
+
+HEAD = """\
+format: hplan-scene/1
+name: a scene
+start: {joints_deg: [0, 0, 0, 0]}
+goal: {joints_deg: [0, 45, 60, 70]}
+"""
+BALL = "  - {name: ball, kind: sphere, center: [1, 0, 1.9], radius: 0.15}\n"
+
+
+# Good files
+
+
+@pytest.mark.parametrize("path", sorted(scenes_dir().glob("*.yaml")), ids=lambda path: path.stem)
+def test_shipped_scenes_load(path):
+    assert load_scene(path).name == path.stem
+
+
+def test_default_is_table_1():
+    assert default_scene_path().name == "table-1.yaml"
+    assert load_scene() == load_scene(str(default_scene_path()))
+
+
+def test_every_key():
+    scene = parse_scene("""\
+# a comment
+format: hplan-scene/1
+name: everything
+start: {joints_rad: [0, 0.5, 1, 1.5]}
+goal: {fruit: f1}
+locked_joints: [base_yaw]
+clearance: 0.01
+obstacles:
+  - {name: ball, kind: sphere, center: [1.0, 0.0, 1.9], radius: 0.15}
+  - {name: branch, kind: capsule, from: [0, 0, 0], to: [0, 0, 1], radius: 0.02}
+  - name: post
+    kind: box
+    center: [0, 0, 1]
+    size: [0.1, 0.1, 2]
+    rpy_deg: [0, 0, 30]
+fruits:
+  - {name: f1, center: [1.2, 0.3, 1.4], radius: 0.04}
+""")
+    assert scene == Scene(
+        name="everything",
+        start=Start(joints_rad=(0.0, 0.5, 1.0, 1.5)),
+        goal=Goal(fruit="f1"),
+        locked_joints=("base_yaw",),
+        clearance=0.01,
+        obstacles=(
+            Sphere(name="ball", center=(1.0, 0.0, 1.9), radius=0.15),
+            Capsule(name="branch", start=(0.0, 0.0, 0.0), end=(0.0, 0.0, 1.0), radius=0.02),
+            Box(name="post", center=(0.0, 0.0, 1.0), size=(0.1, 0.1, 2.0), rpy_deg=(0.0, 0.0, 30.0)),
+        ),
+        fruits=(Fruit(name="f1", center=(1.2, 0.3, 1.4), radius=0.04),),
+    )
+
+
+def test_json_is_yaml():
+    content = {
+        "format": "hplan-scene/1",
+        "name": 'from JSON \u00e4 \U0001f34e a/b "quoted"',
+        "start": {"joints_deg": [0, 0, 0, 0]},
+        "goal": {"position": [1.0, 0.0, 1e0]},
+        "obstacles": [{"name": "b", "kind": "sphere", "center": [1, 0, 2], "radius": 1e-2}],
+    }
+    for text in (json.dumps(content), json.dumps(content, indent="\t", ensure_ascii=False)):
+        scene = parse_scene(text)
+        assert scene.name == content["name"]
+        assert scene.obstacles[0].radius == 0.01
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("1e-2", 0.01),
+        ("1E-2", 0.01),
+        ("1.e-2", 0.01),
+        ("+1.5e1", 15.0),
+        (".5", 0.5),
+        ("5", 5.0),
+        ("010", 10.0),
+        ("0", 0.0),
+    ],
+)
+def test_numbers_are_read_as_json_and_yaml_1_2_do(text, value):
+    assert parse_scene(f"{HEAD}clearance: {text}\n").clearance == value
+
+
+@pytest.mark.parametrize("name", ["no", "on", "2026-01-31", "1:30", "0x1F", "1_000", "a b", "=", "<<"])
+def test_other_words_are_text(name):
+    assert parse_scene(HEAD.replace("a scene", name)).name == name
+
+
+# Round trip
+
+
+names = st.text(st.characters(exclude_categories=["Cs"]), min_size=1, max_size=20)
+odd_names = st.sampled_from(
+    ["1e5", "1.5e3", "08", "no", "null", "~", "2026-01-31", "a: b", "#", "- a", "'", '"', " a ", "\n", "a\x85b"]
+)
+numbers = st.floats(-FARTHEST_M, FARTHEST_M)
+lengths = st.floats(1e-12, FARTHEST_M)
+vectors = st.tuples(numbers, numbers, numbers)
+
+
+@st.composite
+def scenes(draw):
+    labels = draw(st.lists(names | odd_names, min_size=5, max_size=5, unique=True))
+    joints = st.lists(numbers, max_size=5).map(tuple)
+    return Scene(
+        name=labels[0],
+        start=draw(st.builds(Start, joints_deg=joints) | st.builds(Start, joints_rad=joints)),
+        goal=draw(
+            st.builds(Goal, joints_deg=joints) | st.builds(Goal, position=vectors) | st.just(Goal(fruit=labels[4]))
+        ),
+        locked_joints=draw(st.lists(names | odd_names, max_size=3).map(tuple)),
+        clearance=draw(st.floats(0.0, FARTHEST_M)),
+        obstacles=draw(
+            st.tuples(
+                st.builds(Sphere, name=st.just(labels[1]), center=vectors, radius=lengths),
+                st.builds(
+                    lambda start, end, radius: Capsule(name=labels[2], start=start, end=end, radius=radius),
+                    *(vectors, vectors, lengths),
+                ),
+                st.builds(
+                    Box,
+                    name=st.just(labels[3]),
+                    center=vectors,
+                    size=st.tuples(lengths, lengths, lengths),
+                    rpy_deg=vectors,
+                ),
+            )
+        ),
+        fruits=(draw(st.builds(Fruit, name=st.just(labels[4]), center=vectors, radius=lengths)),),
+    )
+
+
+@settings(max_examples=150)
+@given(scenes())
+def test_round_trip(scene):
+    assert parse_scene(dump_scene(scene)) == scene
+
+
+def test_dump_is_for_reading(scene):
+    assert (
+        dump_scene(scene)
+        == """\
+format: hplan-scene/1
+name: table-1
+start:
+  joints_deg: [0.0, 0.0, 0.0, 0.0]
+goal:
+  joints_deg: [0.0, 45.0, 60.0, 70.0]
+locked_joints: [base_yaw]
+clearance: 0.0
+obstacles:
+- kind: sphere
+  name: ball
+  center: [1.0, 0.0, 1.9]
+  radius: 0.15
+fruits: []
+"""
+    )
+
+
+def test_save_and_load(scene, tmp_path):
+    assert load_scene(save_scene(scene, tmp_path / "scene.yaml")) == scene
+    with pytest.raises(OutputError, match="No such file"):
+        save_scene(scene, tmp_path / "nowhere" / "scene.yaml")
+
+
+# Bad content: each names the key and its line
+
+
+def obstacle(text: str) -> str:
+    return f"obstacles:\n{BALL}  - {{{text}}}\n"
+
+
+BAD_CONTENT = {
+    "unknown key": ("colour: red\n", 5, "colour", "unknown key"),
+    "unknown key of an obstacle": (
+        obstacle("name: b, kind: sphere, centre: [0, 0, 0], radius: 1"),
+        7,
+        "obstacles[1].centre",
+        "unknown key",
+    ),
+    "unknown key before bad values": ("clearance: -1\ncolour: red\n", 6, "colour", "unknown key"),
+    "NaN": ("clearance: .nan\n", 5, "clearance", "finite number (got nan)"),
+    "infinity": ("clearance: -.INF\n", 5, "clearance", "finite number (got -inf)"),
+    "too large for a float": ("clearance: 1e400\n", 5, "clearance", "finite number (got inf)"),
+    "a huge whole number": (f"clearance: {'1' * 400}\n", 5, "clearance", "valid number (got 111"),
+    "negative clearance": ("clearance: -0.01\n", 5, "clearance", "greater than or equal to 0 (got -0.01)"),
+    "a coordinate of 1e308": (
+        obstacle("name: b, kind: sphere, center: [0, -1e308, 0], radius: 1"),
+        7,
+        "obstacles[1].center[1]",
+        "greater than or equal to -10000 (got -1e+308)",
+    ),
+    "a size of 1e200": (
+        obstacle("name: b, kind: box, center: [0, 0, 0], size: [1, 1, 1e200]"),
+        7,
+        "obstacles[1].size[2]",
+        "less than or equal to 10000 (got 1e+200)",
+    ),
+    "a radius beyond the limit": (
+        "fruits:\n  - {name: f, center: [1, 0, 1], radius: 10000.1}\n",
+        6,
+        "fruits[0].radius",
+        "less than or equal to 10000 (got 10000.1)",
+    ),
+    "a clearance of 1e308": ("clearance: 1e308\n", 5, "clearance", "less than or equal to 10000"),
+    "text for a number": ("clearance: wide\n", 5, "clearance", "valid number (got 'wide')"),
+    "quoted number": ("clearance: '1'\n", 5, "clearance", "valid number (got '1')"),
+    "truth for a number": ("clearance: true\n", 5, "clearance", "valid number (got True)"),
+    "list for a number": ("clearance: [1]\n", 5, "clearance", "valid number (got [1])"),
+    "nothing for a number": ("clearance:\n", 5, "clearance", "valid number (got None)"),
+    "nothing for a list": ("obstacles:\n", 5, "obstacles", "should be a list (got None)"),
+    "mapping for a list": ("obstacles: {a: 1}\n", 5, "obstacles", "should be a list"),
+    "text for a list": ("locked_joints: base_yaw\n", 5, "locked_joints", "should be a list (got 'base_yaw')"),
+    "number for a name": ("locked_joints:\n  - base_yaw\n  - 3\n", 7, "locked_joints[1]", "should be text (got 3)"),
+    "number for an obstacle": ("obstacles:\n  - 3\n", 6, "obstacles[0]", "should be a mapping of keys (got 3)"),
+    "negative radius": (
+        obstacle("name: b, kind: sphere, center: [0, 0, 0], radius: -1"),
+        7,
+        "obstacles[1].radius",
+        "than 0 (got -1)",
+    ),
+    "radius of zero": (
+        obstacle("name: b, kind: capsule, from: [0, 0, 0], to: [0, 0, 1], radius: 0"),
+        7,
+        "obstacles[1].radius",
+        "than 0",
+    ),
+    "too few values": (
+        obstacle("name: b, kind: sphere, center: [0, 0], radius: 1"),
+        7,
+        "obstacles[1].center",
+        "too few values",
+    ),
+    "too many values": (
+        obstacle("name: b, kind: sphere, center: [0, 0, 0, 0], radius: 1"),
+        7,
+        "obstacles[1].center",
+        "list should have at most 3 items, not 4 (got [0, 0, 0, 0])",
+    ),
+    "one bad value": (
+        "obstacles:\n  - name: b\n    kind: box\n    size: [1, 1, 1]\n    center:\n      - 0\n      - x\n      - 0\n",
+        11,
+        "obstacles[0].center[1]",
+        "valid number (got 'x')",
+    ),
+    "flat box": (
+        obstacle("name: b, kind: box, center: [0, 0, 0], size: [1, 0, 1]"),
+        7,
+        "obstacles[1].size[1]",
+        "greater than 0",
+    ),
+    "missing key": (
+        obstacle("name: b, kind: capsule, from: [0, 0, 0], radius: 1"),
+        7,
+        "obstacles[1].to",
+        "this key is missing",
+    ),
+    "missing kind": (
+        obstacle("name: b, radius: 1"),
+        7,
+        "obstacles[1]",
+        "missing: kind (sphere, capsule, box, mesh or points)",
+    ),
+    "unknown kind": (
+        obstacle("name: b, kind: cone"),
+        7,
+        "obstacles[1].kind",
+        "kind is 'cone', expected one of 'sphere', 'capsule', 'box'",
+    ),
+    "kind that is a list": (obstacle("name: b, kind: [1]"), 7, "obstacles[1].kind", "expected one of 'sphere'"),
+    "empty name": (obstacle("name: '', kind: box"), 7, "obstacles[1].name", "at least 1 character"),
+    "same name twice": (
+        obstacle("name: ball, kind: sphere, center: [0, 0, 0], radius: 1"),
+        7,
+        "obstacles[1].name",
+        "two obstacles are called 'ball'; names must differ",
+    ),
+    "fruit with an obstacle's name": (
+        f"obstacles:\n{BALL}fruits:\n  - center: [0, 0, 0]\n    radius: 1\n    name: ball\n",
+        10,
+        "fruits[0].name",
+        "two obstacles are called 'ball'",
+    ),
+}
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("case", BAD_CONTENT)
+def test_bad_content(case):
+    text, line, where, message = BAD_CONTENT[case]
+    with pytest.raises(SceneError) as caught:
+        parse_scene(HEAD + text, path="my.yaml")
+    error = caught.value
+    assert message in error.reason
+    assert (error.where, error.line) == (where, line)
+    assert error.message == f"scene file my.yaml, line {line}, {where}: {error.reason}"
+    assert len(error.message) < 200
+    json.dumps(error.as_dict(), allow_nan=False)
+
+
+@pytest.mark.parametrize(
+    ("line", "text", "where", "message"),
+    [
+        (1, "format: hplan-scene/2", "format", "'hplan-scene/1' (got 'hplan-scene/2')"),
+        (2, "name: 3", "name", "should be text (got 3)"),
+        (3, "start: {}", "start", "give exactly one of joints_deg, joints_rad; got none"),
+        (3, "start: {joints_deg: [0], joints_rad: [0]}", "start", "got joints_deg, joints_rad"),
+        (3, "start: [0, 0, 0, 0]", "start", "should be a mapping of keys (got [0, 0, 0, 0])"),
+        (3, "start: {fruit: f}", "start.fruit", "unknown key"),
+        (3, "start: {joints_deg: [0, x]}", "start.joints_deg[1]", "valid number (got 'x')"),
+        (4, "goal: {position: [1, 2]}", "goal.position", "too few values"),
+        (4, "goal: {fruit: plum}", "goal.fruit", "'plum' is not among the fruits"),
+        (4, "goal: {fruit: f, position: [0, 0, 0]}", "goal", "exactly one of"),
+    ],
+)
+def test_bad_head(line, text, where, message):
+    lines = HEAD.splitlines()
+    lines[line - 1] = text
+    with pytest.raises(SceneError) as caught:
+        parse_scene("\n".join(lines))
+    assert message in caught.value.reason
+    assert (caught.value.where, caught.value.line) == (where, line)
+
+
+@pytest.mark.parametrize("key", ["name", "start", "goal"])
+def test_missing_key(key):
+    text = "".join(line for line in HEAD.splitlines(keepends=True) if not line.startswith(key))
+    with pytest.raises(SceneError, match=f"{key}: this key is missing"):
+        parse_scene(text)
+
+
+# Text that is no scene at all
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "message"),
+    [
+        ("", None, "expected a mapping"),
+        ("# only a comment\n", None, "expected a mapping"),
+        ("- a\n- b\n", None, "expected a mapping"),
+        ("just text", None, "expected a mapping"),
+        (f"{HEAD}name: again\n", 5, "key 'name' stands on line 2 already"),
+        (f"{HEAD}obstacles:\n  - {{name: a, name: b}}\n", 6, "key 'name' stands on line 6 already"),
+        (f"{HEAD}  indented: wrongly\n", 5, "malformed YAML"),
+        (f"{HEAD}obstacles: [1, 2\n", 6, "malformed YAML"),
+        (f"{HEAD}\tname: tab\n", 5, "malformed YAML"),
+        (f"{HEAD}---\n{HEAD}", 5, "but found another document"),
+        (f"{HEAD}3: key\n", 5, "a key must be text"),
+        (f"{HEAD}[1, 2]: key\n", 5, "a key must be text"),
+        (f"{HEAD}? {{a: b}}\n: key\n", 5, "a key must be text"),
+        (f"{HEAD}x: !!python/object/apply:os.system ['true']\n", 5, "python/object/apply:os.system' is not allowed"),
+        (f"{HEAD}x: !!timestamp abc\n", 5, "timestamp' is not allowed"),
+        (f"{HEAD}x: !!binary '%'\n", 5, "binary' is not allowed"),
+        (f"{HEAD}x: !!set {{a}}\n", 5, "set' is not allowed"),
+        (f"{HEAD}x: !mine 3\n", 5, "'!mine' is not allowed"),
+        (f"{HEAD}x: !!int abc\n", 5, "'abc' cannot be read as int"),
+        (f"{HEAD}x: !!bool abc\n", 5, "'abc' cannot be read as bool"),
+        (f"{HEAD}x: !!float [1]\n", 5, "malformed YAML"),
+        (f"{HEAD}x: !!str [1]\n", 5, "malformed YAML"),
+        (f"{HEAD}x: !!map [1]\n", 5, "malformed YAML"),
+        (f"{HEAD}x: !!seq {{a: 1}}\n", 5, "malformed YAML"),
+        (f"{HEAD}x: {'1' * 5000}\n", 5, "cannot be read as int"),
+        (f"{HEAD}x: &a [*a]\n", 5, "alias *a: write it out"),
+        (f"{HEAD}x: &a [1]\ny: *a\n", 6, "alias *a: write it out"),
+        (f"{HEAD}x: {'[' * 5000}\n", None, "nested too deeply"),
+        (f"{HEAD}x: {'{a: ' * 5000}\n", None, "nested too deeply"),
+        (f"{HEAD}x: {'[' * 5000}{']' * 5000}\n", None, "nested too deeply"),
+        (f'{HEAD}x: "\\ud83c"\n', 5, "half a character"),
+        (f"{HEAD}x: \x01\n", None, "cannot stand in YAML"),
+    ],
+)
+def test_text_that_is_no_scene(text, line, message):
+    with pytest.raises(SceneError) as caught:
+        parse_scene(text, path="my.yaml")
+    assert message in caught.value.reason
+    assert caught.value.line == line
+    assert caught.value.message.startswith("scene file my.yaml")
+    assert caught.value.exit_status == 2
+
+
+@settings(max_examples=300)
+@given(st.text(st.sampled_from("{}[]:,-?&*!|>'\"%@`#~.0123456789eEabnul \n\t<="), max_size=40))
+def test_no_text_raises_anything_else(text):
+    for whole in (text, HEAD + text, f"{HEAD}obstacles: {text}"):
+        with contextlib.suppress(SceneError):
+            parse_scene(whole)
+
+
+def test_files_that_cannot_be_read(tmp_path: Path):
+    with pytest.raises(SceneError, match=r"nowhere\.yaml: No such file or directory"):
+        load_scene(tmp_path / "nowhere.yaml")
+    with pytest.raises(SceneError, match="Is a directory"):
+        load_scene(tmp_path)
+    (tmp_path / "scene.yaml").write_bytes(HEAD.encode("utf-16"))
+    with pytest.raises(SceneError, match="not UTF-8"):
+        load_scene(tmp_path / "scene.yaml")

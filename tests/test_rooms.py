@@ -1,0 +1,60 @@
+"""The rooms of the package: what they may import, and how large they are."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from itertools import chain
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).resolve().parents[1] / "hplan"
+
+#: From the ground up: a room imports only those before it, and itself.
+ROOMS = (
+    *("errors", "base", "scene", "orchard", "search", "robot", "robot_family", "planar", "cspace", "collision"),
+    *("problem", "timing", "smoothing", "verification", "waypoints", "planning", "tour", "view", "cli"),
+)
+MOST_FILES = 15
+
+
+def rooms() -> list[str]:
+    return sorted(path.name for path in PACKAGE.iterdir() if (path / "__init__.py").is_file())
+
+
+def imported(path: Path) -> Iterator[str]:
+    """Rooms that a file imports from, wherever in the file."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        names = []
+        if isinstance(node, ast.ImportFrom) and node.module is not None:
+            names = [f"{node.module}.{alias.name}" for alias in node.names]
+        elif isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        for name in names:
+            parts = name.split(".")
+            if parts[0] == "hplan" and len(parts) > 1 and parts[1] in ROOMS:
+                yield parts[1]
+
+
+def test_rooms_are_those_listed() -> None:
+    assert set(rooms()) | {"errors"} == set(ROOMS)
+    assert {path.name for path in PACKAGE.glob("*.py")} == {"__init__.py", "errors.py"}
+
+
+@pytest.mark.parametrize("room", rooms())
+def test_a_room_imports_only_what_is_below_it(room: str) -> None:
+    allowed = set(ROOMS[: ROOMS.index(room) + 1])
+    files = sorted((PACKAGE / room).rglob("*.py"))
+    upward = [(path.name, name) for path in files for name in imported(path) if name not in allowed]
+    assert upward == []
+
+
+@pytest.mark.parametrize("room", rooms())
+def test_a_room_has_few_files_and_says_what_it_is_for(room: str) -> None:
+    assert len(list((PACKAGE / room).glob("*.py"))) <= MOST_FILES
+    assert ast.get_docstring(ast.parse((PACKAGE / room / "__init__.py").read_text(encoding="utf-8")))
+
+
+def test_no_study_is_imported() -> None:
+    assert [path.name for path in chain(PACKAGE.rglob("*.py")) if "studies" in path.read_text(encoding="utf-8")] == []

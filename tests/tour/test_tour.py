@@ -1,0 +1,488 @@
+"""Picking tours: their order, their motions, what is left out and why, and the command."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+from script_loader import load_script
+
+from hplan.base import ties
+from hplan.collision.coal_scene import CollisionScene
+from hplan.errors import (
+    BlockedError,
+    ConfigurationInCollisionError,
+    InputError,
+    OptionError,
+    TourError,
+    UnreachableError,
+)
+from hplan.problem.options import PlanOptions
+from hplan.robot.model import Robot
+from hplan.scene.file import save_scene
+from hplan.scene.model import Box, Fruit, Goal, Scene, Sphere, Start
+from hplan.timing.trajectory import read_csv
+from hplan.tour.motions import Motions, carrying
+from hplan.tour.ordering import Costs, nearest
+from hplan.tour.tour import TourOptions, TourResult, plan_tour
+
+OPTIONS = PlanOptions(rate_hz=100.0)
+DROP = Goal(joints_deg=(100.0, 60.0, 80.0, 60.0))
+
+
+def fruit(robot: Robot, name: str, joints_deg: Sequence[float], radius: float = 0.04) -> Fruit:
+    """A fruit where the tool is at these joints."""
+    x, y, z = robot.tool_positions(np.radians(joints_deg)).tolist()
+    return Fruit(name=name, center=(x, y, z), radius=radius)
+
+
+def orchard(robot: Robot, *more: Fruit, obstacles: Sequence[Any] = (), fruits: bool = True) -> Scene:
+    """Four fruits, left and right by turns, and a post between them."""
+    yaws = {"a": 40.0, "b": -40.0, "c": 60.0, "d": -20.0}
+    hanging = [fruit(robot, name, (yaw, 30.0, 40.0, 20.0)) for name, yaw in yaws.items()] if fruits else []
+    return Scene(
+        name="small orchard",
+        start=Start(joints_deg=(0.0, 80.0, 80.0, 60.0)),
+        goal=Goal(joints_deg=(0.0, 80.0, 80.0, 60.0)),
+        obstacles=(Box(name="post", center=(1.0, 0.1, 1.0), size=(0.05, 0.05, 2.0)), *obstacles),
+        fruits=(*hanging, *more),
+    )
+
+
+@pytest.fixture(scope="module")
+def scene(robot: Robot) -> Scene:
+    return orchard(robot)
+
+
+@pytest.fixture(scope="module")
+def tour(robot: Robot, scene: Scene) -> TourResult:
+    return plan_tour(robot, scene, OPTIONS, tour=TourOptions(compare=True))
+
+
+@pytest.fixture(scope="module")
+def carried(robot: Robot, scene: Scene) -> TourResult:
+    return plan_tour(robot, scene, OPTIONS, tour=TourOptions(drop_off=DROP, every=2, back=True))
+
+
+def times_of_contact(result: TourResult) -> dict[str, tuple[float, float]]:
+    """When the last link may touch the fruit that it comes to: from the stand-off on; without one, on the whole leg."""
+    return {
+        leg.fruit: (
+            next((phase.start_s for phase in leg.phases if phase.name == "approach"), leg.begin_s),
+            result.picked[leg.fruit],
+        )
+        for leg in result.legs
+        if leg.fruit is not None
+    }
+
+
+def assert_sound(robot: Robot, scene: Scene, result: TourResult) -> None:
+    """Continuous, at rest between phases, clear of everything that is still there, the tool at each fruit."""
+    motion = result.trajectory
+    assert result.certificate.verified
+    assert result.duration == pytest.approx(sum(leg.trajectory.duration for leg in result.legs), abs=1e-9)
+    np.testing.assert_allclose(motion.position[0], scene.start.configuration, rtol=0, atol=1e-9)
+    rests = [0.0, *(phase.end_s for leg in result.legs for phase in leg.phases)]
+    rows = [int(np.argmin(np.abs(motion.time - rest))) for rest in rests]
+    np.testing.assert_allclose(motion.time[rows], rests, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(motion.velocity[rows], 0.0, rtol=0, atol=1e-9)
+    assert rests == sorted(rests)
+    for one, other in itertools.pairwise(phase for leg in result.legs for phase in leg.phases):
+        assert one.end_s == other.start_s
+    turned = np.abs(np.diff(motion.position, axis=0))
+    assert (turned <= robot.velocity_limit * np.diff(motion.time)[:, None] * 1.001 + 1e-9).all()
+    centers = {hanging.name: np.array(hanging.center) for hanging in scene.fruits}
+    for name, at in result.picked.items():
+        row = int(np.argmin(np.abs(motion.time - at)))
+        np.testing.assert_allclose(robot.tool_positions(motion.position[row]), centers[name], rtol=0, atol=1e-6)
+    contact = times_of_contact(result)
+    assert all(
+        (leg.grasp.distance > 0.0) == any(phase.name == "approach" for phase in leg.phases)
+        for leg in result.legs
+        if leg.grasp is not None
+    )
+    for row in range(0, motion.samples, 3):
+        here = [ball for ball in scene.solids_with_goal if result.picked.get(ball.name, math.inf) > motion.time[row]]
+        judge = CollisionScene(robot, here)
+        distances = judge.distances(motion.position[row])
+        for column, name in enumerate(judge.obstacle_names):
+            begin, end = contact.get(name, (math.inf, -math.inf))
+            touching = begin - 1e-9 <= motion.time[row] <= end
+            assert distances[: -1 if touching else None, column].min() > 0.0, (name, motion.time[row])
+
+
+def test_order_is_best_and_certified(robot: Robot, scene: Scene, tour: TourResult) -> None:
+    assert_sound(robot, scene, tour)
+    assert set(tour.order) == {"a", "b", "c", "d"}
+    assert tour.unreached == ()
+    assert [leg.fruit for leg in tour.legs] == list(tour.order)
+    assert all([phase.name for phase in leg.phases] == ["transit", "approach", "retreat"] for leg in tour.legs)
+    totals = tour.report["totals_s"]
+    assert totals["best"] == pytest.approx(tour.duration, abs=1e-6)
+    assert totals["best"] <= totals["nearest"] + 1e-9
+    assert totals["best"] < totals["given"] - 1.0  # left and right by turns
+    assert tour.order[:2] in {("b", "d"), ("d", "b"), ("a", "c"), ("c", "a")}
+
+
+def test_no_other_order_is_faster(robot: Robot, scene: Scene, tour: TourResult) -> None:
+    for order in itertools.permutations("abcd"):
+        if order[0] in "ab" and order[1] in "cd":  # some of them are enough
+            other = plan_tour(robot, scene, OPTIONS, fruits=order, tour=TourOptions(order="given"))
+            assert other.order == order
+            assert other.duration >= tour.duration - 1e-9
+
+
+def test_motions_are_planned_only_where_they_matter(
+    robot: Robot, scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pairs: list[tuple[int, int]] = []
+    direct = Motions._direct
+
+    def counted(self: Motions, a: int, b: int, loaded: bool) -> Any:
+        pairs.append((a, b))
+        return direct(self, a, b, loaded)
+
+    monkeypatch.setattr(Motions, "_direct", counted)
+    result = plan_tour(robot, scene, OPTIONS)
+    assert len(set(pairs)) == len(pairs)
+    places = 4 * 4
+    assert 0 < len(pairs) < places * (places + 1) // 2
+    assert result.report["planner"]["motions_planned"] == len(pairs) + 4
+
+
+def test_same_input_same_tour(robot: Robot, scene: Scene, tour: TourResult) -> None:
+    again = plan_tour(robot, scene, OPTIONS)
+    assert again.order == tour.order
+    for name in ("time", "position", "velocity", "acceleration", "torque"):
+        assert getattr(again.trajectory, name).tobytes() == getattr(tour.trajectory, name).tobytes()
+
+
+def test_costs_are_on_a_raster(robot: Robot, scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Motions last whole periods, so that sums of them tie: no order of adding them up may decide."""
+    seen: list[Costs] = []
+    monkeypatch.setattr("hplan.tour.tour.nearest", lambda costs: seen.append(costs) or nearest(costs))
+    plan_tour(robot, scene, OPTIONS, tour=TourOptions(order="nearest", drop_off=DROP, back=True))
+    assert seen
+    for costs in seen:
+        for values in (costs.first, costs.onward, costs.drop, costs.away, costs.last):
+            np.testing.assert_array_equal(values, ties.on_raster(values))
+
+
+def test_report_is_json_and_says_when(tour: TourResult) -> None:
+    report = json.loads(json.dumps(tour.report))
+    assert report["order"] == list(tour.order)
+    assert [leg["picked_s"] for leg in report["legs"]] == list(tour.picked.values())
+    ends = [leg["begin_s"] + leg["duration_s"] for leg in report["legs"]]
+    np.testing.assert_allclose([leg["begin_s"] for leg in report["legs"]], [0.0, *ends[:-1]], atol=1e-9)
+    assert report["trajectory"]["duration_s"] == tour.duration
+    for leg, data in zip(tour.legs, report["legs"], strict=True):
+        assert leg.begin_s < tour.picked[leg.fruit] < leg.begin_s + leg.trajectory.duration
+        assert leg.trajectory.time[0] == 0.0
+        assert data["verified"]
+
+
+def test_results_cannot_be_changed(tour: TourResult) -> None:
+    with pytest.raises(TypeError):
+        tour.picked["a"] = 0.0  # type: ignore[index]
+    with pytest.raises(ValueError, match="read-only"):
+        tour.trajectory.position[0] = 0.0
+
+
+# Carrying
+
+
+def test_drop_off_after_two(robot: Robot, scene: Scene, carried: TourResult) -> None:
+    assert_sound(robot, scene, carried)
+    words = [[phase.name for phase in leg.phases] for leg in carried.legs]
+    to_fruit = ["transit", "approach", "retreat"]
+    assert words == [to_fruit, [*to_fruit, "drop"], to_fruit, [*to_fruit, "drop"], ["return"]]
+    assert carried.legs[-1].fruit is None
+    motion, drop = carried.trajectory, DROP.joints()
+    first, second = (carried.legs[i].trajectory.position[-1] for i in (1, 3))
+    np.testing.assert_allclose([first, second], [drop, drop], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(motion.position[-1], scene.start.configuration, rtol=0, atol=1e-9)
+    times = list(carried.dropped.values())
+    assert list(carried.dropped) == list(carried.order)
+    assert times[0] == times[1] < times[2] == times[3] < carried.duration
+    assert all(carried.picked[name] < carried.dropped[name] for name in carried.order)
+
+
+def test_what_is_carried_is_clear_as_well(robot: Robot, scene: Scene, carried: TourResult) -> None:
+    """Between picking and letting go the last link is as thick as the fruit."""
+    thick = carrying(robot, 0.04)
+    np.testing.assert_allclose(thick.arm.half_widths, [0.05, 0.04, 0.04], rtol=0, atol=1e-12)
+    motion, contact = carried.trajectory, times_of_contact(carried)
+    for name in carried.order:
+        inside = (motion.time >= carried.picked[name]) & (motion.time <= carried.dropped[name])
+        for row in np.flatnonzero(inside)[::4]:
+            solids = [s for s in scene.solids_with_goal if carried.picked.get(s.name, math.inf) > motion.time[row]]
+            judge = CollisionScene(thick, solids)
+            distances = judge.distances(motion.position[row])
+            for column, other in enumerate(judge.obstacle_names):
+                begin, end = contact.get(other, (math.inf, -math.inf))
+                touching = begin - 1e-9 <= motion.time[row] <= end
+                assert distances[: -1 if touching else None, column].min() > 0.0
+
+
+def test_gap_that_only_the_empty_arm_fits_into(robot: Robot) -> None:
+    """Beside the fruit, 35 mm from the last link's axis on both sides: 30 mm thick empty, 40 mm as it carries."""
+    x, y, z = fruit(robot, "a", (0.0, 30.0, 40.0, 20.0)).center
+    sides = [Sphere(name=f"side {s}", center=(x, y + s * 0.085, z), radius=0.05) for s in (-1, 1)]
+    between = fruit(robot, "between", (0.0, 30.0, 40.0, 20.0))
+    scene = orchard(robot, between, obstacles=sides)
+    assert plan_tour(robot, scene, OPTIONS, fruits=["between"]).unreached == ()
+    result = plan_tour(robot, scene, OPTIONS, fruits=["a", "between"], tour=TourOptions(drop_off=DROP))
+    assert result.order == ("a",)
+    assert isinstance(result.unreached[0].error, BlockedError)
+    assert {o["obstacle"] for o in result.unreached[0].error.obstacles} <= {"side -1", "side 1"}
+
+
+def test_each_fruit_on_its_own(robot: Robot, scene: Scene) -> None:
+    x, y, z = robot.tool_positions(DROP.joints()).tolist()
+    result = plan_tour(
+        robot, scene, OPTIONS, fruits=["b", "a"], tour=TourOptions(drop_off=Goal(position=(x, y, z)), order="given")
+    )
+    assert_sound(robot, scene, result)
+    assert result.order == ("b", "a")
+    for leg in result.legs:
+        assert leg.phases[-1].name == "drop"
+        end = leg.trajectory.position[-1]
+        np.testing.assert_allclose(robot.tool_positions(end), (x, y, z), rtol=0, atol=1e-6)
+    assert result.report["tour"]["every"] == 1
+
+
+def test_drop_off_at_the_start_and_back(robot: Robot, scene: Scene) -> None:
+    start = Goal(joints_rad=tuple(scene.start.configuration.tolist()))
+    result = plan_tour(robot, scene, OPTIONS, fruits=["a"], tour=TourOptions(drop_off=start, back=True))
+    assert [leg.name for leg in result.legs] == ["a", "return"]
+    assert result.legs[-1].trajectory.duration == 0.0
+    assert result.duration == result.legs[0].trajectory.duration
+    assert_sound(robot, scene, result)
+
+
+def test_back_to_the_start(robot: Robot, scene: Scene) -> None:
+    result = plan_tour(robot, scene, OPTIONS, fruits=["a", "c"], tour=TourOptions(back=True, grasps=1))
+    assert [leg.name for leg in result.legs[2:]] == ["return"]
+    assert result.report["totals_s"]["best"] == pytest.approx(result.duration, abs=1e-6)
+    assert_sound(robot, scene, result)
+
+
+# What is not picked
+
+
+def test_unreachable_fruits_are_listed_with_reasons(robot: Robot) -> None:
+    boxed = fruit(robot, "boxed", (20.0, 30.0, 40.0, 20.0))
+    far = Fruit(name="far", center=(5.0, 0.0, 1.0), radius=0.04)
+    wall = Box(name="crate", center=boxed.center, size=(0.3, 0.3, 0.3))
+    scene = orchard(robot, boxed, far, obstacles=[wall])
+    result = plan_tour(robot, scene, OPTIONS, fruits=["far", "a", "boxed"])
+    assert_sound(robot, scene, result)
+    assert result.order == ("a",)
+    why = {item.fruit: item.error for item in result.unreached}
+    assert set(why) == {"far", "boxed"}
+    assert isinstance(why["far"], UnreachableError)
+    assert why["far"].reason == "too_far"
+    assert isinstance(why["boxed"], BlockedError)
+    assert why["boxed"].obstacles[0]["obstacle"] == "crate"
+    listed = {item["fruit"]: item["error"]["kind"] for item in result.report["unreached"]}
+    assert listed == {"far": "UnreachableError", "boxed": "BlockedError"}
+
+
+@pytest.mark.parametrize("options", [TourOptions(), TourOptions(drop_off=DROP, back=True)], ids=["kept", "carried"])
+def test_fruit_behind_another_comes_once_that_is_picked(robot: Robot, options: TourOptions) -> None:
+    big = fruit(robot, "big", (20.0, 30.0, 40.0, 20.0), 0.12)
+    x, y, z = big.center
+    behind = Fruit(name="behind", center=(x, y, z + 0.135), radius=0.01)
+    scene = orchard(robot, behind, big, fruits=False)
+    alone = plan_tour(robot, scene, OPTIONS, fruits=["big"])
+    assert alone.order == ("big",)
+    with pytest.raises(TourError) as error:
+        plan_tour(robot, scene, OPTIONS, fruits=["behind"])
+    assert "big" in str(error.value)
+    result = plan_tour(robot, scene, OPTIONS, tour=options)
+    assert result.order == ("big", "behind")
+    assert result.unreached == ()
+    assert result.report["planner"]["stages"] == 2
+    assert_sound(robot, scene, result)
+    if options.back:
+        np.testing.assert_allclose(result.trajectory.position[-1], scene.start.configuration, rtol=0, atol=1e-9)
+
+
+def test_no_fruit_at_all_is_an_error_with_all_reasons(robot: Robot) -> None:
+    far = [Fruit(name=f"far {i}", center=(5.0 + i, 0.0, 1.0), radius=0.04) for i in range(5)]
+    with pytest.raises(TourError, match="none of 5 fruits can be picked; 'far 0': the tool cannot reach") as error:
+        plan_tour(robot, orchard(robot, *far, fruits=False), OPTIONS)
+    assert error.value.exit_status == 3
+    assert [name for name, _ in error.value.reasons] == [item.name for item in far]
+    assert json.loads(json.dumps(error.value.as_dict()))["unreached"][4]["error"]["reason"] == "too_far"
+
+
+def test_where_no_direct_motion_is_found_the_way_is_over_the_start(
+    robot: Robot, scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    direct = Motions._direct
+
+    def none_between_places(self: Motions, a: int, b: int, loaded: bool) -> Any:
+        return direct(self, a, b, loaded) if a == 0 else None
+
+    monkeypatch.setattr(Motions, "_direct", none_between_places)
+    result = plan_tour(robot, scene, OPTIONS, fruits=["a", "b"])
+    assert_sound(robot, scene, result)
+    assert [phase.name for phase in result.legs[1].phases] == ["transit", "transit", "approach", "retreat"]
+    monkeypatch.setattr(Motions, "_direct", lambda *_: None)
+    result = plan_tour(robot, scene, OPTIONS, fruits=["a", "b"], tour=TourOptions(drop_off=DROP, every=2))
+    assert set(result.order) == {"a", "b"}
+    assert all(leg.phases[-1].name == "drop" for leg in result.legs)
+
+
+# Refusals
+
+
+@pytest.mark.parametrize(
+    ("fruits", "expected"),
+    [(["a", "pear"], "fruits of the scene: a, b, c, d"), (["a", "a"], "each fruit once"), ([], "a fruit to pick")],
+)
+def test_wrong_fruits(robot: Robot, scene: Scene, fruits: list[str], expected: str) -> None:
+    with pytest.raises(OptionError) as error:
+        plan_tour(robot, scene, OPTIONS, fruits=fruits)
+    assert error.value.option == "fruits"
+    assert error.value.expected == expected
+
+
+def test_scene_without_fruits(robot: Robot) -> None:
+    with pytest.raises(OptionError, match="a scene with fruits"):
+        plan_tour(robot, orchard(robot, fruits=False), OPTIONS)
+
+
+@pytest.mark.parametrize(
+    ("values", "option"),
+    [
+        ({"every": 0, "drop_off": DROP}, "every"),
+        ({"every": -1, "drop_off": DROP}, "every"),
+        ({"every": 1.5, "drop_off": DROP}, "every"),
+        ({"every": 2}, "every"),
+        ({"drop_off": Goal(fruit="a")}, "drop_off"),
+        ({"order": "fast"}, "order"),
+        ({"grasps": 0}, "grasps"),
+    ],
+)
+def test_wrong_options(values: dict[str, Any], option: str) -> None:
+    with pytest.raises(OptionError) as error:
+        TourOptions(**values)
+    assert error.value.option == option
+
+
+def test_wrong_drop_off(robot: Robot) -> None:
+    scene = orchard(robot, obstacles=[Sphere(name="ball", center=(0.0, 1.2, 1.6), radius=0.2)])
+    with pytest.raises(UnreachableError):
+        plan_tour(robot, scene, OPTIONS, tour=TourOptions(drop_off=Goal(position=(9.0, 0.0, 1.0))))
+    with pytest.raises(BlockedError, match="the drop-off is blocked"):
+        plan_tour(robot, scene, OPTIONS, tour=TourOptions(drop_off=Goal(position=(0.0, 1.2, 1.6))))
+    with pytest.raises(InputError, match="drop_off: expected 4 joint values"):
+        plan_tour(robot, scene, OPTIONS, tour=TourOptions(drop_off=Goal(joints_deg=(0.0, 1.0))))
+    touching = Goal(joints_deg=(90.0, 45.0, 0.0, 0.0))
+    with pytest.raises(ConfigurationInCollisionError, match="drop_off is in collision: link"):
+        plan_tour(robot, scene, OPTIONS, tour=TourOptions(drop_off=touching))
+
+
+def test_start_in_collision(robot: Robot) -> None:
+    scene = orchard(robot, obstacles=[Sphere(name="ball", center=(0.0, 0.0, 1.6), radius=0.3)])
+    with pytest.raises(ConfigurationInCollisionError, match="start is in collision"):
+        plan_tour(robot, scene, OPTIONS)
+
+
+# The command
+
+
+@pytest.fixture(scope="module")
+def script() -> ModuleType:
+    return load_script("plan_tour")
+
+
+@pytest.fixture(scope="module")
+def scene_path(scene: Scene, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("scene") / "orchard.yaml"
+    save_scene(scene, path)
+    return path
+
+
+def test_command_writes_one_csv(
+    script: ModuleType, scene_path: Path, tmp_path: Path, tour: TourResult, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "tour-01-old.csv").touch()
+    assert script.main([str(scene_path), "--out", str(tmp_path), "--rate", "100", "--compare"]) == 0
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["scene.html", "tour.csv", "tour.json"]
+    written = read_csv(tmp_path / "tour.csv")
+    np.testing.assert_array_equal(written.position, tour.trajectory.position)
+    report = json.loads((tmp_path / "tour.json").read_text())
+    assert report["order"] == list(tour.order)
+    assert report["files"] == ["tour.csv"]
+    shown = capsys.readouterr().out
+    for text in (
+        *tour.order,
+        "transit",
+        "approach",
+        "retreat",
+        f"{tour.duration:.3f} s",
+        "nearest",
+        "given",
+        "verified",
+    ):
+        assert text in shown
+    assert "drop" not in shown
+
+
+def test_command_writes_one_csv_for_each(script: ModuleType, scene_path: Path, tmp_path: Path) -> None:
+    drop = ["--drop-off-joints", "100", "60", "80", "60", "--every", "2", "--back", "--csv", "each"]
+    options = [*drop, "--fruits", "b", "d", "--rate", "100", "--quiet", "--order", "given"]
+    assert script.main([str(scene_path), "--out", str(tmp_path), *options]) == 0
+    names = ["tour-01-b.csv", "tour-02-d.csv", "tour-03-return.csv"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["scene.html", *names, "tour.json"]
+    legs = [read_csv(tmp_path / name) for name in names]
+    report = json.loads((tmp_path / "tour.json").read_text())
+    assert report["files"] == names
+    assert sum(leg.duration for leg in legs) == pytest.approx(report["trajectory"]["duration_s"], abs=1e-9)
+    for one, other in itertools.pairwise(legs):
+        np.testing.assert_allclose(one.position[-1], other.position[0], rtol=0, atol=1e-9)
+
+
+def test_command_lists_what_is_not_picked(
+    script: ModuleType, robot: Robot, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    far = Fruit(name="far [one]", center=(5.0, 0.0, 1.0), radius=0.04)
+    save_scene(orchard(robot, far), tmp_path / "some.yaml")
+    save_scene(orchard(robot, far, fruits=False), tmp_path / "none.yaml")
+    out = tmp_path / "out"
+    run = ["--out", str(out), "--rate", "100", "--fruits"]
+    assert script.main([str(tmp_path / "some.yaml"), *run, "a", "far [one]"]) == 0
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "not picked far [one]: the tool cannot reach (5, 0, 1) m" in shown
+    assert script.main([str(tmp_path / "none.yaml"), *run, "far [one]"]) == 3
+    assert "far [one]" in capsys.readouterr().err
+    assert [path.name for path in out.iterdir()] == ["tour.json"]
+    report = json.loads((out / "tour.json").read_text())
+    assert (report["status"], report["error"]["kind"]) == ("failed", "TourError")
+
+
+@pytest.mark.parametrize(
+    ("options", "status"),
+    [
+        (["--fruits", "pear"], 2),
+        (["--every", "2"], 2),
+        (["--drop-off-joints", "0", "0"], 2),
+        (["--drop-off", "nan", "0", "0"], 2),
+        (["--drop-off", "9", "0", "1"], 3),
+        (["--tracking-error", "-1"], 2),
+        (["--drop-off-joints", "0", "30", "40", "20", "--every", "0"], 2),
+    ],
+)
+def test_command_refuses(script: ModuleType, scene_path: Path, tmp_path: Path, options: list[str], status: int) -> None:
+    assert script.main([str(scene_path), "--out", str(tmp_path), *options]) == status
+    assert [path.name for path in tmp_path.iterdir()] == ["tour.json"]

@@ -1,0 +1,136 @@
+"""Motions run by machines that are others than their controller believes."""
+
+from __future__ import annotations
+
+import importlib.util
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from planned import post, task
+from script_loader import load_script
+
+from hplan.errors import OptionError
+from hplan.planning.plan import PlanResult, plan
+from hplan.problem.options import PlanOptions
+from hplan.robot.model import Robot
+from hplan.robot.tracking import TrackingModel
+from hplan.scene.model import Fruit, Goal, Scene, Sphere, Start
+from hplan.timing.trajectory import write_csv
+from hplan.verification.plant import Plant
+from hplan.verification.simulation import execute
+
+needs_mujoco = pytest.mark.skipif(
+    importlib.util.find_spec("mujoco") is None, reason="MuJoCo is not installed: pip install 'hplan[execution]'"
+)
+
+#: Bandwidth of a stiff position loop [rad/s].
+STIFF = 200.0
+
+MODEL = TrackingModel(math.radians(0.02), 3e-3)
+
+
+def between_twigs() -> Scene:
+    """A fruit between two twigs."""
+    twigs = [Sphere(name=f"twig {i}", center=(1.6, side, 1.43), radius=0.05) for i, side in enumerate((-0.085, 0.085))]
+    return Scene(
+        name="between twigs",
+        start=Start(joints_deg=(60.0, 30.0, 20.0, 20.0)),
+        goal=Goal(fruit="apple"),
+        obstacles=tuple(twigs),
+        fruits=(Fruit(name="apple", center=(1.6, 0.0, 1.5), radius=0.03),),
+    )
+
+
+@pytest.fixture(scope="module")
+def around_a_post(robot: Robot) -> PlanResult:
+    """Past an obstacle, with room for the tracking error."""
+    scene = task((0.0, 30.0, 20.0, 20.0), (60.0, 30.0, 20.0, 20.0), [post("post", 30.0, 1.3, 0.0, 2.6, 0.05)])
+    return plan(robot, scene, PlanOptions(tracking_error=MODEL.still_rad, tracking_delay_s=MODEL.delay_s))
+
+
+@pytest.mark.parametrize(
+    ("option", "value"),
+    [("mass_factor", 0.0), ("mass_factor", math.nan), ("command_delay_s", -1e-9), ("bandwidth", 0.0)],
+)
+def test_no_such_machine(option: str, value: float) -> None:
+    with pytest.raises(OptionError) as error:
+        Plant(**{option: value})
+    assert error.value.data["option"] == option
+
+
+@needs_mujoco
+def test_the_machine_that_the_controller_knows(robot: Robot, around_a_post: PlanResult) -> None:
+    scene, motion = around_a_post.motion.task.scene, around_a_post.trajectory
+    plain, same = execute(robot, scene, motion), execute(robot, scene, motion, Plant())
+    np.testing.assert_array_equal(plain.position, same.position)
+    assert plain.is_within(MODEL)
+    assert not plain.is_within(TrackingModel())
+    np.testing.assert_allclose(plain.reference[-1], motion.position[-1])
+
+
+@needs_mujoco
+def test_a_late_command_is_a_lag_of_as_long(robot: Robot, around_a_post: PlanResult) -> None:
+    """Every joint is behind by its velocity times the delay, and so within a model of that delay alone."""
+    delay = 5e-3
+    late = execute(
+        robot,
+        around_a_post.motion.task.scene,
+        around_a_post.trajectory,
+        Plant(command_delay_s=delay, bandwidth=STIFF, decoupled=True),
+    )
+    moving = np.abs(late.reference_velocity) > 0.5
+    lag = (late.reference - late.position)[moving] / late.reference_velocity[moving]
+    assert np.median(lag) == pytest.approx(delay, rel=0.1)
+    assert late.is_within(TrackingModel(MODEL.still_rad, 1.5 * delay))
+    assert not late.is_within(TrackingModel(MODEL.still_rad, 0.5 * delay))
+
+
+@needs_mujoco
+@pytest.mark.parametrize("factor", [0.8, 1.2])
+def test_other_masses_sag_and_a_stiffer_controller_sags_less(
+    robot: Robot, around_a_post: PlanResult, factor: float
+) -> None:
+    scene, motion = around_a_post.motion.task.scene, around_a_post.trajectory
+    plants = Plant(factor, 1e-3), Plant(factor, 1e-3, STIFF, decoupled=True)
+    soft, stiff = (execute(robot, scene, motion, plant) for plant in plants)
+    sag = (soft.position - soft.reference)[-1, 1:]  # at rest, where gravity alone acts
+    assert np.abs(sag).max() > 5e-4
+    assert (np.sign(sag[0]) < 0.0) == (factor > 1.0)
+    assert np.abs((stiff.position - stiff.reference)[-1]).max() < 0.1 * np.abs(sag).max()
+    assert not soft.is_within(MODEL)
+    assert stiff.is_within(MODEL)
+    assert not stiff.contacts
+
+
+@needs_mujoco
+@pytest.mark.parametrize("factor", [0.8, 1.2])
+def test_nothing_is_touched_within_the_model(robot: Robot, factor: float) -> None:
+    """Between two twigs to a fruit: planned with the model, run late by a machine of other masses."""
+    scene = between_twigs()
+    options = PlanOptions(tracking_error=MODEL.still_rad, tracking_delay_s=MODEL.delay_s)
+    result = execute(robot, scene, plan(robot, scene, options).trajectory, Plant(factor, 1e-3, STIFF, decoupled=True))
+    assert result.is_within(MODEL)
+    assert not result.contacts
+
+
+@needs_mujoco
+def test_execute_says_whether_the_tracking_error_was_kept(
+    robot: Robot, around_a_post: PlanResult, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = write_csv(around_a_post.trajectory, tmp_path / "trajectory.csv")
+    command = [str(path), "--mass-factor", "1.2", "--command-delay", "1", "--tracking-delay", "3"]
+    for more, said in ((("--tracking-error", "0.02"), "some joint was"), (("--tracking-error", "1"), "no joint was")):
+        load_script("execute").main([*command, *more])
+        assert said in capsys.readouterr().out
+    assert load_script("execute").main([*command, "--mass-factor", "-1"]) == 2
+
+
+@needs_mujoco
+def test_study_of_a_shipped_scene(capsys: pytest.CaptureFixture[str]) -> None:
+    status = load_script("study_tracking").main(["tour", "--fruits", "1", "--execute", "--mass-factors", "1.2"])
+    said = capsys.readouterr().out
+    assert status == 0
+    assert "1 of 1 fruits can be picked with a tracking error of 0.02 deg + 3 ms of velocity" in said
+    assert "1 executed: 1 within it, 0 touched something, 0 did both" in said

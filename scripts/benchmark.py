@@ -147,7 +147,7 @@ def write(results: dict[str, Any], folder: Path) -> list[Path]:
     from studies.view.figures import png_bytes, require_matplotlib
 
     from hplan.base.files import write_text
-    from hplan.base.report import write_report
+    from hplan.planning.report import write_report
 
     written = [
         write_report(results, folder / "benchmark.json"),

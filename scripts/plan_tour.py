@@ -107,7 +107,7 @@ def _run(
     progress("reading robot and scene")
 
     from hplan.base.data_files import scenes_dir
-    from hplan.base.report import write_report
+    from hplan.planning.report import write_report
     from hplan.problem.options import PlanOptions
     from hplan.robot.model import load_robot
     from hplan.scene.file import load_scene

@@ -14,7 +14,7 @@ from hplan.cli.terminal import FAILED, add_robot, add_tracking, command_parser, 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from hplan.planning.plan import PlanResult, Workspace
+    from hplan.planning.plan import PlanningCache, PlanResult
     from hplan.problem.options import PlanOptions
     from hplan.scene.model import Scene
 
@@ -58,7 +58,7 @@ def _run(arguments: argparse.Namespace, console: Console) -> int:
     import numpy as np
 
     from hplan.base.data_files import scenes_dir
-    from hplan.planning.plan import Workspace
+    from hplan.planning.plan import PlanningCache
     from hplan.problem.options import PlanOptions
     from hplan.robot.model import load_robot
     from hplan.scene.file import load_scene
@@ -70,7 +70,7 @@ def _run(arguments: argparse.Namespace, console: Console) -> int:
         Plant(factor, 1e-3 * arguments.command_delay, arguments.bandwidth, decoupled=True)
         for factor in arguments.mass_factors
     ]
-    plain, careful = Workspace(robot), Workspace(robot)
+    plain, careful = PlanningCache(robot), PlanningCache(robot)
     options = PlanOptions()
     allowing = replace(options, tracking_error=tracking.still_rad, tracking_delay_s=tracking.delay_s)
     ratios, pickable, runs, within, touching, both = [], 0, 0, 0, 0, 0
@@ -100,7 +100,7 @@ def _run(arguments: argparse.Namespace, console: Console) -> int:
     return FAILED if both else 0
 
 
-def _planned(workspace: Workspace, scene: Scene, options: PlanOptions) -> PlanResult | None:
+def _planned(workspace: PlanningCache, scene: Scene, options: PlanOptions) -> PlanResult | None:
     """The plan, or None where there is none."""
     from hplan.errors import HplanError
     from hplan.planning.plan import plan_with

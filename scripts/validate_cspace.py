@@ -75,7 +75,7 @@ def _run(arguments: argparse.Namespace, console: Console, errors: Console) -> in
         _show_kinds(console, kinds)
         ok, report = kinds.ok, kinds.as_dict()
     if path is not None:
-        from hplan.base.report import write_report
+        from hplan.planning.report import write_report
 
         write_report(report, path)
         console.print(f"written to {path}\n", markup=False, soft_wrap=True)
@@ -249,7 +249,7 @@ def _show(console: Console, result: Validation) -> None:
     facts.add_row("arm plane", f"yaw {math.degrees(result.yaw_rad):g} deg, clearance {1e3 * result.clearance_m:g} mm")
     first = result.comparisons[0]
     share = 100.0 * first.occupied / result.nodes
-    ratio = f"coal with {first.judge} links takes {result.speed_ratio(first):,.0f} times as long"
+    ratio = f"coal with {first.checker} links takes {result.speed_ratio(first):,.0f} times as long"
     facts.add_row("forbidden", f"{first.occupied:,} nodes, {share:.3f} %")
     facts.add_row("analytic", f"{1e3 * result.analytic_s:.2f} ms; {ratio}")
     console.print(f"\n[bold]{escape(result.scene)}[/] with [bold]{escape(result.robot)}[/]\n")
@@ -263,7 +263,7 @@ def _show(console: Console, result: Validation) -> None:
         style = "bold red" if c.decisive else "yellow"
         table.add_row(
             c.link_model,
-            c.judge,
+            c.checker,
             f"{c.judge_occupied:,}",
             f"[{style}]{c.faults:,}[/]" if c.faults else "0",
             f"{c.conservative:,}",
@@ -294,14 +294,14 @@ def _show_differences(console: Console, result: Validation, c: Comparison) -> No
     """The worst of the nodes that differ, both ways."""
     from hplan.cspace.sections import SECTION_ERROR
 
-    pair = f"{c.link_model} and coal's {c.judge}"
+    pair = f"{c.link_model} and coal's {c.checker}"
     if c.faults:
         word = "[bold red]faults[/]" if c.decisive else "box only"
         console.print(f"{pair}: {word}, to a depth of {_mm(c.deepest_fault_m)}", soft_wrap=True)
         _show_examples(console, result, c.fault_examples)
     if c.conservative:
         text = f"{pair}: ours only, with up to {_mm(c.widest_gap_m)} to spare"
-        if c.judge == "capsule":
+        if c.checker == "capsule":
             text += f"; {c.unexplained:,} beyond the bound on sections, {_mm(SECTION_ERROR)}"
         console.print(text, soft_wrap=True)
         _show_examples(console, result, c.conservative_examples[:3])

@@ -66,7 +66,7 @@ def _run(arguments: argparse.Namespace, console: Console, errors: Console) -> in
     )  # fmt: skip
     _show(console, tally)
     if arguments.out is not None:
-        from hplan.base.report import write_report
+        from hplan.planning.report import write_report
 
         write_report(tally.as_dict(), arguments.out / RESULT)
         console.print(f"written to {arguments.out / RESULT}\n", markup=False, soft_wrap=True)

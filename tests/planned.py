@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from hplan.collision.coal_scene import CollisionScene
+from hplan.collision.coal_scene import CoalScene
 from hplan.planning.plan import PlanResult
 from hplan.robot.model import Robot
 from hplan.scene.model import Box, Capsule, Fruit, Goal, Scene, Sphere, Start
@@ -87,13 +87,13 @@ def assert_clear(
     solids = scene.solids_with_goal
     if not solids:
         return
-    judge = CollisionScene(robot, solids)
+    checker = CoalScene(robot, solids)
     keep = np.array([scene.clearance + sigmas * solid.sigma for solid in solids])
-    spare = np.min([judge.distances(q) for q in configurations], axis=0) - keep
+    spare = np.min([checker.distances(q) for q in configurations], axis=0) - keep
     if touched is not None:
         spare[-1, [solid.name == touched for solid in solids]] = np.inf
     link, solid = np.unravel_index(int(spare.argmin()), spare.shape)
-    assert spare.min() > 0.0, f"{judge.link_names[link]} and {solids[solid].name}: {spare.min()}"
+    assert spare.min() > 0.0, f"{checker.link_names[link]} and {solids[solid].name}: {spare.min()}"
 
 
 def assert_sound(robot: Robot, scene: Scene, result: PlanResult, *, sigmas: float = 3.0) -> None:
@@ -202,8 +202,8 @@ def random_scene(seed: int, robot: Robot) -> Scene:
         else:
             candidate = Fruit(name=name, center=place, radius=0.04)
         ball = candidate if kind < 3 else Sphere(name=name, center=place, radius=0.04)
-        judge = CollisionScene(robot, [ball])
-        away = min(judge.distances(np.radians(q)).min() for q in ends) > 0.02 + 3.0 * candidate.sigma
+        checker = CoalScene(robot, [ball])
+        away = min(checker.distances(np.radians(q)).min() for q in ends) > 0.02 + 3.0 * candidate.sigma
         if away and min(np.hypot(*point[:2]) for point in ball.core) > 0.3:
             (fruits if kind == 3 else obstacles).append(candidate)
     to_fruit = bool(fruits) and seed % 3 == 0

@@ -19,7 +19,7 @@ from planned import fruit, task
 
 import hplan
 from hplan import errors
-from hplan.collision.coal_scene import CollisionScene
+from hplan.collision.coal_scene import CoalScene
 from hplan.errors import HplanError
 from hplan.planning.enclosure import EnclosedError
 from hplan.robot.model import Robot
@@ -188,9 +188,9 @@ def test_a_plan_arrives_and_can_be_certified(
     assert found.picked == locked.picked
     again = hplan.certify(found.motion.task.robot, found.motion.task.scene, found.trajectory)
     assert again == hplan.certify(robot, scene, locked.trajectory)
-    judge = found.motion.task.around.judge
+    checker = found.motion.task.world.checker
     q = found.trajectory.position[10]
-    np.testing.assert_array_equal(judge.distances(q), locked.motion.task.around.judge.distances(q))
+    np.testing.assert_array_equal(checker.distances(q), locked.motion.task.world.checker.distances(q))
 
 
 def test_a_plan_with_approach_and_retreat_arrives(robot: Robot, orchard: Scene) -> None:
@@ -198,11 +198,11 @@ def test_a_plan_with_approach_and_retreat_arrives(robot: Robot, orchard: Scene) 
     found = by_pickle(result)
     assert_alike(result, found)
     assert found.picked == result.picked
-    around = found.motion.task.around
+    world = found.motion.task.world
     q = found.grasp.goal
-    near = around.touching("a").judge.distances(q)
-    np.testing.assert_array_equal(near, result.motion.task.around.touching("a").judge.distances(q))
-    np.testing.assert_array_equal(near, by_pickle(around.touching("a")).judge.distances(q))
+    near = world.touching("a").checker.distances(q)
+    np.testing.assert_array_equal(near, result.motion.task.world.touching("a").checker.distances(q))
+    np.testing.assert_array_equal(near, by_pickle(world.touching("a")).checker.distances(q))
 
 
 def test_a_tour_arrives(robot: Robot, orchard: Scene, travelled: Callable[[Any], Any]) -> None:
@@ -236,10 +236,10 @@ def test_a_scene_with_mesh_and_points_arrives(robot: Robot, travelled: Callable[
     found = travelled(scene)
     assert found == scene
     q = scene.start.configuration
-    judge = CollisionScene(robot, scene.solids)
-    distances = judge.distances(q)
-    np.testing.assert_array_equal(CollisionScene(robot, found.solids).distances(q), distances)
-    np.testing.assert_array_equal(travelled(judge).distances(q), distances)
+    checker = CoalScene(robot, scene.solids)
+    distances = checker.distances(q)
+    np.testing.assert_array_equal(CoalScene(robot, found.solids).distances(q), distances)
+    np.testing.assert_array_equal(travelled(checker).distances(q), distances)
     cloud = found.solids[-1]
     assert isinstance(cloud, Cloud)
     assert not by_pickle(cloud).core.flags.writeable

@@ -24,7 +24,7 @@ from hplan.scene.model import Box, Capsule, Fruit, Goal, Mesh, PointCloud, Scene
 from hplan.search import dense_search, reachable, slices_with_path, two_level_search
 from hplan.search.grid import Grid, Occupancy
 from hplan.tour.tour import TourOptions
-from hplan.verification.recorded_motion import Motion, read_motion
+from hplan.verification.recorded_motion import RecordedMotion, read_motion
 from hplan.verification.simulation import execute
 from hplan.waypoints.corner_rounding import largest_deviation, rounded_path
 from hplan.waypoints.timing import limit_shares, limits_of, read_machine, read_waypoints, time_waypoints
@@ -206,8 +206,8 @@ CASES: dict[str, Case] = {
             **dict.fromkeys(("position", "velocity", "acceleration", "torque"), NO_MATRIX),
         },
     ),
-    "Motion.from_positions": (
-        Motion.from_positions,
+    "RecordedMotion.from_positions": (
+        RecordedMotion.from_positions,
         {"joint_names": ["a"], "time": [0.0, 1.0], "position": [[0.0], [1.0]]},
         {
             "joint_names": (None, "a", [1]),
@@ -479,7 +479,7 @@ CASES: dict[str, Case] = {
         {"path": NO_FILE, "joint_names": (None, "a", [1], 1.0)},
     ),
     "write_report": (
-        lambda **given: importlib.import_module("hplan.base.report").write_report(**given),
+        lambda **given: importlib.import_module("hplan.planning.report").write_report(**given),
         {"report": {}, "path": "a.json"},
         {"path": (*NO_PATH, ".")},
     ),

@@ -76,7 +76,7 @@ def _parser(prog: str) -> CommandParser:
 def _certify(arguments: argparse.Namespace, console: Console) -> int:
     """Read, judge, compare, say; returns the exit status."""
     with loading():
-        from hplan.base.report import certificate_report, report_text, versions, write_report
+        from hplan.planning.report import certificate_report, report_text, versions, write_report
         from hplan.problem.options import PlanOptions
         from hplan.robot.model import load_robot
         from hplan.scene.file import load_scene

@@ -100,7 +100,7 @@ class JobFolder:
 
     def fail(self, error: BaseException) -> None:
         """Leave the report of a failed job; after a signal or a fault of hplan's own, nothing at all."""
-        from hplan.base.report import failure_report, write_report
+        from hplan.planning.report import failure_report, write_report
 
         self.clear()
         if isinstance(error, HplanError):

@@ -136,8 +136,8 @@ def _run(arguments: argparse.Namespace, folder: JobFolder, errors: Console) -> t
         with loading():
             import math
 
-            from hplan.base.report import write_report
             from hplan.planning.plan import with_export_time
+            from hplan.planning.report import write_report
             from hplan.problem.options import PlanOptions
             from hplan.robot.model import load_robot
             from hplan.scene.file import load_scene
@@ -182,13 +182,13 @@ def _run(arguments: argparse.Namespace, folder: JobFolder, errors: Console) -> t
 
 def _planned(robot: Robot, scene: Scene, options: PlanOptions, progress: _Progress) -> PlanResult:
     """Plan; on a first run another process compiles what comes last meanwhile."""
-    from hplan.planning.compile_ahead import compiling_beside, is_first_run
+    from hplan.planning.compile_ahead import compiling_ahead, is_first_run
     from hplan.planning.plan import plan
 
     first_run = is_first_run()
     if first_run:
         progress.note = " (compiling, as on every first run)"
-    with compiling_beside(first_run) as wait:
+    with compiling_ahead(first_run) as wait:
 
         def stage(name: str) -> None:
             progress(name)

@@ -54,7 +54,7 @@ class OwnContact(Contact):
         return f"link {self.obstacle!r}"
 
 
-class CollisionScene:
+class CoalScene:
     """Arm and obstacles as pairs of shapes, and their distances.
 
     Pairs are each link shape with each obstacle, link by link, and so each shape of the turret that is not round about
@@ -186,7 +186,7 @@ class CollisionScene:
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Build it."""
-        whole = CollisionScene(**state["built"])
+        whole = CoalScene(**state["built"])
         for name in state["touched"]:
             whole = whole.touching(name)
         vars(self).update(vars(whole))
@@ -196,7 +196,7 @@ class CollisionScene:
         """(pairs,) by how much distances of `pairs` may be too large [m] (`hplan.collision.coal_accuracy`)."""
         return distance_errors(self._mover_shapes, self._built["obstacles"], self._own_shapes)
 
-    def covering(self, deviation: float, clearance: float) -> CollisionScene:
+    def covering(self, deviation: float, clearance: float) -> CoalScene:
         """The same scene with the pairs that a tracking error [rad] and a clearance [m] ask for."""
         if deviation <= self.deviation and clearance == self.clearance:
             return self
@@ -205,14 +205,14 @@ class CollisionScene:
             for more, keep in ((deviation, clearance), (self.deviation, self.clearance))
         ):
             return self
-        other = CollisionScene(**{**self._built, "deviation": max(deviation, self.deviation), "clearance": clearance})
+        other = CoalScene(**{**self._built, "deviation": max(deviation, self.deviation), "clearance": clearance})
         for name in self._touched:
             other = other.touching(name)
         return other
 
-    def touching(self, name: str) -> CollisionScene:
+    def touching(self, name: str) -> CoalScene:
         """The same scene where the last link may touch the obstacles of a name: their distance counts as infinite."""
-        other = object.__new__(CollisionScene)
+        other = object.__new__(CoalScene)
         vars(other).update(vars(self))
         other._touched = (*self._touched, name)
         other._beyond = self._beyond.copy()
@@ -342,11 +342,11 @@ def base_radius(robot: Robot) -> float:
     return radius
 
 
-def check_clear(judge: CollisionScene, q: FloatArray, clearance: float, which: str, *, sway: ArrayLike = 0.0) -> float:
+def check_clear(checker: CoalScene, q: FloatArray, clearance: float, which: str, *, sway: ArrayLike = 0.0) -> float:
     """What a configuration has beyond the clearance to keep [m], inf without obstacles.
 
     Args:
-        judge: The arm among the obstacles.
+        checker: The arm among the obstacles.
         q: (dof,) configuration.
         clearance: Clearance to keep [m].
         which: What the configuration is, for the error.
@@ -356,29 +356,29 @@ def check_clear(judge: CollisionScene, q: FloatArray, clearance: float, which: s
         ConfigurationInCollisionError: It touches an obstacle or itself, or comes closer than `clearance` and sway;
             names link, obstacle or other part of the arm, and depth.
     """
-    distances = judge.pair_distances(q)
+    distances = checker.pair_distances(q)
     if distances.size == 0:
         return float("inf")
     sways = np.broadcast_to(np.asarray(sway, dtype=np.float64), distances.shape)
     worst = int((distances - sways).argmin())
     beyond = float(distances[worst] - sways[worst]) - clearance
     if beyond <= 0.0:
-        nearest = judge.contact(*judge.pairs[worst], float(distances[worst]))
+        nearest = checker.contact(*checker.pairs[worst], float(distances[worst]))
         raise ConfigurationInCollisionError(
             which, nearest.link, nearest.obstacle, -beyond, clearance + float(sways[worst]), other=nearest.other
         )
     return beyond
 
 
-def sampled_occupancy(judge: CollisionScene, grid: Grid, yaw: float = 0.0) -> BoolArray:
+def sampled_occupancy(checker: CoalScene, grid: Grid, yaw: float = 0.0) -> BoolArray:
     """Occupancy of a grid over the planar joints by asking coal at every node.
 
     Returns:
         Mask of the grid's shape, True where some link touches an obstacle.
     """
-    robot = judge.robot
+    robot = checker.robot
     axes = [grid.axis(number) for number in range(len(grid.shape))]
     nodes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
     if robot.has_yaw:
         nodes = np.column_stack([np.full(len(nodes), yaw), nodes])
-    return judge.in_collision(nodes).reshape(grid.shape)
+    return checker.in_collision(nodes).reshape(grid.shape)

@@ -63,7 +63,7 @@ class ConvexObstacle(Protocol):
         """Radius about the core [m]."""
 
     @property
-    def loose(self) -> bool:
+    def is_point_set(self) -> bool:
         """Whether every core point is a ball of its own (a point cloud) and not a corner of one hull."""
 
 
@@ -115,7 +115,7 @@ class ArmSections(Record):
 
 
 @dataclass(frozen=True, eq=False)
-class Bodies(Record):
+class PreparedObstacles(Record):
     """Obstacles made ready for cutting, once for all yaws: balls, each point of a cloud one, and hulls of points.
 
     Attributes:
@@ -158,7 +158,7 @@ def bodies_of(
     own_clearance: float | None = None,
     deviation: float = 0.0,
     touched: int = -1,
-) -> Bodies:
+) -> PreparedObstacles:
     """Make obstacles ready for cutting.
 
     Args:
@@ -181,7 +181,7 @@ def bodies_of(
     cores = [obstacle.core for obstacle in obstacles]
     roundings = np.array([obstacle.rounding for obstacle in obstacles], dtype=np.float64)
     lengths = np.array([len(core) for core in cores], dtype=np.int64)
-    loose = np.array([obstacle.loose for obstacle in obstacles], dtype=np.bool_)
+    is_point_set = np.array([obstacle.is_point_set for obstacle in obstacles], dtype=np.bool_)
     points = np.concatenate([np.zeros((0, 3)), *cores])
     owners = np.repeat(np.arange(len(cores)), lengths)
     bad = ~np.isfinite(roundings) | (lengths == 0)
@@ -192,14 +192,14 @@ def bodies_of(
             f"obstacle {name!r}: expected finite core points, at least one, and a finite radius", name=name
         )
     radii = roundings + margins
-    is_hull = ~(loose | (lengths == 1))
+    is_hull = ~(is_point_set | (lengths == 1))
     hull_owners = np.flatnonzero(is_hull)
     corners, starts, around = _NO_HULLS
     if len(hull_owners):
         of_hull = is_hull[owners]
         corners, starts, around = _hulls(points[of_hull], lengths[hull_owners])
         points, owners = points[~of_hull], owners[~of_hull]
-    return Bodies(
+    return PreparedObstacles(
         ball_centres=frozen(points),
         ball_radii=frozen(radii[owners]),
         ball_owners=frozen(owners),
@@ -216,7 +216,7 @@ def bodies_of(
 
 
 def _hulls(corners: FloatArray, lengths: IntArray) -> tuple[FloatArray, IntArray, FloatArray]:
-    """`hull_points`, `hull_starts` and `around` of `Bodies`: the ball is around each hull's bounding box."""
+    """`hull_points`, `hull_starts` and `around` of `PreparedObstacles`: the ball is around each hull's bounding box."""
     starts = np.concatenate([[0], np.cumsum(lengths)])
     low, high = np.minimum.reduceat(corners, starts[:-1]), np.maximum.reduceat(corners, starts[:-1])
     around = np.column_stack([0.5 * (low + high), 0.5 * np.linalg.norm(high - low, axis=1)])
@@ -251,7 +251,7 @@ def arm_sections(
 
 def sections_at(
     robot: Robot,
-    bodies: Bodies,
+    bodies: PreparedObstacles,
     yaw: float = 0.0,
     *,
     half_angle: float = 0.0,
@@ -296,7 +296,7 @@ def sections_at(
 
 
 def _cut(
-    robot: Robot, bodies: Bodies, yaw: float, half_angle: float, link_model: LinkModel, *, within_reach: bool
+    robot: Robot, bodies: PreparedObstacles, yaw: float, half_angle: float, link_model: LinkModel, *, within_reach: bool
 ) -> ArmSections:
     """The sections of the bodies alone."""
     rectangle = link_model == "rectangle"
@@ -332,7 +332,7 @@ def _cut(
 
 
 def _with_itself(
-    sections: ArmSections, robot: Robot, contact: SelfContact, bodies: Bodies, yaw: float, half_angle: float
+    sections: ArmSections, robot: Robot, contact: SelfContact, bodies: PreparedObstacles, yaw: float, half_angle: float
 ) -> ArmSections:
     """The same sections, and what the arm can touch of itself; whatever the model, by its capsules."""
     arm, count = robot.arm, len(sections.obstacle_names)
@@ -368,7 +368,7 @@ def _with_itself(
 _BASE: WeakKeyDictionary[Robot, dict[tuple[float, float], ArmSections]] = WeakKeyDictionary()
 
 
-def _constant_sections(robot: Robot, parts: Sequence[BaseBody], bodies: Bodies) -> ArmSections:
+def _constant_sections(robot: Robot, parts: Sequence[BaseBody], bodies: PreparedObstacles) -> ArmSections:
     """Sections of what of turret and pedestal is cut the same at every yaw, made once."""
     known, kept = _BASE.get(robot, {}), (bodies.own_clearance, bodies.deviation)
     if kept not in known:
@@ -378,7 +378,7 @@ def _constant_sections(robot: Robot, parts: Sequence[BaseBody], bodies: Bodies) 
 
 
 def _base_sections(
-    robot: Robot, parts: Sequence[BaseBody], bodies: Bodies, yaw: float, half_angle: float
+    robot: Robot, parts: Sequence[BaseBody], bodies: PreparedObstacles, yaw: float, half_angle: float
 ) -> ArmSections:
     """Sections of parts of turret and pedestal, to each link that can touch them."""
     grown = bodies_of(parts, clearance=bodies.own_clearance, deviation=bodies.deviation)

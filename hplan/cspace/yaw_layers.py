@@ -14,7 +14,7 @@ import numpy as np
 from hplan.base.arrays import WordArray, frozen
 from hplan.base.kernels import kernel
 from hplan.cspace.occupancy import occupancy
-from hplan.cspace.sections import ArmSections, Bodies, sections_at
+from hplan.cspace.sections import ArmSections, PreparedObstacles, sections_at
 from hplan.errors import OptionError
 from hplan.robot.model import Robot
 from hplan.search.grid import Grid, Occupancy, words_for
@@ -50,7 +50,7 @@ def yaw_axis(
     return low - below * step, step, round((high - low) / step) + below + above + 1
 
 
-class Layers:
+class LayerCache:
     """Planar layers that were computed before, found again by what they are made from: grid and sections.
 
     A layer whose sections have not changed need not be computed again, whatever else has changed in the scene. Once
@@ -96,14 +96,14 @@ class Layers:
 
 def turning_occupancy(
     robot: Robot,
-    bodies: Bodies,
+    bodies: PreparedObstacles,
     planar: Grid,
     first_yaw: float,
     yaw_step: float,
     count: int,
     *,
     thick: bool,
-    layers: Layers,
+    layers: LayerCache,
 ) -> Occupancy:
     """Which nodes of planar grid times yaws are free.
 

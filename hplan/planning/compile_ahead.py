@@ -33,7 +33,7 @@ def is_first_run() -> bool:
 
 
 @contextmanager
-def compiling_beside(first_run: bool) -> Iterator[Callable[[], None]]:
+def compiling_ahead(first_run: bool) -> Iterator[Callable[[], None]]:
     """Inside the block the kernels from post-processing on are compiled by another process, if this is the first run.
 
     Args:
@@ -75,17 +75,17 @@ def _start() -> subprocess.Popen[bytes] | None:
 
 def compile_from_postprocessing_on() -> None:
     """Smooth, time and certify a way through the reference scene."""
-    from hplan.planning.find_motion import MARGIN, finished
+    from hplan.planning.find_motion import MARGIN, smooth_and_certify
     from hplan.problem.options import PlanOptions
     from hplan.robot.model import load_robot
     from hplan.scene.file import load_scene
-    from hplan.tour.motions import World
+    from hplan.tour.motions import MotionPlanning
 
-    scene, world = load_scene(), World(load_robot(), PlanOptions())
+    scene, planning = load_scene(), MotionPlanning(load_robot(), PlanOptions())
     start, goal = scene.start.configuration, scene.goal.configuration
     way = np.stack([start, start, goal, goal])
     way[1:3, -2:] = np.radians(_FOLDED_DEG)
-    finished(world.task(world.around(scene), scene, start, goal), None, way, MARGIN, "search")
+    smooth_and_certify(planning.task(planning.world(scene), scene, start, goal), None, way, MARGIN, "search")
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ import numpy as np
 from hplan.base.arrays import IntArray, WordArray
 from hplan.errors import CertificationError
 from hplan.planning.enclosure import open_ended
-from hplan.planning.grid_route import Rung, Task, planar_space, turning_space
+from hplan.planning.grid_route import GridAttempt, PlanningTask, planar_space, turning_space
 from hplan.search.flood import flood_from, has_bit
 from hplan.search.lattice import Lattice
 
@@ -29,14 +29,16 @@ class Component:
     open_ended: bool
 
 
-def enclosed_goals(tasks: Sequence[Task], rung: Rung, margins: Sequence[float]) -> list[Component | None]:
+def enclosed_goals(
+    tasks: Sequence[PlanningTask], grid_attempt: GridAttempt, margins: Sequence[float]
+) -> list[Component | None]:
     """Which of several goals the start is not connected to on one grid: that of the first.
 
     The goals' regions are flooded first: most often they are small pockets, and the start is in none of them.
 
     Args:
         tasks: One for each goal, from the same start among the same obstacles.
-        rung: The grid.
+        grid_attempt: The grid.
         margins: For each goal the clearance asked of the motions that join it to the grid [m].
 
     Returns:
@@ -46,7 +48,7 @@ def enclosed_goals(tasks: Sequence[Task], rung: Rung, margins: Sequence[float]) 
         OptionError: A step that gives no grid.
     """
     first = tasks[0]
-    space = turning_space(first, rung) if first.problem.turns else planar_space(first, rung)[0]
+    space = turning_space(first, grid_attempt) if first.problem.turns else planar_space(first, grid_attempt)[0]
     lattice = Lattice.of(space.grid.shape, space.grid.step)
     free = lattice.bordered(space.free_words)
     goals: dict[int, IntArray] = {}

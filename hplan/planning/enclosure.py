@@ -12,7 +12,7 @@ from hplan.cspace.blockers import blockers
 from hplan.cspace.sections import ArmSections, sections_at
 from hplan.errors import NoPathError
 from hplan.problem.definition import Problem
-from hplan.problem.world import Surroundings
+from hplan.problem.world import World
 from hplan.robot.model import Robot
 from hplan.search.flood import slice_sizes
 from hplan.search.grid import Grid
@@ -68,24 +68,24 @@ class TurningRegion(Record):
     Attributes:
         what: Which end is enclosed, in words.
         grid: The grid: planar joints, then yaw.
-        around: The arm and what it must keep clear of.
+        world: The arm and what it must keep clear of.
         growth: By how much obstacles were grown [m].
         reached: (rows, words) nodes of the region, as in `Occupancy`.
     """
 
     what: str
     grid: Grid
-    around: Surroundings
+    world: World
     growth: float
     reached: WordArray
 
     def explained(self) -> NoPathError:
         """The error that says what bounds the region, at the yaw at which it is largest."""
-        grid, robot = self.grid, self.around.robot
+        grid, robot = self.grid, self.world.robot
         layer = int(slice_sizes(self.reached).argmax())
         planar = Grid(grid.lower[:-1], grid.step[:-1], grid.shape[:-1])
         at = float(grid.lower[-1] + layer * grid.step[-1])
-        sections = sections_at(robot, self.around.bodies(self.growth), at, within_reach=False)
+        sections = sections_at(robot, self.world.bodies(self.growth), at, within_reach=False)
         inside = (self.reached[:, layer >> 6] >> np.uint64(layer & 63)) & np.uint64(1) > 0
         return PlanarRegion(self.what, planar, robot, sections, inside.reshape(planar.shape)).explained()
 

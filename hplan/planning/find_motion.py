@@ -18,14 +18,14 @@ from hplan.base.arrays import FloatArray, Record, frozen
 from hplan.errors import CertificationError, HplanError, NoPathError, OptionError, TimingError
 from hplan.planning.enclosed_goals import Component, enclosed_goals
 from hplan.planning.enclosure import EnclosedError
-from hplan.planning.grid_route import Route, Rung, Task, find_route
+from hplan.planning.grid_route import GridAttempt, PlanningTask, Route, find_route
 from hplan.planning.refusals import Refusals
-from hplan.planning.roadmap import BRIEF, WIDE, Effort, quick_way
+from hplan.planning.roadmap import BRIEF, WIDE, Effort, quick_path
 from hplan.robot.limits import GeometricPath, Limits
 from hplan.robot.limits import least_duration as least_between
 from hplan.robot.tracking import TrackingModel
 from hplan.smoothing.options import PostprocessOptions
-from hplan.smoothing.repair import mended
+from hplan.smoothing.repair import repaired
 from hplan.smoothing.smooth_path import fast_path
 from hplan.smoothing.spline import SplinePath
 from hplan.timing.retime import resting, time_path
@@ -46,7 +46,7 @@ FINER = (1.0, 2.0)
 #: Where the base turns: steps of the grid as multiples of the option, how far the base may turn beyond start and goal
 #: [deg], growth of obstacles [m], whether layers are thick. What is closed on the grid of the finest step for all yaws
 #: is closed.
-TURNING = (
+YAW_GRID_ATTEMPTS = (
     (2.0, 4.0, 0.0, False),
     (2.0, 4.0, 0.0, True),
     (2.0, 45.0, 0.0, False),
@@ -92,7 +92,7 @@ Origin: TypeAlias = Literal["none", "direct", "roadmap", "search", "mended", "ke
 
 
 @dataclass(frozen=True, eq=False)
-class Motion(Record):
+class PlannedMotion(Record):
     """A certified motion from configuration to configuration.
 
     Attributes:
@@ -105,7 +105,7 @@ class Motion(Record):
         origin: Where the way comes from.
     """
 
-    task: Task
+    task: PlanningTask
     route: Route | None
     way: FloatArray
     path: SplinePath | None
@@ -114,7 +114,7 @@ class Motion(Record):
     origin: Origin
 
 
-def find_motion(tasks: Sequence[Task]) -> tuple[int, Motion]:
+def find_motion(tasks: Sequence[PlanningTask]) -> tuple[int, PlannedMotion]:
     """A motion to one of several goals.
 
     Args:
@@ -134,7 +134,7 @@ def find_motion(tasks: Sequence[Task]) -> tuple[int, Motion]:
     return found
 
 
-def first_motion(tasks: Sequence[Task]) -> tuple[int, Motion] | Refusals:
+def first_motion(tasks: Sequence[PlanningTask]) -> tuple[int, PlannedMotion] | Refusals:
     """As `find_motion`; where there is none, why there is none to each of the goals."""
     attempts = [_Attempts(task) for task in tasks]
     for number, attempt in enumerate(attempts):
@@ -144,18 +144,18 @@ def first_motion(tasks: Sequence[Task]) -> tuple[int, Motion] | Refusals:
         return _first_planar(attempts)
     straight = _straight(attempts)
     if straight is None:
-        return _around(attempts)
+        return _worlds(attempts)
     number, motion = straight
     enough = WORTHWHILE * motion.trajectory.duration
     better = [other for other in range(number) if least_duration(attempts[other].task) < enough]
     if better:
-        detour = _second_look(attempts[better[0] : better[0] + 1], TURNING[:1])
+        detour = _second_look(attempts[better[0] : better[0] + 1], YAW_GRID_ATTEMPTS[:1])
         if detour is not None and detour[1].trajectory.duration < motion.trajectory.duration:
             return better[0], detour[1]
     return straight
 
 
-def without_path(tasks: Sequence[Task]) -> list[NoPathError | None]:
+def without_path(tasks: Sequence[PlanningTask]) -> list[NoPathError | None]:
     """To which of several goals no path exists on the finest grid, decided for all at once.
 
     Args:
@@ -172,9 +172,9 @@ def without_path(tasks: Sequence[Task]) -> list[NoPathError | None]:
         left = [number for number in todo if abs(tasks[number].problem.goal[0] - yaw) < SAME_YAW]
         todo = [number for number in todo if number not in left]
         for beyond_deg in WIDTHS:
-            rung = Rung(tasks[0].options.step_deg, beyond=math.radians(beyond_deg))
+            grid_attempt = GridAttempt(tasks[0].options.step_deg, beyond=math.radians(beyond_deg))
             try:
-                shown = dict(zip(left, _enclosed([attempts[number] for number in left], rung), strict=True))
+                shown = dict(zip(left, _enclosed([attempts[number] for number in left], grid_attempt), strict=True))
             except OptionError:  # no such grid
                 break
             for number, component in shown.items():
@@ -184,7 +184,7 @@ def without_path(tasks: Sequence[Task]) -> list[NoPathError | None]:
     return errors
 
 
-def renewed(task: Task, before: Motion) -> Motion:
+def reuse_motion(task: PlanningTask, before: PlannedMotion) -> PlannedMotion:
     """A motion for the task of an earlier one among obstacles that have changed since.
 
     The earlier motion itself where it can still be certified, and is straight or still has to go around something;
@@ -200,19 +200,19 @@ def renewed(task: Task, before: Motion) -> Motion:
     straight = task.field.is_clear(np.stack([task.problem.start, task.problem.goal]), _Attempts(task).margin(0.0))
     if before.path is None or (straight and len(before.way) > 2):
         raise CertificationError("the earlier motion would be a detour")
-    certificate = judged(task, before.trajectory)
+    certificate = certified_as_required(task, before.trajectory)
     if certificate.verified:
         return replace(before, task=task, route=None, certificate=certificate, origin="kept")
     return _Attempts(task).along(before.way)
 
 
-def least_duration(task: Task) -> float:
+def least_duration(task: PlanningTask) -> float:
     """What no motion between start and goal can undercut [s]."""
     problem, robot = task.problem, task.robot
     return least_between(problem.start, problem.goal, robot.velocity_limit, robot.acceleration_limit)
 
 
-def timed(task: Task, path: GeometricPath, share: float = 0.0) -> Trajectory:
+def timed(task: PlanningTask, path: GeometricPath, share: float = 0.0) -> Trajectory:
     """The fastest motion along a path under the robot's limits.
 
     Args:
@@ -234,7 +234,7 @@ def timed(task: Task, path: GeometricPath, share: float = 0.0) -> Trajectory:
 
 
 def executable(
-    task: Task, path: GeometricPath, among: Callable[[Trajectory], Sequence[Stretch]] | None = None
+    task: PlanningTask, path: GeometricPath, among: Callable[[Trajectory], Sequence[Stretch]] | None = None
 ) -> tuple[Trajectory, Certificate]:
     """The fastest certified motion along a path.
 
@@ -252,14 +252,14 @@ def executable(
     shares = CEILINGS if task.options.tracking.delay_s > 0.0 else (0.0,)
     for share in shares[:-1]:
         trajectory = timed(task, path, share)
-        certificate = judged(task, trajectory, None if among is None else among(trajectory))
+        certificate = certified_as_required(task, trajectory, None if among is None else among(trajectory))
         if certificate.verified:
             return trajectory, certificate
     trajectory = timed(task, path, shares[-1])
     return trajectory, certified(task, trajectory, None if among is None else among(trajectory))
 
 
-def certified(task: Task, trajectory: Trajectory, among: Sequence[Stretch] | None = None) -> Certificate:
+def certified(task: PlanningTask, trajectory: Trajectory, among: Sequence[Stretch] | None = None) -> Certificate:
     """The certificate of a motion.
 
     Args:
@@ -270,7 +270,7 @@ def certified(task: Task, trajectory: Trajectory, among: Sequence[Stretch] | Non
     Raises:
         CertificationError: It is asked for, and something was not shown.
     """
-    certificate = judged(task, trajectory, among)
+    certificate = certified_as_required(task, trajectory, among)
     if task.options.certify and not certificate.verified:
         raise CertificationError(
             f"the motion is not certified: {'; '.join(certificate.violations)}",
@@ -279,20 +279,24 @@ def certified(task: Task, trajectory: Trajectory, among: Sequence[Stretch] | Non
     return certificate
 
 
-def judged(task: Task, trajectory: Trajectory, among: Sequence[Stretch] | None = None) -> Certificate:
+def certified_as_required(
+    task: PlanningTask, trajectory: Trajectory, among: Sequence[Stretch] | None = None
+) -> Certificate:
     """The certificate of a motion, whatever it says; arguments as of `certified`."""
     options = task.options
     with task.stage("certificate"):
         return certify_among(
             task.robot,
             trajectory,
-            [(slice(0, max(1, trajectory.samples - 1)), task.around.judge)] if among is None else among,
+            [(slice(0, max(1, trajectory.samples - 1)), task.world.checker)] if among is None else among,
             clearance=task.scene.clearance,
             tracking=TrackingModel(options.tracking_error, options.tracking_delay_s),
         )
 
 
-def finished(task: Task, route: Route | None, way: FloatArray, margin: float, origin: Origin) -> Motion:
+def smooth_and_certify(
+    task: PlanningTask, route: Route | None, way: FloatArray, margin: float, origin: Origin
+) -> PlannedMotion:
     """The certified motion along a polyline.
 
     Args:
@@ -322,10 +326,10 @@ def finished(task: Task, route: Route | None, way: FloatArray, margin: float, or
             ),
         )
     trajectory, certificate = executable(task, path)
-    return Motion(task, route, way, path, trajectory, certificate, origin)
+    return PlannedMotion(task, route, way, path, trajectory, certificate, origin)
 
 
-def _straight(attempts: Sequence[_Attempts]) -> tuple[int, Motion] | None:
+def _straight(attempts: Sequence[_Attempts]) -> tuple[int, PlannedMotion] | None:
     """The first goal with a clear straight motion that can be certified."""
     for number, attempt in enumerate(attempts):
         problem = attempt.task.problem
@@ -337,11 +341,11 @@ def _straight(attempts: Sequence[_Attempts]) -> tuple[int, Motion] | None:
     return None
 
 
-def _around(attempts: Sequence[_Attempts]) -> tuple[int, Motion] | Refusals:
+def _worlds(attempts: Sequence[_Attempts]) -> tuple[int, PlannedMotion] | Refusals:
     """The quicker of a motion found in a roadmap and one found on grids."""
     quick = _by_roadmap(attempts[:ROADMAPS])
     if quick is None:
-        found = _first_turning(attempts, TURNING)
+        found = _first_turning(attempts, YAW_GRID_ATTEMPTS)
         if isinstance(found, Refusals):
             return found
         number, motion = found
@@ -352,27 +356,27 @@ def _around(attempts: Sequence[_Attempts]) -> tuple[int, Motion] | Refusals:
     number, motion = quick
     if attempts[number].is_close(motion):
         return quick
-    detour = _second_look(attempts, TURNING[:SECOND_LOOKS])
+    detour = _second_look(attempts, YAW_GRID_ATTEMPTS[:SECOND_LOOKS])
     return quick if detour is None or _quicker(motion, detour[1]) is motion else detour
 
 
 def _second_look(
-    attempts: Sequence[_Attempts], rungs: Sequence[tuple[float, float, float, bool]]
-) -> tuple[int, Motion] | None:
+    attempts: Sequence[_Attempts], grid_attempts: Sequence[tuple[float, float, float, bool]]
+) -> tuple[int, PlannedMotion] | None:
     """A motion over grids where there is another already; None where there is none, or no such grid."""
     try:
-        found = _first_turning(attempts, rungs)
+        found = _first_turning(attempts, grid_attempts)
     except OptionError:
         return None
     return None if isinstance(found, Refusals) else found
 
 
-def _quicker(first: Motion, second: Motion) -> Motion:
+def _quicker(first: PlannedMotion, second: PlannedMotion) -> PlannedMotion:
     """The one that takes less time; the first of two that take the same."""
     return first if first.trajectory.duration <= second.trajectory.duration else second
 
 
-def _by_roadmap(attempts: Sequence[_Attempts]) -> tuple[int, Motion] | None:
+def _by_roadmap(attempts: Sequence[_Attempts]) -> tuple[int, PlannedMotion] | None:
     """The first goal with a certified motion along a quick way."""
     for number, attempt in enumerate(attempts):
         motion = attempt.by_roadmap()
@@ -381,7 +385,7 @@ def _by_roadmap(attempts: Sequence[_Attempts]) -> tuple[int, Motion] | None:
     return None
 
 
-def _first_planar(attempts: Sequence[_Attempts]) -> tuple[int, Motion] | Refusals:
+def _first_planar(attempts: Sequence[_Attempts]) -> tuple[int, PlannedMotion] | Refusals:
     """The first goal that grids lead to, the base locked."""
     refused: dict[int, HplanError] = {}
     for number, attempt in enumerate(attempts):
@@ -400,16 +404,16 @@ def _first_planar(attempts: Sequence[_Attempts]) -> tuple[int, Motion] | Refusal
 
 
 def _first_turning(
-    attempts: Sequence[_Attempts], rungs: Sequence[tuple[float, float, float, bool]]
-) -> tuple[int, Motion] | Refusals:
+    attempts: Sequence[_Attempts], grid_attempts: Sequence[tuple[float, float, float, bool]]
+) -> tuple[int, PlannedMotion] | Refusals:
     """The first goal that grids lead to, coarse and near ones first, the base turning.
 
     What is closed on the finest grid, whatever the yaw, is closed.
     """
     refused: dict[int, HplanError] = {}
     closed: dict[tuple[int, float], _Closed] = {}
-    slow: tuple[int, Motion] | None = None
-    for coarser, beyond_deg, growth, thick in rungs:
+    slow: tuple[int, PlannedMotion] | None = None
+    for coarser, beyond_deg, growth, thick in grid_attempts:
         failed: list[FloatArray] = []  # goals tried on this grid
         for number, attempt in enumerate(attempts):
             if (number, coarser) in closed and not closed[number, coarser].may_open(beyond_deg):
@@ -418,9 +422,11 @@ def _first_turning(
             if coarser > 1.0 and any(np.abs(goal - other).max() < near for other in failed):
                 continue  # most likely in the same pocket; finer grids leave none out
             failed.append(goal)
-            rung = Rung(coarser * attempt.task.options.step_deg, attempt.grown(growth), math.radians(beyond_deg), thick)
+            grid_attempt = GridAttempt(
+                coarser * attempt.task.options.step_deg, attempt.grown(growth), math.radians(beyond_deg), thick
+            )
             try:
-                motion = attempt.on_grid(rung)
+                motion = attempt.on_grid(grid_attempt)
                 if motion.trajectory.duration <= SLUGGISH * max(least_duration(attempt.task), SHORT):
                     return number, motion
                 if slow is None or motion.trajectory.duration < slow[1].trajectory.duration:
@@ -438,7 +444,7 @@ def _first_turning(
                     if abs(attempts[other].task.problem.goal[0] - goal[0]) < SAME_YAW
                     and not ((other, coarser) in closed and not closed[other, coarser].may_open(beyond_deg))
                 ]
-                for other, component in zip(rest, _enclosed([attempts[k] for k in rest], rung), strict=True):
+                for other, component in zip(rest, _enclosed([attempts[k] for k in rest], grid_attempt), strict=True):
                     if component is not None:
                         closed[other, coarser] = _Closed(beyond_deg, component.open_ended, _no_path(component))
     if slow is not None:
@@ -467,11 +473,13 @@ class _Closed:
         return self.open_ended and beyond_deg > self.beyond_deg
 
 
-def _enclosed(attempts: Sequence[_Attempts], rung: Rung) -> list[Component | None]:
+def _enclosed(attempts: Sequence[_Attempts], grid_attempt: GridAttempt) -> list[Component | None]:
     """Which goals the start is not connected to on one grid."""
     if not attempts:
         return []
-    return enclosed_goals([attempt.task for attempt in attempts], rung, [0.1 * each.margin(0.0) for each in attempts])
+    return enclosed_goals(
+        [attempt.task for attempt in attempts], grid_attempt, [0.1 * each.margin(0.0) for each in attempts]
+    )
 
 
 def _no_path(component: Component) -> NoPathError:
@@ -488,7 +496,7 @@ def _kept(error: NoPathError, number: int) -> NoPathError:
 class _Attempts:
     """All tries at one motion."""
 
-    task: Task
+    task: PlanningTask
 
     def margin(self, growth: float) -> float:
         """Clearance asked for beyond the one to keep [m]: less where start or goal have less."""
@@ -498,13 +506,13 @@ class _Attempts:
         """Growth of obstacles at which start and goal stay free [m]."""
         return min(growth, 0.8 * self.task.problem.spare_clearance)
 
-    def planar(self) -> Motion:
+    def planar(self) -> PlannedMotion:
         """Try finer grids and larger obstacles in turn until a motion is certified."""
         refused: CertificationError | None = None
         for finer in FINER:
             for growth in sorted({self.grown(growth) for growth in GROWTH}):
                 try:
-                    return self.on_grid(Rung(self.task.options.step_deg / finer, growth))
+                    return self.on_grid(GridAttempt(self.task.options.step_deg / finer, growth))
                 except CertificationError as error:
                     refused = refused or error.with_traceback(None)
                 except NoPathError:
@@ -513,49 +521,53 @@ class _Attempts:
                     break  # grown obstacles close the way; what was found without them could not be certified
         raise refused or CertificationError("no motion could be certified")
 
-    def on_grid(self, rung: Rung) -> Motion:
+    def on_grid(self, grid_attempt: GridAttempt) -> PlannedMotion:
         """One pass on one grid."""
-        margin = self.margin(rung.growth)
-        route = find_route(self.task, rung, 0.1 * margin)
-        return finished(self.task, route, route.path, margin, "search")
+        margin = self.margin(grid_attempt.growth)
+        route = find_route(self.task, grid_attempt, 0.1 * margin)
+        return smooth_and_certify(self.task, route, route.path, margin, "search")
 
-    def straight(self) -> Motion:
+    def straight(self) -> PlannedMotion:
         """The straight motion, without a search."""
         problem = self.task.problem
-        return finished(self.task, None, frozen(np.stack([problem.start, problem.goal])), self.margin(0.0), "direct")
+        return smooth_and_certify(
+            self.task, None, frozen(np.stack([problem.start, problem.goal])), self.margin(0.0), "direct"
+        )
 
-    def empty(self) -> Motion:
+    def empty(self) -> PlannedMotion:
         """The motion from a configuration to itself."""
         start = self.task.problem.start
         rest = resting(self.task.robot.model, start)
-        return Motion(self.task, None, frozen(np.array(start[None])), None, rest, certified(self.task, rest), "none")
+        return PlannedMotion(
+            self.task, None, frozen(np.array(start[None])), None, rest, certified(self.task, rest), "none"
+        )
 
-    def is_close(self, motion: Motion) -> bool:
+    def is_close(self, motion: PlannedMotion) -> bool:
         """Whether there cannot be a much quicker one."""
         return motion.trajectory.duration <= CLOSE * least_duration(self.task)
 
-    def by_roadmap(self, effort: Effort = BRIEF, *, quicker_than_s: float = math.inf) -> Motion | None:
+    def by_roadmap(self, effort: Effort = BRIEF, *, quicker_than_s: float = math.inf) -> PlannedMotion | None:
         """The motion along a quick way, or None where there is none, or none that can be timed and certified."""
         if self.task.options.objective != "duration" or self.task.options.method != "two-level":
             return None  # a short path is wanted, not a quick one, or a certain search
         margin = self.margin(0.0)
         with self.task.stage("roadmap"):
-            way = quick_way(
+            way = quick_path(
                 self.task.problem, self.task.field, self.task.robot.velocity_limit, 0.1 * margin, effort,
                 quicker_than_s=quicker_than_s,
             )  # fmt: skip
         if way is None:
             return None
         try:
-            return finished(self.task, None, way, margin, "roadmap")
+            return smooth_and_certify(self.task, None, way, margin, "roadmap")
         except (CertificationError, TimingError):
             return None
 
-    def along(self, way: FloatArray) -> Motion:
+    def along(self, way: FloatArray) -> PlannedMotion:
         """The motion along a way that was clear before, mended where it is no longer."""
         margin = self.margin(0.0)
         problem = self.task.problem
-        clear, contacts = mended(way, self.task.field, problem.lower, problem.upper, 0.1 * margin)
+        clear, contacts = repaired(way, self.task.field, problem.lower, problem.upper, 0.1 * margin)
         if contacts:
             raise CertificationError("the earlier way cannot be mended")
-        return finished(self.task, None, clear, margin, "mended")
+        return smooth_and_certify(self.task, None, clear, margin, "mended")

@@ -6,9 +6,9 @@ from collections.abc import Callable, Sequence
 from typing import TypeVar
 
 from hplan.errors import CertificationError, ConfigurationInCollisionError, HplanError, TimingError
-from hplan.planning.find_motion import Motion, first_motion, without_path
+from hplan.planning.find_motion import PlannedMotion, first_motion, without_path
 from hplan.planning.grasps import Grasp
-from hplan.planning.grid_route import Task
+from hplan.planning.grid_route import PlanningTask
 from hplan.planning.refusals import Refusals
 
 _Last = TypeVar("_Last")
@@ -17,10 +17,10 @@ _Last = TypeVar("_Last")
 def motion_to_grasp(
     ways: Sequence[Grasp],
     likely: Sequence[Grasp],
-    task_of: Callable[[Grasp], Task],
-    last_of: Callable[[Grasp, Motion], _Last],
+    task_of: Callable[[Grasp], PlanningTask],
+    last_of: Callable[[Grasp, PlannedMotion], _Last],
     what: str,
-) -> tuple[Grasp, Motion, _Last]:
+) -> tuple[Grasp, PlannedMotion, _Last]:
     """A grasp, the motion to where its approach begins, and what is made of the approach.
 
     The likely grasps are tried as if there were no others. Where none of them can be reached, one flood shows to which
@@ -65,8 +65,8 @@ def motion_to_grasp(
 
 
 def _tasks(
-    grasps: Sequence[Grasp], batch: range, task_of: Callable[[Grasp], Task], refused: dict[int, HplanError]
-) -> dict[int, Task]:
+    grasps: Sequence[Grasp], batch: range, task_of: Callable[[Grasp], PlanningTask], refused: dict[int, HplanError]
+) -> dict[int, PlanningTask]:
     """The motions to plan, by the numbers of their grasps; grasps that cannot be taken are noted as refused."""
     tasks = {}
     for number in batch:

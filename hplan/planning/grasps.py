@@ -23,7 +23,7 @@ from hplan.planar.inverse_kinematics import Candidates, reach
 from hplan.planar.straight_approach import ApproachPath, standoffs
 from hplan.planning.finer_angles import Refined, refined
 from hplan.problem.joint_ranges import LEAST_MARGIN, JointRanges, joint_ranges
-from hplan.problem.world import Surroundings
+from hplan.problem.world import World
 from hplan.robot.limits import least_duration
 from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel, name_margin
@@ -66,9 +66,9 @@ class Grasp(Record):
     approach: float
     least_duration: float
 
-    def transit_among(self, around: Surroundings, near: Surroundings) -> Surroundings:
+    def transit_among(self, world: World, near: World) -> World:
         """What the way to the stand-off has to keep clear of; without an approach it leads to the fruit itself."""
-        return near if self.distance == 0.0 else around
+        return near if self.distance == 0.0 else world
 
     def path(self, robot: Robot, locked: tuple[str, ...] = ()) -> ApproachPath | None:
         """The approach, or None where there is none."""
@@ -76,8 +76,8 @@ class Grasp(Record):
 
 
 def grasps(
-    around: Surroundings,
-    near: Surroundings,
+    world: World,
+    near: World,
     position: ArrayLike,
     start: FloatArray,
     *,
@@ -90,7 +90,7 @@ def grasps(
     """All ways found to have the tool at a point, by the least duration that any motion there can have.
 
     Args:
-        around: The arm among everything, for the way to the stand-off.
+        world: The arm among everything, for the way to the stand-off.
         near: The same for the approach: the last link may touch the fruit.
         position: (3,) the point, in `base_link` [m].
         start: (dof,) configuration from which the arm comes.
@@ -107,10 +107,10 @@ def grasps(
         InputError: A position or an approach that is none.
         OptionError: As `reach`.
     """
-    robot = around.robot
-    ranges = joint_ranges(around.judge, start, LEAST_MARGIN)
+    robot = world.robot
+    ranges = joint_ranges(world.checker, start, LEAST_MARGIN)
     if ranges.walls:
-        around.check_clear(start, "start")
+        world.check_clear(start, "start")
 
     def within(approach_deg: float | tuple[float, float] | None, count: int) -> Candidates:
         return reach(robot, position, approach_deg=approach_deg, count=count, start=start, locked=locked)
@@ -140,7 +140,7 @@ def grasps(
         left = [i for i in range(len(goals)) if i not in chosen]
         if not left:
             break
-        for i, begin in zip(left, _clear_standoffs(around, near, ranges, goals[left], distance, locked), strict=True):
+        for i, begin in zip(left, _clear_standoffs(world, near, ranges, goals[left], distance, locked), strict=True):
             if begin is not None:
                 chosen[i] = (distance, begin)
     if not chosen:
@@ -152,13 +152,13 @@ def grasps(
     return tuple(ways[i] for i in ties.argsort([grasp.least_duration for grasp in ways]).tolist())
 
 
-def promising(ways: Sequence[Grasp], around: Surroundings, near: Surroundings, start: FloatArray) -> list[Grasp]:
+def promising(ways: Sequence[Grasp], world: World, near: World, start: FloatArray) -> list[Grasp]:
     """The first grasp that a straight motion leads to, and a few that promise more, evenly taken from all of those."""
     straight = next(
         (
             number
             for number, grasp in enumerate(ways)
-            if grasp.transit_among(around, near).field.is_clear(np.stack([start, grasp.standoff]), SPARE)
+            if grasp.transit_among(world, near).field.is_clear(np.stack([start, grasp.standoff]), SPARE)
         ),
         len(ways),
     )
@@ -166,10 +166,10 @@ def promising(ways: Sequence[Grasp], around: Surroundings, near: Surroundings, s
     return [*ways[:straight:stride], *ways[straight : straight + 1]]
 
 
-def least_standoff(around: Surroundings, fruit: Fruit) -> float:
+def least_standoff(world: World, fruit: Fruit) -> float:
     """Where the tool is clear of the fruit it is going to take [m]."""
-    arm, sway = around.robot.arm, around.robot.sway(around.deviation)
-    return fruit.radius + float(arm.half_widths[-1] + sway[-1]) + around.clearance + 2.0 * SPARE
+    arm, sway = world.robot.arm, world.robot.sway(world.deviation)
+    return fruit.radius + float(arm.half_widths[-1] + sway[-1]) + world.clearance + 2.0 * SPARE
 
 
 def _distances(standoff: float, least: float) -> list[float]:
@@ -181,8 +181,8 @@ def _distances(standoff: float, least: float) -> list[float]:
 
 
 def _clear_standoffs(
-    around: Surroundings,
-    near: Surroundings,
+    world: World,
+    near: World,
     ranges: JointRanges,
     goals: FloatArray,
     distance: float,
@@ -193,14 +193,14 @@ def _clear_standoffs(
     The approach is looked at along a polyline of a few points; `Grasp.path` is the exact one, and the certificate
     judges that.
     """
-    stages = [standoffs(around.robot, goals, distance * share, locked=locked) for share in _LOOKS]
+    stages = [standoffs(world.robot, goals, distance * share, locked=locked) for share in _LOOKS]
     ways = np.stack([goals, *(stage.configurations for stage in stages)], axis=1)
     begins: list[FloatArray | None] = []
     for feasible, way in zip(stages[-1].feasible, ways, strict=True):
         usable = (
             feasible
             and ranges.wall_before(way[-1]) is None
-            and around.field.clearance(way[-1]) > SPARE
+            and world.field.clearance(way[-1]) > SPARE
             and near.field.is_clear(way, 0.5 * SPARE)
         )
         begins.append(frozen(way[-1].copy()) if usable else None)
@@ -213,13 +213,11 @@ def _least_duration(robot: Robot, start: FloatArray, standoff: FloatArray, goal:
     return sum(least_duration(a, b, *limits) for a, b in ((start, standoff), (standoff, goal)))
 
 
-def _blocked(
-    what: str, near: Surroundings, ranges: JointRanges, configurations: FloatArray, finer: Refined
-) -> BlockedError:
+def _blocked(what: str, near: World, ranges: JointRanges, configurations: FloatArray, finer: Refined) -> BlockedError:
     """The error that names what is in the way, the most frequent first."""
     walls = [ranges.wall_before(q) for q in configurations]
     nearest = [
-        near.judge.nearest(q) if wall is None else wall.contact for q, wall in zip(configurations, walls, strict=True)
+        near.checker.nearest(q) if wall is None else wall.contact for q, wall in zip(configurations, walls, strict=True)
     ]
     counts = Counter((contact.link, contact.obstacle) for contact in nearest if contact is not None)
     obstacles = [

@@ -18,17 +18,17 @@ from typing import Any, Literal
 import numpy as np
 
 from hplan.base.arrays import BoolArray, FloatArray, IntArray, Record, WordArray, frozen
-from hplan.base.report import StageClock
 from hplan.collision.clearance_field import ClearanceField
 from hplan.cspace.occupancy import occupancy
 from hplan.cspace.sections import ArmSections, sections_at
-from hplan.cspace.yaw_layers import Layers, turning_occupancy, yaw_axis
+from hplan.cspace.yaw_layers import LayerCache, turning_occupancy, yaw_axis
 from hplan.errors import CertificationError, OptionError
 from hplan.planning.enclosure import EnclosedError, PlanarRegion, TurningRegion, open_ended
 from hplan.planning.grid_entry import joined_nodes
+from hplan.planning.report import StageClock
 from hplan.problem.definition import Problem
 from hplan.problem.options import PlanOptions
-from hplan.problem.world import Surroundings
+from hplan.problem.world import World
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 from hplan.search import SearchResult, dense_search, reachable, two_level_search
@@ -37,7 +37,7 @@ from hplan.search.grid import Grid, Occupancy
 from hplan.search.lattice import Lattice
 from hplan.search.result import path_cost
 from hplan.search.wavefront import Wavefronts, meet
-from hplan.smoothing.repair import escapes, mended
+from hplan.smoothing.repair import leave_contact, repaired
 
 #: How many motions of a way that cannot be shown clear are led around; with thick layers it succeeds more often.
 DETOURS, THICK_DETOURS = 12, 20
@@ -55,7 +55,7 @@ def no_progress(_: str) -> None:
 
 
 @dataclass(frozen=True)
-class Rung:
+class GridAttempt:
     """One try: how fine the grid is, and how much obstacles are grown in it.
 
     Attributes:
@@ -90,11 +90,11 @@ class Route(Record):
 
 
 @dataclass(frozen=True, eq=False)
-class Task(Record):
+class PlanningTask(Record):
     """What every try at one motion shares.
 
     Attributes:
-        around: The arm and what it must keep clear of.
+        world: The arm and what it must keep clear of.
         scene: Where that comes from.
         problem: Start, goal, joints that may move.
         options: How to plan.
@@ -103,23 +103,23 @@ class Task(Record):
         progress: Called with the name of each stage as it begins.
     """
 
-    around: Surroundings
+    world: World
     scene: Scene
     problem: Problem
     options: PlanOptions
     clock: StageClock
-    layers: Layers
+    layers: LayerCache
     progress: Progress
 
     @property
     def robot(self) -> Robot:
         """The arm."""
-        return self.around.robot
+        return self.world.robot
 
     @property
     def field(self) -> ClearanceField:
         """Distances between the arm and what it must keep clear of."""
-        return self.around.field
+        return self.world.field
 
     def __getstate__(self) -> dict[str, tuple[Any, bool]]:
         """The fields; who listens to the progress of a plan does not travel with it."""
@@ -154,7 +154,7 @@ class Task(Record):
         """
         problem = self.problem
         q = problem.start if which == "start" else problem.goal
-        ways = escapes(q, self.field, problem.lower, problem.upper, margin)
+        ways = leave_contact(q, self.field, problem.lower, problem.upper, margin)
         for way in itertools.chain([q[None]], ways):
             nodes = joined_nodes(space, way[-1], self.axes, self.field, margin)
             first = next(nodes, None)
@@ -205,12 +205,12 @@ class Task(Record):
         return frozen(np.concatenate(parts)), len(parts[0])
 
 
-def find_route(task: Task, rung: Rung, margin: float) -> Route:
+def find_route(task: PlanningTask, grid_attempt: GridAttempt, margin: float) -> Route:
     """A way over the grid.
 
     Args:
         task: Arm, obstacles and what is asked.
-        rung: Grid, growth and range of yaws.
+        grid_attempt: Grid, growth and range of yaws.
         margin: Clearance asked of motions to the grid, and of all motions where the base turns, wherever they are
             evaluated [m].
 
@@ -219,31 +219,33 @@ def find_route(task: Task, rung: Rung, margin: float) -> Route:
         CertificationError: Start or goal cannot be joined to the grid; no way on it can be shown clear.
         OptionError: A step that gives no grid.
     """
-    return _turning_route(task, rung, margin) if task.problem.turns else _planar_route(task, rung, margin)
+    return (
+        _turning_route(task, grid_attempt, margin) if task.problem.turns else _planar_route(task, grid_attempt, margin)
+    )
 
 
-def planar_space(task: Task, rung: Rung) -> tuple[Occupancy, ArmSections]:
+def planar_space(task: PlanningTask, grid_attempt: GridAttempt) -> tuple[Occupancy, ArmSections]:
     """The C-space with the base locked, and the sections it is made of."""
     with task.stage("cspace"):
         sections = sections_at(
             task.robot,
-            task.around.bodies(rung.growth),
+            task.world.bodies(grid_attempt.growth),
             task.robot.yaw_of(task.problem.start),
             link_model=task.options.link_model,
             within_reach=False,
         )
-        return occupancy(task.robot.arm, sections, task.planar_grid(rung.step_deg)), sections
+        return occupancy(task.robot.arm, sections, task.planar_grid(grid_attempt.step_deg)), sections
 
 
-def _planar_route(task: Task, rung: Rung, margin: float) -> Route:
-    space, sections = planar_space(task, rung)
+def _planar_route(task: PlanningTask, grid_attempt: GridAttempt, margin: float) -> Route:
+    space, sections = planar_space(task, grid_attempt)
     start, goal = task.ends(space, margin)
     search, nodes = _planar_search(task, space, sections, start, goal)
-    return Route(space, search, task.configurations(space.grid, nodes, start, goal)[0], rung.step_deg)
+    return Route(space, search, task.configurations(space.grid, nodes, start, goal)[0], grid_attempt.step_deg)
 
 
 def _planar_search(
-    task: Task, space: Occupancy, sections: ArmSections, start: _Ends, goal: _Ends
+    task: PlanningTask, space: Occupancy, sections: ArmSections, start: _Ends, goal: _Ends
 ) -> tuple[SearchResult, IntArray]:
     """Search between the grid nodes that start and goal are joined to.
 
@@ -267,22 +269,27 @@ def _planar_search(
     raise EnclosedError(PlanarRegion(what, space.grid, task.robot, sections, most[1]), most[0], open_ended=False)
 
 
-def turning_space(task: Task, rung: Rung) -> Occupancy:
+def turning_space(task: PlanningTask, grid_attempt: GridAttempt) -> Occupancy:
     """The C-space over planar joints and yaw."""
     problem = task.problem
     with task.stage("cspace"):
-        planar = task.planar_grid(rung.step_deg)
+        planar = task.planar_grid(grid_attempt.step_deg)
         yaws = yaw_axis(
-            problem.start[0], problem.goal[0], math.radians(rung.step_deg), problem.lower[0], problem.upper[0],
-            rung.beyond,
+            problem.start[0], problem.goal[0], math.radians(grid_attempt.step_deg), problem.lower[0], problem.upper[0],
+            grid_attempt.beyond,
         )  # fmt: skip
         return turning_occupancy(
-            task.robot, task.around.bodies(rung.growth), planar, *yaws, thick=rung.thick, layers=task.layers
+            task.robot,
+            task.world.bodies(grid_attempt.growth),
+            planar,
+            *yaws,
+            thick=grid_attempt.thick,
+            layers=task.layers,
         )
 
 
-def _turning_route(task: Task, rung: Rung, margin: float) -> Route:
-    problem, space = task.problem, turning_space(task, rung)
+def _turning_route(task: PlanningTask, grid_attempt: GridAttempt, margin: float) -> Route:
+    problem, space = task.problem, turning_space(task, grid_attempt)
     start, goal = task.ends(space, margin)
     lattice = Lattice.of(space.grid.shape, space.grid.step)
     free = lattice.bordered(space.free_words)
@@ -292,13 +299,13 @@ def _turning_route(task: Task, rung: Rung, margin: float) -> Route:
         search, fronts = _by_fronts(task, lattice, free, start, goal, search)
         nodes = fronts.path
         if nodes is None:
-            raise _enclosed(task, rung, space, lattice, fronts)
+            raise _enclosed(task, grid_attempt, space, lattice, fronts)
     known: dict[bytes, FloatArray | None] = {}
-    for _ in range(THICK_DETOURS if rung.thick else DETOURS):
+    for _ in range(THICK_DETOURS if grid_attempt.thick else DETOURS):
         way, before = task.configurations(space.grid, nodes, start, goal)
-        path, contacts = mended(way, task.field, problem.lower, problem.upper, margin, known)
+        path, contacts = repaired(way, task.field, problem.lower, problem.upper, margin, known)
         if not contacts:
-            return Route(space, search, path, rung.step_deg)
+            return Route(space, search, path, grid_attempt.step_deg)
         here = contacts[0] - before  # the motion from this node to the next is in contact; below 0: from the start
         if here + 2 <= 0 or here >= len(nodes):
             break  # a way from a tight end to the grid, which is not the grid's to lead around
@@ -316,7 +323,7 @@ def _turning_route(task: Task, rung: Rung, margin: float) -> Route:
     raise CertificationError("no way on the grid can be shown clear as a motion")
 
 
-def _take_out(task: Task, grid: Grid, lattice: Lattice, free: WordArray, nodes: IntArray) -> None:
+def _take_out(task: PlanningTask, grid: Grid, lattice: Lattice, free: WordArray, nodes: IntArray) -> None:
     """Take nodes, and those beside them that are no farther from obstacles, out of the free ones."""
     steps = np.array(list(itertools.product((-1, 0, 1), repeat=len(grid.shape))))
     q = task.problem.start.copy()
@@ -348,7 +355,7 @@ def _after(nodes: IntArray, first: IntArray) -> IntArray:
 
 
 def _by_fronts(
-    task: Task, lattice: Lattice, free: WordArray, start: _Ends, goal: _Ends, search: SearchResult
+    task: PlanningTask, lattice: Lattice, free: WordArray, start: _Ends, goal: _Ends, search: SearchResult
 ) -> tuple[SearchResult, Wavefronts]:
     """A way between any of the nodes that start and goal are joined to."""
     begin = time.perf_counter()
@@ -394,11 +401,13 @@ class _Ends:
         return np.empty((0, len(lattice.shape)), dtype=np.int64)
 
 
-def _enclosed(task: Task, rung: Rung, space: Occupancy, lattice: Lattice, fronts: Wavefronts) -> EnclosedError:
+def _enclosed(
+    task: PlanningTask, grid_attempt: GridAttempt, space: Occupancy, lattice: Lattice, fronts: Wavefronts
+) -> EnclosedError:
     """The error for an end that is enclosed; `open_ended` where more yaws might open it."""
     grid, reached = space.grid, lattice.unbordered(fronts.reached)
     count, which = int(np.bitwise_count(reached).sum()), fronts.enclosed
     other = "goal" if which == "start" else "start"
     what = f"the {which} is connected to {count} of {grid.size} nodes, and the {other} is not among them"
-    region = TurningRegion(what, grid, task.around, rung.growth, reached)
+    region = TurningRegion(what, grid, task.world, grid_attempt.growth, reached)
     return EnclosedError(region, count, open_ended=open_ended(task.problem, grid, reached))

@@ -11,18 +11,17 @@ import numpy as np
 from hplan.base.arguments import instance
 from hplan.base.arrays import FloatArray, Record
 from hplan.base.polyline import path_length
-from hplan.base.report import StageClock, certificate_report, versions
-from hplan.collision.coal_scene import CollisionScene
-from hplan.cspace.yaw_layers import Layers
+from hplan.collision.coal_scene import CoalScene
+from hplan.cspace.yaw_layers import LayerCache
 from hplan.errors import CertificationError, HplanError, NoPathError, TimingError
-from hplan.planning.find_motion import Motion, executable, find_motion, renewed
+from hplan.planning.find_motion import PlannedMotion, executable, find_motion, reuse_motion
 from hplan.planning.grasp_motion import motion_to_grasp
 from hplan.planning.grasps import Grasp, grasps, least_standoff, promising
-from hplan.planning.grid_route import Progress, Task, no_progress
-from hplan.problem.definition import Problem, pose_problem
-from hplan.problem.goal_contact import contact_window
+from hplan.planning.grid_route import PlanningTask, Progress, no_progress
+from hplan.planning.report import StageClock, certificate_report, versions
+from hplan.problem.definition import Problem, check_problem
 from hplan.problem.options import PlanOptions
-from hplan.problem.world import Surroundings
+from hplan.problem.world import World
 from hplan.robot.model import Robot
 from hplan.robot.tracking import largest_share, name_margin
 from hplan.scene.model import Fruit, Scene, Solid
@@ -32,6 +31,7 @@ from hplan.smoothing.spline import SplinePath
 from hplan.timing.trajectory import Trajectory, joined
 from hplan.verification.certificate import Certificate, Stretch, all_of, certify, stretches
 from hplan.verification.digests import Digests
+from hplan.verification.goal_contact import contact_window
 from hplan.verification.limit_use import cubic_pieces
 
 
@@ -77,7 +77,7 @@ class PlanResult(Record):
     certificate: Certificate
     grasp: Grasp | None
     phases: tuple[Phase, ...]
-    motion: Motion
+    motion: PlannedMotion
     report: dict[str, Any]
 
     @property
@@ -103,7 +103,7 @@ def plan(
         progress: Called with the name of each stage as it begins.
 
     Raises:
-        InputError: The scene does not fit the robot, or start or goal cannot be taken (see `pose_problem`).
+        InputError: The scene does not fit the robot, or start or goal cannot be taken (see `check_problem`).
         UnreachableError: No configuration has the tool at the point.
         BlockedError: Obstacles are in the way of all that do; names them.
         NoPathError: No path exists on the grid; names what blocks it.
@@ -111,7 +111,7 @@ def plan(
         CertificationError: No motion could be certified.
     """
     check_task(robot, scene, options)
-    return plan_with(Workspace(robot), scene, PlanOptions() if options is None else options, progress=progress)
+    return plan_with(PlanningCache(robot), scene, PlanOptions() if options is None else options, progress=progress)
 
 
 def check_task(robot: Robot, scene: Scene, options: PlanOptions | None) -> None:
@@ -126,16 +126,16 @@ def check_task(robot: Robot, scene: Scene, options: PlanOptions | None) -> None:
         instance("options", options, PlanOptions)
 
 
-class Workspace:
+class PlanningCache:
     """What one plan leaves behind for the next: the robot's planar layers, and what it kept clear of."""
 
     def __init__(self, robot: Robot) -> None:
         """Begin with nothing."""
         self.robot = robot
-        self.layers = Layers()
-        self._last: tuple[tuple[tuple[Solid, ...], float, float, float], Surroundings] | None = None
+        self.layers = LayerCache()
+        self._last: tuple[tuple[tuple[Solid, ...], float, float, float], World] | None = None
 
-    def around(self, scene: Scene, options: PlanOptions) -> Surroundings:
+    def world(self, scene: Scene, options: PlanOptions) -> World:
         """The robot among the scene's solids, all fruits among them; the same as before where these are the same."""
         # What need not be certified need not make room for the tracking error either; it is judged all the same.
         tracking_error = options.tracking.still_rad
@@ -143,20 +143,18 @@ class Workspace:
         asked = solids, clearance, tracking_error, sigmas
         last = self._last
         if last is None or last[0] != asked:
-            around = Surroundings.of(
-                self.robot, solids, clearance=clearance, tracking_error=tracking_error, sigmas=sigmas
-            )
-            self._last = last = asked, around
+            world = World.of(self.robot, solids, clearance=clearance, tracking_error=tracking_error, sigmas=sigmas)
+            self._last = last = asked, world
         return last[1]
 
 
 def plan_with(
-    workspace: Workspace,
+    workspace: PlanningCache,
     scene: Scene,
     options: PlanOptions,
     *,
     progress: Progress = no_progress,
-    before: Motion | None = None,
+    before: PlannedMotion | None = None,
 ) -> PlanResult:
     """As `plan`, with what earlier plans of the same robot have left.
 
@@ -165,7 +163,7 @@ def plan_with(
         scene: Obstacles and task.
         options: How to plan.
         progress: Called with the name of each stage as it begins.
-        before: An earlier motion, to be kept or mended where that can be (`hplan.planning.find_motion.renewed`).
+        before: An earlier motion, to be kept or mended where that can be (`hplan.planning.find_motion.reuse_motion`).
 
     Raises:
         HplanError: As `plan`.
@@ -179,7 +177,7 @@ def plan_with(
         raise
 
 
-def _share_with_room(workspace: Workspace, scene: Scene, options: PlanOptions) -> float:
+def _share_with_room(workspace: PlanningCache, scene: Scene, options: PlanOptions) -> float:
     """Share of the tracking error for which a motion planned without one can be certified; 0 where there is none."""
     try:
         found = plan_with(workspace, scene, replace(options, tracking_error=0.0, tracking_delay_s=0.0))
@@ -202,33 +200,33 @@ def _share_with_room(workspace: Workspace, scene: Scene, options: PlanOptions) -
 
 
 def _planned(
-    workspace: Workspace, scene: Scene, options: PlanOptions, progress: Progress, before: Motion | None
+    workspace: PlanningCache, scene: Scene, options: PlanOptions, progress: Progress, before: PlannedMotion | None
 ) -> PlanResult:
     """The plan."""
     clock, robot, goal = StageClock(), workspace.robot, scene.goal.joints()
     start = robot.check_configuration(scene.start.configuration, "start")
-    around = workspace.around(scene, options)
-    around.check_base(robot.yaw_of(start))
+    world = workspace.world(scene, options)
+    world.check_base(robot.yaw_of(start))
     if goal is not None:
-        problem = pose_problem(around, start, goal, locked_joints=scene.locked_joints)
-        motion = _moved(Task(around, scene, problem, options, clock, workspace.layers, progress), before)
+        problem = check_problem(world, start, goal, locked_joints=scene.locked_joints)
+        motion = _moved(PlanningTask(world, scene, problem, options, clock, workspace.layers, progress), before)
         return _result(scene, clock, None, motion, [("transit", motion.trajectory, motion.certificate)])
-    return _reach(workspace, around, start, scene, options, clock, progress)
+    return _reach(workspace, world, start, scene, options, clock, progress)
 
 
-def _moved(task: Task, before: Motion | None) -> Motion:
+def _moved(task: PlanningTask, before: PlannedMotion | None) -> PlannedMotion:
     """The motion of an earlier plan renewed, or another."""
     if before is not None:
         try:
-            return renewed(task, before)
+            return reuse_motion(task, before)
         except (CertificationError, TimingError):
             pass  # what it was made for has changed too much
     return find_motion([task])[1]
 
 
 def _reach(
-    workspace: Workspace,
-    around: Surroundings,
+    workspace: PlanningCache,
+    world: World,
     start: FloatArray,
     scene: Scene,
     options: PlanOptions,
@@ -237,45 +235,45 @@ def _reach(
 ) -> PlanResult:
     """Transit, approach and, from a fruit, retreat."""
     fruit = next((fruit for fruit in scene.fruits if fruit.name == scene.goal.fruit), None)
-    near = around if fruit is None else around.touching(fruit.name)
+    near = world if fruit is None else world.touching(fruit.name)
     what = "the point" if fruit is None else f"fruit {fruit.name!r}"
     progress("grasps")
     with clock.stage("grasps"):
         ways = grasps(
-            around,
+            world,
             near,
             np.array(scene.goal.position if fruit is None else fruit.center),
             start,
             what=what,
             standoff=options.standoff,
-            least_standoff=0.0 if fruit is None else least_standoff(around, fruit),
+            least_standoff=0.0 if fruit is None else least_standoff(world, fruit),
             approach_deg=scene.goal.approach_deg,
             locked=scene.locked_joints,
         )
-        likely = promising(ways, around, near, start)
+        likely = promising(ways, world, near, start)
 
-    def task_of(grasp: Grasp) -> Task:
-        where = grasp.transit_among(around, near)
-        problem = pose_problem(where, start, grasp.standoff, locked_joints=scene.locked_joints)
-        return Task(where, scene, problem, options, clock, workspace.layers, progress)
+    def task_of(grasp: Grasp) -> PlanningTask:
+        where = grasp.transit_among(world, near)
+        problem = check_problem(where, start, grasp.standoff, locked_joints=scene.locked_joints)
+        return PlanningTask(where, scene, problem, options, clock, workspace.layers, progress)
 
-    def last_of(grasp: Grasp, motion: Motion) -> list[tuple[str, Trajectory, Certificate]]:
-        return last_stretch(replace(motion.task, around=near), grasp, fruit, around.judge)
+    def last_of(grasp: Grasp, motion: PlannedMotion) -> list[tuple[str, Trajectory, Certificate]]:
+        return last_stretch(replace(motion.task, world=near), grasp, fruit, world.checker)
 
     grasp, motion, last = motion_to_grasp(ways, likely, task_of, last_of, what)
     return _result(scene, clock, grasp, motion, [("transit", motion.trajectory, motion.certificate), *last])
 
 
 def last_stretch(
-    task: Task, grasp: Grasp, fruit: Fruit | None, judge: CollisionScene
+    task: PlanningTask, grasp: Grasp, fruit: Fruit | None, checker: CoalScene
 ) -> list[tuple[str, Trajectory, Certificate]]:
     """Approach and, from a fruit, retreat, timed and certified.
 
     Args:
         task: A motion among everything but the fruit.
         grasp: Where the tool goes.
-        fruit: The fruit there, which the last link may touch (`hplan.problem.goal_contact`); None for none.
-        judge: The arm among everything.
+        fruit: The fruit there, which the last link may touch (`hplan.verification.goal_contact`); None for none.
+        checker: The arm among everything.
     """
     path = grasp.path(task.robot, task.scene.locked_joints)
     if path is None:
@@ -284,7 +282,7 @@ def last_stretch(
     def among(there: Trajectory) -> list[Stretch]:
         bezier, _ = cubic_pieces(there)
         contact = None if fruit is None else contact_window(task.robot, bezier, fruit.center)
-        return stretches(judge, len(bezier), contact, None if fruit is None else fruit.name)
+        return stretches(checker, len(bezier), contact, None if fruit is None else fruit.name)
 
     there, shown = executable(task, path, among)
     if fruit is None:
@@ -297,7 +295,7 @@ def _result(
     scene: Scene,
     clock: StageClock,
     grasp: Grasp | None,
-    motion: Motion,
+    motion: PlannedMotion,
     parts: Sequence[tuple[str, Trajectory, Certificate]],
 ) -> PlanResult:
     """The plan that consists of a motion and, after it, approach and retreat: name, trajectory, certificate each."""
@@ -337,7 +335,7 @@ def _report(
     scene: Scene,
     clock: StageClock,
     grasp: Grasp | None,
-    motion: Motion,
+    motion: PlannedMotion,
     phases: Sequence[Phase],
     trajectory: Trajectory,
     certificate: Certificate,

@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
 from hplan.errors import InputError, SceneError
-from hplan.planning.plan import PlanResult, Workspace, check_task, plan_with
+from hplan.planning.plan import PlanningCache, PlanResult, check_task, plan_with
 from hplan.problem.options import PlanOptions
 from hplan.robot.model import Robot
 from hplan.scene.model import Box, Capsule, Goal, Mesh, PointCloud, Scene, Sphere, Start, Vector
@@ -49,7 +49,7 @@ class Planner:
         self.options = PlanOptions() if options is None else options
         self.scene = scene
         self.last: PlanResult | None = None
-        self._workspace = Workspace(robot)
+        self._cache = PlanningCache(robot)
         self._lock = RLock()
 
     def __getstate__(self) -> dict[str, Any]:
@@ -58,7 +58,7 @@ class Planner:
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Go on from there."""
-        vars(self).update(state, _workspace=Workspace(state["robot"]), _lock=RLock())
+        vars(self).update(state, _cache=PlanningCache(state["robot"]), _lock=RLock())
 
     def plan(self) -> PlanResult:
         """Plan as `hplan.plan` does, whatever was planned before.
@@ -67,7 +67,7 @@ class Planner:
             HplanError: As `hplan.plan`.
         """
         with self._lock:
-            self.last = plan_with(self._workspace, self.scene, self.options)
+            self.last = plan_with(self._cache, self.scene, self.options)
             return self.last
 
     def replan(self) -> PlanResult:
@@ -83,7 +83,7 @@ class Planner:
         """
         with self._lock:
             before = None if self.last is None else self.last.motion
-            self.last = plan_with(self._workspace, self.scene, self.options, before=before)
+            self.last = plan_with(self._cache, self.scene, self.options, before=before)
             return self.last
 
     def add(self, obstacle: Sphere | Capsule | Box | Mesh | PointCloud) -> None:

@@ -52,7 +52,7 @@ LONGEST, LONGEST_S = 2.5, 1.0
 ASIDE_S, FARTHEST = 0.25, 1.0
 
 
-def quick_way(
+def quick_path(
     problem: Problem,
     field: ClearanceField,
     velocity: FloatArray,

@@ -8,11 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hplan.base.arrays import BoolArray, FloatArray, IntArray, Record, readonly
+from hplan.base.arrays import FloatArray, IntArray, Record, readonly
 from hplan.errors import InputError
 from hplan.problem.joint_ranges import narrowed
-from hplan.problem.world import Surroundings
-from hplan.robot.model import Robot
+from hplan.problem.world import World
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,13 +43,11 @@ class Problem(Record):
         return bool(np.abs(self.goal - self.start).max() < 1e-9)
 
 
-def pose_problem(
-    around: Surroundings, start: ArrayLike, goal: ArrayLike, *, locked_joints: Sequence[str] = ()
-) -> Problem:
+def check_problem(world: World, start: ArrayLike, goal: ArrayLike, *, locked_joints: Sequence[str] = ()) -> Problem:
     """Check two configurations and locked joints against a robot and its surroundings.
 
     Args:
-        around: Arm and obstacles.
+        world: Arm and obstacles.
         start: (dof,) configuration.
         goal: (dof,) configuration.
         locked_joints: Names of joints that keep their start value.
@@ -63,10 +60,10 @@ def pose_problem(
             keep; names link, obstacle and depth.
         NoPathError: No motion leads from start to goal, as turret or neighbouring links block a joint in between.
     """
-    robot = around.robot
+    robot = world.robot
     first = robot.check_configuration(start, "start")
     last = robot.check_configuration(goal, "goal")
-    locked = locked_mask(robot, locked_joints)
+    locked = robot.locked_mask(locked_joints)
     for joint in np.flatnonzero(locked & (np.abs(last - first) > 1e-9)):
         name = robot.joint_names[joint]
         raise InputError(
@@ -74,11 +71,11 @@ def pose_problem(
             joint=name,
         )
     spare = min(
-        around.check_clear(first, "start"),
-        around.check_clear(last, "goal"),
+        world.check_clear(first, "start"),
+        world.check_clear(last, "goal"),
     )
     last = readonly(np.where(locked, first, last))
-    ranges = narrowed(around.judge, first, last, spare)
+    ranges = narrowed(world.checker, first, last, spare)
     return Problem(
         start=first,
         goal=last,
@@ -88,17 +85,3 @@ def pose_problem(
         spare_clearance=spare,
         turns=robot.has_yaw and not locked[0],
     )
-
-
-def locked_mask(robot: Robot, names: Sequence[str]) -> BoolArray:
-    """(dof,) which joints are locked.
-
-    Raises:
-        InputError: A joint that the robot does not have.
-    """
-    unknown = [name for name in names if name not in robot.joint_names]
-    if unknown:
-        raise InputError(
-            f"locked_joints names {unknown[0]!r}; the robot has {', '.join(robot.joint_names)}", joint=unknown[0]
-        )
-    return np.array([name in names for name in robot.joint_names], dtype=np.bool_)

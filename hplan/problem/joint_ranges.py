@@ -16,7 +16,7 @@ import numpy as np
 
 from hplan.base import ties
 from hplan.base.arrays import FloatArray, IntArray, frozen
-from hplan.collision.coal_scene import CollisionScene, Contact, OwnContact
+from hplan.collision.coal_scene import CoalScene, Contact, OwnContact
 from hplan.errors import NoPathError
 from hplan.robot.base_shapes import turret_radius
 from hplan.robot.folding import folded_angles
@@ -76,7 +76,7 @@ class JointRanges:
         return next((wall for wall in reversed(self.walls) if wall.is_before(q)), None)
 
 
-def joint_ranges(scene: CollisionScene, q: FloatArray, margin: float = MARGIN) -> JointRanges:
+def joint_ranges(scene: CoalScene, q: FloatArray, margin: float = MARGIN) -> JointRanges:
     """The intervals in which joints can move from a configuration.
 
     Args:
@@ -112,7 +112,7 @@ def joint_ranges(scene: CollisionScene, q: FloatArray, margin: float = MARGIN) -
     return JointRanges(frozen(lower), frozen(upper), tuple(walls))
 
 
-def narrowed(scene: CollisionScene, start: FloatArray, goal: FloatArray, spare: float) -> JointRanges:
+def narrowed(scene: CoalScene, start: FloatArray, goal: FloatArray, spare: float) -> JointRanges:
     """The intervals about a start, its goal among them.
 
     Args:
@@ -137,7 +137,7 @@ def narrowed(scene: CollisionScene, start: FloatArray, goal: FloatArray, spare: 
     raise _no_path(scene, wall, float(other[wall.joint]))
 
 
-def _no_path(scene: CollisionScene, wall: Wall, other: float) -> NoPathError:
+def _no_path(scene: CoalScene, wall: Wall, other: float) -> NoPathError:
     """The error that names what blocks a joint from a wall to another angle."""
     low, high = sorted(np.degrees([wall.angle, other]).tolist())
     contact = wall.contact
@@ -150,7 +150,7 @@ def _no_path(scene: CollisionScene, wall: Wall, other: float) -> NoPathError:
     return NoPathError(message, reached_cells=0, blockers=[blocker])
 
 
-def _turret_pairs(scene: CollisionScene) -> IntArray:
+def _turret_pairs(scene: CoalScene) -> IntArray:
     """Numbers of the pairs of the turret."""
     links = len(scene.link_names)
     if len(scene.mover_names) == links:
@@ -159,13 +159,13 @@ def _turret_pairs(scene: CollisionScene) -> IntArray:
 
 
 #: Ends of free intervals that were found before, by yaw, end of the range and margin: every grasp of a fruit asks.
-_KNOWN: WeakKeyDictionary[CollisionScene, dict[tuple[float, float, float], tuple[float, Contact | None]]] = (
+_KNOWN: WeakKeyDictionary[CoalScene, dict[tuple[float, float, float], tuple[float, Contact | None]]] = (
     WeakKeyDictionary()
 )
 
 
 def _known_free_yaw(
-    scene: CollisionScene, pairs: IntArray, q: FloatArray, end: float, margin: float
+    scene: CoalScene, pairs: IntArray, q: FloatArray, end: float, margin: float
 ) -> tuple[float, Contact | None]:
     """As `_free_yaw`, which the yaw alone decides."""
     known, key = _KNOWN.get(scene, {}), (float(q[0]), end, margin)
@@ -176,7 +176,7 @@ def _known_free_yaw(
 
 
 def _free_yaw(
-    scene: CollisionScene, pairs: IntArray, q: FloatArray, end: float, margin: float
+    scene: CoalScene, pairs: IntArray, q: FloatArray, end: float, margin: float
 ) -> tuple[float, Contact | None]:
     """How far the base can turn towards an end of its range, and what stops it before, if anything.
 

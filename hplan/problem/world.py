@@ -16,8 +16,8 @@ import numpy as np
 from hplan.base import ties
 from hplan.base.arrays import FloatArray, Record, frozen
 from hplan.collision.clearance_field import ClearanceField
-from hplan.collision.coal_scene import CollisionScene, base_contacts, base_radius, check_clear
-from hplan.cspace.sections import Bodies, bodies_of
+from hplan.collision.coal_scene import CoalScene, base_contacts, base_radius, check_clear
+from hplan.cspace.sections import PreparedObstacles, bodies_of
 from hplan.errors import ConfigurationInCollisionError, InputError
 from hplan.robot.base_shapes import BASE_DEPTH, turning_shapes
 from hplan.robot.model import Robot
@@ -27,7 +27,7 @@ from hplan.verification.clearance_proof import pair_sways
 
 
 @dataclass(frozen=True, eq=False)
-class Surroundings(Record):
+class World(Record):
     """An arm among solids.
 
     Attributes:
@@ -37,7 +37,7 @@ class Surroundings(Record):
         deviation: By how much every joint may be off where the arm rests [rad].
         growth: (solids,) clearance to keep from each beyond that, for its uncertainty [m].
         field: Distances between arm and solids, less the clearance to keep and what the deviation may take.
-        judge: The solids in coal, each grown by its own growth.
+        checker: The solids in coal, each grown by its own growth.
         touched: Name of the solids that the last link may touch; None for none.
     """
 
@@ -47,7 +47,7 @@ class Surroundings(Record):
     deviation: float
     growth: FloatArray
     field: ClearanceField
-    judge: CollisionScene
+    checker: CoalScene
     touched: str | None = None
 
     @classmethod
@@ -59,7 +59,7 @@ class Surroundings(Record):
         clearance: float = 0.0,
         tracking_error: float = 0.0,
         sigmas: float = 0.0,
-    ) -> Surroundings:
+    ) -> World:
         """Make solids ready.
 
         Args:
@@ -79,15 +79,15 @@ class Surroundings(Record):
             field=ClearanceField.of(
                 robot, solids, clearance=clearance + growth, own_clearance=clearance, deviation=tracking_error
             ),
-            judge=CollisionScene(robot, solids, growth=growth, deviation=tracking_error, clearance=clearance),
+            checker=CoalScene(robot, solids, growth=growth, deviation=tracking_error, clearance=clearance),
         )
 
-    def touching(self, name: str) -> Surroundings:
+    def touching(self, name: str) -> World:
         """The same where the last link may touch the solid of a name."""
         touched = np.array([solid.name == name for solid in self.solids], dtype=np.bool_)
-        return replace(self, field=self.field.sparing(touched), judge=self.judge.touching(name), touched=name)
+        return replace(self, field=self.field.sparing(touched), checker=self.checker.touching(name), touched=name)
 
-    def bodies(self, more: float = 0.0) -> Bodies:
+    def bodies(self, more: float = 0.0) -> PreparedObstacles:
         """The solids made ready for cutting, grown by the clearance to keep and `more` [m]."""
         names = [solid.name for solid in self.solids]
         return bodies_of(
@@ -110,12 +110,12 @@ class Surroundings(Record):
                 where it is the deviation that leaves too little, the largest that would do.
         """
         if self.deviation == 0.0:
-            return check_clear(self.judge, q, self.clearance, which)
-        sway = pair_sways(self.judge, np.full((1, self.robot.dof), self.deviation))[:, 0]
+            return check_clear(self.checker, q, self.clearance, which)
+        sway = pair_sways(self.checker, np.full((1, self.robot.dof), self.deviation))[:, 0]
         try:
-            return check_clear(self.judge, q, self.clearance, which, sway=sway)
+            return check_clear(self.checker, q, self.clearance, which, sway=sway)
         except ConfigurationInCollisionError as error:
-            spare = self.judge.pair_distances(q) - self.clearance
+            spare = self.checker.pair_distances(q) - self.clearance
             share = float((spare / np.maximum(sway, 1e-300)).min())
             name_margin(error, TrackingModel(self.deviation), share)
             raise

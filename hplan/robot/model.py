@@ -7,6 +7,7 @@ What URDF cannot say (acceleration, jerk) stands in a limits YAML beside it.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -16,7 +17,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from hplan.base.arguments import file_path, instance
-from hplan.base.arrays import FloatArray, Record, readonly
+from hplan.base.arrays import BoolArray, FloatArray, Record, readonly
 from hplan.base.data_files import urdf_dir
 from hplan.errors import InputError, JointLimitError
 from hplan.robot.dynamics import InverseDynamics
@@ -178,6 +179,19 @@ class Robot(Record):
         """(links,) largest distance of any point of each link's axis from the yaw axis [m]."""
         radius: FloatArray = np.hypot(*self.plane_origin[:2]) + np.cumsum(self.arm.lengths)
         return radius
+
+    def locked_mask(self, names: Sequence[str]) -> BoolArray:
+        """(dof,) which joints are locked.
+
+        Raises:
+            InputError: A joint that the robot does not have.
+        """
+        unknown = [name for name in names if name not in self.joint_names]
+        if unknown:
+            raise InputError(
+                f"locked_joints names {unknown[0]!r}; the robot has {', '.join(self.joint_names)}", joint=unknown[0]
+            )
+        return np.array([name in names for name in self.joint_names], dtype=np.bool_)
 
     def check_configuration(self, q: ArrayLike, which: str) -> FloatArray:
         """Return `q` as a read-only (dof,) array.

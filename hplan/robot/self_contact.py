@@ -84,7 +84,7 @@ class BaseBody:
     is_round: bool = True
 
     @property
-    def loose(self) -> Literal[False]:
+    def is_point_set(self) -> Literal[False]:
         """Never: it is the hull of its core grown by its rounding."""
         return False
 

@@ -112,7 +112,7 @@ class _Convex(_Obstacle):
     """One convex solid: the hull of its core grown by its rounding."""
 
     @property
-    def loose(self) -> Literal[False]:
+    def is_point_set(self) -> Literal[False]:
         """Never: the solid is the hull of its core grown by its rounding."""
         return False
 
@@ -402,7 +402,7 @@ def _shape_data(
         raise _fault(str(error), "file") from error
 
 
-#: What the planner keeps away from: the hull of `core` grown by `rounding`; if `loose`, a ball about each core point.
+#: What the planner keeps clear of: the hull of `core` grown by `rounding`; of a point set a ball about each core point.
 Solid: TypeAlias = Sphere | Capsule | Box | Hull | Cloud
 
 #: What a scene lists.

@@ -1,7 +1,7 @@
 r"""Solids that a scene's meshes and point clouds become: convex hulls, and clouds of balls.
 
-Every solid has `name`, `core` (k, 3), `rounding`, `loose` and `sigma`. Where it is not loose, the solid is the hull of
-its core grown by its rounding; where it is, each core point is a ball of that radius by itself.
+Every solid has `name`, `core` (k, 3), `rounding`, `is_point_set` and `sigma`. A solid is the hull of its core
+grown by its rounding; of a point set each core point is a ball of that radius by itself.
 
 **Hull.** A hull of more than `HULL_VERTICES` vertices keeps some of them, :math:`V`, and takes as its rounding the
 distance of the farthest other one from :math:`\mathrm{conv}\,V`. The grown hull is convex and holds every vertex, so
@@ -65,7 +65,7 @@ class Hull(Record):
     sigma: float = 0.0
 
     @property
-    def loose(self) -> Literal[False]:
+    def is_point_set(self) -> Literal[False]:
         """Never: the solid is the hull of its core grown by its rounding."""
         return False
 
@@ -233,7 +233,7 @@ class Cloud(Record):
     sigma: float = 0.0
 
     @property
-    def loose(self) -> Literal[True]:
+    def is_point_set(self) -> Literal[True]:
         """Always: each core point is a ball by itself."""
         return True
 

@@ -16,7 +16,7 @@ from hplan.base.arrays import BoolArray, IntArray, ShortArray, WordArray
 from hplan.base.kernels import any_int, kernel
 from hplan.search.lattice import Lattice
 from hplan.search.node_set import NodeSet, ranked
-from hplan.search.slice_search import Layers
+from hplan.search.slice_search import SlicePaths
 
 #: No slice.
 _NONE = any_int(-1)
@@ -36,7 +36,7 @@ class Union:
 
 
 def union_of(
-    lattice: Lattice, free: WordArray, layers: Layers, start: IntArray, goal: IntArray, *, beyond: bool = False
+    lattice: Lattice, free: WordArray, layers: SlicePaths, start: IntArray, goal: IntArray, *, beyond: bool = False
 ) -> Union:
     """Join the slice paths, restore connectivity between them, and add start and goal.
 

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from hplan.base.arrays import BoolArray, FloatArray, IntArray, Record
-from hplan.search.slice_search import Layers
+from hplan.search.slice_search import SlicePaths
 
 #: What carried the path, or the verdict that there is none: the union of the slices between start and goal; the union
 #: of all slices; flooding, and the dense search on what it reached; a column, free in all slices between; two
@@ -77,7 +77,7 @@ class SearchResult(Record):
     cost: float
     expansions: Expansions
     times: StageTimes
-    layers: Layers | None = None
+    layers: SlicePaths | None = None
     restored_slices: tuple[int, ...] = ()
     sparse_nodes: int = 0
     fallback: Fallback = "none"

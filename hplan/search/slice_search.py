@@ -28,7 +28,7 @@ SliceSearch: TypeAlias = Callable[[Lattice, WordArray, IntArray, IntArray], tupl
 
 
 @dataclass(frozen=True, eq=False)
-class Layers(Record):
+class SlicePaths(Record):
     """Neighbouring slices, searched.
 
     Attributes:
@@ -74,7 +74,7 @@ def search_layers(
     slice_search: SliceSearch | None = None,
     *,
     carried: bool = False,
-) -> Layers:
+) -> SlicePaths:
     """Search each of `slices` from the start's place in it to the goal's.
 
     Args:
@@ -98,7 +98,7 @@ def search_layers(
     return found.layers(flooded)
 
 
-def _planar(lattice: Lattice, free: WordArray, start_row: int, goal_row: int, slices: range) -> Layers:
+def _planar(lattice: Lattice, free: WordArray, start_row: int, goal_row: int, slices: range) -> SlicePaths:
     """Planar slices, 64 at once."""
     width = lattice.padded[1]
     monotone = MonotonePaths.of(free, width, start_row, goal_row, slices)
@@ -113,12 +113,12 @@ def _planar(lattice: Lattice, free: WordArray, start_row: int, goal_row: int, sl
                 free, others, width, slices[0], slices[-1], start_row, goal_row, lattice.step[:-1]
             )
     path_rows, begins = monotone.joined(path_rows, begins)
-    return Layers(lattice, slices[0], frozen(path_rows), frozen(begins), expansions, flooded)
+    return SlicePaths(lattice, slices[0], frozen(path_rows), frozen(begins), expansions, flooded)
 
 
 def _carried(
     lattice: Lattice, free: WordArray, start: IntArray, goal: IntArray, slices: range, slice_search: SliceSearch
-) -> Layers:
+) -> SlicePaths:
     """As `search_layers`, where slices in which a path found before is free take it over."""
     found = _Searched(lattice, slices)
     left = bits_of(free[lattice.row_of(start)] & free[lattice.row_of(goal)])[: lattice.shape[-1]]
@@ -168,12 +168,12 @@ class _Searched:
         self.rows[number] = rows
         return rows
 
-    def layers(self, flooded: int) -> Layers:
+    def layers(self, flooded: int) -> SlicePaths:
         """All of them, in order."""
         none = np.empty(0, dtype=np.int64)
         parts = [self.rows.get(number, none) for number in self._slices]
         begins = np.concatenate([[0], np.cumsum([len(part) for part in parts])])
-        return Layers(
+        return SlicePaths(
             self._lattice,
             self._slices[0],
             frozen(np.concatenate(parts)),

@@ -29,7 +29,7 @@ from hplan.search.node_set import NodeSet
 from hplan.search.restoration import union_of
 from hplan.search.result import Expansions, Fallback, SearchResult, StageTimes, path_cost
 from hplan.search.row_bounds import row_bounds
-from hplan.search.slice_search import Layers, SliceSearch, search_layers
+from hplan.search.slice_search import SlicePaths, SliceSearch, search_layers
 from hplan.search.wavefront import meet
 
 #: Axes from which on the fallback is by wavefronts.
@@ -94,7 +94,7 @@ class _Found:
     cost: float
     counts: Expansions
     times: StageTimes
-    layers: Layers
+    layers: SlicePaths
     joined: _Joined
     fallback: Fallback
 
@@ -163,7 +163,7 @@ def _slice_search(axes: int, *, octile: bool) -> SliceSearch | None:
 def _join(
     lattice: Lattice,
     free: WordArray,
-    layers: Layers,
+    layers: SlicePaths,
     start: IntArray,
     goal: IntArray,
     *,

@@ -32,7 +32,7 @@ _PER_PIECE = 8
 _SLIDES = any_int(3)
 
 
-def hasten(
+def minimize_duration(
     spline: SplinePath, field: ClearanceField, options: PostprocessOptions, *, margin: float
 ) -> tuple[SplinePath, float]:
     """Move the control points for a shorter duration.

@@ -31,7 +31,7 @@ _ESCAPES = (5e-3, 0.01, 0.02, 0.04, 0.08)
 _BEYOND = 2e-3
 
 
-def mended(
+def repaired(
     path: FloatArray,
     field: ClearanceField,
     lower: FloatArray,
@@ -67,7 +67,7 @@ def mended(
     return frozen(np.concatenate(pieces)), contacts
 
 
-def escapes(
+def leave_contact(
     q: FloatArray, field: ClearanceField, lower: FloatArray, upper: FloatArray, margin: float
 ) -> Iterator[FloatArray]:
     """Ways out of a tight place along the gradient of the clearance, one longer than the other.

@@ -9,7 +9,7 @@ from hplan.base.arrays import FloatArray
 from hplan.collision.clearance_field import ClearanceField
 from hplan.errors import CertificationError, InputError
 from hplan.robot.limits import least_duration, rest_to_rest
-from hplan.smoothing.minimize_duration import hasten
+from hplan.smoothing.minimize_duration import minimize_duration
 from hplan.smoothing.options import PostprocessOptions
 from hplan.smoothing.push_clear import clear_spline, tighten
 from hplan.smoothing.round_corners import smooth
@@ -81,13 +81,13 @@ def _fastest(
         for count in FAST_CONTROL_POINTS:
             spline = clear_spline(taut, field, options, count=count, margin=margin)
             if spline is not None:
-                found.append(hasten(spline, field, options, margin=margin))
+                found.append(minimize_duration(spline, field, options, margin=margin))
             if len(found) == STARTS or (found and found[-1][1] <= GOOD_ENOUGH * least):
                 break
         if found:
             return found[ties.argmin([seconds for _, seconds in found])][0]
     # Where no spline could be pushed clear: the polyline with its corners rounded as far as they can be.
-    return hasten(smooth(taut, field, margin=smallest), field, options, margin=0.5 * smallest)[0]
+    return minimize_duration(smooth(taut, field, margin=smallest), field, options, margin=0.5 * smallest)[0]
 
 
 def straight_duration(start: FloatArray, goal: FloatArray, options: PostprocessOptions) -> float:

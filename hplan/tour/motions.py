@@ -23,7 +23,6 @@ import numpy as np
 
 from hplan.base import ties
 from hplan.base.arrays import FloatArray, IntArray, readonly
-from hplan.base.report import StageClock
 from hplan.errors import (
     BlockedError,
     CertificationError,
@@ -34,11 +33,12 @@ from hplan.errors import (
 from hplan.planning.find_motion import find_motion
 from hplan.planning.grasp_motion import motion_to_grasp
 from hplan.planning.grasps import Grasp, grasps, least_standoff, promising
-from hplan.planning.grid_route import Task, no_progress
-from hplan.planning.plan import Workspace, last_stretch
-from hplan.problem.definition import pose_problem
+from hplan.planning.grid_route import PlanningTask, no_progress
+from hplan.planning.plan import PlanningCache, last_stretch
+from hplan.planning.report import StageClock
+from hplan.problem.definition import check_problem
 from hplan.problem.options import PlanOptions
-from hplan.problem.world import Surroundings
+from hplan.problem.world import World
 from hplan.robot.limits import Limits, rest_to_rest
 from hplan.robot.model import Robot
 from hplan.scene.model import Fruit, Goal, Scene
@@ -60,26 +60,26 @@ def carrying(robot: Robot, radius: float) -> Robot:
     return replace(robot, arm=replace(robot.arm, half_widths=readonly(widths)))
 
 
-class World:
+class MotionPlanning:
     """An arm, empty or carrying, and the planar layers it leaves from plan to plan."""
 
     def __init__(self, robot: Robot, options: PlanOptions) -> None:
         """Begin with nothing."""
         self.options = options
-        self._workspace = Workspace(robot)
+        self._cache = PlanningCache(robot)
 
-    def around(self, scene: Scene) -> Surroundings:
+    def world(self, scene: Scene) -> World:
         """The arm among all solids of a scene."""
-        return self._workspace.around(scene, self.options)
+        return self._cache.world(scene, self.options)
 
-    def task(self, around: Surroundings, scene: Scene, start: FloatArray, goal: FloatArray) -> Task:
+    def task(self, world: World, scene: Scene, start: FloatArray, goal: FloatArray) -> PlanningTask:
         """A motion to plan.
 
         Raises:
             InputError: Start or goal cannot be taken.
         """
-        problem = pose_problem(around, start, goal, locked_joints=scene.locked_joints)
-        return Task(around, scene, problem, self.options, StageClock(), self._workspace.layers, no_progress)
+        problem = check_problem(world, start, goal, locked_joints=scene.locked_joints)
+        return PlanningTask(world, scene, problem, self.options, StageClock(), self._cache.layers, no_progress)
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,8 +147,8 @@ class Motions:
     """
 
     def __init__(
-        self, scene: Scene, empty: World, loaded: World | None, *, here: Stop, home: Stop, drop: DropOff | None,
-        every: int, back: bool,
+        self, scene: Scene, empty: MotionPlanning, loaded: MotionPlanning | None, *, here: Stop, home: Stop,
+        drop: DropOff | None, every: int, back: bool,
     ) -> None:  # fmt: skip
         """Begin without fruits.
 
@@ -163,8 +163,8 @@ class Motions:
             back: Whether the tour goes back.
         """
         self.scene, self.fruits, self.planned = scene, list[str](), 0
-        self._worlds = (empty, empty if loaded is None else loaded)
-        self._around = [world.around(scene) for world in self._worlds[: 1 if loaded is None else 2]]
+        self._plannings = (empty, empty if loaded is None else loaded)
+        self._worlds = [planning.world(scene) for planning in self._plannings[: 1 if loaded is None else 2]]
         self._every, self._back, self._carries = every, back, loaded is not None
         self._stops: list[Stop] = []
         self._here, self._home = self._stop(here), self._stop(home)
@@ -177,7 +177,7 @@ class Motions:
         if drop is not None and self._home != self._hub:
             way, a, b = _Move.of([drop.way]), self._home, self._hub
             self._moves[min(a, b), max(a, b), False] = way if a < b else way.reversed
-        robot, options = self._around[0].robot, empty.options
+        robot, options = self._worlds[0].robot, empty.options
         limits = Limits(robot.velocity_limit, robot.acceleration_limit).scaled(options.speed)
         self._limits = limits.velocity, limits.acceleration
 
@@ -192,25 +192,25 @@ class Motions:
             UnreachableError: No configuration has the tool there.
             HplanError: One of `NO_MOTION`: it is blocked, or no certified motion leads there.
         """
-        around = self._around[-1]
-        near, hub, what = around.touching(fruit.name), self._stops[self._hub].configuration, f"fruit {fruit.name!r}"
+        world = self._worlds[-1]
+        near, hub, what = world.touching(fruit.name), self._stops[self._hub].configuration, f"fruit {fruit.name!r}"
         ways = grasps(
-            around,
+            world,
             near,
             np.array(fruit.center),
             hub,
             what=what,
-            standoff=self._worlds[1].options.standoff,
-            least_standoff=least_standoff(around, fruit),
+            standoff=self._plannings[1].options.standoff,
+            least_standoff=least_standoff(world, fruit),
             approach_deg=self.scene.goal.approach_deg,
             locked=self.scene.locked_joints,
         )
         self.planned += 1
 
-        def task_of(grasp: Grasp) -> Task:
-            return self._worlds[1].task(grasp.transit_among(around, near), self.scene, hub, grasp.standoff)
+        def task_of(grasp: Grasp) -> PlanningTask:
+            return self._plannings[1].task(grasp.transit_among(world, near), self.scene, hub, grasp.standoff)
 
-        likely = promising(ways, around, near, hub)
+        likely = promising(ways, world, near, hub)
         shown, motion, pick = motion_to_grasp(
             ways, likely, task_of, lambda grasp, _: self._planned_pick(grasp, fruit.name), what
         )
@@ -276,17 +276,17 @@ class Motions:
 
     def _planned_pick(self, grasp: Grasp, fruit: str) -> _Move:
         """Approach and retreat."""
-        around = self._around[-1]
-        task = self._worlds[1].task(around.touching(fruit), self.scene, grasp.goal, grasp.goal)
+        world = self._worlds[-1]
+        task = self._plannings[1].task(world.touching(fruit), self.scene, grasp.goal, grasp.goal)
         target = next(other for other in self.scene.fruits if other.name == fruit)
-        return _Move.of(last_stretch(task, grasp, target, around.judge))
+        return _Move.of(last_stretch(task, grasp, target, world.checker))
 
     @staticmethod
-    def _near(around: Surroundings, *stops: Stop) -> Surroundings:
+    def _near(world: World, *stops: Stop) -> World:
         """The surroundings of a motion between stops: at fruits, the last link may touch these."""
         for name in {stop.fruit: None for stop in stops if stop.fruit is not None}:
-            around = around.touching(name)
-        return around
+            world = world.touching(name)
+        return world
 
     def _move(self, a: int, b: int, loaded: bool) -> _Move:
         """The way from stop to stop; planned if it is not there yet."""
@@ -301,11 +301,11 @@ class Motions:
 
     def _direct(self, a: int, b: int, loaded: bool) -> _Move | None:
         """The direct motion; None where none is found."""
-        ends, world, around = (self._stops[a], self._stops[b]), self._worlds[loaded], self._around[loaded]
+        ends, planning, world = (self._stops[a], self._stops[b]), self._plannings[loaded], self._worlds[loaded]
         self.planned += 1
         try:
-            where = self._near(around, *ends)
-            _, motion = find_motion([world.task(where, self.scene, *(end.configuration for end in ends))])
+            where = self._near(world, *ends)
+            _, motion = find_motion([planning.task(where, self.scene, *(end.configuration for end in ends))])
         except NO_MOTION:
             return None
         return _Move.of([("transit", motion.trajectory, motion.certificate)])
@@ -385,7 +385,7 @@ class Motions:
         )
 
 
-def drop_off(goal: Goal, scene: Scene, empty: World, loaded: World, start: FloatArray) -> DropOff:
+def drop_off(goal: Goal, scene: Scene, empty: MotionPlanning, loaded: MotionPlanning, start: FloatArray) -> DropOff:
     """Where the arm lets go of what it carries: clear also as it carries, and reached from the start.
 
     Args:
@@ -400,22 +400,22 @@ def drop_off(goal: Goal, scene: Scene, empty: World, loaded: World, start: Float
         HplanError: One of `NO_MOTION`: it is blocked, or no certified motion from the start leads there.
         InputError: Joints that are no configuration, or in collision.
     """
-    around, before, what = loaded.around(scene), empty.around(scene), "the drop-off"
+    world, before, what = loaded.world(scene), empty.world(scene), "the drop-off"
 
     joints = goal.joints()
     if joints is not None:
-        q = around.robot.check_configuration(joints, "drop_off")
-        around.check_clear(q, "drop_off")
+        q = world.robot.check_configuration(joints, "drop_off")
+        world.check_clear(q, "drop_off")
         _, motion = find_motion([empty.task(before, scene, start, q)])
         return DropOff(q, ("transit", motion.trajectory, motion.certificate))
     ways = grasps(
-        around, around, np.array(goal.position), start, what=what, standoff=0.0, approach_deg=goal.approach_deg,
+        world, world, np.array(goal.position), start, what=what, standoff=0.0, approach_deg=goal.approach_deg,
         locked=scene.locked_joints,
     )  # fmt: skip
 
-    def task_of(grasp: Grasp) -> Task:
-        around.check_clear(grasp.goal, "goal")
+    def task_of(grasp: Grasp) -> PlanningTask:
+        world.check_clear(grasp.goal, "goal")
         return empty.task(before, scene, start, grasp.goal)
 
-    grasp, motion, _ = motion_to_grasp(ways, promising(ways, around, around, start), task_of, lambda *_: None, what)
+    grasp, motion, _ = motion_to_grasp(ways, promising(ways, world, world, start), task_of, lambda *_: None, what)
     return DropOff(grasp.goal, ("transit", motion.trajectory, motion.certificate))

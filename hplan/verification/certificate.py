@@ -8,7 +8,7 @@ Hermite`); a trajectory of hplan is exactly that curve. On it
   distance minus that bound must stay positive all the way (conservative advancement, each pair at its own pace). Where
   the arm can touch itself, its links from one another and from what carries it too, the motion as seen from there;
 - the **fruit that is the goal** may be touched by the last link only, and only on a straight approach to the grasp and
-  on the way back (`hplan.problem.goal_contact`); all other fruits are obstacles;
+  on the way back (`hplan.verification.goal_contact`); all other fruits are obstacles;
 - **position, velocity and acceleration** are bounded for all times: the acceleration is linear between rows, the
   velocity has its extremes at rows or where the acceleration is zero, the position lies in the hull of the Bezier
   points;
@@ -37,9 +37,8 @@ import numpy as np
 from hplan.base import ties
 from hplan.base.arguments import instance, number, one_of, truth
 from hplan.base.arrays import FloatArray
-from hplan.collision.coal_scene import CollisionScene, Contact, base_contacts
+from hplan.collision.coal_scene import CoalScene, Contact, base_contacts
 from hplan.errors import InputError
-from hplan.problem.goal_contact import contact_window
 from hplan.robot.base_shapes import BASE_DEPTH
 from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel
@@ -47,6 +46,7 @@ from hplan.scene.model import Scene
 from hplan.timing.trajectory import Trajectory
 from hplan.verification.clearance_proof import Proof, prove_clearance
 from hplan.verification.digests import Digests
+from hplan.verification.goal_contact import contact_window
 from hplan.verification.limit_use import LimitUse, cubic_pieces, limit_use
 from hplan.verification.task_check import task_violations
 
@@ -61,7 +61,7 @@ GoalContact: TypeAlias = Literal["approach", "motion"]
 GOAL_CONTACTS: tuple[GoalContact, ...] = ("approach", "motion")
 
 #: A range of the motion's cubics, and what the arm is judged among there.
-Stretch: TypeAlias = tuple[slice, CollisionScene]
+Stretch: TypeAlias = tuple[slice, CoalScene]
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,7 @@ def certify(
     goal_contact: GoalContact = "approach",
     check_ends: bool = True,
     rest_to_rest: bool = True,
-    judge: CollisionScene | None = None,
+    checker: CoalScene | None = None,
 ) -> Certificate:
     """Judge a trajectory, wherever it comes from, as `plan` judges its own.
 
@@ -121,8 +121,8 @@ def certify(
         check_ends: Whether the motion has to do what the scene asks for: begin at its start, reach its goal, leave its
             locked joints where they are.
         rest_to_rest: Whether the motion has to begin and end at rest.
-        judge: The arm among other solids than the scene's. They are taken as they are: `sigmas` and `goal_contact` are
-            not looked at, nor what pedestal and turret stand in.
+        checker: The arm among other solids than the scene's. They are taken as they are: `sigmas` and `goal_contact`
+            are not looked at, nor what pedestal and turret stand in.
 
     Returns:
         The certificate; read `verified`.
@@ -143,9 +143,9 @@ def certify(
     _check_joints(robot, trajectory)
     bezier, _ = cubic_pieces(trajectory)
     contact, violations, fruit = None, list[str](), None
-    if judge is None:
+    if checker is None:
         solids = scene.solids_with_goal
-        judge = CollisionScene(robot, solids, growth=np.array([sigmas * solid.sigma for solid in solids]))
+        checker = CoalScene(robot, solids, growth=np.array([sigmas * solid.sigma for solid in solids]))
         fruit = next((fruit for fruit in scene.fruits if fruit.name == scene.goal.fruit), None)
         if fruit is not None:
             whole = slice(0, len(bezier))
@@ -160,7 +160,7 @@ def certify(
     certificate = certify_among(
         robot,
         trajectory,
-        stretches(judge, len(bezier), contact, scene.goal.fruit),
+        stretches(checker, len(bezier), contact, scene.goal.fruit),
         clearance=scene.clearance,
         tracking=tracking,
         rest_to_rest=rest_to_rest,
@@ -175,21 +175,21 @@ def certify(
     )
 
 
-def stretches(judge: CollisionScene, pieces: int, contact: slice | None, fruit: str | None) -> list[Stretch]:
+def stretches(checker: CoalScene, pieces: int, contact: slice | None, fruit: str | None) -> list[Stretch]:
     """The ranges of a motion of some cubics before, within and after that in which the last link may touch a fruit.
 
     Args:
-        judge: The arm among everything.
+        checker: The arm among everything.
         pieces: Number of cubics.
         contact: The range; None for none.
         fruit: Name of the fruit.
     """
     if contact is None or fruit is None:
-        return [(slice(0, pieces), judge)]
+        return [(slice(0, pieces), checker)]
     found = [
-        (slice(0, contact.start), judge),
-        (contact, judge.touching(fruit)),
-        (slice(contact.stop, pieces), judge),
+        (slice(0, contact.start), checker),
+        (contact, checker.touching(fruit)),
+        (slice(contact.stop, pieces), checker),
     ]
     return [(part, among) for part, among in found if part.start < part.stop]
 
@@ -233,9 +233,9 @@ def certify_among(
         # Nothing is farther off than a joint that is off by a whole turn, or nobody knows how far.
         deviations = np.fmin(tracking.deviations(speeds), 2.0 * np.pi)
     proofs, wanted = [], f"more than {1e3 * clearance:.3g} mm at a tracking error of {tracking}"
-    for part, judge in among:
+    for part, checker in among:
         own = deviations if len(deviations) == 1 else deviations[part]
-        proof = prove_clearance(robot, bezier[part], judge, own, clearance)
+        proof = prove_clearance(robot, bezier[part], checker, own, clearance)
         proofs.append(proof)
         violations += _not_shown(proof, trajectory, part.start, wanted)
     missing = [proof.clearance_m for proof in proofs if not proof.shown]

@@ -33,7 +33,7 @@ import numpy as np
 
 from hplan.base.arrays import FloatArray, IntArray
 from hplan.base.kernels import kernel
-from hplan.collision.coal_scene import CollisionScene, Contact
+from hplan.collision.coal_scene import CoalScene, Contact
 from hplan.robot.base_shapes import GROUND, TURRET
 from hplan.robot.model import Robot
 from hplan.robot.self_contact import pair_rates, pair_sway
@@ -83,27 +83,27 @@ class Proof:
 
 
 def prove_clearance(
-    robot: Robot, bezier: FloatArray, judge: CollisionScene, deviations: FloatArray, needed: float
+    robot: Robot, bezier: FloatArray, checker: CoalScene, deviations: FloatArray, needed: float
 ) -> Proof:
     """Show that every pair keeps its distance at all times, or find where it does not.
 
     Args:
         robot: The arm.
         bezier: (pieces, 4, dof) Bezier points of the motion's cubics.
-        judge: The arm among the obstacles.
+        checker: The arm among the obstacles.
         deviations: (pieces, dof) largest deviation of each joint within each cubic, or (1, dof) for all of them [rad].
         needed: Distance to be kept [m].
     """
     # Pairs that touch only beyond the limits, where a deviation leads, are asked too.
-    judge = judge.covering(float(deviations.max()), needed)
-    if not judge.pairs:
+    checker = checker.covering(float(deviations.max()), needed)
+    if not checker.pairs:
         return Proof("shown", math.inf, None, 0, len(bezier))
-    search = _Advancement(robot, bezier, judge, deviations, needed)
+    search = _Advancement(robot, bezier, checker, deviations, needed)
     if search.bounded < len(bezier):
         return search.worst("travel")
     budget = CHECKS + CHECKS_PER_PIECE * len(bezier)
     # At the start all pairs at once; those that cannot come near in the whole motion are not asked again.
-    distances = judge.pair_distances(bezier[0, 0])
+    distances = checker.pair_distances(bezier[0, 0])
     going = search.take(np.arange(len(distances)), distances, 0.0)
     while going:
         pairs, at, q = _first(search.due, bezier)
@@ -132,18 +132,18 @@ class _Advancement:
     """
 
     def __init__(
-        self, robot: Robot, bezier: FloatArray, judge: CollisionScene, deviations: FloatArray, needed: float
+        self, robot: Robot, bezier: FloatArray, checker: CoalScene, deviations: FloatArray, needed: float
     ) -> None:
-        self._bezier, self._judge = bezier, judge
-        self._mover_of, others = _movers(judge)
+        self._bezier, self._judge = bezier, checker
+        self._mover_of, others = _movers(checker)
         with np.errstate(over="ignore", invalid="ignore"):
             rates = 3.0 * np.diff(bezier, axis=1)
             bounds = [_link_bounds(robot, rates), *(pair_rates(robot, part, other, rates) for part, other in others)]
             moved = np.column_stack(bounds).T
             sways = _sways(robot, others, deviations)
-            if judge.links != "capsule":
-                moved = moved + _off_axis(judge, others, np.abs(rates).max(axis=1))
-                sways = sways + _off_axis(judge, others, deviations)
+            if checker.links != "capsule":
+                moved = moved + _off_axis(checker, others, np.abs(rates).max(axis=1))
+                sways = sways + _off_axis(checker, others, deviations)
             self._sway = _at_rows(sways, len(bezier))
             if len(deviations) > 1:
                 moved = moved + np.maximum(np.diff(self._sway, axis=1), 0.0)
@@ -154,9 +154,9 @@ class _Advancement:
             # For the search of the rows alone: after such a piece every pair may be anywhere.
             moved = np.where(moved <= LONGEST_TRAVEL, moved, LONGEST_TRAVEL)
             self._travel[:, 1:] = np.cumsum(moved, axis=1)
-        self._kept = needed + judge.distance_errors
+        self._kept = needed + checker.distance_errors
         self._at = 0.0
-        self.due = np.full(len(judge.pairs), math.inf)
+        self.due = np.full(len(checker.pairs), math.inf)
         self.shown = math.inf
         self.nearest = math.inf, 0
         self.checks = 1
@@ -315,10 +315,10 @@ def place_after(travel: FloatArray, at: float, part: float) -> float:
     return place
 
 
-def pair_sways(judge: CollisionScene, deviations: FloatArray) -> FloatArray:
+def pair_sways(checker: CoalScene, deviations: FloatArray) -> FloatArray:
     """By how much each pair may come nearer when joints are off by deviations, (k, dof) [rad] -> (pairs, k) [m]."""
-    mover_of, others = _movers(judge)
-    return _sways(judge.robot, others, deviations)[mover_of]
+    mover_of, others = _movers(checker)
+    return _sways(checker.robot, others, deviations)[mover_of]
 
 
 def _sways(robot: Robot, others: Sequence[tuple[int, int]], deviations: FloatArray) -> FloatArray:
@@ -327,16 +327,16 @@ def _sways(robot: Robot, others: Sequence[tuple[int, int]], deviations: FloatArr
     return np.column_stack([robot.sway(deviations), *found]).T
 
 
-def _off_axis(judge: CollisionScene, others: Sequence[tuple[int, int]], turns: FloatArray) -> FloatArray:
+def _off_axis(checker: CoalScene, others: Sequence[tuple[int, int]], turns: FloatArray) -> FloatArray:
     """(movers, k) how much farther than its axis a link that is no capsule moves as joints turn by (k, dof) [m].
 
     A ball about a point of the axis moves as that point does; what is at most r from the axis by r times the link's
     turn more, which is at most the sum of the turns of the joints before it. Seen from another link, that one's own
     turn comes to it.
     """
-    arm = judge.robot.arm
-    reach = arm.half_widths * {"capsule": 0.0, "urdf": 1.0, "box": math.sqrt(2.0)}[judge.links]
-    first = 1 if judge.robot.has_yaw else 0
+    arm = checker.robot.arm
+    reach = arm.half_widths * {"capsule": 0.0, "urdf": 1.0, "box": math.sqrt(2.0)}[checker.links]
+    first = 1 if checker.robot.has_yaw else 0
     turned = np.cumsum(np.abs(turns), axis=1)[:, first:].T
     found = [reach[link] * turned[link] for link in range(arm.link_count)]
     for part, other in others:
@@ -345,15 +345,15 @@ def _off_axis(judge: CollisionScene, others: Sequence[tuple[int, int]], turns: F
     return np.array(found)
 
 
-def _movers(judge: CollisionScene) -> tuple[IntArray, list[tuple[int, int]]]:
+def _movers(checker: CoalScene) -> tuple[IntArray, list[tuple[int, int]]]:
     """The mover of each pair, and the movers after the links: a part, and what its motion is seen from.
 
     The links as seen from the ground are the first movers.
     """
-    first, links = len(judge.pairs) - len(judge.own_others), len(judge.link_names)
-    seen_from = [GROUND] * first + judge.own_others
+    first, links = len(checker.pairs) - len(checker.own_others), len(checker.link_names)
+    seen_from = [GROUND] * first + checker.own_others
     parts = [
-        (mover if mover < links else TURRET, other) for (mover, _), other in zip(judge.pairs, seen_from, strict=True)
+        (mover if mover < links else TURRET, other) for (mover, _), other in zip(checker.pairs, seen_from, strict=True)
     ]
     movers = list(dict.fromkeys([*((link, GROUND) for link in range(links)), *parts]))
     numbers = {mover: number for number, mover in enumerate(movers)}

@@ -19,7 +19,7 @@ _POSITION, _VELOCITY = "_pos_rad", "_vel_rad_s"
 
 
 class Movement(Protocol):
-    """What is needed of a motion; a `Trajectory` has it, and so has a `Motion`."""
+    """What is needed of a motion; a `Trajectory` has it, and so has a `RecordedMotion`."""
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -39,7 +39,7 @@ class Movement(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Motion(Record):
+class RecordedMotion(Record):
     """Positions and velocities over time, from wherever they come.
 
     Attributes:
@@ -55,7 +55,7 @@ class Motion(Record):
     velocity: FloatArray
 
     @classmethod
-    def from_positions(cls, joint_names: Sequence[str], time: FloatArray, position: FloatArray) -> Motion:
+    def from_positions(cls, joint_names: Sequence[str], time: FloatArray, position: FloatArray) -> RecordedMotion:
         """The motion through positions, from rest to rest.
 
         A row's velocity is that of the parabola through it and its neighbours; the first and last rows are at rest.
@@ -81,12 +81,12 @@ class Motion(Record):
         return cls(tuple(joint_names), readonly(time), readonly(position), readonly(velocity))
 
 
-def read_motion(path: Path | str) -> Motion:
+def read_motion(path: Path | str) -> RecordedMotion:
     """Read a CSV of a motion, whoever wrote it.
 
     One header line; needed are `time_s` and a column `NAME_pos_rad` for each joint, in any order. Velocities are
     taken from columns `NAME_vel_rad_s` where every joint has one, else the motion is that through the positions from
-    rest to rest (see `Motion.from_positions`). Other columns are ignored, so hplan's own files can be read.
+    rest to rest (see `RecordedMotion.from_positions`). Other columns are ignored, so hplan's own files can be read.
 
     Raises:
         InputError: Missing file, missing or repeated columns, a cell that is no finite number, time that does not
@@ -107,5 +107,5 @@ def read_motion(path: Path | str) -> Motion:
     table = np.array([row for _, _, row in file.timed_rows([header.index(name) for name in wanted])])
     time, position = table[:, 0], table[:, 1 : len(joints) + 1]
     if len(wanted) == len(joints) + 1:
-        return Motion.from_positions(joints, time, position)
-    return Motion(joints, readonly(time), readonly(position), readonly(table[:, len(joints) + 1 :]))
+        return RecordedMotion.from_positions(joints, time, position)
+    return RecordedMotion(joints, readonly(time), readonly(position), readonly(table[:, len(joints) + 1 :]))

@@ -35,7 +35,7 @@ import pinocchio as pin
 from hplan.base import ties
 from hplan.base.arguments import instance
 from hplan.base.arrays import FloatArray, Record, readonly
-from hplan.collision.coal_scene import CollisionScene, Contact
+from hplan.collision.coal_scene import CoalScene, Contact
 from hplan.errors import InputError, OptionError, RobotFileError
 from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel
@@ -435,6 +435,6 @@ def _joints(robot: Robot, scene: Scene, which: str) -> FloatArray | None:
 
 def _nearest(robot: Robot, scene: Scene, position: FloatArray) -> Contact | None:
     """The smallest distance at any of the configurations that are finite."""
-    judge = CollisionScene(robot, scene.solids)
-    found = [contact for q in position if np.isfinite(q).all() and (contact := judge.nearest(q)) is not None]
+    checker = CoalScene(robot, scene.solids)
+    found = [contact for q in position if np.isfinite(q).all() and (contact := checker.nearest(q)) is not None]
     return found[ties.argmin([contact.distance_m for contact in found])] if found else None

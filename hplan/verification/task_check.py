@@ -7,10 +7,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from hplan.base.arrays import FloatArray
-from hplan.problem.definition import locked_mask
-from hplan.problem.goal_contact import THERE, instant_at
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
+from hplan.verification.goal_contact import THERE, instant_at
 
 #: Difference between joint values that counts as none [rad]; of an approach angle too.
 SAME = 1e-5
@@ -34,7 +33,7 @@ def task_violations(robot: Robot, scene: Scene, bezier: FloatArray) -> Iterator[
     rows = np.vstack([bezier[:, 0], bezier[-1:, 3]])
     start = robot.check_configuration(scene.start.configuration, "start")
     yield from _apart(robot, "begins", rows[0], start, "start")
-    locked = np.flatnonzero(locked_mask(robot, scene.locked_joints))
+    locked = np.flatnonzero(robot.locked_mask(scene.locked_joints))
     for joint in locked.tolist():
         moved = np.abs(bezier[..., joint] - start[joint]).max()
         if not moved <= SAME:

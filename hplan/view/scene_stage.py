@@ -268,7 +268,7 @@ def _in_the_way(scene: Scene) -> tuple[FloatArray, FloatArray]:
     points, widths = [np.zeros((0, 3))], [np.zeros(0)]
     for solid in scene.solids:
         core = solid.core
-        if solid.loose:
+        if solid.is_point_set:
             core = core[:: -(-len(core) // 500)]
         elif len(core) > 1:
             share = np.linspace(0.0, 1.0, 5)[:, None, None]
@@ -297,7 +297,7 @@ def _visible_points(robot: Robot, scene: Scene, arm: FloatArray) -> FloatArray:
 
 def _outline(solid: Solid) -> FloatArray:
     """Points of a solid that speak for its extent, (k, 3) [m]."""
-    return np.stack([solid.core.min(axis=0), solid.core.max(axis=0)]) if solid.loose else solid.core
+    return np.stack([solid.core.min(axis=0), solid.core.max(axis=0)]) if solid.is_point_set else solid.core
 
 
 def _footprint(robot: Robot) -> FloatArray:

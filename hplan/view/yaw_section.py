@@ -16,7 +16,7 @@ import numpy as np
 from hplan.base.arrays import FloatArray, frozen
 from hplan.errors import InputError, OptionError
 from hplan.problem.options import PlanOptions
-from hplan.problem.world import Surroundings
+from hplan.problem.world import World
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 from hplan.search.grid import Grid
@@ -112,7 +112,7 @@ def yaw_section(
     motion, times = trajectory.position[rows], trajectory.time[rows]
     at = robot.yaw_of(motion[-1]) if yaw is None else yaw
     choice = PlanOptions() if options is None else options
-    around = Surroundings.of(
+    world = World.of(
         robot,
         [solid for solid in scene.solids if solid.name not in picked],
         clearance=scene.clearance,
@@ -129,7 +129,7 @@ def yaw_section(
     return YawSection(
         yaw=at,
         grid=grid,
-        field=_field(robot, around, grid, at),
+        field=_field(robot, world, grid, at),
         path=frozen(np.ascontiguousarray(way[:, planar])),
         beside=frozen(np.abs(way[:, 0] - at) if robot.has_yaw else np.zeros(len(way))),
         times=frozen(np.interp(stations, along[moving], times[moving])),
@@ -160,12 +160,12 @@ def _grid(robot: Robot) -> Grid:
     return Grid.over(robot.arm.lower, robot.arm.upper, step)
 
 
-def _field(robot: Robot, around: Surroundings, grid: Grid, yaw: float) -> FloatArray:
+def _field(robot: Robot, world: World, grid: Grid, yaw: float) -> FloatArray:
     """Clearance at the grid's nodes; without obstacles as far as can be told."""
     q = np.full(robot.dof, yaw)
     field = np.empty(grid.size)
     for number, index in enumerate(np.ndindex(*grid.shape)):
         q[robot.arm_slice] = grid.coordinates(index)
-        field[number] = around.field.clearance(q)
+        field[number] = world.field.clearance(q)
     # The surface is interpolated between nodes: without obstacles clearance is infinite.
     return frozen(np.minimum(field, 1e3).reshape(grid.shape))

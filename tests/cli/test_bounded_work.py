@@ -37,7 +37,7 @@ def longer(motion, seconds):
     return Trajectory(motion.joint_names, np.append(motion.time, motion.time[-1] + seconds), *rows)
 
 
-def judged(*arguments, **options):
+def certified_as_required(*arguments, **options):
     begin = time.process_time()
     certificate = hplan.certify(*arguments, **options)
     assert time.process_time() - begin < 5.0
@@ -49,7 +49,9 @@ def judged(*arguments, **options):
 def test_one_cell(robot, scene, motion, tmp_path, column, value):
     values = np.array(getattr(motion, column))
     values[100, 1] = value
-    certificate = judged(robot, scene, read_csv(write_csv(replace(motion, **{column: values}), tmp_path / "t.csv")))
+    certificate = certified_as_required(
+        robot, scene, read_csv(write_csv(replace(motion, **{column: values}), tmp_path / "t.csv"))
+    )
     assert not certificate.verified
     said = {violation.split()[0] for violation in certificate.violations}
     assert {"position": "position", "velocity": "velocity"}.get(column, column) in said
@@ -58,7 +60,7 @@ def test_one_cell(robot, scene, motion, tmp_path, column, value):
 def test_too_fast_to_be_bounded_is_said_where(robot, scene, motion):
     velocity = np.array(motion.velocity)
     velocity[100, 1] = 1e300
-    certificate = judged(robot, scene, replace(motion, velocity=velocity))
+    certificate = certified_as_required(robot, scene, replace(motion, velocity=velocity))
     assert any("from 0.396 s to 0.4 s the motion is too fast to be bounded" in text for text in certificate.violations)
     assert np.isfinite(certificate.min_clearance_m)
 
@@ -67,22 +69,24 @@ def test_all_cells(robot, scene, motion):
     rng = np.random.default_rng(0)
     for scale in (1e30, 1e200, 1e308):
         wild = [scale * rng.uniform(-1, 1, motion.position.shape) for _ in range(4)]
-        assert not judged(robot, scene, Trajectory(motion.joint_names, motion.time, *wild)).verified
+        assert not certified_as_required(robot, scene, Trajectory(motion.joint_names, motion.time, *wild)).verified
 
 
 def test_to_a_fruit_too(robot, scene, motion):
     fruit = Fruit(name="f", center=tuple(robot.tool_positions(motion.position[-1]).tolist()), radius=0.05)
-    around = scene.model_copy(update={"goal": Goal(fruit="f"), "fruits": (fruit,)})
+    world = scene.model_copy(update={"goal": Goal(fruit="f"), "fruits": (fruit,)})
     for column in ("position", "velocity"):
         values = np.array(getattr(motion, column))
         values[100, 1] = 1e300
-        assert not judged(robot, around, replace(motion, **{column: values}), tracking_delay_s=0.01).verified
+        assert not certified_as_required(
+            robot, world, replace(motion, **{column: values}), tracking_delay_s=0.01
+        ).verified
 
 
 @pytest.mark.parametrize("seconds", [1e3, 1e6, 1e300])
 def test_a_pause_is_verified(robot, scene, motion, seconds):
     tracemalloc.start()
-    certificate = judged(robot, scene, longer(motion, seconds))
+    certificate = certified_as_required(robot, scene, longer(motion, seconds))
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert certificate.verified, certificate.violations
@@ -97,12 +101,12 @@ def test_rows_hardly_apart(robot, scene, motion, gap):
     if not (np.diff(time) > 0.0).all():
         time[199], time[200] = 0.796, np.nextafter(0.796, 1.0)
         time[201:] = np.maximum(time[201:], time[200] + 4e-3 * np.arange(1, len(time) - 200))
-    assert not judged(robot, scene, replace(again, time=time)).verified
+    assert not certified_as_required(robot, scene, replace(again, time=time)).verified
 
 
 def test_rows_a_second_apart(robot, scene):
     slow = hplan.plan(robot, scene, hplan.PlanOptions(rate_hz=1.0, certify=False)).trajectory
-    assert judged(robot, scene, slow).checks < clearance_proof.CHECKS
+    assert certified_as_required(robot, scene, slow).checks < clearance_proof.CHECKS
 
 
 def test_a_budget_that_is_used_up_is_said(robot, scene, monkeypatch):
@@ -117,13 +121,13 @@ def test_a_budget_that_is_used_up_is_said(robot, scene, monkeypatch):
     position[:, 1] = 0.3 + 0.6 * rows
     velocity[:, 1] = 0.6
     swing = Trajectory(robot.joint_names, rows, position, velocity, 0 * position, 0 * position)
-    around = scene.with_obstacles(wall)
+    world = scene.with_obstacles(wall)
     options = {"check_ends": False, "rest_to_rest": False}
-    whole = judged(robot, around, swing, **options)
+    whole = certified_as_required(robot, world, swing, **options)
     assert whole.verified
     monkeypatch.setattr(clearance_proof, "CHECKS", 60)
     monkeypatch.setattr(clearance_proof, "CHECKS_PER_PIECE", 0)
-    certificate = judged(robot, around, swing, **options)
+    certificate = certified_as_required(robot, world, swing, **options)
     assert not certificate.verified
     assert certificate.violations[0].startswith("clearance is not shown beyond 0.")
     assert whole.checks > 60
@@ -136,6 +140,6 @@ def test_time_grows_with_the_rows(robot, scene, motion):
     """A hundred times to and fro: 90,000 rows."""
     there = [motion, motion.reversed] * 100
     long = hplan.timing.trajectory.joined(there)
-    certificate = judged(robot, scene, long, check_ends=False)
+    certificate = certified_as_required(robot, scene, long, check_ends=False)
     assert certificate.verified
     assert certificate.checks < 100_000

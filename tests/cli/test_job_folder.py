@@ -108,12 +108,12 @@ def test_what_a_killed_job_has_left_goes_with_the_next(folder: JobFolder) -> Non
 
 AT_THE_REPORT = """
 import os, signal, sys, time
-import hplan.base.report
+import hplan.planning.report
 signal.signal({number}, signal.SIG_DFL)  # which it is not where the tests run under nohup
 def end(*_):
     os.kill(os.getpid(), {number})
     time.sleep(60)
-hplan.base.report.write_report = end
+hplan.planning.report.write_report = end
 sys.argv = sys.argv[1:]
 import runpy
 runpy.run_path(sys.argv[0], run_name="__main__")

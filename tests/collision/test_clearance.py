@@ -12,7 +12,7 @@ from shapes import torus
 
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.clearance_kernels import motion_bounds, segment_is_clear
-from hplan.collision.coal_scene import CollisionScene
+from hplan.collision.coal_scene import CoalScene
 from hplan.scene.model import Box, Capsule, Mesh, PointCloud, Sphere
 from hplan.scene.solids import Cloud, hull_of
 
@@ -82,9 +82,9 @@ def test_hulls_are_those_of_coal(variant, count):
     free = 0
     for index in range(6):
         hull = random_hull(rng, index, count)
-        field, judge = ClearanceField.of(variant, [hull]), CollisionScene(variant, [hull])
+        field, checker = ClearanceField.of(variant, [hull]), CoalScene(variant, [hull])
         for q in rng.uniform(variant.lower, variant.upper, (12, variant.dof)):
-            expected, found = judge.distances(q)[:, 0], field.link_clearances(q)
+            expected, found = checker.distances(q)[:, 0], field.link_clearances(q)
             apart = expected > TOUCH
             np.testing.assert_allclose(found[apart], expected[apart], atol=1e-6, rtol=0)
             assert (found[~apart] <= 2 * TOUCH).all()
@@ -145,9 +145,9 @@ def test_meshes_and_points_of_a_scene(robot, scene):
     ring = Mesh.of("ring", *torus(n=12), position=(1.2, 0.2, 1.0), rpy_deg=(90, 0, 0))
     canopy = PointCloud.of("canopy", np.random.default_rng(0).uniform(-0.3, 0.3, (300, 3)), 0.01, position=(1, 0, 1.9))
     solids = scene.with_obstacles([ring, canopy]).solids
-    field, judge = ClearanceField.of(robot, solids), CollisionScene(robot, solids)
+    field, checker = ClearanceField.of(robot, solids), CoalScene(robot, solids)
     for q in np.random.default_rng(1).uniform(robot.lower, robot.upper, (40, 4)):
-        expected = judge.distances(q).min(axis=1)
+        expected = checker.distances(q).min(axis=1)
         np.testing.assert_allclose(np.maximum(field.link_clearances(q), 0), np.maximum(expected, 0), atol=1e-6)
     path = np.array([[0, 0, 0, 0], [0, 1.0, 0, 0]])
     assert not field.is_clear(path, 1e-3)
@@ -344,8 +344,8 @@ def test_bounds_are_tight_for_a_stretched_arm(robot):
 # Motions shown clear
 
 
-def dense_clearance(judge, start, end, samples=240):
-    return min(judge.distances(start + t * (end - start)).min() for t in np.linspace(0.0, 1.0, samples))
+def dense_clearance(checker, start, end, samples=240):
+    return min(checker.distances(start + t * (end - start)).min() for t in np.linspace(0.0, 1.0, samples))
 
 
 def random_motions(robot, rng, count):
@@ -353,22 +353,22 @@ def random_motions(robot, rng, count):
     found = 0
     while found < count:
         obstacles = random_obstacles(rng, 3)
-        judge, field = CollisionScene(robot, obstacles), ClearanceField.of(robot, obstacles)
+        checker, field = CoalScene(robot, obstacles), ClearanceField.of(robot, obstacles)
         for _ in range(20):
             start = rng.uniform(robot.lower, robot.upper)
             end = np.clip(start + rng.uniform(-0.5, 0.5, robot.dof), robot.lower, robot.upper)
             near = field.clearance(0.5 * (start + end))
             if -0.05 < near < 0.2 and field.clearance(start) > 0.0:
                 found += 1
-                yield field, judge, start, end
+                yield field, checker, start, end
 
 
 def test_no_motion_in_contact_is_accepted_and_few_others_refused(robot):
     rng = np.random.default_rng(8)
     margin = 2e-3
     accepted = refused = 0
-    for field, judge, start, end in random_motions(robot, rng, 500):
-        sampled = dense_clearance(judge, start, end)
+    for field, checker, start, end in random_motions(robot, rng, 500):
+        sampled = dense_clearance(checker, start, end)
         if field.is_clear(np.stack([start, end]), margin):
             accepted += 1
             assert sampled >= 0.5 * margin

@@ -8,7 +8,7 @@ import pinocchio as pin
 import pytest
 
 from hplan.collision.coal_accuracy import ITERATION, PARALLEL, SIZE, distance_errors
-from hplan.collision.coal_scene import CollisionScene
+from hplan.collision.coal_scene import CoalScene
 from hplan.collision.coal_shapes import solid_shape
 from hplan.scene.model import Box, Capsule, Goal, Scene, Sphere, Start
 from hplan.timing.trajectory import Trajectory
@@ -90,14 +90,14 @@ def test_one_for_each_pair(robot):
         Capsule(name="c", start=(3.0, 0.0, 0.0), end=(3.0, 0.0, 0.01), radius=0.1),
         Box(name="b", center=(3.0, 0.0, 0.0), size=(30.0, 40.0, 0.1)),
     ]
-    judge = CollisionScene(robot, obstacles)
-    errors = judge.distance_errors
-    assert errors.shape == (len(judge.pairs),)
-    table = errors[: 3 * len(judge.link_names)].reshape(-1, 3)
+    checker = CoalScene(robot, obstacles)
+    errors = checker.distance_errors
+    assert errors.shape == (len(checker.pairs),)
+    table = errors[: 3 * len(checker.link_names)].reshape(-1, 3)
     lengths = robot.arm.lengths
     np.testing.assert_allclose(table[:, 1] - table[:, 0], PARALLEL / lengths, atol=2e-9)
     np.testing.assert_allclose(table[:, 2], ITERATION + 50.0 * SIZE, rtol=1e-4)
-    np.testing.assert_array_equal(judge.touching("s").distance_errors, errors)
+    np.testing.assert_array_equal(checker.touching("s").distance_errors, errors)
 
 
 def test_the_proof_takes_them_off(robot, monkeypatch):
@@ -108,9 +108,9 @@ def test_the_proof_takes_them_off(robot, monkeypatch):
     rest = (0.0,) * 4
     scene = Scene(name="s", start=Start(joints_rad=rest), goal=Goal(joints_rad=rest), obstacles=(ball,))
     found = certify(robot, scene, still)
-    errors = CollisionScene(robot, scene.solids).distance_errors
+    errors = CoalScene(robot, scene.solids).distance_errors
     assert found.verified
     assert found.min_clearance_m == pytest.approx(0.5 * (found.nearest.distance_m - errors[0]), rel=1e-9)
-    wide = CollisionScene(robot, scene.solids)
+    wide = CoalScene(robot, scene.solids)
     wide.distance_errors = errors + found.nearest.distance_m
-    assert not certify(robot, scene, still, judge=wide).verified
+    assert not certify(robot, scene, still, checker=wide).verified

@@ -13,7 +13,7 @@ from arm_variants import VARIANTS, axis_points, coal_distances, load_variant, ra
 from shapes import torus
 
 from hplan.base.data_files import urdf_dir
-from hplan.collision.coal_scene import CollisionScene, base_contacts, base_radius, check_clear, sampled_occupancy
+from hplan.collision.coal_scene import CoalScene, base_contacts, base_radius, check_clear, sampled_occupancy
 from hplan.cspace.occupancy import joint_grid, occupancy
 from hplan.cspace.sections import arm_sections
 from hplan.errors import ConfigurationInCollisionError, OptionError
@@ -43,23 +43,23 @@ def test_distances_to_balls_by_the_closed_form(name, tmp_path):
     robot = load_variant(name, tmp_path)
     rng = np.random.default_rng(1)
     balls = [ball(*rng.uniform(-1.5, 1.5, 3), radius=rng.uniform(0.02, 0.3), name=f"b{i}") for i in range(7)]
-    judge = CollisionScene(robot, balls)
+    checker = CoalScene(robot, balls)
     for q in rng.uniform(robot.lower, robot.upper, (30, robot.dof)):
         points = axis_points(robot, q)
         expected = [
             [point_to_segment(np.array(b.center), points[k], points[k + 1]) - b.radius - width for b in balls]
             for k, width in enumerate(robot.arm.half_widths)
         ]
-        np.testing.assert_allclose(judge.distances(q), expected, atol=1e-9)
+        np.testing.assert_allclose(checker.distances(q), expected, atol=1e-9)
 
 
 def test_distances_to_all_kinds(robot):
     rng = np.random.default_rng(2)
     for _ in range(10):
         obstacles = random_obstacles(rng, 9)
-        judge = CollisionScene(robot, obstacles)
+        checker = CoalScene(robot, obstacles)
         for q in rng.uniform(robot.lower, robot.upper, (5, 4)):
-            found, expected = judge.distances(q), coal_distances(robot, q, obstacles)
+            found, expected = checker.distances(q), coal_distances(robot, q, obstacles)
             np.testing.assert_allclose(np.where(expected > 0, found, 0), np.maximum(expected, 0), atol=1e-6)
             assert ((found <= 1e-6) == (expected <= 1e-6)).all()
 
@@ -78,7 +78,7 @@ def test_distances_to_all_kinds(robot):
     ],
 )  # fmt: skip
 def test_capsules_and_boxes_by_hand(robot, obstacle, expected):
-    found = CollisionScene(robot, [obstacle]).distances(FLAT)[:, 0]
+    found = CoalScene(robot, [obstacle]).distances(FLAT)[:, 0]
     for link, value in enumerate(expected):
         if value:
             assert found[link] == pytest.approx(value, abs=1e-6)
@@ -87,32 +87,32 @@ def test_capsules_and_boxes_by_hand(robot, obstacle, expected):
 def test_depth(robot):
     for depth in (1e-4, 0.03):
         below = ball(0.5, 0.0, 0.6 - 0.05 - 0.1 + depth)
-        assert CollisionScene(robot, [below]).distances(FLAT)[0, 0] == pytest.approx(-depth, abs=1e-7)
+        assert CoalScene(robot, [below]).distances(FLAT)[0, 0] == pytest.approx(-depth, abs=1e-7)
 
 
 def test_order_and_names(robot):
-    judge = CollisionScene(robot, [ball(0.5, 0, 1.0, name="near upper arm"), ball(1.5, 0, 1.2, name="forearm's")])
-    assert judge.link_names == ("upper_arm", "forearm", "hand")
-    assert judge.obstacle_names == ("near upper arm", "forearm's")
-    table = judge.distances(FLAT)
+    checker = CoalScene(robot, [ball(0.5, 0, 1.0, name="near upper arm"), ball(1.5, 0, 1.2, name="forearm's")])
+    assert checker.link_names == ("upper_arm", "forearm", "hand")
+    assert checker.obstacle_names == ("near upper arm", "forearm's")
+    table = checker.distances(FLAT)
     assert table.shape == (3, 2)
     assert table[0, 0] == pytest.approx(0.25)
     assert table[1, 1] == pytest.approx(0.46)
     assert table[2, 0] == pytest.approx(np.hypot(1.3, 0.4) - 0.13)
-    nearest = judge.nearest(FLAT)
+    nearest = checker.nearest(FLAT)
     assert (nearest.link, nearest.obstacle) == ("upper_arm", "near upper arm")
     assert nearest.distance_m == table.min()
-    nearest = judge.nearest(np.array([np.pi, 0, 0, 0]))
+    nearest = checker.nearest(np.array([np.pi, 0, 0, 0]))
     assert nearest.obstacle == "near upper arm"
-    assert judge.nearest(np.array([0, 0, 0.6, 0])).link == "forearm"
+    assert checker.nearest(np.array([0, 0, 0.6, 0])).link == "forearm"
 
 
 def test_without_obstacles(robot):
-    judge = CollisionScene(robot, [])
-    assert judge.distances(FLAT).shape == (3, 0)
-    assert judge.nearest(FLAT) is None
-    assert judge.in_collision(np.zeros((5, 4))).tolist() == [False] * 5
-    assert check_clear(judge, FLAT, 0.1, "start") == np.inf
+    checker = CoalScene(robot, [])
+    assert checker.distances(FLAT).shape == (3, 0)
+    assert checker.nearest(FLAT) is None
+    assert checker.in_collision(np.zeros((5, 4))).tolist() == [False] * 5
+    assert check_clear(checker, FLAT, 0.1, "start") == np.inf
 
 
 # Hulls and clouds
@@ -125,14 +125,14 @@ def test_a_hull_of_corners_is_the_box(robot, links):
         box = random_obstacles(rng, 3)[2]
         hull = hull_of(box.core, "hull")
         grown = dataclasses.replace(hull, rounding=0.05)
-        judge = CollisionScene(robot, [box, hull, grown], links=links)
+        checker = CoalScene(robot, [box, hull, grown], links=links)
         for q in rng.uniform(robot.lower, robot.upper, (8, 4)):
-            found = judge.distances(q)
+            found = checker.distances(q)
             apart = found[:, 0] > 1e-6
             np.testing.assert_allclose(found[apart, 1], found[apart, 0], atol=1e-6)
             np.testing.assert_allclose(found[apart, 2], found[apart, 0] - 0.05, atol=1e-6)
             assert (found[~apart] <= 1e-6).all()
-        assert judge.obstacle_names == (box.name, "hull", "hull")
+        assert checker.obstacle_names == (box.name, "hull", "hull")
         assert index < 6
 
 
@@ -151,29 +151,29 @@ def test_a_cloud_is_its_balls(robot, shape, links):
     }[shape]
     cloud = Cloud.of("cloud", points, 0.03)
     balls = [Sphere(name=f"b{i}", center=tuple(point), radius=0.03) for i, point in enumerate(cloud.core.tolist())]
-    judge, by_balls = (CollisionScene(robot, solids, links=links) for solids in ([cloud], balls))
+    checker, by_balls = (CoalScene(robot, solids, links=links) for solids in ([cloud], balls))
     configurations = rng.uniform(robot.lower, robot.upper, (40, 4)) * [0.3, 1, 1, 1]
     least = []
     for q in configurations:
-        found, expected = judge.distances(q)[:, 0], by_balls.distances(q).min(axis=1)
+        found, expected = checker.distances(q)[:, 0], by_balls.distances(q).min(axis=1)
         reached = expected <= -0.03 + 1e-6  # the links reach the points themselves
         np.testing.assert_allclose(found[~reached], expected[~reached], atol=3e-6)
         assert (found[reached] <= -0.03 + 2e-6).all()
         least.append(expected.min())
     for margin in (0.0, 0.1, -0.01):
         sure = np.abs(np.array(least) - margin) > 1e-5
-        touching = judge.in_collision(configurations, margin=margin)
+        touching = checker.in_collision(configurations, margin=margin)
         assert (touching == (np.array(least) <= margin))[sure].all()
-    judge.place(configurations[0])
-    table = judge.distances_of(np.arange(len(judge.pairs)))
-    assert min(table) == pytest.approx(judge.distances(configurations[0]).min())
+    checker.place(configurations[0])
+    table = checker.distances_of(np.arange(len(checker.pairs)))
+    assert min(table) == pytest.approx(checker.distances(configurations[0]).min())
 
 
 def test_pieces_of_a_mesh_bear_its_name(robot):
     ring = Mesh.of("ring", *torus(n=12), position=(1.2, 0.0, 1.2))
-    judge = CollisionScene(robot, [*ring.solids, ball(0.5, 0, 3.0)])
-    assert judge.obstacle_names == ("ring",) * len(ring.solids) + ("ball",)
-    assert judge.nearest(FLAT).obstacle == "ring"
+    checker = CoalScene(robot, [*ring.solids, ball(0.5, 0, 3.0)])
+    assert checker.obstacle_names == ("ring",) * len(ring.solids) + ("ball",)
+    assert checker.nearest(FLAT).obstacle == "ring"
 
 
 def test_what_stands_in_the_base(robot):
@@ -193,9 +193,9 @@ def test_growth_of_each_obstacle(robot, links):
     cloud = Cloud.of("cloud", rng.uniform([0.4, -0.6, 0.5], [1.8, 0.6, 1.7], (30, 3)), 0.02)
     obstacles = [*random_obstacles(rng, 6), cloud]
     growth = rng.uniform(0.0, 0.1, len(obstacles))
-    plain = CollisionScene(robot, obstacles, links=links)
+    plain = CoalScene(robot, obstacles, links=links)
     for given in (growth, 0.05):
-        grown, by = CollisionScene(robot, obstacles, links=links, growth=given), np.broadcast_to(given, len(obstacles))
+        grown, by = CoalScene(robot, obstacles, links=links, growth=given), np.broadcast_to(given, len(obstacles))
         configurations = rng.uniform(robot.lower, robot.upper, (60, 4))
         least = []
         for q in configurations:
@@ -210,41 +210,41 @@ def test_growth_of_each_obstacle(robot, links):
 
 
 def test_growth_without_obstacles(robot):
-    assert CollisionScene(robot, [], growth=[]).distances(FLAT).shape == (3, 0)
-    assert CollisionScene(robot, [], growth=0.1).nearest(FLAT) is None
+    assert CoalScene(robot, [], growth=[]).distances(FLAT).shape == (3, 0)
+    assert CoalScene(robot, [], growth=0.1).nearest(FLAT) is None
 
 
 @pytest.mark.parametrize("links", ["capsule", "urdf"])
 def test_the_last_link_may_touch(robot, links):
     fruit, other = ball(2.1, 0, 0.6, radius=0.05, name="fruit"), ball(2.0, 0.3, 0.7, name="other")
-    judge = CollisionScene(robot, [fruit, other], links=links, growth=[0.01, 0.0])
-    free = judge.touching("fruit")
-    full, table = judge.distances(FLAT), free.distances(FLAT)
+    checker = CoalScene(robot, [fruit, other], links=links, growth=[0.01, 0.0])
+    free = checker.touching("fruit")
+    full, table = checker.distances(FLAT), free.distances(FLAT)
     assert full[2, 0] < 0.0
     assert table[2, 0] == np.inf
     np.testing.assert_array_equal(table[:2], full[:2])
     np.testing.assert_array_equal(table[:, 1], full[:, 1])
-    assert judge.in_collision([FLAT]).tolist() == [True]
+    assert checker.in_collision([FLAT]).tolist() == [True]
     assert free.in_collision([FLAT]).tolist() == [False]
-    assert judge.nearest(FLAT).obstacle == "fruit"
+    assert checker.nearest(FLAT).obstacle == "fruit"
     assert free.nearest(FLAT).obstacle == "other"
     pairs = free.pair_distances(FLAT)
-    assert np.isinf(pairs).sum() == sum(judge.obstacle_names[o] == "fruit" and k == 2 for k, o in judge.pairs)
+    assert np.isinf(pairs).sum() == sum(checker.obstacle_names[o] == "fruit" and k == 2 for k, o in checker.pairs)
     free.place(FLAT)
     assert free.distances_of(np.flatnonzero(np.isinf(pairs))[:1]) == np.inf
     # Of others, and of links before the last, it is still an obstacle.
     assert free.in_collision([[0.0, 0.0, 0.0, 0.0], [0.15, 0.05, 0.0, 0.0]]).tolist() == [False, True]
-    onto = judge.touching("other").touching("fruit")
+    onto = checker.touching("other").touching("fruit")
     assert np.isinf(onto.distances(FLAT)[2]).all()
-    assert (judge.touching("nobody").distances(FLAT) == full).all()
-    inside = CollisionScene(robot, [ball(1.4, 0, 0.6, name="fruit")], links=links).touching("fruit")
+    assert (checker.touching("nobody").distances(FLAT) == full).all()
+    inside = CoalScene(robot, [ball(1.4, 0, 0.6, name="fruit")], links=links).touching("fruit")
     assert inside.in_collision([FLAT]).tolist() == [True]
     assert inside.nearest(FLAT).link == "forearm"
 
 
 def test_pieces_of_a_mesh_may_be_touched_together(robot):
     ring = Mesh.of("ring", *torus(n=12), position=(2.1, 0.0, 0.6))
-    free = CollisionScene(robot, ring.solids).touching("ring")
+    free = CoalScene(robot, ring.solids).touching("ring")
     assert np.isinf(free.distances(FLAT)[2]).all()
     assert np.isfinite(free.distances(FLAT)[:2]).all()
 
@@ -254,12 +254,12 @@ def test_pieces_of_a_mesh_may_be_touched_together(robot):
 
 def test_beams_have_corners(robot):
     """Square beams of the capsules' half-widths, with flat ends at the joints."""
-    beams = CollisionScene(robot, [ball(0.5, 0.3, 0.9), ball(0.5, 0, 1.0), ball(2.7, 0, 0.6)], links="box")
+    beams = CoalScene(robot, [ball(0.5, 0.3, 0.9), ball(0.5, 0, 1.0), ball(2.7, 0, 0.6)], links="box")
     found = beams.distances(FLAT)
     assert found[0, 0] == pytest.approx(np.hypot(0.25, 0.25) - 0.1, abs=1e-7)
     assert found[0, 1] == pytest.approx(0.25, abs=1e-7)
     assert found[2, 2] == pytest.approx(0.4, abs=1e-7)
-    capsules = CollisionScene(robot, [ball(0.5, 0.3, 0.9), ball(2.7, 0, 0.6)]).distances(FLAT)
+    capsules = CoalScene(robot, [ball(0.5, 0.3, 0.9), ball(2.7, 0, 0.6)]).distances(FLAT)
     assert capsules[0, 0] == pytest.approx(np.hypot(0.3, 0.3) - 0.15, abs=1e-7)
     assert capsules[2, 1] == pytest.approx(0.37, abs=1e-7)
 
@@ -277,16 +277,16 @@ def test_beams_lie_along_the_links(name, tmp_path):
         normal = axes[2]
         for side in (normal, np.cross(normal, along / np.linalg.norm(along))):
             bead = ball(*(middle + (width + 0.02) * side), radius=0.005)
-            assert CollisionScene(robot, [bead], links="box").distances(q)[k, 0] == pytest.approx(0.015, abs=1e-7)
+            assert CoalScene(robot, [bead], links="box").distances(q)[k, 0] == pytest.approx(0.015, abs=1e-7)
         corner = middle + (width + 0.01) * (normal + np.cross(normal, along / np.linalg.norm(along)))
-        found = CollisionScene(robot, [ball(*corner, radius=0.001)], links="box").distances(q)[k, 0]
+        found = CoalScene(robot, [ball(*corner, radius=0.001)], links="box").distances(q)[k, 0]
         assert found == pytest.approx(0.01 * 2**0.5 - 0.001, abs=1e-7)
 
 
 def test_collision_geometry_of_the_shipped_robot_is_its_capsules(robot):
     rng = np.random.default_rng(4)
     obstacles = random_obstacles(rng, 9)
-    capsules, urdf = CollisionScene(robot, obstacles), CollisionScene(robot, obstacles, links="urdf")
+    capsules, urdf = CoalScene(robot, obstacles), CoalScene(robot, obstacles, links="urdf")
     q = rng.uniform(robot.lower, robot.upper, (100, 4))
     for row in q:
         found, expected = urdf.distances(row), capsules.distances(row)
@@ -309,10 +309,10 @@ def test_meshes_are_filled(tmp_path):
     shutil.copy(urdf_dir() / "harvester.limits.yaml", tmp_path)
     robot = load_robot(tmp_path / "harvester.urdf")
     inside, beside = ball(2.1, 0, 0.6, radius=0.01), ball(2.1, 0.3, 0.6, radius=0.01, name="beside")
-    judge = CollisionScene(robot, [inside, beside], links="urdf")
-    assert judge.distances(FLAT)[2, 0] < 0
-    assert judge.distances(FLAT)[2, 1] == pytest.approx(0.19, abs=1e-5)
-    assert judge.in_collision([FLAT]).tolist() == [True]
+    checker = CoalScene(robot, [inside, beside], links="urdf")
+    assert checker.distances(FLAT)[2, 0] < 0
+    assert checker.distances(FLAT)[2, 1] == pytest.approx(0.19, abs=1e-5)
+    assert checker.in_collision([FLAT]).tolist() == [True]
 
 
 def test_flat_and_needle_like_hulls_do_not_end_the_process(robot):
@@ -322,13 +322,13 @@ def test_flat_and_needle_like_hulls_do_not_end_the_process(robot):
     assert convex_hull_shape(np.array([[0.0, 0, 0], [0, 0, 1]])).num_points >= 4
     rng = np.random.default_rng(0)
     needle = hull_of(rng.uniform(-1.0, 1.0, (12, 3)) * [1.4e-5, 1e-5, 3e-2] + [2.1, 0.0, 1.6], "needle")
-    judge = CollisionScene(robot, [needle])
-    assert judge.distances(FLAT)[2, 0] == pytest.approx(needle.core[:, 2].min() - 0.6 - 0.03, abs=1e-4)
+    checker = CoalScene(robot, [needle])
+    assert checker.distances(FLAT)[2, 0] == pytest.approx(needle.core[:, 2].min() - 0.6 - 0.03, abs=1e-4)
 
 
 def test_unknown_shape(robot):
     with pytest.raises(OptionError, match="one of capsule, box, urdf"):
-        CollisionScene(robot, [], links="mesh")
+        CoalScene(robot, [], links="mesh")
 
 
 # Yes or no for many configurations
@@ -340,11 +340,11 @@ def test_in_collision_is_what_the_distances_say(robot, links, margin):
     rng = np.random.default_rng(5)
     seen = np.zeros(2, dtype=int)
     for _ in range(3):
-        judge = CollisionScene(robot, random_obstacles(rng, 12), links=links)
+        checker = CoalScene(robot, random_obstacles(rng, 12), links=links)
         q = rng.uniform(robot.lower, robot.upper, (120, 4))
-        least = np.array([judge.distances(row).min() for row in q])
+        least = np.array([checker.distances(row).min() for row in q])
         decided = np.abs(least - margin) > 1e-4
-        found = judge.in_collision(q, margin=margin)
+        found = checker.in_collision(q, margin=margin)
         np.testing.assert_array_equal(found[decided], least[decided] <= margin)
         seen += np.bincount(found, minlength=2)
     assert seen.min() > 10
@@ -358,14 +358,14 @@ def test_in_collision_is_the_analytic_occupancy(robot):
         obstacles = random_obstacles(rng, 6)
         obstacles.append(ball(*(0.9 * place), 1.6, radius=0.2, name="in the plane"))
         analytic = occupancy(robot.arm, arm_sections(robot, obstacles, yaw=yaw), grid).occupied
-        sampled = sampled_occupancy(CollisionScene(robot, obstacles), grid, yaw)
+        sampled = sampled_occupancy(CoalScene(robot, obstacles), grid, yaw)
         assert 0.02 < analytic.mean() < 0.98
         for node in np.argwhere(sampled != analytic):
             # Sections of capsules across the plane are hulls from outside: only ever more than coal finds.
             assert analytic[tuple(node)]
         balls = [o for o in obstacles if isinstance(o, Sphere)]
         analytic = occupancy(robot.arm, arm_sections(robot, balls, yaw=yaw), grid).occupied
-        np.testing.assert_array_equal(sampled_occupancy(CollisionScene(robot, balls), grid, yaw), analytic)
+        np.testing.assert_array_equal(sampled_occupancy(CoalScene(robot, balls), grid, yaw), analytic)
 
 
 # What the planar joints do not move
@@ -405,9 +405,9 @@ def test_base_without_shapes(tmp_path):
 
 @pytest.mark.parametrize("clearance", [0.0, 0.02])
 def test_configuration_in_collision(robot, clearance):
-    judge = CollisionScene(robot, [ball(0.5, 0, 1.5, name="above"), ball(1.4, 0.0, 0.6 - 0.13, name="below")])
+    checker = CoalScene(robot, [ball(0.5, 0, 1.5, name="above"), ball(1.4, 0.0, 0.6 - 0.13, name="below")])
     with pytest.raises(ConfigurationInCollisionError) as caught:
-        check_clear(judge, FLAT, clearance, "goal")
+        check_clear(checker, FLAT, clearance, "goal")
     error = caught.value
     assert (error.link, error.obstacle) == ("forearm", "below")
     assert error.depth_m == pytest.approx(0.01 + clearance, abs=1e-7)
@@ -419,12 +419,12 @@ def test_configuration_in_collision(robot, clearance):
 
 
 def test_configuration_closer_than_the_clearance(robot):
-    judge = CollisionScene(robot, [ball(0.5, 0, 1.0)])
-    assert check_clear(judge, FLAT, 0.2, "start") == pytest.approx(0.05, abs=1e-7)
+    checker = CoalScene(robot, [ball(0.5, 0, 1.0)])
+    assert check_clear(checker, FLAT, 0.2, "start") == pytest.approx(0.05, abs=1e-7)
     with pytest.raises(ConfigurationInCollisionError) as caught:
-        check_clear(judge, FLAT, 0.3, "start")
+        check_clear(checker, FLAT, 0.3, "start")
     assert caught.value.depth_m == pytest.approx(0.05, abs=1e-7)
     assert caught.value.clearance_m == 0.3
-    touching = float(judge.distances(FLAT).min())
+    touching = float(checker.distances(FLAT).min())
     with pytest.raises(ConfigurationInCollisionError):
-        check_clear(judge, FLAT, touching, "start")
+        check_clear(checker, FLAT, touching, "start")

@@ -9,7 +9,7 @@ import pytest
 from arm_variants import random_obstacles
 
 import hplan.collision.geometry_pairs as module
-from hplan.collision.coal_scene import CollisionScene
+from hplan.collision.coal_scene import CoalScene
 from hplan.robot.model import load_robot
 from hplan.robot_family.members import write_robot
 from hplan.robot_family.spec import ArmSpec
@@ -45,9 +45,9 @@ def test_models_of_few_obstacles_answer_as_one_of_all(wide, links, count, monkey
     if count > 6:
         obstacles[4] = Cloud.of("cloud", rng.uniform([0.4, -0.6, 0.5], [1.8, 0.6, 1.7], (30, 3)), 0.02)
     growth = rng.uniform(0.0, 0.05, count)
-    whole = CollisionScene(wide, obstacles, links=links, growth=growth)
+    whole = CoalScene(wide, obstacles, links=links, growth=growth)
     monkeypatch.setattr(module, "_CHUNK", 3)
-    parts = CollisionScene(wide, obstacles, links=links, growth=growth)
+    parts = CoalScene(wide, obstacles, links=links, growth=growth)
     assert parts.pairs == whole.pairs
     assert len(parts.own_others) > 0
     configurations = rng.uniform(wide.lower, wide.upper, (80, wide.dof))
@@ -57,8 +57,8 @@ def test_models_of_few_obstacles_answer_as_one_of_all(wide, links, count, monkey
     for q in configurations[:20]:
         np.testing.assert_array_equal(parts.pair_distances(q), whole.pair_distances(q))
         asked = rng.permutation(len(whole.pairs))[:11]
-        for judge in (whole, parts):
-            judge.place(q[::-1].clip(wide.lower, wide.upper))
+        for checker in (whole, parts):
+            checker.place(q[::-1].clip(wide.lower, wide.upper))
         np.testing.assert_array_equal(parts.distances_of(asked), whole.distances_of(asked))
         np.testing.assert_array_equal(parts.distances(q), whole.distances(q))
     for margin in (-0.01, 0.0, 0.1):
@@ -72,8 +72,8 @@ def test_construction_is_linear_in_the_obstacles(robot):
     rng = np.random.default_rng(4)
     balls = [Sphere(name=f"b{i}", center=tuple(rng.uniform(-3, 3, 3)), radius=0.01) for i in range(10_000)]
     begin = time.perf_counter()
-    judge = CollisionScene(robot, balls)
-    distances = judge.distances(np.zeros(4))
+    checker = CoalScene(robot, balls)
+    distances = checker.distances(np.zeros(4))
     assert time.perf_counter() - begin < 10.0
-    one = CollisionScene(robot, [balls[-1]])
+    one = CoalScene(robot, [balls[-1]])
     np.testing.assert_array_equal(distances[:, -1:], one.distances(np.zeros(4)))

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_cspace import point_segment, segment_polygon
 
-from hplan.collision.coal_scene import CollisionScene
+from hplan.collision.coal_scene import CoalScene
 from hplan.cspace.occupancy import joint_grid, occupancy
 from hplan.cspace.section_kernels import cut_balls, cut_hulls
 from hplan.cspace.sections import (
@@ -39,7 +39,7 @@ class Solid:
 
     core: np.ndarray
     rounding: float
-    loose: bool = False
+    is_point_set: bool = False
     name: str = "solid"
 
 
@@ -566,7 +566,7 @@ def test_coal_finds_no_collision_outside_the_sections_of_an_interval(name, tmp_p
         sections = sections_at(robot, bodies_of(obstacles, clearance=0.01), yaw, half_angle=half_angle)
         q = rng.uniform(robot.lower, robot.upper, (300, robot.dof))
         q[:, 0] = yaw + half_angle * rng.choice([-1.0, 1.0, *rng.uniform(-1.0, 1.0, 3)], len(q))
-        theirs = CollisionScene(robot, obstacles).in_collision(q, margin=0.01 - 1e-9)
+        theirs = CoalScene(robot, obstacles).in_collision(q, margin=0.01 - 1e-9)
         ours = met(robot, sections, q)
         assert not (theirs & ~ours).any()
         collisions += theirs.sum()
@@ -630,7 +630,7 @@ def test_loose_points_are_balls(robot, half_angle, link_model):
     points = rng.uniform([-2.0, -0.2, 0.0], [2.0, 0.2, 2.0], (500, 3))
     post = Solid(np.array([[1.0, 0.0, 1.0]]), 0.2)
     cloud = sections_at(
-        robot, bodies_of([Solid(points, 0.02, loose=True, name="cloud"), post], clearance=[0.01, 0.0]), 0.1,
+        robot, bodies_of([Solid(points, 0.02, is_point_set=True, name="cloud"), post], clearance=[0.01, 0.0]), 0.1,
         half_angle=half_angle, link_model=link_model,
     )  # fmt: skip
     balls = [Solid(point[None], 0.03) for point in points]
@@ -727,7 +727,8 @@ def test_clearances_for_others(robot, clearance):
 
 
 @pytest.mark.parametrize("solid", [
-    Solid(np.zeros((0, 3)), 0.1), Solid(np.zeros((0, 3)), 0.1, loose=True), Solid(np.full((2, 3), math.nan), 0.1),
+    Solid(np.zeros((0, 3)), 0.1), Solid(np.zeros((0, 3)), 0.1, is_point_set=True),
+    Solid(np.full((2, 3), math.nan), 0.1),
     Solid(np.array([[0.0, math.inf, 0.0]]), 0.1), Solid(np.zeros((1, 3)), math.nan),
 ])  # fmt: skip
 def test_obstacle_that_is_none(robot, solid):

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from hplan.base.arrays import BoolArray
 from hplan.cspace.occupancy import joint_grid, occupancy
 from hplan.cspace.sections import bodies_of, sections_at
-from hplan.cspace.yaw_layers import Layers, turning_occupancy, yaw_axis
+from hplan.cspace.yaw_layers import LayerCache, turning_occupancy, yaw_axis
 from hplan.search.grid import Occupancy
 
 LOWER, UPPER = -3.0, 3.0
@@ -62,7 +62,7 @@ def test_each_layer_is_the_planar_problem_at_its_yaw(tmp_path, count, thick, ste
     bodies = bodies_of(random_obstacles(np.random.default_rng(count), 9))
     planar = joint_grid(robot.arm, step)
     first, turn = -0.7, 0.03
-    space = turning_occupancy(robot, bodies, planar, first, turn, count, thick=thick, layers=Layers())
+    space = turning_occupancy(robot, bodies, planar, first, turn, count, thick=thick, layers=LayerCache())
     assert space.grid.shape == (*planar.shape, count)
     np.testing.assert_allclose(
         space.grid.coordinates(np.array([0] * len(planar.shape) + [count - 1]))[-1], first + turn * (count - 1)
@@ -83,7 +83,7 @@ def test_what_is_free_in_a_thick_layer_is_free_at_all_its_yaws(tmp_path, variant
     planar = joint_grid(robot.arm, 0.5)
     step = math.radians(8.0)
     thick, thin = (
-        free_nodes(turning_occupancy(robot, bodies, planar, 0.0, step, 6, thick=which, layers=Layers()))
+        free_nodes(turning_occupancy(robot, bodies, planar, 0.0, step, 6, thick=which, layers=LayerCache()))
         for which in (True, False)
     )
     assert (thin & ~thick).any()
@@ -99,7 +99,7 @@ def test_layers_are_remembered_until_there_are_too_many(tmp_path) -> None:
     planar, finer = joint_grid(robot.arm, 1.0), joint_grid(robot.arm, 0.8)
     bodies = bodies_of(random_obstacles(np.random.default_rng(1), 9))
     sections = [sections_at(robot, bodies, 0.1 * k) for k in range(4)]
-    layers = Layers()
+    layers = LayerCache()
     first = layers.free_words(robot, sections[0], planar)
     assert layers.free_words(robot, sections_at(robot, bodies, 0.0), planar) is first
     assert layers.free_words(robot, sections[1], planar) is not first
@@ -108,7 +108,7 @@ def test_layers_are_remembered_until_there_are_too_many(tmp_path) -> None:
     grown = sections_at(robot, bodies_of(random_obstacles(np.random.default_rng(1), 9), clearance=0.01), 0.0)
     assert layers.free_words(robot, grown, planar) is not first
 
-    few = Layers(most_bytes=1)
+    few = LayerCache(most_bytes=1)
     first = few.free_words(robot, sections[0], planar)
     assert few.free_words(robot, sections[0], planar) is first
     few.free_words(robot, sections[1], planar)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from hplan.base.data_files import scenes_dir
-from hplan.collision.coal_scene import CollisionScene, base_contacts
+from hplan.collision.coal_scene import CoalScene, base_contacts
 from hplan.errors import InputError, OptionError
 from hplan.orchard import SHIPPED, TUCKED_DEG, FruitZone, OrchardOptions, generate, measured_orchard
 from hplan.orchard.fruits import Crop
@@ -222,11 +222,11 @@ def test_start_is_tucked_away_from_trees_and_vehicle(grown, robot):
     assert scene.start.joints_deg == TUCKED_DEG
     # At any yaw the arm is behind its axis or beside it.
     obstacles = [o for o in (*scene.obstacles, *balls(scene)) if o.name not in ("vehicle", "ground")]
-    assert CollisionScene(robot, obstacles).distances(start).min() > 0.3
+    assert CoalScene(robot, obstacles).distances(start).min() > 0.3
     if options.vehicle:
         vehicle = [o for o in scene.obstacles if o.name == "vehicle"]
-        judge = CollisionScene(robot, vehicle)
-        assert min(judge.distances([yaw, *start[1:]]).min() for yaw in np.linspace(-math.pi, math.pi, 73)) > 0.1
+        checker = CoalScene(robot, vehicle)
+        assert min(checker.distances([yaw, *start[1:]]).min() for yaw in np.linspace(-math.pi, math.pi, 73)) > 0.1
     assert base_contacts(robot, [o for o in scene.obstacles if o.name in ("vehicle", "ground")]) == ()
 
 
@@ -257,7 +257,7 @@ def test_shipped_scene_is_what_its_options_give(name):
 def test_a_hand_can_be_at_the_goal(name, robot):
     scene = load_scene(scenes_dir() / f"{name}.yaml")
     (goal,) = [fruit for fruit in scene.fruits if fruit.name == scene.goal.fruit]
-    assert within_reach(robot, goal.center, clear_of=CollisionScene(robot, scene.solids))
+    assert within_reach(robot, goal.center, clear_of=CoalScene(robot, scene.solids))
 
 
 def test_every_fruit_of_the_tour_can_be_picked(robot):
@@ -265,7 +265,7 @@ def test_every_fruit_of_the_tour_can_be_picked(robot):
     assert len(scene.fruits) == 20
     for fruit in scene.fruits:
         others = [ball for ball in balls(scene) if ball.name != fruit.name]
-        assert within_reach(robot, fruit.center, clear_of=CollisionScene(robot, [*scene.obstacles, *others])), fruit
+        assert within_reach(robot, fruit.center, clear_of=CoalScene(robot, [*scene.obstacles, *others])), fruit
 
 
 # Measured trees

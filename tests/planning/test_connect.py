@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hplan.collision.clearance_field import ClearanceField
-from hplan.collision.coal_scene import CollisionScene
+from hplan.collision.coal_scene import CoalScene
 from hplan.planning.grid_entry import joined_nodes
 from hplan.scene.model import Sphere
 from hplan.search.grid import Grid, Occupancy
@@ -93,14 +93,14 @@ def test_motions_in_contact_are_left_out(robot, grid):
     angle = q.sum()
     tip = np.array([2.2 * np.cos(angle), 0, 0.6 + 2.2 * np.sin(angle)])
     ball = Sphere(name="ball", center=tuple(tip + 0.2 * np.array([-np.sin(angle), 0, np.cos(angle)])), radius=0.1)
-    judge = CollisionScene(robot, [ball])
-    assert judge.distances([0, *q]).min() > MARGIN
+    checker = CoalScene(robot, [ball])
+    assert checker.distances([0, *q]).min() > MARGIN
     every, found = joined(robot, grid, q), joined(robot, grid, q, [ball])
     assert 0 < len(found) < len(every)
     assert found == [node for node in every if node in found]
     for node in every:
         there = np.array([0, *grid.coordinates(np.array(node))])
-        least = min(judge.distances(x).min() for x in np.linspace([0, *q], there, 400))
+        least = min(checker.distances(x).min() for x in np.linspace([0, *q], there, 400))
         if node in found:
             assert least >= 0.5 * MARGIN
         else:
@@ -116,9 +116,9 @@ def test_blocked_nearest_node(robot, grid):
     there = np.array([0, *grid.coordinates(nearest)])
     tip = robot.tool_positions(there)
     ball = Sphere(name="ball", center=(float(tip[0]) - 0.02, 0.0, float(tip[2]) + 0.06), radius=0.04)
-    judge = CollisionScene(robot, [ball])
-    assert judge.distances(there).min() < 0.0
-    assert judge.distances([0, *q]).min() > 0.01
+    checker = CoalScene(robot, [ball])
+    assert checker.distances(there).min() < 0.0
+    assert checker.distances([0, *q]).min() > 0.01
     every, found = joined(robot, grid, q), joined(robot, grid, q, [ball])
     assert every[0] == tuple(nearest)
     assert found

@@ -50,7 +50,7 @@ def test_the_plan_waits_for_the_other_process(code: str, monkeypatch: pytest.Mon
     other = begun(code)
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1})
     monkeypatch.setattr(first_run, "_start", lambda: other)
-    with first_run.compiling_beside(True) as compiled:
+    with first_run.compiling_ahead(True) as compiled:
         compiled()
         assert other.returncode is not None
 
@@ -62,7 +62,7 @@ def test_the_other_process_does_not_outlive_the_plan(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(first_run, "PATIENCE_S", 0.01)
 
     def interrupted() -> None:
-        with first_run.compiling_beside(True) as compiled:
+        with first_run.compiling_ahead(True) as compiled:
             compiled()
             assert other.returncode is None
             raise KeyboardInterrupt
@@ -86,7 +86,7 @@ def test_no_other_process_where_it_would_not_help(
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(processors)))
     monkeypatch.setattr(first_run, "can_be_kept", lambda _: kept)
     monkeypatch.setattr(first_run, "_start", start)
-    with first_run.compiling_beside(first) as compiled:
+    with first_run.compiling_ahead(first) as compiled:
         compiled()
 
 
@@ -106,5 +106,5 @@ def test_the_other_process_runs_nothing_of_the_working_directory(
 def test_where_no_process_can_be_started(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1})
     monkeypatch.setattr(sys, "executable", "/nowhere/python")
-    with first_run.compiling_beside(True) as compiled:
+    with first_run.compiling_ahead(True) as compiled:
         compiled()

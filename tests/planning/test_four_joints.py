@@ -22,7 +22,7 @@ from planned import (
     task,
 )
 
-from hplan.collision.coal_scene import CollisionScene
+from hplan.collision.coal_scene import CoalScene
 from hplan.errors import (
     BlockedError,
     ConfigurationInCollisionError,
@@ -257,8 +257,8 @@ def test_uncertain_obstacles_are_passed_farther_away(robot: Robot, sigmas: float
     scene = task(START, GOAL, [sure, vague])
     result = plan(robot, scene, PlanOptions(step_deg=2.0, sigmas=sigmas))
     assert_sound(robot, scene, result, sigmas=sigmas)
-    judge = CollisionScene(robot, scene.solids)
-    nearest = np.min([judge.distances(q) for q in result.trajectory.position], axis=(0, 1))
+    checker = CoalScene(robot, scene.solids)
+    nearest = np.min([checker.distances(q) for q in result.trajectory.position], axis=(0, 1))
     assert nearest[0] > 0.0
     assert sigmas * 0.02 < nearest[1] < sigmas * 0.02 + 0.05
 
@@ -312,14 +312,14 @@ def test_pick(robot: Robot) -> None:
     assert report["grasp"]["standoff_m"] == result.grasp.distance
     assert report["phases"][1] == vars(result.phases[1])
     # Nothing touches it before the approach, and the hand has it in its middle at the end of that.
-    judge = CollisionScene(robot, [solid for solid in scene.solids_with_goal if solid.name == "apple"])
+    checker = CoalScene(robot, [solid for solid in scene.solids_with_goal if solid.name == "apple"])
     approach = result.phases[1]
     before = part(result.trajectory, 0.0, approach.start_s)
-    assert min(judge.distances(q).min() for q in result.trajectory.position[before]) > 0.0
+    assert min(checker.distances(q).min() for q in result.trajectory.position[before]) > 0.0
     there = result.trajectory.position[part(result.trajectory, approach.end_s, approach.end_s)]
     np.testing.assert_allclose(robot.tool_positions(there), [APPLE.center], atol=1e-9)
-    assert judge.distances(there[0])[-1, 0] == pytest.approx(-0.04 - 0.03, abs=1e-6)
-    assert judge.distances(there[0])[:-1].min() > 0.0
+    assert checker.distances(there[0])[-1, 0] == pytest.approx(-0.04 - 0.03, abs=1e-6)
+    assert checker.distances(there[0])[:-1].min() > 0.0
 
 
 def test_retreat_is_the_approach_backwards(robot: Robot) -> None:

@@ -14,7 +14,7 @@ from test_route import posed
 
 import hplan.planning.grasp_motion
 import hplan.planning.grasps
-from hplan.collision.coal_scene import CollisionScene
+from hplan.collision.coal_scene import CoalScene
 from hplan.errors import BlockedError, CertificationError, NoPathError, TimingError
 from hplan.planar.inverse_kinematics import Candidates, reach
 from hplan.planning.enclosed_goals import enclosed_goals
@@ -23,8 +23,8 @@ from hplan.planning.find_motion import find_motion, without_path
 from hplan.planning.finer_angles import FINEST, Refined, refined
 from hplan.planning.grasp_motion import motion_to_grasp
 from hplan.planning.grasps import SPARE, Grasp, grasps, least_standoff, promising
-from hplan.planning.grid_route import Rung, find_route
-from hplan.planning.plan import Workspace, last_stretch, plan
+from hplan.planning.grid_route import GridAttempt, find_route
+from hplan.planning.plan import PlanningCache, last_stretch, plan
 from hplan.planning.refusals import Refusals
 from hplan.problem.options import PlanOptions
 from hplan.robot.model import Robot
@@ -77,14 +77,14 @@ TIGHT = {
 
 def grasps_of(robot: Robot, scene: Scene) -> tuple[tuple[Grasp, ...], list[Grasp]]:
     """All grasps of the goal's fruit, and the likely ones."""
-    around, start = Workspace(robot).around(scene, COARSE), scene.start.configuration
+    world, start = PlanningCache(robot).world(scene, COARSE), scene.start.configuration
     fruit = next(fruit for fruit in scene.fruits if fruit.name == scene.goal.fruit)
-    near = around.touching(fruit.name)
+    near = world.touching(fruit.name)
     found = grasps(
-        around, near, fruit.center, start, what="it", standoff=0.1, least_standoff=least_standoff(around, fruit),
+        world, near, fruit.center, start, what="it", standoff=0.1, least_standoff=least_standoff(world, fruit),
         locked=scene.locked_joints,
     )  # fmt: skip
-    return found, promising(found, around, near, start)
+    return found, promising(found, world, near, start)
 
 
 def test_all_grasps_are_tried(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -174,7 +174,7 @@ def test_blocked_says_how_many_were_tried_and_by_how_much(robot: Robot) -> None:
     error = caught.value
     assert error.refined > 0
     assert f"so do {error.refined} at finer approach angles" in error.message
-    near = Workspace(robot).around(tight, COARSE).touching("apple")
+    near = PlanningCache(robot).world(tight, COARSE).touching("apple")
     start = tight.start.configuration
     fine = reach(robot, tight.fruits[0].center, count=4000, start=start, locked=tight.locked_joints).configurations
     best = max(near.field.clearance(q) for q in fine)
@@ -268,14 +268,14 @@ def test_enclosed_goals_are_those_to_which_no_route_is_found(robot: Robot, seed:
     ends: list[Any] = []
     while len(ends) < 7:
         q = [float(rng.choice(yaws)), *rng.uniform(5.0, 85.0, 3).tolist()]
-        if CollisionScene(robot, bars).distances(np.radians(q)).min() > 0.005:
+        if CoalScene(robot, bars).distances(np.radians(q)).min() > 0.005:
             ends.append(tuple(q))
     tasks = [posed(robot, task(ends[0], end, bars, locked_joints=locked)) for end in ends[1:]]
-    rung = Rung(3.0, beyond=2.0 * math.pi)
-    found = enclosed_goals(tasks, rung, [1e-4] * len(tasks))
+    grid_attempt = GridAttempt(3.0, beyond=2.0 * math.pi)
+    found = enclosed_goals(tasks, grid_attempt, [1e-4] * len(tasks))
     for one, component in zip(tasks, found, strict=True):
         try:
-            find_route(one, rung, 1e-4)
+            find_route(one, grid_attempt, 1e-4)
         except EnclosedError:
             assert component is not None
             assert component.cells > 0
@@ -292,9 +292,9 @@ def test_one_flood_decides_for_all_in_a_pocket(robot: Robot, monkeypatch: pytest
     assert all(isinstance(error, NoPathError) for error in without_path(tasks))
     steps: list[float] = []
 
-    def counted(task: Any, rung: Rung, margin: float) -> Any:
-        steps.append(rung.step_deg)
-        return find_route(task, rung, margin)
+    def counted(task: Any, grid_attempt: GridAttempt, margin: float) -> Any:
+        steps.append(grid_attempt.step_deg)
+        return find_route(task, grid_attempt, margin)
 
     monkeypatch.setattr("hplan.planning.find_motion.find_route", counted)
     with pytest.raises(NoPathError) as caught:
@@ -309,7 +309,7 @@ def test_more_yaws_may_open_what_is_closed_over_few(robot: Robot, monkeypatch: p
         (0.0, 10.0, 20.0, 20.0), (0.0, 80.0, 20.0, 20.0), [bar("bar", (0.7, -0.3, 1.4), (0.7, 0.3, 1.4), 0.03)]
     )
     there = posed(robot, scene, PlanOptions(step_deg=4.0))
-    shown = enclosed_goals([there], Rung(4.0), [1e-4])[0]
+    shown = enclosed_goals([there], GridAttempt(4.0), [1e-4])[0]
     assert shown is not None
     assert shown.open_ended
     monkeypatch.setattr("hplan.planning.find_motion.WIDTHS", (0.0,))
@@ -342,7 +342,7 @@ def test_least_standoff_keeps_the_clearance(robot: Robot, clearance: float) -> N
     assert result.grasp is not None
     least = 0.04 + float(robot.arm.half_widths[-1]) + clearance
     assert least < result.grasp.distance < least + 0.005
-    spare = CollisionScene(robot, scene.solids_with_goal).distances(result.grasp.standoff).min()
+    spare = CoalScene(robot, scene.solids_with_goal).distances(result.grasp.standoff).min()
     assert clearance < spare < clearance + 0.005
 
 
@@ -378,10 +378,10 @@ def test_no_link_touches_the_fruit_before_the_approach(robot: Robot, there: Any,
     """The shortest transits to the stand-off lead through the fruit, of a plan and of a tour."""
     point = tuple(robot.tool_positions(np.radians(there)).tolist())
     scene = task(start, Goal(fruit="apple"), fruits=({"name": "apple", "center": point, "radius": 0.04},))
-    judge = CollisionScene(robot, scene.solids_with_goal)
+    checker = CoalScene(robot, scene.solids_with_goal)
     planned = plan(robot, scene, PlanOptions(rate_hz=100.0))
     toured = plan_tour(robot, scene, PlanOptions(rate_hz=100.0))
     for trajectory, phases in ((planned.trajectory, planned.phases), (toured.trajectory, toured.legs[0].phases)):
         assert [phase.name for phase in phases] == ["transit", "approach", "retreat"]
         rows = np.flatnonzero(trajectory.time <= phases[0].end_s + 1e-9)
-        assert min(judge.distances(q).min() for q in between_rows(trajectory, rows)) > 0.0
+        assert min(checker.distances(q).min() for q in between_rows(trajectory, rows)) > 0.0

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from planned import at, last_link, post
 
-from hplan.collision.coal_scene import CollisionScene
+from hplan.collision.coal_scene import CoalScene
 from hplan.errors import BlockedError, InputError, OptionError, UnreachableError
 from hplan.planar.inverse_kinematics import reach
 from hplan.planar.straight_approach import ApproachPath
 from hplan.planning.grasps import SEARCHED, SPARE, Grasp, grasps, promising
-from hplan.problem.world import Surroundings
+from hplan.problem.world import World
 from hplan.robot.model import Robot
 from hplan.scene.model import Box, Sphere
 
@@ -27,13 +27,13 @@ def found(
 ) -> tuple[Grasp, ...]:
     """Grasps of the fruit, or of a point, among obstacles."""
     solids = [*obstacles, *([FRUIT] if fruit else [])]
-    around = Surroundings.of(robot, solids)
-    near = around.touching("fruit") if fruit else around
+    world = World.of(robot, solids)
+    near = world.touching("fruit") if fruit else world
     options = {"what": "fruit 'fruit'", "standoff": 0.1, "least_standoff": 0.075 if fruit else 0.0, **more}
-    return grasps(around, near, point, START, **options)
+    return grasps(world, near, point, START, **options)
 
 
-def assert_grasps(robot: Robot, ways: tuple[Grasp, ...], around: Surroundings, near: Surroundings, point: Any) -> None:
+def assert_grasps(robot: Robot, ways: tuple[Grasp, ...], world: World, near: World, point: Any) -> None:
     assert ways
     for grasp in ways:
         np.testing.assert_allclose(robot.tool_positions(grasp.goal), point, atol=1e-6)
@@ -50,13 +50,13 @@ def assert_grasps(robot: Robot, ways: tuple[Grasp, ...], around: Surroundings, n
             np.testing.assert_allclose(away, -grasp.distance * heading, atol=1e-6)
             np.testing.assert_allclose(path.evaluate(0.0), grasp.standoff, atol=1e-9)
             np.testing.assert_allclose(path.evaluate(path.end), grasp.goal, atol=1e-12)
-            judged = around.judge.distances(grasp.standoff)
-            assert judged.size == 0 or judged.min() > 0.9 * SPARE
+            certified_as_required = world.checker.distances(grasp.standoff)
+            assert certified_as_required.size == 0 or certified_as_required.min() > 0.9 * SPARE
             tools = robot.tool_positions(path.evaluate(np.linspace(0.0, path.end, 30)))
             beside = (tools - point) - np.outer((tools - point) @ heading, heading)
             assert np.linalg.norm(beside, axis=1).max() < 1e-9
-        judged = near.judge.distances(grasp.goal)
-        assert judged.size == 0 or judged.min() > 0.9 * SPARE
+        certified_as_required = near.checker.distances(grasp.goal)
+        assert certified_as_required.size == 0 or certified_as_required.min() > 0.9 * SPARE
     least = [grasp.least_duration for grasp in ways]
     assert least == sorted(least)
 
@@ -71,11 +71,11 @@ def test_grasps_among_obstacles(robot: Robot, seed: int) -> None:
         for i in range(8)
     ]
     obstacles = [ball for ball in obstacles if math.dist(ball.center, point) > 0.12]
-    around = Surroundings.of(robot, [*obstacles, fruit], clearance=0.005)
-    near = around.touching("fruit")
-    ways = grasps(around, near, point, START, what="it", standoff=0.12, least_standoff=0.08)
-    judged = Surroundings.of(robot, [*obstacles, fruit])
-    assert_grasps(robot, ways, judged, judged.touching("fruit"), point)
+    world = World.of(robot, [*obstacles, fruit], clearance=0.005)
+    near = world.touching("fruit")
+    ways = grasps(world, near, point, START, what="it", standoff=0.12, least_standoff=0.08)
+    certified_as_required = World.of(robot, [*obstacles, fruit])
+    assert_grasps(robot, ways, certified_as_required, certified_as_required.touching("fruit"), point)
     assert {grasp.distance for grasp in ways} <= {0.12, 0.08, 0.0}
     # The distance is the longest that can be had: all of one kind, or shorter ones where the longer is in the way.
     with_way = [grasp for grasp in ways if grasp.distance > 0.0]
@@ -84,8 +84,8 @@ def test_grasps_among_obstacles(robot: Robot, seed: int) -> None:
 
 def test_without_obstacles_all_configurations_are_grasps(robot: Robot) -> None:
     ways = found(robot, fruit=False, least_standoff=0.0, standoff=0.05)
-    around = Surroundings.of(robot, [])
-    assert_grasps(robot, ways, around, around, FRUIT.center)
+    world = World.of(robot, [])
+    assert_grasps(robot, ways, world, world, FRUIT.center)
     every = reach(robot, FRUIT.center, count=64, start=START).configurations
     assert {tuple(grasp.goal) for grasp in ways} <= {tuple(q) for q in every.tolist()}
     assert {round(grasp.distance, 12) for grasp in ways} <= {0.05, 0.025, 0.01}
@@ -130,8 +130,8 @@ def test_standoff_is_shorter_where_a_long_one_is_in_the_way(robot: Robot) -> Non
             lengths[gap] = -1.0
             continue
         lengths[gap] = max(way.distance for way in ways)
-        around = Surroundings.of(robot, [bead])
-        assert_grasps(robot, ways, around, around, FRUIT.center)
+        world = World.of(robot, [bead])
+        assert_grasps(robot, ways, world, world, FRUIT.center)
     values = [lengths[gap] for gap in sorted(lengths, reverse=True)]
     assert values == sorted(values, reverse=True)
     assert values[0] == 0.1
@@ -152,8 +152,8 @@ def test_obstacles_on_the_way_in_are_seen(robot: Robot) -> None:
         share = float(rng.uniform(0.1, 0.9))
         place = (1.0 - share) * points[1] + share * points[2]
         bead = Sphere(name="bead", center=tuple(place.tolist()), radius=0.005)
-        judge = CollisionScene(robot, [bead])
-        if min(judge.distances(q).min() for q in (grasp.standoff, grasp.goal)) < 2.0 * SPARE:
+        checker = CoalScene(robot, [bead])
+        if min(checker.distances(q).min() for q in (grasp.standoff, grasp.goal)) < 2.0 * SPARE:
             continue
         seen += 1
         angle = math.degrees(grasp.approach)
@@ -182,20 +182,20 @@ def test_no_straight_approach_with_fewer_than_three_joints(robot: Robot, locked:
     goal = np.radians([30.0, 60.0, 45.0, 20.0])
     start = np.array([goal[k] if name in locked else START[k] for k, name in enumerate(robot.joint_names)])
     point = robot.tool_positions(goal)
-    around = Surroundings.of(robot, [])
-    ways = grasps(around, around, point, start, what="it", standoff=0.1, locked=locked)
+    world = World.of(robot, [])
+    ways = grasps(world, world, point, start, what="it", standoff=0.1, locked=locked)
     assert {grasp.distance for grasp in ways} == {0.0}
     held = [robot.joint_names.index(name) for name in locked]
     for grasp in ways:
         np.testing.assert_allclose(grasp.goal[held], start[held], atol=1e-12)
-    assert_grasps(robot, ways, around, around, point)
+    assert_grasps(robot, ways, world, world, point)
 
 
 def test_locked_base(robot: Robot) -> None:
     start = START.copy()
     start[0] = math.radians(40.0)
-    around = Surroundings.of(robot, [])
-    ways = grasps(around, around, FRUIT.center, start, what="it", standoff=0.1, locked=("base_yaw",))
+    world = World.of(robot, [])
+    ways = grasps(world, world, FRUIT.center, start, what="it", standoff=0.1, locked=("base_yaw",))
     assert all(grasp.goal[0] == start[0] == grasp.standoff[0] for grasp in ways)
 
 
@@ -263,9 +263,7 @@ def test_results_cannot_be_changed(robot: Robot) -> None:
 @pytest.mark.parametrize("beside", [0, 3])
 def test_promising_are_the_first_straight_one_and_some_of_those_before(robot: Robot, behind: int, beside: int) -> None:
     """Some stand-offs behind a wall, then some on this side of it."""
-    around = Surroundings.of(
-        robot, [Box(name="wall", center=(1.0, 0.58, 1.0), size=(1.6, 0.02, 2.4), rpy_deg=(0, 0, 30))]
-    )
+    world = World.of(robot, [Box(name="wall", center=(1.0, 0.58, 1.0), size=(1.6, 0.02, 2.4), rpy_deg=(0, 0, 30))])
 
     def grasp_at(yaw_deg: float) -> Grasp:
         q = np.radians([yaw_deg, 20.0, 20.0, 20.0])
@@ -273,9 +271,9 @@ def test_promising_are_the_first_straight_one_and_some_of_those_before(robot: Ro
 
     ways = [*(grasp_at(70.0 + i) for i in range(behind)), *(grasp_at(-30.0 - i) for i in range(beside))]
     start = np.radians([-10.0, 20.0, 20.0, 20.0])
-    straight = [around.field.is_clear(np.stack([start, grasp.standoff]), SPARE) for grasp in ways]
+    straight = [world.field.is_clear(np.stack([start, grasp.standoff]), SPARE) for grasp in ways]
     assert straight == [False] * behind + [True] * beside
-    likely = promising(ways, around, around, start)
+    likely = promising(ways, world, world, start)
     assert len(likely) <= SEARCHED + 1
     expected = ways[: behind : max(1, math.ceil(behind / SEARCHED))] + ways[behind : behind + 1]
     assert [id(grasp) for grasp in likely] == [id(grasp) for grasp in expected]

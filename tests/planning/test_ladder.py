@@ -15,8 +15,8 @@ from test_route import posed
 from hplan.errors import CertificationError, HplanError, NoPathError, TimingError
 from hplan.planning import find_motion as transit
 from hplan.planning.enclosure import EnclosedError
-from hplan.planning.find_motion import GROWTH, SLUGGISH, TURNING, Motion, find_motion
-from hplan.planning.grid_route import Rung, Task
+from hplan.planning.find_motion import GROWTH, SLUGGISH, YAW_GRID_ATTEMPTS, PlannedMotion, find_motion
+from hplan.planning.grid_route import GridAttempt, PlanningTask
 from hplan.problem.options import PlanOptions
 from hplan.robot.model import Robot
 from hplan.scene.model import Box
@@ -32,7 +32,7 @@ Try = tuple[int, float, float, float, bool]
 WALL = [Box(name="wall", center=(1.0, 0.3, 1.0), size=(1.4, 0.02, 2.0))]
 
 
-def goals(robot: Robot, *yaws: float) -> list[Task]:
+def goals(robot: Robot, *yaws: float) -> list[PlanningTask]:
     """Tasks to goals behind the wall."""
     scenes = [task(START, (yaw, 30.0, 20.0, 20.0), WALL) for yaw in yaws]
     return [posed(robot, scene, PlanOptions(step_deg=STEP)) for scene in scenes]
@@ -43,13 +43,21 @@ def ladder(monkeypatch: pytest.MonkeyPatch, robot: Robot) -> Callable[..., list[
     """Grids that give what they are told to; no roadmaps. Returns what has been tried."""
     monkeypatch.setattr(transit, "ROADMAPS", 0)
 
-    def prepare(tasks: list[Task], outcome: Callable[[Try], Outcome]) -> list[Try]:
+    def prepare(tasks: list[PlanningTask], outcome: Callable[[Try], Outcome]) -> list[Try]:
         tried: list[Try] = []
         straight = find_motion([posed(robot, task(START, (60.0, 30.0, 20.0, 20.0)))])[1]
 
-        def on_grid(attempts: Any, rung: Rung) -> Motion:
+        def on_grid(attempts: Any, grid_attempt: GridAttempt) -> PlannedMotion:
             number = next(i for i, each in enumerate(tasks) if each is attempts.task)
-            tried.append((number, rung.step_deg, math.degrees(rung.beyond), rung.growth, rung.thick))
+            tried.append(
+                (
+                    number,
+                    grid_attempt.step_deg,
+                    math.degrees(grid_attempt.beyond),
+                    grid_attempt.growth,
+                    grid_attempt.thick,
+                )
+            )
             given = outcome(tried[-1])
             if isinstance(given, HplanError):
                 raise given
@@ -75,9 +83,9 @@ def enclosed(*, open_ended: bool) -> EnclosedError:
     return EnclosedError(Explained(), 5, open_ended=open_ended)
 
 
-def rungs(number: int, steps: tuple[float, ...] = (2.0, 1.0)) -> list[Try]:
+def grid_attempts(number: int, steps: tuple[float, ...] = (2.0, 1.0)) -> list[Try]:
     """All grids of these steps for a goal."""
-    return [(number, coarser * STEP, *more) for coarser, *more in TURNING if coarser in steps]
+    return [(number, coarser * STEP, *more) for coarser, *more in YAW_GRID_ATTEMPTS if coarser in steps]
 
 
 def rounded(tried: list[Try]) -> list[Try]:
@@ -86,12 +94,16 @@ def rounded(tried: list[Try]) -> list[Try]:
 
 def test_grids_go_from_coarse_and_near_to_fine_and_wide() -> None:
     """Of either step grids for all yaws, thin ones; of the fine one also thick ones and grown obstacles."""
-    assert [step for step, *_ in TURNING] == sorted((step for step, *_ in TURNING), reverse=True)
+    assert [step for step, *_ in YAW_GRID_ATTEMPTS] == sorted((step for step, *_ in YAW_GRID_ATTEMPTS), reverse=True)
     for step in (2.0, 1.0):
-        widths = [beyond for coarser, beyond, growth, thick in TURNING if coarser == step and not growth and not thick]
+        widths = [
+            beyond
+            for coarser, beyond, growth, thick in YAW_GRID_ATTEMPTS
+            if coarser == step and not growth and not thick
+        ]
         assert widths == sorted(widths)
         assert widths[-1] == 360.0
-    fine = [rung[1:] for rung in TURNING if rung[0] == 1.0]
+    fine = [grid_attempt[1:] for grid_attempt in YAW_GRID_ATTEMPTS if grid_attempt[0] == 1.0]
     assert fine == [
         (45.0, 0.0, False), (45.0, 0.0, True), (360.0, 0.0, False), (45.0, 5e-3, True), (45.0, 0.02, False),
     ]  # fmt: skip
@@ -102,15 +114,15 @@ def test_every_grid_is_tried_before_it_is_given_up(robot: Robot, ladder: Any) ->
     tried = ladder(tasks, lambda _: CertificationError(f"number {len(tried)}"))
     with pytest.raises(CertificationError, match=r"number 1$"):  # the first is what is told
         find_motion(tasks)
-    assert rounded(tried) == rungs(0)
+    assert rounded(tried) == grid_attempts(0)
 
 
-@pytest.mark.parametrize("number", range(len(TURNING)))
+@pytest.mark.parametrize("number", range(len(YAW_GRID_ATTEMPTS)))
 def test_the_first_grid_that_gives_a_quick_motion_ends_it(robot: Robot, ladder: Any, number: int) -> None:
     tasks = goals(robot, 60.0)
     tried = ladder(tasks, lambda _: 3.0 if len(tried) == number + 1 else TimingError("none", cause="test"))
     assert find_motion(tasks)[1].trajectory.duration == 3.0
-    assert rounded(tried) == rungs(0)[: number + 1]
+    assert rounded(tried) == grid_attempts(0)[: number + 1]
 
 
 def test_goals_in_one_pocket_are_tried_once_on_coarse_grids_and_each_on_fine_ones(robot: Robot, ladder: Any) -> None:
@@ -121,7 +133,7 @@ def test_goals_in_one_pocket_are_tried_once_on_coarse_grids_and_each_on_fine_one
         find_motion(tasks)
     for number, coarse in ((0, True), (1, False), (2, True)):
         mine = [each for each in rounded(tried) if each[0] == number]
-        assert mine == rungs(number, (2.0, 1.0) if coarse else (1.0,))
+        assert mine == grid_attempts(number, (2.0, 1.0) if coarse else (1.0,))
 
 
 def test_a_pocket_that_opens_on_a_fine_grid(robot: Robot, ladder: Any) -> None:
@@ -138,7 +150,7 @@ def test_sluggish_motions_are_taken_where_there_is_no_other(robot: Robot, ladder
     tried = ladder(tasks, lambda _: seconds.get(len(tried), CertificationError("none")))
     number, motion = find_motion(tasks)
     assert (number, motion.trajectory.duration) == (0, bound + 1.0)
-    assert len(tried) == len(TURNING)
+    assert len(tried) == len(YAW_GRID_ATTEMPTS)
 
 
 def test_a_quick_motion_beats_a_sluggish_one_found_before(robot: Robot, ladder: Any) -> None:
@@ -155,7 +167,7 @@ def test_closed_on_the_fine_grid_is_no_path(robot: Robot, ladder: Any) -> None:
     tried = ladder(tasks, lambda _: enclosed(open_ended=False))
     with pytest.raises(NoPathError, match="explained"):
         find_motion(tasks)
-    assert rounded(tried) == [rungs(0)[0], next(one for one in rungs(0) if one[1] == STEP)]
+    assert rounded(tried) == [grid_attempts(0)[0], next(one for one in grid_attempts(0) if one[1] == STEP)]
 
 
 def test_open_ended_is_tried_with_more_yaws(robot: Robot, ladder: Any) -> None:
@@ -175,7 +187,7 @@ def test_closed_on_a_thick_grid_shows_nothing(robot: Robot, ladder: Any) -> None
     tried = ladder(tasks, lambda one: enclosed(open_ended=False) if one[4] or one[3] else CertificationError("thin"))
     with pytest.raises(CertificationError, match="thin"):
         find_motion(tasks)
-    assert rounded(tried) == rungs(0)
+    assert rounded(tried) == grid_attempts(0)
 
 
 def test_closed_for_one_goal_is_not_closed_for_another(robot: Robot, ladder: Any) -> None:
@@ -199,8 +211,8 @@ def test_planar_ladder(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
     tried: list[tuple[float, float]] = []
     closed_at: dict[tuple[float, float], HplanError] = {}
 
-    def on_grid(_: Any, rung: Rung) -> Motion:
-        tried.append((rung.step_deg, rung.growth))
+    def on_grid(_: Any, grid_attempt: GridAttempt) -> PlannedMotion:
+        tried.append((grid_attempt.step_deg, grid_attempt.growth))
         raise closed_at.get(tried[-1], CertificationError(f"number {len(tried)}"))
 
     monkeypatch.setattr(transit._Attempts, "on_grid", on_grid)

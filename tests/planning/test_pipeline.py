@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hplan.collision.coal_scene import CollisionScene, sampled_occupancy
+from hplan.collision.coal_scene import CoalScene, sampled_occupancy
 from hplan.errors import CertificationError, ConfigurationInCollisionError, InputError, NoPathError, OptionError
-from hplan.planning.plan import Workspace, plan, with_export_time
+from hplan.planning.plan import PlanningCache, plan, with_export_time
 from hplan.problem.options import PlanOptions
 from hplan.robot.model import Robot
 from hplan.scene.model import Box, Capsule, Fruit, Goal, Scene, Sphere, Start
@@ -48,9 +48,9 @@ def assert_sound(robot: Robot, scene: Scene, result: Any) -> None:
     trajectory = result.trajectory
     assert result.certificate.verified
     assert result.report["certificate"]["verified"]
-    judge = CollisionScene(robot, scene.solids)
-    if judge.obstacle_names:
-        nearest = min(judge.distances(q).min() for q in trajectory.position)
+    checker = CoalScene(robot, scene.solids)
+    if checker.obstacle_names:
+        nearest = min(checker.distances(q).min() for q in trajectory.position)
         assert nearest >= result.certificate.min_clearance_m > scene.clearance
     assert (trajectory.position >= robot.lower - 1e-9).all()
     assert (trajectory.position <= robot.upper + 1e-9).all()
@@ -207,8 +207,8 @@ def joined(robot: Robot, scene: Scene, step_deg: float) -> bool:
     """By brute force: whether start and goal are connected on the grid, every node judged by coal."""
     ndimage = pytest.importorskip("scipy.ndimage")
     grid = Grid.over(robot.lower[1:], robot.upper[1:], math.radians(step_deg))
-    judge = CollisionScene(robot, scene.solids)
-    occupied = sampled_occupancy(judge, grid)
+    checker = CoalScene(robot, scene.solids)
+    occupied = sampled_occupancy(checker, grid)
     labels, _ = ndimage.label(~occupied, structure=np.ones((3, 3, 3)))
     start, goal = (labels[tuple(grid.nearest(target.joints()[1:]))] for target in (scene.start, scene.goal))
     assert start != 0
@@ -251,8 +251,8 @@ def clutter(seed: int, robot: Robot) -> Scene:
     while len(discs) < wanted:
         radius, angle, distance = random.uniform([0.03, 0.0, 0.3], [0.2, 180.0, 2.4])
         candidate = disc(f"disc {len(discs)}", radius, angle, distance)
-        judge = CollisionScene(robot, [candidate])
-        if min(judge.distances(q).min() for q in ends) > 0.01:
+        checker = CoalScene(robot, [candidate])
+        if min(checker.distances(q).min() for q in ends) > 0.01:
             discs.append(candidate)
     return task(discs)
 
@@ -301,8 +301,8 @@ def test_wrong_robot_for_the_scene(robot: Robot) -> None:
 def test_certificate_judges_the_motion_not_the_planner(robot: Robot, scene: Scene) -> None:
     """A motion planned without the ball runs through the ball."""
     blind = plan(robot, task())
-    judge = CollisionScene(robot, scene.solids)
-    assert min(judge.distances(q).min() for q in blind.trajectory.position) < -0.05
+    checker = CoalScene(robot, scene.solids)
+    assert min(checker.distances(q).min() for q in blind.trajectory.position) < -0.05
     certificate = certify(robot, scene, blind.trajectory)
     assert not certificate.verified
     assert "'ball'" in certificate.violations[0]
@@ -312,10 +312,10 @@ def test_what_is_kept_clear_of_is_made_ready_once(robot: Robot) -> None:
     """As long as it stays the same, whatever the task; else anew."""
     ball, fruit = disc("ball", 0.1, 90.0, 1.3), Fruit(name="apple", center=(0.0, 1.2, 0.8), radius=0.04)
     scene, options = task([ball], fruits=(fruit,)), PlanOptions()
-    workspace = Workspace(robot)
-    around = workspace.around(scene, options)
-    assert workspace.around(scene.model_copy(update={"goal": Goal(fruit="apple")}), options) is around
-    assert workspace.around(task([ball.model_copy()], fruits=(fruit.model_copy(),)), options) is around
+    workspace = PlanningCache(robot)
+    world = workspace.world(scene, options)
+    assert workspace.world(scene.model_copy(update={"goal": Goal(fruit="apple")}), options) is world
+    assert workspace.world(task([ball.model_copy()], fruits=(fruit.model_copy(),)), options) is world
     others = (
         (task([disc("ball", 0.1, 90.0, 1.31)], fruits=(fruit,)), options),
         (task([ball, disc("other", 0.1, 90.0, 1.3)], fruits=(fruit,)), options),
@@ -325,5 +325,5 @@ def test_what_is_kept_clear_of_is_made_ready_once(robot: Robot) -> None:
         (scene, PlanOptions(tracking_error=0.01)),
     )
     for other, chosen in others:
-        assert workspace.around(scene, options) is not workspace.around(other, chosen)
-        assert workspace.around(other, chosen).solids == other.solids_with_goal
+        assert workspace.world(scene, options) is not workspace.world(other, chosen)
+        assert workspace.world(other, chosen).solids == other.solids_with_goal

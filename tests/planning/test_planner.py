@@ -20,7 +20,7 @@ from planned import (
 )
 from shapes import blocks
 
-from hplan.collision.coal_scene import CollisionScene
+from hplan.collision.coal_scene import CoalScene
 from hplan.errors import ConfigurationInCollisionError, InputError, NoPathError, SceneError
 from hplan.planning.plan import PlanResult, plan
 from hplan.planning.planner import Planner
@@ -44,8 +44,8 @@ def assert_fresh(robot: Robot, planner: Planner, result: PlanResult) -> None:
     assert planner.last is result
     assert_sound(robot, planner.scene, result)
     solids = planner.scene.solids
-    judge = CollisionScene(robot, solids, growth=np.array([OPTIONS.sigmas * solid.sigma for solid in solids]))
-    certificate = certify(robot, planner.scene, result.motion.trajectory, judge=judge)
+    checker = CoalScene(robot, solids, growth=np.array([OPTIONS.sigmas * solid.sigma for solid in solids]))
+    certificate = certify(robot, planner.scene, result.motion.trajectory, checker=checker)
     assert certificate.verified, certificate.violations
 
 
@@ -133,9 +133,9 @@ def test_straight_again_once_the_way_is_free(robot: Robot) -> None:
     planner = planner_for(robot)
     straight = planner.plan()
     planner.add(POST)
-    around = planner.replan()
-    assert method(around) != "direct"
-    assert_fresh(robot, planner, around)
+    world = planner.replan()
+    assert method(world) != "direct"
+    assert_fresh(robot, planner, world)
     planner.remove("post")
     again = planner.replan()
     assert method(again) == "direct"
@@ -217,8 +217,8 @@ def test_uncertainty_counts_when_it_is_judged_again(robot: Robot) -> None:
     second = planner.replan()
     assert method(second) != "kept"
     assert_fresh(robot, planner, second)
-    judge = CollisionScene(robot, planner.scene.solids)
-    nearest = [min(judge.distances(q).min() for q in result.trajectory.position) for result in (first, second)]
+    checker = CoalScene(robot, planner.scene.solids)
+    nearest = [min(checker.distances(q).min() for q in result.trajectory.position) for result in (first, second)]
     assert nearest[0] < 0.06 < nearest[1]
 
 

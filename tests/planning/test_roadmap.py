@@ -11,9 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hplan.base.arrays import FloatArray
-from hplan.planning.roadmap import ASIDE_S, BRIEF, CORNER_S, FARTHEST, WIDE, low_discrepancy, quick_way
-from hplan.problem.definition import Problem, pose_problem
-from hplan.problem.world import Surroundings
+from hplan.planning.roadmap import ASIDE_S, BRIEF, CORNER_S, FARTHEST, WIDE, low_discrepancy, quick_path
+from hplan.problem.definition import Problem, check_problem
+from hplan.problem.world import World
 from hplan.robot.model import Robot
 from hplan.scene.model import Box, Solid, Sphere
 
@@ -23,14 +23,14 @@ MARGIN = 1e-3
 
 def posed(
     robot: Robot, solids: list[Solid], start: FloatArray = START, goal: FloatArray = GOAL
-) -> tuple[Problem, Surroundings]:
-    around = Surroundings.of(robot, solids)
-    return pose_problem(around, start, goal), around
+) -> tuple[Problem, World]:
+    world = World.of(robot, solids)
+    return check_problem(world, start, goal), world
 
 
 def way_of(robot: Robot, solids: list[Solid]) -> FloatArray | None:
-    problem, around = posed(robot, solids)
-    return quick_way(problem, around.field, robot.velocity_limit, MARGIN)
+    problem, world = posed(robot, solids)
+    return quick_path(problem, world.field, robot.velocity_limit, MARGIN)
 
 
 def lasting(robot: Robot, way: FloatArray) -> float:
@@ -61,11 +61,11 @@ def test_straight_where_nothing_is_in_the_way(robot: Robot) -> None:
 def test_clear_and_no_slower_than_by_one_configuration(robot: Robot, seed: int, count: int) -> None:
     rng = np.random.default_rng(seed)
     solids = balls(rng, count)
-    around = Surroundings.of(robot, solids)
-    if min(around.field.clearance(q) for q in (START, GOAL)) < 0.01:
+    world = World.of(robot, solids)
+    if min(world.field.clearance(q) for q in (START, GOAL)) < 0.01:
         return
-    problem = pose_problem(around, START, GOAL)
-    way = quick_way(problem, around.field, robot.velocity_limit, MARGIN)
+    problem = check_problem(world, START, GOAL)
+    way = quick_path(problem, world.field, robot.velocity_limit, MARGIN)
     # All ways by one of the points, one after the other.
     span = float((np.abs(GOAL - START) / robot.velocity_limit).max())
     aside = np.minimum(robot.velocity_limit * max(BRIEF.aside * span, ASIDE_S), FARTHEST)
@@ -73,11 +73,11 @@ def test_clear_and_no_slower_than_by_one_configuration(robot: Robot, seed: int, 
     upper = np.minimum(np.maximum(START, GOAL) + aside, problem.upper)
     points = lower + low_discrepancy(BRIEF.points, 4) * (upper - lower)
     single = [np.stack([START, point, GOAL]) for point in points] + [np.stack([START, GOAL])]
-    clear = [lasting(robot, one) for one in single if around.field.is_clear(one, MARGIN)]
+    clear = [lasting(robot, one) for one in single if world.field.is_clear(one, MARGIN)]
     if way is None:
         assert not clear
         return
-    assert around.field.is_clear(way, MARGIN)
+    assert world.field.is_clear(way, MARGIN)
     np.testing.assert_array_equal(way[[0, -1]], [START, GOAL])
     assert ((way >= problem.lower - 1e-12) & (way <= problem.upper + 1e-12)).all()
     assert lasting(robot, way) <= min(clear, default=math.inf) + 1e-9
@@ -89,19 +89,19 @@ def test_around_a_wall(robot: Robot) -> None:
     way = way_of(robot, [wall])
     assert way is not None
     assert len(way) > 2
-    _, around = posed(robot, [wall])
-    assert not around.field.is_clear(np.stack([START, GOAL]), MARGIN)
-    assert around.field.is_clear(way, MARGIN)
+    _, world = posed(robot, [wall])
+    assert not world.field.is_clear(np.stack([START, GOAL]), MARGIN)
+    assert world.field.is_clear(way, MARGIN)
 
 
 def test_only_ways_that_are_quick_enough(robot: Robot) -> None:
-    problem, around = posed(robot, [Box(name="wall", center=(1.0, 0.0, 0.5), size=(0.9, 0.02, 1.0))])
+    problem, world = posed(robot, [Box(name="wall", center=(1.0, 0.0, 0.5), size=(0.9, 0.02, 1.0))])
     for effort in (BRIEF, WIDE):
-        way = quick_way(problem, around.field, robot.velocity_limit, MARGIN, effort)
+        way = quick_path(problem, world.field, robot.velocity_limit, MARGIN, effort)
         assert way is not None
         time = lasting(robot, way)
         for least, found in ((time + 1e-6, True), (time - 1e-6, False)):
-            again = quick_way(problem, around.field, robot.velocity_limit, MARGIN, effort, quicker_than_s=least)
+            again = quick_path(problem, world.field, robot.velocity_limit, MARGIN, effort, quicker_than_s=least)
             assert (again is not None) == found
 
 
@@ -123,9 +123,9 @@ def test_none_where_the_goal_is_shut_in(robot: Robot) -> None:
 
 def test_locked_joints_stay(robot: Robot) -> None:
     wall = Box(name="wall", center=(1.0, 0.0, 0.5), size=(0.9, 0.02, 1.0))
-    around = Surroundings.of(robot, [wall])
-    problem = pose_problem(around, START, GOAL, locked_joints=[robot.joint_names[3]])
-    way = quick_way(problem, around.field, robot.velocity_limit, MARGIN)
+    world = World.of(robot, [wall])
+    problem = check_problem(world, START, GOAL, locked_joints=[robot.joint_names[3]])
+    way = quick_path(problem, world.field, robot.velocity_limit, MARGIN)
     assert way is not None
     assert np.ptp(way[:, 3]) == 0.0
 

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from planned import assert_clear, frame_about_upper_arm, post, random_scene, task
 
-from hplan.base.report import StageClock
 from hplan.cspace.yaw_layers import turning_occupancy, yaw_axis
 from hplan.errors import CertificationError, HplanError, NoPathError, OptionError
 from hplan.planning.enclosure import EnclosedError
-from hplan.planning.grid_route import Route, Rung, Task, find_route
-from hplan.planning.plan import Workspace
-from hplan.problem.definition import pose_problem
+from hplan.planning.grid_route import GridAttempt, PlanningTask, Route, find_route
+from hplan.planning.plan import PlanningCache
+from hplan.planning.report import StageClock
+from hplan.problem.definition import check_problem
 from hplan.problem.options import PlanOptions
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene, Sphere
@@ -26,13 +26,13 @@ from hplan.search.grid import Occupancy
 MARGIN = 1e-4
 
 
-def posed(robot: Robot, scene: Scene, options: PlanOptions | None = None) -> Task:
+def posed(robot: Robot, scene: Scene, options: PlanOptions | None = None) -> PlanningTask:
     options = PlanOptions() if options is None else options
-    workspace = Workspace(robot)
-    around = workspace.around(scene, options)
+    workspace = PlanningCache(robot)
+    world = workspace.world(scene, options)
     ends = scene.start.configuration, scene.goal.configuration
-    problem = pose_problem(around, *ends, locked_joints=scene.locked_joints)
-    return Task(around, scene, problem, options, StageClock(), workspace.layers, lambda _: None)
+    problem = check_problem(world, *ends, locked_joints=scene.locked_joints)
+    return PlanningTask(world, scene, problem, options, StageClock(), workspace.layers, lambda _: None)
 
 
 def along(path: np.ndarray, spacing: float = 0.01) -> np.ndarray:
@@ -58,7 +58,7 @@ def test_axes_of_the_grid(robot: Robot, scene: Scene) -> None:
 
 
 def test_planar_way(robot: Robot, scene: Scene) -> None:
-    route = find_route(posed(robot, scene), Rung(1.0), MARGIN)
+    route = find_route(posed(robot, scene), GridAttempt(1.0), MARGIN)
     assert route.occupancy.occupied_count == 128_891
     assert route.step_deg == 1.0
     assert len(route.path) == 107
@@ -68,7 +68,8 @@ def test_planar_way(robot: Robot, scene: Scene) -> None:
 
 def test_grown_obstacles_occupy_more(robot: Robot, scene: Scene) -> None:
     counts = [
-        find_route(posed(robot, scene), Rung(3.0, growth), MARGIN).occupancy.occupied_count for growth in (0, 0.02)
+        find_route(posed(robot, scene), GridAttempt(3.0, growth), MARGIN).occupancy.occupied_count
+        for growth in (0, 0.02)
     ]
     assert counts[0] < counts[1]
 
@@ -77,7 +78,7 @@ def test_grown_obstacles_occupy_more(robot: Robot, scene: Scene) -> None:
 @pytest.mark.parametrize("step_deg", [2.0, 3.0, 5.0])
 def test_way_over_yaw(robot: Robot, step_deg: float, thick: bool) -> None:
     scene = task((0.0, 30.0, 20.0, 20.0), (60.0, 30.0, 20.0, 20.0), [post("post", 30.0, 1.2, 0.0, 1.9)])
-    route = find_route(posed(robot, scene), Rung(step_deg, thick=thick), MARGIN)
+    route = find_route(posed(robot, scene), GridAttempt(step_deg, thick=thick), MARGIN)
     assert_route(robot, scene, route)
     assert len(route.occupancy.grid.shape) == 4
     assert route.step_deg == step_deg
@@ -87,17 +88,17 @@ def test_way_over_yaw(robot: Robot, step_deg: float, thick: bool) -> None:
 
 def test_ends_beside_the_grid(robot: Robot) -> None:
     scene = task((0.3, 31.7, 20.4, 21.1), (61.9, 29.2, 19.3, 22.2), [post("post", 30.0, 1.2, 0.0, 1.9)])
-    assert_route(robot, scene, find_route(posed(robot, scene), Rung(3.0), MARGIN))
+    assert_route(robot, scene, find_route(posed(robot, scene), GridAttempt(3.0), MARGIN))
 
 
 def test_beyond_start_and_goal(robot: Robot) -> None:
     """Closed in the plane and open beside it: the error says that more yaws might help, and they do."""
     scene = task(BELOW, ABOVE, BAR)
     with pytest.raises(EnclosedError) as caught:
-        find_route(posed(robot, scene), Rung(2.0), MARGIN)
+        find_route(posed(robot, scene), GridAttempt(2.0), MARGIN)
     assert caught.value.open_ended
     assert caught.value.reached_cells > 0
-    route = find_route(posed(robot, scene), Rung(2.0, beyond=math.radians(20.0)), MARGIN)
+    route = find_route(posed(robot, scene), GridAttempt(2.0, beyond=math.radians(20.0)), MARGIN)
     assert_route(robot, scene, route)
     assert np.abs(route.path[:, 0]).max() > math.radians(2.0)
     assert route.search.fallback == "wavefront"
@@ -106,7 +107,7 @@ def test_beyond_start_and_goal(robot: Robot) -> None:
 def test_enclosed_whatever_the_yaw(robot: Robot) -> None:
     scene = task((0.0, 70.0, 20.0, 20.0), (60.0, 20.0, 20.0, 20.0), frame_about_upper_arm(60.0, 20.0))
     with pytest.raises(EnclosedError) as caught:
-        find_route(posed(robot, scene), Rung(3.0, beyond=2.0 * math.pi), MARGIN)
+        find_route(posed(robot, scene), GridAttempt(3.0, beyond=2.0 * math.pi), MARGIN)
     error = caught.value
     assert not error.open_ended
     whole = error.explained()
@@ -121,7 +122,7 @@ def test_enclosed_whatever_the_yaw(robot: Robot) -> None:
 def test_step_that_gives_no_grid(robot: Robot, scene: Scene) -> None:
     for where in (scene, task(BELOW, ABOVE, BAR)):
         with pytest.raises(OptionError) as caught:
-            find_route(posed(robot, where), Rung(1e-6), MARGIN)
+            find_route(posed(robot, where), GridAttempt(1e-6), MARGIN)
         assert caught.value.option == "step_deg"
 
 
@@ -130,7 +131,7 @@ def test_no_node_near_an_end(robot: Robot) -> None:
     pocket = [post(f"p{i}", bearing, 1.0, 0.0, 3.0, 0.05) for i, bearing in enumerate((13.0, 31.0))]
     scene = task((22.0, 20.0, 0.0, 0.0), (100.0, 20.0, 0.0, 0.0), pocket)
     try:
-        route = find_route(posed(robot, scene), Rung(40.0), MARGIN)
+        route = find_route(posed(robot, scene), GridAttempt(40.0), MARGIN)
     except (CertificationError, EnclosedError):
         return
     assert_route(robot, scene, route)
@@ -158,24 +159,24 @@ def test_no_path_is_said_if_there_is_none(robot: Robot, seed: int) -> None:
     )
     scene = task(start, goal, [*drawn.obstacles, *BAR])
     try:
-        posed_task = posed(robot, scene)
+        task_of = posed(robot, scene)
     except HplanError:
         return
-    bodies, planar = posed_task.around.bodies(), posed_task.planar_grid(step)
-    ends = posed_task.problem.start, posed_task.problem.goal
+    bodies, planar = task_of.world.bodies(), task_of.planar_grid(step)
+    ends = task_of.problem.start, task_of.problem.goal
     yaws = yaw_axis(ends[0][0], ends[1][0], math.radians(step), robot.lower[0], robot.upper[0], 0.0)
-    space = turning_occupancy(robot, bodies, planar, *yaws, thick=False, layers=posed_task.layers)
+    space = turning_occupancy(robot, bodies, planar, *yaws, thick=False, layers=task_of.layers)
     labels = labels_of(space)
-    first, second = (labels[tuple(space.grid.nearest(q[posed_task.axes]))] for q in ends)
+    first, second = (labels[tuple(space.grid.nearest(q[task_of.axes]))] for q in ends)
     assert first > 0
     assert second > 0
     if first != second:
         with pytest.raises(EnclosedError) as caught:
-            find_route(posed_task, Rung(step), MARGIN)
+            find_route(task_of, GridAttempt(step), MARGIN)
         assert caught.value.reached_cells in {int((labels == part).sum()) for part in (first, second)}
         return
     try:
-        route = find_route(posed_task, Rung(step), MARGIN)
+        route = find_route(task_of, GridAttempt(step), MARGIN)
     except CertificationError:
         return  # there is a way, but not one that can be shown clear
     assert_route(robot, scene, route)

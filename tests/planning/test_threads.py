@@ -13,8 +13,8 @@ import pytest
 from planned import post, task
 
 import hplan
-from hplan.collision.coal_scene import CollisionScene
-from hplan.cspace.yaw_layers import Layers
+from hplan.collision.coal_scene import CoalScene
+from hplan.cspace.yaw_layers import LayerCache
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene, Sphere
 
@@ -70,7 +70,7 @@ def test_plans_with_one_robot(robot: Robot) -> None:
 
 def test_queries_of_one_collision_scene(robot: Robot) -> None:
     """Where the arm is placed for one question must not move before it is answered."""
-    scene = CollisionScene(robot, scenes()[0].solids)
+    scene = CoalScene(robot, scenes()[0].solids)
     pairs = np.arange(len(scene.pairs))
     places = np.random.default_rng(0).uniform(robot.lower, robot.upper, (WORKERS, robot.dof))
 
@@ -90,12 +90,12 @@ def test_certificates_by_one_judge(robot: Robot) -> None:
     scene = scenes()[0]
     motions = [hplan.plan(robot, scene).trajectory]
     motions += [motions[0].reversed]
-    judge = CollisionScene(robot, scene.solids)
+    checker = CoalScene(robot, scene.solids)
     expected = [
-        hplan.certify(robot, scene, motion, judge=judge, check_ends=False).min_clearance_m for motion in motions
+        hplan.certify(robot, scene, motion, checker=checker, check_ends=False).min_clearance_m for motion in motions
     ]
     jobs = [
-        lambda motion=motion: hplan.certify(robot, scene, motion, judge=judge, check_ends=False)
+        lambda motion=motion: hplan.certify(robot, scene, motion, checker=checker, check_ends=False)
         for motion in motions * 2
     ]
     for found, alone in zip(at_once(jobs), expected * 2, strict=True):
@@ -144,7 +144,7 @@ def test_a_change_waits_for_the_plan_under_way(robot: Robot, monkeypatch: pytest
 
 def test_layers_are_counted_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """Many threads that put layers in and push others out."""
-    layers = Layers(10_000)
+    layers = LayerCache(10_000)
     words = np.zeros(16, dtype=np.uint64)
 
     def fill(first: int) -> None:

@@ -11,16 +11,16 @@ import pytest
 from planned import at, between_rows, frame_about_upper_arm, post, task
 from test_route import ABOVE, BAR, BELOW, posed
 
-from hplan.collision.coal_scene import CollisionScene
+from hplan.collision.coal_scene import CoalScene
 from hplan.errors import CertificationError, NoPathError
 from hplan.planning.find_motion import (
     WORTHWHILE,
-    Motion,
+    PlannedMotion,
     certified,
+    certified_as_required,
     find_motion,
-    judged,
     least_duration,
-    renewed,
+    reuse_motion,
     timed,
 )
 from hplan.planning.plan import plan
@@ -34,12 +34,12 @@ NEAR, FAR = (30.0, 30.0, 20.0, 20.0), (90.0, 30.0, 20.0, 20.0)
 OPTIONS = PlanOptions(step_deg=2.0)
 
 
-def assert_motion(robot: Robot, scene: Scene, motion: Motion) -> None:
+def assert_motion(robot: Robot, scene: Scene, motion: PlannedMotion) -> None:
     assert motion.certificate.verified
     assert certify(robot, scene, motion.trajectory).verified
-    judge = CollisionScene(robot, scene.solids)
+    checker = CoalScene(robot, scene.solids)
     q = between_rows(motion.trajectory, np.arange(motion.trajectory.samples))
-    assert not judge.obstacle_names or min(judge.distances(each).min() for each in q) > 0.0
+    assert not checker.obstacle_names or min(checker.distances(each).min() for each in q) > 0.0
     np.testing.assert_array_equal(motion.way[[0, -1]], [motion.task.problem.start, motion.task.problem.goal])
 
 
@@ -115,7 +115,7 @@ def test_what_is_not_certified_is_refused_unless_wanted(robot: Robot) -> None:
     """A motion timed without the ball, judged with it."""
     motion = find_motion([posed(robot, task(BELOW, ABOVE))])[1]
     with_ball = posed(robot, task(BELOW, ABOVE, BAR))
-    assert not judged(with_ball, motion.trajectory).verified
+    assert not certified_as_required(with_ball, motion.trajectory).verified
     with pytest.raises(CertificationError, match="'ball'") as caught:
         certified(with_ball, motion.trajectory)
     assert caught.value.data["violations"]
@@ -135,8 +135,8 @@ def test_speed_and_rate(robot: Robot) -> None:
 # Earlier motions
 
 
-def after(robot: Robot, before: Motion, scene: Scene) -> Motion:
-    return renewed(posed(robot, scene, OPTIONS), before)
+def after(robot: Robot, before: PlannedMotion, scene: Scene) -> PlannedMotion:
+    return reuse_motion(posed(robot, scene, OPTIONS), before)
 
 
 def test_kept_and_mended(robot: Robot) -> None:
@@ -154,9 +154,9 @@ def test_kept_and_mended(robot: Robot) -> None:
     tip = robot.tool_positions(before.trajectory.position[before.trajectory.samples // 2])
     bead = Sphere(name="bead", center=tuple(np.add(tip, (0.0, 0.0, 0.035)).tolist()), radius=0.01)
     grazed = scene.with_obstacles([*obstacles, bead])
-    mended = after(robot, before, grazed)
-    assert mended.origin == "mended"
-    assert_motion(robot, grazed, mended)
+    repaired = after(robot, before, grazed)
+    assert repaired.origin == "mended"
+    assert_motion(robot, grazed, repaired)
 
 
 @pytest.mark.parametrize("joint", ["base_yaw", "shoulder", "elbow", "wrist"])
@@ -172,7 +172,7 @@ def test_another_range_of_a_joint_is_another_task(robot: Robot, joint: str) -> N
         limits[place] = limits[place] - value  # narrower by a little
         problem = replace(changed.problem, **{name: limits})
         with pytest.raises(CertificationError, match="another task"):
-            renewed(replace(changed, problem=problem), before)
+            reuse_motion(replace(changed, problem=problem), before)
 
 
 def test_a_joint_locked_since_does_not_move(robot: Robot) -> None:

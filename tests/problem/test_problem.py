@@ -8,19 +8,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hplan.collision.coal_scene import CollisionScene
+from hplan.collision.coal_scene import CoalScene
 from hplan.errors import ConfigurationInCollisionError, InputError, JointLimitError
-from hplan.problem.definition import Problem, pose_problem
-from hplan.problem.world import Surroundings
+from hplan.problem.definition import Problem, check_problem
+from hplan.problem.world import World
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 
 
 def pose(robot: Robot, scene: Scene, **changes: Any) -> Problem:
     changed = Scene.model_validate({**vars(scene), **changes})
-    around = Surroundings.of(robot, changed.solids, clearance=changed.clearance)
+    world = World.of(robot, changed.solids, clearance=changed.clearance)
     ends = changed.start.configuration, changed.goal.configuration
-    return pose_problem(around, *ends, locked_joints=changed.locked_joints)
+    return check_problem(world, *ends, locked_joints=changed.locked_joints)
 
 
 def test_reference_scene(robot: Robot, scene: Scene) -> None:
@@ -35,9 +35,9 @@ def test_reference_scene(robot: Robot, scene: Scene) -> None:
 
 
 def test_spare_clearance_is_the_lesser_of_both_ends(robot: Robot, scene: Scene) -> None:
-    judge = CollisionScene(robot, scene.solids)
+    checker = CoalScene(robot, scene.solids)
     problem = pose(robot, scene)
-    ends = [judge.distances(q).min() for q in (problem.start, problem.goal)]
+    ends = [checker.distances(q).min() for q in (problem.start, problem.goal)]
     assert problem.spare_clearance == min(ends)
     assert pose(robot, scene, clearance=0.02).spare_clearance == pytest.approx(min(ends) - 0.02)
 
@@ -67,14 +67,14 @@ def test_the_base_may_turn_unless_it_is_locked(robot: Robot, scene: Scene) -> No
 
 def test_uncertainty_and_tracking_error_take_from_the_spare_clearance(robot: Robot, scene: Scene) -> None:
     ends = scene.start.configuration, scene.goal.configuration
-    plain = pose_problem(Surroundings.of(robot, scene.solids), *ends).spare_clearance
+    plain = check_problem(World.of(robot, scene.solids), *ends).spare_clearance
     blurred = [solid.model_copy(update={"sigma": 0.01}) for solid in scene.solids]
-    around = Surroundings.of(robot, blurred, clearance=0.005, tracking_error=1e-3, sigmas=2.0)
-    judge = CollisionScene(robot, scene.solids)
+    world = World.of(robot, blurred, clearance=0.005, tracking_error=1e-3, sigmas=2.0)
+    checker = CoalScene(robot, scene.solids)
     sways = robot.sway(1e-3)[:, None]  # each link its own
-    expected = min((judge.distances(robot.check_configuration(q, "")) - sways).min() for q in ends) - 0.005 - 0.02
+    expected = min((checker.distances(robot.check_configuration(q, "")) - sways).min() for q in ends) - 0.005 - 0.02
     assert plain - 0.005 - 0.02 - sways.max() < expected < plain - 0.005 - 0.02
-    assert pose_problem(around, *ends).spare_clearance == pytest.approx(expected, abs=1e-9)
+    assert check_problem(world, *ends).spare_clearance == pytest.approx(expected, abs=1e-9)
 
 
 def test_joints_in_radians(robot: Robot, scene: Scene) -> None:

@@ -13,10 +13,10 @@ from planned import post
 
 from hplan.base.arrays import FloatArray
 from hplan.collision.clearance_field import ClearanceField
-from hplan.collision.coal_scene import CollisionScene, base_contacts
+from hplan.collision.coal_scene import CoalScene, base_contacts
 from hplan.cspace.sections import sections_at
 from hplan.errors import ConfigurationInCollisionError, InputError
-from hplan.problem.world import BASE_DEPTH, Surroundings
+from hplan.problem.world import BASE_DEPTH, World
 from hplan.robot.model import Robot, load_robot
 from hplan.robot.self_contact import pair_sway
 from hplan.robot_family.members import write_robot
@@ -33,33 +33,33 @@ BALLS = (
 def test_each_obstacle_grows_by_its_own_uncertainty(robot: Robot) -> None:
     rng = np.random.default_rng(0)
     for sigmas in (0.0, 1.0, 3.0):
-        around = Surroundings.of(robot, BALLS, clearance=0.02, sigmas=sigmas)
-        np.testing.assert_allclose(around.growth, sigmas * np.array([0.0, 0.01, 0.02]))
-        assert around.clearance == 0.02
-        plain = CollisionScene(robot, BALLS)
+        world = World.of(robot, BALLS, clearance=0.02, sigmas=sigmas)
+        np.testing.assert_allclose(world.growth, sigmas * np.array([0.0, 0.01, 0.02]))
+        assert world.clearance == 0.02
+        plain = CoalScene(robot, BALLS)
         for q in rng.uniform(robot.lower, robot.upper, (20, 4)):
             grown = plain.distances(q) - sigmas * np.array([0.0, 0.01, 0.02])
-            np.testing.assert_allclose(around.judge.distances(q), grown, atol=1e-9)
-            np.testing.assert_allclose(around.field.link_clearances(q), grown.min(axis=1) - 0.02, atol=1e-6)
+            np.testing.assert_allclose(world.checker.distances(q), grown, atol=1e-9)
+            np.testing.assert_allclose(world.field.link_clearances(q), grown.min(axis=1) - 0.02, atol=1e-6)
 
 
 def test_field_bodies_and_judge_agree(robot: Robot) -> None:
     """A configuration is in contact for the sections if it is for the field, which gives no less than coal."""
-    around = Surroundings.of(robot, BALLS, clearance=0.01, tracking_error=0.002, sigmas=2.0)
-    bodies = around.bodies(0.003)
+    world = World.of(robot, BALLS, clearance=0.01, tracking_error=0.002, sigmas=2.0)
+    bodies = world.bodies(0.003)
     assert bodies.deviation == 0.002
-    radii = np.array([0.1, 0.12, 0.14]) + around.clearance + 0.003
+    radii = np.array([0.1, 0.12, 0.14]) + world.clearance + 0.003
     np.testing.assert_allclose(bodies.ball_radii, radii)
     assert bodies.names == ("sure", "vague", "vaguer")
 
 
 def test_without_solids(robot: Robot) -> None:
-    around = Surroundings.of(robot, [], clearance=0.1, sigmas=3.0)
-    assert around.field.clearance(np.zeros(4)) == np.inf
-    assert around.judge.nearest(np.zeros(4)) is None
-    assert around.bodies().names == ()
-    around.check_base(0.0)
-    assert around.touching("none").bodies().names == ()
+    world = World.of(robot, [], clearance=0.1, sigmas=3.0)
+    assert world.field.clearance(np.zeros(4)) == np.inf
+    assert world.checker.nearest(np.zeros(4)) is None
+    assert world.bodies().names == ()
+    world.check_base(0.0)
+    assert world.touching("none").bodies().names == ()
 
 
 def test_the_arm_keeps_the_clearance_from_itself_too(tmp_path: Path) -> None:
@@ -82,21 +82,21 @@ def test_the_arm_keeps_the_clearance_from_itself_too(tmp_path: Path) -> None:
     far = Sphere(name="far", center=(0.0, 0.0, 9.0), radius=0.1, sigma=0.05)
     plain, seen = ClearanceField.of(bendy, []), 0
     for solids in ([], [far]):
-        around = Surroundings.of(bendy, solids, clearance=0.03, tracking_error=0.001, sigmas=3.0)
+        world = World.of(bendy, solids, clearance=0.03, tracking_error=0.001, sigmas=3.0)
         # From the pedestal a link keeps its own sway; two links keep what the outer one may sway, seen from the inner.
-        keep = around.clearance + float(pair_sway(bendy, 2, 0, 0.001))
-        most = around.clearance + float(bendy.sway(0.001).max())
+        keep = world.clearance + float(pair_sway(bendy, 2, 0, 0.001))
+        most = world.clearance + float(bendy.sway(0.001).max())
         # The first link, too, is asked against the pedestal, which does not carry its joint: it sways least.
-        least = around.clearance + float(bendy.sway(0.001)[0])
+        least = world.clearance + float(bendy.sway(0.001)[0])
         for q in rng.uniform(bendy.lower, bendy.upper, (60, bendy.dof)):
-            before, after = plain.clearance(q), around.field.clearance(q)
+            before, after = plain.clearance(q), world.field.clearance(q)
             if before < 0.5:
                 seen += 1
                 assert after < before
                 low, high = (ClearanceField.of(bendy, [], own_clearance=own).clearance(q) for own in (most, least))
                 assert low - 1e-12 <= after <= high + 1e-12
-        assert around.bodies(0.002).own_clearance == 0.032
-        sections = sections_at(bendy, around.bodies(0.002), 0.0)
+        assert world.bodies(0.002).own_clearance == 0.032
+        sections = sections_at(bendy, world.bodies(0.002), 0.0)
         np.testing.assert_allclose(sections.own_radii, 0.05 + 0.03 + keep + 0.002)
     assert seen > 20
 
@@ -106,19 +106,19 @@ def test_each_link_sways_by_its_own(robot: Robot) -> None:
     error, rng = 0.01, np.random.default_rng(4)
     arm = replace(robot.arm, half_widths=robot.arm.half_widths + robot.sway(error))
     thicker = replace(robot, arm=arm)
-    around, same = Surroundings.of(robot, BALLS, tracking_error=error), Surroundings.of(thicker, BALLS)
+    world, same = World.of(robot, BALLS, tracking_error=error), World.of(thicker, BALLS)
     for yaw in (0.0, 0.1):
-        ours, theirs = (sections_at(one.robot, one.bodies(), yaw) for one in (around, same))
+        ours, theirs = (sections_at(one.robot, one.bodies(), yaw) for one in (world, same))
         np.testing.assert_allclose(ours.radii, theirs.radii, rtol=1e-12)
         np.testing.assert_array_equal(ours.link_start, theirs.link_start)
     for q in rng.uniform(robot.lower, robot.upper, (20, 4)):
-        np.testing.assert_allclose(around.field.link_clearances(q), same.field.link_clearances(q), atol=1e-12)
-        least = (around.judge.distances(q) - robot.sway(error)[:, None]).min()
+        np.testing.assert_allclose(world.field.link_clearances(q), same.field.link_clearances(q), atol=1e-12)
+        least = (world.checker.distances(q) - robot.sway(error)[:, None]).min()
         if least > 0.0:
-            assert around.check_clear(q, "here") == pytest.approx(least, abs=1e-12)
+            assert world.check_clear(q, "here") == pytest.approx(least, abs=1e-12)
         else:
             with pytest.raises(ConfigurationInCollisionError):
-                around.check_clear(q, "here")
+                world.check_clear(q, "here")
 
 
 def test_refusal_of_a_configuration_names_the_largest_error(robot: Robot) -> None:
@@ -126,10 +126,10 @@ def test_refusal_of_a_configuration_names_the_largest_error(robot: Robot) -> Non
     rng, kinds = np.random.default_rng(6), {"free": 0, "margin": 0, "contact": 0}
 
     def check(q: FloatArray, error: float) -> None:
-        Surroundings.of(robot, BALLS, clearance=0.01, tracking_error=error).check_clear(q, "start")
+        World.of(robot, BALLS, clearance=0.01, tracking_error=error).check_clear(q, "start")
 
     for q in rng.uniform(robot.lower, robot.upper, (40, 4)):
-        distances = Surroundings.of(robot, BALLS).judge.distances(q) - 0.01
+        distances = World.of(robot, BALLS).checker.distances(q) - 0.01
         if (distances > robot.sway(0.1)[:, None]).all():
             kinds["free"] += 1
             check(q, 0.1)
@@ -153,26 +153,26 @@ def test_refusal_of_a_configuration_names_the_largest_error(robot: Robot) -> Non
 
 def test_the_last_link_alone_may_touch(robot: Robot) -> None:
     solids = [*BALLS, Sphere(name="fruit", center=(1.2, 0.0, 0.6), radius=0.04, sigma=0.01)]
-    around = Surroundings.of(robot, solids, clearance=0.01, sigmas=3.0)
-    near, without = around.touching("fruit"), Surroundings.of(robot, BALLS, clearance=0.01, sigmas=3.0)
+    world = World.of(robot, solids, clearance=0.01, sigmas=3.0)
+    near, without = world.touching("fruit"), World.of(robot, BALLS, clearance=0.01, sigmas=3.0)
     rng = np.random.default_rng(1)
     for q in rng.uniform([-0.3, 0.0, 0.0, 0.0], [0.3, 0.5, 0.5, 0.5], (60, 4)):
-        full, table = around.judge.distances(q), near.judge.distances(q)
+        full, table = world.checker.distances(q), near.checker.distances(q)
         assert table[-1, 3] == np.inf
         np.testing.assert_array_equal(table[:, :3], full[:, :3])
         np.testing.assert_array_equal(table[:-1], full[:-1])
-        expected = around.field.link_clearances(q)
+        expected = world.field.link_clearances(q)
         expected[-1] = without.field.link_clearances(q)[-1]
         np.testing.assert_allclose(near.field.link_clearances(q), expected, atol=1e-12)
     # The C-space knows the fruit for the other links.
-    some, every = (sections_at(robot, one.bodies(), 0.0, within_reach=False) for one in (near, around))
+    some, every = (sections_at(robot, one.bodies(), 0.0, within_reach=False) for one in (near, world))
     for link in range(3):
         mine, all_ = (list(one.obstacle_of[one.link_start[link] : one.link_start[link + 1]]) for one in (some, every))
         assert 3 in all_
         assert mine == [number for number in all_ if number != 3 or link < 2]
     # What it was made from is as it was.
-    assert around.bodies().touched == -1
-    assert around.judge.distances(np.zeros(4))[-1, 3] < np.inf
+    assert world.bodies().touched == -1
+    assert world.checker.distances(np.zeros(4))[-1, 3] < np.inf
 
 
 # What stands in the base
@@ -180,10 +180,10 @@ def test_the_last_link_alone_may_touch(robot: Robot) -> None:
 
 def test_ground_may_touch_the_pedestal(robot: Robot) -> None:
     ground = Box(name="ground", center=(0.0, 0.0, -0.05), size=(6.0, 6.0, 0.1))
-    Surroundings.of(robot, [ground], clearance=0.05, sigmas=3.0).check_base(0.0)
+    World.of(robot, [ground], clearance=0.05, sigmas=3.0).check_base(0.0)
     deeper = Box(name="ground", center=(0.0, 0.0, -0.05 + 2.0 * BASE_DEPTH), size=(6.0, 6.0, 0.1))
     with pytest.raises(InputError, match="'ground' is 2 mm deep in the robot's 'base_link'"):
-        Surroundings.of(robot, [deeper]).check_base(0.0)
+        World.of(robot, [deeper]).check_base(0.0)
 
 
 @pytest.mark.parametrize(
@@ -198,9 +198,9 @@ def test_ground_may_touch_the_pedestal(robot: Robot) -> None:
 )
 @pytest.mark.parametrize("yaw", [0.0, -2.0])
 def test_what_stands_in_the_base_is_named(robot: Robot, obstacle, link: str, yaw: float) -> None:
-    around = Surroundings.of(robot, [*BALLS, *obstacle.solids])
+    world = World.of(robot, [*BALLS, *obstacle.solids])
     with pytest.raises(InputError) as caught:
-        around.check_base(yaw)
+        world.check_base(yaw)
     assert caught.value.data["obstacle"] == obstacle.name
     assert caught.value.data["link"] == link
     assert caught.value.data["depth_m"] > BASE_DEPTH
@@ -212,7 +212,7 @@ def test_deepest_is_named(robot: Robot) -> None:
     deep = Sphere(name="deep", center=(0.1, 0.0, 0.2), radius=0.14)
     for solids in ([grazing, deep], [deep, grazing]):
         with pytest.raises(InputError, match="'deep'"):
-            Surroundings.of(robot, solids).check_base(0.0)
+            World.of(robot, solids).check_base(0.0)
 
 
 def test_no_obstacle_is_missed(robot: Robot) -> None:
@@ -221,17 +221,17 @@ def test_no_obstacle_is_missed(robot: Robot) -> None:
     for _ in range(60):
         solids = random_obstacles(rng, 6)
         yaw = float(rng.uniform(-3.0, 3.0))
-        around = Surroundings.of(robot, solids, clearance=0.1)
+        world = World.of(robot, solids, clearance=0.1)
         if base_contacts(robot, solids, yaw, margin=-BASE_DEPTH):
             refused += 1
             with pytest.raises(InputError, match="deep in the robot's"):
-                around.check_base(yaw)
+                world.check_base(yaw)
         else:
-            around.check_base(yaw)
+            world.check_base(yaw)
     assert refused > 3
 
 
 def test_a_base_without_shape_has_nothing_in_it(tmp_path: Path) -> None:
     bare = load_variant("upright on a yaw", tmp_path)
     rock = Sphere(name="rock", center=(0.0, 0.0, 0.2), radius=0.1)
-    Surroundings.of(bare, [rock]).check_base(0.0)
+    World.of(bare, [rock]).check_base(0.0)

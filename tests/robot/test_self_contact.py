@@ -14,7 +14,7 @@ from arm_variants import axis_points, coal_distances, load_variant, random_obsta
 
 from hplan.base.planar_geometry import polygon_distances
 from hplan.collision.clearance_field import ClearanceField
-from hplan.collision.coal_scene import CollisionScene, sampled_occupancy
+from hplan.collision.coal_scene import CoalScene, sampled_occupancy
 from hplan.collision.obstacle_rows import _base_solid
 from hplan.cspace.blockers import blockers
 from hplan.cspace.occupancy import joint_grid, occupancy
@@ -135,7 +135,7 @@ def test_harvester_cannot_touch_itself(robot, scene):
     contact = self_contact(robot)
     assert not contact.possible
     assert contact.links == contact.bodies == ()
-    assert CollisionScene(robot, []).pairs == []
+    assert CoalScene(robot, []).pairs == []
     assert len(ClearanceField.of(robot, []).solids) == 0
     sections = arm_sections(robot, scene.solids)
     assert len(sections.own_pairs) == sections.own_names == 0
@@ -294,12 +294,12 @@ def test_cspace_with_obstacles_is_the_union(wide):
     rng = np.random.default_rng(8)
     grid = joint_grid(wide.arm, math.radians(10.0))
     obstacles = random_obstacles(rng)
-    judge = CollisionScene(wide, obstacles)
+    checker = CoalScene(wide, obstacles)
     for yaw, half_angle in ((0.4, 0.0), (-1.0, 0.02)):
         ours = occupancy(wide.arm, sections_at(wide, bodies_of(obstacles), yaw, half_angle=half_angle), grid).occupied
-        theirs = sampled_occupancy(judge, grid, yaw)
+        theirs = sampled_occupancy(checker, grid, yaw)
         wrong = np.argwhere(theirs & ~ours)
-        assert all(judge.distances([yaw, *grid.coordinates(node)]).min() > -TOUCH for node in wrong)
+        assert all(checker.distances([yaw, *grid.coordinates(node)]).min() > -TOUCH for node in wrong)
         assert theirs.sum() <= ours.sum() <= 1.1 * theirs.sum()
 
 
@@ -393,34 +393,34 @@ def test_judge_against_coal(tmp_path):
     contacts = 0
     for robot in random_arms(rng, tmp_path, 10):
         obstacles = [Sphere(name="turret", center=(2.0, 0.5, 1.0), radius=0.2)]  # a name that the arm has too
-        judge, truth, known = CollisionScene(robot, obstacles), Truth(robot), named_pairs(robot)
-        assert judge.own_first == 1
-        urdf = CollisionScene(robot, obstacles, links="urdf")
+        checker, truth, known = CoalScene(robot, obstacles), Truth(robot), named_pairs(robot)
+        assert checker.own_first == 1
+        urdf = CoalScene(robot, obstacles, links="urdf")
         configurations = rng.uniform(robot.lower, robot.upper, (40, robot.dof))
-        for q, touching in zip(configurations, judge.in_collision(configurations), strict=True):
-            table = judge.distances(q)
-            assert table.shape == (robot.arm.link_count, len(judge.obstacle_names))
+        for q, touching in zip(configurations, checker.in_collision(configurations), strict=True):
+            table = checker.distances(q)
+            assert table.shape == (robot.arm.link_count, len(checker.obstacle_names))
             expected = np.full(table.shape, np.inf)
             expected[:, 0] = coal_distances(robot, q, obstacles)[:, 0]
             for (link, other), distance in truth.distances(q).items():
                 if (link, other) in known:
                     name = other if isinstance(other, str) else robot.arm.link_names[other]
-                    expected[link, 1 + judge.obstacle_names[1:].index(name)] = distance
+                    expected[link, 1 + checker.obstacle_names[1:].index(name)] = distance
             apart = expected > 0.0  # depths are coal's by iteration, and depend on who comes first
             np.testing.assert_allclose(table[apart], expected[apart], atol=1e-5)
             np.testing.assert_allclose(table[~apart], expected[~apart], atol=1e-3)
             np.testing.assert_allclose(urdf.distances(q).clip(min=0.0), expected.clip(min=0.0), atol=1e-5)
             assert touching == (table.min() <= 0.0) or abs(table.min()) < 1e-5
             contacts += int(table[:, 1:].min(initial=np.inf) < 0.0)
-            nearest = judge.nearest(q)
+            nearest = checker.nearest(q)
             assert nearest.distance_m == pytest.approx(table.min(), abs=1e-5 if table.min() > 0.0 else 1e-3)
     assert contacts > 20
 
 
 def test_a_fruit_of_a_links_name_may_be_touched_the_link_not(wide):
-    judge = CollisionScene(wide, [Sphere(name="upper_arm", center=(2.0, 0.0, 1.0), radius=0.05)]).touching("upper_arm")
-    table = judge.distances(np.zeros(4))
-    column = judge.obstacle_names.index("upper_arm", 1)
+    checker = CoalScene(wide, [Sphere(name="upper_arm", center=(2.0, 0.0, 1.0), radius=0.05)]).touching("upper_arm")
+    table = checker.distances(np.zeros(4))
+    column = checker.obstacle_names.index("upper_arm", 1)
     assert table[2, 0] == np.inf
     assert table[2, column] == pytest.approx(0.8 - 0.08)
 
@@ -546,7 +546,7 @@ def test_folded_start_is_refused_by_name(wide):
         plan(wide, scene)
     assert caught.value.link == "hand"
     assert caught.value.obstacle == "upper_arm"
-    depth = -CollisionScene(wide, []).distances(np.radians(scene.start.joints_deg)).min()
+    depth = -CoalScene(wide, []).distances(np.radians(scene.start.joints_deg)).min()
     assert caught.value.depth_m == pytest.approx(depth)
 
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from hplan.collision.coal_scene import CollisionScene
+from hplan.collision.coal_scene import CoalScene
 from hplan.errors import BlockedError, CertificationError, NoPathError, OptionError
 from hplan.planning.plan import plan
 from hplan.problem.options import PlanOptions
@@ -94,12 +94,12 @@ def test_no_deviation_inside_the_model_comes_nearer_than_certified(robot: Robot,
     rng = np.random.default_rng(seed)
     shown = 0
     while shown < 4:
-        around = scene.with_obstacles(cluttered(rng))
-        judge = CollisionScene(robot, around.solids)
+        world = scene.with_obstacles(cluttered(rng))
+        checker = CoalScene(robot, world.solids)
         start, end = rng.uniform(robot.lower, robot.upper, (2, robot.dof))
         start[0], end[0] = rng.uniform(-0.5, 0.5, 2)
         trajectory = swinging(robot, start, end, rng)
-        certificate = certify(robot, around, trajectory, tracking_error=STILL, tracking_delay_s=DELAY, judge=judge)
+        certificate = certify(robot, world, trajectory, tracking_error=STILL, tracking_delay_s=DELAY, checker=checker)
         if not keeps_clear(certificate) or certificate.min_clearance_m > 0.1:
             continue
         shown += 1
@@ -108,7 +108,7 @@ def test_no_deviation_inside_the_model_comes_nearer_than_certified(robot: Robot,
         nearest = math.inf
         for q, most in zip(position, off, strict=True):
             for sign in (*rng.choice([-1.0, 1.0], (6, robot.dof)), *rng.uniform(-1.0, 1.0, (2, robot.dof))):
-                nearest = min(nearest, judge.distances(q + sign * most).min())
+                nearest = min(nearest, checker.distances(q + sign * most).min())
         assert nearest >= certificate.min_clearance_m
 
 
@@ -139,8 +139,8 @@ def test_sway_is_as_large_as_it_has_to_be(robot: Robot, scene: Scene, joint: int
     velocity = np.tile(-speed * np.eye(4)[joint], (2, 1))
     trajectory = trajectory_of(robot, np.array([0.0, 0.004]), np.array([[0.0], [0.004]]) * velocity, velocity)
     for gap, shown in ((0.98 * reached, False), (1.02 * (reached + never_both), True)):
-        around = scene.with_obstacles([beside_the_tip(robot, joint, gap)])
-        certificate = certify(robot, around, trajectory, tracking_error=still, tracking_delay_s=delay)
+        world = scene.with_obstacles([beside_the_tip(robot, joint, gap)])
+        certificate = certify(robot, world, trajectory, tracking_error=still, tracking_delay_s=delay)
         assert keeps_clear(certificate) == shown
 
 
@@ -155,11 +155,11 @@ def test_jerks_on_the_spot_count_by_their_speed(robot: Robot, scene: Scene) -> N
         step = rng.choice([2e-3, 0.02])
         gap, delay = rng.uniform(0.002, 0.05), 0.03
         trajectory = stretched(robot, place, speed, step)
-        around = scene.with_obstacles([beside_the_tip(robot, 1, gap)])
-        judge = CollisionScene(robot, around.solids)
-        certificate = certify(robot, around, trajectory, tracking_delay_s=delay, rest_to_rest=False, judge=judge)
+        world = scene.with_obstacles([beside_the_tip(robot, 1, gap)])
+        checker = CoalScene(robot, world.solids)
+        certificate = certify(robot, world, trajectory, tracking_delay_s=delay, rest_to_rest=False, checker=checker)
         position, velocity = sampled(trajectory, 9)
-        nearest = min(judge.distances(q).min() for q in position + delay * np.abs(velocity))
+        nearest = min(checker.distances(q).min() for q in position + delay * np.abs(velocity))
         touching += nearest <= 0.0
         if keeps_clear(certificate):
             assert nearest >= certificate.min_clearance_m
@@ -175,13 +175,13 @@ def test_bound_of_pieces_is_not_looser_than_that_of_the_largest_speed(robot: Rob
     rng = np.random.default_rng(1)
     better = constant_shown = 0
     for _ in range(40):
-        around = scene.with_obstacles(cluttered(rng))
-        judge = CollisionScene(robot, around.solids)
+        world = scene.with_obstacles(cluttered(rng))
+        checker = CoalScene(robot, world.solids)
         start, end = rng.uniform(robot.lower, robot.upper, (2, robot.dof))
         trajectory = swinging(robot, start, end, rng)
         fastest = np.abs(sampled(trajectory, 12)[1]).max()
-        by_pieces = certify(robot, around, trajectory, tracking_delay_s=DELAY, judge=judge)
-        constant = certify(robot, around, trajectory, tracking_error=DELAY * fastest, judge=judge)
+        by_pieces = certify(robot, world, trajectory, tracking_delay_s=DELAY, checker=checker)
+        constant = certify(robot, world, trajectory, tracking_error=DELAY * fastest, checker=checker)
         constant_shown += keeps_clear(constant)
         assert keeps_clear(by_pieces) or not keeps_clear(constant)
         better += keeps_clear(by_pieces) and not keeps_clear(constant)
@@ -193,10 +193,10 @@ def test_deviations_that_do_not_change_are_one_for_all_pieces(robot: Robot, scen
     """To the last bit."""
     rng = np.random.default_rng(2)
     bezier = rng.uniform(0.1, 0.3, (9, 4, robot.dof)).cumsum(axis=1)
-    judge = CollisionScene(robot, scene.solids)
+    checker = CoalScene(robot, scene.solids)
     each = rng.uniform(0.0, 1e-3, (1, robot.dof))
-    one = prove_clearance(robot, bezier, judge, each, 0.0)
-    assert prove_clearance(robot, bezier, judge, np.repeat(each, len(bezier), axis=0), 0.0) == one
+    one = prove_clearance(robot, bezier, checker, each, 0.0)
+    assert prove_clearance(robot, bezier, checker, np.repeat(each, len(bezier), axis=0), 0.0) == one
 
 
 def test_the_upper_arm_keeps_what_it_may_sway_itself(robot: Robot) -> None:

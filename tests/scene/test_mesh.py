@@ -60,7 +60,7 @@ def test_placement():
     vertices, faces = rest.surface
     np.testing.assert_allclose(np.sort(vertices, axis=0), np.sort(expected, axis=0), atol=1e-9)
     assert faces.shape == FACES.shape
-    assert (hull.sigma, hull.rounding, hull.loose, rest.excess) == (0.02, 0.0, False, 0.0)
+    assert (hull.sigma, hull.rounding, hull.is_point_set, rest.excess) == (0.02, 0.0, False, 0.0)
     assert not hull.core.flags.writeable
 
 

@@ -44,7 +44,7 @@ def read(content: bytes, folder, entry="radius: 0.02", name="cloud.ply") -> Poin
 def test_ply(form, kind, colors, tmp_path):
     (solid,) = read(ply(POINTS, form, kind, colors), tmp_path).solids
     assert isinstance(solid, Cloud)
-    assert (solid.name, solid.loose, solid.rounding, solid.sigma) == ("canopy", True, 0.02, 0.0)
+    assert (solid.name, solid.is_point_set, solid.rounding, solid.sigma) == ("canopy", True, 0.02, 0.0)
     theirs = solid.core[np.lexsort(solid.core.round(5).T)]
     tolerance = 0.0 if kind == "double" else 1e-7
     np.testing.assert_allclose(theirs, POINTS[np.lexsort(POINTS.round(5).T)], atol=tolerance, rtol=0)

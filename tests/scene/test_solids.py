@@ -15,7 +15,7 @@ def test_hull_of_a_block():
     corners = np.array([(x, y, z) for x in (0, 1) for y in (0, 2) for z in (0, 3)], dtype=float)
     inner = np.random.default_rng(0).uniform(0, 1, (50, 3))
     hull = hull_of(np.vstack([inner, corners]), "block")
-    assert (hull.name, hull.rounding, hull.loose, hull.sigma) == ("block", 0.0, False, 0.0)
+    assert (hull.name, hull.rounding, hull.is_point_set, hull.sigma) == ("block", 0.0, False, 0.0)
     assert sorted(map(tuple, hull.core)) == sorted(map(tuple, corners))
     assert sorted(map(tuple, hull.planes)) == sorted(
         [(1, 0, 0, 1), (-1, 0, 0, 0), (0, 1, 0, 2), (0, -1, 0, 0), (0, 0, 1, 3), (0, 0, -1, 0)]
@@ -70,7 +70,7 @@ def test_balls_after_merging_hold_those_before(seed, count, size):
     assert 0.0 <= growth <= MERGE_ERROR + 1e-12
     gaps = np.linalg.norm(points[:, None] - cloud.core, axis=2).min(axis=1)
     assert gaps.max() <= growth + 1e-12
-    assert (cloud.name, cloud.loose, cloud.sigma) == ("cloud", True, 0.5)
+    assert (cloud.name, cloud.is_point_set, cloud.sigma) == ("cloud", True, 0.5)
     if size == 1.0:
         assert growth == 0.0
         assert sorted(map(tuple, cloud.core)) == sorted(map(tuple, points))

@@ -11,10 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hplan.collision.clearance_field import ClearanceField
-from hplan.collision.coal_scene import CollisionScene
+from hplan.collision.coal_scene import CoalScene
 from hplan.robot.model import Robot, load_robot
 from hplan.scene.model import Box, Capsule, Sphere
-from hplan.smoothing.repair import escapes, mended
+from hplan.smoothing.repair import leave_contact, repaired
 
 MARGIN = 1e-4
 
@@ -36,10 +36,10 @@ def near_the_links(robot: Robot, q: np.ndarray, gap: float) -> list[Sphere | Cap
 
 
 def assert_clear(robot: Robot, obstacles: list[Sphere | Capsule], path: np.ndarray) -> None:
-    judge = CollisionScene(robot, obstacles)
+    checker = CoalScene(robot, obstacles)
     for first, last in itertools.pairwise(path):
         for t in np.linspace(0.0, 1.0, 40):
-            assert judge.distances((1.0 - t) * first + t * last).min() > 0.0
+            assert checker.distances((1.0 - t) * first + t * last).min() > 0.0
 
 
 @pytest.mark.parametrize("locked", [False, True])
@@ -51,7 +51,7 @@ def test_out_between_obstacles_that_hold_two_links_from_two_sides(robot, locked)
     lower, upper = robot.lower.copy(), robot.upper.copy()
     if locked:
         lower[0] = upper[0] = q[0]
-    ways = list(escapes(q, field, lower, upper, MARGIN))
+    ways = list(leave_contact(q, field, lower, upper, MARGIN))
     assert ways
     for number, way in enumerate(ways):
         np.testing.assert_array_equal(way[0], q)
@@ -65,7 +65,7 @@ def test_out_between_obstacles_that_hold_two_links_from_two_sides(robot, locked)
 
 def test_no_way_out_is_needed_where_there_is_room(robot) -> None:
     field = ClearanceField.of(robot, [Sphere(name="far", center=(0.0, 5.0, 5.0), radius=0.1)])
-    assert list(escapes(np.full(4, 0.5), field, robot.lower, robot.upper, MARGIN)) == []
+    assert list(leave_contact(np.full(4, 0.5), field, robot.lower, robot.upper, MARGIN)) == []
 
 
 def test_a_motion_through_a_ball_is_mended_and_remembered(robot) -> None:
@@ -77,16 +77,16 @@ def test_a_motion_through_a_ball_is_mended_and_remembered(robot) -> None:
     field = ClearanceField.of(robot, ball)
     assert not field.is_clear(np.stack([first, last]), MARGIN)
     known: dict[bytes, np.ndarray | None] = {}
-    path, contacts = mended(np.stack([first, last]), field, robot.lower, robot.upper, MARGIN, known)
+    path, contacts = repaired(np.stack([first, last]), field, robot.lower, robot.upper, MARGIN, known)
     assert contacts == []
     np.testing.assert_array_equal(path[[0, -1]], [first, last])
     assert len(path) > 2
     assert_clear(robot, ball, path)
     assert len(known) == 1
     nothing = ClearanceField.of(robot, [])
-    again, _ = mended(np.stack([first, last]), nothing, robot.lower, robot.upper, MARGIN, known)
+    again, _ = repaired(np.stack([first, last]), nothing, robot.lower, robot.upper, MARGIN, known)
     np.testing.assert_array_equal(again, path)
-    plain, _ = mended(np.stack([first, last]), nothing, robot.lower, robot.upper, MARGIN)
+    plain, _ = repaired(np.stack([first, last]), nothing, robot.lower, robot.upper, MARGIN)
     np.testing.assert_array_equal(plain, [first, last])
 
 
@@ -96,7 +96,7 @@ def test_what_cannot_be_mended_is_named(robot) -> None:
     ball = [Sphere(name="ball", center=tuple(robot.tool_positions(np.array([0.0, 0.3, 0.3, 0.3]))), radius=0.3)]
     lower, upper = robot.lower.copy(), robot.upper.copy()
     lower[1:] = upper[1:] = 0.3
-    _, contacts = mended(path, ClearanceField.of(robot, ball), lower, upper, MARGIN)
+    _, contacts = repaired(path, ClearanceField.of(robot, ball), lower, upper, MARGIN)
     assert contacts == [1]
 
 
@@ -108,10 +108,10 @@ FAR = 1e-3
 
 def mend(path: Any, solids: Any, robot: Robot = ROBOT, margin: float = FAR) -> tuple[np.ndarray, list[int]]:
     field = ClearanceField.of(robot, solids)
-    return mended(np.asarray(path, dtype=float), field, robot.lower, robot.upper, margin)
+    return repaired(np.asarray(path, dtype=float), field, robot.lower, robot.upper, margin)
 
 
-def assert_mended(robot: Robot, solids: Any, path: np.ndarray, found: np.ndarray, contacts: list[int]) -> None:
+def assert_repaired(robot: Robot, solids: Any, path: np.ndarray, found: np.ndarray, contacts: list[int]) -> None:
     """The given nodes in their order; all motions but those named clear; all within the limits."""
     rows = [0]
     for node in path[1:]:
@@ -120,7 +120,7 @@ def assert_mended(robot: Robot, solids: Any, path: np.ndarray, found: np.ndarray
     assert rows[-1] == len(found) - 1
     assert (found >= np.minimum(robot.lower, path.min(axis=0))).all()
     assert (found <= np.maximum(robot.upper, path.max(axis=0))).all()
-    judge, field = CollisionScene(robot, solids), ClearanceField.of(robot, solids)
+    checker, field = CoalScene(robot, solids), ClearanceField.of(robot, solids)
     for number, (first, last) in enumerate(itertools.pairwise(rows)):
         stretch = found[first : last + 1]
         if number in contacts:
@@ -130,7 +130,7 @@ def assert_mended(robot: Robot, solids: Any, path: np.ndarray, found: np.ndarray
         assert field.is_clear(stretch, FAR)
         for a, b in itertools.pairwise(stretch):
             count = 2 + int(np.abs(b - a).max() / 0.01)
-            assert min(judge.distances(q).min() for q in np.linspace(a, b, count)) > 0.0
+            assert min(checker.distances(q).min() for q in np.linspace(a, b, count)) > 0.0
 
 
 def test_what_is_clear_stays(robot: Robot) -> None:
@@ -156,7 +156,7 @@ def test_joints_one_after_the_other() -> None:
     found, contacts = mend(path, [low])
     assert contacts == []
     np.testing.assert_array_equal(found, [path[0], [0.0, 0.5, 0.0, 0.0], path[1]])
-    assert_mended(ROBOT, [low], path, found, contacts)
+    assert_repaired(ROBOT, [low], path, found, contacts)
 
 
 def test_pushed_over_an_obstacle() -> None:
@@ -168,7 +168,7 @@ def test_pushed_over_an_obstacle() -> None:
         found, contacts = mend(path, solids)
         assert contacts == []
         assert len(found) > 2
-        assert_mended(ROBOT, solids, path, found, contacts)
+        assert_repaired(ROBOT, solids, path, found, contacts)
 
 
 def test_locked_joints_do_not_move() -> None:
@@ -178,12 +178,12 @@ def test_locked_joints_do_not_move() -> None:
     field = ClearanceField.of(ROBOT, [ball])
     lower, upper = ROBOT.lower.copy(), ROBOT.upper.copy()
     lower[2:] = upper[2:] = 0.0
-    found, contacts = mended(path, field, lower, upper, FAR)
+    found, contacts = repaired(path, field, lower, upper, FAR)
     assert contacts == []
     assert (found[:, 2:] == 0.0).all()
     assert (found[:, 1] > 0.0).any()
     lower[1:] = upper[1:] = 0.0
-    found, contacts = mended(path, field, lower, upper, FAR)
+    found, contacts = repaired(path, field, lower, upper, FAR)
     assert contacts == [0]
     np.testing.assert_array_equal(found, path)
 
@@ -194,7 +194,7 @@ def test_limits_hold_where_the_push_leads_beyond(above: float) -> None:
     ball = Sphere(name="ball", center=(1.7, 0.0, 0.6 + above), radius=0.05)
     path = np.array([[-0.2, 0.0, 0.0, 0.0], [0.2, 0.0, 0.0, 0.0]])
     found, contacts = mend(path, [ball])
-    assert_mended(ROBOT, [ball], path, found, contacts)
+    assert_repaired(ROBOT, [ball], path, found, contacts)
 
 
 def test_motions_that_cannot_be_mended_are_named() -> None:
@@ -204,7 +204,7 @@ def test_motions_that_cannot_be_mended_are_named() -> None:
     path[:, 0] = [0.5, 0.3, -0.3, -0.5]
     found, contacts = mend(path, [wall])
     assert contacts == [1]
-    assert_mended(ROBOT, [wall], path, found, contacts)
+    assert_repaired(ROBOT, [wall], path, found, contacts)
 
 
 def test_same_answer_whatever_is_known() -> None:
@@ -214,9 +214,9 @@ def test_same_answer_whatever_is_known() -> None:
     field = ClearanceField.of(ROBOT, solids)
     known: dict[bytes, Any] = {}
     results = [
-        mended(path, field, ROBOT.lower, ROBOT.upper, FAR),
-        mended(path, field, ROBOT.lower, ROBOT.upper, FAR, known),
-        mended(path, field, ROBOT.lower, ROBOT.upper, FAR, known),
+        repaired(path, field, ROBOT.lower, ROBOT.upper, FAR),
+        repaired(path, field, ROBOT.lower, ROBOT.upper, FAR, known),
+        repaired(path, field, ROBOT.lower, ROBOT.upper, FAR, known),
     ]
     for found, contacts in results:
         assert found.tobytes() == results[0][0].tobytes()
@@ -241,7 +241,7 @@ def test_mended_among_random_balls(first: Any, moves: Any, places: Any) -> None:
     if len(path) < 2:
         return
     found, contacts = mend(path, solids)
-    assert_mended(ROBOT, solids, path, found, contacts)
+    assert_repaired(ROBOT, solids, path, found, contacts)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -260,5 +260,5 @@ def test_most_motions_that_graze_are_mended(seed: int) -> None:
         seen += 1
         found, contacts = mend(path, [ball])
         failed += len(contacts)
-        assert_mended(ROBOT, [ball], path, found, contacts)
+        assert_repaired(ROBOT, [ball], path, found, contacts)
     assert failed <= 6

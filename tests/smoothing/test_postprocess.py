@@ -11,7 +11,7 @@ from scipy.optimize import linprog
 
 from hplan.base.polyline import path_length
 from hplan.collision.clearance_field import ClearanceField
-from hplan.collision.coal_scene import CollisionScene
+from hplan.collision.coal_scene import CoalScene
 from hplan.errors import CertificationError, InputError
 from hplan.planning.plan import plan
 from hplan.problem.options import PlanOptions
@@ -19,7 +19,7 @@ from hplan.robot.limits import Limits
 from hplan.scene.model import Sphere
 from hplan.smoothing import minimize_duration as fast
 from hplan.smoothing import smooth_path as postprocess_path
-from hplan.smoothing.minimize_duration import hasten
+from hplan.smoothing.minimize_duration import minimize_duration
 from hplan.smoothing.options import OBJECTIVES, PostprocessOptions
 from hplan.smoothing.push_clear import clear_spline, tighten
 from hplan.smoothing.round_corners import smooth
@@ -38,8 +38,8 @@ def field(robot, scene):
 
 
 @pytest.fixture(scope="module")
-def judge(robot, scene):
-    return CollisionScene(robot, scene.solids)
+def checker(robot, scene):
+    return CoalScene(robot, scene.solids)
 
 
 @pytest.fixture(scope="module")
@@ -72,7 +72,7 @@ def samples_of(path, spacing=2e-3):
     return np.concatenate(pieces)
 
 
-def assert_kept(robot, judge, path, start, goal):
+def assert_kept(robot, checker, path, start, goal):
     """Ends kept, within the joint limits, clear under dense sampling, and the base where it was."""
     samples = samples_of(path)
     if not isinstance(path, SplinePath):
@@ -81,8 +81,8 @@ def assert_kept(robot, judge, path, start, goal):
     assert (samples >= robot.lower - 1e-12).all()
     assert (samples <= robot.upper + 1e-12).all()
     assert np.abs(samples[:, 0] - start[0]).max() <= 1e-12
-    if judge.obstacle_names:
-        assert min(judge.distances(q).min() for q in samples) > 0.0
+    if checker.obstacle_names:
+        assert min(checker.distances(q).min() for q in samples) > 0.0
     if isinstance(path, SplinePath):
         assert (path.control[:, 0] == start[0]).all()
         assert (path.control >= robot.lower).all()
@@ -112,9 +112,9 @@ def staircase(start, end, steps=20):
 
 
 @pytest.mark.parametrize("margin", [1e-4, MARGIN, 0.01])
-def test_shortened_reference_path(robot, field, judge, grid_path, margin):
+def test_shortened_reference_path(robot, field, checker, grid_path, margin):
     taut = shorten(grid_path, field, margin=margin)
-    assert_kept(robot, judge, taut, grid_path[0], grid_path[-1])
+    assert_kept(robot, checker, taut, grid_path[0], grid_path[-1])
     assert path_length(taut) < 0.98 * path_length(grid_path)
     assert np.linalg.norm(np.diff(taut, axis=0), axis=1).min() > 0.0
     assert_same(taut, shorten(grid_path, field, margin=margin))
@@ -146,7 +146,7 @@ def test_shortened_random_paths(robot):
             )
             for i in range(4)
         ]
-        field, judge = ClearanceField.of(robot, balls), CollisionScene(robot, balls)
+        field, checker = ClearanceField.of(robot, balls), CoalScene(robot, balls)
         path = np.clip(
             np.cumsum(np.vstack([rng.uniform(0, 1.5, 4), rng.normal(0, 0.12, (30, 4))]), axis=0), 0, robot.upper
         )
@@ -155,10 +155,10 @@ def test_shortened_random_paths(robot):
             continue
         seen += 1
         taut = shorten(path, field, margin=1e-5)
-        assert_kept(robot, judge, taut, path[0], path[-1])
+        assert_kept(robot, checker, taut, path[0], path[-1])
         assert (taut[:, 0] == path[0, 0]).all()
         assert path_length(taut) <= path_length(path) * (1 + 1e-12)
-        assert_kept(robot, judge, smooth(taut, field, margin=1e-5), path[0], path[-1])
+        assert_kept(robot, checker, smooth(taut, field, margin=1e-5), path[0], path[-1])
 
 
 def test_a_second_locked_joint_stays(robot, field):
@@ -174,9 +174,9 @@ def test_short_paths_are_left_alone(field, count):
     np.testing.assert_array_equal(shorten(path, field, margin=MARGIN), path)
 
 
-def test_duplicate_points_do_not_matter(robot, field, judge, grid_path):
+def test_duplicate_points_do_not_matter(robot, field, checker, grid_path):
     taut = shorten(np.repeat(grid_path, 2, axis=0), field, margin=MARGIN)
-    assert_kept(robot, judge, taut, grid_path[0], grid_path[-1])
+    assert_kept(robot, checker, taut, grid_path[0], grid_path[-1])
     assert np.linalg.norm(np.diff(taut, axis=0), axis=1).min() > 0.0
     assert path_length(taut) < 0.98 * path_length(grid_path)
 
@@ -186,30 +186,30 @@ def test_duplicate_points_closer_than_the_margin(field, grid_path):
     assert np.linalg.norm(np.diff(taut, axis=0), axis=1).min() > 0.0
 
 
-def test_path_closer_than_the_margin_is_kept(robot, field, judge, grid_path):
+def test_path_closer_than_the_margin_is_kept(robot, field, checker, grid_path):
     """What stays of the path keeps its own clearance."""
     taut = shorten(grid_path, field, margin=0.3)
-    assert_kept(robot, judge, taut, grid_path[0], grid_path[-1])
+    assert_kept(robot, checker, taut, grid_path[0], grid_path[-1])
     assert path_length(taut) <= path_length(grid_path)
 
 
-def test_tiny_segments(robot, field, judge):
+def test_tiny_segments(robot, field, checker):
     start, end = np.array([0.2, 0.1, 0.1, 0.1]), np.array([0.2, 0.4, 0.3, 0.2])
     path = np.vstack([start, start + 1e-10 * PLANAR[[0, 0, 1, 2]] * [0, 1, 1, 1], end, end])
     path[2] -= 1e-12
     path[2, 0] = 0.2
-    assert_kept(robot, judge, shorten(path, field, margin=MARGIN), start, end)
+    assert_kept(robot, checker, shorten(path, field, margin=MARGIN), start, end)
 
 
 # Corners rounded
 
 
-def test_rounded_reference_path(robot, field, judge, grid_path):
+def test_rounded_reference_path(robot, field, checker, grid_path):
     margin = 1e-4  # of the motions between nodes that stay, some have less than MARGIN
     taut = shorten(grid_path, field, margin=margin)
     assert field.is_clear(taut, margin)
     path = smooth(taut, field, margin=margin)
-    assert_kept(robot, judge, path, taut[0], taut[-1])
+    assert_kept(robot, checker, path, taut[0], taut[-1])
     assert path.is_clear(field, 0.5 * margin)
     assert path.length < path_length(taut)
     assert_same(path, smooth(taut, field, margin=margin))
@@ -235,12 +235,12 @@ def test_corner_beside_an_obstacle_is_rounded_less(robot):
         hand = robot.tool_positions(wide.evaluate(share * wide.end))
         place = hand + 0.0305 * np.array([np.cos(bearing), 0.0, np.sin(bearing)])
         bead = Sphere(name="bead", center=tuple(map(float, place)), radius=1e-3)
-        field, judge = ClearanceField.of(robot, [bead]), CollisionScene(robot, [bead])
+        field, checker = ClearanceField.of(robot, [bead]), CoalScene(robot, [bead])
         if wide.is_clear(field, 5e-6) or not field.is_clear(path, 1e-5):
             continue
         rounded_less += 1
         rounded = smooth(path, field, margin=1e-5)
-        assert_kept(robot, judge, rounded, path[0], path[-1])
+        assert_kept(robot, checker, rounded, path[0], path[-1])
         corner = [np.linalg.norm(samples_of(spline) - path[1], axis=1).min() for spline in (wide, rounded)]
         assert 0.1 * corner[0] < corner[1] < 0.9 * corner[0]
     assert rounded_less > 0
@@ -257,14 +257,14 @@ def test_corner_in_contact_cannot_be_rounded(robot):
 # Splines pushed, pulled taut and hastened
 
 
-def test_pushed_and_pulled_taut(robot, field, judge, grid_path, options):
+def test_pushed_and_pulled_taut(robot, field, checker, grid_path, options):
     taut = shorten(grid_path, field, margin=MARGIN)
     pushed = clear_spline(taut, field, options, count=44, margin=MARGIN)
-    assert_kept(robot, judge, pushed, grid_path[0], grid_path[-1])
+    assert_kept(robot, checker, pushed, grid_path[0], grid_path[-1])
     assert pushed.is_clear(field, 0.5 * MARGIN)
     assert len(pushed.control) == 44
     tight = tighten(pushed, field, options, margin=MARGIN, rounds=40)
-    assert_kept(robot, judge, tight, grid_path[0], grid_path[-1])
+    assert_kept(robot, checker, tight, grid_path[0], grid_path[-1])
     assert path_length(tight.control) < path_length(pushed.control)
     assert tight.knots.tobytes() == pushed.knots.tobytes()
     assert path_length(tighten(pushed, field, options, margin=MARGIN, rounds=0).control) == path_length(pushed.control)
@@ -295,13 +295,13 @@ def test_no_spline_where_pushing_cannot_succeed(robot, options):
     assert clear_spline(path, ClearanceField.of(robot, [ball]), options, count=6, margin=MARGIN) is None
 
 
-def test_hastened(robot, field, judge, grid_path, options, limits):
+def test_hastened(robot, field, checker, grid_path, options, limits):
     taut = shorten(grid_path, field, margin=MARGIN)
     pushed = clear_spline(taut, field, options, count=8, margin=MARGIN)
-    before = hasten(pushed, field, replace(options, trials=0), margin=MARGIN)
+    before = minimize_duration(pushed, field, replace(options, trials=0), margin=MARGIN)
     assert_same(before[0], pushed)
-    fast, estimate = hasten(pushed, field, options, margin=MARGIN)
-    assert_kept(robot, judge, fast, grid_path[0], grid_path[-1])
+    fast, estimate = minimize_duration(pushed, field, options, margin=MARGIN)
+    assert_kept(robot, checker, fast, grid_path[0], grid_path[-1])
     assert fast.is_clear(field, 0.5 * MARGIN)
     assert estimate < before[1]
     # The estimate is that of toppra without torque and jerk limits, to a few per cent.
@@ -316,8 +316,8 @@ def test_estimate_is_that_of_the_spline_returned(field, grid_path, options, coun
     taut = shorten(grid_path, field, margin=MARGIN)
     pushed = clear_spline(taut, field, options, count=count, margin=MARGIN)
     for trials in (200, 1000, 3000):
-        fast, estimate = hasten(pushed, field, replace(options, trials=trials), margin=MARGIN)
-        again = hasten(fast, field, replace(options, trials=0), margin=MARGIN)
+        fast, estimate = minimize_duration(pushed, field, replace(options, trials=trials), margin=MARGIN)
+        again = minimize_duration(fast, field, replace(options, trials=0), margin=MARGIN)
         assert again[1] == pytest.approx(estimate, rel=1e-9)
 
 
@@ -348,7 +348,7 @@ def test_estimate_of_a_straight_motion_by_hand(robot, options):
     """Accelerate, cruise, brake: v / a + length / v."""
     empty = ClearanceField.of(robot, [])
     path = SplinePath.through(np.linspace([0, 0.1, 0.2, 0.2], [0, 1.5, 0.2, 0.2], 8))
-    _, estimate = hasten(path, empty, replace(options, trials=0), margin=MARGIN)
+    _, estimate = minimize_duration(path, empty, replace(options, trials=0), margin=MARGIN)
     assert estimate == pytest.approx(1.4 / 1.2 + 1.2 / 3.0, rel=0.03)
 
 
@@ -356,17 +356,17 @@ def test_estimate_of_a_straight_motion_by_hand(robot, options):
 
 
 @pytest.mark.parametrize("objective", OBJECTIVES)
-def test_reference_path(robot, field, judge, grid_path, options, objective):
+def test_reference_path(robot, field, checker, grid_path, options, objective):
     aim = replace(options, objective=objective)
     path = fast_path(grid_path, field, aim)
-    assert_kept(robot, judge, path, grid_path[0], grid_path[-1])
+    assert_kept(robot, checker, path, grid_path[0], grid_path[-1])
     assert path.is_clear(field, 0.5 * 0.05 * MARGIN)
     assert path.length < path_length(grid_path)
     assert_same(path, fast_path(grid_path, field, aim))
-    assert_same(path, fast_path(grid_path.copy(), ClearanceField.of(robot, [*_solids(judge)]), aim))
+    assert_same(path, fast_path(grid_path.copy(), ClearanceField.of(robot, [*_solids(checker)]), aim))
 
 
-def _solids(judge):
+def _solids(checker):
     """The reference obstacle anew: the result hangs on values, not on objects."""
     return [Sphere(name="again", center=(1.0, 0.0, 1.9), radius=0.15)]
 
@@ -381,7 +381,7 @@ def test_short_is_short_and_fast_is_fast(robot, field, grid_path, options, limit
 
 @pytest.mark.parametrize("objective", OBJECTIVES)
 @pytest.mark.parametrize("case", ["two points", "twins at the start", "twins at the goal", "tiny steps", "tiny"])
-def test_small_paths(robot, field, judge, options, objective, case):
+def test_small_paths(robot, field, checker, options, objective, case):
     start, end = np.array([0.3, 0.0, 0.0, 0.0]), np.array([0.3, 0.4, 0.3, 0.2])
     near = end + np.array([0, 0, 0, 1e-10])
     path = {
@@ -393,7 +393,7 @@ def test_small_paths(robot, field, judge, options, objective, case):
     }[case]
     path = np.array(path)
     found = fast_path(path, field, replace(options, objective=objective))
-    assert_kept(robot, judge, found, path[0], path[-1])
+    assert_kept(robot, checker, found, path[0], path[-1])
     straight = np.linalg.norm(path[-1] - path[0])
     assert straight * (1 - 1e-9) <= found.length <= 1.2 * straight
 
@@ -428,7 +428,7 @@ def test_random_clear_paths(robot, options, objective):
             Sphere(name=f"b{i}", center=(rng.uniform(-1, 2), 0.0, rng.uniform(0.8, 2.6)), radius=rng.uniform(0.03, 0.2))
             for i in range(4)
         ]
-        field, judge = ClearanceField.of(robot, balls), CollisionScene(robot, balls)
+        field, checker = ClearanceField.of(robot, balls), CoalScene(robot, balls)
         path = np.clip(
             np.cumsum(np.vstack([rng.uniform(0, 1.5, 4), rng.normal(0, 0.12, (25, 4))]), axis=0), 0, robot.upper
         )
@@ -437,7 +437,7 @@ def test_random_clear_paths(robot, options, objective):
             continue
         seen += 1
         found = fast_path(path, field, replace(options, objective=objective))
-        assert_kept(robot, judge, found, path[0], path[-1])
+        assert_kept(robot, checker, found, path[0], path[-1])
         assert_same(found, fast_path(path, field, replace(options, objective=objective)))
 
 
@@ -459,13 +459,13 @@ def test_clear_straight_motion_stays_straight(robot, options):
 def test_straight_motion_in_contact_is_not_taken(robot, options):
     free = replace(options, movable=np.arange(4))
     ball = Sphere(name="ball", center=(1.7 * np.cos(0.5), 1.7 * np.sin(0.5), 1.25), radius=0.05)
-    field, judge = ClearanceField.of(robot, [ball]), CollisionScene(robot, [ball])
+    field, checker = ClearanceField.of(robot, [ball]), CoalScene(robot, [ball])
     start, end = np.array([0.0, 0.4, 0.0, 0.2]), np.array([1.0, 0.4, 0.0, 0.2])
     assert not field.is_clear(np.array([start, end]), MARGIN)
     path = np.array([start, [0.0, 0.9, 0.0, 0.2], [1.0, 0.9, 0.0, 0.2], end])
     found = fast_path(path, field, free)
     samples = samples_of(found)
-    assert min(judge.distances(q).min() for q in samples) > 0.0
+    assert min(checker.distances(q).min() for q in samples) > 0.0
     assert samples[:, 1].max() > 0.42
 
 
@@ -485,11 +485,11 @@ def test_what_the_optimisers_left_out_is_not_touched(robot, options, monkeypatch
     monkeypatch.setattr(postprocess_path, "NEAR", 1e-6)
     monkeypatch.setattr(postprocess_path, "FEW", 0)
     ball = Sphere(name="ball", center=(1.0, 0.0, 1.9), radius=0.15)
-    field, judge = ClearanceField.of(robot, [ball]), CollisionScene(robot, [ball])
+    field, checker = ClearanceField.of(robot, [ball]), CoalScene(robot, [ball])
     path = np.radians([[0, 0, 0, 0], [0, 0, 90, 90], [0, 60, 90, 90], [0, 60, 0, 0]])
     assert field.is_clear(path, 1e-4)
     unseen = field.near(path, 1e-6)
     assert len(unseen.solids) == 0
     assert not fast_path(path, unseen, options).is_clear(field, 1e-6)  # would go straight through the ball
     found = fast_path(path, field, options)
-    assert_kept(robot, judge, found, path[0], path[-1])
+    assert_kept(robot, checker, found, path[0], path[-1])

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hplan.collision.clearance_field import ClearanceField
-from hplan.collision.coal_scene import CollisionScene
+from hplan.collision.coal_scene import CoalScene
 from hplan.scene.model import Sphere
 from hplan.smoothing.spline import STRIDE, SplinePath, first_contact, piece_bounds, piece_is_clear, pieces_are_clear
 
@@ -165,13 +165,13 @@ def test_no_piece_in_contact_is_accepted_and_few_others_refused(robot):
     accepted = refused = 0
     while accepted + refused < 250:
         obstacles = random_obstacles(rng, 3)
-        judge, field = CollisionScene(robot, obstacles), ClearanceField.of(robot, obstacles)
+        checker, field = CoalScene(robot, obstacles), ClearanceField.of(robot, obstacles)
         for _ in range(20):
             piece = rng.uniform(robot.lower, robot.upper) + np.cumsum(rng.uniform(-0.2, 0.2, (4, 4)), axis=0)
             if field.clearance(piece[0]) <= 0.0 or not -0.05 < field.clearance(bezier(piece, [0.5])[0]) < 0.2:
                 continue
             chain = (field.chain, field.base, field.solids, field.data)
-            least = min(judge.distances(q).min() for q in bezier(piece, np.linspace(0.0, 1.0, 200)))
+            least = min(checker.distances(q).min() for q in bezier(piece, np.linspace(0.0, 1.0, 200)))
             bounds = np.empty(3)
             piece_bounds(piece, field.chain, field.base, bounds)
             if piece_is_clear(piece, *chain, margin, 0.0):
@@ -203,10 +203,10 @@ def test_the_piece_in_contact_is_named(robot, scene):
     field = ClearanceField.of(robot, scene.solids)
     control = np.radians(np.column_stack([np.zeros(12), np.linspace(0, 88, 12), np.zeros(12), np.zeros(12)]))
     path = SplinePath.through(control)
-    judge = CollisionScene(robot, scene.solids)
+    checker = CoalScene(robot, scene.solids)
     expected = []
     for low, high in zip(path.breaks[:-1], path.breaks[1:], strict=True):
-        expected.append(min(judge.distances(q).min() for q in path.evaluate(np.linspace(low, high - 1e-12, 300))) < 0)
+        expected.append(min(checker.distances(q).min() for q in path.evaluate(np.linspace(low, high - 1e-12, 300))) < 0)
     found = first_contact(path.pieces, field, 1e-6)
     assert found.tolist() == expected
     assert 0 < sum(expected) < len(expected)

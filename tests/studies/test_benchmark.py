@@ -32,10 +32,10 @@ from studies.benchmark.scenes import APART_DEG, random_scene
 from studies.benchmark.tables import number, to_markdown
 
 import hplan
-from hplan.collision.coal_scene import CollisionScene, base_contacts
+from hplan.collision.coal_scene import CoalScene, base_contacts
 from hplan.errors import InputError, NoPathError
 from hplan.planning.planner import Planner
-from hplan.problem.world import BASE_DEPTH, Surroundings
+from hplan.problem.world import BASE_DEPTH, World
 from hplan.robot.model import Robot
 from hplan.scene.model import Box, Capsule, Scene, Sphere
 from hplan.timing.trajectory import Trajectory
@@ -218,7 +218,7 @@ def test_scenes_with_a_free_base_are_drawn_as_if_it_were_not_looked_at(
     robot: Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     looked = {number: random_scene(robot, 0, number) for number in (0, 1, 2, 3, 101)}
-    monkeypatch.setattr(Surroundings, "check_base", lambda *_: None)
+    monkeypatch.setattr(World, "check_base", lambda *_: None)
     same = [number for number, drawn in looked.items() if random_scene(robot, 0, number).scene == drawn.scene]
     assert same == [0, 1, 2, 3]
 
@@ -236,9 +236,9 @@ def test_moving_scenes_depend_on_seed_and_number_alone(robot: Robot) -> None:
 
 def assert_room(robot: Robot, scene: Scene) -> None:
     """The base stands free, and start and goal have room."""
-    judge = CollisionScene(robot, scene.solids)
+    checker = CoalScene(robot, scene.solids)
     for end in (scene.start, scene.goal):
-        assert judge.distances(end.configuration).min() >= ROOM
+        assert checker.distances(end.configuration).min() >= ROOM
     yaw = robot.yaw_of(scene.start.configuration)
     assert base_contacts(robot, scene.solids, yaw, margin=-BASE_DEPTH) == ()
 
@@ -249,7 +249,7 @@ def test_moves_follow_from_the_motion_and_leave_room(robot: Robot) -> None:
     moves = draw_moves(robot, scene, motion)
     assert draw_moves(robot, scene, motion) == moves
     obstacles = {obstacle.name: obstacle for obstacle in scene.obstacles}
-    judged = {True: [], False: []}  # type: dict[bool, list[float]]
+    certified_as_required = {True: [], False: []}  # type: dict[bool, list[float]]
     for move in moves:
         piece, before = move.piece, obstacles[move.piece.name]
         assert isinstance(before, (Sphere, Capsule))
@@ -258,11 +258,11 @@ def test_moves_follow_from_the_motion_and_leave_room(robot: Robot) -> None:
         assert before.model_copy(update=move.changes) == piece
         assert move.close or SHIFT[0] <= np.linalg.norm(shift[0]) <= SHIFT[1]
         assert_room(robot, scene.with_obstacles([piece]))
-        judge = CollisionScene(robot, [piece])
-        judged[move.close].append(min(float(judge.distances(q).min()) for q in motion[::4]))
-    assert len(judged[True]) >= 20
-    assert max(judged[True]) <= CLOSE
-    assert min(judged[True]) < 0.0 < max(judged[False])
+        checker = CoalScene(robot, [piece])
+        certified_as_required[move.close].append(min(float(checker.distances(q).min()) for q in motion[::4]))
+    assert len(certified_as_required[True]) >= 20
+    assert max(certified_as_required[True]) <= CLOSE
+    assert min(certified_as_required[True]) < 0.0 < max(certified_as_required[False])
 
 
 def draw_moves(robot: Robot, scene: Scene, motion: Any) -> list[Move]:
@@ -360,13 +360,13 @@ def crop(robot: Robot) -> Crop:
 def test_orchard_goals_are_where_straight_approaches_begin(robot: Robot, crop: Crop) -> None:
     """The hand points at the fruit from the stand-off, touching nothing; coal and Pinocchio judge."""
     scene = crop.orchard.scene
-    judge = CollisionScene(robot, scene.solids_with_goal)
+    checker = CoalScene(robot, scene.solids_with_goal)
     centres = {fruit.name: np.array(fruit.center) for fruit in scene.fruits}
     assert len(crop.goals) + sum(crop.without.values()) == len(centres)
     assert set(crop.without) <= {"blocked", "no_approach", "joint_limit", "too_far"}
     assert len(crop.goals) >= 5
     for name, q in crop.goals.items():
-        assert judge.distances(q).min() > 0.0
+        assert checker.distances(q).min() > 0.0
         data = robot.model.createData()
         pin.framesForwardKinematics(robot.model, data, q)
         tool = data.oMf[robot.model.getFrameId("tool0")].translation

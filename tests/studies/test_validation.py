@@ -16,7 +16,7 @@ from script_loader import load_script
 from studies.validation.cspace import CONTACT_TOLERANCE, EXAMPLES, Comparison, Validation, validate_cspace
 from studies.validation.scenes import KINDS
 
-from hplan.collision.coal_scene import CollisionScene, base_contacts
+from hplan.collision.coal_scene import CoalScene, base_contacts
 from hplan.collision.coal_shapes import LINK_SHAPES
 from hplan.cspace.occupancy import joint_grid, occupancy
 from hplan.cspace.sections import SECTION_ERROR, arm_sections
@@ -48,16 +48,16 @@ def scene_of(*obstacles: Sphere | Capsule | Box, clearance: float = 0.0, joints:
     )
 
 
-def by(result: Validation, judge: str, model: str = "capsule") -> Comparison:
-    (found,) = [c for c in result.comparisons if (c.judge, c.link_model) == (judge, model)]
+def by(result: Validation, checker: str, model: str = "capsule") -> Comparison:
+    (found,) = [c for c in result.comparisons if (c.checker, c.link_model) == (checker, model)]
     return found
 
 
 def assert_sound(result: Validation) -> None:
     """No fault, and no more conservatism than sections explain."""
     assert result.ok
-    for judge in ("capsule", "urdf"):
-        comparison = by(result, judge)
+    for checker in ("capsule", "urdf"):
+        comparison = by(result, checker)
         assert comparison.decisive
         assert comparison.faults == 0
         assert comparison.unexplained == 0
@@ -77,8 +77,8 @@ def reference(robot: Robot, scene: Scene) -> Validation:
 def test_no_cell_of_the_reference_scene_differs(reference: Validation) -> None:
     assert reference.nodes == 753_571
     assert reference.shape == (91, 91, 91)
-    for judge in ("capsule", "urdf"):
-        comparison = by(reference, judge)
+    for checker in ("capsule", "urdf"):
+        comparison = by(reference, checker)
         assert comparison.occupied == comparison.judge_occupied == 128_891
         assert comparison.faults == comparison.conservative == comparison.in_contact == 0
         assert comparison.fault_examples == comparison.conservative_examples == ()
@@ -104,7 +104,7 @@ def test_it_takes_seconds(reference: Validation) -> None:
 
 def test_examples_are_the_widest_and_can_be_checked(robot: Robot, scene: Scene, reference: Validation) -> None:
     beams = by(reference, "box")
-    judge = CollisionScene(robot, scene.solids, links="box")
+    checker = CoalScene(robot, scene.solids, links="box")
     assert len(beams.conservative_examples) == EXAMPLES
     distances = [example.distance_m for example in beams.conservative_examples]
     assert distances == sorted(distances, reverse=True)
@@ -112,7 +112,7 @@ def test_examples_are_the_widest_and_can_be_checked(robot: Robot, scene: Scene, 
     grid = joint_grid(robot.arm, np.radians(1.0))
     for example in beams.conservative_examples:
         assert example.joints_rad == (0.0, *grid.coordinates(example.node))
-        nearest = judge.nearest(example.joints_rad)
+        nearest = checker.nearest(example.joints_rad)
         assert nearest is not None
         assert (nearest.link, nearest.obstacle) == (example.link, example.obstacle)
         assert nearest.distance_m == pytest.approx(example.distance_m, abs=1e-12)
@@ -136,9 +136,9 @@ def test_clearance_is_that_of_grown_obstacles(robot: Robot) -> None:
     kept = validate_cspace(robot, scene_of(BESIDE, WIRE, clearance=0.04), step=COARSE)
     grown = [obstacle.model_copy(update={"radius": obstacle.radius + 0.04}) for obstacle in (BESIDE, WIRE)]
     touched = validate_cspace(robot, scene_of(*grown), step=COARSE)
-    for judge in LINK_SHAPES:
-        assert by(kept, judge).judge_occupied == by(touched, judge).judge_occupied
-        assert by(kept, judge).occupied == by(touched, judge).occupied
+    for checker in LINK_SHAPES:
+        assert by(kept, checker).judge_occupied == by(touched, checker).judge_occupied
+        assert by(kept, checker).occupied == by(touched, checker).occupied
     assert by(kept, "capsule").faults == by(kept, "capsule").conservative == 0
 
 
@@ -244,13 +244,13 @@ def test_a_forgotten_clearance_is_caught(robot: Robot, scene: Scene) -> None:
 def test_cells_in_contact_are_counted_apart(robot: Robot) -> None:
     # The ball lies on the upper arm at shoulder 0: distance zero up to rounding, whatever the other joints do.
     on_top = scene_of(Sphere(name="ball", center=(0.5, 0.0, 0.6 + 0.05 + 0.15), radius=0.15))
-    assert abs(CollisionScene(robot, on_top.solids).distances(np.zeros(4)).min()) < CONTACT_TOLERANCE
+    assert abs(CoalScene(robot, on_top.solids).distances(np.zeros(4)).min()) < CONTACT_TOLERANCE
     space = space_of(robot, on_top)
     layer = space.grid.shape[1] * space.grid.shape[2]
     counts = []
     for touching in (False, True):
         mask = space.occupied.copy()
-        elsewhere = mask[0] & (CollisionScene(robot, on_top.solids).distances(np.zeros(4))[0, 0] < -1.0)
+        elsewhere = mask[0] & (CoalScene(robot, on_top.solids).distances(np.zeros(4))[0, 0] < -1.0)
         mask[0] = elsewhere | touching
         comparison = by(validate_cspace(robot, on_top, space=Occupancy.from_mask(space.grid, mask)), "capsule")
         counts.append((comparison.faults, comparison.conservative, comparison.in_contact))
@@ -279,7 +279,7 @@ def test_beams_are_where_the_links_are(robot: Robot) -> None:
         q = rng.uniform(robot.lower, robot.upper)
         centre, radius = rng.uniform([-1.5, -1.5, 0.0], [1.5, 1.5, 2.0]), 0.05
         ball = Sphere(name="ball", center=tuple(centre), radius=radius)
-        found = CollisionScene(robot, (ball,), links="box").distances(q)[:, 0]
+        found = CoalScene(robot, (ball,), links="box").distances(q)[:, 0]
         origin, axes = robot.plane_at(q[0])
         points = robot.arm.joint_points(q[1:])
         for k in range(robot.arm.link_count):
@@ -294,11 +294,11 @@ def test_beams_are_where_the_links_are(robot: Robot) -> None:
 
 @pytest.mark.parametrize("links", LINK_SHAPES)
 def test_margin_of_the_compiled_call_is_the_distance(robot: Robot, links: Any) -> None:
-    judge = CollisionScene(robot, (BESIDE, BRANCH, CRATE), links=links)
+    checker = CoalScene(robot, (BESIDE, BRANCH, CRATE), links=links)
     q = np.random.default_rng(1).uniform(robot.lower, robot.upper, (300, 4)) * [0.1, 1.0, 1.0, 1.0]
-    distances = np.array([judge.distances(row).min() for row in q])
+    distances = np.array([checker.distances(row).min() for row in q])
     for margin in (0.0, 0.03, -0.02):
-        assert (judge.in_collision(q, margin=margin) == (distances <= margin)).all()
+        assert (checker.in_collision(q, margin=margin) == (distances <= margin)).all()
 
 
 def test_deep_collisions_are_not_missed(robot: Robot) -> None:
@@ -310,9 +310,9 @@ def test_deep_collisions_are_not_missed(robot: Robot) -> None:
     missed = []
     for links in LINK_SHAPES:
         for box in boxes:
-            judge = CollisionScene(robot, (box,), links=links)
-            assert judge.distances(np.zeros(4)).min() < -0.01
-            if not judge.in_collision(np.zeros((1, 4)))[0]:
+            checker = CoalScene(robot, (box,), links=links)
+            assert checker.distances(np.zeros(4)).min() < -0.01
+            if not checker.in_collision(np.zeros((1, 4)))[0]:
                 missed.append((links, box.center))
     assert missed == []
 
@@ -320,7 +320,7 @@ def test_deep_collisions_are_not_missed(robot: Robot) -> None:
 def test_distances_are_by_link_whatever_its_shapes(robot: Robot, scene: Scene) -> None:
     # The harvester's URDF has three shapes for each link, which make up its capsule.
     q = np.radians([0.0, 40.0, 30.0, 20.0])
-    shapes = {links: CollisionScene(robot, scene.solids, links=links).distances(q) for links in LINK_SHAPES}
+    shapes = {links: CoalScene(robot, scene.solids, links=links).distances(q) for links in LINK_SHAPES}
     assert shapes["urdf"].shape == shapes["capsule"].shape == (3, 1)
     np.testing.assert_allclose(shapes["urdf"], shapes["capsule"], atol=1e-9)
 
@@ -336,7 +336,7 @@ def test_meshes_are_solid(tmp_path: Path, robot: Robot) -> None:
     (tmp_path / "hand.stl").write_text(box_stl((0.0, -0.03, -0.03), (0.4, 0.03, 0.03)))
     meshed = load_robot(path)
     inside = Sphere(name="seed", center=(2.0, 0.0, 0.6), radius=0.005)
-    assert CollisionScene(meshed, (inside,), links="urdf").in_collision(np.zeros((1, 4)))[0]
+    assert CoalScene(meshed, (inside,), links="urdf").in_collision(np.zeros((1, 4)))[0]
     result = validate_cspace(meshed, scene_of(BESIDE), step=COARSE)
     assert result.ok
     assert by(result, "capsule").conservative == 0
@@ -364,7 +364,7 @@ def test_bad_input(robot: Robot, scene: Scene) -> None:
     with pytest.raises(OptionError, match="judges"):
         validate_cspace(robot, scene, judges=())
     with pytest.raises(OptionError, match="links"):
-        CollisionScene(robot, scene.solids, links="sphere")  # type: ignore[arg-type]
+        CoalScene(robot, scene.solids, links="sphere")  # type: ignore[arg-type]
     for step in (0.0, -1.0, float("nan")):
         with pytest.raises(OptionError, match="step"):
             validate_cspace(robot, scene, step=step)

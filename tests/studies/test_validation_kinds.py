@@ -23,11 +23,11 @@ from studies.validation.kinds import (
 )
 from studies.validation.scenes import KINDS, Kind, random_scene
 
-from hplan.base.report import write_report
 from hplan.collision.clearance_field import ClearanceField
 from hplan.cspace.occupancy import occupancy
 from hplan.cspace.sections import bodies_of, sections_at
 from hplan.errors import OptionError
+from hplan.planning.report import write_report
 from hplan.robot.model import Robot
 from hplan.scene.model import Mesh, PointCloud
 from hplan.scene.solids import Cloud
@@ -81,17 +81,17 @@ def test_nothing_in_contact_is_free(robot: Robot, kind: Kind) -> None:
     for number in range(3):
         made = random_scene(robot, kind, number)
         rng = np.random.default_rng(number)
-        judge = _Judge(robot, made.scene)
+        checker = _Judge(robot, made.scene)
         bodies = bodies_of(made.scene.solids, clearance=made.scene.clearance)
         field = ClearanceField.of(robot, made.scene.solids, clearance=made.scene.clearance)
         ends = rng.uniform(robot.lower, robot.upper, (2, 300, robot.dof))
         ends[:, :, 0] = rng.uniform(*made.sector, 300)
-        hit = np.array([judge.collides(q, -tolerance) for q in ends])
+        hit = np.array([checker.collides(q, -tolerance) for q in ends])
         free = np.where(hit[0, :, None], ends[1], ends[0])[hit[0] != hit[1]]
         touching = np.where(hit[0, :, None], ends[0], ends[1])[hit[0] != hit[1]]
         for _ in range(34):
             middle = 0.5 * (free + touching)
-            inside = judge.collides(middle, -tolerance)[:, None]
+            inside = checker.collides(middle, -tolerance)[:, None]
             free, touching = np.where(inside, free, middle), np.where(inside, middle, touching)
         looked_at += len(touching)
         for q in touching:

@@ -13,7 +13,7 @@ import pytest
 import studies.validation.motions as validation
 import trimesh
 from script_loader import load_script
-from studies.validation.judge import Bodies, between_rows, read_rows, solids_of
+from studies.validation.checker import PlacedBodies, between_rows, read_rows, solids_of
 from studies.validation.members import write_member, write_stl
 from studies.validation.motions import Tally, validate_motions
 
@@ -88,7 +88,7 @@ def test_deep_contact_is_found(robot: Robot, tmp_path: Path) -> None:
     """A link wholly inside a box: coal's own default request does not see it."""
     q = np.array([0.0, 0.5, 0.5, 0.5])
     box = {"name": "o", "kind": "box", "center": [0.0, 0.0, 0.6], "size": [8.0, 8.0, 8.0]}
-    bodies = Bodies(robot.urdf_path, scene_file(tmp_path, q, q, box))
+    bodies = PlacedBodies(robot.urdf_path, scene_file(tmp_path, q, q, box))
     for body in range(bodies.count):
         touch = bodies.first_touch(np.zeros(1), q[None], [(body, bodies.count)])
         assert touch is not None
@@ -117,7 +117,7 @@ def test_only_joined_pairs_and_those_that_always_touch_are_left_out(tmp_path: Pa
     for seed in range(4):
         rng = np.random.default_rng(seed)
         robot = load_robot(write_member(tmp_path, rng))
-        bodies = Bodies(robot.urdf_path)
+        bodies = PlacedBodies(robot.urdf_path)
         kept, shapes, frames = bodies.own_pairs(rng), bodies.geometry.geometryObjects, bodies.model.frames
         for a in range(bodies.count):
             for b in range(a + 1, bodies.count):

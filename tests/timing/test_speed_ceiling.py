@@ -147,8 +147,10 @@ def test_approach_between_twigs(robot: Robot) -> None:
     scene = picking()
     plain, careful = (plan(robot, scene, PlanOptions(tracking_delay_s=delay)) for delay in (0.0, DELAY))
     assert careful.certificate.verified
-    judge = plain.motion.task.around.touching("apple").judge
-    assert not certify(robot, scene, plain.trajectory, tracking_delay_s=DELAY, judge=judge, check_ends=False).verified
+    checker = plain.motion.task.around.touching("apple").checker
+    assert not certify(
+        robot, scene, plain.trajectory, tracking_delay_s=DELAY, checker=checker, check_ends=False
+    ).verified
     assert plain.trajectory.duration < careful.trajectory.duration < 2.0 * plain.trajectory.duration
 
 

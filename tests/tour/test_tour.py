@@ -15,7 +15,7 @@ import pytest
 from script_loader import load_script
 
 from hplan.base import ties
-from hplan.collision.coal_scene import CollisionScene
+from hplan.collision.coal_scene import CoalScene
 from hplan.errors import (
     BlockedError,
     ConfigurationInCollisionError,
@@ -110,9 +110,9 @@ def assert_sound(robot: Robot, scene: Scene, result: TourResult) -> None:
     )
     for row in range(0, motion.samples, 3):
         here = [ball for ball in scene.solids_with_goal if result.picked.get(ball.name, math.inf) > motion.time[row]]
-        judge = CollisionScene(robot, here)
-        distances = judge.distances(motion.position[row])
-        for column, name in enumerate(judge.obstacle_names):
+        checker = CoalScene(robot, here)
+        distances = checker.distances(motion.position[row])
+        for column, name in enumerate(checker.obstacle_names):
             begin, end = contact.get(name, (math.inf, -math.inf))
             touching = begin - 1e-9 <= motion.time[row] <= end
             assert distances[: -1 if touching else None, column].min() > 0.0, (name, motion.time[row])
@@ -223,9 +223,9 @@ def test_what_is_carried_is_clear_as_well(robot: Robot, scene: Scene, carried: T
         inside = (motion.time >= carried.picked[name]) & (motion.time <= carried.dropped[name])
         for row in np.flatnonzero(inside)[::4]:
             solids = [s for s in scene.solids_with_goal if carried.picked.get(s.name, math.inf) > motion.time[row]]
-            judge = CollisionScene(thick, solids)
-            distances = judge.distances(motion.position[row])
-            for column, other in enumerate(judge.obstacle_names):
+            checker = CoalScene(thick, solids)
+            distances = checker.distances(motion.position[row])
+            for column, other in enumerate(checker.obstacle_names):
                 begin, end = contact.get(other, (math.inf, -math.inf))
                 touching = begin - 1e-9 <= motion.time[row] <= end
                 assert distances[: -1 if touching else None, column].min() > 0.0

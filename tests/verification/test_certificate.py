@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from hplan.collision.coal_scene import CollisionScene
+from hplan.collision.coal_scene import CoalScene
 from hplan.errors import InputError, OptionError
 from hplan.scene.model import Box, Capsule, Sphere
 from hplan.timing.trajectory import Trajectory, read_csv, write_csv
@@ -61,8 +61,8 @@ def interpolated(trajectory, step=FINE):
     )
 
 
-def sampled_clearance(judge, trajectory, step=FINE):
-    return min(judge.distances(q).min() for q in interpolated(trajectory, step))
+def sampled_clearance(checker, trajectory, step=FINE):
+    return min(checker.distances(q).min() for q in interpolated(trajectory, step))
 
 
 def swing(robot, start, end, duration, count):
@@ -95,10 +95,10 @@ def test_motion_through_the_obstacle_is_refused(robot, scene):
 def test_graze_between_rows_is_refused(robot, scene):
     trajectory = swing(robot, 0.301, 0.901, 0.6, 101)
     scene = scene.with_obstacles([grazed_ball(1e-4, 0.604)])
-    judge = CollisionScene(robot, scene.solids)
-    at_rows = min(judge.distances(q).min() for q in trajectory.position)
+    checker = CoalScene(robot, scene.solids)
+    at_rows = min(checker.distances(q).min() for q in trajectory.position)
     assert at_rows > 1e-4
-    assert sampled_clearance(judge, trajectory) == pytest.approx(-1e-4, abs=1e-6)
+    assert sampled_clearance(checker, trajectory) == pytest.approx(-1e-4, abs=1e-6)
     certificate = certify(robot, scene, trajectory)
     assert not certificate.verified
     assert certificate.nearest.obstacle == "bead"
@@ -124,8 +124,8 @@ def test_scene_clearance_is_asked_for(robot, scene):
 
 def test_contact_at_an_end_is_refused(robot, scene):
     inside = np.radians([0, 52, 0, 0])
-    judge = CollisionScene(robot, scene.solids)
-    depth = judge.distances(inside).min()
+    checker = CoalScene(robot, scene.solids)
+    depth = checker.distances(inside).min()
     assert depth < -1e-3
     resting = rows(robot, [0.0], [inside], np.zeros((1, 4)))
     certificate = certify(robot, scene, resting)
@@ -157,15 +157,15 @@ def test_random_motions_are_judged_as_dense_sampling_judges_them(robot, scene):
     rng = np.random.default_rng(3)
     shown = refused = 0
     while shown + refused < 60:
-        around = scene.with_obstacles(random_obstacles(rng))
-        judge = CollisionScene(robot, around.solids)
+        world = scene.with_obstacles(random_obstacles(rng))
+        checker = CoalScene(robot, world.solids)
         start, end = rng.uniform(robot.lower, robot.upper, (2, 4))
         start[0], end[0] = rng.uniform(-0.5, 1.0, 2)
-        if judge.distances(start).min() <= 1e-3:
+        if checker.distances(start).min() <= 1e-3:
             continue
         trajectory = quintic(robot, start, end, 0.4)  # so fast that limits are broken; only clearance is judged here
-        certificate = certify(robot, around, trajectory, judge=judge)
-        sampled = sampled_clearance(judge, trajectory)
+        certificate = certify(robot, world, trajectory, checker=checker)
+        sampled = sampled_clearance(checker, trajectory)
         if any(violation.startswith("link") for violation in certificate.violations):
             refused += 1
             assert sampled < 1e-4
@@ -177,7 +177,7 @@ def test_random_motions_are_judged_as_dense_sampling_judges_them(robot, scene):
     assert min(shown, refused) >= 10
 
 
-class AskedJudge(CollisionScene):
+class AskedJudge(CoalScene):
     """Writes down which pair is asked where, and what the answer is."""
 
     def pair_distances(self, q):
@@ -203,28 +203,28 @@ def test_pairs_that_are_not_asked_keep_what_is_shown(robot, scene, links):
     shown = 0
     while shown < 6:
         obstacles = [o.model_copy(update={"name": f"{k}{o.name}"}) for k in range(7) for o in random_obstacles(rng)]
-        around = scene.with_obstacles(obstacles)
-        judge = AskedJudge(robot, around.solids, links=links)
+        world = scene.with_obstacles(obstacles)
+        checker = AskedJudge(robot, world.solids, links=links)
         start = rng.uniform(robot.lower, robot.upper)
         trajectory = quintic(robot, start, start + rng.uniform(-0.3, 0.3, 4), 0.5)
-        certificate = certify(robot, around, trajectory, judge=judge)
+        certificate = certify(robot, world, trajectory, checker=checker)
         if any(violation.startswith("link") for violation in certificate.violations):
             continue
         shown += 1
-        assert certificate.min_clearance_m <= sampled_clearance(judge, trajectory, 5e-4) + 1e-9
-        assert certificate.checks == len(judge.asked)
-        answers = [answer for _, answers in judge.asked for answer in answers.values()]
+        assert certificate.min_clearance_m <= sampled_clearance(checker, trajectory, 5e-4) + 1e-9
+        assert certificate.checks == len(checker.asked)
+        answers = [answer for _, answers in checker.asked for answer in answers.values()]
         assert certificate.nearest.distance_m == min(answers)
         # A sound proof takes half of the smallest answer, less what coal may be over; more is not left of what was
         # never asked for.
-        errors = judge.distance_errors
-        least = min(answer - errors[pair] for _, found in judge.asked for pair, answer in found.items())
+        errors = checker.distance_errors
+        least = min(answer - errors[pair] for _, found in checker.asked for pair, answer in found.items())
         assert certificate.min_clearance_m == pytest.approx(0.5 * least)
-        assert len(answers) < 0.7 * len(judge.asked) * len(judge.pairs)
-        for q, answers in judge.asked[::5]:
-            table = judge.distances(q)
+        assert len(answers) < 0.7 * len(checker.asked) * len(checker.pairs)
+        for q, answers in checker.asked[::5]:
+            table = checker.distances(q)
             for pair, answer in answers.items():
-                link, obstacle = judge.pairs[pair]
+                link, obstacle = checker.pairs[pair]
                 assert answer >= table[link, obstacle] - 1e-5  # where coal iterates, from another start
 
 
@@ -232,39 +232,39 @@ def test_refused_motion_reports_the_smallest_distance_at_the_rows_that_follow(ro
     rng = np.random.default_rng(13)
     refused = 0
     while refused < 12:
-        around = scene.with_obstacles(random_obstacles(rng))
-        judge = CollisionScene(robot, around.solids)
+        world = scene.with_obstacles(random_obstacles(rng))
+        checker = CoalScene(robot, world.solids)
         start, end = rng.uniform(robot.lower, robot.upper, (2, 4))
         trajectory = quintic(robot, start, end, 0.4)
-        depths = np.array([judge.distances(q).min() for q in trajectory.position])
+        depths = np.array([checker.distances(q).min() for q in trajectory.position])
         if depths[0] <= 1e-3 or depths.min() > -1e-3:
             continue
         refused += 1
-        certificate = certify(robot, around, trajectory, judge=judge)
+        certificate = certify(robot, world, trajectory, checker=checker)
         assert not certificate.verified
         assert certificate.min_clearance_m == pytest.approx(depths.min(), abs=1e-9)
         assert certificate.nearest.distance_m == pytest.approx(depths.min(), abs=1e-9)
-        wide = certify(robot, around, trajectory, judge=judge, tracking_error=0.01)
-        after = [(judge.distances(q) - robot.sway(0.01)[:, None]).min() for q in trajectory.position]
+        wide = certify(robot, world, trajectory, checker=checker, tracking_error=0.01)
+        after = [(checker.distances(q) - robot.sway(0.01)[:, None]).min() for q in trajectory.position]
         assert wide.min_clearance_m == pytest.approx(min(after), abs=1e-9)
 
 
 def test_no_more_is_certified_than_what_is_left_when_the_motion_ends_before_the_next_look(robot, scene):
     """The stretched arm turns straight towards a ball, as fast as can be bounded, and stops at some distance."""
     ball = Sphere(name="far", center=(0.0, 2.0, 0.6), radius=0.05)
-    around = scene.with_obstacles([ball])
-    judge = CollisionScene(robot, around.solids)
+    world = scene.with_obstacles([ball])
+    checker = CoalScene(robot, world.solids)
     for end in np.arange(0.1, 1.35, 0.05).tolist():
         trajectory = quintic(robot, np.zeros(4), np.array([end, 0.0, 0.0, 0.0]), 4.0)
-        certificate = certify(robot, around, trajectory)
+        certificate = certify(robot, world, trajectory)
         assert certificate.verified
-        true = judge.distances(trajectory.position[-1]).min()
+        true = checker.distances(trajectory.position[-1]).min()
         assert 0.25 * true < certificate.min_clearance_m <= true
 
 
 def test_links_that_are_no_capsules_are_bounded_off_their_axes(robot, scene):
     """Corners of beams against the bound of their travel, joint by joint; that of the axes alone is not enough."""
-    beams = CollisionScene(robot, scene.solids, links="box")
+    beams = CoalScene(robot, scene.solids, links="box")
     data, step, beyond = robot.model.createData(), 1e-3, []
 
     def corners(q, shape):
@@ -288,9 +288,9 @@ def test_links_that_are_no_capsules_are_bounded_off_their_axes(robot, scene):
     trajectory = quintic(robot, start, start + np.array([0.1, 0.2, 0.2, 0.2]), 0.4)
     travels = []
     for links in ("box", "capsule"):
-        judge = CollisionScene(robot, scene.solids, links=links)
+        checker = CoalScene(robot, scene.solids, links=links)
         bezier, _ = cubic_pieces(trajectory)
-        search = clearance_proof._Advancement(robot, bezier, judge, np.full((1, 4), 0.01), 0.0)
+        search = clearance_proof._Advancement(robot, bezier, checker, np.full((1, 4), 0.01), 0.0)
         travels.append((search._travel[:3, -1], search._sway[:3, 0]))
     for more, less in zip(*travels, strict=True):
         assert (more > less + 1e-3).all()
@@ -301,14 +301,14 @@ def test_pair_that_may_touch_is_as_good_as_not_there(robot, scene):
     inside = Sphere(name="inside", center=(2.0, 0.0, 0.6), radius=0.1)
     trajectory = quintic(robot, np.zeros(4), np.array([0.0, 0.1, 0.0, 0.0]))
     alone = scene.with_obstacles([inside])
-    refused = certify(robot, alone, trajectory, judge=CollisionScene(robot, alone.solids))
+    refused = certify(robot, alone, trajectory, checker=CoalScene(robot, alone.solids))
     assert not refused.verified
-    shown = certify(robot, alone, trajectory, judge=CollisionScene(robot, alone.solids).touching("inside"))
+    shown = certify(robot, alone, trajectory, checker=CoalScene(robot, alone.solids).touching("inside"))
     assert shown.verified
     assert 0.0 < shown.min_clearance_m < np.inf
     assert shown.nearest.link != refused.nearest.link
     other = scene.with_obstacles([apart])
-    assert certify(robot, other, trajectory, judge=CollisionScene(robot, other.solids).touching("apart")).verified
+    assert certify(robot, other, trajectory, checker=CoalScene(robot, other.solids).touching("apart")).verified
 
 
 def test_place_reached_by_a_travel():
@@ -413,17 +413,17 @@ def test_limits_are_exact_for_random_rows(robot, scene):
 
 def test_tracking_error_covers_every_deviation(robot, scene):
     rng = np.random.default_rng(7)
-    around = scene.with_obstacles([Sphere(name="near", center=(1.9, 0.35, 1.3), radius=0.1)])
-    judge = CollisionScene(robot, around.solids)
+    world = scene.with_obstacles([Sphere(name="near", center=(1.9, 0.35, 1.3), radius=0.1)])
+    checker = CoalScene(robot, world.solids)
     trajectory = quintic(robot, np.radians([-20, 5, 5, 5]), np.radians([-5, 30, 15, 10]), 3.0)
     error = 0.01
-    exact = certify(robot, around, trajectory)
-    certificate = certify(robot, around, trajectory, tracking_error=error)
+    exact = certify(robot, world, trajectory)
+    certificate = certify(robot, world, trajectory, tracking_error=error)
     assert certificate.verified
     assert certificate.min_clearance_m < exact.min_clearance_m - 0.01
     for q in trajectory.position[::5]:
         for deviation in rng.choice([-error, error], (20, 4)):
-            assert judge.distances(q + deviation).min() > certificate.min_clearance_m
+            assert checker.distances(q + deviation).min() > certificate.min_clearance_m
 
 
 def test_tracking_error_can_refuse(robot, scene):
@@ -431,9 +431,9 @@ def test_tracking_error_can_refuse(robot, scene):
     # Away from their lower limits, where the elbow and the wrist would be refused for their position.
     position = trajectory.position + np.array([0.0, 0.0, 0.05, 0.05])
     trajectory = rows(robot, trajectory.time, position, trajectory.velocity)
-    around = scene.with_obstacles([grazed_ball(-0.02, 0.7)])
-    assert certify(robot, around, trajectory).verified
-    refused = certify(robot, around, trajectory, tracking_error=0.03)
+    world = scene.with_obstacles([grazed_ball(-0.02, 0.7)])
+    assert certify(robot, world, trajectory).verified
+    refused = certify(robot, world, trajectory, tracking_error=0.03)
     assert not refused.verified
     assert "bead" in refused.violations[0]
 
@@ -474,9 +474,9 @@ def test_velocity_column_that_leads_into_the_obstacle(robot, scene):
     velocity = np.array([[0, 1.0, 0, 0], [0, -1.0, 0, 0]])
     trajectory = rows(robot, [0.0, 1.0], position, velocity)  # rises by 0.25 rad half-way
     tip = np.array([2.19 * np.cos(0.75), 0.0, 0.6 + 2.19 * np.sin(0.75)])
-    around = scene.with_obstacles([Sphere(name="above", center=tuple(tip), radius=0.05)])
-    assert CollisionScene(robot, around.solids).distances(position[0]).min() > 0.3
-    certificate = certify(robot, around, trajectory)
+    world = scene.with_obstacles([Sphere(name="above", center=tuple(tip), radius=0.05)])
+    assert CoalScene(robot, world.solids).distances(position[0]).min() > 0.3
+    certificate = certify(robot, world, trajectory)
     assert not certificate.verified
     assert any("above" in violation for violation in certificate.violations)
 
@@ -491,7 +491,7 @@ def test_other_joints_are_refused(robot, scene):
 def test_single_row(robot, scene):
     certificate = certify(robot, scene, rows(robot, [0.0], np.zeros((1, 4)), np.zeros((1, 4))))
     assert certificate.verified
-    expected = CollisionScene(robot, scene.solids).distances(np.zeros(4)).min()
+    expected = CoalScene(robot, scene.solids).distances(np.zeros(4)).min()
     assert 0.4 * expected < certificate.min_clearance_m <= expected + 1e-12
     assert certificate.limit_use.velocity == 0.0
 
@@ -503,7 +503,7 @@ def test_no_more_is_shown_than_there_is_where_few_looks_do(robot, scene, turn_de
     ball = scene.with_obstacles([Sphere(name="ball", center=tuple(tip.tolist()), radius=0.05)])
     motion = quintic(robot, np.zeros(4), np.radians([turn_deg, 0.0, 0.0, 0.0]))
     certificate = certify(robot, ball, motion)
-    least = CollisionScene(robot, ball.solids).distances(motion.position[-1]).min()
+    least = CoalScene(robot, ball.solids).distances(motion.position[-1]).min()
     assert 0.4 * least < certificate.min_clearance_m <= least + 1e-9
 
 

@@ -13,7 +13,7 @@ import pytest
 from script_loader import load_script
 from shapes import ball, torus
 
-from hplan.collision.coal_scene import CollisionScene
+from hplan.collision.coal_scene import CoalScene
 from hplan.errors import ConfigurationInCollisionError, HplanError, InputError, NoPathError, RobotFileError
 from hplan.planning.plan import PlanResult, plan
 from hplan.robot.model import Robot, load_robot
@@ -21,7 +21,7 @@ from hplan.robot_family.members import ArmSpec, write_robot
 from hplan.scene.model import Box, Capsule, Goal, Mesh, PointCloud, Scene, Sphere, Start
 from hplan.timing.trajectory import Trajectory, write_csv
 from hplan.verification import simulation as execution
-from hplan.verification.recorded_motion import Motion, read_motion
+from hplan.verification.recorded_motion import RecordedMotion, read_motion
 from hplan.verification.simulation import HOLD, Execution, execute
 
 needs_mujoco = pytest.mark.skipif(
@@ -41,14 +41,14 @@ def csv_file(planned: PlanResult, tmp_path_factory: pytest.TempPathFactory) -> P
     return write_csv(planned.trajectory, tmp_path_factory.mktemp("motion") / "trajectory.csv")
 
 
-def straight(robot: Robot, scene: Scene, duration: float, rows: int = 201) -> Motion:
+def straight(robot: Robot, scene: Scene, duration: float, rows: int = 201) -> RecordedMotion:
     """From start to goal in a straight line, with a smooth start and end."""
     start, goal = scene.start.joints(), scene.goal.joints()
     assert start is not None
     assert goal is not None
     u = np.linspace(0.0, 1.0, rows)
     share, rate = u**3 * (10 - 15 * u + 6 * u**2), 30 * u**2 * (1 - u) ** 2 / duration
-    return Motion(
+    return RecordedMotion(
         robot.joint_names,
         u * duration,
         start + share[:, None] * (goal - start),
@@ -56,8 +56,10 @@ def straight(robot: Robot, scene: Scene, duration: float, rows: int = 201) -> Mo
     )
 
 
-def faster(trajectory: Trajectory, factor: float) -> Motion:
-    return Motion(trajectory.joint_names, trajectory.time / factor, trajectory.position, trajectory.velocity * factor)
+def faster(trajectory: Trajectory, factor: float) -> RecordedMotion:
+    return RecordedMotion(
+        trajectory.joint_names, trajectory.time / factor, trajectory.position, trajectory.velocity * factor
+    )
 
 
 def off_deg(result: Execution) -> float:
@@ -143,10 +145,10 @@ def test_straight_through_the_obstacle(robot: Robot, scene: Scene) -> None:
     touch = result.contacts[0]
     assert touch.obstacle == "ball"
     assert touch.depth_m > 0.0
-    judge = CollisionScene(robot, scene.solids)
-    first = int(np.argmax(judge.in_collision(motion.position)))
+    checker = CoalScene(robot, scene.solids)
+    first = int(np.argmax(checker.in_collision(motion.position)))
     assert touch.time_s == pytest.approx(motion.time[first], abs=0.03)
-    nearest = judge.nearest(motion.position[first])
+    nearest = checker.nearest(motion.position[first])
     assert nearest is not None
     assert touch.link == nearest.link
 
@@ -183,12 +185,12 @@ def test_too_fast_for_the_motors(robot: Robot, scene: Scene, planned: PlanResult
 def test_ending_elsewhere_or_moving(robot: Robot, scene: Scene) -> None:
     free = scene.with_obstacles(())
     motion = straight(robot, free, 3.0)
-    short = Motion(motion.joint_names, motion.time[:150], motion.position[:150], motion.velocity[:150])
+    short = RecordedMotion(motion.joint_names, motion.time[:150], motion.position[:150], motion.velocity[:150])
     assert not execute(robot, free, short).ended_at_goal
     # It reaches the goal with speed, and so does not stay there.
     speed = np.array([0.0, 0.0, 0.0, 1.0])
     goal = motion.position[-1]
-    rushing = Motion(
+    rushing = RecordedMotion(
         motion.joint_names, np.array([0.0, 0.5]), np.stack([goal - 0.5 * speed, goal]), np.stack([speed, speed])
     )
     result = execute(robot, free, rushing)
@@ -196,7 +198,7 @@ def test_ending_elsewhere_or_moving(robot: Robot, scene: Scene) -> None:
     assert result.start_error_rad > 0.1
     # Without goal joints, the last row is the goal.
     elsewhere = free.model_copy(update={"goal": Goal(position=(1.0, 0.0, 1.0))})
-    resting = Motion.from_positions(motion.joint_names, np.array([0.0, 3.0]), motion.position[[0, 100]])
+    resting = RecordedMotion.from_positions(motion.joint_names, np.array([0.0, 3.0]), motion.position[[0, 100]])
     assert execute(robot, elsewhere, resting).ended_at_goal
 
 
@@ -215,20 +217,20 @@ def test_ending_elsewhere_or_moving(robot: Robot, scene: Scene) -> None:
 def test_contacts_of_mujoco_are_those_of_coal(robot: Robot, obstacle: Any) -> None:
     """The same obstacle at the same place for both: configurations near its surface."""
     scene = Scene(name="one", start=Start(joints_deg=(0,) * 4), goal=Goal(joints_deg=(0,) * 4), obstacles=(obstacle,))
-    judge = CollisionScene(robot, scene.solids)
+    checker = CoalScene(robot, scene.solids)
     rng = np.random.default_rng(3)
     seen = set()
     for _ in range(400):
         q = rng.uniform([-0.3, 0.0, 0.0, 0.0], [0.3, 0.4, 0.4, 0.4])
-        distances = judge.distances(q).min(axis=1)
+        distances = checker.distances(q).min(axis=1)
         if np.abs(distances).min() < 1e-4 or (len(seen) == 2 and rng.random() > 0.1):
             continue
-        still = Motion(robot.joint_names, np.zeros(1), q[None], np.zeros((1, 4)))
+        still = RecordedMotion(robot.joint_names, np.zeros(1), q[None], np.zeros((1, 4)))
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(execution, "HOLD", 0.0)
             result = execute(robot, scene, still)
         touched = {touch.link for touch in result.contacts}
-        assert touched == {name for name, d in zip(judge.link_names, distances, strict=True) if d < 0.0}
+        assert touched == {name for name, d in zip(checker.link_names, distances, strict=True) if d < 0.0}
         seen.add(bool(touched))
     assert seen == {True, False}
 
@@ -240,12 +242,12 @@ def test_a_grown_hull_is_held(robot: Robot) -> None:
     (hull,) = mesh.solids
     assert hull.rounding > 1e-3
     scene = Scene(name="one", start=Start(joints_deg=(0,) * 4), goal=Goal(joints_deg=(0,) * 4), obstacles=(mesh,))
-    judge = CollisionScene(robot, scene.solids)
+    checker = CoalScene(robot, scene.solids)
     up = np.linspace(0.0, 0.5, 60)
-    deep = [judge.distances(np.array([0.0, angle, 0.0, 0.0])).min() for angle in up]
+    deep = [checker.distances(np.array([0.0, angle, 0.0, 0.0])).min() for angle in up]
     first = int(np.argmax(np.array(deep) < 0.0))
     for index, expected in ((first, True), (int(np.argmax(np.array(deep) < 1.3 * hull.rounding)) - 1, False)):
-        still = Motion(robot.joint_names, np.zeros(1), np.array([[0.0, up[index], 0.0, 0.0]]), np.zeros((1, 4)))
+        still = RecordedMotion(robot.joint_names, np.zeros(1), np.array([[0.0, up[index], 0.0, 0.0]]), np.zeros((1, 4)))
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(execution, "HOLD", 0.0)
             assert bool(execute(robot, scene, still).contacts) is expected
@@ -279,7 +281,7 @@ def test_other_robots_and_the_order_of_joints(tmp_path: Path) -> None:
     motion = straight(robot, scene, 2.0)
     result = execute(robot, scene, motion)
     assert {touch.obstacle for touch in result.contacts} == {"wire"}
-    turned = Motion(motion.joint_names[::-1], motion.time, motion.position[:, ::-1], motion.velocity[:, ::-1])
+    turned = RecordedMotion(motion.joint_names[::-1], motion.time, motion.position[:, ::-1], motion.velocity[:, ::-1])
     np.testing.assert_array_equal(execute(robot, scene, turned).position, result.position)
     free = scene.with_obstacles(())
     assert execute(robot, free, turned).ok
@@ -287,7 +289,7 @@ def test_other_robots_and_the_order_of_joints(tmp_path: Path) -> None:
 
 @needs_mujoco
 def test_the_turret_counts_and_the_pedestal_does_not_move(robot: Robot) -> None:
-    still = Motion(robot.joint_names, np.zeros(1), np.zeros((1, 4)), np.zeros((1, 4)))
+    still = RecordedMotion(robot.joint_names, np.zeros(1), np.zeros((1, 4)), np.zeros((1, 4)))
     for height, links in ((0.5, ["turret"]), (0.1, [])):
         nut = Sphere(name="nut", center=(0.0, 0.15, height), radius=0.05)
         scene = Scene(name="nut", start=Start(joints_deg=(0,) * 4), goal=Goal(joints_deg=(0,) * 4), obstacles=(nut,))
@@ -306,7 +308,7 @@ def test_the_reference_is_the_hermite_cubic(robot: Robot) -> None:
     def cubic(t: np.ndarray, derivative: int) -> np.ndarray:
         return np.stack([np.polyval(np.polyder(row, derivative), t) for row in coefficients], axis=-1)
 
-    reference = execution._Reference.of(robot, Motion(robot.joint_names, time, cubic(time, 0), cubic(time, 1)))
+    reference = execution._Reference.of(robot, RecordedMotion(robot.joint_names, time, cubic(time, 0), cubic(time, 1)))
     clock = np.linspace(0.0, 1.0, 77)
     for derivative, values in enumerate(reference.at(clock)):
         np.testing.assert_allclose(values, cubic(clock + 3.0, derivative), atol=1e-11)
@@ -318,9 +320,9 @@ def test_the_reference_is_the_hermite_cubic(robot: Robot) -> None:
 
 def test_velocities_from_positions() -> None:
     time = np.array([0.0, 0.3, 0.4, 1.0])
-    motion = Motion.from_positions(["a"], time, (2.0 * time**2 - time)[:, None])
+    motion = RecordedMotion.from_positions(["a"], time, (2.0 * time**2 - time)[:, None])
     np.testing.assert_allclose(motion.velocity[:, 0], [0.0, 0.2, 0.6, 0.0], atol=1e-12)
-    assert Motion.from_positions(["a"], np.zeros(1), np.ones((1, 1))).velocity.tolist() == [[0.0]]
+    assert RecordedMotion.from_positions(["a"], np.zeros(1), np.ones((1, 1))).velocity.tolist() == [[0.0]]
 
 
 def test_reading_our_own_file(planned: PlanResult, csv_file: Path) -> None:
@@ -378,12 +380,12 @@ def test_bad_motions(robot: Robot, scene: Scene) -> None:
     names = robot.joint_names
     time, still = np.array([0.0, 1.0]), np.zeros((2, 4))
     bad = [
-        (Motion(names[1:], time, still[:, 1:], still[:, 1:]), "missing base_yaw"),
-        (Motion((*names[:3], "knee"), time, still, still), "unknown knee"),
-        (Motion(names, time, still[:1], still), "do not match"),
-        (Motion(names, np.zeros(0), np.zeros((0, 4)), np.zeros((0, 4))), "do not match"),
-        (Motion(names, np.array([0.0, np.nan]), still, still), "not finite"),
-        (Motion(names, time[::-1], still, still), "does not increase"),
+        (RecordedMotion(names[1:], time, still[:, 1:], still[:, 1:]), "missing base_yaw"),
+        (RecordedMotion((*names[:3], "knee"), time, still, still), "unknown knee"),
+        (RecordedMotion(names, time, still[:1], still), "do not match"),
+        (RecordedMotion(names, np.zeros(0), np.zeros((0, 4)), np.zeros((0, 4))), "do not match"),
+        (RecordedMotion(names, np.array([0.0, np.nan]), still, still), "not finite"),
+        (RecordedMotion(names, time[::-1], still, still), "does not increase"),
     ]
     for motion, message in bad:
         with pytest.raises(InputError, match=message):
@@ -402,7 +404,7 @@ def test_a_urdf_that_mujoco_refuses(tmp_path: Path, robot: Robot, scene: Scene) 
     path.write_text(text[:begin] + massless + text[end:shapes] + text[shapes:])
     path.with_suffix(".limits.yaml").write_text(robot.urdf_path.with_suffix(".limits.yaml").read_text())
     light = load_robot(path)
-    still = Motion(light.joint_names, np.zeros(1), np.zeros((1, 4)), np.zeros((1, 4)))
+    still = RecordedMotion(light.joint_names, np.zeros(1), np.zeros((1, 4)), np.zeros((1, 4)))
     with pytest.raises(RobotFileError, match="MuJoCo refuses it"):
         execute(light, scene, still)
 
@@ -416,7 +418,7 @@ def test_without_mujoco(robot: Robot, scene: Scene, monkeypatch: pytest.MonkeyPa
         return real(name, *args, **kwargs)
 
     monkeypatch.setattr(builtins, "__import__", refuse)
-    still = Motion(robot.joint_names, np.zeros(1), np.zeros((1, 4)), np.zeros((1, 4)))
+    still = RecordedMotion(robot.joint_names, np.zeros(1), np.zeros((1, 4)), np.zeros((1, 4)))
     with pytest.raises(InputError, match=r"hplan\[execution\]") as caught:
         execute(robot, scene, still)
     assert caught.value.exit_status == 2

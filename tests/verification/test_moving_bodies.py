@@ -14,14 +14,14 @@ from arm_variants import axis_points, random_obstacles
 from fitted_arms import Bodies, box, distance, fitted, mesh, quintic, scene_of
 
 from hplan.collision.clearance_field import ClearanceField
-from hplan.collision.coal_scene import CollisionScene
+from hplan.collision.coal_scene import CoalScene
 from hplan.cspace.occupancy import joint_grid, occupancy
 from hplan.cspace.sections import arm_sections, bodies_of, only, sections_at
 from hplan.errors import BlockedError, ConfigurationInCollisionError, InputError, NoPathError
 from hplan.planning.plan import plan
 from hplan.problem.joint_ranges import MARGIN, joint_ranges
 from hplan.problem.options import PlanOptions
-from hplan.problem.world import Surroundings
+from hplan.problem.world import World
 from hplan.robot.base_shapes import BASE_DEPTH, GROUND, TURRET, always, base_shapes, ever, turret_radius
 from hplan.robot.folding import Fold, folded_angles
 from hplan.robot.self_contact import pair_rates, pair_sway, self_contact
@@ -101,8 +101,8 @@ def test_the_ways_around_are_found(tmp_path):
 def test_turns_are_taken_up_to_the_obstacle(tmp_path):
     """A goal a degree before the wall is reached, one behind it is not, and one in it is refused as such."""
     robot = fitted(tmp_path, {"turret": [COUNTERWEIGHT]})
-    judge = CollisionScene(robot, [POST])
-    edge = math.degrees(joint_ranges(judge, np.radians(REST)).upper[0])
+    checker = CoalScene(robot, [POST])
+    edge = math.degrees(joint_ranges(checker, np.radians(REST)).upper[0])
     assert 70.0 < edge < 80.0
     goal = (edge - 0.3, *REST[1:])
     result = plan(robot, scene_of(REST, goal, [POST]))
@@ -128,7 +128,7 @@ def test_ranges_of_yaw_are_those_of_coal(tmp_path, clearance, sigma):
             Sphere(name=f"o{i}", center=(r * math.cos(a), r * math.sin(a), z), radius=0.06, sigma=sigma)
             for i, (r, a, z) in enumerate(rng.uniform([0.2, -3.1, 0.2], [0.7, 3.1, 0.7], (2, 3)))
         ]
-        around = Surroundings.of(robot, obstacles, clearance=clearance, sigmas=2.0)
+        world = World.of(robot, obstacles, clearance=clearance, sigmas=2.0)
 
         def spare(yaw, obstacles=obstacles):
             found = [1.0]
@@ -142,7 +142,7 @@ def test_ranges_of_yaw_are_those_of_coal(tmp_path, clearance, sigma):
         start = np.zeros(4)
         if spare(0.0) < 0.01:
             continue
-        ranges = joint_ranges(around.judge, start)
+        ranges = joint_ranges(world.checker, start)
         for sign, end in ((-1.0, ranges.lower[0]), (1.0, ranges.upper[0])):
             assert min(spare(yaw) for yaw in np.linspace(0.0, end, 400)) >= 0.99 * MARGIN
             if abs(end) < math.pi:
@@ -160,9 +160,9 @@ def test_the_ground_is_below_whatever_the_yaw(tmp_path):
     """A counterweight may stand on the floor, and a box that turns above a table."""
     robot = fitted(tmp_path, {"turret": [box((0.5, 0.1, 0.2), (-0.3, 0.0, 0.1))]})
     floor = Box(name="floor", center=(0.0, 0.0, -0.05), size=(6.0, 6.0, 0.1))
-    judge = CollisionScene(robot, [floor], clearance=0.02)
-    assert judge.mover_names[3:] == ("turret",)
-    assert judge.distances(np.zeros(4))[3, 0] == np.inf
+    checker = CoalScene(robot, [floor], clearance=0.02)
+    assert checker.mover_names[3:] == ("turret",)
+    assert checker.distances(np.zeros(4))[3, 0] == np.inf
     assert plan(robot, scene_of(REST, FAR, [floor])).certificate.verified
     kerb = Box(name="kerb", center=(0.0, 0.45, 0.0), size=(0.1, 0.1, 0.1))
     motion = quintic(robot, REST, (-170.0, *REST[1:]))
@@ -185,11 +185,11 @@ def test_what_the_turret_grazes_from_above_is_in_its_way(tmp_path, kind, depth):
 
 
 def test_round_turrets_are_looked_at_once(robot):
-    judge = CollisionScene(robot, [POST])
+    checker = CoalScene(robot, [POST])
     assert turret_radius(robot) == 0.0
-    assert judge.mover_names == judge.link_names
-    assert judge.own_others == []
-    assert joint_ranges(judge, np.zeros(4)).walls == ()
+    assert checker.mover_names == checker.link_names
+    assert checker.own_others == []
+    assert joint_ranges(checker, np.zeros(4)).walls == ()
 
 
 def test_what_the_turret_may_not_touch_counts_with_its_uncertainty(tmp_path):
@@ -205,9 +205,9 @@ def test_what_the_turret_may_not_touch_counts_with_its_uncertainty(tmp_path):
         (0.0, 0.0, 1.1 * least / turret_radius(robot), False),
         (0.0, 0.0, 0.9 * least / turret_radius(robot), True),
     ):
-        judge = CollisionScene(robot, [ball], growth=sigmas * ball.sigma)
+        checker = CoalScene(robot, [ball], growth=sigmas * ball.sigma)
         certificate = certify(
-            robot, scene_of(REST, obstacles=[ball], clearance=clearance), motion, tracking_error=error, judge=judge
+            robot, scene_of(REST, obstacles=[ball], clearance=clearance), motion, tracking_error=error, checker=checker
         )
         assert shown(certificate) == expected
         if expected:
@@ -289,10 +289,10 @@ def test_a_mast_on_the_turret_is_asked_against_every_link(tmp_path):
     with pytest.raises(NoPathError):
         plan(robot, scene_of(low, high, locked_joints=("base_yaw",)), PlanOptions(step_deg=3.0))
     # The mast turns with the arm: it is no nearer after a turn.
-    judge, field = CollisionScene(robot, []), ClearanceField.of(robot, [])
+    checker, field = CoalScene(robot, []), ClearanceField.of(robot, [])
     for yaw in (-2.0, 0.7, 3.0):
         q = np.array([yaw, 0.1, 0.4, 0.2])
-        assert judge.nearest(q).distance_m == pytest.approx(judge.nearest([0.0, *q[1:]]).distance_m, abs=1e-9)
+        assert checker.nearest(q).distance_m == pytest.approx(checker.nearest([0.0, *q[1:]]).distance_m, abs=1e-9)
         assert field.clearance(q) == pytest.approx(field.clearance([0.0, *q[1:]]), abs=1e-12)
     result = plan(robot, scene_of((-100.0, 5.0, 0.0, 0.0), (100.0, 5.0, 80.0, 10.0)))
     assert result.certificate.verified
@@ -321,7 +321,7 @@ def test_a_cabinet_on_the_pedestal_is_asked_against_the_upper_arm(tmp_path):
 
 def test_thick_layers_hold_what_stands_on_the_pedestal(tmp_path):
     robot = fitted(tmp_path, {"base_link": [box((0.2, 0.2, 1.0), (0.6, 0.0, 0.5))]})
-    judge, grid = CollisionScene(robot, []), joint_grid(robot.arm, math.radians(15.0))
+    checker, grid = CoalScene(robot, []), joint_grid(robot.arm, math.radians(15.0))
     nodes = grid.coordinates(np.stack(np.unravel_index(np.arange(grid.size), grid.shape), axis=-1))
     middle, half_angle, contacts = 0.4, 0.2, 0
     thin, thick = (
@@ -330,7 +330,7 @@ def test_thick_layers_hold_what_stands_on_the_pedestal(tmp_path):
     )
     assert (thin <= thick).all()
     for node, occupied, inside in zip(nodes, thick, thin, strict=True):
-        if judge.distances([middle - 0.95 * half_angle, *node]).min() < -1e-6:
+        if checker.distances([middle - 0.95 * half_angle, *node]).min() < -1e-6:
             assert occupied
             contacts += not inside
     assert contacts > 10
@@ -378,7 +378,7 @@ def test_distances_and_sections_of_what_is_on_the_base_are_those_of_coal(tmp_pat
         if not bodies:
             continue
         only_them = replace(contact, bodies=tuple(bodies), links=())
-        judge = CollisionScene(robot, [], single_joint_pairs=False)
+        checker = CoalScene(robot, [], single_joint_pairs=False)
         field = ClearanceField.of(robot, [])
         grid = joint_grid(robot.arm, math.radians(25.0))
         nodes = grid.coordinates(np.stack(np.unravel_index(np.arange(grid.size), grid.shape), axis=-1))
@@ -389,7 +389,7 @@ def test_distances_and_sections_of_what_is_on_the_base_are_those_of_coal(tmp_pat
             for node, occupied in zip(nodes, ours, strict=True):
                 # Thick layers hold what is met anywhere in them.
                 q = [yaw + 0.95 * half_angle, *node] if robot.has_yaw else node
-                table = judge.distances(q)
+                table = checker.distances(q)
                 least = float(table.min())
                 if least < -1e-6:
                     assert occupied
@@ -397,15 +397,15 @@ def test_distances_and_sections_of_what_is_on_the_base_are_those_of_coal(tmp_pat
                     assert not occupied
                 found = float(field.clearance(q))
                 own = min(
-                    (0.5 if name in judge.link_names else 1.0) * float(table[:, k].min())
-                    for k, name in enumerate(judge.obstacle_names)
+                    (0.5 if name in checker.link_names else 1.0) * float(table[:, k].min())
+                    for k, name in enumerate(checker.obstacle_names)
                 )
                 if least > 1e-6:
                     assert -3e-3 + own <= found <= own + 1e-6
                 else:
                     assert found <= 1e-6
                 for body in only_them.bodies:
-                    near[body.carrier] += float(table[:, judge.obstacle_names.index(body.name)].min()) < 0.05
+                    near[body.carrier] += float(table[:, checker.obstacle_names.index(body.name)].min()) < 0.05
     assert min(near.values()) > 100
 
 
@@ -430,7 +430,7 @@ def test_what_turns_with_the_arm_is_behind_nothing_else(tmp_path, at, link):
         q = np.array([yaw, 0.1, 0.2, 0.1])
         alone = ClearanceField.of(robot, []).link_clearances(q)[link]
         assert 0.01 < alone < 0.15
-        assert alone == pytest.approx(CollisionScene(robot, []).distances(q)[link].min(), abs=1e-6)
+        assert alone == pytest.approx(CoalScene(robot, []).distances(q)[link].min(), abs=1e-6)
         end = axis_points(robot, q)[link + 1]
         beside = end + 0.4 * np.array([-math.sin(yaw), math.cos(yaw), 0.0])
         field = ClearanceField.of(robot, [Sphere(name="ball", center=tuple(beside), radius=0.05)])
@@ -466,7 +466,7 @@ def test_neighbours_fold_up_to_the_convention(tmp_path):
 def test_folded_angles_are_those_of_coal(tmp_path, lengths):
     """Whichever link is the shorter one; what lies beyond the joint's own reach is trimmed by the test itself."""
     robot = fitted(tmp_path, low=-179.0, high=(90.0, 179.0), lengths=lengths, widths=(0.05, 0.04))
-    judge, reach = CollisionScene(robot, []), 0.27
+    checker, reach = CoalScene(robot, []), 0.27
     folds = self_contact(robot).folds
     assert bool(folds) == (max(lengths) > reach and min(lengths) > reach - 0.09)
     assert len(folds) == bool(folds)
@@ -482,7 +482,7 @@ def test_folded_angles_are_those_of_coal(tmp_path, lengths):
                     expected, np.linalg.norm(beyond - joint - t[:, None] * (other - joint), axis=1).min() - 0.09
                 )
         if folds:
-            found = float(judge.distances([0.3, 0.4, angle])[1, judge.obstacle_names.index("link_1")])
+            found = float(checker.distances([0.3, 0.4, angle])[1, checker.obstacle_names.index("link_1")])
             assert found == pytest.approx(expected, abs=1e-6)
             blocked = any(low < angle < high for low, high in folded_angles(robot.arm, folds[0], 0.09))
             if abs(expected) > 1e-6:
@@ -535,21 +535,21 @@ def test_what_a_deviation_or_a_clearance_brings_together_is_asked(tmp_path):
         certificate = certify(robot, scene_of(end, clearance=clearance), motion, tracking_error=math.radians(error))
         assert shown(certificate) == expected
     # Whatever the scene in coal was made for.
-    judge = CollisionScene(robot, [])
-    assert "upper_arm" not in judge.obstacle_names
-    assert not shown(certify(robot, scene_of(end), motion, tracking_error=0.01, judge=judge))
-    assert "upper_arm" in judge.covering(0.01, 0.0).obstacle_names
+    checker = CoalScene(robot, [])
+    assert "upper_arm" not in checker.obstacle_names
+    assert not shown(certify(robot, scene_of(end), motion, tracking_error=0.01, checker=checker))
+    assert "upper_arm" in checker.covering(0.01, 0.0).obstacle_names
 
 
 def test_a_scene_made_anew_knows_what_may_be_touched_and_grows(tmp_path):
     robot = fitted(tmp_path, {"turret": [COUNTERWEIGHT], "base_link": [box((0.1,) * 3, (0.4, 0.0, 0.45))]})
     ball = Sphere(name="ball", center=(0.0, 0.62, 0.45), radius=0.05)
-    judge = CollisionScene(robot, [ball, POST], growth=[0.01, 0.0]).touching("post")
-    wider = judge.covering(0.02, 0.01)
+    checker = CoalScene(robot, [ball, POST], growth=[0.01, 0.0]).touching("post")
+    wider = checker.covering(0.02, 0.01)
     q = np.array([1.5, 0.4, 0.3, 0.2])
     for other in (wider, pickle.loads(pickle.dumps(wider))):
         assert (other.deviation, other.clearance) == (0.02, 0.01)
-        np.testing.assert_allclose(other.distances(q), judge.distances(q))
+        np.testing.assert_allclose(other.distances(q), checker.distances(q))
         assert other.distances(q)[2, 1] == np.inf  # the last link; the turret may not
         assert other.distances(q)[3, 1] < np.inf
 

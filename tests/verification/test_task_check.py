@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 import hplan
-from hplan.collision.coal_scene import CollisionScene
+from hplan.collision.coal_scene import CoalScene
 from hplan.errors import InputError, OptionError
-from hplan.problem.goal_contact import THERE
 from hplan.scene.model import Box, Fruit, Goal, Scene, Sphere, Start
 from hplan.verification.certificate import certify
+from hplan.verification.goal_contact import THERE
 from hplan.verification.task_check import SAME
 
 START, GOAL = (-0.4, 0.3, 0.4, 0.5), (0.5, 0.8, 0.2, 0.3)
@@ -117,7 +117,7 @@ def test_uncertain_obstacles_are_grown(robot, free, motion):
             key = {"obstacle": "obstacles", "fruit": "fruits"}[kind]
             return free.model_copy(update={key: ((Sphere if kind == "obstacle" else Fruit)(**values),)})
 
-        gap = min(CollisionScene(robot, scene(0.0).solids).distances(q).min() for q in motion.position)
+        gap = min(CoalScene(robot, scene(0.0).solids).distances(q).min() for q in motion.position)
         assert gap > 0.02
         for sigma, sigmas, verified in (
             (0.0, 3.0, True), (0.3 * gap, 3.0, True), (0.35 * gap, 3.0, False), (0.35 * gap, 2.0, True),
@@ -147,7 +147,7 @@ def test_obstacle_in_the_base_is_refused(robot, free, motion):
             with pytest.raises(InputError, match="ground"):
                 hplan.plan(robot, scene)
             # Among solids of the caller's own nothing is asked about the base.
-            assert certify(robot, scene, motion, judge=CollisionScene(robot, scene.solids)).verified
+            assert certify(robot, scene, motion, checker=CoalScene(robot, scene.solids)).verified
 
 
 def test_each_end_at_rest_on_its_own(robot, free, motion):

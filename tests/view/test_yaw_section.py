@@ -14,7 +14,7 @@ import pytest
 from PIL import Image
 
 from hplan.cli.main import main
-from hplan.collision.coal_scene import CollisionScene
+from hplan.collision.coal_scene import CoalScene
 from hplan.errors import InputError, OptionError, OutputError
 from hplan.problem.options import PlanOptions
 from hplan.robot.model import Robot, load_robot
@@ -84,12 +84,12 @@ def section(robot: Robot, coarse: None) -> YawSection:
 
 def test_the_region_is_where_coal_finds_the_arm_in_collision(robot: Robot, section: YawSection) -> None:
     assert section.yaw == pytest.approx(GOAL[0])
-    judge = CollisionScene(robot, scene().solids)
+    checker = CoalScene(robot, scene().solids)
     random = np.random.default_rng(0)
     decided = 0
     for index in random.integers(0, section.grid.shape, (400, 3)):
         value = section.field[tuple(index)]
-        nearest = judge.nearest(np.array([section.yaw, *section.grid.coordinates(index)]))
+        nearest = checker.nearest(np.array([section.yaw, *section.grid.coordinates(index)]))
         assert nearest is not None
         if abs(value) > 1e-6:
             assert (nearest.distance_m < 0.0) == (value < 0.0)
@@ -127,8 +127,8 @@ def test_clearance_uncertainty_and_tracking_error_grow_the_region(robot: Robot, 
     sure = yaw_section(robot, vague, motion(robot), PlanOptions(sigmas=0.0))
     unsure = yaw_section(robot, vague, motion(robot), PlanOptions(sigmas=2.0))
     np.testing.assert_allclose(unsure.field, sure.field - 0.02, atol=1e-9)
-    loose = yaw_section(robot, vague, motion(robot), PlanOptions(sigmas=0.0, tracking_error=0.001))
-    assert (loose.field < sure.field).all()
+    is_point_set = yaw_section(robot, vague, motion(robot), PlanOptions(sigmas=0.0, tracking_error=0.001))
+    assert (is_point_set.field < sure.field).all()
 
 
 def test_what_follows_the_approach_is_left_out(robot: Robot) -> None:

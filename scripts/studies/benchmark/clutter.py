@@ -168,7 +168,7 @@ def _hplan_numbers(rows: list[dict[str, Any]]) -> dict[str, Any]:
     def column(name: str, chosen: list[dict[str, Any]] = rows) -> list[float]:
         return [float(row[name]) for row in chosen if np.isfinite(row[name])]
 
-    around = [row for row in rows if not row["direct"]]
+    world = [row for row in rows if not row["direct"]]
     ratios = ("to_grid_spline", "to_stops", "no_jerk_to_grid_spline", "no_jerk_to_stops")
     costs = column("cost_ratio")
     return {
@@ -185,9 +185,9 @@ def _hplan_numbers(rows: list[dict[str, Any]]) -> dict[str, Any]:
         "fallbacks": {name: sum(row["fallback"] == name for row in rows) for name in ("none", "all_slices", "dense")},
         **{name: {**spread(column(name)), "slower": sum(ratio > 1.0 for ratio in column(name))} for name in ratios},
         "around": {
-            "scenes": len(around),
-            "total_ms": spread(column("total_ms", around)),
-            **{name: spread(column(name, around)) for name in ("search_ratio", "cost_ratio", *ratios)},
+            "scenes": len(world),
+            "total_ms": spread(column("total_ms", world)),
+            **{name: spread(column(name, world)) for name in ("search_ratio", "cost_ratio", *ratios)},
         },
     }
 

@@ -19,7 +19,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from hplan.base.report import versions
+from hplan.planning.report import versions
 
 _T = TypeVar("_T")
 

@@ -17,7 +17,7 @@ import pinocchio as pin
 from hplan.base.arrays import FloatArray
 from hplan.base.polyline import stations
 from hplan.collision.clearance_field import ClearanceField
-from hplan.collision.coal_scene import CollisionScene
+from hplan.collision.coal_scene import CoalScene
 from hplan.robot.model import Robot
 from hplan.smoothing.shortcut import shorten
 from hplan.timing.trajectory import Trajectory
@@ -79,7 +79,7 @@ class Findings:
         return max(self.velocity, self.acceleration, self.torque) > 1.0 + TOLERANCE
 
 
-def look_at(robot: Robot, judge: CollisionScene, motion: TimedMotion) -> Findings:
+def look_at(robot: Robot, checker: CoalScene, motion: TimedMotion) -> Findings:
     """Sample a motion every `FINE` seconds and see what it does."""
     count = max(3, int(np.ceil(motion.duration / FINE)) + 1)
     clock = np.linspace(0.0, motion.duration, count)
@@ -88,8 +88,8 @@ def look_at(robot: Robot, judge: CollisionScene, motion: TimedMotion) -> Finding
     v, a = (q[2:] - q[:-2]) / (2.0 * h), (q[2:] - 2.0 * q[1:-1] + q[:-2]) / h**2
     data = robot.model.createData()
     torque = np.array([pin.rnea(robot.model, data, *row) for row in zip(q[1:-1], v, a, strict=True)])
-    touching = q[judge.in_collision(q)]
-    depth = max((-float(judge.distances(row).min()) for row in touching), default=0.0)
+    touching = q[checker.in_collision(q)]
+    depth = max((-float(checker.distances(row).min()) for row in touching), default=0.0)
     return Findings(
         duration_s=motion.duration,
         depth_mm=1e3 * max(0.0, depth),

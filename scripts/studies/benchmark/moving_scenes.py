@@ -15,8 +15,8 @@ from studies.validation.random_scenes import direction, vector
 
 from hplan.base.arrays import FloatArray
 from hplan.errors import InputError
-from hplan.planning.plan import Workspace
-from hplan.problem.definition import pose_problem
+from hplan.planning.plan import PlanningCache
+from hplan.problem.definition import check_problem
 from hplan.problem.options import PlanOptions
 from hplan.robot.model import Robot
 from hplan.scene.model import Capsule, Goal, Scene, Sphere, Start
@@ -103,10 +103,10 @@ def next_move(robot: Robot, scene: Scene, motion: FloatArray, random: np.random.
 def leaves_room(robot: Robot, scene: Scene, pieces: Sequence[Piece]) -> bool:
     """Whether planning takes base, start and goal of a scene among some obstacles, with `ROOM` to spare."""
     start, goal = scene.start.configuration, scene.goal.configuration
-    around = Workspace(robot).around(scene.with_obstacles(pieces), PlanOptions())
+    world = PlanningCache(robot).world(scene.with_obstacles(pieces), PlanOptions())
     try:
-        around.check_base(robot.yaw_of(start))
-        return pose_problem(around, start, goal).spare_clearance >= ROOM
+        world.check_base(robot.yaw_of(start))
+        return check_problem(world, start, goal).spare_clearance >= ROOM
     except InputError:
         return False
 

@@ -172,7 +172,7 @@ def crop_of(robot: Robot, orchard: Orchard) -> Crop:
 
 def _standoff(robot: Robot, scene: Scene, fruit: Fruit, home: FloatArray) -> FloatArray | str:
     """Where the approach to a fruit begins, or why there is none; the last link alone may touch the fruit."""
-    around, rest, itself = (
+    world, rest, itself = (
         ClearanceField.of(robot, solids, clearance=scene.clearance)
         for solids in (
             scene.solids_with_goal,
@@ -191,6 +191,6 @@ def _standoff(robot: Robot, scene: Scene, fruit: Fruit, home: FloatArray) -> Flo
     ways = np.stack([goals, *(stage.configurations for stage in stages)], axis=1)[stages[-1].feasible]
     if not len(ways):
         return "no_approach"
-    clear = [way[-1] for way in ways if around.clearance(way[-1]) > SPARE and rest.is_clear(way, 0.5 * SPARE)]
+    clear = [way[-1] for way in ways if world.clearance(way[-1]) > SPARE and rest.is_clear(way, 0.5 * SPARE)]
     limits = robot.velocity_limit, robot.acceleration_limit
     return min(clear, key=lambda q: least_duration(home, q, *limits), default="blocked")

@@ -169,7 +169,7 @@ def _solve(robot: Robot, problem: OrchardProblem, ompl: Ompl | None, runs: dict[
 def _motion(task: Task, planned: PlanResult) -> dict[str, Any]:
     """The motion of hplan's, looked at finely too."""
     planner = planned.report["planner"]
-    seen = look_at(task.robot, task.judge, of_rows(planned.trajectory))
+    seen = look_at(task.robot, task.checker, of_rows(planned.trajectory))
     return {
         "route": {"direct": "straight", "roadmap": "roadmap"}.get(
             planner["method"], planner["fallback"].replace("none", "two-level")

@@ -17,11 +17,11 @@ from studies.benchmark.motions import Findings, look_at, toppra_motion
 
 from hplan.base.arrays import FloatArray
 from hplan.collision.clearance_field import ClearanceField
-from hplan.collision.coal_scene import CollisionScene
+from hplan.collision.coal_scene import CoalScene
 from hplan.errors import HplanError
 from hplan.planning.find_motion import MARGIN
-from hplan.problem.definition import Problem, pose_problem
-from hplan.problem.world import Surroundings
+from hplan.problem.definition import Problem, check_problem
+from hplan.problem.world import World
 from hplan.robot.limits import Limits
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
@@ -41,17 +41,17 @@ class Task:
     scene: Scene
     problem: Problem
     field: ClearanceField
-    judge: CollisionScene
+    checker: CoalScene
     margin: float
 
     @classmethod
     def of(cls, robot: Robot, scene: Scene) -> Task:
         """Get a scene ready, with the margin that hplan asks for in it."""
-        around = Surroundings.of(robot, scene.solids, clearance=scene.clearance)
-        problem = pose_problem(
-            around, scene.start.configuration, scene.goal.configuration, locked_joints=scene.locked_joints
+        world = World.of(robot, scene.solids, clearance=scene.clearance)
+        problem = check_problem(
+            world, scene.start.configuration, scene.goal.configuration, locked_joints=scene.locked_joints
         )
-        return cls(robot, scene, problem, around.field, around.judge, min(MARGIN, 0.5 * problem.spare_clearance))
+        return cls(robot, scene, problem, world.field, world.checker, min(MARGIN, 0.5 * problem.spare_clearance))
 
     @property
     def smallest_margin(self) -> float:
@@ -101,7 +101,7 @@ def ways_of(task: Task, path: FloatArray) -> Ways:
     processed, processed_ms = timed(lambda: _certified(task, lambda: fast_path(path, task.field, task.options())))
     return Ways(
         length_deg=float(np.degrees(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())),
-        spline=None if motion is None else look_at(robot, task.judge, motion),
+        spline=None if motion is None else look_at(robot, task.checker, motion),
         rounded_s=rounded,
         processed_s=processed,
         spline_ms=spline_ms,
@@ -118,7 +118,7 @@ def _certified(task: Task, make: Any) -> float | None:
         trajectory = time_path(path, robot.dynamics, limits_of(robot))
     except HplanError:
         return None
-    certificate = certify(robot, task.scene, trajectory, judge=task.judge)
+    certificate = certify(robot, task.scene, trajectory, checker=task.checker)
     return trajectory.duration if certificate.verified else None
 
 

@@ -20,7 +20,7 @@ from studies.benchmark.paths import Task, without_jerk
 from studies.benchmark.scenes import PlanarScene, random_scene
 
 from hplan.base.arrays import FloatArray
-from hplan.collision.coal_scene import CollisionScene
+from hplan.collision.coal_scene import CoalScene
 from hplan.errors import HplanError
 from hplan.planning.plan import plan
 from hplan.robot.model import Robot
@@ -55,7 +55,7 @@ def measure(robot: Robot, scene: Scene, *, seed: int, scenes: int, progress: Pro
     violations: list[dict[str, Any]] = []
     worst: dict[str, tuple[float, int]] = {}
     times: list[float] = []
-    motion_s, instants, certified, drawn, done, around = 0.0, 0, 0, 0, 0, 0
+    motion_s, instants, certified, drawn, done, world = 0.0, 0, 0, 0, 0, 0
     least_clearance, slack = float("inf"), float("inf")
     with tempfile.TemporaryDirectory() as folder:
         while done < scenes:
@@ -78,7 +78,7 @@ def measure(robot: Robot, scene: Scene, *, seed: int, scenes: int, progress: Pro
                 )
                 continue
             times.append(ms)
-            around += not _is_direct(robot, candidate)
+            world += not _is_direct(robot, candidate)
             certified += planned.certificate.verified
             file = write_csv(planned.trajectory, Path(folder) / "trajectory.csv")
             seen = look_again(robot, candidate, file, planned.certificate.min_clearance_m)
@@ -94,7 +94,7 @@ def measure(robot: Robot, scene: Scene, *, seed: int, scenes: int, progress: Pro
         "seed": seed,
         "drawn": drawn,
         "with_path": scenes,
-        "around": around,
+        "around": world,
         "planned": len(times),
         "certified": certified,
         "failed": failed,
@@ -130,9 +130,9 @@ def look_again(robot: Robot, drawn: PlanarScene, file: Path, certified_clearance
         "velocity": float((np.abs(v) / robot.velocity_limit).max()),
         **_second_order(robot, q[:-1]),
     }
-    judge = CollisionScene(robot, drawn.scene.solids)
+    checker = CoalScene(robot, drawn.scene.solids)
     claim = certified_clearance - 1e-9
-    distances = [float(judge.distances(row).min()) for row in q[::_DISTANCE_EVERY]]
+    distances = [float(checker.distances(row).min()) for row in q[::_DISTANCE_EVERY]]
     found: list[dict[str, Any]] = []
 
     def note(check: str, value: float) -> None:
@@ -144,10 +144,10 @@ def look_again(robot: Robot, drawn: PlanarScene, file: Path, certified_clearance
     for name in ("velocity", "acceleration", "torque"):
         if not use[name] <= LIMIT_TOLERANCE:
             note(name, use[name])
-    touching = int(judge.in_collision(q).sum())
+    touching = int(checker.in_collision(q).sum())
     if touching:
         note("contact", touching)
-    closer = int(judge.in_collision(q, margin=claim).sum()) if claim != 0.0 else 0
+    closer = int(checker.in_collision(q, margin=claim).sum()) if claim != 0.0 else 0
     if closer or not certified_clearance > 0.0:
         note("certified clearance", closer)
     ends = [drawn.scene.start.joints(), drawn.scene.goal.joints()]

@@ -23,12 +23,12 @@ from studies.benchmark.scenes import STEP_DEG
 
 from hplan.base.arrays import FloatArray
 from hplan.base.polyline import path_length
-from hplan.base.report import STAGES
-from hplan.collision.coal_scene import CollisionScene, sampled_occupancy
+from hplan.collision.coal_scene import CoalScene, sampled_occupancy
 from hplan.cspace.occupancy import joint_grid, occupancy
 from hplan.cspace.sections import arm_sections
 from hplan.errors import InputError
 from hplan.planning.plan import PlanResult, plan
+from hplan.planning.report import STAGES
 from hplan.problem.options import PlanOptions
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
@@ -121,7 +121,7 @@ def _searches(space: Occupancy, start: Any, goal: Any, repetitions: int) -> dict
 def _spaces(robot: Robot, scene: Scene, seed: int, repetitions: int, coal_repetitions: int) -> dict[str, Any]:
     """The analytic C-space beside coal's sampling of the same grid, and the C-space of many discs."""
     grid = joint_grid(robot.arm, np.radians(STEP_DEG))
-    judge = CollisionScene(robot, scene.solids)
+    checker = CoalScene(robot, scene.solids)
     sections = arm_sections(robot, scene.solids)
     ours = occupancy(robot.arm, sections, grid)
     whole = median(times_ms(lambda: occupancy(robot.arm, arm_sections(robot, scene.solids), grid), 3 * repetitions))
@@ -129,7 +129,7 @@ def _spaces(robot: Robot, scene: Scene, seed: int, repetitions: int, coal_repeti
     sampled: list[float] = []
     differing = 0
     for _ in range(coal_repetitions):
-        theirs, ms = timed(lambda: sampled_occupancy(judge, grid))
+        theirs, ms = timed(lambda: sampled_occupancy(checker, grid))
         sampled.append(ms)
         differing = int((theirs != ours.occupied).sum())
     crowded, crowded_alone, shares = [], [], []
@@ -169,7 +169,7 @@ def _motions(task: Task, result: PlanResult) -> dict[str, Any]:
         table[name] = {
             "length_deg": 0.0 if path is None else float(np.degrees(path.length)),
             "certified": planned.certificate.verified,
-            **_numbers(look_at(robot, task.judge, of_rows(planned.trajectory))),
+            **_numbers(look_at(robot, task.checker, of_rows(planned.trajectory))),
         }
     taut = quickest_polyline(robot, result.grid_path, task.field, task.smallest_margin)
     table["grid_spline"] = _recipe(task, result.grid_path, toppra_motion(robot, result.grid_path))
@@ -198,7 +198,7 @@ def _recipe(task: Task, path: FloatArray, motion: TimedMotion | None) -> dict[st
     length = {"length_deg": float(np.degrees(path_length(path))), "certified": False}
     if motion is None:
         return {**length, "duration_s": float("nan")}
-    return {**length, **_numbers(look_at(task.robot, task.judge, motion))}
+    return {**length, **_numbers(look_at(task.robot, task.checker, motion))}
 
 
 def _numbers(findings: Findings) -> dict[str, Any]:

@@ -19,7 +19,7 @@ from studies.benchmark.measure import Progress, spread, timed
 from studies.benchmark.motions import look_at, of_rows
 from studies.benchmark.moving_scenes import CLOSE_SHARE, OBSTACLES, ROOM, SHIFT, Move, moving_scene, next_move
 
-from hplan.collision.coal_scene import CollisionScene
+from hplan.collision.coal_scene import CoalScene
 from hplan.errors import HplanError, NoPathError
 from hplan.planning.find_motion import Origin
 from hplan.planning.plan import PlanResult, plan
@@ -113,7 +113,7 @@ def _step(robot: Robot, planner: Planner, move: Move) -> dict[str, Any]:
     }
     if isinstance(again, HplanError):
         return {**row, "error": again.kind, "message": again.message}
-    seen = look_at(robot, CollisionScene(robot, planner.scene.solids), of_rows(again.trajectory))
+    seen = look_at(robot, CoalScene(robot, planner.scene.solids), of_rows(again.trajectory))
     row |= {
         "certified": again.certificate.verified,
         "collides": seen.collides,

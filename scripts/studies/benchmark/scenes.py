@@ -10,7 +10,7 @@ from hplan.base.arrays import FloatArray, IntArray
 from hplan.cspace.occupancy import joint_grid, occupancy
 from hplan.cspace.sections import arm_sections
 from hplan.errors import InputError
-from hplan.planning.plan import Workspace
+from hplan.planning.plan import PlanningCache
 from hplan.problem.options import PlanOptions
 from hplan.robot.model import Robot
 from hplan.scene.model import Goal, Scene, Sphere, Start
@@ -81,12 +81,12 @@ def random_scene(robot: Robot, seed: int, number: int) -> PlanarScene:
             continue
         # The base is looked at last: so the numbers drawn for scenes in which it is free are the same as without.
         scene = task(robot, f"clutter-{number}", discs, ends[0], ends[1])
-        around = Workspace(robot).around(scene, PlanOptions())
+        world = PlanningCache(robot).world(scene, PlanOptions())
         try:
-            around.check_base(robot.yaw_of(scene.start.configuration))
+            world.check_base(robot.yaw_of(scene.start.configuration))
         except InputError:
             continue
-        spare = min(float(around.judge.distances(end.configuration).min()) for end in (scene.start, scene.goal))
+        spare = min(float(world.checker.distances(end.configuration).min()) for end in (scene.start, scene.goal))
         return PlanarScene(number, scene, space, pair[0].astype(np.int64), pair[1].astype(np.int64), spare)
 
 

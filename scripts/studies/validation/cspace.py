@@ -30,12 +30,12 @@ from typing import Any
 import numpy as np
 
 from hplan.base.arrays import BoolArray, FloatArray, IntArray
-from hplan.base.report import versions
-from hplan.collision.coal_scene import CollisionScene, Contact, base_contacts
+from hplan.collision.coal_scene import CoalScene, Contact, base_contacts
 from hplan.collision.coal_shapes import LINK_SHAPES, LinkShapes
 from hplan.cspace.occupancy import joint_grid, occupancy
 from hplan.cspace.sections import SECTION_ERROR, LinkModel, arm_sections
 from hplan.errors import InputError, OptionError
+from hplan.planning.report import versions
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene, Sphere
 from hplan.search.grid import Grid, Occupancy
@@ -84,7 +84,7 @@ class Comparison:
 
     Attributes:
         link_model: The analytic model.
-        judge: Shape of the judge's links.
+        checker: Shape of the judge's links.
         decisive: Whether a fault here is a fault of the C-space; False for capsules against boxes.
         occupied: Nodes that the analytic side forbids.
         judge_occupied: Nodes at which the judge finds a collision.
@@ -101,7 +101,7 @@ class Comparison:
     """
 
     link_model: LinkModel
-    judge: LinkShapes
+    checker: LinkShapes
     decisive: bool
     occupied: int
     judge_occupied: int
@@ -167,7 +167,7 @@ class Validation:
         return comparison.judge_s / self.analytic_s
 
     def as_dict(self) -> dict[str, Any]:
-        """The numbers, as `hplan.base.report.write_report` writes them (what is not finite becomes null)."""
+        """The numbers, as `hplan.planning.report.write_report` writes them (what is not finite becomes null)."""
         return {
             "ok": self.ok,
             "scene": self.scene,
@@ -231,7 +231,7 @@ def validate_cspace(
             yaw only).
     """
     begin = time.perf_counter()
-    unknown = [judge for judge in judges if judge not in LINK_SHAPES]
+    unknown = [checker for checker in judges if checker not in LINK_SHAPES]
     if unknown or not judges:
         raise OptionError("judges", unknown[0] if unknown else (), f"some of {', '.join(LINK_SHAPES)}")
     yaw = _checked_yaw(robot, scene, yaw)
@@ -245,11 +245,11 @@ def validate_cspace(
             f"the occupancy has {len(space.grid.shape)} axes, the arm {robot.arm.link_count} planar joints"
         )
     comparisons: list[Comparison] = []
-    for judge in judges:
+    for checker in judges:
         models: list[tuple[LinkModel, Occupancy]] = [("capsule", space)]
-        if judge == "box" and all(isinstance(obstacle, Sphere) for obstacle in scene.solids):
+        if checker == "box" and all(isinstance(obstacle, Sphere) for obstacle in scene.solids):
             models.append(("rectangle", _occupancy(robot, scene, space.grid, yaw, "rectangle")))
-        comparisons += _compare(robot, scene, yaw, judge, models, progress)
+        comparisons += _compare(robot, scene, yaw, checker, models, progress)
     return Validation(
         scene=scene.name,
         robot=robot.name,
@@ -302,7 +302,7 @@ def _compare(
 ) -> Iterator[Comparison]:
     """Ask one judge at every node, and compare each model with its answers."""
     clearance = scene.clearance
-    judge = CollisionScene(robot, scene.solids, links=shapes, clearance=clearance, single_joint_pairs=False)
+    checker = CoalScene(robot, scene.solids, links=shapes, clearance=clearance, single_joint_pairs=False)
     grid = models[0][1].grid
     tallies = [_Tally() for _ in models]
     judge_occupied, judge_s = 0, 0.0
@@ -314,19 +314,19 @@ def _compare(
         indices = np.arange(first * grid.shape[-1], last * grid.shape[-1])
         q = _configurations(robot, grid, indices, yaw)
         begin = time.perf_counter()
-        theirs = judge.in_collision(q, margin=clearance)
+        theirs = checker.in_collision(q, margin=clearance)
         judge_s += time.perf_counter() - begin
         judge_occupied += int(theirs.sum())
         for tally, (_, space) in zip(tallies, models, strict=True):
-            tally.add(judge, indices, q, _occupied_rows(space, first, last), theirs, clearance)
+            tally.add(checker, indices, q, _occupied_rows(space, first, last), theirs, clearance)
         progress(f"coal, {shapes} links", int(indices[-1]) + 1, grid.size)
     for tally, (model, space) in zip(tallies, models, strict=True):
         faults, gaps = np.concatenate([*tally.faults, _NONE]), np.concatenate([*tally.conservative, _NONE])
-        fault_examples = _look(judge, grid, faults, yaw, clearance)
-        gap_examples = _look(judge, grid, gaps, yaw, clearance)[::-1]
+        fault_examples = _look(checker, grid, faults, yaw, clearance)
+        gap_examples = _look(checker, grid, gaps, yaw, clearance)[::-1]
         yield Comparison(
             link_model=model,
-            judge=shapes,
+            checker=shapes,
             decisive=not (model == "capsule" and shapes == "box"),
             occupied=space.occupied_count,
             judge_occupied=judge_occupied,
@@ -356,7 +356,7 @@ class _Tally:
 
     def add(
         self,
-        judge: CollisionScene,
+        checker: CoalScene,
         indices: IntArray,
         q: FloatArray,
         ours: BoolArray,
@@ -366,13 +366,13 @@ class _Tally:
         """Sort the differing nodes of a chunk; the judge is asked again with the contact tolerance."""
         missed = np.flatnonzero(theirs & ~ours)
         if len(missed):
-            sure = judge.in_collision(q[missed], margin=clearance - CONTACT_TOLERANCE)
+            sure = checker.in_collision(q[missed], margin=clearance - CONTACT_TOLERANCE)
             self.faults.append(indices[missed[sure]])
             self.in_contact += int((~sure).sum())
         extra = np.flatnonzero(ours & ~theirs)
         if len(extra):
-            sure = ~judge.in_collision(q[extra], margin=clearance + CONTACT_TOLERANCE)
-            beyond = ~judge.in_collision(q[extra], margin=clearance + SECTION_ERROR)
+            sure = ~checker.in_collision(q[extra], margin=clearance + CONTACT_TOLERANCE)
+            beyond = ~checker.in_collision(q[extra], margin=clearance + SECTION_ERROR)
             self.conservative.append(indices[extra[sure]])
             self.in_contact += int((~sure).sum())
             self.unexplained += int(beyond.sum())
@@ -391,13 +391,13 @@ def _occupied_rows(space: Occupancy, first: int, last: int) -> BoolArray:
     return occupied
 
 
-def _look(judge: CollisionScene, grid: Grid, indices: IntArray, yaw: float, clearance: float) -> list[Difference]:
+def _look(checker: CoalScene, grid: Grid, indices: IntArray, yaw: float, clearance: float) -> list[Difference]:
     """Distances at some of the nodes, spread evenly over them; smallest distance first."""
     if len(indices) > LOOKED_AT:
         indices = indices[np.linspace(0, len(indices) - 1, LOOKED_AT).astype(np.int64)]
     found = []
-    for index, q in zip(indices, _configurations(judge.robot, grid, indices, yaw), strict=True):
-        nearest = judge.nearest(q)
+    for index, q in zip(indices, _configurations(checker.robot, grid, indices, yaw), strict=True):
+        nearest = checker.nearest(q)
         if nearest is None:  # no obstacles: the occupancy that was handed in forbids nodes all the same
             nearest = Contact("", "", float("inf"))
         node = tuple(int(i) for i in np.unravel_index(index, grid.shape))

@@ -31,13 +31,13 @@ from studies.validation.cspace import CONTACT_TOLERANCE
 from studies.validation.scenes import KINDS, Kind, RandomScene, random_scene
 
 from hplan.base.arrays import BoolArray, FloatArray
-from hplan.base.report import versions
 from hplan.collision.clearance_field import ClearanceField
-from hplan.collision.coal_scene import CollisionScene
+from hplan.collision.coal_scene import CoalScene
 from hplan.collision.geometry_pairs import GeometryPairs
 from hplan.cspace.occupancy import occupancy
-from hplan.cspace.sections import Bodies, bodies_of, sections_at
+from hplan.cspace.sections import PreparedObstacles, bodies_of, sections_at
 from hplan.errors import OptionError
+from hplan.planning.report import versions
 from hplan.robot.model import Robot
 from hplan.scene.model import Mesh, PointCloud, Scene
 from hplan.scene.solids import Cloud
@@ -162,7 +162,7 @@ class KindsValidation:
         return all(result.ok for result in self.results)
 
     def as_dict(self) -> dict[str, Any]:
-        """The numbers, as `hplan.base.report.write_report` writes them."""
+        """The numbers, as `hplan.planning.report.write_report` writes them."""
         return {
             "ok": self.ok,
             "robot": self.robot,
@@ -257,17 +257,17 @@ class _Tally:
         # (nodes, yaws looked at, dof), and (nodes,) whether the node is forbidden
         q, forbidden = looks(robot, bodies, made.sector, configurations, rng)
         every = q.reshape(-1, robot.dof)
-        judge = _Judge(robot, made.scene)
-        colliding = judge.collides(every, 0.0)
+        checker = _Judge(robot, made.scene)
+        colliding = checker.collides(every, 0.0)
         # What is free may still be nearer than the spare.
         spare = ~colliding
-        spare[spare] = ~judge.collides(every[spare], SPARE)
+        spare[spare] = ~checker.collides(every[spare], SPARE)
         ours = np.repeat(forbidden, q.shape[1])
         self._scenes += 1
         self._configurations += len(every)
         self._nodes += len(q)
         self._colliding += int(colliding.sum())
-        self._missed += self._sort(number, "intervals", judge, every[colliding & ~ours], free=True)
+        self._missed += self._sort(number, "intervals", checker, every[colliding & ~ours], free=True)
         spare_node, free_node = (mask.reshape(q.shape[:2]).all(axis=1) for mask in (spare, ~colliding))
         self._spare += int(spare_node.sum())
         self._lost += int((forbidden & spare_node).sum())
@@ -277,18 +277,18 @@ class _Tally:
                 self._widest = max(self._widest, min(field.clearance(configuration) for configuration in q[node]))
             return
         clear = np.array([field.clearance(configuration) for configuration in every])
-        self._differing += self._sort(number, "distances", judge, every[colliding & (clear > 0.0)], free=True)
-        self._differing += self._sort(number, "contact", judge, every[~colliding & ~(clear > 0.0)], free=False)
+        self._differing += self._sort(number, "distances", checker, every[colliding & (clear > 0.0)], free=True)
+        self._differing += self._sort(number, "contact", checker, every[~colliding & ~(clear > 0.0)], free=False)
         self._widest = max(self._widest, float(clear[forbidden & free_node].max(initial=0.0)))
 
-    def _sort(self, number: int, side: str, judge: _Judge, q: FloatArray, *, free: bool) -> int:
+    def _sort(self, number: int, side: str, checker: _Judge, q: FloatArray, *, free: bool) -> int:
         """How many configurations are decided otherwise than by the judge, not those in contact up to rounding."""
         if len(q) == 0:
             return 0
-        sure = judge.collides(q, -self._tolerance) if free else ~judge.collides(q, self._tolerance)
+        sure = checker.collides(q, -self._tolerance) if free else ~checker.collides(q, self._tolerance)
         self._in_contact += int((~sure).sum())
         for configuration in q[sure][: EXAMPLES - len(self._examples)]:
-            distance = judge.distance(configuration)
+            distance = checker.distance(configuration)
             self._examples.append(Missed(number, side, tuple(configuration.tolist()), distance))
         return int(sure.sum())
 
@@ -313,7 +313,7 @@ class _Tally:
 
 
 def _single_yaws(
-    robot: Robot, bodies: Bodies, sector: tuple[float, float], configurations: int, rng: np.random.Generator
+    robot: Robot, bodies: PreparedObstacles, sector: tuple[float, float], configurations: int, rng: np.random.Generator
 ) -> tuple[FloatArray, BoolArray]:
     """Grids at some yaws: (nodes, 1, dof) configurations and (nodes,) whether each is forbidden."""
     q, forbidden = [], []
@@ -325,7 +325,7 @@ def _single_yaws(
 
 
 def _intervals(
-    robot: Robot, bodies: Bodies, sector: tuple[float, float], configurations: int, rng: np.random.Generator
+    robot: Robot, bodies: PreparedObstacles, sector: tuple[float, float], configurations: int, rng: np.random.Generator
 ) -> tuple[FloatArray, BoolArray]:
     """Grids at some intervals of yaw: (nodes, yaws, dof) configurations and (nodes,) whether each is forbidden."""
     q, forbidden = [], []
@@ -363,13 +363,13 @@ class _Judge:
 
     def __init__(self, robot: Robot, scene: Scene) -> None:
         self._clearance = scene.clearance
-        self._solids = CollisionScene(robot, scene.solids, clearance=scene.clearance, single_joint_pairs=False)
+        self._solids = CoalScene(robot, scene.solids, clearance=scene.clearance, single_joint_pairs=False)
         bare = [
             Cloud(obstacle.name, obstacle.points, obstacle.radius, np.zeros((0, 7)))
             for obstacle in scene.obstacles
             if isinstance(obstacle, PointCloud)
         ]
-        self._points = CollisionScene(robot, bare) if bare else None
+        self._points = CoalScene(robot, bare) if bare else None
         surfaces = [obstacle.surface for obstacle in scene.obstacles if isinstance(obstacle, Mesh)]
         self._surfaces = _Surfaces(self._solids, surfaces) if surfaces else None
 
@@ -390,7 +390,7 @@ class _Judge:
 class _Surfaces:
     """The links of a judge against triangles, which are hollow to coal: only what touches one is seen."""
 
-    def __init__(self, links: CollisionScene, surfaces: Sequence[tuple[FloatArray, Any]]) -> None:
+    def __init__(self, links: CoalScene, surfaces: Sequence[tuple[FloatArray, Any]]) -> None:
         trees = []
         for index, (vertices, faces) in enumerate(surfaces):
             tree = coal.BVHModelOBBRSS()

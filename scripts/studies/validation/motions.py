@@ -32,7 +32,7 @@ from typing import Any
 import coal
 import numpy as np
 import pinocchio as pin
-from studies.validation.judge import ALWAYS, STANDS_M, Bodies, between_rows, capsule, read_rows
+from studies.validation.checker import ALWAYS, STANDS_M, PlacedBodies, between_rows, capsule, read_rows
 from studies.validation.members import write_member, write_stl
 from studies.validation.random_scenes import direction
 
@@ -183,7 +183,7 @@ class _Member:
 
     def __init__(self, robot: Robot, folder: Path, rng: np.random.Generator, tally: Tally, name: str) -> None:
         self.robot, self.folder, self.rng, self.tally, self.name = robot, folder, rng, tally, name
-        self.bodies = Bodies(robot.urdf_path)
+        self.bodies = PlacedBodies(robot.urdf_path)
         self.pairs = self.bodies.own_pairs(rng)
         self.moving = [k for k in range(self.bodies.count) if not self.bodies.stands(k)]
         self.last = [
@@ -233,7 +233,7 @@ class _Member:
             numbers["goal"], numbers["locked_joints"] = {"joints_rad": goal.tolist()}, [self.robot.joint_names[0]]
         path = self.folder / "scene.json"
         path.write_text(json.dumps(numbers), "utf-8")
-        bodies = Bodies(self.robot.urdf_path, path, fruits=False)
+        bodies = PlacedBodies(self.robot.urdf_path, path, fruits=False)
         others = range(bodies.count, bodies.count + len(bodies.obstacles))
         pairs = [(k, other) for k in range(bodies.count) for other in others]
         near = bodies.distances(np.stack([start, goal]), pairs).min(axis=0) < 0.01
@@ -272,7 +272,7 @@ class _Member:
         """Look at every millisecond of an exported motion."""
         times, q = self.exported(result.trajectory)
         self.tally.looks += len(q)
-        bodies = Bodies(self.robot.urdf_path, scene)
+        bodies = PlacedBodies(self.robot.urdf_path, scene)
         others = {name: bodies.count + k for k, name in enumerate(bodies.obstacles)}
         fruit = result.motion.task.scene.goal.fruit
         rigid = [k for k in range(bodies.count) if not bodies.stands(k)]
@@ -360,7 +360,7 @@ class _Member:
         path.write_text(json.dumps({"obstacles": [item]}), "utf-8")
         q = np.tile(self.bodies.model.lowerPositionLimit, (ALWAYS, 1))
         q[:, 0] = np.linspace(self.robot.lower[0], self.robot.upper[0], ALWAYS)
-        among = Bodies(self.robot.urdf_path, path)
+        among = PlacedBodies(self.robot.urdf_path, path)
         return bool((among.distances(q, [(body, among.count)]) < 0.0).all())
 
     def pass_by(self, scene: Scene, trajectory: Trajectory, q: FloatArray) -> bool:

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 import hplan
-from hplan.base.report import STAGES, StageClock, failure_report, versions, write_report
 from hplan.errors import JointLimitError, NoPathError, OutputError
+from hplan.planning.report import STAGES, StageClock, failure_report, versions, write_report
 
 
 def test_clock_adds_up_what_a_stage_took() -> None:

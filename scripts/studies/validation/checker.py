@@ -74,7 +74,7 @@ def between_rows(time: FloatArray, position: FloatArray, velocity: FloatArray) -
     return ticks, q
 
 
-class Bodies:
+class PlacedBodies:
     """All collision bodies of a URDF among obstacles."""
 
     def __init__(self, urdf: Path, scene: Path | None = None, *, fruits: bool = True) -> None:

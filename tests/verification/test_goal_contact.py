@@ -14,11 +14,11 @@ from hplan.errors import CertificationError, OptionError
 from hplan.planar.inverse_kinematics import reach
 from hplan.planar.straight_approach import ApproachPath
 from hplan.planning import find_motion as transit
-from hplan.problem.goal_contact import OFFSET, THERE, TURN, contact_window
 from hplan.scene.file import load_scene
 from hplan.scene.model import Fruit, Goal, Scene, Start
 from hplan.timing.trajectory import Trajectory, joined, read_csv, write_csv
 from hplan.verification.certificate import certify
+from hplan.verification.goal_contact import OFFSET, THERE, TURN, contact_window
 from hplan.verification.limit_use import cubic_pieces
 
 GRASP = np.radians([0.0, 20.0, 20.0, 20.0])
@@ -121,8 +121,8 @@ def test_deeper_than_to_the_centre_is_refused(robot, picked):
         # Smaller, so that only the approach comes near it.
         center = tuple((np.array(fruit.center) - deeper * direction).tolist())
         moved = fruit.model_copy(update={"center": center, "radius": 0.02})
-        around = scene.model_copy(update={"fruits": (moved,)})
-        certificate = certify(robot, around, result.trajectory)
+        world = scene.model_copy(update={"fruits": (moved,)})
+        certificate = certify(robot, world, result.trajectory)
         assert certificate.verified is verified, (deeper, certificate.violations)
 
 

@@ -74,18 +74,19 @@ def _start() -> subprocess.Popen[bytes] | None:
 
 
 def compile_from_postprocessing_on() -> None:
-    """Smooth, time and certify a way through the reference scene."""
+    """Smooth, time and certify a path through the reference scene."""
     from hplan.planning.find_motion import MARGIN, smooth_and_certify
+    from hplan.planning.plan import PlanningCache
     from hplan.problem.options import PlanOptions
     from hplan.robot.model import load_robot
     from hplan.scene.file import load_scene
-    from hplan.tour.motions import MotionPlanning
 
-    scene, planning = load_scene(), MotionPlanning(load_robot(), PlanOptions())
+    scene, options, cache = load_scene(), PlanOptions(), PlanningCache(load_robot())
     start, goal = scene.start.configuration, scene.goal.configuration
-    way = np.stack([start, start, goal, goal])
-    way[1:3, -2:] = np.radians(_FOLDED_DEG)
-    smooth_and_certify(planning.task(planning.world(scene), scene, start, goal), None, way, MARGIN, "search")
+    waypoints = np.stack([start, start, goal, goal])
+    waypoints[1:3, -2:] = np.radians(_FOLDED_DEG)
+    task = cache.task(cache.world(scene, options), scene, options, (start, goal))
+    smooth_and_certify(task, None, waypoints, MARGIN, "search")
 
 
 if __name__ == "__main__":

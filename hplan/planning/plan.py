@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from hplan.base.arguments import instance
 from hplan.base.arrays import FloatArray, Record
@@ -147,6 +148,26 @@ class PlanningCache:
             self._last = last = asked, world
         return last[1]
 
+    def task(
+        self, world: World, scene: Scene, options: PlanOptions, ends: tuple[ArrayLike, ArrayLike],
+        clock: StageClock | None = None, progress: Progress = no_progress,
+    ) -> PlanningTask:  # fmt: skip
+        """A motion to plan.
+
+        Args:
+            world: What the arm must keep clear of on it.
+            scene: Where that comes from.
+            options: How to plan.
+            ends: (dof,) start and goal configuration.
+            clock: Where time is noted; a new one where this is None.
+            progress: Called with the name of each stage as it begins.
+
+        Raises:
+            HplanError: As `check_problem`.
+        """
+        problem = check_problem(world, *ends, locked_joints=scene.locked_joints)
+        return PlanningTask(world, scene, problem, options, clock or StageClock(), self.layers, progress)
+
 
 def plan_with(
     workspace: PlanningCache,
@@ -208,8 +229,7 @@ def _planned(
     world = workspace.world(scene, options)
     world.check_base(robot.yaw_of(start))
     if goal is not None:
-        problem = check_problem(world, start, goal, locked_joints=scene.locked_joints)
-        motion = _moved(PlanningTask(world, scene, problem, options, clock, workspace.layers, progress), before)
+        motion = _moved(workspace.task(world, scene, options, (start, goal), clock, progress), before)
         return _result(scene, clock, None, motion, [("transit", motion.trajectory, motion.certificate)])
     return _reach(workspace, world, start, scene, options, clock, progress)
 
@@ -254,8 +274,7 @@ def _reach(
 
     def task_of(grasp: Grasp) -> PlanningTask:
         where = grasp.transit_among(world, near)
-        problem = check_problem(where, start, grasp.standoff, locked_joints=scene.locked_joints)
-        return PlanningTask(where, scene, problem, options, clock, workspace.layers, progress)
+        return workspace.task(where, scene, options, (start, grasp.standoff), clock, progress)
 
     def last_of(grasp: Grasp, motion: PlannedMotion) -> list[tuple[str, Trajectory, Certificate]]:
         return last_stretch(replace(motion.task, world=near), grasp, fruit, world.checker)

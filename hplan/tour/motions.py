@@ -33,10 +33,8 @@ from hplan.errors import (
 from hplan.planning.find_motion import find_motion
 from hplan.planning.grasp_motion import motion_to_grasp
 from hplan.planning.grasps import Grasp, grasps, least_standoff, promising
-from hplan.planning.grid_route import PlanningTask, no_progress
+from hplan.planning.grid_route import PlanningTask
 from hplan.planning.plan import PlanningCache, last_stretch
-from hplan.planning.report import StageClock
-from hplan.problem.definition import check_problem
 from hplan.problem.options import PlanOptions
 from hplan.problem.world import World
 from hplan.robot.limits import Limits, rest_to_rest
@@ -58,28 +56,6 @@ def carrying(robot: Robot, radius: float) -> Robot:
     widths = np.array(robot.arm.half_widths)
     widths[-1] = max(widths[-1], radius)
     return replace(robot, arm=replace(robot.arm, half_widths=readonly(widths)))
-
-
-class MotionPlanning:
-    """An arm, empty or carrying, and the planar layers it leaves from plan to plan."""
-
-    def __init__(self, robot: Robot, options: PlanOptions) -> None:
-        """Begin with nothing."""
-        self.options = options
-        self._cache = PlanningCache(robot)
-
-    def world(self, scene: Scene) -> World:
-        """The arm among all solids of a scene."""
-        return self._cache.world(scene, self.options)
-
-    def task(self, world: World, scene: Scene, start: FloatArray, goal: FloatArray) -> PlanningTask:
-        """A motion to plan.
-
-        Raises:
-            InputError: Start or goal cannot be taken.
-        """
-        problem = check_problem(world, start, goal, locked_joints=scene.locked_joints)
-        return PlanningTask(world, scene, problem, self.options, StageClock(), self._cache.layers, no_progress)
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,13 +123,14 @@ class Motions:
     """
 
     def __init__(
-        self, scene: Scene, empty: MotionPlanning, loaded: MotionPlanning | None, *, here: Stop, home: Stop,
-        drop: DropOff | None, every: int, back: bool,
+        self, scene: Scene, options: PlanOptions, empty: PlanningCache, loaded: PlanningCache | None, *, here: Stop,
+        home: Stop, drop: DropOff | None, every: int, back: bool,
     ) -> None:  # fmt: skip
         """Begin without fruits.
 
         Args:
             scene: The obstacles, all fruits that hang among them.
+            options: How to plan.
             empty: The arm as it is.
             loaded: The arm as it carries; None where nothing is carried.
             here: Where the tour begins.
@@ -163,8 +140,8 @@ class Motions:
             back: Whether the tour goes back.
         """
         self.scene, self.fruits, self.planned = scene, list[str](), 0
-        self._plannings = (empty, empty if loaded is None else loaded)
-        self._worlds = [planning.world(scene) for planning in self._plannings[: 1 if loaded is None else 2]]
+        self._options, self._caches = options, (empty, empty if loaded is None else loaded)
+        self._worlds = [cache.world(scene, options) for cache in self._caches[: 1 if loaded is None else 2]]
         self._every, self._back, self._carries = every, back, loaded is not None
         self._stops: list[Stop] = []
         self._here, self._home = self._stop(here), self._stop(home)
@@ -177,7 +154,7 @@ class Motions:
         if drop is not None and self._home != self._hub:
             way, a, b = _Move.of([drop.way]), self._home, self._hub
             self._moves[min(a, b), max(a, b), False] = way if a < b else way.reversed
-        robot, options = self._worlds[0].robot, empty.options
+        robot = empty.robot
         limits = Limits(robot.velocity_limit, robot.acceleration_limit).scaled(options.speed)
         self._limits = limits.velocity, limits.acceleration
 
@@ -200,7 +177,7 @@ class Motions:
             np.array(fruit.center),
             hub,
             what=what,
-            standoff=self._plannings[1].options.standoff,
+            standoff=self._options.standoff,
             least_standoff=least_standoff(world, fruit),
             approach_deg=self.scene.goal.approach_deg,
             locked=self.scene.locked_joints,
@@ -208,7 +185,7 @@ class Motions:
         self.planned += 1
 
         def task_of(grasp: Grasp) -> PlanningTask:
-            return self._plannings[1].task(grasp.transit_among(world, near), self.scene, hub, grasp.standoff)
+            return self._task(True, grasp.transit_among(world, near), hub, grasp.standoff)
 
         likely = promising(ways, world, near, hub)
         shown, motion, pick = motion_to_grasp(
@@ -277,9 +254,13 @@ class Motions:
     def _planned_pick(self, grasp: Grasp, fruit: str) -> _Move:
         """Approach and retreat."""
         world = self._worlds[-1]
-        task = self._plannings[1].task(world.touching(fruit), self.scene, grasp.goal, grasp.goal)
+        task = self._task(True, world.touching(fruit), grasp.goal, grasp.goal)
         target = next(other for other in self.scene.fruits if other.name == fruit)
         return _Move.of(last_stretch(task, grasp, target, world.checker))
+
+    def _task(self, loaded: bool, world: World, start: FloatArray, goal: FloatArray) -> PlanningTask:
+        """A motion to plan, of the arm empty or carrying."""
+        return self._caches[loaded].task(world, self.scene, self._options, (start, goal))
 
     @staticmethod
     def _near(world: World, *stops: Stop) -> World:
@@ -301,11 +282,11 @@ class Motions:
 
     def _direct(self, a: int, b: int, loaded: bool) -> _Move | None:
         """The direct motion; None where none is found."""
-        ends, planning, world = (self._stops[a], self._stops[b]), self._plannings[loaded], self._worlds[loaded]
+        ends, world = (self._stops[a], self._stops[b]), self._worlds[loaded]
         self.planned += 1
         try:
             where = self._near(world, *ends)
-            _, motion = find_motion([planning.task(where, self.scene, *(end.configuration for end in ends))])
+            _, motion = find_motion([self._task(loaded, where, *(end.configuration for end in ends))])
         except NO_MOTION:
             return None
         return _Move.of([("transit", motion.trajectory, motion.certificate)])
@@ -385,12 +366,15 @@ class Motions:
         )
 
 
-def drop_off(goal: Goal, scene: Scene, empty: MotionPlanning, loaded: MotionPlanning, start: FloatArray) -> DropOff:
+def drop_off(
+    goal: Goal, scene: Scene, options: PlanOptions, empty: PlanningCache, loaded: PlanningCache, start: FloatArray
+) -> DropOff:
     """Where the arm lets go of what it carries: clear also as it carries, and reached from the start.
 
     Args:
         goal: Joints or a position.
         scene: The obstacles.
+        options: How to plan.
         empty: The arm as it is.
         loaded: The arm as it carries.
         start: (dof,) configuration from which it comes.
@@ -400,13 +384,12 @@ def drop_off(goal: Goal, scene: Scene, empty: MotionPlanning, loaded: MotionPlan
         HplanError: One of `NO_MOTION`: it is blocked, or no certified motion from the start leads there.
         InputError: Joints that are no configuration, or in collision.
     """
-    world, before, what = loaded.world(scene), empty.world(scene), "the drop-off"
-
+    world, before, what = loaded.world(scene, options), empty.world(scene, options), "the drop-off"
     joints = goal.joints()
     if joints is not None:
         q = world.robot.check_configuration(joints, "drop_off")
         world.check_clear(q, "drop_off")
-        _, motion = find_motion([empty.task(before, scene, start, q)])
+        _, motion = find_motion([empty.task(before, scene, options, (start, q))])
         return DropOff(q, ("transit", motion.trajectory, motion.certificate))
     ways = grasps(
         world, world, np.array(goal.position), start, what=what, standoff=0.0, approach_deg=goal.approach_deg,
@@ -415,7 +398,7 @@ def drop_off(goal: Goal, scene: Scene, empty: MotionPlanning, loaded: MotionPlan
 
     def task_of(grasp: Grasp) -> PlanningTask:
         world.check_clear(grasp.goal, "goal")
-        return empty.task(before, scene, start, grasp.goal)
+        return empty.task(before, scene, options, (start, grasp.goal))
 
     grasp, motion, _ = motion_to_grasp(ways, promising(ways, world, world, start), task_of, lambda *_: None, what)
     return DropOff(grasp.goal, ("transit", motion.trajectory, motion.certificate))

@@ -23,14 +23,14 @@ from hplan.errors import CertificationError, HplanError, OptionError, TourError,
 from hplan.planning.find_motion import certified
 from hplan.planning.grasps import Grasp
 from hplan.planning.grid_route import Progress, no_progress
-from hplan.planning.plan import Phase, check_task
+from hplan.planning.plan import Phase, PlanningCache, check_task
 from hplan.planning.report import certificate_report, versions
 from hplan.problem.options import PlanOptions
 from hplan.robot.model import Robot
 from hplan.scene.model import Goal, Scene
 from hplan.timing.retime import resting
 from hplan.timing.trajectory import Trajectory, joined
-from hplan.tour.motions import NO_MOTION, MotionPlanning, Motions, Part, Stop, carrying, drop_off
+from hplan.tour.motions import NO_MOTION, Motions, Part, Stop, carrying, drop_off
 from hplan.tour.ordering import Costs, Visits, along, best, nearest
 from hplan.verification.certificate import Certificate, all_of
 from hplan.verification.digests import Digests
@@ -217,11 +217,11 @@ class _Planner:
         """Check the start and make the arm ready."""
         self._begin = time.perf_counter()
         self.robot, self.scene, self.options, self.tour, self.progress = robot, scene, options, tour, progress
-        self.empty = MotionPlanning(robot, options)
+        self.empty = PlanningCache(robot)
         self.start = robot.check_configuration(scene.start.configuration, "start")
-        world = self.empty.world(scene)
+        world = self.empty.world(scene, options)
         world.check_base(robot.yaw_of(self.start))
-        self.empty.task(world, scene, self.start, self.start)
+        self.empty.task(world, scene, options, (self.start, self.start))
 
     def run(self, names: list[str]) -> TourResult:
         """The tour; what is blocked is tried again among what the fruits picked before it leave."""
@@ -229,15 +229,15 @@ class _Planner:
         if self.tour.drop_off is not None:
             self.progress("drop-off")
             thickest = max(fruit.radius for fruit in self.scene.fruits if fruit.name in names)
-            loaded = MotionPlanning(carrying(self.robot, thickest), self.options)
-            drop = drop_off(self.tour.drop_off, self.scene, self.empty, loaded, self.start)
+            loaded = PlanningCache(carrying(self.robot, thickest))
+            drop = drop_off(self.tour.drop_off, self.scene, self.options, self.empty, loaded, self.start)
         home = Stop(self.start)
         scene, here, stages = self.scene, home, list[_Stage]()
         left, unreached = names, list[Unreached]()
         while left:
             motions = Motions(
-                scene, self.empty, loaded, here=here, home=home, drop=drop, every=self.tour.every or 1,
-                back=self.tour.back,
+                scene, self.options, self.empty, loaded, here=here, home=home, drop=drop,
+                every=self.tour.every or 1, back=self.tour.back,
             )  # fmt: skip
             stage = self._stage(motions, left)
             unreached = [item for item in unreached if item.fruit not in left] + stage.unreached
@@ -307,8 +307,8 @@ class _Planner:
         """A leg of motions one after the other; of none, the arm rests where it is."""
         if not parts:
             rest = resting(self.robot.model, here)
-            world = self.empty.world(self.scene)
-            parts = [("return", rest, certified(self.empty.task(world, self.scene, here, here), rest))]
+            task = self.empty.task(self.empty.world(self.scene, self.options), self.scene, self.options, (here, here))
+            parts = [("return", rest, certified(task, rest))]
         ends = np.cumsum([begin, *(motion.duration for _, motion, _ in parts)]).tolist()
         return Leg(
             fruit=fruit,

@@ -12,7 +12,7 @@ import pinocchio as pin
 
 from hplan.robot.model import Robot, load_robot
 from hplan.robot.self_contact import _KNOWN, SelfContact
-from hplan.scene.model import Box, Capsule, Sphere
+from hplan.scene.obstacles import Box, Capsule, Sphere
 
 UP = "0 -1 0"  # a positive angle lifts the arm
 DOWN = "0 1 0"

@@ -11,7 +11,8 @@ import numpy as np
 from hplan.collision.coal_scene import CoalScene
 from hplan.planning.plan import PlanResult
 from hplan.robot.model import Robot
-from hplan.scene.model import Box, Capsule, Fruit, Goal, Scene, Sphere, Start
+from hplan.scene.model import Fruit, Goal, Scene, Start
+from hplan.scene.obstacles import Box, Capsule, Sphere
 from hplan.timing.trajectory import Trajectory
 from hplan.verification.certificate import LIMIT_TOLERANCE
 

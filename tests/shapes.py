@@ -6,7 +6,7 @@ import coal
 import numpy as np
 
 from hplan.collision.coal_shapes import solid_shape
-from hplan.scene.model import Solid
+from hplan.scene.obstacles import Solid
 
 
 def blocks(filled: np.ndarray, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

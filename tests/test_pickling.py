@@ -23,7 +23,8 @@ from hplan.collision.coal_scene import CoalScene
 from hplan.errors import HplanError
 from hplan.planning.enclosure import EnclosedError
 from hplan.robot.model import Robot
-from hplan.scene.model import Goal, Mesh, PointCloud, Scene
+from hplan.scene.model import Goal, Scene
+from hplan.scene.obstacles import Mesh, PointCloud
 from hplan.scene.solids import Cloud
 
 SAMPLES = [

@@ -12,7 +12,7 @@ import pytest
 import trimesh
 
 import hplan
-from hplan.scene.model import PointCloud
+from hplan.scene.obstacles import PointCloud
 
 README = Path(__file__).parents[1] / "README.md"
 

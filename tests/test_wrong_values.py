@@ -20,7 +20,8 @@ from hplan.orchard import FruitZone, OrchardOptions, fruit_at_tips, generate, im
 from hplan.robot.tracking import TrackingModel
 from hplan.robot_family.members import HARVESTER, ArmSpec, cross_check, write_robot
 from hplan.scene.file import dump_scene, parse_scene
-from hplan.scene.model import Box, Capsule, Fruit, Goal, Mesh, PointCloud, Scene, Sphere, Start
+from hplan.scene.model import Fruit, Goal, Scene, Start
+from hplan.scene.obstacles import Box, Capsule, Mesh, PointCloud, Sphere
 from hplan.search import dense_search, reachable, slices_with_path, two_level_search
 from hplan.search.grid import Grid, Occupancy
 from hplan.tour.tour import TourOptions

@@ -20,7 +20,7 @@ from hplan.collision.coal_shapes import beyond_geometry, solid_shape
 from hplan.robot.base_shapes import BASE_DEPTH, GROUND, TURRET, BaseShape, always, filled, turning_shapes
 from hplan.robot.model import Robot
 from hplan.robot.self_contact import SelfContact
-from hplan.scene.model import Solid
+from hplan.scene.obstacles import Solid
 
 #: Heights that differ by less are the same [m].
 _ROUNDING = 1e-9

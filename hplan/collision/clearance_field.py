@@ -19,7 +19,7 @@ from hplan.collision.clearance_kernels import clearances_along, link_clearances,
 from hplan.collision.obstacle_rows import GATE, rows_of
 from hplan.errors import OptionError
 from hplan.robot.model import Robot
-from hplan.scene.model import Solid
+from hplan.scene.obstacles import Solid
 
 #: Largest turn of a joint between two looks at what is near a motion.
 _NEAR_STEP = 0.05

@@ -21,7 +21,7 @@ import numpy as np
 import pinocchio as pin
 
 from hplan.base.arrays import FloatArray
-from hplan.scene.model import Box, Capsule, Solid, Sphere
+from hplan.scene.obstacles import Box, Capsule, Solid, Sphere
 
 #: Where coal iterates [m].
 ITERATION = 2e-6

@@ -24,7 +24,7 @@ from hplan.robot.base_shapes import TURRET
 from hplan.robot.base_shapes import filled as _filled
 from hplan.robot.model import Robot
 from hplan.robot.self_contact import self_contact
-from hplan.scene.model import Solid
+from hplan.scene.obstacles import Solid
 from hplan.search.grid import Grid
 
 _BASE_RADII: WeakKeyDictionary[Robot, float] = WeakKeyDictionary()

@@ -13,7 +13,7 @@ from hplan.base.arrays import FloatArray, IntArray
 from hplan.robot.base_shapes import filled
 from hplan.robot.convex_shape import convex_shape
 from hplan.robot.model import Robot
-from hplan.scene.model import Box, Capsule, Solid, Sphere
+from hplan.scene.obstacles import Box, Capsule, Solid, Sphere
 from hplan.scene.solids import Cloud, Hull
 
 #: Shape of the links: the planner's capsules, beams of the same half-widths, or the URDF's collision geometry.

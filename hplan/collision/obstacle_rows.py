@@ -20,7 +20,7 @@ from hplan.base.arrays import FloatArray, IntArray
 from hplan.robot.base_shapes import TURRET
 from hplan.robot.model import Robot
 from hplan.robot.self_contact import BaseBody, pair_sway, self_contact
-from hplan.scene.model import Box, Capsule, Solid, Sphere
+from hplan.scene.obstacles import Box, Capsule, Solid, Sphere
 from hplan.scene.solids import Cloud, Hull, hull_of
 
 #: Columns of a row: kind, radius, bounding centre (3) and radius, 14 numbers of its kind, the row to go on with where

@@ -14,7 +14,7 @@ from hplan.errors import OptionError
 from hplan.orchard.checks import check_number, check_numbers
 from hplan.orchard.options import FARTHEST
 from hplan.orchard.pieces import capsule
-from hplan.scene.model import Capsule, Vector
+from hplan.scene.obstacles import Capsule, Vector
 
 _NUMBERS = ("x1", "y1", "z1", "x2", "y2", "z2", "radius")
 _COLUMNS = ("kind", *_NUMBERS)

@@ -19,7 +19,8 @@ from hplan.errors import OptionError
 from hplan.orchard.checks import check_number
 from hplan.orchard.options import FruitZone
 from hplan.orchard.pieces import DECIMALS
-from hplan.scene.model import Capsule, Fruit
+from hplan.scene.model import Fruit
+from hplan.scene.obstacles import Capsule
 
 #: Gap that rounding cannot close [m].
 _GAP = 1e-4

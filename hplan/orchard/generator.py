@@ -16,7 +16,8 @@ from hplan.orchard.fruits import fruit_at_tips, hang_fruits
 from hplan.orchard.options import FARTHEST, TUCKED_DEG, FruitZone, OrchardOptions
 from hplan.orchard.pieces import DECIMALS, capsule, rounded
 from hplan.orchard.wood import Limb, grow_tree
-from hplan.scene.model import Box, Capsule, Fruit, Goal, Scene, Start
+from hplan.scene.model import Fruit, Goal, Scene, Start
+from hplan.scene.obstacles import Box, Capsule
 
 #: Radius of a post, and its height above the trees' and the topmost wire [m].
 _POST_RADIUS, _POST_SPARE = 0.04, 0.1

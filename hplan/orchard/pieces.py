@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from hplan.scene.model import Capsule, Vector
+from hplan.scene.obstacles import Capsule, Vector
 
 #: Decimals of a length in metres.
 DECIMALS = 4

@@ -25,7 +25,8 @@ from hplan.problem.options import PlanOptions
 from hplan.problem.world import World
 from hplan.robot.model import Robot
 from hplan.robot.tracking import largest_share, name_margin
-from hplan.scene.model import Fruit, Scene, Solid
+from hplan.scene.model import Fruit, Scene
+from hplan.scene.obstacles import Solid
 from hplan.search import SearchResult
 from hplan.search.grid import Occupancy
 from hplan.smoothing.spline import SplinePath

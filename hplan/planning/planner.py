@@ -17,7 +17,8 @@ from hplan.errors import InputError, SceneError
 from hplan.planning.plan import PlanningCache, PlanResult, check_task, plan_with
 from hplan.problem.options import PlanOptions
 from hplan.robot.model import Robot
-from hplan.scene.model import Box, Capsule, Goal, Mesh, PointCloud, Scene, Sphere, Start, Vector
+from hplan.scene.model import Goal, Scene, Start
+from hplan.scene.obstacles import Box, Capsule, Mesh, PointCloud, Sphere, Vector
 
 
 class Planner:

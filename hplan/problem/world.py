@@ -22,7 +22,7 @@ from hplan.errors import ConfigurationInCollisionError, InputError
 from hplan.robot.base_shapes import BASE_DEPTH, turning_shapes
 from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel, largest_share, name_margin
-from hplan.scene.model import Solid
+from hplan.scene.obstacles import Solid
 from hplan.verification.clearance_proof import pair_sways
 
 

@@ -23,6 +23,7 @@ from hplan.base.arrays import FloatArray, readonly
 from hplan.errors import RobotFileError
 from hplan.robot.urdf_xml import line_of
 from hplan.scene.limits import FARTHEST_M
+from hplan.scene.solids import rpy_rotation
 
 #: Part of the largest principal moment by which an inertia may miss what a body can have: CAD programs round.
 _INERTIA_TOLERANCE: Final = 1e-3
@@ -328,7 +329,7 @@ class _Reader:
     def _placement(self, element: ET.Element, where: str) -> pin.SE3:
         """Where the `<origin>` of an element puts it."""
         xyz, rpy = self._origin_of(element, where)
-        return pin.SE3(_rotation(*rpy), np.array(xyz))
+        return pin.SE3(rpy_rotation(*rpy), np.array(xyz))
 
     def _origin_of(self, element: ET.Element, where: str) -> tuple[tuple[float, ...], tuple[float, ...]]:
         """The numbers `xyz` and `rpy` of the `<origin>` of an element."""
@@ -380,15 +381,3 @@ class _Reader:
         if ":" in name or name in _EXTENSIONS:
             return True
         return self._any_robot and not get_close_matches(name.lower(), known, 1, _ALIKE)
-
-
-def _rotation(roll: float, pitch: float, yaw: float) -> FloatArray:
-    """(3, 3) rotation by angles about the fixed axes x, y, z."""
-    cr, sr, cp, sp, cy, sy = (f(a) for a in (roll, pitch, yaw) for f in (math.cos, math.sin))
-    return np.array(
-        [
-            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-            [-sp, cp * sr, cp * cr],
-        ]
-    )

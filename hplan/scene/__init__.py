@@ -11,7 +11,8 @@ from hplan.base.lazy_import import lazy_names
 
 if TYPE_CHECKING:
     from hplan.scene.file import default_scene_path, dump_scene, load_scene, parse_scene, save_scene
-    from hplan.scene.model import FORMAT, Box, Capsule, Fruit, Goal, Mesh, Obstacle, PointCloud, Scene, Sphere, Start
+    from hplan.scene.model import FORMAT, Fruit, Goal, Scene, Start
+    from hplan.scene.obstacles import Box, Capsule, Mesh, Obstacle, PointCloud, Sphere
 
 __all__ = [
     "FORMAT",
@@ -35,19 +36,8 @@ __all__ = [
 __getattr__ = lazy_names(
     __name__,
     {
-        "hplan.scene.model": (
-            "FORMAT",
-            "Box",
-            "Capsule",
-            "Fruit",
-            "Goal",
-            "Mesh",
-            "Obstacle",
-            "PointCloud",
-            "Scene",
-            "Sphere",
-            "Start",
-        ),
+        "hplan.scene.model": ("FORMAT", "Fruit", "Goal", "Scene", "Start"),
+        "hplan.scene.obstacles": ("Box", "Capsule", "Mesh", "Obstacle", "PointCloud", "Sphere"),
         "hplan.scene.file": ("default_scene_path", "dump_scene", "load_scene", "parse_scene", "save_scene"),
     },
 )

@@ -1,9 +1,9 @@
 r"""A closed surface to convex pieces whose union holds the solid inside it.
 
-The solid :math:`S` is cut by planes: each part is the closure :math:`S_C` of what its interior shares with the interior
-of a box :math:`C` of a partition of space. Each part is replaced by its convex hull, so the pieces hold the solid
-whatever the cuts. The hull is exact: :math:`S_C` is in the hull of its extreme points, and an extreme point is either
-on the surface, and then a vertex of a triangle clipped by :math:`C`, or inside the solid, and then a corner of
+The solid :math:`S` is cut by planes: each part is the closure :math:`S_C` of the intersection of its interior with the
+interior of a box :math:`C` of a partition of space. Each part is replaced by its convex hull, so the pieces hold the
+solid whatever the cuts. The hull is exact: :math:`S_C` is in the hull of its extreme points, and an extreme point is
+either on the surface, and then a vertex of a triangle clipped by :math:`C`, or inside the solid, and then a corner of
 :math:`C`. Hence
 
 .. math:: \mathrm{conv}(S_C) = \mathrm{conv}(\text{vertices of the clipped triangles} \cup
@@ -14,12 +14,12 @@ inwards of the box, by the winding number. (Hulls of many vertices are simplifie
 `hplan.scene.solids`. What a cut leaves within `_IN_PLANE` of it is on its other side. So "hold" means up to less than a
 micrometre.)
 
-A surface may hold sheets beside solids: leaves and panels, two faces back to back or nearly so. A part thinner than
+A surface may hold sheets as well as solids: leaves and panels, two faces back to back or nearly so. A part thinner than
 `hplan.scene.solids.THIN` is made thicker by as much to either side, so that hulls of sheets have a volume too.
 
-How far the pieces stand out is looked at on a grid: voxels that hold surface, or are enclosed by such, stand for the
-solid. The piece that stands out farthest is cut next, where the hulls of the halves have the least volume together,
-until none stands out by more than the tolerance or there are `PIECES`.
+How far the pieces stand out is measured on a grid of voxels (`hplan.scene.voxels`). The piece that stands out farthest
+is cut next, where the hulls of the halves have the least volume together, until none stands out by more than the
+tolerance or there are `PIECES`.
 """
 
 from __future__ import annotations
@@ -31,12 +31,9 @@ from typing import Final
 import numpy as np
 
 from hplan.base import ties
-from hplan.base.arrays import BoolArray, FloatArray, IntArray
-from hplan.scene.solids import THIN, Hull, hull_of, thickening
-
-#: How far pieces may stand out: this [m], or this share of the mesh's longest side where that is more.
-TOLERANCE: Final = 5e-3
-RELATIVE_TOLERANCE: Final = 0.02
+from hplan.base.arrays import FloatArray, IntArray
+from hplan.scene.solids import CUBE_CORNERS, THIN, Hull, hull_of, thickening, triangle_normals
+from hplan.scene.voxels import SolidVoxels
 
 #: Most pieces of a mesh.
 PIECES: Final = 64
@@ -50,15 +47,15 @@ _NUDGE: Final = 2e-7
 #: Places along an axis at which a cut is tried, besides quarter, half and three quarters.
 _PLACES: Final = 6
 
-#: What an uneven cut costs, as a share of the difference: no single cut lessens the hulls of a ring, and an even one
+#: Cost of an uneven cut, as a fraction of the difference: no single cut lessens the hulls of a ring, and an even one
 #: leads on.
 _EVENNESS: Final = 0.03
 
 #: Some points of a part speak for it while cuts are compared, no more than this.
 _SAMPLES: Final = 3000
 
-#: What a cut across a short side costs beside one across the longest.
-_SHORT_WAY: Final = 0.1
+#: Cost of a cut across a short side, compared with one across the longest.
+_SHORT_SIDE: Final = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,14 +86,14 @@ def convex_pieces(vertices: FloatArray, faces: IntArray) -> Pieces:
     if _is_convex(vertices, faces):
         return Pieces((whole,), whole.rounding)
     triangles = vertices[faces]
-    room = _Room.of(triangles)
+    voxels = SolidVoxels.of(triangles)
     places = _reflex_places(vertices, faces)
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     ready: list[tuple[float, _Part]] = []
     first = _part(low, high, triangles, triangles)
-    waiting = [] if first is None else [(-room.excess(first.hull), 0, first)]
+    waiting = [] if first is None else [(-voxels.excess(first.hull), 0, first)]
     number = 0
-    while waiting and max(len(waiting) + len(ready), number // 8) < PIECES and -waiting[0][0] > room.tolerance:
+    while waiting and max(len(waiting) + len(ready), number // 8) < PIECES and -waiting[0][0] > voxels.tolerance:
         excess, _, part = heapq.heappop(waiting)
         halves = _halves(part, places, triangles)
         if halves is None:
@@ -104,7 +101,7 @@ def convex_pieces(vertices: FloatArray, faces: IntArray) -> Pieces:
             continue
         for half in halves:
             number += 1
-            heapq.heappush(waiting, (-room.excess(half.hull), number, half))
+            heapq.heappush(waiting, (-voxels.excess(half.hull), number, half))
     ready += [(-excess, part) for excess, _, part in sorted(waiting, key=lambda item: item[1])]
     hulls = tuple(part.hull for _, part in ready)
     # The hulls of the parts overlap nowhere, so volumes tell whether they are the solid itself; of sheets they do not.
@@ -112,7 +109,7 @@ def convex_pieces(vertices: FloatArray, faces: IntArray) -> Pieces:
     surplus = sum(_volume(hull.core[hull.faces]) for hull in solid) / _volume(triangles) - 1.0
     exact = abs(surplus) <= 1e-6 and all(hull.rounding == 0.0 for hull in solid)
     inexact = [excess for excess, part in ready if part.is_thin or not exact]
-    return Pieces(hulls, max(inexact) + room.blur + THIN if inexact else 0.0)
+    return Pieces(hulls, max(inexact) + voxels.blur + THIN if inexact else 0.0)
 
 
 def _volume(triangles: FloatArray) -> float:
@@ -125,7 +122,7 @@ def _is_convex(vertices: FloatArray, faces: IntArray) -> bool:
     """Whether no vertex is above the plane of any triangle."""
     size = float(np.ptp(vertices, axis=0).max())
     corners = vertices[faces]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = triangle_normals(corners)
     sizes = np.linalg.norm(normals, axis=1)
     flat = sizes <= 1e-12 * size * size
     normals = normals[~flat] / sizes[~flat, None]
@@ -139,7 +136,7 @@ def _is_convex(vertices: FloatArray, faces: IntArray) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class _Part:
-    """What of the solid is in a box.
+    """The part of the solid in a box.
 
     Attributes:
         low: (3,) lower corner of the box [m].
@@ -173,7 +170,7 @@ class _Part:
 
 def _part(low: FloatArray, high: FloatArray, triangles: FloatArray, surface: FloatArray) -> _Part | None:
     """The part of the solid in a box, or None where there is nothing."""
-    corners = np.array([(x, y, z) for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
+    corners = np.where(CUBE_CORNERS < 0.0, low, high)
     nudge = _NUDGE * np.sign(0.5 * (low + high) - corners)
     inside = corners[np.abs(winding_numbers(corners + nudge, surface)) > 0.25]
     points = np.unique(np.concatenate([triangles.reshape(-1, 3), inside]), axis=0)
@@ -194,9 +191,7 @@ def _block(points: FloatArray) -> FloatArray:
     axes = np.linalg.eigh((points - middle).T @ (points - middle))[1].T
     local = (points - middle) @ axes.T
     low, high = local.min(axis=0) - THIN, local.max(axis=0) + THIN
-    ends = np.stack([low, high])
-    corners = np.array([(ends[i, 0], ends[j, 1], ends[k, 2]) for i in (0, 1) for j in (0, 1) for k in (0, 1)])
-    block: FloatArray = corners @ axes + middle
+    block: FloatArray = np.where(CUBE_CORNERS < 0.0, low, high) @ axes + middle
     return block
 
 
@@ -219,7 +214,7 @@ def _halves(part: _Part, places: list[FloatArray], surface: FloatArray) -> tuple
             below, above = (_clipped(part.triangles, axis, at, side) for side in (-1.0, 1.0))
             volumes = part.rough_volume(below), part.rough_volume(above)
             cost = (sum(volumes) + _EVENNESS * abs(volumes[0] - volumes[1])) / whole
-            cost += _SHORT_WAY * (1.0 - extent[axis] / extent.max())
+            cost += _SHORT_SIDE * (1.0 - extent[axis] / extent.max())
             if best is None or cost < best[0] - 1e-9:
                 best = (cost, axis, at)
     if best is None:
@@ -273,8 +268,7 @@ def _clipped(triangles: FloatArray, axis: int, at: float, side: float) -> FloatA
     whole = (height >= 0.0).all(axis=1)
     level = whole & (count == 0)
     corners = triangles[level]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    parts = [triangles[whole & ~level], corners[side * normals[:, axis] < 0.0]]
+    parts = [triangles[whole & ~level], corners[side * triangle_normals(corners)[:, axis] < 0.0]]
     for number in (1, 2):
         rows = np.flatnonzero((count == number) & ~whole)
         # Turned so that the vertex that is alone comes first.
@@ -294,7 +288,7 @@ def _clipped(triangles: FloatArray, axis: int, at: float, side: float) -> FloatA
 
 
 def winding_numbers(points: FloatArray, triangles: FloatArray) -> FloatArray:
-    """How often a closed surface goes round each of (n, 3) points: 1 inside, 0 outside, between on the surface."""
+    """Winding numbers of a closed surface about (n, 3) points: 1 inside, 0 outside, between on the surface."""
     total = np.zeros(len(points))
     for k, point in enumerate(points):
         a, b, c = (triangles[:, i] - point for i in range(3))
@@ -307,8 +301,7 @@ def winding_numbers(points: FloatArray, triangles: FloatArray) -> FloatArray:
 
 def _reflex_places(vertices: FloatArray, faces: IntArray) -> list[FloatArray]:
     """Coordinates, axis by axis, of the vertices at which the surface folds inwards: good places for cuts."""
-    corners = vertices[faces]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = triangle_normals(vertices[faces])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
     size = float(np.ptp(vertices, axis=0).max())
     sides: dict[tuple[int, int], tuple[int, int]] = {}
@@ -325,78 +318,4 @@ def _reflex_places(vertices: FloatArray, faces: IntArray) -> list[FloatArray]:
     for axis in range(3):
         places = np.unique(rows[:, axis])
         found.append(places[np.diff(places, prepend=-np.inf) > _IN_PLANE])
-    return found
-
-
-@dataclass(frozen=True, eq=False)
-class _Room:
-    """Voxels about the mesh.
-
-    Attributes:
-        origin: (3,) centre of the first voxel [m].
-        edge: Edge of a voxel [m].
-        distance: Distance of each voxel's centre from the nearest one of the solid [m].
-        tolerance: How far a piece may stand out [m].
-    """
-
-    origin: FloatArray
-    edge: float
-    distance: FloatArray
-    tolerance: float
-
-    @classmethod
-    def of(cls, triangles: FloatArray) -> _Room:
-        """Voxels half as large as the tolerance."""
-        from scipy import ndimage
-
-        low, high = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
-        tolerance = max(TOLERANCE, RELATIVE_TOLERANCE * float((high - low).max()))
-        edge = 0.5 * tolerance
-        origin = low - 0.5 * edge
-        shape = tuple((np.ceil((high - low) / edge) + 2).astype(int).tolist())
-        solid: BoolArray = np.zeros(shape, dtype=np.bool_)
-        for points in _covering_points(triangles, 0.7 * edge):
-            solid[tuple(np.rint((points - origin) / edge).astype(int).T)] = True
-        distance = edge * ndimage.distance_transform_edt(~ndimage.binary_fill_holes(solid))
-        return cls(origin, edge, distance, tolerance)
-
-    @property
-    def blur(self) -> float:
-        """What a distance between centres may lack: half a voxel's diagonal at either end [m]."""
-        return float(np.sqrt(3.0) * self.edge)
-
-    def excess(self, hull: Hull) -> float:
-        """How far the hull stands out, by the voxels whose centre is nearer to it than half their diagonal [m]."""
-        margin = 0.5 * self.blur + hull.rounding
-        low = np.floor((hull.core.min(axis=0) - margin - self.origin) / self.edge).astype(int)
-        high = np.ceil((hull.core.max(axis=0) + margin - self.origin) / self.edge).astype(int) + 1
-        low, high = np.maximum(low, 0), np.minimum(high, self.distance.shape)
-        near = self.distance[low[0] : high[0], low[1] : high[1], low[2] : high[2]]
-        index = np.argwhere(near > 0.5 * self.tolerance)
-        # Farthest first, so that the first one in the hull is the answer.
-        far = near[tuple(index.T)]
-        order = np.argsort(-far, kind="stable")
-        for k in range(0, len(order), 20_000):
-            some = order[k : k + 20_000]
-            centers = self.origin + self.edge * (index[some] + low)
-            within = (centers @ hull.planes[:, :3].T <= hull.planes[:, 3] + margin).all(axis=1)
-            if within.any():
-                return float(far[some[int(within.argmax())]])
-        return 0.5 * self.tolerance
-
-
-def _covering_points(triangles: FloatArray, spacing: float) -> list[FloatArray]:
-    """Points on all triangles, at most `spacing` apart [m]: triangles are halved along the longest side until small."""
-    found = [triangles.reshape(-1, 3)]
-    while len(triangles):
-        sides = np.linalg.norm(triangles - triangles[:, [1, 2, 0]], axis=2)
-        triangles = triangles[sides.max(axis=1) > spacing]
-        sides = sides[sides.max(axis=1) > spacing]
-        turn = (sides.argmax(axis=1)[:, None] + np.arange(3)) % 3
-        corners = np.take_along_axis(triangles, turn[:, :, None], axis=1)
-        middle = 0.5 * (corners[:, 0] + corners[:, 1])
-        found.append(middle)
-        first = np.stack([corners[:, 0], middle, corners[:, 2]], axis=1)
-        second = np.stack([middle, corners[:, 1], corners[:, 2]], axis=1)
-        triangles = np.concatenate([first, second])
     return found

@@ -1,17 +1,73 @@
-"""A wrong value in a scene, in the words of scenes instead of pydantic's."""
+"""Checked, immutable values of a scene; their faults in the words of scenes instead of pydantic's."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
-from pydantic import ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic_core import PydanticCustomError
 
 from hplan.errors import SceneError
 
+if TYPE_CHECKING:
+    from pydantic._internal._model_construction import ModelMetaclass
+else:
+    ModelMetaclass = type(BaseModel)  # it has no public name
+
+_Part = TypeVar("_Part", bound=BaseModel)
+
 #: Steps that pydantic puts before the keys of an obstacle.
 _KINDS = ("sphere", "capsule", "box", "mesh", "points")
+
+
+class _SceneErrors(ModelMetaclass):
+    """Classes whose constructor raises a `SceneError` for a wrong value."""
+
+    if not TYPE_CHECKING:
+
+        def __call__(self, *arguments, **values):
+            """Make an object."""
+            try:
+                return super().__call__(*arguments, **values)
+            except ValidationError as error:
+                raise scene_error(error) from error
+
+
+class StrictModel(BaseModel, metaclass=_SceneErrors):
+    """Immutable, no unknown keys, no NaN or infinity, no text where a number belongs.
+
+    Raises:
+        SceneError: A value of the wrong kind or range.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, populate_by_name=True, strict=True)
+
+    if not TYPE_CHECKING:
+
+        @classmethod
+        def model_validate(cls, *arguments, **options):
+            """As pydantic's, but for the error."""
+            try:
+                return super().model_validate(*arguments, **options)
+            except ValidationError as error:
+                raise scene_error(error) from error
+
+
+def validated(kind: type[_Part], content: Any, context: dict[str, Any]) -> _Part:
+    """A part of a scene from its content, for callers who know more of where a fault is.
+
+    Raises:
+        ValidationError: A value of the wrong kind or range.
+    """
+    made: _Part = kind.__pydantic_validator__.validate_python(content, context=context)
+    return made
+
+
+def fault(message: str, *below: int | str) -> PydanticCustomError:
+    """A fault of the scene as a whole that shows at one place; `hplan.scene.file` finds its line by `below`."""
+    return PydanticCustomError("scene", "{message}", {"message": message, "below": below})
 
 
 def scene_error(error: ValidationError) -> SceneError:
@@ -32,7 +88,7 @@ def worst_fault(error: ValidationError) -> Any:
 
 
 def dotted(steps: Sequence[int | str]) -> str:
-    """The way to a value, as `obstacles[0].radius`."""
+    """The path of keys to a value, as `obstacles[0].radius`."""
     text = "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in steps)
     return text.lstrip(".")
 

@@ -15,9 +15,10 @@ from hplan.base.data_files import scenes_dir
 from hplan.base.files import write_text
 from hplan.base.yaml_text import read_yaml, write_yaml
 from hplan.errors import SceneError
-from hplan.scene.fault import dotted, plain_message, worst_fault
+from hplan.scene.fault import dotted, plain_message, validated, worst_fault
 from hplan.scene.limits import MOST_SCENE_BYTES, MOST_SHAPE_BYTES, ByteBudget
-from hplan.scene.model import Mesh, PointCloud, Scene, validated
+from hplan.scene.model import Scene
+from hplan.scene.obstacles import Mesh, PointCloud
 
 
 def default_scene_path() -> Path:

@@ -1,4 +1,4 @@
-"""What mesh and point files hold, checked: closed surfaces and sets of points.
+"""Closed surfaces and sets of points, read from mesh and point files or arrays, and checked.
 
 Read through trimesh, which is imported when the first file is read. Faults are `ValueError`s that say what is wrong and
 what would be right; the scene adds where.
@@ -20,7 +20,6 @@ from hplan.base.arrays import FloatArray, IntArray, readonly
 from hplan.base.files import write_text
 from hplan.scene.convex_decomposition import Pieces, convex_pieces
 from hplan.scene.limits import FARTHEST_M, MOST_POINTS, MOST_TRIANGLES, ByteBudget
-from hplan.scene.solids import Cloud, Hull
 
 #: Files that hold a surface, and files that hold points.
 MESH_FORMATS: Final = (".stl", ".ply", ".obj", ".off")
@@ -29,8 +28,8 @@ POINT_FORMATS: Final = (".ply", ".xyz")
 _T = TypeVar("_T")
 
 
-class _Kept:
-    """Equal by its arrays; remembers what was made of it, so that meshes are cut and trees built once."""
+class _Cached:
+    """Equal by its arrays; keeps what was made of it, so that meshes are cut and trees built once."""
 
     arrays: tuple[FloatArray | IntArray, ...]
     _made: dict[Any, Any]
@@ -43,7 +42,7 @@ class _Kept:
     __hash__ = None  # type: ignore[assignment]
 
     def once(self, key: Any, make: Callable[[], _T]) -> _T:
-        """What `make` gave the first time it was asked for under this key."""
+        """The result of `make`, which is called for the first request of a key only."""
         if key not in self._made:
             self._made[key] = make()
         found: _T = self._made[key]
@@ -51,7 +50,7 @@ class _Kept:
 
 
 @dataclass(frozen=True, eq=False)
-class Surface(_Kept):
+class Surface(_Cached):
     """A closed surface of triangles.
 
     Attributes:
@@ -65,7 +64,7 @@ class Surface(_Kept):
 
     @property
     def arrays(self) -> tuple[FloatArray | IntArray, ...]:  # type: ignore[override]
-        """What makes two of them equal."""
+        """The arrays that make two of them equal."""
         return self.vertices, self.faces
 
     @classmethod
@@ -103,7 +102,7 @@ class Surface(_Kept):
 
 
 @dataclass(frozen=True, eq=False)
-class PointSet(_Kept):
+class PointSet(_Cached):
     """Points.
 
     Attributes:
@@ -115,7 +114,7 @@ class PointSet(_Kept):
 
     @property
     def arrays(self) -> tuple[FloatArray | IntArray, ...]:  # type: ignore[override]
-        """What makes two of them equal."""
+        """The arrays that make two of them equal."""
         return (self.points,)
 
     @classmethod
@@ -131,10 +130,6 @@ class PointSet(_Kept):
                 f"the cloud has {len(found)} points; thin it to at most {MOST_POINTS}, by voxels of about its radius"
             )
         return cls(readonly(found))
-
-    def cloud(self, name: str, radius: float, rotation: FloatArray, position: FloatArray, sigma: float) -> Cloud:
-        """The points as balls, turned and shifted."""
-        return Cloud.of(name, self.points @ rotation.T + position, radius, sigma)
 
 
 def read_surface(path: Path, budget: ByteBudget) -> Surface:
@@ -188,15 +183,8 @@ def write_shape(data: Surface | PointSet, path: Path) -> Path:
     return write_text(path, text.getvalue())
 
 
-def placed_pieces(
-    surface: Surface, scale: float, name: str, rotation: FloatArray, position: FloatArray, sigma: float
-) -> tuple[Hull, ...]:
-    """The pieces of a surface as hulls of one name, turned and shifted."""
-    return tuple(hull.moved(name, rotation, position, sigma) for hull in surface.pieces(scale).hulls)
-
-
 def _load(path: Path, budget: ByteBudget, formats: tuple[str, ...], what: str) -> Any:
-    """What trimesh makes of a file."""
+    """The mesh or point cloud that trimesh reads from a file."""
     if path.suffix.lower() not in formats:
         raise ValueError(f"{path.name!r} is no {what} file that can be read; convert it to one of {', '.join(formats)}")
     try:
@@ -242,7 +230,11 @@ def _checked_points(points: ArrayLike, what: str, farthest: float) -> FloatArray
 
 
 def _check_closed(points: FloatArray, faces: IntArray) -> None:
-    """Refuse what bounds no solid."""
+    """Refuse a surface that does not bound a solid.
+
+    Raises:
+        ValueError: It is empty, open, not oriented, flat or inside out.
+    """
     if len(faces) == 0:
         raise ValueError("the mesh is empty: all of its triangles are points or lines")
     size = np.ptp(points, axis=0)

@@ -36,7 +36,7 @@ THIN: Final = 1e-5
 #: No ball of a cloud grows by more than this where points are merged [m].
 MERGE_ERROR: Final = 1e-3
 
-#: Points are merged where that leaves at most this share of the balls.
+#: Points are merged where that leaves at most this fraction of the balls.
 _WORTH_MERGING: Final = 0.7
 
 #: Most points in a leaf of a cloud's tree.
@@ -44,6 +44,27 @@ LEAF: Final = 16
 
 #: Two facets whose normals differ by less than this are one.
 _COPLANAR: Final = 1e-9
+
+#: (8, 3) corners of the cube from -1 to 1.
+CUBE_CORNERS: Final = readonly([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+
+
+def rpy_rotation(roll: float, pitch: float, yaw: float) -> FloatArray:
+    """(3, 3) rotation by roll, pitch and yaw about the fixed axes x, y, z."""
+    cr, sr, cp, sp, cy, sy = (f(a) for a in (roll, pitch, yaw) for f in (math.cos, math.sin))
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
+
+
+def triangle_normals(triangles: FloatArray) -> FloatArray:
+    """(n, 3) normals of (n, 3, 3) triangles, as long as twice their areas."""
+    normals: FloatArray = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    return normals
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +87,7 @@ class Hull(Record):
 
     @property
     def is_point_set(self) -> Literal[False]:
-        """Never: the solid is the hull of its core grown by its rounding."""
+        """False: the solid is the hull of its core grown by its rounding."""
         return False
 
     @cached_property
@@ -82,7 +103,7 @@ class Hull(Record):
     @cached_property
     def _facets(self) -> tuple[FloatArray, FloatArray]:
         corners = self.core[self.faces]
-        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        normals = triangle_normals(corners)
         sizes = np.linalg.norm(normals, axis=1, keepdims=True)
         normals = normals / np.maximum(sizes, 1e-300)
         # The largest triangle of a facet speaks for it: its normal is the most exact.
@@ -187,9 +208,7 @@ def _oriented(name: str, points: FloatArray, rounding: float) -> Hull:
     index[vertices] = np.arange(len(vertices))
     core = readonly(points[vertices])
     faces = index[hull.simplices]
-    corners = core[faces]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    inward = (normals * hull.equations[:, :3]).sum(axis=1) < 0.0
+    inward = (triangle_normals(core[faces]) * hull.equations[:, :3]).sum(axis=1) < 0.0
     faces[inward] = faces[inward][:, ::-1]
     return Hull(name, core, readonly(faces, np.int64), rounding)
 
@@ -234,7 +253,7 @@ class Cloud(Record):
 
     @property
     def is_point_set(self) -> Literal[True]:
-        """Always: each core point is a ball by itself."""
+        """True: each core point is a ball by itself."""
         return True
 
     @classmethod

@@ -23,7 +23,8 @@ from numpy.typing import ArrayLike
 
 from hplan.base.arrays import FloatArray
 from hplan.robot.model import Robot
-from hplan.scene.model import Mesh, PointCloud, Scene
+from hplan.scene.model import Scene
+from hplan.scene.obstacles import Mesh, PointCloud
 from hplan.timing.trajectory import Trajectory, as_table
 
 _ROBOTS: WeakKeyDictionary[Robot, str] = WeakKeyDictionary()

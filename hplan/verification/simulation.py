@@ -39,7 +39,8 @@ from hplan.collision.coal_scene import CoalScene, Contact
 from hplan.errors import InputError, OptionError, RobotFileError
 from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel
-from hplan.scene.model import Box, Capsule, Scene, Solid, Sphere
+from hplan.scene.model import Scene
+from hplan.scene.obstacles import Box, Capsule, Solid, Sphere
 from hplan.scene.solids import Cloud, Hull
 from hplan.verification.plant import Plant
 from hplan.verification.recorded_motion import Movement

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from hplan.base.arrays import FloatArray
 from hplan.errors import InputError
 from hplan.robot.model import Robot
-from hplan.scene.model import Scene, Solid
+from hplan.scene.model import Scene
+from hplan.scene.obstacles import Solid
 from hplan.timing.trajectory import Trajectory
 from hplan.view import framing, scenery
 from hplan.view import three_js as three

@@ -17,7 +17,8 @@ import numpy as np
 
 from hplan.base.arrays import FloatArray
 from hplan.errors import InputError
-from hplan.scene.model import Box, Capsule, Fruit, Mesh, PointCloud, Scene, Sphere
+from hplan.scene.model import Fruit, Scene
+from hplan.scene.obstacles import Box, Capsule, Mesh, PointCloud, Sphere
 from hplan.view import three_js as three
 from hplan.view.commands import ROOT, clip, moving, node, set_object, set_property, set_transform, showing
 from hplan.view.framing import FIELD_OF_VIEW_DEG

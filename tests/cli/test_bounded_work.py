@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 import hplan
-from hplan.scene.model import Fruit, Goal, Sphere
+from hplan.scene.model import Fruit, Goal
+from hplan.scene.obstacles import Sphere
 from hplan.timing.trajectory import Trajectory, read_csv, write_csv
 from hplan.verification import clearance_proof
 

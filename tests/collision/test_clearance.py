@@ -13,7 +13,7 @@ from shapes import torus
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.clearance_kernels import motion_bounds, segment_is_clear
 from hplan.collision.coal_scene import CoalScene
-from hplan.scene.model import Box, Capsule, Mesh, PointCloud, Sphere
+from hplan.scene.obstacles import Box, Capsule, Mesh, PointCloud, Sphere
 from hplan.scene.solids import Cloud, hull_of
 
 #: Where signed distances are this near to zero, either side may call it contact [m].

@@ -10,7 +10,8 @@ import pytest
 from hplan.collision.coal_accuracy import ITERATION, PARALLEL, SIZE, distance_errors
 from hplan.collision.coal_scene import CoalScene
 from hplan.collision.coal_shapes import solid_shape
-from hplan.scene.model import Box, Capsule, Goal, Scene, Sphere, Start
+from hplan.scene.model import Goal, Scene, Start
+from hplan.scene.obstacles import Box, Capsule, Sphere
 from hplan.timing.trajectory import Trajectory
 from hplan.verification.certificate import certify
 

@@ -19,7 +19,7 @@ from hplan.cspace.sections import arm_sections
 from hplan.errors import ConfigurationInCollisionError, OptionError
 from hplan.robot.convex_shape import convex_hull_shape
 from hplan.robot.model import load_robot
-from hplan.scene.model import Box, Capsule, Mesh, Sphere
+from hplan.scene.obstacles import Box, Capsule, Mesh, Sphere
 from hplan.scene.solids import Cloud, hull_of
 
 FLAT = np.zeros(4)

@@ -13,7 +13,7 @@ from hplan.collision.coal_scene import CoalScene
 from hplan.robot.model import load_robot
 from hplan.robot_family.members import write_robot
 from hplan.robot_family.spec import ArmSpec
-from hplan.scene.model import Sphere
+from hplan.scene.obstacles import Sphere
 from hplan.scene.solids import Cloud
 
 

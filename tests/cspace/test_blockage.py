@@ -9,7 +9,7 @@ from hplan.cspace.blockers import _grown, blockers
 from hplan.cspace.occupancy import joint_grid, occupancy
 from hplan.cspace.sections import arm_sections
 from hplan.robot.model import Robot
-from hplan.scene.model import Sphere
+from hplan.scene.obstacles import Sphere
 
 
 @pytest.mark.parametrize("shape", [(7,), (6, 5), (5, 6, 4), (3, 4, 3, 4)])

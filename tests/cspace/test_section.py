@@ -27,7 +27,7 @@ from hplan.cspace.sections import (
     sections_at,
 )
 from hplan.errors import InputError, OptionError
-from hplan.scene.model import Box, Capsule, Sphere
+from hplan.scene.obstacles import Box, Capsule, Sphere
 
 #: The plane of x and z at yaw 0, as a robot on a yaw has it: horizontal axis, upward axis, normal.
 UPRIGHT = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])

@@ -15,7 +15,7 @@ from hplan.errors import InputError, OptionError
 from hplan.orchard import SHIPPED, TUCKED_DEG, FruitZone, OrchardOptions, generate, measured_orchard
 from hplan.orchard.fruits import Crop
 from hplan.scene.file import dump_scene, load_scene, parse_scene
-from hplan.scene.model import Capsule, Sphere
+from hplan.scene.obstacles import Capsule, Sphere
 
 MEASURED = Path(__file__).parents[3] / "shared" / "data" / "measured_trees"
 

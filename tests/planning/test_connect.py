@@ -11,7 +11,7 @@ import pytest
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.coal_scene import CoalScene
 from hplan.planning.grid_entry import joined_nodes
-from hplan.scene.model import Sphere
+from hplan.scene.obstacles import Sphere
 from hplan.search.grid import Grid, Occupancy
 
 STEP = np.radians(9.0)

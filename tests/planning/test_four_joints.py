@@ -35,7 +35,8 @@ from hplan.planning.find_motion import least_duration
 from hplan.planning.plan import plan
 from hplan.problem.options import PlanOptions
 from hplan.robot.model import Robot
-from hplan.scene.model import Box, Goal, Scene, Sphere
+from hplan.scene.model import Goal, Scene
+from hplan.scene.obstacles import Box, Sphere
 
 START, GOAL = (0.0, 30.0, 20.0, 20.0), (60.0, 30.0, 20.0, 20.0)
 FOLDED = (0.0, 80.0, 80.0, 80.0)

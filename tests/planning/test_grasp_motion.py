@@ -28,7 +28,8 @@ from hplan.planning.plan import PlanningCache, last_stretch, plan
 from hplan.planning.refusals import Refusals
 from hplan.problem.options import PlanOptions
 from hplan.robot.model import Robot
-from hplan.scene.model import Capsule, Fruit, Goal, Scene, Sphere, Start
+from hplan.scene.model import Fruit, Goal, Scene, Start
+from hplan.scene.obstacles import Capsule, Sphere
 from hplan.tour.tour import plan_tour
 
 COARSE = PlanOptions(step_deg=2.0)

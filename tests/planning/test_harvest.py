@@ -16,7 +16,7 @@ from hplan.planar.straight_approach import ApproachPath
 from hplan.planning.grasps import SEARCHED, SPARE, Grasp, grasps, promising
 from hplan.problem.world import World
 from hplan.robot.model import Robot
-from hplan.scene.model import Box, Sphere
+from hplan.scene.obstacles import Box, Sphere
 
 START = np.radians([10.0, 80.0, 80.0, 80.0])
 FRUIT = Sphere(name="fruit", center=at(40.0, 1.3, 1.6), radius=0.04)

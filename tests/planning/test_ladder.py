@@ -19,7 +19,7 @@ from hplan.planning.find_motion import GROWTH, SLUGGISH, YAW_GRID_ATTEMPTS, Plan
 from hplan.planning.grid_route import GridAttempt, PlanningTask
 from hplan.problem.options import PlanOptions
 from hplan.robot.model import Robot
-from hplan.scene.model import Box
+from hplan.scene.obstacles import Box
 
 START = (0.0, 30.0, 20.0, 20.0)
 STEP = 1.0

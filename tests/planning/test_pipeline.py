@@ -14,7 +14,8 @@ from hplan.errors import CertificationError, ConfigurationInCollisionError, Inpu
 from hplan.planning.plan import PlanningCache, plan, with_export_time
 from hplan.problem.options import PlanOptions
 from hplan.robot.model import Robot
-from hplan.scene.model import Box, Capsule, Fruit, Goal, Scene, Sphere, Start
+from hplan.scene.model import Fruit, Goal, Scene, Start
+from hplan.scene.obstacles import Box, Capsule, Sphere
 from hplan.search.grid import Grid
 from hplan.verification.certificate import certify
 

@@ -26,7 +26,8 @@ from hplan.planning.plan import PlanResult, plan
 from hplan.planning.planner import Planner
 from hplan.problem.options import PlanOptions
 from hplan.robot.model import Robot
-from hplan.scene.model import Box, Fruit, Goal, Mesh, PointCloud, Scene, Sphere, Start
+from hplan.scene.model import Fruit, Goal, Scene, Start
+from hplan.scene.obstacles import Box, Mesh, PointCloud, Sphere
 from hplan.verification.certificate import certify
 
 START, GOAL = (0.0, 30.0, 20.0, 20.0), (60.0, 30.0, 20.0, 20.0)

@@ -15,7 +15,7 @@ from hplan.planning.roadmap import ASIDE_S, BRIEF, CORNER_S, FARTHEST, WIDE, low
 from hplan.problem.definition import Problem, check_problem
 from hplan.problem.world import World
 from hplan.robot.model import Robot
-from hplan.scene.model import Box, Solid, Sphere
+from hplan.scene.obstacles import Box, Solid, Sphere
 
 START, GOAL = np.radians([-40.0, 30.0, 30.0, 20.0]), np.radians([40.0, 30.0, 30.0, 20.0])
 MARGIN = 1e-3

@@ -20,7 +20,8 @@ from hplan.planning.report import StageClock
 from hplan.problem.definition import check_problem
 from hplan.problem.options import PlanOptions
 from hplan.robot.model import Robot
-from hplan.scene.model import Scene, Sphere
+from hplan.scene.model import Scene
+from hplan.scene.obstacles import Sphere
 from hplan.search.grid import Occupancy
 
 MARGIN = 1e-4

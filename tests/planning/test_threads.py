@@ -16,7 +16,8 @@ import hplan
 from hplan.collision.coal_scene import CoalScene
 from hplan.cspace.yaw_layers import LayerCache
 from hplan.robot.model import Robot
-from hplan.scene.model import Scene, Sphere
+from hplan.scene.model import Scene
+from hplan.scene.obstacles import Sphere
 
 WORKERS = 4
 

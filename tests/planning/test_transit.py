@@ -26,7 +26,8 @@ from hplan.planning.find_motion import (
 from hplan.planning.plan import plan
 from hplan.problem.options import PlanOptions
 from hplan.robot.model import Robot
-from hplan.scene.model import Scene, Sphere
+from hplan.scene.model import Scene
+from hplan.scene.obstacles import Sphere
 from hplan.verification.certificate import certify
 
 START = (0.0, 30.0, 20.0, 20.0)

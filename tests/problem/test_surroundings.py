@@ -21,7 +21,7 @@ from hplan.robot.model import Robot, load_robot
 from hplan.robot.self_contact import pair_sway
 from hplan.robot_family.members import write_robot
 from hplan.robot_family.spec import ArmSpec
-from hplan.scene.model import Box, PointCloud, Sphere
+from hplan.scene.obstacles import Box, PointCloud, Sphere
 
 BALLS = (
     Sphere(name="sure", center=(1.0, 0.3, 1.0), radius=0.1),

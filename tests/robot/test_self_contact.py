@@ -26,7 +26,8 @@ from hplan.robot.model import Robot, load_robot
 from hplan.robot.self_contact import GROUND, TURRET, BaseBody, pair_rates, pair_sway, self_contact
 from hplan.robot_family.members import write_robot
 from hplan.robot_family.spec import ArmSpec
-from hplan.scene.model import Goal, Scene, Sphere, Start
+from hplan.scene.model import Goal, Scene, Start
+from hplan.scene.obstacles import Sphere
 from hplan.search.grid import Grid
 from hplan.timing.trajectory import Trajectory
 from hplan.verification.certificate import certify

@@ -13,7 +13,8 @@ from hplan.planning.plan import plan
 from hplan.problem.options import PlanOptions
 from hplan.robot.model import Robot
 from hplan.robot.tracking import SHARE_ERROR, TrackingModel, largest_share
-from hplan.scene.model import Box, Capsule, Fruit, Goal, Scene, Solid, Sphere, Start
+from hplan.scene.model import Fruit, Goal, Scene, Start
+from hplan.scene.obstacles import Box, Capsule, Solid, Sphere
 from hplan.timing.trajectory import Trajectory
 from hplan.verification.certificate import Certificate, certify
 from hplan.verification.clearance_proof import prove_clearance

@@ -10,7 +10,8 @@ from shapes import crate, torus, uncovered
 
 from hplan.errors import SceneError
 from hplan.scene.file import dump_scene, load_scene, parse_scene, save_scene
-from hplan.scene.model import Box, Goal, Mesh, PointCloud, Scene, Start
+from hplan.scene.model import Goal, Scene, Start
+from hplan.scene.obstacles import Box, Mesh, PointCloud
 from hplan.scene.shape_data import MOST_TRIANGLES, Surface, write_shape
 
 HEAD = "format: hplan-scene/1\nname: a\nstart: {joints_deg: [0]}\ngoal: {joints_deg: [1]}\nobstacles:\n"

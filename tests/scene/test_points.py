@@ -10,7 +10,7 @@ import pytest
 from hplan.errors import SceneError
 from hplan.scene import shape_data
 from hplan.scene.file import dump_scene, load_scene, parse_scene, save_scene
-from hplan.scene.model import Box, PointCloud
+from hplan.scene.obstacles import Box, PointCloud
 from hplan.scene.solids import Cloud
 
 HEAD = "format: hplan-scene/1\nname: a\nstart: {joints_deg: [0]}\ngoal: {joints_deg: [1]}\nobstacles:\n"

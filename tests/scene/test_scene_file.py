@@ -12,7 +12,8 @@ from hplan.base.data_files import scenes_dir
 from hplan.errors import OutputError, SceneError
 from hplan.scene.file import default_scene_path, dump_scene, load_scene, parse_scene, save_scene
 from hplan.scene.limits import FARTHEST_M
-from hplan.scene.model import Box, Capsule, Fruit, Goal, Scene, Sphere, Start
+from hplan.scene.model import Fruit, Goal, Scene, Start
+from hplan.scene.obstacles import Box, Capsule, Sphere
 
 HEAD = """\
 format: hplan-scene/1

@@ -14,7 +14,8 @@ from hplan.errors import SceneError
 from hplan.scene import file as scene_file
 from hplan.scene.file import load_scene, parse_scene, save_scene
 from hplan.scene.limits import FARTHEST_M, MOST_OBSTACLES, MOST_SCENE_BYTES
-from hplan.scene.model import Capsule, Fruit, Goal, Mesh, PointCloud, Scene, Sphere, Start
+from hplan.scene.model import Fruit, Goal, Scene, Start
+from hplan.scene.obstacles import Capsule, Mesh, PointCloud, Sphere
 
 HEAD = """format: hplan-scene/1
 name: a scene

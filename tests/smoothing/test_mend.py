@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.coal_scene import CoalScene
 from hplan.robot.model import Robot, load_robot
-from hplan.scene.model import Box, Capsule, Sphere
+from hplan.scene.obstacles import Box, Capsule, Sphere
 from hplan.smoothing.repair import leave_contact, repaired
 
 MARGIN = 1e-4

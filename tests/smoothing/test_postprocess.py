@@ -16,7 +16,7 @@ from hplan.errors import CertificationError, InputError
 from hplan.planning.plan import plan
 from hplan.problem.options import PlanOptions
 from hplan.robot.limits import Limits
-from hplan.scene.model import Sphere
+from hplan.scene.obstacles import Sphere
 from hplan.smoothing import minimize_duration as fast
 from hplan.smoothing import smooth_path as postprocess_path
 from hplan.smoothing.minimize_duration import minimize_duration

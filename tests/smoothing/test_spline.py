@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.coal_scene import CoalScene
-from hplan.scene.model import Sphere
+from hplan.scene.obstacles import Sphere
 from hplan.smoothing.spline import STRIDE, SplinePath, first_contact, piece_bounds, piece_is_clear, pieces_are_clear
 
 

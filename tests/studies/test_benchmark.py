@@ -37,7 +37,8 @@ from hplan.errors import InputError, NoPathError
 from hplan.planning.planner import Planner
 from hplan.problem.world import BASE_DEPTH, World
 from hplan.robot.model import Robot
-from hplan.scene.model import Box, Capsule, Scene, Sphere
+from hplan.scene.model import Scene
+from hplan.scene.obstacles import Box, Capsule, Sphere
 from hplan.timing.trajectory import Trajectory
 
 SCRIPT = Path(__file__).resolve().parents[2] / "scripts" / "benchmark.py"

@@ -23,7 +23,8 @@ from hplan.cspace.sections import SECTION_ERROR, arm_sections
 from hplan.errors import InputError, JointLimitError, OptionError
 from hplan.robot.model import Robot, load_robot
 from hplan.robot_family.members import ArmSpec, write_robot
-from hplan.scene.model import Box, Capsule, Goal, Scene, Sphere, Start
+from hplan.scene.model import Goal, Scene, Start
+from hplan.scene.obstacles import Box, Capsule, Sphere
 from hplan.search.grid import Occupancy
 
 COARSE = float(np.radians(5.0))

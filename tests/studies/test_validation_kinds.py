@@ -29,7 +29,7 @@ from hplan.cspace.sections import bodies_of, sections_at
 from hplan.errors import OptionError
 from hplan.planning.report import write_report
 from hplan.robot.model import Robot
-from hplan.scene.model import Mesh, PointCloud
+from hplan.scene.obstacles import Mesh, PointCloud
 from hplan.scene.solids import Cloud
 from hplan.search.grid import Grid, Occupancy
 

@@ -12,7 +12,7 @@ from studies.validation.scenes import KINDS, Kind, random_scene
 
 from hplan.errors import OptionError
 from hplan.robot.model import Robot
-from hplan.scene.model import Box, Capsule, Mesh, PointCloud, Sphere
+from hplan.scene.obstacles import Box, Capsule, Mesh, PointCloud, Sphere
 from hplan.scene.shape_data import Surface
 
 CLASSES = {"sphere": Sphere, "capsule": Capsule, "box": Box, "mesh": Mesh, "points": PointCloud}

@@ -14,7 +14,8 @@ from hplan.planning.plan import plan
 from hplan.problem.options import PlanOptions
 from hplan.robot.limits import Limits
 from hplan.robot.model import Robot
-from hplan.scene.model import Fruit, Goal, Scene, Sphere, Start
+from hplan.scene.model import Fruit, Goal, Scene, Start
+from hplan.scene.obstacles import Sphere
 from hplan.smoothing.spline import SplinePath
 from hplan.timing.retime import time_path
 from hplan.timing.speed_ceiling import LEAST, SpeedCeiling, averaging_s

@@ -27,7 +27,8 @@ from hplan.errors import (
 from hplan.problem.options import PlanOptions
 from hplan.robot.model import Robot
 from hplan.scene.file import save_scene
-from hplan.scene.model import Box, Fruit, Goal, Scene, Sphere, Start
+from hplan.scene.model import Fruit, Goal, Scene, Start
+from hplan.scene.obstacles import Box, Sphere
 from hplan.timing.trajectory import read_csv
 from hplan.tour.motions import Motions, carrying
 from hplan.tour.ordering import Costs, nearest

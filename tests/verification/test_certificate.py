@@ -10,7 +10,7 @@ import pytest
 
 from hplan.collision.coal_scene import CoalScene
 from hplan.errors import InputError, OptionError
-from hplan.scene.model import Box, Capsule, Sphere
+from hplan.scene.obstacles import Box, Capsule, Sphere
 from hplan.timing.trajectory import Trajectory, read_csv, write_csv
 from hplan.verification import certificate as certificates
 from hplan.verification import clearance_proof

@@ -12,7 +12,8 @@ import hplan
 from hplan.base.data_files import urdf_dir
 from hplan.robot.model import load_robot
 from hplan.scene.file import load_scene
-from hplan.scene.model import Fruit, Goal, Mesh, PointCloud, Scene, Sphere
+from hplan.scene.model import Fruit, Goal, Scene
+from hplan.scene.obstacles import Mesh, PointCloud, Sphere
 from hplan.timing.trajectory import Trajectory, read_csv, write_csv
 from hplan.verification.digests import Digests, robot_digest, scene_digest, trajectory_digest
 

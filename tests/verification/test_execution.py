@@ -18,7 +18,8 @@ from hplan.errors import ConfigurationInCollisionError, HplanError, InputError, 
 from hplan.planning.plan import PlanResult, plan
 from hplan.robot.model import Robot, load_robot
 from hplan.robot_family.members import ArmSpec, write_robot
-from hplan.scene.model import Box, Capsule, Goal, Mesh, PointCloud, Scene, Sphere, Start
+from hplan.scene.model import Goal, Scene, Start
+from hplan.scene.obstacles import Box, Capsule, Mesh, PointCloud, Sphere
 from hplan.timing.trajectory import Trajectory, write_csv
 from hplan.verification import simulation as execution
 from hplan.verification.recorded_motion import RecordedMotion, read_motion

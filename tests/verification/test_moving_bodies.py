@@ -25,7 +25,8 @@ from hplan.problem.world import World
 from hplan.robot.base_shapes import BASE_DEPTH, GROUND, TURRET, always, base_shapes, ever, turret_radius
 from hplan.robot.folding import Fold, folded_angles
 from hplan.robot.self_contact import pair_rates, pair_sway, self_contact
-from hplan.scene.model import Box, Capsule, Goal, Sphere
+from hplan.scene.model import Goal
+from hplan.scene.obstacles import Box, Capsule, Sphere
 from hplan.verification.certificate import certify
 
 COUNTERWEIGHT = box((0.5, 0.1, 0.1), (-0.3, 0.0, 0.45))

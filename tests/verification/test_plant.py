@@ -16,7 +16,8 @@ from hplan.planning.plan import PlanResult, plan
 from hplan.problem.options import PlanOptions
 from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel
-from hplan.scene.model import Fruit, Goal, Scene, Sphere, Start
+from hplan.scene.model import Fruit, Goal, Scene, Start
+from hplan.scene.obstacles import Sphere
 from hplan.timing.trajectory import write_csv
 from hplan.verification.plant import Plant
 from hplan.verification.simulation import execute

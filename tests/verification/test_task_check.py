@@ -10,7 +10,8 @@ import pytest
 import hplan
 from hplan.collision.coal_scene import CoalScene
 from hplan.errors import InputError, OptionError
-from hplan.scene.model import Box, Fruit, Goal, Scene, Sphere, Start
+from hplan.scene.model import Fruit, Goal, Scene, Start
+from hplan.scene.obstacles import Box, Sphere
 from hplan.verification.certificate import certify
 from hplan.verification.goal_contact import THERE
 from hplan.verification.task_check import SAME

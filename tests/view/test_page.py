@@ -23,7 +23,8 @@ from hplan.planning.plan import Phase
 from hplan.robot.model import Robot, load_robot
 from hplan.robot_family.members import ArmSpec, write_robot
 from hplan.scene.file import load_scene
-from hplan.scene.model import Box, Capsule, Fruit, Goal, Mesh, PointCloud, Scene, Sphere, Start
+from hplan.scene.model import Fruit, Goal, Scene, Start
+from hplan.scene.obstacles import Box, Capsule, Mesh, PointCloud, Sphere
 from hplan.timing.trajectory import Trajectory
 from hplan.view import three_js as three
 from hplan.view.page import render_page, serve, write_page

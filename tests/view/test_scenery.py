@@ -9,7 +9,8 @@ import pytest
 
 from hplan.errors import InputError
 from hplan.robot.model import Robot
-from hplan.scene.model import Box, Capsule, Fruit, Goal, Scene, Start
+from hplan.scene.model import Fruit, Goal, Scene, Start
+from hplan.scene.obstacles import Box, Capsule
 from hplan.timing.trajectory import Trajectory
 from hplan.view import framing
 from hplan.view import three_js as three

@@ -19,7 +19,8 @@ from hplan.errors import InputError, OptionError, OutputError
 from hplan.problem.options import PlanOptions
 from hplan.robot.model import Robot, load_robot
 from hplan.robot_family.members import HARVESTER, write_robot
-from hplan.scene.model import Capsule, Fruit, Goal, Scene, Sphere, Start
+from hplan.scene.model import Fruit, Goal, Scene, Start
+from hplan.scene.obstacles import Capsule, Sphere
 from hplan.search.grid import Grid
 from hplan.timing.trajectory import Trajectory
 from hplan.view.cspace_figure import cspace_at_yaw

@@ -19,7 +19,8 @@ from hplan.planning.plan import plan
 from hplan.problem.options import PlanOptions
 from hplan.robot.model import Robot, load_robot
 from hplan.robot_family.members import ArmSpec, write_robot
-from hplan.scene.model import Scene, Sphere
+from hplan.scene.model import Scene
+from hplan.scene.obstacles import Sphere
 from hplan.search import SearchResult, dense_search, two_level_search
 from hplan.search.grid import Grid, Occupancy
 

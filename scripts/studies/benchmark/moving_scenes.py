@@ -19,7 +19,8 @@ from hplan.planning.plan import PlanningCache
 from hplan.problem.definition import check_problem
 from hplan.problem.options import PlanOptions
 from hplan.robot.model import Robot
-from hplan.scene.model import Capsule, Goal, Scene, Sphere, Start
+from hplan.scene.model import Goal, Scene, Start
+from hplan.scene.obstacles import Capsule, Sphere
 
 #: Obstacles of a scene, and the share of them that are branches; the others are fruit.
 OBSTACLES, BRANCHES = 40, 0.5

@@ -13,7 +13,8 @@ from hplan.errors import InputError
 from hplan.planning.plan import PlanningCache
 from hplan.problem.options import PlanOptions
 from hplan.robot.model import Robot
-from hplan.scene.model import Goal, Scene, Sphere, Start
+from hplan.scene.model import Goal, Scene, Start
+from hplan.scene.obstacles import Sphere
 from hplan.search import two_level_search
 from hplan.search.grid import Occupancy
 

@@ -37,7 +37,8 @@ from hplan.cspace.sections import SECTION_ERROR, LinkModel, arm_sections
 from hplan.errors import InputError, OptionError
 from hplan.planning.report import versions
 from hplan.robot.model import Robot
-from hplan.scene.model import Scene, Sphere
+from hplan.scene.model import Scene
+from hplan.scene.obstacles import Sphere
 from hplan.search.grid import Grid, Occupancy
 
 #: A node whose distance is this close to the clearance is in contact, which may be decided either way [m].

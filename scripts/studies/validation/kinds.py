@@ -39,7 +39,8 @@ from hplan.cspace.sections import PreparedObstacles, bodies_of, sections_at
 from hplan.errors import OptionError
 from hplan.planning.report import versions
 from hplan.robot.model import Robot
-from hplan.scene.model import Mesh, PointCloud, Scene
+from hplan.scene.model import Scene
+from hplan.scene.obstacles import Mesh, PointCloud
 from hplan.scene.solids import Cloud
 from hplan.search.grid import Grid
 

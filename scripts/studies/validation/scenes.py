@@ -22,7 +22,8 @@ from studies.validation.random_scenes import direction, vector
 from hplan.base.arrays import FloatArray, IntArray
 from hplan.errors import OptionError
 from hplan.robot.model import Robot
-from hplan.scene.model import Box, Capsule, Fruit, Goal, Mesh, Obstacle, PointCloud, Scene, Sphere, Start, Vector
+from hplan.scene.model import Fruit, Goal, Scene, Start
+from hplan.scene.obstacles import Box, Capsule, Mesh, Obstacle, PointCloud, Sphere, Vector
 from hplan.scene.solids import hull_of
 
 #: What a scene may hold.

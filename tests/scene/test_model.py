@@ -8,7 +8,8 @@ import pytest
 from pydantic import ValidationError
 
 from hplan.errors import SceneError
-from hplan.scene.model import Box, Capsule, Fruit, Goal, Scene, Sphere, Start
+from hplan.scene.model import Fruit, Goal, Scene, Start
+from hplan.scene.obstacles import Box, Capsule, Sphere
 
 
 def a_scene(**changes) -> Scene:

@@ -10,7 +10,8 @@ from shapes import ball, blocks, crate, distances, torus, uncovered
 
 from hplan import PlanOptions, certify, plan
 from hplan.scene.convex_decomposition import PIECES, _clipped, convex_pieces, winding_numbers
-from hplan.scene.model import Goal, Mesh, Scene, Start
+from hplan.scene.model import Goal, Scene, Start
+from hplan.scene.obstacles import Mesh
 
 #: The arm is lifted, from 20 to 60 deg.
 MOTION = Scene(name="lift", start=Start(joints_deg=(0.0, 20.0, 0.0, 0.0)), goal=Goal(joints_deg=(0.0, 60.0, 0.0, 0.0)))

@@ -1,0 +1,327 @@
+"""Obstacles of a scene: spheres, capsules, boxes, meshes and point clouds, and the convex solids that they become.
+
+Positions are in `base_link`, z up, in metres. The classes are the scene file's schema too (`hplan.scene.file`).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+from pydantic import Field, PositiveFloat, PrivateAttr, ValidationError, ValidationInfo, model_validator
+
+from hplan.base.arrays import FloatArray, IntArray, readonly
+from hplan.errors import SceneError
+from hplan.scene.fault import StrictModel, fault, validated
+from hplan.scene.limits import FARTHEST_M, MOST_SHAPE_BYTES, ByteBudget
+from hplan.scene.solids import CUBE_CORNERS, Cloud, Hull, rpy_rotation
+
+if TYPE_CHECKING:
+    from hplan.scene.shape_data import PointSet, Surface
+
+Angles: TypeAlias = tuple[float, float, float]
+Coordinate: TypeAlias = Annotated[float, Field(ge=-FARTHEST_M, le=FARTHEST_M)]
+Vector: TypeAlias = tuple[Coordinate, Coordinate, Coordinate]
+Size: TypeAlias = Annotated[float, Field(gt=0.0, le=FARTHEST_M)]
+Name: TypeAlias = Annotated[str, Field(min_length=1)]
+Sigma: TypeAlias = Annotated[float, Field(ge=0.0, le=FARTHEST_M)]
+
+_Data = TypeVar("_Data", "Mesh", "PointCloud")
+_Shape = TypeVar("_Shape", "Surface", "PointSet")
+
+
+class _Obstacle(StrictModel):
+    """Base of all obstacles.
+
+    Attributes of every kind:
+        name: Name of the obstacle.
+        sigma: Standard deviation of its position [m].
+    """
+
+
+class _Convex(_Obstacle):
+    """One convex solid: the hull of its core grown by its rounding."""
+
+    @property
+    def is_point_set(self) -> Literal[False]:
+        """False: the solid is the hull of its core grown by its rounding."""
+        return False
+
+    @property
+    def solids(self) -> tuple[Solid, ...]:
+        """The obstacle itself: it is convex."""
+        return (self,)  # type: ignore[return-value]  # one of the three below
+
+
+class Sphere(_Convex):
+    """A ball."""
+
+    kind: Literal["sphere"] = "sphere"
+    name: Name
+    center: Vector
+    radius: Size
+    sigma: Sigma = 0.0
+
+    @property
+    def core(self) -> FloatArray:
+        """(1, 3) points; the obstacle is their hull grown by `rounding`."""
+        return readonly([self.center])
+
+    @property
+    def rounding(self) -> float:
+        """Radius about the core [m]."""
+        return self.radius
+
+
+class Capsule(_Convex):
+    """A segment with a radius: branch, wire, trunk."""
+
+    kind: Literal["capsule"] = "capsule"
+    name: Name
+    start: Vector = Field(alias="from")
+    end: Vector = Field(alias="to")
+    radius: Size
+    sigma: Sigma = 0.0
+
+    @property
+    def core(self) -> FloatArray:
+        """(2, 3) points; the obstacle is their hull grown by `rounding`."""
+        return readonly([self.start, self.end])
+
+    @property
+    def rounding(self) -> float:
+        """Radius about the core [m]."""
+        return self.radius
+
+
+class Box(_Convex):
+    """A block of the given full edge lengths, turned by roll, pitch and yaw (fixed axes x, y, z)."""
+
+    kind: Literal["box"] = "box"
+    name: Name
+    center: Vector
+    size: tuple[Size, Size, Size]
+    rpy_deg: Angles = (0.0, 0.0, 0.0)
+    sigma: Sigma = 0.0
+
+    @property
+    def rotation(self) -> FloatArray:
+        """(3, 3) rotation from the box's frame to `base_link`."""
+        return rpy_rotation(*map(math.radians, self.rpy_deg))
+
+    @property
+    def core(self) -> FloatArray:
+        """(8, 3) corners; the obstacle is their hull."""
+        return readonly(np.array(self.center) + (0.5 * CUBE_CORNERS * np.array(self.size)) @ self.rotation.T)
+
+    @property
+    def rounding(self) -> float:
+        """Radius about the core [m]."""
+        return 0.0
+
+
+class _FromData(_Obstacle):
+    """An obstacle whose shape is in a file or in arrays, placed by a rotation and a shift."""
+
+    if TYPE_CHECKING:
+        rpy_deg: Angles  # a field of both kinds below, where it stands in the order of the file's keys
+
+    _data: Any = PrivateAttr(None)
+    _path: Path | None = PrivateAttr(None)
+
+    @property
+    def rotation(self) -> FloatArray:
+        """(3, 3) rotation from the data's frame to `base_link`."""
+        return rpy_rotation(*map(math.radians, self.rpy_deg))
+
+    @property
+    def path(self) -> Path | None:
+        """Absolute path of its file, or None if it was made of arrays."""
+        return self._path
+
+    @property
+    def data_digest(self) -> str:
+        """SHA-256 of its data before scale, turn and shift, in hexadecimal digits; made once."""
+        digest: str = self._data.once("digest", lambda: _sha256(self._data.arrays))
+        return digest
+
+    def write(self, path: Path) -> Path:
+        """Write its data as a PLY file, before scale, turn and shift.
+
+        Raises:
+            OutputError: The file cannot be written.
+        """
+        from hplan.scene.shape_data import write_shape
+
+        return write_shape(self._data, path)
+
+
+def _sha256(arrays: Sequence[FloatArray | IntArray]) -> str:
+    found = hashlib.sha256()
+    for array in arrays:
+        found.update(f"{array.dtype.kind}{array.shape}".encode())
+        found.update(np.ascontiguousarray(array, dtype=array.dtype.newbyteorder("<")).tobytes())
+    return found.hexdigest()
+
+
+class Mesh(_FromData):
+    """The solid inside a closed surface, from a file or from arrays (`Mesh.of`).
+
+    The surface is scaled, then turned by roll, pitch and yaw (fixed axes x, y, z), then shifted. A relative `file` is
+    looked for in the scene file's folder, without one in the working directory.
+    """
+
+    kind: Literal["mesh"] = "mesh"
+    name: Name
+    file: Name | None = None
+    position: Vector = (0.0, 0.0, 0.0)
+    rpy_deg: Angles = (0.0, 0.0, 0.0)
+    scale: PositiveFloat = 1.0
+    sigma: Sigma = 0.0
+
+    @classmethod
+    def of(cls, name: str, vertices: ArrayLike, faces: ArrayLike, **placement: Any) -> Mesh:
+        """A mesh from (n, 3) vertices and (m, 3) triangles, counter-clockwise as seen from outside.
+
+        Args:
+            name: Name of the obstacle.
+            vertices: Vertices [m] (before `scale`).
+            faces: Rows of the triangles' vertices.
+            placement: `position`, `rpy_deg`, `scale`, `sigma`.
+
+        Raises:
+            SceneError: The mesh is empty, not finite, open, flat or inside out.
+        """
+        from hplan.scene.shape_data import Surface
+
+        return _made_of(cls, name, lambda: Surface.of(vertices, faces), placement)
+
+    @model_validator(mode="after")
+    def _read(self, info: ValidationInfo) -> Mesh:
+        from hplan.scene.shape_data import read_surface
+
+        if self._data is not None:  # an obstacle that is there already, on its way into a scene
+            return self
+        self._data, self._path = _shape_data(self.file, read_surface, info)
+        span = float(np.ptp(self._data.vertices, axis=0).max()) * self.scale
+        farthest = float(np.abs(self._data.vertices).max()) * self.scale
+        below = "file" if self.file else "name"
+        if not 1e-4 <= span <= FARTHEST_M:
+            raise fault(f"the mesh is {span:.3g} m across; expected 0.1 mm to 10 km: look at its scale", below)
+        if not farthest <= FARTHEST_M:
+            raise fault(f"the mesh reaches {farthest:.3g} m; expected at most 10 km: look at its scale", below)
+        return self
+
+    @property
+    def surface(self) -> tuple[FloatArray, IntArray]:
+        """(n, 3) vertices in `base_link` [m] and (m, 3) triangles."""
+        return self._data.vertices * self.scale @ self.rotation.T + np.array(self.position), self._data.faces
+
+    @property
+    def excess(self) -> float:
+        """The solids hold the mesh, and stand out of it by no more than this [m] (`convex_decomposition`)."""
+        excess: float = self._data.pieces(self.scale).excess
+        return excess
+
+    @property
+    def solids(self) -> tuple[Solid, ...]:
+        """Convex pieces whose union holds the mesh."""
+        key = (self.name, self.scale, self.position, self.rpy_deg, self.sigma)
+        placement = (self.name, self.rotation, np.array(self.position), self.sigma)
+        hulls: tuple[Hull, ...] = self._data.once(
+            key, lambda: tuple(hull.moved(*placement) for hull in self._data.pieces(self.scale).hulls)
+        )
+        return hulls
+
+
+class PointCloud(_FromData):
+    """Balls of one radius about points, from a file or from an array (`PointCloud.of`); placed as a `Mesh` is."""
+
+    kind: Literal["points"] = "points"
+    name: Name
+    file: Name | None = None
+    radius: Size
+    position: Vector = (0.0, 0.0, 0.0)
+    rpy_deg: Angles = (0.0, 0.0, 0.0)
+    sigma: Sigma = 0.0
+
+    @classmethod
+    def of(cls, name: str, points: ArrayLike, radius: float, **placement: Any) -> PointCloud:
+        """A cloud from (n, 3) points.
+
+        Args:
+            name: Name of the obstacle.
+            points: Centres of the balls [m].
+            radius: Radius of every ball [m].
+            placement: `position`, `rpy_deg`, `sigma`.
+
+        Raises:
+            SceneError: The cloud is empty, too large or not finite.
+        """
+        from hplan.scene.shape_data import PointSet
+
+        return _made_of(cls, name, lambda: PointSet.of(points), {"radius": radius, **placement})
+
+    @model_validator(mode="after")
+    def _read(self, info: ValidationInfo) -> PointCloud:
+        from hplan.scene.shape_data import read_points
+
+        if self._data is not None:  # an obstacle that is there already, on its way into a scene
+            return self
+        self._data, self._path = _shape_data(self.file, read_points, info)
+        return self
+
+    @property
+    def points(self) -> FloatArray:
+        """(n, 3) centres of all balls in `base_link` [m], before near ones are merged."""
+        points: FloatArray = self._data.points @ self.rotation.T + np.array(self.position)
+        return points
+
+    @property
+    def solids(self) -> tuple[Solid, ...]:
+        """One cloud of balls."""
+        key = (self.name, self.radius, self.position, self.rpy_deg, self.sigma)
+        cloud: Cloud = self._data.once(key, lambda: Cloud.of(self.name, self.points, self.radius, self.sigma))
+        return (cloud,)
+
+
+def _made_of(cls: type[_Data], name: str, make: Callable[[], Surface | PointSet], fields: dict[str, Any]) -> _Data:
+    """An obstacle whose data is at hand."""
+    try:
+        data = make()
+        return validated(cls, {"name": name, **fields}, {"data": data})
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(step) for step in first["loc"]) or name
+        raise SceneError(first["msg"], where=where, value=first["input"]) from error
+    except ValueError as error:
+        raise SceneError(str(error), where=name) from error
+
+
+def _shape_data(
+    file: str | None, read: Callable[[Path, ByteBudget], _Shape], info: ValidationInfo
+) -> tuple[_Shape, Path | None]:
+    """The data of a mesh or cloud, and the file it is from."""
+    context = info.context or {}
+    if file is None:
+        if context.get("data") is None:
+            raise fault("this key is missing", "file")
+        return context["data"], None
+    path = Path(context.get("folder", "")) / file
+    try:
+        return read(path, context.get("budget") or ByteBudget(MOST_SHAPE_BYTES)), path.absolute()
+    except ValueError as error:
+        raise fault(str(error), "file") from error
+
+
+#: A body that the planner keeps clear of: the hull of `core` grown by `rounding`; of a point set a ball about each
+#: core point.
+Solid: TypeAlias = Sphere | Capsule | Box | Hull | Cloud
+
+#: An obstacle as a scene lists it.
+Obstacle: TypeAlias = Annotated[Sphere | Capsule | Box | Mesh | PointCloud, Field(discriminator="kind")]

@@ -1,0 +1,89 @@
+"""A solid on a grid of voxels: those that hold its surface, or are enclosed by such, stand for it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from hplan.base.arrays import BoolArray, FloatArray
+from hplan.scene.solids import Hull
+
+#: How far pieces may stand out: this [m], or this fraction of the mesh's longest side where that is more.
+TOLERANCE: Final = 5e-3
+RELATIVE_TOLERANCE: Final = 0.02
+
+
+@dataclass(frozen=True, eq=False)
+class SolidVoxels:
+    """Distances from a solid at the centres of voxels, for how far convex pieces of it stand out.
+
+    Attributes:
+        origin: (3,) centre of the first voxel [m].
+        edge: Edge of a voxel [m].
+        distance: Distance of each voxel's centre from the nearest one of the solid [m].
+        tolerance: How far a piece may stand out [m].
+    """
+
+    origin: FloatArray
+    edge: float
+    distance: FloatArray
+    tolerance: float
+
+    @classmethod
+    def of(cls, triangles: FloatArray) -> SolidVoxels:
+        """Voxels half as large as the tolerance."""
+        from scipy import ndimage
+
+        low, high = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
+        tolerance = max(TOLERANCE, RELATIVE_TOLERANCE * float((high - low).max()))
+        edge = 0.5 * tolerance
+        origin = low - 0.5 * edge
+        shape = tuple((np.ceil((high - low) / edge) + 2).astype(int).tolist())
+        solid: BoolArray = np.zeros(shape, dtype=np.bool_)
+        for points in _covering_points(triangles, 0.7 * edge):
+            solid[tuple(np.rint((points - origin) / edge).astype(int).T)] = True
+        distance = edge * ndimage.distance_transform_edt(~ndimage.binary_fill_holes(solid))
+        return cls(origin, edge, distance, tolerance)
+
+    @property
+    def blur(self) -> float:
+        """Largest error of a distance between centres: half a voxel's diagonal at either end [m]."""
+        return float(np.sqrt(3.0) * self.edge)
+
+    def excess(self, hull: Hull) -> float:
+        """How far the hull stands out, by the voxels whose centre is nearer to it than half their diagonal [m]."""
+        margin = 0.5 * self.blur + hull.rounding
+        low = np.floor((hull.core.min(axis=0) - margin - self.origin) / self.edge).astype(int)
+        high = np.ceil((hull.core.max(axis=0) + margin - self.origin) / self.edge).astype(int) + 1
+        low, high = np.maximum(low, 0), np.minimum(high, self.distance.shape)
+        near = self.distance[low[0] : high[0], low[1] : high[1], low[2] : high[2]]
+        index = np.argwhere(near > 0.5 * self.tolerance)
+        # Farthest first, so that the first one in the hull is the answer.
+        far = near[tuple(index.T)]
+        order = np.argsort(-far, kind="stable")
+        for k in range(0, len(order), 20_000):
+            some = order[k : k + 20_000]
+            centers = self.origin + self.edge * (index[some] + low)
+            within = (centers @ hull.planes[:, :3].T <= hull.planes[:, 3] + margin).all(axis=1)
+            if within.any():
+                return float(far[some[int(within.argmax())]])
+        return 0.5 * self.tolerance
+
+
+def _covering_points(triangles: FloatArray, spacing: float) -> list[FloatArray]:
+    """Points on all triangles, at most `spacing` apart [m]: triangles are halved along the longest side until small."""
+    found = [triangles.reshape(-1, 3)]
+    while len(triangles):
+        sides = np.linalg.norm(triangles - triangles[:, [1, 2, 0]], axis=2)
+        triangles = triangles[sides.max(axis=1) > spacing]
+        sides = sides[sides.max(axis=1) > spacing]
+        turn = (sides.argmax(axis=1)[:, None] + np.arange(3)) % 3
+        corners = np.take_along_axis(triangles, turn[:, :, None], axis=1)
+        middle = 0.5 * (corners[:, 0] + corners[:, 1])
+        found.append(middle)
+        first = np.stack([corners[:, 0], middle, corners[:, 2]], axis=1)
+        second = np.stack([middle, corners[:, 1], corners[:, 2]], axis=1)
+        triangles = np.concatenate([first, second])
+    return found

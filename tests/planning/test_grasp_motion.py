@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from arm_variants import load_variant
 from planned import assert_sound, between_rows, frame_about_upper_arm, post, task
-from test_route import posed
+from test_grid_route import posed
 
 import hplan.planning.grasp_motion
 import hplan.planning.grasps

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from planned import at, between_rows, frame_about_upper_arm, post, task
-from test_route import ABOVE, BAR, BELOW, posed
+from test_grid_route import ABOVE, BAR, BELOW, posed
 
 from hplan.collision.coal_scene import CoalScene
 from hplan.errors import CertificationError, NoPathError

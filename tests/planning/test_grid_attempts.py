@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from planned import task
-from test_route import posed
+from test_grid_route import posed
 
 from hplan.errors import CertificationError, HplanError, NoPathError, TimingError
 from hplan.planning import find_motion as transit

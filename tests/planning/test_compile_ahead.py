@@ -10,10 +10,10 @@ from typing import Any
 
 import pytest
 
-from hplan.planning import compile_ahead as first_run
+from hplan.planning import compile_ahead
 
 #: Modules whose kernels a plan calls only after the path on the grid is found.
-LATER = ("clear", "fast", "shorten", "spline", "topp", "dynamics", "clearance_proof")
+LATER = ("push_clear", "minimize_duration", "shortcut", "spline", "topp", "dynamics", "clearance_proof")
 
 
 def compiled_by(command: list[str], cache: Path) -> set[str]:
@@ -34,8 +34,8 @@ def test_each_process_compiles_its_half_once(tmp_path: Path) -> None:
 
 def test_a_first_run_is_one_without_kernels_on_disk(tmp_path: Path) -> None:
     """How it is told is tested with the cache itself."""
-    first_run.compile_from_postprocessing_on()
-    assert not first_run.is_first_run()
+    compile_ahead.compile_from_postprocessing_on()
+    assert not compile_ahead.is_first_run()
     code = "from hplan.planning.compile_ahead import is_first_run; raise SystemExit(not is_first_run())"
     assert compiled_by(["-c", code], tmp_path) == set()
 
@@ -49,8 +49,8 @@ def begun(code: str) -> subprocess.Popen[bytes]:
 def test_the_plan_waits_for_the_other_process(code: str, monkeypatch: pytest.MonkeyPatch) -> None:
     other = begun(code)
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1})
-    monkeypatch.setattr(first_run, "_start", lambda: other)
-    with first_run.compiling_ahead(True) as compiled:
+    monkeypatch.setattr(compile_ahead, "_start", lambda: other)
+    with compile_ahead.compiling_ahead(True) as compiled:
         compiled()
         assert other.returncode is not None
 
@@ -58,11 +58,11 @@ def test_the_plan_waits_for_the_other_process(code: str, monkeypatch: pytest.Mon
 def test_the_other_process_does_not_outlive_the_plan(monkeypatch: pytest.MonkeyPatch) -> None:
     other = begun("import time; time.sleep(600)")
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1})
-    monkeypatch.setattr(first_run, "_start", lambda: other)
-    monkeypatch.setattr(first_run, "PATIENCE_S", 0.01)
+    monkeypatch.setattr(compile_ahead, "_start", lambda: other)
+    monkeypatch.setattr(compile_ahead, "PATIENCE_S", 0.01)
 
     def interrupted() -> None:
-        with first_run.compiling_ahead(True) as compiled:
+        with compile_ahead.compiling_ahead(True) as compiled:
             compiled()
             assert other.returncode is None
             raise KeyboardInterrupt
@@ -84,9 +84,9 @@ def test_no_other_process_where_it_would_not_help(
         raise AssertionError
 
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(processors)))
-    monkeypatch.setattr(first_run, "can_be_kept", lambda _: kept)
-    monkeypatch.setattr(first_run, "_start", start)
-    with first_run.compiling_ahead(first) as compiled:
+    monkeypatch.setattr(compile_ahead, "can_be_kept", lambda _: kept)
+    monkeypatch.setattr(compile_ahead, "_start", start)
+    with compile_ahead.compiling_ahead(first) as compiled:
         compiled()
 
 
@@ -97,7 +97,7 @@ def test_the_other_process_runs_nothing_of_the_working_directory(
     for name in ("yaml", "numpy", "hplan"):
         (tmp_path / f"{name}.py").write_text(f"open({str(marker)!r}, 'w').close()\nraise SystemExit('run')")
     monkeypatch.chdir(tmp_path)
-    other = first_run._start()
+    other = compile_ahead._start()
     assert other is not None
     assert other.wait(300) == 0
     assert not marker.exists()
@@ -106,5 +106,5 @@ def test_the_other_process_runs_nothing_of_the_working_directory(
 def test_where_no_process_can_be_started(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1})
     monkeypatch.setattr(sys, "executable", "/nowhere/python")
-    with first_run.compiling_ahead(True) as compiled:
+    with compile_ahead.compiling_ahead(True) as compiled:
         compiled()

@@ -1,7 +1,7 @@
 """Checks of what public functions are given: each returns the value as it is used, or says what it should be.
 
-Values, not calls: a wrong number of arguments is Python's own `TypeError`. Arrays are looked at in
-`hplan.base.array_arguments`, for commands check paths before NumPy is loaded.
+Values, not calls: a wrong number of arguments is Python's own `TypeError`. Arrays are checked by
+`hplan.base.arrays.numbers`, as commands check paths before NumPy is loaded.
 """
 
 from __future__ import annotations

@@ -17,7 +17,7 @@ from contextlib import contextmanager
 import numpy as np
 
 from hplan.base.child_process import import_environment, python_module
-from hplan.base.kernel_cache import can_be_kept, is_kept
+from hplan.base.kernels import can_be_kept, is_kept
 from hplan.timing.topp import greedy
 
 #: Longest wait for the other process [s].

@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hplan.base.arguments import instance
-from hplan.base.array_arguments import numbers
-from hplan.base.arrays import BoolArray, FloatArray, IntArray, Record, WordArray, frozen, readonly
+from hplan.base.arrays import BoolArray, FloatArray, IntArray, Record, WordArray, frozen, numbers, readonly
 from hplan.errors import InputError, OptionError
 
 #: Largest number of nodes that a grid may have (one bit each: 256 MB).

@@ -12,8 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from hplan.base.arguments import instance, list_of
-from hplan.base.array_arguments import numbers
-from hplan.base.arrays import FloatArray, Record
+from hplan.base.arrays import FloatArray, Record, numbers
 from hplan.base.csv_file import CsvFile
 from hplan.base.files import write_text
 from hplan.errors import InputError

@@ -10,8 +10,7 @@ from typing import Protocol
 import numpy as np
 
 from hplan.base.arguments import list_of
-from hplan.base.array_arguments import numbers
-from hplan.base.arrays import FloatArray, Record, readonly
+from hplan.base.arrays import FloatArray, Record, numbers, readonly
 from hplan.base.csv_file import CsvFile
 from hplan.errors import InputError
 

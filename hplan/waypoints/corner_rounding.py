@@ -27,8 +27,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hplan.base.arguments import number
-from hplan.base.array_arguments import numbers
-from hplan.base.arrays import FloatArray, readonly
+from hplan.base.arrays import FloatArray, numbers, readonly
 from hplan.errors import InputError
 from hplan.smoothing.spline import SplinePath
 

@@ -31,7 +31,7 @@ def triple(x):
 
 USE = """
 import kernels
-from hplan.base.kernel_cache import can_be_kept, is_kept
+from hplan.base.kernels import can_be_kept, is_kept
 print(is_kept(kernels.double), can_be_kept(kernels.double), kernels.double(2.0), kernels.triple(2.0))
 """
 
@@ -148,10 +148,10 @@ def test_an_installation_that_nobody_may_write_to(tmp_path: Path) -> None:
         (each / "__pycache__").touch()
     code = (
         "import sys\n"
-        "from hplan.planning.compile_ahead import compiling_beside, is_first_run\n"
+        "from hplan.planning.compile_ahead import compiling_ahead, is_first_run\n"
         "from hplan.robot.model import load_robot\n"
         "assert 'site' in sys.modules['hplan'].__file__\n"
-        "with compiling_beside(is_first_run()) as wait:\n"
+        "with compiling_ahead(is_first_run()) as wait:\n"
         "    print(is_first_run(), load_robot().dynamics.gravity([[0.0] * 4]).round(3).tolist())\n"
     )
     said, warned = run(site, code, PYTHONPATH=str(site), **NOWHERE)

@@ -15,7 +15,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -26,7 +26,7 @@ from hplan.base import ties
 from hplan.base.arrays import BoolArray, ComplexArray, FloatArray, IntArray, Record, frozen
 from hplan.base.elementary import arctan2, modulus, product
 from hplan.errors import InputError, OptionError, UnreachableError
-from hplan.planar.planar_chain import ANGLE_TOLERANCE, MATCH_TOLERANCE, FreeChain, Reached, Window
+from hplan.planar.planar_chain import ANGLE_TOLERANCE, MATCH_TOLERANCE, FreeChain, Reached, Window, locked_mask
 from hplan.robot.model import Robot
 
 #: Configurations between the ends of continua, where no number is given.
@@ -159,14 +159,9 @@ class _Task:
             raise InputError(f"position: expected x, y, z in metres, got {position!r}") from error
         if target.shape != (3,) or not np.isfinite(target).all():
             raise InputError(f"position: expected three finite numbers x, y, z in metres, got {target.tolist()}")
-        for name in locked:
-            if name not in robot.joint_names:
-                raise InputError(
-                    f"there is no joint {name!r}; the robot has {', '.join(robot.joint_names)}", joint=name
-                )
+        held = locked_mask(robot, locked)
         if locked and start is None:
             raise OptionError("start", None, "the configuration whose values the locked joints keep")
-        held = np.array([name in locked for name in robot.joint_names])
         return cls(robot, target, window, None if start is None else robot.check_configuration(start, "start"), held)
 
     @cached_property
@@ -294,13 +289,8 @@ class _Task:
 
     def without(self, *, window: bool = False, locks: bool = False) -> _Task:
         """The same task without its approach angles, or without its locked joints."""
-        return _Task(
-            self.robot,
-            self.position,
-            None if window else self.window,
-            self.start,
-            np.zeros_like(self.held) if locks else self.held,
-        )
+        held = np.zeros_like(self.held) if locks else self.held
+        return replace(self, window=None if window else self.window, held=held)
 
     def is_possible(self) -> bool:
         """Whether some configuration is found."""
@@ -368,7 +358,11 @@ def _arm_reason(task: _Task) -> UnreachableError:
         return _unreachable(
             task, "too_near", f"it is {short:.6g} m nearer than the arm can fold, {nearest:.6g} m", excess_m=short
         )
-    return _not_found(task) if task.spare else _limit_reason(task)
+    if task.spare:  # neither found nor excluded
+        names = [task.robot.arm.joint_names[joint] for joint in task.spare]
+        detail = f"no configuration with {', '.join(names)} at values of a grid"
+        return _unreachable(task, "not_found", detail, joints=names)
+    return _limit_reason(task)
 
 
 def _limit_reason(task: _Task) -> UnreachableError:
@@ -397,17 +391,6 @@ def _limit_reason(task: _Task) -> UnreachableError:
         passed.append({"joint": name, "limit_deg": limit, "excess_deg": beyond})
         text.append(f"joint {name!r} would have to pass its limit of {limit:.6g} deg by {beyond:.4g} deg")
     return _unreachable(task, "joint_limit", " and ".join(text), **passed[0], passed=passed)
-
-
-def _not_found(task: _Task) -> UnreachableError:
-    """Neither found nor excluded: only with joints beyond three."""
-    names = [task.robot.arm.joint_names[joint] for joint in task.spare]
-    return _unreachable(
-        task,
-        "not_found",
-        f"no configuration with {', '.join(names)} at values of a grid",
-        joints=names,
-    )
 
 
 def _unreachable(task: _Task, reason: str, detail: str, **data: Any) -> UnreachableError:

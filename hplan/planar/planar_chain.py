@@ -19,6 +19,7 @@ intervals are feasible: none is overlooked, however narrow.
 from __future__ import annotations
 
 import cmath
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,7 +27,8 @@ import numpy as np
 from hplan.base import ties
 from hplan.base.arrays import BoolArray, ComplexArray, FloatArray, IntArray, Record
 from hplan.base.elementary import arccos, arctan2, argument, modulus
-from hplan.robot.model import PlanarArm
+from hplan.errors import InputError
+from hplan.robot.model import PlanarArm, Robot
 
 #: A point this far out of reach is reached by a straight or folded arm [m].
 REACH_TOLERANCE = 1e-10
@@ -156,10 +158,10 @@ class FreeChain(Record):
             index, absolute = self._sampled(points, low, 0.0 if window is None else window.width, count)
         elif window is not None and len(self.free) == 3:
             # Where the elbow is straight, or a joint at its limit, the corners are the more exact ones.
-            corners = self._corners(points)
+            corners, solved = self._corners(points)
             index, absolute = self._directed(points, (window.low - turns - self.tail)[:, None])
-            index = np.concatenate([index, np.nonzero(corners.ok)[0]])
-            absolute = np.concatenate([absolute, _absolute(corners)[corners.ok]])
+            index = np.concatenate([index, np.nonzero(solved)[0]])
+            absolute = np.concatenate([absolute, corners[solved]])
         else:
             index, absolute = self._isolated(points)
         q = self.joints(absolute)
@@ -175,7 +177,7 @@ class FreeChain(Record):
         found = self.reach(points, turns, None, 1)
         spans = [(float(angle), 0.0) for angle in found.direction]
         if len(self.free) == 3:
-            start, width, feasible = self._intervals(points, _absolute(self._corners(points)), None, 0.0)
+            start, width, feasible = self._intervals(points, self._corners(points)[0], None, 0.0)
             open_ = feasible.any(axis=1)
             low = start + (turns + self.tail)[:, None]
             spans += list(zip(low[open_].tolist(), width[open_].tolist(), strict=True))
@@ -203,9 +205,9 @@ class FreeChain(Record):
             best = absolute[ties.argmin(excess.sum(axis=1)), -1]
             tried = np.tile(best + step * np.linspace(-1.0, 1.0, 101), (len(points), 1))
             step *= 0.02
-        corners = self._corners(points)
-        at_corner, beyond = self._excess(self.joints(_absolute(corners)[corners.ok]))
-        index = np.concatenate([index, np.nonzero(corners.ok)[0]])
+        corners, solved = self._corners(points)
+        at_corner, beyond = self._excess(self.joints(corners[solved]))
+        index = np.concatenate([index, np.nonzero(solved)[0]])
         return index, np.concatenate([q, at_corner]), np.concatenate([excess, beyond])
 
     def _excess(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -244,11 +246,9 @@ class FreeChain(Record):
         self, points: ComplexArray, low: FloatArray | None, width: float, count: int
     ) -> tuple[IntArray, FloatArray]:
         """Which point, and absolute angles: the corners, and samples of what is feasible between them."""
-        corners = self._corners(points)
-        absolute = _absolute(corners)
-        start, widths, feasible = self._intervals(points, absolute, low, width)
-        index = [np.repeat(np.arange(len(points)), absolute.shape[1])[corners.ok.ravel()]]
-        found = [absolute[corners.ok]]
+        corners, solved = self._corners(points)
+        start, widths, feasible = self._intervals(points, corners, low, width)
+        index, found = [np.nonzero(solved)[0]], [corners[solved]]
         point, side, cell = np.nonzero(feasible)
         if len(point):
             sum_ = np.cumsum(widths[point, cell])
@@ -267,8 +267,13 @@ class FreeChain(Record):
             found.append(at_ends)
         return np.concatenate(index), np.concatenate(found)
 
-    def _corners(self, points: ComplexArray) -> _Corners:
-        """The (b, c) two-link problems of the corners."""
+    def _corners(self, points: ComplexArray) -> tuple[FloatArray, BoolArray]:
+        """Solutions of the corners' two-link problems, both sides of each.
+
+        Returns:
+            (b, 16, 3) absolute angles of the three pieces at the corners: the first joint at its limits, the second at
+            its limits, straight or folded, the third at its limits; and (b, 16) whether there is a solution.
+        """
         l1, l2, l3 = self.lengths
         ends = self.signs * np.stack([self.lower, self.upper]) + self.offsets
         shoulder, elbow, wrist = ends[:, 0], np.array([*ends[:, 1], 0.0, np.pi]), ends[:, 2]
@@ -279,17 +284,17 @@ class FreeChain(Record):
         bearing, half, bend, ok = two_links(near, far, points[:, None] - start)
         first = bearing[..., None] - _SIDES * half[..., None]
         second = first + _SIDES * bend[..., None]
+        absolute = np.empty((*first.shape, 3))
+        absolute[:, :2, :, 0] = shoulder[:, None]
+        absolute[:, :2, :, 1] = first[:, :2]
+        absolute[:, 2:6, :, 0] = first[:, 2:6] - argument(upper_arm)[:, None]
+        absolute[:, 2:6, :, 1] = absolute[:, 2:6, :, 0] + elbow[:, None]
+        absolute[:, :6, :, 2] = second[:, :6]
+        absolute[:, 6:, :, 0] = first[:, 6:]
+        absolute[:, 6:, :, 1] = second[:, 6:] - argument(forearm)[:, None]
+        absolute[:, 6:, :, 2] = absolute[:, 6:, :, 1] + wrist[:, None]
         sides = np.stack([ok, ok & (bend > 0.0) & (bend < np.pi)], axis=-1)
-        return _Corners(
-            shoulder,
-            elbow,
-            wrist,
-            argument(upper_arm),
-            argument(forearm),
-            first,
-            second,
-            sides.reshape(len(points), -1),
-        )
+        return absolute.reshape(len(points), -1, 3), sides.reshape(len(points), -1)
 
     def _intervals(
         self, points: ComplexArray, corners: FloatArray, low: FloatArray | None, width: float
@@ -314,43 +319,16 @@ class FreeChain(Record):
         return cuts, widths, feasible
 
 
-@dataclass(frozen=True, eq=False)
-class _Corners:
-    """Solutions of the corners' two-link problems, both sides of each.
+def locked_mask(robot: Robot, locked: Sequence[str]) -> BoolArray:
+    """(dof,) which joints stand still.
 
-    Attributes:
-        shoulder: (2,) absolute angles of the first piece at its limits.
-        elbow: (4,) angles between the first two pieces: limits, straight, folded.
-        wrist: (2,) angles between the last two pieces at the limits.
-        upper_arm: (4,) angle from the first piece to the chord of the first two.
-        forearm: (2,) angle from the second piece to the chord of the last two.
-        first: (b, 8, 2) absolute angle of the first of two links.
-        second: (b, 8, 2) that of the second.
-        ok: (b, 16) whether there is a solution.
+    Raises:
+        InputError: A joint that does not exist.
     """
-
-    shoulder: FloatArray
-    elbow: FloatArray
-    wrist: FloatArray
-    upper_arm: FloatArray
-    forearm: FloatArray
-    first: FloatArray
-    second: FloatArray
-    ok: BoolArray
-
-
-def _absolute(corners: _Corners) -> FloatArray:
-    """(b, 16, 3) absolute angles of the three pieces at the corners; any where there is no solution."""
-    absolute = np.empty((*corners.first.shape, 3))
-    absolute[:, :2, :, 0] = corners.shoulder[:, None]
-    absolute[:, :2, :, 1] = corners.first[:, :2]
-    absolute[:, 2:6, :, 0] = corners.first[:, 2:6] - corners.upper_arm[:, None]
-    absolute[:, 2:6, :, 1] = absolute[:, 2:6, :, 0] + corners.elbow[:, None]
-    absolute[:, :6, :, 2] = corners.second[:, :6]
-    absolute[:, 6:, :, 0] = corners.first[:, 6:]
-    absolute[:, 6:, :, 1] = corners.second[:, 6:] - corners.forearm[:, None]
-    absolute[:, 6:, :, 2] = absolute[:, 6:, :, 1] + corners.wrist[:, None]
-    return absolute.reshape(len(absolute), -1, 3)
+    for name in locked:
+        if name not in robot.joint_names:
+            raise InputError(f"there is no joint {name!r}; the robot has {', '.join(robot.joint_names)}", joint=name)
+    return np.array([name in locked for name in robot.joint_names])
 
 
 def two_links(

@@ -21,7 +21,7 @@ is exact too.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -31,7 +31,7 @@ from hplan.base.arrays import BoolArray, ComplexArray, FloatArray, Record, froze
 from hplan.base.elementary import argument, modulus, product
 from hplan.base.polyline import curve_length
 from hplan.errors import ApproachError, InputError, OptionError
-from hplan.planar.planar_chain import two_links
+from hplan.planar.planar_chain import locked_mask, two_links
 from hplan.robot.model import Robot
 
 #: The elbow keeps this angle from straight and from folded [rad]; there, joint speeds pass all bounds.
@@ -39,9 +39,6 @@ STRAIGHT = np.radians(1.0)
 
 #: A joint may be beyond its limit by rounding [rad].
 ROUNDING = 1e-10
-
-#: Smallest tolerance of a polyline [m].
-LEAST_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,42 +57,23 @@ class Standoffs(Record):
 
 
 @dataclass(frozen=True, eq=False)
-class ApproachPolyline(Record):
-    """Waypoints of an approach whose straight joint-space segments stay near it.
-
-    Attributes:
-        points: (m, dof) waypoints, on the path.
-        deviation: Largest distance of any joint of a segment from its value on the path [rad].
-        sway: (links,) largest distance of any axis point of each link from its place on the path [m].
-    """
-
-    points: FloatArray
-    deviation: float
-    sway: FloatArray
-
-
-@dataclass(frozen=True, eq=False)
 class ApproachPath(Record):
-    """The path from the stand-off to the goal, or back; its parameter is the distance, scaled to the joint length.
+    """The straight path from the stand-off to the goal along the last link's direction.
+
+    Its parameter is the distance, scaled to the joint length. Of the free joints in the plane the first two and the
+    last move.
 
     Attributes:
         robot: The arm.
         goal: (dof,) configuration at the goal.
         standoff: Distance of the tool from its goal where the path begins [m].
         locked: Names of joints that stand still.
-        backward: True for the way from the goal to the stand-off.
     """
 
     robot: Robot
     goal: FloatArray
     standoff: float
     locked: tuple[str, ...] = ()
-    backward: bool = False
-
-    @property
-    def reversed(self) -> ApproachPath:
-        """The same path the other way: of an approach the retreat."""
-        return replace(self, backward=not self.backward)
 
     @cached_property
     def length(self) -> float:
@@ -131,8 +109,7 @@ class ApproachPath(Record):
             (..., dof) values.
         """
         share = np.clip(np.asarray(s, dtype=np.float64) / self.end, 0.0, 1.0)
-        distance = self.standoff * (share if self.backward else 1.0 - share)
-        rate = (self.standoff if self.backward else -self.standoff) / self.end
+        distance, rate = self.standoff * (1.0 - share), -self.standoff / self.end
         moved = self._stretch.joints(distance.reshape(1, -1), derivative)[0].reshape(*share.shape, -1)
         q = np.broadcast_to(self.goal if derivative == 0 else 0.0, (*share.shape, self.robot.dof)).copy()
         q[..., list(self._stretch.index)] += moved * rate**derivative
@@ -142,57 +119,9 @@ class ApproachPath(Record):
             q[distance == 0.0] = self.goal
         return q
 
-    def polyline(self, tolerance: float = 1e-4) -> ApproachPolyline:
-        r"""Waypoints whose segments stay near the path.
-
-        On a segment of the width h a joint is off by at most :math:`h^2 / 8` times the largest second derivative. That
-        is bounded by the formulas above: :math:`\sin e` is smallest at an end of the segment or where the wrist is
-        nearest to the first joint, and :math:`|p' \cdot u_2|` passes its values at the ends by no more than
-        :math:`\alpha_2` turns.
-
-        Args:
-            tolerance: Distance from the path that no axis point of a link may pass at equal parameter [m].
-
-        Raises:
-            OptionError: A tolerance below `LEAST_TOLERANCE`.
-        """
-        if not (np.isfinite(tolerance) and tolerance >= LEAST_TOLERANCE):
-            raise OptionError("tolerance", tolerance, f"a number of metres >= {LEAST_TOLERANCE:g}")
-        cuts = np.array([0.0, self.standoff])
-        off = self._stretch.chord_deviations(cuts)
-        while (coarse := self._stretch.sways(off)[:, -1] > tolerance).any():
-            cuts = np.sort(np.concatenate([cuts, 0.5 * (cuts[:-1] + cuts[1:])[coarse]]))
-            off = self._stretch.chord_deviations(cuts)
-        share = cuts / self.standoff if self.backward else 1.0 - cuts[::-1] / self.standoff
-        joints = max(float(off.max()), float(off.sum(axis=1).max()))
-        return ApproachPolyline(
-            frozen(self.evaluate(share * self.end)), joints, frozen(self._stretch.sways(off).max(axis=0))
-        )
-
     @cached_property
     def _stretch(self) -> _Stretches:
         return _Stretches.back_from(self.robot, self.goal[None], self.locked)
-
-
-def straight_approach(robot: Robot, goal: ArrayLike, standoff: float, *, locked: Sequence[str] = ()) -> ApproachPath:
-    """The straight path to a goal configuration along the last link's direction.
-
-    Args:
-        robot: The arm.
-        goal: (dof,) goal configuration.
-        standoff: Distance of the tool from its goal where the path begins [m].
-        locked: Names of joints that stand still. Of the free joints in the plane the first two and the last move.
-
-    Raises:
-        InputError: A goal that is no configuration, a joint that does not exist.
-        OptionError: A stand-off that is not positive.
-        ApproachError: Fewer than three joints that may move, or a limit or the elbow in the way; says how far it goes.
-    """
-    q = robot.check_configuration(goal, "goal")
-    found = standoffs(robot, q[None], standoff, locked=locked)
-    if not found.feasible[0]:
-        raise _too_long(_Stretches.back_from(robot, q[None], locked), standoff, float(found.largest[0]))
-    return ApproachPath(robot, q, float(standoff), tuple(locked))
 
 
 def standoffs(robot: Robot, candidates: ArrayLike, distance: float, *, locked: Sequence[str] = ()) -> Standoffs:
@@ -220,29 +149,6 @@ def standoffs(robot: Robot, candidates: ArrayLike, distance: float, *, locked: S
     configurations[:, list(stretch.index)] += stretch.joints(largest[:, None], 0)[:, 0]
     configurations = np.minimum(np.maximum(configurations, robot.lower), robot.upper)
     return Standoffs(frozen(configurations), frozen(largest >= distance), frozen(largest))
-
-
-def _too_long(stretch: _Stretches, standoff: float, largest: float) -> ApproachError:
-    """What is in the way just beyond the largest stand-off."""
-    beyond = np.array([[min(largest + 1e-6, standoff)]])
-    q = stretch.joints(beyond, 0)[0, 0] + stretch.goal[0]
-    excess = np.maximum(stretch.lower - q, q - stretch.upper)
-    possible = f"{largest:.6g} m is possible" if largest > 0.0 else "none is possible"
-    if not stretch.keeps_elbow(beyond)[0, 0]:
-        return ApproachError(
-            standoff,
-            "elbow",
-            f"the elbow would come within {np.degrees(STRAIGHT):.4g} deg of straight or folded; {possible}",
-            largest_standoff_m=largest,
-        )
-    joint = stretch.robot.joint_names[stretch.index[int(excess.argmax())]]
-    return ApproachError(
-        standoff,
-        "joint_limit",
-        f"joint {joint!r} would pass its limit; {possible}",
-        largest_standoff_m=largest,
-        joint=joint,
-    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -283,12 +189,7 @@ class _Stretches:
             InputError: A joint that does not exist.
             ApproachError: Fewer than three joints that may move.
         """
-        for name in locked:
-            if name not in robot.joint_names:
-                raise InputError(
-                    f"there is no joint {name!r}; the robot has {', '.join(robot.joint_names)}", joint=name
-                )
-        free = [k for k, name in enumerate(robot.arm.joint_names) if name not in locked]
+        free = np.flatnonzero(~locked_mask(robot, locked)[robot.arm_slice]).tolist()
         if len(free) < 3:
             names = ", ".join(robot.arm.joint_names[k] for k in free) or "none"
             detail = f"it takes three joints in the arm plane, and those that may move are {names}"
@@ -353,15 +254,11 @@ class _Stretches:
         return np.cos(back - a2) / (self.near[:, None] * sin), -np.cos(back - a1) / (self.far[:, None] * sin)
 
     def keeps_elbow(self, distance: FloatArray) -> BoolArray:
-        """(k, m) whether the elbow keeps away from straight and folded."""
-        bend, ok = self._bends(distance)
+        """(k, m) True where the wrist is in reach and the elbow keeps away from straight and folded."""
+        wrist = self.wrist[:, None] + distance * self.back[:, None]
+        _, _, bend, ok = two_links(self.near[:, None], self.far[:, None], wrist)
         kept: BoolArray = ok & (bend >= STRAIGHT) & (bend <= np.pi - STRAIGHT)
         return kept
-
-    def _bends(self, distance: FloatArray) -> tuple[FloatArray, BoolArray]:
-        """(k, m) angles between the two links, in [0, pi], and whether the wrist is in reach."""
-        wrist = self.wrist[:, None] + distance * self.back[:, None]
-        return two_links(self.near[:, None], self.far[:, None], wrist)[2:]
 
     def largest(self, distance: float) -> FloatArray:
         """(k,) the largest stand-offs possible, at most the given one."""
@@ -406,33 +303,3 @@ class _Stretches:
         under = half**2 - modulus(apart) ** 2 + squared
         root = np.sqrt(np.maximum(under, 0.0))
         return np.where(np.tile(under >= 0.0, 2), np.concatenate([-half - root, -half + root], axis=1), 0.0)
-
-    def chord_deviations(self, cuts: FloatArray) -> FloatArray:
-        """(m - 1, 2) bounds of the two links' angles off chords between successive distances, on the first stretch."""
-        lengths, width = np.array([self.near[0], self.far[0]]), np.diff(cuts)
-        foot = np.clip(-product(self.wrist[:1], np.conj(self.back[:1])).real, cuts[:-1], cuts[1:])
-        sines = np.sin(self._bends(np.concatenate([cuts, foot])[None])[0][0])
-        sin = np.minimum(np.minimum(sines[: len(width)], sines[1 : len(cuts)]), sines[len(cuts) :])
-        cos = np.sqrt(1.0 - np.minimum(sin, 1.0) ** 2)
-        steepest = 1.0 / (lengths * sin[:, None])
-        # |p' . u_2| and |p' . u_1| at the ends, and by how much they may be passed in between.
-        angles = np.stack(
-            [goal[0] + turned[0] for goal, turned in zip(self._at_goal, self._turns(cuts[None]), strict=True)], 1
-        )
-        along = np.abs(np.cos(argument(self.back[:1]) - angles))[:, ::-1]
-        share = np.maximum(along[:-1], along[1:]) + 0.5 * width[:, None] * steepest[:, ::-1]
-        pull = lengths * (np.minimum(1.0, share) * steepest) ** 2
-        second = (pull[:, ::-1] + pull * cos[:, None]) * steepest
-        deviation: FloatArray = width[:, None] ** 2 / 8.0 * second
-        return deviation
-
-    def sways(self, deviation: FloatArray) -> FloatArray:
-        """(j, links) distances of axis points from their places when the two links' angles are off by (j, 2)."""
-        arm = self.robot.arm
-        first, second, third = (joint - (self.robot.dof - arm.link_count) for joint in self.index)
-        link = np.arange(arm.link_count)
-        swung = arm.lengths[:, None] * np.stack(
-            [(link >= first) & (link < second), (link >= second) & (link < third)], 1
-        )
-        sways: FloatArray = deviation @ np.cumsum(swung, axis=0).T
-        return sways

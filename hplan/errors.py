@@ -1,8 +1,9 @@
 """Every error that hplan raises on purpose, under one root.
 
-An error carries its facts as attributes (`data` gathers them for the report), so that a program can act on
-*which joint*, *which obstacle*, *how deep* without reading the sentence. `exit_status` is what the command line
-returns for it.
+An error carries its facts as attributes, so that a program can act on *which joint*, *which obstacle*, *how deep*
+without reading the sentence; `data` gathers them for the report. Each is stored once, by the root; a class annotates
+its own, and sets only those that JSON knows under another name or as another type. `exit_status` is what the command
+line returns for it.
 """
 
 from __future__ import annotations
@@ -27,8 +28,9 @@ class HplanError(Exception):
     exit_status: ClassVar[int] = 1
 
     def __init__(self, message: str, **data: Any) -> None:
-        """Store the sentence and its facts."""
+        """Store the sentence and its facts, each as an attribute too."""
         super().__init__(message)
+        vars(self).update(data)
         self.message = message
         self.data: dict[str, Any] = data
 
@@ -75,11 +77,13 @@ class InputError(HplanError):
 class RobotFileError(InputError):
     """A robot file (URDF or limits YAML) is missing, unreadable or malformed."""
 
+    path: Path
+    reason: str
+
     def __init__(self, path: Path | str, reason: str) -> None:
         """Name the file and what is wrong with it."""
         super().__init__(f"robot file {path}: {reason}", path=str(path), reason=reason)
         self.path = Path(path)
-        self.reason = reason
 
 
 class RobotFamilyError(InputError):
@@ -88,17 +92,14 @@ class RobotFamilyError(InputError):
     `element` names the joint, link or frame at fault.
     """
 
+    robot: str
+    element: str
+    reason: str
+
     def __init__(self, robot: str, element: str, reason: str) -> None:
         """Name the robot, the element of it and what the family asks for."""
-        super().__init__(
-            f"robot {robot!r} is not a planar arm on an optional yaw: {element}: {reason}",
-            robot=robot,
-            element=element,
-            reason=reason,
-        )
-        self.robot = robot
-        self.element = element
-        self.reason = reason
+        message = f"robot {robot!r} is not a planar arm on an optional yaw: {element}: {reason}"
+        super().__init__(message, robot=robot, element=element, reason=reason)
 
 
 class SceneError(InputError, ValueError):
@@ -108,6 +109,12 @@ class SceneError(InputError, ValueError):
 
     `where` is the key path (`obstacles[0].radius`), `line` its 1-based line in the file where that is known.
     """
+
+    path: Path | None
+    where: str | None
+    line: int | None
+    value: Any
+    reason: str
 
     def __init__(
         self,
@@ -120,47 +127,35 @@ class SceneError(InputError, ValueError):
     ) -> None:
         """Name the file, the key, its line and the value."""
         place = "scene" if path is None else f"scene file {path}"
-        if line is not None:
-            place += f", line {line}"
-        if where:
-            place += f", {where}"
-        super().__init__(
-            f"{place}: {reason}",
-            path=None if path is None else str(path),
-            where=where,
-            line=line,
-            value=None if value is None else repr(value),
-            reason=reason,
-        )
+        place += "" if line is None else f", line {line}"
+        place += f", {where}" if where else ""
+        file, shown = None if path is None else str(path), None if value is None else repr(value)
+        super().__init__(f"{place}: {reason}", path=file, where=where, line=line, value=shown, reason=reason)
         self.path = None if path is None else Path(path)
-        self.where = where
-        self.line = line
         self.value = value
-        self.reason = reason
 
 
 class JointLimitError(InputError):
     """A configuration outside the joint limits."""
 
+    which: str
+    joint: str
+
     def __init__(self, which: str, joint: str, value: float, lower: float, upper: float) -> None:
         """Name the configuration (`start`, `goal`, `waypoint 3`), the joint, its value and its limits [rad]."""
-        super().__init__(
-            f"{which}: joint {joint!r} is at {value:.6g} rad, outside its limits [{lower:.6g}, {upper:.6g}] rad",
-            which=which,
-            joint=joint,
-            value_rad=value,
-            lower_rad=lower,
-            upper_rad=upper,
-        )
-        self.which = which
-        self.joint = joint
-        self.value = value
-        self.lower = lower
-        self.upper = upper
+        message = f"{which}: joint {joint!r} is at {value:.6g} rad, outside its limits [{lower:.6g}, {upper:.6g}] rad"
+        super().__init__(message, which=which, joint=joint, value_rad=value, lower_rad=lower, upper_rad=upper)
+        self.value, self.lower, self.upper = value, lower, upper
 
 
 class ConfigurationInCollisionError(InputError):
     """Start or goal touches an obstacle or the arm itself, or comes closer than the clearance to keep."""
+
+    which: str
+    link: str
+    obstacle: str
+    depth_m: float
+    clearance_m: float
 
     def __init__(
         self, which: str, link: str, obstacle: str, depth_m: float, clearance_m: float = 0.0, *, other: str = ""
@@ -179,39 +174,33 @@ class ConfigurationInCollisionError(InputError):
                 f"{other}, {1e3 * depth_m:.3g} mm less than the {1e3 * clearance_m:.3g} mm to keep"
             )
         super().__init__(message, which=which, link=link, obstacle=obstacle, depth_m=depth_m, clearance_m=clearance_m)
-        self.which = which
-        self.link = link
-        self.obstacle = obstacle
-        self.depth_m = depth_m
-        self.clearance_m = clearance_m
 
 
 class OptionError(InputError):
     """An option or argument outside its range."""
 
+    option: str
+    value: Any
+    expected: str
+
     def __init__(self, option: str, value: Any, expected: str) -> None:
         """Name the option, the value given and what would be right."""
         shown = repr(value)
         shown = shown if len(shown) <= 200 else f"{shown[:197]}..."
-        super().__init__(
-            f"{option} = {shown}: expected {expected}",
-            option=option,
-            value=shown,
-            expected=expected,
-        )
-        self.option = option
+        super().__init__(f"{option} = {shown}: expected {expected}", option=option, value=shown, expected=expected)
         self.value = value
-        self.expected = expected
 
 
 class OutputError(InputError):
     """A result cannot be written where it was asked for."""
 
+    path: Path
+    reason: str
+
     def __init__(self, path: Path | str, reason: str) -> None:
         """Name the path and the system's reason."""
         super().__init__(f"cannot write {path}: {reason}", path=str(path), reason=reason)
         self.path = Path(path)
-        self.reason = reason
 
 
 class NoPathError(HplanError):
@@ -226,16 +215,15 @@ class NoPathError(HplanError):
 
     exit_status = 3
     open_ended = False
+    reached_cells: int
+    goals: int
 
     def __init__(
         self, message: str, *, reached_cells: int, blockers: Sequence[Mapping[str, Any]] = (), goals: int = 1
     ) -> None:
         """Store how many cells the start reaches, what bounds them, and for how many goals it was shown."""
-        super().__init__(
-            message, reached_cells=reached_cells, blockers=[dict(blocker) for blocker in blockers], goals=goals
-        )
-        self.reached_cells = reached_cells
-        self.goals = goals
+        listed = [dict(blocker) for blocker in blockers]
+        super().__init__(message, reached_cells=reached_cells, blockers=listed, goals=goals)
         self.blockers = tuple(dict(blocker) for blocker in blockers)
 
 
@@ -249,15 +237,14 @@ class UnreachableError(HplanError):
     """
 
     exit_status = 3
+    reason: str
 
     def __init__(self, position_m: Sequence[float], reason: str, detail: str, **data: Any) -> None:
         """Name the position, the reason in a word and in a sentence, and its facts."""
         place = ", ".join(f"{value:.6g}" for value in position_m)
-        super().__init__(
-            f"the tool cannot reach ({place}) m: {detail}", position_m=list(position_m), reason=reason, **data
-        )
+        message = f"the tool cannot reach ({place}) m: {detail}"
+        super().__init__(message, position_m=list(position_m), reason=reason, **data)
         self.position_m = tuple(position_m)
-        self.reason = reason
 
 
 class ApproachError(HplanError):
@@ -268,6 +255,10 @@ class ApproachError(HplanError):
     """
 
     exit_status = 3
+    standoff_m: float
+    reason: str
+    largest_standoff_m: float
+    joint: str | None
 
     def __init__(
         self, standoff_m: float, reason: str, detail: str, *, largest_standoff_m: float, joint: str | None = None
@@ -280,10 +271,6 @@ class ApproachError(HplanError):
             largest_standoff_m=largest_standoff_m,
             joint=joint,
         )
-        self.standoff_m = standoff_m
-        self.reason = reason
-        self.largest_standoff_m = largest_standoff_m
-        self.joint = joint
 
 
 class BlockedError(HplanError):
@@ -295,6 +282,9 @@ class BlockedError(HplanError):
     """
 
     exit_status = 3
+    what: str
+    refined: int
+    best_clearance_m: float | None
 
     def __init__(
         self,
@@ -320,10 +310,7 @@ class BlockedError(HplanError):
             refined=refined,
             best_clearance_m=best_clearance_m,
         )
-        self.what = what
         self.obstacles = tuple(dict(o) for o in obstacles)
-        self.refined = refined
-        self.best_clearance_m = best_clearance_m
 
 
 class TourError(HplanError):
@@ -345,12 +332,12 @@ class TimingError(HplanError):
     """A path that cannot be timed under the limits; `joint` is the one at fault where it is known."""
 
     exit_status = 4
+    joint: str | None
+    cause: str | None
 
     def __init__(self, message: str, *, joint: str | None = None, cause: str | None = None) -> None:
         """Name the joint and the cause."""
         super().__init__(message, joint=joint, cause=cause)
-        self.joint = joint
-        self.cause = cause
 
 
 class CertificationError(HplanError):

@@ -8,8 +8,10 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from hplan.cli.job_folder import prepare_folder
+from hplan.cli.options import command_parser
 from hplan.cli.terminal import FAILED as FAULT
-from hplan.cli.terminal import command_parser, prepare_folder, run_command
+from hplan.cli.terminal import run_command
 from hplan.errors import InputError, OutputError
 
 if TYPE_CHECKING:

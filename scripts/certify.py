@@ -1,8 +1,8 @@
-"""Judge a trajectory, or the folder of a job."""
+"""Certify a trajectory, or what a job left in its folder."""
 
 import sys
 
-from hplan.cli.certify_command import main
+from hplan.cli.certify import main
 
 if __name__ == "__main__":
     sys.exit(main(prog="certify.py"))

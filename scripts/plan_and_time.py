@@ -2,7 +2,7 @@
 
 import sys
 
-from hplan.cli.main import main
+from hplan.cli.plan import main
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main(prog="plan_and_time.py"))

@@ -6,10 +6,10 @@ import argparse
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hplan.cli.terminal import FAILED, add_robot, add_tracking, command_parser, run_command, tracking_of
+from hplan.cli.options import add_robot, add_tracking, command_parser, tracking_of
+from hplan.cli.terminal import FAILED, run_command
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -41,7 +41,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = command_parser(_DESCRIPTION, _EPILOG)
     add = parser.add_argument
-    add("scenes", nargs="+", type=Path, help="scene files, or names of scenes that ship with hplan")
+    add("scenes", nargs="+", help="scene files, or names of scenes that ship with hplan")
     add_robot(parser)
     add_tracking(parser)
     parser.set_defaults(tracking_error=0.02, tracking_delay=3.0)
@@ -57,7 +57,6 @@ def _run(arguments: argparse.Namespace, console: Console) -> int:
     """Plan, execute, show; returns the exit status."""
     import numpy as np
 
-    from hplan.base.data_files import scenes_dir
     from hplan.planning.plan import PlanningCache
     from hplan.problem.options import PlanOptions
     from hplan.robot.model import load_robot
@@ -74,8 +73,8 @@ def _run(arguments: argparse.Namespace, console: Console) -> int:
     options = PlanOptions()
     allowing = replace(options, tracking_error=tracking.still_rad, tracking_delay_s=tracking.delay_s)
     ratios, pickable, runs, within, touching, both = [], 0, 0, 0, 0, 0
-    for path in arguments.scenes:
-        scene = load_scene(path if path.suffix else scenes_dir() / f"{path}.yaml")
+    for name in arguments.scenes:
+        scene = load_scene(name)
         for fruit in scene.fruits[: arguments.fruits]:
             task = scene.model_copy(update={"goal": scene.goal.model_copy(update={"fruit": fruit.name})})
             before = _planned(plain, task, options)
@@ -84,10 +83,10 @@ def _run(arguments: argparse.Namespace, console: Console) -> int:
             pickable += 1
             found = _planned(careful, task, allowing)
             if found is None:
-                console.print(f"{path} {fruit.name}: not with a tracking error of {tracking}")
+                console.print(f"{name} {fruit.name}: not with a tracking error of {tracking}")
                 continue
             ratios.append(found.trajectory.duration / before.trajectory.duration)
-            console.print(f"{path} {fruit.name}: {found.trajectory.duration:.3f} s, {ratios[-1]:.3f} of before")
+            console.print(f"{name} {fruit.name}: {found.trajectory.duration:.3f} s, {ratios[-1]:.3f} of before")
             for plant in plants if arguments.execute else ():
                 result = execute(robot, task, found.trajectory, plant)
                 runs, kept, touched = runs + 1, result.is_within(tracking), bool(result.contacts)

@@ -11,7 +11,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hplan.cli.terminal import FAILED, add_robot, add_scene, command_parser, prepare_folder, run_command
+from hplan.cli.job_folder import prepare_folder
+from hplan.cli.options import add_robot, add_scene, command_parser
+from hplan.cli.terminal import FAILED, run_command
 from hplan.errors import OptionError, OutputError
 
 if TYPE_CHECKING:

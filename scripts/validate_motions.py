@@ -8,7 +8,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hplan.cli.terminal import FAILED, command_parser, prepare_folder, run_command
+from hplan.cli.job_folder import prepare_folder
+from hplan.cli.options import command_parser
+from hplan.cli.terminal import FAILED, run_command
 from hplan.errors import OptionError
 
 if TYPE_CHECKING:

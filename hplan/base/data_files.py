@@ -16,3 +16,13 @@ def urdf_dir() -> Path:
 def scenes_dir() -> Path:
     """Folder of the shipped scenes."""
     return _PACKAGE / "scenes"
+
+
+def shipped_scenes() -> list[str]:
+    """Names of the shipped scenes."""
+    return sorted(path.stem for path in scenes_dir().glob("*.yaml"))
+
+
+def shipped_scene(name: str) -> Path:
+    """File of a shipped scene."""
+    return scenes_dir() / f"{name}.yaml"

@@ -1,4 +1,5 @@
-"""The `hplan` command: argument parsing, progress, folders of results. One file for each subcommand.
+"""The `hplan` command: one file for each subcommand (plan, tour, time, certify, execute, orchard, view).
 
-May use every room; nothing imports it.
+`main` finds the subcommand; `options`, `terminal`, `job_folder` and `finished_job` are what they share. May use every
+room; nothing imports it. Heavy imports wait until the arguments are understood.
 """

@@ -15,8 +15,13 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from hplan.base.files import check_replaceable
-from hplan.cli.terminal import CommandParser, named_output, prepare_folder
+from hplan.cli.options import CommandParser, named_output
 from hplan.errors import HplanError, InputError, OutputError
+
+#: Files of a finished job: of one motion, of a tour, of both.
+TRAJECTORY, REPORT = "trajectory.csv", "report.json"
+TOUR, TOUR_REPORT = "tour.csv", "tour.json"
+PAGE = "scene.html"
 
 #: Name of the folder in which a process makes its files.
 _STAGING = ".hplan-job-"
@@ -106,6 +111,23 @@ class JobFolder:
         if isinstance(error, HplanError):
             with contextlib.suppress(OutputError):
                 write_report(failure_report(error, scene=self.scene, robot=self.robot), self.path / self._report)
+
+
+def prepare_folder(folder: Path) -> None:
+    """Make a folder and see that it can be written, before any work.
+
+    Raises:
+        OutputError: It cannot be made or written.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        probe = folder / ".hplan-probe"
+        probe.touch()
+        probe.unlink()
+    except FileExistsError as error:
+        raise OutputError(folder, "it is a file, not a folder") from error
+    except OSError as error:
+        raise OutputError(folder, error.strerror or str(error)) from error
 
 
 def parse_job(

@@ -1,331 +1,40 @@
-"""The command line: plan a scene, write what the controller needs, say how it went.
-
-Heavy imports wait until the arguments are understood.
-"""
+"""The command `hplan`: finds the subcommand that its first word names, and loads no other."""
 
 from __future__ import annotations
 
-import argparse
 import sys
-import time
-from collections.abc import Callable, Sequence
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from importlib import import_module
 
-from hplan.cli.job_folder import JobFolder, parse_job
-from hplan.cli.terminal import (
-    CommandParser,
-    add_robot,
-    add_scene,
-    add_tracking,
-    command_parser,
-    loading,
-    percent,
-    run_command,
-    tracking_of,
-)
-from hplan.errors import InputError
+from hplan.cli.options import command_parser
 
-if TYPE_CHECKING:
-    from rich.console import Console
-
-    from hplan.planning.plan import PlanResult
-    from hplan.problem.options import PlanOptions
-    from hplan.robot.model import Robot
-    from hplan.scene.model import Scene
-
-#: Files of a finished job.
-TRAJECTORY, PAGE, REPORT = "trajectory.csv", "scene.html", "report.json"
-#: Files of the C-space view, where it is asked for.
-CSPACE_PAGE, CSPACE_FIGURE = "cspace.html", "cspace.png"
-
-#: Where they go unless something else is said.
-OUT = Path("out")
-
-_DESCRIPTION = """\
-Plan a collision-free motion of a harvesting arm, time it, certify it, and write it for the controller:
-trajectory.csv, report.json and an animated scene.html.
-"""
-
-_EXIT_STATUS = """\
-exit status:
-  0  done
-  2  bad input
-  3  no path exists (shown on the grid)
-  4  the motion cannot be timed
-  5  the motion is not certified
-
-hplan certify judges a trajectory; see hplan certify --help.
-"""
-
-_STAGE_WORDS = {
-    "load": "reading robot and scene",
-    "grasps": "finding grasps",
-    "roadmap": "looking for a quick way",
-    "cspace": "computing the C-space",
-    "search": "searching slices and sparse graph",
-    "postprocess": "smoothing the path",
-    "timing": "timing the motion",
-    "certificate": "proving clearance and limits",
-    "export": "writing files",
+#: What each subcommand does; its file in this folder has its name, and in it a function `main`.
+COMMANDS = {
+    "plan": "plan one motion; write trajectory.csv, report.json and scene.html",
+    "tour": "plan a picking tour through the fruits of a scene",
+    "time": "time a motion through waypoints, for any robot",
+    "certify": "prove that a trajectory keeps clearance and limits",
+    "execute": "run a trajectory on a simulated arm",
+    "orchard": "make a scene: a row of fruit trees",
+    "view": "show what a job left in its folder, or a trajectory",
+    "completion": "print a script that completes these words: hplan completion bash",
 }
+
+_USAGE = "hplan COMMAND [options]\n       hplan [SCENE] [options]    short for hplan plan"
+_DESCRIPTION = "Motion planning for fruit-harvesting arms."
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command line; returns the exit status.
-
-    The first argument may name a command, `plan` or `certify`; without one a scene is planned.
-    """
+    """Run the command line; returns the exit status. Without a subcommand a scene is planned."""
     words = list(sys.argv[1:] if argv is None else argv)
-    if words[:1] == ["certify"]:
-        from hplan.cli import certify_command
+    if words[:1] in (["-h"], ["--help"]):
+        width = max(map(len, COMMANDS))
+        lines = [f"  {name:{width}}  {line}" for name, line in COMMANDS.items()]
+        epilog = "\n".join(["commands:", *lines, "", "hplan COMMAND --help says more of each."])
+        command_parser(_DESCRIPTION, epilog, prog="hplan", usage=_USAGE).parse_args(words[:1])
+    if words and words[0] in COMMANDS:
+        status: int = import_module(f"hplan.cli.{words[0]}").main(words[1:], prog=f"hplan {words[0]}")
+        return status
+    from hplan.cli import plan
 
-        return certify_command.main(words[1:])
-    arguments = parse_job(_parser(), words[1:] if words[:1] == ["plan"] else words, OUT, _job_folder)
-    return run_command(lambda console, errors: _plan(arguments, console, errors))
-
-
-def _job_folder(path: Path) -> JobFolder:
-    return JobFolder(path, (TRAJECTORY, PAGE, CSPACE_PAGE, CSPACE_FIGURE), REPORT)
-
-
-def _plan(arguments: argparse.Namespace, console: Console, errors: Console) -> int:
-    """Plan, write, show what came of it; returns the exit status."""
-    folder = _job_folder(arguments.out)
-    with folder.job():
-        robot, scene, result = _run(arguments, folder, errors)
-    if not arguments.quiet:
-        _show_summary(console, result, folder.path)
-    if arguments.view:
-        _view(console, robot, scene, result)
-    return 0
-
-
-def _parser() -> CommandParser:
-    parser = command_parser(
-        _DESCRIPTION, _EXIT_STATUS, prog="plan_and_time.py" if sys.argv[0].endswith("plan_and_time.py") else "hplan"
-    )
-    add_scene(parser)
-    add = parser.add_argument
-    add("--out", type=Path, default=OUT, metavar="DIR", help="folder to write into (default: out)")
-    add_robot(parser)
-    add("--method", choices=("two-level", "dense"), default="two-level", help="search (default: two-level)")
-    add(
-        "--objective", choices=("duration", "length"), default="duration", help="what to make small (default: duration)"
-    )
-    add("--link-model", choices=("capsule", "paper", "rectangle"), default="capsule", help="default: capsule")
-    add("--step", type=float, default=1.0, metavar="DEG", help="spacing of the joint grid (default: 1)")
-    add("--rate", type=float, default=250.0, metavar="HZ", help="rows per second in the CSV (default: 250)")
-    add("--speed", type=float, default=1.0, metavar="SHARE", help="share of full speed, in (0, 1] (default: 1)")
-    add_tracking(parser)
-    add("--sigmas", type=float, default=3.0, metavar="K", help="an uncertain obstacle grows by K sigma (default: 3)")
-    add("--standoff", type=float, default=0.1, metavar="M", help="straight approach to a fruit (default: 0.1)")
-    add("--uncertified", action="store_true", help="write the motion even if it is not certified; the report says so")
-    add("--view", action="store_true", help="serve the animated scene until interrupted")
-    add("--cspace", action="store_true", help="write cspace.html: the forbidden joint angles and the motion; "
-        "cspace.png too where matplotlib is installed")  # fmt: skip
-    add("--cspace-yaw", type=float, metavar="DEG", help="the same for a yaw of choice (default: the goal's)")
-    add("--quiet", action="store_true", help="no progress, no summary")
-    return parser
-
-
-def _run(arguments: argparse.Namespace, folder: JobFolder, errors: Console) -> tuple[Robot, Scene, PlanResult]:
-    """Load, plan and write."""
-    with _Progress(errors, quiet=arguments.quiet) as progress:
-        progress("load")
-        with loading():
-            import math
-
-            from hplan.planning.plan import with_export_time
-            from hplan.planning.report import write_report
-            from hplan.problem.options import PlanOptions
-            from hplan.robot.model import load_robot
-            from hplan.scene.file import load_scene
-            from hplan.timing.trajectory import write_csv
-            from hplan.view.page import write_page
-            from hplan.view.yaw_section import check_yaw
-
-        tracking = tracking_of(arguments)
-        options = PlanOptions(
-            method=arguments.method,
-            step_deg=arguments.step,
-            objective=arguments.objective,
-            link_model=arguments.link_model,
-            rate_hz=arguments.rate,
-            speed=arguments.speed,
-            tracking_error=tracking.still_rad,
-            tracking_delay_s=tracking.delay_s,
-            sigmas=arguments.sigmas,
-            standoff=arguments.standoff,
-            certify=not arguments.uncertified,
-        )
-        robot = load_robot(arguments.robot, limits=arguments.limits)
-        folder.robot = robot.name
-        yaw = None if arguments.cspace_yaw is None else math.radians(arguments.cspace_yaw)
-        wants_cspace = arguments.cspace or yaw is not None
-        if wants_cspace:
-            check_yaw(robot, yaw)
-        scene = load_scene(arguments.scene)
-        folder.scene = scene.name
-        result = _planned(robot, scene, options, progress)
-        progress("export")
-        begin = time.perf_counter()
-        with folder.filling() as staging:
-            write_csv(result.trajectory, staging / TRAJECTORY)
-            write_page(robot, scene, result.trajectory, staging / PAGE, picked=result.picked, phases=result.phases)
-            if wants_cspace:
-                _write_cspace(robot, scene, options, result, yaw, staging)
-            result = with_export_time(result, time.perf_counter() - begin)
-            write_report(result.report, staging / REPORT)
-    return robot, scene, result
-
-
-def _planned(robot: Robot, scene: Scene, options: PlanOptions, progress: _Progress) -> PlanResult:
-    """Plan; on a first run another process compiles what comes last meanwhile."""
-    from hplan.planning.compile_ahead import compiling_ahead, is_first_run
-    from hplan.planning.plan import plan
-
-    first_run = is_first_run()
-    if first_run:
-        progress.note = " (compiling, as on every first run)"
-    with compiling_ahead(first_run) as wait:
-
-        def stage(name: str) -> None:
-            progress(name)
-            if name == "postprocess":
-                wait()
-
-        return plan(robot, scene, options, progress=stage)
-
-
-def _write_cspace(
-    robot: Robot, scene: Scene, options: PlanOptions, result: PlanResult, yaw: float | None, folder: Path
-) -> None:
-    """Write the C-space at one yaw with the motion: a page, and a figure where matplotlib is installed.
-
-    Raises:
-        OutputError: A file cannot be written.
-    """
-    from hplan.view.cspace_figure import cspace_at_yaw
-    from hplan.view.cspace_page import write_cspace_page
-    from hplan.view.figure_style import require_matplotlib, write_png
-    from hplan.view.yaw_section import yaw_section
-
-    section = yaw_section(robot, scene, result.trajectory, options, phases=result.phases, yaw=yaw)
-    write_cspace_page(section, scene.name, folder / CSPACE_PAGE)
-    try:
-        require_matplotlib()
-    except InputError:
-        return
-    write_png(cspace_at_yaw(section, scene.name), folder / CSPACE_FIGURE)
-
-
-class _Progress:
-    """A status line on the terminal that names the stage; nothing where there is no terminal, or none wanted."""
-
-    def __init__(self, console: Console, *, quiet: bool) -> None:
-        self._status = None if quiet or not console.is_terminal else console.status("starting")
-        #: Said after every stage from now on.
-        self.note = ""
-
-    def __enter__(self) -> _Progress:
-        if self._status is not None:
-            self._status.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self._status is not None:
-            self._status.stop()
-
-    def __call__(self, stage: str) -> None:
-        if self._status is not None:
-            self._status.update(_STAGE_WORDS.get(stage, stage) + self.note)
-
-
-def _show_summary(console: Console, result: PlanResult, folder: Path) -> None:
-    """Rows that fit 80 columns, unless names are long."""
-    from rich.markup import escape
-    from rich.table import Table
-
-    report = result.report
-    planner, expansions, path = report["planner"], report["planner"]["expansions"], report["path"]
-    motion, proof = report["trajectory"], report["certificate"]
-    table = Table.grid(padding=(0, 2, 0, 2))
-    table.add_column(style="dim", no_wrap=True)
-    table.add_column()
-    add: Callable[[str, str], Any] = table.add_row
-    if result.grasp is not None:
-        grasp = report["grasp"]
-        what = "the point" if grasp["fruit"] is None else escape(grasp["fruit"])
-        add("grasp", f"{what}, last link at {grasp['approach_deg']:.1f} deg, {_approach_words(grasp['standoff_m'])}")
-    if result.path is None:
-        add("search", "none: start and goal are the same")
-    elif planner["method"] == "direct":
-        add("search", "none: the straight motion is clear")
-    elif result.search is None:
-        add("search", f"{planner['method']}: {len(result.motion.way) - 2} configurations between start and goal")
-        add("path", f"{path['length_deg']:.2f} deg")
-    else:
-        points = f"{planner['points']} points, cost {planner['cost_deg']:.6f} deg"
-        fallback = "" if planner["fallback"] == "none" else f", with the {planner['fallback']} search after it"
-        add("search", f"{planner['method']}{fallback}: {points}")
-        stages = ", ".join(f"{stage} {expansions[stage]:,}" for stage in ("layers", "sparse", "fallback"))
-        add("expanded", f"{expansions['total']:,} nodes: {stages}")
-        add("flooded", f"{expansions['flooded_cells']:,} nodes")
-        add("path", f"{path['length_deg']:.2f} deg, from {path['length_deg_grid']:.2f} deg on the grid")
-    rows = "1 row" if motion["samples"] == 1 else f"{motion['samples']:,} rows at {motion['rate_hz']:g} Hz"
-    add("motion", f"[bold]{motion['duration_s']:.3f} s[/], {rows}")
-    if len(result.phases) > 1:
-        add("", ", ".join(f"{phase.name} {phase.end_s - phase.start_s:.3f} s" for phase in result.phases))
-    add("limits used", ", ".join(f"{name} {percent(share)}" for name, share in proof["limit_use"].items()) + " %")
-    add("clearance", _clearance_words(proof))
-    if proof["nearest"] is not None:
-        nearest = proof["nearest"]
-        pair = f"{escape(nearest['link'])} to {escape(nearest['obstacle'])}"
-        add("nearest", f"{pair}, {1e3 * nearest['distance_m']:.2f} mm")
-    if proof["verified"]:
-        add("certificate", "[bold green]verified[/]")
-    else:
-        add("certificate", "[bold red]NOT VERIFIED[/]")
-        for violation in proof["violations"]:
-            add("", escape(violation))
-    add("time", _time_words(report["time_ms"]))
-    written = [name for name in (CSPACE_PAGE, CSPACE_FIGURE) if (folder / name).exists()]
-    add("files", f"{escape(str(folder))}: {', '.join([TRAJECTORY, REPORT, PAGE, *written])}")
-    console.print(f"\n[bold]{escape(report['scene'])}[/] with [bold]{escape(report['robot'])}[/]\n")
-    console.print(table)
-    console.print()
-
-
-def _approach_words(standoff_m: float) -> str:
-    return f"straight approach of {100 * standoff_m:.1f} cm" if standoff_m > 0.0 else "no straight approach is clear"
-
-
-def _clearance_words(proof: dict[str, Any]) -> str:
-    if proof["nearest"] is None:
-        return "no obstacles"
-    if not proof["verified"]:
-        return f"{1e3 * proof['min_clearance_m']:.2f} mm, where the proof ended"
-    return f"{1e3 * proof['min_clearance_m']:.2f} mm or more, shown for all times"
-
-
-def _time_words(times: dict[str, float]) -> str:
-    """The whole, then the stages that there were, those up to the path and those of the motion a line each."""
-    stages = {name: f"{name} {ms:.1f}" for name, ms in times.items() if name != "total" and ms > 0.0}
-    motion = [stages.pop(name) for name in ("postprocess", "timing", "certificate", "export") if name in stages]
-    lines = [", ".join(part) for part in (stages.values(), motion) if part]
-    return "\n".join([f"[bold]{times['total']:,.0f} ms[/], loading of compiled code included", *lines])
-
-
-def _view(console: Console, robot: Robot, scene: Scene, result: PlanResult) -> None:
-    """Serve the scene until interrupted."""
-    from hplan.view.page import serve
-
-    server = serve(robot, scene, result.trajectory, picked=result.picked, phases=result.phases)
-    console.print(f"serving the scene at {server.url} (interrupt to stop)")
-    try:
-        server.wait()
-    except KeyboardInterrupt:
-        pass
-    finally:
-        server.close()
+    return plan.main(words, prog="hplan")

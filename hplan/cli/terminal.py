@@ -1,38 +1,29 @@
-"""What the commands share: options, a folder to write into, errors shown, exit statuses.
-
-Nothing heavy is imported before it is needed.
-"""
+"""The terminal that a command runs at: signals, closed or full outputs, progress, facts and errors shown, statuses."""
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import gc
-import math
 import os
 import signal
 import sys
-import textwrap
 import threading
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any
 
-from hplan.errors import HplanError, OptionError, OutputError
+from hplan.errors import HplanError
 
 if TYPE_CHECKING:
     from rich.console import Console
-
-    from hplan.robot.tracking import TrackingModel
+    from rich.table import Table
 
 #: Exit status where what was looked at is not in order.
 FAILED = 5
 
 #: Exit status after an interrupt, as shells give it.
 INTERRUPTED = 130
-
 
 #: Signals that end a command, as an interrupt does, so that nothing half-written is left.
 ENDING = (signal.SIGTERM, signal.SIGHUP)
@@ -194,93 +185,46 @@ def show_error(console: Console, error: HplanError) -> None:
         )
 
 
-class CommandParser(argparse.ArgumentParser):
-    """A parser that lets a command know of arguments that cannot be understood, before it ends the program."""
-
-    #: Called with what is wrong.
-    on_usage_error: Callable[[str], None] | None = None
-
-    def error(self, message: str) -> NoReturn:
-        """Say what is wrong and end the program."""
-        if self.on_usage_error is not None:
-            self.on_usage_error(message)
-        super().error(message)
+@contextmanager
+def progress_line(console: Console, *, quiet: bool) -> Iterator[Callable[[str], None]]:
+    """A status line on the terminal, set by what this gives; nothing where there is no terminal, or none wanted."""
+    if quiet or not console.is_terminal:
+        yield lambda _: None
+        return
+    with console.status("starting") as status:
+        yield status.update
 
 
-def command_parser(description: str, epilog: str, *, prog: str | None = None) -> CommandParser:
-    """A parser whose help gives the description in lines of 79 and the epilog as it stands."""
-    return CommandParser(
-        prog=prog,
-        description=textwrap.fill(description, 79),
-        epilog=epilog,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+def facts_table(indent: int = 2) -> Table:
+    """An empty table of facts, each a name and what is said of it."""
+    from rich.table import Table
+
+    table = Table.grid(padding=(0, 2, 0, indent))
+    table.add_column(style="dim", no_wrap=True)
+    table.add_column()
+    return table
 
 
-def named_output(arguments: Sequence[str] | None, default: Path) -> Path | None:
-    """What `--out` names in arguments that may not be understood otherwise; None where that cannot be told."""
-    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
-    parser.add_argument("--out", "--ou", type=Path, default=default)
-    try:
-        found: Path = parser.parse_known_args(arguments)[0].out
-    except argparse.ArgumentError:
-        return None
-    return found
+def number_table() -> Table:
+    """An empty table with a line below its headings."""
+    from rich import box
+    from rich.table import Table
+
+    return Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), show_edge=False)
 
 
-def add_scene(parser: argparse.ArgumentParser) -> None:
-    """Add the argument `scene`."""
-    parser.add_argument(
-        "scene", nargs="?", type=Path, help="scene file (default: the paper's reference scene, Table 1)"
-    )
+def show_title(console: Console, what: str, robot: str) -> None:
+    """Say what a summary is about: a scene or file, and the robot in it."""
+    from rich.markup import escape
+
+    console.print(f"\n[bold]{escape(what)}[/] with [bold]{escape(robot)}[/]\n")
 
 
-def add_robot(parser: argparse.ArgumentParser) -> None:
-    """Add the options `--robot` and `--limits`."""
-    add = parser.add_argument
-    add("--robot", type=Path, metavar="URDF", help="robot (default: the harvester that ships with hplan)")
-    add("--limits", type=Path, metavar="YAML", help="acceleration limits (default: NAME.limits.yaml beside the URDF)")
+def certificate_words(verified: bool) -> str:
+    """The verdict of a certificate, with markup."""
+    return "[bold green]verified[/]" if verified else "[bold red]NOT VERIFIED[/]"
 
 
-def add_tracking(parser: argparse.ArgumentParser) -> None:
-    """Add the options `--tracking-error` and `--tracking-delay`."""
-    add = parser.add_argument
-    add("--tracking-error", type=float, default=0.0, metavar="DEG", help="deviation of each joint that is allowed for")
-    add("--tracking-delay", type=float, default=0.0, metavar="MS", help="the same, for each unit of joint velocity")
-
-
-def tracking_of(arguments: argparse.Namespace) -> TrackingModel:
-    """What `--tracking-error` and `--tracking-delay` say.
-
-    Raises:
-        OptionError: One that is negative or not finite.
-    """
-    from hplan.robot.tracking import TrackingModel
-
-    error_deg, delay_ms = arguments.tracking_error, arguments.tracking_delay
-    for option, value, unit in (("--tracking-error", error_deg, "degrees"), ("--tracking-delay", delay_ms, "ms")):
-        if not 0.0 <= value < math.inf:
-            raise OptionError(option, value, f"a finite number of {unit} >= 0")
-    return TrackingModel(math.radians(error_deg), 1e-3 * delay_ms)
-
-
-def prepare_folder(folder: Path) -> None:
-    """Make a folder and see that it can be written, before any work.
-
-    Raises:
-        OutputError: It cannot be made or written.
-    """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        probe = folder / ".hplan-probe"
-        probe.touch()
-        probe.unlink()
-    except FileExistsError as error:
-        raise OutputError(folder, "it is a file, not a folder") from error
-    except OSError as error:
-        raise OutputError(folder, error.strerror or str(error)) from error
-
-
-def percent(share: float) -> str:
-    """A share in percent, without the sign; in powers of ten where it is beyond all use."""
-    return f"{100.0 * share:{'.1f' if share < 1e4 else '.3g'}}"
+def percent(fraction: float) -> str:
+    """A fraction in percent, without the sign; in powers of ten where it is beyond all use."""
+    return f"{100.0 * fraction:{'.1f' if fraction < 1e4 else '.3g'}}"

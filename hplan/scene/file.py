@@ -11,7 +11,7 @@ import yaml
 from pydantic import ValidationError
 
 from hplan.base.arguments import file_path, instance
-from hplan.base.data_files import scenes_dir
+from hplan.base.data_files import shipped_scene, shipped_scenes
 from hplan.base.files import write_text
 from hplan.base.yaml_text import read_yaml, write_yaml
 from hplan.errors import SceneError
@@ -23,24 +23,30 @@ from hplan.scene.obstacles import Mesh, PointCloud
 
 def default_scene_path() -> Path:
     """File of the reference scene, Table 1 of the paper."""
-    return scenes_dir() / "table-1.yaml"
+    return shipped_scene("table-1")
 
 
 def load_scene(path: Path | str | None = None) -> Scene:
     """Read a scene file (YAML, and so JSON).
 
     Args:
-        path: The file; None for the reference scene.
+        path: The file; None for the reference scene. A text without suffix and folder that is no file names a scene
+            that ships with hplan: `load_scene("trellis")`.
 
     Raises:
         SceneError: Missing or malformed file, unknown or repeated key, value of the wrong kind or range, a mesh or
             point file that cannot be used; names the key and its line. More than `hplan.scene.limits` allow.
     """
-    path = default_scene_path() if path is None else file_path("path", path)
+    given, path = path, default_scene_path() if path is None else file_path("path", path)
+    if isinstance(given, str) and given in shipped_scenes() and not path.is_file():
+        path = shipped_scene(given)
     try:
         text = ByteBudget(MOST_SCENE_BYTES).read(path).decode("utf-8")
     except OSError as error:
-        raise SceneError(error.strerror or str(error), path=path) from error
+        reason = error.strerror or str(error)
+        if isinstance(error, FileNotFoundError) and given == path.name and not path.suffix:
+            reason += f"; scenes that ship with hplan: {', '.join(shipped_scenes())}"
+        raise SceneError(reason, path=path) from error
     except UnicodeDecodeError as error:
         raise SceneError("it is not UTF-8 text", path=path) from error
     except ValueError as error:

@@ -20,7 +20,7 @@ from hplan.errors import HplanError, OutputError
 ROOT = Path(__file__).parents[2]
 FILES = {"trajectory.csv", "report.json", "scene.html"}
 SCRIPTS = {
-    "hplan": [sys.executable, "-m", "hplan.cli.main"],
+    "hplan": [sys.executable, "-m", "hplan.cli"],
     "plan_and_time": [sys.executable, str(ROOT / "scripts" / "plan_and_time.py")],
     "plan_tour": [sys.executable, str(ROOT / "scripts" / "plan_tour.py")],
     "time_waypoints": [sys.executable, str(ROOT / "scripts" / "time_waypoints.py")],

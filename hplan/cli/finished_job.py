@@ -1,0 +1,116 @@
+"""What a finished job left in its folder: the report, and the motion that it is about."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hplan.base.data_files import shipped_scenes
+from hplan.cli.job_folder import REPORT, TOUR_REPORT, TRAJECTORY
+from hplan.errors import InputError
+
+if TYPE_CHECKING:
+    from hplan.timing.trajectory import Trajectory
+    from hplan.verification.digests import Digests
+
+
+class FinishedJob:
+    """The report of a finished job, and where its motion is.
+
+    Attributes:
+        trajectory_paths: The files of its motion: one, or one for each leg of a tour.
+        report_path: The report's file.
+        report: Its content; `certificate` and the digests in it are there.
+    """
+
+    def __init__(self, folder: Path, *, tours: bool = False) -> None:
+        """Read the report of a plan or, if `tours` are wanted too, that of a tour where it is the later one.
+
+        Raises:
+            InputError: There is none, or it is no report of a finished job.
+        """
+        path = folder / REPORT
+        if tours and _time_of(folder / TOUR_REPORT) > _time_of(path):
+            path = folder / TOUR_REPORT
+        try:
+            report = json.loads(path.read_text(encoding="utf-8"))
+        except OSError as error:
+            raise self._fault(path, str(error.strerror)) from error
+        except ValueError as error:
+            raise self._fault(path, f"it is no JSON: {error}") from error
+        certificate = report.get("certificate") if isinstance(report, dict) else None
+        numbers = ("tracking_error_rad", "tracking_delay_s", "sigmas")
+        if (
+            not isinstance(certificate, dict)
+            or not isinstance(certificate.get("digests"), dict)
+            or not all(type(certificate.get(key)) in (int, float) for key in numbers)
+        ):
+            reason = f"it is no report of a plan with digests; {folder / TRAJECTORY} can be given by itself"
+            raise self._fault(path, reason)
+        files = report.get("files", [TRAJECTORY])
+        if not isinstance(files, list) or not all(isinstance(name, str) for name in files):
+            raise self._fault(path, "files: expected names")
+        self.trajectory_paths = [folder / name for name in files]
+        self.report_path = path
+        self.report: dict[str, Any] = report
+
+    @staticmethod
+    def _fault(path: Path, reason: str) -> InputError:
+        return InputError(f"report file {path}: {reason}", path=str(path))
+
+    @property
+    def shipped_scene(self) -> str | None:
+        """Name of the job's scene if one that ships with hplan has it; the digest tells whether it is the same."""
+        name = self.report.get("scene")
+        return name if name in shipped_scenes() else None
+
+    def trajectory(self) -> Trajectory:
+        """The job's motion; that of a tour is joined where there is a file for each leg.
+
+        Raises:
+            InputError: A file is missing or malformed.
+        """
+        from hplan.timing.trajectory import joined, read_csv
+
+        return joined([read_csv(path) for path in self.trajectory_paths])
+
+    def shown(self) -> dict[str, Any]:
+        """What the animated page says of the motion: when fruit is picked and dropped [s], and the phases.
+
+        Raises:
+            InputError: The report does not say it.
+        """
+        from hplan.planning.plan import Phase
+
+        try:
+            if self.report_path.name == REPORT:
+                phases = [Phase(**phase) for phase in self.report["phases"]]
+                fruit = (self.report["grasp"] or {}).get("fruit")
+                reached = [phase.end_s for phase in phases if phase.name != "retreat"]
+                return {"picked": {} if fruit is None else {fruit: reached[-1]}, "phases": phases}
+            picked: dict[str, float] = {}
+            dropped: dict[str, float] = {}
+            phases = []
+            for leg in self.report["legs"]:
+                if leg["fruit"] is not None:
+                    picked[leg["fruit"]] = leg["picked_s"]
+                phases += [Phase(**phase) for phase in leg["phases"]]
+                if phases[-1].name == "drop":
+                    dropped |= {name: phases[-1].end_s for name in picked if name not in dropped}
+        except (AttributeError, IndexError, KeyError, TypeError) as error:
+            raise self._fault(self.report_path, "it does not say what happens when in the motion") from error
+        return {"picked": picked, "dropped": dropped, "phases": phases}
+
+    def differing(self, digests: Digests | None) -> list[str]:
+        """Which of robot, scene and trajectory are not those of the report."""
+        told = self.report["certificate"]["digests"]
+        return [] if digests is None else [what for what, digest in vars(digests).items() if told.get(what) != digest]
+
+
+def _time_of(path: Path) -> float:
+    """When a file was written [s]; minus infinity if it is not there."""
+    try:
+        return path.stat().st_mtime
+    except OSError:
+        return float("-inf")

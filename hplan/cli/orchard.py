@@ -1,0 +1,157 @@
+"""The command `hplan orchard`: make a row of trees, grown from a seed or measured, with fruit to reach for."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hplan.cli.options import CommandParser, check_output_file, command_parser
+from hplan.cli.terminal import facts_table, run_command
+from hplan.errors import OptionError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from hplan.orchard import FruitZone
+    from hplan.scene.model import Scene
+
+_DESCRIPTION = """\
+Write a scene with a row of fruit trees in front of the arm. The same options give the same file, byte for byte.
+Fruit is counted from the base outwards; the first is the goal.
+"""
+
+_EPILOG = """\
+TREE.csv: a header, then a line for each straight piece of wood, in metres, z
+up, the trunk's base at the origin: kind,x1,y1,z1,x2,y2,z2,radius. Pieces are
+called by their kind (trunk, branch) and number. Fruit hangs at branch tips.
+
+exit status:
+  0  done
+  2  bad input
+"""
+
+#: Options of a grown row by their names here; measured trees know only those in `_MEASURED` and how they hang.
+_GROWN = ("form", "trees", "branches", "shoots", "tree_height", "branch_length", "vehicle", "ground")
+_MEASURED = ("turn", "height")
+
+
+def main(argv: Sequence[str] | None = None, *, prog: str = "hplan orchard") -> int:
+    """Run the command; returns the exit status."""
+    arguments = parser(prog).parse_args(argv)
+    return run_command(lambda console, _: _run(arguments, console))
+
+
+def parser(prog: str) -> CommandParser:
+    """The parser of the command's arguments."""
+    parser = command_parser(_DESCRIPTION, _EPILOG, prog=prog)
+    source = parser.add_mutually_exclusive_group()
+    source.add_argument("--import", nargs="+", type=Path, metavar="TREE.csv", dest="files", help="measured trees")
+    source.add_argument(
+        "--shipped", metavar="NAME", help="a scene that ships with hplan, made anew; nothing else to say"
+    )
+    add = parser.add_argument
+    add("--out", type=Path, default=Path("orchard.yaml"), metavar="FILE", help="file to write (default: orchard.yaml)")
+    add("--name", help="name of the scene (default: the file's)")
+    add("--seed", type=int, metavar="N", help="what is left to chance follows from it (default: 0)")
+    add("--distance", type=float, metavar="M", help="from the base's axis to the row (default: 1.4)")
+    add("--spacing", type=float, metavar="M", help="from tree to tree (default: 1.1)")
+    add("--clearance", type=float, metavar="M", help="distance that a motion keeps (default: 0)")
+    add("--fruits", type=int, metavar="N", help="fruits in all (default: 24; on measured trees 20)")
+    add("--fruit-radius", type=float, metavar="M", help="default: 0.04")
+    add("--fruit-heights", type=float, nargs=2, metavar=("LOW", "HIGH"), help="heights of the fruit [m]")
+    add("--fruit-reach", type=float, metavar="M", help="greatest distance of a fruit from the base's axis")
+    add("--goal", metavar="NAME", help="fruit to reach for (default: the first)")
+    add("--start", type=float, nargs="+", metavar="DEG", help="joints at the start (default: the harvester, tucked)")
+    add("--quiet", action="store_true", help="no summary")
+    grown = parser.add_argument_group("grown trees").add_argument
+    grown("--form", choices=("spindle", "trellis"), help="how they are trained (default: spindle)")
+    grown("--trees", type=int, metavar="N", help="default: 3")
+    grown("--tree-height", type=float, metavar="M", help="default: 2.7")
+    grown("--branches", type=int, metavar="N", help="branches of each tree (default: 18)")
+    grown("--branch-length", type=float, metavar="M", help="the longest (default: 0.6)")
+    grown("--shoots", type=int, metavar="N", help="side shoots of each branch (default: 2)")
+    grown("--vehicle", action="store_true", default=None, help="a vehicle's body behind the arm")
+    grown("--ground", action="store_true", default=None, help="the ground")
+    measured = parser.add_argument_group("measured trees").add_argument
+    measured("--height", type=float, metavar="M", help="of the trees' feet above the base's (default: 0)")
+    measured("--turn", type=float, metavar="DEG", help="turn of every tree about its trunk (default: 0)")
+    return parser
+
+
+def _run(arguments: argparse.Namespace, console: Console) -> int:
+    """Make the scene, write it and say what is in it."""
+    from hplan.scene.file import save_scene
+
+    out: Path = arguments.out
+    check_output_file(out, arguments.files or ())
+    scene = _made(arguments)
+    save_scene(scene, out)
+    if not arguments.quiet:
+        _show(console, scene, out)
+    return 0
+
+
+def _made(arguments: argparse.Namespace) -> Scene:
+    """The scene that is asked for."""
+    from hplan.orchard import SHIPPED, OrchardOptions, generate, measured_orchard
+
+    common = {option: getattr(arguments, option) for option in ("seed", "distance", "spacing", "clearance")}
+    fruit = {"fruits": arguments.fruits, "fruit_radius": arguments.fruit_radius, "goal": arguments.goal}
+    start = {} if arguments.start is None else {"start_deg": arguments.start}
+    if arguments.shipped is not None:
+        if arguments.shipped not in SHIPPED:
+            raise OptionError("--shipped", arguments.shipped, f"one of {', '.join(SHIPPED)}")
+        _refuse(arguments, "--shipped", ("name", *common, *fruit, "fruit_heights", "fruit_reach", *_GROWN, *_MEASURED))
+        return generate(SHIPPED[arguments.shipped], **start)
+    name = arguments.out.stem if arguments.name is None else arguments.name
+    if arguments.files:
+        _refuse(arguments, "--import", _GROWN)
+        zone = _zone(arguments, None)
+        options = _given({**common, **fruit, "yaw_deg": arguments.turn, "height": arguments.height, "fruit_zone": zone})
+        return measured_orchard(arguments.files, name=name, **options, **start)
+    _refuse(arguments, None, _MEASURED)
+    zone = _zone(arguments, OrchardOptions().fruit_zone)
+    wanted = {option: getattr(arguments, option) for option in _GROWN}
+    return generate(OrchardOptions(name=name, **_given({**common, **fruit, **wanted, "fruit_zone": zone})), **start)
+
+
+def _given(options: dict[str, Any]) -> dict[str, Any]:
+    """Those that were given."""
+    return {option: value for option, value in options.items() if value is not None}
+
+
+def _refuse(arguments: argparse.Namespace, source: str | None, options: Sequence[str]) -> None:
+    """Refuse options that would have no effect."""
+    for option in options:
+        value = getattr(arguments, option)
+        if value is not None:
+            expected = "measured trees, by --import" if source is None else f"nothing beside {source}"
+            raise OptionError(f"--{option.replace('_', '-')}", value, expected)
+
+
+def _zone(arguments: argparse.Namespace, usual: FruitZone | None) -> FruitZone | None:
+    """Where fruit may hang: what was given, the usual for the rest."""
+    from hplan.orchard import FruitZone
+
+    if arguments.fruit_heights is None and arguments.fruit_reach is None:
+        return usual
+    usual = FruitZone() if usual is None else usual
+    low, high = (usual.low, usual.high) if arguments.fruit_heights is None else arguments.fruit_heights
+    return FruitZone(low, high, usual.reach if arguments.fruit_reach is None else arguments.fruit_reach)
+
+
+def _show(console: Console, scene: Scene, out: Path) -> None:
+    """What the scene holds; fits 80 columns, unless names are long."""
+    from rich.markup import escape
+
+    heights = [fruit.center[2] for fruit in scene.fruits]
+    table = facts_table()
+    table.add_row("obstacles", f"{len(scene.obstacles):,}")
+    table.add_row("fruits", f"{len(scene.fruits):,}, {min(heights):.2f} to {max(heights):.2f} m high")
+    table.add_row("goal", escape(str(scene.goal.fruit)))
+    table.add_row("file", escape(str(out)))
+    console.print(f"\n[bold]{escape(scene.name)}[/]\n")
+    console.print(table)
+    console.print()

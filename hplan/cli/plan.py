@@ -1,0 +1,287 @@
+"""The command `hplan plan`: plan a scene, write what the controller needs, say how it went."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hplan.cli.job_folder import PAGE, REPORT, TRAJECTORY, JobFolder, parse_job
+from hplan.cli.options import (
+    CommandParser,
+    add_pace,
+    add_robot,
+    add_scene,
+    add_tracking,
+    command_parser,
+    tracking_of,
+)
+from hplan.cli.terminal import (
+    certificate_words,
+    facts_table,
+    loading,
+    percent,
+    progress_line,
+    run_command,
+    show_title,
+)
+from hplan.errors import InputError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from hplan.planning.plan import PlanResult
+    from hplan.problem.options import PlanOptions
+    from hplan.robot.model import Robot
+    from hplan.scene.model import Scene
+
+#: Files of the C-space view, where it is asked for.
+CSPACE_PAGE, CSPACE_FIGURE = "cspace.html", "cspace.png"
+
+#: Where they go unless something else is said.
+OUT = Path("out")
+
+_DESCRIPTION = """\
+Plan a collision-free motion of a harvesting arm, time it, certify it, and write it for the controller:
+trajectory.csv, report.json and an animated scene.html.
+"""
+
+_EXIT_STATUS = """\
+exit status:
+  0  done
+  2  bad input
+  3  no path exists (shown on the grid)
+  4  the motion cannot be timed
+  5  the motion is not certified
+
+hplan --help lists the other commands.
+"""
+
+_STAGE_WORDS = {
+    "grasps": "finding grasps",
+    "roadmap": "looking for a quick path",
+    "cspace": "computing the C-space",
+    "search": "searching slices and sparse graph",
+    "postprocess": "smoothing the path",
+    "timing": "timing the motion",
+    "certificate": "proving clearance and limits",
+    "export": "writing files",
+}
+
+
+def main(argv: Sequence[str] | None = None, *, prog: str = "hplan plan") -> int:
+    """Run the command; returns the exit status."""
+    arguments = parse_job(parser(prog), argv, OUT, _job_folder)
+    return run_command(lambda console, errors: _plan(arguments, console, errors))
+
+
+def _job_folder(path: Path) -> JobFolder:
+    return JobFolder(path, (TRAJECTORY, PAGE, CSPACE_PAGE, CSPACE_FIGURE), REPORT)
+
+
+def _plan(arguments: argparse.Namespace, console: Console, errors: Console) -> int:
+    """Plan, write, show what came of it; returns the exit status."""
+    folder = _job_folder(arguments.out)
+    with folder.job():
+        robot, scene, result = _run(arguments, folder, errors)
+    if not arguments.quiet:
+        _show_summary(console, result, folder.path)
+    if arguments.view:
+        from hplan.cli.view import serve_page
+
+        serve_page(console, robot, scene, result.trajectory, {"picked": result.picked, "phases": result.phases})
+    return 0
+
+
+def parser(prog: str) -> CommandParser:
+    """The parser of the command's arguments."""
+    parser = command_parser(_DESCRIPTION, _EXIT_STATUS, prog=prog)
+    add_scene(parser)
+    add = parser.add_argument
+    add("--out", type=Path, default=OUT, metavar="DIR", help="folder to write into (default: out)")
+    add_robot(parser)
+    add("--method", choices=("two-level", "dense"), default="two-level", help="search (default: two-level)")
+    add(
+        "--objective", choices=("duration", "length"), default="duration", help="what to make small (default: duration)"
+    )
+    add("--link-model", choices=("capsule", "paper", "rectangle"), default="capsule", help="default: capsule")
+    add("--step", type=float, default=1.0, metavar="DEG", help="spacing of the joint grid (default: 1)")
+    add_pace(parser)
+    add_tracking(parser)
+    add("--sigmas", type=float, default=3.0, metavar="K", help="an uncertain obstacle grows by K sigma (default: 3)")
+    add("--standoff", type=float, default=0.1, metavar="M", help="straight approach to a fruit (default: 0.1)")
+    add("--uncertified", action="store_true", help="write the motion even if it is not certified; the report says so")
+    add("--view", action="store_true", help="serve the animated scene until interrupted")
+    add("--cspace", action="store_true", help="write cspace.html: the forbidden joint angles and the motion; "
+        "cspace.png too where matplotlib is installed")  # fmt: skip
+    add("--cspace-yaw", type=float, metavar="DEG", help="the same for a yaw of choice (default: the goal's)")
+    add("--quiet", action="store_true", help="no progress, no summary")
+    return parser
+
+
+def _run(arguments: argparse.Namespace, folder: JobFolder, errors: Console) -> tuple[Robot, Scene, PlanResult]:
+    """Load, plan and write."""
+    with progress_line(errors, quiet=arguments.quiet) as show:
+        show("reading robot and scene")
+        with loading():
+            import math
+
+            from hplan.planning.compile_ahead import is_first_run
+            from hplan.planning.plan import with_export_time
+            from hplan.planning.report import write_report
+            from hplan.problem.options import PlanOptions
+            from hplan.robot.model import load_robot
+            from hplan.scene.file import load_scene
+            from hplan.timing.trajectory import write_csv
+            from hplan.view.page import write_page
+            from hplan.view.yaw_section import check_yaw
+
+        tracking = tracking_of(arguments)
+        options = PlanOptions(
+            method=arguments.method,
+            step_deg=arguments.step,
+            objective=arguments.objective,
+            link_model=arguments.link_model,
+            rate_hz=arguments.rate,
+            speed=arguments.speed,
+            tracking_error=tracking.still_rad,
+            tracking_delay_s=tracking.delay_s,
+            sigmas=arguments.sigmas,
+            standoff=arguments.standoff,
+            certify=not arguments.uncertified,
+        )
+        robot = load_robot(arguments.robot, limits=arguments.limits)
+        folder.robot = robot.name
+        yaw = None if arguments.cspace_yaw is None else math.radians(arguments.cspace_yaw)
+        wants_cspace = arguments.cspace or yaw is not None
+        if wants_cspace:
+            check_yaw(robot, yaw)
+        scene = load_scene(arguments.scene)
+        folder.scene = scene.name
+        first_run = is_first_run()
+        note = " (compiling, as on every first run)" if first_run else ""
+
+        def progress(stage: str) -> None:
+            show(_STAGE_WORDS.get(stage, stage) + note)
+
+        result = _planned(robot, scene, options, progress, first_run)
+        progress("export")
+        begin = time.perf_counter()
+        with folder.filling() as staging:
+            write_csv(result.trajectory, staging / TRAJECTORY)
+            write_page(robot, scene, result.trajectory, staging / PAGE, picked=result.picked, phases=result.phases)
+            if wants_cspace:
+                _write_cspace(robot, scene, options, result, yaw, staging)
+            result = with_export_time(result, time.perf_counter() - begin)
+            write_report(result.report, staging / REPORT)
+    return robot, scene, result
+
+
+def _planned(
+    robot: Robot, scene: Scene, options: PlanOptions, progress: Callable[[str], None], first_run: bool
+) -> PlanResult:
+    """Plan; on a first run another process compiles what comes last meanwhile."""
+    from hplan.planning.compile_ahead import compiling_ahead
+    from hplan.planning.plan import plan
+
+    with compiling_ahead(first_run) as wait:
+
+        def stage(name: str) -> None:
+            progress(name)
+            if name == "postprocess":
+                wait()
+
+        return plan(robot, scene, options, progress=stage)
+
+
+def _write_cspace(
+    robot: Robot, scene: Scene, options: PlanOptions, result: PlanResult, yaw: float | None, folder: Path
+) -> None:
+    """Write the C-space at one yaw with the motion: a page, and a figure where matplotlib is installed.
+
+    Raises:
+        OutputError: A file cannot be written.
+    """
+    from hplan.view.cspace_figure import cspace_at_yaw
+    from hplan.view.cspace_page import write_cspace_page
+    from hplan.view.figure_style import require_matplotlib, write_png
+    from hplan.view.yaw_section import yaw_section
+
+    section = yaw_section(robot, scene, result.trajectory, options, phases=result.phases, yaw=yaw)
+    write_cspace_page(section, scene.name, folder / CSPACE_PAGE)
+    try:
+        require_matplotlib()
+    except InputError:
+        return
+    write_png(cspace_at_yaw(section, scene.name), folder / CSPACE_FIGURE)
+
+
+def _show_summary(console: Console, result: PlanResult, folder: Path) -> None:
+    """Rows that fit 80 columns, unless names are long."""
+    from rich.markup import escape
+
+    report = result.report
+    planner, expansions, path = report["planner"], report["planner"]["expansions"], report["path"]
+    motion, proof = report["trajectory"], report["certificate"]
+    table = facts_table()
+    add: Callable[[str, str], Any] = table.add_row
+    if result.grasp is not None:
+        grasp = report["grasp"]
+        what = "the point" if grasp["fruit"] is None else escape(grasp["fruit"])
+        add("grasp", f"{what}, last link at {grasp['approach_deg']:.1f} deg, {_approach_words(grasp['standoff_m'])}")
+    if result.path is None:
+        add("search", "none: start and goal are the same")
+    elif planner["method"] == "direct":
+        add("search", "none: the straight motion is clear")
+    elif result.search is None:
+        add("search", f"{planner['method']}: {len(result.grid_path) - 2} configurations between start and goal")
+        add("path", f"{path['length_deg']:.2f} deg")
+    else:
+        points = f"{planner['points']} points, cost {planner['cost_deg']:.6f} deg"
+        fallback = "" if planner["fallback"] == "none" else f", with the {planner['fallback']} search after it"
+        add("search", f"{planner['method']}{fallback}: {points}")
+        stages = ", ".join(f"{stage} {expansions[stage]:,}" for stage in ("layers", "sparse", "fallback"))
+        add("expanded", f"{expansions['total']:,} nodes: {stages}")
+        add("flooded", f"{expansions['flooded_cells']:,} nodes")
+        add("path", f"{path['length_deg']:.2f} deg, from {path['length_deg_grid']:.2f} deg on the grid")
+    rows = "1 row" if motion["samples"] == 1 else f"{motion['samples']:,} rows at {motion['rate_hz']:g} Hz"
+    add("motion", f"[bold]{motion['duration_s']:.3f} s[/], {rows}")
+    if len(result.phases) > 1:
+        add("", ", ".join(f"{phase.name} {phase.end_s - phase.start_s:.3f} s" for phase in result.phases))
+    add("limits used", ", ".join(f"{name} {percent(used)}" for name, used in proof["limit_use"].items()) + " %")
+    add("clearance", _clearance_words(proof))
+    if proof["nearest"] is not None:
+        nearest = proof["nearest"]
+        pair = f"{escape(nearest['link'])} to {escape(nearest['obstacle'])}"
+        add("nearest", f"{pair}, {1e3 * nearest['distance_m']:.2f} mm")
+    add("certificate", certificate_words(proof["verified"]))
+    for violation in proof["violations"]:
+        add("", escape(violation))
+    add("time", _time_words(report["time_ms"]))
+    written = [name for name in (CSPACE_PAGE, CSPACE_FIGURE) if (folder / name).exists()]
+    add("files", f"{escape(str(folder))}: {', '.join([TRAJECTORY, REPORT, PAGE, *written])}")
+    show_title(console, report["scene"], report["robot"])
+    console.print(table)
+    console.print()
+
+
+def _approach_words(standoff_m: float) -> str:
+    return f"straight approach of {100 * standoff_m:.1f} cm" if standoff_m > 0.0 else "no straight approach is clear"
+
+
+def _clearance_words(proof: dict[str, Any]) -> str:
+    if proof["nearest"] is None:
+        return "no obstacles"
+    if not proof["verified"]:
+        return f"{1e3 * proof['min_clearance_m']:.2f} mm, where the proof ended"
+    return f"{1e3 * proof['min_clearance_m']:.2f} mm or more, shown for all times"
+
+
+def _time_words(times: dict[str, float]) -> str:
+    """The whole, then the stages that there were, those up to the path and those of the motion a line each."""
+    stages = {name: f"{name} {ms:.1f}" for name, ms in times.items() if name != "total" and ms > 0.0}
+    motion = [stages.pop(name) for name in ("postprocess", "timing", "certificate", "export") if name in stages]
+    lines = [", ".join(part) for part in (stages.values(), motion) if part]
+    return "\n".join([f"[bold]{times['total']:,.0f} ms[/], loading of compiled code included", *lines])

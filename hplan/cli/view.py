@@ -1,0 +1,104 @@
+"""The command `hplan view`: the animated page of what a job left in its folder, or of a trajectory."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hplan.cli.finished_job import FinishedJob
+from hplan.cli.job_folder import PAGE
+from hplan.cli.options import CommandParser, add_robot, add_scene, check_output_file, command_parser
+from hplan.cli.terminal import FAILED, run_command
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from hplan.robot.model import Robot
+    from hplan.scene.model import Scene
+    from hplan.timing.trajectory import Trajectory
+
+_DESCRIPTION = """\
+Show a motion: write its animated page, and serve it live until interrupted. Of a folder that `plan` or `tour` wrote the
+latest job's motion is shown, in the scene that its report names if that ships with hplan.
+"""
+
+_EPILOG = """\
+Robot, scene and trajectory are compared with those of the folder's report. If
+they are others nothing is written; the CSV by itself can be shown all the same.
+
+exit status:
+  0  done
+  1  the live view does not start
+  2  bad input
+  5  the folder's report is about another robot, scene or trajectory
+"""
+
+
+def main(argv: Sequence[str] | None = None, *, prog: str = "hplan view") -> int:
+    """Run the command; returns the exit status."""
+    arguments = parser(prog).parse_args(argv)
+    return run_command(lambda console, errors: _view(arguments, console, errors))
+
+
+def parser(prog: str) -> CommandParser:
+    """The parser of the command's arguments."""
+    parser = command_parser(_DESCRIPTION, _EPILOG, prog=prog)
+    add = parser.add_argument
+    add("motion", type=Path, metavar="FOLDER_OR_CSV", help="the folder of a job, or a trajectory")
+    add_scene(parser, "the job's, or the paper's reference scene")
+    add_robot(parser)
+    add("--out", type=Path, metavar="FILE", help="write the page here and serve nothing (default: scene.html in the "
+        "folder; of a CSV, NAME.html beside it)")  # fmt: skip
+    add("--no-serve", action="store_true", help="only write the page")
+    add("--quiet", action="store_true", help="do not name the file that was written")
+    return parser
+
+
+def _view(arguments: argparse.Namespace, console: Console, errors: Console) -> int:
+    """Read, compare, write, serve; returns the exit status."""
+    from hplan.robot.model import load_robot
+    from hplan.scene.file import load_scene
+    from hplan.timing.trajectory import read_csv
+    from hplan.verification.digests import Digests
+    from hplan.view.page import write_page
+
+    path: Path = arguments.motion
+    job = FinishedJob(path, tours=True) if path.is_dir() else None
+    out = arguments.out or (path.with_suffix(".html") if job is None else path / PAGE)
+    scene_path = None if arguments.scene is None else Path(arguments.scene)
+    motion = [path] if job is None else [*job.trajectory_paths, job.report_path]
+    check_output_file(out, (*motion, scene_path, arguments.robot, arguments.limits))
+    trajectory = read_csv(path) if job is None else job.trajectory()
+    robot = load_robot(arguments.robot, limits=arguments.limits)
+    scene = load_scene(job.shipped_scene if arguments.scene is None and job is not None else arguments.scene)
+    shown: dict[str, Any] = {}
+    if job is not None:
+        differs = job.differing(Digests.of(robot, scene, trajectory))
+        for what in differs:
+            errors.print(f"the {what} is not the one of {job.report_path}", markup=False, soft_wrap=True)
+        if differs:
+            return FAILED
+        shown = job.shown()
+    write_page(robot, scene, trajectory, out, **shown)
+    if not arguments.quiet:
+        console.print(f"written: {out}", markup=False, soft_wrap=True)
+    if not arguments.no_serve and arguments.out is None:
+        serve_page(console, robot, scene, trajectory, shown)
+    return 0
+
+
+def serve_page(console: Console, robot: Robot, scene: Scene, trajectory: Trajectory, shown: Mapping[str, Any]) -> None:
+    """Serve the animated scene until interrupted; `shown` is what `hplan.view.page.serve` takes besides.
+
+    Raises:
+        HplanError: The server does not start.
+    """
+    from hplan.view.page import serve
+
+    with serve(robot, scene, trajectory, **shown) as server:
+        console.print(f"serving the scene at {server.url} (interrupt to stop)")
+        with contextlib.suppress(KeyboardInterrupt):
+            server.wait()

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import importlib
+import subprocess
+import sys
 import tomllib
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +28,22 @@ def project() -> dict[str, Any]:
 def test_robot_ships_in_the_wheel(project: dict[str, Any]) -> None:
     assert project["tool"]["hatch"]["build"]["targets"]["wheel"]["force-include"] == {"urdf": "hplan/urdf"}
     assert {path.name for path in (ROOT / "urdf").iterdir()} == {"harvester.urdf", "harvester.limits.yaml"}
+
+
+def test_wheel_holds_what_a_user_runs_and_nothing_else(project: dict[str, Any], tmp_path: Path) -> None:
+    pytest.importorskip("hatchling")
+    build = [sys.executable, "-m", "hatchling", "build", "--target", "wheel", "--directory", tmp_path]
+    subprocess.run(build, cwd=ROOT, check=True, capture_output=True)
+    (wheel,) = tmp_path.glob("*.whl")
+    with zipfile.ZipFile(wheel) as archive:
+        held = {name for name in archive.namelist() if ".dist-info/" not in name}
+        (points,) = [archive.read(name).decode() for name in archive.namelist() if name.endswith("/entry_points.txt")]
+    package = ROOT / "hplan"
+    files = [*package.rglob("*.py"), *package.glob("scenes/*.yaml"), package / "py.typed"]
+    robots = {f"hplan/urdf/{path.name}" for path in (ROOT / "urdf").iterdir()}
+    assert held == {path.relative_to(ROOT).as_posix() for path in files} | robots
+    assert not any(part in ("scripts", "studies", "tests") for name in held for part in Path(name).parts)
+    assert f"hplan = {project['project']['scripts']['hplan']}" in points.splitlines()
 
 
 def test_resources_are_found() -> None:

@@ -16,7 +16,15 @@ import hplan
 from hplan.base.arguments import decimal
 from hplan.base.files import write_text
 from hplan.errors import HplanError, InputError, SceneError
-from hplan.orchard import FruitZone, OrchardOptions, fruit_at_tips, generate, import_capsules, measured_orchard
+from hplan.orchard import (
+    FruitZone,
+    MeasuredOptions,
+    OrchardOptions,
+    fruit_at_tips,
+    generate,
+    import_capsules,
+    measured_orchard,
+)
 from hplan.robot.tracking import TrackingModel
 from hplan.robot_family.members import HARVESTER, ArmSpec, cross_check, write_robot
 from hplan.scene.file import dump_scene, parse_scene
@@ -333,11 +341,10 @@ CASES: dict[str, Case] = {
         },
     ),
     "generate": (generate, {}, {"options": NO_OBJECT[1:], "start_deg": (None, "0", 1.0, (NAN,), ("a",))}),
-    "measured_orchard": (
-        measured_orchard,
-        {"paths": None, "fruits": 2},
+    "MeasuredOptions": (
+        MeasuredOptions,
+        {},
         {
-            "paths": (None, "p1.csv", [], [1], [None], ["a\0b"], ["nowhere.csv"], 1.0),
             "fruits": NO_WHOLE,
             "name": NO_NAME,
             "distance": NO_NUMBER,
@@ -345,11 +352,19 @@ CASES: dict[str, Case] = {
             "height": NO_NUMBER,
             "yaw_deg": NO_NUMBER,
             "fruit_radius": NO_LENGTH,
-            "fruit_zone": NO_OBJECT[1:],
+            "fruit_zone": NO_OBJECT,
             "seed": NO_WHOLE,
             "clearance": NO_NUMBER,
+            "goal": (1, ""),
+        },
+    ),
+    "measured_orchard": (
+        measured_orchard,
+        {"paths": None, "options": MeasuredOptions(fruits=2)},
+        {
+            "paths": (None, "p1.csv", [], [1], [None], ["a\0b"], ["nowhere.csv"], 1.0),
+            "options": NO_OBJECT[1:],
             "start_deg": (None, "0"),
-            "goal": (1,),
         },
     ),
     "import_capsules": (

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import os
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from numbers import Integral, Real
 from pathlib import Path
 from typing import Any, Final, TypeVar
@@ -43,6 +43,15 @@ def number(option: str, value: Any, expected: str, accepts: Callable[[float], bo
     return float(value)
 
 
+def between(option: str, value: Any, low: float, high: float) -> float:
+    """A number in a range, its ends included.
+
+    Raises:
+        OptionError: It is none.
+    """
+    return number(option, value, f"a number between {low:g} and {high:g}", lambda value: low <= value <= high)
+
+
 def whole(option: str, value: Any, least: int, most: int | None = None) -> int:
     """A whole number in a range.
 
@@ -64,6 +73,17 @@ def truth(option: str, value: Any) -> bool:
     if not isinstance(value, bool):
         raise OptionError(option, value, "True or False")
     return bool(value)
+
+
+def text(option: str, value: Any, expected: str = "a text that is not empty") -> str:
+    """A text that is not empty.
+
+    Raises:
+        OptionError: It is none.
+    """
+    if not (isinstance(value, str) and value):
+        raise OptionError(option, value, expected)
+    return value
 
 
 def one_of(option: str, value: Any, choices: Sequence[str]) -> str:
@@ -116,16 +136,50 @@ def is_float(text: str) -> bool:
     return True
 
 
+def each(option: str, values: Any, expected: str, check: Callable[[str, Any], _T]) -> tuple[_T, ...]:
+    """A list of values that `check` lets pass, each by its place; a text is not taken letter by letter.
+
+    Raises:
+        OptionError: It is no list, or `check` refuses one of them.
+    """
+    if isinstance(values, str | bytes) or not isinstance(values, Iterable):
+        raise OptionError(option, values, expected)
+    return tuple(check(f"{option}[{index}]", value) for index, value in enumerate(values))
+
+
+def list_between(option: str, values: Any, low: float, high: float) -> tuple[float, ...]:
+    """A list of numbers in a range, its ends included.
+
+    Raises:
+        OptionError: It is no list, or one of them is out of the range.
+    """
+    return each(option, values, "a list of numbers", lambda name, value: between(name, value, low, high))
+
+
 def list_of(option: str, values: Any, kind: Any, what: str) -> tuple[Any, ...]:
-    """Several objects of a class; a text is not taken letter by letter.
+    """Several objects of a class.
 
     Raises:
         OptionError: It is no list, or something else is in it.
     """
-    if isinstance(values, str | bytes) or not isinstance(values, Iterable):
-        raise OptionError(option, values, f"a list of {what}")
-    items = tuple(values)
-    for index, item in enumerate(items):
+
+    def check(place: str, item: Any) -> Any:
         if not isinstance(item, kind):
-            raise OptionError(f"{option}[{index}]", item, f"one of a list of {what}")
-    return items
+            raise OptionError(place, item, f"one of a list of {what}")
+        return item
+
+    return each(option, values, f"a list of {what}", check)
+
+
+def keep_checked(record: Any, checks: Mapping[str, tuple[Any, ...]]) -> None:
+    """Check fields of a frozen dataclass and keep what the checks give.
+
+    Args:
+        record: The dataclass, in its `__post_init__`.
+        checks: For each field a function of this module, and what that takes after the field's name and value.
+
+    Raises:
+        OptionError: A value is refused.
+    """
+    for option, (check, *limits) in checks.items():
+        object.__setattr__(record, option, check(option, getattr(record, option), *limits))

@@ -13,6 +13,7 @@ import hplan
 from hplan.errors import OptionError, OutputError
 
 if TYPE_CHECKING:
+    from hplan.problem.options import PlanOptions
     from hplan.robot.tracking import TrackingModel
 
 
@@ -71,7 +72,14 @@ def add_robot(parser: argparse.ArgumentParser) -> None:
 def add_pace(parser: argparse.ArgumentParser) -> None:
     """Add the options `--rate` and `--speed`."""
     add = parser.add_argument
-    add("--rate", type=float, default=250.0, metavar="HZ", help="rows per second in the CSV (default: 250)")
+    add(
+        "--rate",
+        dest="rate_hz",
+        type=float,
+        default=250.0,
+        metavar="HZ",
+        help="rows per second in the CSV (default: 250)",
+    )
     add("--speed", type=float, default=1.0, metavar="FRACTION", help="fraction of full speed, in (0, 1] (default: 1)")
 
 
@@ -95,6 +103,19 @@ def tracking_of(arguments: argparse.Namespace) -> TrackingModel:
         if not 0.0 <= value < math.inf:
             raise OptionError(option, value, f"a finite number of {unit} >= 0")
     return TrackingModel(math.radians(error_deg), 1e-3 * delay_ms)
+
+
+def plan_options(arguments: argparse.Namespace, *options: str) -> PlanOptions:
+    """How to plan: tracking, pace, and the other options of these names.
+
+    Raises:
+        OptionError: A value out of its range.
+    """
+    from hplan.problem.options import PlanOptions
+
+    tracking = tracking_of(arguments)
+    chosen = {option: getattr(arguments, option) for option in ("rate_hz", "speed", *options)}
+    return PlanOptions(tracking_error=tracking.still_rad, tracking_delay_s=tracking.delay_s, **chosen)
 
 
 def check_output_file(out: Path, read: Sequence[Path | None]) -> None:

@@ -32,7 +32,8 @@ exit status:
   2  bad input
 """
 
-#: Options of a grown row by their names here; measured trees know only those in `_MEASURED` and how they hang.
+#: Options of both kinds of rows by their names here, those of grown ones, and those of measured ones.
+_COMMON = ("seed", "distance", "spacing", "clearance", "fruits", "fruit_radius", "goal")
 _GROWN = ("form", "trees", "branches", "shoots", "tree_height", "branch_length", "vehicle", "ground")
 _MEASURED = ("turn", "height")
 
@@ -95,26 +96,25 @@ def _run(arguments: argparse.Namespace, console: Console) -> int:
 
 def _made(arguments: argparse.Namespace) -> Scene:
     """The scene that is asked for."""
-    from hplan.orchard import SHIPPED, OrchardOptions, generate, measured_orchard
+    from hplan.orchard import SHIPPED, MeasuredOptions, OrchardOptions, generate, measured_orchard
 
-    common = {option: getattr(arguments, option) for option in ("seed", "distance", "spacing", "clearance")}
-    fruit = {"fruits": arguments.fruits, "fruit_radius": arguments.fruit_radius, "goal": arguments.goal}
     start = {} if arguments.start is None else {"start_deg": arguments.start}
     if arguments.shipped is not None:
         if arguments.shipped not in SHIPPED:
             raise OptionError("--shipped", arguments.shipped, f"one of {', '.join(SHIPPED)}")
-        _refuse(arguments, "--shipped", ("name", *common, *fruit, "fruit_heights", "fruit_reach", *_GROWN, *_MEASURED))
+        _refuse(arguments, "--shipped", ("name", *_COMMON, "fruit_heights", "fruit_reach", *_GROWN, *_MEASURED))
         return generate(SHIPPED[arguments.shipped], **start)
-    name = arguments.out.stem if arguments.name is None else arguments.name
+    wanted = {option: getattr(arguments, option) for option in _COMMON}
+    wanted["name"] = arguments.out.stem if arguments.name is None else arguments.name
     if arguments.files:
         _refuse(arguments, "--import", _GROWN)
-        zone = _zone(arguments, None)
-        options = _given({**common, **fruit, "yaw_deg": arguments.turn, "height": arguments.height, "fruit_zone": zone})
-        return measured_orchard(arguments.files, name=name, **options, **start)
+        wanted |= {"yaw_deg": arguments.turn, "height": arguments.height}
+        wanted["fruit_zone"] = _zone(arguments, MeasuredOptions.fruit_zone)
+        return measured_orchard(arguments.files, MeasuredOptions(**_given(wanted)), **start)
     _refuse(arguments, None, _MEASURED)
-    zone = _zone(arguments, OrchardOptions().fruit_zone)
-    wanted = {option: getattr(arguments, option) for option in _GROWN}
-    return generate(OrchardOptions(name=name, **_given({**common, **fruit, **wanted, "fruit_zone": zone})), **start)
+    wanted |= {option: getattr(arguments, option) for option in _GROWN}
+    wanted["fruit_zone"] = _zone(arguments, OrchardOptions.fruit_zone)
+    return generate(OrchardOptions(**_given(wanted)), **start)
 
 
 def _given(options: dict[str, Any]) -> dict[str, Any]:
@@ -131,14 +131,11 @@ def _refuse(arguments: argparse.Namespace, source: str | None, options: Sequence
             raise OptionError(f"--{option.replace('_', '-')}", value, expected)
 
 
-def _zone(arguments: argparse.Namespace, usual: FruitZone | None) -> FruitZone | None:
+def _zone(arguments: argparse.Namespace, usual: FruitZone) -> FruitZone:
     """Where fruit may hang: what was given, the usual for the rest."""
     from hplan.orchard import FruitZone
 
-    if arguments.fruit_heights is None and arguments.fruit_reach is None:
-        return usual
-    usual = FruitZone() if usual is None else usual
-    low, high = (usual.low, usual.high) if arguments.fruit_heights is None else arguments.fruit_heights
+    low, high = arguments.fruit_heights or (usual.low, usual.high)
     return FruitZone(low, high, usual.reach if arguments.fruit_reach is None else arguments.fruit_reach)
 
 

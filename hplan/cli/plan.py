@@ -16,7 +16,7 @@ from hplan.cli.options import (
     add_scene,
     add_tracking,
     command_parser,
-    tracking_of,
+    plan_options,
 )
 from hplan.cli.terminal import (
     certificate_words,
@@ -107,12 +107,15 @@ def parser(prog: str) -> CommandParser:
         "--objective", choices=("duration", "length"), default="duration", help="what to make small (default: duration)"
     )
     add("--link-model", choices=("capsule", "paper", "rectangle"), default="capsule", help="default: capsule")
-    add("--step", type=float, default=1.0, metavar="DEG", help="spacing of the joint grid (default: 1)")
+    add(
+        "--step", dest="step_deg", type=float, default=1.0, metavar="DEG", help="spacing of the joint grid (default: 1)"
+    )
     add_pace(parser)
     add_tracking(parser)
     add("--sigmas", type=float, default=3.0, metavar="K", help="an uncertain obstacle grows by K sigma (default: 3)")
     add("--standoff", type=float, default=0.1, metavar="M", help="straight approach to a fruit (default: 0.1)")
-    add("--uncertified", action="store_true", help="write the motion even if it is not certified; the report says so")
+    add("--uncertified", dest="certify", action="store_false", help="write the motion even if it is not certified; "
+        "the report says so")  # fmt: skip
     add("--view", action="store_true", help="serve the animated scene until interrupted")
     add("--cspace", action="store_true", help="write cspace.html: the forbidden joint angles and the motion; "
         "cspace.png too where matplotlib is installed")  # fmt: skip
@@ -131,26 +134,14 @@ def _run(arguments: argparse.Namespace, folder: JobFolder, errors: Console) -> t
             from hplan.planning.compile_ahead import is_first_run
             from hplan.planning.plan import with_export_time
             from hplan.planning.report import write_report
-            from hplan.problem.options import PlanOptions
             from hplan.robot.model import load_robot
             from hplan.scene.file import load_scene
             from hplan.timing.trajectory import write_csv
             from hplan.view.page import write_page
             from hplan.view.yaw_section import check_yaw
 
-        tracking = tracking_of(arguments)
-        options = PlanOptions(
-            method=arguments.method,
-            step_deg=arguments.step,
-            objective=arguments.objective,
-            link_model=arguments.link_model,
-            rate_hz=arguments.rate,
-            speed=arguments.speed,
-            tracking_error=tracking.still_rad,
-            tracking_delay_s=tracking.delay_s,
-            sigmas=arguments.sigmas,
-            standoff=arguments.standoff,
-            certify=not arguments.uncertified,
+        options = plan_options(
+            arguments, "method", "step_deg", "objective", "link_model", "sigmas", "standoff", "certify"
         )
         robot = load_robot(arguments.robot, limits=arguments.limits)
         folder.robot = robot.name

@@ -121,7 +121,7 @@ def _run(arguments: argparse.Namespace, console: Console) -> None:
         waypoints,
         limits,
         deviation_rad=math.radians(arguments.deviation),
-        rate_hz=arguments.rate,
+        rate_hz=arguments.rate_hz,
         speed=arguments.speed,
     )
     write_csv(trajectory, arguments.out)
@@ -186,7 +186,7 @@ def _show(
     length = float(np.linalg.norm(np.diff(waypoints, axis=0), axis=1).sum())
     facts.add_row("waypoints", f"{len(waypoints):,}, {math.degrees(length):.2f} deg along the lines between them")
     rows = "1 row: nothing to move" if trajectory.samples == 1 else f"{trajectory.samples:,} rows"
-    facts.add_row("motion", f"[bold]{trajectory.duration:.3f} s[/], {rows} at {arguments.rate:g} Hz")
+    facts.add_row("motion", f"[bold]{trajectory.duration:.3f} s[/], {rows} at {arguments.rate_hz:g} Hz")
     deviation = math.degrees(largest_deviation(trajectory.position, waypoints))
     facts.add_row("deviation", f"{deviation:.4f} deg from the lines at most, {arguments.deviation:g} deg allowed")
     facts.add_row("at a limit", f"{100.0 * paced.bound:.1f} % of the time")

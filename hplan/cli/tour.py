@@ -16,7 +16,7 @@ from hplan.cli.options import (
     add_scene,
     add_tracking,
     command_parser,
-    tracking_of,
+    plan_options,
 )
 from hplan.cli.terminal import certificate_words, facts_table, number_table, progress_line, run_command, show_title
 from hplan.errors import OptionError
@@ -105,21 +105,13 @@ def _run(
 
     from hplan.base.data_files import shipped_scene
     from hplan.planning.report import write_report
-    from hplan.problem.options import PlanOptions
     from hplan.robot.model import load_robot
     from hplan.scene.file import load_scene
     from hplan.timing.trajectory import write_csv
     from hplan.tour.tour import plan_tour
     from hplan.view.page import write_page
 
-    tracking = tracking_of(arguments)
-    options = PlanOptions(
-        standoff=arguments.standoff,
-        rate_hz=arguments.rate,
-        speed=arguments.speed,
-        tracking_error=tracking.still_rad,
-        tracking_delay_s=tracking.delay_s,
-    )
+    options = plan_options(arguments, "standoff")
     tour = _tour_options(arguments)
     robot = load_robot(arguments.robot, limits=arguments.limits)
     folder.robot = robot.name
@@ -158,14 +150,8 @@ def _tour_options(arguments: argparse.Namespace) -> TourOptions:
             drop = Goal.model_validate({key: values}, strict=False)
         except ValueError as error:
             raise OptionError(f"--{option.replace('_', '-')}", values, "finite numbers") from error
-    return TourOptions(
-        drop_off=drop,
-        every=arguments.every,
-        back=arguments.back,
-        order=arguments.order,
-        compare=arguments.compare,
-        grasps=arguments.grasps,
-    )
+    chosen = {option: getattr(arguments, option) for option in ("every", "back", "order", "compare", "grasps")}
+    return TourOptions(drop_off=drop, **chosen)
 
 
 def _file_word(name: str) -> str:

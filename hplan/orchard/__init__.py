@@ -3,13 +3,14 @@
 from hplan.orchard.capsule_file import import_capsules
 from hplan.orchard.fruits import fruit_at_tips
 from hplan.orchard.generator import generate, measured_orchard
-from hplan.orchard.options import TUCKED_DEG, FruitZone, OrchardOptions
+from hplan.orchard.options import TUCKED_DEG, FruitZone, MeasuredOptions, OrchardOptions
 from hplan.orchard.shipped import SHIPPED
 
 __all__ = [
     "SHIPPED",
     "TUCKED_DEG",
     "FruitZone",
+    "MeasuredOptions",
     "OrchardOptions",
     "fruit_at_tips",
     "generate",

@@ -9,9 +9,9 @@ import math
 from collections import Counter
 from pathlib import Path
 
+from hplan.base.arguments import between, list_between
 from hplan.base.csv_file import CsvFile
 from hplan.errors import OptionError
-from hplan.orchard.checks import check_number, check_numbers
 from hplan.orchard.options import FARTHEST
 from hplan.orchard.pieces import capsule
 from hplan.scene.obstacles import Capsule, Vector
@@ -47,10 +47,10 @@ def import_capsules(
             the line.
         OptionError: The position or the turn is no finite number.
     """
-    place = check_numbers("position", position, -FARTHEST, FARTHEST)
+    place = list_between("position", position, -FARTHEST, FARTHEST)
     if len(place) != 3:
         raise OptionError("position", position, "three numbers x, y, z [m]")
-    turn = math.radians(check_number("yaw_deg", yaw_deg, -FARTHEST, FARTHEST))
+    turn = math.radians(between("yaw_deg", yaw_deg, -FARTHEST, FARTHEST))
     if not isinstance(prefix, str):
         raise OptionError("prefix", prefix, "text")
     file = CsvFile.read(path, "capsule", "capsule")

@@ -13,11 +13,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from hplan.base.arguments import instance, list_of, whole
+from hplan.base.arguments import between, instance, list_of, whole
 from hplan.base.arrays import FloatArray
 from hplan.errors import OptionError
-from hplan.orchard.checks import check_number
-from hplan.orchard.options import FruitZone
+from hplan.orchard.options import FruitZone, OrchardOptions
 from hplan.orchard.pieces import DECIMALS
 from hplan.scene.model import Fruit
 from hplan.scene.obstacles import Capsule
@@ -35,7 +34,7 @@ _DOWN = np.array([0.0, 0.0, -1.0])
 
 
 @dataclass(eq=False)
-class Crop:
+class Canopy:
     """Wood and the fruit on it so far.
 
     Attributes:
@@ -60,8 +59,8 @@ class Crop:
     def wood_distances(self, point: FloatArray) -> FloatArray:
         """(capsules,) distances of a point from the capsules' surfaces, negative inside [m]."""
         offset = point - self._start
-        share = np.clip(np.einsum("ij,ij->i", offset, self._along) / self._square, 0.0, 1.0)
-        distances: FloatArray = np.linalg.norm(offset - share[:, None] * self._along, axis=1) - self._radius
+        fraction = np.clip(np.einsum("ij,ij->i", offset, self._along) / self._square, 0.0, 1.0)
+        distances: FloatArray = np.linalg.norm(offset - fraction[:, None] * self._along, axis=1) - self._radius
         return distances
 
     def depth(self, center: FloatArray) -> float:
@@ -83,50 +82,38 @@ class Crop:
         )
 
 
-def hang_fruits(
-    wood: Sequence[Capsule],
-    count: int,
-    *,
-    radius: float,
-    zone: FruitZone,
-    stem: float,
-    picked: Sequence[int] = (),
-    random: np.random.Generator,
-) -> tuple[Fruit, ...]:
+def hang_fruits(wood: Sequence[Capsule], options: OrchardOptions, random: np.random.Generator) -> tuple[Fruit, ...]:
     """Fruit under branches, arms and shoots, anywhere along them, all branches alike by length.
 
     Args:
         wood: All that fruit must not be in; trunks, wires and posts, by their names, bear none.
-        count: Number of fruits.
-        radius: Radius of a fruit [m].
-        zone: Where their centres may be.
-        stem: Greatest gap to the wood that a fruit hangs from [m].
-        picked: Numbers of the fruits that are taken away again; the rest is counted anew.
+        options: How much fruit, where, and what of it is picked already.
         random: What chooses the places.
 
     Raises:
         OptionError: So many fruits find no room.
     """
+    count, radius = options.fruits, options.fruit_radius
     bearing = [capsule for capsule in wood if _bears(capsule)]
-    crop = Crop(wood, radius, zone)
+    canopy = Canopy(wood, radius, options.fruit_zone)
     ends = np.cumsum([0.0, *(math.dist(capsule.start, capsule.end) for capsule in bearing)])
     misses = 0
-    while bearing and len(crop.centers) < count and misses < _TRIES:
+    while bearing and len(canopy.centers) < count and misses < _TRIES:
         place, gap, lean = random.random(3)
         piece = int(np.clip(np.searchsorted(ends, place * ends[-1], side="right") - 1, 0, len(bearing) - 1))
         start, end = bearing[piece].core
-        share = (place * ends[-1] - ends[piece]) / (ends[piece + 1] - ends[piece])
+        fraction = (place * ends[-1] - ends[piece]) / (ends[piece + 1] - ends[piece])
         under = _turned(_beneath(end - start), end - start, (lean - 0.5) * math.pi / 2.0)
-        touching = start + share * (end - start) + (bearing[piece].radius + radius + _GAP) * under
-        center = np.round(touching + gap * stem * _DOWN, DECIMALS)
-        if crop.depth(center) <= 0.0:
-            crop.centers.append(center)
+        touching = start + fraction * (end - start) + (bearing[piece].radius + radius + _GAP) * under
+        center = np.round(touching + gap * options.stem * _DOWN, DECIMALS)
+        if canopy.depth(center) <= 0.0:
+            canopy.centers.append(center)
             misses = 0
         else:
             misses += 1
-    if len(crop.centers) < count:
-        raise OptionError("fruits", count, f"at most {len(crop.centers)}, which found room in their zone")
-    return crop.fruits(picked)
+    if len(canopy.centers) < count:
+        raise OptionError("fruits", count, f"at most {len(canopy.centers)}, which found room in their zone")
+    return canopy.fruits(options.picked)
 
 
 def fruit_at_tips(
@@ -158,35 +145,35 @@ def fruit_at_tips(
         OptionError: A value out of its range, or more fruits than there is room for.
     """
     count = whole("count", count, 0, 10_000)
-    radius = check_number("radius", radius, 1e-3, 1.0)
+    radius = between("radius", radius, 1e-3, 1.0)
     seed = whole("seed", seed, 0)
     capsules = list_of("capsules", capsules, Capsule, "capsules")
-    crop = Crop(capsules, radius, FruitZone() if zone is None else instance("zone", zone, FruitZone))
-    tips = _tips(crop)
+    canopy = Canopy(capsules, radius, FruitZone() if zone is None else instance("zone", zone, FruitZone))
+    tips = _tips(canopy)
     order = np.argsort(np.random.default_rng(seed).random(len(tips)), kind="stable")
     taken: set[tuple[int, int]] = set()
     spots = 1 + max((int(_length(capsule) / _spacing(radius)) for capsule in tips), default=0)
     for deepest in (0.0, radius):
         for spot in range(spots):
             for number in order:
-                if len(crop.centers) == count:
-                    return crop.fruits()
+                if len(canopy.centers) == count:
+                    return canopy.fruits()
                 if (number, spot) in taken:
                     continue
-                depth, place = _shallowest(crop, _places(tips[number], spot, radius))
+                depth, place = _shallowest(canopy, _places(tips[number], spot, radius))
                 if depth <= deepest:
-                    crop.centers.append(place)
+                    canopy.centers.append(place)
                     taken.add((number, spot))
-    if len(crop.centers) < count:
-        raise OptionError("count", count, f"at most {len(crop.centers)}, which found room at these branches")
-    return crop.fruits()
+    if len(canopy.centers) < count:
+        raise OptionError("count", count, f"at most {len(canopy.centers)}, which found room at these branches")
+    return canopy.fruits()
 
 
-def _shallowest(crop: Crop, places: Iterable[FloatArray]) -> tuple[float, FloatArray]:
+def _shallowest(canopy: Canopy, places: Iterable[FloatArray]) -> tuple[float, FloatArray]:
     """The first place that is clear of all, or else the one least deep in wood, and its depth, 0 at least [m]."""
     best = math.inf, _DOWN
     for place in places:
-        depth = max(crop.depth(place), 0.0)
+        depth = max(canopy.depth(place), 0.0)
         if depth < best[0]:
             best = depth, place
         if depth == 0.0:
@@ -207,11 +194,11 @@ def _spacing(radius: float) -> float:
     return 2.0 * radius + 4.0 * _GAP
 
 
-def _tips(crop: Crop) -> list[Capsule]:
+def _tips(canopy: Canopy) -> list[Capsule]:
     """Capsules that bear fruit and end in the open."""
     tips = []
-    for index, capsule in enumerate(crop.wood):
-        others = np.delete(crop.wood_distances(np.array(capsule.end)), index)
+    for index, capsule in enumerate(canopy.wood):
+        others = np.delete(canopy.wood_distances(np.array(capsule.end)), index)
         if _bears(capsule) and _length(capsule) > 0.0 and others.min(initial=math.inf) > 0.0:
             tips.append(capsule)
     return tips

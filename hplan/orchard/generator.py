@@ -8,19 +8,18 @@ from pathlib import Path
 
 import numpy as np
 
-from hplan.base.arguments import instance, list_of
+from hplan.base.arguments import instance, list_between, list_of
 from hplan.errors import OptionError
 from hplan.orchard.capsule_file import import_capsules
-from hplan.orchard.checks import check_number, check_numbers
 from hplan.orchard.fruits import fruit_at_tips, hang_fruits
-from hplan.orchard.options import FARTHEST, TUCKED_DEG, FruitZone, OrchardOptions
+from hplan.orchard.options import TUCKED_DEG, MeasuredOptions, OrchardOptions
 from hplan.orchard.pieces import DECIMALS, capsule, rounded
 from hplan.orchard.wood import Limb, grow_tree
 from hplan.scene.model import Fruit, Goal, Scene, Start
 from hplan.scene.obstacles import Box, Capsule
 
 #: Radius of a post, and its height above the trees' and the topmost wire [m].
-_POST_RADIUS, _POST_SPARE = 0.04, 0.1
+_POST_RADIUS, _POST_EXCESS = 0.04, 0.1
 
 #: The ground, a millimetre below the pedestal, which would touch it else; and a vehicle's body behind the pedestal,
 #: lower than the tucked arm.
@@ -49,72 +48,41 @@ def generate(options: OrchardOptions | None = None, *, start_deg: Sequence[float
         limbs = grow_tree(options, np.array([options.distance, y, 0.0]), np.random.default_rng([options.seed, number]))
         wood += _named(limbs, f"tree {number} ")
     wood += _trellis(options)
-    fruits = hang_fruits(
-        wood,
-        options.fruits,
-        radius=options.fruit_radius,
-        zone=options.fruit_zone,
-        stem=options.stem,
-        picked=options.picked,
-        random=np.random.default_rng([options.seed, 0]),
-    )
+    fruits = hang_fruits(wood, options, np.random.default_rng([options.seed, 0]))
     boxes = [box for box, wanted in ((_GROUND, options.ground), (_VEHICLE, options.vehicle)) if wanted]
-    return _scene(options.name, (*wood, *boxes), fruits, start_deg, options.goal, options.clearance)
+    return _scene(options, (*wood, *boxes), fruits, start_deg)
 
 
 def measured_orchard(
     paths: Sequence[Path | str],
-    fruits: int = 20,
+    options: MeasuredOptions | None = None,
     *,
-    name: str = "measured",
-    distance: float = 1.4,
-    spacing: float = 1.1,
-    height: float = 0.0,
-    yaw_deg: float = 0.0,
-    fruit_radius: float = 0.04,
-    fruit_zone: FruitZone | None = None,
-    seed: int = 0,
-    clearance: float = 0.0,
     start_deg: Sequence[float] = TUCKED_DEG,
-    goal: str | None = None,
 ) -> Scene:
     """A row of measured trees, a file each (see `import_capsules`), with fruit at the tips of their branches.
 
     Args:
         paths: The files; several trees are called `tree 1 ...`, `tree 2 ...`.
-        fruits: Number of fruits on all trees together.
-        name: Name of the scene.
-        distance: Distance of the row from the base's axis [m].
-        spacing: Distance of neighbouring trunks [m].
-        height: Height of the trees' feet above that of the base [m].
-        yaw_deg: Turn of every tree about its own trunk [deg].
-        fruit_radius: Radius of a fruit [m].
-        fruit_zone: Where the fruits' centres may be; None for anywhere.
-        seed: Shuffles the tips.
-        clearance: Distance that a motion is to keep from everything [m].
+        options: How they stand and what hangs on them; None for the defaults.
         start_deg: Configuration at which the motion begins [deg].
-        goal: Fruit to reach for; None for the first.
 
     Raises:
         InputError: A file that is not in order.
-        OptionError: A value out of its range, or more fruits than there is room for.
+        OptionError: No files, more fruits than there is room for or none, a goal that does not hang there, or a start
+            that is no list of numbers.
     """
     paths = list_of("paths", paths, str | Path, "files")
     if not paths:
         raise OptionError("paths", [], "at least one file")
-    if not (isinstance(name, str) and name):
-        raise OptionError("name", name, "a text that is not empty")
-    distance = check_number("distance", distance, -FARTHEST, FARTHEST)
-    spacing = check_number("spacing", spacing, 0.0, FARTHEST)
-    height = check_number("height", height, -FARTHEST, FARTHEST)
-    clearance = check_number("clearance", clearance, 0.0, 1.0)
+    options = MeasuredOptions() if options is None else instance("options", options, MeasuredOptions)
     wood: list[Capsule] = []
-    for number, (path, y) in enumerate(zip(paths, _places_in_row(len(paths), spacing), strict=True), start=1):
+    for number, (path, y) in enumerate(zip(paths, _places_in_row(len(paths), options.spacing), strict=True), start=1):
         prefix = f"tree {number} " if len(paths) > 1 else ""
-        tree = import_capsules(path, position=(distance, y, height), yaw_deg=yaw_deg, prefix=prefix)
+        position = options.distance, y, options.height
+        tree = import_capsules(path, position=position, yaw_deg=options.yaw_deg, prefix=prefix)
         wood += [capsule(piece.name, rounded(piece.start), rounded(piece.end), piece.radius) for piece in tree]
-    hung = fruit_at_tips(wood, fruits, fruit_radius, seed, zone=fruit_zone)
-    return _scene(name, wood, hung, start_deg, goal, clearance)
+    fruits = fruit_at_tips(wood, options.fruits, options.fruit_radius, options.seed, zone=options.fruit_zone)
+    return _scene(options, wood, fruits, start_deg)
 
 
 def _places_in_row(count: int, spacing: float) -> list[float]:
@@ -142,7 +110,7 @@ def _trellis(options: OrchardOptions) -> list[Capsule]:
     ]
     if not options.posts:
         return wires
-    top = max(0.8 * options.tree_height, *options.wire_heights, 0.0) + _POST_SPARE
+    top = max(0.8 * options.tree_height, *options.wire_heights, 0.0) + _POST_EXCESS
     feet = [(x, side * y, _POST_RADIUS) for side in (-1.0, 1.0)]
     posts = [
         capsule(f"post {number}", rounded(foot), rounded((*foot[:2], top - _POST_RADIUS)), _POST_RADIUS)
@@ -152,25 +120,23 @@ def _trellis(options: OrchardOptions) -> list[Capsule]:
 
 
 def _scene(
-    name: str,
+    options: OrchardOptions | MeasuredOptions,
     obstacles: Sequence[Capsule | Box],
     fruits: tuple[Fruit, ...],
     start_deg: Sequence[float],
-    goal: str | None,
-    clearance: float,
 ) -> Scene:
     """The scene, with a goal that exists."""
-    start = check_numbers("start_deg", start_deg, -36000.0, 36000.0)
+    start = list_between("start_deg", start_deg, -36000.0, 36000.0)
     names = [fruit.name for fruit in fruits]
     if not names:
         raise OptionError("fruits", 0, "at least one, to be the goal")
-    if goal is not None and goal not in names:
-        raise OptionError("goal", goal, f"one of the fruits, {names[0]} to {names[-1]}")
+    if options.goal is not None and options.goal not in names:
+        raise OptionError("goal", options.goal, f"one of the fruits, {names[0]} to {names[-1]}")
     return Scene(
-        name=name,
+        name=options.name,
         start=Start(joints_deg=start),
-        goal=Goal(fruit=names[0] if goal is None else goal),
-        clearance=clearance,
+        goal=Goal(fruit=options.goal or names[0]),
+        clearance=options.clearance,
         obstacles=tuple(obstacles),
         fruits=fruits,
     )

@@ -7,9 +7,8 @@ import math
 from dataclasses import dataclass
 from typing import Final, Literal, TypeAlias, get_args
 
-from hplan.base.arguments import one_of
+from hplan.base.arguments import between, instance, keep_checked, list_between, one_of, text, truth, whole
 from hplan.errors import OptionError
-from hplan.orchard.checks import check_numbers, keep_count, keep_number
 
 #: How the trees are trained: branches all around a leader, or arms along the wires.
 Form: TypeAlias = Literal["spindle", "trellis"]
@@ -44,14 +43,13 @@ class FruitZone:
         Raises:
             OptionError: A value is no finite number, the heights are swapped, the reach is not positive.
         """
-        keep_number(self, "low", -FARTHEST, FARTHEST)
-        keep_number(self, "high", -FARTHEST, FARTHEST)
-        keep_number(self, "reach", 1e-3, 2.0 * FARTHEST)
+        height = between, -FARTHEST, FARTHEST
+        keep_checked(self, {"low": height, "high": height, "reach": (between, 1e-3, 2.0 * FARTHEST)})
         if not self.low < self.high:
             raise OptionError("high", self.high, f"more than low, {self.low:g} m")
 
     def holds(self, x: float, y: float, z: float) -> bool:
-        """Whether a point is inside."""
+        """True if a point is inside."""
         return self.low <= z <= self.high and math.hypot(x, y) <= self.reach
 
 
@@ -77,15 +75,15 @@ class OrchardOptions:
         shoots: Side shoots on each branch.
         wire_heights: Heights of the wires [m]; a trellis has a pair of arms at each that its trunk reaches.
         wire_radius: Radius of a wire [m].
-        posts: Whether posts stand at the row's ends.
+        posts: True if posts stand at the row's ends.
         fruits: Number of fruits in all.
         fruit_radius: Radius of a fruit [m].
         fruit_zone: Where their centres may be.
         picked: Numbers of the fruits that hang no more, as all were counted; the rest is counted anew.
         goal: Name of the fruit to reach for; None for the first.
         stem: Greatest gap between a fruit and the wood that it hangs from [m].
-        ground: Whether the ground is an obstacle.
-        vehicle: Whether the body of a vehicle, behind the arm, is one.
+        ground: True if the ground is an obstacle.
+        vehicle: True if the body of a vehicle, behind the arm, is one.
         clearance: Distance that a motion is to keep from everything [m].
     """
 
@@ -120,64 +118,103 @@ class OrchardOptions:
         Raises:
             OptionError: A value is of the wrong kind or out of its range.
         """
-        if not (isinstance(self.name, str) and self.name):
-            raise OptionError("name", self.name, "a text that is not empty")
-        one_of("form", self.form, FORMS)
-        if self.goal is not None and not (isinstance(self.goal, str) and self.goal):
-            raise OptionError("goal", self.goal, "the name of a fruit, or None for the first")
-        for option, (least, most) in _COUNTS.items():
-            keep_count(self, option, least, most)
-        for option, (low, high) in _MEASURES.items():
-            keep_number(self, option, low, high)
-        for option in ("posts", "ground", "vehicle"):
-            if not isinstance(getattr(self, option), bool):
-                raise OptionError(option, getattr(self, option), "True or False")
-        if not isinstance(self.fruit_zone, FruitZone):
-            raise OptionError("fruit_zone", self.fruit_zone, "a FruitZone")
-        self._check_heights()
-        self._check_picked()
-
-    def _check_heights(self) -> None:
-        """Keep the wires' heights as a tuple of floats, and see that trunk, branches and wires fit together."""
-        heights = check_numbers("wire_heights", self.wire_heights, 0.01, 10.0)
-        object.__setattr__(self, "wire_heights", heights)
+        keep_checked(self, _CHECKS)
+        _check_goal(self.goal)
+        heights = self.wire_heights
         if any(high <= low for low, high in itertools.pairwise(heights)):
             raise OptionError("wire_heights", heights, "heights that increase")
         if self.form == "spindle" and self.first_branch >= self.tree_height:
             raise OptionError("first_branch", self.first_branch, f"less than the tree's height, {self.tree_height:g} m")
         if self.form == "trellis" and not any(height < self.tree_height for height in heights):
             raise OptionError("wire_heights", heights, f"a wire below the tree's height, {self.tree_height:g} m")
-
-    def _check_picked(self) -> None:
-        """Keep the picked fruits as a tuple of ints, and see that each was there and some are left."""
-        given = check_numbers("picked", self.picked, 1, self.fruits)
-        if not all(number.is_integer() for number in given):
+        picked = list_between("picked", self.picked, 1, self.fruits)
+        if not all(number.is_integer() for number in picked):
             raise OptionError("picked", self.picked, "whole numbers")
-        numbers = tuple(map(int, given))
+        numbers = tuple(map(int, picked))
         object.__setattr__(self, "picked", numbers)
         if len(set(numbers)) < len(numbers) or len(numbers) == self.fruits:
             raise OptionError("picked", numbers, f"numbers that differ, and fewer than {self.fruits}")
 
 
-#: Least and greatest count.
-_COUNTS = {
-    "seed": (0, None),
-    "trees": (1, 100),
-    "branches": (0, 200),
-    "shoots": (0, 20),
-    "fruits": (1, 1000),
-}
+@dataclass(frozen=True)
+class MeasuredOptions:
+    """A row of measured trees in front of the arm, as `OrchardOptions` describes a grown one.
 
-#: Least and greatest measure [m].
-_MEASURES = {
-    "spacing": (0.2, 10.0),
-    "distance": (0.3, 100.0),
-    "tree_height": (0.5, 10.0),
-    "trunk_radius": (0.005, 0.3),
-    "branch_length": (0.1, 3.0),
-    "first_branch": (0.05, 10.0),
-    "wire_radius": (0.0001, 0.05),
-    "fruit_radius": (0.005, 0.2),
-    "stem": (0.0, 0.2),
-    "clearance": (0.0, 1.0),
+    Attributes:
+        name: Name of the scene.
+        seed: Shuffles the tips of branches that fruit hangs at.
+        spacing: Distance of neighbouring trunks [m].
+        distance: Distance of the row from the base's axis [m].
+        height: Height of the trees' feet above that of the base [m].
+        yaw_deg: Turn of every tree about its own trunk [deg].
+        fruits: Number of fruits on all trees together.
+        fruit_radius: Radius of a fruit [m].
+        fruit_zone: Where their centres may be.
+        goal: Name of the fruit to reach for; None for the first.
+        clearance: Distance that a motion is to keep from everything [m].
+    """
+
+    name: str = "measured"
+    seed: int = 0
+    spacing: float = 1.1
+    distance: float = 1.4
+    height: float = 0.0
+    yaw_deg: float = 0.0
+    fruits: int = 20
+    fruit_radius: float = 0.04
+    fruit_zone: FruitZone = FruitZone()
+    goal: str | None = None
+    clearance: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Check every value.
+
+        Raises:
+            OptionError: A value is of the wrong kind or out of its range.
+        """
+        keep_checked(self, _MEASURED_CHECKS)
+        _check_goal(self.goal)
+
+
+def _check_goal(goal: str | None) -> None:
+    if goal is not None:
+        text("goal", goal, "the name of a fruit, or None for the first")
+
+
+#: Check of each option, and the least and greatest value; measures in metres.
+_CHECKS = {
+    "name": (text,),
+    "form": (one_of, FORMS),
+    "seed": (whole, 0),
+    "trees": (whole, 1, 100),
+    "branches": (whole, 0, 200),
+    "shoots": (whole, 0, 20),
+    "fruits": (whole, 1, 1000),
+    "spacing": (between, 0.2, 10.0),
+    "distance": (between, 0.3, 100.0),
+    "tree_height": (between, 0.5, 10.0),
+    "trunk_radius": (between, 0.005, 0.3),
+    "branch_length": (between, 0.1, 3.0),
+    "first_branch": (between, 0.05, 10.0),
+    "wire_radius": (between, 0.0001, 0.05),
+    "fruit_radius": (between, 0.005, 0.2),
+    "stem": (between, 0.0, 0.2),
+    "clearance": (between, 0.0, 1.0),
+    "posts": (truth,),
+    "ground": (truth,),
+    "vehicle": (truth,),
+    "fruit_zone": (instance, FruitZone),
+    "wire_heights": (list_between, 0.01, 10.0),
+}
+_MEASURED_CHECKS = {
+    "name": (text,),
+    "seed": (whole, 0),
+    "spacing": (between, 0.0, FARTHEST),
+    "distance": (between, -FARTHEST, FARTHEST),
+    "height": (between, -FARTHEST, FARTHEST),
+    "yaw_deg": (between, -FARTHEST, FARTHEST),
+    "fruits": (whole, 0, 10_000),
+    "fruit_radius": (between, 1e-3, 1.0),
+    "fruit_zone": (instance, FruitZone),
+    "clearance": (between, 0.0, 1.0),
 }

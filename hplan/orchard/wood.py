@@ -51,10 +51,10 @@ def grow_tree(options: OrchardOptions, root: FloatArray, random: np.random.Gener
     trunk = _trunk(options, root, random)
     if options.form == "spindle":
         arms: list[Limb] = []
-        branches = _around(options, trunk, random)
+        branches = _spindle_branches(options, trunk, random)
     else:
-        arms = _along_wires(options, trunk, random)
-        branches = _upon(options, arms, random)
+        arms = _trellis_arms(options, trunk, random)
+        branches = _trellis_branches(options, arms, random)
     shoots = [shoot for branch in branches for shoot in _shoots(options, branch, random)]
     return [*trunk, *arms, *(piece for branch in branches for piece in branch), *shoots]
 
@@ -65,19 +65,19 @@ def _trunk(options: OrchardOptions, root: FloatArray, random: np.random.Generato
     nodes = np.tile(root, (count + 1, 1))
     nodes[:, 2] += np.linspace(0.0, options.tree_height, count + 1)
     nodes[1:, :2] += np.cumsum(random.uniform(-0.015, 0.015, (count, 2)), axis=0)
-    share = (np.arange(count) + 0.5) / count
-    return _pieces("trunk", nodes, options.trunk_radius * (1.0 - 0.75 * share))
+    fraction = (np.arange(count) + 0.5) / count
+    return _pieces("trunk", nodes, options.trunk_radius * (1.0 - 0.75 * fraction))
 
 
-def _around(options: OrchardOptions, trunk: Sequence[Limb], random: np.random.Generator) -> list[list[Limb]]:
+def _spindle_branches(options: OrchardOptions, trunk: Sequence[Limb], random: np.random.Generator) -> list[list[Limb]]:
     """A spindle's branches, from the bottom to the top; they rise from the trunk and sink under their fruit."""
     branches = []
     azimuth = random.uniform(0.0, 2.0 * math.pi)
     for number in range(options.branches):
-        share = (number + random.uniform(0.1, 0.9)) / options.branches
-        height = options.first_branch + share * 0.96 * (options.tree_height - options.first_branch)
+        fraction = (number + random.uniform(0.1, 0.9)) / options.branches
+        height = options.first_branch + fraction * 0.96 * (options.tree_height - options.first_branch)
         azimuth += _GOLDEN_ANGLE + random.uniform(-0.3, 0.3)
-        length = options.branch_length * (1.0 - 0.65 * share) * random.uniform(0.75, 1.0)
+        length = options.branch_length * (1.0 - 0.65 * fraction) * random.uniform(0.75, 1.0)
         rise = math.radians(random.uniform(10.0, 35.0))
         start, thickness = _at_height(trunk, height)
         radius = min(0.6 * thickness, 0.004 + 0.013 * length)
@@ -87,7 +87,7 @@ def _around(options: OrchardOptions, trunk: Sequence[Limb], random: np.random.Ge
     return branches
 
 
-def _along_wires(options: OrchardOptions, trunk: Sequence[Limb], random: np.random.Generator) -> list[Limb]:
+def _trellis_arms(options: OrchardOptions, trunk: Sequence[Limb], random: np.random.Generator) -> list[Limb]:
     """Arms to both sides at each wire, up to where those of the next tree begin."""
     arms: list[Limb] = []
     for height in options.wire_heights:
@@ -102,7 +102,7 @@ def _along_wires(options: OrchardOptions, trunk: Sequence[Limb], random: np.rand
     return arms
 
 
-def _upon(options: OrchardOptions, arms: Sequence[Limb], random: np.random.Generator) -> list[list[Limb]]:
+def _trellis_branches(options: OrchardOptions, arms: Sequence[Limb], random: np.random.Generator) -> list[list[Limb]]:
     """A trellised tree's branches: spread over the arms, upwards and to either side of the row in turn."""
     branches = []
     for number in range(options.branches):
@@ -159,5 +159,5 @@ def _direction(azimuth: float, rise: float) -> FloatArray:
 def _at_height(trunk: Sequence[Limb], height: float) -> tuple[FloatArray, float]:
     """The point of a trunk's axis at a height, and the trunk's radius there."""
     piece = next((piece for piece in trunk if piece.end[2] >= height), trunk[-1])
-    share = (height - piece.start[2]) / (piece.end[2] - piece.start[2])
-    return piece.start + share * (piece.end - piece.start), piece.radius
+    fraction = (height - piece.start[2]) / (piece.end[2] - piece.start[2])
+    return piece.start + fraction * (piece.end - piece.start), piece.radius

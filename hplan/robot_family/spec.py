@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from hplan.base.arguments import number, truth
+from hplan.base.arguments import each, keep_checked, number, truth
 from hplan.errors import OptionError
 
 _HALF_PI = math.pi / 2
@@ -32,7 +33,7 @@ class ArmSpec:
         acceleration: Acceleration limits [rad/s^2].
         jerk: Jerk limits [rad/s^3]; None leaves them out of the limits file.
         shoulder_height: Height of the first planar axis above the ground [m].
-        has_yaw: Whether the turret turns about the vertical through the origin of `base_link`.
+        has_yaw: True if the turret turns about the vertical through the origin of `base_link`.
         base_mass: Mass of the pedestal [kg].
         turret_mass: Mass of the turret [kg].
     """
@@ -58,33 +59,18 @@ class ArmSpec:
         Raises:
             OptionError: A value is no finite number or out of its range, or a count does not match.
         """
-        _check_name(self.name)
-        truth("has_yaw", self.has_yaw)
-        n_links = self._keep_positive("link_lengths", None)
-        n_joints = n_links + int(self.has_yaw)
-        for option in ("link_half_widths", "link_masses"):
-            self._keep_positive(option, n_links)
-        for option in ("velocity", "effort", "acceleration"):
-            self._keep_positive(option, n_joints)
+        positive, finite = (_numbers, _positive), (_numbers, _finite)
+        keep_checked(self, {"name": (_name,), "has_yaw": (truth,), "link_lengths": (*positive, None)})
+        joints = self.n_links + int(self.has_yaw)
+        keep_checked(self, dict.fromkeys(("link_half_widths", "link_masses"), (*positive, self.n_links)))
+        keep_checked(self, dict.fromkeys(("velocity", "effort", "acceleration"), (*positive, joints)))
         if self.jerk is not None:
-            self._keep_positive("jerk", n_joints)
-        for option in ("lower", "upper"):
-            object.__setattr__(self, option, _floats(option, getattr(self, option), n_joints))
+            keep_checked(self, {"jerk": (*positive, joints)})
+        keep_checked(self, dict.fromkeys(("lower", "upper"), (*finite, joints)))
         for joint, lower, upper in zip(self.joint_names, self.lower, self.upper, strict=True):
             if not lower < upper:
                 raise OptionError(f"lower[{joint}]", lower, f"less than the upper limit {upper!r}")
-        for option in ("shoulder_height", "base_mass", "turret_mass"):
-            value = _finite(option, getattr(self, option))
-            _require_positive(option, value)
-            object.__setattr__(self, option, value)
-
-    def _keep_positive(self, option: str, count: int | None) -> int:
-        """Replace a field by its tuple of positive floats and return how many they are."""
-        values = _floats(option, getattr(self, option), count)
-        for index, value in enumerate(values):
-            _require_positive(f"{option}[{index}]", value)
-        object.__setattr__(self, option, values)
-        return len(values)
+        keep_checked(self, dict.fromkeys(("shoulder_height", "base_mass", "turret_mass"), (_positive,)))
 
     @property
     def n_links(self) -> int:
@@ -116,33 +102,31 @@ class ArmSpec:
         return ("base_link", "turret", *self.arm_link_names, "tool0")
 
 
-def _check_name(name: Any) -> None:
+def _name(option: str, name: Any) -> str:
     # A double hyphen would end the XML comment that quotes the spec.
     pattern = r"[A-Za-z][A-Za-z0-9_]*(-[A-Za-z0-9_]+)*"
     if not (isinstance(name, str) and re.fullmatch(pattern, name)):
-        raise OptionError("name", name, "letters, digits, '_' and single '-', a letter first")
+        raise OptionError(option, name, "letters, digits, '_' and single '-', a letter first")
+    return name
 
 
 def _finite(option: str, value: Any) -> float:
     return number(option, value, "a finite number")
 
 
-def _floats(option: str, values: Any, count: int | None) -> tuple[float, ...]:
+def _positive(option: str, value: Any) -> float:
+    found = _finite(option, value)
+    if not found > 0.0:
+        raise OptionError(option, found, "a positive number")
+    return found
+
+
+def _numbers(option: str, values: Any, check: Callable[[str, Any], float], count: int | None) -> tuple[float, ...]:
     expected = "at least one number" if count is None else f"{count} numbers"
-    if isinstance(values, str):
+    found = each(option, values, expected, check)
+    if not found or (count is not None and len(found) != count):
         raise OptionError(option, values, expected)
-    try:
-        items = list(values)
-    except TypeError:
-        raise OptionError(option, values, expected) from None
-    if not items or (count is not None and len(items) != count):
-        raise OptionError(option, values, expected)
-    return tuple(_finite(f"{option}[{index}]", item) for index, item in enumerate(items))
-
-
-def _require_positive(option: str, value: float) -> None:
-    if not value > 0.0:
-        raise OptionError(option, value, "a positive number")
+    return found
 
 
 HARVESTER = ArmSpec(

@@ -143,3 +143,11 @@ def test_bad_input(done, capsys, tmp_path):
 
 def test_script(done):
     assert load_script("certify").main([str(done), "--quiet"]) == 0
+
+
+def test_a_job_of_a_shipped_scene_needs_no_scene(tmp_path, capsys):
+    """Its report names it, and the digest tells whether it is the same."""
+    assert cli.main(["plan", "dense-canopy", "--out", str(tmp_path), "--quiet"]) == 0
+    status, report = said(capsys, tmp_path)
+    assert (status, report["scene"], report["differs"]) == (0, "dense-canopy", [])
+    assert said(capsys, tmp_path, "table-1")[1]["differs"] == ["scene"]

@@ -9,7 +9,7 @@ from types import ModuleType
 import pytest
 from script_loader import SCRIPTS, load_script
 
-from hplan.orchard import SHIPPED, FruitZone, OrchardOptions, generate, measured_orchard
+from hplan.orchard import SHIPPED, FruitZone, MeasuredOptions, OrchardOptions, generate, measured_orchard
 from hplan.scene.file import load_scene
 from hplan.scene.model import Scene
 
@@ -93,22 +93,26 @@ def test_shipped_scenes_made_anew(make: Callable[..., Scene], name: str) -> None
 
 
 def test_measured_trees(make: Callable[..., Scene], tree: Path) -> None:
-    assert make("--import", str(tree), "--fruits", "2") == measured_orchard([tree], 2, name="out")
+    assert make("--import", str(tree), "--fruits", "2") == measured_orchard(
+        [tree], MeasuredOptions(fruits=2, name="out")
+    )
     assert len(make("--import", str(tree)).fruits) == 20
     text = (
         "--fruits 6 --distance 1.6 --spacing 2 --height 0.3 --turn 40 --seed 3 --fruit-heights 1.8 3 --clearance 0.01"
     )
     assert make("--import", str(tree), str(tree), *text.split()) == measured_orchard(
         [tree, tree],
-        6,
-        name="out",
-        distance=1.6,
-        spacing=2.0,
-        height=0.3,
-        yaw_deg=40.0,
-        seed=3,
-        fruit_zone=FruitZone(1.8, 3.0),
-        clearance=0.01,
+        MeasuredOptions(
+            fruits=6,
+            name="out",
+            distance=1.6,
+            spacing=2.0,
+            height=0.3,
+            yaw_deg=40.0,
+            seed=3,
+            fruit_zone=FruitZone(1.8, 3.0),
+            clearance=0.01,
+        ),
     )
 
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from hplan.errors import OptionError
 from hplan.orchard import FruitZone, fruit_at_tips, import_capsules
-from hplan.orchard.fruits import Crop
+from hplan.orchard.fruits import Canopy
 from hplan.orchard.pieces import capsule
 
 MEASURED = Path(__file__).parents[3] / "shared" / "data" / "measured_trees"
@@ -151,7 +151,7 @@ def test_distances_from_wood(pieces, point):
         center, radius = point, 0.04
 
     expected = [gap(Ball, piece) + Ball.radius for piece in wood]
-    np.testing.assert_allclose(Crop(wood, 0.04, FruitZone()).wood_distances(np.array(point)), expected, atol=1e-6)
+    np.testing.assert_allclose(Canopy(wood, 0.04, FruitZone()).wood_distances(np.array(point)), expected, atol=1e-6)
 
 
 @settings(max_examples=40)

@@ -12,8 +12,8 @@ import pytest
 from hplan.base.data_files import scenes_dir
 from hplan.collision.coal_scene import CoalScene, base_contacts
 from hplan.errors import InputError, OptionError
-from hplan.orchard import SHIPPED, TUCKED_DEG, FruitZone, OrchardOptions, generate, measured_orchard
-from hplan.orchard.fruits import Crop
+from hplan.orchard import SHIPPED, TUCKED_DEG, FruitZone, MeasuredOptions, OrchardOptions, generate, measured_orchard
+from hplan.orchard.fruits import Canopy
 from hplan.scene.file import dump_scene, load_scene, parse_scene
 from hplan.scene.obstacles import Capsule, Sphere
 
@@ -94,9 +94,9 @@ def test_all_wood_of_a_tree_hangs_together(grown):
     """From the trunk's foot every piece is reached through pieces that begin where another one is."""
     _, scene = grown
     tree = [capsule for capsule in wood_of(scene) if capsule.name.startswith("tree 1 ")]
-    crop = Crop(tree, 0.04, FruitZone())
+    canopy = Canopy(tree, 0.04, FruitZone())
     for index, capsule in enumerate(tree):
-        nearest = np.delete(crop.wood_distances(np.array(capsule.start)), index).min()
+        nearest = np.delete(canopy.wood_distances(np.array(capsule.start)), index).min()
         assert nearest < 0.0 or capsule.start[2] == 0.0
 
 
@@ -159,11 +159,11 @@ def test_bare_tree_bears_nothing():
 
 def test_fruit_hangs_clear_of_wood_and_of_each_other(grown):
     options, scene = grown
-    crop = Crop(wood_of(scene), options.fruit_radius, FruitZone())
+    canopy = Canopy(wood_of(scene), options.fruit_radius, FruitZone())
     for fruit in scene.fruits:
-        gaps = crop.wood_distances(np.array(fruit.center)) - fruit.radius
+        gaps = canopy.wood_distances(np.array(fruit.center)) - fruit.radius
         assert gaps.min() >= -1e-9
-        bearing = [g for g, c in zip(gaps, crop.wood, strict=True) if kind_of(c).split()[-1] not in ("trunk", "wire")]
+        bearing = [g for g, c in zip(gaps, canopy.wood, strict=True) if kind_of(c).split()[-1] not in ("trunk", "wire")]
         assert min(bearing) <= options.stem + 2e-4
         assert options.fruit_zone.holds(*fruit.center)
     for a, b in itertools.combinations(scene.fruits, 2):
@@ -282,7 +282,8 @@ def stick(tmp_path):
 
 
 def test_measured_row(stick):
-    scene = measured_orchard([stick, stick], 3, name="two", distance=1.5, spacing=0.8, height=0.2, clearance=0.01)
+    options = MeasuredOptions(name="two", fruits=3, distance=1.5, spacing=0.8, height=0.2, clearance=0.01)
+    scene = measured_orchard([stick, stick], options)
     assert scene.name == "two"
     assert scene.clearance == 0.01
     assert [o.name for o in scene.obstacles] == [
@@ -295,7 +296,8 @@ def test_measured_row(stick):
 
 
 def test_measured_tree_alone_turns_about_its_trunk(stick):
-    scene = measured_orchard([stick], 2, yaw_deg=90.0, goal="fruit 02", start_deg=(0, 0, 0, 0))
+    options = MeasuredOptions(fruits=2, yaw_deg=90.0, goal="fruit 02")
+    scene = measured_orchard([stick], options, start_deg=(0, 0, 0, 0))
     assert scene.obstacles[1].name == "branch 1"
     assert scene.obstacles[1].end == (1.4, -0.3, 1.6)
     assert scene.goal.fruit == "fruit 02"
@@ -319,14 +321,16 @@ def test_measured_tree_alone_turns_about_its_trunk(stick):
     ],
 )
 def test_measured_orchard_out_of_range(stick, options, message):
+    paths = options.get("paths", [stick])
+    wanted = {"fruits": 2, **{option: value for option, value in options.items() if option != "paths"}}
     with pytest.raises(InputError, match=message):
-        measured_orchard(**{"paths": [stick], "fruits": 2, **options})
+        measured_orchard(paths, MeasuredOptions(**wanted))
 
 
 @pytest.mark.skipif(not MEASURED.is_dir(), reason="the measured trees are not beside the project")
 def test_measured_trees_in_a_row():
     files = sorted(MEASURED.glob("*.csv"))[:3]
-    scene = measured_orchard(files, 60, seed=4)
+    scene = measured_orchard(files, MeasuredOptions(fruits=60, seed=4))
     assert len(scene.fruits) == 60
     assert parse_scene(dump_scene(scene)) == scene
-    assert scene == measured_orchard(files, 60, seed=4)
+    assert scene == measured_orchard(files, MeasuredOptions(fruits=60, seed=4))

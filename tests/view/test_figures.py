@@ -6,6 +6,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -57,6 +58,9 @@ def case() -> Case:
         heads[number] = np.column_stack([kept[:, :2], np.full(len(kept), number)])
     field = figure_data.clearance_field(robot.arm, sections, grid)
     return Case(robot.arm, sections, grid, occupancy, field, start, goal, result, result.path, first, heads)
+
+
+SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
 
 
 def ball(radius: float = 7.5) -> FloatArray:
@@ -113,8 +117,9 @@ def test_the_same_figure_gives_the_same_bytes(case: Case) -> None:
 
 def test_figures_never_import_pyplot() -> None:
     code = (
-        "import sys; from studies.paper.figure_link_cases import link_case;"
-        "from hplan.view import figures, figures_3d; assert 'matplotlib' not in sys.modules;"
+        f"import sys; sys.path.insert(0, {str(SCRIPTS)!r}); from studies.paper.figure_link_cases import link_case;"
+        "from hplan.view import cspace_surface; from studies.view import figures;"
+        "assert 'matplotlib' not in sys.modules;"
         "figures.png_bytes(link_case(1), 40); assert 'matplotlib.pyplot' not in sys.modules"
     )
     subprocess.run([sys.executable, "-c", code], check=True)

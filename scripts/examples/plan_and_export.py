@@ -1,0 +1,30 @@
+"""Plan one motion to a fruit and write what a controller and a person want: the CSV and the animated page.
+
+python scripts/examples/plan_and_export.py [FOLDER]
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import hplan
+from hplan.view.page import write_page
+
+
+def main(folder: str = "out/example") -> hplan.PlanResult:
+    """Plan the shipped trellis scene and export the motion."""
+    out = Path(folder)
+    out.mkdir(parents=True, exist_ok=True)
+    robot, scene = hplan.load_robot(), hplan.load_scene("trellis")
+    result = hplan.plan(robot, scene)
+    hplan.write_csv(result.trajectory, out / "trajectory.csv")
+    write_page(robot, scene, result.trajectory, out / "scene.html", picked=result.picked, phases=result.phases)
+    for phase in result.phases:
+        print(f"{phase.name:10} {phase.start_s:6.3f} to {phase.end_s:6.3f} s")
+    print(f"clearance at all times: {1e3 * result.certificate.min_clearance_m:.2f} mm or more")
+    return result
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:2])

@@ -1,0 +1,33 @@
+"""Plan again and again while an obstacle moves, as a program beside a controller does.
+
+python scripts/examples/replan_moving_obstacle.py
+"""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+import hplan
+from hplan.scene import Sphere
+
+
+def main(steps: int = 8) -> list[float]:
+    """Move a ball through the arm's path; the motion's duration after each step [s]."""
+    planner = hplan.Planner(hplan.load_robot(), hplan.load_scene("trellis"))
+    planner.plan()
+    planner.add(Sphere(name="ball", center=(0.8, -0.6, 1.4), radius=0.08))
+    durations = []
+    for y in np.linspace(-0.6, 0.6, steps).tolist():
+        planner.move("ball", center=(0.8, y, 1.4))
+        began = time.perf_counter()
+        result = planner.replan()
+        took_ms = 1e3 * (time.perf_counter() - began)
+        durations.append(result.trajectory.duration)
+        print(f"ball at y = {y:+.2f} m: {result.trajectory.duration:.3f} s of motion, planned in {took_ms:.0f} ms")
+    return durations
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,62 @@
+"""The examples in `scripts/examples`, each run as a newcomer would run it."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import runpy
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import hplan
+
+EXAMPLES = Path(__file__).resolve().parents[1] / "scripts" / "examples"
+
+
+def run(name: str, *arguments: Any) -> Any:
+    return runpy.run_path(str(EXAMPLES / f"{name}.py"))["main"](*arguments)
+
+
+def test_plan_and_export(tmp_path: Path) -> None:
+    result = run("plan_and_export", str(tmp_path / "new"))
+    assert result.certificate.verified
+    assert hplan.read_csv(tmp_path / "new" / "trajectory.csv").samples == result.trajectory.samples
+    assert (tmp_path / "new" / "scene.html").stat().st_size > 100_000
+
+
+def test_cloud_from_file(tmp_path: Path) -> None:
+    made_up = run("cloud_from_file")
+    assert made_up.certificate.verified
+    file = tmp_path / "cloud.xyz"
+    file.write_text("2.5 0 1.9\n2.5 0.1 1.9\n")
+    assert run("cloud_from_file", str(file)).trajectory.duration <= made_up.trajectory.duration
+
+
+def test_replan_moving_obstacle() -> None:
+    assert all(0.0 < duration < 10.0 for duration in run("replan_moving_obstacle", 3))
+
+
+def test_picking_tour() -> None:
+    result = run("picking_tour")
+    assert sorted(result.order) == ["fruit 01", "fruit 04", "fruit 09"]
+    assert set(result.dropped) == set(result.order)
+    assert result.certificate.verified
+
+
+def test_time_ur5_path() -> None:
+    try:
+        importlib.metadata.version("example-robot-data")
+    except importlib.metadata.PackageNotFoundError:
+        pytest.skip("example-robot-data is not installed (extra `robots`)")
+    trajectory = run("time_ur5_path")
+    assert trajectory.joint_names[0] == "shoulder_pan_joint"
+    assert 1.0 < trajectory.duration < 10.0
+
+
+def test_every_example_is_run() -> None:
+    assert sorted(path.stem for path in EXAMPLES.glob("*.py")) == sorted(
+        name.removeprefix("test_")
+        for name in globals()
+        if name.startswith("test_") and name != "test_every_example_is_run"
+    )

@@ -14,7 +14,8 @@ from hplan.cli.terminal import FAILED, run_command
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from hplan.planning.plan import PlanningCache, PlanResult
+    from hplan.planning.plan import PlanResult
+    from hplan.planning.task import PlanningCache
     from hplan.problem.options import PlanOptions
     from hplan.scene.model import Scene
 
@@ -57,7 +58,7 @@ def _run(arguments: argparse.Namespace, console: Console) -> int:
     """Plan, execute, show; returns the exit status."""
     import numpy as np
 
-    from hplan.planning.plan import PlanningCache
+    from hplan.planning.task import PlanningCache
     from hplan.problem.options import PlanOptions
     from hplan.robot.model import load_robot
     from hplan.scene.file import load_scene

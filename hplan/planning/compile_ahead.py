@@ -75,18 +75,18 @@ def _start() -> subprocess.Popen[bytes] | None:
 
 def compile_from_postprocessing_on() -> None:
     """Smooth, time and certify a path through the reference scene."""
-    from hplan.planning.find_motion import MARGIN, smooth_and_certify
-    from hplan.planning.plan import PlanningCache
+    from hplan.planning.certified_motion import smooth_and_certify
+    from hplan.planning.task import MARGIN, PlanningCache
     from hplan.problem.options import PlanOptions
     from hplan.robot.model import load_robot
     from hplan.scene.file import load_scene
 
-    scene, options, cache = load_scene(), PlanOptions(), PlanningCache(load_robot())
+    scene = load_scene()
     start, goal = scene.start.configuration, scene.goal.configuration
     waypoints = np.stack([start, start, goal, goal])
     waypoints[1:3, -2:] = np.radians(_FOLDED_DEG)
-    task = cache.task(cache.world(scene, options), scene, options, (start, goal))
-    smooth_and_certify(task, None, waypoints, MARGIN, "search")
+    task = PlanningCache(load_robot()).context(scene, PlanOptions()).task(start, goal)
+    smooth_and_certify(task, waypoints, MARGIN, "search")
 
 
 if __name__ == "__main__":

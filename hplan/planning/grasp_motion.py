@@ -5,33 +5,39 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import TypeVar
 
+from hplan.base.arrays import FloatArray
 from hplan.errors import CertificationError, ConfigurationInCollisionError, HplanError, TimingError
-from hplan.planning.find_motion import PlannedMotion, first_motion, without_path
-from hplan.planning.grasps import Grasp
-from hplan.planning.grid_route import PlanningTask
+from hplan.planning.certified_motion import Part, PlannedMotion, certified_trajectory
+from hplan.planning.find_motion import first_motion, without_path
+from hplan.planning.grasps import Grasp, Target, promising
 from hplan.planning.refusals import Refusals
+from hplan.planning.task import PlanningContext, PlanningTask
+from hplan.timing.trajectory import Trajectory
+from hplan.verification.certificate import Stretch, stretches
+from hplan.verification.goal_contact import contact_window
+from hplan.verification.limit_use import cubic_pieces
 
 _Last = TypeVar("_Last")
 
 
 def motion_to_grasp(
-    ways: Sequence[Grasp],
-    likely: Sequence[Grasp],
-    task_of: Callable[[Grasp], PlanningTask],
-    last_of: Callable[[Grasp, PlannedMotion], _Last],
-    what: str,
+    target: Target,
+    found: Sequence[Grasp],
+    start: FloatArray,
+    task_to: Callable[[Grasp], PlanningTask],
+    last_of: Callable[[Grasp], _Last],
 ) -> tuple[Grasp, PlannedMotion, _Last]:
     """A grasp, the motion to where its approach begins, and what is made of the approach.
 
-    The likely grasps are tried as if there were no others. Where none of them can be reached, one flood shows to which
-    of the others no path exists, and those that are left are tried in their order.
+    The promising grasps are tried as if there were no others. Where none of them can be reached, one flood shows to
+    which of the others no path exists, and those that are left are tried in their order.
 
     Args:
-        ways: The grasps, those that promise the shortest motions first.
-        likely: Those of them to try first.
-        task_of: The motion to plan to a grasp; raises `ConfigurationInCollisionError` where it cannot be taken.
+        target: What is grasped.
+        found: Its grasps, those that promise the shortest motions first.
+        start: (dof,) configuration from which the arm comes.
+        task_to: The motion to plan to a grasp; raises `ConfigurationInCollisionError` where it cannot be taken.
         last_of: What follows the motion to a grasp; raises `CertificationError` or `TimingError` where nothing can.
-        what: What is grasped, for errors.
 
     Raises:
         NoPathError: No path to any of the grasps exists on the grid.
@@ -39,11 +45,12 @@ def motion_to_grasp(
         CertificationError: Not all grasps were shown to have no path, and no motion could be certified.
         ConfigurationInCollisionError: The start is in collision.
     """
+    likely = promising(found, target, start)
     first = {id(grasp) for grasp in likely}
-    ordered = [*likely, *(grasp for grasp in ways if id(grasp) not in first)]
+    ordered = [*likely, *(grasp for grasp in found if id(grasp) not in first)]
     refused: dict[int, HplanError] = {}
     for batch in (range(len(likely)), range(len(likely), len(ordered))):
-        tasks = _tasks(ordered, batch, task_of, refused)
+        tasks = _tasks(ordered, batch, task_to, refused)
         if batch.start > 0:
             for number, error in zip(list(tasks), without_path(list(tasks.values())), strict=True):
                 if error is not None:
@@ -51,29 +58,53 @@ def motion_to_grasp(
                     del tasks[number]
         while tasks:
             numbers = list(tasks)
-            found = first_motion(list(tasks.values()))
-            if isinstance(found, Refusals):
-                refused |= zip(numbers, found.errors, strict=True)
+            result = first_motion(list(tasks.values()))
+            if isinstance(result, Refusals):
+                refused |= zip(numbers, result.errors, strict=True)
                 break
-            number, motion = numbers[found[0]], found[1]
+            number, motion = numbers[result[0]], result[1]
             try:
-                return ordered[number], motion, last_of(ordered[number], motion)
+                return ordered[number], motion, last_of(ordered[number])
             except (CertificationError, TimingError) as error:
                 refused[number] = error.with_traceback(None)
                 del tasks[number]
-    raise Refusals(tuple(refused[number] for number in range(len(ordered)))).error(f"grasps of {what}")
+    raise Refusals(tuple(refused[number] for number in range(len(ordered)))).error(f"grasps of {target.what}")
 
 
 def _tasks(
-    grasps: Sequence[Grasp], batch: range, task_of: Callable[[Grasp], PlanningTask], refused: dict[int, HplanError]
+    ordered: Sequence[Grasp], batch: range, task_to: Callable[[Grasp], PlanningTask], refused: dict[int, HplanError]
 ) -> dict[int, PlanningTask]:
     """The motions to plan, by the numbers of their grasps; grasps that cannot be taken are noted as refused."""
     tasks = {}
     for number in batch:
         try:
-            tasks[number] = task_of(grasps[number])
+            tasks[number] = task_to(ordered[number])
         except ConfigurationInCollisionError as error:
             if error.which == "start":
                 raise
             refused[number] = error.with_traceback(None)
     return tasks
+
+
+def approach_and_retreat(context: PlanningContext, target: Target, grasp: Grasp) -> list[Part]:
+    """The approach to a grasp and, from a fruit, the retreat, timed and certified; nothing without an approach.
+
+    The last link may touch the fruit (`hplan.verification.goal_contact`).
+
+    Raises:
+        TimingError: There is none within the limits.
+        CertificationError: It is asked for, and something was not shown.
+    """
+    path, fruit = grasp.path(context.robot, context.scene.locked_joints), target.fruit
+    if path is None:
+        return []
+
+    def among(there: Trajectory) -> list[Stretch]:
+        bezier, _ = cubic_pieces(there)
+        contact = None if fruit is None else contact_window(context.robot, bezier, fruit.center)
+        return stretches(target.world.checker, len(bezier), contact, None if fruit is None else fruit.name)
+
+    there, shown = certified_trajectory(context.among(target.world_touching), path, among)
+    approach = Part("approach", there, shown)
+    # The same motion backwards: accelerations and torques stay as they are, and so do all the distances.
+    return [approach] if fruit is None else [approach, Part("retreat", there.reversed, shown)]

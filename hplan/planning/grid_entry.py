@@ -4,19 +4,80 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
+from typing import Literal
 
 import numpy as np
 
 from hplan.base import ties
-from hplan.base.arrays import FloatArray, IntArray
+from hplan.base.arrays import FloatArray, IntArray, WordArray
 from hplan.collision.clearance_field import ClearanceField
+from hplan.errors import CertificationError
+from hplan.planning.task import PlanningTask
+from hplan.search.flood import has_bit
 from hplan.search.grid import Occupancy
+from hplan.search.lattice import Lattice
+from hplan.smoothing.repair import leave_contact
 
 #: A configuration this near to a node stands on it [steps].
 ON_NODE = 1e-6
 
 #: How many nodes away a joint may be led, to either side.
 REACH = 2
+
+
+class GridEntry:
+    """The nodes that start or goal is joined to; the first is found at once, the others when asked for.
+
+    Attributes:
+        waypoints: (k, dof) configurations from the start or goal to where the nodes are joined, mostly one alone.
+        first: The nearest node.
+    """
+
+    def __init__(self, waypoints: FloatArray, first: IntArray, others: Iterator[IntArray]) -> None:
+        """Begin with the nearest node; the others are made when asked for."""
+        self.waypoints = waypoints
+        self.first = first
+        self._rest = others
+        self._known = [first]
+
+    def all(self) -> list[IntArray]:
+        """All of them, the nearest first."""
+        self._known.extend(self._rest)
+        return self._known
+
+    def free_of(self, lattice: Lattice, free: WordArray, nodes: IntArray) -> IntArray:
+        """Those of a path's nodes that are still free; where there are none, of the nodes of this entry."""
+        for choice in (nodes, self.all()):
+            left = [node for node in choice if has_bit(free, lattice.row_of(node), int(node[-1]))]
+            if left:
+                return np.array(left)
+        return np.empty((0, len(lattice.shape)), dtype=np.int64)
+
+
+def grid_entry(task: PlanningTask, space: Occupancy, which: Literal["start", "goal"], margin: float) -> GridEntry:
+    """The nodes that start or goal is joined to nearby; in a tight place those that a path out of it leads to.
+
+    Args:
+        task: The motion to plan.
+        space: Which nodes are free.
+        which: The end to join.
+        margin: Clearance asked of the motions that join them, wherever they are evaluated [m].
+
+    Raises:
+        CertificationError: There is none.
+    """
+    problem = task.problem
+    q = problem.start if which == "start" else problem.goal
+    paths_out = leave_contact(q, task.field, problem.lower, problem.upper, margin)
+    for waypoints in itertools.chain([q[None]], paths_out):
+        nodes = joined_nodes(space, waypoints[-1], task.axes, task.field, margin)
+        first = next(nodes, None)
+        if first is not None:
+            return GridEntry(waypoints, first, nodes)
+    raise CertificationError(
+        f"no motion from the {which} to a free node of the grid can be shown clear; a smaller step may help",
+        which=which,
+    )
 
 
 def joined_nodes(

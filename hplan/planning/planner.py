@@ -14,7 +14,8 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
 from hplan.errors import InputError, SceneError
-from hplan.planning.plan import PlanningCache, PlanResult, check_task, plan_with
+from hplan.planning.plan import PlanResult, check_task, plan_with
+from hplan.planning.task import PlanningCache
 from hplan.problem.options import PlanOptions
 from hplan.robot.model import Robot
 from hplan.scene.model import Goal, Scene, Start

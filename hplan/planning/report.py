@@ -17,6 +17,7 @@ from hplan.errors import HplanError
 
 if TYPE_CHECKING:
     from hplan.problem.options import PlanOptions
+    from hplan.timing.trajectory import Trajectory
     from hplan.verification.certificate import Certificate
 
 #: Stages of a plan, in order.
@@ -91,6 +92,19 @@ def certificate_report(certificate: Certificate, options: PlanOptions) -> dict[s
         "limit_use": vars(certificate.limit_use),
         "violations": list(certificate.violations),
         "digests": None if digests is None else vars(digests),
+    }
+
+
+def motion_report(trajectory: Trajectory, certificate: Certificate, options: PlanOptions) -> dict[str, Any]:
+    """The last part of the report of a plan or a tour: trajectory, certificate, versions."""
+    return {
+        "trajectory": {
+            "duration_s": trajectory.duration,
+            "rate_hz": options.rate_hz,
+            "samples": trajectory.samples,
+        },
+        "certificate": certificate_report(certificate, options),
+        "versions": versions(),
     }
 
 

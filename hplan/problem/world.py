@@ -120,7 +120,7 @@ class World(Record):
             name_margin(error, TrackingModel(self.deviation), share)
             raise
 
-    def share_of_deviation(self, configurations: FloatArray, spare: float) -> float:
+    def fraction_of_deviation(self, configurations: FloatArray, spare: float) -> float:
         """Largest share of the deviation at which one of some configurations still has a clearance.
 
         Args:

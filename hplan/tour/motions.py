@@ -1,13 +1,13 @@
 """The motions that picking tours are made of, planned and certified once they are asked for.
 
-A motion between two places takes as long one way as the other, so each is planned once. Until then its cost is what no
+A motion between two places takes as long in either direction, so each is planned once. Until then its cost is what no
 motion can undercut: the slowest joint on its own. A tour that is the best by such bounds has its motions planned, their
 true durations put in place of the bounds, and is sought anew, until nothing in it is a bound: then it is the best by
 true durations too, though most motions were never planned.
 
 All fruits stay obstacles all along, also those that would have been picked by then: what is shown holds in any order.
-From a hub (the start, or the drop-off where there is one) a way to every fruit is shown; where no direct motion is
-found between two places, the way over the hub is taken.
+From a hub (the start, or the drop-off where there is one) a motion to every fruit is shown; where no direct motion is
+found between two places, the arm moves by the hub.
 
 What is carried to a drop-off is as if within the last link, made as thick as the thickest fruit; the arm is as thick
 from the stand-off before a fruit to the drop-off. The motions of the empty arm are planned as it is.
@@ -30,25 +30,19 @@ from hplan.errors import (
     NoPathError,
     TimingError,
 )
+from hplan.planning.certified_motion import Part
 from hplan.planning.find_motion import find_motion
-from hplan.planning.grasp_motion import motion_to_grasp
-from hplan.planning.grasps import Grasp, grasps, least_standoff, promising
-from hplan.planning.grid_route import PlanningTask
-from hplan.planning.plan import PlanningCache, last_stretch
-from hplan.problem.options import PlanOptions
+from hplan.planning.grasp_motion import approach_and_retreat, motion_to_grasp
+from hplan.planning.grasps import Grasp, Target, grasps
+from hplan.planning.task import PlanningContext, PlanningTask
 from hplan.problem.world import World
 from hplan.robot.limits import Limits, rest_to_rest
 from hplan.robot.model import Robot
-from hplan.scene.model import Fruit, Goal, Scene
-from hplan.timing.trajectory import Trajectory
+from hplan.scene.model import Fruit, Goal
 from hplan.tour.ordering import Costs, Visits
-from hplan.verification.certificate import Certificate
 
 #: What says that there is no motion, or none was found; anything else is a fault of what was asked.
 NO_MOTION = (BlockedError, NoPathError, CertificationError, TimingError, ConfigurationInCollisionError)
-
-#: A part of a tour: the name of its phase, its motion, what was shown of it.
-Part = tuple[str, Trajectory, Certificate]
 
 
 def carrying(robot: Robot, radius: float) -> Robot:
@@ -73,7 +67,7 @@ class Stop:
 
 @dataclass(frozen=True, eq=False)
 class _Move:
-    """A way between two stops, or back and forth between a stand-off and its fruit.
+    """Motions between two stops, or back and forth between a stand-off and its fruit.
 
     Attributes:
         seconds: Its duration; infinite where there is none [s].
@@ -86,16 +80,18 @@ class _Move:
     @classmethod
     def of(cls, parts: Sequence[Part]) -> _Move:
         """Motions one after the other."""
-        return cls(sum(trajectory.duration for _, trajectory, _ in parts), tuple(parts))
+        return cls(sum(part.trajectory.duration for part in parts), tuple(parts))
 
     @property
     def reversed(self) -> _Move:
-        """The way back: the same distances, and the same torques."""
-        return replace(self, parts=tuple((name, motion.reversed, shown) for name, motion, shown in self.parts[::-1]))
+        """The same backwards: the same distances, and the same torques."""
+        return replace(
+            self, parts=tuple(part._replace(trajectory=part.trajectory.reversed) for part in self.parts[::-1])
+        )
 
     def named(self, name: str) -> list[Part]:
         """Its parts under another name, if it is one."""
-        return [(name or own, motion, shown) for own, motion, shown in self.parts]
+        return [part._replace(name=name or part.name) for part in self.parts]
 
 
 _NONE = _Move(math.inf, ())
@@ -107,11 +103,11 @@ class DropOff:
 
     Attributes:
         configuration: (dof,).
-        way: The motion there from the start.
+        transit: The motion there from the start.
     """
 
     configuration: FloatArray
-    way: Part
+    transit: Part
 
 
 class Motions:
@@ -123,25 +119,22 @@ class Motions:
     """
 
     def __init__(
-        self, scene: Scene, options: PlanOptions, empty: PlanningCache, loaded: PlanningCache | None, *, here: Stop,
-        home: Stop, drop: DropOff | None, every: int, back: bool,
+        self, empty: PlanningContext, loaded: PlanningContext | None, *, here: Stop, home: Stop,
+        drop: DropOff | None, every: int, back: bool,
     ) -> None:  # fmt: skip
         """Begin without fruits.
 
         Args:
-            scene: The obstacles, all fruits that hang among them.
-            options: How to plan.
-            empty: The arm as it is.
+            empty: The arm as it is, among the obstacles and all fruits that hang among them.
             loaded: The arm as it carries; None where nothing is carried.
             here: Where the tour begins.
             home: Where it ends if it goes back.
             drop: The drop-off, and how to get there from `home`; None where nothing is carried.
             every: How many fruits are carried at most.
-            back: Whether the tour goes back.
+            back: True if the tour goes back.
         """
-        self.scene, self.fruits, self.planned = scene, list[str](), 0
-        self._options, self._caches = options, (empty, empty if loaded is None else loaded)
-        self._worlds = [cache.world(scene, options) for cache in self._caches[: 1 if loaded is None else 2]]
+        self.fruits, self.planned = list[str](), 0
+        self._contexts = (empty, empty if loaded is None else loaded)
         self._every, self._back, self._carries = every, back, loaded is not None
         self._stops: list[Stop] = []
         self._here, self._home = self._stop(here), self._stop(home)
@@ -149,59 +142,47 @@ class Motions:
         self._begin = [0]
         self._first = len(self._stops)  # stop of the first place
         self._grasps: list[Grasp] = []
+        self._targets: list[Target] = []
         self._moves: dict[tuple[int, int, bool], _Move] = {}
         self._picks: dict[int, _Move] = {}
         if drop is not None and self._home != self._hub:
-            way, a, b = _Move.of([drop.way]), self._home, self._hub
-            self._moves[min(a, b), max(a, b), False] = way if a < b else way.reversed
-        robot = empty.robot
-        limits = Limits(robot.velocity_limit, robot.acceleration_limit).scaled(options.speed)
+            move, a, b = _Move.of([drop.transit]), self._home, self._hub
+            self._moves[min(a, b), max(a, b), False] = move if a < b else move.reversed
+        limits = Limits(empty.robot.velocity_limit, empty.robot.acceleration_limit).scaled(empty.options.speed)
         self._limits = limits.velocity, limits.acceleration
 
     def add(self, fruit: Fruit, keep: int) -> None:
-        """Find ways to take a fruit: one that the hub is shown to lead to, and others by their bounds alone.
+        """Find grasps of a fruit: one that the hub is shown to lead to, and others by their bounds alone.
 
         Args:
             fruit: The fruit.
-            keep: How many ways are kept at most.
+            keep: How many grasps are kept at most.
 
         Raises:
             UnreachableError: No configuration has the tool there.
             HplanError: One of `NO_MOTION`: it is blocked, or no certified motion leads there.
         """
-        world = self._worlds[-1]
-        near, hub, what = world.touching(fruit.name), self._stops[self._hub].configuration, f"fruit {fruit.name!r}"
-        ways = grasps(
-            world,
-            near,
-            np.array(fruit.center),
-            hub,
-            what=what,
-            standoff=self._options.standoff,
-            least_standoff=least_standoff(world, fruit),
-            approach_deg=self.scene.goal.approach_deg,
-            locked=self.scene.locked_joints,
-        )
+        context, hub = self._contexts[1], self._stops[self._hub].configuration
+        target = Target.of_fruit(context.world, fruit, context.scene.goal.approach_deg)
+        found = grasps(target, hub, standoff=context.options.standoff, locked=context.scene.locked_joints)
         self.planned += 1
-
-        def task_of(grasp: Grasp) -> PlanningTask:
-            return self._task(True, grasp.transit_among(world, near), hub, grasp.standoff)
-
-        likely = promising(ways, world, near, hub)
         shown, motion, pick = motion_to_grasp(
-            ways, likely, task_of, lambda grasp, _: self._planned_pick(grasp, fruit.name), what
+            target,
+            found,
+            hub,
+            lambda grasp: context.among(target.transit_world(grasp)).task(hub, grasp.standoff),
+            lambda grasp: self._planned_pick(target, grasp),
         )
-        move = _Move.of([("transit", motion.trajectory, motion.certificate)])
-        spread = [ways[i] for i in np.unique(np.linspace(0, len(ways) - 1, max(0, keep - 1)).astype(int))]
-        for number, grasp in enumerate([shown, *(way for way in spread if way is not shown)]):
-            place = len(self._grasps)
+        spread = [found[i] for i in np.unique(np.linspace(0, len(found) - 1, max(0, keep - 1)).astype(int))]
+        place = len(self._grasps)
+        self._picks[place] = pick
+        self._moves[self._hub, self._first + place, self._carries] = _Move.of([motion.transit])
+        for grasp in [shown, *(other for other in spread if other is not shown)]:
             self._grasps.append(grasp)
             self._stops.append(Stop(grasp.standoff, fruit.name if grasp.distance == 0.0 else None))
-            if number == 0:
-                self._picks[place] = pick
-                self._moves[self._hub, self._first + place, self._carries] = move
         self._begin.append(len(self._grasps))
         self.fruits.append(fruit.name)
+        self._targets.append(target)
 
     def settle(self, solve: Callable[[Costs, Visits | None], Visits]) -> Visits:
         """The tour that a solver finds by true durations.
@@ -227,10 +208,10 @@ class Motions:
         found = []
         for place, leg in zip(visits.places.tolist(), self._steps(visits), strict=True):
             parts = [part for name, step in leg if name != "return" for part in self._take(step).named(name)]
-            found.append((self._fruit_at(place), self._grasps[place], parts))
+            found.append((self.fruits[self._fruit_at(place)], self._grasps[place], parts))
         return found
 
-    def way_back(self, visits: Visits) -> list[Part]:
+    def return_parts(self, visits: Visits) -> list[Part]:
         """From the end of a tour's last leg to where it goes back to."""
         end = self._hub if self._carries else self._first + int(visits.places[-1])
         return self._move(end, self._home, False).named("return")
@@ -239,9 +220,9 @@ class Motions:
         """Where a tour's last leg ends."""
         return self._stops[self._hub if self._carries else self._first + int(visits.places[-1])]
 
-    def _fruit_at(self, place: int) -> str:
-        """The name of the fruit at a place."""
-        return self.fruits[int(self.fruits_at(np.array([place]))[0])]
+    def _fruit_at(self, place: int) -> int:
+        """The number of the fruit at a place."""
+        return int(self.fruits_at(np.array([place]))[0])
 
     def _stop(self, stop: Stop) -> int:
         """The number of a stop, a new one unless there is the same already."""
@@ -251,48 +232,41 @@ class Motions:
         self._stops.append(stop)
         return len(self._stops) - 1
 
-    def _planned_pick(self, grasp: Grasp, fruit: str) -> _Move:
+    def _planned_pick(self, target: Target, grasp: Grasp) -> _Move:
         """Approach and retreat."""
-        world = self._worlds[-1]
-        task = self._task(True, world.touching(fruit), grasp.goal, grasp.goal)
-        target = next(other for other in self.scene.fruits if other.name == fruit)
-        return _Move.of(last_stretch(task, grasp, target, world.checker))
-
-    def _task(self, loaded: bool, world: World, start: FloatArray, goal: FloatArray) -> PlanningTask:
-        """A motion to plan, of the arm empty or carrying."""
-        return self._caches[loaded].task(world, self.scene, self._options, (start, goal))
+        return _Move.of(approach_and_retreat(self._contexts[1], target, grasp))
 
     @staticmethod
-    def _near(world: World, *stops: Stop) -> World:
-        """The surroundings of a motion between stops: at fruits, the last link may touch these."""
+    def _world_between(world: World, *stops: Stop) -> World:
+        """The world of a motion between stops: at fruits, the last link may touch these."""
         for name in {stop.fruit: None for stop in stops if stop.fruit is not None}:
             world = world.touching(name)
         return world
 
     def _move(self, a: int, b: int, loaded: bool) -> _Move:
-        """The way from stop to stop; planned if it is not there yet."""
+        """The motions from stop to stop; planned if they are not there yet."""
         if a == b:
             return _Move(0.0, ())
         if a > b:
             return self._move(b, a, loaded).reversed
         key = a, b, loaded
         if key not in self._moves:
-            self._moves[key] = self._direct(*key) or self._round(*key)
+            self._moves[key] = self._direct(*key) or self._over_hub(*key)
         return self._moves[key]
 
     def _direct(self, a: int, b: int, loaded: bool) -> _Move | None:
         """The direct motion; None where none is found."""
-        ends, world = (self._stops[a], self._stops[b]), self._worlds[loaded]
+        ends, context = (self._stops[a], self._stops[b]), self._contexts[loaded]
         self.planned += 1
         try:
-            where = self._near(world, *ends)
-            _, motion = find_motion([self._task(loaded, where, *(end.configuration for end in ends))])
+            context = context.among(self._world_between(context.world, *ends))
+            _, motion = find_motion([context.task(*(end.configuration for end in ends))])
         except NO_MOTION:
             return None
-        return _Move.of([("transit", motion.trajectory, motion.certificate)])
+        return _Move.of([motion.transit])
 
-    def _round(self, a: int, b: int, loaded: bool) -> _Move:
-        """The way over the hub; to the hub itself the empty arm may go as if it carried."""
+    def _over_hub(self, a: int, b: int, loaded: bool) -> _Move:
+        """The motions by the hub; to the hub itself the empty arm may move as if it carried."""
         if loaded:
             return _NONE  # the drop-off is the hub: what is carried would be dropped there
         if self._hub in (a, b):
@@ -305,7 +279,7 @@ class Motions:
         """Approach and retreat at a place; planned if they are not there yet."""
         if place not in self._picks:
             try:
-                self._picks[place] = self._planned_pick(self._grasps[place], self._fruit_at(place))
+                self._picks[place] = self._planned_pick(self._targets[self._fruit_at(place)], self._grasps[place])
             except NO_MOTION:
                 self._picks[place] = _NONE
         return self._picks[place]
@@ -366,15 +340,11 @@ class Motions:
         )
 
 
-def drop_off(
-    goal: Goal, scene: Scene, options: PlanOptions, empty: PlanningCache, loaded: PlanningCache, start: FloatArray
-) -> DropOff:
+def drop_off(goal: Goal, empty: PlanningContext, loaded: PlanningContext, start: FloatArray) -> DropOff:
     """Where the arm lets go of what it carries: clear also as it carries, and reached from the start.
 
     Args:
         goal: Joints or a position.
-        scene: The obstacles.
-        options: How to plan.
         empty: The arm as it is.
         loaded: The arm as it carries.
         start: (dof,) configuration from which it comes.
@@ -384,21 +354,18 @@ def drop_off(
         HplanError: One of `NO_MOTION`: it is blocked, or no certified motion from the start leads there.
         InputError: Joints that are no configuration, or in collision.
     """
-    world, before, what = loaded.world(scene, options), empty.world(scene, options), "the drop-off"
-    joints = goal.joints()
+    world, joints = loaded.world, goal.joints()
     if joints is not None:
         q = world.robot.check_configuration(joints, "drop_off")
         world.check_clear(q, "drop_off")
-        _, motion = find_motion([empty.task(before, scene, options, (start, q))])
-        return DropOff(q, ("transit", motion.trajectory, motion.certificate))
-    ways = grasps(
-        world, world, np.array(goal.position), start, what=what, standoff=0.0, approach_deg=goal.approach_deg,
-        locked=scene.locked_joints,
-    )  # fmt: skip
+        _, motion = find_motion([empty.task(start, q)])
+        return DropOff(q, motion.transit)
+    target = Target("the drop-off", np.array(goal.position), world, world, goal.approach_deg)
+    found = grasps(target, start, standoff=0.0, locked=empty.scene.locked_joints)
 
-    def task_of(grasp: Grasp) -> PlanningTask:
+    def task_to(grasp: Grasp) -> PlanningTask:
         world.check_clear(grasp.goal, "goal")
-        return empty.task(before, scene, options, (start, grasp.goal))
+        return empty.task(start, grasp.goal)
 
-    grasp, motion, _ = motion_to_grasp(ways, promising(ways, world, world, start), task_of, lambda *_: None, what)
-    return DropOff(grasp.goal, ("transit", motion.trajectory, motion.certificate))
+    grasp, motion, _ = motion_to_grasp(target, found, start, task_to, lambda _: None)
+    return DropOff(grasp.goal, motion.transit)

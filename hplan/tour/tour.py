@@ -7,7 +7,6 @@ what the tool takes to grip or to let go is not in them, and the arm stands stil
 
 from __future__ import annotations
 
-import itertools
 import math
 import time
 from collections.abc import Mapping, Sequence
@@ -20,17 +19,17 @@ import numpy as np
 from hplan.base.arguments import instance, list_of, one_of, truth, whole
 from hplan.base.arrays import FloatArray, Record
 from hplan.errors import CertificationError, HplanError, OptionError, TourError, UnreachableError
-from hplan.planning.find_motion import certified
+from hplan.planning.certified_motion import Part, certificate_of, required
 from hplan.planning.grasps import Grasp
-from hplan.planning.grid_route import Progress, no_progress
-from hplan.planning.plan import Phase, PlanningCache, check_task
-from hplan.planning.report import certificate_report, versions
+from hplan.planning.plan import Phase, check_task, in_sequence
+from hplan.planning.report import motion_report
+from hplan.planning.task import PlanningCache, Progress, no_progress
 from hplan.problem.options import PlanOptions
 from hplan.robot.model import Robot
-from hplan.scene.model import Goal, Scene
+from hplan.scene.model import Fruit, Goal, Scene
 from hplan.timing.retime import resting
 from hplan.timing.trajectory import Trajectory, joined
-from hplan.tour.motions import NO_MOTION, Motions, Part, Stop, carrying, drop_off
+from hplan.tour.motions import NO_MOTION, Motions, Stop, carrying, drop_off
 from hplan.tour.ordering import Costs, Visits, along, best, nearest
 from hplan.verification.certificate import Certificate, all_of
 from hplan.verification.digests import Digests
@@ -217,11 +216,11 @@ class _Planner:
         """Check the start and make the arm ready."""
         self._begin = time.perf_counter()
         self.robot, self.scene, self.options, self.tour, self.progress = robot, scene, options, tour, progress
-        self.empty = PlanningCache(robot)
+        self.cache = PlanningCache(robot)
         self.start = robot.check_configuration(scene.start.configuration, "start")
-        world = self.empty.world(scene, options)
-        world.check_base(robot.yaw_of(self.start))
-        self.empty.task(world, scene, options, (self.start, self.start))
+        self.context = self.cache.context(scene, options)
+        self.context.world.check_base(robot.yaw_of(self.start))
+        self.context.task(self.start, self.start)
 
     def run(self, names: list[str]) -> TourResult:
         """The tour; what is blocked is tried again among what the fruits picked before it leave."""
@@ -230,16 +229,18 @@ class _Planner:
             self.progress("drop-off")
             thickest = max(fruit.radius for fruit in self.scene.fruits if fruit.name in names)
             loaded = PlanningCache(carrying(self.robot, thickest))
-            drop = drop_off(self.tour.drop_off, self.scene, self.options, self.empty, loaded, self.start)
+            drop = drop_off(self.tour.drop_off, self.context, loaded.context(self.scene, self.options), self.start)
         home = Stop(self.start)
         scene, here, stages = self.scene, home, list[_Stage]()
         left, unreached = names, list[Unreached]()
         while left:
             motions = Motions(
-                scene, self.options, self.empty, loaded, here=here, home=home, drop=drop,
-                every=self.tour.every or 1, back=self.tour.back,
+                self.cache.context(scene, self.options),
+                None if loaded is None else loaded.context(scene, self.options),
+                here=here, home=home, drop=drop, every=self.tour.every or 1, back=self.tour.back,
             )  # fmt: skip
-            stage = self._stage(motions, left)
+            fruits = {fruit.name: fruit for fruit in scene.fruits}
+            stage = self._stage(motions, [fruits[name] for name in left])
             unreached = [item for item in unreached if item.fruit not in left] + stage.unreached
             if not math.isfinite(stage.visits.cost) or not motions.fruits:
                 break
@@ -252,16 +253,15 @@ class _Planner:
             raise TourError([(item.fruit, item.error) for item in unreached])
         return self._result(stages, unreached)
 
-    def _stage(self, motions: Motions, names: Sequence[str]) -> _Stage:
+    def _stage(self, motions: Motions, fruits: Sequence[Fruit]) -> _Stage:
         """The tour over all those of some fruits that can be reached."""
         unreached = []
-        fruits = {fruit.name: fruit for fruit in motions.scene.fruits}
-        for number, name in enumerate(names):
-            self.progress(f"fruit {number + 1} of {len(names)}")
+        for number, fruit in enumerate(fruits):
+            self.progress(f"fruit {number + 1} of {len(fruits)}")
             try:
-                motions.add(fruits[name], self.tour.grasps)
+                motions.add(fruit, self.tour.grasps)
             except (UnreachableError, *NO_MOTION) as error:
-                unreached.append(Unreached(name, error))
+                unreached.append(Unreached(fruit.name, error))
         self.progress("order")
         found: dict[str, Visits] = {}
         if motions.fruits:
@@ -280,7 +280,7 @@ class _Planner:
             drafts += stage.motions.legs(stage.visits)
         last = stages[-1]
         if self.tour.back:
-            drafts.append((None, None, last.motions.way_back(last.visits)))
+            drafts.append((None, None, last.motions.return_parts(last.visits)))
         here, begin, legs = self.start, 0.0, list[Leg]()
         for fruit, grasp, parts in drafts:
             legs.append(self._leg(fruit, grasp, parts, here, begin))
@@ -298,7 +298,7 @@ class _Planner:
             picked=MappingProxyType(picked),
             dropped=MappingProxyType(dropped),
             unreached=tuple(unreached),
-            report=self._report(stages, legs, trajectory, certificate, picked, unreached),
+            report=self._report(stages, legs, picked, unreached) | motion_report(trajectory, certificate, self.options),
         )
 
     def _leg(
@@ -307,25 +307,14 @@ class _Planner:
         """A leg of motions one after the other; of none, the arm rests where it is."""
         if not parts:
             rest = resting(self.robot.model, here)
-            task = self.empty.task(self.empty.world(self.scene, self.options), self.scene, self.options, (here, here))
-            parts = [("return", rest, certified(task, rest))]
-        ends = np.cumsum([begin, *(motion.duration for _, motion, _ in parts)]).tolist()
-        return Leg(
-            fruit=fruit,
-            grasp=grasp,
-            begin_s=begin,
-            phases=tuple(
-                Phase(name, *span) for (name, _, _), span in zip(parts, itertools.pairwise(ends), strict=True)
-            ),
-            trajectory=joined([motion for _, motion, _ in parts]),
-            certificate=all_of([shown for _, _, shown in parts]),
-        )
+            certificate = certificate_of(self.context, rest)
+            parts = [Part("return", rest, required(self.context, certificate))]
+        return Leg(fruit, grasp, begin, *in_sequence(parts, begin))
 
     def _report(
-        self, stages: Sequence[_Stage], legs: Sequence[Leg], trajectory: Trajectory, certificate: Certificate,
-        picked: Mapping[str, float], unreached: Sequence[Unreached],
-    ) -> dict[str, Any]:  # fmt: skip
-        """The report of a tour, in the shape of `tour.json`."""
+        self, stages: Sequence[_Stage], legs: Sequence[Leg], picked: Mapping[str, float], unreached: Sequence[Unreached]
+    ) -> dict[str, Any]:
+        """The first part of the report of a tour, in the shape of `tour.json`."""
         return {
             "status": "ok",
             "scene": self.scene.name,
@@ -357,13 +346,6 @@ class _Planner:
                 "motions_planned": sum(stage.motions.planned for stage in stages),
                 "stages": len(stages),
             },
-            "trajectory": {
-                "duration_s": trajectory.duration,
-                "rate_hz": self.options.rate_hz,
-                "samples": trajectory.samples,
-            },
-            "certificate": certificate_report(certificate, self.options),
-            "versions": versions(),
         }
 
 

@@ -16,16 +16,16 @@ import hplan.planning.grasp_motion
 import hplan.planning.grasps
 from hplan.collision.coal_scene import CoalScene
 from hplan.errors import BlockedError, CertificationError, NoPathError, TimingError
+from hplan.planar.finer_angles import FINEST, Refined, refined
 from hplan.planar.inverse_kinematics import Candidates, reach
-from hplan.planning.enclosed_goals import enclosed_goals
-from hplan.planning.enclosure import EnclosedError
+from hplan.planning.enclosure import EnclosedError, enclosed_goals
 from hplan.planning.find_motion import find_motion, without_path
-from hplan.planning.finer_angles import FINEST, Refined, refined
-from hplan.planning.grasp_motion import motion_to_grasp
-from hplan.planning.grasps import SPARE, Grasp, grasps, least_standoff, promising
-from hplan.planning.grid_route import GridAttempt, find_route
-from hplan.planning.plan import PlanningCache, last_stretch, plan
+from hplan.planning.grasp_motion import approach_and_retreat
+from hplan.planning.grasps import SPARE, Grasp, Target, grasps, promising
+from hplan.planning.grid_route import find_route
+from hplan.planning.plan import plan
 from hplan.planning.refusals import Refusals
+from hplan.planning.task import GridAttempt, PlanningCache, PlanningContext
 from hplan.problem.options import PlanOptions
 from hplan.robot.model import Robot
 from hplan.scene.model import Fruit, Goal, Scene, Start
@@ -80,12 +80,9 @@ def grasps_of(robot: Robot, scene: Scene) -> tuple[tuple[Grasp, ...], list[Grasp
     """All grasps of the goal's fruit, and the likely ones."""
     world, start = PlanningCache(robot).world(scene, COARSE), scene.start.configuration
     fruit = next(fruit for fruit in scene.fruits if fruit.name == scene.goal.fruit)
-    near = world.touching(fruit.name)
-    found = grasps(
-        world, near, fruit.center, start, what="it", standoff=0.1, least_standoff=least_standoff(world, fruit),
-        locked=scene.locked_joints,
-    )  # fmt: skip
-    return found, promising(found, world, near, start)
+    target = Target.of_fruit(world, fruit, None)
+    found = grasps(target, start, standoff=0.1, locked=scene.locked_joints)
+    return found, promising(found, target, start)
 
 
 def test_all_grasps_are_tried(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -95,9 +92,8 @@ def test_all_grasps_are_tried(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> 
     assert_sound(robot, BRANCH, result)
     assert result.grasp is not None
     assert not any(np.array_equal(result.grasp.goal, grasp.goal) for grasp in likely)
-    monkeypatch.setattr(
-        "hplan.planning.plan.motion_to_grasp", lambda _, likely, *rest: motion_to_grasp(likely, likely, *rest)
-    )
+    monkeypatch.setattr("hplan.planning.plan.grasps", lambda *_, **__: tuple(likely))
+    monkeypatch.setattr(hplan.planning.grasp_motion, "promising", lambda found, *_: found)
     with pytest.raises(NoPathError):
         plan(robot, BRANCH, COARSE)
 
@@ -201,7 +197,7 @@ def test_some_not_certified_is_no_no_path(robot: Robot, monkeypatch: pytest.Monk
     """The likely grasps cannot be certified, and no path is shown for all of the others, or the other way round."""
     ways, likely = grasps_of(robot, BRANCH)
     none = NoPathError("no path exists on the grid", reached_cells=7)
-    doubt = CertificationError("no way on the grid can be shown clear as a motion")
+    doubt = CertificationError("no path on the grid can be shown clear as a motion")
     monkeypatch.setattr(hplan.planning.grasp_motion, "first_motion", lambda tasks: Refusals((doubt,) * len(tasks)))
     monkeypatch.setattr(hplan.planning.grasp_motion, "without_path", lambda tasks: [none] * len(tasks))
     with pytest.raises(CertificationError) as caught:
@@ -226,13 +222,13 @@ def test_a_grasp_whose_approach_fails_is_left_for_another(robot: Robot, monkeypa
     first = plan(robot, scene, COARSE).grasp
     asked: list[Grasp] = []
 
-    def fails_at_first(task: Any, grasp: Grasp, *rest: Any) -> Any:
+    def fails_at_first(context: PlanningContext, target: Target, grasp: Grasp) -> Any:
         asked.append(grasp)
         if len(asked) == 1:
             raise CertificationError("the approach is not certified")
-        return last_stretch(task, grasp, *rest)
+        return approach_and_retreat(context, target, grasp)
 
-    monkeypatch.setattr("hplan.planning.plan.last_stretch", fails_at_first)
+    monkeypatch.setattr("hplan.planning.plan.approach_and_retreat", fails_at_first)
     other = plan(robot, scene, COARSE)
     assert_sound(robot, scene, other)
     assert other.grasp is asked[1] is not asked[0]
@@ -272,14 +268,14 @@ def test_enclosed_goals_are_those_to_which_no_route_is_found(robot: Robot, seed:
         if CoalScene(robot, bars).distances(np.radians(q)).min() > 0.005:
             ends.append(tuple(q))
     tasks = [posed(robot, task(ends[0], end, bars, locked_joints=locked)) for end in ends[1:]]
-    grid_attempt = GridAttempt(3.0, beyond=2.0 * math.pi)
+    grid_attempt = GridAttempt(3.0, yaw_range_deg=360.0)
     found = enclosed_goals(tasks, grid_attempt, [1e-4] * len(tasks))
     for one, component in zip(tasks, found, strict=True):
         try:
             find_route(one, grid_attempt, 1e-4)
         except EnclosedError:
             assert component is not None
-            assert component.cells > 0
+            assert component.reached_cells > 0
         except CertificationError:
             pass
         else:
@@ -293,9 +289,9 @@ def test_one_flood_decides_for_all_in_a_pocket(robot: Robot, monkeypatch: pytest
     assert all(isinstance(error, NoPathError) for error in without_path(tasks))
     steps: list[float] = []
 
-    def counted(task: Any, grid_attempt: GridAttempt, margin: float) -> Any:
-        steps.append(grid_attempt.step_deg)
-        return find_route(task, grid_attempt, margin)
+    def counted(task: Any, attempt: GridAttempt, margin: float) -> Any:
+        steps.append(task.step_deg(attempt))
+        return find_route(task, attempt, margin)
 
     monkeypatch.setattr("hplan.planning.find_motion.find_route", counted)
     with pytest.raises(NoPathError) as caught:
@@ -310,7 +306,7 @@ def test_more_yaws_may_open_what_is_closed_over_few(robot: Robot, monkeypatch: p
         (0.0, 10.0, 20.0, 20.0), (0.0, 80.0, 20.0, 20.0), [bar("bar", (0.7, -0.3, 1.4), (0.7, 0.3, 1.4), 0.03)]
     )
     there = posed(robot, scene, PlanOptions(step_deg=4.0))
-    shown = enclosed_goals([there], GridAttempt(4.0), [1e-4])[0]
+    shown = enclosed_goals([there], GridAttempt(), [1e-4])[0]
     assert shown is not None
     assert shown.open_ended
     monkeypatch.setattr("hplan.planning.find_motion.WIDTHS", (0.0,))
@@ -325,7 +321,7 @@ def test_detour_is_to_the_goal_that_it_leads_to(robot: Robot) -> None:
     tasks = [posed(robot, task(start, goal, posts), COARSE) for goal in goals]
     number, motion = find_motion(tasks)
     assert number == 1
-    np.testing.assert_array_equal(motion.way[-1], tasks[number].problem.goal)
+    np.testing.assert_array_equal(motion.waypoints[-1], tasks[number].problem.goal)
 
 
 # Stand-off, approach and transit

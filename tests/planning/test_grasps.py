@@ -13,7 +13,7 @@ from hplan.collision.coal_scene import CoalScene
 from hplan.errors import BlockedError, InputError, OptionError, UnreachableError
 from hplan.planar.inverse_kinematics import reach
 from hplan.planar.straight_approach import ApproachPath
-from hplan.planning.grasps import SEARCHED, SPARE, Grasp, grasps, promising
+from hplan.planning.grasps import SEARCHED, SPARE, Grasp, Target, grasps, promising
 from hplan.problem.world import World
 from hplan.robot.model import Robot
 from hplan.scene.obstacles import Box, Sphere
@@ -23,14 +23,15 @@ FRUIT = Sphere(name="fruit", center=at(40.0, 1.3, 1.6), radius=0.04)
 
 
 def found(
-    robot: Robot, obstacles: Any = (), point: Any = FRUIT.center, fruit: bool = True, **more: Any
-) -> tuple[Grasp, ...]:
+    robot: Robot, obstacles: Any = (), point: Any = FRUIT.center, fruit: bool = True, *, standoff: float = 0.1,
+    locked: tuple[str, ...] = (), **more: Any,
+) -> tuple[Grasp, ...]:  # fmt: skip
     """Grasps of the fruit, or of a point, among obstacles."""
     solids = [*obstacles, *([FRUIT] if fruit else [])]
     world = World.of(robot, solids)
     near = world.touching("fruit") if fruit else world
-    options = {"what": "fruit 'fruit'", "standoff": 0.1, "least_standoff": 0.075 if fruit else 0.0, **more}
-    return grasps(world, near, point, START, **options)
+    target = Target("fruit 'fruit'", point, world, near, **{"least_standoff": 0.075 if fruit else 0.0, **more})
+    return grasps(target, START, standoff=standoff, locked=locked)
 
 
 def assert_grasps(robot: Robot, ways: tuple[Grasp, ...], world: World, near: World, point: Any) -> None:
@@ -50,13 +51,13 @@ def assert_grasps(robot: Robot, ways: tuple[Grasp, ...], world: World, near: Wor
             np.testing.assert_allclose(away, -grasp.distance * heading, atol=1e-6)
             np.testing.assert_allclose(path.evaluate(0.0), grasp.standoff, atol=1e-9)
             np.testing.assert_allclose(path.evaluate(path.end), grasp.goal, atol=1e-12)
-            certified_as_required = world.checker.distances(grasp.standoff)
-            assert certified_as_required.size == 0 or certified_as_required.min() > 0.9 * SPARE
+            distances = world.checker.distances(grasp.standoff)
+            assert distances.size == 0 or distances.min() > 0.9 * SPARE
             tools = robot.tool_positions(path.evaluate(np.linspace(0.0, path.end, 30)))
             beside = (tools - point) - np.outer((tools - point) @ heading, heading)
             assert np.linalg.norm(beside, axis=1).max() < 1e-9
-        certified_as_required = near.checker.distances(grasp.goal)
-        assert certified_as_required.size == 0 or certified_as_required.min() > 0.9 * SPARE
+        distances = near.checker.distances(grasp.goal)
+        assert distances.size == 0 or distances.min() > 0.9 * SPARE
     least = [grasp.least_duration for grasp in ways]
     assert least == sorted(least)
 
@@ -73,13 +74,13 @@ def test_grasps_among_obstacles(robot: Robot, seed: int) -> None:
     obstacles = [ball for ball in obstacles if math.dist(ball.center, point) > 0.12]
     world = World.of(robot, [*obstacles, fruit], clearance=0.005)
     near = world.touching("fruit")
-    ways = grasps(world, near, point, START, what="it", standoff=0.12, least_standoff=0.08)
-    certified_as_required = World.of(robot, [*obstacles, fruit])
-    assert_grasps(robot, ways, certified_as_required, certified_as_required.touching("fruit"), point)
+    ways = grasps(Target("it", point, world, near, least_standoff=0.08), START, standoff=0.12)
+    without_clearance = World.of(robot, [*obstacles, fruit])
+    assert_grasps(robot, ways, without_clearance, without_clearance.touching("fruit"), point)
     assert {grasp.distance for grasp in ways} <= {0.12, 0.08, 0.0}
     # The distance is the longest that can be had: all of one kind, or shorter ones where the longer is in the way.
-    with_way = [grasp for grasp in ways if grasp.distance > 0.0]
-    assert not with_way or len(with_way) == len(ways)
+    with_approach = [grasp for grasp in ways if grasp.distance > 0.0]
+    assert not with_approach or len(with_approach) == len(ways)
 
 
 def test_without_obstacles_all_configurations_are_grasps(robot: Robot) -> None:
@@ -183,7 +184,7 @@ def test_no_straight_approach_with_fewer_than_three_joints(robot: Robot, locked:
     start = np.array([goal[k] if name in locked else START[k] for k, name in enumerate(robot.joint_names)])
     point = robot.tool_positions(goal)
     world = World.of(robot, [])
-    ways = grasps(world, world, point, start, what="it", standoff=0.1, locked=locked)
+    ways = grasps(Target("it", point, world, world), start, standoff=0.1, locked=locked)
     assert {grasp.distance for grasp in ways} == {0.0}
     held = [robot.joint_names.index(name) for name in locked]
     for grasp in ways:
@@ -195,7 +196,7 @@ def test_locked_base(robot: Robot) -> None:
     start = START.copy()
     start[0] = math.radians(40.0)
     world = World.of(robot, [])
-    ways = grasps(world, world, FRUIT.center, start, what="it", standoff=0.1, locked=("base_yaw",))
+    ways = grasps(Target("it", FRUIT.center, world, world), start, standoff=0.1, locked=("base_yaw",))
     assert all(grasp.goal[0] == start[0] == grasp.standoff[0] for grasp in ways)
 
 
@@ -273,7 +274,7 @@ def test_promising_are_the_first_straight_one_and_some_of_those_before(robot: Ro
     start = np.radians([-10.0, 20.0, 20.0, 20.0])
     straight = [world.field.is_clear(np.stack([start, grasp.standoff]), SPARE) for grasp in ways]
     assert straight == [False] * behind + [True] * beside
-    likely = promising(ways, world, world, start)
+    likely = promising(ways, Target("it", FRUIT.center, world, world), start)
     assert len(likely) <= SEARCHED + 1
     expected = ways[: behind : max(1, math.ceil(behind / SEARCHED))] + ways[behind : behind + 1]
     assert [id(grasp) for grasp in likely] == [id(grasp) for grasp in expected]

@@ -1,8 +1,7 @@
-"""The ladder of grids: which are tried for which goals, in what order, and what is made of what each of them gives."""
+"""Attempts on grids: which are tried for which goals, in what order, and what is made of what each of them gives."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -12,11 +11,12 @@ import pytest
 from planned import task
 from test_grid_route import posed
 
+import hplan.planning.find_motion
 from hplan.errors import CertificationError, HplanError, NoPathError, TimingError
-from hplan.planning import find_motion as transit
+from hplan.planning.certified_motion import PlannedMotion
 from hplan.planning.enclosure import EnclosedError
-from hplan.planning.find_motion import GROWTH, SLUGGISH, YAW_GRID_ATTEMPTS, PlannedMotion, find_motion
-from hplan.planning.grid_route import GridAttempt, PlanningTask
+from hplan.planning.find_motion import GROWTH, SLUGGISH, YAW_GRID_ATTEMPTS, find_motion, least_duration
+from hplan.planning.task import GridAttempt, PlanningTask
 from hplan.problem.options import PlanOptions
 from hplan.robot.model import Robot
 from hplan.scene.obstacles import Box
@@ -41,30 +41,22 @@ def goals(robot: Robot, *yaws: float) -> list[PlanningTask]:
 @pytest.fixture
 def ladder(monkeypatch: pytest.MonkeyPatch, robot: Robot) -> Callable[..., list[Try]]:
     """Grids that give what they are told to; no roadmaps. Returns what has been tried."""
-    monkeypatch.setattr(transit, "ROADMAPS", 0)
+    monkeypatch.setattr(hplan.planning.find_motion, "ROADMAPS", 0)
 
     def prepare(tasks: list[PlanningTask], outcome: Callable[[Try], Outcome]) -> list[Try]:
         tried: list[Try] = []
         straight = find_motion([posed(robot, task(START, (60.0, 30.0, 20.0, 20.0)))])[1]
 
-        def on_grid(attempts: Any, grid_attempt: GridAttempt) -> PlannedMotion:
-            number = next(i for i, each in enumerate(tasks) if each is attempts.task)
-            tried.append(
-                (
-                    number,
-                    grid_attempt.step_deg,
-                    math.degrees(grid_attempt.beyond),
-                    grid_attempt.growth,
-                    grid_attempt.thick,
-                )
-            )
+        def on_grid(one: PlanningTask, attempt: GridAttempt) -> PlannedMotion:
+            number = next(i for i, each in enumerate(tasks) if each is one)
+            tried.append((number, *values(attempt)))
             given = outcome(tried[-1])
             if isinstance(given, HplanError):
                 raise given
             time = np.linspace(0.0, given, straight.trajectory.samples)
-            return replace(straight, task=attempts.task, trajectory=replace(straight.trajectory, time=time))
+            return replace(straight, task=one, trajectory=replace(straight.trajectory, time=time))
 
-        monkeypatch.setattr(transit._Attempts, "on_grid", on_grid)
+        monkeypatch.setattr(hplan.planning.find_motion, "_on_grid", on_grid)
         return tried
 
     return prepare
@@ -83,27 +75,29 @@ def enclosed(*, open_ended: bool) -> EnclosedError:
     return EnclosedError(Explained(), 5, open_ended=open_ended)
 
 
+def values(attempt: GridAttempt) -> tuple[float, float, float, bool]:
+    """Step and yaw range [deg], growth [m], whether layers are thick."""
+    return STEP * attempt.step_factor, attempt.yaw_range_deg, attempt.growth_m, attempt.thick
+
+
 def grid_attempts(number: int, steps: tuple[float, ...] = (2.0, 1.0)) -> list[Try]:
     """All grids of these steps for a goal."""
-    return [(number, coarser * STEP, *more) for coarser, *more in YAW_GRID_ATTEMPTS if coarser in steps]
-
-
-def rounded(tried: list[Try]) -> list[Try]:
-    return [(n, step, round(beyond, 9), growth, thick) for n, step, beyond, growth, thick in tried]
+    return [(number, *values(attempt)) for attempt in YAW_GRID_ATTEMPTS if attempt.step_factor in steps]
 
 
 def test_grids_go_from_coarse_and_near_to_fine_and_wide() -> None:
     """Of either step grids for all yaws, thin ones; of the fine one also thick ones and grown obstacles."""
-    assert [step for step, *_ in YAW_GRID_ATTEMPTS] == sorted((step for step, *_ in YAW_GRID_ATTEMPTS), reverse=True)
+    steps = [attempt.step_factor for attempt in YAW_GRID_ATTEMPTS]
+    assert steps == sorted(steps, reverse=True)
     for step in (2.0, 1.0):
         widths = [
-            beyond
-            for coarser, beyond, growth, thick in YAW_GRID_ATTEMPTS
-            if coarser == step and not growth and not thick
+            attempt.yaw_range_deg
+            for attempt in YAW_GRID_ATTEMPTS
+            if attempt.step_factor == step and not attempt.growth_m and not attempt.thick
         ]
         assert widths == sorted(widths)
         assert widths[-1] == 360.0
-    fine = [grid_attempt[1:] for grid_attempt in YAW_GRID_ATTEMPTS if grid_attempt[0] == 1.0]
+    fine = [values(attempt)[1:] for attempt in YAW_GRID_ATTEMPTS if attempt.step_factor == 1.0]
     assert fine == [
         (45.0, 0.0, False), (45.0, 0.0, True), (360.0, 0.0, False), (45.0, 5e-3, True), (45.0, 0.02, False),
     ]  # fmt: skip
@@ -114,7 +108,7 @@ def test_every_grid_is_tried_before_it_is_given_up(robot: Robot, ladder: Any) ->
     tried = ladder(tasks, lambda _: CertificationError(f"number {len(tried)}"))
     with pytest.raises(CertificationError, match=r"number 1$"):  # the first is what is told
         find_motion(tasks)
-    assert rounded(tried) == grid_attempts(0)
+    assert tried == grid_attempts(0)
 
 
 @pytest.mark.parametrize("number", range(len(YAW_GRID_ATTEMPTS)))
@@ -122,7 +116,7 @@ def test_the_first_grid_that_gives_a_quick_motion_ends_it(robot: Robot, ladder: 
     tasks = goals(robot, 60.0)
     tried = ladder(tasks, lambda _: 3.0 if len(tried) == number + 1 else TimingError("none", cause="test"))
     assert find_motion(tasks)[1].trajectory.duration == 3.0
-    assert rounded(tried) == grid_attempts(0)[: number + 1]
+    assert tried == grid_attempts(0)[: number + 1]
 
 
 def test_goals_in_one_pocket_are_tried_once_on_coarse_grids_and_each_on_fine_ones(robot: Robot, ladder: Any) -> None:
@@ -132,7 +126,7 @@ def test_goals_in_one_pocket_are_tried_once_on_coarse_grids_and_each_on_fine_one
     with pytest.raises(CertificationError):
         find_motion(tasks)
     for number, coarse in ((0, True), (1, False), (2, True)):
-        mine = [each for each in rounded(tried) if each[0] == number]
+        mine = [each for each in tried if each[0] == number]
         assert mine == grid_attempts(number, (2.0, 1.0) if coarse else (1.0,))
 
 
@@ -145,7 +139,7 @@ def test_a_pocket_that_opens_on_a_fine_grid(robot: Robot, ladder: Any) -> None:
 def test_sluggish_motions_are_taken_where_there_is_no_other(robot: Robot, ladder: Any) -> None:
     """The quickest of them, after everything was tried."""
     tasks = goals(robot, 60.0)
-    bound = SLUGGISH * transit.least_duration(tasks[0])
+    bound = SLUGGISH * least_duration(tasks[0])
     seconds = {3: bound + 2.0, 5: bound + 1.0, 8: bound + 3.0}
     tried = ladder(tasks, lambda _: seconds.get(len(tried), CertificationError("none")))
     number, motion = find_motion(tasks)
@@ -155,7 +149,7 @@ def test_sluggish_motions_are_taken_where_there_is_no_other(robot: Robot, ladder
 
 def test_a_quick_motion_beats_a_sluggish_one_found_before(robot: Robot, ladder: Any) -> None:
     tasks = goals(robot, 60.0)
-    bound = SLUGGISH * transit.least_duration(tasks[0])
+    bound = SLUGGISH * least_duration(tasks[0])
     tried = ladder(tasks, lambda _: bound + 1.0 if len(tried) == 1 else 0.9 * bound)
     assert find_motion(tasks)[1].trajectory.duration == 0.9 * bound
     assert len(tried) == 2
@@ -167,7 +161,7 @@ def test_closed_on_the_fine_grid_is_no_path(robot: Robot, ladder: Any) -> None:
     tried = ladder(tasks, lambda _: enclosed(open_ended=False))
     with pytest.raises(NoPathError, match="explained"):
         find_motion(tasks)
-    assert rounded(tried) == [grid_attempts(0)[0], next(one for one in grid_attempts(0) if one[1] == STEP)]
+    assert tried == [grid_attempts(0)[0], next(one for one in grid_attempts(0) if one[1] == STEP)]
 
 
 def test_open_ended_is_tried_with_more_yaws(robot: Robot, ladder: Any) -> None:
@@ -177,7 +171,7 @@ def test_open_ended_is_tried_with_more_yaws(robot: Robot, ladder: Any) -> None:
     with pytest.raises(CertificationError, match="no motion could be certified"):
         find_motion(tasks)
     # Thick grids close narrow ways, so they show nothing; of the others each wider one is tried.
-    assert [one[1:3] for one in rounded(tried) if not one[4] and not one[3]] == [
+    assert [one[1:3] for one in tried if not one[4] and not one[3]] == [
         (2.0, 4.0), (2.0, 45.0), (2.0, 360.0), (1.0, 45.0), (1.0, 360.0),
     ]  # fmt: skip
 
@@ -187,7 +181,7 @@ def test_closed_on_a_thick_grid_shows_nothing(robot: Robot, ladder: Any) -> None
     tried = ladder(tasks, lambda one: enclosed(open_ended=False) if one[4] or one[3] else CertificationError("thin"))
     with pytest.raises(CertificationError, match="thin"):
         find_motion(tasks)
-    assert rounded(tried) == grid_attempts(0)
+    assert tried == grid_attempts(0)
 
 
 def test_closed_for_one_goal_is_not_closed_for_another(robot: Robot, ladder: Any) -> None:
@@ -211,11 +205,11 @@ def test_planar_ladder(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
     tried: list[tuple[float, float]] = []
     closed_at: dict[tuple[float, float], HplanError] = {}
 
-    def on_grid(_: Any, grid_attempt: GridAttempt) -> PlannedMotion:
-        tried.append((grid_attempt.step_deg, grid_attempt.growth))
+    def on_grid(_: PlanningTask, attempt: GridAttempt) -> PlannedMotion:
+        tried.append((STEP * attempt.step_factor, attempt.growth_m))
         raise closed_at.get(tried[-1], CertificationError(f"number {len(tried)}"))
 
-    monkeypatch.setattr(transit._Attempts, "on_grid", on_grid)
+    monkeypatch.setattr(hplan.planning.find_motion, "_on_grid", on_grid)
     with pytest.raises(CertificationError, match=r"number 1$"):
         find_motion([posed(robot, scene, PlanOptions(step_deg=STEP))])
     assert tried == [(step, growth) for step in (STEP, 0.5 * STEP) for growth in GROWTH]

@@ -1,4 +1,4 @@
-"""Ways over the grid, planar and over yaw: ends, clearance, and what is said where there is none."""
+"""Paths over the grid, planar and over yaw: ends, clearance, and what is said where there is none."""
 
 from __future__ import annotations
 
@@ -14,10 +14,8 @@ from planned import assert_clear, frame_about_upper_arm, post, random_scene, tas
 from hplan.cspace.yaw_layers import turning_occupancy, yaw_axis
 from hplan.errors import CertificationError, HplanError, NoPathError, OptionError
 from hplan.planning.enclosure import EnclosedError
-from hplan.planning.grid_route import GridAttempt, PlanningTask, Route, find_route
-from hplan.planning.plan import PlanningCache
-from hplan.planning.report import StageClock
-from hplan.problem.definition import check_problem
+from hplan.planning.grid_route import Route, find_route
+from hplan.planning.task import GridAttempt, PlanningCache, PlanningTask
 from hplan.problem.options import PlanOptions
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
@@ -28,12 +26,8 @@ MARGIN = 1e-4
 
 
 def posed(robot: Robot, scene: Scene, options: PlanOptions | None = None) -> PlanningTask:
-    options = PlanOptions() if options is None else options
-    workspace = PlanningCache(robot)
-    world = workspace.world(scene, options)
-    ends = scene.start.configuration, scene.goal.configuration
-    problem = check_problem(world, *ends, locked_joints=scene.locked_joints)
-    return PlanningTask(world, scene, problem, options, StageClock(), workspace.layers, lambda _: None)
+    context = PlanningCache(robot).context(scene, PlanOptions() if options is None else options)
+    return context.task(scene.start.configuration, scene.goal.configuration)
 
 
 def along(path: np.ndarray, spacing: float = 0.01) -> np.ndarray:
@@ -69,7 +63,7 @@ def test_planar_way(robot: Robot, scene: Scene) -> None:
 
 def test_grown_obstacles_occupy_more(robot: Robot, scene: Scene) -> None:
     counts = [
-        find_route(posed(robot, scene), GridAttempt(3.0, growth), MARGIN).occupancy.occupied_count
+        find_route(posed(robot, scene), GridAttempt(3.0, growth_m=growth), MARGIN).occupancy.occupied_count
         for growth in (0, 0.02)
     ]
     assert counts[0] < counts[1]
@@ -99,7 +93,7 @@ def test_beyond_start_and_goal(robot: Robot) -> None:
         find_route(posed(robot, scene), GridAttempt(2.0), MARGIN)
     assert caught.value.open_ended
     assert caught.value.reached_cells > 0
-    route = find_route(posed(robot, scene), GridAttempt(2.0, beyond=math.radians(20.0)), MARGIN)
+    route = find_route(posed(robot, scene), GridAttempt(2.0, yaw_range_deg=20.0), MARGIN)
     assert_route(robot, scene, route)
     assert np.abs(route.path[:, 0]).max() > math.radians(2.0)
     assert route.search.fallback == "wavefront"
@@ -108,7 +102,7 @@ def test_beyond_start_and_goal(robot: Robot) -> None:
 def test_enclosed_whatever_the_yaw(robot: Robot) -> None:
     scene = task((0.0, 70.0, 20.0, 20.0), (60.0, 20.0, 20.0, 20.0), frame_about_upper_arm(60.0, 20.0))
     with pytest.raises(EnclosedError) as caught:
-        find_route(posed(robot, scene), GridAttempt(3.0, beyond=2.0 * math.pi), MARGIN)
+        find_route(posed(robot, scene), GridAttempt(3.0, yaw_range_deg=360.0), MARGIN)
     error = caught.value
     assert not error.open_ended
     whole = error.explained()
@@ -163,7 +157,7 @@ def test_no_path_is_said_if_there_is_none(robot: Robot, seed: int) -> None:
         task_of = posed(robot, scene)
     except HplanError:
         return
-    bodies, planar = task_of.world.bodies(), task_of.planar_grid(step)
+    bodies, planar = task_of.world.bodies(), task_of.planar_grid(GridAttempt(step))
     ends = task_of.problem.start, task_of.problem.goal
     yaws = yaw_axis(ends[0][0], ends[1][0], math.radians(step), robot.lower[0], robot.upper[0], 0.0)
     space = turning_occupancy(robot, bodies, planar, *yaws, thick=False, layers=task_of.layers)

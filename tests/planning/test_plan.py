@@ -11,7 +11,8 @@ import pytest
 
 from hplan.collision.coal_scene import CoalScene, sampled_occupancy
 from hplan.errors import CertificationError, ConfigurationInCollisionError, InputError, NoPathError, OptionError
-from hplan.planning.plan import PlanningCache, plan, with_export_time
+from hplan.planning.plan import plan, with_export_time
+from hplan.planning.task import PlanningCache
 from hplan.problem.options import PlanOptions
 from hplan.robot.model import Robot
 from hplan.scene.model import Fruit, Goal, Scene, Start

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-import hplan.planning.find_motion as transits
 from hplan.collision.clearance_field import ClearanceField
 from hplan.errors import CertificationError
+from hplan.planning import certified_motion
 from hplan.planning.plan import plan
 from hplan.problem.options import PlanOptions
 from hplan.robot.limits import Limits
@@ -148,7 +149,7 @@ def test_approach_between_twigs(robot: Robot) -> None:
     scene = picking()
     plain, careful = (plan(robot, scene, PlanOptions(tracking_delay_s=delay)) for delay in (0.0, DELAY))
     assert careful.certificate.verified
-    checker = plain.motion.task.around.touching("apple").checker
+    checker = plain.motion.task.world.touching("apple").checker
     assert not certify(
         robot, scene, plain.trajectory, tracking_delay_s=DELAY, checker=checker, check_ends=False
     ).verified
@@ -159,7 +160,7 @@ def test_without_delay_no_ceiling_is_looked_for(robot: Robot, monkeypatch: pytes
     def never(*_: object) -> None:
         raise AssertionError("looked for")
 
-    monkeypatch.setattr(transits, "SpeedCeiling", never)
+    monkeypatch.setattr(certified_motion, "SpeedCeiling", never)
     assert plan(robot, picking(), PlanOptions(tracking_error=1e-4)).certificate.verified
     assert plan(robot, picking(), PlanOptions(tracking_delay_s=DELAY, certify=False)).trajectory.duration > 0.0
     with pytest.raises(AssertionError, match="looked for"):
@@ -174,9 +175,9 @@ def test_lower_ceilings_are_tried_in_turn(robot: Robot, monkeypatch: pytest.Monk
         tried.append(share)
         return lambda grid: np.full(len(grid), np.inf)  # no ceiling at all: nothing can be certified
 
-    monkeypatch.setattr(transits, "SpeedCeiling", note)
+    monkeypatch.setattr(certified_motion, "SpeedCeiling", note)
     found = plan(robot, picking(), PlanOptions()).motion
-    task = transits.replace(found.task, options=PlanOptions(tracking_delay_s=0.1))
+    task = replace(found.task, options=PlanOptions(tracking_delay_s=0.1))
     with pytest.raises(CertificationError, match="100 ms"):
-        transits.executable(task, found.path)
-    assert tried == list(transits.CEILINGS)
+        certified_motion.certified_trajectory(task, found.path)
+    assert tried == list(certified_motion.CEILINGS)

@@ -13,7 +13,7 @@ from hplan.base.data_files import scenes_dir
 from hplan.errors import CertificationError, OptionError
 from hplan.planar.inverse_kinematics import reach
 from hplan.planar.straight_approach import ApproachPath
-from hplan.planning import find_motion as transit
+from hplan.planning import certified_motion
 from hplan.scene.file import load_scene
 from hplan.scene.model import Fruit, Goal, Scene, Start
 from hplan.timing.trajectory import Trajectory, joined, read_csv, write_csv
@@ -226,7 +226,7 @@ def test_without_a_straight_approach_the_certificate_says_so(robot):
 def test_approach_that_is_not_straight_is_not_certified(robot, picked, monkeypatch):
     """What plan makes is judged by the same rule."""
     scene, _ = picked
-    timed = transit.timed
+    timed = certified_motion.timed
 
     def bent(task, path, share=0.0):
         motion = timed(task, path, share)
@@ -235,7 +235,7 @@ def test_approach_that_is_not_straight_is_not_certified(robot, picked, monkeypat
         s = np.sin(np.linspace(0.0, np.pi, motion.samples))[:, None] ** 2
         return replace(motion, position=motion.position + s * np.radians([3.0, 0.0, 0.0, 0.0]))
 
-    monkeypatch.setattr(transit, "timed", bent)
+    monkeypatch.setattr(certified_motion, "timed", bent)
     with pytest.raises(CertificationError, match=r"link 'hand' comes to -\S+ mm of obstacle 'apple'"):
         hplan.plan(robot, scene)
 

@@ -15,7 +15,7 @@ from studies.validation.random_scenes import direction, vector
 
 from hplan.base.arrays import FloatArray
 from hplan.errors import InputError
-from hplan.planning.plan import PlanningCache
+from hplan.planning.task import PlanningCache
 from hplan.problem.definition import check_problem
 from hplan.problem.options import PlanOptions
 from hplan.robot.model import Robot

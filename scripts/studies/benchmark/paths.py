@@ -19,7 +19,7 @@ from hplan.base.arrays import FloatArray
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.coal_scene import CoalScene
 from hplan.errors import HplanError
-from hplan.planning.find_motion import MARGIN
+from hplan.planning.task import MARGIN
 from hplan.problem.definition import Problem, check_problem
 from hplan.problem.world import World
 from hplan.robot.limits import Limits

@@ -10,7 +10,7 @@ from hplan.base.arrays import FloatArray, IntArray
 from hplan.cspace.occupancy import joint_grid, occupancy
 from hplan.cspace.sections import arm_sections
 from hplan.errors import InputError
-from hplan.planning.plan import PlanningCache
+from hplan.planning.task import PlanningCache
 from hplan.problem.options import PlanOptions
 from hplan.robot.model import Robot
 from hplan.scene.model import Goal, Scene, Start

@@ -1,0 +1,184 @@
+"""Motions along given paths: smoothed, timed, certified."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal, NamedTuple, TypeAlias
+
+from hplan.base.arrays import FloatArray, Record
+from hplan.errors import CertificationError
+from hplan.planning.grid_route import Route
+from hplan.planning.task import PlanningContext, PlanningTask
+from hplan.robot.limits import GeometricPath, Limits
+from hplan.robot.tracking import TrackingModel
+from hplan.smoothing.options import PostprocessOptions
+from hplan.smoothing.smooth_path import fast_path
+from hplan.smoothing.spline import SplinePath
+from hplan.timing.retime import time_path
+from hplan.timing.speed_ceiling import SpeedCeiling, averaging_s
+from hplan.timing.trajectory import Trajectory
+from hplan.verification.certificate import Certificate, Stretch, certify_among
+
+#: Fractions of the clearance that sway may take which comes with speed, tried in turn until a motion is certified.
+CEILINGS = (0.75, 0.5, 0.2)
+
+#: A motion is empty, straight, along a path found in a roadmap or on a grid, along that of an earlier motion, or an
+#: earlier motion.
+Origin: TypeAlias = Literal["none", "direct", "roadmap", "search", "mended", "kept"]
+
+
+class Part(NamedTuple):
+    """A motion of a plan or a tour.
+
+    Attributes:
+        name: The name of its phase.
+        trajectory: The timed motion.
+        certificate: What was shown of it.
+    """
+
+    name: str
+    trajectory: Trajectory
+    certificate: Certificate
+
+
+@dataclass(frozen=True, eq=False)
+class PlannedMotion(Record):
+    """A certified motion from configuration to configuration.
+
+    Attributes:
+        task: What was asked.
+        route: The path over the grid; None where none was needed.
+        waypoints: (m, dof) the polyline before post-processing.
+        path: The smooth path; None for an empty motion.
+        trajectory: The timed motion.
+        certificate: What was shown of it.
+        origin: Where the waypoints come from.
+    """
+
+    task: PlanningTask
+    route: Route | None
+    waypoints: FloatArray
+    path: SplinePath | None
+    trajectory: Trajectory
+    certificate: Certificate
+    origin: Origin
+
+    @property
+    def transit(self) -> Part:
+        """The motion as a part of a plan or a tour."""
+        return Part("transit", self.trajectory, self.certificate)
+
+
+def smooth_and_certify(
+    task: PlanningTask, waypoints: FloatArray, margin: float, origin: Origin, route: Route | None = None
+) -> PlannedMotion:
+    """The certified motion along a polyline.
+
+    Args:
+        task: What is asked.
+        waypoints: (m, dof) the polyline, clear.
+        margin: Clearance asked for beyond the one to keep [m].
+        origin: Where the polyline comes from.
+        route: The path over a grid that it comes from; None for none.
+
+    Raises:
+        CertificationError: There is none, or none can be certified.
+        TimingError: It cannot be timed.
+    """
+    robot, problem, options = task.robot, task.problem, task.options
+    with task.stage("postprocess"):
+        path = fast_path(
+            waypoints,
+            task.field,
+            PostprocessOptions(
+                lower=problem.lower,
+                upper=problem.upper,
+                velocity=robot.velocity_limit,
+                acceleration=robot.acceleration_limit,
+                movable=problem.movable,
+                margin=margin,
+                objective=options.objective,
+            ),
+        )
+    return PlannedMotion(task, route, waypoints, path, *certified_trajectory(task, path), origin)
+
+
+def certified_trajectory(
+    context: PlanningContext, path: GeometricPath, among: Callable[[Trajectory], Sequence[Stretch]] | None = None
+) -> tuple[Trajectory, Certificate]:
+    """The fastest certified trajectory along a path.
+
+    Where tracking errors grow with speed, tight places are run slowly, and where that is not enough, more slowly.
+
+    Args:
+        context: Arm, obstacles and options.
+        path: The path.
+        among: The obstacles that a trajectory along it is certified among; those of the context where this is None.
+
+    Raises:
+        TimingError: There is none within the limits.
+        CertificationError: It is asked for, and something was not shown.
+    """
+    for fraction in CEILINGS if context.options.tracking.delay_s > 0.0 else (0.0,):
+        trajectory = timed(context, path, fraction)
+        certificate = certificate_of(context, trajectory, None if among is None else among(trajectory))
+        if certificate.verified:
+            break
+    return trajectory, required(context, certificate)
+
+
+def timed(context: PlanningContext, path: GeometricPath, fraction: float = 0.0) -> Trajectory:
+    """The fastest trajectory along a path under the robot's limits.
+
+    Args:
+        context: Arm, obstacles and options.
+        path: The path.
+        fraction: Fraction of the clearance that the sway may take which comes with speed; 0 if speed is not to care.
+
+    Raises:
+        TimingError: There is none.
+    """
+    robot, options, delay_s = context.robot, context.options, context.options.tracking.delay_s
+    with context.stage("timing"):
+        limits = Limits(robot.velocity_limit, robot.acceleration_limit, robot.torque_limit, robot.jerk_limit)
+        limits = limits.scaled(options.speed)
+        if fraction > 0.0:
+            averaged_s = averaging_s(limits, options.rate_hz)
+            limits = replace(limits, path_speed=SpeedCeiling(robot, path, context.field, delay_s, fraction, averaged_s))
+        return time_path(path, robot.dynamics, limits, rate_hz=options.rate_hz)
+
+
+def certificate_of(
+    context: PlanningContext, trajectory: Trajectory, among: Sequence[Stretch] | None = None
+) -> Certificate:
+    """The certificate of a trajectory, whatever it says.
+
+    Args:
+        context: Arm, obstacles and options.
+        trajectory: The timed motion.
+        among: The obstacles that it is certified among, stretch by stretch; those of the context where this is None.
+    """
+    options = context.options
+    with context.stage("certificate"):
+        return certify_among(
+            context.robot,
+            trajectory,
+            [(slice(0, max(1, trajectory.samples - 1)), context.world.checker)] if among is None else among,
+            clearance=context.scene.clearance,
+            tracking=TrackingModel(options.tracking_error, options.tracking_delay_s),
+        )
+
+
+def required(context: PlanningContext, certificate: Certificate) -> Certificate:
+    """The same certificate.
+
+    Raises:
+        CertificationError: The options ask for one, and something was not shown.
+    """
+    if context.options.certify and not certificate.verified:
+        raise CertificationError(
+            f"the motion is not certified: {'; '.join(certificate.violations)}",
+            violations=list(certificate.violations),
+        )
+    return certificate

@@ -1,0 +1,204 @@
+"""A motion to plan: the arm among obstacles, start and goal, options; and the grids over its C-space."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hplan.base.arrays import IntArray, Record
+from hplan.collision.clearance_field import ClearanceField
+from hplan.cspace.occupancy import occupancy
+from hplan.cspace.sections import ArmSections, sections_at
+from hplan.cspace.yaw_layers import LayerCache, turning_occupancy, yaw_axis
+from hplan.errors import OptionError
+from hplan.planning.report import StageClock
+from hplan.problem.definition import Problem, check_problem
+from hplan.problem.options import PlanOptions
+from hplan.problem.world import World
+from hplan.robot.model import Robot
+from hplan.scene.model import Scene
+from hplan.scene.obstacles import Solid
+from hplan.search.grid import Grid, Occupancy
+
+#: Clearance asked for wherever a motion is evaluated, beyond the scene's own [m]; less where start or goal have less.
+MARGIN = 2e-3
+
+#: Called with the name of each stage as it begins.
+Progress = Callable[[str], None]
+
+
+def no_progress(_: str) -> None:
+    """Ignore the stages."""
+
+
+@dataclass(frozen=True)
+class GridAttempt:
+    """One try at a motion over a grid: how fine and wide the grid is, and how obstacles are mapped into it.
+
+    Attributes:
+        step_factor: Largest spacing of the grid as a multiple of the option `step_deg`.
+        yaw_range_deg: How far the base may turn beyond start and goal; used where it turns [deg].
+        growth_m: Growth of obstacles in the C-space [m].
+        thick: True if each layer of yaws holds the obstacles at all yaws nearer to it than to other layers, not at its
+            own yaw alone: motions between layers are then seldom in contact, but narrow passages are closed.
+    """
+
+    step_factor: float = 1.0
+    yaw_range_deg: float = 0.0
+    growth_m: float = 0.0
+    thick: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class PlanningContext(Record):
+    """What motions among the same obstacles share.
+
+    Attributes:
+        world: The arm and what it must keep clear of.
+        scene: Where that comes from.
+        options: How to plan.
+        layers: Planar layers that are already there.
+        clock: Where time is noted.
+        progress: Called with the name of each stage as it begins.
+    """
+
+    world: World
+    scene: Scene
+    options: PlanOptions
+    layers: LayerCache
+    clock: StageClock
+    progress: Progress
+
+    @property
+    def robot(self) -> Robot:
+        """The arm."""
+        return self.world.robot
+
+    @property
+    def field(self) -> ClearanceField:
+        """Distances between the arm and what it must keep clear of."""
+        return self.world.field
+
+    def __getstate__(self) -> dict[str, tuple[Any, bool]]:
+        """The fields; who listens to the progress of a plan does not travel with it."""
+        return {**super().__getstate__(), "progress": (no_progress, False)}
+
+    def among(self, world: World) -> PlanningContext:
+        """The same in another world."""
+        return replace(self, world=world)
+
+    def task(self, start: ArrayLike, goal: ArrayLike) -> PlanningTask:
+        """The task of moving between two (dof,) configurations.
+
+        Raises:
+            HplanError: As `check_problem`.
+        """
+        problem = check_problem(self.world, start, goal, locked_joints=self.scene.locked_joints)
+        return PlanningTask(
+            self.world, self.scene, self.options, self.layers, self.clock, self.progress, problem=problem
+        )
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Announce a stage, and note the time of what runs inside."""
+        self.progress(name)
+        with self.clock.stage(name):
+            yield
+
+
+@dataclass(frozen=True, eq=False)
+class PlanningTask(PlanningContext):
+    """A motion to plan.
+
+    Attributes:
+        problem: Start, goal, joints that may move.
+    """
+
+    problem: Problem
+
+    @property
+    def axes(self) -> IntArray:
+        """The joint behind each axis of the grid: the planar joints, then the yaw where it may turn."""
+        planar = np.arange(self.robot.dof)[self.robot.arm_slice]
+        return np.append(planar, 0) if self.problem.turns else planar
+
+    def margin(self, growth_m: float = 0.0) -> float:
+        """Clearance asked for beyond the one to keep [m]: less where start or goal have less."""
+        return min(MARGIN + growth_m, 0.5 * self.problem.spare_clearance)
+
+    def grown(self, growth_m: float) -> float:
+        """Growth of obstacles at which start and goal stay free, at most the given one [m]."""
+        return min(growth_m, 0.8 * self.problem.spare_clearance)
+
+    def step_deg(self, attempt: GridAttempt) -> float:
+        """Largest spacing of the grid of an attempt [deg]."""
+        return attempt.step_factor * self.options.step_deg
+
+    def planar_grid(self, attempt: GridAttempt) -> Grid:
+        """The grid over the planar joints.
+
+        Raises:
+            OptionError: A step that gives none.
+        """
+        planar = self.robot.arm_slice
+        try:
+            return Grid.over(self.problem.lower[planar], self.problem.upper[planar], np.radians(self.step_deg(attempt)))
+        except OptionError as error:
+            raise OptionError("step_deg", self.options.step_deg, error.expected) from error
+
+    def sections(self, yaw: float, growth_m: float) -> ArmSections:
+        """Obstacles, grown, cut by the arm plane at a yaw."""
+        model = "capsule" if self.problem.turns else self.options.link_model
+        return sections_at(self.robot, self.world.bodies(growth_m), yaw, link_model=model, within_reach=False)
+
+    def occupancy(self, attempt: GridAttempt) -> Occupancy:
+        """The C-space on the grid of an attempt: over the planar joints and, where the base may turn, the yaw.
+
+        Raises:
+            OptionError: A step that gives no grid.
+        """
+        problem, robot = self.problem, self.robot
+        with self.stage("cspace"):
+            if not problem.turns:
+                sections = self.sections(robot.yaw_of(problem.start), attempt.growth_m)
+                return occupancy(robot.arm, sections, self.planar_grid(attempt))
+            planar = self.planar_grid(attempt)
+            yaws = yaw_axis(
+                problem.start[0], problem.goal[0], math.radians(self.step_deg(attempt)), problem.lower[0],
+                problem.upper[0], math.radians(attempt.yaw_range_deg),
+            )  # fmt: skip
+            bodies = self.world.bodies(attempt.growth_m)
+            return turning_occupancy(robot, bodies, planar, *yaws, thick=attempt.thick, layers=self.layers)
+
+
+class PlanningCache:
+    """What one plan leaves behind for the next: the robot's planar layers, and the last world."""
+
+    def __init__(self, robot: Robot) -> None:
+        """Begin with nothing."""
+        self.robot = robot
+        self.layers = LayerCache()
+        self._last: tuple[tuple[tuple[Solid, ...], float, float, float], World] | None = None
+
+    def world(self, scene: Scene, options: PlanOptions) -> World:
+        """The robot among the scene's solids, all fruits among them; the same as before where these are the same."""
+        # What need not be certified need not make room for the tracking error either; it is certified all the same.
+        tracking_error = options.tracking.still_rad
+        solids, clearance, sigmas = scene.solids_with_goal, scene.clearance, options.sigmas
+        asked = solids, clearance, tracking_error, sigmas
+        last = self._last
+        if last is None or last[0] != asked:
+            world = World.of(self.robot, solids, clearance=clearance, tracking_error=tracking_error, sigmas=sigmas)
+            self._last = last = asked, world
+        return last[1]
+
+    def context(self, scene: Scene, options: PlanOptions, progress: Progress = no_progress) -> PlanningContext:
+        """A context with a clock of its own, to plan motions among the scene's solids."""
+        clock = StageClock()
+        return PlanningContext(self.world(scene, options), scene, options, self.layers, clock, progress)

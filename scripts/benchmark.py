@@ -146,10 +146,10 @@ def write(results: dict[str, Any], folder: Path) -> list[Path]:
     """
     from studies.benchmark.figures import figures
     from studies.benchmark.tables import to_markdown
-    from studies.view.figures import png_bytes, require_matplotlib
 
     from hplan.base.files import write_text
     from hplan.planning.report import write_report
+    from hplan.view.figure_style import png_bytes, require_matplotlib
 
     written = [
         write_report(results, folder / "benchmark.json"),

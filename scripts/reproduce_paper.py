@@ -30,7 +30,7 @@ from hplan.errors import HplanError, OptionError
 
 if TYPE_CHECKING:
     from rich.console import Console
-    from studies.paper.random_scenes import Comparison
+    from studies.paper.random_scenes import SearchComparison
     from studies.paper.results import Reproduction
 
 #: The random scenes are always the same ones.
@@ -68,7 +68,7 @@ def parser() -> argparse.ArgumentParser:
     return result
 
 
-def run(options: argparse.Namespace, errors: Console) -> tuple[Reproduction, Comparison | None, int]:
+def run(options: argparse.Namespace, errors: Console) -> tuple[Reproduction, SearchComparison | None, int]:
     """Measure, draw and write what was asked for; the numbers, and how many files were written."""
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
     from studies.paper.figures import figures
@@ -79,7 +79,7 @@ def run(options: argparse.Namespace, errors: Console) -> tuple[Reproduction, Com
 
     from hplan.view.figure_style import png_bytes
 
-    scenes: Comparison | None = None
+    scenes: SearchComparison | None = None
     contents: dict[str, bytes] = {}
     with Progress(
         SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),

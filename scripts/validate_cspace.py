@@ -18,7 +18,7 @@ from hplan.errors import OptionError, OutputError
 
 if TYPE_CHECKING:
     from rich.console import Console
-    from studies.validation.cspace import Comparison, Difference, Validation
+    from studies.validation.cspace_results import Comparison, Difference, Validation
     from studies.validation.kinds import KindsValidation
 
 RESULT, KINDS_RESULT = "validation.json", "validation-kinds.json"
@@ -251,7 +251,7 @@ def _show(console: Console, result: Validation) -> None:
     facts.add_row("arm plane", f"yaw {math.degrees(result.yaw_rad):g} deg, clearance {1e3 * result.clearance_m:g} mm")
     first = result.comparisons[0]
     share = 100.0 * first.occupied / result.nodes
-    ratio = f"coal with {first.checker} links takes {result.speed_ratio(first):,.0f} times as long"
+    ratio = f"coal with {first.links} links takes {result.speed_ratio(first):,.0f} times as long"
     facts.add_row("forbidden", f"{first.occupied:,} nodes, {share:.3f} %")
     facts.add_row("analytic", f"{1e3 * result.analytic_s:.2f} ms; {ratio}")
     console.print(f"\n[bold]{escape(result.scene)}[/] with [bold]{escape(result.robot)}[/]\n")
@@ -265,13 +265,13 @@ def _show(console: Console, result: Validation) -> None:
         style = "bold red" if c.decisive else "yellow"
         table.add_row(
             c.link_model,
-            c.checker,
-            f"{c.judge_occupied:,}",
+            c.links,
+            f"{c.coal_occupied:,}",
             f"[{style}]{c.faults:,}[/]" if c.faults else "0",
             f"{c.conservative:,}",
             f"{100 * (c.faults + c.conservative) / result.nodes:.3f} %",
             f"{c.in_contact:,}",
-            f"{c.judge_s:.2f} s",
+            f"{c.coal_s:.2f} s",
         )
     console.print(table)
     console.print()
@@ -296,14 +296,14 @@ def _show_differences(console: Console, result: Validation, c: Comparison) -> No
     """The worst of the nodes that differ, both ways."""
     from hplan.cspace.sections import SECTION_ERROR
 
-    pair = f"{c.link_model} and coal's {c.checker}"
+    pair = f"{c.link_model} and coal's {c.links}"
     if c.faults:
         word = "[bold red]faults[/]" if c.decisive else "box only"
         console.print(f"{pair}: {word}, to a depth of {_mm(c.deepest_fault_m)}", soft_wrap=True)
         _show_examples(console, result, c.fault_examples)
     if c.conservative:
         text = f"{pair}: ours only, with up to {_mm(c.widest_gap_m)} to spare"
-        if c.checker == "capsule":
+        if c.links == "capsule":
             text += f"; {c.unexplained:,} beyond the bound on sections, {_mm(SECTION_ERROR)}"
         console.print(text, soft_wrap=True)
         _show_examples(console, result, c.conservative_examples[:3])

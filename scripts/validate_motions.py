@@ -15,7 +15,7 @@ from hplan.errors import OptionError
 
 if TYPE_CHECKING:
     from rich.console import Console
-    from studies.validation.motions import Tally
+    from studies.validation.member_motions import MotionCounts
 
 RESULT = "validation-motions.json"
 
@@ -75,7 +75,7 @@ def _run(arguments: argparse.Namespace, console: Console, errors: Console) -> in
     return 0 if tally.ok else FAILED
 
 
-def _show(console: Console, tally: Tally) -> None:
+def _show(console: Console, tally: MotionCounts) -> None:
     """The counts in words."""
     refused = ", ".join(f"{count} {kind}" for kind, count in tally.refused.most_common()) or "none"
     members = ", ".join(f"{count} of {kind}" for kind, count in tally.members.most_common())

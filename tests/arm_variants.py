@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -11,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from hplan.robot.model import Robot, load_robot
-from hplan.robot.self_contact import _KNOWN, SelfContact
+from hplan.robot.self_contact import SelfContact
 from hplan.scene.obstacles import Box, Capsule, Sphere
 
 UP = "0 -1 0"  # a positive angle lifts the arm
@@ -73,7 +72,7 @@ def load_variant(name: str, folder: Path, *, touches_itself: bool = False) -> Ro
     robot = load_robot(path)
     np.testing.assert_allclose(robot.arm.half_widths, widths, rtol=1e-12)
     if not touches_itself:
-        _KNOWN[robot] = defaultdict(SelfContact)  # whatever tracking error and clearance
+        robot.once("self_contact", lambda: lambda *_: SelfContact())  # whatever tracking error and clearance
     return robot
 
 

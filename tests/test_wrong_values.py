@@ -35,8 +35,8 @@ from hplan.search.grid import Grid, Occupancy
 from hplan.tour.tour import TourOptions
 from hplan.verification.recorded_motion import RecordedMotion, read_motion
 from hplan.verification.simulation import execute
+from hplan.waypoints import limit_shares, limits_of, read_machine, read_waypoints, time_waypoints
 from hplan.waypoints.corner_rounding import largest_deviation, rounded_path
-from hplan.waypoints.timing import limit_shares, limits_of, read_machine, read_waypoints, time_waypoints
 
 NAN, INF = math.nan, math.inf
 

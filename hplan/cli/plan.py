@@ -90,8 +90,9 @@ def _plan(arguments: argparse.Namespace, console: Console, errors: Console) -> i
         _show_summary(console, result, folder.path)
     if arguments.view:
         from hplan.cli.view import serve_page
+        from hplan.view.playback import Playback
 
-        serve_page(console, robot, scene, result.trajectory, {"picked": result.picked, "phases": result.phases})
+        serve_page(console, robot, scene, Playback(result.trajectory, result.picked, phases=result.phases))
     return 0
 
 
@@ -138,6 +139,7 @@ def _run(arguments: argparse.Namespace, folder: JobFolder, errors: Console) -> t
             from hplan.scene.file import load_scene
             from hplan.timing.trajectory import write_csv
             from hplan.view.page import write_page
+            from hplan.view.playback import Playback
             from hplan.view.yaw_section import check_yaw
 
         options = plan_options(
@@ -162,7 +164,7 @@ def _run(arguments: argparse.Namespace, folder: JobFolder, errors: Console) -> t
         begin = time.perf_counter()
         with folder.filling() as staging:
             write_csv(result.trajectory, staging / TRAJECTORY)
-            write_page(robot, scene, result.trajectory, staging / PAGE, picked=result.picked, phases=result.phases)
+            write_page(robot, scene, Playback(result.trajectory, result.picked, phases=result.phases), staging / PAGE)
             if wants_cspace:
                 _write_cspace(robot, scene, options, result, yaw, staging)
             result = with_export_time(result, time.perf_counter() - begin)
@@ -198,9 +200,10 @@ def _write_cspace(
     from hplan.view.cspace_figure import cspace_at_yaw
     from hplan.view.cspace_page import write_cspace_page
     from hplan.view.figure_style import require_matplotlib, write_png
+    from hplan.view.playback import Playback
     from hplan.view.yaw_section import yaw_section
 
-    section = yaw_section(robot, scene, result.trajectory, options, phases=result.phases, yaw=yaw)
+    section = yaw_section(robot, scene, Playback(result.trajectory, phases=result.phases), options, yaw=yaw)
     write_cspace_page(section, scene.name, folder / CSPACE_PAGE)
     try:
         require_matplotlib()

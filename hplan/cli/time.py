@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from hplan.base.arrays import FloatArray
     from hplan.robot.limits import Limits
     from hplan.timing.trajectory import Trajectory
-    from hplan.waypoints.timing import Machine
+    from hplan.waypoints import Machine
 
 #: Where the motion goes unless something else is said.
 OUT = Path("timed.csv")
@@ -111,7 +111,7 @@ def _prepare(arguments: argparse.Namespace) -> None:
 def _run(arguments: argparse.Namespace, console: Console) -> None:
     """Read, time, write, and say how it went."""
     from hplan.timing.trajectory import write_csv
-    from hplan.waypoints.timing import read_machine, read_waypoints, time_waypoints
+    from hplan.waypoints import read_machine, read_waypoints, time_waypoints
 
     machine = read_machine(arguments.urdf, arguments.joints, hold=dict(map(_held, arguments.hold)))
     waypoints = read_waypoints(arguments.waypoints, machine.joint_names)
@@ -141,7 +141,7 @@ def _held(text: str) -> tuple[str, float]:
 def _limits(arguments: argparse.Namespace, machine: Machine) -> Limits:
     """The URDF's limits, with acceleration (and jerk) from the YAML or the number given."""
     from hplan.robot.files import read_limits
-    from hplan.waypoints.timing import limits_of
+    from hplan.waypoints import limits_of
 
     torque = not arguments.no_torque
     if arguments.acceleration is not None:
@@ -179,7 +179,7 @@ def _show(
     import numpy as np
     from rich.markup import escape
 
-    from hplan.waypoints.timing import AT_LIMIT, largest_deviation, limit_shares
+    from hplan.waypoints import AT_LIMIT, largest_deviation, limit_shares
 
     full, paced = limit_shares(trajectory, limits), limit_shares(trajectory, limits.scaled(arguments.speed))
     facts = facts_table()

@@ -6,7 +6,7 @@ import argparse
 import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from hplan.cli.job_folder import PAGE, TOUR, TOUR_REPORT, JobFolder, parse_job
 from hplan.cli.options import (
@@ -110,6 +110,7 @@ def _run(
     from hplan.timing.trajectory import write_csv
     from hplan.tour.tour import plan_tour
     from hplan.view.page import write_page
+    from hplan.view.playback import Playback
 
     options = plan_options(arguments, "standoff")
     tour = _tour_options(arguments)
@@ -130,8 +131,8 @@ def _run(
     with folder.filling() as staging:
         for name, motion in motions.items():
             write_csv(motion, staging / name)
-        shown: dict[str, Any] = {"picked": result.picked, "dropped": result.dropped, "phases": phases}
-        write_page(robot, scene, result.trajectory, staging / PAGE, **shown)
+        playback = Playback(result.trajectory, result.picked, result.dropped, phases)
+        write_page(robot, scene, playback, staging / PAGE)
         write_report({**result.report, "files": list(motions)}, staging / TOUR_REPORT)
     return result, [*motions, TOUR_REPORT, PAGE]
 

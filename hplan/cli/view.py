@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from hplan.robot.model import Robot
     from hplan.scene.model import Scene
-    from hplan.timing.trajectory import Trajectory
+    from hplan.view.playback import Playback
 
 _DESCRIPTION = """\
 Show a motion: write its animated page, and serve it live until interrupted. Of a folder that `plan` or `tour` wrote the
@@ -64,6 +64,7 @@ def _view(arguments: argparse.Namespace, console: Console, errors: Console) -> i
     from hplan.timing.trajectory import read_csv
     from hplan.verification.digests import Digests
     from hplan.view.page import write_page
+    from hplan.view.playback import Playback
 
     path: Path = arguments.motion
     job = FinishedJob(path, tours=True) if path.is_dir() else None
@@ -82,23 +83,24 @@ def _view(arguments: argparse.Namespace, console: Console, errors: Console) -> i
         if differs:
             return FAILED
         shown = job.shown()
-    write_page(robot, scene, trajectory, out, **shown)
+    playback = Playback(trajectory, **shown)
+    write_page(robot, scene, playback, out)
     if not arguments.quiet:
         console.print(f"written: {out}", markup=False, soft_wrap=True)
     if not arguments.no_serve and arguments.out is None:
-        serve_page(console, robot, scene, trajectory, shown)
+        serve_page(console, robot, scene, playback)
     return 0
 
 
-def serve_page(console: Console, robot: Robot, scene: Scene, trajectory: Trajectory, shown: Mapping[str, Any]) -> None:
-    """Serve the animated scene until interrupted; `shown` is what `hplan.view.page.serve` takes besides.
+def serve_page(console: Console, robot: Robot, scene: Scene, playback: Playback) -> None:
+    """Serve the animated scene until interrupted.
 
     Raises:
         HplanError: The server does not start.
     """
     from hplan.view.page import serve
 
-    with serve(robot, scene, trajectory, **shown) as server:
+    with serve(robot, scene, playback) as server:
         console.print(f"serving the scene at {server.url} (interrupt to stop)")
         with contextlib.suppress(KeyboardInterrupt):
             server.wait()

@@ -1,4 +1,4 @@
-"""Pairs of parts of the arm in coal, and what of the turret meets obstacles.
+"""Pairs of parts of the arm in coal, and the bodies of the turret that meet obstacles.
 
 The turret's shapes that are round about the yaw axis, and the pedestal, stand still: they are no part of any motion,
 and looked at once (`hplan.collision.coal_scene.base_contacts`). So is an obstacle that no point of a turning shape
@@ -32,7 +32,7 @@ class ArmPair:
 
     Attributes:
         mover: The link, or `TURRET`.
-        other: What the motion is seen from: a link before it, `TURRET`, or `GROUND`.
+        other: The body from which the motion is seen: a link before it, `TURRET`, or `GROUND`.
         mover_name: Name of its body.
         other_name: Name of the other body.
         shapes: The two shapes.
@@ -50,7 +50,7 @@ def link_pairs(robot: Robot, contact: SelfContact, shapes: Sequence[Sequence[pin
 
     Args:
         robot: The arm.
-        contact: What can touch.
+        contact: The pairs that can touch.
         shapes: Shapes of each link.
     """
     names = robot.arm.link_names
@@ -65,11 +65,11 @@ def link_pairs(robot: Robot, contact: SelfContact, shapes: Sequence[Sequence[pin
 
 
 def fold_pairs(robot: Robot, contact: SelfContact, capsules: Sequence[pin.GeometryObject]) -> Iterator[ArmPair]:
-    """Neighbours that can fold into one another: what of one is beyond the joint's own reach, and the whole other one.
+    """Neighbours that can fold into one another: the part of one beyond the joint's own reach, and the whole other one.
 
     Args:
         robot: The arm.
-        contact: What can touch.
+        contact: The pairs that can touch.
         capsules: Capsule of each link, z from its joint to the next.
     """
     names = robot.arm.link_names
@@ -100,11 +100,11 @@ def turret_shapes(robot: Robot) -> dict[str, tuple[list[BaseShape], list[pin.Geo
 
 
 def below(robot: Robot, shape: BaseShape, obstacles: Sequence[Solid]) -> BoolArray:
-    """(obstacles,) which ones a turning shape never comes down to, or stands on.
+    """(obstacles,) mask of those that a turning shape never comes down to, or stands on.
 
     Turning about the vertical keeps heights: an obstacle whose top is not above the shape's bottom is never entered.
     One that is, by `BASE_DEPTH` at most, carries the shape where it is within `BASE_DEPTH` of it at every yaw, as the
-    ground is; one that the shape only turns over, or into, is in its way.
+    ground is; one that the shape only turns over, or into, blocks it.
     """
     tops = np.array([float(obstacle.core[:, 2].max()) + obstacle.rounding for obstacle in obstacles])
     never: BoolArray = tops <= shape.bottom + _ROUNDING
@@ -126,7 +126,7 @@ def _placed(robot: Robot, number: int) -> pin.GeometryObject:
 
 
 def _beyond_joint(capsule: pin.GeometryObject, reach: float, along: float) -> pin.GeometryObject:
-    """What of a link's capsule is farther than `reach` from its joint (`along` 1), or from the next one (-1)."""
+    """The part of a link's capsule farther than `reach` from its joint (`along` 1), or from the next one (-1)."""
     geometry = capsule.geometry
     length = 2.0 * float(geometry.halfLength) - reach
     shifted = capsule.placement * pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.5 * along * reach]))

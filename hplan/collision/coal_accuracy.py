@@ -1,4 +1,4 @@
-r"""How far coal's distances may be above the true ones.
+r"""Upper bounds of the error by which coal's distances exceed the true ones.
 
 Measured on coal 3.0 against long double arithmetic; a proof takes these off every distance.
 
@@ -29,7 +29,7 @@ ITERATION = 2e-6
 #: By size of the larger shape [m/m].
 SIZE = 1e-9
 
-#: Axes of capsules: square root of 100 machine epsilons, which is where coal draws the line [m^2].
+#: Axes of capsules: square root of 100 machine epsilons, below which coal takes axes for parallel [m^2].
 PARALLEL = 1.5e-7
 
 
@@ -38,7 +38,7 @@ def distance_errors(
     solids: Sequence[Solid],
     pairs: Sequence[tuple[pin.GeometryObject, pin.GeometryObject]],
 ) -> FloatArray:
-    """By how much distances may be too large [m].
+    """Upper bounds of the error by which distances are too large [m].
 
     Args:
         movers: Shapes of the arm.

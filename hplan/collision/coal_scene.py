@@ -1,4 +1,4 @@
-"""The scene in coal, by way of Pinocchio: the judge that shares no formula with the analytic planner."""
+"""The scene in coal, by way of Pinocchio: a collision checker that shares no formula with the analytic planner."""
 
 from __future__ import annotations
 
@@ -6,9 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
-from weakref import WeakKeyDictionary
 
-import coal
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
@@ -20,14 +18,10 @@ from hplan.collision.coal_accuracy import distance_errors
 from hplan.collision.coal_shapes import LINK_SHAPES, LinkShapes, beyond_geometry, link_shapes, solid_shape, urdf_shapes
 from hplan.collision.geometry_pairs import GeometryPairs
 from hplan.errors import ConfigurationInCollisionError, OptionError
-from hplan.robot.base_shapes import TURRET
-from hplan.robot.base_shapes import filled as _filled
+from hplan.robot.base_shapes import TURRET, coal_distance, filled
 from hplan.robot.model import Robot
 from hplan.robot.self_contact import self_contact
 from hplan.scene.obstacles import Solid
-from hplan.search.grid import Grid
-
-_BASE_RADII: WeakKeyDictionary[Robot, float] = WeakKeyDictionary()
 
 
 @dataclass(frozen=True)
@@ -40,7 +34,7 @@ class Contact:
 
     @property
     def other(self) -> str:
-        """What the link is near to, in words."""
+        """The obstacle in words."""
         return f"obstacle {self.obstacle!r}"
 
 
@@ -50,7 +44,7 @@ class OwnContact(Contact):
 
     @property
     def other(self) -> str:
-        """What the link is near to, in words."""
+        """The other part of the arm in words."""
         return f"link {self.obstacle!r}"
 
 
@@ -82,7 +76,7 @@ class CoalScene:
         own_first: How many obstacles there are.
         link_shapes: Shapes of the links, link by link.
         pairs: Mover, by its place in `mover_names`, and obstacle or part, in `obstacle_names`, of each pair.
-        own_others: What the motion of each of the last of `pairs` is seen from: a link, `TURRET` or `GROUND`.
+        own_others: The body from which the motion of each of the last of `pairs` is seen: a link, `TURRET` or `GROUND`.
         deviation: How far joints may be beyond their limits [rad]; parts of the arm that touch up to there are pairs.
         clearance: Distance that parts of the arm are to keep from each other [m]; those that come nearer are pairs.
     """
@@ -115,8 +109,7 @@ class CoalScene:
         """
         if links not in LINK_SHAPES:
             raise OptionError("links", links, f"one of {', '.join(LINK_SHAPES)}")
-        self.robot = robot
-        self.links = links
+        self.robot, self.links = robot, links
         self._built: dict[str, Any] = {
             "robot": robot,
             "obstacles": tuple(obstacles),
@@ -128,8 +121,7 @@ class CoalScene:
         }
         self._touched: tuple[str, ...] = ()
         self.link_names = robot.arm.link_names
-        self.deviation = float(deviation)
-        self.clearance = float(clearance)
+        self.deviation, self.clearance = float(deviation), float(clearance)
         shapes = urdf_shapes(robot) if links == "urdf" else [[shape] for shape in link_shapes(robot, links)]
         turret = turret_shapes(robot) if single_joint_pairs else {}
         movers = [*shapes, *(placed for _, placed in turret.values())]
@@ -138,23 +130,18 @@ class CoalScene:
         self._first_shape = np.cumsum([0, *(len(of_mover) for of_mover in movers[:-1])])
         self.link_shapes = [shape for of_link in shapes for shape in of_link]
         self._mover_shapes = [shape for of_mover in movers for shape in of_mover]
-        #: What is to be taken off coal's distance of each shape from each obstacle [m].
+        # To be taken off coal's distance of each shape from each obstacle [m].
         beyond = np.array([beyond_geometry(obstacle) for obstacle in obstacles], dtype=np.float64)
         beyond += np.asarray(growth, dtype=np.float64)
         self._beyond: FloatArray = np.tile(beyond, (len(self._mover_shapes), 1))
         for row, shape in enumerate(shape for of_body, _ in turret.values() for shape in of_body):
             self._beyond[len(self.link_shapes) + row, below(robot, shape, obstacles)] = -np.inf
-        self.pairs = [
-            (mover, obstacle)
-            for mover, of_mover in enumerate(movers)
-            for _ in of_mover
-            for obstacle in range(len(obstacles))
-        ]
+        mover_of = [mover for mover, of_mover in enumerate(movers) for _ in of_mover]
+        self.pairs = [(mover, obstacle) for mover in mover_of for obstacle in range(len(obstacles))]
         contact = self_contact(robot, deviation=deviation, clearance=clearance)
         own = list(link_pairs(robot, contact, shapes))
         if single_joint_pairs:
-            own += fold_pairs(robot, contact, link_shapes(robot, "capsule"))
-            own += turret_pairs(robot, contact)
+            own += [*fold_pairs(robot, contact, link_shapes(robot, "capsule")), *turret_pairs(robot, contact)]
         self.own_others = [pair.other for pair in own]
         self._own_shapes = [pair.shapes for pair in own]
         self.own_first = len(obstacles)
@@ -169,27 +156,16 @@ class CoalScene:
         ]
         # Parts of the arm do not grow.
         self._taken_off: FloatArray = np.append(self._beyond, np.zeros(len(own)))
-        # By what they are: the same shape is added once.
-        numbers = {id(shape): number for number, shape in enumerate(self._mover_shapes)}
-        added: list[pin.GeometryObject] = []
-        for shape in (shape for pair in own for shape in pair.shapes):
-            if id(shape) not in numbers:
-                numbers[id(shape)] = len(self._mover_shapes) + len(added)
-                added.append(shape)
-        chosen = [(numbers[id(pair.shapes[0])], numbers[id(pair.shapes[1])]) for pair in own]
         solids = [solid_shape(obstacle) for obstacle in obstacles]
-        self._geometry = GeometryPairs(robot.model, self._mover_shapes, solids, added, chosen)
+        self._geometry = GeometryPairs(robot.model, self._mover_shapes, solids, self._own_shapes)
 
     def __getstate__(self) -> dict[str, Any]:
-        """What it is built from: Pinocchio's data cannot be pickled."""
+        """The arguments that it is built from: Pinocchio's data cannot be pickled."""
         return {"built": self._built, "touched": self._touched}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Build it."""
-        whole = CoalScene(**state["built"])
-        for name in state["touched"]:
-            whole = whole.touching(name)
-        vars(self).update(vars(whole))
+        vars(self).update(vars(_rebuilt(state["built"], state["touched"])))
 
     @cached_property
     def distance_errors(self) -> FloatArray:
@@ -197,7 +173,7 @@ class CoalScene:
         return distance_errors(self._mover_shapes, self._built["obstacles"], self._own_shapes)
 
     def covering(self, deviation: float, clearance: float) -> CoalScene:
-        """The same scene with the pairs that a tracking error [rad] and a clearance [m] ask for."""
+        """The same scene with the pairs that a tracking error [rad] and a clearance [m] require."""
         if deviation <= self.deviation and clearance == self.clearance:
             return self
         if not any(
@@ -205,10 +181,8 @@ class CoalScene:
             for more, keep in ((deviation, clearance), (self.deviation, self.clearance))
         ):
             return self
-        other = CoalScene(**{**self._built, "deviation": max(deviation, self.deviation), "clearance": clearance})
-        for name in self._touched:
-            other = other.touching(name)
-        return other
+        built = {**self._built, "deviation": max(deviation, self.deviation), "clearance": clearance}
+        return _rebuilt(built, self._touched)
 
     def touching(self, name: str) -> CoalScene:
         """The same scene where the last link may touch the obstacles of a name: their distance counts as infinite."""
@@ -266,7 +240,7 @@ class CoalScene:
         return self.contact(int(link), int(obstacle), float(distances.min()))
 
     def in_collision(self, configurations: ArrayLike, *, margin: float = 0.0) -> BoolArray:
-        """Whether each of (n, dof) configurations touches an obstacle or the arm itself, in one compiled call.
+        """True where (n, dof) configurations touch an obstacle or the arm itself, in one compiled call.
 
         Args:
             configurations: (n, dof) joint angles.
@@ -280,6 +254,14 @@ class CoalScene:
         # Of trees coal knows no negative margin.
         margins[self._taken_off > 0.0] = np.maximum(0.0, margins[self._taken_off > 0.0])
         return self._geometry.in_collision(q, margins)
+
+
+def _rebuilt(built: dict[str, Any], touched: Sequence[str]) -> CoalScene:
+    """A scene from the arguments that one is built from, and the names of what the last link may touch."""
+    scene = CoalScene(**built)
+    for name in touched:
+        scene = scene.touching(name)
+    return scene
 
 
 def base_contacts(
@@ -297,60 +279,50 @@ def base_contacts(
     """
     if not obstacles:
         return ()
-    first = 2 if robot.has_yaw else 1
     q = np.zeros(robot.dof)
-    if robot.has_yaw:
-        q[0] = yaw
+    q[: robot.yaw_joints] = yaw
     data = robot.model.createData()
     pin.forwardKinematics(robot.model, data, q)
     found = []
     for shape in robot.collision_model.geometryObjects:
-        if shape.parentJoint >= first:
+        if shape.parentJoint > robot.yaw_joints:
             continue
-        body = _filled(shape)
+        body = filled(shape)
         place = data.oMi[shape.parentJoint] * shape.placement
         name = str(robot.model.frames[shape.parentFrame].name)
         for obstacle in obstacles:
             solid = solid_shape(obstacle)
-            distance = coal.distance(
-                body,
-                coal.Transform3s(place.rotation, place.translation),
-                solid.geometry,
-                coal.Transform3s(solid.placement.rotation, solid.placement.translation),
-                coal.DistanceRequest(),
-                coal.DistanceResult(),
-            ) - beyond_geometry(obstacle)
+            distance = coal_distance(body, place, solid.geometry, solid.placement) - beyond_geometry(obstacle)
             if distance <= margin:
-                found.append(Contact(name, obstacle.name, float(distance)))
+                found.append(Contact(name, obstacle.name, distance))
     return tuple(found)
 
 
 def base_radius(robot: Robot) -> float:
     """Radius of a ball about `base_link`'s origin that holds pedestal and turret, whatever the yaw [m]."""
-    known = _BASE_RADII.get(robot)
-    if known is not None:
-        return known
-    first = 2 if robot.has_yaw else 1
+    return robot.once("base_radius", lambda: _base_radius(robot))
+
+
+def _base_radius(robot: Robot) -> float:
     radius = 0.0
     for shape in robot.collision_model.geometryObjects:
-        if shape.parentJoint < first:
+        if shape.parentJoint <= robot.yaw_joints:
             shape.geometry.computeLocalAABB()
             # Joint 0 turns about the vertical through the origin: distances from there stay.
             centre = robot.model.jointPlacements[shape.parentJoint] * shape.placement * shape.geometry.aabb_center
             radius = max(radius, float(np.linalg.norm(centre)) + shape.geometry.aabb_radius)
-    _BASE_RADII[robot] = radius
     return radius
 
 
 def check_clear(checker: CoalScene, q: FloatArray, clearance: float, which: str, *, sway: ArrayLike = 0.0) -> float:
-    """What a configuration has beyond the clearance to keep [m], inf without obstacles.
+    """Distance of a configuration beyond the clearance to keep [m], inf without obstacles.
 
     Args:
         checker: The arm among the obstacles.
         q: (dof,) configuration.
         clearance: Clearance to keep [m].
-        which: What the configuration is, for the error.
-        sway: By how much each of the judge's pairs may come nearer than at this configuration [m].
+        which: Name of the configuration, for the error.
+        sway: By how much each of the checker's pairs may come nearer than at this configuration [m].
 
     Raises:
         ConfigurationInCollisionError: It touches an obstacle or itself, or comes closer than `clearance` and sway;
@@ -368,17 +340,3 @@ def check_clear(checker: CoalScene, q: FloatArray, clearance: float, which: str,
             which, nearest.link, nearest.obstacle, -beyond, clearance + float(sways[worst]), other=nearest.other
         )
     return beyond
-
-
-def sampled_occupancy(checker: CoalScene, grid: Grid, yaw: float = 0.0) -> BoolArray:
-    """Occupancy of a grid over the planar joints by asking coal at every node.
-
-    Returns:
-        Mask of the grid's shape, True where some link touches an obstacle.
-    """
-    robot = checker.robot
-    axes = [grid.axis(number) for number in range(len(grid.shape))]
-    nodes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
-    if robot.has_yaw:
-        nodes = np.column_stack([np.full(len(nodes), yaw), nodes])
-    return checker.in_collision(nodes).reshape(grid.shape)

@@ -20,25 +20,23 @@ from hplan.scene.solids import Cloud, Hull
 LinkShapes: TypeAlias = Literal["capsule", "box", "urdf"]
 LINK_SHAPES: tuple[LinkShapes, ...] = ("capsule", "box", "urdf")
 
-#: What depends on the robot alone.
-_LINK_SHAPES: WeakKeyDictionary[Robot, dict[LinkShapes, list[pin.GeometryObject]]] = WeakKeyDictionary()
-
 #: Size of the triangle that stands for a point of a cloud [m].
 _SPECK = 1e-7
 
 
 def link_shapes(robot: Robot, links: LinkShapes) -> list[pin.GeometryObject]:
     """Each link's capsule or beam, in the frame of its joint; made once for each robot."""
-    known = _LINK_SHAPES.setdefault(robot, {})
-    if links in known:
-        return known[links]
+    return robot.once(("link_shapes", links), lambda: _link_shapes(robot, links))
+
+
+def _link_shapes(robot: Robot, links: LinkShapes) -> list[pin.GeometryObject]:
     model, arm = robot.model, robot.arm
     data = model.createData()
     neutral = np.zeros(model.nq)
     pin.forwardKinematics(model, data, neutral)
     points = robot.plane_origin + arm.joint_points(neutral[robot.arm_slice]) @ robot.plane_axes
     normal = np.cross(robot.plane_axes[0], robot.plane_axes[1])
-    first = 2 if robot.has_yaw else 1
+    first = 1 + robot.yaw_joints
     shapes = []
     for k, name in enumerate(arm.link_names):
         half_width, length = float(arm.half_widths[k]), float(arm.lengths[k])
@@ -52,13 +50,12 @@ def link_shapes(robot: Robot, links: LinkShapes) -> list[pin.GeometryObject]:
             shape = coal.Capsule(half_width, length)
         local = data.oMi[first + k].inverse() * placement
         shapes.append(pin.GeometryObject(f"link:{name}", first + k, local, shape))
-    known[links] = shapes
     return shapes
 
 
 def urdf_shapes(robot: Robot) -> list[list[pin.GeometryObject]]:
     """The URDF's collision shapes of each link."""
-    first = 2 if robot.has_yaw else 1
+    first = 1 + robot.yaw_joints
     found = []
     for k, name in enumerate(robot.arm.link_names):
         shapes = [g for g in robot.collision_model.geometryObjects if g.parentJoint == first + k]
@@ -93,7 +90,7 @@ def solid_shape(obstacle: Solid) -> pin.GeometryObject:
 
 
 def beyond_geometry(obstacle: Solid) -> float:
-    """How far an obstacle reaches beyond its geometry in coal, whose trees take no radius [m]."""
+    """Distance by which an obstacle reaches beyond its geometry in coal, whose trees take no radius [m]."""
     return obstacle.rounding if isinstance(obstacle, Cloud) else 0.0
 
 
@@ -107,11 +104,12 @@ def _cloud_tree(cloud: Cloud) -> coal.BVHModelOBBRSS:
         # Of triangles that are mere points, coal's distance from a ball is wrong.
         corners = _SPECK * np.array([[1.0, 0.0, 0.5], [-0.5, 0.75, -0.25], [-0.5, -0.75, -0.25]])
         points = (cloud.core[:, None] + corners).reshape(-1, 3)
-        _TREES[cloud] = _triangles(points, np.arange(len(points)).reshape(-1, 3))
+        _TREES[cloud] = triangle_tree(points, np.arange(len(points)).reshape(-1, 3))
     return _TREES[cloud]
 
 
-def _triangles(points: FloatArray, faces: IntArray) -> coal.BVHModelOBBRSS:
+def triangle_tree(points: FloatArray, faces: IntArray) -> coal.BVHModelOBBRSS:
+    """A tree of bounding volumes about triangles: (n, 3) points [m], (m, 3) rows of them."""
     tree = coal.BVHModelOBBRSS()
     tree.beginModel(len(faces), len(points))
     tree.addVertices(np.array(points))

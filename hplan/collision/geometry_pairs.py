@@ -6,6 +6,7 @@ objects costs n^3. Obstacles are therefore spread over several models, each with
 
 from __future__ import annotations
 
+import itertools
 import threading
 from collections.abc import Sequence
 from typing import Final
@@ -20,7 +21,7 @@ _CHUNK: Final = 128
 
 
 class _PartData:
-    """What queries of one geometry model write into.
+    """Working data of queries of one geometry model.
 
     Attributes:
         geometry: Pinocchio's data.
@@ -35,7 +36,7 @@ class _PartData:
 
 
 class _QueryData(threading.local):
-    """What queries write into: every thread has its own, made when it first asks.
+    """Working data of queries: every thread has its own, made when it first asks.
 
     Attributes:
         arm: Where the joints are.
@@ -61,8 +62,7 @@ class GeometryPairs:
         model: pin.Model,
         movers: Sequence[pin.GeometryObject],
         obstacles: Sequence[pin.GeometryObject],
-        others: Sequence[pin.GeometryObject] = (),
-        chosen: Sequence[tuple[int, int]] = (),
+        chosen: Sequence[tuple[pin.GeometryObject, pin.GeometryObject]] = (),
     ) -> None:
         """Build the geometry models.
 
@@ -70,8 +70,7 @@ class GeometryPairs:
             model: The arm.
             movers: Shapes that meet every obstacle.
             obstacles: Fixed shapes.
-            others: Shapes that meet no obstacle.
-            chosen: Further pairs, of numbers among `movers` and, after them, `others`.
+            chosen: Further pairs, of movers or of shapes that meet no obstacle.
         """
         self._model = model
         self._geometries: list[pin.GeometryModel] = []
@@ -92,10 +91,12 @@ class GeometryPairs:
             rows = np.arange(len(movers))[:, None] * len(obstacles)
             numbers = (rows + np.arange(start, start + len(chunk))).ravel()
             if start == starts[-1]:
-                added = [geometry.addGeometryObject(shape) for shape in others]
-                places = [*range(len(movers)), *added]
+                places = {id(shape): number for number, shape in enumerate(movers)}
+                for shape in itertools.chain(*chosen):
+                    if id(shape) not in places:  # the same shape is added once
+                        places[id(shape)] = geometry.addGeometryObject(shape)
                 for first, second in chosen:
-                    geometry.addCollisionPair(pin.CollisionPair(places[first], places[second]))
+                    geometry.addCollisionPair(pin.CollisionPair(places[id(first)], places[id(second)]))
                 numbers = np.append(numbers, np.arange(self.count - len(chosen), self.count))
             self._geometries.append(geometry)
             self._numbers.append(numbers)
@@ -144,7 +145,7 @@ class GeometryPairs:
         return found
 
     def in_collision(self, configurations: FloatArray, margins: FloatArray) -> BoolArray:
-        """Whether any pair is nearer than its margin, (n, dof) configurations, (count,) margins [m] -> (n,)."""
+        """True where any pair is nearer than its margin, (n, dof) configurations, (count,) margins [m] -> (n,)."""
         q = np.asfortranarray(configurations.T)
         found = np.zeros(q.shape[1], dtype=np.bool_)
         for geometry, numbers in zip(self._geometries, self._numbers, strict=True):

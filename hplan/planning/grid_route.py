@@ -8,6 +8,7 @@ the base turns, repaired here: a motion that cannot be shown clear is made joint
 from __future__ import annotations
 
 import itertools
+import math
 import time
 from dataclasses import dataclass, replace
 
@@ -23,10 +24,10 @@ from hplan.search.flood import has_bit
 from hplan.search.grid import Grid, Occupancy
 from hplan.search.lattice import Lattice
 from hplan.search.result import path_cost
-from hplan.search.wavefront import meet
+from hplan.search.wavefront import Wavefronts, meet
 from hplan.smoothing.repair import repaired
 
-#: Motions of a path that cannot be shown clear are avoided so many times; with thick layers it succeeds more often.
+#: How many motions of a path that cannot be shown clear are led around; with thick layers it succeeds more often.
 DETOURS, THICK_DETOURS = 12, 20
 
 #: So much farther from obstacles than the nodes of such a motion must neighbouring nodes be to be used instead [m].
@@ -133,14 +134,17 @@ def _planar_search(
 def _turning_path(
     task: PlanningTask, attempt: GridAttempt, margin: float, space: Occupancy, entries: tuple[GridEntry, GridEntry]
 ) -> tuple[SearchResult, FloatArray]:
-    """Search over yaws, and replace nodes between which no motion can be shown clear."""
+    """Search over yaws, and lead the path around nodes between which no motion can be shown clear."""
     problem, (start, goal) = task.problem, entries
     lattice = Lattice.of(space.grid.shape, space.grid.step)
     free = lattice.bordered(space.free_words)
     search = _search(task, space, start.first, goal.first)
     nodes = search.path
     if nodes is None:
-        search, nodes = _by_fronts(task, attempt, space, lattice, free, entries, search)
+        search, fronts = _by_fronts(task, lattice, free, entries, search)
+        nodes = fronts.path
+        if nodes is None:
+            raise _enclosed(task, attempt, space.grid, lattice, fronts)
     known: dict[bytes, FloatArray | None] = {}
     for _ in range(THICK_DETOURS if attempt.thick else DETOURS):
         waypoints, before = _configurations(task, space.grid, nodes, start, goal)
@@ -149,7 +153,7 @@ def _turning_path(
             return search, path
         here = contacts[0] - before  # the motion from this node to the next is in contact; below 0: from the start
         if here + 2 <= 0 or here >= len(nodes):
-            break  # between a tight end and the grid: not the grid's to avoid
+            break  # between a tight end and the grid: not the grid's to lead around
         _take_out(task, space.grid, lattice, free, nodes[max(0, here) : here + 2])
         ahead = start.free_of(lattice, free, nodes[: max(0, here)])
         behind = goal.free_of(lattice, free, nodes[here + 2 :])
@@ -197,31 +201,31 @@ def _after(nodes: IntArray, first: IntArray) -> IntArray:
 
 
 def _by_fronts(
-    task: PlanningTask, attempt: GridAttempt, space: Occupancy, lattice: Lattice, free: WordArray,
-    entries: tuple[GridEntry, GridEntry], search: SearchResult,
-) -> tuple[SearchResult, IntArray]:  # fmt: skip
-    """A path between any of the nodes that start and goal are joined to, by flooding from both.
-
-    Raises:
-        EnclosedError: There is none; `open_ended` where more yaws might open one.
-    """
+    task: PlanningTask, lattice: Lattice, free: WordArray, entries: tuple[GridEntry, GridEntry], search: SearchResult
+) -> tuple[SearchResult, Wavefronts]:
+    """A path between any of the nodes that start and goal are joined to."""
     begin = time.perf_counter()
     fronts = meet(lattice, free, *(np.array(entry.all()) for entry in entries))
     seconds = time.perf_counter() - begin
     task.clock.add("fallback", seconds)
-    if fronts.path is None:
-        grid, reached = space.grid, lattice.unbordered(fronts.reached)
-        count, which = int(np.bitwise_count(reached).sum()), fronts.enclosed
-        other = "goal" if which == "start" else "start"
-        what = f"the {which} is connected to {count} of {grid.size} nodes, and the {other} is not among them"
-        region = Region(what, task, attempt.growth_m, grid, reached)
-        raise EnclosedError(region, count, open_ended=open_ended(task.problem, grid, reached))
     found = replace(
         search,
         path=fronts.path,
-        cost=path_cost(fronts.path, lattice.step),
+        cost=math.inf if fronts.path is None else path_cost(fronts.path, lattice.step),
         expansions=search.expansions.with_fallback(0, fronts.flooded),
         times=replace(search.times, fallback=search.times.fallback + seconds),
         fallback="wavefront",
     )
-    return found, fronts.path
+    return found, fronts
+
+
+def _enclosed(
+    task: PlanningTask, attempt: GridAttempt, grid: Grid, lattice: Lattice, fronts: Wavefronts
+) -> EnclosedError:
+    """The error for an end that is enclosed; `open_ended` where more yaws might open it."""
+    reached = lattice.unbordered(fronts.reached)
+    count, which = int(np.bitwise_count(reached).sum()), fronts.enclosed
+    other = "goal" if which == "start" else "start"
+    what = f"the {which} is connected to {count} of {grid.size} nodes, and the {other} is not among them"
+    region = Region(what, task, attempt.growth_m, grid, reached)
+    return EnclosedError(region, count, open_ended=open_ended(task.problem, grid, reached))

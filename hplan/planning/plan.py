@@ -23,7 +23,7 @@ from hplan.problem.definition import Problem
 from hplan.problem.options import PlanOptions
 from hplan.problem.world import World
 from hplan.robot.model import Robot
-from hplan.robot.tracking import largest_share, name_margin
+from hplan.robot.tracking import largest_fraction, name_margin
 from hplan.scene.model import Scene
 from hplan.search import SearchResult
 from hplan.search.grid import Occupancy
@@ -114,7 +114,7 @@ def plan(
 
 
 def check_task(robot: Robot, scene: Scene, options: PlanOptions | None) -> None:
-    """Refuse what is no robot, scene or options, such as the first two in the wrong order.
+    """Refuse what is no robot, scene or options, such as the first two the wrong way round.
 
     Raises:
         OptionError: It is none.
@@ -173,7 +173,7 @@ def _fraction_with_room(cache: PlanningCache, scene: Scene, options: PlanOptions
             goal_contact="approach" if len(found.phases) > 1 else "motion",
         ).verified
 
-    return largest_share(is_certified)
+    return largest_fraction(is_certified)
 
 
 def _planned(

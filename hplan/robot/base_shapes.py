@@ -13,7 +13,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
-from weakref import WeakKeyDictionary
 
 import coal
 import numpy as np
@@ -24,14 +23,14 @@ from hplan.robot.convex_shape import convex_hull_shape
 from hplan.robot.family_reader import outline
 from hplan.robot.model import Robot
 
-#: What a link can touch that is no link: what turns with the arm plane, and what stands still.
+#: Bodies that a link can touch and that are no links: those that turn with the arm plane, and those that stand still.
 TURRET: Final = -1
 GROUND: Final = -2
 
 #: A shape whose axis is nowhere farther than this from the yaw axis is round about it [m].
 _ROUND: Final = 1e-6
 
-#: What stands on something else, or carries it, may be this deep in it [m].
+#: A body that stands on another, or carries it, may be this deep in it [m].
 BASE_DEPTH: Final = 1e-3
 
 #: Distances over an interval of yaw are decided to this [m].
@@ -80,33 +79,26 @@ class BaseShape:
 
     def distance_from(self, point: FloatArray) -> float:
         """Distance from a (3,) point, both at yaw 0 [m]; not above 0 inside."""
-        return _distance(self.geometry, self.placement, coal.Sphere(_SPECK), pin.SE3(np.eye(3), point)) + _SPECK
-
-    def distance_at(self, yaw: float, other: BaseShape) -> float:
-        """Signed distance from a shape of the pedestal where the turret is at a yaw [m]."""
-        return self.distance_to(yaw, other.geometry, other.placement)
+        return coal_distance(self.geometry, self.placement, coal.Sphere(_SPECK), pin.SE3(np.eye(3), point)) + _SPECK
 
     def distance_to(self, yaw: float, other: coal.CollisionGeometry, placement: pin.SE3) -> float:
         """Signed distance from what stands still where the turret is at a yaw [m]."""
         turn = pin.SE3(pin.utils.rotate("z", yaw), np.zeros(3))
-        return _distance(self.geometry, turn * self.placement, other, placement)
+        return coal_distance(self.geometry, turn * self.placement, other, placement)
 
 
 #: Radius of the ball that stands for a point [m].
 _SPECK = 1e-3
 
-_KNOWN: WeakKeyDictionary[Robot, tuple[BaseShape, ...]] = WeakKeyDictionary()
-
 
 def base_shapes(robot: Robot) -> tuple[BaseShape, ...]:
     """The shapes of pedestal and turret, in the order of the URDF; the turret of an arm without yaw stands still."""
-    known = _KNOWN.get(robot)
-    if known is None:
-        objects = robot.collision_model.geometryObjects
-        first = 2 if robot.has_yaw else 1
-        numbers = [number for number, shape in enumerate(objects) if shape.parentJoint < first]
-        known = _KNOWN[robot] = tuple(_base_shape(robot, number) for number in numbers)
-    return known
+
+    def shapes() -> tuple[BaseShape, ...]:
+        objects = enumerate(robot.collision_model.geometryObjects)
+        return tuple(_base_shape(robot, number) for number, shape in objects if shape.parentJoint <= robot.yaw_joints)
+
+    return robot.once("base_shapes", shapes)
 
 
 def turning_shapes(robot: Robot) -> tuple[BaseShape, ...]:
@@ -128,13 +120,13 @@ def filled(shape: pin.GeometryObject) -> coal.CollisionGeometry:
 
 
 def ever(distance: Callable[[float], float], low: float, high: float, rate: float, level: float) -> bool:
-    """Whether a distance comes down to a level anywhere in an interval; sure where it says no.
+    """True if a distance comes down to a level anywhere in an interval, or nearly so; False is certain.
 
     Args:
         distance: The distance at a place [m].
         low: First place.
         high: Last place.
-        rate: How fast it can change at most: |d(a) - d(b)| <= rate |a - b|.
+        rate: Its Lipschitz constant: |d(a) - d(b)| <= rate |a - b|.
         level: The level [m].
     """
     left = [(low, high)]
@@ -154,7 +146,7 @@ def ever(distance: Callable[[float], float], low: float, high: float, rate: floa
 
 
 def always(distance: Callable[[float], float], low: float, high: float, rate: float, level: float) -> bool:
-    """Whether a distance is at a level or below all over an interval; sure where it says yes. See `ever`."""
+    """True if a distance is at a level or below all over an interval; True is certain. See `ever`."""
     return not ever(lambda place: -distance(place), low, high, rate, -level)
 
 
@@ -176,7 +168,7 @@ def _base_shape(robot: Robot, number: int) -> BaseShape:
 
 
 def _is_round(geometry: coal.CollisionGeometry, placement: pin.SE3) -> bool:
-    """Whether a sphere's centre, or the axis of a cylinder or capsule, is on the yaw axis."""
+    """True if a sphere's centre, or the axis of a cylinder or capsule, is on the yaw axis."""
     if isinstance(geometry, coal.Sphere):
         half_length = 0.0
     elif isinstance(geometry, coal.Capsule | coal.Cylinder):
@@ -187,7 +179,8 @@ def _is_round(geometry: coal.CollisionGeometry, placement: pin.SE3) -> bool:
     return float(np.hypot(*placement.translation[:2])) + tilt * half_length <= _ROUND
 
 
-def _distance(a: coal.CollisionGeometry, at: pin.SE3, b: coal.CollisionGeometry, other: pin.SE3) -> float:
+def coal_distance(a: coal.CollisionGeometry, at: pin.SE3, b: coal.CollisionGeometry, other: pin.SE3) -> float:
+    """Signed distance of two shapes in their places [m]."""
     return float(
         coal.distance(
             a,

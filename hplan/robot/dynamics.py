@@ -10,7 +10,7 @@ Force and moment at the joint are
 with mass m, centre c and inertia I about it; inward, each body's are added to its parent's, and the torque is their
 component along the joint's axis. Everything is in the frame of the body's own joint, as Pinocchio gives it.
 
-`pin.rnea` answers the same for one state; from Python the way there and back costs more than the answer.
+`pin.rnea` answers the same for one state; from Python the call costs more than the answer.
 """
 
 from __future__ import annotations
@@ -28,10 +28,18 @@ from hplan.base.kernels import kernel
 _TURNING = ("JointModelRX", "JointModelRY", "JointModelRZ", "JointModelRevoluteUnaligned")
 _SLIDING = ("JointModelPX", "JointModelPY", "JointModelPZ", "JointModelPrismaticUnaligned")
 
-#: Where things stand in the rows of a body: a joint at q is turned by FIXED + cos(q) EVEN + sin(q) ODD (three rows
-#: each) and stands at PLACE + q SHIFT, both in its parent's frame; it turns about TURN and slides along SLIDE; then the
-#: body's centre, its inertia about it (three rows), and mass, inertia of the rotor, and parent (-1 for the base).
-_FIXED, _EVEN, _ODD, _PLACE, _SHIFT, _TURN, _SLIDE, _CENTRE, _INERTIA, _NUMBERS = 0, 3, 6, 9, 10, 11, 12, 13, 14, 17
+# Rows of a body. In its parent's frame a joint at q is turned by FIXED + cos(q) EVEN + sin(q) ODD and stands at
+# PLACE + q SHIFT.
+_FIXED = 0  # three rows
+_EVEN = 3  # three rows
+_ODD = 6  # three rows
+_PLACE = 9
+_SHIFT = 10
+_TURN = 11  # axis about which it turns, or zeros
+_SLIDE = 12  # direction in which it slides, or zeros
+_CENTRE = 13  # the body's centre of mass
+_INERTIA = 14  # three rows: inertia about the centre
+_NUMBERS = 17  # mass, inertia of the rotor, parent's row (-1 for the base)
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +61,7 @@ class InverseDynamics(Record):
 
     @classmethod
     def of(cls, model: pin.Model) -> InverseDynamics:
-        """Read what it takes from a model."""
+        """The inverse dynamics of a model."""
         joints = model.joints.tolist()[1:]
         if any(joint.shortname() not in _TURNING + _SLIDING for joint in joints):
             return cls(model, None, None)

@@ -6,10 +6,11 @@ import math
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from hplan.base import ties
+from hplan.base.arrays import FloatArray
 from hplan.errors import RobotFamilyError
+from hplan.scene.solids import CUBE_CORNERS
 
 #: Lengths below this are zero, offsets below this are on the plane [m].
 GEOMETRY_TOLERANCE = 1e-6
@@ -72,7 +73,7 @@ class FamilyReader:
             if model.parents[index] != index - 1:
                 raise self._fault(f"joint {name!r}", "the chain branches here; only serial arms")
 
-    def _joint_axes(self, model: pin.Model) -> NDArray[np.float64]:
+    def _joint_axes(self, model: pin.Model) -> FloatArray:
         """(joints, 3) rotation axes at q = 0 in the base frame."""
         pin.computeJointJacobians(model, self.data, np.zeros(model.nq))
         jacobian = pin.getJointJacobian(model, self.data, model.njoints - 1, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
@@ -82,38 +83,30 @@ class FamilyReader:
                 raise self._fault(f"joint {model.names[index + 1]!r}", "its axis has no direction")
         return axes
 
-    def _find_yaw(self, model: pin.Model, axes: NDArray[np.float64]) -> bool:
+    def _find_yaw(self, model: pin.Model, axes: FloatArray) -> bool:
         """True where joint 0 is vertical and the others are not parallel to it."""
         if len(axes) == 1:
             return False
-        beside = _angle_between(axes[0], axes[1])
-        if beside <= AXIS_TOLERANCE:
+        between = _angle_between(axes[0], axes[1])
+        if between <= AXIS_TOLERANCE:
             return False
         name = model.names[1]
         tilt = _angle_between(axes[0], np.array([0.0, 0.0, 1.0]))
         if tilt > AXIS_TOLERANCE:
             reason = "it is not parallel to the next joint and not vertical either"
-            raise self._fault(f"joint {name!r}", reason + _nearly(min(beside, tilt)))
+            raise self._fault(f"joint {name!r}", reason + _nearly(min(between, tilt)))
         if axes[0, 2] < 0.0:
             raise self._fault(f"joint {name!r}", "the yaw axis points down; turn it to +z")
         lean = abs(math.atan2(axes[1, 2], math.hypot(axes[1, 0], axes[1, 1])))
         if lean > AXIS_TOLERANCE:
             raise self._fault(f"joint {model.names[2]!r}", "it is not perpendicular to the yaw axis" + _nearly(lean))
-        beside = self.data.oMi[1].translation[:2]
-        if np.linalg.norm(beside) > GEOMETRY_TOLERANCE:
-            raise self._fault(
-                f"joint {name!r}",
-                f"the yaw axis stands at ({beside[0]:.6g}, {beside[1]:.6g}) m; it must pass the root link's origin",
-            )
+        x, y = self.data.oMi[1].translation[:2]
+        if math.hypot(x, y) > GEOMETRY_TOLERANCE:
+            reason = f"the yaw axis stands at ({x:.6g}, {y:.6g}) m; it must pass the root link's origin"
+            raise self._fault(f"joint {name!r}", reason)
         return True
 
-    def _read_plane(
-        self,
-        model: pin.Model,
-        axes: NDArray[np.float64],
-        points: NDArray[np.float64],
-        first: int,
-    ) -> None:
+    def _read_plane(self, model: pin.Model, axes: FloatArray, points: FloatArray, first: int) -> None:
         for offset, axis in enumerate(axes):
             angle = _angle_between(axis, axes[0])
             if angle > AXIS_TOLERANCE:
@@ -162,12 +155,7 @@ class FamilyReader:
                 return str(frame.name)
         return str(model.names[joint])
 
-    def _read_half_widths(
-        self,
-        collision_model: pin.GeometryModel,
-        points: NDArray[np.float64],
-        first: int,
-    ) -> None:
+    def _read_half_widths(self, collision_model: pin.GeometryModel, points: FloatArray, first: int) -> None:
         """Radius of the smallest capsule about each link's axis that holds its collision geometry."""
         widths = []
         for index, name in enumerate(self.link_names):
@@ -183,13 +171,13 @@ class FamilyReader:
         self.half_widths = np.array(widths)
 
 
-def _angle_between(axis: NDArray[np.float64], other: NDArray[np.float64]) -> float:
+def _angle_between(axis: FloatArray, other: FloatArray) -> float:
     """Angle between two lines of unit direction, 0 to a right angle (the cosine would lose small ones)."""
     return math.atan2(float(np.linalg.norm(np.cross(axis, other))), abs(float(axis @ other)))
 
 
 def _nearly(angle: float) -> str:
-    """What to do about an axis that was surely meant to have a direction, and is off by a small angle."""
+    """Advice about an axis that was surely meant to have a direction, and is off by a small angle."""
     if angle > 0.01:
         return ""
     return (
@@ -198,7 +186,7 @@ def _nearly(angle: float) -> str:
     )
 
 
-def joint_range(model: pin.Model) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def joint_range(model: pin.Model) -> tuple[FloatArray, FloatArray]:
     """Lower and upper joint limits, (joints,) each [rad].
 
     Raises:
@@ -213,12 +201,7 @@ def joint_range(model: pin.Model) -> tuple[NDArray[np.float64], NDArray[np.float
     return lower, upper
 
 
-def _enclosing_radius(
-    shape: pin.GeometryObject,
-    joint_placement: pin.SE3,
-    start: NDArray[np.float64],
-    end: NDArray[np.float64],
-) -> float:
+def _enclosing_radius(shape: pin.GeometryObject, joint_placement: pin.SE3, start: FloatArray, end: FloatArray) -> float:
     """Largest distance of a shape's points from the segment `start`-`end` [m]."""
     placement = joint_placement * shape.placement
     axis = end - start
@@ -231,7 +214,7 @@ def _enclosing_radius(
     return float(np.max(np.linalg.norm(world - start - along[:, None] * axis, axis=1))) + rounding
 
 
-def outline(shape: pin.GeometryObject, *, rim_from_outside: bool) -> tuple[NDArray[np.float64], float]:
+def outline(shape: pin.GeometryObject, *, rim_from_outside: bool) -> tuple[FloatArray, float]:
     """Points and a rounding radius whose hull holds the shape.
 
     Exact but for the rim of a cylinder, a 64-gon: on the rim where the cylinder lies about the link's axis (every
@@ -250,8 +233,7 @@ def outline(shape: pin.GeometryObject, *, rim_from_outside: bool) -> tuple[NDArr
         ends = [np.c_[rim, np.full(64, h)] for h in (-geometry.halfLength, geometry.halfLength)]
         return np.vstack(ends), 0.0
     if kind == "Box":
-        signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
-        return signs * np.asarray(geometry.halfSide), 0.0
+        return CUBE_CORNERS * np.asarray(geometry.halfSide), 0.0
     if hasattr(geometry, "vertices"):
         return np.asarray(geometry.vertices(), dtype=np.float64), 0.0
     raise TypeError(f"shape {kind} is not supported")

@@ -1,4 +1,4 @@
-"""The files of a robot, read and checked: URDF, and beside it a limits YAML for what URDF cannot say.
+"""The files of a robot, read and checked: URDF, and in the same folder a limits YAML for what URDF cannot say.
 
 Any robot's; which of them hplan can plan for is decided in `hplan.robot.family_reader`.
 """
@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import yaml
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, PositiveFloat, ValidationError
 
+from hplan.base.arrays import FloatArray
 from hplan.base.yaml_text import read_yaml
 from hplan.errors import RobotFileError
 from hplan.robot.urdf_check import check_models
@@ -34,8 +34,7 @@ def read_models(urdf_path: Path) -> tuple[pin.Model, pin.GeometryModel, pin.Geom
 
     Raises:
         RobotFileError: Missing or unreadable file, malformed XML, content that `hplan.robot.urdf_file` or Pinocchio
-        refuses,
-            or that Pinocchio reads otherwise.
+            refuses, or that Pinocchio reads otherwise.
     """
     urdf = read_urdf(urdf_path, read_urdf_xml(urdf_path))
     _check_family(urdf_path, urdf)
@@ -76,7 +75,7 @@ class _LimitsFile(BaseModel):
     jerk_rad_s3: dict[str, PositiveFloat] | None = None
 
 
-def read_limits(path: Path, joint_names: tuple[str, ...]) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
+def read_limits(path: Path, joint_names: tuple[str, ...]) -> tuple[FloatArray, FloatArray | None]:
     """Read acceleration [rad/s^2] and, where given, jerk limits [rad/s^3] in the order of `joint_names`.
 
     Raises:
@@ -99,7 +98,7 @@ def read_limits(path: Path, joint_names: tuple[str, ...]) -> tuple[NDArray[np.fl
     if limits.format != LIMITS_FORMAT:
         raise RobotFileError(path, f"format is {limits.format!r}, expected {LIMITS_FORMAT!r}")
 
-    def ordered(key: str, table: dict[str, float]) -> NDArray[np.float64]:
+    def ordered(key: str, table: dict[str, float]) -> FloatArray:
         missing = [name for name in joint_names if name not in table]
         unknown = [name for name in table if name not in joint_names]
         if missing or unknown:

@@ -1,4 +1,4 @@
-"""What timing needs to know: a geometric path, and the limits of a motion along it."""
+"""Input of timing: a geometric path, and the limits of a motion along it."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ def check_rate(rate_hz: float) -> None:
 
 
 def check_speed(speed: float) -> None:
-    """Refuse a share of full speed that is none.
+    """Refuse a fraction of full speed that is none.
 
     Raises:
         OptionError: It is not in (0, 1].
     """
-    number("speed", speed, "a factor in (0, 1]", lambda share: 0.0 < share <= 1.0)
+    number("speed", speed, "a factor in (0, 1]", lambda factor: 0.0 < factor <= 1.0)
 
 
 def rest_to_rest(distance: FloatArray, velocity: ArrayLike, acceleration: ArrayLike) -> FloatArray:
@@ -52,7 +52,7 @@ def rest_to_rest(distance: FloatArray, velocity: ArrayLike, acceleration: ArrayL
 
 
 def least_duration(start: FloatArray, goal: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> float:
-    """What no motion from rest to rest between two configurations can undercut [s]: that of the slowest joint alone.
+    """Lower bound of the duration between two configurations, from rest to rest [s]: that of the slowest joint alone.
 
     Args:
         start: (dof,) configuration.

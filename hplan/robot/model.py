@@ -1,16 +1,17 @@
 """The arm that hplan plans for: an optional yaw, then parallel revolute joints in one plane.
 
 Everything is read from the files with Pinocchio: how many links, their lengths, axes, half-widths and limits.
-What URDF cannot say (acceleration, jerk) stands in a limits YAML beside it.
+What URDF cannot say (acceleration, jerk) stands in a limits YAML in the same folder.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
 import pinocchio as pin
@@ -23,6 +24,8 @@ from hplan.errors import InputError, JointLimitError
 from hplan.robot.dynamics import InverseDynamics
 from hplan.robot.family_reader import FamilyReader, joint_range
 from hplan.robot.files import LIMITS_SUFFIX, read_limits, read_models
+
+_T = TypeVar("_T")
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,14 +124,30 @@ class Robot(Record):
         return len(self.joint_names)
 
     @cached_property
+    def _made(self) -> dict[Hashable, Any]:
+        return {}
+
+    def once(self, key: Hashable, make: Callable[[], _T]) -> _T:
+        """The result of `make`, called for the first request of a key only: for what depends on the robot alone."""
+        if key not in self._made:
+            self._made[key] = make()
+        made: _T = self._made[key]
+        return made
+
+    @cached_property
     def dynamics(self) -> InverseDynamics:
-        """Torques of the model's motions."""
+        """Inverse dynamics of the model."""
         return InverseDynamics.of(self.model)
 
     @property
+    def yaw_joints(self) -> int:
+        """Number of joints before the planar ones: 1 with a yaw, else 0."""
+        return int(self.has_yaw)
+
+    @property
     def arm_slice(self) -> slice:
-        """Where the planar joints stand in a configuration."""
-        return slice(1 if self.has_yaw else 0, None)
+        """Places of the planar joints in a configuration."""
+        return slice(self.yaw_joints, None)
 
     def yaw_of(self, q: ArrayLike) -> float:
         """Yaw of a configuration (0 for a robot without one)."""
@@ -158,7 +177,7 @@ class Robot(Record):
         return np.stack([cos * x - sin * y, sin * x + cos * y, z], axis=-1)
 
     def sway(self, deviation: ArrayLike) -> FloatArray:
-        """How far an axis point of each link may be from its place when joints are off by `deviation` at most.
+        """Largest distance of an axis point of each link from its place when joints are off by `deviation` at most.
 
         The absolute angle of a link is off by no more than the joints up to it together, and each link adds its length
         times that; yaw adds its own deviation times the largest distance from the yaw axis.
@@ -181,7 +200,7 @@ class Robot(Record):
         return radius
 
     def locked_mask(self, names: Sequence[str]) -> BoolArray:
-        """(dof,) which joints are locked.
+        """(dof,) mask of the locked joints.
 
         Raises:
             InputError: A joint that the robot does not have.
@@ -222,12 +241,7 @@ class Robot(Record):
         return readonly(np.clip(values, self.lower, self.upper))
 
 
-def load_robot(
-    path: Path | str | None = None,
-    *,
-    limits: Path | str | None = None,
-    tool_frame: str = "tool0",
-) -> Robot:
+def load_robot(path: Path | str | None = None, *, limits: Path | str | None = None, tool_frame: str = "tool0") -> Robot:
     """Load a robot of the family.
 
     Args:

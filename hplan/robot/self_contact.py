@@ -1,4 +1,4 @@
-r"""Where an arm can touch itself: link against link, and links and turret against what carries the arm.
+r"""Pairs of parts of an arm that can touch: link and link, links or turret and the base that carries the arm.
 
 Two parts are left out where they *always* touch: neighbours about their joint, parts that what lies between holds so
 near together, and a link and the shape that carries the joint it turns about. Of all others those are pairs that can
@@ -13,9 +13,7 @@ can, as with the harvester, nothing is looked at anywhere.
 with :math:`\varphi` the absolute angles in the plane. **The turret** turns with the arm plane: it is as a link
 before the first, of angle 0. **The pedestal** stands still; to the motion seen from it comes that of the yaw.
 
-**Neighbours** overlap at their joint. What is farther from it than `FOLD_REACH` times the distance that they have to
-keep (half-widths and clearance) must not touch the other one: they may fold up to 160.5 degrees, and the links of
-any longer reach are then as far apart at that place as they have to be (`hplan.robot.folding`).
+**Neighbours** overlap at their joint; the parts of them far from it must not touch (`hplan.robot.folding`).
 
 **The turret against the pedestal** depends on the yaw alone. Shapes of which one is round about the yaw axis are to
 each other what they are at any yaw, and so are those that a horizontal plane separates: they are left out.
@@ -27,10 +25,9 @@ links are farther apart at its middle than its half-widths can move them. Where 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import dataclass, fields, replace
+from functools import lru_cache, partial
 from typing import Final, Literal
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -85,12 +82,12 @@ class BaseBody:
 
     @property
     def is_point_set(self) -> Literal[False]:
-        """Never: it is the hull of its core grown by its rounding."""
+        """False: it is the hull of its core grown by its rounding."""
         return False
 
     @property
     def follows_arm_plane(self) -> bool:
-        """Whether the arm plane cuts it the same at every yaw: it is round, or turns with the plane."""
+        """True if the arm plane cuts it the same at every yaw: it is round, or turns with the plane."""
         return self.is_round or self.carrier == TURRET
 
 
@@ -112,12 +109,9 @@ class SelfContact:
 
     @property
     def possible(self) -> bool:
-        """Whether any pair can touch."""
+        """True if any pair can touch."""
         return bool(self.links or self.bodies or self.folds or self.turret)
 
-
-#: By robot, then by tracking error and clearance.
-_KNOWN: WeakKeyDictionary[Robot, dict[tuple[float, float], SelfContact]] = WeakKeyDictionary()
 
 #: Tracking errors are rounded up to multiples of this [rad].
 _DEVIATION_STEP: Final = 5e-3
@@ -135,22 +129,18 @@ def self_contact(robot: Robot, *, deviation: float = 0.0, clearance: float = 0.0
         clearance: Distance that parts have to keep [m]. Parts that are always nearer than that, as a low shoulder is to
             the pedestal, are asked only whether they can touch.
     """
-    known = _KNOWN.get(robot, {})
-    key = _rounded_up(deviation), float(clearance)
-    try:
-        return known[key]
-    except KeyError:
-        pass
-    arm = replace(robot.arm, lower=robot.arm.lower - key[0], upper=robot.arm.upper + key[0])
-    found = SelfContact(
-        links=_link_pairs(arm, key[1]),
-        bodies=tuple(_bodies(robot, arm, *key)),
-        folds=folds(arm, key[1], SLACK),
-        turret=tuple(_turret_pairs(robot, *key)),
+    decide = robot.once("self_contact", lambda: lru_cache(_MOST_KNOWN)(partial(_decided, robot)))
+    return decide(_rounded_up(deviation), float(clearance))
+
+
+def _decided(robot: Robot, deviation: float, clearance: float) -> SelfContact:
+    arm = replace(robot.arm, lower=robot.arm.lower - deviation, upper=robot.arm.upper + deviation)
+    return SelfContact(
+        links=_link_pairs(arm, clearance),
+        bodies=tuple(_bodies(robot, arm, deviation, clearance)),
+        folds=folds(arm, clearance, SLACK),
+        turret=tuple(_turret_pairs(robot, deviation, clearance)),
     )
-    # Tables are replaced and never changed: another thread may read the one before.
-    _KNOWN[robot] = {**dict(list(known.items())[1 - _MOST_KNOWN :]), key: found}
-    return found
 
 
 def _rounded_up(deviation: float) -> float:
@@ -161,7 +151,7 @@ def _rounded_up(deviation: float) -> float:
 
 
 def pair_sway(robot: Robot, link: int, other: int, deviation: ArrayLike) -> FloatArray:
-    """How much nearer a link may come to another part of the arm when joints are off by `deviation` at most.
+    """Largest loss of distance of a link from another part of the arm when joints are off by `deviation` at most.
 
     Args:
         robot: The arm.
@@ -186,7 +176,7 @@ def pair_sway(robot: Robot, link: int, other: int, deviation: ArrayLike) -> Floa
 
 
 def pair_rates(robot: Robot, link: int, other: int, rates: FloatArray) -> FloatArray:
-    """How fast points of a link move at most, seen from another part of the arm.
+    """Largest speeds of points of a link, seen from another part of the arm.
 
     Args:
         robot: The arm.
@@ -214,17 +204,7 @@ def pair_rates(robot: Robot, link: int, other: int, rates: FloatArray) -> FloatA
 def part_of_arm(arm: PlanarArm, first: int, last: int) -> PlanarArm:
     """Links `first` to `last` by themselves; the plane's first axis is the direction of the link before them."""
     part = slice(first, last + 1)
-    return replace(
-        arm,
-        joint_names=arm.joint_names[part],
-        link_names=arm.link_names[part],
-        lengths=arm.lengths[part],
-        half_widths=arm.half_widths[part],
-        signs=arm.signs[part],
-        offsets=arm.offsets[part],
-        lower=arm.lower[part],
-        upper=arm.upper[part],
-    )
+    return PlanarArm(**{field.name: getattr(arm, field.name)[part] for field in fields(arm)})
 
 
 def _link_pairs(arm: PlanarArm, clearance: float) -> tuple[tuple[int, int], ...]:
@@ -251,7 +231,7 @@ def _bodies(robot: Robot, arm: PlanarArm, deviation: float, clearance: float) ->
         # Its shadow in the arm plane holds its section there, at every yaw.
         shadow = convex_hull((core - robot.plane_origin) @ robot.plane_axes.T)
         aside = (core - robot.plane_origin) @ normal
-        beside_plane = max(float(aside.min()), -float(aside.max()), 0.0)
+        off_plane = max(float(aside.min()), -float(aside.max()), 0.0)
         touching: list[int] = []
         for link in range(arm.link_count):
             radius = shape.rounding + float(arm.half_widths[link])
@@ -259,7 +239,7 @@ def _bodies(robot: Robot, arm: PlanarArm, deviation: float, clearance: float) ->
             if held(0.0):
                 continue  # it carries the shoulder, or the links between are too short to leave it
             reach = SLACK + (0.0 if clearance > 0.0 and held(clearance) else clearance)
-            if beside_plane <= radius + reach and _can_touch(part_of_arm(arm, 0, link), shadow, radius + reach):
+            if off_plane <= radius + reach and _can_touch(part_of_arm(arm, 0, link), shadow, radius + reach):
                 touching.append(link)
         if touching:
             own = frozen(np.unique(core if shape.is_round else shape.points, axis=0))
@@ -270,7 +250,7 @@ def _bodies(robot: Robot, arm: PlanarArm, deviation: float, clearance: float) ->
 
 
 def _is_held(robot: Robot, shape: BaseShape, deviation: float, within: float, clearance: float) -> bool:
-    """Whether a shape of the base is within a distance, and the clearance, of the shoulder at every yaw.
+    """True if a shape of the base is within a distance, and the clearance, of the shoulder at every yaw.
 
     A link of half-width w begins no farther from the shoulder than the lengths before it, and so always touches what is
     within w less those lengths of the shoulder.
@@ -319,7 +299,7 @@ def _turret_pairs(robot: Robot, deviation: float, clearance: float) -> list[tupl
             # A horizontal plane between them stays between them.
             if shape.bottom >= other.top - BASE_DEPTH or other.bottom >= shape.top - BASE_DEPTH:
                 continue
-            distance = partial(_turned_distance, shape, other)
+            distance = partial(shape.distance_to, other=other.geometry, placement=other.placement)
             rate = min(shape.radius, other.radius)  # either may be taken to turn
             if always(distance, low, high, rate, 0.0):
                 continue
@@ -329,21 +309,17 @@ def _turret_pairs(robot: Robot, deviation: float, clearance: float) -> list[tupl
     return found
 
 
-def _turned_distance(shape: BaseShape, other: BaseShape, yaw: float) -> float:
-    return shape.distance_at(yaw, other)
-
-
 def _can_touch(arm: PlanarArm, polygon: FloatArray, radius: float) -> bool:
-    """Whether the axis of the last link can come within a distance of a convex polygon; sure where it says no."""
+    """True if the axis of the last link can come within a distance of a convex polygon; False is certain."""
     lower, upper = arm.lower[None], arm.upper[None]
     reach = np.cumsum(arm.lengths[::-1])[::-1]  # how far a point of the last link can be from each joint
     while True:
         half = 0.5 * (upper - lower)
         points = arm.joint_points(lower + half)
-        spare = polygon_distances(points[:, -2], points[:, -1], polygon) - radius
-        if (spare <= 0.0).any():
+        beyond = polygon_distances(points[:, -2], points[:, -1], polygon) - radius
+        if (beyond <= 0.0).any():
             return True
-        left = spare <= half @ reach
+        left = beyond <= half @ reach
         if not left.any():
             return False
         if int(left.sum()) > _MOST_BOXES:

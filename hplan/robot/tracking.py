@@ -1,6 +1,6 @@
-r"""How far a controlled arm may be from its trajectory.
+r"""Model of the tracking error: largest distance of a controlled arm from its trajectory.
 
-Errors of tracking grow with speed: what is commanded comes late, and feed-forward is wrong by a share of it. So each
+Errors of tracking grow with speed: what is commanded comes late, and feed-forward is wrong by a fraction of it. So each
 joint is taken to deviate from its commanded position :math:`q_j(t)` by no more than
 
 .. math:: e_j(t) = \text{still} + \text{delay} \cdot |\dot q_j(t)|.
@@ -21,8 +21,8 @@ from hplan.base.arguments import number
 from hplan.base.arrays import FloatArray
 from hplan.errors import HplanError
 
-#: How exactly the largest tracking error is found that would do, as a share of the one asked for.
-SHARE_ERROR = 1e-3
+#: How exactly the largest tracking error is found that would do, as a fraction of the one asked for.
+FRACTION_ERROR = 1e-3
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class TrackingModel:
 
     @property
     def is_exact(self) -> bool:
-        """Whether there is no deviation at all."""
+        """True if there is no deviation at all."""
         return self.still_rad == 0.0 and self.delay_s == 0.0
 
     def deviations(self, velocity: ArrayLike) -> FloatArray:
@@ -59,9 +59,9 @@ class TrackingModel:
         deviations: FloatArray = self.still_rad + self.delay_s * np.abs(np.asarray(velocity, dtype=np.float64))
         return deviations
 
-    def scaled(self, share: float) -> TrackingModel:
-        """The model with a share of both deviations."""
-        return TrackingModel(share * self.still_rad, share * self.delay_s)
+    def scaled(self, fraction: float) -> TrackingModel:
+        """The model with a fraction of both deviations."""
+        return TrackingModel(fraction * self.still_rad, fraction * self.delay_s)
 
     def __str__(self) -> str:
         """The model in words."""
@@ -69,18 +69,18 @@ class TrackingModel:
         return f"{error} + {1e3 * self.delay_s:.4g} ms of velocity" if self.delay_s else error
 
 
-def name_margin(error: HplanError, asked: TrackingModel, share: float, enough: str = "what would do is") -> None:
+def name_margin(error: HplanError, asked: TrackingModel, fraction: float, enough: str = "what would do is") -> None:
     """Let an error say that what it refuses was refused for a tracking error, and the largest that would do.
 
     Args:
         error: The error.
         asked: The tracking error asked for.
-        share: Share of it that would do; where none would, the error has another reason and is left as it is.
+        fraction: Fraction of it that would do; where none would, the error has another reason and is left as it is.
         enough: The words for that.
     """
-    if not share > 0.0:
+    if not fraction > 0.0:
         return
-    largest = asked.scaled(share)
+    largest = asked.scaled(fraction)
     error.add(
         f"this allows for a tracking error of {asked}; {enough} up to {largest}",
         tracking_error_deg=math.degrees(asked.still_rad),
@@ -90,19 +90,19 @@ def name_margin(error: HplanError, asked: TrackingModel, share: float, enough: s
     )
 
 
-def largest_share(would_do: Callable[[float], bool]) -> float:
-    """The largest share of a tracking error that would do, of which smaller ones would then do too, by bisection.
+def largest_fraction(would_do: Callable[[float], bool]) -> float:
+    """The largest fraction of a tracking error that would do, of which smaller ones would then do too, by bisection.
 
     Args:
-        would_do: Whether a share does.
+        would_do: True for a fraction that would do.
 
     Returns:
-        A share that does, less than `SHARE_ERROR` below the largest; 0 where none does.
+        A fraction that does, less than `FRACTION_ERROR` below the largest; 0 where none does.
     """
     if not would_do(0.0):
         return 0.0
     low, high = 0.0, 1.0
-    while high - low > SHARE_ERROR:
+    while high - low > FRACTION_ERROR:
         middle = 0.5 * (low + high)
         low, high = (middle, high) if would_do(middle) else (low, middle)
     return low

@@ -1,4 +1,4 @@
-"""Whether Pinocchio's models are what the URDF says, element by element.
+"""Comparison of Pinocchio's models with the URDF, element by element.
 
 The reference is the strict reading of `hplan.robot.urdf_file`. Fixed joints fuse links: their inertias add up in the
 joint that moves them, and their shapes move with it.
@@ -18,10 +18,10 @@ from numpy.typing import ArrayLike
 
 from hplan.base.arrays import FloatArray
 from hplan.errors import RobotFileError
-from hplan.robot.urdf_file import Joint, Link, Shape, Urdf
+from hplan.robot.urdf_file import CollisionShape, Joint, Link, Urdf
 from hplan.robot.urdf_xml import line_of
 
-#: How far two readings of one number may be apart, as a share of one plus its size.
+#: How far two readings of one number may be apart, as a fraction of one plus its size.
 _TOLERANCE: Final = 1e-9
 
 _MOVING: Final = ("revolute", "continuous", "prismatic")
@@ -147,7 +147,7 @@ class _Check:
         self.same(link.element, name, "its place", frame.placement.homogeneous, placement.homogeneous)
 
     def shape(
-        self, link: Link, shape: Shape, found: pin.GeometryObject | None, carrier: int, placement: pin.SE3
+        self, link: Link, shape: CollisionShape, found: pin.GeometryObject | None, carrier: int, placement: pin.SE3
     ) -> None:
         """Compare a collision shape."""
         name = f"link {link.name!r}"
@@ -167,7 +167,7 @@ class _Check:
 
 
 def _kind_and_size(shape: pin.GeometryObject) -> tuple[str, tuple[float, ...]]:
-    """Kind and size of Pinocchio's shape, as `hplan.robot.urdf_file.Shape` has them."""
+    """Kind and size of Pinocchio's shape, as `hplan.robot.urdf_file.CollisionShape` has them."""
     geometry = shape.geometry
     if isinstance(geometry, coal.Box):
         return "box", tuple(2.0 * np.asarray(geometry.halfSide))

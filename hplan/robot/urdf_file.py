@@ -1,4 +1,4 @@
-"""What a URDF says, read strictly: links, joints, inertia and collision geometry as numbers.
+"""The content of a URDF, read strictly: links, joints, inertia and collision geometry as numbers.
 
 `urdfdom`, which Pinocchio reads with, passes over much that it cannot read: a mass whose origin has a decimal comma is
 no mass, an element whose name is misspelled is not there. Here all of that is a fault with its line and element.
@@ -89,7 +89,7 @@ class Inertial:
 
 
 @dataclass(frozen=True, eq=False)
-class Shape:
+class CollisionShape:
     """A collision geometry.
 
     Attributes:
@@ -119,7 +119,7 @@ class Link:
     element: ET.Element
     name: str
     inertial: Inertial | None
-    shapes: tuple[Shape, ...]
+    shapes: tuple[CollisionShape, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,7 +161,7 @@ class Urdf:
 
 
 def read_urdf(path: Path, root: ET.Element, *, any_robot: bool = False) -> Urdf:
-    """Read what a URDF says.
+    """Read the content of a URDF.
 
     Robots of others hold elements of programs that are not known here, and inertias of no body where it does not
     matter; of these nothing is refused but what looks like a misspelling, and no number that cannot be read.
@@ -223,7 +223,7 @@ class _Reader:
             str(element.get("name")),
             None if inertial is None else self._inertial(inertial, where),
             tuple(
-                Shape(shape, *self._geometry_of(shape, where), self._placement(shape, where))
+                CollisionShape(shape, *self._geometry_of(shape, where), self._placement(shape, where))
                 for shape in ([] if self._any_robot else element.findall("collision"))
             ),
         )
@@ -290,10 +290,10 @@ class _Reader:
     def _check_inertia(self, element: ET.Element, matrix: FloatArray, where: str) -> None:
         """Refuse an inertia that no body has."""
         moments = np.linalg.eigvalsh(matrix)
-        spare = max(_INERTIA_TOLERANCE * float(np.abs(moments).max()), 1e-12)
+        tolerance = max(_INERTIA_TOLERANCE * float(np.abs(moments).max()), 1e-12)
         if self._any_robot:
             return
-        if moments[0] < -spare or moments[2] > moments[0] + moments[1] + spare:
+        if moments[0] < -tolerance or moments[2] > moments[0] + moments[1] + tolerance:
             raise self.fault(
                 element,
                 f"{where}: <inertia> has principal moments {', '.join(f'{moment:.6g}' for moment in moments)} kg m^2; "
@@ -327,7 +327,7 @@ class _Reader:
         return shape.tag, tuple(size)
 
     def _placement(self, element: ET.Element, where: str) -> pin.SE3:
-        """Where the `<origin>` of an element puts it."""
+        """Placement by the `<origin>` of an element."""
         xyz, rpy = self._origin_of(element, where)
         return pin.SE3(rpy_rotation(*rpy), np.array(xyz))
 
@@ -377,7 +377,7 @@ class _Reader:
                     raise self.fault(part, f"{where}: {attribute} of <{part.tag}> means nothing")
 
     def _means_something(self, name: str, known: frozenset[str]) -> bool:
-        """Whether an unknown name may be an extension, and is no misspelling of a known one."""
+        """True if an unknown name may be an extension, and is no misspelling of a known one."""
         if ":" in name or name in _EXTENSIONS:
             return True
         return self._any_robot and not get_close_matches(name.lower(), known, 1, _ALIKE)

@@ -25,7 +25,6 @@ from hplan.base.files import write_text
 from hplan.errors import OptionError, OutputError, RobotFileError
 from hplan.robot.files import LIMITS_SUFFIX, read_models
 from hplan.robot_family.spec import HARVESTER, ArmSpec
-from hplan.robot_family.urdf import limits_text, urdf_text
 
 # The files that `write_robot` writes name this module as the place to find the first two.
 __all__ = ["HARVESTER", "ArmSpec", "CrossCheck", "cross_check", "write_robot"]
@@ -45,6 +44,8 @@ def write_robot(spec: ArmSpec, urdf_path: Path | str) -> tuple[Path, Path]:
         OptionError: The path does not end in `.urdf`.
         OutputError: A file cannot be written; nothing half-written is left behind then.
     """
+    from hplan.robot_family.urdf import limits_text, urdf_text
+
     instance("spec", spec, ArmSpec)
     urdf_path = file_path("urdf_path", urdf_path)
     if urdf_path.suffix != ".urdf":

@@ -25,8 +25,8 @@ PALETTE: Mapping[str, tuple[float, float, float, float]] = {
 
 
 @dataclass(frozen=True)
-class Shape:
-    """A primitive in its link's frame.
+class Primitive:
+    """A primitive shape in its link's frame.
 
     Its size [m] is (radius, length) of a cylinder, (x, y, z) of a box, (radius,) of a sphere.
     """
@@ -42,26 +42,22 @@ class Shape:
 def along(axis: Axis, start: float, end: float) -> tuple[Vector, float]:
     """Centre and length of a span of a coordinate axis [m]."""
     middle = (start + end) / 2
-    centers: dict[str, Vector] = {
-        "x": (middle, 0.0, 0.0),
-        "y": (0.0, middle, 0.0),
-        "z": (0.0, 0.0, middle),
-    }
+    centers: dict[str, Vector] = {"x": (middle, 0.0, 0.0), "y": (0.0, middle, 0.0), "z": (0.0, 0.0, middle)}
     return centers[axis], end - start
 
 
-def _round(name: str, axis: Axis, start: float, end: float, radius: float, material: str | None = None) -> Shape:
+def _round(name: str, axis: Axis, start: float, end: float, radius: float, material: str | None = None) -> Primitive:
     """A cylinder around a coordinate axis, from `start` to `end` on it [m]."""
     center, length = along(axis, start, end)
-    return Shape(name, "cylinder", center, (radius, length), axis, material)
+    return Primitive(name, "cylinder", center, (radius, length), axis, material)
 
 
-def capsule(link: str, length: float, radius: float) -> list[Shape]:
+def capsule(link: str, length: float, radius: float) -> list[Primitive]:
     """The exact capsule around the segment from 0 to `length` on x."""
     return [
         _round(f"{link}_capsule_side", "x", 0.0, length, radius),
-        Shape(f"{link}_capsule_near", "sphere", (0.0, 0.0, 0.0), (radius,)),
-        Shape(f"{link}_capsule_far", "sphere", (length, 0.0, 0.0), (radius,)),
+        Primitive(f"{link}_capsule_near", "sphere", (0.0, 0.0, 0.0), (radius,)),
+        Primitive(f"{link}_capsule_far", "sphere", (length, 0.0, 0.0), (radius,)),
     ]
 
 
@@ -70,14 +66,14 @@ def _visual_reach(half_width: float) -> float:
     return half_width + min(0.008, 0.2 * half_width)
 
 
-def _drum(link: str, half_width: float) -> Shape:
+def _drum(link: str, half_width: float) -> Primitive:
     """Housing of a link's own joint, at the origin of the link and along the joint axis."""
     radius = 0.92 * half_width
     half_length = min(0.6 * half_width, math.sqrt(_visual_reach(half_width) ** 2 - radius**2))
     return _round(f"{link}_housing", "y", -half_length, half_length, radius, "graphite")
 
 
-def _fork(link: str, axis: Axis, root: float, joint: float, half_width: float) -> list[Shape]:
+def _fork(link: str, axis: Axis, root: float, joint: float, half_width: float) -> list[Primitive]:
     """Two cheeks that carry the next joint's housing between them.
 
     `axis` is the direction from the body of the link to the joint, `root` and `joint` the places on
@@ -95,26 +91,18 @@ def _fork(link: str, axis: Axis, root: float, joint: float, half_width: float) -
         # Only as broad as stays within reach at the outer face; the hub is a full disc.
         breadth = 1.1 * half_width if axis == "x" else 1.6 * half_width
         size = (length, width, breadth) if axis == "x" else (breadth, width, length)
-        hub_center, cap_center = (
-            (hub[0], y, hub[2]),
-            (hub[0], sign * (outer + 0.02 * half_width), hub[2]),
-        )
+        hub_center, cap_center = ((hub[0], y, hub[2]), (hub[0], sign * (outer + 0.02 * half_width), hub[2]))
         shapes += [
-            Shape(f"{link}_fork_{side}", "box", (x, y, z), size, material="graphite"),
-            Shape(f"{link}_hub_{side}", "cylinder", hub_center, (radius, width), "y", "graphite"),
-            Shape(
-                f"{link}_cap_{side}",
-                "cylinder",
-                cap_center,
-                (0.4 * half_width, 0.08 * half_width),
-                "y",
-                "orange",
+            Primitive(f"{link}_fork_{side}", "box", (x, y, z), size, material="graphite"),
+            Primitive(f"{link}_hub_{side}", "cylinder", hub_center, (radius, width), "y", "graphite"),
+            Primitive(
+                f"{link}_cap_{side}", "cylinder", cap_center, (0.4 * half_width, 0.08 * half_width), "y", "orange"
             ),
         ]
     return shapes
 
 
-def _gripper(link: str, length: float, half_width: float, unit: float) -> list[Shape]:
+def _gripper(link: str, length: float, half_width: float, unit: float) -> list[Primitive]:
     """A palm and two fingers around the tool point at (`length`, 0, 0)."""
     w = half_width
     palm, knuckle = length - 4.0 * unit, length - 3.2 * unit
@@ -127,14 +115,14 @@ def _gripper(link: str, length: float, half_width: float, unit: float) -> list[S
         finger, finger_length = along("x", knuckle, tip)
         pad, pad_length = along("x", length - 0.9 * unit, tip - 0.1 * unit)
         shapes += [
-            Shape(
+            Primitive(
                 f"{link}_finger_{side}",
                 "box",
                 (finger[0], sign * 0.68 * w, 0.0),
                 (finger_length, 0.2 * w, 0.6 * w),
                 material="steel",
             ),
-            Shape(
+            Primitive(
                 f"{link}_pad_{side}",
                 "box",
                 (pad[0], sign * 0.5 * w, 0.0),
@@ -145,7 +133,7 @@ def _gripper(link: str, length: float, half_width: float, unit: float) -> list[S
     return shapes
 
 
-def arm_visuals(link: str, length: float, half_width: float, next_half_width: float | None) -> list[Shape]:
+def arm_visuals(link: str, length: float, half_width: float, next_half_width: float | None) -> list[Primitive]:
     """Housing, tube and collars of an arm link, then the fork for the next joint or the gripper."""
     w = half_width
     unit = min(w, length / 6)  # a stubby link gets its fittings shortened, so that they fit on it
@@ -178,20 +166,20 @@ def base_radius(spec: ArmSpec) -> float:
     return min(0.15, 2.8 * spec.link_half_widths[0])
 
 
-def base_collisions(spec: ArmSpec) -> list[Shape]:
+def base_collisions(spec: ArmSpec) -> list[Primitive]:
     """The pedestal, for collisions."""
     top = PEDESTAL_TOP * spec.shoulder_height
     return [_round("pedestal", "z", 0.0, top, base_radius(spec))]
 
 
-def turret_collisions(spec: ArmSpec) -> list[Shape]:
+def turret_collisions(spec: ArmSpec) -> list[Primitive]:
     """The turret's body, for collisions."""
     # It ends at the shoulder axis: above it there is nothing but the first link's own capsule.
     bottom = PEDESTAL_TOP * spec.shoulder_height
     return [_round("turret_body", "z", bottom, spec.shoulder_height, 0.8 * base_radius(spec))]
 
 
-def base_visuals(spec: ArmSpec) -> list[Shape]:
+def base_visuals(spec: ArmSpec) -> list[Primitive]:
     """Foot, skirt, column and flange of the pedestal."""
     radius, height = base_radius(spec), spec.shoulder_height
     top = PEDESTAL_TOP * height
@@ -203,7 +191,7 @@ def base_visuals(spec: ArmSpec) -> list[Shape]:
     ]
 
 
-def turret_visuals(spec: ArmSpec) -> list[Shape]:
+def turret_visuals(spec: ArmSpec) -> list[Primitive]:
     """Ring, body and cover of the turret, and the fork for the shoulder."""
     radius, height, w = base_radius(spec), spec.shoulder_height, spec.link_half_widths[0]
     bottom, top = PEDESTAL_TOP * height, _TURRET_TOP * height

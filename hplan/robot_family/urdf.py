@@ -1,4 +1,7 @@
-"""URDF and limits file of a member of the robot family, as text: built with yourdfpy, laid out to be read."""
+"""URDF and limits file of a member of the robot family, as text: built with yourdfpy, laid out to be read.
+
+Import it where it is used: yourdfpy takes its time.
+"""
 
 from __future__ import annotations
 
@@ -12,14 +15,15 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
+import yourdfpy
 
+from hplan.base.arrays import FloatArray
 from hplan.robot.files import LIMITS_FORMAT, LIMITS_SUFFIX
 from hplan.robot_family.shapes import (
     PALETTE,
     PEDESTAL_TOP,
     Axis,
-    Shape,
+    Primitive,
     Vector,
     along,
     arm_visuals,
@@ -35,14 +39,10 @@ from hplan.robot_family.spec import HARVESTER, ArmSpec
 _HALF_PI = math.pi / 2
 
 # Roll, pitch, yaw that turn the z axis of a URDF cylinder onto the axis named.
-_CYLINDER_RPY: Mapping[str, Vector] = {
-    "x": (0.0, _HALF_PI, 0.0),
-    "y": (_HALF_PI, 0.0, 0.0),
-    "z": (0.0, 0.0, 0.0),
-}
+_CYLINDER_RPY: Mapping[str, Vector] = {"x": (0.0, _HALF_PI, 0.0), "y": (_HALF_PI, 0.0, 0.0), "z": (0.0, 0.0, 0.0)}
 
 
-def _transform(xyz: Sequence[float], rpy: Sequence[float] = (0.0, 0.0, 0.0)) -> NDArray[np.float64]:
+def _transform(xyz: Sequence[float], rpy: Sequence[float] = (0.0, 0.0, 0.0)) -> FloatArray:
     """Homogeneous (4, 4) matrix of a URDF origin with at most one angle that is not zero."""
     matrix = np.eye(4)
     for axis, angle in enumerate(rpy):
@@ -54,7 +54,7 @@ def _transform(xyz: Sequence[float], rpy: Sequence[float] = (0.0, 0.0, 0.0)) -> 
     return matrix
 
 
-def _to_four_digits(shapes: Sequence[Shape]) -> list[Shape]:
+def _to_four_digits(shapes: Sequence[Primitive]) -> list[Primitive]:
     """The same shapes with short numbers: all but the capsules, whose numbers the planner uses."""
     return [
         replace(
@@ -70,9 +70,7 @@ def _significant(value: float, digits: int) -> float:
     return float(f"{value:.{digits}g}")
 
 
-def _geometry(shape: Shape) -> Any:
-    import yourdfpy
-
+def _geometry(shape: Primitive) -> Any:
     if shape.kind == "cylinder":
         radius, length = shape.size
         return yourdfpy.Geometry(cylinder=yourdfpy.Cylinder(radius=radius, length=length))
@@ -82,28 +80,21 @@ def _geometry(shape: Shape) -> Any:
     return yourdfpy.Geometry(sphere=yourdfpy.Sphere(radius=radius))
 
 
-def _collision(shape: Shape) -> Any:
-    import yourdfpy
-
-    origin = _transform(shape.center, _CYLINDER_RPY[shape.axis])
-    return yourdfpy.Collision(name=shape.name, origin=origin, geometry=_geometry(shape))
+def _collision(shape: Primitive) -> Any:
+    return yourdfpy.Collision(name=shape.name, origin=_origin(shape), geometry=_geometry(shape))
 
 
-def _visual(shape: Shape) -> Any:
-    import yourdfpy
+def _visual(shape: Primitive) -> Any:
+    material = yourdfpy.Material(name=shape.material)
+    return yourdfpy.Visual(name=shape.name, origin=_origin(shape), geometry=_geometry(shape), material=material)
 
-    return yourdfpy.Visual(
-        name=shape.name,
-        origin=_transform(shape.center, _CYLINDER_RPY[shape.axis]),
-        geometry=_geometry(shape),
-        material=yourdfpy.Material(name=shape.material),
-    )
+
+def _origin(shape: Primitive) -> FloatArray:
+    return _transform(shape.center, _CYLINDER_RPY[shape.axis])
 
 
 def _cylinder_inertial(mass: float, radius: float, axis: Axis, start: float, end: float) -> Any:
     """Inertial of a solid cylinder from `start` to `end` on `axis`, about its centre."""
-    import yourdfpy
-
     center, length = along(axis, start, end)
     # Nine digits hide the noise of binary fractions and nothing that one could weigh.
     spin = _significant(mass * radius**2 / 2, 9)
@@ -113,51 +104,33 @@ def _cylinder_inertial(mass: float, radius: float, axis: Axis, start: float, end
 
 
 def _base_link(spec: ArmSpec) -> Any:
-    import yourdfpy
-
-    top = PEDESTAL_TOP * spec.shoulder_height
-    return yourdfpy.Link(
-        name="base_link",
-        inertial=_cylinder_inertial(spec.base_mass, base_radius(spec), "z", 0.0, top),
-        visuals=[_visual(shape) for shape in _to_four_digits(base_visuals(spec))],
-        collisions=[_collision(shape) for shape in _to_four_digits(base_collisions(spec))],
-    )
+    inertial = _cylinder_inertial(spec.base_mass, base_radius(spec), "z", 0.0, PEDESTAL_TOP * spec.shoulder_height)
+    return _link("base_link", inertial, base_visuals(spec), _to_four_digits(base_collisions(spec)))
 
 
 def _turret_link(spec: ArmSpec) -> Any:
-    import yourdfpy
-
-    bottom = PEDESTAL_TOP * spec.shoulder_height
-    radius = 0.8 * base_radius(spec)
-    return yourdfpy.Link(
-        name="turret",
-        inertial=_cylinder_inertial(spec.turret_mass, radius, "z", bottom, spec.shoulder_height),
-        visuals=[_visual(shape) for shape in _to_four_digits(turret_visuals(spec))],
-        collisions=[_collision(shape) for shape in _to_four_digits(turret_collisions(spec))],
-    )
+    bottom, radius = PEDESTAL_TOP * spec.shoulder_height, 0.8 * base_radius(spec)
+    inertial = _cylinder_inertial(spec.turret_mass, radius, "z", bottom, spec.shoulder_height)
+    return _link("turret", inertial, turret_visuals(spec), _to_four_digits(turret_collisions(spec)))
 
 
 def _arm_link(spec: ArmSpec, index: int) -> Any:
-    import yourdfpy
-
-    name, length, radius = (
-        spec.arm_link_names[index],
-        spec.link_lengths[index],
-        spec.link_half_widths[index],
-    )
+    name, length, radius = spec.arm_link_names[index], spec.link_lengths[index], spec.link_half_widths[index]
     next_radius = spec.link_half_widths[index + 1] if index + 1 < spec.n_links else None
-    visuals = arm_visuals(name, length, radius, next_radius)
+    inertial = _cylinder_inertial(spec.link_masses[index], radius, "x", 0.0, length)
+    return _link(name, inertial, arm_visuals(name, length, radius, next_radius), capsule(name, length, radius))
+
+
+def _link(name: str, inertial: Any, visuals: Sequence[Primitive], collisions: Sequence[Primitive]) -> Any:
     return yourdfpy.Link(
         name=name,
-        inertial=_cylinder_inertial(spec.link_masses[index], radius, "x", 0.0, length),
+        inertial=inertial,
         visuals=[_visual(shape) for shape in _to_four_digits(visuals)],
-        collisions=[_collision(shape) for shape in capsule(name, length, radius)],
+        collisions=[_collision(shape) for shape in collisions],
     )
 
 
 def _revolute(spec: ArmSpec, name: str, parent: str, child: str, xyz: Vector, axis: Vector) -> Any:
-    import yourdfpy
-
     k = spec.joint_names.index(name)
     return yourdfpy.Joint(
         name=name,
@@ -167,17 +140,12 @@ def _revolute(spec: ArmSpec, name: str, parent: str, child: str, xyz: Vector, ax
         origin=_transform(xyz),
         axis=np.array(axis),
         limit=yourdfpy.Limit(
-            lower=spec.lower[k],
-            upper=spec.upper[k],
-            velocity=spec.velocity[k],
-            effort=spec.effort[k],
+            lower=spec.lower[k], upper=spec.upper[k], velocity=spec.velocity[k], effort=spec.effort[k]
         ),
     )
 
 
 def _fixed(name: str, parent: str, child: str, xyz: Vector) -> Any:
-    import yourdfpy
-
     return yourdfpy.Joint(name=name, type="fixed", parent=parent, child=child, origin=_transform(xyz))
 
 
@@ -209,8 +177,6 @@ def build_robot(spec: ArmSpec) -> Any:
     Returns:
         A `yourdfpy.Robot`.
     """
-    import yourdfpy
-
     links = [
         _base_link(spec),
         _turret_link(spec),
@@ -236,8 +202,6 @@ def urdf_text(spec: ArmSpec) -> str:
     Returns:
         The URDF, ASCII only; the same spec gives the same text.
     """
-    import yourdfpy
-
     writer = yourdfpy.URDF(robot=build_robot(spec), build_scene_graph=False, load_meshes=False)
     root = ET.fromstring(writer.write_xml_string())
     for element in root.iter():

@@ -32,7 +32,7 @@ import numpy as np
 
 from hplan.base import ties
 from hplan.base.arrays import FloatArray, IntArray
-from hplan.scene.solids import CUBE_CORNERS, THIN, Hull, hull_of, thickening, triangle_normals
+from hplan.scene.solids import CUBE_CORNERS, THIN, Hull, hull_of, shared_edges, thickening, triangle_normals
 from hplan.scene.voxels import SolidVoxels
 
 #: Most pieces of a mesh.
@@ -89,7 +89,7 @@ def convex_pieces(vertices: FloatArray, faces: IntArray) -> Pieces:
     voxels = SolidVoxels.of(triangles)
     places = _reflex_places(vertices, faces)
     low, high = vertices.min(axis=0), vertices.max(axis=0)
-    ready: list[tuple[float, _Part]] = []
+    ready: list[tuple[float, _ClippedPart]] = []
     first = _part(low, high, triangles, triangles)
     waiting = [] if first is None else [(-voxels.excess(first.hull), 0, first)]
     number = 0
@@ -135,7 +135,7 @@ def _is_convex(vertices: FloatArray, faces: IntArray) -> bool:
 
 
 @dataclass(frozen=True, eq=False)
-class _Part:
+class _ClippedPart:
     """The part of the solid in a box.
 
     Attributes:
@@ -168,7 +168,7 @@ class _Part:
         return _rough_volume((triangles.reshape(-1, 1, 3) + self.thickening).reshape(-1, 3))
 
 
-def _part(low: FloatArray, high: FloatArray, triangles: FloatArray, surface: FloatArray) -> _Part | None:
+def _part(low: FloatArray, high: FloatArray, triangles: FloatArray, surface: FloatArray) -> _ClippedPart | None:
     """The part of the solid in a box, or None where there is nothing."""
     corners = np.where(CUBE_CORNERS < 0.0, low, high)
     nudge = _NUDGE * np.sign(0.5 * (low + high) - corners)
@@ -182,7 +182,7 @@ def _part(low: FloatArray, high: FloatArray, triangles: FloatArray, surface: Flo
         hull = hull_of(points)
     except ValueError:  # so thin that Qhull gives up
         hull = hull_of(_block(points))
-    return _Part(low, high, triangles, thicker, hull)
+    return _ClippedPart(low, high, triangles, thicker, hull)
 
 
 def _block(points: FloatArray) -> FloatArray:
@@ -195,7 +195,7 @@ def _block(points: FloatArray) -> FloatArray:
     return block
 
 
-def _halves(part: _Part, places: list[FloatArray], surface: FloatArray) -> tuple[_Part, ...] | None:
+def _halves(part: _ClippedPart, places: list[FloatArray], surface: FloatArray) -> tuple[_ClippedPart, ...] | None:
     """The part cut in two, or None where no cut is left to try."""
     low, high = part.extent
     extent = high - low
@@ -304,15 +304,10 @@ def _reflex_places(vertices: FloatArray, faces: IntArray) -> list[FloatArray]:
     normals = triangle_normals(vertices[faces])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
     size = float(np.ptp(vertices, axis=0).max())
-    sides: dict[tuple[int, int], tuple[int, int]] = {}
     folded: set[int] = set()
-    for face, (a, b, c) in enumerate(faces.tolist()):
-        for start, end, apex in ((a, b, c), (b, c, a), (c, a, b)):
-            other = sides.pop((end, start), None)
-            if other is None:
-                sides[start, end] = (face, apex)
-            elif (vertices[apex] - vertices[start]) @ normals[other[0]] > 1e-6 * size:
-                folded |= {start, end}
+    for _, other, (start, end, apex) in shared_edges(faces):
+        if (vertices[apex] - vertices[start]) @ normals[other] > 1e-6 * size:
+            folded |= {start, end}
     rows = vertices[sorted(folded)].reshape(-1, 3)
     found = []
     for axis in range(3):

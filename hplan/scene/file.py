@@ -172,8 +172,4 @@ def _line_of(node: yaml.Node, steps: Sequence[int | str]) -> int:
 
 
 #: Pydantic's words for what a scene file calls otherwise.
-_WORDS = {
-    "a valid tuple": "a list",
-    "a valid string": "text",
-    "Tuple should have": "list should have",
-}
+_WORDS = {"a valid tuple": "a list", "a valid string": "text", "Tuple should have": "list should have"}

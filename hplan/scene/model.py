@@ -138,8 +138,5 @@ class Scene(StrictModel):
     def with_obstacles(self, obstacles: Sequence[Sphere | Capsule | Box | Mesh | PointCloud]) -> Scene:
         """The same task among other obstacles."""
         return Scene.model_validate(
-            {
-                **{key: getattr(self, key) for key in type(self).model_fields},
-                "obstacles": tuple(obstacles),
-            }
+            {**{key: getattr(self, key) for key in type(self).model_fields}, "obstacles": tuple(obstacles)}
         )

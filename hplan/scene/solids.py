@@ -15,6 +15,7 @@ tree: split at the median of the longest side, again and again, so that neighbou
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Final, Literal
@@ -65,6 +66,18 @@ def triangle_normals(triangles: FloatArray) -> FloatArray:
     """(n, 3) normals of (n, 3, 3) triangles, as long as twice their areas."""
     normals: FloatArray = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     return normals
+
+
+def shared_edges(faces: IntArray) -> Iterator[tuple[int, int, tuple[int, int, int]]]:
+    """Edges that two of (m, 3) triangles share: the later one, the other, and the later one's (start, end, apex)."""
+    sides: dict[tuple[int, int], int] = {}
+    for face, (a, b, c) in enumerate(faces.tolist()):
+        for start, end, apex in ((a, b, c), (b, c, a), (c, a, b)):
+            other = sides.pop((end, start), None)
+            if other is None:
+                sides[start, end] = face
+            else:
+                yield face, other, (start, end, apex)
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,16 +133,11 @@ class Hull(Record):
         # Every vertex is on or below: rounding errors shift the plane outward, never into the hull.
         normals = normals[leaders]
         planes = np.column_stack([normals, (normals @ self.core.T).max(axis=1)])
-        sides: dict[tuple[int, int], int] = {}
-        rows = []
-        for face, (a, b, c) in enumerate(self.faces.tolist()):
-            for start, end in ((a, b), (b, c), (c, a)):
-                other = sides.pop((end, start), None)
-                if other is None:
-                    sides[start, end] = face
-                elif facet_of[other] != facet_of[face]:
-                    vector = self.core[end] - self.core[start]
-                    rows.append([*self.core[start], *vector])
+        rows = [
+            [*self.core[start], *(self.core[end] - self.core[start])]
+            for face, other, (start, end, _) in shared_edges(self.faces)
+            if facet_of[other] != facet_of[face]
+        ]
         return frozen(planes), frozen(np.array(rows, dtype=np.float64).reshape(-1, 6))
 
     def moved(self, name: str, rotation: FloatArray, position: FloatArray, sigma: float) -> Hull:

@@ -16,7 +16,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from hplan.base.arguments import instance, keep_checked, list_of, one_of, truth, whole
+from hplan.base.arguments import instance, list_of, one_of, truth, whole
 from hplan.base.arrays import FloatArray, Record
 from hplan.errors import CertificationError, HplanError, OptionError, TourError, UnreachableError
 from hplan.planning.certified_motion import Part, certificate_of, required
@@ -40,16 +40,16 @@ ORDERS: tuple[Order, ...] = ("best", "nearest", "given")
 
 @dataclass(frozen=True)
 class TourOptions:
-    """Options of a tour.
+    """What a tour is to be like.
 
     Attributes:
         drop_off: Where fruit is let go, by joints or by a position of the tool; None where the arm takes it in itself
             (into a tube or a bin of its own) and carries nothing.
         every: How many fruits are carried to the drop-off at most; one where this is None.
-        back: True if the arm goes back to the start in the end.
+        back: Whether the arm goes back to the start in the end.
         order: `best`; `nearest`: always on to the fruit that is taken soonest; `given`: as the fruits are listed.
-        compare: True if the report gives the durations of all three orders.
-        grasps: Number of grasps of a fruit among which the best is sought.
+        compare: Whether the report gives the durations of all three orders.
+        grasps: Among how many ways to take a fruit the best is sought.
     """
 
     drop_off: Goal | None = None
@@ -60,27 +60,28 @@ class TourOptions:
     grasps: int = 4
 
     def __post_init__(self) -> None:
-        """Check every value.
-
-        Raises:
-            OptionError: A value is of the wrong kind or out of its range, or `every` stands without a drop-off.
-        """
-        if self.drop_off is not None and instance("drop_off", self.drop_off, Goal).fruit is not None:
+        """Check the values."""
+        if self.drop_off is not None:
+            instance("drop_off", self.drop_off, Goal)
+        if self.drop_off is not None and self.drop_off.fruit is not None:
             raise OptionError("drop_off", self.drop_off.fruit, "joints or a position, not a fruit")
+        if self.every is not None and self.drop_off is None:
+            raise OptionError("every", self.every, "a drop-off with it")
         if self.every is not None:
-            if self.drop_off is None:
-                raise OptionError("every", self.every, "a drop-off with it")
-            keep_checked(self, {"every": (whole, 1)})
-        keep_checked(self, {"order": (one_of, ORDERS), "grasps": (whole, 1), "back": (truth,), "compare": (truth,)})
+            whole("every", self.every, 1)
+        one_of("order", self.order, ORDERS)
+        whole("grasps", self.grasps, 1)
+        truth("back", self.back)
+        truth("compare", self.compare)
 
 
 @dataclass(frozen=True, eq=False)
 class Leg(Record):
-    """A part of a tour, at rest at both ends: to a fruit and, where it is next, to the drop-off; or back to the start.
+    """A part of a tour, at rest at both ends: to one fruit and, where it is next, to the drop-off; or the way back.
 
     Attributes:
-        fruit: Name of the fruit; None for the leg back.
-        grasp: How it is taken; None for the leg back.
+        fruit: Name of the fruit; None for the way back.
+        grasp: How it is taken; None for the way back.
         begin_s: When it begins, in the tour [s].
         phases: Its parts, by their times in the tour: `transit`, `approach`, `retreat`, `drop`, `return`.
         trajectory: Its motion, from time 0 on.
@@ -119,7 +120,7 @@ class TourResult(Record):
 
     Attributes:
         order: The fruits that are picked, in their order.
-        legs: One for each, and the leg back where there is one.
+        legs: One for each, and the way back where there is one.
         trajectory: The whole motion; the arm rests between its phases.
         certificate: What was shown of it.
         picked: When the tool is at each fruit [s].
@@ -159,7 +160,7 @@ def plan_tour(
         scene: Obstacles and fruits; all fruits are obstacles until they are picked.
         options: How to plan.
         fruits: Names of the fruits to pick; all where this is None.
-        tour: Options of the tour.
+        tour: What the tour is to be like.
         progress: Called with what is being done.
 
     Raises:

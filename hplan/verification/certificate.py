@@ -1,21 +1,16 @@
-r"""The proof that comes with a trajectory.
+r"""The certificate of a trajectory: what is shown of it for all times, and how.
 
 Between two rows the controller is taken to follow the cubic that has the rows' positions and velocities (`cubic
 Hermite`); a trajectory of hplan is exactly that curve. On it
 
-- **clearance** is shown over continuous time: coal gives the signed distance of a link from an obstacle at some
-  instant, the hull of the cubic's derivative bounds how far any point of the link can move before the next one, and the
-  distance minus that bound must stay positive all the way (conservative advancement, each pair at its own pace). Where
-  the arm can touch itself, its links from one another and from what carries it too, the motion as seen from there;
+- **clearance** is shown over continuous time, from obstacles, and of parts of the arm that can touch one another
+  (conservative advancement; the bound is in `hplan.verification.clearance_proof`);
 - the **fruit that is the goal** may be touched by the last link only, and only on a straight approach to the grasp and
-  on the way back (`hplan.verification.goal_contact`); all other fruits are obstacles;
-- **position, velocity and acceleration** are bounded for all times: the acceleration is linear between rows, the
-  velocity has its extremes at rows or where the acceleration is zero, the position lies in the hull of the Bezier
-  points;
-- **torque** is bounded too: inverse dynamics at both ends of each cubic, and what it can do in between
-  (`hplan.verification.torque_bound`);
+  in the retreat (`hplan.verification.goal_contact`); all other fruits are obstacles;
+- **position, velocity, acceleration and torque** are bounded for all times (`hplan.verification.limit_use`,
+  `hplan.verification.torque_bound`);
 - the acceleration and torque columns, which a controller may feed forward, must keep the limits too;
-- the motion begins and ends at rest, and does what the scene asks for (`hplan.verification.task_check`), unless that is
+- the motion begins and ends at rest, and solves the scene's task (`hplan.verification.task_check`), unless that is
   not wanted.
 
 The work is bounded: in proportion to the number of rows, whatever stands in them. What cannot be shown with it is not
@@ -60,23 +55,23 @@ REST = 1e-6
 GoalContact: TypeAlias = Literal["approach", "motion"]
 GOAL_CONTACTS: tuple[GoalContact, ...] = ("approach", "motion")
 
-#: A range of the motion's cubics, and what the arm is judged among there.
+#: A range of the motion's cubics, and the collision checker that holds there.
 Stretch: TypeAlias = tuple[slice, CoalScene]
 
 
 @dataclass(frozen=True)
 class Certificate:
-    """What was shown of a trajectory.
+    """The result of certifying a trajectory.
 
     Attributes:
-        verified: Whether everything asked for was shown.
+        verified: True if everything asked for was shown.
         min_clearance_m: Distance that every link is shown to keep at all times from every obstacle, and from every
             part of the arm that it can touch [m]; inf where there is none. Where the clearance is not shown, the
             smallest distance found, negative in contact.
         nearest: Link and obstacle, or part of the arm, at the smallest distance that was evaluated.
         limit_use: Upper bound of the use of each limit.
         checks: Number of configurations at which distances were evaluated.
-        violations: What was not shown, in words; empty when verified.
+        violations: Everything that was not shown, in words; empty when verified.
         goal_contact: When the last link may touch the fruit that is the goal; None where no fruit is.
         contact_s: The same as times, from and to [s]; None for never.
         digests: The robot, the scene and the trajectory that it is about; None for a part of a motion.
@@ -93,6 +88,7 @@ class Certificate:
     digests: Digests | None = None
 
 
+# Ten parameters: three subjects, and options that callers name by keyword.
 def certify(
     robot: Robot,
     scene: Scene,
@@ -106,19 +102,19 @@ def certify(
     rest_to_rest: bool = True,
     checker: CoalScene | None = None,
 ) -> Certificate:
-    """Judge a trajectory, wherever it comes from, as `plan` judges its own.
+    """Certify a trajectory, wherever it comes from, as `plan` certifies its own.
 
     Args:
         robot: The arm.
         scene: Obstacles, the clearance to keep, and the task.
         trajectory: The timed motion; its joints are the robot's.
         tracking_error: Largest deviation of any joint from the trajectory at rest [rad].
-        tracking_delay_s: What comes to it for each rad/s of the joint's velocity [s].
+        tracking_delay_s: Addition to it for each rad/s of the joint's velocity [s].
         sigmas: How many standard deviations of its place an obstacle is grown by, where the scene gives one.
         goal_contact: `approach`: the last link may touch the fruit that is the goal on a straight approach and on the
-            way back, found in the motion. `motion`: it may during the whole motion; so `plan` judges where no straight
-            approach is clear.
-        check_ends: Whether the motion has to do what the scene asks for: begin at its start, reach its goal, leave its
+            retreat, found in the motion. `motion`: it may during the whole motion; so `plan` certifies where no
+            straight approach is clear.
+        check_ends: Whether the motion has to solve the scene's task: begin at its start, reach its goal, leave its
             locked joints where they are.
         rest_to_rest: Whether the motion has to begin and end at rest.
         checker: The arm among other solids than the scene's. They are taken as they are: `sigmas` and `goal_contact`
@@ -203,12 +199,12 @@ def certify_among(
     tracking: TrackingModel,
     rest_to_rest: bool = True,
 ) -> Certificate:
-    """Judge a trajectory, or part of one, among given solids.
+    """Certify a trajectory, or part of one, with given collision checkers.
 
     Args:
         robot: The arm.
         trajectory: The timed motion; its joints are the robot's.
-        among: What the arm is judged among, stretch by stretch; together the whole motion.
+        among: The collision checker of each stretch; together the whole motion.
         clearance: Clearance to keep [m].
         tracking: Deviation of the joints that is covered.
         rest_to_rest: Whether the motion has to begin and end at rest.
@@ -220,9 +216,9 @@ def certify_among(
     bezier, duration = cubic_pieces(trajectory)
     use = limit_use(robot, trajectory, bezier, duration)
     violations = [
-        f"{what} reaches {share:{'.4f' if share < 1e4 else '.4g'}} of its limit"
-        for what, share in vars(use).items()
-        if not share <= (LIMIT_TOLERANCE if what != "position" else 1.0 + 1e-6)
+        f"{what} reaches {fraction:{'.4f' if fraction < 1e4 else '.4g'}} of its limit"
+        for what, fraction in vars(use).items()
+        if not fraction <= (LIMIT_TOLERANCE if what != "position" else 1.0 + 1e-6)
     ]
     if rest_to_rest:
         for where, velocity in (("begins", trajectory.velocity[0]), ("ends", trajectory.velocity[-1])):
@@ -274,7 +270,7 @@ def _check_joints(robot: Robot, trajectory: Trajectory) -> None:
 
 
 def _not_shown(proof: Proof, trajectory: Trajectory, first: int, wanted: str) -> Iterator[str]:
-    """What of the clearance a proof does not show, in words; the first of its pieces is given."""
+    """The clearance that a proof does not show, in words; the first of its pieces is given."""
     if proof.shown:
         return
     piece = first + int(proof.end)
@@ -297,7 +293,7 @@ def _nearest(contacts: Iterable[Contact | None]) -> Contact | None:
 
 
 def _times(trajectory: Trajectory, pieces: slice) -> tuple[float, float]:
-    """When a range of a motion's cubics begins and ends [s]."""
+    """Begin and end of a range of a motion's cubics [s]."""
     last = trajectory.samples - 1
     return float(trajectory.time[min(pieces.start, last)]), float(trajectory.time[min(pieces.stop, last)])
 

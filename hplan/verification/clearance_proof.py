@@ -2,10 +2,20 @@ r"""Clearance over the whole of a motion: conservative advancement along its cub
 
 A pair is a link and an obstacle, a turning shape of the turret and an obstacle, or two parts of the arm. Each has a
 mover: that of an obstacle is the link, or the turret, which the yaw alone moves; that of two parts of the arm is one of
-them as seen from the other. What a pair has to spare when coal is
-asked, less what has been shown so far (at most half of what any pair had to spare), its mover may travel before the
-pair is asked again; so at least what is shown remains at all times. Places are counted in rows. Where the proof has to
+them as seen from the other. A pair's spare clearance is its distance, by coal, beyond the one to be kept. Its mover may
+travel that far, less the clearance shown so far (at most half of the spare clearance of any pair), before the pair is
+asked again; so at least the clearance shown remains at all times. Places are counted in rows. Where the proof has to
 give up, the rest of the motion is searched for the worst.
+
+**The bound.** With :math:`\varphi_i` the absolute angle of link i in the arm plane, :math:`\psi` the yaw and
+:math:`r_k` the largest distance of link k from the yaw axis, a point of the axis of link k travels within a piece of
+the motion no farther than
+
+.. math:: \sum_{i \le k} L_i \max |\varphi_i'| + r_k \max |\psi'|,
+
+by the hulls of the derivatives' Bezier points (`_link_bounds`; of a motion seen from another part of the arm
+`hplan.robot.self_contact.pair_rates`). The same sum of the joints' deviations bounds the sway (`Robot.sway`,
+`pair_sway`).
 
 **Tracking.** Joints that are off by their deviations bring a pair nearer by its sway, at most :math:`m_r` in piece
 :math:`r` of the motion. It is replaced by the piecewise linear :math:`\tilde m` with the values
@@ -18,33 +28,31 @@ later place
     d(x) - \tilde m(x) \ge d(a) - [T(x) - T(a)] - \tilde m(a) - [V(x) - V(a)],
 
 so the advancement counts :math:`T + V` as travel and :math:`d(a) - \tilde m(a)`, less the distance to be kept, as
-spare.
+spare clearance.
 """
 
 from __future__ import annotations
 
 import heapq
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, TypeAlias
+from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
 from hplan.base.arrays import FloatArray, IntArray
 from hplan.base.kernels import kernel
 from hplan.collision.coal_scene import CoalScene, Contact
-from hplan.robot.base_shapes import GROUND, TURRET
 from hplan.robot.model import Robot
-from hplan.robot.self_contact import pair_rates, pair_sway
+from hplan.robot.self_contact import pair_rates
+from hplan.verification.sway import at_rows, movers, off_axis, sways
 
-#: Spare clearance below which the proof gives up [m]: its steps, half of what is spare, would become too small.
+#: Spare clearance below which the proof gives up [m]: its steps, half of it, would become too small.
 SMALLEST_STEP = 1e-5
 
-#: Largest share of what a pair has to spare that its link may travel before the next look: far away, coal's distances
-#: are good to a share of them.
+#: Largest fraction of a pair's spare clearance that its mover may travel before the next look: far away, coal's
+#: distances are good to a fraction of them.
 MOST_TRAVEL = 0.99
-
 
 #: Configurations at which the proof may evaluate distances: some, and for each piece of the motion. A motion of 1.8 s
 #: that comes to 1.5 mm of an obstacle takes 155.
@@ -64,7 +72,7 @@ class Proof:
     Attributes:
         outcome: Whether it is shown, or why not: a pair comes too near, more than the stated number of checks would be
             needed, or the motion is too fast or too long for its travel to be bounded.
-        clearance_m: How much is shown; else the smallest that was found, less what the tracking error may take [m].
+        clearance_m: The clearance shown; else the smallest that was found, less the sway by tracking errors [m].
         nearest: The nearest pair that was seen, and its distance; None without pairs.
         checks: Configurations at which distances were evaluated.
         end: Place up to which it was shown, or from which on travel is not bounded, counted in pieces.
@@ -78,7 +86,7 @@ class Proof:
 
     @property
     def shown(self) -> bool:
-        """Whether the clearance is shown over the whole motion."""
+        """True if the clearance is shown over the whole motion."""
         return self.outcome == "shown"
 
 
@@ -106,7 +114,7 @@ def prove_clearance(
     distances = checker.pair_distances(bezier[0, 0])
     going = search.take(np.arange(len(distances)), distances, 0.0)
     while going:
-        pairs, at, q = _first(search.due, bezier)
+        pairs, at, q = _first(search.arrays.due, bezier)
         if at == math.inf:
             return Proof("shown", needed + search.shown, search.contact(), search.checks, len(bezier))
         if search.checks >= budget:
@@ -114,18 +122,36 @@ def prove_clearance(
         search.place(q)
         going = search.ask(pairs, at)
         # Together with the pair that is due, those that would be before it is due again.
-        others = _due_before(search.due, pairs)
+        others = _due_before(search.arrays.due, pairs)
         if going and len(others):
             going = search.ask(others, at)
     return search.worst("too near")
 
 
-class _Advancement:
-    """How far the motion has been looked at, pair by pair.
+class _Arrays(NamedTuple):
+    """Arrays of an advancement.
 
     Attributes:
-        due: (pairs,) the place where each is to be asked again; infinite where that is after the end.
-        shown: What is shown of every pair up to there, beyond what is needed [m].
+        kept: (pairs,) distance to be kept, coal's error with it [m].
+        mover_of: (pairs,) each pair's mover.
+        sway: (movers, rows) how much nearer each mover may be than in the motion [m].
+        travel: (movers, rows) how far it has travelled at each row [m].
+        due: (pairs,) place where each is to be asked again; infinite where that is after the end.
+    """
+
+    kept: FloatArray
+    mover_of: IntArray
+    sway: FloatArray
+    travel: FloatArray
+    due: FloatArray
+
+
+class _Advancement:
+    """State of the advancement along a motion, pair by pair.
+
+    Attributes:
+        arrays: What the kernels take; `due` is written.
+        shown: Clearance shown of every pair so far, beyond the one needed [m].
         nearest: The smallest distance so far [m], and the pair.
         checks: Configurations looked at.
         bounded: How many pieces from the first on have a bounded travel.
@@ -134,65 +160,64 @@ class _Advancement:
     def __init__(
         self, robot: Robot, bezier: FloatArray, checker: CoalScene, deviations: FloatArray, needed: float
     ) -> None:
-        self._bezier, self._judge = bezier, checker
-        self._mover_of, others = _movers(checker)
+        self._bezier, self._checker = bezier, checker
+        mover_of, others = movers(checker)
         with np.errstate(over="ignore", invalid="ignore"):
             rates = 3.0 * np.diff(bezier, axis=1)
             bounds = [_link_bounds(robot, rates), *(pair_rates(robot, part, other, rates) for part, other in others)]
             moved = np.column_stack(bounds).T
-            sways = _sways(robot, others, deviations)
+            nearer = sways(robot, others, deviations)
             if checker.links != "capsule":
-                moved = moved + _off_axis(checker, others, np.abs(rates).max(axis=1))
-                sways = sways + _off_axis(checker, others, deviations)
-            self._sway = _at_rows(sways, len(bezier))
+                moved = moved + off_axis(checker, others, np.abs(rates).max(axis=1))
+                nearer = nearer + off_axis(checker, others, deviations)
+            sway = at_rows(nearer, len(bezier))
             if len(deviations) > 1:
-                moved = moved + np.maximum(np.diff(self._sway, axis=1), 0.0)
-            self._travel = np.column_stack([np.zeros(len(moved)), np.cumsum(moved, axis=1)])
-            within = (self._travel[:, 1:] <= LONGEST_TRAVEL).all(axis=0)
+                moved = moved + np.maximum(np.diff(sway, axis=1), 0.0)
+            travel = np.column_stack([np.zeros(len(moved)), np.cumsum(moved, axis=1)])
+            within = (travel[:, 1:] <= LONGEST_TRAVEL).all(axis=0)
         self.bounded = int(within.sum())
         if self.bounded < len(bezier):
             # For the search of the rows alone: after such a piece every pair may be anywhere.
             moved = np.where(moved <= LONGEST_TRAVEL, moved, LONGEST_TRAVEL)
-            self._travel[:, 1:] = np.cumsum(moved, axis=1)
-        self._kept = needed + checker.distance_errors
+            travel[:, 1:] = np.cumsum(moved, axis=1)
+        due = np.full(len(checker.pairs), math.inf)
+        self.arrays = _Arrays(needed + checker.distance_errors, mover_of, sway, travel, due)
         self._at = 0.0
-        self.due = np.full(len(checker.pairs), math.inf)
         self.shown = math.inf
         self.nearest = math.inf, 0
         self.checks = 1
 
     def place(self, q: FloatArray) -> None:
         """Put the arm at a configuration."""
-        self._judge.place(q)
+        self._checker.place(q)
         self.checks += 1
 
     def ask(self, pairs: IntArray, at: float) -> bool:
-        """Ask coal about some pairs, the arm being there; whether the proof goes on."""
-        return self.take(pairs, self._judge.distances_of(pairs), at)
+        """Ask coal about some pairs, the arm being there; True if the proof goes on."""
+        return self.take(pairs, self._checker.distances_of(pairs), at)
 
     def take(self, pairs: IntArray, distances: FloatArray, at: float) -> bool:
-        """Take what coal says of some pairs; whether the proof goes on."""
+        """Take distances of some pairs at a place; True if the proof goes on."""
         self._at = at
-        least, self.shown = _put_off(
-            pairs, distances, at, self._kept, self._mover_of, self._sway, self._travel, self.shown, self.due
-        )
+        least, self.shown = _put_off(pairs, distances, at, self.shown, self.arrays)
         self.nearest = min(self.nearest, (float(distances[least]), int(pairs[least])))
         return self.shown > 0.0
 
     def contact(self) -> Contact:
         """The nearest pair by name, and its distance."""
         distance, pair = self.nearest
-        return self._judge.contact(*self._judge.pairs[pair], distance)
+        return self._checker.contact(*self._checker.pairs[pair], distance)
 
     def worst(self, outcome: Outcome) -> Proof:
-        """What a proof that gave up reports: the smallest distance at the rows from there on.
+        """The report of a proof that gave up: the smallest distance at the rows from there on.
 
-        A pair is not asked where its mover has not yet travelled what it was farther away than the nearest.
+        A pair is not asked where its mover has not yet travelled as much as it was farther away than the nearest.
         """
+        mover_of, sway_at_rows, travel = self.arrays.mover_of, self.arrays.sway, self.arrays.travel
         rows, least = len(self._bezier), math.inf
         first = min(int(self._at), rows - 1)
         end = self._at if outcome != "travel" else float(self.bounded)
-        due = [(first, pair) for pair in range(len(self._judge.pairs))]
+        due = [(first, pair) for pair in range(len(self._checker.pairs))]
         while due:
             row = due[0][0]
             # Points of Bezier between the rows may be no numbers.
@@ -200,12 +225,12 @@ class _Advancement:
             pairs = []
             while due and due[0][0] == row:
                 pairs.append(heapq.heappop(due)[1])
-            for pair, distance in zip(pairs, self._judge.distances_of(np.array(pairs)).tolist(), strict=True):
-                sway = float(self._sway[self._mover_of[pair], row])
+            for pair, distance in zip(pairs, self._checker.distances_of(np.array(pairs)).tolist(), strict=True):
+                sway = float(sway_at_rows[mover_of[pair], row])
                 self.nearest = min(self.nearest, (distance, pair))
                 least = min(least, distance - sway)
                 farther = min(distance - self.nearest[0], distance - sway - least)
-                ahead = place_after(self._travel[self._mover_of[pair]], float(row), farther)
+                ahead = place_after(travel[mover_of[pair]], float(row), farther)
                 following = max(math.ceil(min(ahead, rows + 1.0)), row + 1)
                 if following <= rows:
                     heapq.heappush(due, (following, pair))
@@ -245,53 +270,39 @@ def _due_before(due: FloatArray, pairs: IntArray) -> IntArray:
 
 @kernel
 def _linear(values: FloatArray, at: float) -> float:
-    """What is linear between its values at the rows, at a place."""
+    """Value at a place of a function that is linear between its values at the rows."""
     row = min(int(at), len(values) - 2)
     value: float = values[row] + (at - row) * (values[row + 1] - values[row])
     return value
 
 
-def _at_rows(sway: FloatArray, pieces: int) -> FloatArray:
-    """(movers, pieces + 1) the larger sway of the two pieces at each row, from that of the pieces, or of all in one."""
-    if sway.shape[1] == 1:
-        return np.repeat(sway, pieces + 1, axis=1)
-    return np.maximum(np.column_stack([sway[:, :1], sway]), np.column_stack([sway, sway[:, -1:]]))
-
-
 @kernel
-def _put_off(
-    pairs: IntArray,
-    distances: FloatArray,
-    at: float,
-    kept: FloatArray,
-    mover_of: IntArray,
-    sway: FloatArray,
-    travel: FloatArray,
-    shown: float,
-    due: FloatArray,
-) -> tuple[int, float]:
+def _put_off(pairs: IntArray, distances: FloatArray, at: float, shown: float, arrays: _Arrays) -> tuple[int, float]:
     """Write down where pairs are due again that were asked at a place.
 
     Returns:
-        Which of them has the smallest distance, and what is then shown; 0 where the proof has to give up.
+        Which of them has the smallest distance, and the clearance then shown; 0 where the proof has to give up.
     """
+    kept, mover_of, sway, travel, due = arrays
     least = 0
-    spares = np.empty(len(pairs))
+    spare_clearances = np.empty(len(pairs))
     for i in range(len(pairs)):
         if not distances[i] >= distances[least]:
             least = i
-        spare = spares[i] = distances[i] - (_linear(sway[mover_of[pairs[i]]], at) + kept[pairs[i]])
-        if not spare > SMALLEST_STEP:
+        spare_clearance = distances[i] - (_linear(sway[mover_of[pairs[i]]], at) + kept[pairs[i]])
+        spare_clearances[i] = spare_clearance
+        if not spare_clearance > SMALLEST_STEP:
             shown = 0.0
-        shown = min(shown, 0.5 * spare)
+        shown = min(shown, 0.5 * spare_clearance)
     if not shown > 0.0:
         return least, 0.0
     for i in range(len(pairs)):
         pair = pairs[i]
-        spare = spares[i]
+        spare_clearance = spare_clearances[i]
         due[pair] = math.inf
-        if spare < math.inf:  # else these two may touch
-            place = place_after(travel[mover_of[pair]], at, min(spare - shown, MOST_TRAVEL * spare))
+        if spare_clearance < math.inf:  # else these two may touch
+            allowed = min(spare_clearance - shown, MOST_TRAVEL * spare_clearance)
+            place = place_after(travel[mover_of[pair]], at, allowed)
             if place <= travel.shape[1] - 1:
                 due[pair] = max(place, np.nextafter(at, math.inf))
     return least, shown
@@ -315,60 +326,13 @@ def place_after(travel: FloatArray, at: float, part: float) -> float:
     return place
 
 
-def pair_sways(checker: CoalScene, deviations: FloatArray) -> FloatArray:
-    """By how much each pair may come nearer when joints are off by deviations, (k, dof) [rad] -> (pairs, k) [m]."""
-    mover_of, others = _movers(checker)
-    return _sways(checker.robot, others, deviations)[mover_of]
-
-
-def _sways(robot: Robot, others: Sequence[tuple[int, int]], deviations: FloatArray) -> FloatArray:
-    """(movers, k) by how much the movers' pairs may come nearer [m]: of the links, then of the others."""
-    found = [pair_sway(robot, part, other, deviations) for part, other in others]
-    return np.column_stack([robot.sway(deviations), *found]).T
-
-
-def _off_axis(checker: CoalScene, others: Sequence[tuple[int, int]], turns: FloatArray) -> FloatArray:
-    """(movers, k) how much farther than its axis a link that is no capsule moves as joints turn by (k, dof) [m].
-
-    A ball about a point of the axis moves as that point does; what is at most r from the axis by r times the link's
-    turn more, which is at most the sum of the turns of the joints before it. Seen from another link, that one's own
-    turn comes to it.
-    """
-    arm = checker.robot.arm
-    reach = arm.half_widths * {"capsule": 0.0, "urdf": 1.0, "box": math.sqrt(2.0)}[checker.links]
-    first = 1 if checker.robot.has_yaw else 0
-    turned = np.cumsum(np.abs(turns), axis=1)[:, first:].T
-    found = [reach[link] * turned[link] for link in range(arm.link_count)]
-    for part, other in others:
-        own = reach[part] * turned[part] if part >= 0 else np.zeros(len(turns))
-        found.append(own + (reach[part] * turned[other] if part >= 0 and other >= 0 else 0.0))
-    return np.array(found)
-
-
-def _movers(checker: CoalScene) -> tuple[IntArray, list[tuple[int, int]]]:
-    """The mover of each pair, and the movers after the links: a part, and what its motion is seen from.
-
-    The links as seen from the ground are the first movers.
-    """
-    first, links = len(checker.pairs) - len(checker.own_others), len(checker.link_names)
-    seen_from = [GROUND] * first + checker.own_others
-    parts = [
-        (mover if mover < links else TURRET, other) for (mover, _), other in zip(checker.pairs, seen_from, strict=True)
-    ]
-    movers = list(dict.fromkeys([*((link, GROUND) for link in range(links)), *parts]))
-    numbers = {mover: number for number, mover in enumerate(movers)}
-    return np.array([numbers[part] for part in parts], dtype=np.int64), movers[links:]
-
-
 def _link_bounds(robot: Robot, rates: FloatArray) -> FloatArray:
     """(pieces, links) largest distance that any axis point of a link can travel within each cubic [m].
 
-    A point of link k moves by no more than the sum over links i <= k of length times turn of the absolute angle, plus
-    yaw times the largest distance from the yaw axis; the turns are bounded by the hull of the derivative, whose
-    (pieces, 3, dof) Bezier points are `rates`.
+    The bound of the module's text; `rates` are the (pieces, 3, dof) Bezier points of the derivative.
     """
-    arm, first = robot.arm, 1 if robot.has_yaw else 0
-    return _travels(rates, first, arm.signs, arm.lengths, robot.yaw_radius)
+    arm = robot.arm
+    return _travels(rates, robot.yaw_joints, arm.signs, arm.lengths, robot.yaw_radius)
 
 
 @kernel

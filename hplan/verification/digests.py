@@ -14,7 +14,6 @@ from __future__ import annotations
 import hashlib
 from dataclasses import dataclass
 from typing import Any
-from weakref import WeakKeyDictionary
 
 import coal
 import numpy as np
@@ -27,12 +26,10 @@ from hplan.scene.model import Scene
 from hplan.scene.obstacles import Mesh, PointCloud
 from hplan.timing.trajectory import Trajectory, as_table
 
-_ROBOTS: WeakKeyDictionary[Robot, str] = WeakKeyDictionary()
-
 
 @dataclass(frozen=True)
 class Digests:
-    """What a certificate is about; each a word `sha256:` and 64 hexadecimal digits.
+    """Digests of the subjects of a certificate; each a word `sha256:` and 64 hexadecimal digits.
 
     Attributes:
         robot: Of the robot.
@@ -71,10 +68,7 @@ def scene_digest(scene: Scene) -> str:
 
 def robot_digest(robot: Robot) -> str:
     """The digest of a robot as it was read; made once."""
-    known = _ROBOTS.get(robot)
-    if known is None:
-        known = _ROBOTS[robot] = _robot_digest(robot)
-    return known
+    return robot.once("digest", lambda: _robot_digest(robot))
 
 
 def _robot_digest(robot: Robot) -> str:

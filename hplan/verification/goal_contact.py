@@ -1,4 +1,4 @@
-r"""When the last link may touch the fruit that is reached for: on a straight approach and on the way back.
+r"""The window of time in which the last link may touch its fruit: a straight approach and retreat.
 
 The fruit that is the goal is an obstacle for every link at all times, with one exception: the last link, in one
 contiguous window of time about the instant at which the tool is at the fruit's centre, in which

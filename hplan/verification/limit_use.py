@@ -14,10 +14,10 @@ from hplan.verification.torque_bound import largest_torques
 
 @dataclass(frozen=True)
 class LimitUse:
-    """Upper bound of the share of each limit that a trajectory uses, at all times; infinite where numbers overflow.
+    """Upper bound of the fraction of each limit that a trajectory uses, at all times; infinite where numbers overflow.
 
     Attributes:
-        position: Largest distance from the middle of the joint range, as a share of half the range: 1 at a limit.
+        position: Largest distance from the middle of the joint range, as a fraction of half the range: 1 at a limit.
         velocity: Largest |velocity| / limit.
         acceleration: Largest |acceleration| / limit.
         torque: Largest |torque| / limit.
@@ -78,19 +78,19 @@ def limit_use(robot: Robot, trajectory: Trajectory, bezier: FloatArray, duration
     )
     return LimitUse(
         position=_finite_or_inf(position),
-        velocity=_share(peak_velocity, robot.velocity_limit),
-        acceleration=_share(peak_acceleration, robot.acceleration_limit),
-        torque=_share(peak_torque, robot.torque_limit),
+        velocity=_fraction(peak_velocity, robot.velocity_limit),
+        acceleration=_fraction(peak_acceleration, robot.acceleration_limit),
+        torque=_fraction(peak_torque, robot.torque_limit),
     )
 
 
-def _share(peak: FloatArray, limit: FloatArray) -> float:
-    """Largest share of a limit; a joint that does not move may have a limit of zero."""
+def _fraction(peak: FloatArray, limit: FloatArray) -> float:
+    """Largest fraction of a limit; a joint that does not move may have a limit of zero."""
     idle = (peak <= 1e-9) & (limit <= 0.0)
     with np.errstate(over="ignore"):
         return _finite_or_inf(np.where(idle, 0.0, peak / np.where(limit > 0.0, limit, 1e-300)))
 
 
-def _finite_or_inf(shares: FloatArray) -> float:
-    """The largest of some shares; infinite where one is not a number."""
-    return float(np.where(np.isnan(shares), np.inf, shares).max())
+def _finite_or_inf(values: FloatArray) -> float:
+    """The largest of some values; infinite where one is not a number."""
+    return float(np.where(np.isnan(values), np.inf, values).max())

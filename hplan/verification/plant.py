@@ -1,4 +1,4 @@
-"""The machine that runs a motion in simulation, where it is another than its controller believes."""
+"""Model of the simulated machine, and how it differs from what its controller believes."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ class Plant:
         mass_factor: Masses and inertias of its bodies, as multiples of the URDF's.
         command_delay_s: By how much the controller is late: it follows the reference of so long ago [s].
         bandwidth: Natural frequency of its position loop [rad/s].
-        decoupled: Whether what is left of the errors is commanded as accelerations, through the inertia matrix, and not
-            joint by joint; a stiff loop of joints that push one another does not come to rest.
+        decoupled: Whether errors are fed back as accelerations, through the inertia matrix, and not joint by joint; a
+            stiff loop of joints that push one another does not come to rest.
     """
 
     mass_factor: float = 1.0

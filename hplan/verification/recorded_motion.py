@@ -1,4 +1,4 @@
-"""A motion, whoever made it: positions and velocities over time, and their CSV."""
+"""Motions made by others: positions and velocities over time, and their CSV."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _POSITION, _VELOCITY = "_pos_rad", "_vel_rad_s"
 
 
 class Movement(Protocol):
-    """What is needed of a motion; a `Trajectory` has it, and so has a `RecordedMotion`."""
+    """Interface of a motion; `Trajectory` and `RecordedMotion` have it."""
 
     @property
     def joint_names(self) -> tuple[str, ...]:

@@ -1,7 +1,7 @@
 r"""A motion, executed: tracked by a simulated arm with torque motors among the scene's obstacles (MuJoCo).
 
-The certificate proves a curve; this looks at what a machine makes of it, whoever planned it. MuJoCo reads the same
-URDF, with the obstacles as solid bodies; it shares no code with planner, certificate or coal. A thousand times a
+The certificate proves a curve; this shows how a machine follows it, whoever planned it. MuJoCo reads the same URDF,
+with the obstacles as solid bodies; it has no code in common with planner, certificate or coal. A thousand times a
 second the controller takes the reference between the rows as the cubic that has the rows' positions and velocities
 (cubic Hermite) and commands
 
@@ -25,9 +25,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from pathlib import Path
 from types import ModuleType
-from typing import Any, assert_never
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -36,12 +35,11 @@ from hplan.base import ties
 from hplan.base.arguments import instance
 from hplan.base.arrays import FloatArray, Record, readonly
 from hplan.collision.coal_scene import CoalScene, Contact
-from hplan.errors import InputError, OptionError, RobotFileError
+from hplan.errors import InputError, OptionError
 from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel
 from hplan.scene.model import Scene
-from hplan.scene.obstacles import Box, Capsule, Solid, Sphere
-from hplan.scene.solids import Cloud, Hull
+from hplan.verification.mujoco_model import import_mujoco, mujoco_model
 from hplan.verification.plant import Plant
 from hplan.verification.recorded_motion import Movement
 
@@ -57,16 +55,13 @@ HOLD = 0.25
 #: Error of each joint up to which a configuration counts as reached [rad].
 GOAL_TOLERANCE = math.radians(0.5)
 
-#: Most balls of a cloud that MuJoCo is given.
-MOST_BALLS = 2_000
-
 #: Rows at which inertias are looked at for the gains.
 _INERTIA_SAMPLES = 50
 
 
 @dataclass(frozen=True)
 class Touch:
-    """A link and an obstacle that touched.
+    """Contact of a link and an obstacle in a simulation.
 
     Attributes:
         time_s: When they first did [s].
@@ -83,7 +78,7 @@ class Touch:
 
 @dataclass(frozen=True, eq=False)
 class Execution(Record):
-    """What became of a motion. Joints are in the robot's order.
+    """The result of executing a motion. Joints are in the robot's order.
 
     Attributes:
         joint_names: Names of the `dof` joints.
@@ -125,13 +120,13 @@ class Execution(Record):
     reference_velocity: FloatArray
 
     def is_within(self, tracking: TrackingModel) -> bool:
-        """Whether no joint was ever farther from its reference than a model of tracking errors allows."""
+        """True if no joint was ever farther from its reference than a model of tracking errors allows."""
         off = np.abs(self.position - self.reference)
         return bool((off <= tracking.deviations(self.reference_velocity)).all())
 
     @property
     def ok(self) -> bool:
-        """Whether nothing was touched and the arm ended at the goal."""
+        """True if nothing was touched and the arm ended at the goal."""
         return not self.contacts and self.ended_at_goal
 
     @property
@@ -162,11 +157,11 @@ def execute(robot: Robot, scene: Scene, motion: Movement, plant: Plant | None = 
     instance("scene", scene, Scene, "load_scene")
     if not all(hasattr(motion, name) for name in ("joint_names", "time", "position", "velocity")):
         raise OptionError("motion", motion, "a Trajectory, as from plan, or a Motion, as from read_motion")
-    mujoco = _mujoco()
+    mujoco = import_mujoco()
     reference = _Reference.of(robot, motion)
     start, goal = (_joints(robot, scene, which) for which in ("start", "goal"))
     goal = reference.position[-1] if goal is None else goal
-    model, obstacle_of = _model(mujoco, robot, scene)
+    model, obstacle_of = mujoco_model(mujoco, robot, scene, timestep_s=CONTROL_PERIOD / SUBSTEPS)
     plant = Plant() if plant is None else plant
     return _Simulation(mujoco, robot, model, obstacle_of, reference, plant).run(scene, start, goal)
 
@@ -326,107 +321,6 @@ class _Simulation:
             depth = max(0.0, -float(contact.dist))
             time, deepest = self.touched.get((link, obstacle), (float(self.data.time), 0.0))
             self.touched[link, obstacle] = (time, max(deepest, depth))
-
-
-def _mujoco() -> ModuleType:
-    try:
-        import mujoco
-    except ImportError as error:
-        raise InputError(
-            "executing a motion needs MuJoCo, which is not installed: pip install 'hplan[execution]'", extra="execution"
-        ) from error
-    module: ModuleType = mujoco
-    return module
-
-
-def _model(mujoco: ModuleType, robot: Robot, scene: Scene) -> tuple[Any, dict[int, str]]:
-    """The arm with motors among the obstacles, and the obstacle's name for each geometry that is one."""
-    try:
-        spec = mujoco.MjSpec.from_file(str(robot.urdf_path))
-    except ValueError as error:
-        raise RobotFileError(robot.urdf_path, f"MuJoCo refuses it: {error}") from error
-    for mesh in spec.meshes:
-        mesh.file = _mesh_file(mesh.file, robot.urdf_path.parent)
-    spec.option.timestep = CONTROL_PERIOD / SUBSTEPS
-    spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
-    for geom in spec.geoms:
-        # Two geometries meet where a bit is in the type of one and the affinity of the other: arm and obstacle only.
-        geom.contype, geom.conaffinity = int(bool(geom.contype or geom.conaffinity)), 0
-    for name, limit in zip(robot.joint_names, robot.torque_limit.tolist(), strict=True):
-        motor = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)  # a motor, of gain 1
-        motor.ctrllimited, motor.ctrlrange = True, [-limit, limit]
-    names = {}
-    for number, obstacle in enumerate(scene.solids):
-        for part, shape in enumerate(_shapes(mujoco, spec, obstacle, number)):
-            label = f"obstacle:{number}:{part}"
-            names[label] = obstacle.name
-            spec.worldbody.add_geom(name=label, contype=0, conaffinity=1, **shape)
-    try:
-        model = spec.compile()
-    except ValueError as error:
-        raise RobotFileError(robot.urdf_path, f"MuJoCo refuses it: {error}") from error
-    return model, {model.geom(label).id: name for label, name in names.items()}
-
-
-def _mesh_file(name: str, folder: Path) -> str:
-    """A mesh of the URDF where Pinocchio finds it; MuJoCo knows no URLs, and has left one slash of theirs."""
-    scheme, colon, rest = name.partition(":")
-    if colon and scheme == "package":
-        return str((folder / rest.lstrip("/")).resolve())
-    if colon and scheme == "file":
-        return "/" + rest.lstrip("/")
-    return str((folder / name).resolve())
-
-
-def _shapes(mujoco: ModuleType, spec: Any, obstacle: Solid, number: int) -> list[dict[str, Any]]:
-    """An obstacle in MuJoCo's words.
-
-    Raises:
-        InputError: A cloud of more than `MOST_BALLS` balls.
-    """
-    kinds = mujoco.mjtGeom
-    if isinstance(obstacle, Sphere):
-        return [{"type": kinds.mjGEOM_SPHERE, "pos": obstacle.center, "size": [obstacle.radius, 0.0, 0.0]}]
-    if isinstance(obstacle, Capsule):
-        start, end = np.array(obstacle.start), np.array(obstacle.end)
-        length, middle = float(np.linalg.norm(end - start)), 0.5 * (start + end)
-        if length < 1e-9:
-            return [{"type": kinds.mjGEOM_SPHERE, "pos": middle, "size": [obstacle.radius, 0.0, 0.0]}]
-        turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), (end - start) / length)
-        size, quat = [obstacle.radius, 0.5 * length, 0.0], [turn.w, turn.x, turn.y, turn.z]
-        return [{"type": kinds.mjGEOM_CAPSULE, "pos": middle, "quat": quat, "size": size}]
-    if isinstance(obstacle, Box):
-        turn = pin.Quaternion(obstacle.rotation)
-        size, quat = [0.5 * side for side in obstacle.size], [turn.w, turn.x, turn.y, turn.z]
-        return [{"type": kinds.mjGEOM_BOX, "pos": obstacle.center, "quat": quat, "size": size}]
-    if isinstance(obstacle, Hull):
-        name = f"obstacle:{number}"
-        mesh = spec.add_mesh(name=name, uservert=_grown_vertices(obstacle).ravel())
-        mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # small pieces have too little volume for it
-        return [{"type": kinds.mjGEOM_MESH, "meshname": name}]
-    if isinstance(obstacle, Cloud):
-        if len(obstacle.core) > MOST_BALLS:
-            raise InputError(
-                f"obstacle {obstacle.name!r} has {len(obstacle.core)} balls, too many for MuJoCo; thin its points to "
-                f"at most {MOST_BALLS} to execute the motion",
-                obstacle=obstacle.name,
-                balls=len(obstacle.core),
-            )
-        size = [obstacle.rounding, 0.0, 0.0]
-        return [{"type": kinds.mjGEOM_SPHERE, "pos": center, "size": size} for center in obstacle.core]
-    assert_never(obstacle)
-
-
-def _grown_vertices(hull: Hull) -> FloatArray:
-    """(n, 3) points whose hull, which is what MuJoCo takes, holds a hull grown by its rounding [m].
-
-    A cube of that half edge about each vertex: nothing is farther outside than 0.74 of the rounding.
-    """
-    if hull.rounding == 0.0:
-        return hull.core
-    signs = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
-    grown: FloatArray = (hull.core[:, None] + hull.rounding * signs).reshape(-1, 3)
-    return grown
 
 
 def _joints(robot: Robot, scene: Scene, which: str) -> FloatArray | None:

@@ -1,4 +1,4 @@
-"""Whether a trajectory does what its scene asks for: where it begins and ends, and which joints stand still."""
+"""Check that a trajectory solves its scene's task: where it begins and ends, and which joints stand still."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ SAME = 1e-5
 
 
 def task_violations(robot: Robot, scene: Scene, bezier: FloatArray) -> Iterator[str]:
-    """What of the scene's task a motion does not do, in words.
+    """The parts of the scene's task that a motion does not solve, in words.
 
     It begins at the start. It ends at the goal: at its joints, or with the tool at its position; at the fruit the tool
     is at some row, since a motion that picks it goes back. There the last link has the approach angle that is asked
@@ -57,7 +57,7 @@ def task_violations(robot: Robot, scene: Scene, bezier: FloatArray) -> Iterator[
 
 
 def _apart(robot: Robot, what: str, q: FloatArray, asked: FloatArray, which: str) -> Iterator[str]:
-    """Where a motion begins or ends elsewhere."""
+    """Fault of a motion that begins or ends elsewhere."""
     off = np.abs(q - asked)
     joint = int(off.argmax())
     if not off[joint] <= SAME:
@@ -65,7 +65,7 @@ def _apart(robot: Robot, what: str, q: FloatArray, asked: FloatArray, which: str
 
 
 def _approach(robot: Robot, scene: Scene, q: FloatArray) -> Iterator[str]:
-    """Where the last link comes at another angle than the goal asks for."""
+    """Fault of a last link that comes at another angle than the goal asks for."""
     if scene.goal.approach_deg is None:
         return
     asked = np.radians(np.atleast_1d(scene.goal.approach_deg))

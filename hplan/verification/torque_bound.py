@@ -20,9 +20,9 @@ by bounding the norm of each vector and of its time derivatives, from the base o
 - :math:`\omega_i = \omega_{i - 1} + z_i \dot q_i`, with :math:`|\dot q|, |\ddot q|, |\dddot q|` at most what the
   Bezier points of the piece's derivatives say, and no fourth derivative.
 
-The rotor's share is linear in time and adds nothing. Pieces on which the bound could exceed the largest sample by more
-than a given share of the limit are halved, each time with a quarter of the remainder, up to a stated number of samples;
-what is not resolved then is bounded by what is known.
+The rotor's part is linear in time and adds nothing. Pieces on which the bound could exceed the largest sample by more
+than a given fraction of the limit are halved, each time with a quarter of the remainder, up to a stated number of
+samples; what is not resolved then is bounded by what is known.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from hplan.base.kernels import any_int, kernel
 from hplan.errors import InputError
 from hplan.robot.dynamics import InverseDynamics, newton_euler
 
-#: How far the bound may lie above the largest sample, as a share of the limit, before pieces are halved.
+#: How far the bound may lie above the largest sample, as a fraction of the limit, before pieces are halved.
 GAP = 5e-5
 
 #: Samples that halving may take: some, and for each piece.
@@ -70,7 +70,7 @@ def largest_torques(
     gravity = np.array(dynamics.model.gravity.linear)
     scale = np.where(limit > 0.0, limit, 1.0)
     with np.errstate(over="ignore", invalid="ignore"):
-        return _largest(bezier, duration, dynamics.bodies, dynamics.sizes, gravity, scale, GAP, most)
+        return _largest(bezier, duration, dynamics.bodies, dynamics.sizes, gravity, scale, most)
 
 
 @kernel
@@ -81,12 +81,11 @@ def _largest(
     sizes: FloatArray,
     gravity: FloatArray,
     scale: FloatArray,
-    gap: float,
     most: int,
 ) -> FloatArray:
     count, dof = bezier.shape[0], bezier.shape[2]
     slack = _remainders(bezier, duration, sizes, _norm(gravity))
-    # Open intervals: their pieces, where they begin, their lengths as a share of the piece, |torque| at both ends.
+    # Open intervals: their pieces, where they begin, their lengths as a fraction of the piece, |torque| at both ends.
     piece, begin, width = np.arange(count), np.zeros(count), np.ones(count)
     first = _torques_at(bezier, duration, piece, begin, bodies, gravity)
     last = _torques_at(bezier, duration, piece, width, bodies, gravity)
@@ -95,9 +94,9 @@ def _largest(
         for j in range(dof):
             peak[j] = max(peak[j], first[i, j], last[i, j])
     while True:
-        enough = gap
+        enough = GAP
         for j in range(dof):
-            enough = max(enough, peak[j] / scale[j] + gap)
+            enough = max(enough, peak[j] / scale[j] + GAP)
         is_open = np.zeros(len(piece), dtype=np.bool_)
         for i in range(len(piece)):
             for j in range(dof):
@@ -137,12 +136,7 @@ def _norm(vector: FloatArray) -> float:
 
 @kernel
 def _torques_at(
-    bezier: FloatArray,
-    duration: FloatArray,
-    piece: IntArray,
-    at: FloatArray,
-    bodies: FloatArray,
-    gravity: FloatArray,
+    bezier: FloatArray, duration: FloatArray, piece: IntArray, at: FloatArray, bodies: FloatArray, gravity: FloatArray
 ) -> FloatArray:
     """(n, dof) |torque| at places within pieces, infinite where it is not a number."""
     count, dof = len(piece), bezier.shape[2]

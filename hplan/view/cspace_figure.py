@@ -40,10 +40,10 @@ def cspace_at_yaw(section: YawSection, title: str = "") -> Figure:
     axes.set_proj_type("ortho")
     axes.view_init(azim=azimuth_elevation[0], elev=azimuth_elevation[1])
     towards = draw_cspace_obstacle(axes, grid, section.field)
-    most = float(section.beside.max())
-    colors = LinearSegmentedColormap.from_list("beside", [_NEAR, _FAR])
+    most = float(section.yaw_distance.max())
+    colors = LinearSegmentedColormap.from_list("yaw distance", [_NEAR, _FAR])
     norm = Normalize(0.0, max(math.degrees(most), 1e-9))
-    behind = _draw_motion(axes, section, towards, lambda beside: colors(norm(math.degrees(beside))))
+    behind = _draw_motion(axes, section, towards, lambda distance: colors(norm(math.degrees(distance))))
     joint_box(axes, grid, 1.04)
     turns = most > math.radians(0.5)
     words = "motion, projected" if turns else "motion"
@@ -73,9 +73,9 @@ def _draw_motion(axes: Any, section: YawSection, towards: Any, color_of: Any) ->
     covered = hidden(section.field, section.grid.position(section.path), towards)
     pieces = np.stack([points[:-1], points[1:]], axis=1)
     dark = covered[:-1] | covered[1:]
-    share = section.beside[:-1] / max(float(section.beside.max()), 1e-9)
-    widths = _WIDTHS[0] + share * (_WIDTHS[1] - _WIDTHS[0])
-    colors = np.array([color_of(beside) for beside in section.beside[:-1]])
+    fraction = section.yaw_distance[:-1] / max(float(section.yaw_distance.max()), 1e-9)
+    widths = _WIDTHS[0] + fraction * (_WIDTHS[1] - _WIDTHS[0])
+    colors = np.array([color_of(distance) for distance in section.yaw_distance[:-1]])
     # Every other two pieces of what is hidden: dots.
     dots = dark & (np.arange(len(dark)) % 4 < 2)
     for shown, thick, alpha, zorder in ((dots, 0.6, 0.8, 6.0), (~dark, 1.0, 1.0, 7.0)):

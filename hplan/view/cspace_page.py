@@ -46,7 +46,7 @@ def render_cspace_page(section: YawSection, title: str) -> str:
         HplanError: meshcat, which brings the viewer, is not installed.
     """
     words = f"C-space at yaw {math.degrees(section.yaw):.1f}°"
-    far = math.degrees(float(section.beside.max()))
+    far = math.degrees(float(section.yaw_distance.max()))
     entries = [("Forbidden", REGION_COLOR), ("Motion", MOTION_COLOR)]
     if far > 0.5:
         entries.append((f"Motion at a yaw {far:.0f}° apart", three.color_of(_FAR)))
@@ -108,8 +108,9 @@ def _motion(section: YawSection, motion: FloatArray) -> Body:
     if along[-1] > 1e-3:
         stations = np.linspace(0.0, along[-1], _RINGS + 1)
         points = np.column_stack([np.interp(stations, along, axis) for axis in motion.T])
-        share = np.interp(stations, along, section.beside / max(float(section.beside.max()), math.radians(0.5)))
-        colors = _NEAR + share[:, None] * (_FAR - _NEAR)
+        farthest = max(float(section.yaw_distance.max()), math.radians(0.5))
+        fraction = np.interp(stations, along, section.yaw_distance / farthest)
+        colors = _NEAR + fraction[:, None] * (_FAR - _NEAR)
         look = three.material(0xFFFFFF, kind="MeshLambertMaterial", vertexColors=True)
         body.add(three.tube(points, 0.014, colors), look, name="way", shadow=False)
     return body
@@ -126,8 +127,8 @@ def _ticks(section: YawSection, axis: int) -> list[float]:
 def _at(section: YawSection, axis: int, degrees: float) -> float:
     """Where an angle is along its edge of the cube [m]."""
     grid = section.grid
-    share = (math.radians(degrees) - grid.lower[axis]) / (grid.step[axis] * (grid.shape[axis] - 1))
-    return float(_EDGE * (share - 0.5))
+    fraction = (math.radians(degrees) - grid.lower[axis]) / (grid.step[axis] * (grid.shape[axis] - 1))
+    return float(_EDGE * (fraction - 0.5))
 
 
 def _box(section: YawSection) -> Body:

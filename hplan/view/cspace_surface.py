@@ -1,8 +1,8 @@
-"""Surfaces and lines in three dimensions: the C-space obstacle, and which parts of a line it hides.
+"""Surfaces in three dimensions: the C-space obstacle, and which points it hides.
 
 The obstacle's surface is made by surface nets: one vertex in each cell that the surface crosses, one quadrilateral
-for each grid edge that it cuts. It is shaded here and seen in parallel projection, so that what a line passes behind
-can be told exactly by following the line of sight through the field; hidden parts are drawn faint.
+for each grid edge that it cuts. It is shaded here and seen in parallel projection, so that the parts of a line behind
+it are found exactly by following the line of sight through the field; hidden parts are drawn faint.
 """
 
 from __future__ import annotations
@@ -46,9 +46,9 @@ def surface_net(field: FloatArray) -> tuple[FloatArray, IntArray]:
             high[axis] = slice(1, None)
             a, b = values[tuple(low)], values[tuple(high)]
             cut = inside[tuple(low)] != inside[tuple(high)]
-            share = np.divide(a, a - b, out=np.zeros_like(a), where=cut)
+            fraction = np.divide(a, a - b, out=np.zeros_like(a), where=cut)
             point = base.copy()
-            point[..., axis] += share
+            point[..., axis] += fraction
             for other, step in zip(others, shift, strict=True):
                 point[..., other] += step
             total += np.where(cut[..., None], point, 0.0)
@@ -65,19 +65,19 @@ def surface_net(field: FloatArray) -> tuple[FloatArray, IntArray]:
         for rising in (True, False):
             cut = inside[tuple(low)] & ~inside[tuple(high)] if rising else ~inside[tuple(low)] & inside[tuple(high)]
             at = np.argwhere(cut)
-            around = []
+            cells_about = []
             for shift in ((-1, -1), (0, -1), (0, 0), (-1, 0)):
                 cell = at.copy()
                 cell[:, first] += shift[0]
                 cell[:, second] += shift[1]
-                around.append(number[tuple(cell.T)])
-            ring = np.stack(around, axis=1)
+                cells_about.append(number[tuple(cell.T)])
+            ring = np.stack(cells_about, axis=1)
             faces.append(ring if rising else ring[:, ::-1])
     return vertices, np.concatenate(faces)
 
 
 def hidden(field: FloatArray, points: FloatArray, towards: FloatArray, gap: float = 2.5) -> BoolArray:
-    """Which points the surface hides.
+    """Mask of the points that the surface hides.
 
     Args:
         field: (N1, N2, N3) values, negative inside.
@@ -158,35 +158,3 @@ def panes(axes: Any) -> None:
         axis._axinfo["grid"].update(color=FAINT, linewidth=0.6)
         axis._axinfo["tick"].update(inward_factor=0.0, outward_factor=0.25)
     axes.tick_params(pad=0)
-
-
-def draw_line(
-    axes: Any, points: FloatArray, covered: BoolArray, color: str, width: float, zorder: float, halo: float = 0.0
-) -> None:
-    """Draw a 3-D line, what is covered dotted and faint.
-
-    Args:
-        axes: Matplotlib's `Axes3D`.
-        points: (m, 3) points.
-        covered: (m,) which of them are hidden.
-        color: Colour.
-        width: Width of the line [points].
-        zorder: Drawing order.
-        halo: How much wider than the line its white margin is [points].
-    """
-    for index, last in _runs(covered):
-        piece = points[index : last + 1]
-        if covered[index]:
-            axes.plot(*piece.T, color=color, lw=0.6 * width, alpha=0.55, ls=(0, (1, 1.4)), zorder=zorder)
-        else:
-            if halo > 0.0:
-                axes.plot(*piece.T, color="white", lw=width + halo, zorder=zorder - 0.1)
-            axes.plot(*piece.T, color=color, lw=width, zorder=zorder)
-
-
-def _runs(flags: BoolArray) -> list[tuple[int, int]]:
-    """First and last index of each run of equal flags, each run reaching to the next one's first."""
-    changes = np.flatnonzero(flags[1:] != flags[:-1]) + 1
-    firsts = [0, *(int(change) for change in changes)]
-    lasts = [*firsts[1:], len(flags) - 1]
-    return list(zip(firsts, lasts, strict=True))

@@ -95,14 +95,13 @@ def styled(draw: Callable[_P, _R]) -> Callable[_P, _R]:
     return wrapper
 
 
-def new_figure(width: float, height: float, title: str, *, bottom: float = 0.0, placed: bool = False) -> Figure:
+def new_figure(width: float, height: float, title: str, *, placed: bool = False) -> Figure:
     """An empty figure with a title and a canvas of its own.
 
     Args:
         width: [inch].
         height: [inch].
         title: Title; may be empty.
-        bottom: Share of the height kept free below.
         placed: The axes will be placed by hand; else they are laid out without overlaps.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -111,11 +110,7 @@ def new_figure(width: float, height: float, title: str, *, bottom: float = 0.0, 
 
     figure = Figure(figsize=(width, height))
     if not placed:
-        figure.set_layout_engine(
-            ConstrainedLayoutEngine(
-                w_pad=0.09, h_pad=0.09, wspace=0.04, hspace=0.04, rect=(0.0, bottom, 1.0, 1.0 - bottom)
-            )
-        )
+        figure.set_layout_engine(ConstrainedLayoutEngine(w_pad=0.09, h_pad=0.09, wspace=0.04, hspace=0.04))
     FigureCanvasAgg(figure)
     figure.suptitle(title, x=0.012, ha="left")
     return figure

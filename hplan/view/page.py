@@ -12,7 +12,7 @@ import importlib.util
 import json
 import subprocess
 import threading
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -22,10 +22,10 @@ from hplan.base.files import write_text
 from hplan.errors import HplanError
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
-from hplan.timing.trajectory import Trajectory
 from hplan.view import scenery
 from hplan.view.framing import ASPECT
-from hplan.view.scene_stage import APPROACH_COLOR, GOAL_COLOR, START_COLOR, Stretch, stage
+from hplan.view.playback import Playback
+from hplan.view.scene_stage import APPROACH_COLOR, GOAL_COLOR, START_COLOR, stage
 from hplan.view.three_js import Json
 
 #: Longest wait for the live server [s].
@@ -84,46 +84,35 @@ try {{
 """
 
 
-def render_page(
-    robot: Robot,
-    scene: Scene,
-    trajectory: Trajectory,
-    *,
-    picked: Mapping[str, float] | None = None,
-    dropped: Mapping[str, float] | None = None,
-    phases: Sequence[Stretch] = (),
-) -> str:
+def render_page(robot: Robot, scene: Scene, playback: Playback) -> str:
     """The page as HTML text: self-contained, playing by itself in real time, again and again.
 
     Args:
         robot: The arm.
-        scene: What stands around it.
-        trajectory: The motion; with a single sample the arm stands still.
-        picked: Fruit and when the tool reaches it [s].
-        dropped: Fruit and when the tool lets it go [s]; where it is not named, at the end of the retreat.
-        phases: Parts of the motion, as `PlanResult.phases`.
+        scene: Obstacles and fruits.
+        playback: The motion.
 
     Raises:
         InputError: The trajectory is of other joints than the robot's; `picked` names a fruit that the scene does not
             have, or a time outside the motion.
         HplanError: meshcat, which brings the viewer, is not installed.
     """
+    trajectory = playback.trajectory
     moves = trajectory.samples > 1
     entries = [("Start", START_COLOR), ("Goal", GOAL_COLOR)] if moves else []
-    if moves and any(phase.name == "approach" for phase in phases):
+    if moves and any(phase.name == "approach" for phase in playback.phases):
         entries.append(("Approach", APPROACH_COLOR))
     for look in scenery.looks(scene):
         one = look is scenery.OTHER and len(scene.obstacles) == 1
         entries.append(("Obstacle" if one else look.label, look.color))
     if scene.fruits:
         entries.append(("Fruit", scenery.FRUIT_COLOR))
-    if scene.goal.fruit is not None and (picked is None or len(picked) < 2):
+    if scene.goal.fruit is not None and len(playback.picked) < 2:
         entries.append(("Fruit to pick", scenery.HALO_COLOR))
-    if moves and picked:
+    if moves and playback.picked:
         entries.append(("Picked", scenery.PICKED_COLOR))
     subtitle = f"{robot.name}, {trajectory.duration:.2f} s" if moves else f"{robot.name}, at rest"
-    commands = stage(robot, scene, trajectory, picked=picked, dropped=dropped, phases=phases)
-    return document(scene.name, subtitle, entries, commands)
+    return document(scene.name, subtitle, entries, stage(robot, scene, playback))
 
 
 def document(title: str, subtitle: str, entries: Iterable[tuple[str, int]], commands: Sequence[Json]) -> str:
@@ -133,7 +122,7 @@ def document(title: str, subtitle: str, entries: Iterable[tuple[str, int]], comm
         title: Title.
         subtitle: A line below it.
         entries: Words and colours of the legend.
-        commands: What the viewer is to show.
+        commands: Commands to the viewer.
 
     Raises:
         HplanError: meshcat, which brings the viewer, is not installed.
@@ -152,16 +141,7 @@ def document(title: str, subtitle: str, entries: Iterable[tuple[str, int]], comm
     )
 
 
-def write_page(
-    robot: Robot,
-    scene: Scene,
-    trajectory: Trajectory,
-    path: Path | str,
-    *,
-    picked: Mapping[str, float] | None = None,
-    dropped: Mapping[str, float] | None = None,
-    phases: Sequence[Stretch] = (),
-) -> Path:
+def write_page(robot: Robot, scene: Scene, playback: Playback, path: Path | str) -> Path:
     """Write the page of `render_page` to a file.
 
     Raises:
@@ -169,7 +149,7 @@ def write_page(
         OutputError: The file cannot be written.
         HplanError: meshcat, which brings the viewer, is not installed.
     """
-    return write_text(path, render_page(robot, scene, trajectory, picked=picked, dropped=dropped, phases=phases))
+    return write_text(path, render_page(robot, scene, playback))
 
 
 class LiveView:
@@ -200,33 +180,19 @@ class LiveView:
         return self
 
     def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
         """End the server."""
         self.close()
 
 
-def serve(
-    robot: Robot,
-    scene: Scene,
-    trajectory: Trajectory,
-    *,
-    picked: Mapping[str, float] | None = None,
-    dropped: Mapping[str, float] | None = None,
-    phases: Sequence[Stretch] = (),
-) -> LiveView:
+def serve(robot: Robot, scene: Scene, playback: Playback) -> LiveView:
     """Start meshcat's live server with the same scene and motion; prints nothing and opens no browser.
 
     Args:
         robot: The arm.
-        scene: What stands around it.
-        trajectory: The motion.
-        picked: Fruit and when the tool reaches it [s].
-        dropped: Fruit and when the tool lets it go [s]; where it is not named, at the end of the retreat.
-        phases: Parts of the motion, as `PlanResult.phases`.
+        scene: Obstacles and fruits.
+        playback: The motion.
 
     Returns:
         The running view; its `url` is for a browser on this machine, the only one that reaches it. The server ends
@@ -236,7 +202,7 @@ def serve(
         InputError: As `render_page`.
         HplanError: The server does not start.
     """
-    commands = stage(robot, scene, trajectory, picked=picked, dropped=dropped, phases=phases)
+    commands = stage(robot, scene, playback)
     _viewer_source()  # says plainly that meshcat is missing
     process, zmq_url, url = _start_server()
     view = LiveView(url, zmq_url, process)

@@ -1,4 +1,4 @@
-"""What the page shows, as commands to meshcat's viewer: arm, scene, tool path, ghosts, ground, lights and camera.
+"""Content of the page as commands to meshcat's viewer: arm, scene, tool path, ghosts, ground, lights and camera.
 
 The commands are plain dictionaries, the same for the page in a file and for the live server, and the same on every run.
 """
@@ -6,15 +6,13 @@ The commands are plain dictionaries, the same for the page in a file and for the
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Protocol
+from collections.abc import Sequence
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
 from hplan.base.arrays import FloatArray
-from hplan.errors import InputError
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 from hplan.scene.obstacles import Solid
@@ -23,6 +21,7 @@ from hplan.view import framing, scenery
 from hplan.view import three_js as three
 from hplan.view.commands import ROOT, animation, clip, node, set_object, set_transform, turning
 from hplan.view.framing import Frame
+from hplan.view.playback import Playback
 from hplan.view.three_js import Body, Json
 
 #: Most keyframes for each second of motion, and most of a whole motion: pages of long tours stay small.
@@ -45,40 +44,13 @@ _ELEVATION_DEG = 17.0
 _RINGS, _RING_SPACING = 900, 0.02
 
 
-class Stretch(Protocol):
-    """A part of a motion, as `hplan.planning.plan.Phase` is one: its name, when it begins and ends [s]."""
-
-    @property
-    def name(self) -> str:
-        """`approach`, `retreat`, or another name."""
-
-    @property
-    def start_s(self) -> float:
-        """When it begins [s]."""
-
-    @property
-    def end_s(self) -> float:
-        """When it ends [s]."""
-
-
-def stage(
-    robot: Robot,
-    scene: Scene,
-    trajectory: Trajectory,
-    *,
-    picked: Mapping[str, float] | None = None,
-    dropped: Mapping[str, float] | None = None,
-    phases: Sequence[Stretch] = (),
-) -> list[Json]:
+def stage(robot: Robot, scene: Scene, playback: Playback) -> list[Json]:
     """Everything on the page.
 
     Args:
         robot: The arm.
-        scene: What stands around it.
-        trajectory: The motion; with a single sample the arm stands still.
-        picked: Fruit and when the tool reaches it [s]; it changes its colour then, and moves with the tool.
-        dropped: Fruit and when the tool lets it go [s]; where it is not named, that is at the end of the retreat.
-        phases: Parts of the motion; `approach` is drawn in a colour of its own, `retreat` is the way back.
+        scene: Obstacles and fruits.
+        playback: The motion.
 
     Returns:
         Commands for meshcat's viewer, in the order in which they are to be handled.
@@ -87,15 +59,8 @@ def stage(
         InputError: The trajectory is of other joints than the robot's; `picked` names a fruit that the scene does not
             have, or a time outside the motion.
     """
-    if trajectory.joint_names != robot.joint_names:
-        got, expected = ", ".join(trajectory.joint_names), ", ".join(robot.joint_names)
-        raise InputError(
-            f"the trajectory moves {got}; the joints of {robot.name!r} are {expected}",
-            expected=list(robot.joint_names),
-            got=list(trajectory.joint_names),
-        )
-    retreats = [(phase.start_s, phase.end_s) for phase in phases if phase.name == "retreat"]
-    picks = scenery.picks(scene, picked or {}, dropped or {}, retreats, trajectory.duration)
+    playback.check(robot)
+    trajectory, picks = playback.trajectory, scenery.picks(scene, playback)
     view = _frame(robot, scene, trajectory, [_row_at(trajectory, pick.since) for pick in picks])
     commands = [
         *framing.lights(view),
@@ -113,7 +78,7 @@ def stage(
             last = _row_at(trajectory, picks[0].since if picks else trajectory.duration)
             commands.extend(_ghost(robot, trajectory.position[0], "start", START_COLOR, 1))
             commands.extend(_ghost(robot, trajectory.position[last], "goal", GOAL_COLOR, 2))
-        commands.append(set_object(f"{ROOT}/tool path", _tool_path(robot, trajectory, phases)))
+        commands.append(set_object(f"{ROOT}/tool path", _tool_path(robot, playback)))
         commands.extend(scenery.picked_fruits(picks))
         commands.append(_animation(robot, trajectory, picks))
     return commands
@@ -173,7 +138,7 @@ def _posed(robot: Robot, q: FloatArray, top: str, bodies: dict[int, Body]) -> li
 
 
 def _animation(robot: Robot, trajectory: Trajectory, picks: Sequence[scenery.Pick]) -> Json:
-    """Every joint's turn over time and the way of picked fruits, in seconds of the motion, again and again."""
+    """Every joint's turn over time and the paths of picked fruits, in seconds of the motion, again and again."""
     model, data = robot.model, robot.model.createData()
     times = keyframe_times(trajectory)
     configurations = np.column_stack([np.interp(times, trajectory.time, column) for column in trajectory.position.T])
@@ -199,32 +164,32 @@ def _row_at(trajectory: Trajectory, time: float) -> int:
     return int(np.argmin(np.abs(trajectory.time - time)))
 
 
-def _tool_path(robot: Robot, trajectory: Trajectory, phases: Iterable[Stretch]) -> Body:
-    """The tool's way as a tube that turns from the start's colour to the goal's, approaches apart; a ball each end."""
-    body = Body()
+def _tool_path(robot: Robot, playback: Playback) -> Body:
+    """The tool's path as a tube that turns from the start's colour to the goal's, approaches apart; a ball each end."""
+    body, trajectory = Body(), playback.trajectory
     tool = robot.tool_positions(trajectory.position)
     stretches = [
         (phase.name, _row_at(trajectory, phase.start_s), _row_at(trajectory, phase.end_s))
-        for phase in phases
-        if phase.name != "retreat"  # the approach's way, backwards
+        for phase in playback.phases
+        if phase.name != "retreat"  # the approach's path, backwards
     ] or [("transit", 0, trajectory.samples - 1)]
     last = stretches[-1][2]
     for name, point, color in (("start", tool[0], START_COLOR), ("goal", tool[last], GOAL_COLOR)):
         body.add(three.sphere(0.022), three.material(color), three.transform(position=point), name=name, shadow=False)
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(tool, axis=0), axis=1))])
     surface = three.material(0xFFFFFF, kind="MeshLambertMaterial", vertexColors=True)
-    # The many ways of a tour are thinner.
+    # The many paths of a tour are thinner.
     radius, sides = (0.009, 10) if len(stretches) <= 3 else (0.005, 6)
     for name, first, end in stretches:
         length = float(along[end] - along[first])
         if length > 1e-3:
-            # Evenly spaced along the way: slow stretches do not crowd.
+            # Evenly spaced along the path: slow stretches do not crowd.
             count = max(int(np.ceil(length / max(_RING_SPACING, along[-1] / _RINGS))), 8)
             stations = np.linspace(along[first], along[end], count + 1)
             rows = slice(first, end + 1)
             points = np.column_stack([np.interp(stations, along[rows], axis) for axis in tool[rows].T])
-            share = stations[:, None] / along[last]
-            colors = (1.0 - share) * _rgb(START_COLOR) + share * _rgb(GOAL_COLOR)
+            fraction = stations[:, None] / along[last]
+            colors = (1.0 - fraction) * _rgb(START_COLOR) + fraction * _rgb(GOAL_COLOR)
             if name == "approach":
                 colors = np.tile(_rgb(APPROACH_COLOR), (count + 1, 1))
             tube = three.tube(points, 1.2 * radius if name == "approach" else radius, colors, sides=sides)
@@ -239,7 +204,7 @@ def _frame(robot: Robot, scene: Scene, trajectory: Trajectory, picks: Sequence[i
     """Place the camera so that arm and scene fill the picture and the arm plane is seen from the side.
 
     Where several fruits are picked, it is the plane in the middle of those picks. Of the four sides, before and behind
-    the arm, that is taken from which the least of the arm and its way is hidden.
+    the arm, that is taken from which the least of the arm and its path is hidden.
     """
     count = min(25 * max(1, len(picks)), 100)
     rows = np.unique([*np.linspace(0, trajectory.samples - 1, count).astype(int), *picks])
@@ -248,7 +213,7 @@ def _frame(robot: Robot, scene: Scene, trajectory: Trajectory, picks: Sequence[i
     yaw = 0.5 * (min(yaws) + max(yaws))
     elevation = np.radians(_ELEVATION_DEG)
     arm = _arm_points(robot, configurations)
-    before, widths = _in_the_way(scene)
+    before, widths = _blocking_points(scene)
     sides = yaw + np.radians([turn for side in (-90.0, 90.0) for turn in (side + _AZIMUTH_DEG, side - _AZIMUTH_DEG)])
     hidden = [framing.covered(arm, before, widths, azimuth, elevation) for azimuth in sides]
     return framing.frame(_visible_points(robot, scene, arm), float(sides[int(np.argmin(hidden))]), elevation)
@@ -264,7 +229,7 @@ def _arm_points(robot: Robot, configurations: FloatArray) -> FloatArray:
     return np.vstack(points)
 
 
-def _in_the_way(scene: Scene) -> tuple[FloatArray, FloatArray]:
+def _blocking_points(scene: Scene) -> tuple[FloatArray, FloatArray]:
     """Points of solids, (n, 3) [m], and how far each one's solid reaches about it, (n,) [m]."""
     points, widths = [np.zeros((0, 3))], [np.zeros(0)]
     for solid in scene.solids:
@@ -272,8 +237,8 @@ def _in_the_way(scene: Scene) -> tuple[FloatArray, FloatArray]:
         if solid.is_point_set:
             core = core[:: -(-len(core) // 500)]
         elif len(core) > 1:
-            share = np.linspace(0.0, 1.0, 5)[:, None, None]
-            core = ((1.0 - share) * core + share * core[::-1]).reshape(-1, 3)
+            fraction = np.linspace(0.0, 1.0, 5)[:, None, None]
+            core = ((1.0 - fraction) * core + fraction * core[::-1]).reshape(-1, 3)
         points.append(core)
         widths.append(np.full(len(core), solid.rounding))
     return np.vstack(points), np.concatenate(widths)

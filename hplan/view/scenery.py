@@ -1,4 +1,4 @@
-"""Obstacles and fruits of the page: their looks, and what becomes of fruits that are picked.
+"""Obstacles and fruits of the page: their looks, and the motion of fruits that are picked.
 
 What an obstacle is made of is told by the words of its name. All capsules of one look are drawn as copies of one
 shape: a tree of hundreds of pieces costs the viewer no more than one piece.
@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import re
 from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import assert_never
 
@@ -22,6 +22,7 @@ from hplan.scene.obstacles import Box, Capsule, Mesh, PointCloud, Sphere
 from hplan.view import three_js as three
 from hplan.view.commands import ROOT, clip, moving, node, set_object, set_property, set_transform, showing
 from hplan.view.framing import FIELD_OF_VIEW_DEG
+from hplan.view.playback import Playback
 from hplan.view.three_js import Body, Json
 
 
@@ -164,39 +165,31 @@ class Pick:
     until: float
 
 
-def picks(
-    scene: Scene,
-    picked: Mapping[str, float],
-    dropped: Mapping[str, float],
-    retreats: Iterable[tuple[float, float]],
-    duration: float,
-) -> list[Pick]:
-    """What becomes of picked fruits: the tool keeps each until it lets it go, or else until the retreat from it ends.
+def picks(scene: Scene, playback: Playback) -> list[Pick]:
+    """The picked fruits: the tool keeps each until it lets it go, or else until the retreat from it ends.
 
     It holds one at a time, and what it holds in the end it keeps.
 
     Args:
         scene: The scene.
-        picked: Fruit and when the tool reaches it [s].
-        dropped: Fruit and when the tool lets it go [s]; not all need be named.
-        retreats: Begin and end of each retreat [s].
-        duration: End of the motion [s].
+        playback: The motion.
 
     Raises:
         InputError: A fruit that the scene does not have; a time outside the motion.
     """
     known = {fruit.name: fruit for fruit in scene.fruits}
-    ends = list(retreats)
+    retreats = [phase for phase in playback.phases if phase.name == "retreat"]
+    duration = playback.trajectory.duration
     result = []
-    for name, time in sorted(picked.items(), key=lambda item: item[1]):
+    for name, time in sorted(playback.picked.items(), key=lambda item: item[1]):
         if name not in known:
             raise InputError(f"picked names {name!r}, which is not among the scene's fruits", fruit=name)
         if not 0.0 <= time <= duration + 1e-9:
             raise InputError(
                 f"{name!r} is picked at {time} s; the motion lasts from 0 to {duration:.6g} s", fruit=name, time=time
             )
-        until = min((end for begin, end in ends if abs(begin - time) < 1e-3), default=math.inf)
-        until = float(dropped.get(name, until))
+        until = min((retreat.end_s for retreat in retreats if abs(retreat.start_s - time) < 1e-3), default=math.inf)
+        until = float(playback.dropped.get(name, until))
         result.append(Pick(known[name], float(time), until if until < duration - 1e-9 else math.inf))
     # A tool holds one fruit.
     following = [pick.since for pick in result[1:]]
@@ -223,7 +216,7 @@ def picked_fruits(picks: Sequence[Pick]) -> list[Json]:
 
 
 def picked_clips(picks: Sequence[Pick], times: FloatArray, tool: FloatArray, end: float) -> list[Json]:
-    """What is seen of picked fruits over time, and how they move with the tool.
+    """Animation of picked fruits: their visibility over time, and their motion with the tool.
 
     Args:
         picks: The picked fruits.
@@ -236,10 +229,10 @@ def picked_clips(picks: Sequence[Pick], times: FloatArray, tool: FloatArray, end
         held = (times > pick.since) & (times < pick.until)
         stations = np.unique([0.0, pick.since, *times[held], min(pick.until, times[-1]), end])
         at, taken = (np.column_stack([np.interp(t, times, axis) for axis in tool.T]) for t in (stations, [pick.since]))
-        way = np.array(pick.fruit.center) + np.where(stations[:, None] > pick.since, at - taken, 0.0)
+        path = np.array(pick.fruit.center) + np.where(stations[:, None] > pick.since, at - taken, 0.0)
         clips += [
             clip(_fruit_path(pick.fruit), showing(0.0, pick.since, end)),
-            clip(_picked_path("picked", pick), showing(pick.since, pick.until, end), moving(stations, way)),
+            clip(_picked_path("picked", pick), showing(pick.since, pick.until, end), moving(stations, path)),
             clip(_picked_path("places", pick), showing(pick.since, math.inf, end)),
         ]
     return clips

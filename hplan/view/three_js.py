@@ -19,7 +19,7 @@ from hplan.base.arrays import FloatArray, IntArray
 
 Json: TypeAlias = dict[str, Any]
 
-#: Segments around a full turn of a round body.
+#: Segments of a full turn of a round body.
 _SEGMENTS = 48
 #: The same for bodies of which there may be hundreds.
 _COPY_SEGMENTS = 20
@@ -188,11 +188,11 @@ def sphere(radius: float) -> Json:
     }
 
 
-def cylinder(radius: float, length: float, *, top_radius: float | None = None, open_ended: bool = False) -> Json:
-    """A cylinder or cone about y, `length` long."""
+def cylinder(radius: float, length: float, *, open_ended: bool = False) -> Json:
+    """A cylinder about y, `length` long."""
     return {
         "type": "CylinderGeometry",
-        "radiusTop": round(radius if top_radius is None else top_radius, 6),
+        "radiusTop": round(radius, 6),
         "radiusBottom": round(radius, 6),
         "height": round(length, 6),
         "radialSegments": _SEGMENTS,
@@ -344,20 +344,17 @@ def add_shape(
     name: str = "",
     shadow: bool = True,
     order: int = 0,
-) -> bool:
-    """Add a shape of Pinocchio's geometry models.
+) -> None:
+    """Add a shape that a URDF can hold, as Pinocchio's geometry models have it.
 
     Args:
         body: Body it becomes a part of.
-        shape: Box, sphere, cylinder, cone, capsule, ellipsoid or mesh.
+        shape: Box, sphere, cylinder, capsule or mesh; others are left out.
         surface: Material.
         placement: (4, 4) pose in the node's frame.
         name: Name in the viewer.
         shadow: Throws a shadow.
         order: Smaller is drawn first, among see-through meshes.
-
-    Returns:
-        False where the shape is of a kind that cannot be drawn.
     """
 
     def add(geometry: Json, local: FloatArray | None = None) -> None:
@@ -368,24 +365,12 @@ def add_shape(
         add(box(2.0 * shape.halfSide))
     elif isinstance(shape, coal.Sphere):
         add(sphere(shape.radius))
-    elif isinstance(shape, coal.Ellipsoid):
-        add(sphere(1.0), np.diag([*shape.radii, 1.0]))
     elif isinstance(shape, coal.Cylinder):
         add(cylinder(shape.radius, 2.0 * shape.halfLength), _Z_UP)
-    elif isinstance(shape, coal.Cone):
-        add(cylinder(shape.radius, 2.0 * shape.halfLength, top_radius=0.0), _Z_UP)
     elif isinstance(shape, coal.Capsule):
         add(cylinder(shape.radius, 2.0 * shape.halfLength, open_ended=True), _Z_UP)
         for side in (-1.0, 1.0):
             add(sphere(shape.radius), transform(position=[0.0, 0.0, side * shape.halfLength]))
     elif isinstance(shape, coal.BVHModelBase):
-        add(facets(shape.vertices(), [_corners(shape.tri_indices(k)) for k in range(shape.num_tris)]))
-    elif isinstance(shape, coal.Convex):
-        add(facets(shape.points(), [_corners(shape.polygons(k)) for k in range(shape.num_polygons)]))
-    else:
-        return False
-    return True
-
-
-def _corners(triangle: Any) -> tuple[int, int, int]:
-    return triangle[0], triangle[1], triangle[2]
+        triangles = [shape.tri_indices(number) for number in range(shape.num_tris)]
+        add(facets(shape.vertices(), [(triangle[0], triangle[1], triangle[2]) for triangle in triangles]))

@@ -1,14 +1,13 @@
-"""The C-space at one yaw: where the planar joints may not be there, and a motion projected into it.
+"""The C-space at one yaw: the forbidden region of the planar joints there, and a motion projected into it.
 
 The forbidden region is where the clearance of the arm is negative; clearance is evaluated at the nodes of a grid, so
-that the region's surface can be found between them. Of a motion that turns the base only what is near that yaw is
-judged by the picture: elsewhere the region is another one.
+that the region's surface can be found between them. Of a motion that turns the base the picture holds only near that
+yaw: elsewhere the region is another one.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,9 +19,8 @@ from hplan.problem.world import World
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 from hplan.search.grid import Grid
-from hplan.timing.trajectory import Trajectory
 from hplan.view.cspace_surface import hidden
-from hplan.view.scene_stage import Stretch
+from hplan.view.playback import Playback
 
 #: Spacing of the grid on which the region is found, and its most nodes, about.
 _STEP_DEG, _MOST_NODES = 2.0, 100_000
@@ -43,7 +41,7 @@ class YawSection:
         grid: Grid over the three planar joints.
         field: (N1, N2, N3) clearance of the arm at its nodes [m], negative where it may not be.
         path: (m, 3) planar joints along the motion, evenly spaced, from the start to the goal.
-        beside: (m,) how far the motion's yaw is from `yaw` there.
+        yaw_distance: (m,) distance of the motion's yaw from `yaw` there.
         times: (m,) when it is there [s].
     """
 
@@ -51,7 +49,7 @@ class YawSection:
     grid: Grid
     field: FloatArray
     path: FloatArray
-    beside: FloatArray
+    yaw_distance: FloatArray
     times: FloatArray
 
     @property
@@ -62,7 +60,7 @@ class YawSection:
         """
         nodes = self.grid.position(self.path)
         size = (nodes - nodes.mean(axis=0)) / (np.array(self.grid.shape) - 1.0)
-        weights = np.where(self.beside <= _NEAR, 1.0, 0.1)
+        weights = np.where(self.yaw_distance <= _NEAR, 1.0, 0.1)
         best, chosen = math.inf, (0.0, 0.0)
         for elevation in _ELEVATIONS:
             for azimuth in _AZIMUTHS:
@@ -77,24 +75,15 @@ class YawSection:
 
 
 def yaw_section(
-    robot: Robot,
-    scene: Scene,
-    trajectory: Trajectory,
-    options: PlanOptions | None = None,
-    *,
-    phases: Sequence[Stretch] = (),
-    picked: Collection[str] = (),
-    yaw: float | None = None,
+    robot: Robot, scene: Scene, playback: Playback, options: PlanOptions | None = None, *, yaw: float | None = None
 ) -> YawSection:
     """The C-space at one yaw, and a motion in it.
 
     Args:
         robot: The arm, three planar joints.
-        scene: What stands around it; the fruit that is the goal is left out, for it may be touched.
-        trajectory: The motion.
-        options: How it was planned: tracking error and uncertainty grow the region.
-        phases: Parts of the motion; what follows the first approach is left out.
-        picked: Names of more fruits to leave out.
+        scene: Obstacles and fruits; the fruit that is the goal is left out, for it may be touched.
+        playback: The motion; its part after the first approach is left out, and so are the fruits that it picks.
+        options: The options it was planned with: tracking error and uncertainty grow the region.
         yaw: The yaw; None for the goal's.
 
     Raises:
@@ -102,19 +91,16 @@ def yaw_section(
         OptionError: A yaw that is not finite or beyond the limits, or other than 0 for an arm without yaw.
     """
     check_yaw(robot, yaw)
-    if trajectory.joint_names != robot.joint_names:
-        raise InputError(
-            f"the trajectory moves {', '.join(trajectory.joint_names)}; expected {', '.join(robot.joint_names)}",
-            expected=list(robot.joint_names), got=list(trajectory.joint_names),
-        )  # fmt: skip
-    end = min((phase.end_s for phase in phases if phase.name == "approach"), default=trajectory.duration)
+    playback.check(robot)
+    trajectory = playback.trajectory
+    end = min((phase.end_s for phase in playback.phases if phase.name == "approach"), default=trajectory.duration)
     rows = trajectory.time <= end + 1e-9
     motion, times = trajectory.position[rows], trajectory.time[rows]
     at = robot.yaw_of(motion[-1]) if yaw is None else yaw
     choice = PlanOptions() if options is None else options
     world = World.of(
         robot,
-        [solid for solid in scene.solids if solid.name not in picked],
+        [solid for solid in scene.solids if solid.name not in playback.picked],
         clearance=scene.clearance,
         tracking_error=choice.tracking.still_rad,
         sigmas=choice.sigmas,
@@ -124,14 +110,14 @@ def yaw_section(
     # Where the arm rests, rows stand at one place.
     moving = np.concatenate([[True], np.diff(along) > 0.0])
     stations = np.linspace(0.0, along[-1], _POINTS)
-    way = np.column_stack([np.interp(stations, along[moving], column) for column in motion[moving].T])
+    path = np.column_stack([np.interp(stations, along[moving], column) for column in motion[moving].T])
     grid = _grid(robot)
     return YawSection(
         yaw=at,
         grid=grid,
         field=_field(robot, world, grid, at),
-        path=frozen(np.ascontiguousarray(way[:, planar])),
-        beside=frozen(np.abs(way[:, 0] - at) if robot.has_yaw else np.zeros(len(way))),
+        path=frozen(np.ascontiguousarray(path[:, planar])),
+        yaw_distance=frozen(np.abs(path[:, 0] - at) if robot.has_yaw else np.zeros(len(path))),
         times=frozen(np.interp(stations, along[moving], times[moving])),
     )
 

@@ -37,10 +37,10 @@ LEAST_DEVIATION = 1e-4
 #: Distance up to which waypoints are the same [rad].
 SAME = 1e-9
 
-#: Share of the deviation that leaving out waypoints may take.
+#: Fraction of the deviation that leaving out waypoints may take.
 THINNING = 0.25
 
-#: Largest share of a segment that the rounding of a corner at one of its ends takes.
+#: Largest fraction of a segment that the rounding of a corner at one of its ends takes.
 SEGMENT_SHARE = 0.4
 
 
@@ -117,7 +117,7 @@ def _thinned(points: FloatArray, radius: float) -> FloatArray:
 
 
 def _stands_for(points: FloatArray, radius: float) -> bool:
-    """Whether the chord from first to last point has points in order within the radius of each in between."""
+    """True if the chord from first to last point has points in order within the radius of each in between."""
     start, step = points[0], points[-1] - points[0]
     away = points[1:-1] - start
     squared = float(step @ step)

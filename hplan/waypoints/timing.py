@@ -24,23 +24,7 @@ from hplan.robot.limits import Limits
 from hplan.smoothing.spline import SplinePath
 from hplan.timing import retime as timing
 from hplan.timing.trajectory import QUANTITIES, Trajectory
-from hplan.waypoints.corner_rounding import as_waypoints, largest_deviation, rounded_path
-from hplan.waypoints.machine import Machine, limits_of, read_machine
-
-# What timing alone takes is found here, wherever it is defined.
-__all__ = [
-    "AT_LIMIT",
-    "DEVIATION",
-    "LimitShares",
-    "Machine",
-    "largest_deviation",
-    "limit_shares",
-    "limits_of",
-    "read_machine",
-    "read_waypoints",
-    "rounded_path",
-    "time_waypoints",
-]
+from hplan.waypoints.corner_rounding import as_waypoints, rounded_path
 
 #: Deviation from the polyline at its corners, where none is given [rad].
 DEVIATION = math.radians(1.0)
@@ -51,7 +35,7 @@ CORNER_POINTS, MOST_POINTS = (10, 100), 60_000
 #: The same between two corners.
 STRAIGHT_POINTS = (10, 60)
 
-#: Use of a limit from which on a joint counts as what holds the motion back.
+#: Use of a limit from which on a joint counts as the one that holds the motion back.
 AT_LIMIT = 0.99
 
 
@@ -133,7 +117,7 @@ def time_waypoints(
         limits: Limits of the motion, as from `limits_of`.
         deviation_rad: Largest distance of path and polyline, Euclidean norm; at least 1e-4.
         rate_hz: Rows per second.
-        speed: Share of full speed, in (0, 1].
+        speed: Fraction of full speed, in (0, 1].
 
     Raises:
         InputError: A joint of several coordinates; waypoints that are no (n, dof) array of finite numbers.
@@ -194,15 +178,15 @@ def _grid(path: SplinePath) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class LimitShares(Record):
-    """How much of its limits each joint uses.
+    """Fractions of its limits that each joint uses.
 
     Attributes:
         velocity: (dof,) largest |velocity| / limit.
         acceleration: (dof,) largest |acceleration| / limit.
         torque: (dof,) largest |torque| / limit; None where torque is not limited.
         jerk: (dof,) largest change of acceleration from row to row / limit; None where jerk is not limited.
-        binding: (dof,) share of the rows in which the joint uses `AT_LIMIT` or more of some limit other than jerk.
-        bound: Share of the rows in which any joint does.
+        binding: (dof,) fraction of the rows in which the joint uses `AT_LIMIT` or more of some limit other than jerk.
+        bound: Fraction of the rows in which any joint does.
     """
 
     velocity: FloatArray
@@ -223,19 +207,19 @@ def limit_shares(trajectory: Trajectory, limits: Limits) -> LimitShares:
     instance("trajectory", trajectory, Trajectory, "time_waypoints")
     instance("limits", limits, Limits, "limits_of")
 
-    def shares(values: FloatArray, limit: FloatArray) -> FloatArray:
+    def fractions(values: FloatArray, limit: FloatArray) -> FloatArray:
         size = np.abs(values)
         return np.where(size <= 1e-9, 0.0, size / np.maximum(limit, 1e-12))
 
-    rows = [shares(trajectory.velocity, limits.velocity), shares(trajectory.acceleration, limits.acceleration)]
+    rows = [fractions(trajectory.velocity, limits.velocity), fractions(trajectory.acceleration, limits.acceleration)]
     if limits.torque is not None:
-        rows.append(shares(trajectory.torque, limits.torque))
+        rows.append(fractions(trajectory.torque, limits.torque))
     largest = [readonly(row.max(axis=0)) for row in rows]
     at_limit = np.max(rows, axis=0) >= AT_LIMIT
     jerk = None
     if limits.jerk is not None:
         change = np.diff(trajectory.acceleration, axis=0) / np.diff(trajectory.time)[:, None]
-        jerk = readonly(shares(change, limits.jerk).max(axis=0, initial=0.0))
+        jerk = readonly(fractions(change, limits.jerk).max(axis=0, initial=0.0))
     return LimitShares(
         velocity=largest[0],
         acceleration=largest[1],

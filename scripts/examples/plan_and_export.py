@@ -10,6 +10,7 @@ from pathlib import Path
 
 import hplan
 from hplan.view.page import write_page
+from hplan.view.playback import Playback
 
 
 def main(folder: str = "out/example") -> hplan.PlanResult:
@@ -19,7 +20,8 @@ def main(folder: str = "out/example") -> hplan.PlanResult:
     robot, scene = hplan.load_robot(), hplan.load_scene("trellis")
     result = hplan.plan(robot, scene)
     hplan.write_csv(result.trajectory, out / "trajectory.csv")
-    write_page(robot, scene, result.trajectory, out / "scene.html", picked=result.picked, phases=result.phases)
+    playback = Playback(result.trajectory, result.picked, phases=result.phases)
+    write_page(robot, scene, playback, out / "scene.html")
     for phase in result.phases:
         print(f"{phase.name:10} {phase.start_s:6.3f} to {phase.end_s:6.3f} s")
     print(f"clearance at all times: {1e3 * result.certificate.min_clearance_m:.2f} mm or more")

@@ -52,7 +52,7 @@ MISSING = {
 INSIDE = {
     "plan": ("hplan.planning.plan", "plan"),
     "tour": ("hplan.tour.tour", "plan_tour"),
-    "time": ("hplan.waypoints.timing", "time_waypoints"),
+    "time": ("hplan.waypoints", "time_waypoints"),
     "certify": ("hplan.verification.certificate", "certify"),
     "execute": ("hplan.verification.simulation", "execute"),
     "orchard": ("hplan.orchard", "generate"),

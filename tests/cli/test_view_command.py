@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import shutil
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -45,7 +44,7 @@ def served(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """Names of the scenes that were served."""
     names: list[str] = []
 
-    def serve(console: Any, robot: Any, scene: hplan.Scene, trajectory: Any, shown: Mapping[str, Any]) -> None:
+    def serve(console: Any, robot: Any, scene: hplan.Scene, playback: Any) -> None:
         names.append(scene.name)
 
     monkeypatch.setattr("hplan.cli.view.serve_page", serve)

@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from studies.validation.cspace import sampled_occupancy
 
-from hplan.collision.coal_scene import CoalScene, sampled_occupancy
+from hplan.collision.coal_scene import CoalScene
 from hplan.errors import CertificationError, ConfigurationInCollisionError, InputError, NoPathError, OptionError
 from hplan.planning.plan import plan, with_export_time
 from hplan.planning.task import PlanningCache

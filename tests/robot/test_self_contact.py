@@ -11,10 +11,11 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from arm_variants import axis_points, coal_distances, load_variant, random_obstacles
+from studies.validation.cspace import sampled_occupancy
 
 from hplan.base.planar_geometry import polygon_distances
 from hplan.collision.clearance_field import ClearanceField
-from hplan.collision.coal_scene import CoalScene, sampled_occupancy
+from hplan.collision.coal_scene import CoalScene
 from hplan.collision.obstacle_rows import _base_solid
 from hplan.cspace.blockers import blockers
 from hplan.cspace.occupancy import joint_grid, occupancy

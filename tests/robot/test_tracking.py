@@ -12,7 +12,7 @@ from hplan.errors import BlockedError, CertificationError, NoPathError, OptionEr
 from hplan.planning.plan import plan
 from hplan.problem.options import PlanOptions
 from hplan.robot.model import Robot
-from hplan.robot.tracking import SHARE_ERROR, TrackingModel, largest_share
+from hplan.robot.tracking import FRACTION_ERROR, TrackingModel, largest_fraction
 from hplan.scene.model import Fruit, Goal, Scene, Start
 from hplan.scene.obstacles import Box, Capsule, Solid, Sphere
 from hplan.timing.trajectory import Trajectory
@@ -279,8 +279,8 @@ def test_what_is_refused_anyway_names_no_error(robot: Robot) -> None:
     assert "tracking_error_deg" not in refused.value.data
 
 
-def test_largest_share() -> None:
-    assert largest_share(lambda share: False) == 0.0
+def test_largest_fraction() -> None:
+    assert largest_fraction(lambda share: False) == 0.0
     for true in (0.003, 0.31, 0.9999):
-        found = largest_share(lambda share, true=true: share <= true)  # type: ignore[misc]
-        assert true - SHARE_ERROR <= found <= true
+        found = largest_fraction(lambda share, true=true: share <= true)  # type: ignore[misc]
+        assert true - FRACTION_ERROR <= found <= true

@@ -17,16 +17,16 @@ from studies.benchmark import growth, orchard_scenes, orchards, recheck, replann
 from studies.benchmark.figures import figures
 from studies.benchmark.measure import fitted_slope, peak_memory_mb, spread
 from studies.benchmark.motions import Findings, of_rows, row_cubics, stopping_duration, toppra_motion
-from studies.benchmark.moving_scenes import CLOSE, OBSTACLES, ROOM, SHIFT, Move, moving_scene, next_move
+from studies.benchmark.moving_scenes import CLOSE, OBSTACLES, ROOM, SHIFT, ObstacleMove, moving_scene, next_move
 from studies.benchmark.orchard_scenes import (
     STANDOFF,
-    Crop,
+    CropProblems,
     OrchardProblem,
     crop_of,
     measured_orchards,
     shipped_orchards,
 )
-from studies.benchmark.paths import Task, ways_of
+from studies.benchmark.paths import PeerTask, motions_of
 from studies.benchmark.planners import Ompl, OmplResult
 from studies.benchmark.scenes import APART_DEG, random_scene
 from studies.benchmark.tables import number, to_markdown
@@ -266,7 +266,7 @@ def test_moves_follow_from_the_motion_and_leave_room(robot: Robot) -> None:
     assert min(certified_as_required[True]) < 0.0 < max(certified_as_required[False])
 
 
-def draw_moves(robot: Robot, scene: Scene, motion: Any) -> list[Move]:
+def draw_moves(robot: Robot, scene: Scene, motion: Any) -> list[ObstacleMove]:
     random = np.random.default_rng(5)
     return [next_move(robot, scene, motion, random) for _ in range(100)]
 
@@ -334,12 +334,12 @@ def test_planners_where_installed(robot: Robot, scene: Scene) -> None:
     pytest.importorskip("ompl")
     ompl = Ompl.if_installed(1)
     assert ompl is not None
-    task = Task.of(robot, scene)
-    run = ompl.plan(robot, task.field, task.problem.start, task.problem.goal, margin=task.smallest_margin)
+    task = PeerTask.of(robot, scene)
+    run = ompl.plan(task, task.problem.start, task.problem.goal)
     assert run.path is not None
     assert task.field.is_clear(run.path, task.smallest_margin)
     assert run.compiled_ms <= run.total_ms * 1.5
-    ways = ways_of(task, run.path)
+    ways = motions_of(task, run.path)
     assert ways.processed_s is not None
     result = hplan.plan(robot, scene)
     assert of_rows(result.trajectory).duration == result.trajectory.duration
@@ -352,13 +352,13 @@ def test_markdown_of_nothing_measured() -> None:
 
 
 @pytest.fixture(scope="module")
-def crop(robot: Robot) -> Crop:
+def crop(robot: Robot) -> CropProblems:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(orchard_scenes, "SHIPPED", ("tour",))
         return crop_of(robot, shipped_orchards()[0])
 
 
-def test_orchard_goals_are_where_straight_approaches_begin(robot: Robot, crop: Crop) -> None:
+def test_orchard_goals_are_where_straight_approaches_begin(robot: Robot, crop: CropProblems) -> None:
     """The hand points at the fruit from the stand-off, touching nothing; coal and Pinocchio judge."""
     scene = crop.orchard.scene
     checker = CoalScene(robot, scene.solids_with_goal)
@@ -377,7 +377,7 @@ def test_orchard_goals_are_where_straight_approaches_begin(robot: Robot, crop: C
         np.testing.assert_allclose(ahead / STANDOFF, (tool - wrist) / np.linalg.norm(tool - wrist), atol=1e-5)
 
 
-def test_orchard_problems_go_from_home_and_from_fruit_to_fruit(crop: Crop) -> None:
+def test_orchard_problems_go_from_home_and_from_fruit_to_fruit(crop: CropProblems) -> None:
     problems, goals, home = crop.problems(), list(crop.goals), crop.orchard.scene.start.configuration
     assert len(problems) == 2 * len(goals) - 1
     for problem, name in zip(problems, goals, strict=False):
@@ -449,7 +449,7 @@ def test_what_a_peer_alone_solves_is_named(robot: Robot, monkeypatch: pytest.Mon
         raise NoPathError("closed", reached_cells=1)
 
     class Straight:
-        def plan(self, robot: Robot, field: Any, start: Any, goal: Any, **asked: Any) -> OmplResult:
+        def plan(self, task: Any, start: Any, goal: Any, **asked: Any) -> OmplResult:
             assert asked["turns"]
             assert asked["seconds"] == orchards.PATIENCE
             path = np.stack([start, goal])
@@ -559,16 +559,16 @@ def test_replanned_motion_that_touches_is_told_by_the_exit_status(
     assert script.main(options) == script.FAULT
 
 
-def test_planners_turn_the_base_where_installed(robot: Robot, crop: Crop) -> None:
+def test_planners_turn_the_base_where_installed(robot: Robot, crop: CropProblems) -> None:
     pytest.importorskip("ompl")
     ompl = Ompl.if_installed(1)
     assert ompl is not None
-    tasks = (Task.of(robot, problem.scene) for problem in crop.problems())
+    tasks = (PeerTask.of(robot, problem.scene) for problem in crop.problems())
     task = next(t for t in tasks if not t.field.is_clear(np.stack([t.problem.start, t.problem.goal]), 1e-3))
     ends = task.problem.start, task.problem.goal
-    run = ompl.plan(robot, task.field, *ends, margin=task.smallest_margin, turns=True, seconds=10.0)
+    run = ompl.plan(task, *ends, turns=True, seconds=10.0)
     assert run.path is not None
     np.testing.assert_array_equal(run.path[[0, -1]], ends)
     assert np.ptp(run.path[:, 0]) > 0.0
     assert task.field.is_clear(run.path, task.smallest_margin)
-    assert ways_of(task, run.path).processed_s is not None
+    assert motions_of(task, run.path).processed_s is not None

@@ -27,7 +27,7 @@ script = load_script("reproduce_paper")
 
 
 @pytest.fixture(scope="module")
-def compared() -> random_scenes.Comparison:
+def compared() -> random_scenes.SearchComparison:
     return random_scenes.compare(12, seed=script.SEED)
 
 
@@ -258,7 +258,7 @@ def test_table_of_what_the_text_leaves_open(measured: Any) -> None:
     assert rows[-1] == ("published", "-", "145.800739", "108", "-", "6,605", "-")
 
 
-def test_report_fits_a_terminal_of_80_columns(measured: Any, compared: random_scenes.Comparison) -> None:
+def test_report_fits_a_terminal_of_80_columns(measured: Any, compared: random_scenes.SearchComparison) -> None:
     printed = io.StringIO()
     tables.show(measured[0], Console(file=printed, width=80), compared)
     assert "Slices." in printed.getvalue()
@@ -336,7 +336,7 @@ def test_without_matplotlib_nothing_is_begun(
     assert not out.exists()
 
 
-def test_random_scenes_add_up(compared: random_scenes.Comparison) -> None:
+def test_random_scenes_add_up(compared: random_scenes.SearchComparison) -> None:
     assert (compared.scenes, compared.disagree) == (12, 0)
     assert 0 < compared.with_path < 12
     assert {name for name, count in compared.fallbacks.items() if count} <= {"none", "all_slices", "dense"}
@@ -366,7 +366,7 @@ def test_random_scenes_are_reported_and_written(tmp_path: Path, capsys: pytest.C
 
 @pytest.mark.usefixtures("quick")
 def test_disagreement_has_an_exit_status_of_its_own(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, compared: random_scenes.Comparison
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, compared: random_scenes.SearchComparison
 ) -> None:
     monkeypatch.setattr(random_scenes, "compare", lambda *_: replace(compared, disagree=1))
     assert script.main(["--out", str(tmp_path), "--no-figures", "--scenes", "12"]) == 5

@@ -13,7 +13,8 @@ import studies.validation.cspace as validation
 import studies.validation.kinds as validation_kinds
 from rich.console import Console
 from script_loader import load_script
-from studies.validation.cspace import CONTACT_TOLERANCE, EXAMPLES, Comparison, Validation, validate_cspace
+from studies.validation.cspace import EXAMPLES, validate_cspace
+from studies.validation.cspace_results import CONTACT_TOLERANCE, Comparison, Validation
 from studies.validation.scenes import KINDS
 
 from hplan.collision.coal_scene import CoalScene, base_contacts
@@ -49,8 +50,8 @@ def scene_of(*obstacles: Sphere | Capsule | Box, clearance: float = 0.0, joints:
     )
 
 
-def by(result: Validation, checker: str, model: str = "capsule") -> Comparison:
-    (found,) = [c for c in result.comparisons if (c.checker, c.link_model) == (checker, model)]
+def by(result: Validation, links: str, model: str = "capsule") -> Comparison:
+    (found,) = [c for c in result.comparisons if (c.links, c.link_model) == (links, model)]
     return found
 
 
@@ -63,8 +64,8 @@ def assert_sound(result: Validation) -> None:
         assert comparison.faults == 0
         assert comparison.unexplained == 0
         assert comparison.widest_gap_m <= SECTION_ERROR
-        assert comparison.occupied == comparison.judge_occupied + comparison.conservative + comparison.in_contact
-        assert comparison.judge_occupied > 0
+        assert comparison.occupied == comparison.coal_occupied + comparison.conservative + comparison.in_contact
+        assert comparison.coal_occupied > 0
 
 
 # The reference scene
@@ -80,7 +81,7 @@ def test_no_cell_of_the_reference_scene_differs(reference: Validation) -> None:
     assert reference.shape == (91, 91, 91)
     for checker in ("capsule", "urdf"):
         comparison = by(reference, checker)
-        assert comparison.occupied == comparison.judge_occupied == 128_891
+        assert comparison.occupied == comparison.coal_occupied == 128_891
         assert comparison.faults == comparison.conservative == comparison.in_contact == 0
         assert comparison.fault_examples == comparison.conservative_examples == ()
     assert reference.ok
@@ -90,11 +91,11 @@ def test_reference_scene_against_boxes(reference: Validation) -> None:
     # In the arm plane the capsule holds the rectangle, so that coal's boxes find nothing that the capsules do not.
     beams = by(reference, "box")
     assert not beams.decisive
-    assert (beams.faults, beams.conservative, beams.judge_occupied) == (0, 1_549, 127_342)
+    assert (beams.faults, beams.conservative, beams.coal_occupied) == (0, 1_549, 127_342)
     assert 0.0 < beams.unexplained <= beams.conservative
     rectangle = by(reference, "box", "rectangle")
     assert rectangle.decisive
-    assert rectangle.occupied == rectangle.judge_occupied == 127_342
+    assert rectangle.occupied == rectangle.coal_occupied == 127_342
     assert rectangle.faults == rectangle.conservative == 0
 
 
@@ -138,7 +139,7 @@ def test_clearance_is_that_of_grown_obstacles(robot: Robot) -> None:
     grown = [obstacle.model_copy(update={"radius": obstacle.radius + 0.04}) for obstacle in (BESIDE, WIRE)]
     touched = validate_cspace(robot, scene_of(*grown), step=COARSE)
     for checker in LINK_SHAPES:
-        assert by(kept, checker).judge_occupied == by(touched, checker).judge_occupied
+        assert by(kept, checker).coal_occupied == by(touched, checker).coal_occupied
         assert by(kept, checker).occupied == by(touched, checker).occupied
     assert by(kept, "capsule").faults == by(kept, "capsule").conservative == 0
 
@@ -161,7 +162,7 @@ def test_rectangles_are_judged_only_among_balls(robot: Robot) -> None:
 def test_without_obstacles_everything_is_free(robot: Robot) -> None:
     result = validate_cspace(robot, scene_of(), step=COARSE)
     assert result.ok
-    assert all(c.occupied == c.judge_occupied == c.conservative == 0 for c in result.comparisons)
+    assert all(c.occupied == c.coal_occupied == c.conservative == 0 for c in result.comparisons)
 
 
 @pytest.mark.parametrize(("links", "has_yaw", "step_deg"), [(1, True, 1), (2, False, 2), (3, False, 5), (4, True, 15)])
@@ -205,7 +206,7 @@ def test_a_cspace_without_the_obstacle_is_caught(robot: Robot, scene: Scene) -> 
     honest = by(validate_cspace(robot, scene, step=COARSE), "capsule")
     comparison = by(result, "capsule")
     assert not result.ok
-    assert comparison.faults == honest.judge_occupied
+    assert comparison.faults == honest.coal_occupied
     assert comparison.deepest_fault_m > 0.1
     assert len(comparison.fault_examples) == EXAMPLES
     depths = [example.distance_m for example in comparison.fault_examples]
@@ -360,10 +361,10 @@ def box_stl(low: tuple[float, ...], high: tuple[float, ...]) -> str:
 
 
 def test_bad_input(robot: Robot, scene: Scene) -> None:
-    with pytest.raises(OptionError, match="judges"):
-        validate_cspace(robot, scene, judges=("sphere",))  # type: ignore[arg-type]
-    with pytest.raises(OptionError, match="judges"):
-        validate_cspace(robot, scene, judges=())
+    with pytest.raises(OptionError, match="links"):
+        validate_cspace(robot, scene, links=("sphere",))  # type: ignore[arg-type]
+    with pytest.raises(OptionError, match="links"):
+        validate_cspace(robot, scene, links=())
     with pytest.raises(OptionError, match="links"):
         CoalScene(robot, scene.solids, links="sphere")  # type: ignore[arg-type]
     for step in (0.0, -1.0, float("nan")):
@@ -390,7 +391,7 @@ def test_progress_comes_to_the_end(robot: Robot, scene: Scene, monkeypatch: pyte
         assert steps[-1][0] == steps[-1][1]
     assert len(told["coal, box links"]) > 5
     assert by(result, "capsule") == replace(
-        by(validate_cspace(robot, scene, step=COARSE), "capsule"), judge_s=by(result, "capsule").judge_s
+        by(validate_cspace(robot, scene, step=COARSE), "capsule"), coal_s=by(result, "capsule").coal_s
     )
 
 

@@ -18,7 +18,7 @@ from studies.validation.kinds import (
     MOST_LOST,
     KindResult,
     KindsValidation,
-    _Judge,
+    _CoalWithShapes,
     validate_kinds,
 )
 from studies.validation.scenes import KINDS, Kind, random_scene
@@ -81,7 +81,7 @@ def test_nothing_in_contact_is_free(robot: Robot, kind: Kind) -> None:
     for number in range(3):
         made = random_scene(robot, kind, number)
         rng = np.random.default_rng(number)
-        checker = _Judge(robot, made.scene)
+        checker = _CoalWithShapes(robot, made.scene)
         bodies = bodies_of(made.scene.solids, clearance=made.scene.clearance)
         field = ClearanceField.of(robot, made.scene.solids, clearance=made.scene.clearance)
         ends = rng.uniform(robot.lower, robot.upper, (2, 300, robot.dof))

@@ -10,12 +10,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-import studies.validation.motions as validation
+import studies.validation.member_motions as validation
 import trimesh
 from script_loader import load_script
 from studies.validation.checker import PlacedBodies, between_rows, read_rows, solids_of
+from studies.validation.member_motions import MemberMotions, MotionCounts
 from studies.validation.members import write_member, write_stl
-from studies.validation.motions import Tally, validate_motions
+from studies.validation.motions import validate_motions
 
 from hplan.planning.plan import plan
 from hplan.robot.model import Robot, load_robot
@@ -24,11 +25,11 @@ from hplan.timing.trajectory import read_csv, write_csv
 
 
 @pytest.fixture(scope="module")
-def small() -> Tally:
+def small() -> MotionCounts:
     return validate_motions(members=2, motions=8, grazing=6, seed=3)
 
 
-def test_nothing_is_wrong(small: Tally) -> None:
+def test_nothing_is_wrong(small: MotionCounts) -> None:
     assert small.ok
     assert (small.certified, small.grazing, small.clear) == (8, 6, 6)
     assert small.asked == small.certified + sum(small.refused.values())
@@ -37,7 +38,7 @@ def test_nothing_is_wrong(small: Tally) -> None:
     assert json.loads(json.dumps(small.as_dict()))["ok"]
 
 
-def test_the_same_whatever_the_number_of_jobs(small: Tally) -> None:
+def test_the_same_whatever_the_number_of_jobs(small: MotionCounts) -> None:
     assert validate_motions(members=2, motions=8, grazing=6, seed=3, jobs=2).as_dict() == small.as_dict()
 
 
@@ -73,8 +74,8 @@ def test_contact_with_an_obstacle_is_found(robot: Robot, tmp_path: Path, obstacl
     item = {"name": "o", **obstacle, **(place or {where: middle.tolist()})}
     path = scene_file(tmp_path, start, goal, item)
     assert load_scene(path).obstacles[0].kind == obstacle["kind"]
-    tally = Tally()
-    member = validation._Member(robot, tmp_path, np.random.default_rng(0), tally, "test")
+    tally = MotionCounts()
+    member = MemberMotions(robot, tmp_path, np.random.default_rng(0), tally, "test")
     member.look_at(planned, path)
     assert [case["second"] for case in tally.contacts] == ["o"]
     assert tally.contacts[0]["depth_m"] > 0.0
@@ -101,7 +102,7 @@ def test_own_bodies_are_looked_at(tmp_path: Path) -> None:
     for seed in range(6):
         rng = np.random.default_rng(seed)
         robot = load_robot(write_member(tmp_path, rng))
-        member = validation._Member(robot, tmp_path, rng, Tally(), "test")
+        member = MemberMotions(robot, tmp_path, rng, MotionCounts(), "test")
         bodies, shapes = member.bodies, member.bodies.geometry.geometryObjects
         assert all(shapes[a].parentJoint != shapes[b].parentJoint for a, b in member.pairs)
         for _ in range(10):
@@ -155,8 +156,8 @@ def test_obstacles_stand_where_they_are_said_to(tmp_path: Path, monkeypatch: pyt
     placed: list[tuple[float, float]] = []
     rng = np.random.default_rng(5)
     robot = load_robot(write_member(tmp_path, rng))
-    member = validation._Member(robot, tmp_path, rng, Tally(), "test")
-    original: Callable[..., Any] = validation._Member.placed
+    member = MemberMotions(robot, tmp_path, rng, MotionCounts(), "test")
+    original: Callable[..., Any] = MemberMotions.placed
 
     def watched(self: Any, shapes: Any, target: int, q: Any, distance: float) -> Any:
         found = original(self, shapes, target, q, distance)
@@ -165,7 +166,7 @@ def test_obstacles_stand_where_they_are_said_to(tmp_path: Path, monkeypatch: pyt
             placed.append((self._least(shapes, q, body, place)[0], distance))
         return found
 
-    monkeypatch.setattr(validation._Member, "placed", watched)
+    monkeypatch.setattr(MemberMotions, "placed", watched)
     member.grazing_motions(4, 4)
     assert len(placed) >= 8
     for real, asked in placed:

@@ -16,6 +16,7 @@ from hplan.verification import certificate as certificates
 from hplan.verification import clearance_proof
 from hplan.verification.clearance_proof import place_after
 from hplan.verification.limit_use import cubic_pieces
+from hplan.verification.sway import off_axis
 
 FINE = 1e-4
 
@@ -278,7 +279,7 @@ def test_links_that_are_no_capsules_are_bounded_off_their_axes(robot, scene):
         turn = step * np.eye(4)[joint]
         rates = np.tile(turn, (1, 3, 1))
         axes = clearance_proof._link_bounds(robot, rates)[0]
-        off = clearance_proof._off_axis(beams, [], turn[None])[:, 0]
+        off = off_axis(beams, [], turn[None])[:, 0]
         for link, shape in enumerate(beams.link_shapes):
             moved = np.linalg.norm(corners(start + turn, shape) - corners(start, shape), axis=1).max()
             assert moved <= axes[link] + off[link] + 1e-12
@@ -291,7 +292,7 @@ def test_links_that_are_no_capsules_are_bounded_off_their_axes(robot, scene):
         checker = CoalScene(robot, scene.solids, links=links)
         bezier, _ = cubic_pieces(trajectory)
         search = clearance_proof._Advancement(robot, bezier, checker, np.full((1, 4), 0.01), 0.0)
-        travels.append((search._travel[:3, -1], search._sway[:3, 0]))
+        travels.append((search.arrays.travel[:3, -1], search.arrays.sway[:3, 0]))
     for more, less in zip(*travels, strict=True):
         assert (more > less + 1e-3).all()
 

@@ -254,7 +254,8 @@ def test_turret_and_pedestal_that_always_or_never_touch_are_left_out(tmp_path):
     # A tracking error and a clearance bring them together.
     robot = fitted(tmp_path, {"turret": [COUNTERWEIGHT], "base_link": [stop]}, yaw_deg=157.0, name="nearly")
     turning, standing = base_shapes(robot)[-1], base_shapes(robot)[1]
-    gap = min(turning.distance_at(yaw, standing) for yaw in (robot.lower[0], robot.upper[0]))
+    ends = (robot.lower[0], robot.upper[0])
+    gap = min(turning.distance_to(yaw, standing.geometry, standing.placement) for yaw in ends)
     assert 0.0 < gap < 0.05
     assert len(self_contact(robot).turret) == 0
     assert len(self_contact(robot, clearance=gap + 1e-3).turret) == 1

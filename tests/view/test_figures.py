@@ -12,7 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 from PIL import Image
-from studies.view import figure_data, figures, figures_arm
+from studies.view import figure_data, figures_arm
+from studies.view.figures_arm import arm_and_obstacle, motions
+from studies.view.figures_cspace import slice_paths, slices
 
 from hplan.base.arrays import FloatArray, IntArray
 from hplan.cspace import occupancy as cspace
@@ -22,7 +24,8 @@ from hplan.robot.model import PlanarArm, load_robot
 from hplan.scene.file import load_scene
 from hplan.search import SearchResult, dense_search, two_level_search
 from hplan.search.grid import Grid, Occupancy
-from hplan.view import cspace_surface as figures_3d
+from hplan.view.cspace_surface import hidden, surface_net
+from hplan.view.figure_style import png_bytes
 
 
 @dataclass(frozen=True)
@@ -72,23 +75,21 @@ def ball(radius: float = 7.5) -> FloatArray:
 CENTRE, RADIUS = (1.0, 1.3), 0.15
 DRAWINGS: dict[str, tuple[Callable[[Case], Any], tuple[float, float]]] = {
     "arm": (
-        lambda c: figures.arm_and_obstacle(
-            c.arm, CENTRE, RADIUS, c.grid.coordinates(c.start), c.grid.coordinates(c.goal)
-        ),
+        lambda c: arm_and_obstacle(c.arm, CENTRE, RADIUS, c.grid.coordinates(c.start), c.grid.coordinates(c.goal)),
         (7.2, 5.2),
     ),
     "slices": (
-        lambda c: figures.slices(c.arm, c.sections, c.occupancy, c.start, c.goal, [0, 10, 14, 15, 23, 30]),
+        lambda c: slices(c.arm, c.sections, c.occupancy, c.start, c.goal, [0, 10, 14, 15, 23, 30]),
         (9.6, 6.9),
     ),
     "slice paths": (
-        lambda c: figures.slice_paths(
+        lambda c: slice_paths(
             c.occupancy, c.start, c.goal, c.result.slice_paths, c.heads, [0, 7, c.first - 1, c.first, 20, 23]
         ),
         (9.6, 9.2),
     ),
     "motions": (
-        lambda c: figures.motions(c.arm, CENTRE, RADIUS, {"A": c.grid.coordinates(c.path)}),
+        lambda c: motions(c.arm, CENTRE, RADIUS, {"A": c.grid.coordinates(c.path)}),
         (10.4, 6.7),
     ),
 }
@@ -97,7 +98,7 @@ DRAWINGS: dict[str, tuple[Callable[[Case], Any], tuple[float, float]]] = {
 @pytest.mark.parametrize("name", DRAWINGS)
 def test_each_figure_is_a_png_of_its_size_with_something_on_it(case: Case, name: str) -> None:
     draw, inches = DRAWINGS[name]
-    content = figures.png_bytes(draw(case), dpi=80)
+    content = png_bytes(draw(case), dpi=80)
     with Image.open(io.BytesIO(content)) as image:
         assert image.format == "PNG"
         assert image.size == pytest.approx([80 * side for side in inches], abs=1)
@@ -112,15 +113,14 @@ def test_each_figure_is_a_png_of_its_size_with_something_on_it(case: Case, name:
 
 def test_the_same_figure_gives_the_same_bytes(case: Case) -> None:
     draw, _ = DRAWINGS["slices"]
-    assert figures.png_bytes(draw(case), dpi=60) == figures.png_bytes(draw(case), dpi=60)
+    assert png_bytes(draw(case), dpi=60) == png_bytes(draw(case), dpi=60)
 
 
 def test_figures_never_import_pyplot() -> None:
     code = (
         f"import sys; sys.path.insert(0, {str(SCRIPTS)!r}); from studies.paper.figure_link_cases import link_case;"
-        "from hplan.view import cspace_surface; from studies.view import figures;"
-        "assert 'matplotlib' not in sys.modules;"
-        "figures.png_bytes(link_case(1), 40); assert 'matplotlib.pyplot' not in sys.modules"
+        "from hplan.view.figure_style import png_bytes; assert 'matplotlib' not in sys.modules;"
+        "png_bytes(link_case(1), 40); assert 'matplotlib.pyplot' not in sys.modules"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
 
@@ -128,7 +128,7 @@ def test_figures_never_import_pyplot() -> None:
 def test_without_matplotlib_the_error_says_what_to_install(case: Case, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     with pytest.raises(InputError, match=r"figures need the extra: pip install 'hplan\[figures\]'") as caught:
-        figures.motions(case.arm, CENTRE, RADIUS, {"A": case.grid.coordinates(case.path)})
+        motions(case.arm, CENTRE, RADIUS, {"A": case.grid.coordinates(case.path)})
     assert caught.value.exit_status == 2
     assert caught.value.data == {"extra": "figures"}
 
@@ -185,14 +185,14 @@ class TestSurfaceNet:
     def test_ball(self) -> None:
         index = np.stack(np.indices((24, 24, 24)), axis=-1)
         field = np.linalg.norm(index - 11.5, axis=-1) - 8.0
-        vertices, faces = figures_3d.surface_net(field)
+        vertices, faces = surface_net(field)
         np.testing.assert_allclose(np.linalg.norm(vertices - 11.5, axis=1), 8.0, atol=0.12)
         self.assert_closed(faces)
         assert self.volume(vertices, faces) == pytest.approx(4 / 3 * math.pi * 8**3, rel=0.03)
 
     def test_it_is_closed_on_the_faces_of_the_grid(self) -> None:
         field = -np.ones((6, 7, 8))
-        vertices, faces = figures_3d.surface_net(field)
+        vertices, faces = surface_net(field)
         self.assert_closed(faces)
         assert self.volume(vertices, faces) == pytest.approx(5 * 6 * 7, rel=0.25)
         assert vertices.min() >= -0.01
@@ -218,4 +218,4 @@ class TestSurfaceNet:
 def test_hidden_is_what_lies_behind_the_ball() -> None:
     field = ball()
     points = np.array([[30.0, 50.0, 10.0], [30.0, 5.0, 10.0], [50.0, 50.0, 10.0]])
-    assert figures_3d.hidden(field, points, np.array([0.0, -1.0, 0.0])).tolist() == [True, False, False]
+    assert hidden(field, points, np.array([0.0, -1.0, 0.0])).tolist() == [True, False, False]

@@ -15,6 +15,7 @@ from hplan.timing.trajectory import Trajectory
 from hplan.view import framing
 from hplan.view import three_js as three
 from hplan.view.page import render_page
+from hplan.view.playback import Playback
 from hplan.view.scene_stage import REST_S, stage
 from hplan.view.scenery import BULK, LEAVES, METAL, OTHER, WOOD, Look, look_of, picks
 
@@ -92,7 +93,7 @@ def test_the_words_of_a_name_tell_the_look(name: str, look: Look) -> None:
 
 
 def test_capsules_of_one_look_are_copies_of_one_shape(robot: Robot) -> None:
-    found = drawn(stage(robot, orchard(), motion(robot)))
+    found = drawn(stage(robot, orchard(), Playback(motion(robot))))
     body = found["/hplan/obstacles/Wood"]
     walls, ends = body["object"]["children"]
     assert {walls["type"], ends["type"]} == {"InstancedMesh"}
@@ -131,19 +132,17 @@ def test_a_tree_of_a_thousand_pieces_makes_no_large_page(robot: Robot) -> None:
         Capsule(name=f"tree 1 branch {k}", start=tuple(a), end=tuple(b), radius=0.01)
         for k, (a, b) in enumerate(random.uniform(0.5, 2.0, (1000, 2, 3)))
     )
-    page = render_page(robot, orchard(obstacles=pieces), motion(robot))
+    page = render_page(robot, orchard(obstacles=pieces), Playback(motion(robot)))
     assert len(page) < 1_600_000
-    (body,) = [item for path, item in drawn(stage(robot, orchard(obstacles=pieces), motion(robot))).items()
+    (body,) = [item for path, item in drawn(stage(robot, orchard(obstacles=pieces), Playback(motion(robot)))).items()
                if path.startswith("/hplan/obstacles")]  # fmt: skip
     assert len(body["object"]["children"]) == 2
 
 
 def test_a_picked_fruit_changes_its_colour_and_goes_with_the_tool(robot: Robot) -> None:
     trajectory = motion(robot)
-    commands = stage(
-        robot, orchard(), trajectory, picked={"ripe": 1.0},
-        phases=(Part("transit", 0.0, 0.6), Part("approach", 0.6, 1.0), Part("retreat", 1.0, 2.0)),
-    )  # fmt: skip
+    phases = (Part("transit", 0.0, 0.6), Part("approach", 0.6, 1.0), Part("retreat", 1.0, 2.0))
+    commands = stage(robot, orchard(), Playback(trajectory, picked={"ripe": 1.0}, phases=phases))
     found = tracks(commands)
     hanging = found["/hplan/fruits/fruit ripe"][".visible"]
     held = found["/hplan/picked/fruit ripe"]
@@ -169,16 +168,17 @@ def test_a_picked_fruit_changes_its_colour_and_goes_with_the_tool(robot: Robot) 
 
 
 def test_of_a_tour_the_tool_holds_one_fruit_until_it_lets_it_go(robot: Robot) -> None:
-    scene, retreats = orchard(), [(1.0, 1.4), (3.0, 3.4)]
+    scene, trajectory = orchard(), motion(robot, 4.0)
+    retreats = (Part("retreat", 1.0, 1.4), Part("retreat", 3.0, 3.4))
     times = {"green": 3.0, "ripe": 1.0}
-    assert [(p.fruit.name, p.since, p.until) for p in picks(scene, times, {}, retreats, 4.0)] == [
+    assert [(p.fruit.name, p.since, p.until) for p in picks(scene, Playback(trajectory, times, phases=retreats))] == [
         ("ripe", 1.0, 1.4),
         ("green", 3.0, 3.4),
     ]
     late = {"ripe": 3.5, "green": 4.0}
-    assert [p.until for p in picks(scene, times, late, retreats, 4.0)] == [3.0, math.inf]
-    assert picks(scene, {}, {}, retreats, 4.0) == []
-    commands = stage(robot, scene, motion(robot, 4.0), picked=times, dropped={"ripe": 2.0, "green": 3.8})
+    assert [p.until for p in picks(scene, Playback(trajectory, times, late, retreats))] == [3.0, math.inf]
+    assert picks(scene, Playback(trajectory, phases=retreats)) == []
+    commands = stage(robot, scene, Playback(trajectory, picked=times, dropped={"ripe": 2.0, "green": 3.8}))
     held = tracks(commands)["/hplan/picked/fruit ripe"][".visible"]
     assert [seen_at(held, time) for time in (0.5, 1.5, 2.5)] == [False, True, False]
     # None of several fruits is the one to pick, and no one pose is the goal's.
@@ -194,11 +194,13 @@ def test_of_a_tour_the_tool_holds_one_fruit_until_it_lets_it_go(robot: Robot) ->
 ])  # fmt: skip
 def test_a_pick_that_cannot_be(robot: Robot, picked: dict[str, float], words: str) -> None:
     with pytest.raises(InputError, match=words):
-        stage(robot, orchard(), motion(robot), picked=picked)
+        stage(robot, orchard(), Playback(motion(robot), picked=picked))
 
 
 def test_the_legend_names_what_is_there(robot: Robot) -> None:
-    page = render_page(robot, orchard(), motion(robot), picked={"ripe": 1.0}, phases=(Part("approach", 0.0, 1.0),))
+    page = render_page(
+        robot, orchard(), Playback(motion(robot), picked={"ripe": 1.0}, phases=(Part("approach", 0.0, 1.0),))
+    )
     for words in ("Wood", "Posts and wires", "Fruit to pick", "Picked", "Approach"):
         assert f"</i>{words}</span>" in page
     assert "Ground and vehicle" not in page.split('<script type="application/json"')[0]
@@ -214,7 +216,9 @@ def test_the_camera_looks_from_where_least_is_hidden(robot: Robot) -> None:
         )
         row = np.zeros((1, robot.dof))
         still = Trajectory(robot.joint_names, np.zeros(1), row, row, row, row)
-        commands = stage(robot, orchard(obstacles=(wall, *panel), fruits=(), goal=Goal(position=(1, 0, 1))), still)
+        commands = stage(
+            robot, orchard(obstacles=(wall, *panel), fruits=(), goal=Goal(position=(1, 0, 1))), Playback(still)
+        )
         (place,) = [c["value"] for c in commands if c["path"] == "/Cameras/default/rotated/<object>"]
         assert -place[2] * side < 0.0  # y of the camera
 

@@ -22,6 +22,7 @@ from hplan.errors import HplanError
 from hplan.timing.trajectory import Trajectory
 from hplan.view import page
 from hplan.view.page import LiveView, serve
+from hplan.view.playback import Playback
 
 SERVE = """
 import signal, sys, numpy as np
@@ -30,9 +31,10 @@ from hplan.robot.model import load_robot
 from hplan.scene.file import load_scene
 from hplan.timing.trajectory import Trajectory
 from hplan.view.page import serve
+from hplan.view.playback import Playback
 row = np.zeros((1, 4))
 robot = load_robot()
-view = serve(robot, load_scene(), Trajectory(robot.joint_names, np.zeros(1), row, row, row, row))
+view = serve(robot, load_scene(), Playback(Trajectory(robot.joint_names, np.zeros(1), row, row, row, row)))
 print(view.url, view._process.pid, flush=True)
 view.wait()
 """
@@ -42,7 +44,7 @@ view.wait()
 def view() -> Iterator[LiveView]:
     robot, scene = hplan.load_robot(), hplan.load_scene()
     row = scene.start.configuration[None]
-    with serve(robot, scene, Trajectory(robot.joint_names, [0.0], row, 0 * row, 0 * row, 0 * row)) as view:
+    with serve(robot, scene, Playback(Trajectory(robot.joint_names, [0.0], row, 0 * row, 0 * row, 0 * row))) as view:
         yield view
 
 
@@ -123,4 +125,4 @@ def test_a_server_that_does_not_start(command: list[str], said: str, monkeypatch
     monkeypatch.setattr(page, "START_S", 60.0 if "-m" in command else 0.5)
     robot, row = hplan.load_robot(), [[0.0] * 4]
     with pytest.raises(HplanError, match=f"the meshcat server does not start: .*{said}"):
-        serve(robot, hplan.load_scene(), Trajectory(robot.joint_names, [0.0], row, row, row, row))
+        serve(robot, hplan.load_scene(), Playback(Trajectory(robot.joint_names, [0.0], row, row, row, row)))

@@ -27,6 +27,7 @@ from hplan.view.cspace_figure import cspace_at_yaw
 from hplan.view.cspace_page import render_cspace_page, write_cspace_page
 from hplan.view.cspace_surface import surface_net
 from hplan.view.figure_style import png_bytes, write_png
+from hplan.view.playback import Playback
 from hplan.view.yaw_section import YawSection, yaw_section
 
 GOAL = (math.radians(30.0), math.pi / 4, math.pi / 3, math.radians(70.0))
@@ -80,7 +81,7 @@ def robot() -> Robot:
 
 @pytest.fixture(scope="module")
 def section(robot: Robot, coarse: None) -> YawSection:
-    return yaw_section(robot, scene(), motion(robot))
+    return yaw_section(robot, scene(), Playback(motion(robot)))
 
 
 def test_the_region_is_where_coal_finds_the_arm_in_collision(robot: Robot, section: YawSection) -> None:
@@ -102,44 +103,46 @@ def test_the_motion_is_evenly_spaced_and_knows_its_yaw(robot: Robot, section: Ya
     np.testing.assert_allclose(section.path[[0, -1]], [np.zeros(3), GOAL[1:]], atol=1e-9)
     gaps = np.linalg.norm(np.diff(section.path, axis=0), axis=1)
     np.testing.assert_allclose(gaps, gaps.mean(), rtol=1e-6)
-    np.testing.assert_allclose(section.beside[[0, -1]], [GOAL[0], 0.0], atol=1e-9)
+    np.testing.assert_allclose(section.yaw_distance[[0, -1]], [GOAL[0], 0.0], atol=1e-9)
     np.testing.assert_allclose(section.times, np.linspace(0.0, 2.0, len(section.times)), atol=1e-6)
 
 
 def test_another_yaw_is_another_region(robot: Robot, section: YawSection) -> None:
-    other = yaw_section(robot, scene(), motion(robot), yaw=0.0)
+    other = yaw_section(robot, scene(), Playback(motion(robot)), yaw=0.0)
     assert other.yaw == 0.0
-    np.testing.assert_allclose(other.beside[[0, -1]], [0.0, GOAL[0]], atol=1e-9)
+    np.testing.assert_allclose(other.yaw_distance[[0, -1]], [0.0, GOAL[0]], atol=1e-9)
     assert ((other.field < 0.0) != (section.field < 0.0)).any()
 
 
 def test_fruits_to_pick_are_no_part_of_the_region(robot: Robot, section: YawSection) -> None:
     """The goal's fruit never is, others not where they are named."""
-    all_of_it = yaw_section(robot, scene(goal=Goal(position=(0.8, 0.46, 1.3))), motion(robot))
-    less = yaw_section(robot, scene(), motion(robot), picked={"green"})
+    all_of_it = yaw_section(robot, scene(goal=Goal(position=(0.8, 0.46, 1.3))), Playback(motion(robot)))
+    less = yaw_section(robot, scene(), Playback(motion(robot), picked={"green": 1.0}))
     assert (all_of_it.field < 0).sum() > (section.field < 0).sum() > (less.field < 0).sum()
 
 
 def test_clearance_uncertainty_and_tracking_error_grow_the_region(robot: Robot, section: YawSection) -> None:
-    grown = yaw_section(robot, scene(clearance=0.02), motion(robot))
+    grown = yaw_section(robot, scene(clearance=0.02), Playback(motion(robot)))
     np.testing.assert_allclose(grown.field, section.field - 0.02, atol=1e-9)
     vague = scene(obstacles=tuple(item.model_copy(update={"sigma": 0.01}) for item in scene().obstacles), fruits=(),
                   goal=Goal(position=(0.8, 0.46, 1.3)))  # fmt: skip
-    sure = yaw_section(robot, vague, motion(robot), PlanOptions(sigmas=0.0))
-    unsure = yaw_section(robot, vague, motion(robot), PlanOptions(sigmas=2.0))
+    sure = yaw_section(robot, vague, Playback(motion(robot)), PlanOptions(sigmas=0.0))
+    unsure = yaw_section(robot, vague, Playback(motion(robot)), PlanOptions(sigmas=2.0))
     np.testing.assert_allclose(unsure.field, sure.field - 0.02, atol=1e-9)
-    is_point_set = yaw_section(robot, vague, motion(robot), PlanOptions(sigmas=0.0, tracking_error=0.001))
+    is_point_set = yaw_section(robot, vague, Playback(motion(robot)), PlanOptions(sigmas=0.0, tracking_error=0.001))
     assert (is_point_set.field < sure.field).all()
 
 
 def test_what_follows_the_approach_is_left_out(robot: Robot) -> None:
-    cut = yaw_section(robot, scene(), motion(robot), phases=(Part("approach", 0.5, 1.0), Part("retreat", 1.0, 2.0)))
+    cut = yaw_section(
+        robot, scene(), Playback(motion(robot), phases=(Part("approach", 0.5, 1.0), Part("retreat", 1.0, 2.0)))
+    )
     np.testing.assert_allclose(cut.path[-1], 0.5 * np.array(GOAL[1:]), atol=1e-9)
     assert cut.yaw == pytest.approx(0.5 * GOAL[0])
 
 
 def test_without_obstacles_nothing_is_forbidden(robot: Robot) -> None:
-    free = yaw_section(robot, scene(obstacles=(), fruits=(), goal=Goal(position=(1, 0, 1))), motion(robot))
+    free = yaw_section(robot, scene(obstacles=(), fruits=(), goal=Goal(position=(1, 0, 1))), Playback(motion(robot)))
     assert np.isfinite(free.field).all()
     assert (free.field > 0.0).all()
     assert len(surface_net(free.field)[1]) == 0
@@ -151,7 +154,7 @@ def test_a_motion_in_place(robot: Robot) -> None:
     row = np.array([GOAL])
     nothing = np.zeros_like(row)
     still = Trajectory(robot.joint_names, np.zeros(1), row, nothing, nothing, nothing)
-    section = yaw_section(robot, scene(), still)
+    section = yaw_section(robot, scene(), Playback(still))
     np.testing.assert_allclose(section.path, np.tile(GOAL[1:], (len(section.path), 1)))
     assert not [c for c in commands_of(render_cspace_page(section, "still")) if c["type"] == "set_animation"]
     assert png_bytes(cspace_at_yaw(section))
@@ -160,7 +163,7 @@ def test_a_motion_in_place(robot: Robot) -> None:
 @pytest.mark.parametrize("yaw", [4.0, math.nan, math.inf])
 def test_a_yaw_that_the_arm_cannot_have(robot: Robot, yaw: float) -> None:
     with pytest.raises(OptionError, match="degrees from -180 to 180"):
-        yaw_section(robot, scene(), motion(robot), yaw=yaw)
+        yaw_section(robot, scene(), Playback(motion(robot)), yaw=yaw)
 
 
 def test_an_arm_of_two_links_and_a_foreign_trajectory(robot: Robot, tmp_path: Path) -> None:
@@ -169,9 +172,9 @@ def test_an_arm_of_two_links_and_a_foreign_trajectory(robot: Robot, tmp_path: Pa
     fewer = {name: getattr(HARVESTER, name)[:-1] for name in names}
     urdf, limits = write_robot(replace(HARVESTER, name="two", **fewer), tmp_path / "two.urdf")
     with pytest.raises(InputError, match="wants three planar joints; 'two' has 2"):
-        yaw_section(load_robot(urdf, limits=limits), scene(), motion(robot))
+        yaw_section(load_robot(urdf, limits=limits), scene(), Playback(motion(robot)))
     with pytest.raises(InputError, match="the trajectory moves a, b, c, d"):
-        yaw_section(robot, scene(), replace(motion(robot), joint_names=("a", "b", "c", "d")))
+        yaw_section(robot, scene(), Playback(replace(motion(robot), joint_names=("a", "b", "c", "d"))))
 
 
 @pytest.mark.parametrize(("axis", "side"), [(0, 1), (0, -1), (1, 1), (1, -1)])

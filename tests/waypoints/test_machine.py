@@ -11,8 +11,8 @@ from toy_urdf import LIMIT, urdf
 
 from hplan.errors import InputError, JointLimitError, RobotFileError
 from hplan.robot.files import read_models
+from hplan.waypoints import time_waypoints
 from hplan.waypoints.machine import ENDLESS, limits_of, read_machine
-from hplan.waypoints.timing import time_waypoints
 
 
 @pytest.fixture

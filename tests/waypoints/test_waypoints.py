@@ -13,7 +13,7 @@ from toy_urdf import urdf
 from hplan.errors import InputError, JointLimitError, OptionError, TimingError
 from hplan.robot.limits import Limits
 from hplan.timing.trajectory import read_csv
-from hplan.waypoints.timing import (
+from hplan.waypoints import (
     largest_deviation,
     limit_shares,
     limits_of,

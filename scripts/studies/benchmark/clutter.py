@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from studies.benchmark.measure import Progress, median, spread, timed
 from studies.benchmark.motions import quickest_polyline, stopping_duration, toppra_motion
-from studies.benchmark.paths import Task, Ways, summary, ways_of, without_jerk
+from studies.benchmark.paths import PathMotions, PeerTask, motions_of, summary, without_jerk
 from studies.benchmark.planners import Ompl, OmplResult
 from studies.benchmark.scenes import PlanarScene, random_scene
 
@@ -35,7 +35,7 @@ def measure(robot: Robot, *, seed: int, scenes: int, ompl: Ompl | None, progress
     """
     rows: list[dict[str, Any]] = []
     failed: list[dict[str, Any]] = []
-    runs: dict[str, list[tuple[OmplResult, Ways | None, float]]] = {name: [] for name, _ in PLANNERS}
+    runs: dict[str, list[tuple[OmplResult, PathMotions | None, float]]] = {name: [] for name, _ in PLANNERS}
     blocked = disagreeing = 0
     for number in range(scenes):
         progress("clutter", number, scenes)
@@ -53,17 +53,16 @@ def measure(robot: Robot, *, seed: int, scenes: int, ompl: Ompl | None, progress
         if planned is None:
             failed.append(_failure(drawn, error))
             continue
-        task = Task.of(robot, drawn.scene)
+        task = PeerTask.of(robot, drawn.scene)
         rows.append({"number": number, "total_ms": ms, **search, **_motion(task, planned)})
         for planner, seconds in PLANNERS if ompl is not None else ():
-            run = ompl.plan(
-                robot, task.field, task.problem.start, task.problem.goal,
-                margin=task.smallest_margin, planner=planner, seconds=seconds,
-            ) if ompl is not None else None  # fmt: skip
+            run = None
+            if ompl is not None:
+                run = ompl.plan(task, task.problem.start, task.problem.goal, planner=planner, seconds=seconds)
             if run is not None:
-                ways = None if run.path is None else ways_of(task, run.path)
-                runs[planner].append((run, ways, planned.trajectory.duration))
-                rows[-1][planner] = {"ms": run.total_ms, **({} if ways is None else _durations(ways))}
+                motions = None if run.path is None else motions_of(task, run.path)
+                runs[planner].append((run, motions, planned.trajectory.duration))
+                rows[-1][planner] = {"ms": run.total_ms, **({} if motions is None else _durations(motions))}
     progress("clutter", scenes, scenes)
     return {
         "seed": seed,
@@ -83,8 +82,8 @@ def _warm_up(robot: Robot, drawn: PlanarScene, ompl: Ompl | None) -> None:
     _plan(robot, drawn)
     _compare_searches(drawn)
     if ompl is not None:
-        task = Task.of(robot, drawn.scene)
-        ompl.plan(robot, task.field, task.problem.start, task.problem.goal, margin=task.smallest_margin)
+        task = PeerTask.of(robot, drawn.scene)
+        ompl.plan(task, task.problem.start, task.problem.goal)
 
 
 def _plan(robot: Robot, drawn: PlanarScene) -> tuple[PlanResult | None, float, HplanError | None]:
@@ -117,7 +116,7 @@ def _compare_searches(drawn: PlanarScene) -> dict[str, Any]:
     }
 
 
-def _motion(task: Task, planned: PlanResult) -> dict[str, Any]:
+def _motion(task: PeerTask, planned: PlanResult) -> dict[str, Any]:
     """The motion beside the two recipes that start from its own grid path."""
     robot = task.robot
     duration = planned.trajectory.duration
@@ -145,12 +144,12 @@ def _motion(task: Task, planned: PlanResult) -> dict[str, Any]:
     }
 
 
-def _durations(ways: Ways) -> dict[str, Any]:
+def _durations(motions: PathMotions) -> dict[str, Any]:
     return {
-        "length_deg": ways.length_deg,
-        "spline_s": None if ways.spline is None else ways.spline.duration_s,
-        "rounded_s": ways.rounded_s,
-        "processed_s": ways.processed_s,
+        "length_deg": motions.length_deg,
+        "spline_s": None if motions.spline is None else motions.spline.duration_s,
+        "rounded_s": motions.rounded_s,
+        "processed_s": motions.processed_s,
     }
 
 
@@ -196,11 +195,11 @@ def _by_time(row: dict[str, Any]) -> float:
     return -float(row["total_ms"])
 
 
-def _planner_numbers(found: list[tuple[OmplResult, Ways | None, float]]) -> dict[str, Any]:
-    solved = [(run, ways, ours) for run, ways, ours in found if ways is not None]
+def _planner_numbers(found: list[tuple[OmplResult, PathMotions | None, float]]) -> dict[str, Any]:
+    solved = [(run, motions, ours) for run, motions, ours in found if motions is not None]
     path_ms = [run.total_ms for run, _, _ in solved]
     return {
         "path_spread_ms": spread(path_ms),
         "compiled_ms": median([run.compiled_ms for run, _, _ in solved]),
-        **summary([ways for _, ways, _ in solved], path_ms, [ours for _, _, ours in solved], asked=len(found)),
+        **summary([motions for _, motions, _ in solved], path_ms, [ours for _, _, ours in solved], asked=len(found)),
     }

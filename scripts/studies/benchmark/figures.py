@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from studies.view.figures import GOAL, INK, OBSTACLE, PATH, QUIET, RESTORED, START, new_figure, styled
+
+from hplan.view.figure_style import GOAL, INK, OBSTACLE, PATH, QUIET, RESTORED, START, new_figure, styled
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -103,8 +103,7 @@ def look_at(robot: Robot, checker: CoalScene, motion: TimedMotion) -> Findings:
 def of_rows(trajectory: Trajectory) -> TimedMotion:
     """The motion of a controller that joins the rows of a trajectory by cubics of their positions and velocities."""
     return TimedMotion(
-        trajectory.duration,
-        lambda clock: row_cubics(trajectory.time, trajectory.position, trajectory.velocity, clock),
+        trajectory.duration, lambda clock: row_cubics(trajectory.time, trajectory.position, trajectory.velocity, clock)
     )
 
 

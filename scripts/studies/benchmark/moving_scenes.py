@@ -1,4 +1,4 @@
-"""Scenes in which obstacles move: fruit and branches about the arm's way, all joints free.
+"""Scenes in which obstacles move: fruit and branches about the arm's motion, all joints free.
 
 A scene follows from the seed and its number alone. What moves, and where to, follows from them too and from the motion
 of the moment: some obstacles are put close to it.
@@ -49,7 +49,7 @@ Piece: TypeAlias = Sphere | Capsule
 
 
 @dataclass(frozen=True)
-class Move:
+class ObstacleMove:
     """How an obstacle moves.
 
     Attributes:
@@ -81,7 +81,7 @@ def moving_scene(robot: Robot, seed: int, number: int) -> Scene:
     return empty.with_obstacles(pieces)
 
 
-def next_move(robot: Robot, scene: Scene, motion: FloatArray, random: np.random.Generator) -> Move:
+def next_move(robot: Robot, scene: Scene, motion: FloatArray, random: np.random.Generator) -> ObstacleMove:
     """Draw a move that leaves the base, start and goal free.
 
     Args:
@@ -96,7 +96,7 @@ def next_move(robot: Robot, scene: Scene, motion: FloatArray, random: np.random.
             raise InputError(f"obstacle {piece.name!r} is neither fruit nor branch", obstacle=piece.name)
         close = bool(random.random() < CLOSE_SHARE)
         shift = _to_motion(robot, piece, motion, random) if close else random.uniform(*SHIFT) * direction(random)
-        move = Move(_shifted(piece, shift), close)
+        move = ObstacleMove(_shifted(piece, shift), close)
         if leaves_room(robot, scene, [move.piece]):
             return move
 

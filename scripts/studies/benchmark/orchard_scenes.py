@@ -77,7 +77,7 @@ class OrchardProblem:
 
 
 @dataclass(frozen=True, eq=False)
-class Crop:
+class CropProblems:
     """What the arm can do in an orchard.
 
     Attributes:
@@ -155,7 +155,7 @@ def _is_within_reach(robot: Robot, fruit: Fruit) -> bool:
     return True
 
 
-def crop_of(robot: Robot, orchard: Orchard) -> Crop:
+def crop_of(robot: Robot, orchard: Orchard) -> CropProblems:
     """Find out which fruits can be taken, and how."""
     scene, home = orchard.scene, orchard.scene.start.configuration
     goals: dict[str, FloatArray] = {}
@@ -167,7 +167,7 @@ def crop_of(robot: Robot, orchard: Orchard) -> Crop:
         else:
             goals[fruit.name] = found
     clear = ClearanceField.of(robot, scene.solids_with_goal, clearance=scene.clearance).clearance(home) > 0.0
-    return Crop(orchard, goals, without, clear)
+    return CropProblems(orchard, goals, without, clear)
 
 
 def _standoff(robot: Robot, scene: Scene, fruit: Fruit, home: FloatArray) -> FloatArray | str:

@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 from studies.benchmark.measure import Progress, median, spread, stages_in_cpu_time, timed
 from studies.benchmark.motions import look_at, of_rows
-from studies.benchmark.orchard_scenes import Crop, OrchardProblem, crop_of, measured_orchards, shipped_orchards
-from studies.benchmark.paths import Task, Ways, summary, ways_of
+from studies.benchmark.orchard_scenes import CropProblems, OrchardProblem, crop_of, measured_orchards, shipped_orchards
+from studies.benchmark.paths import PathMotions, PeerTask, motions_of, summary
 from studies.benchmark.planners import Ompl, OmplResult
 
 from hplan.errors import HplanError
@@ -33,41 +33,41 @@ PATIENCE, IMPROVING = 10.0, 1.0
 #: Problems of each group that are planned before the clock runs: what loads the kernels of every stage.
 WARM = 2
 
-#: Ways to make a certified motion of a peer's path.
-WAYS = ("rounded", "processed")
+#: Recipes for a certified motion of a peer's path.
+RECIPES = ("rounded", "processed")
 
 #: What is listed by name: problems that take longer than this [ms], and motions slower than OMPL's by this share.
 SLOW_MS, SLOWER = 500.0, 1.02
 
 
 @dataclass(frozen=True, eq=False)
-class Run:
+class PlannerRun:
     """What a planner of OMPL's found.
 
     Attributes:
         result: Its path.
-        ways: The motions along it; None where there is no path.
+        motions: The motions along it; None where there is no path.
         seconds: Time that it had.
         ours_s: Duration of hplan's motion; None where hplan has none.
     """
 
     result: OmplResult
-    ways: Ways | None
+    motions: PathMotions | None
     seconds: float
     ours_s: float | None = None
 
     def numbers(self) -> dict[str, Any]:
         """The run as numbers."""
-        ways = self.ways
+        motions = self.motions
         return {
-            "solved": ways is not None,
+            "solved": motions is not None,
             "seconds": self.seconds,
             "ms": self.result.total_ms,
             "compiled_ms": self.result.compiled_ms,
-            "length_deg": None if ways is None else ways.length_deg,
-            "rounded_s": None if ways is None else ways.rounded_s,
-            "processed_s": None if ways is None else ways.processed_s,
-            "spline_collides": None if ways is None or ways.spline is None else ways.spline.collides,
+            "length_deg": None if motions is None else motions.length_deg,
+            "rounded_s": None if motions is None else motions.rounded_s,
+            "processed_s": None if motions is None else motions.processed_s,
+            "spline_collides": None if motions is None or motions.spline is None else motions.spline.collides,
         }
 
 
@@ -96,7 +96,7 @@ def measure(
         progress("orchards: loading", number, len(warm))
         _planned(robot, problem)
     rows: list[dict[str, Any]] = []
-    runs: dict[str, list[Run]] = {name: [] for name in PLANNERS}
+    runs: dict[str, list[PlannerRun]] = {name: [] for name in PLANNERS}
     for number, problem in enumerate(problems):
         progress("orchards", number, len(problems))
         rows.append(_solve(robot, problem, ompl, runs))
@@ -142,10 +142,12 @@ def _planned(robot: Robot, problem: OrchardProblem) -> PlanResult | HplanError:
         return error
 
 
-def _solve(robot: Robot, problem: OrchardProblem, ompl: Ompl | None, runs: dict[str, list[Run]]) -> dict[str, Any]:
+def _solve(
+    robot: Robot, problem: OrchardProblem, ompl: Ompl | None, runs: dict[str, list[PlannerRun]]
+) -> dict[str, Any]:
     """One problem, by hplan and by OMPL, whose runs are added to those there are."""
     found, ms = timed(lambda: _planned(robot, problem))
-    task = Task.of(robot, problem.scene)
+    task = PeerTask.of(robot, problem.scene)
     row: dict[str, Any] = {"name": problem.name, "group": problem.group, "ms": ms}
     if isinstance(found, HplanError):
         row |= {"solved": False, "error": found.kind, "message": found.message}
@@ -156,17 +158,17 @@ def _solve(robot: Robot, problem: OrchardProblem, ompl: Ompl | None, runs: dict[
         if ompl is None:
             break
         run = _peer(task, ompl, planner, PATIENCE if planner == "RRTConnect" or not solved else IMPROVING)
-        solved = solved and run.ways is not None
+        solved = solved and run.motions is not None
         runs[planner].append(replace(run, ours_s=row.get("duration_s")))
         row[planner] = run.numbers()
-    for way in WAYS:
-        theirs = [row[planner][f"{way}_s"] for planner in PLANNERS if planner in row]
-        row[f"best_{way}_s"] = min((s for s in theirs if s is not None), default=float("nan"))
-        row[f"to_{way}"] = row.get("duration_s", float("nan")) / row[f"best_{way}_s"]
+    for recipe in RECIPES:
+        theirs = [row[planner][f"{recipe}_s"] for planner in PLANNERS if planner in row]
+        row[f"best_{recipe}_s"] = min((s for s in theirs if s is not None), default=float("nan"))
+        row[f"to_{recipe}"] = row.get("duration_s", float("nan")) / row[f"best_{recipe}_s"]
     return row
 
 
-def _motion(task: Task, planned: PlanResult) -> dict[str, Any]:
+def _motion(task: PeerTask, planned: PlanResult) -> dict[str, Any]:
     """The motion of hplan's, looked at finely too."""
     planner = planned.report["planner"]
     seen = look_at(task.robot, task.checker, of_rows(planned.trajectory))
@@ -184,17 +186,14 @@ def _motion(task: Task, planned: PlanResult) -> dict[str, Any]:
     }
 
 
-def _peer(task: Task, ompl: Ompl, planner: str, seconds: float) -> Run:
+def _peer(task: PeerTask, ompl: Ompl, planner: str, seconds: float) -> PlannerRun:
     """What one of OMPL's planners finds."""
     problem = task.problem
-    result = ompl.plan(
-        task.robot, task.field, problem.start, problem.goal,
-        margin=task.smallest_margin, planner=planner, seconds=seconds, turns=problem.turns,
-    )  # fmt: skip
-    return Run(result, None if result.path is None else ways_of(task, result.path), seconds)
+    result = ompl.plan(task, problem.start, problem.goal, planner=planner, seconds=seconds, turns=problem.turns)
+    return PlannerRun(result, None if result.path is None else motions_of(task, result.path), seconds)
 
 
-def _fruits(crops: Sequence[Crop]) -> dict[str, Any]:
+def _fruits(crops: Sequence[CropProblems]) -> dict[str, Any]:
     """How many fruits there are, how many can be taken, and what is against the others."""
     return {
         "orchards": len(crops),
@@ -221,7 +220,7 @@ def _numbers(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
         "missed": [row["name"] for row in rows if not row["solved"] and _by_a_peer(row)],
         "slow": [row["name"] for row in rows if row["ms"] > SLOW_MS],
         "planners": {name: sum(row[name]["solved"] for row in rows) for name in PLANNERS if rows and name in rows[0]},
-        **{f"to_{way}": _ratios(rows, f"to_{way}") for way in WAYS},
+        **{f"to_{recipe}": _ratios(rows, f"to_{recipe}") for recipe in RECIPES},
     }
 
 
@@ -236,13 +235,13 @@ def _ratios(rows: Sequence[dict[str, Any]], key: str) -> dict[str, Any]:
     return {**spread(ratios), "count": len(ratios), "slower": {row["name"]: row[key] for row in slower}}
 
 
-def _planner_numbers(runs: Sequence[Run]) -> dict[str, Any]:
+def _planner_numbers(runs: Sequence[PlannerRun]) -> dict[str, Any]:
     """A planner's paths and what becomes of them, over the problems that hplan solves too."""
     shared = [(run, run.ours_s) for run in runs if run.ours_s is not None]
-    found = [(run.result, run.ways, ours) for run, ours in shared if run.ways is not None]
+    found = [(run.result, run.motions, ours) for run, ours in shared if run.motions is not None]
     path_ms = [result.total_ms for result, _, _ in found]
     return {
         "path_spread_ms": spread(path_ms),
         "compiled_ms": median([result.compiled_ms for result, _, _ in found]),
-        **summary([ways for _, ways, _ in found], path_ms, [ours for *_, ours in found], asked=len(shared)),
+        **summary([motions for _, motions, _ in found], path_ms, [ours for *_, ours in found], asked=len(shared)),
     }

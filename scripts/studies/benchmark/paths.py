@@ -1,8 +1,8 @@
-"""One path, three ways to make a motion of it: the common recipe, hplan's timing alone, hplan's post-processing too.
+"""Three motions along one path: by the common recipe, by hplan's timing alone, by hplan's post-processing too.
 
 - `spline`: a cubic spline through the waypoints, timed by toppra as its users are advised; not limited in jerk;
 - `rounded`: corners rounded within the clearance (`hplan.smoothing.round_corners`), timed and certified by hplan;
-- `processed`: hplan's whole post-processing (`hplan.postprocess.fast_path`), timed and certified by hplan.
+- `processed`: hplan's whole post-processing (`hplan.smoothing.smooth_path.fast_path`), timed and certified by hplan.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ from hplan.verification.certificate import certify
 
 
 @dataclass(frozen=True, eq=False)
-class Task:
-    """A scene with all that its peers' paths are judged by."""
+class PeerTask:
+    """A scene, ready for the peers' planners, and for certifying their paths."""
 
     robot: Robot
     scene: Scene
@@ -45,7 +45,7 @@ class Task:
     margin: float
 
     @classmethod
-    def of(cls, robot: Robot, scene: Scene) -> Task:
+    def of(cls, robot: Robot, scene: Scene) -> PeerTask:
         """Get a scene ready, with the margin that hplan asks for in it."""
         world = World.of(robot, scene.solids, clearance=scene.clearance)
         problem = check_problem(
@@ -71,12 +71,12 @@ class Task:
 
 
 @dataclass(frozen=True)
-class Ways:
-    """What became of a path.
+class PathMotions:
+    """The motions made of a path.
 
     Attributes:
         length_deg: Length of the path as given.
-        spline: What the common recipe does, or None where toppra finds no motion.
+        spline: Findings about the motion of the common recipe, or None where toppra finds none.
         rounded_s: Duration of the certified motion with rounded corners, or None where there is none.
         processed_s: Duration of the certified motion after hplan's post-processing, or None where there is none.
         spline_ms: Time of the common recipe.
@@ -93,13 +93,13 @@ class Ways:
     processed_ms: float
 
 
-def ways_of(task: Task, path: FloatArray) -> Ways:
+def motions_of(task: PeerTask, path: FloatArray) -> PathMotions:
     """Make motions of a path that is clear at the smallest margin."""
     robot = task.robot
     motion, spline_ms = timed(lambda: toppra_motion(robot, path))
     rounded, rounded_ms = timed(lambda: _certified(task, lambda: smooth(path, task.field, margin=task.smallest_margin)))
     processed, processed_ms = timed(lambda: _certified(task, lambda: fast_path(path, task.field, task.options())))
-    return Ways(
+    return PathMotions(
         length_deg=float(np.degrees(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())),
         spline=None if motion is None else look_at(robot, task.checker, motion),
         rounded_s=rounded,
@@ -110,7 +110,7 @@ def ways_of(task: Task, path: FloatArray) -> Ways:
     )
 
 
-def _certified(task: Task, make: Any) -> float | None:
+def _certified(task: PeerTask, make: Any) -> float | None:
     """Duration of the certified motion along a path, or None where there is none."""
     robot = task.robot
     try:
@@ -133,27 +133,27 @@ def without_jerk(robot: Robot) -> Robot:
 
 
 def summary(
-    ways: Sequence[Ways], path_ms: Sequence[float], hplan_s: Sequence[float], *, asked: int | None = None
+    motions: Sequence[PathMotions], path_ms: Sequence[float], hplan_s: Sequence[float], *, asked: int | None = None
 ) -> dict[str, Any]:
-    """What became of several paths, one to a problem.
+    """Numbers of several paths, one for each problem.
 
     Args:
-        ways: One for each path found.
+        motions: One for each path found.
         path_ms: Time to each path.
         hplan_s: Duration of hplan's motion on the same problem, for the ratios.
         asked: Number of problems, where not all were solved.
     """
-    found = [(way.spline, ours) for way, ours in zip(ways, hplan_s, strict=True)]
+    found = [(motion.spline, ours) for motion, ours in zip(motions, hplan_s, strict=True)]
     splines = [(spline, ours) for spline, ours in found if spline is not None]
     result: dict[str, Any] = {
-        "problems": len(ways) if asked is None else asked,
-        "solved": len(ways),
-        "length_deg": median([way.length_deg for way in ways]),
+        "problems": len(motions) if asked is None else asked,
+        "solved": len(motions),
+        "length_deg": median([motion.length_deg for motion in motions]),
         "path_ms": median(path_ms),
         "spline": {
             "duration_s": median([spline.duration_s for spline, _ in splines]),
             "ratio": median([spline.duration_s / ours for spline, ours in splines]),
-            "total_ms": median([ms + way.spline_ms for ms, way in zip(path_ms, ways, strict=True)]),
+            "total_ms": median([ms + motion.spline_ms for ms, motion in zip(path_ms, motions, strict=True)]),
             "timed": len(splines),
             "colliding": sum(spline.collides for spline, _ in splines),
             "worst_depth_mm": max((spline.depth_mm for spline, _ in splines), default=0.0),
@@ -164,9 +164,9 @@ def summary(
         },
     }
     for name in ("rounded", "processed"):
-        certified = [(getattr(way, f"{name}_s"), ours) for way, ours in zip(ways, hplan_s, strict=True)]
+        certified = [(getattr(motion, f"{name}_s"), ours) for motion, ours in zip(motions, hplan_s, strict=True)]
         kept = [(duration, ours) for duration, ours in certified if duration is not None]
-        times = [ms + getattr(way, f"{name}_ms") for ms, way in zip(path_ms, ways, strict=True)]
+        times = [ms + getattr(motion, f"{name}_ms") for ms, motion in zip(path_ms, motions, strict=True)]
         result[name] = {
             "certified": len(kept),
             "duration_s": median([duration for duration, _ in kept]),

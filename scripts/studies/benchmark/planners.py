@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 from studies.benchmark.measure import timed
+from studies.benchmark.paths import PeerTask
 
 from hplan.base.arrays import FloatArray
 from hplan.base.kernels import kernel
@@ -77,12 +78,10 @@ class Ompl:
 
     def plan(
         self,
-        robot: Robot,
-        field: ClearanceField,
+        task: PeerTask,
         start: FloatArray,
         goal: FloatArray,
         *,
-        margin: float,
         planner: str = "RRTConnect",
         seconds: float = PATIENCE,
         turns: bool = False,
@@ -90,17 +89,16 @@ class Ompl:
         """Plan and simplify.
 
         Args:
-            robot: The arm.
-            field: Arm and obstacles.
+            task: Arm and obstacles, and the margin asked for wherever a motion is evaluated.
             start: (dof,) configuration.
             goal: (dof,) configuration; differs from the start in planar joints only, unless the base turns.
-            margin: Clearance asked for wherever a motion is evaluated [m].
             planner: One of `PLANNERS`; RRTConnect stops at its first path, BITstar when time is up.
             seconds: Time for planning.
             turns: Whether the base may turn.
         """
+        robot = task.robot
         joints = slice(0 if turns else robot.arm_slice.start, robot.dof)
-        calls = _Calls(field, start, joints, margin)
+        calls = _Calls(task.field, start, joints, task.smallest_margin)
         setup = self._setup(robot, calls, start, goal, joints)
         info = setup.getSpaceInformation()
         setup.setPlanner(getattr(self._geometric, planner)(info))

@@ -16,7 +16,7 @@ import numpy as np
 import pinocchio as pin
 from studies.benchmark.measure import Progress, spread, timed
 from studies.benchmark.motions import row_cubics
-from studies.benchmark.paths import Task, without_jerk
+from studies.benchmark.paths import PeerTask, without_jerk
 from studies.benchmark.scenes import PlanarScene, random_scene
 
 from hplan.base.arrays import FloatArray
@@ -115,7 +115,7 @@ def measure(robot: Robot, scene: Scene, *, seed: int, scenes: int, progress: Pro
 
 def _is_direct(robot: Robot, drawn: PlanarScene) -> bool:
     """Whether the straight motion from start to goal is clear."""
-    task = Task.of(robot, drawn.scene)
+    task = PeerTask.of(robot, drawn.scene)
     return task.field.is_clear(np.stack([task.problem.start, task.problem.goal]), task.smallest_margin)
 
 

@@ -17,13 +17,14 @@ from studies.benchmark.motions import (
     stopping_duration,
     toppra_motion,
 )
-from studies.benchmark.paths import Task, summary, ways_of, without_jerk
+from studies.benchmark.paths import PeerTask, motions_of, summary, without_jerk
 from studies.benchmark.planners import Ompl
 from studies.benchmark.scenes import STEP_DEG
+from studies.validation.cspace import sampled_occupancy
 
 from hplan.base.arrays import FloatArray
 from hplan.base.polyline import path_length
-from hplan.collision.coal_scene import CoalScene, sampled_occupancy
+from hplan.collision.coal_scene import CoalScene
 from hplan.cspace.occupancy import joint_grid, occupancy
 from hplan.cspace.sections import arm_sections
 from hplan.errors import InputError
@@ -63,7 +64,7 @@ def measure(
     progress("reference: C-space", 2, 4)
     space = _spaces(robot, scene, seed, repetitions, 1 if quick else 5)
     progress("reference: motions", 3, 4)
-    task = Task.of(robot, scene)
+    task = PeerTask.of(robot, scene)
     motions = _motions(task, result)
     progress("reference: motions", 4, 4)
     few = (("RRTConnect", 1.0, 5), ("BITstar", 0.2, 2), ("BITstar", 1.0, 1))
@@ -154,7 +155,7 @@ def _spaces(robot: Robot, scene: Scene, seed: int, repetitions: int, coal_repeti
     }
 
 
-def _motions(task: Task, result: PlanResult) -> dict[str, Any]:
+def _motions(task: PeerTask, result: PlanResult) -> dict[str, Any]:
     """Length, duration and what fine samples show, of hplan's motions and of what else becomes of the grid path."""
     robot, scene = task.robot, task.scene
     free_of_jerk = without_jerk(robot)
@@ -194,7 +195,7 @@ def _motions(task: Task, result: PlanResult) -> dict[str, Any]:
     }
 
 
-def _recipe(task: Task, path: FloatArray, motion: TimedMotion | None) -> dict[str, Any]:
+def _recipe(task: PeerTask, path: FloatArray, motion: TimedMotion | None) -> dict[str, Any]:
     length = {"length_deg": float(np.degrees(path_length(path))), "certified": False}
     if motion is None:
         return {**length, "duration_s": float("nan")}
@@ -207,24 +208,24 @@ def _numbers(findings: Findings) -> dict[str, Any]:
 
 
 def _planners(
-    task: Task, ompl: Ompl, runs: tuple[tuple[str, float, int], ...], result: PlanResult, progress: Progress
+    task: PeerTask, ompl: Ompl, runs: tuple[tuple[str, float, int], ...], result: PlanResult, progress: Progress
 ) -> dict[str, Any]:
     """OMPL's planners, each several times, and what becomes of their paths."""
     start, goal = task.problem.start, task.problem.goal
-    ompl.plan(task.robot, task.field, start, goal, margin=task.smallest_margin)  # loads the kernels
+    ompl.plan(task, start, goal)  # loads the kernels
     table: dict[str, Any] = {}
     for planner, seconds, count in runs:
-        found, ways = [], []
+        found, motions = [], []
         for number in range(count):
             progress(f"reference: {planner}, {seconds:g} s", number, count)
-            run = ompl.plan(
-                task.robot, task.field, start, goal, margin=task.smallest_margin, planner=planner, seconds=seconds
-            )
+            run = ompl.plan(task, start, goal, planner=planner, seconds=seconds)
             if run.path is not None:
                 found.append(run)
-                ways.append(ways_of(task, run.path))
+                motions.append(motions_of(task, run.path))
         progress(f"reference: {planner}, {seconds:g} s", count, count)
-        numbers = summary(ways, [run.total_ms for run in found], [result.trajectory.duration] * len(ways), asked=count)
+        numbers = summary(
+            motions, [run.total_ms for run in found], [result.trajectory.duration] * len(motions), asked=count
+        )
         table[f"{planner} {seconds:g} s" if planner == "BITstar" else planner] = {
             "planner": planner,
             "seconds": seconds,

@@ -17,7 +17,7 @@ from typing import Any, get_args
 import numpy as np
 from studies.benchmark.measure import Progress, spread, timed
 from studies.benchmark.motions import look_at, of_rows
-from studies.benchmark.moving_scenes import CLOSE_SHARE, OBSTACLES, ROOM, SHIFT, Move, moving_scene, next_move
+from studies.benchmark.moving_scenes import CLOSE_SHARE, OBSTACLES, ROOM, SHIFT, ObstacleMove, moving_scene, next_move
 
 from hplan.collision.coal_scene import CoalScene
 from hplan.errors import HplanError, NoPathError
@@ -91,7 +91,7 @@ def _walk(robot: Robot, seed: int, number: int, steps: int) -> list[dict[str, An
     return rows
 
 
-def _step(robot: Robot, planner: Planner, move: Move) -> dict[str, Any]:
+def _step(robot: Robot, planner: Planner, move: ObstacleMove) -> dict[str, Any]:
     """One obstacle moves, and both ways of planning answer."""
 
     def from_nothing() -> PlanResult | HplanError:

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 from studies.view.figures_arm import draw_motion
 
-from hplan.base.arrays import FloatArray, IntArray
+from hplan.base.arrays import BoolArray, FloatArray, IntArray
 from hplan.robot.model import PlanarArm
 from hplan.search.grid import Grid
-from hplan.view.cspace_surface import draw_cspace_obstacle, draw_line, hidden, joint_box
+from hplan.view.cspace_surface import draw_cspace_obstacle, hidden, joint_box
 from hplan.view.figure_style import GOAL, INK, OBSTACLE, PATH, RESTORED, START, new_figure, styled
 
 if TYPE_CHECKING:
@@ -130,14 +130,7 @@ def paths_in_cspace(
 
 
 @styled
-def overview(
-    arm: PlanarArm,
-    centre: ArrayLike,
-    radius: float,
-    grid: Grid,
-    field: FloatArray,
-    path: IntArray,
-) -> Figure:
+def overview(arm: PlanarArm, centre: ArrayLike, radius: float, grid: Grid, field: FloatArray, path: IntArray) -> Figure:
     """The method in one picture: the path in the C-space, and the motion that it is.
 
     Args:
@@ -223,3 +216,35 @@ def _handles() -> list[Any]:
         Line2D([], [], marker="o", color=START, ls="none", ms=8, label="start"),
         Line2D([], [], marker="s", color=GOAL, ls="none", ms=8, label="goal"),
     ]
+
+
+def draw_line(
+    axes: Any, points: FloatArray, covered: BoolArray, color: str, width: float, zorder: float, halo: float = 0.0
+) -> None:
+    """Draw a 3-D line, what is covered dotted and faint.
+
+    Args:
+        axes: Matplotlib's `Axes3D`.
+        points: (m, 3) points.
+        covered: (m,) which of them are hidden.
+        color: Colour.
+        width: Width of the line [points].
+        zorder: Drawing order.
+        halo: How much wider than the line its white margin is [points].
+    """
+    for index, last in _runs(covered):
+        piece = points[index : last + 1]
+        if covered[index]:
+            axes.plot(*piece.T, color=color, lw=0.6 * width, alpha=0.55, ls=(0, (1, 1.4)), zorder=zorder)
+        else:
+            if halo > 0.0:
+                axes.plot(*piece.T, color="white", lw=width + halo, zorder=zorder - 0.1)
+            axes.plot(*piece.T, color=color, lw=width, zorder=zorder)
+
+
+def _runs(flags: BoolArray) -> list[tuple[int, int]]:
+    """First and last index of each run of equal flags, each run reaching to the next one's first."""
+    changes = np.flatnonzero(flags[1:] != flags[:-1]) + 1
+    firsts = [0, *(int(change) for change in changes)]
+    lasts = [*firsts[1:], len(flags) - 1]
+    return list(zip(firsts, lasts, strict=True))

@@ -36,7 +36,7 @@ GRID = joint_grid(ARM, np.radians(1.0))
 
 
 @dataclass(frozen=True, eq=False)
-class PlanarScene:
+class DiscScene:
     """Discs, the occupancy they make of the reference joint grid, and two free nodes of it.
 
     Attributes:
@@ -58,7 +58,7 @@ def disc_occupancy(discs: FloatArray, link_model: LinkModel = "capsule") -> Occu
     return occupancy(ARM, planar_sections(polygons, ARM.half_widths, link_model=link_model), GRID)
 
 
-def random_planar_scene(rng: np.random.Generator) -> PlanarScene:
+def random_planar_scene(rng: np.random.Generator) -> DiscScene:
     """1 to 12 discs within reach; start and goal drawn from the free nodes."""
     while True:
         count = int(rng.integers(1, 13))
@@ -70,11 +70,11 @@ def random_planar_scene(rng: np.random.Generator) -> PlanarScene:
         free = np.argwhere(~occupied.occupied)
         if len(free) > 1:
             start, goal = free[rng.integers(len(free), size=2)]
-            return PlanarScene(discs, occupied, start, goal)
+            return DiscScene(discs, occupied, start, goal)
 
 
 @dataclass(frozen=True)
-class Comparison:
+class SearchComparison:
     """Two-level and dense search over many scenes.
 
     Attributes:
@@ -82,7 +82,7 @@ class Comparison:
         seed: Seed they are drawn from.
         with_path: Scenes in which the dense search finds a path.
         disagree: Scenes in which only one of the two finds a path.
-        fallbacks: What the two-level search needed, and how often, in the scenes in which it finds a path.
+        fallbacks: How often the two-level search needed each fallback, in the scenes in which it finds a path.
         ratio_median: Median of the ratio of costs, two-level to dense, over the scenes in which both find a path; None
             where there is no such scene.
         ratio_high: Its 99th percentile.
@@ -103,7 +103,7 @@ class Comparison:
         return asdict(self)
 
 
-def compare(count: int, seed: int, progress: Callable[[int], None] = lambda _: None) -> Comparison:
+def compare(count: int, seed: int, progress: Callable[[int], None] = lambda _: None) -> SearchComparison:
     """Run both searches on `count` random scenes.
 
     Args:
@@ -125,6 +125,6 @@ def compare(count: int, seed: int, progress: Callable[[int], None] = lambda _: N
                 ratios.append(fast.cost / dense.cost if dense.cost > 0.0 else 1.0)
         progress(done)
     quantiles = np.quantile(ratios, [0.5, 0.99, 1.0]).tolist() if ratios else [None] * 3
-    return Comparison(
+    return SearchComparison(
         count, seed, with_path, disagree, {name: fallbacks[name] for name in get_args(Fallback)}, *quantiles
     )

@@ -6,7 +6,7 @@ import math
 from typing import TYPE_CHECKING
 
 from studies.paper.plain import RESTORATIONS
-from studies.paper.random_scenes import Comparison
+from studies.paper.random_scenes import SearchComparison
 from studies.paper.results import Reproduction
 
 if TYPE_CHECKING:
@@ -47,15 +47,7 @@ def comparison_rows(r: Reproduction) -> tuple[tuple[str, ...], Rows]:
 
 def model_rows(r: Reproduction) -> tuple[tuple[str, ...], Rows]:
     """Header and rows of the table of the link models: nodes, slices with a path, dense A*."""
-    header = (
-        "link model",
-        "occupied",
-        "slices [deg]",
-        "cost [deg]",
-        "points",
-        "expanded",
-        "[ms]",
-    )
+    header = ("link model", "occupied", "slices [deg]", "cost [deg]", "points", "expanded", "[ms]")
     rows: Rows = [
         (
             row.link_model,
@@ -111,10 +103,7 @@ def demo_rows(r: Reproduction) -> tuple[tuple[str, ...], Rows]:
             f"{run.total_expansions:,}",
             f"{run.total_ms:.1f}",
         )
-        for name, run in (
-            ("dense A*", r.demo_dense),
-            (f"two-level, {r.demo_layers} layers", r.demo_two_level),
-        )
+        for name, run in (("dense A*", r.demo_dense), (f"two-level, {r.demo_layers} layers", r.demo_two_level))
     ]
     return header, rows
 
@@ -217,7 +206,7 @@ def gap_text(r: Reproduction) -> str:
     )
 
 
-def scene_rows(c: Comparison) -> tuple[tuple[str, ...], Rows]:
+def scene_rows(c: SearchComparison) -> tuple[tuple[str, ...], Rows]:
     """Header and rows of the table of the random scenes."""
 
     def share(part: int, whole: int) -> str:
@@ -245,12 +234,12 @@ def scene_rows(c: Comparison) -> tuple[tuple[str, ...], Rows]:
     return header, rows
 
 
-def scenes_title(c: Comparison) -> str:
+def scenes_title(c: SearchComparison) -> str:
     """What is compared."""
     return f"Two-level and dense search on random scenes, seed {c.seed}"
 
 
-def markdown(r: Reproduction, scenes: Comparison | None = None) -> str:
+def markdown(r: Reproduction, scenes: SearchComparison | None = None) -> str:
     """The report as Markdown."""
 
     def table(header: tuple[str, ...], rows: Rows) -> str:
@@ -278,7 +267,7 @@ def markdown(r: Reproduction, scenes: Comparison | None = None) -> str:
     return "\n\n".join(blocks) + "\n"
 
 
-def show(r: Reproduction, console: Console, scenes: Comparison | None = None) -> None:
+def show(r: Reproduction, console: Console, scenes: SearchComparison | None = None) -> None:
     """Print the report."""
     from rich import box
     from rich.table import Table

@@ -33,8 +33,8 @@ STANDS_M = 1e-3
 
 
 @dataclass(frozen=True)
-class Touch:
-    """A contact.
+class FirstTouch:
+    """The first contact of a pair in a motion.
 
     Attributes:
         time_s: When [s].
@@ -143,7 +143,7 @@ class PlacedBodies:
 
     def first_touch(
         self, times: FloatArray, q: FloatArray, pairs: Sequence[tuple[int, int]], margin: float = 0.0
-    ) -> Touch | None:
+    ) -> FirstTouch | None:
         """The first configuration at which a pair is nearer than a margin, all configurations looked at.
 
         Args:
@@ -168,7 +168,7 @@ class PlacedBodies:
             worst = int(np.argmax(depths))
             if -depths[worst] < margin + 1e-9:
                 a, b = (self.geometry.geometryObjects[k].name for k in pairs[worst])
-                return Touch(float(times[row]), a, b, float(depths[worst]))
+                return FirstTouch(float(times[row]), a, b, float(depths[worst]))
         return None
 
     def distances(self, q: FloatArray, pairs: Sequence[tuple[int, int]]) -> FloatArray:

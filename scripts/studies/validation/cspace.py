@@ -1,16 +1,16 @@
-r"""The analytic C-space held against coal, node by node.
+r"""The analytic C-space compared with coal, node by node.
 
 Two programs that share no formula say of every grid node whether the arm touches an obstacle there: the closed-form
 intervals of `hplan.cspace.occupancy`, and coal by way of Pinocchio. Where they differ, two directions are told apart:
 
-- *fault*: free for us, a collision for the judge. The planner could go there. One is too many;
-- *conservatism*: forbidden for us, free for the judge. It costs room, not safety. Where a section is drawn around an
+- *fault*: free for us, a collision for coal. The planner could go there. One is too many;
+- *conservatism*: forbidden for us, free for coal. It costs room, not safety. Where a section is drawn around an
   obstacle instead of computed in closed form, it may stand `SECTION_ERROR` outside; nodes beyond that are counted.
 
-Nodes where the judge's signed distance is within `CONTACT_TOLERANCE` of the clearance are in contact up to rounding.
+Nodes where coal's signed distance is within `CONTACT_TOLERANCE` of the clearance are in contact up to rounding.
 They may be decided either way, and are counted apart.
 
-Judges differ in the shape of the links:
+Coal is asked with several shapes of the links:
 
 - `capsule`: what the analytic model claims to be. Nothing may differ but by the section error;
 - `urdf`: the URDF's own collision geometry, which the capsules must hold: no fault, perhaps conservatism;
@@ -24,10 +24,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
+from studies.validation.cspace_results import CONTACT_TOLERANCE, Comparison, Difference, Validation
 
 from hplan.base.arrays import BoolArray, FloatArray, IntArray
 from hplan.collision.coal_scene import CoalScene, Contact, base_contacts
@@ -35,14 +34,10 @@ from hplan.collision.coal_shapes import LINK_SHAPES, LinkShapes
 from hplan.cspace.occupancy import joint_grid, occupancy
 from hplan.cspace.sections import SECTION_ERROR, LinkModel, arm_sections
 from hplan.errors import InputError, OptionError
-from hplan.planning.report import versions
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 from hplan.scene.obstacles import Sphere
 from hplan.search.grid import Grid, Occupancy
-
-#: A node whose distance is this close to the clearance is in contact, which may be decided either way [m].
-CONTACT_TOLERANCE = 1e-9
 
 #: Nodes given to coal in one call.
 CHUNK = 65_536
@@ -60,158 +55,17 @@ _REPETITIONS = 3
 Progress = Callable[[str, int, int], None]
 
 
-@dataclass(frozen=True)
-class Difference:
-    """A node that the two sides decide differently.
-
-    Attributes:
-        node: Index of the node along each axis of the grid.
-        joints_rad: Configuration of all joints.
-        link: The judge's nearest link.
-        obstacle: Its nearest obstacle.
-        distance_m: Signed distance between them beyond the clearance, by the judge [m]; negative is too near.
-    """
-
-    node: tuple[int, ...]
-    joints_rad: tuple[float, ...]
-    link: str
-    obstacle: str
-    distance_m: float
-
-
-@dataclass(frozen=True)
-class Comparison:
-    """One analytic model against one judge, over all nodes.
-
-    Attributes:
-        link_model: The analytic model.
-        checker: Shape of the judge's links.
-        decisive: Whether a fault here is a fault of the C-space; False for capsules against boxes.
-        occupied: Nodes that the analytic side forbids.
-        judge_occupied: Nodes at which the judge finds a collision.
-        faults: Nodes that only the judge forbids.
-        conservative: Nodes that only the analytic side forbids.
-        unexplained: Those of them at which the judge has more than `SECTION_ERROR` to spare; none may be where the
-            judge's links are the model's, elsewhere they are narrower links.
-        in_contact: Nodes decided differently that are in contact up to rounding; not among the others.
-        deepest_fault_m: Largest depth at the faults looked at [m]; 0 without any.
-        widest_gap_m: Largest distance to spare at the conservative nodes looked at [m]; 0 without any.
-        judge_s: Time of the judge over all nodes [s].
-        fault_examples: Some faults, the deepest first.
-        conservative_examples: Some conservative nodes, the widest first.
-    """
-
-    link_model: LinkModel
-    checker: LinkShapes
-    decisive: bool
-    occupied: int
-    judge_occupied: int
-    faults: int
-    conservative: int
-    unexplained: int
-    in_contact: int
-    deepest_fault_m: float
-    widest_gap_m: float
-    judge_s: float
-    fault_examples: tuple[Difference, ...]
-    conservative_examples: tuple[Difference, ...]
-
-
-@dataclass(frozen=True)
-class Validation:
-    """What came of holding a scene's C-space against coal.
-
-    Attributes:
-        scene: Name of the scene.
-        robot: Name of the robot.
-        joint_names: All joints of the robot.
-        yaw_rad: Yaw of the arm plane.
-        clearance_m: Distance kept from obstacles, on both sides [m].
-        step_rad: Spacing of the grid along each planar joint.
-        shape: Nodes along each axis.
-        analytic_s: Time of the analytic side over all nodes, sections included, kernels loaded [s]; NaN where the
-            occupancy was handed in.
-        total_s: Time of the whole validation [s].
-        comparisons: One for each pair of model and judge.
-        base_contacts: Obstacles that touch pedestal or turret, which the C-space does not cover.
-    """
-
-    scene: str
-    robot: str
-    joint_names: tuple[str, ...]
-    yaw_rad: float
-    clearance_m: float
-    step_rad: tuple[float, ...]
-    shape: tuple[int, ...]
-    analytic_s: float
-    total_s: float
-    comparisons: tuple[Comparison, ...]
-    base_contacts: tuple[Contact, ...]
-
-    @property
-    def nodes(self) -> int:
-        """Number of nodes that were compared."""
-        return int(np.prod(self.shape, dtype=np.int64))
-
-    @property
-    def faults(self) -> int:
-        """Number of faults in all decisive comparisons."""
-        return sum(comparison.faults for comparison in self.comparisons if comparison.decisive)
-
-    @property
-    def ok(self) -> bool:
-        """Whether no fault was found."""
-        return self.faults == 0
-
-    def speed_ratio(self, comparison: Comparison) -> float:
-        """How many times faster the analytic side was than a judge; NaN where it was not timed."""
-        return comparison.judge_s / self.analytic_s
-
-    def as_dict(self) -> dict[str, Any]:
-        """The numbers, as `hplan.planning.report.write_report` writes them (what is not finite becomes null)."""
-        return {
-            "ok": self.ok,
-            "scene": self.scene,
-            "robot": self.robot,
-            "joint_names": list(self.joint_names),
-            "yaw_deg": float(np.degrees(self.yaw_rad)),
-            "clearance_m": self.clearance_m,
-            "step_deg": [float(np.degrees(step)) for step in self.step_rad],
-            "shape": list(self.shape),
-            "nodes": self.nodes,
-            "faults": self.faults,
-            "contact_tolerance_m": CONTACT_TOLERANCE,
-            "section_error_m": SECTION_ERROR,
-            "time_ms": {
-                "analytic": round(1e3 * self.analytic_s, 4),
-                "total": round(1e3 * self.total_s, 4),
-            },
-            "comparisons": [
-                {
-                    **{key: value for key, value in vars(c).items() if not key.endswith(("_s", "_examples"))},
-                    "judge_ms": round(1e3 * c.judge_s, 4),
-                    "speed_ratio": round(self.speed_ratio(c), 2),
-                    "fault_examples": [_plain(example) for example in c.fault_examples],
-                    "conservative_examples": [_plain(example) for example in c.conservative_examples],
-                }
-                for c in self.comparisons
-            ],
-            "base_contacts": [dict(vars(contact)) for contact in self.base_contacts],
-            "versions": versions(),
-        }
-
-
 def validate_cspace(
     robot: Robot,
     scene: Scene,
     *,
     step: float = float(np.radians(1.0)),
     yaw: float | None = None,
-    judges: Sequence[LinkShapes] = LINK_SHAPES,
+    links: Sequence[LinkShapes] = LINK_SHAPES,
     space: Occupancy | None = None,
     progress: Progress = lambda *_: None,
 ) -> Validation:
-    """Hold the C-space of a scene against coal on every node of the joint grid.
+    """Compare the C-space of a scene with coal on every node of the joint grid.
 
     The grid spans the limits of all planar joints, those that the scene locks as well. Memory does not grow with it
     but for one bit a node, and one number for each node that differs.
@@ -221,20 +75,20 @@ def validate_cspace(
         scene: Obstacles, and the clearance to keep from them.
         step: Largest spacing of the grid [rad].
         yaw: Yaw of the arm plane; None for that of the scene's start.
-        judges: Link shapes to judge by.
-        space: An occupancy to judge, whoever computed it, over the arm's joints in the capsule model; None to
+        links: Shapes of coal's links.
+        space: An occupancy to validate, whoever computed it, over the arm's joints in the capsule model; None to
             compute it here (then `step` is that of the grid).
         progress: Told how far it is.
 
     Raises:
-        OptionError: Unknown judge, a step that is not positive or too small, a yaw outside the limits.
+        OptionError: Unknown link shape, a step that is not positive or too small, a yaw outside the limits.
         InputError: The occupancy is not one of this arm; the scene's start is not one of this robot (asked for its
             yaw only).
     """
     begin = time.perf_counter()
-    unknown = [checker for checker in judges if checker not in LINK_SHAPES]
-    if unknown or not judges:
-        raise OptionError("judges", unknown[0] if unknown else (), f"some of {', '.join(LINK_SHAPES)}")
+    unknown = [shapes for shapes in links if shapes not in LINK_SHAPES]
+    if unknown or not links:
+        raise OptionError("links", unknown[0] if unknown else (), f"some of {', '.join(LINK_SHAPES)}")
     yaw = _checked_yaw(robot, scene, yaw)
     analytic_s = float("nan")
     if space is None:
@@ -246,11 +100,11 @@ def validate_cspace(
             f"the occupancy has {len(space.grid.shape)} axes, the arm {robot.arm.link_count} planar joints"
         )
     comparisons: list[Comparison] = []
-    for checker in judges:
+    for shapes in links:
         models: list[tuple[LinkModel, Occupancy]] = [("capsule", space)]
-        if checker == "box" and all(isinstance(obstacle, Sphere) for obstacle in scene.solids):
+        if shapes == "box" and all(isinstance(obstacle, Sphere) for obstacle in scene.solids):
             models.append(("rectangle", _occupancy(robot, scene, space.grid, yaw, "rectangle")))
-        comparisons += _compare(robot, scene, yaw, checker, models, progress)
+        comparisons += _compare(robot, scene, yaw, shapes, models, progress)
     return Validation(
         scene=scene.name,
         robot=robot.name,
@@ -301,12 +155,12 @@ def _compare(
     models: Sequence[tuple[LinkModel, Occupancy]],
     progress: Progress,
 ) -> Iterator[Comparison]:
-    """Ask one judge at every node, and compare each model with its answers."""
+    """Ask coal with one shape of links at every node, and compare each model with its answers."""
     clearance = scene.clearance
     checker = CoalScene(robot, scene.solids, links=shapes, clearance=clearance, single_joint_pairs=False)
     grid = models[0][1].grid
-    tallies = [_Tally() for _ in models]
-    judge_occupied, judge_s = 0, 0.0
+    tallies = [_DifferingNodes() for _ in models]
+    coal_occupied, coal_s = 0, 0.0
     rows = max(1, CHUNK // grid.shape[-1])
     row_count = grid.size // grid.shape[-1]
     progress(f"coal, {shapes} links", 0, grid.size)
@@ -316,8 +170,8 @@ def _compare(
         q = _configurations(robot, grid, indices, yaw)
         begin = time.perf_counter()
         theirs = checker.in_collision(q, margin=clearance)
-        judge_s += time.perf_counter() - begin
-        judge_occupied += int(theirs.sum())
+        coal_s += time.perf_counter() - begin
+        coal_occupied += int(theirs.sum())
         for tally, (_, space) in zip(tallies, models, strict=True):
             tally.add(checker, indices, q, _occupied_rows(space, first, last), theirs, clearance)
         progress(f"coal, {shapes} links", int(indices[-1]) + 1, grid.size)
@@ -327,17 +181,17 @@ def _compare(
         gap_examples = _look(checker, grid, gaps, yaw, clearance)[::-1]
         yield Comparison(
             link_model=model,
-            checker=shapes,
+            links=shapes,
             decisive=not (model == "capsule" and shapes == "box"),
             occupied=space.occupied_count,
-            judge_occupied=judge_occupied,
+            coal_occupied=coal_occupied,
             faults=len(faults),
             conservative=len(gaps),
             unexplained=tally.unexplained,
             in_contact=tally.in_contact,
             deepest_fault_m=max(0.0, -fault_examples[0].distance_m) if fault_examples else 0.0,
             widest_gap_m=max(0.0, gap_examples[0].distance_m) if gap_examples else 0.0,
-            judge_s=judge_s,
+            coal_s=coal_s,
             fault_examples=tuple(fault_examples[:EXAMPLES]),
             conservative_examples=tuple(gap_examples[:EXAMPLES]),
         )
@@ -346,7 +200,7 @@ def _compare(
 _NONE: IntArray = np.zeros(0, dtype=np.int64)
 
 
-class _Tally:
+class _DifferingNodes:
     """The differing nodes of one comparison, as chunks come in."""
 
     def __init__(self) -> None:
@@ -356,15 +210,9 @@ class _Tally:
         self.in_contact = 0
 
     def add(
-        self,
-        checker: CoalScene,
-        indices: IntArray,
-        q: FloatArray,
-        ours: BoolArray,
-        theirs: BoolArray,
-        clearance: float,
+        self, checker: CoalScene, indices: IntArray, q: FloatArray, ours: BoolArray, theirs: BoolArray, clearance: float
     ) -> None:
-        """Sort the differing nodes of a chunk; the judge is asked again with the contact tolerance."""
+        """Sort the differing nodes of a chunk; coal is asked again with the contact tolerance."""
         missed = np.flatnonzero(theirs & ~ours)
         if len(missed):
             sure = checker.in_collision(q[missed], margin=clearance - CONTACT_TOLERANCE)
@@ -383,6 +231,12 @@ def _configurations(robot: Robot, grid: Grid, indices: IntArray, yaw: float) -> 
     """(n, dof) configurations of nodes given by flat index."""
     nodes = grid.coordinates(np.stack(np.unravel_index(indices, grid.shape), axis=-1))
     return np.column_stack([np.full(len(nodes), yaw), nodes]) if robot.has_yaw else nodes
+
+
+def sampled_occupancy(checker: CoalScene, grid: Grid, yaw: float = 0.0) -> BoolArray:
+    """Mask of a grid over the planar joints: True where coal finds some link in contact with an obstacle."""
+    q = _configurations(checker.robot, grid, np.arange(grid.size), yaw)
+    return checker.in_collision(q).reshape(grid.shape)
 
 
 def _occupied_rows(space: Occupancy, first: int, last: int) -> BoolArray:
@@ -406,13 +260,3 @@ def _look(checker: CoalScene, grid: Grid, indices: IntArray, yaw: float, clearan
             Difference(node, tuple(q.tolist()), nearest.link, nearest.obstacle, nearest.distance_m - clearance)
         )
     return sorted(found, key=lambda difference: (difference.distance_m, difference.node))
-
-
-def _plain(example: Difference) -> dict[str, Any]:
-    return {
-        "node": list(example.node),
-        "joints_deg": [round(float(angle), 9) for angle in np.degrees(example.joints_rad)],
-        "link": example.link,
-        "obstacle": example.obstacle,
-        "distance_m": example.distance_m,
-    }

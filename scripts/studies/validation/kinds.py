@@ -1,4 +1,4 @@
-r"""The C-space held against coal on random scenes of every kind of obstacle, with a base that turns.
+r"""The C-space compared with coal on random scenes of every kind of obstacle, with a base that turns.
 
 Of each scene `configurations` nodes are looked at, on small planar grids with random offsets at many yaws, so that
 nearly every node stands at no round number. Three sides answer for each:
@@ -6,14 +6,14 @@ nearly every node stands at no round number. Three sides answer for each:
 - the *intervals* of `hplan.cspace.occupancy` on the sections of `hplan.cspace.sections`, at that yaw or over an
   interval that holds it;
 - the *distances* of `hplan.collision.clearance_field`, by their sign;
-- the *judge*: coal on capsule links placed by Pinocchio, which shares no formula with the other two. It looks at the
-  solids that keep the arm away, and besides at what they stand for: the triangles of meshes as they were given, and the
-  points of clouds before any were merged.
+- *coal* on capsule links placed by Pinocchio, which shares no formula with the other two. It is asked about the solids
+  that keep the arm away, and about the triangles of meshes as they were given, and the points of clouds before any were
+  merged.
 
-What the judge forbids the intervals must forbid: anything else is *missed*, and one is too many. What the judge has
-free by more than `SPARE` they should leave free: what they do not is *lost*, and at one yaw may be `MOST_LOST`. Over an
+Configurations that coal forbids the intervals must forbid: others are *missed*, and one is too many. Those that coal
+has free by more than `SPARE` they should leave free: others are *lost*, and at one yaw may be `MOST_LOST`. Over an
 interval of yaw a node counts as free where all yaws looked at are, the ends among them; how much is lost there is told
-and not judged, as an arm that turns by an angle sweeps what no single yaw shows.
+and not limited, as an arm that turns by an angle sweeps what no single yaw shows.
 """
 
 from __future__ import annotations
@@ -21,18 +21,18 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any, Final
 
-import coal
 import numpy as np
 import pinocchio as pin
-from studies.validation.cspace import CONTACT_TOLERANCE
+from studies.validation.cspace_results import CONTACT_TOLERANCE
 from studies.validation.scenes import KINDS, Kind, RandomScene, random_scene
 
 from hplan.base.arrays import BoolArray, FloatArray
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.coal_scene import CoalScene
+from hplan.collision.coal_shapes import triangle_tree
 from hplan.collision.geometry_pairs import GeometryPairs
 from hplan.cspace.occupancy import occupancy
 from hplan.cspace.sections import PreparedObstacles, bodies_of, sections_at
@@ -47,7 +47,7 @@ from hplan.search.grid import Grid
 #: Free by more than this, a configuration should be free for the planner [m].
 SPARE: Final = 2e-3
 
-#: Share of such configurations that may be forbidden at one yaw.
+#: Fraction of such configurations that may be forbidden at one yaw.
 MOST_LOST: Final = 0.01
 
 #: Scenes of each kind, and configurations of each scene.
@@ -74,13 +74,13 @@ Progress = Callable[[str, int, int], None]
 
 @dataclass(frozen=True)
 class Missed:
-    """A configuration that one side has free and the judge in collision, or the other way about.
+    """A configuration that one side has free and coal in collision, or the other way about.
 
     Attributes:
         scene: Number of the scene.
         side: `intervals`, `distances` (free for this side) or `contact` (in contact for the distances alone).
         joints_rad: The configuration.
-        distance_m: The judge's signed distance from the solids beyond the clearance [m].
+        distance_m: Coal's signed distance from the solids beyond the clearance [m].
     """
 
     scene: int
@@ -98,15 +98,15 @@ class KindResult:
         layers: Whether sections were over intervals of yaw.
         scenes: Number of scenes.
         configurations: Configurations of all scenes.
-        colliding: Those that the judge has in collision.
+        colliding: Those that coal has in collision.
         missed: Those of them that the intervals have free.
-        in_contact: Not among the missed: free for the intervals or the distances, in contact for the judge up to
+        in_contact: Not among the missed: free for the intervals or the distances, in contact for coal up to
             rounding.
-        differing: Configurations that the distances decide otherwise than the judge.
+        differing: Configurations that the distances decide otherwise than coal.
         nodes: Nodes that were decided: the configurations, of intervals of yaw the nodes of the planar grids.
-        spare: Nodes that the judge has free by more than `SPARE`.
+        spare: Nodes that coal has free by more than `SPARE`.
         lost: Those of them that the intervals forbid.
-        widest_gap_m: Largest distance to spare at a node that is forbidden and free for the judge [m].
+        widest_gap_m: Largest distance beyond the clearance at a node that is forbidden and free for coal [m].
         seconds: Time of all scenes [s].
         examples: Some of what was missed or differs.
     """
@@ -128,7 +128,7 @@ class KindResult:
 
     @property
     def lost_share(self) -> float:
-        """Lost nodes as a share of those that the judge has free by more than `SPARE`; 0 where there are none."""
+        """Lost nodes as a fraction of those that coal has free by more than `SPARE`; 0 where there are none."""
         return self.lost / max(1, self.spare)
 
     @property
@@ -139,7 +139,7 @@ class KindResult:
 
 @dataclass(frozen=True)
 class KindsValidation:
-    """What came of holding random scenes against coal.
+    """The result of comparing random scenes with coal.
 
     Attributes:
         robot: Name of the robot.
@@ -197,7 +197,7 @@ def validate_kinds(
     seed: int = 0,
     progress: Progress = lambda *_: None,
 ) -> KindsValidation:
-    """Hold the C-space against coal on random scenes of each kind: at single yaws, then over intervals of yaw.
+    """Compare the C-space with coal on random scenes of each kind: at single yaws, then over intervals of yaw.
 
     Args:
         robot: The arm; without yaw there are no intervals.
@@ -220,7 +220,7 @@ def validate_kinds(
     results = []
     for layers in (False, True) if robot.has_yaw else (False,):
         for kind in kinds:
-            tally = _Tally(robot, kind, layers)
+            tally = _KindCounts(robot, kind, layers)
             what = f"{kind}, intervals of yaw" if layers else kind
             progress(what, 0, scenes)
             for number in range(scenes):
@@ -237,15 +237,18 @@ def validate_kinds(
     )
 
 
-class _Tally:
+#: Fields of `KindResult` that are counted.
+_COUNTS: Final = tuple(field.name for field in fields(KindResult) if field.type == "int")
+
+
+class _KindCounts:
     """The counts of one kind, scene by scene."""
 
     def __init__(self, robot: Robot, kind: Kind, layers: bool) -> None:
         self._robot, self._kind, self._layers = robot, kind, layers
         self._tolerance = _CLOUD_TOLERANCE if kind == "points" else CONTACT_TOLERANCE
         self._begin = time.perf_counter()
-        self._scenes = self._configurations = self._colliding = self._missed = self._in_contact = 0
-        self._differing = self._nodes = self._spare = self._lost = 0
+        self._counts = dict.fromkeys(_COUNTS, 0)
         self._widest = 0.0
         self._examples: list[Missed] = []
 
@@ -258,55 +261,48 @@ class _Tally:
         # (nodes, yaws looked at, dof), and (nodes,) whether the node is forbidden
         q, forbidden = looks(robot, bodies, made.sector, configurations, rng)
         every = q.reshape(-1, robot.dof)
-        checker = _Judge(robot, made.scene)
+        checker = _CoalWithShapes(robot, made.scene)
         colliding = checker.collides(every, 0.0)
-        # What is free may still be nearer than the spare.
-        spare = ~colliding
-        spare[spare] = ~checker.collides(every[spare], SPARE)
+        # A free configuration may still be nearer than `SPARE`.
+        spare_clear = ~colliding
+        spare_clear[spare_clear] = ~checker.collides(every[spare_clear], SPARE)
         ours = np.repeat(forbidden, q.shape[1])
-        self._scenes += 1
-        self._configurations += len(every)
-        self._nodes += len(q)
-        self._colliding += int(colliding.sum())
-        self._missed += self._sort(number, "intervals", checker, every[colliding & ~ours], free=True)
-        spare_node, free_node = (mask.reshape(q.shape[:2]).all(axis=1) for mask in (spare, ~colliding))
-        self._spare += int(spare_node.sum())
-        self._lost += int((forbidden & spare_node).sum())
+        counts = self._counts
+        counts["scenes"] += 1
+        counts["configurations"] += len(every)
+        counts["nodes"] += len(q)
+        counts["colliding"] += int(colliding.sum())
+        counts["missed"] += self._sort(number, "intervals", checker, every[colliding & ~ours], free=True)
+        spare_node, free_node = (mask.reshape(q.shape[:2]).all(axis=1) for mask in (spare_clear, ~colliding))
+        counts["spare"] += int(spare_node.sum())
+        counts["lost"] += int((forbidden & spare_node).sum())
         field = ClearanceField.of(robot, made.scene.solids, clearance=clearance)
         if self._layers:
             for node in np.flatnonzero(forbidden & free_node):
                 self._widest = max(self._widest, min(field.clearance(configuration) for configuration in q[node]))
             return
         clear = np.array([field.clearance(configuration) for configuration in every])
-        self._differing += self._sort(number, "distances", checker, every[colliding & (clear > 0.0)], free=True)
-        self._differing += self._sort(number, "contact", checker, every[~colliding & ~(clear > 0.0)], free=False)
+        counts["differing"] += self._sort(number, "distances", checker, every[colliding & (clear > 0.0)], free=True)
+        counts["differing"] += self._sort(number, "contact", checker, every[~colliding & ~(clear > 0.0)], free=False)
         self._widest = max(self._widest, float(clear[forbidden & free_node].max(initial=0.0)))
 
-    def _sort(self, number: int, side: str, checker: _Judge, q: FloatArray, *, free: bool) -> int:
-        """How many configurations are decided otherwise than by the judge, not those in contact up to rounding."""
+    def _sort(self, number: int, side: str, checker: _CoalWithShapes, q: FloatArray, *, free: bool) -> int:
+        """How many configurations are decided otherwise than by coal, not those in contact up to rounding."""
         if len(q) == 0:
             return 0
         sure = checker.collides(q, -self._tolerance) if free else ~checker.collides(q, self._tolerance)
-        self._in_contact += int((~sure).sum())
+        self._counts["in_contact"] += int((~sure).sum())
         for configuration in q[sure][: EXAMPLES - len(self._examples)]:
             distance = checker.distance(configuration)
             self._examples.append(Missed(number, side, tuple(configuration.tolist()), distance))
         return int(sure.sum())
 
     def result(self) -> KindResult:
-        """What came of it."""
+        """The result."""
         return KindResult(
             kind=self._kind,
             layers=self._layers,
-            scenes=self._scenes,
-            configurations=self._configurations,
-            colliding=self._colliding,
-            missed=self._missed,
-            in_contact=self._in_contact,
-            differing=self._differing,
-            nodes=self._nodes,
-            spare=self._spare,
-            lost=self._lost,
+            **self._counts,
             widest_gap_m=self._widest,
             seconds=time.perf_counter() - self._begin,
             examples=tuple(self._examples),
@@ -359,7 +355,7 @@ def _at_yaws(robot: Robot, grid: Grid, yaws: FloatArray) -> FloatArray:
     return np.concatenate([turned, planar], axis=2)
 
 
-class _Judge:
+class _CoalWithShapes:
     """coal's answer for one scene: its solids, and the surfaces and points that they stand for."""
 
     def __init__(self, robot: Robot, scene: Scene) -> None:
@@ -389,17 +385,13 @@ class _Judge:
 
 
 class _Surfaces:
-    """The links of a judge against triangles, which are hollow to coal: only what touches one is seen."""
+    """The links against triangles, which are hollow to coal: only what touches one is seen."""
 
     def __init__(self, links: CoalScene, surfaces: Sequence[tuple[FloatArray, Any]]) -> None:
-        trees = []
-        for index, (vertices, faces) in enumerate(surfaces):
-            tree = coal.BVHModelOBBRSS()
-            tree.beginModel(len(faces), len(vertices))
-            tree.addVertices(np.array(vertices))
-            tree.addTriangles(faces.astype(np.int32))
-            tree.endModel()
-            trees.append(pin.GeometryObject(f"surface:{index}", 0, pin.SE3.Identity(), tree))
+        trees = [
+            pin.GeometryObject(f"surface:{index}", 0, pin.SE3.Identity(), triangle_tree(*surface))
+            for index, surface in enumerate(surfaces)
+        ]
         self._geometry = GeometryPairs(links.robot.model, links.link_shapes, trees)
 
     def in_collision(self, q: FloatArray, *, margin: float) -> BoolArray:

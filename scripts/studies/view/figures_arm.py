@@ -15,17 +15,7 @@ from numpy.typing import ArrayLike
 
 from hplan.base.arrays import FloatArray
 from hplan.robot.model import PlanarArm
-from hplan.view.figure_style import (
-    GOAL,
-    INK,
-    LINKS,
-    OBSTACLE,
-    PATH,
-    QUIET,
-    START,
-    new_figure,
-    styled,
-)
+from hplan.view.figure_style import GOAL, INK, LINKS, OBSTACLE, PATH, QUIET, START, new_figure, styled
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -178,14 +168,7 @@ def arm_and_obstacle(arm: PlanarArm, centre: ArrayLike, radius: float, start: Ar
 
 
 def draw_motion(
-    axes: Axes,
-    arm: PlanarArm,
-    centre: ArrayLike,
-    radius: float,
-    path: FloatArray,
-    *,
-    poses: int = 9,
-    color: str = PATH,
+    axes: Axes, arm: PlanarArm, centre: ArrayLike, radius: float, path: FloatArray, *, poses: int = 9, color: str = PATH
 ) -> None:
     """Draw a motion stroboscopically: poses from light to dark, the tool's path, start and goal.
 
@@ -225,12 +208,7 @@ def draw_motion(
 
 
 @styled
-def motions(
-    arm: PlanarArm,
-    centre: ArrayLike,
-    radius: float,
-    paths: Mapping[str, FloatArray],
-) -> Figure:
+def motions(arm: PlanarArm, centre: ArrayLike, radius: float, paths: Mapping[str, FloatArray]) -> Figure:
     """The arm's motion, one column for each method, and the joint angles along the path.
 
     Args:

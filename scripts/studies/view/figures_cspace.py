@@ -68,11 +68,7 @@ def slices(
         occupied = occupancy.occupied[:, :, number]
         reached = reached_mask(~occupied, (int(start[0]), int(start[1])))
         feasible = bool(reached[goal[0], goal[1]])
-        paint(
-            axes,
-            grid,
-            [(reached, PATH_TINT), (occupied, OBSTACLE_TINT), (occupied & earlier, OBSTACLE)],
-        )
+        paint(axes, grid, [(reached, PATH_TINT), (occupied, OBSTACLE_TINT), (occupied & earlier, OBSTACLE)])
         _ends(axes, grid, start, goal)
         degree_axes(axes, grid, x_label=place >= 3, y_label=place % 3 == 0)
         value = np.degrees(grid.axis(2)[number])

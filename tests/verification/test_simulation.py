@@ -21,7 +21,8 @@ from hplan.robot_family.members import ArmSpec, write_robot
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Box, Capsule, Mesh, PointCloud, Sphere
 from hplan.timing.trajectory import Trajectory, write_csv
-from hplan.verification import simulation as execution
+from hplan.verification import simulation
+from hplan.verification.mujoco_model import MOST_BALLS
 from hplan.verification.recorded_motion import RecordedMotion, read_motion
 from hplan.verification.simulation import HOLD, Execution, execute
 
@@ -228,7 +229,7 @@ def test_contacts_of_mujoco_are_those_of_coal(robot: Robot, obstacle: Any) -> No
             continue
         still = RecordedMotion(robot.joint_names, np.zeros(1), q[None], np.zeros((1, 4)))
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(execution, "HOLD", 0.0)
+            patch.setattr(simulation, "HOLD", 0.0)
             result = execute(robot, scene, still)
         touched = {touch.link for touch in result.contacts}
         assert touched == {name for name, d in zip(checker.link_names, distances, strict=True) if d < 0.0}
@@ -250,13 +251,13 @@ def test_a_grown_hull_is_held(robot: Robot) -> None:
     for index, expected in ((first, True), (int(np.argmax(np.array(deep) < 1.3 * hull.rounding)) - 1, False)):
         still = RecordedMotion(robot.joint_names, np.zeros(1), np.array([[0.0, up[index], 0.0, 0.0]]), np.zeros((1, 4)))
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(execution, "HOLD", 0.0)
+            patch.setattr(simulation, "HOLD", 0.0)
             assert bool(execute(robot, scene, still).contacts) is expected
 
 
 @needs_mujoco
 def test_too_many_balls(robot: Robot, scene: Scene) -> None:
-    cloud = PointCloud.of("canopy", np.random.default_rng(0).uniform(2, 3, (execution.MOST_BALLS + 1, 3)), 0.01)
+    cloud = PointCloud.of("canopy", np.random.default_rng(0).uniform(2, 3, (MOST_BALLS + 1, 3)), 0.01)
     crowded = scene.with_obstacles([cloud])
     with pytest.raises(InputError, match="'canopy' has 2001 balls, too many for MuJoCo; thin its points"):
         execute(robot, crowded, straight(robot, crowded, 1.0))
@@ -309,7 +310,7 @@ def test_the_reference_is_the_hermite_cubic(robot: Robot) -> None:
     def cubic(t: np.ndarray, derivative: int) -> np.ndarray:
         return np.stack([np.polyval(np.polyder(row, derivative), t) for row in coefficients], axis=-1)
 
-    reference = execution._Reference.of(robot, RecordedMotion(robot.joint_names, time, cubic(time, 0), cubic(time, 1)))
+    reference = simulation._Reference.of(robot, RecordedMotion(robot.joint_names, time, cubic(time, 0), cubic(time, 1)))
     clock = np.linspace(0.0, 1.0, 77)
     for derivative, values in enumerate(reference.at(clock)):
         np.testing.assert_allclose(values, cubic(clock + 3.0, derivative), atol=1e-11)

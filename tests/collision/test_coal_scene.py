@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 from arm_variants import VARIANTS, axis_points, coal_distances, load_variant, random_obstacles
 from shapes import torus
+from studies.validation.cspace import sampled_occupancy
 
 from hplan.base.data_files import urdf_dir
-from hplan.collision.coal_scene import CoalScene, base_contacts, base_radius, check_clear, sampled_occupancy
+from hplan.collision.coal_scene import CoalScene, base_contacts, base_radius, check_clear
 from hplan.cspace.occupancy import joint_grid, occupancy
 from hplan.cspace.sections import arm_sections
 from hplan.errors import ConfigurationInCollisionError, OptionError

@@ -1,0 +1,130 @@
+"""A robot among a scene's obstacles as a model of MuJoCo, an extra that is imported on first use."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import ModuleType
+from typing import Any, assert_never
+
+import numpy as np
+import pinocchio as pin
+
+from hplan.base.arrays import FloatArray
+from hplan.errors import InputError, RobotFileError
+from hplan.robot.model import Robot
+from hplan.scene.model import Scene
+from hplan.scene.obstacles import Box, Capsule, Solid, Sphere
+from hplan.scene.solids import CUBE_CORNERS, Cloud, Hull
+
+#: Most balls of a cloud that MuJoCo is given.
+MOST_BALLS = 2_000
+
+
+def import_mujoco() -> ModuleType:
+    """The module `mujoco`.
+
+    Raises:
+        InputError: It is not installed.
+    """
+    try:
+        import mujoco
+    except ImportError as error:
+        raise InputError(
+            "executing a motion needs MuJoCo, which is not installed: pip install 'hplan[execution]'", extra="execution"
+        ) from error
+    module: ModuleType = mujoco
+    return module
+
+
+def mujoco_model(mujoco: ModuleType, robot: Robot, scene: Scene, *, timestep_s: float) -> tuple[Any, dict[int, str]]:
+    """The arm with motors among the obstacles, and the obstacle's name for each geometry that is one.
+
+    Raises:
+        InputError: A cloud of more than `MOST_BALLS` balls.
+        RobotFileError: MuJoCo refuses the URDF.
+    """
+    try:
+        spec = mujoco.MjSpec.from_file(str(robot.urdf_path))
+    except ValueError as error:
+        raise RobotFileError(robot.urdf_path, f"MuJoCo refuses it: {error}") from error
+    for mesh in spec.meshes:
+        mesh.file = _mesh_file(mesh.file, robot.urdf_path.parent)
+    spec.option.timestep = timestep_s
+    spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+    for geom in spec.geoms:
+        # Two geometries meet where a bit is in the type of one and the affinity of the other: arm and obstacle only.
+        geom.contype, geom.conaffinity = int(bool(geom.contype or geom.conaffinity)), 0
+    for name, limit in zip(robot.joint_names, robot.torque_limit.tolist(), strict=True):
+        motor = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)  # a motor, of gain 1
+        motor.ctrllimited, motor.ctrlrange = True, [-limit, limit]
+    names = {}
+    for number, obstacle in enumerate(scene.solids):
+        for part, shape in enumerate(_shapes(mujoco, spec, obstacle, number)):
+            label = f"obstacle:{number}:{part}"
+            names[label] = obstacle.name
+            spec.worldbody.add_geom(name=label, contype=0, conaffinity=1, **shape)
+    try:
+        model = spec.compile()
+    except ValueError as error:
+        raise RobotFileError(robot.urdf_path, f"MuJoCo refuses it: {error}") from error
+    return model, {model.geom(label).id: name for label, name in names.items()}
+
+
+def _mesh_file(name: str, folder: Path) -> str:
+    """A mesh of the URDF where Pinocchio finds it; MuJoCo knows no URLs, and has left one slash of theirs."""
+    scheme, colon, rest = name.partition(":")
+    if colon and scheme == "package":
+        return str((folder / rest.lstrip("/")).resolve())
+    if colon and scheme == "file":
+        return "/" + rest.lstrip("/")
+    return str((folder / name).resolve())
+
+
+def _shapes(mujoco: ModuleType, spec: Any, obstacle: Solid, number: int) -> list[dict[str, Any]]:
+    """Arguments of MuJoCo's geometries for an obstacle.
+
+    Raises:
+        InputError: A cloud of more than `MOST_BALLS` balls.
+    """
+    kinds = mujoco.mjtGeom
+    if isinstance(obstacle, Sphere):
+        return [{"type": kinds.mjGEOM_SPHERE, "pos": obstacle.center, "size": [obstacle.radius, 0.0, 0.0]}]
+    if isinstance(obstacle, Capsule):
+        start, end = np.array(obstacle.start), np.array(obstacle.end)
+        length, middle = float(np.linalg.norm(end - start)), 0.5 * (start + end)
+        if length < 1e-9:
+            return [{"type": kinds.mjGEOM_SPHERE, "pos": middle, "size": [obstacle.radius, 0.0, 0.0]}]
+        turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), (end - start) / length)
+        size, quat = [obstacle.radius, 0.5 * length, 0.0], [turn.w, turn.x, turn.y, turn.z]
+        return [{"type": kinds.mjGEOM_CAPSULE, "pos": middle, "quat": quat, "size": size}]
+    if isinstance(obstacle, Box):
+        turn = pin.Quaternion(obstacle.rotation)
+        size, quat = [0.5 * side for side in obstacle.size], [turn.w, turn.x, turn.y, turn.z]
+        return [{"type": kinds.mjGEOM_BOX, "pos": obstacle.center, "quat": quat, "size": size}]
+    if isinstance(obstacle, Hull):
+        name = f"obstacle:{number}"
+        mesh = spec.add_mesh(name=name, uservert=_grown_vertices(obstacle).ravel())
+        mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # small pieces have too little volume for it
+        return [{"type": kinds.mjGEOM_MESH, "meshname": name}]
+    if isinstance(obstacle, Cloud):
+        if len(obstacle.core) > MOST_BALLS:
+            raise InputError(
+                f"obstacle {obstacle.name!r} has {len(obstacle.core)} balls, too many for MuJoCo; thin its points to "
+                f"at most {MOST_BALLS} to execute the motion",
+                obstacle=obstacle.name,
+                balls=len(obstacle.core),
+            )
+        size = [obstacle.rounding, 0.0, 0.0]
+        return [{"type": kinds.mjGEOM_SPHERE, "pos": center, "size": size} for center in obstacle.core]
+    assert_never(obstacle)
+
+
+def _grown_vertices(hull: Hull) -> FloatArray:
+    """(n, 3) points whose hull, which is what MuJoCo takes, holds a hull grown by its rounding [m].
+
+    A cube of that half edge about each vertex: nothing is farther outside than 0.74 of the rounding.
+    """
+    if hull.rounding == 0.0:
+        return hull.core
+    grown: FloatArray = (hull.core[:, None] + hull.rounding * CUBE_CORNERS).reshape(-1, 3)
+    return grown

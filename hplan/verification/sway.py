@@ -1,0 +1,65 @@
+"""The movers of a checker's pairs, and how much nearer tracking errors may bring each pair: its sway."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from hplan.base.arrays import FloatArray, IntArray
+from hplan.collision.coal_scene import CoalScene
+from hplan.robot.base_shapes import GROUND, TURRET
+from hplan.robot.model import Robot
+from hplan.robot.self_contact import pair_sway
+
+
+def pair_sways(checker: CoalScene, deviations: FloatArray) -> FloatArray:
+    """By how much each pair may come nearer when joints are off by deviations, (k, dof) [rad] -> (pairs, k) [m]."""
+    mover_of, others = movers(checker)
+    return sways(checker.robot, others, deviations)[mover_of]
+
+
+def sways(robot: Robot, others: Sequence[tuple[int, int]], deviations: FloatArray) -> FloatArray:
+    """(movers, k) by how much the movers' pairs may come nearer [m]: of the links, then of the others."""
+    found = [pair_sway(robot, part, other, deviations) for part, other in others]
+    return np.column_stack([robot.sway(deviations), *found]).T
+
+
+def off_axis(checker: CoalScene, others: Sequence[tuple[int, int]], turns: FloatArray) -> FloatArray:
+    """(movers, k) how much farther than its axis a link that is no capsule moves as joints turn by (k, dof) [m].
+
+    A ball about a point of the axis moves as that point does; what is at most r from the axis by r times the link's
+    turn more, which is at most the sum of the turns of the joints before it. Seen from another link, that one's own
+    turn comes to it.
+    """
+    arm = checker.robot.arm
+    reach = arm.half_widths * {"capsule": 0.0, "urdf": 1.0, "box": math.sqrt(2.0)}[checker.links]
+    turned = np.cumsum(np.abs(turns), axis=1)[:, checker.robot.arm_slice].T
+    found = [reach[link] * turned[link] for link in range(arm.link_count)]
+    for part, other in others:
+        own = reach[part] * turned[part] if part >= 0 else np.zeros(len(turns))
+        found.append(own + (reach[part] * turned[other] if part >= 0 and other >= 0 else 0.0))
+    return np.array(found)
+
+
+def movers(checker: CoalScene) -> tuple[IntArray, list[tuple[int, int]]]:
+    """The mover of each pair, and the movers after the links: a part, and the body from which its motion is seen.
+
+    The links as seen from the ground are the first movers.
+    """
+    first, links = len(checker.pairs) - len(checker.own_others), len(checker.link_names)
+    seen_from = [GROUND] * first + checker.own_others
+    parts = [
+        (mover if mover < links else TURRET, other) for (mover, _), other in zip(checker.pairs, seen_from, strict=True)
+    ]
+    movers = list(dict.fromkeys([*((link, GROUND) for link in range(links)), *parts]))
+    numbers = {mover: number for number, mover in enumerate(movers)}
+    return np.array([numbers[part] for part in parts], dtype=np.int64), movers[links:]
+
+
+def at_rows(sway: FloatArray, pieces: int) -> FloatArray:
+    """(movers, pieces + 1) the larger sway of the two pieces at each row, from that of the pieces, or of all in one."""
+    if sway.shape[1] == 1:
+        return np.repeat(sway, pieces + 1, axis=1)
+    return np.maximum(np.column_stack([sway[:, :1], sway]), np.column_stack([sway, sway[:, -1:]]))

@@ -1,0 +1,58 @@
+"""A motion to be shown: trajectory, picked fruits and phases."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+from hplan.errors import InputError
+from hplan.robot.model import Robot
+from hplan.timing.trajectory import Trajectory
+
+
+class NamedPhase(Protocol):
+    """A part of a motion, as `hplan.planning.plan.Phase` is one."""
+
+    @property
+    def name(self) -> str:
+        """`approach`, `retreat`, or another name."""
+
+    @property
+    def start_s(self) -> float:
+        """When it begins [s]."""
+
+    @property
+    def end_s(self) -> float:
+        """When it ends [s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Playback:
+    """A motion to be shown.
+
+    Attributes:
+        trajectory: The motion; with a single sample the arm stands still.
+        picked: Fruit and when the tool reaches it [s]; it changes its colour then, and moves with the tool.
+        dropped: Fruit and when the tool lets it go [s]; where it is not named, at the end of the retreat.
+        phases: Parts of the motion; `approach` is drawn in a colour of its own, `retreat` is its path backwards.
+    """
+
+    trajectory: Trajectory
+    picked: Mapping[str, float] = field(default_factory=dict)
+    dropped: Mapping[str, float] = field(default_factory=dict)
+    phases: Sequence[NamedPhase] = ()
+
+    def check(self, robot: Robot) -> None:
+        """Check that the motion is one of a robot.
+
+        Raises:
+            InputError: The trajectory is of other joints than the robot's.
+        """
+        if self.trajectory.joint_names != robot.joint_names:
+            got, expected = ", ".join(self.trajectory.joint_names), ", ".join(robot.joint_names)
+            raise InputError(
+                f"the trajectory moves {got}; the joints of {robot.name!r} are {expected}",
+                expected=list(robot.joint_names),
+                got=list(self.trajectory.joint_names),
+            )

@@ -246,7 +246,7 @@ def load_robot(path: Path | str | None = None, *, limits: Path | str | None = No
 
     Args:
         path: URDF file; None for the harvester that ships with hplan.
-        limits: Limits YAML; None for the file beside the URDF, `NAME.limits.yaml`.
+        limits: Limits YAML; None for the file in the folder of the URDF, `NAME.limits.yaml`.
         tool_frame: Frame at the end of the last link.
 
     Raises:

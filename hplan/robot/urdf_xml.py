@@ -44,7 +44,7 @@ def read_urdf_xml(path: Path) -> ET.Element:
 
 
 def line_of(element: ET.Element) -> str:
-    """Where an element stands, as the beginning of a message."""
+    """Line of an element, as the beginning of a message."""
     line = getattr(element, "line", 0)
     return f"line {line}: " if line else ""
 

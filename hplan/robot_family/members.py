@@ -63,7 +63,7 @@ def write_robot(spec: ArmSpec, urdf_path: Path | str) -> tuple[Path, Path]:
 
 @dataclass(frozen=True)
 class CrossCheck:
-    """What Pinocchio and yourdfpy make of the same URDF.
+    """Differences of what Pinocchio and yourdfpy read from the same URDF.
 
     Attributes:
         frames: Names of the link frames that were compared.

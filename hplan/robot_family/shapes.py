@@ -62,7 +62,7 @@ def capsule(link: str, length: float, radius: float) -> list[Primitive]:
 
 
 def _visual_reach(half_width: float) -> float:
-    """How far from a link's axis its visuals may go: a little out of the capsule, never 1 cm."""
+    """Largest distance of a link's visuals from its axis: a little out of the capsule, never 1 cm."""
     return half_width + min(0.008, 0.2 * half_width)
 
 

@@ -1,4 +1,4 @@
-"""What a member of the robot family is: its links, joints and limits, checked; and the one that ships."""
+"""Specification of a member of the robot family: its links, joints and limits, checked; and the one that ships."""
 
 from __future__ import annotations
 

@@ -119,7 +119,7 @@ def _volume(triangles: FloatArray) -> float:
 
 
 def _is_convex(vertices: FloatArray, faces: IntArray) -> bool:
-    """Whether no vertex is above the plane of any triangle."""
+    """True if no vertex is above the plane of any triangle."""
     size = float(np.ptp(vertices, axis=0).max())
     corners = vertices[faces]
     normals = triangle_normals(corners)
@@ -154,7 +154,7 @@ class _ClippedPart:
 
     @property
     def is_thin(self) -> bool:
-        """Whether it is a sheet, or a part of one."""
+        """True if it is a sheet, or a part of one."""
         return len(self.thickening) > 1
 
     @property

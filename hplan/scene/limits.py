@@ -1,4 +1,4 @@
-"""How much a scene may hold: what is beyond is refused before it costs time or memory, or overflows.
+"""Limits of what a scene may hold: more is refused before it costs time or memory, or overflows.
 
 Far above what any orchard needs; within these limits planning takes time about linear in what the scene holds.
 """

@@ -32,7 +32,7 @@ class Fruit(StrictModel):
 
 
 class Start(StrictModel):
-    """Where the motion begins: one of `joints_deg`, `joints_rad`."""
+    """The start of the motion: one of `joints_deg`, `joints_rad`."""
 
     joints_deg: tuple[float, ...] | None = None
     joints_rad: tuple[float, ...] | None = None
@@ -49,7 +49,7 @@ class Start(StrictModel):
         return self
 
     def joints(self) -> FloatArray | None:
-        """The configuration [rad], or None where the goal is given in another way."""
+        """The configuration [rad], or None for a goal given otherwise."""
         if self.joints_deg is not None:
             return np.radians(self.joints_deg)
         return None if self.joints_rad is None else np.array(self.joints_rad, dtype=np.float64)
@@ -59,7 +59,7 @@ class Start(StrictModel):
         """The configuration [rad].
 
         Raises:
-            SceneError: It is a goal that is given in another way.
+            SceneError: It is a goal given otherwise.
         """
         joints = self.joints()
         if joints is None:
@@ -68,7 +68,7 @@ class Start(StrictModel):
 
 
 class Goal(Start):
-    """Where the motion ends: joints, a `tool0` position, or the name of a fruit.
+    """The goal of the motion: joints, a `tool0` position, or the name of a fruit.
 
     To a position or a fruit, `approach_deg` fixes or bounds the angle of the last link in the arm plane (0: outward,
     90: up).

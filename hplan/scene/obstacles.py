@@ -205,7 +205,7 @@ class Mesh(_FromData):
     def _read(self, info: ValidationInfo) -> Mesh:
         from hplan.scene.shape_data import read_surface
 
-        if self._data is not None:  # an obstacle that is there already, on its way into a scene
+        if self._data is not None:  # an obstacle that exists already is put into a scene
             return self
         self._data, self._path = _shape_data(self.file, read_surface, info)
         span = float(np.ptp(self._data.vertices, axis=0).max()) * self.scale
@@ -271,7 +271,7 @@ class PointCloud(_FromData):
     def _read(self, info: ValidationInfo) -> PointCloud:
         from hplan.scene.shape_data import read_points
 
-        if self._data is not None:  # an obstacle that is there already, on its way into a scene
+        if self._data is not None:  # an obstacle that exists already is put into a scene
             return self
         self._data, self._path = _shape_data(self.file, read_points, info)
         return self

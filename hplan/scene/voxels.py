@@ -53,7 +53,7 @@ class SolidVoxels:
         return float(np.sqrt(3.0) * self.edge)
 
     def excess(self, hull: Hull) -> float:
-        """How far the hull stands out, by the voxels whose centre is nearer to it than half their diagonal [m]."""
+        """Distance by which the hull stands out, by the voxels within half their diagonal of it [m]."""
         margin = 0.5 * self.blur + hull.rounding
         low = np.floor((hull.core.min(axis=0) - margin - self.origin) / self.edge).astype(int)
         high = np.ceil((hull.core.max(axis=0) + margin - self.origin) / self.edge).astype(int) + 1

@@ -14,7 +14,7 @@ BANDWIDTH = 40.0
 
 @dataclass(frozen=True)
 class Plant:
-    """How the simulated machine differs from what its controller believes, and how stiff the controller is.
+    """Parameters of the simulated machine that its controller does not know, and the stiffness of the controller.
 
     Attributes:
         mass_factor: Masses and inertias of its bodies, as multiples of the URDF's.

@@ -59,7 +59,7 @@ def showing(since: float, until: float, end: float) -> Json:
 
 
 def clip(path: str, *tracks: Json) -> Json:
-    """What happens to a node over time."""
+    """Tracks of a node over time."""
     return {"path": path, "clip": {"name": "motion", "fps": 1, "tracks": list(tracks)}}
 
 

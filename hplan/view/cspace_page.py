@@ -96,7 +96,7 @@ def _commands(section: YawSection) -> list[Json]:
 
 
 def _place(section: YawSection, nodes: FloatArray) -> FloatArray:
-    """Where (n, 3) places in units of nodes are in the cube [m]."""
+    """Positions in the cube of (n, 3) places in units of nodes [m]."""
     return _EDGE * (nodes / (np.array(section.grid.shape) - 1.0) - 0.5)
 
 
@@ -125,7 +125,7 @@ def _ticks(section: YawSection, axis: int) -> list[float]:
 
 
 def _at(section: YawSection, axis: int, degrees: float) -> float:
-    """Where an angle is along its edge of the cube [m]."""
+    """Position of an angle along its edge of the cube [m]."""
     grid = section.grid
     fraction = (math.radians(degrees) - grid.lower[axis]) / (grid.step[axis] * (grid.shape[axis] - 1))
     return float(_EDGE * (fraction - 0.5))
@@ -162,7 +162,7 @@ def _box(section: YawSection) -> Body:
 
 
 def _labels(section: YawSection) -> list[Json]:
-    """Angles and names along three edges of the cube that the viewer sees in front, and beside it."""
+    """Angles and names along three edges of the cube that the viewer sees in front."""
     half, outside = 0.5 * _EDGE, 1.13 * 0.5 * _EDGE
     azimuth = math.radians(section.view[0])
     near = np.sign([math.cos(azimuth), math.sin(azimuth)])

@@ -1,4 +1,4 @@
-"""Where the camera stands, and in what light: all points are in the picture, and little stands before the arm."""
+"""Camera and lights: all points are in the picture, and little stands before the arm."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _SKY_BOTTOM = (0.97, 0.97, 0.96)
 
 @dataclass(frozen=True)
 class Frame:
-    """Where the camera stands and what it looks at.
+    """Place of the camera, and what it looks at.
 
     Attributes:
         target: (3,) point in the middle of the picture [m].
@@ -64,11 +64,11 @@ def frame(points: FloatArray, azimuth: float, elevation: float) -> Frame:
 
 
 def covered(points: FloatArray, before: FloatArray, widths: FloatArray, azimuth: float, elevation: float) -> float:
-    """Share of (m, 3) points that others hide, seen from a direction and far away.
+    """Fraction of (m, 3) points that others hide, seen from a direction and far away.
 
     Args:
         points: (m, 3) what is to be seen [m].
-        before: (n, 3) what may be in the way [m].
+        before: (n, 3) points that may hide them [m].
         widths: (n,) radius of each [m].
         azimuth: Direction of the camera.
         elevation: Its height.

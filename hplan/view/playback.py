@@ -20,11 +20,11 @@ class NamedPhase(Protocol):
 
     @property
     def start_s(self) -> float:
-        """When it begins [s]."""
+        """Begin [s]."""
 
     @property
     def end_s(self) -> float:
-        """When it ends [s]."""
+        """End [s]."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -28,7 +28,7 @@ from hplan.view.three_js import Body, Json
 
 @dataclass(frozen=True)
 class Look:
-    """How obstacles of a kind look.
+    """Look of obstacles of a kind.
 
     Attributes:
         label: What the legend calls them.

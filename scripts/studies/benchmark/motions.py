@@ -65,17 +65,17 @@ class Findings:
 
     @property
     def collides(self) -> bool:
-        """Whether an obstacle is touched."""
+        """True if an obstacle is touched."""
         return self.depth_mm > 0.0
 
     @property
     def leaves_range(self) -> bool:
-        """Whether a joint limit is passed."""
+        """True if a joint limit is passed."""
         return self.outside_deg > 1e-6
 
     @property
     def breaks_limits(self) -> bool:
-        """Whether a velocity, acceleration or torque limit is broken."""
+        """True if a velocity, acceleration or torque limit is broken."""
         return max(self.velocity, self.acceleration, self.torque) > 1.0 + TOLERANCE
 
 

@@ -102,7 +102,7 @@ def next_move(robot: Robot, scene: Scene, motion: FloatArray, random: np.random.
 
 
 def leaves_room(robot: Robot, scene: Scene, pieces: Sequence[Piece]) -> bool:
-    """Whether planning takes base, start and goal of a scene among some obstacles, with `ROOM` to spare."""
+    """True if planning takes base, start and goal of a scene among some obstacles, with `ROOM` to spare."""
     start, goal = scene.start.configuration, scene.goal.configuration
     world = PlanningCache(robot).world(scene.with_obstacles(pieces), PlanOptions())
     try:

@@ -155,7 +155,7 @@ class _Calls:
         self.seconds = 0.0
 
     def motion(self, first: Any, second: Any) -> bool:
-        """Whether the straight motion is shown clear."""
+        """True if the straight motion is shown clear."""
         begin = time.perf_counter()
         field, axes = self._field, range(self._count)
         ends = [first[i] for i in axes], [second[i] for i in axes]
@@ -169,7 +169,7 @@ class _Calls:
         return clear
 
     def state(self, state: Any) -> bool:
-        """Whether a configuration keeps the margin."""
+        """True if a configuration keeps the margin."""
         begin = time.perf_counter()
         field = self._field
         values = [state[i] for i in range(self._count)]

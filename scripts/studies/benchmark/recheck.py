@@ -114,7 +114,7 @@ def measure(robot: Robot, scene: Scene, *, seed: int, scenes: int, progress: Pro
 
 
 def _is_direct(robot: Robot, drawn: PlanarScene) -> bool:
-    """Whether the straight motion from start to goal is clear."""
+    """True if the straight motion from start to goal is clear."""
     task = PeerTask.of(robot, drawn.scene)
     return task.field.is_clear(np.stack([task.problem.start, task.problem.goal]), task.smallest_margin)
 

@@ -50,7 +50,7 @@ class PlanarScene:
 
     @property
     def has_path(self) -> bool:
-        """Whether start and goal are connected on the grid."""
+        """True if start and goal are connected on the grid."""
         return two_level_search(self.space, self.start, self.goal).path is not None
 
 

@@ -100,7 +100,7 @@ class PlacedBodies:
         return [self.model.joints[self.model.getJointId(name)].idx_q for name in names]
 
     def stands(self, number: int) -> bool:
-        """Whether a body is the same at all configurations: it does not move, or is round about the yaw axis."""
+        """True if a body is the same at all configurations: it does not move, or is round about the yaw axis."""
         shape = self.geometry.geometryObjects[number]
         if shape.parentJoint == 0:
             return True

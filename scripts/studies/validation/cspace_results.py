@@ -119,7 +119,7 @@ class Validation:
 
     @property
     def ok(self) -> bool:
-        """Whether no fault was found."""
+        """True if no fault was found."""
         return self.faults == 0
 
     def speed_ratio(self, comparison: Comparison) -> float:

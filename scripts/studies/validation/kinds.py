@@ -133,7 +133,7 @@ class KindResult:
 
     @property
     def ok(self) -> bool:
-        """Whether nothing was missed, distances agree, and at one yaw no more was lost than may be."""
+        """True if nothing was missed, distances agree, and at one yaw no more was lost than may be."""
         return self.missed == self.differing == 0 and (self.layers or self.lost_share <= MOST_LOST)
 
 
@@ -159,7 +159,7 @@ class KindsValidation:
 
     @property
     def ok(self) -> bool:
-        """Whether all results are."""
+        """True if all results are."""
         return all(result.ok for result in self.results)
 
     def as_dict(self) -> dict[str, Any]:

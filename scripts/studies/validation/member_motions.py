@@ -71,7 +71,7 @@ class MotionCounts:
 
     @property
     def ok(self) -> bool:
-        """Whether nothing was wrong."""
+        """True if nothing was wrong."""
         return not (self.contacts or self.verified or self.unverified)
 
     def add(self, other: MotionCounts) -> None:
@@ -261,7 +261,7 @@ class MemberMotions:
         return True
 
     def stands_on(self, item: dict[str, Any], body: int, depth: float) -> bool:
-        """Whether a body of the turret is in an obstacle at every yaw, no deeper than it may stand in one."""
+        """True if a body of the turret is in an obstacle at every yaw, no deeper than it may stand in one."""
         if not self.robot.has_yaw or self.bodies.geometry.geometryObjects[body].parentJoint != 1 or depth > STANDS_M:
             return False
         path = self.folder / "stands.json"

@@ -31,7 +31,7 @@ _TURN = 2.0 * np.pi
 
 @dataclass(frozen=True, eq=False)
 class Refined:
-    """What finer approach angles gave.
+    """Result of a search at finer approach angles.
 
     Attributes:
         candidates: Configurations with enough clearance; None where there are none.
@@ -67,7 +67,7 @@ def refined(
     spacing = 0.0 if _is_one(approach_deg) else _spacing(angles)
     while spacing > FINEST:
         finer, seen = list[Candidates](), list[FloatArray]()
-        for angle in _worth(angles, clearances, enough, spacing):
+        for angle in _worth_refining(angles, clearances, enough, spacing):
             interval = _clipped(angle, spacing, approach_deg if isinstance(approach_deg, tuple) else None)
             try:
                 found = within(interval, 2 * FACTOR * CONTINUA)
@@ -87,7 +87,7 @@ def refined(
 
 
 def _is_one(approach_deg: float | tuple[float, float] | None) -> bool:
-    """Whether a single approach angle is asked for, which leaves nothing to refine."""
+    """True if a single approach angle is asked for, which leaves nothing to refine."""
     return approach_deg is not None and not (isinstance(approach_deg, tuple) and approach_deg[0] < approach_deg[1])
 
 
@@ -100,7 +100,7 @@ def _spacing(angles: FloatArray) -> float:
     return float(min(WIDEST, CONTINUA * gaps.max(initial=0.0)))
 
 
-def _worth(angles: FloatArray, clearances: FloatArray, enough: float, spacing: float) -> list[float]:
+def _worth_refining(angles: FloatArray, clearances: FloatArray, enough: float, spacing: float) -> list[float]:
     """The angles to refine: the best that are not within a spacing of a better one."""
     kept: list[float] = []
     for which in np.argsort(-np.round(clearances, 9), kind="stable").tolist():

@@ -1,4 +1,4 @@
-r"""Inverse kinematics: every way in which the arm puts its tool at a point, or what stands in the way.
+r"""Inverse kinematics: all configurations with the tool at a point, or the reason why there is none.
 
 The yaw that brings a point into the arm plane is found first. Let the plane pass the yaw axis at the distance d (zero
 but for rounding) and the point stand at the distance :math:`\rho` from it. Then the point lies
@@ -42,7 +42,7 @@ AXIS_YAWS = 5
 ROUNDING = 1e-8
 
 #: Values tried in turn of each joint beyond three, and how many combinations of them at most.
-SPARE_VALUES, MOST_COMBINATIONS = (5, 9, 17, 33), 1500
+GRID_VALUES, MOST_COMBINATIONS = (5, 9, 17, 33), 1500
 
 _TURN = 2.0 * np.pi
 
@@ -122,12 +122,12 @@ class _Views:
     Attributes:
         yaw: (v,) yaws; zeros for a robot without one.
         point: (v,) the position in the plane, from the shoulder, as horizontal + i upward [m].
-        beside: Its distance from the plane, where no yaw can bring it there [m].
+        distance: Its distance from the plane, where no yaw can bring it there [m].
     """
 
     yaw: FloatArray
     point: ComplexArray
-    beside: float
+    distance: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,7 +170,7 @@ class _Task:
         return tuple(np.flatnonzero(~self.held[self.robot.arm_slice]).tolist())
 
     @property
-    def spare(self) -> tuple[int, ...]:
+    def gridded(self) -> tuple[int, ...]:
         """Those of them that are beyond three and set to values of a grid."""
         return self.free[:-3]
 
@@ -214,7 +214,7 @@ class _Task:
     @cached_property
     def chain(self) -> FreeChain:
         """The chain from the first joint on that is neither locked nor set to values of a grid."""
-        return FreeChain.of(self.robot.arm, self.free[len(self.spare) :], self.rest[self.robot.arm_slice])
+        return FreeChain.of(self.robot.arm, self.free[len(self.gridded) :], self.rest[self.robot.arm_slice])
 
     def seen(self, base: FloatArray, views: IntArray) -> tuple[ComplexArray, FloatArray]:
         """The position as the chain sees it, for (b, n) values of the joints before it and (v,) views.
@@ -235,7 +235,7 @@ class _Task:
     def solve(self, count: int) -> tuple[FloatArray, FloatArray]:
         """(k, dof) configurations and (k,) angles of the last link; k = 0 where there are none."""
         views = np.flatnonzero(self.yaw_excess <= ANGLE_TOLERANCE)
-        if self.views.beside <= MATCH_TOLERANCE and len(views):
+        if self.views.distance <= MATCH_TOLERANCE and len(views):
             for base in self.grids():
                 points, turns = self.seen(base, views)
                 found = self.chain.reach(points, turns, self.window, count)
@@ -244,17 +244,17 @@ class _Task:
         return np.empty((0, self.robot.dof)), np.empty(0)
 
     def grids(self) -> list[FloatArray]:
-        """(b, n) values of planar joints before the chain: the locked ones', and ever finer grids of the spare ones."""
-        rest, spare, arm = self.rest[self.robot.arm_slice], list(self.spare), self.robot.arm
-        if not spare:
+        """(b, n) values of planar joints before the chain: the locked ones', and ever finer grids of the others."""
+        rest, gridded, arm = self.rest[self.robot.arm_slice], list(self.gridded), self.robot.arm
+        if not gridded:
             return [rest[None]]
         grids: list[FloatArray] = []
-        for values in SPARE_VALUES:
-            if values ** len(spare) <= MOST_COMBINATIONS or not grids:
-                axes = [np.linspace(arm.lower[j], arm.upper[j], values) for j in spare]
+        for values in GRID_VALUES:
+            if values ** len(gridded) <= MOST_COMBINATIONS or not grids:
+                axes = [np.linspace(arm.lower[j], arm.upper[j], values) for j in gridded]
                 combinations = np.array(list(itertools.product(*axes)))
                 base = np.tile(rest, (len(combinations), 1))
-                base[:, spare] = combinations
+                base[:, gridded] = combinations
                 grids.append(base)
         return grids
 
@@ -293,7 +293,7 @@ class _Task:
         return replace(self, window=None if window else self.window, held=held)
 
     def is_possible(self) -> bool:
-        """Whether some configuration is found."""
+        """True if some configuration is found."""
         return bool(len(self.solve(1)[0]))
 
 
@@ -333,19 +333,19 @@ def _approach_reason(task: _Task, window: Window) -> UnreachableError:
 def _locked_reason(task: _Task) -> UnreachableError:
     """Only with the locked joints elsewhere."""
     names = [task.robot.joint_names[joint] for joint in np.flatnonzero(task.held)]
-    beside = task.views.beside
-    detail = "" if beside <= MATCH_TOLERANCE else f": the arm plane passes it at {beside:.6g} m"
+    distance = task.views.distance
+    detail = "" if distance <= MATCH_TOLERANCE else f": the arm plane passes it at {distance:.6g} m"
     return _unreachable(
-        task, "locked", f"not with {', '.join(names)} locked{detail}", locked_joints=names, beside_m=beside
+        task, "locked", f"not with {', '.join(names)} locked{detail}", locked_joints=names, beside_m=distance
     )
 
 
 def _arm_reason(task: _Task) -> UnreachableError:
     """Never, with this arm."""
     lengths, points = task.robot.arm.lengths, task.views.point
-    if task.views.beside > MATCH_TOLERANCE:
-        beside = task.views.beside
-        return _unreachable(task, "off_plane", f"it is {beside:.6g} m beside the arm plane", beside_m=beside)
+    if task.views.distance > MATCH_TOLERANCE:
+        distance = task.views.distance
+        return _unreachable(task, "off_plane", f"it is {distance:.6g} m beside the arm plane", beside_m=distance)
     farthest = float(lengths.sum())
     nearest = max(0.0, 2.0 * float(lengths.max()) - farthest)
     beyond = float(modulus(points).min()) - farthest
@@ -358,8 +358,8 @@ def _arm_reason(task: _Task) -> UnreachableError:
         return _unreachable(
             task, "too_near", f"it is {short:.6g} m nearer than the arm can fold, {nearest:.6g} m", excess_m=short
         )
-    if task.spare:  # neither found nor excluded
-        names = [task.robot.arm.joint_names[joint] for joint in task.spare]
+    if task.gridded:  # neither found nor excluded
+        names = [task.robot.arm.joint_names[joint] for joint in task.gridded]
         detail = f"no configuration with {', '.join(names)} at values of a grid"
         return _unreachable(task, "not_found", detail, joints=names)
     return _limit_reason(task)

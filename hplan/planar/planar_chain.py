@@ -1,9 +1,9 @@
-r"""All ways in which a planar chain with up to three free joints reaches a point, in closed form.
+r"""Inverse kinematics of a planar chain with up to three free joints: all its solutions, in closed form.
 
 Joints that are held make rigid pieces of the links between free joints, so a chain with m free joints is one of m
 links. Write points of the plane as complex numbers, :math:`l_k` for the lengths and :math:`\alpha_k` for the absolute
-angles of those links: the tool is at :math:`\sum_k l_k e^{i \alpha_k}`. Two links reach a point at distance r in two
-ways, with the angle between them :math:`\pm e`,
+angles of those links: the tool is at :math:`\sum_k l_k e^{i \alpha_k}`. Two links reach a point at distance r with
+the angle :math:`e` or :math:`-e` between them,
 
 .. math::
     \cos e = \frac{r^2 - l_1^2 - l_2^2}{2 l_1 l_2}, \qquad
@@ -63,7 +63,7 @@ class Window(Record):
     width: float
 
     def holds(self, angle: FloatArray) -> BoolArray:
-        """Which angles lie in it, whole turns aside."""
+        """True for angles in it, whole turns aside."""
         inside: BoolArray = _above(angle, self.low - WINDOW_TOLERANCE) <= self.width + 2.0 * WINDOW_TOLERANCE
         return inside
 
@@ -184,7 +184,7 @@ class FreeChain(Record):
         return _merged(spans)
 
     def violations(self, points: ComplexArray) -> tuple[IntArray, FloatArray, FloatArray]:
-        """The ways to reach points with limits set aside, and how far each joint is then beyond its limits.
+        """Solutions with limits set aside, and how far each joint is then beyond its limits.
 
         Of three free joints, the corners, and directions of the last link at small intervals, smaller ones near the
         least sum.
@@ -334,7 +334,7 @@ def locked_mask(robot: Robot, locked: Sequence[str]) -> BoolArray:
 def two_links(
     near: FloatArray | float, far: FloatArray | float, points: ComplexArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
-    """How two links reach points; the arrays broadcast.
+    """Angles at which two links reach points; the arrays broadcast.
 
     Args:
         near: Lengths of the first link [m].
@@ -359,7 +359,7 @@ def two_links(
 
 
 def _above(angle: FloatArray, low: FloatArray | float) -> FloatArray:
-    """How far angles lie above another, in [0, 2 pi)."""
+    """Differences of angles from another, in [0, 2 pi)."""
     above: FloatArray = (angle - low) % _TURN
     return above
 

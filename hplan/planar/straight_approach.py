@@ -43,11 +43,11 @@ ROUNDING = 1e-10
 
 @dataclass(frozen=True, eq=False)
 class Standoffs(Record):
-    """Where straight approaches begin.
+    """Beginnings of straight approaches.
 
     Attributes:
         configurations: (k, dof) the configurations at the stand-off, or as far towards it as is possible.
-        feasible: (k,) whether the whole stretch from there to the goal is possible.
+        feasible: (k,) True if the whole stretch from there to the goal is possible.
         largest: (k,) largest stand-off possible, at most the one asked for [m].
     """
 
@@ -108,10 +108,10 @@ class ApproachPath(Record):
         Returns:
             (..., dof) values.
         """
-        share = np.clip(np.asarray(s, dtype=np.float64) / self.end, 0.0, 1.0)
-        distance, rate = self.standoff * (1.0 - share), -self.standoff / self.end
-        moved = self._stretch.joints(distance.reshape(1, -1), derivative)[0].reshape(*share.shape, -1)
-        q = np.broadcast_to(self.goal if derivative == 0 else 0.0, (*share.shape, self.robot.dof)).copy()
+        fraction = np.clip(np.asarray(s, dtype=np.float64) / self.end, 0.0, 1.0)
+        distance, rate = self.standoff * (1.0 - fraction), -self.standoff / self.end
+        moved = self._stretch.joints(distance.reshape(1, -1), derivative)[0].reshape(*fraction.shape, -1)
+        q = np.broadcast_to(self.goal if derivative == 0 else 0.0, (*fraction.shape, self.robot.dof)).copy()
         q[..., list(self._stretch.index)] += moved * rate**derivative
         if derivative == 0:
             # Rounding at a limit, and at the goal.
@@ -125,7 +125,7 @@ class ApproachPath(Record):
 
 
 def standoffs(robot: Robot, candidates: ArrayLike, distance: float, *, locked: Sequence[str] = ()) -> Standoffs:
-    """Where straight approaches to many goal configurations begin, and which of them are possible.
+    """The beginnings of straight approaches to many goal configurations, and which of them are possible.
 
     Args:
         robot: The arm.
@@ -162,11 +162,11 @@ class _Stretches:
         goal: (k, 3) their values at the goals.
         lower: (3,) their lower limits.
         upper: (3,) their upper limits.
-        near: (k,) distance from the first of them to the second [m].
-        far: (k,) distance from the second to the third, the wrist [m].
-        wrist: (k,) the wrist at the goal, from the first joint, as horizontal + i upward [m].
-        back: (k,) direction in which the wrist leaves the goal.
-        side: (k,) +1 or -1, side of the elbow.
+        l1: (k, 1) distance from the first of them to the second [m].
+        l2: (k, 1) distance from the second to the third, the wrist [m].
+        wrist: (k, 1) the wrist at the goal, from the first joint, as horizontal + i upward [m].
+        back: (k, 1) direction in which the wrist leaves the goal.
+        side: (k, 1) +1 or -1, side of the elbow.
     """
 
     robot: Robot
@@ -175,8 +175,8 @@ class _Stretches:
     goal: FloatArray
     lower: FloatArray
     upper: FloatArray
-    near: FloatArray
-    far: FloatArray
+    l1: FloatArray
+    l2: FloatArray
     wrist: ComplexArray
     back: ComplexArray
     side: FloatArray
@@ -199,8 +199,8 @@ class _Stretches:
         index = [shift + k for k in moving]
         points = robot.arm.joint_points(q[:, shift:])
         plane: ComplexArray = points[..., 0] + 1j * points[..., 1]
-        first, second, third = (plane[:, k] for k in moving)
-        last = plane[:, -2] - plane[:, -1]
+        first, second, third = (plane[:, k, None] for k in moving)
+        last = plane[:, -2, None] - plane[:, -1, None]
         turned = product(third - second, np.conj(second - first))
         return cls(
             robot=robot,
@@ -209,54 +209,51 @@ class _Stretches:
             goal=q[:, index],
             lower=robot.lower[index],
             upper=robot.upper[index],
-            near=modulus(second - first),
-            far=modulus(third - second),
+            l1=modulus(second - first),
+            l2=modulus(third - second),
             wrist=third - first,
             back=last / modulus(last),
             side=np.where(turned.imag < 0.0, -1.0, 1.0),
         )
 
     @cached_property
-    def _at_goal(self) -> tuple[FloatArray, FloatArray]:
-        """(k,) absolute angles of the two links at the goals."""
-        bearing, half, bend, _ = two_links(self.near, self.far, self.wrist)
+    def _at_goal(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """(k, 1) bearing of the wrist at the goals, and the angles of `two_links` there."""
+        return two_links(self.l1, self.l2, self.wrist)[:3]
+
+    @cached_property
+    def _angles_at_goal(self) -> tuple[FloatArray, FloatArray]:
+        """(k, 1) absolute angles of the two links at the goals."""
+        bearing, half, bend = self._at_goal
         first = bearing - self.side * half
         return first, first + self.side * bend
 
     def joints(self, distance: FloatArray, derivative: int) -> FloatArray:
-        """(k, m, 3) the three joints' change from the goal, or their derivatives by distance."""
+        """(k, m, 3) the three joints' change from the goal, or their derivatives by distance; see the module's text."""
         first, second = self._turns(distance)
         if derivative > 0:
-            a1, a2 = self._at_goal[0][:, None] + first, self._at_goal[1][:, None] + second
-            first, second = self._rates(a1, a2)
+            l1, l2, back = self.l1, self.l2, argument(self.back)
+            a1, a2 = self._angles_at_goal[0] + first, self._angles_at_goal[1] + second
+            sin, cos = np.sin(a2 - a1), np.cos(a2 - a1)
+            first, second = np.cos(back - a2) / (l1 * sin), -np.cos(back - a1) / (l2 * sin)
             if derivative > 1:
-                near, far = self.near[:, None], self.far[:, None]
-                sin, cos = np.sin(a2 - a1), np.cos(a2 - a1)
                 first, second = (
-                    (near * first**2 * cos + far * second**2) / (near * sin),
-                    -(near * first**2 + far * second**2 * cos) / (far * sin),
+                    (l1 * first**2 * cos + l2 * second**2) / (l1 * sin),
+                    -(l1 * first**2 + l2 * second**2 * cos) / (l2 * sin),
                 )
         return np.stack([first, second - first, -second], axis=-1) * self.signs
 
     def _turns(self, distance: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(k, m) by how much the two links have turned since the goal."""
-        wrist, side = self.wrist[:, None] + distance * self.back[:, None], self.side[:, None]
-        _, half, bend, _ = two_links(self.near[:, None], self.far[:, None], wrist)
-        _, half_at_goal, bend_at_goal, _ = two_links(self.near[:, None], self.far[:, None], self.wrist[:, None])
-        # Seen from a point beside it, a straight line turns by less than half a turn.
-        swept = product(wrist, np.conj(self.wrist)[:, None])
-        first = argument(swept) - side * (half - half_at_goal)
-        return first, first + side * (bend - bend_at_goal)
-
-    def _rates(self, a1: FloatArray, a2: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(k, m) first derivatives of the two links' absolute angles by distance."""
-        back, sin = argument(self.back)[:, None], np.sin(a2 - a1)
-        return np.cos(back - a2) / (self.near[:, None] * sin), -np.cos(back - a1) / (self.far[:, None] * sin)
+        wrist, (_, half_at_goal, bend_at_goal) = self.wrist + distance * self.back, self._at_goal
+        _, half, bend, _ = two_links(self.l1, self.l2, wrist)
+        # Seen from a point that is not on it, a straight line turns by less than half a turn.
+        first = argument(product(wrist, np.conj(self.wrist))) - self.side * (half - half_at_goal)
+        return first, first + self.side * (bend - bend_at_goal)
 
     def keeps_elbow(self, distance: FloatArray) -> BoolArray:
         """(k, m) True where the wrist is in reach and the elbow keeps away from straight and folded."""
-        wrist = self.wrist[:, None] + distance * self.back[:, None]
-        _, _, bend, ok = two_links(self.near[:, None], self.far[:, None], wrist)
+        _, _, bend, ok = two_links(self.l1, self.l2, self.wrist + distance * self.back)
         kept: BoolArray = ok & (bend >= STRAIGHT) & (bend <= np.pi - STRAIGHT)
         return kept
 
@@ -276,8 +273,8 @@ class _Stretches:
 
     def _crossings(self) -> FloatArray:
         """(k, 16) distances at which some joint may come to a limit or the elbow to its bounds; 0 where never."""
-        near, far, goal = self.near[:, None], self.far[:, None], self.goal[:, :, None]
-        first, second = (angle[:, None] for angle in self._at_goal)
+        l1, l2, goal = self.l1, self.l2, self.goal[:, :, None]
+        first, second = self._angles_at_goal
         # (k, 3, 2) turns of the joints, in the links' sense, that bring them to their limits.
         left = self.signs[:, None] * (np.stack([self.lower, self.upper], axis=1) - goal)
         bends = np.concatenate(
@@ -285,21 +282,21 @@ class _Stretches:
             axis=1,
         )
         center = np.concatenate(
-            [near * np.exp(1j * (first + left[:, 0])), np.zeros_like(bends), far * np.exp(1j * (second - left[:, 2]))],
+            [l1 * np.exp(1j * (first + left[:, 0])), np.zeros_like(bends), l2 * np.exp(1j * (second - left[:, 2]))],
             axis=1,
         )
         shape = (len(goal), 2)
         squared = np.concatenate(
             [
-                np.broadcast_to(far**2, shape),
-                near**2 + far**2 + 2.0 * near * far * np.cos(bends),
-                np.broadcast_to(near**2, shape),
+                np.broadcast_to(l2**2, shape),
+                l1**2 + l2**2 + 2.0 * l1 * l2 * np.cos(bends),
+                np.broadcast_to(l1**2, shape),
             ],
             axis=1,
         )
         # |wrist + t back - center|^2 = squared
-        apart = self.wrist[:, None] - center
-        half = product(apart, np.conj(self.back)[:, None]).real
+        apart = self.wrist - center
+        half = product(apart, np.conj(self.back)).real
         under = half**2 - modulus(apart) ** 2 + squared
         root = np.sqrt(np.maximum(under, 0.0))
         return np.where(np.tile(under >= 0.0, 2), np.concatenate([-half - root, -half + root], axis=1), 0.0)

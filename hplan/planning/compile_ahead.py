@@ -1,8 +1,8 @@
-"""The first run after hplan was installed, when its kernels have yet to be compiled: on two processors at once.
+"""Kernels compiled ahead by a second process, on the first run after hplan was installed.
 
 numba compiles a kernel when it is first called, one after the other, and keeps it on disk. What a plan calls up to the
 path on the grid takes about as long to compile as what it calls from there on. So another process calls the latter
-meanwhile, on a way through the reference scene, and the plan waits for it before it gets there. Without that process,
+meanwhile, on a path through the reference scene, and the plan waits for it before it gets there. Without that process,
 or where kernels cannot be kept on disk, a plan compiles all of them itself.
 """
 
@@ -23,12 +23,12 @@ from hplan.timing.topp import greedy
 #: Longest wait for the other process [s].
 PATIENCE_S = 120.0
 
-#: Elbow and wrist while the shoulder turns, on a way around the ball of the reference scene [deg].
+#: Elbow and wrist while the shoulder turns, on a path that avoids the ball of the reference scene [deg].
 _FOLDED_DEG = (80.0, 80.0)
 
 
 def is_first_run() -> bool:
-    """Whether a kernel that every plan needs is not on disk as its source stands."""
+    """True if a kernel that every plan needs is not on disk as its source stands."""
     return not is_kept(greedy)
 
 
@@ -60,15 +60,9 @@ def compiling_ahead(first_run: bool) -> Iterator[Callable[[], None]]:
 
 def _start() -> subprocess.Popen[bytes] | None:
     """The other process; None where none can be started."""
-    nowhere = subprocess.DEVNULL
+    command, nowhere = python_module("hplan.planning.compile_ahead"), subprocess.DEVNULL
     try:
-        return subprocess.Popen(
-            python_module("hplan.planning.compile_ahead"),
-            stdin=nowhere,
-            stdout=nowhere,
-            stderr=nowhere,
-            env=import_environment(),
-        )
+        return subprocess.Popen(command, stdin=nowhere, stdout=nowhere, stderr=nowhere, env=import_environment())
     except OSError:
         return None
 

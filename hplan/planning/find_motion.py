@@ -165,7 +165,7 @@ def reuse_motion(task: PlanningTask, before: PlannedMotion) -> PlannedMotion | N
 
 
 def least_duration(task: PlanningTask) -> float:
-    """What no motion between start and goal can undercut [s]."""
+    """Duration that no motion between start and goal can undercut [s]."""
     problem, robot = task.problem, task.robot
     return least_between(problem.start, problem.goal, robot.velocity_limit, robot.acceleration_limit)
 

@@ -57,7 +57,7 @@ class Grasp(Record):
         standoff: (dof,) configuration where the straight approach begins; the goal itself where there is none.
         distance: Length of the approach [m].
         approach: Absolute angle of the last link in the arm plane [rad].
-        least_duration: What no motion from the start over the stand-off to the goal can undercut [s].
+        least_duration: Duration that no motion from the start by the stand-off to the goal can undercut [s].
     """
 
     goal: FloatArray
@@ -216,7 +216,7 @@ def _clear_standoffs(
 
 
 def _least_duration(robot: Robot, start: FloatArray, standoff: FloatArray, goal: FloatArray) -> float:
-    """What no motion from the start over the stand-off to the goal can undercut [s]."""
+    """Duration that no motion from the start by the stand-off to the goal can undercut [s]."""
     limits = robot.velocity_limit, robot.acceleration_limit
     return sum(least_duration(a, b, *limits) for a, b in ((start, standoff), (standoff, goal)))
 

@@ -27,7 +27,7 @@ from hplan.search.result import path_cost
 from hplan.search.wavefront import Wavefronts, meet
 from hplan.smoothing.repair import repaired
 
-#: How many motions of a path that cannot be shown clear are led around; with thick layers it succeeds more often.
+#: Motions of a path that cannot be shown clear are avoided so many times; with thick layers it succeeds more often.
 DETOURS, THICK_DETOURS = 12, 20
 
 #: So much farther from obstacles than the nodes of such a motion must neighbouring nodes be to be used instead [m].
@@ -134,7 +134,7 @@ def _planar_search(
 def _turning_path(
     task: PlanningTask, attempt: GridAttempt, margin: float, space: Occupancy, entries: tuple[GridEntry, GridEntry]
 ) -> tuple[SearchResult, FloatArray]:
-    """Search over yaws, and lead the path around nodes between which no motion can be shown clear."""
+    """Search over yaws, and replace nodes between which no motion can be shown clear."""
     problem, (start, goal) = task.problem, entries
     lattice = Lattice.of(space.grid.shape, space.grid.step)
     free = lattice.bordered(space.free_words)
@@ -153,7 +153,7 @@ def _turning_path(
             return search, path
         here = contacts[0] - before  # the motion from this node to the next is in contact; below 0: from the start
         if here + 2 <= 0 or here >= len(nodes):
-            break  # between a tight end and the grid: not the grid's to lead around
+            break  # between a tight end and the grid: not the grid's to avoid
         _take_out(task, space.grid, lattice, free, nodes[max(0, here) : here + 2])
         ahead = start.free_of(lattice, free, nodes[: max(0, here)])
         behind = goal.free_of(lattice, free, nodes[here + 2 :])

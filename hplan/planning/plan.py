@@ -114,7 +114,7 @@ def plan(
 
 
 def check_task(robot: Robot, scene: Scene, options: PlanOptions | None) -> None:
-    """Refuse what is no robot, scene or options, such as the first two the wrong way round.
+    """Refuse what is no robot, scene or options, such as the first two in the wrong order.
 
     Raises:
         OptionError: It is none.

@@ -55,7 +55,7 @@ class Planner:
         self._lock = RLock()
 
     def __getstate__(self) -> dict[str, Any]:
-        """What a user sees of it."""
+        """The attributes that a user sees."""
         return {"robot": self.robot, "scene": self.scene, "options": self.options, "last": self.last}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -75,8 +75,8 @@ class Planner:
     def replan(self) -> PlanResult:
         """Plan again after a change.
 
-        The last motion stays if it can be certified among the obstacles as they are now, and is mended if it cannot. A
-        new one is searched for where that fails too, where a straight motion has become possible, where start or goal
+        The last motion stays if it can be certified among the obstacles as they are now, and is repaired if it cannot.
+        A new one is searched for where that fails too, where a straight motion has become possible, where start or goal
         has changed, and to a fruit or a point. So the result depends on what was planned before; `plan` gives the one
         that does not.
 

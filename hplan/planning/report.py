@@ -1,4 +1,4 @@
-"""What a plan took and gave, as the numbers of `report.json`."""
+"""Reports of plans and tours: stage times, certificates, failures, as the numbers of `report.json`."""
 
 from __future__ import annotations
 
@@ -57,23 +57,20 @@ class StageClock:
 
 
 @functools.cache
-def _versions() -> dict[str, str]:
-    found = {}
-    for package in _PACKAGES:
-        try:
-            found[package] = metadata.version(package)
-        except metadata.PackageNotFoundError:
-            found[package] = "not installed as a package"
-    return found
+def _version(package: str) -> str:
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return "not installed as a package"
 
 
 def versions() -> dict[str, str]:
     """Versions of hplan and of what it stands on."""
-    return dict(_versions())
+    return {package: _version(package) for package in _PACKAGES}
 
 
 def certificate_report(certificate: Certificate, options: PlanOptions) -> dict[str, Any]:
-    """What a certificate says, and what it is about, as `report.json` has it.
+    """A certificate, and what it is about, as `report.json` has it.
 
     Args:
         certificate: The certificate.

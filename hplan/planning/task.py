@@ -57,7 +57,7 @@ class GridAttempt:
 
 @dataclass(frozen=True, eq=False)
 class PlanningContext(Record):
-    """What motions among the same obstacles share.
+    """World, scene and options, common to all motions planned among the same obstacles.
 
     Attributes:
         world: The arm and what it must keep clear of.
@@ -178,7 +178,7 @@ class PlanningTask(PlanningContext):
 
 
 class PlanningCache:
-    """What one plan leaves behind for the next: the robot's planar layers, and the last world."""
+    """Results that one plan leaves for the next: the robot's planar layers, and the last world."""
 
     def __init__(self, robot: Robot) -> None:
         """Begin with nothing."""

@@ -16,7 +16,7 @@ from hplan.problem.world import World
 
 @dataclass(frozen=True, eq=False)
 class Problem(Record):
-    """Where to go from and to, and with which joints.
+    """Start, goal, and the joints that may move between them.
 
     Attributes:
         start: (dof,) configuration.
@@ -26,7 +26,7 @@ class Problem(Record):
             (`hplan.problem.joint_ranges`); a joint that may not move has its start value as both.
         upper: (dof,) the same.
         spare_clearance: Least clearance of start and goal beyond the one to keep [m]; inf without obstacles.
-        turns: Whether the base may turn.
+        turns: True if the base may turn.
     """
 
     start: FloatArray
@@ -39,12 +39,12 @@ class Problem(Record):
 
     @property
     def is_empty(self) -> bool:
-        """Whether start and goal are the same configuration."""
+        """True if start and goal are the same configuration."""
         return bool(np.abs(self.goal - self.start).max() < 1e-9)
 
 
 def check_problem(world: World, start: ArrayLike, goal: ArrayLike, *, locked_joints: Sequence[str] = ()) -> Problem:
-    """Check two configurations and locked joints against a robot and its surroundings.
+    """Check two configurations and locked joints against an arm and what it must keep clear of.
 
     Args:
         world: Arm and obstacles.
@@ -70,18 +70,15 @@ def check_problem(world: World, start: ArrayLike, goal: ArrayLike, *, locked_joi
             f"joint {name!r} is locked at {first[joint]:.6g} rad, but the goal wants it at {last[joint]:.6g} rad",
             joint=name,
         )
-    spare = min(
-        world.check_clear(first, "start"),
-        world.check_clear(last, "goal"),
-    )
+    clearance = min(world.check_clear(first, "start"), world.check_clear(last, "goal"))
     last = readonly(np.where(locked, first, last))
-    ranges = narrowed(world.checker, first, last, spare)
+    ranges = narrowed(world.checker, first, last, clearance)
     return Problem(
         start=first,
         goal=last,
         movable=readonly(np.flatnonzero(~locked), np.int64),
         lower=readonly(np.where(locked, first, ranges.lower)),
         upper=readonly(np.where(locked, first, ranges.upper)),
-        spare_clearance=spare,
+        spare_clearance=clearance,
         turns=robot.has_yaw and not locked[0],
     )

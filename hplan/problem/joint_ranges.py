@@ -1,9 +1,9 @@
-"""Ranges of joints that are left where turret or neighbouring links block others: intervals about the start.
+"""Ranges of joints that turret and neighbouring links leave free: intervals about the start.
 
-Whether a turning shape of the turret touches an obstacle, or the pedestal, depends on the yaw alone; whether neighbours
-fold into one another, on the joint between them. A motion is continuous, so each of these coordinates stays in the free
-interval in which it begins. The planner knows that as narrower joint limits. A goal in another interval cannot be
-reached by any motion: that is shown, not a matter of the grid.
+A contact of a turning shape of the turret with an obstacle, or with the pedestal, depends on the yaw alone; one of
+neighbours that fold into each other, on the joint between them. A motion is continuous, so each of these coordinates
+stays in the free interval in which it begins. The planner knows that as narrower joint limits. A goal in another
+interval cannot be reached by any motion: that is shown, not a matter of the grid.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from hplan.robot.base_shapes import turret_radius
 from hplan.robot.folding import folded_angles
 from hplan.robot.self_contact import self_contact
 
-#: What intervals leave to spare, at most [m]; less where start or goal have less.
+#: Clearance that intervals leave beyond the one to keep, at most [m]; less where start or goal have less.
 MARGIN: Final = 1e-3
 
 #: Where a goal is out of reach with the margin, it is so with this one [m]: less cannot be certified.
@@ -31,18 +31,18 @@ LEAST_MARGIN: Final = 3e-5
 #: A configuration that is beyond a wall by less than this is at it [rad].
 _ROUNDING: Final = 1e-9
 
-#: An interval ends where what is left to spare is less than this share of its margin.
+#: An interval ends where the clearance left is less than this fraction of its margin.
 _ENOUGH: Final = 0.1
 
 
 @dataclass(frozen=True)
 class Wall:
-    """What bounds the free interval of a joint.
+    """One end of the free interval of a joint, and what blocks the joint there.
 
     Attributes:
         joint: Number of the joint.
         angle: Where the free interval ends [rad].
-        is_upper: Whether that is its upper end.
+        is_upper: True if that is its upper end.
         contact: The two bodies, and what they have there beyond the distance to keep [m].
     """
 
@@ -52,7 +52,7 @@ class Wall:
     contact: Contact
 
     def is_before(self, q: FloatArray) -> bool:
-        """Whether a (dof,) configuration is beyond it."""
+        """True if a (dof,) configuration is beyond it."""
         value = float(q[self.joint])
         return value > self.angle + _ROUNDING if self.is_upper else value < self.angle - _ROUNDING
 
@@ -72,7 +72,7 @@ class JointRanges:
     walls: tuple[Wall, ...]
 
     def wall_before(self, q: FloatArray) -> Wall | None:
-        """What a motion to a (dof,) configuration meets first; None where the configuration is in the intervals."""
+        """The wall that a motion to a (dof,) configuration meets first; None where that is in the intervals."""
         return next((wall for wall in reversed(self.walls) if wall.is_before(q)), None)
 
 
@@ -81,8 +81,8 @@ def joint_ranges(scene: CoalScene, q: FloatArray, margin: float = MARGIN) -> Joi
 
     Args:
         scene: The arm among obstacles, made for the tracking error and the clearance to keep.
-        q: (dof,) a configuration with more than `margin` to spare.
-        margin: What to leave to spare [m].
+        q: (dof,) a configuration with more clearance than `margin` beyond the one to keep.
+        margin: Clearance to leave beyond the one to keep [m].
     """
     robot = scene.robot
     lower, upper = robot.lower.copy(), robot.upper.copy()
@@ -112,22 +112,22 @@ def joint_ranges(scene: CoalScene, q: FloatArray, margin: float = MARGIN) -> Joi
     return JointRanges(frozen(lower), frozen(upper), tuple(walls))
 
 
-def narrowed(scene: CoalScene, start: FloatArray, goal: FloatArray, spare: float) -> JointRanges:
+def narrowed(scene: CoalScene, start: FloatArray, goal: FloatArray, clearance: float) -> JointRanges:
     """The intervals about a start, its goal among them.
 
     Args:
         scene: The arm among obstacles, made for the tracking error and the clearance to keep.
         start: (dof,) configuration.
         goal: (dof,) configuration.
-        spare: What both have beyond the clearance to keep [m].
+        clearance: Clearance of both beyond the one to keep [m].
 
     Raises:
         NoPathError: The goal is beyond what no motion passes; names it, and the angles that are blocked.
     """
-    ranges = joint_ranges(scene, start, min(MARGIN, 0.5 * spare))
+    ranges = joint_ranges(scene, start, min(MARGIN, 0.5 * clearance))
     if ranges.wall_before(goal) is None:
         return ranges
-    least = min(LEAST_MARGIN, 0.5 * spare)
+    least = min(LEAST_MARGIN, 0.5 * clearance)
     ranges = joint_ranges(scene, start, least)
     wall = ranges.wall_before(goal)
     if wall is None:
@@ -178,10 +178,10 @@ def _known_free_yaw(
 def _free_yaw(
     scene: CoalScene, pairs: IntArray, q: FloatArray, end: float, margin: float
 ) -> tuple[float, Contact | None]:
-    """How far the base can turn towards an end of its range, and what stops it before, if anything.
+    """The yaw up to which the base can turn towards an end of its range, and what stops it before, if anything.
 
     Conservative advancement, each pair at its own pace: no point of the turret moves farther than its turn times
-    `turret_radius`, so the base may turn by d / radius before a pair that has d to spare is asked again.
+    `turret_radius`, so the base may turn by d / radius before a pair that is d apart, and more, is asked again.
     """
     radius = turret_radius(scene.robot)
     kept = scene.clearance + scene.deviation * radius + margin
@@ -191,12 +191,12 @@ def _free_yaw(
         asked = np.flatnonzero(due <= turned)
         at[0] = q[0] + direction * turned
         scene.place(at)
-        spare = scene.distances_of(pairs[asked]) - kept
-        least = ties.argmin(spare)
-        if spare[least] <= _ENOUGH * margin:
+        left = scene.distances_of(pairs[asked]) - kept
+        least = ties.argmin(left)
+        if left[least] <= _ENOUGH * margin:
             mover, obstacle = scene.pairs[int(pairs[asked[least]])]
-            return float(at[0]), scene.contact(mover, obstacle, float(spare[least]))
-        due[asked] = turned + spare / radius
+            return float(at[0]), scene.contact(mover, obstacle, float(left[least]))
+        due[asked] = turned + left / radius
         turned = float(due.min())
         if turned >= length:
             return end, None

@@ -1,4 +1,4 @@
-"""What an arm has to keep clear of, made ready for planning and for judging.
+"""The arm among the solids that it has to keep clear of, made ready for planning and for certificates.
 
 The clearance to keep differs from obstacle to obstacle: for one whose place is uncertain a chosen number of its
 standard deviations comes to the scene's own. And it differs from link to link, by what a tracking error may take: the
@@ -70,17 +70,11 @@ class World(Record):
             sigmas: How many standard deviations of its place an obstacle grows by.
         """
         growth = frozen(np.array([sigmas * solid.sigma for solid in solids], dtype=np.float64))
-        return cls(
-            robot=robot,
-            solids=tuple(solids),
-            clearance=clearance,
-            deviation=tracking_error,
-            growth=growth,
-            field=ClearanceField.of(
-                robot, solids, clearance=clearance + growth, own_clearance=clearance, deviation=tracking_error
-            ),
-            checker=CoalScene(robot, solids, growth=growth, deviation=tracking_error, clearance=clearance),
+        field = ClearanceField.of(
+            robot, solids, clearance=clearance + growth, own_clearance=clearance, deviation=tracking_error
         )
+        checker = CoalScene(robot, solids, growth=growth, deviation=tracking_error, clearance=clearance)
+        return cls(robot, tuple(solids), clearance, tracking_error, growth, field, checker)
 
     def touching(self, name: str) -> World:
         """The same where the last link may touch the solid of a name."""
@@ -99,7 +93,7 @@ class World(Record):
         )
 
     def check_clear(self, q: FloatArray, which: str) -> float:
-        """What a configuration at rest has beyond the clearance to keep and the sway of each link [m].
+        """The clearance of a configuration at rest beyond the one to keep and the sway of each link [m].
 
         Args:
             q: (dof,) configuration.
@@ -115,34 +109,32 @@ class World(Record):
         try:
             return check_clear(self.checker, q, self.clearance, which, sway=sway)
         except ConfigurationInCollisionError as error:
-            spare = self.checker.pair_distances(q) - self.clearance
-            share = float((spare / np.maximum(sway, 1e-300)).min())
-            name_margin(error, TrackingModel(self.deviation), share)
+            left = self.checker.pair_distances(q) - self.clearance
+            name_margin(error, TrackingModel(self.deviation), float((left / np.maximum(sway, 1e-300)).min()))
             raise
 
-    def fraction_of_deviation(self, configurations: FloatArray, spare: float) -> float:
-        """Largest share of the deviation at which one of some configurations still has a clearance.
+    def fraction_of_deviation(self, configurations: FloatArray, wanted: float) -> float:
+        """Largest fraction of the deviation at which one of some configurations still has a clearance.
 
         Args:
             configurations: (n, dof).
-            spare: Clearance asked for beyond the one to keep [m].
+            wanted: Clearance asked for beyond the one to keep [m].
 
         Returns:
-            A share for which that is so, `hplan.robot.tracking.FRACTION_ERROR` below the largest at most; 0 where there
-            is none.
+            A fraction for which that is so, as `hplan.robot.tracking.largest_fraction` finds it; 0 where there is none.
         """
 
-        def is_clear(share: float) -> bool:
+        def is_clear(fraction: float) -> bool:
             smaller = ClearanceField.of(
                 self.robot,
                 self.solids,
                 clearance=self.clearance + self.growth,
                 own_clearance=self.clearance,
-                deviation=share * self.deviation,
+                deviation=fraction * self.deviation,
             )
             if self.touched is not None:
                 smaller = smaller.sparing(np.array([solid.name == self.touched for solid in self.solids]))
-            return bool((smaller.along(configurations).min(axis=1) > spare).any())
+            return bool((smaller.along(configurations).min(axis=1) > wanted).any())
 
         return largest_fraction(is_clear)
 
@@ -158,9 +150,9 @@ class World(Record):
             InputError: There is one; names it, the body and the depth.
         """
         rows = self.field.solids
-        near = np.linalg.norm(rows[:, 2:5], axis=1) <= rows[:, 5] + base_radius(self.robot)
-        touched = [self.solids[i] for i in np.unique(self.field.owner[near]).tolist() if i >= 0]
-        contacts = base_contacts(self.robot, touched, yaw, margin=-BASE_DEPTH)
+        in_reach = np.linalg.norm(rows[:, 2:5], axis=1) <= rows[:, 5] + base_radius(self.robot)
+        close = [self.solids[i] for i in np.unique(self.field.owner[in_reach]).tolist() if i >= 0]
+        contacts = base_contacts(self.robot, close, yaw, margin=-BASE_DEPTH)
         if contacts:
             worst = contacts[ties.argmin([contact.distance_m for contact in contacts])]
             turns = any(shape.name == worst.link for shape in turning_shapes(self.robot))

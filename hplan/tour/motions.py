@@ -54,7 +54,7 @@ def carrying(robot: Robot, radius: float) -> Robot:
 
 @dataclass(frozen=True, eq=False)
 class Stop:
-    """Where motions begin and end: at rest.
+    """A configuration in which motions begin and end: at rest.
 
     Attributes:
         configuration: (dof,).
@@ -99,7 +99,7 @@ _NONE = _Move(math.inf, ())
 
 @dataclass(frozen=True, eq=False)
 class DropOff:
-    """Where the arm lets go of what it carries.
+    """The configuration in which the arm lets go of what it carries.
 
     Attributes:
         configuration: (dof,).
@@ -212,13 +212,16 @@ class Motions:
         return found
 
     def return_parts(self, visits: Visits) -> list[Part]:
-        """From the end of a tour's last leg to where it goes back to."""
-        end = self._hub if self._carries else self._first + int(visits.places[-1])
-        return self._move(end, self._home, False).named("return")
+        """The motions from the end of a tour's last leg to where it goes back to."""
+        return self._move(self._end(visits), self._home, False).named("return")
 
     def end(self, visits: Visits) -> Stop:
-        """Where a tour's last leg ends."""
-        return self._stops[self._hub if self._carries else self._first + int(visits.places[-1])]
+        """The end of a tour's last leg."""
+        return self._stops[self._end(visits)]
+
+    def _end(self, visits: Visits) -> int:
+        """The stop at which a tour's last leg ends."""
+        return self._hub if self._carries else self._first + int(visits.places[-1])
 
     def _fruit_at(self, place: int) -> int:
         """The number of the fruit at a place."""
@@ -309,7 +312,7 @@ class Motions:
         return a == b or (min(a, b), max(a, b), bool(loaded)) in self._moves
 
     def _take(self, step: tuple[int, ...]) -> _Move:
-        """What a step is made of, planned if need be."""
+        """The motions of a step, planned if need be."""
         return self._pick(step[0]) if len(step) == 1 else self._move(step[0], step[1], bool(step[2]))
 
     def _costs(self) -> Costs:
@@ -341,7 +344,7 @@ class Motions:
 
 
 def drop_off(goal: Goal, empty: PlanningContext, loaded: PlanningContext, start: FloatArray) -> DropOff:
-    """Where the arm lets go of what it carries: clear also as it carries, and reached from the start.
+    """The drop-off: clear also as the arm carries, and reached from the start.
 
     Args:
         goal: Joints or a position.

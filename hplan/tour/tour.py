@@ -40,16 +40,16 @@ ORDERS: tuple[Order, ...] = ("best", "nearest", "given")
 
 @dataclass(frozen=True)
 class TourOptions:
-    """What a tour is to be like.
+    """Options of a tour.
 
     Attributes:
         drop_off: Where fruit is let go, by joints or by a position of the tool; None where the arm takes it in itself
             (into a tube or a bin of its own) and carries nothing.
         every: How many fruits are carried to the drop-off at most; one where this is None.
-        back: Whether the arm goes back to the start in the end.
+        back: True if the arm goes back to the start in the end.
         order: `best`; `nearest`: always on to the fruit that is taken soonest; `given`: as the fruits are listed.
-        compare: Whether the report gives the durations of all three orders.
-        grasps: Among how many ways to take a fruit the best is sought.
+        compare: True if the report gives the durations of all three orders.
+        grasps: Number of grasps of a fruit among which the best is sought.
     """
 
     drop_off: Goal | None = None
@@ -77,11 +77,11 @@ class TourOptions:
 
 @dataclass(frozen=True, eq=False)
 class Leg(Record):
-    """A part of a tour, at rest at both ends: to one fruit and, where it is next, to the drop-off; or the way back.
+    """A part of a tour, at rest at both ends: to a fruit and, where it is next, to the drop-off; or back to the start.
 
     Attributes:
-        fruit: Name of the fruit; None for the way back.
-        grasp: How it is taken; None for the way back.
+        fruit: Name of the fruit; None for the leg back.
+        grasp: How it is taken; None for the leg back.
         begin_s: When it begins, in the tour [s].
         phases: Its parts, by their times in the tour: `transit`, `approach`, `retreat`, `drop`, `return`.
         trajectory: Its motion, from time 0 on.
@@ -120,7 +120,7 @@ class TourResult(Record):
 
     Attributes:
         order: The fruits that are picked, in their order.
-        legs: One for each, and the way back where there is one.
+        legs: One for each, and the leg back where there is one.
         trajectory: The whole motion; the arm rests between its phases.
         certificate: What was shown of it.
         picked: When the tool is at each fruit [s].
@@ -160,7 +160,7 @@ def plan_tour(
         scene: Obstacles and fruits; all fruits are obstacles until they are picked.
         options: How to plan.
         fruits: Names of the fruits to pick; all where this is None.
-        tour: What the tour is to be like.
+        tour: Options of the tour.
         progress: Called with what is being done.
 
     Raises:

@@ -1,12 +1,12 @@
-"""How to plan: what a user may choose."""
+"""Options of a plan."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import Literal
 
-from hplan.base.arguments import number, one_of, truth
-from hplan.cspace.sections import LinkModel, check_link_model
+from hplan.base.arguments import keep_checked, number, one_of, truth
+from hplan.cspace.sections import LINK_MODELS, LinkModel
 from hplan.robot.limits import check_rate, check_speed
 from hplan.robot.tracking import TrackingModel
 from hplan.smoothing.options import OBJECTIVES, Objective
@@ -17,7 +17,7 @@ METHODS: tuple[Method, ...] = ("two-level", "dense")
 
 @dataclass(frozen=True)
 class PlanOptions:
-    """How to plan.
+    """Options of a plan, checked.
 
     Attributes:
         method: `two-level`, or `dense` for the baseline.
@@ -25,7 +25,7 @@ class PlanOptions:
         objective: `duration` for the fastest motion, `length` for the shortest path.
         link_model: Link model of the C-space; motions are always certified for capsules.
         rate_hz: Rows of the trajectory per second.
-        speed: Share of the velocity limits to use, in (0, 1].
+        speed: Fraction of the velocity limits to use, in (0, 1].
         tracking_error: Deviation from the trajectory to be covered by the certificate, each joint, at rest [rad].
         tracking_delay_s: What comes to it for each rad/s of the joint's velocity [s].
         sigmas: How many standard deviations of its place an obstacle is grown by, where the scene gives one.
@@ -46,19 +46,27 @@ class PlanOptions:
     certify: bool = True
 
     def __post_init__(self) -> None:
-        """Check the values."""
-        one_of("method", self.method, METHODS)
-        one_of("objective", self.objective, OBJECTIVES)
-        check_link_model(self.link_model)
-        number("step_deg", self.step_deg, "a positive number of degrees", lambda step: step > 0.0)
+        """Check every value.
+
+        Raises:
+            OptionError: A value is of the wrong kind or out of its range.
+        """
+        keep_checked(self, _CHECKS)
         check_rate(self.rate_hz)
         check_speed(self.speed)
         TrackingModel(self.tracking_error, self.tracking_delay_s)
-        for name in ("sigmas", "standoff"):
-            number(name, getattr(self, name), "a finite number >= 0", lambda value: value >= 0.0)
-        truth("certify", self.certify)
 
     @property
     def tracking(self) -> TrackingModel:
         """The deviation that motions make room for: none where they need not be certified."""
         return TrackingModel(self.tracking_error, self.tracking_delay_s) if self.certify else TrackingModel()
+
+
+_CHECKS = {
+    "method": (one_of, METHODS),
+    "objective": (one_of, OBJECTIVES),
+    "link_model": (one_of, LINK_MODELS),
+    "step_deg": (number, "a positive number of degrees", lambda step: step > 0.0),
+    **dict.fromkeys(("sigmas", "standoff"), (number, "a finite number >= 0", lambda value: value >= 0.0)),
+    "certify": (truth,),
+}

@@ -16,7 +16,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from hplan.base.arguments import instance, list_of, one_of, truth, whole
+from hplan.base.arguments import instance, keep_checked, list_of, one_of, truth, whole
 from hplan.base.arrays import FloatArray, Record
 from hplan.errors import CertificationError, HplanError, OptionError, TourError, UnreachableError
 from hplan.planning.certified_motion import Part, certificate_of, required
@@ -60,19 +60,18 @@ class TourOptions:
     grasps: int = 4
 
     def __post_init__(self) -> None:
-        """Check the values."""
-        if self.drop_off is not None:
-            instance("drop_off", self.drop_off, Goal)
-        if self.drop_off is not None and self.drop_off.fruit is not None:
+        """Check every value.
+
+        Raises:
+            OptionError: A value is of the wrong kind or out of its range, or `every` stands without a drop-off.
+        """
+        if self.drop_off is not None and instance("drop_off", self.drop_off, Goal).fruit is not None:
             raise OptionError("drop_off", self.drop_off.fruit, "joints or a position, not a fruit")
-        if self.every is not None and self.drop_off is None:
-            raise OptionError("every", self.every, "a drop-off with it")
         if self.every is not None:
-            whole("every", self.every, 1)
-        one_of("order", self.order, ORDERS)
-        whole("grasps", self.grasps, 1)
-        truth("back", self.back)
-        truth("compare", self.compare)
+            if self.drop_off is None:
+                raise OptionError("every", self.every, "a drop-off with it")
+            keep_checked(self, {"every": (whole, 1)})
+        keep_checked(self, {"order": (one_of, ORDERS), "grasps": (whole, 1), "back": (truth,), "compare": (truth,)})
 
 
 @dataclass(frozen=True, eq=False)

@@ -220,27 +220,21 @@ class FreeChain(Record):
         """Which point, and absolute angles, for fewer than three free joints."""
         count = len(self.free)
         if count == 2:
-            bearing, half, bend, ok = two_links(self.lengths[0], self.lengths[1], points)
-            first = bearing[:, None] - _SIDES * half[:, None]
-            absolute = np.stack([first, first + _SIDES * bend[:, None]], axis=-1)
-            # A straight or folded elbow is one configuration, not two.
-            sides = ok[:, None] & np.stack([ok, (bend > 0.0) & (bend < np.pi)], axis=1)
-            return np.nonzero(sides)[0], absolute[sides]
+            first, second, ok = _both_elbows(self.lengths[0], self.lengths[1], points)
+            return np.nonzero(ok)[0], np.stack([first, second], axis=-1)[ok]
         ok = np.abs(modulus(points) - self.lengths.sum()) <= MATCH_TOLERANCE
         return np.flatnonzero(ok), argument(points)[ok, None][:, :count]
 
+    def _with_last(self, points: ComplexArray, last: FloatArray) -> tuple[FloatArray, BoolArray]:
+        """(..., 2, 3) absolute angles of three pieces, that of the last given, and whether they are solutions."""
+        l1, l2, l3 = self.lengths
+        first, second, ok = _both_elbows(l1, l2, points - l3 * np.exp(1j * last))
+        return np.stack([first, second, np.broadcast_to(last[..., None], first.shape)], axis=-1), ok
+
     def _directed(self, points: ComplexArray, last: FloatArray) -> tuple[IntArray, FloatArray]:
         """Which point, and absolute angles, for (b, j) absolute angles of the last of three pieces."""
-        bearing, half, bend, ok = two_links(
-            self.lengths[0], self.lengths[1], points[:, None] - self.lengths[2] * np.exp(1j * last)
-        )
-        first = bearing[..., None] - _SIDES * half[..., None]
-        absolute = np.empty((*first.shape, 3))
-        absolute[..., 0] = first
-        absolute[..., 1] = first + _SIDES * bend[..., None]
-        absolute[..., 2] = last[..., None]
-        sides = np.stack([ok, ok & (bend > 0.0) & (bend < np.pi)], axis=-1)
-        return np.nonzero(sides)[0], absolute[sides]
+        absolute, ok = self._with_last(points[:, None], last)
+        return np.nonzero(ok)[0], absolute[ok]
 
     def _sampled(
         self, points: ComplexArray, low: FloatArray | None, width: float, count: int
@@ -255,12 +249,9 @@ class FreeChain(Record):
             station = sum_[-1] * (np.arange(count) + 0.5) / count
             which = np.minimum(np.searchsorted(sum_, station * (1.0 - 1e-12)), len(sum_) - 1)
             last = start[point[which], cell[which]] + (widths[point[which], cell[which]] - (sum_[which] - station))
-            bearing, half, bend, _ = two_links(
-                self.lengths[0], self.lengths[1], points[point[which]] - self.lengths[2] * np.exp(1j * last)
-            )
-            first = bearing - _SIDES[side[which]] * half
+            absolute, _ = self._with_last(points[point[which]], last)
             index.append(point[which])
-            found.append(np.stack([first, first + _SIDES[side[which]] * bend, last], axis=1))
+            found.append(absolute[np.arange(count), side[which]])
         if low is not None:
             ends, at_ends = self._directed(points, low[:, None] + [0.0, width])
             index.append(ends)
@@ -281,9 +272,7 @@ class FreeChain(Record):
         near = np.concatenate([[l2, l2], modulus(upper_arm), [l1, l1]])
         far = np.concatenate([np.full(6, l3), modulus(forearm)])
         start = np.concatenate([l1 * np.exp(1j * shoulder), np.zeros(6)])
-        bearing, half, bend, ok = two_links(near, far, points[:, None] - start)
-        first = bearing[..., None] - _SIDES * half[..., None]
-        second = first + _SIDES * bend[..., None]
+        first, second, ok = _both_elbows(near, far, points[:, None] - start)
         absolute = np.empty((*first.shape, 3))
         absolute[:, :2, :, 0] = shoulder[:, None]
         absolute[:, :2, :, 1] = first[:, :2]
@@ -293,8 +282,7 @@ class FreeChain(Record):
         absolute[:, 6:, :, 0] = first[:, 6:]
         absolute[:, 6:, :, 1] = second[:, 6:] - argument(forearm)[:, None]
         absolute[:, 6:, :, 2] = absolute[:, 6:, :, 1] + wrist[:, None]
-        sides = np.stack([ok, ok & (bend > 0.0) & (bend < np.pi)], axis=-1)
-        return absolute.reshape(len(points), -1, 3), sides.reshape(len(points), -1)
+        return absolute.reshape(len(points), -1, 3), ok.reshape(len(points), -1)
 
     def _intervals(
         self, points: ComplexArray, corners: FloatArray, low: FloatArray | None, width: float
@@ -306,14 +294,8 @@ class FreeChain(Record):
         cuts.sort(axis=1)
         widths = np.diff(cuts, axis=1, append=cuts[:, :1] + _TURN)
         middle = cuts + 0.5 * widths
-        bearing, half, bend, ok = two_links(
-            self.lengths[0], self.lengths[1], points[:, None] - self.lengths[2] * np.exp(1j * middle)
-        )
-        absolute = np.empty((len(points), 2, middle.shape[1], 3))
-        absolute[..., 0] = bearing[:, None] - _SIDES[:, None] * half[:, None]
-        absolute[..., 1] = absolute[..., 0] + _SIDES[:, None] * bend[:, None]
-        absolute[..., 2] = middle[:, None]
-        feasible = self.keeps_limits(self.joints(absolute)) & ok[:, None]
+        absolute, ok = self._with_last(points[:, None], middle)
+        feasible = (self.keeps_limits(self.joints(absolute)) & ok[..., :1]).transpose(0, 2, 1)
         if low is not None:
             feasible &= (_above(middle, low[:, None]) <= width)[:, None]
         return cuts, widths, feasible
@@ -356,6 +338,18 @@ def two_links(
     half = arctan2(far * np.sin(bend), near + far * cos)
     ok = (distance <= near + far + REACH_TOLERANCE) & (distance >= np.abs(near - far) - REACH_TOLERANCE)
     return argument(points), half, bend, ok
+
+
+def _both_elbows(
+    l1: FloatArray | float, l2: FloatArray | float, points: ComplexArray
+) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """(..., 2) absolute angles of two links that reach points, elbow to either side, and whether they are solutions.
+
+    A straight or folded elbow is one configuration, not two.
+    """
+    bearing, half, bend, ok = two_links(l1, l2, points)
+    first = bearing[..., None] - _SIDES * half[..., None]
+    return first, first + _SIDES * bend[..., None], np.stack([ok, ok & (bend > 0.0) & (bend < np.pi)], axis=-1)
 
 
 def _above(angle: FloatArray, low: FloatArray | float) -> FloatArray:

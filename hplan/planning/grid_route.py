@@ -8,7 +8,6 @@ the base turns, repaired here: a motion that cannot be shown clear is made joint
 from __future__ import annotations
 
 import itertools
-import math
 import time
 from dataclasses import dataclass, replace
 
@@ -24,7 +23,7 @@ from hplan.search.flood import has_bit
 from hplan.search.grid import Grid, Occupancy
 from hplan.search.lattice import Lattice
 from hplan.search.result import path_cost
-from hplan.search.wavefront import Wavefronts, meet
+from hplan.search.wavefront import meet
 from hplan.smoothing.repair import repaired
 
 #: Motions of a path that cannot be shown clear are avoided so many times; with thick layers it succeeds more often.
@@ -141,10 +140,7 @@ def _turning_path(
     search = _search(task, space, start.first, goal.first)
     nodes = search.path
     if nodes is None:
-        search, fronts = _by_fronts(task, lattice, free, entries, search)
-        nodes = fronts.path
-        if nodes is None:
-            raise _enclosed(task, attempt, space.grid, lattice, fronts)
+        search, nodes = _by_fronts(task, attempt, space, lattice, free, entries, search)
     known: dict[bytes, FloatArray | None] = {}
     for _ in range(THICK_DETOURS if attempt.thick else DETOURS):
         waypoints, before = _configurations(task, space.grid, nodes, start, goal)
@@ -201,31 +197,31 @@ def _after(nodes: IntArray, first: IntArray) -> IntArray:
 
 
 def _by_fronts(
-    task: PlanningTask, lattice: Lattice, free: WordArray, entries: tuple[GridEntry, GridEntry], search: SearchResult
-) -> tuple[SearchResult, Wavefronts]:
-    """A path between any of the nodes that start and goal are joined to."""
+    task: PlanningTask, attempt: GridAttempt, space: Occupancy, lattice: Lattice, free: WordArray,
+    entries: tuple[GridEntry, GridEntry], search: SearchResult,
+) -> tuple[SearchResult, IntArray]:  # fmt: skip
+    """A path between any of the nodes that start and goal are joined to, by flooding from both.
+
+    Raises:
+        EnclosedError: There is none; `open_ended` where more yaws might open one.
+    """
     begin = time.perf_counter()
     fronts = meet(lattice, free, *(np.array(entry.all()) for entry in entries))
     seconds = time.perf_counter() - begin
     task.clock.add("fallback", seconds)
+    if fronts.path is None:
+        grid, reached = space.grid, lattice.unbordered(fronts.reached)
+        count, which = int(np.bitwise_count(reached).sum()), fronts.enclosed
+        other = "goal" if which == "start" else "start"
+        what = f"the {which} is connected to {count} of {grid.size} nodes, and the {other} is not among them"
+        region = Region(what, task, attempt.growth_m, grid, reached)
+        raise EnclosedError(region, count, open_ended=open_ended(task.problem, grid, reached))
     found = replace(
         search,
         path=fronts.path,
-        cost=math.inf if fronts.path is None else path_cost(fronts.path, lattice.step),
+        cost=path_cost(fronts.path, lattice.step),
         expansions=search.expansions.with_fallback(0, fronts.flooded),
         times=replace(search.times, fallback=search.times.fallback + seconds),
         fallback="wavefront",
     )
-    return found, fronts
-
-
-def _enclosed(
-    task: PlanningTask, attempt: GridAttempt, grid: Grid, lattice: Lattice, fronts: Wavefronts
-) -> EnclosedError:
-    """The error for an end that is enclosed; `open_ended` where more yaws might open it."""
-    reached = lattice.unbordered(fronts.reached)
-    count, which = int(np.bitwise_count(reached).sum()), fronts.enclosed
-    other = "goal" if which == "start" else "start"
-    what = f"the {which} is connected to {count} of {grid.size} nodes, and the {other} is not among them"
-    region = Region(what, task, attempt.growth_m, grid, reached)
-    return EnclosedError(region, count, open_ended=open_ended(task.problem, grid, reached))
+    return found, fronts.path

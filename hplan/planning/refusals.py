@@ -29,12 +29,19 @@ class Refusals:
             goals: What the goals are, in the plural.
         """
         first, count = self.errors[0], len(self.errors)
+        if isinstance(first, NoPathError) and all(isinstance(error, NoPathError) for error in self.errors):
+            told = first.explained() if isinstance(first, EnclosedError) else first
+            detail = told.message.removeprefix("no path exists on the grid: ")
+            message = f"no path exists on the grid to any of {count} {goals}; to the first of them: {detail}"
+            return (
+                told
+                if count == 1
+                else NoPathError(message, reached_cells=told.reached_cells, blockers=told.blockers, goals=count)
+            )
         if count == 1:
-            return first.explained() if isinstance(first, EnclosedError) else first
+            return first
         tally = Counter(_reason(error) for error in self.errors).most_common()  # in order of appearance where equal
         reasons = [{"reason": reason, "goals": number} for reason, number in tally]
-        if isinstance(first, NoPathError) and all(isinstance(error, NoPathError) for error in self.errors):
-            return _no_path(first, count, goals)
         text = "; ".join(f"{number} x {reason}" for reason, number in tally[:TOLD])
         message = f"no certified motion to any of {count} {goals}: {text}{'; ...' if len(tally) > TOLD else ''}"
         failed = next(error for error in self.errors if not isinstance(error, NoPathError))
@@ -45,15 +52,3 @@ class Refusals:
 
 def _reason(error: HplanError) -> str:
     return "no path exists on the grid" if isinstance(error, NoPathError) else error.message
-
-
-def _no_path(first: NoPathError, count: int, goals: str) -> NoPathError:
-    """No path to any of the goals, told of the first."""
-    told = first.explained() if isinstance(first, EnclosedError) else first
-    detail = told.message.removeprefix("no path exists on the grid: ")
-    return NoPathError(
-        f"no path exists on the grid to any of {count} {goals}; to the first of them: {detail}",
-        reached_cells=told.reached_cells,
-        blockers=told.blockers,
-        goals=count,
-    )

@@ -16,6 +16,7 @@ from the stand-off before a fruit to the drop-off. The motions of the empty arm 
 from __future__ import annotations
 
 import math
+from bisect import bisect
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -35,7 +36,6 @@ from hplan.planning.find_motion import find_motion
 from hplan.planning.grasp_motion import approach_and_retreat, motion_to_grasp
 from hplan.planning.grasps import Grasp, Target, grasps
 from hplan.planning.task import PlanningContext, PlanningTask
-from hplan.problem.world import World
 from hplan.robot.limits import Limits, rest_to_rest
 from hplan.robot.model import Robot
 from hplan.scene.model import Fruit, Goal
@@ -208,7 +208,7 @@ class Motions:
         found = []
         for place, leg in zip(visits.places.tolist(), self._steps(visits), strict=True):
             parts = [part for name, step in leg if name != "return" for part in self._take(step).named(name)]
-            found.append((self.fruits[self._fruit_at(place)], self._grasps[place], parts))
+            found.append((self.fruits[bisect(self._begin, place) - 1], self._grasps[place], parts))
         return found
 
     def return_parts(self, visits: Visits) -> list[Part]:
@@ -223,10 +223,6 @@ class Motions:
         """The stop at which a tour's last leg ends."""
         return self._hub if self._carries else self._first + int(visits.places[-1])
 
-    def _fruit_at(self, place: int) -> int:
-        """The number of the fruit at a place."""
-        return int(self.fruits_at(np.array([place]))[0])
-
     def _stop(self, stop: Stop) -> int:
         """The number of a stop, a new one unless there is the same already."""
         for number, other in enumerate(self._stops):
@@ -238,13 +234,6 @@ class Motions:
     def _planned_pick(self, target: Target, grasp: Grasp) -> _Move:
         """Approach and retreat."""
         return _Move.of(approach_and_retreat(self._contexts[1], target, grasp))
-
-    @staticmethod
-    def _world_between(world: World, *stops: Stop) -> World:
-        """The world of a motion between stops: at fruits, the last link may touch these."""
-        for name in {stop.fruit: None for stop in stops if stop.fruit is not None}:
-            world = world.touching(name)
-        return world
 
     def _move(self, a: int, b: int, loaded: bool) -> _Move:
         """The motions from stop to stop; planned if they are not there yet."""
@@ -262,7 +251,8 @@ class Motions:
         ends, context = (self._stops[a], self._stops[b]), self._contexts[loaded]
         self.planned += 1
         try:
-            context = context.among(self._world_between(context.world, *ends))
+            for name in {end.fruit: None for end in ends if end.fruit is not None}:
+                context = context.among(context.world.touching(name))  # at a fruit the last link may touch it
             _, motion = find_motion([context.task(*(end.configuration for end in ends))])
         except NO_MOTION:
             return None
@@ -282,7 +272,9 @@ class Motions:
         """Approach and retreat at a place; planned if they are not there yet."""
         if place not in self._picks:
             try:
-                self._picks[place] = self._planned_pick(self._targets[self._fruit_at(place)], self._grasps[place])
+                self._picks[place] = self._planned_pick(
+                    self._targets[bisect(self._begin, place) - 1], self._grasps[place]
+                )
             except NO_MOTION:
                 self._picks[place] = _NONE
         return self._picks[place]

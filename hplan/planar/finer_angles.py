@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hplan.base.arrays import BoolArray, FloatArray
+from hplan.base.arrays import FloatArray
 from hplan.errors import UnreachableError
 from hplan.planar.inverse_kinematics import Candidates
 
@@ -64,7 +64,8 @@ def refined(
     angles = evenly.approach
     clearances = np.array([clearance(q) for q in evenly.configurations])
     best, tried = float(clearances.max()), 0
-    spacing = 0.0 if _is_one(approach_deg) else _spacing(angles)
+    is_interval = isinstance(approach_deg, tuple) and approach_deg[0] < approach_deg[1]
+    spacing = _spacing(angles) if approach_deg is None or is_interval else 0.0
     while spacing > FINEST:
         finer, seen = list[Candidates](), list[FloatArray]()
         for angle in _worth_refining(angles, clearances, enough, spacing):
@@ -80,15 +81,12 @@ def refined(
         angles, clearances = np.concatenate([found.approach for found in finer]), np.concatenate(seen)
         tried, best = tried + len(angles), max(best, float(clearances.max()))
         if best > enough:
-            every = np.concatenate([found.configurations for found in finer])
-            return Refined(_distinct(every, angles, clearances > enough), tried, best)
+            clear = clearances > enough
+            every, angles = np.concatenate([found.configurations for found in finer])[clear], angles[clear]
+            _, first = np.unique(np.round(every, 7), axis=0, return_index=True)  # intervals may overlap
+            return Refined(Candidates(every[first], angles[first]), tried, best)
         spacing /= FACTOR
     return Refined(None, tried, best)
-
-
-def _is_one(approach_deg: float | tuple[float, float] | None) -> bool:
-    """True if a single approach angle is asked for, which leaves nothing to refine."""
-    return approach_deg is not None and not (isinstance(approach_deg, tuple) and approach_deg[0] < approach_deg[1])
 
 
 def _spacing(angles: FloatArray) -> float:
@@ -124,9 +122,3 @@ def _clipped(angle: float, spacing: float, approach_deg: tuple[float, float] | N
     middle += 360.0 * np.ceil((first - middle) / 360.0 - 1e-9)  # as it is counted there
     turn = middle - np.degrees(angle)
     return max(first, low + turn), min(last, high + turn)
-
-
-def _distinct(configurations: FloatArray, angles: FloatArray, clear: BoolArray) -> Candidates:
-    """Clear configurations, each once: intervals may overlap."""
-    _, first = np.unique(np.round(configurations[clear], 7), axis=0, return_index=True)
-    return Candidates(configurations[clear][first], angles[clear][first])

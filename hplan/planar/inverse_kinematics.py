@@ -92,7 +92,7 @@ def reach(
     """
     if count < 1:
         raise OptionError("count", count, "a number of configurations >= 1")
-    task = _Task.of(robot, position, _window(approach_deg), start, locked)
+    task = _ReachTask.of(robot, position, _window(approach_deg), start, locked)
     configurations, direction = task.solve(count)
     if not len(configurations):
         raise _reason(task)
@@ -131,7 +131,7 @@ class _Views:
 
 
 @dataclass(frozen=True, eq=False)
-class _Task:
+class _ReachTask:
     """A position to reach, with some joints locked.
 
     Attributes:
@@ -151,7 +151,7 @@ class _Task:
     @classmethod
     def of(
         cls, robot: Robot, position: ArrayLike, window: Window | None, start: ArrayLike | None, locked: Sequence[str]
-    ) -> _Task:
+    ) -> _ReachTask:
         """Check what was given."""
         try:
             target = np.array(position, dtype=np.float64)
@@ -287,7 +287,7 @@ class _Task:
         turned[:, joint] = np.minimum(turned[:, joint], upper)
         return turned[kept], np.repeat(direction, len(turns))[kept]
 
-    def without(self, *, window: bool = False, locks: bool = False) -> _Task:
+    def without(self, *, window: bool = False, locks: bool = False) -> _ReachTask:
         """The same task without its approach angles, or without its locked joints."""
         held = np.zeros_like(self.held) if locks else self.held
         return replace(self, window=None if window else self.window, held=held)
@@ -297,7 +297,7 @@ class _Task:
         return bool(len(self.solve(1)[0]))
 
 
-def _reason(task: _Task) -> UnreachableError:
+def _reason(task: _ReachTask) -> UnreachableError:
     """Why there is no configuration: what was asked for first, then the arm."""
     wider = task.without(window=True)
     if task.window is not None and wider.is_possible():
@@ -309,7 +309,7 @@ def _reason(task: _Task) -> UnreachableError:
     return _arm_reason(task.without(locks=True, window=True))
 
 
-def _approach_reason(task: _Task, window: Window) -> UnreachableError:
+def _approach_reason(task: _ReachTask, window: Window) -> UnreachableError:
     """Only with other approach angles."""
     views = np.flatnonzero(task.yaw_excess <= ANGLE_TOLERANCE)
     spans: list[tuple[float, float]] = []
@@ -330,7 +330,7 @@ def _approach_reason(task: _Task, window: Window) -> UnreachableError:
     )
 
 
-def _locked_reason(task: _Task) -> UnreachableError:
+def _locked_reason(task: _ReachTask) -> UnreachableError:
     """Only with the locked joints elsewhere."""
     names = [task.robot.joint_names[joint] for joint in np.flatnonzero(task.held)]
     distance = task.views.distance
@@ -344,7 +344,7 @@ def _locked_reason(task: _Task) -> UnreachableError:
     )
 
 
-def _arm_reason(task: _Task) -> UnreachableError:
+def _arm_reason(task: _ReachTask) -> UnreachableError:
     """Never, with this arm."""
     lengths, points = task.robot.arm.lengths, task.views.point
     if task.views.distance > MATCH_TOLERANCE:
@@ -377,7 +377,7 @@ def _arm_reason(task: _Task) -> UnreachableError:
     return _limit_reason(task)
 
 
-def _limit_reason(task: _Task) -> UnreachableError:
+def _limit_reason(task: _ReachTask) -> UnreachableError:
     """Not within the joint limits: which joints would have to pass theirs, where that is least in sum."""
     robot, shift = task.robot, task.robot.dof - task.robot.arm.link_count
     views = np.arange(len(task.views.yaw))

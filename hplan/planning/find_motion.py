@@ -246,7 +246,7 @@ def _roadmap_or_grids(tasks: Sequence[PlanningTask]) -> tuple[int, PlannedMotion
             return found
         number, motion = found
         if number >= ROADMAPS or _is_close(motion):
-            return number, motion
+            return found
         other = _by_roadmap(tasks[number], WIDE, quicker_than_s=motion.trajectory.duration + CORNERS_S)
         return number, motion if other is None else _quicker(motion, other)
     if _is_close(quick[1]):

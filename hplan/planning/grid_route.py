@@ -159,9 +159,9 @@ def _turning_path(
                 bypass = meet(lattice, free, ahead, behind).path
         if bypass is None:
             break
-        nodes = np.concatenate(
-            [_until(nodes[: max(0, here)], bypass[0]), bypass, _after(nodes[here + 2 :], bypass[-1])]
-        )
+        before_it, _ = _parted(nodes[: max(0, here)], bypass[0])
+        _, after_it = _parted(nodes[here + 2 :], bypass[-1])
+        nodes = np.concatenate([before_it, bypass, after_it])
     raise CertificationError("no path on the grid can be shown clear as a motion")
 
 
@@ -183,17 +183,10 @@ def _take_out(task: PlanningTask, grid: Grid, lattice: Lattice, free: WordArray,
             free[row, bit >> 6] &= ~(np.uint64(1) << np.uint64(bit & 63))
 
 
-def _until(nodes: IntArray, last: IntArray) -> IntArray:
-    """The nodes before one of them; none where it is not among them."""
-    return nodes[: int((nodes == last).all(axis=1).argmax())] if len(nodes) else nodes
-
-
-def _after(nodes: IntArray, first: IntArray) -> IntArray:
-    """The nodes after one of them; none where it is not among them."""
-    if not len(nodes):
-        return nodes
-    matches = (nodes == first).all(axis=1)
-    return nodes[int(matches.argmax()) + 1 :] if matches.any() else nodes[:0]
+def _parted(nodes: IntArray, node: IntArray) -> tuple[IntArray, IntArray]:
+    """The nodes before one of them and those after it; none where it is not among them."""
+    places = np.flatnonzero((nodes == node).all(axis=1))
+    return (nodes[: places[0]], nodes[places[0] + 1 :]) if len(places) else (nodes[:0], nodes[:0])
 
 
 def _by_fronts(

@@ -95,11 +95,7 @@ def certificate_report(certificate: Certificate, options: PlanOptions) -> dict[s
 def motion_report(trajectory: Trajectory, certificate: Certificate, options: PlanOptions) -> dict[str, Any]:
     """The last part of the report of a plan or a tour: trajectory, certificate, versions."""
     return {
-        "trajectory": {
-            "duration_s": trajectory.duration,
-            "rate_hz": options.rate_hz,
-            "samples": trajectory.samples,
-        },
+        "trajectory": {"duration_s": trajectory.duration, "rate_hz": options.rate_hz, "samples": trajectory.samples},
         "certificate": certificate_report(certificate, options),
         "versions": versions(),
     }
@@ -107,13 +103,7 @@ def motion_report(trajectory: Trajectory, certificate: Certificate, options: Pla
 
 def failure_report(error: HplanError, *, scene: str | None, robot: str | None) -> dict[str, Any]:
     """The report of a plan that failed."""
-    return {
-        "status": "failed",
-        "scene": scene,
-        "robot": robot,
-        "error": error.as_dict(),
-        "versions": versions(),
-    }
+    return {"status": "failed", "scene": scene, "robot": robot, "error": error.as_dict(), "versions": versions()}
 
 
 def write_report(report: dict[str, Any], path: Path | str) -> Path:

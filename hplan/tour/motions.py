@@ -24,13 +24,7 @@ import numpy as np
 
 from hplan.base import ties
 from hplan.base.arrays import FloatArray, IntArray, readonly
-from hplan.errors import (
-    BlockedError,
-    CertificationError,
-    ConfigurationInCollisionError,
-    NoPathError,
-    TimingError,
-)
+from hplan.errors import BlockedError, CertificationError, ConfigurationInCollisionError, NoPathError, TimingError
 from hplan.planning.certified_motion import Part
 from hplan.planning.find_motion import find_motion
 from hplan.planning.grasp_motion import approach_and_retreat, motion_to_grasp

@@ -17,7 +17,7 @@ from typing import Any, Literal
 import numpy as np
 
 from hplan.base.arguments import instance, keep_checked, list_of, one_of, truth, whole
-from hplan.base.arrays import FloatArray, Record
+from hplan.base.arrays import Record
 from hplan.errors import CertificationError, HplanError, OptionError, TourError, UnreachableError
 from hplan.planning.certified_motion import Part, certificate_of, required
 from hplan.planning.grasps import Grasp
@@ -174,9 +174,7 @@ def plan_tour(
     check_task(robot, scene, options)
     if tour is not None:
         instance("tour", tour, TourOptions)
-    planner = _Planner(
-        robot, scene, PlanOptions() if options is None else options, TourOptions() if tour is None else tour, progress
-    )
+    planner = _TourPlanner(robot, scene, options or PlanOptions(), tour or TourOptions(), progress)
     return planner.run(_names(scene, fruits))
 
 
@@ -208,8 +206,8 @@ class _Stage:
     unreached: list[Unreached]
 
 
-class _Planner:
-    """All that one tour needs."""
+class _TourPlanner:
+    """A tour in the making: the arm, empty and loaded, and the stages so far."""
 
     def __init__(self, robot: Robot, scene: Scene, options: PlanOptions, tour: TourOptions, progress: Progress) -> None:
         """Check the start and make the arm ready."""
@@ -282,7 +280,10 @@ class _Planner:
             drafts.append((None, None, last.motions.return_parts(last.visits)))
         here, begin, legs = self.start, 0.0, list[Leg]()
         for fruit, grasp, parts in drafts:
-            legs.append(self._leg(fruit, grasp, parts, here, begin))
+            if not parts:  # the arm rests where it is
+                rest = resting(self.robot.model, here)
+                parts = [Part("return", rest, required(self.context, certificate_of(self.context, rest)))]
+            legs.append(Leg(fruit, grasp, begin, *in_sequence(parts, begin)))
             begin = legs[-1].phases[-1].end_s
             here = legs[-1].trajectory.position[-1]
         picked, dropped = _times(legs)
@@ -299,16 +300,6 @@ class _Planner:
             unreached=tuple(unreached),
             report=self._report(stages, legs, picked, unreached) | motion_report(trajectory, certificate, self.options),
         )
-
-    def _leg(
-        self, fruit: str | None, grasp: Grasp | None, parts: Sequence[Part], here: FloatArray, begin: float
-    ) -> Leg:
-        """A leg of motions one after the other; of none, the arm rests where it is."""
-        if not parts:
-            rest = resting(self.robot.model, here)
-            certificate = certificate_of(self.context, rest)
-            parts = [Part("return", rest, required(self.context, certificate))]
-        return Leg(fruit, grasp, begin, *in_sequence(parts, begin))
 
     def _report(
         self, stages: Sequence[_Stage], legs: Sequence[Leg], picked: Mapping[str, float], unreached: Sequence[Unreached]

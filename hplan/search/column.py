@@ -1,19 +1,16 @@
-"""Where the slices between start and goal do not join: fold, turn, unfold.
+"""Paths for slices between start and goal that do not join: fold, turn, unfold.
 
-A *column* is a place that is free in all slices between start's and goal's. With slices by yaw it is a pose in which
-the base can turn freely. The way goes in the start's slice to a column, through all slices there, and in the goal's
+A *column* is a row that is free in all slices from the start's to the goal's. With slices by yaw it is a pose in which
+the base can turn freely. The path goes in the start's slice to a column, through all slices there, and in the goal's
 slice to the goal.
 """
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
-from hplan.base.arrays import FloatArray, IntArray, WordArray
-from hplan.base.kernels import kernel
-from hplan.search.flood import flood_from
+from hplan.base.arrays import IntArray, WordArray
+from hplan.search.flood import bits_of, flood_from
 from hplan.search.lattice import Lattice
 from hplan.search.slice_search import SliceSearch, slice_words
 
@@ -21,7 +18,7 @@ from hplan.search.slice_search import SliceSearch, slice_words
 def by_column(
     lattice: Lattice, free: WordArray, start: IntArray, goal: IntArray, slice_search: SliceSearch
 ) -> tuple[IntArray | None, int, int]:
-    """A way through the column that is nearest to start and goal together.
+    """Path through the column that is nearest to start and goal together.
 
     Args:
         lattice: Geometry of the whole grid, at least three axes.
@@ -39,23 +36,12 @@ def by_column(
         reached, count = flood_from(flat, slice_words(lattice, free, int(node[-1])), node[:-1])
         masks.append(reached)
         flooded += count
-    row = _nearest_column(
-        free,
-        int(min(start[-1], goal[-1])),
-        int(max(start[-1], goal[-1])),
-        masks[0],
-        masks[1],
-        lattice.padded[-1],
-        lattice.row_coordinates,
-        lattice.step,
-        lattice.row_of(start),
-        lattice.row_of(goal),
-    )
-    if row < 0:
+    row = _nearest_column(lattice, free, masks[0] & masks[1], start, goal)
+    if row is None:
         return None, 0, flooded
     place = lattice.row_coordinates[row]
-    there, _, first, more = slice_search(flat, masks[0], start[:-1], place)
-    back, _, second, still_more = slice_search(flat, masks[1], place, goal[:-1])
+    there, first, more = slice_search(flat, masks[0], start[:-1], place)
+    back, second, still_more = slice_search(flat, masks[1], place, goal[:-1])
     flooded += more + still_more
     if there is None or back is None:
         return None, first + second, flooded
@@ -69,47 +55,17 @@ def by_column(
     return np.concatenate(parts), first + second, flooded
 
 
-@kernel
 def _nearest_column(
-    free: WordArray,
-    first: int,
-    last: int,
-    from_start: WordArray,
-    from_goal: WordArray,
-    padded: int,
-    coordinates: IntArray,
-    step: FloatArray,
-    start_row: int,
-    goal_row: int,
-) -> int:
-    """Row that is free from bit `first` to `last`, reached in both end slices, with the least way there and back."""
-    one, every = np.uint64(1), np.uint64(0xFFFFFFFFFFFFFFFF)
-    axes = coordinates.shape[1]
-    best, found = math.inf, -1
-    for row in range(free.shape[0]):
-        line, b = row // padded, row % padded - 1
-        if b < 0 or b >= padded - 2:
-            continue
-        reached = from_start[line, b >> 6] & from_goal[line, b >> 6]
-        if not (reached >> np.uint64(b & 63)) & one:
-            continue
-        whole = True
-        for word in range(first >> 6, (last >> 6) + 1):
-            mask = every
-            if word == first >> 6:
-                mask &= every << np.uint64(first & 63)
-            if word == last >> 6:
-                mask &= every >> np.uint64(63 - (last & 63))
-            if free[row, word] & mask != mask:
-                whole = False
-                break
-        if not whole:
-            continue
-        there, back = 0.0, 0.0
-        for axis in range(axes):
-            there += ((coordinates[row, axis] - coordinates[start_row, axis]) * step[axis]) ** 2
-            back += ((coordinates[row, axis] - coordinates[goal_row, axis]) * step[axis]) ** 2
-        length = math.sqrt(there) + math.sqrt(back)
-        if length < best:
-            best, found = length, row
-    return found
+    lattice: Lattice, free: WordArray, reached: WordArray, start: IntArray, goal: IntArray
+) -> int | None:
+    """Row, of those reached in both end slices, that is free between them and nearest to start and goal together."""
+    lines, bits = np.nonzero(bits_of(reached))
+    rows = lines * lattice.padded[-1] + bits + 1
+    first, last = sorted((int(start[-1]), int(goal[-1])))
+    between = lattice.mask(range(first, last + 1))
+    rows = rows[((free[rows] & between) == between).all(axis=1)]
+    if not len(rows):
+        return None
+    places, step = lattice.row_coordinates[rows], lattice.step[:-1]
+    there, back = (np.linalg.norm((places - node[:-1]) * step, axis=1) for node in (start, goal))
+    return int(rows[np.argmin(there + back)])

@@ -1,4 +1,4 @@
-"""What the start is connected to, found for whole words of nodes at once.
+"""Connected components, found for whole words of nodes at once.
 
 Neighbouring rows are joined by word operations, so one sweep over the rows moves the front in 64 slices together.
 Sweeps alternate in direction until nothing changes: the fixed point is the connected component, whatever the order.
@@ -12,9 +12,11 @@ from numpy.typing import ArrayLike
 from hplan.base.arrays import BoolArray, IntArray, WordArray, frozen
 from hplan.base.kernels import kernel
 from hplan.search.bits import lowest_bit, popcount
-from hplan.search.endpoints import check_occupancy, checked_node
-from hplan.search.grid import Occupancy
+from hplan.search.grid import Occupancy, checked_node
 from hplan.search.lattice import Lattice
+
+#: A row that is never reached: it belongs to the border.
+_NOWHERE = 0
 
 
 def flood_slices(
@@ -34,17 +36,11 @@ def flood_slices(
     """
     reached = np.zeros_like(free)
     reached[start_row] = free[start_row] & wanted
-    goal = start_row if goal_row is None else goal_row
-    enough = free[goal] & reached[start_row]
+    enough = reached[start_row] & free[start_row if goal_row is None else goal_row]
+    shape, neighbours = in_lines(lattice)
     if goal_row is None:
-        enough = ~enough  # which is never what is reached there
-    line = lattice.padded[-1]
-    shape, beside = in_lines(lattice)
-    beside = beside[beside != 0]
-    count = _flood_slices(
-        free.reshape(shape), reached.reshape(shape), lattice.words, beside, start_row // line,
-        goal // line, goal % line * lattice.words, enough,
-    )  # fmt: skip
+        goal_row, enough = _NOWHERE, np.ones_like(enough)
+    count = _flood(free.reshape(shape), reached.reshape(shape), neighbours[neighbours != 0], False, goal_row, enough)
     return reached, int(count)
 
 
@@ -62,22 +58,24 @@ def flood_from(lattice: Lattice, free: WordArray, nodes: IntArray) -> tuple[Word
     reached = np.zeros_like(free)
     for node in np.atleast_2d(nodes):
         reached[lattice.row_of(node), node[-1] >> 6] |= np.uint64(1) << np.uint64(node[-1] & 63)
-    shape, beside = in_lines(lattice)
-    count = _flood_whole(free.reshape(shape), reached.reshape(shape), lattice.words, beside)
+    shape, neighbours = in_lines(lattice)
+    enough = np.ones(lattice.words, dtype=np.uint64)
+    count = _flood(free.reshape(shape), reached.reshape(shape), neighbours, True, _NOWHERE, enough)
     return reached, int(count)
 
 
 def in_lines(lattice: Lattice) -> tuple[tuple[int, int], IntArray]:
-    """How rows stand in lines along the axis before the last, (lines, words of a line), and where the lines beside are.
+    """Shape of the rows put in lines along the axis before the last, and offsets of the neighbouring lines.
 
-    Neighbouring lines are given by their middle rows; the line itself is among them.
+    Returns:
+        (lines, words of a line), and the offset of each neighbouring line, of the line itself (0) among them.
     """
     line = lattice.padded[-1]
     return (lattice.rows // line, line * lattice.words), lattice.row_offsets[1::3] // line
 
 
 def reachable(occupancy: Occupancy, start: ArrayLike) -> BoolArray:
-    """Which nodes can be reached from a node.
+    """Nodes that can be reached from a node.
 
     Args:
         occupancy: Which nodes are free.
@@ -90,16 +88,13 @@ def reachable(occupancy: Occupancy, start: ArrayLike) -> BoolArray:
         InputError: The start is no node of the grid, or not free.
     """
     node = checked_node(occupancy, start, "start")
-    check_occupancy(occupancy)
     lattice = Lattice.of(occupancy.grid.shape, occupancy.grid.step)
-    free = lattice.bordered(occupancy.free_words)
-    reached, _ = flood_from(lattice, free, node)
-    bits = np.unpackbits(lattice.unbordered(reached).view(np.uint8), axis=1, bitorder="little")
-    return frozen(bits.view(np.bool_)[:, : lattice.shape[-1]].reshape(lattice.shape))
+    reached, _ = flood_from(lattice, lattice.bordered(occupancy.free_words), node)
+    return frozen(bits_of(lattice.unbordered(reached))[:, : lattice.shape[-1]].reshape(lattice.shape))
 
 
 def slices_with_path(occupancy: Occupancy, start: ArrayLike, goal: ArrayLike) -> BoolArray:
-    """Which slices of the last axis have a path of their own from the start's place to the goal's.
+    """Slices of the last axis that have a path of their own from the start's row to the goal's.
 
     Args:
         occupancy: Which nodes are free.
@@ -112,56 +107,47 @@ def slices_with_path(occupancy: Occupancy, start: ArrayLike, goal: ArrayLike) ->
     Raises:
         InputError: Start or goal is no node of the grid, or not free.
     """
-    check_occupancy(occupancy)
+    source, target = checked_node(occupancy, start, "start"), checked_node(occupancy, goal, "goal")
     lattice = Lattice.of(occupancy.grid.shape, occupancy.grid.step)
-    start_row = lattice.row_of(checked_node(occupancy, start, "start"))
-    goal_row = lattice.row_of(checked_node(occupancy, goal, "goal"))
-    free = lattice.bordered(occupancy.free_words)
+    free, goal_row = lattice.bordered(occupancy.free_words), lattice.row_of(target)
     every = lattice.mask(range(lattice.shape[-1]))
-    reached, _ = flood_slices(lattice, free, start_row, every, goal_row)
+    reached, _ = flood_slices(lattice, free, lattice.row_of(source), every, goal_row)
     return frozen(bits_of(reached[goal_row])[: lattice.shape[-1]])
 
 
 def bits_of(words: WordArray) -> BoolArray:
-    """The bits of (words,) one by one."""
-    return np.unpackbits(words.view(np.uint8), bitorder="little").view(np.bool_)
+    """The bits of (..., words) one by one, (..., 64 * words)."""
+    return np.unpackbits(words.view(np.uint8), axis=-1, bitorder="little").view(np.bool_)
 
 
 def has_bit(words: WordArray, row: int, bit: int) -> bool:
-    """Whether a bit of (rows, words) is set."""
+    """True if a bit of (rows, words) is set."""
     return bool((int(words[row, bit >> 6]) >> (bit & 63)) & 1)
 
 
 @kernel
-def _flood_slices(
-    free: WordArray,
-    reached: WordArray,
-    words: int,
-    beside: IntArray,
-    start_line: int,
-    goal_line: int,
-    goal_place: int,
-    enough: WordArray,
+def _flood(
+    free: WordArray, reached: WordArray, neighbours: IntArray, joined: bool, goal_row: int, enough: WordArray
 ) -> int:
     """Grow `reached` inside `free`, both (lines, rows of a line * words); returns the number of bits reached.
 
-    It may end where `reached` is `enough` from `goal_place` on in the goal's line.
+    A line with a neighbour that has news first takes one step from all of these, then runs along its rows and, where
+    slices are joined, along its bits. The flood may end where (words,) `enough` is reached in the goal's row.
     """
     lines, length = free.shape
-    zero = np.uint64(0)
-    front = np.empty(length, dtype=np.uint64)
-    # A line waits where a neighbour has news for it. Lines without free bits, the border among them, never do.
-    may_wait = np.empty(lines, dtype=np.bool_)
+    words, zero = len(enough), np.uint64(0)
+    goal_line, goal_word = goal_row * words // length, goal_row * words % length
+    front, wide = np.zeros(length, dtype=np.uint64), np.zeros(length, dtype=np.uint64)
+    # Lines without free bits, the border among them, never wait. Those flooded from go on without news.
+    may_wait, is_source, left = np.empty(lines, dtype=np.bool_), np.empty(lines, dtype=np.bool_), 0
     for line in range(lines):
-        bits = zero
+        bits, some = zero, zero
         for k in range(length):
             bits |= free[line, k]
-        may_wait[line] = bits != zero
-    waiting = np.zeros(lines, dtype=np.bool_)
-    waiting[start_line] = True
-    left = 1
-    fresh = True
-    forward = True
+            some |= reached[line, k]
+        may_wait[line], is_source[line] = bits != zero, some != zero
+        left += is_source[line]
+    waiting, forward = is_source.copy(), True
     while left > 0:
         for i in range(lines):
             line = i if forward else lines - 1 - i
@@ -172,17 +158,24 @@ def _flood_slices(
             here, inside = reached[line], free[line]
             for k in range(length):
                 front[k] = here[k]
-            for offset in beside:
+            for offset in neighbours:
                 near = reached[line + offset]
-                for k in range(length - 2 * words):
-                    front[k + words] |= near[k] | near[k + words] | near[k + 2 * words]
+                for k in range(length):
+                    front[k] |= near[k]
+            # The first and the last row of a line are border.
+            for k in range(words, length - words):
+                wide[k] = front[k - words] | front[k] | front[k + words]
+            if joined:
+                _step_along_bits(wide, front, words)
+            else:
+                front, wide = wide, front
             news = zero
             for k in range(length):
                 front[k] &= inside[k]
-                news |= front[k] ^ here[k]
-            if news == zero and not fresh:
+                news |= front[k] & ~here[k]
+            if news == zero and not is_source[line]:
                 continue
-            fresh = False
+            is_source[line] = False
             for word in range(words):
                 run = zero
                 for k in range(word, length, words):
@@ -192,14 +185,16 @@ def _flood_slices(
                 for k in range(length - words + word, -1, -words):
                     run = (run & inside[k]) | front[k]
                     here[k] = run
+            if joined:
+                _run_along_bits(here, inside, words)
             if line == goal_line:
                 missing = zero
                 for word in range(words):
-                    missing |= enough[word] ^ here[goal_place + word]
+                    missing |= enough[word] ^ here[goal_word + word]
                 if missing == zero:
                     left = 0
                     break
-            for offset in beside:
+            for offset in neighbours:
                 other = line + offset
                 if not waiting[other] and may_wait[other]:
                     waiting[other] = True
@@ -213,91 +208,36 @@ def _flood_slices(
 
 
 @kernel
-def _flood_whole(free: WordArray, reached: WordArray, words: int, beside: IntArray) -> int:
-    """Grow `reached` inside `free`, both (lines, rows of a line * words), over all axes; returns the bits reached.
+def _step_along_bits(bits: WordArray, wide: WordArray, words: int) -> None:
+    """Put the bits of a line's rows and their neighbours along the last axis into `wide`; not those of its border."""
+    one, top, zero = np.uint64(1), np.uint64(63), np.uint64(0)
+    for k in range(words, len(bits) - words):
+        wide[k] = bits[k] | (bits[k] << one) | (bits[k] >> one)
+        if words > 1:
+            wide[k] |= bits[k - 1] >> top if k % words > 0 else zero
+            wide[k] |= bits[k + 1] << top if k % words < words - 1 else zero
 
-    In a line whose neighbours have news the flood first takes one step from them, then runs along rows and along bits.
-    """
-    lines, length = free.shape
-    zero, one, top = np.uint64(0), np.uint64(1), np.uint64(63)
-    front, wide = np.empty(length, dtype=np.uint64), np.zeros(length, dtype=np.uint64)
-    may_wait, waiting = np.zeros(lines, dtype=np.bool_), np.zeros(lines, dtype=np.bool_)
-    for line in range(lines):
-        some = zero
-        for k in range(length):
-            may_wait[line] = may_wait[line] or free[line, k] != zero
-            some |= reached[line, k]
-        if some != zero:
-            for offset in beside:
-                waiting[line + offset] = True
-    left = 0
-    for line in range(lines):
-        waiting[line] = waiting[line] and may_wait[line]
-        left += waiting[line]
-    forward = True
-    while left > 0:
-        for i in range(lines):
-            line = i if forward else lines - 1 - i
-            if not waiting[line]:
-                continue
-            waiting[line] = False
-            left -= 1
-            here, inside = reached[line], free[line]
-            for k in range(length):
-                front[k] = here[k]
-            for offset in beside:
-                near = reached[line + offset]
-                for k in range(length):
-                    front[k] |= near[k]
-            # One step along rows and bits; the first and the last row are border.
-            for k in range(words, length - words):
-                wide[k] = front[k - words] | front[k] | front[k + words]
-            news = zero
-            for k in range(words, length - words):
-                bits = wide[k] | (wide[k] << one) | (wide[k] >> one)
-                if words > 1:
-                    bits |= wide[k - 1] >> top if k % words > 0 else zero
-                    bits |= wide[k + 1] << top if k % words < words - 1 else zero
-                front[k] = bits & inside[k]
-                news |= front[k] & ~here[k]
-            if news == zero:
-                continue
-            for word in range(words):
-                run = zero
-                for k in range(words + word, length - words, words):
-                    run = (run & inside[k]) | front[k]
-                    front[k] = run
-                run = zero
-                for k in range(length - 2 * words + word, -1, -words):
-                    run = (run & inside[k]) | front[k]
-                    front[k] = run
-            for begin in range(words, length - words, words):
-                carry = zero
-                for k in range(begin, begin + words):
-                    # Added to a run of free bits, a bit carries to the end of the run.
-                    bits, room = front[k] | (carry & inside[k]), inside[k]
-                    bits |= room & ((room + bits) ^ room)
-                    here[k] = bits
-                    carry = bits >> top
-                carry = zero
-                for k in range(begin + words - 1, begin - 1, -1):
-                    bits, room = here[k] | ((carry << top) & inside[k]), inside[k]
-                    for shift in (1, 2, 4, 8, 16, 32):
-                        bits |= room & (bits >> np.uint64(shift))
-                        room &= room >> np.uint64(shift)
-                    here[k] = bits
-                    carry = bits & one
-            for offset in beside:
-                other = line + offset
-                if not waiting[other] and may_wait[other]:
-                    waiting[other] = True
-                    left += 1
-        forward = not forward
-    count = 0
-    for line in range(lines):
-        for k in range(length):
-            count += popcount(reached[line, k])
-    return count
+
+@kernel
+def _run_along_bits(here: WordArray, inside: WordArray, words: int) -> None:
+    """Let the bits of a line's rows run as far as the free bits `inside` go, along the last axis."""
+    one, top, zero = np.uint64(1), np.uint64(63), np.uint64(0)
+    for begin in range(words, len(here) - words, words):
+        carry = zero
+        for k in range(begin, begin + words):
+            # Added to a run of free bits, a bit carries to the end of the run.
+            bits, room = here[k] | (carry & inside[k]), inside[k]
+            bits |= room & ((room + bits) ^ room)
+            here[k] = bits
+            carry = bits >> top
+        carry = zero
+        for k in range(begin + words - 1, begin - 1, -1):
+            bits, room = here[k] | ((carry << top) & inside[k]), inside[k]
+            for shift in (1, 2, 4, 8, 16, 32):
+                bits |= room & (bits >> np.uint64(shift))
+                room &= room >> np.uint64(shift)
+            here[k] = bits
+            carry = bits & one
 
 
 @kernel

@@ -1,6 +1,6 @@
 """A grid over joint space (or any other box), and which of its nodes are free.
 
-Occupancy is held one bit a node, the last axis along the bits of 64-bit words: a forbidden interval of the last
+Occupancy takes one bit a node, the last axis along the bits of 64-bit words: a forbidden interval of the last
 joint is then a few masks, and one word operation floods 64 slices at once.
 """
 
@@ -88,7 +88,7 @@ class Grid(Record):
         return coordinates
 
     def position(self, coordinates: ArrayLike) -> FloatArray:
-        """Place of coordinates in units of steps, (..., d) -> (..., d)."""
+        """Coordinates in units of steps from node 0, (..., d) -> (..., d)."""
         position: FloatArray = (np.asarray(coordinates) - self.lower) / self.step
         return position
 
@@ -104,7 +104,7 @@ class Grid(Record):
 
 @dataclass(frozen=True, eq=False)
 class Occupancy(Record):
-    """Which nodes of a grid are free.
+    """Free nodes of a grid, packed into words.
 
     Attributes:
         grid: The grid.
@@ -150,12 +150,36 @@ class Occupancy(Record):
         return self.grid.size - int(np.bitwise_count(self.free_words).sum())
 
     def is_free(self, index: ArrayLike) -> bool:
-        """Whether the node with the given (d,) index is free."""
+        """True if the node with the given (d,) index is free."""
         *prefix, last = np.asarray(index).tolist()
         row = 0
         for place, count in zip(prefix, self.grid.shape, strict=False):
             row = row * count + place
         return bool((int(self.free_words[row, last // 64]) >> (last % 64)) & 1)
+
+
+def checked_node(occupancy: Occupancy, index: ArrayLike, which: str) -> IntArray:
+    """The (d,) index of a free node.
+
+    Raises:
+        OptionError: The occupancy is none.
+        InputError: The index is no node of the grid, or an occupied one.
+    """
+    instance("occupancy", occupancy, Occupancy, "Occupancy.from_mask")
+    try:
+        node = np.asarray(index)
+    except ValueError:  # rows of different lengths
+        node = np.empty(0)
+    shape = occupancy.grid.shape
+    if node.shape != (len(shape),) or not np.issubdtype(node.dtype, np.integer):
+        raise InputError(f"{which}: expected {len(shape)} whole numbers, got {index!r}", which=which)
+    node_index = node.tolist()
+    if not all(0 <= number < count for number, count in zip(node_index, shape, strict=True)):
+        message = f"{which}: node {node_index} is outside the grid of shape {shape}"
+        raise InputError(message, which=which, node=node_index)
+    if not occupancy.is_free(node):
+        raise InputError(f"{which}: node {node_index} is occupied", which=which, node=node_index)
+    return node.astype(np.int64)
 
 
 def words_for(bits: int) -> int:

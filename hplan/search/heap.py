@@ -1,10 +1,11 @@
-"""The open list of every search: a binary heap whose entries know their place, so that a key can be lowered.
+"""The open list of every search: a binary heap that records where each node is, so that a key can be lowered.
 
 The functions are inlined where they are used: a call with array arguments costs more than the work itself.
 """
 
 from __future__ import annotations
 
+import math
 from typing import TypeAlias
 
 from hplan.base.arrays import FloatArray, IntArray, ShortArray
@@ -15,6 +16,20 @@ Numbers: TypeAlias = IntArray | ShortArray
 
 #: `slot` of a node that was never in the heap, or was taken from it.
 NEW, TAKEN = -1, -2
+
+
+@inlined
+def priority(cost: float, ahead: float, scale: float) -> float:
+    """Key of a node: f in steps of 1e-10 of the whole, so that sums of the same moves in another order are a tie.
+
+    In a tie the fraction, ever smaller towards the goal, decides.
+
+    Args:
+        cost: Cost from the start.
+        ahead: Lower bound of the cost to the goal.
+        scale: One over that bound at the start.
+    """
+    return math.floor((cost + ahead) * scale * 1e10 + 0.5) + min(0.9, 0.1 * ahead * scale)
 
 
 @inlined

@@ -5,30 +5,58 @@ that moves diagonally first, and so opens only *jump points*: places where an ob
 needs of the costs only that a diagonal step is longer than either straight one and shorter than both together, so the
 axes may have unequal steps. Cutting corners is allowed, as everywhere in this package.
 
-A place (i, j) of the plane is one word, each bit a slice. Where corners are, and whether a scan from a place in
-a direction meets a jump point before an obstacle (`lead`), are a few word operations for 64 slices together
-(`jump_leads`). The searches then scan only where it pays.
+A place (i, j) of the plane is one word, each bit a slice. The corners, and the places from which a scan in a direction
+meets a jump point before an obstacle (`lead`), take a few word operations for 64 slices together. The searches then
+scan only where it pays.
+
+Directions are numbered 0 to 7: +j, -j, +i, -i, then (+i, +j), (+i, -j), (-i, +j), (-i, -j). A path that arrives at a
+place in direction k may turn there to `_TURNS[k]`, off the diagonal-first order, only around a corner: where the place
+in direction `_SIDES[k]` is occupied and the one in direction `_TURNS[k]` is free.
 """
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from hplan.base.arrays import FloatArray, IntArray, ShortArray, WordArray
 from hplan.base.kernels import inlined, kernel
-from hplan.search.heap import NEW, begin, pop, push
-from hplan.search.jump_leads import SIDES, STRAIGHTS, TURNS, direction_offsets, fill_leads
+from hplan.search.direct_slices import Ends
+from hplan.search.heap import NEW, begin, pop, priority, push
 
+#: (8, 2) the directions in which an obstacle lets a path turn.
+_SIDES = np.array([[2, 3], [2, 3], [0, 1], [0, 1], [1, 3], [0, 3], [1, 2], [0, 2]])
+#: (8, 2) the directions it can then turn to.
+_TURNS = np.array([[4, 6], [5, 7], [4, 5], [6, 7], [5, 6], [4, 7], [7, 4], [6, 5]])
+#: (8, 2) the straight parts of each direction.
+_STRAIGHTS = np.array([[0, 0], [1, 1], [2, 2], [3, 3], [0, 2], [1, 2], [0, 3], [1, 3]])
 #: For each direction the directions that go on from a jump point without a corner, one bit each.
 _ONWARD = np.array([0b1, 0b10, 0b100, 0b1000, 0b10101, 0b100110, 0b1001001, 0b10001010])
 _EVERY = 0b11111111
 
 
+class _Plane(NamedTuple):
+    """A block of 64 slices.
+
+    Attributes:
+        free: (places,) free bits, with a border of occupied places.
+        lead: (8, places) for each direction the slices in which a scan meets a jump point or the goal; 0 in the border.
+        ends: Start and goal.
+        offsets: (8,) distance to the neighbouring place in each direction.
+        lengths: (8,) length of a step in each direction.
+    """
+
+    free: WordArray
+    lead: WordArray
+    ends: Ends
+    offsets: IntArray
+    lengths: FloatArray
+
+
 class _Work(NamedTuple):
-    """Arrays of a search, used again for every slice; what they say of a place holds if `seen` names the slice."""
+    """Arrays of a search, used again for every slice; entries of a place are valid if `seen` names the slice."""
 
     seen: ShortArray
     cost: FloatArray
@@ -43,25 +71,16 @@ class _Work(NamedTuple):
 
 @kernel
 def jump_slices(
-    free: WordArray,
-    feasible: WordArray,
-    width: int,
-    first: int,
-    last: int,
-    start: int,
-    goal: int,
-    steps: FloatArray,
+    free: WordArray, feasible: WordArray, first: int, last: int, ends: Ends, steps: FloatArray
 ) -> tuple[IntArray, IntArray, int]:
     """Shortest path from the start's row to the goal's in each feasible slice from `first` to `last`.
 
     Args:
         free: (rows, words) bits with border.
         feasible: (words,) slices that have a path.
-        width: Bordered rows along axis j.
         first: First slice to search.
         last: Last slice to search.
-        start: Bordered row in which every path starts.
-        goal: Bordered row in which every path ends.
+        ends: Rows in which every path starts and ends.
         steps: (2,) weights of a step along axes i and j.
 
     Returns:
@@ -69,11 +88,10 @@ def jump_slices(
         number of expansions: jump points taken from the open lists.
     """
     rows = free.shape[0]
-    plane = np.empty(rows, dtype=np.uint64)
-    lead = np.zeros((8, rows), dtype=np.uint64)
-    offsets = direction_offsets(width)
     diagonal = math.hypot(steps[0], steps[1])
     lengths = np.array([steps[1], steps[1], steps[0], steps[0], diagonal, diagonal, diagonal, diagonal])
+    offsets = _offsets(ends.width)
+    plane = _Plane(np.empty(rows, dtype=np.uint64), np.zeros((8, rows), dtype=np.uint64), ends, offsets, lengths)
     work = _Work(
         seen=np.full(rows, -1, dtype=np.int32),
         cost=np.empty(rows),
@@ -89,7 +107,7 @@ def jump_slices(
     path_rows = np.empty(4096, dtype=np.int64)
     begins = np.zeros(last - first + 2, dtype=np.int64)
     expansions = 0
-    base = first - 64  # `plane` and `lead` hold the 64 slices from here on
+    base = first - 64  # `plane` holds the 64 slices from here on
     for number in range(first, last + 1):
         begin = begins[number - first]
         begins[number - first + 1] = begin
@@ -97,20 +115,20 @@ def jump_slices(
             continue
         if number >= base + 64:
             base = number
-            _take_slices(free, base, plane)
-            fill_leads(plane, lead, width, goal)
-        expansions += _search_slice(plane, lead, number, base, width, start, goal, offsets, lengths, work)
+            _take_slices(free, base, plane.free)
+            _fill_leads(plane)
+        expansions += _search_slice(plane, number, np.uint64(1) << np.uint64(number - base), work)
         length = 1
-        row = goal
-        while row != start:
+        row = ends.goal
+        while row != ends.start:
             length += _between(row, parent[row], offsets[arrival[row]])
             row = parent[row]
         while begin + length > len(path_rows):
             path_rows = np.concatenate((path_rows, np.empty_like(path_rows)))
-        row = goal
+        row = ends.goal
         place = begin + length - 1
         path_rows[place] = row
-        while row != start:
+        while row != ends.start:
             for _ in range(_between(row, parent[row], offsets[arrival[row]])):
                 place -= 1
                 path_rows[place] = path_rows[place + 1] - offsets[arrival[row]]
@@ -139,44 +157,84 @@ def _take_slices(free: WordArray, first: int, plane: WordArray) -> None:
 
 
 @kernel
-def _search_slice(
-    plane: WordArray,
-    lead: WordArray,
-    number: int,
-    base: int,
-    width: int,
-    start: int,
-    goal: int,
-    offsets: IntArray,
-    lengths: FloatArray,
-    work: _Work,
-) -> int:
+def _offsets(width: int) -> IntArray:
+    """(8,) distance to the neighbouring place in each direction, with `width` places along axis j."""
+    return np.array([1, -1, width, -width, width + 1, width - 1, 1 - width, -width - 1])
+
+
+@kernel
+def _fill_leads(plane: _Plane) -> None:
+    """Fill `lead`: the places from which a scan meets a jump point, or the goal, before it meets an obstacle."""
+    for k in range(8):
+        if k < 2:
+            _lead_along_j(plane, k)
+        else:
+            _lead_along_i(plane, k)
+        # The places that see the goal in this direction.
+        bits, place = plane.free[plane.ends.goal], plane.ends.goal - plane.offsets[k]
+        while bits != np.uint64(0):
+            plane.lead[k, place] |= bits
+            bits &= plane.free[place]
+            place -= plane.offsets[k]
+
+
+@kernel
+def _lead_along_j(plane: _Plane, k: int) -> None:
+    """`lead` in direction 0 or 1, from place to place: a scan stops at a corner of the next one, or goes on there."""
+    width, step = plane.ends.width, plane.offsets[k]
+    grid, lead = plane.free.reshape(-1, width), plane.lead[k].reshape(-1, width)
+    for i in range(1, len(grid) - 1):
+        above, here, below, to = grid[i - 1], grid[i], grid[i + 1], lead[i]
+        bits = np.uint64(0)
+        for n in range(2, width - 1):
+            j = width - 1 - n if k == 0 else n
+            bits |= (~below[j + step] & below[j + 2 * step]) | (~above[j + step] & above[j + 2 * step])
+            bits &= here[j + step]
+            to[j] = bits
+
+
+@kernel
+def _lead_along_i(plane: _Plane, k: int) -> None:
+    """`lead` in directions 2 to 7, row by row: a diagonal scan also stops where a straight one meets a jump point."""
+    free, lead, width, offset = plane.free, plane.lead, plane.ends.width, plane.offsets[k]
+    side, other_side = plane.offsets[_SIDES[k, 0]], plane.offsets[_SIDES[k, 1]]
+    turn, other_turn = plane.offsets[_TURNS[k, 0]], plane.offsets[_TURNS[k, 1]]
+    rows, along_j = len(free) // width, offset - width if offset > 0 else offset + width
+    count = width - 2 - abs(along_j)
+    for n in range(2, rows - 1):
+        # A run of places of a row, and the places next to them in this direction.
+        place = (rows - 1 - n if offset > 0 else n) * width + (2 if along_j < 0 else 1)
+        a, b = place + offset, place + offset + count
+        to, inside, beyond = lead[k, place : place + count], free[a:b], lead[k, a:b]
+        straight, other_straight = lead[_STRAIGHTS[k, 0], a:b], lead[_STRAIGHTS[k, 1], a:b]
+        lateral, other_lateral = free[a + side : b + side], free[a + other_side : b + other_side]
+        ahead, other_ahead = free[a + turn : b + turn], free[a + other_turn : b + other_turn]
+        for m in range(count):
+            corner = (~lateral[m] & ahead[m]) | (~other_lateral[m] & other_ahead[m])
+            to[m] = inside[m] & (corner | straight[m] | other_straight[m] | beyond[m])
+
+
+@kernel
+def _search_slice(plane: _Plane, number: int, bit: Any, work: _Work) -> int:
     """A* over the jump points of one slice that has a path; leaves `parent` and `arrival` in `work`.
 
     A place reached at the same cost from several directions goes on in the directions of all of them.
 
     Args:
-        plane: (places,) free bits of 64 slices.
-        lead: (8, places) from where a scan meets a jump point.
+        plane: The block of slices that it is one of.
         number: Slice to search.
-        base: Slice of the lowest bit.
-        width: Places along axis j with border.
-        start: Place of the start.
-        goal: Place of the goal.
-        offsets: (8,) distance to the neighbouring place in each direction.
-        lengths: (8,) length of a step in each direction.
+        bit: Its bit in the words of the block, uint64.
         work: Arrays to use.
 
     Returns:
         The number of expansions.
     """
+    free, lead, ends, offsets, lengths = plane
+    width, start, goal = ends
     seen, cost, parent, arrival, pending, tried, slot, keys, entries = work
-    bit = np.uint64(1) << np.uint64(number - base)
     goal_i, goal_j = goal // width, goal % width
     whole = _octile(start, width, goal_i, goal_j, lengths)
-    # Keys as in `astar`: f in steps of 1e-10 of the whole, ties by the way to go.
-    share = 1.0 / max(whole, 1e-12)
-    tolerance = 1e-12 * whole
+    scale, tolerance = 1.0 / max(whole, 1e-12), 1e-12 * whole
     seen[start], cost[start], slot[start] = number, 0.0, NEW
     pending[start], tried[start] = _EVERY, 0
     size = begin(keys, entries, slot, start)
@@ -195,17 +253,16 @@ def _search_slice(
                 continue
             # Scan to the jump point; `lead` has shown that there is one.
             offset = offsets[k]
-            side, other_side = offsets[SIDES[k, 0]], offsets[SIDES[k, 1]]
-            turn, other_turn = offsets[TURNS[k, 0]], offsets[TURNS[k, 1]]
+            side, other_side = offsets[_SIDES[k, 0]], offsets[_SIDES[k, 1]]
+            turn, other_turn = offsets[_TURNS[k, 0]], offsets[_TURNS[k, 1]]
             found = place
             scanning = True
             while scanning:
                 found += offset
-                stop = (~plane[found + side] & plane[found + turn]) | (
-                    ~plane[found + other_side] & plane[found + other_turn]
-                )
+                stop = ~free[found + side] & free[found + turn]
+                stop |= ~free[found + other_side] & free[found + other_turn]
                 if k >= 4:
-                    stop |= lead[STRAIGHTS[k, 0], found] | lead[STRAIGHTS[k, 1], found]
+                    stop |= lead[_STRAIGHTS[k, 0], found] | lead[_STRAIGHTS[k, 1], found]
                 scanning = found != goal and stop & bit == np.uint64(0)
             new = cost[place] + _between(found, place, offset) * lengths[k]
             if seen[found] != number:
@@ -213,10 +270,10 @@ def _search_slice(
             if new > cost[found] + tolerance:
                 continue
             onward = _ONWARD[k]
-            if not plane[found + side] & bit:
-                onward |= 1 << TURNS[k, 0]
-            if not plane[found + other_side] & bit:
-                onward |= 1 << TURNS[k, 1]
+            if not free[found + side] & bit:
+                onward |= 1 << _TURNS[k, 0]
+            if not free[found + other_side] & bit:
+                onward |= 1 << _TURNS[k, 1]
             if new < cost[found] - tolerance:
                 cost[found], parent[found], arrival[found] = new, place, k
                 pending[found], tried[found] = onward, 0
@@ -227,8 +284,7 @@ def _search_slice(
             else:
                 continue
             ahead = _octile(found, width, goal_i, goal_j, lengths)
-            key = math.floor((new + ahead) * share * 1e10 + 0.5) + min(0.9, 0.1 * ahead * share)
-            size = push(keys, entries, slot, size, key, found)
+            size = push(keys, entries, slot, size, priority(new, ahead, scale), found)
     return expansions
 
 

@@ -10,16 +10,35 @@ import itertools
 import math
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
-from hplan.base.arrays import FloatArray, IntArray, Record, WordArray, readonly
+from hplan.base.arrays import FloatArray, IntArray, Record, ShortArray, WordArray, readonly
+from hplan.base.kernels import kernel
+from hplan.search.bits import popcount
 from hplan.search.grid import words_for
+
+
+class Node(NamedTuple):
+    """A node as the kernels take it: bordered row, and bit of the row."""
+
+    row: int
+    bit: int
+
+
+class LatticeArrays(NamedTuple):
+    """A lattice as the kernels take it; see `Lattice`."""
+
+    row_offsets: IntArray
+    move_costs: FloatArray
+    row_coordinates: IntArray
+    step: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
 class Lattice(Record):
-    """A grid's geometry for the kernels: bordered rows and the moves between them.
+    """Geometry of a grid: bordered rows and the moves between them.
 
     Attributes:
         shape: Nodes along each axis.
@@ -46,6 +65,11 @@ class Lattice(Record):
         return _lattice(shape, step.tobytes())
 
     @property
+    def arrays(self) -> LatticeArrays:
+        """Its arrays for the kernels."""
+        return LatticeArrays(self.row_offsets, self.move_costs, self.row_coordinates, self.step)
+
+    @property
     def rows(self) -> int:
         """Number of rows with the border."""
         return math.prod(self.padded)
@@ -61,6 +85,10 @@ class Lattice(Record):
         for place, count in zip(index[:-1], self.padded, strict=True):
             row = row * count + int(place) + 1
         return row
+
+    def node(self, index: IntArray) -> Node:
+        """Bordered row and bit of a node, from its (d,) index."""
+        return Node(self.row_of(index), int(index[-1]))
 
     def mask(self, slices: range) -> WordArray:
         """(words,) with the bits of neighbouring slices set."""
@@ -111,6 +139,39 @@ def _lattice(shape: tuple[int, ...], step_bytes: bytes) -> Lattice:
 
 @lru_cache(maxsize=4)
 def _row_coordinates(padded: tuple[int, ...]) -> IntArray:
-    """Remembered on their own, as grids that differ in the last axis alone share them."""
+    """Node indices of rows, remembered on their own: grids that differ in the last axis alone have the same."""
     indices = np.indices(padded).reshape(len(padded), math.prod(padded)).T
     return readonly(indices - 1, np.int64)
+
+
+class NodeSet(NamedTuple):
+    """Set bits, numbered row by row: the nodes that a search may use.
+
+    Attributes:
+        words: (rows, words) bits with border.
+        rows: (k,) the rows with set bits, in the order in which they are numbered.
+        ranks: (rows, words) number of the first node of each word; written for rows with set bits only.
+        size: Number of nodes.
+    """
+
+    words: WordArray
+    rows: IntArray
+    ranks: ShortArray
+    size: int
+
+    @classmethod
+    def of(cls, words: WordArray) -> NodeSet:
+        """The nodes of (rows, words) bits."""
+        return numbered(words, np.flatnonzero(words.any(axis=1)))
+
+
+@kernel
+def numbered(words: WordArray, rows: IntArray) -> NodeSet:
+    """The nodes of (rows, words) bits, set in the given rows only."""
+    ranks = np.empty(words.shape, dtype=np.int32)
+    size = 0
+    for row in rows:
+        for word in range(words.shape[1]):
+            ranks[row, word] = size
+            size += popcount(words[row, word])
+    return NodeSet(words, rows, ranks, size)

@@ -1,4 +1,4 @@
-"""What a search returns: the path, and what it took, stage by stage."""
+"""Result of a search: path, cost, and the effort of each stage."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from hplan.base.arrays import BoolArray, FloatArray, IntArray, Record
 from hplan.search.slice_search import SlicePaths
 
-#: What carried the path, or the verdict that there is none: the union of the slices between start and goal; the union
+#: Stage that found the path, or that there is none: the union of the slices between start and goal (`none`); the union
 #: of all slices; flooding, and the dense search on what it reached; a column, free in all slices between; two
 #: wavefronts over the whole grid.
 Fallback = Literal["none", "all_slices", "dense", "column", "wavefront"]
@@ -19,12 +19,12 @@ Fallback = Literal["none", "all_slices", "dense", "column", "wavefront"]
 
 @dataclass(frozen=True)
 class Expansions:
-    """Entries taken from the open lists, stage by stage.
+    """Number of entries taken from the open lists, by stage.
 
     Attributes:
         layers: All slice searches together; where slices are searched by jump points, the jump points.
         sparse: Search on the union of the slice paths, and the rows that its bound settled beforehand.
-        fallback: Dense search, and whatever else came after the union had failed.
+        fallback: Dense search, and all else that came after the union had failed.
         flooded: Nodes reached by bit-parallel steps: by flooding, which settles what is connected, and by the moves of
             an empty plane's shortest path. They are not expansions.
     """
@@ -40,7 +40,7 @@ class Expansions:
         return self.layers + self.sparse + self.fallback
 
     def with_fallback(self, expansions: int, flooded: int) -> Expansions:
-        """These and more of the fallback."""
+        """These counts with more of the fallback."""
         return replace(self, fallback=self.fallback + expansions, flooded=self.flooded + flooded)
 
 
@@ -60,7 +60,7 @@ class StageTimes:
 
 @dataclass(frozen=True, eq=False)
 class SearchResult(Record):
-    """A path over grid nodes and how it was found.
+    """A path over grid nodes, and the effort of finding it.
 
     Attributes:
         path: (m, d) node indices from start to goal, or None where none exists (shown by flooding).
@@ -70,7 +70,7 @@ class SearchResult(Record):
         layers: The slices searched last; None for the dense search.
         restored_slices: Slices without a path of their own that were given part of a neighbour's.
         sparse_nodes: Nodes of the union of the slice paths.
-        fallback: What was needed beyond the union of the slices between start and goal.
+        fallback: Stage beyond the union of the slices between start and goal that was needed last.
     """
 
     path: IntArray | None
@@ -84,7 +84,7 @@ class SearchResult(Record):
 
     @property
     def feasible_slices(self) -> BoolArray | None:
-        """(slices,) whether each slice was to be searched and has a path of its own; None for the dense search."""
+        """(slices,) True for each slice searched that has a path of its own; None for the dense search."""
         return None if self.layers is None else self.layers.feasible
 
     @cached_property

@@ -1,6 +1,6 @@
 """First level: a search of its own on every slice of the last axis.
 
-A slice has a path exactly when flooding it from the start's place reaches the goal's place; only then is it searched.
+A slice has a path exactly when flooding it from the start's row reaches the goal's row; only then is it searched.
 Planar slices in which the path of an empty plane is free, in some order of its moves, need neither. Slices of many
 axes take longer to search than to look at: a path found in one is taken over by all others in which it is free, and
 only the rest are searched.
@@ -16,25 +16,25 @@ import numpy as np
 
 from hplan.base.arrays import BoolArray, IntArray, Record, WordArray, frozen
 from hplan.base.kernels import kernel
-from hplan.search.direct_slices import MonotonePaths
+from hplan.search.direct_slices import Ends, direct_paths, with_others
 from hplan.search.flood import bits_of, flood_slices
 from hplan.search.grid import words_for
 from hplan.search.jump_point_search import jump_slices
 from hplan.search.lattice import Lattice
 
-#: Searches one slice, given as a grid of its own, from a node to a node: the (m, d) path or None, its cost, expansions,
-#: nodes flooded.
-SliceSearch: TypeAlias = Callable[[Lattice, WordArray, IntArray, IntArray], tuple[IntArray | None, float, int, int]]
+#: Searches one slice, given as a grid of its own, from a node to a node: the (m, d) path or None, expansions, nodes
+#: flooded.
+SliceSearch: TypeAlias = Callable[[Lattice, WordArray, IntArray, IntArray], tuple[IntArray | None, int, int]]
 
 
 @dataclass(frozen=True, eq=False)
 class SlicePaths(Record):
-    """Neighbouring slices, searched.
+    """The paths of neighbouring slices, each searched on its own.
 
     Attributes:
         lattice: Geometry of the whole grid.
         first: First of the searched slices.
-        path_rows: (m,) bordered rows of all paths, slice after slice, each from the start's place to the goal's.
+        path_rows: (m,) bordered rows of all paths, slice after slice, each from the start's row to the goal's.
         begins: (searched slices + 1,) where each slice's path begins in `path_rows`; of length 0 where it has none.
         expansions: Expansions in all slices.
         flooded: Nodes reached by flooding, and by the moves of an empty plane's shortest path.
@@ -49,7 +49,7 @@ class SlicePaths(Record):
 
     @property
     def feasible(self) -> BoolArray:
-        """(slices,) whether each slice has a path of its own; False for those that were not to be searched."""
+        """(slices,) True for each slice that was to be searched and has a path of its own."""
         feasible = np.zeros(self.lattice.shape[-1], dtype=np.bool_)
         feasible[self.first : self.first + len(self.begins) - 1] = np.diff(self.begins) > 0
         return frozen(feasible)
@@ -65,7 +65,7 @@ class SlicePaths(Record):
         }
 
 
-def search_layers(
+def search_slices(
     lattice: Lattice,
     free: WordArray,
     start: IntArray,
@@ -75,7 +75,7 @@ def search_layers(
     *,
     carried: bool = False,
 ) -> SlicePaths:
-    """Search each of `slices` from the start's place in it to the goal's.
+    """Search each of `slices` from the start's row to the goal's.
 
     Args:
         lattice: Geometry of the whole grid.
@@ -84,114 +84,62 @@ def search_layers(
         goal: (d,) node index; its last entry does not matter.
         slices: Neighbouring slices, ascending.
         slice_search: Searches one slice after the other; None searches planar slices by jump points, all in one pass.
-        carried: Whether slices take over the path of one searched before, where it is free in them.
+        carried: Let slices take over the path of one searched before, where it is free in them.
     """
+    start_row, goal_row, mask = lattice.row_of(start), lattice.row_of(goal), lattice.mask(slices)
     if slice_search is None:
-        return _planar(lattice, free, lattice.row_of(start), lattice.row_of(goal), slices)
-    if carried:
-        return _carried(lattice, free, start, goal, slices, slice_search)
-    reached, flooded = flood_slices(lattice, free, lattice.row_of(start), lattice.mask(slices))
-    feasible = bits_of(reached[lattice.row_of(goal)])[: lattice.shape[-1]]
-    found = _Searched(lattice, slices)
-    for number in np.flatnonzero(feasible).tolist():
-        found.search(number, reached, start, goal, slice_search)
-    return found.layers(flooded)
+        return _planar(lattice, free, start_row, goal_row, slices)
+    flat = Lattice.of(lattice.shape[:-1], lattice.step[:-1])
+    inside, flooded = (free, 0) if carried else flood_slices(lattice, free, start_row, mask)
+    left = bits_of(inside[start_row] & inside[goal_row] & mask)
+    found: dict[int, IntArray] = {}
+    expansions = 0
+    while left.any():
+        number = int(left.argmax())
+        left[number] = False
+        path, expanded, more = slice_search(flat, slice_words(lattice, inside, number), start[:-1], goal[:-1])
+        expansions += expanded
+        flooded += more
+        if path is not None:
+            found[number] = rows = np.ravel_multi_index(tuple(path.T + 1), lattice.padded)
+            if carried:
+                taken = left & bits_of(np.bitwise_and.reduce(free[rows]))
+                found.update(dict.fromkeys(np.flatnonzero(taken).tolist(), rows))
+                left &= ~taken
+        elif inside is free:
+            # There are slices without a path: which ones is settled for all of them at once.
+            inside, more = flood_slices(lattice, free, start_row, mask)
+            flooded += more
+            left &= bits_of(inside[goal_row])
+    parts = [found.get(number, np.empty(0, dtype=np.int64)) for number in slices]
+    begins = np.concatenate([[0], np.cumsum([len(part) for part in parts])])
+    return SlicePaths(lattice, slices[0], frozen(np.concatenate(parts)), frozen(begins), expansions, flooded)
 
 
 def _planar(lattice: Lattice, free: WordArray, start_row: int, goal_row: int, slices: range) -> SlicePaths:
-    """Planar slices, 64 at once."""
-    width = lattice.padded[1]
-    monotone = MonotonePaths.of(free, width, start_row, goal_row, slices)
-    flooded, expansions, others = monotone.reached, 0, monotone.others
+    """Paths of planar slices, 64 at once."""
+    ends = Ends(lattice.padded[1], start_row, goal_row)
+    direct = direct_paths(free, ends, lattice.mask(slices), slices[0])
+    flooded, expansions = direct.reached, 0
     path_rows, begins = np.empty(0, dtype=np.int64), np.zeros(len(slices) + 1, dtype=np.int64)
-    if others.any():
-        reached, count = flood_slices(lattice, free, start_row, others, goal_row)
+    if direct.others.any():
+        reached, count = flood_slices(lattice, free, start_row, direct.others, goal_row)
         flooded += count
-        others = reached[goal_row]
-        if others.any():
-            path_rows, begins, expansions = jump_slices(
-                free, others, width, slices[0], slices[-1], start_row, goal_row, lattice.step[:-1]
-            )
-    path_rows, begins = monotone.joined(path_rows, begins)
+        feasible = reached[goal_row]
+        if feasible.any():
+            path_rows, begins, expansions = jump_slices(free, feasible, slices[0], slices[-1], ends, lattice.step[:-1])
+    path_rows, begins = with_others(direct, path_rows, begins)
     return SlicePaths(lattice, slices[0], frozen(path_rows), frozen(begins), expansions, flooded)
-
-
-def _carried(
-    lattice: Lattice, free: WordArray, start: IntArray, goal: IntArray, slices: range, slice_search: SliceSearch
-) -> SlicePaths:
-    """As `search_layers`, where slices in which a path found before is free take it over."""
-    found = _Searched(lattice, slices)
-    left = bits_of(free[lattice.row_of(start)] & free[lattice.row_of(goal)])[: lattice.shape[-1]]
-    left[: slices[0]] = left[slices[-1] + 1 :] = False
-    inside, flooded = free, 0
-    while left.any():
-        number = int(left.argmax())
-        rows = found.search(number, inside, start, goal, slice_search)
-        left[number] = False
-        if rows is not None:
-            taken = left & bits_of(np.bitwise_and.reduce(free[rows]))[: lattice.shape[-1]]
-            taken[number] = True
-            for other in np.flatnonzero(taken).tolist():
-                found.rows[other] = rows
-            left &= ~taken
-        elif inside is free:
-            # There are slices without: which ones is settled for all of them at once.
-            inside, flooded = flood_slices(lattice, free, lattice.row_of(start), lattice.mask(slices))
-            left &= bits_of(inside[lattice.row_of(goal)])[: lattice.shape[-1]]
-    return found.layers(flooded)
-
-
-class _Searched:
-    """The paths of slices that are searched one by one."""
-
-    def __init__(self, lattice: Lattice, slices: range) -> None:
-        """None yet, of these slices."""
-        self._lattice, self._slices = lattice, slices
-        self._flat = Lattice.of(lattice.shape[:-1], lattice.step[:-1])
-        axes = len(lattice.shape)
-        self._origin = lattice.row_of(np.zeros(axes, dtype=np.int64))
-        self._strides = np.array([lattice.row_of(node) for node in np.eye(axes, dtype=np.int64)[:-1]]) - self._origin
-        self._expansions = self._flooded = 0
-        self.rows: dict[int, IntArray] = {}
-
-    def search(
-        self, number: int, inside: WordArray, start: IntArray, goal: IntArray, slice_search: SliceSearch
-    ) -> IntArray | None:
-        """Search one slice; the rows of its path."""
-        mask = slice_words(self._lattice, inside, number)
-        path, _, expansions, flooded = slice_search(self._flat, mask, start[:-1], goal[:-1])
-        self._expansions += expansions
-        self._flooded += flooded
-        if path is None:
-            return None
-        rows: IntArray = path @ self._strides + self._origin
-        self.rows[number] = rows
-        return rows
-
-    def layers(self, flooded: int) -> SlicePaths:
-        """All of them, in order."""
-        none = np.empty(0, dtype=np.int64)
-        parts = [self.rows.get(number, none) for number in self._slices]
-        begins = np.concatenate([[0], np.cumsum([len(part) for part in parts])])
-        return SlicePaths(
-            self._lattice,
-            self._slices[0],
-            frozen(np.concatenate(parts)),
-            frozen(begins),
-            self._expansions,
-            self._flooded + flooded,
-        )
 
 
 def slice_words(lattice: Lattice, words: WordArray, number: int) -> WordArray:
     """One slice of bordered (rows, words) as a grid of its own, the axis before the last along the bits."""
-    sliced: WordArray = _slicebits_of(words, number, lattice.padded[-1], words_for(lattice.shape[-2]))
-    return sliced
+    return _slice_words(words, number, lattice.padded[-1], words_for(lattice.shape[-2]))
 
 
 @kernel
-def _slicebits_of(rows: WordArray, number: int, padded: int, words: int) -> WordArray:
-    """One slice as bit rows of its own: the axis before the last, without its border, along the bits."""
+def _slice_words(rows: WordArray, number: int, padded: int, words: int) -> WordArray:
+    """One slice; `padded` counts the rows along the axis before the last, `words` holds them without their border."""
     count = rows.shape[0] // padded
     result = np.zeros((count, words), dtype=np.uint64)
     shift = np.uint64(number & 63)

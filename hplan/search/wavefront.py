@@ -3,20 +3,21 @@
 A wavefront of level `l` holds the nodes that `l` moves reach and fewer do not. All neighbours of 64 nodes are found by
 a few word operations, so millions of nodes are settled in milliseconds; where the fronts meet, the path has as few
 moves as any. Levels are kept modulo 3, in bit planes: a neighbour's level differs by one at most, so the residue tells
-which way leads back.
+which neighbours lead back.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from hplan.base.arrays import FloatArray, IntArray, WordArray, frozen
+from hplan.base.arrays import BoolArray, IntArray, ShortArray, WordArray, frozen
 from hplan.base.kernels import kernel
 from hplan.search.bits import lowest_bit, popcount
 from hplan.search.flood import flood_from, has_bit, in_lines
-from hplan.search.lattice import Lattice
+from hplan.search.lattice import Lattice, LatticeArrays, Node
 
 #: Nodes reached by wavefronts before a flood is asked first whether they can meet at all.
 PATIENT = 10_000_000
@@ -24,7 +25,7 @@ PATIENT = 10_000_000
 
 @dataclass(frozen=True, eq=False)
 class Wavefronts:
-    """What two wavefronts found.
+    """The outcome of two wavefronts: a path, or the end that is enclosed.
 
     Attributes:
         path: (m, d) node indices, or None where start and goal are not connected.
@@ -54,7 +55,7 @@ def meet(lattice: Lattice, free: WordArray, starts: IntArray, goals: IntArray) -
     found = _fronts(lattice, free, ends, PATIENT)
     if found.path is not None or found.enclosed:
         return found
-    # Large regions: whether they are one is settled much faster by a flood.
+    # In large regions a flood settles much faster if the ends are connected.
     goals_region, of_goals = flood_from(lattice, free, ends[1])
     if any(has_bit(goals_region, lattice.row_of(node), int(node[-1])) for node in ends[0]):
         return _fronts(lattice, free, ends, 64 * free.size)
@@ -65,245 +66,270 @@ def meet(lattice: Lattice, free: WordArray, starts: IntArray, goals: IntArray) -
 
 
 def _fronts(lattice: Lattice, free: WordArray, ends: tuple[IntArray, IntArray], most: int) -> Wavefronts:
-    """What two wavefronts find; neither a path nor an end enclosed where they reached `most` nodes before."""
-    end_rows = np.array([lattice.row_of(node) for side in ends for node in side])
-    end_bits = np.array([int(node[-1]) for side in ends for node in side])
-    shape, beside = in_lines(lattice)
+    """Grow both wavefronts; the result has neither a path nor an end enclosed where they reach `most` nodes before."""
+    shape, neighbours = in_lines(lattice)
     # Memory that no front comes near is never touched, and costs nothing.
     seen = np.zeros((2, lattice.rows, lattice.words), dtype=np.uint64)
     planes = np.zeros((2, 3, lattice.rows, lattice.words), dtype=np.uint64)
-    row, bit, side, levels, flooded = _meet(
-        free.reshape(shape),
-        seen.reshape(2, *shape),
-        planes.reshape(2, 3, *shape),
-        beside,
-        lattice.words,
-        end_rows,
-        end_bits,
-        len(ends[0]),
-        most,
-    )
+    bits = free.reshape(shape), seen.reshape(2, *shape), planes.reshape(2, 3, *shape)
+    inner = (np.arange(shape[1]) % lattice.words > 0).astype(np.uint64)
+    grid = _Grid(*bits, neighbours, inner, lattice.words)
+    nodes = np.array([lattice.node(index) for side in ends for index in side])
+    row, bit, side, levels, flooded = _meet(grid, nodes, len(ends[0]), most)
     nothing = np.empty((0, lattice.words), dtype=np.uint64)
     if row < 0:
         return Wavefronts(None, int(flooded), ("start", "goal", "")[side], nothing if side < 0 else seen[side].copy())
-    halves = [
-        _trace(
-            planes[k],
-            int(levels[k]),
-            lattice.row_offsets,
-            lattice.row_coordinates,
-            lattice.step,
-            end_rows[k * len(ends[0])],
-            end_bits[k * len(ends[0])],
-            row,
-            bit,
-        )
-        for k in range(2)
-    ]
-    nodes = np.concatenate([halves[0][::-1], halves[1][1:]])
+    met = Node(row, bit)
+    back, onward = (_trace(planes[k], levels[k], lattice.arrays, lattice.node(ends[k][0]), met) for k in range(2))
+    nodes = np.concatenate([back[::-1], onward[1:]])
     return Wavefronts(frozen(lattice.indices(nodes[:, 0], nodes[:, 1])), int(flooded), "", nothing)
 
 
-@kernel
-def _meet(
-    free: WordArray,
-    seen: WordArray,
-    planes: WordArray,
-    beside: IntArray,
-    words: int,
-    end_rows: IntArray,
-    end_bits: IntArray,
-    starts: int,
-    most: int,
-) -> tuple[int, int, int, IntArray, int]:
-    """Grow both fronts, line by line, until they meet or one is enclosed; fills `seen` and `planes`.
+class _Grid(NamedTuple):
+    """A grid for both fronts, its rows in lines along the axis before the last; first axis of both: the side.
 
-    A line is settled where some neighbouring line had news at the level before, and only along the rows beside these.
-    The front of a level is its plane: what is older there has no unseen neighbours. Words are taken from
-    flat arrays by unsigned indices: these cannot be negative, and so the loops can take several words at once.
+    Attributes:
+        free: (lines, length) free bits.
+        seen: (2, lines, length) bits that were reached.
+        planes: (2, 3, lines, length) bits reached by level modulo 3.
+        neighbours: Offsets of the neighbouring lines, the line itself among them.
+        inner: (length,) 1 for words whose lower neighbour is of the same row.
+        words: Words of a row.
+    """
+
+    free: WordArray
+    seen: WordArray
+    planes: WordArray
+    neighbours: IntArray
+    inner: WordArray
+    words: int
+
+
+class _State(NamedTuple):
+    """The lines in which the fronts are; first axis of all but the last two: the side.
+
+    Attributes:
+        active: (2, lines) the lines with news at the last level.
+        sizes: (2,) how many these are.
+        is_active: (2, lines) True for these.
+        lows: (2, lines) first word with news in each of them.
+        highs: (2, lines) one after the last word with news.
+        unseen: (2, lines) free nodes that were not reached; -1: not counted yet.
+        levels: (2,) the last level.
+        news: (2,) nodes of the last level.
+        spread: (lines, length) news of the lines of one front and their neighbours within the line.
+        wanted: (lines,) the lines that this may reach.
+    """
+
+    active: ShortArray
+    sizes: IntArray
+    is_active: BoolArray
+    lows: ShortArray
+    highs: ShortArray
+    unseen: ShortArray
+    levels: IntArray
+    news: IntArray
+    spread: WordArray
+    wanted: ShortArray
+
+
+@kernel
+def _meet(grid: _Grid, ends: IntArray, starts: int, most: int) -> tuple[int, int, int, IntArray, int]:
+    """Grow both fronts from (k, 2) ends until they meet or one is enclosed; fills `seen` and `planes`.
+
+    A line is settled where some neighbouring line had news at the level before, and only along the rows next to these.
+    The front of a level is its plane: what is older there has no unseen neighbours.
 
     Returns:
         Row and bit where they met (-1 where they did not), the side that is enclosed (-1 where they met, or where more
         than `most` nodes were reached before), the levels of both sides, and the nodes reached.
     """
-    lines, length = free.shape
-    rows = length // words
-    one, top, zero, lowest = np.uint64(1), np.uint64(63), np.uint64(0), np.uintp(1)
-    inner = np.ones(length, dtype=np.uint64)  # 1 for words whose lower neighbour is of the same row
-    for k in range(0, length, words):
-        inner[k] = zero
-    along, fresh = np.zeros(length, dtype=np.uint64), np.zeros(length, dtype=np.uint64)
-    spread = np.empty(lines * length, dtype=np.uint64)
-    free_words, seen_words, plane_words = free.ravel(), seen.ravel(), planes.ravel()
-    is_active = np.zeros((2, lines), dtype=np.bool_)
-    left = np.full((2, lines), -1, dtype=np.int32)  # free nodes that are unseen; -1: not counted yet
-    lows, highs = np.empty((2, lines), dtype=np.int32), np.empty((2, lines), dtype=np.int32)  # words with news
-    next_lows, next_highs = np.empty(lines, dtype=np.int32), np.empty(lines, dtype=np.int32)
-    stamp = np.zeros(lines, dtype=np.int32)
-    active = np.empty((2, lines), dtype=np.int32)
-    wanted = np.empty(lines, dtype=np.int32)
-    sizes, levels, news = np.zeros(2, dtype=np.int64), np.zeros(2, dtype=np.int64), np.zeros(2, dtype=np.int64)
-    flooded, steps = 0, 0
-    for number in range(len(end_rows)):
-        side = 0 if number < starts else 1
-        line, k = end_rows[number] // rows, (end_rows[number] % rows) * words + (end_bits[number] >> 6)
-        mask = one << np.uint64(end_bits[number] & 63)
-        if not is_active[side, line]:
-            is_active[side, line] = True
-            lows[side, line], highs[side, line] = length, 0
-            active[side, sizes[side]] = line
-            sizes[side] += 1
-        lows[side, line], highs[side, line] = min(lows[side, line], k), max(highs[side, line], k + 1)
-        news[side] += 0 if seen[side, line, k] & mask else 1
-        seen[side, line, k] |= mask
-        planes[side, 0, line, k] |= mask
-        if side == 1 and seen[0, line, k] & mask:
-            return end_rows[number], end_bits[number], -1, levels, news[0] + news[1]
+    lines, length = grid.free.shape
+    rows = length // grid.words
+    state = _State(
+        active=np.empty((2, lines), dtype=np.int32),
+        sizes=np.zeros(2, dtype=np.int64),
+        is_active=np.zeros((2, lines), dtype=np.bool_),
+        lows=np.full((2, lines), length, dtype=np.int32),
+        highs=np.zeros((2, lines), dtype=np.int32),
+        unseen=np.full((2, lines), -1, dtype=np.int32),
+        levels=np.zeros(2, dtype=np.int64),
+        news=np.zeros(2, dtype=np.int64),
+        spread=np.empty((lines, length), dtype=np.uint64),
+        wanted=np.empty(lines, dtype=np.int32),
+    )
+    levels, news = state.levels, state.news
+    for number in range(len(ends)):
+        side, row, bit = 0 if number < starts else 1, ends[number, 0], ends[number, 1]
+        line, k = row // rows, row % rows * grid.words + (bit >> 6)
+        mask = np.uint64(1) << np.uint64(bit & 63)
+        if not state.is_active[side, line]:
+            state.is_active[side, line] = True
+            state.active[side, state.sizes[side]] = line
+            state.sizes[side] += 1
+        state.lows[side, line] = min(state.lows[side, line], k)
+        state.highs[side, line] = max(state.highs[side, line], k + 1)
+        news[side] += 0 if grid.seen[side, line, k] & mask else 1
+        grid.seen[side, line, k] |= mask
+        grid.planes[side, 0, line, k] |= mask
+        if side == 1 and grid.seen[0, line, k] & mask:
+            return row, bit, -1, levels, news[0] + news[1]
     flooded = news[0] + news[1]
     while news[0] > 0 and news[1] > 0:
         if flooded > most:
             return -1, -1, -1, levels, flooded
         side = 0 if news[0] <= news[1] else 1
-        plane = levels[side] % 3
-        steps += 1
-        count = 0
-        for i in range(sizes[side]):
-            line = active[side, i]
-            # The nodes of whole rows and their neighbours in the same line: first along the rows, then across them, one
-            # more row on either side.
-            low = (lows[side, line] // words - 1) * words
-            high = ((highs[side, line] - 1) // words + 2) * words
-            lows[side, line], highs[side, line] = low, high
-            base, plane_base = np.uintp(line * length), np.uintp(((3 * side + plane) * lines + line) * length)
-            begin, end, row = np.uintp(low + words), np.uintp(high - words), np.uintp(words)
-            if words == 1:
-                for k in range(begin, end):
-                    front = plane_words[plane_base + k]
-                    along[k] = front | (front << one) | (front >> one)
-            else:
-                for k in range(begin, end):
-                    front = plane_words[plane_base + k]
-                    below = (plane_words[plane_base + k - lowest] >> top) * inner[k]
-                    above = (plane_words[plane_base + k + lowest] << top) * inner[k + lowest]
-                    along[k] = front | (front << one) | (front >> one) | below | above
-            for k in range(begin, end):
-                spread[base + k] = along[k - row] | along[k] | along[k + row]
-            for k in range(row):
-                spread[base + begin - row + k], spread[base + end + k] = along[begin + k], along[end - row + k]
-            for k in range(begin, end):
-                along[k] = zero
-            for offset in beside:
-                other = line + offset
-                if stamp[other] != steps and left[side, other] != 0:
-                    stamp[other] = steps
-                    wanted[count] = other
-                    count += 1
-        levels[side] += 1
-        plane = levels[side] % 3
-        size = sizes[side]
-        met_line, met_word, following, added = -1, -1, 0, 0
-        for i in range(count):
-            line = wanted[i]
-            if left[side, line] < 0:
-                nodes = 0
-                for k in range(length):
-                    nodes += popcount(free[line, k] & ~seen[side, line, k])
-                left[side, line] = nodes
-                if nodes == 0:
-                    continue
-            # Gather what comes from the neighbouring lines.
-            low, high = length, 0
-            for offset in beside:
-                if is_active[side, line + offset]:
-                    low, high = min(low, lows[side, line + offset]), max(high, highs[side, line + offset])
-            for k in range(np.uintp(low), np.uintp(high)):
-                fresh[k] = zero
-            for offset in beside:
-                other = line + offset
-                if is_active[side, other]:
-                    begin, end = np.uintp(lows[side, other]), np.uintp(highs[side, other])
-                    base = np.uintp(other * length)
-                    for k in range(begin, end):
-                        fresh[k] |= spread[base + k]
-            # Add what is free and unseen of it.
-            some, base, fresh_nodes = zero, np.uintp(line * length), 0
-            seen_base = np.uintp((side * lines + line) * length)
-            plane_base = np.uintp(((3 * side + plane) * lines + line) * length)
-            for k in range(np.uintp(low), np.uintp(high)):
-                fresh[k] &= free_words[base + k] & ~seen_words[seen_base + k]
-                some |= fresh[k]
-            if some != zero:
-                for k in range(np.uintp(low), np.uintp(high)):
-                    seen_words[seen_base + k] |= fresh[k]
-                    plane_words[plane_base + k] |= fresh[k]
-                    fresh_nodes += popcount(fresh[k])
-            if fresh_nodes == 0:
-                continue
-            left[side, line] -= fresh_nodes
-            added += fresh_nodes
-            if met_line < 0:
-                for k in range(low, high):
-                    if fresh[k] & seen[1 - side, line, k]:
-                        met_line, met_word = line, k
-                        break
-            while fresh[low] == zero:
-                low += 1
-            while fresh[high - 1] == zero:
-                high -= 1
-            next_lows[line], next_highs[line] = low, high
-            wanted[following] = line
-            following += 1
-        for i in range(size):
-            is_active[side, active[side, i]] = False
-        for i in range(following):
-            line = wanted[i]
-            active[side, i] = line
-            is_active[side, line] = True
-            lows[side, line], highs[side, line] = next_lows[line], next_highs[line]
-        sizes[side], news[side] = following, added
-        flooded += added
+        count = _spread(grid, state, side)
+        met_line, k = _gather(grid, state, side, count)
+        flooded += news[side]
         # What is met is of the last level on both sides: had the other front met it earlier, it would have gone on to
         # the node before it, and the fronts would have met there.
         if met_line >= 0:
-            common = planes[side, plane, met_line, met_word] & seen[1 - side, met_line, met_word]
-            row, bit = met_line * rows + met_word // words, 64 * (met_word % words) + lowest_bit(common)
+            common = grid.planes[side, levels[side] % 3, met_line, k] & grid.seen[1 - side, met_line, k]
+            row, bit = met_line * rows + k // grid.words, 64 * (k % grid.words) + lowest_bit(common)
             return row, bit, -1, levels, flooded
     return -1, -1, 0 if news[0] == 0 else 1, levels, flooded
 
 
 @kernel
-def _trace(
-    planes: WordArray,
-    level: int,
-    offsets: IntArray,
-    coordinates: IntArray,
-    step: FloatArray,
-    end_row: int,
-    end_bit: int,
-    row: int,
-    bit: int,
-) -> IntArray:
-    """Go back from the meeting node to one end, level by level: (level + 1, 2) rows and bits."""
-    one = np.uint64(1)
+def _spread(grid: _Grid, state: _State, side: int) -> int:
+    """Fill `spread` with the last level of a side and its neighbours in the same line; returns the lines wanted.
+
+    Whole rows are taken, first along them, then across them, one more row on either side. Words are taken from flat
+    arrays by unsigned indices: these cannot be negative, and so the loops can take several words at once.
+    """
+    lines, length = grid.free.shape
+    words, neighbours, wanted = grid.words, grid.neighbours, state.wanted
+    active, lows, highs, unseen = state.active[side], state.lows[side], state.highs[side], state.unseen[side]
+    one, top, zero, lowest = np.uint64(1), np.uint64(63), np.uint64(0), np.uintp(1)
+    inner, along, is_wanted = grid.inner, np.zeros(length, dtype=np.uint64), np.zeros(lines, dtype=np.bool_)
+    spread, plane = state.spread.ravel(), grid.planes[side, state.levels[side] % 3].ravel()
+    count = 0
+    for i in range(state.sizes[side]):
+        line = active[i]
+        low = (lows[line] // words - 1) * words
+        high = ((highs[line] - 1) // words + 2) * words
+        lows[line], highs[line] = low, high
+        base = np.uintp(line * length)
+        begin, end, row = np.uintp(low + words), np.uintp(high - words), np.uintp(words)
+        if words == 1:
+            for k in range(begin, end):
+                front = plane[base + k]
+                along[k] = front | (front << one) | (front >> one)
+        else:
+            for k in range(begin, end):
+                front = plane[base + k]
+                below = (plane[base + k - lowest] >> top) * inner[k]
+                above = (plane[base + k + lowest] << top) * inner[k + lowest]
+                along[k] = front | (front << one) | (front >> one) | below | above
+        for k in range(begin, end):
+            spread[base + k] = along[k - row] | along[k] | along[k + row]
+        for k in range(row):
+            spread[base + begin - row + k], spread[base + end + k] = along[begin + k], along[end - row + k]
+        for k in range(begin, end):
+            along[k] = zero
+        for offset in neighbours:
+            other = line + offset
+            if not is_wanted[other] and unseen[other] != 0:
+                is_wanted[other] = True
+                wanted[count] = other
+                count += 1
+    return count
+
+
+@kernel
+def _gather(grid: _Grid, state: _State, side: int, count: int) -> tuple[int, int]:
+    """Settle the next level of a side in `count` lines wanted; line and word where it meets the other side, or -1."""
+    lines, length = grid.free.shape
+    neighbours, wanted, active = grid.neighbours, state.wanted, state.active[side]
+    state.levels[side] += 1
+    is_active, lows, highs, unseen = state.is_active[side], state.lows[side], state.highs[side], state.unseen[side]
+    next_lows, next_highs = np.empty(lines, dtype=np.int32), np.empty(lines, dtype=np.int32)
+    fresh, zero = np.zeros(length, dtype=np.uint64), np.uint64(0)
+    free, seen, spread = grid.free.ravel(), grid.seen[side].ravel(), state.spread.ravel()
+    plane = grid.planes[side, state.levels[side] % 3].ravel()
+    theirs, met_line, met_word, following, news = grid.seen[1 - side].ravel(), -1, -1, 0, 0
+    for i in range(count):
+        line = wanted[i]
+        base = np.uintp(line * length)
+        if unseen[line] < 0:
+            nodes = 0
+            for k in range(np.uintp(length)):
+                nodes += popcount(free[base + k] & ~seen[base + k])
+            unseen[line] = nodes
+            if nodes == 0:
+                continue
+        low, high = length, 0
+        for offset in neighbours:
+            if is_active[line + offset]:
+                low, high = min(low, lows[line + offset]), max(high, highs[line + offset])
+        for k in range(np.uintp(low), np.uintp(high)):
+            fresh[k] = zero
+        for offset in neighbours:
+            other = line + offset
+            if is_active[other]:
+                other_base = np.uintp(other * length)
+                for k in range(np.uintp(lows[other]), np.uintp(highs[other])):
+                    fresh[k] |= spread[other_base + k]
+        # Add what is free and unseen of it.
+        some, fresh_nodes = zero, 0
+        for k in range(np.uintp(low), np.uintp(high)):
+            fresh[k] &= free[base + k] & ~seen[base + k]
+            some |= fresh[k]
+        if some == zero:
+            continue
+        for k in range(np.uintp(low), np.uintp(high)):
+            seen[base + k] |= fresh[k]
+            plane[base + k] |= fresh[k]
+            fresh_nodes += popcount(fresh[k])
+        unseen[line] -= fresh_nodes
+        news += fresh_nodes
+        if met_line < 0:
+            for k in range(low, high):
+                if fresh[k] & theirs[base + np.uintp(k)]:
+                    met_line, met_word = line, k
+                    break
+        while fresh[low] == zero:
+            low += 1
+        while fresh[high - 1] == zero:
+            high -= 1
+        next_lows[line], next_highs[line] = low, high
+        wanted[following] = line
+        following += 1
+    for i in range(state.sizes[side]):
+        is_active[active[i]] = False
+    for i in range(following):
+        line = wanted[i]
+        active[i], is_active[line] = line, True
+        lows[line], highs[line] = next_lows[line], next_highs[line]
+    state.sizes[side], state.news[side] = following, news
+    return met_line, met_word
+
+
+@kernel
+def _trace(planes: WordArray, level: int, lattice: LatticeArrays, end: Node, met: Node) -> IntArray:
+    """Go back from the node where the fronts met to one end, level by level: (level + 1, 2) rows and bits."""
+    coordinates, step = lattice.row_coordinates, lattice.step
     axes = len(step)
+    row, bit = met.row, met.bit
     nodes = np.empty((level + 1, 2), dtype=np.int64)
     nodes[0, 0], nodes[0, 1] = row, bit
     for place in range(1, level + 1):
         plane = (level - place) % 3
         best_row, best_bit, best = -1, -1, np.inf
-        for offset in offsets:
-            beside = row + offset
+        for offset in lattice.row_offsets:
+            neighbour = row + offset
             for turn in range(-1, 2):
                 other = bit + turn
                 if other < 0 or other >= 64 * planes.shape[2]:
                     continue
-                if not (planes[plane, beside, other >> 6] >> np.uint64(other & 63)) & one:
+                if not (planes[plane, neighbour, other >> 6] >> np.uint64(other & 63)) & np.uint64(1):
                     continue
-                square = ((other - end_bit) * step[axes - 1]) ** 2
+                square = ((other - end.bit) * step[axes - 1]) ** 2
                 for axis in range(axes - 1):
-                    square += ((coordinates[beside, axis] - coordinates[end_row, axis]) * step[axis]) ** 2
+                    square += ((coordinates[neighbour, axis] - coordinates[end.row, axis]) * step[axis]) ** 2
                 if square < best:
-                    best_row, best_bit, best = beside, other, square
+                    best_row, best_bit, best = neighbour, other, square
         row, bit = best_row, best_bit
         nodes[place, 0], nodes[place, 1] = row, bit
     return nodes

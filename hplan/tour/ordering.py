@@ -1,6 +1,6 @@
-r"""In which order to visit: fruits, each of which can be taken in several ways, with a drop-off in between.
+r"""The order of a tour over fruits, each of which can be taken at several places, with a drop-off in between.
 
-A *place* is one way to take one fruit. A tour takes each fruit at one of its places. From one place it goes to the next
+A *place* is one grasp of one fruit. A tour takes each fruit at one of its places. From one place it goes to the next
 directly, or over the drop-off; directly at most as often as the arm can carry. For a given order of the fruits the
 best places and drop-offs follow by dynamic programming over the order: with :math:`V_i(v, l)` the least cost of having
 taken the first i fruits, the last of them at v and carrying l since the drop-off,
@@ -19,6 +19,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -35,13 +36,12 @@ SEGMENT = 3
 #: How often the search is begun anew from a disturbed order, before it ends.
 KICKS = 30
 
-#: What a change must gain to count, as a share of the cost.
+#: Relative gain from which on a change counts.
 _GAIN = 1e-12
 
 
-@dataclass(frozen=True, eq=False)
-class Costs:
-    """What going from place to place costs, taking the fruit there included.
+class Costs(NamedTuple):
+    """Costs from place to place, those of taking the fruit there included, as the kernels take them.
 
     Attributes:
         begin: (n + 1,) where the places of each of the n fruits begin, and the number of places m.
@@ -71,20 +71,15 @@ class Costs:
         """(m,) the fruit of each place."""
         return np.repeat(np.arange(self.fruits), np.diff(self.begin))
 
-    @property
-    def arrays(self) -> tuple[IntArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, int]:
-        """All of it, as the kernels take it."""
-        return self.begin, self.first, self.onward, self.drop, self.away, self.last, self.capacity
-
 
 @dataclass(frozen=True, eq=False)
 class Visits:
-    """A tour.
+    """A tour as an order of places, and the drop-offs in between.
 
     Attributes:
-        cost: What it costs; infinite where there is none.
+        cost: Its cost; infinite where there is no tour.
         places: (n,) the places in the order of the tour.
-        dropped: (n,) whether the drop-off is visited between a place and the next one; the end is not told here.
+        dropped: (n,) True if the drop-off is visited between a place and the next one; the end is not told here.
     """
 
     cost: float
@@ -97,24 +92,24 @@ def along(costs: Costs, order: Sequence[int] | IntArray) -> Visits:
     order = np.asarray(order, dtype=np.int64)
     if not len(order):
         return Visits(0.0, order, np.zeros(0, dtype=np.bool_))
-    cost, places, dropped = _along(order, *costs.arrays)
+    cost, places, dropped = _along(order, costs)
     return Visits(float(cost), frozen(places), frozen(dropped))
 
 
 def nearest(costs: Costs) -> Visits:
-    """From each place to that fruit which is taken soonest from there; over the drop-off only where it must be."""
+    """Greedy tour: from each place to the fruit taken soonest from there; over the drop-off only where it must be."""
     fruit_of, left = costs.fruit_of, np.ones(len(costs.first), dtype=np.bool_)
     places: list[int] = []
     dropped: list[bool] = []
     load = 0
     for _ in range(costs.fruits):
         full = costs.capacity > 0 and load == costs.capacity
-        ways = costs.first if not places else costs.away if full else costs.onward[places[-1]]
-        if places and costs.capacity > 0 and not full and not np.isfinite(np.where(left, ways, np.inf)).any():
-            full, ways = True, costs.away
+        legs = costs.first if not places else costs.away if full else costs.onward[places[-1]]
+        if places and costs.capacity > 0 and not full and not np.isfinite(np.where(left, legs, np.inf)).any():
+            full, legs = True, costs.away
         if places:
             dropped.append(full)
-        place = int(np.argmin(np.where(left, ways, np.inf)))
+        place = int(np.argmin(np.where(left, legs, np.inf)))
         if not left[place]:  # no place left can be gone to
             place = int(np.argmax(left))
         load = 1 if full else load + 1
@@ -127,16 +122,16 @@ def best(costs: Costs, before: IntArray | None = None) -> Visits:
     """The best tour: exact for few fruits, else a local optimum.
 
     Args:
-        costs: What it costs to go from place to place.
+        costs: Costs from place to place.
         before: (n,) order of the fruits from which to go on.
     """
     n, m = costs.fruits, len(costs.first)
     if n <= 2 or (n <= EXACT and (m * max(1, min(costs.capacity, n))) << n <= MOST_STATES):
-        return along(costs, _exact(n, *costs.arrays))
+        return along(costs, _exact(costs))
     orders = [costs.fruit_of[nearest(costs).places]]
     if before is not None:
         orders.insert(0, np.asarray(before, dtype=np.int64))
-    found = [_improved(np.array(order), *costs.arrays) for order in orders]
+    found = [_improved(np.array(order), costs) for order in orders]
     cost, order = found[ties.argmin([cost for cost, _ in found])]
     if before is None or not np.array_equal(order, orders[0]):
         return along(costs, order)  # there is time for kicks once nothing else moves
@@ -144,7 +139,7 @@ def best(costs: Costs, before: IntArray | None = None) -> Visits:
     for _ in range(KICKS):
         cuts = np.sort(random.choice(np.arange(1, n), size=3, replace=False))
         a, b, c, d = np.split(order, cuts)
-        other_cost, other = _improved(np.concatenate([a, c, b, d]), *costs.arrays)
+        other_cost, other = _improved(np.concatenate([a, c, b, d]), costs)
         if other_cost < cost * (1.0 - _GAIN):
             cost, order = other_cost, other
     return along(costs, order)
@@ -159,58 +154,44 @@ def _total(costs: Costs, places: Sequence[int], dropped: Sequence[bool]) -> floa
 
 
 @kernel
-def _advance(
-    begin: IntArray, onward: FloatArray, drop: FloatArray, away: FloatArray, capacity: int, f: int, g: int,
-    table: FloatArray,
-) -> None:  # fmt: skip
-    """From the values at the places of fruit f, in `table` (m, loads), those at the places of fruit g."""
+def _cost(order: IntArray, costs: Costs, table: FloatArray) -> float:
+    """The cost of the best tour in a given order; fills `table` (m, loads) with the least cost up to each place."""
+    begin, first, onward, drop, away, last, capacity = costs
     loads = table.shape[1]
-    dropping = math.inf
-    for v in range(begin[f], begin[f + 1]):
+    for v in range(begin[order[0]], begin[order[0] + 1]):
         for load in range(loads):
-            dropping = min(dropping, table[v, load] + drop[v])
-    for w in range(begin[g], begin[g + 1]):
-        for load in range(loads):
-            table[w, load] = math.inf
-        table[w, 0] = dropping + away[w]
-        for v in range(begin[f], begin[f + 1]):
-            if capacity == 0:
-                table[w, 0] = min(table[w, 0], table[v, 0] + onward[v, w])
-            else:
-                for load in range(loads - 1):
-                    table[w, load + 1] = min(table[w, load + 1], table[v, load] + onward[v, w])
-
-
-@kernel
-def _cost(
-    order: IntArray, begin: IntArray, first: FloatArray, onward: FloatArray, drop: FloatArray, away: FloatArray,
-    last: FloatArray, capacity: int, table: FloatArray,
-) -> float:  # fmt: skip
-    """The cost of the best tour in a given order."""
-    f = order[0]
-    for v in range(begin[f], begin[f + 1]):
-        for load in range(table.shape[1]):
             table[v, load] = math.inf
         table[v, 0] = first[v]
     for i in range(1, len(order)):
-        _advance(begin, onward, drop, away, capacity, order[i - 1], order[i], table)
-    f = order[-1]
+        f, g = order[i - 1], order[i]
+        dropping = math.inf
+        for v in range(begin[f], begin[f + 1]):
+            for load in range(loads):
+                dropping = min(dropping, table[v, load] + drop[v])
+        for w in range(begin[g], begin[g + 1]):
+            for load in range(loads):
+                table[w, load] = math.inf
+            table[w, 0] = dropping + away[w]
+            for v in range(begin[f], begin[f + 1]):
+                if capacity == 0:
+                    table[w, 0] = min(table[w, 0], table[v, 0] + onward[v, w])
+                else:
+                    for load in range(loads - 1):
+                        table[w, load + 1] = min(table[w, load + 1], table[v, load] + onward[v, w])
     least = math.inf
-    for v in range(begin[f], begin[f + 1]):
-        for load in range(table.shape[1]):
+    for v in range(begin[order[-1]], begin[order[-1] + 1]):
+        for load in range(loads):
             least = min(least, table[v, load] + last[v])
     return least
 
 
 @kernel
-def _along(
-    order: IntArray, begin: IntArray, first: FloatArray, onward: FloatArray, drop: FloatArray, away: FloatArray,
-    last: FloatArray, capacity: int,
-) -> tuple[float, IntArray, BoolArray]:  # fmt: skip
+def _along(order: IntArray, costs: Costs) -> tuple[float, IntArray, BoolArray]:
     """The best tour in a given order: cost, places, drop-offs; traced back through the values."""
+    begin, _, onward, drop, away, last, capacity = costs
     n, loads = len(order), max(1, min(capacity, len(order)))
-    table = np.empty((len(first), loads))
-    cost = _cost(order, begin, first, onward, drop, away, last, capacity, table)
+    table = np.empty((len(last), loads))
+    cost = _cost(order, costs, table)
     places, dropped = np.empty(n, dtype=np.int64), np.zeros(n, dtype=np.bool_)
     place, load, least = begin[order[-1]], 0, math.inf
     for v in range(begin[order[-1]], begin[order[-1] + 1]):
@@ -232,14 +213,11 @@ def _along(
 
 
 @kernel
-def _improved(
-    order: IntArray, begin: IntArray, first: FloatArray, onward: FloatArray, drop: FloatArray, away: FloatArray,
-    last: FloatArray, capacity: int,
-) -> tuple[float, IntArray]:  # fmt: skip
+def _improved(order: IntArray, costs: Costs) -> tuple[float, IntArray]:
     """The order that no reversal of a stretch and no move of a short one improves."""
     n = len(order)
-    table = np.empty((len(first), max(1, min(capacity, n))))
-    cost = _cost(order, begin, first, onward, drop, away, last, capacity, table)
+    table = np.empty((len(costs.first), max(1, min(costs.capacity, n))))
+    cost = _cost(order, costs, table)
     other = np.empty_like(order)
     better = True
     while better:
@@ -270,7 +248,7 @@ def _improved(
                                     source += size
                                 other[k] = order[source]
                                 source += 1
-                    trial = _cost(other, begin, first, onward, drop, away, last, capacity, table)
+                    trial = _cost(other, costs, table)
                     if trial < cost * (1.0 - _GAIN):
                         order, other = other, order
                         cost, better = trial, True
@@ -278,12 +256,11 @@ def _improved(
 
 
 @kernel
-def _exact(
-    n: int, begin: IntArray, first: FloatArray, onward: FloatArray, drop: FloatArray, away: FloatArray,
-    last: FloatArray, capacity: int,
-) -> IntArray:  # fmt: skip
+def _exact(costs: Costs) -> IntArray:
     """The best order, by the least cost of each set of fruits taken, place and load at its end."""
-    m, loads = len(first), max(1, min(capacity, n))
+    begin, first, onward, drop, away, last, capacity = costs
+    n, m = len(begin) - 1, len(first)
+    loads = max(1, min(capacity, n))
     value = np.full((1 << n, m, loads), math.inf)
     # Where each state comes from: the place before, and its load.
     before = np.full((1 << n, m, loads, 2), -1, dtype=np.int32)

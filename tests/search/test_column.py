@@ -1,4 +1,4 @@
-"""Fold, turn, unfold: the nearest column by brute force, and the way through it."""
+"""Fold, turn, unfold: the nearest column by brute force, and the path through it."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from hplan.base.arrays import BoolArray, FloatArray, IntArray
 from hplan.search import two_level_search
 from hplan.search.astar import astar
 from hplan.search.column import by_column
-from hplan.search.lattice import Lattice
-from hplan.search.node_set import NodeSet
+from hplan.search.lattice import Lattice, NodeSet
 
 
 def plain(lattice: Lattice, free, start: IntArray, goal: IntArray):
     """A slice search for `by_column`."""
-    return *astar(lattice, NodeSet.of(free), start, goal, octile=True), 0
+    path, _, expansions = astar(lattice, NodeSet.of(free), start, goal, octile=True)
+    return path, expansions, 0
 
 
 def column_of(free: BoolArray, step: FloatArray, start: IntArray, goal: IntArray) -> IntArray | None:

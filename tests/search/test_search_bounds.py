@@ -1,4 +1,4 @@
-"""The bounds: admissible, consistent, and the octile one exact where nothing is in the way."""
+"""The bounds: admissible, consistent, and the octile one exact where no obstacle is."""
 
 from __future__ import annotations
 
@@ -9,10 +9,8 @@ import pytest
 from reference import make_occupancy, neighbours, shortest
 
 from hplan.base.arrays import FloatArray
-from hplan.search.astar import _bound
-from hplan.search.lattice import Lattice
-from hplan.search.node_set import NodeSet
-from hplan.search.row_bounds import row_bounds
+from hplan.search.astar import _bound, row_bounds
+from hplan.search.lattice import Lattice, NodeSet
 
 SPACES = [
     ((6, 7), [1.0, 1.0]),
@@ -24,8 +22,8 @@ SPACES = [
 
 
 def octile(lattice: Lattice, node: tuple[int, ...], goal: tuple[int, ...]) -> float:
-    row, goal_row = (lattice.row_of(np.array(place)) for place in (node, goal))
-    return float(_bound(lattice.row_coordinates, lattice.step, row, node[-1], goal_row, goal[-1], True))
+    here, target = lattice.node(np.array(node)), lattice.node(np.array(goal))
+    return float(_bound(lattice.row_coordinates, lattice.step, *here, target, True))
 
 
 @pytest.mark.parametrize(("shape", "step"), SPACES)

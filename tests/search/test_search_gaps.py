@@ -1,4 +1,4 @@
-"""Slices without a path, where each kind of mending is needed: built on purpose, both ways round."""
+"""Slices without a path, where each kind of restoration is needed: built on purpose, in both directions."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def test_gap(free: BoolArray, restored: tuple[int, ...], fallback: Fallback, swa
 @pytest.mark.parametrize("octile", [True, False])
 @pytest.mark.parametrize("swap", [False, True])
 @pytest.mark.parametrize("open_slices", [range(7, 10), range(1)])
-def test_way_beyond_start_and_goal(open_slices: range, swap: bool, octile: bool) -> None:
+def test_path_beyond_start_and_goal(open_slices: range, swap: bool, octile: bool) -> None:
     free = walled((3, range(10)))
     free[3, :, list(open_slices)] = True
     ends = [[0, 0, 2], [6, 5, 4]]
@@ -80,7 +80,7 @@ def test_way_beyond_start_and_goal(open_slices: range, swap: bool, octile: bool)
 
 
 @pytest.mark.parametrize("octile", [True, False])
-def test_no_way_at_all(octile: bool) -> None:
+def test_no_path_at_all(octile: bool) -> None:
     free = walled((3, range(10)))
     result = search(free, [0, 0, 0], [6, 5, 9], octile=octile)
     assert result.path is None

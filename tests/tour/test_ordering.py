@@ -18,13 +18,13 @@ def random_costs(seed: int, n: int, *, capacity: int, absent: float = 0.0, round
     begin = np.concatenate([[0], np.cumsum(random.integers(1, 4, n))])
     m = int(begin[-1])
 
-    def draw(*shape: int) -> np.ndarray:
+    def entries(*shape: int) -> np.ndarray:
         values = random.integers(1, 4, shape).astype(float) if round_numbers else random.uniform(0.1, 3.0, shape)
         values[random.uniform(size=shape) < absent] = np.inf
         return values
 
-    drop = draw(m) if capacity else np.full(m, np.inf)
-    return Costs(begin, draw(m), draw(m, m), drop, draw(m), draw(m), capacity)
+    drop = entries(m) if capacity else np.full(m, np.inf)
+    return Costs(begin, entries(m), entries(m, m), drop, entries(m), entries(m), capacity)
 
 
 def cost_of(costs: Costs, visits: Visits) -> float:
@@ -140,7 +140,7 @@ def test_nearest_never_carries_more_than_it_can(seed: int, capacity: int) -> Non
     assert loads == [capacity] * (13 // capacity) + [13 % capacity] * (13 % capacity > 0)
 
 
-def test_nearest_takes_the_drop_off_where_there_is_no_way_on() -> None:
+def test_nearest_takes_the_drop_off_where_nothing_leads_on() -> None:
     onward = np.full((2, 2), np.inf)
     costs = Costs(np.arange(3), np.array([1.0, 2.0]), onward, np.ones(2), np.ones(2), np.ones(2), 2)
     assert nearest(costs).dropped.tolist() == [True, False]

@@ -24,11 +24,11 @@ from hplan.errors import InputError
 from hplan.robot.model import Robot, load_robot
 from hplan.scene.file import load_scene
 from hplan.search import SearchResult, dense_search, slices_with_path, two_level_search
+from hplan.search.astar import row_bounds
 from hplan.search.grid import Grid, Occupancy
 from hplan.search.lattice import Lattice
 from hplan.search.restoration import union_of
-from hplan.search.row_bounds import row_bounds
-from hplan.search.slice_search import search_layers
+from hplan.search.slice_search import search_slices
 
 _T = TypeVar("_T")
 
@@ -191,8 +191,8 @@ def _settled_rows(occupancy: Occupancy, start: IntArray, goal: IntArray) -> int:
     lattice = Lattice.of(occupancy.grid.shape, occupancy.grid.step)
     free = lattice.bordered(occupancy.free_words)
     between = range(int(min(start[-1], goal[-1])), int(max(start[-1], goal[-1])) + 1)
-    union = union_of(lattice, free, search_layers(lattice, free, start, goal, between), start, goal)
-    return row_bounds(lattice, union.nodes, lattice.row_of(goal)).settled
+    nodes, _ = union_of(lattice, free, search_slices(lattice, free, start, goal, between), start, goal)
+    return row_bounds(lattice, nodes, lattice.row_of(goal)).settled
 
 
 def _model_row(

@@ -12,17 +12,17 @@ from hypothesis import strategies as st
 from reference import make_occupancy, path_cost, shortest
 
 from hplan.base.arrays import BoolArray, IntArray
-from hplan.search.direct_slices import MonotonePaths
+from hplan.search.direct_slices import DirectPaths, Ends, direct_paths, with_others
 from hplan.search.lattice import Lattice
 
 
-def paths_of(free: BoolArray, start: list[int], goal: list[int], wanted: range) -> tuple[MonotonePaths, list[IntArray]]:
+def paths_of(free: BoolArray, start: list[int], goal: list[int], wanted: range) -> tuple[DirectPaths, list[IntArray]]:
     """The paths, and for each slice its (m, 2) places."""
     lattice = Lattice.of(free.shape, np.ones(3))
     words = lattice.bordered(make_occupancy(free, np.ones(3)).free_words)
     rows = [lattice.row_of(np.array([*place, 0])) for place in (start, goal)]
-    found = MonotonePaths.of(words, lattice.padded[1], *rows, wanted)
-    path_rows, begins = found.joined(np.empty(0, dtype=np.int64), np.zeros(len(wanted) + 1, dtype=np.int64))
+    found = direct_paths(words, Ends(lattice.padded[1], *rows), lattice.mask(wanted), wanted[0])
+    path_rows, begins = with_others(found, np.empty(0, dtype=np.int64), np.zeros(len(wanted) + 1, dtype=np.int64))
     return found, [lattice.row_coordinates[path_rows[a:b]] for a, b in itertools.pairwise(begins)]
 
 
@@ -68,8 +68,8 @@ def test_other_slices_keep_their_paths() -> None:
     lattice = Lattice.of(free.shape, np.ones(3))
     words = lattice.bordered(make_occupancy(free, np.ones(3)).free_words)
     start, goal = (lattice.row_of(np.array([place, place, 0])) for place in (0, 2))
-    found = MonotonePaths.of(words, lattice.padded[1], start, goal, range(4))
-    rows, begins = found.joined(np.array([7, 8, 9]), np.array([0, 0, 0, 3, 3]))
+    found = direct_paths(words, Ends(lattice.padded[1], start, goal), lattice.mask(range(4)), 0)
+    rows, begins = with_others(found, np.array([7, 8, 9]), np.array([0, 0, 0, 3, 3]))
     assert begins.tolist() == [0, 3, 3, 6, 9]
     assert rows[3:6].tolist() == [7, 8, 9]
     assert rows[:3].tolist() == rows[6:].tolist()

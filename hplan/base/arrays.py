@@ -82,12 +82,16 @@ class Record:
             if isinstance(value, MappingProxyType):
                 state[field.name] = dict(value), True
             else:
-                state[field.name] = value, isinstance(value, np.ndarray) and not value.flags.writeable
+                held = value if isinstance(value, tuple) else (value,)  # named tuples of arrays
+                state[field.name] = value, any(isinstance(x, np.ndarray) and not x.flags.writeable for x in held)
         return state
 
     def __setstate__(self, state: dict[str, tuple[Any, bool]]) -> None:
         """Take the fields over as they are; they were checked when they were first given."""
         for name, (value, read_only) in state.items():
             if read_only:
-                value = frozen(value) if isinstance(value, np.ndarray) else MappingProxyType(value)
+                if isinstance(value, tuple):
+                    value = type(value)(*map(frozen, value))
+                else:
+                    value = frozen(value) if isinstance(value, np.ndarray) else MappingProxyType(value)
             object.__setattr__(self, name, value)

@@ -8,13 +8,14 @@ any tilt :math:`t` gives a bound, and the best is found between the two points t
 core point at some height :math:`n`, whose disc of radius :math:`\sqrt{r^2 - n^2}` lies in the section. With
 :math:`q` the least such radius the section is therefore a convex set grown by :math:`q`; tangents are drawn around
 that set, each new one along the chord of the two points where its neighbours touch, until no corner stands
-farther than the allowed error from such a chord. Straight sides are found exactly so, and a branch in the plane, beside
-it or across it needs no tangents but four.
+farther than the allowed error from such a chord. Straight sides are found exactly so, and a branch in the plane,
+parallel to it or across it needs no tangents but four.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 from hplan.base.arrays import FloatArray, IntArray
 from hplan.base.kernels import inlined, kernel
@@ -25,7 +26,7 @@ OUTWARD = 1e-12
 #: Heights that differ by less are the same [m].
 _IN_PLANE = 1e-12
 
-#: Tangents about one section at most; where they do not do, the section may stand out farther than asked for.
+#: Most tangents about one section; where they do not suffice, the section may stand out farther than asked for.
 MOST_TANGENTS = 256
 
 #: Cores of more points than this are not searched for a rounding that their section keeps.
@@ -35,16 +36,23 @@ _ROUNDED_POINTS = 128
 _STEPS = 64
 
 
-@inlined
-def _support(
-    points: FloatArray, count: int, radius: float, ux: float, uy: float, lowest: int, highest: int
-) -> tuple[float, float, int, int, float]:
-    """Support of the section along (ux, uy), and where it touches.
+class _Hull(NamedTuple):
+    """What is known of the hull that is cut, apart from its points."""
 
-    Returns:
-        The support, the radius of the disc that touches, and its centre: two core points and the share of the second.
+    radius: float
+    kept: float  # rounding that the section keeps
+    lowest: int
+    highest: int
+
+
+@kernel
+def _draw_tangent(points: FloatArray, hull: _Hull, ux: float, uy: float, tangents: FloatArray, row: int) -> None:
+    """Write the tangent with the normal (ux, uy), by the support there and the disc that touches.
+
+    The centre of that disc stands between two core points, the lower and the higher one that bind.
     """
-    low, high, share, across, excess = lowest, highest, 0.0, 0.0, 0.0
+    radius, kept, low, high = hull
+    weight, across = 0.0, 0.0
     support = 0.0
     for _ in range(_STEPS):
         low_reach = ux * points[low, 0] + uy * points[low, 1]
@@ -56,19 +64,19 @@ def _support(
             tilt = (low_reach - high_reach) / rise
             root = math.sqrt(1.0 + tilt * tilt)
             height = -radius * tilt / root
-            share = (height - points[low, 2]) / rise
-            alone = 0 if share < 0.0 else (1 if share > 1.0 else -1)
+            weight = (height - points[low, 2]) / rise
+            alone = 0 if weight < 0.0 else (1 if weight > 1.0 else -1)
         if alone >= 0:
-            share = float(alone)
+            weight = float(alone)
             height = points[high, 2] if alone == 1 else points[low, 2]
             flat = max(math.sqrt(max(0.0, radius * radius - height * height)), 1e-9 * radius)
             tilt = -height / flat
             root = math.sqrt(1.0 + tilt * tilt)
         across = radius / root
-        reach = low_reach + share * (high_reach - low_reach)
+        reach = low_reach + weight * (high_reach - low_reach)
         model = reach + tilt * height
         best, found = model, -1
-        for i in range(count):
+        for i in range(len(points)):
             value = ux * points[i, 0] + uy * points[i, 1] + tilt * points[i, 2]
             if value > best:
                 best, found = value, i
@@ -80,12 +88,14 @@ def _support(
             low = found
         else:
             high = found
-    return support, across, low, high, share
+    tangents[row, 0], tangents[row, 1], tangents[row, 2] = ux, uy, support - kept
+    tangents[row, 3] = points[low, 0] + weight * (points[high, 0] - points[low, 0]) + (across - kept) * ux
+    tangents[row, 4] = points[low, 1] + weight * (points[high, 1] - points[low, 1]) + (across - kept) * uy
 
 
 @kernel
 def _corner(tangents: FloatArray, i: int, j: int) -> tuple[float, float]:
-    """Where two tangents meet."""
+    """Corner at which two tangents meet."""
     turn = tangents[i, 0] * tangents[j, 1] - tangents[i, 1] * tangents[j, 0]
     x = (tangents[i, 2] * tangents[j, 1] - tangents[j, 2] * tangents[i, 1]) / turn
     y = (tangents[j, 2] * tangents[i, 0] - tangents[i, 2] * tangents[j, 0]) / turn
@@ -104,120 +114,83 @@ def _gap(x: float, y: float, ax: float, ay: float, bx: float, by: float) -> floa
 
 
 @kernel
-def _kept_rounding(points: FloatArray, count: int, radius: float) -> float:
-    """A radius by which some convex set must be grown to give the section: that of no disc which touches is smaller.
+def _kept_rounding(points: FloatArray, radius: float) -> float:
+    """Rounding of the section: a radius by which some convex set grows to it, as no disc that touches is smaller.
 
     A tangent that touches the face (or edge, or vertex) of the core at height n > 0 has the tilt
     n / sqrt(r^2 - n^2), which may not exceed run over rise to any point below a vertex of that face; one such vertex
     stands at n or higher. Below the plane likewise.
     """
+    count = len(points)
     if count > _ROUNDED_POINTS:
         return 0.0
     worst = 0.0
     for i in range(count):
         height = points[i, 2]
-        share = min(1.0, (height / radius) ** 2)
+        most = min(1.0, (height / radius) ** 2)
         for j in range(count):
             rise = points[j, 2] - height
-            if rise * height < 0.0 and share > worst:
+            if rise * height < 0.0 and most > worst:
                 square = (points[j, 0] - points[i, 0]) ** 2 + (points[j, 1] - points[i, 1]) ** 2
-                share = min(share, square / (square + rise * rise))
-        worst = max(worst, share)
+                most = min(most, square / (square + rise * rise))
+        worst = max(worst, most)
     return radius * math.sqrt(1.0 - worst)
 
 
-@kernel
-def cut_hull(
-    points: FloatArray,
-    count: int,
-    radius: float,
-    ex: float,
-    ey: float,
-    error: float,
-    tangents: FloatArray,
-    after: IntArray,
-    corners: FloatArray,
-) -> tuple[int, float]:
-    """Rounded polygon around the section of a hull of points, grown by `radius`, with the plane at height 0.
+@inlined
+def _next_normal(tangents: FloatArray, at: int, following: int) -> tuple[float, float]:
+    """Normal of the tangent to draw between two others: square to the chord of the points where they touch."""
+    dx, dy = tangents[following, 3] - tangents[at, 3], tangents[following, 4] - tangents[at, 4]
+    chord = math.hypot(dx, dy)
+    ux, uy = 0.0, 0.0
+    if chord > 0.0:
+        ux, uy = dy / chord, -dx / chord
+    before = tangents[at, 0] * uy - tangents[at, 1] * ux
+    behind = ux * tangents[following, 1] - uy * tangents[following, 0]
+    if chord == 0.0 or before < 1e-6 or behind < 1e-6:
+        # No chord, or hardly a turn from one of them: halfway between the two.
+        ux, uy = tangents[at, 0] + tangents[following, 0], tangents[at, 1] + tangents[following, 1]
+        length = math.hypot(ux, uy)
+        ux, uy = ux / length, uy / length
+    return ux, uy
 
-    Args:
-        points: (at least `count`, 3) core points in plane coordinates [m].
-        count: How many of them there are.
-        radius: Radius about the hull [m].
-        ex: Unit vector of the first tangent (along the core's length).
-        ey: The same, second coordinate.
-        error: How far the polygon may stand outside [m].
-        tangents: (`MOST_TANGENTS`, 5) for its own use: direction, support, where it touches.
-        after: (`MOST_TANGENTS`,) for its own use: the next tangent.
-        corners: (`MOST_TANGENTS`, 2) takes the vertices [m].
+
+@inlined
+def _draw_between(
+    points: FloatArray, hull: _Hull, error: float, tangents: FloatArray, after: IntArray
+) -> tuple[int, float]:
+    """Draw tangents between the first four until all corners are within the error.
 
     Returns:
-        Number of vertices, 0 where the plane misses the body, and the radius about them.
+        How many tangents there are, and the error, larger where more than `MOST_TANGENTS` would be needed.
     """
-    lowest, highest, size = 0, 0, 1.0
-    for i in range(count):
-        if points[i, 2] < points[lowest, 2]:
-            lowest = i
-        if points[i, 2] > points[highest, 2]:
-            highest = i
-        size = max(size, abs(points[i, 0]), abs(points[i, 1]), abs(points[i, 2]))
-    if points[lowest, 2] > radius or points[highest, 2] < -radius:
-        return 0, 0.0
-    if count == 2 and points[highest, 2] - points[lowest, 2] <= _IN_PLANE:
-        # Nothing to bound: all discs along the segment are the same.
-        nearest = min(abs(points[lowest, 2]), abs(points[highest, 2]))
-        for i in range(2):
-            corners[i, 0], corners[i, 1] = points[i, 0], points[i, 1]
-        same = points[0, 0] == points[1, 0] and points[0, 1] == points[1, 1]
-        return 1 if same else 2, math.sqrt(radius * radius - nearest * nearest)
-    radius += OUTWARD * size
-    kept = _kept_rounding(points, count, radius)
-    ux, uy, made, at = ex, ey, 0, 0
+    made, at = 4, 0
     while True:
-        if made >= 4:
-            following = after[at]
-            cx, cy = _corner(tangents, at, following)
-            dx = tangents[following, 3] - tangents[at, 3]
-            dy = tangents[following, 4] - tangents[at, 4]
-            gap = _gap(cx, cy, tangents[at, 3], tangents[at, 4], tangents[following, 3], tangents[following, 4])
-            if gap <= error:
-                at = following
-                if at == 0:
-                    break
-                continue
-            if made == MOST_TANGENTS:
-                # A section of many metres: from the first four again, with less to ask for.
-                error, made, at = 4.0 * error, 4, 0
-                for i in range(4):
-                    after[i] = (i + 1) & 3
-                continue
-            chord = math.hypot(dx, dy)
-            if chord > 0.0:
-                ux, uy = dy / chord, -dx / chord
-            before = tangents[at, 0] * uy - tangents[at, 1] * ux
-            behind = ux * tangents[following, 1] - uy * tangents[following, 0]
-            if chord == 0.0 or before < 1e-6 or behind < 1e-6:
-                ux, uy = tangents[at, 0] + tangents[following, 0], tangents[at, 1] + tangents[following, 1]
-                chord = math.hypot(ux, uy)
-                ux, uy = ux / chord, uy / chord
-        support, across, low, high, share = _support(points, count, radius, ux, uy, lowest, highest)
-        touch_x = points[low, 0] + share * (points[high, 0] - points[low, 0]) + (across - kept) * ux
-        touch_y = points[low, 1] + share * (points[high, 1] - points[low, 1]) + (across - kept) * uy
-        tangents[made, 0], tangents[made, 1], tangents[made, 2] = ux, uy, support - kept
-        tangents[made, 3], tangents[made, 4] = touch_x, touch_y
-        if made >= 4:
-            after[made] = after[at]
-            after[at] = made
-        else:
-            after[made] = (made + 1) & 3
-            ux, uy = -uy, ux
+        following = after[at]
+        cx, cy = _corner(tangents, at, following)
+        gap = _gap(cx, cy, tangents[at, 3], tangents[at, 4], tangents[following, 3], tangents[following, 4])
+        if gap <= error:
+            at = following
+            if at == 0:
+                break
+            continue
+        if made == MOST_TANGENTS:
+            # A section of many metres: from the first four again, with less to ask for.
+            error, made, at = 4.0 * error, 4, 0
+            for i in range(4):
+                after[i] = (i + 1) & 3
+            continue
+        ux, uy = _next_normal(tangents, at, following)
+        _draw_tangent(points, hull, ux, uy, tangents, made)
+        after[made] = after[at]
+        after[at] = made
         made += 1
-        if made == 4:
-            length, width = tangents[0, 2] + tangents[2, 2], tangents[1, 2] + tangents[3, 2]
-            if width <= error:
-                count, kept = _thin(tangents, length, width, kept, error, corners)
-                return count, kept
-    # Drop each tangent that the corner of its neighbours does without.
+    return made, error
+
+
+@inlined
+def _drop_needless(made: int, error: float, tangents: FloatArray, after: IntArray) -> tuple[int, int]:
+    """Drop each tangent that the corner of its neighbours does without; returns how many stay, and one of them."""
     start, sides = 0, made
     for _ in range(made):
         middle = after[start]
@@ -234,24 +207,79 @@ def cut_hull(
                 sides -= 1
                 continue
         start = middle
-    for i in range(sides):
-        corners[i, 0], corners[i, 1] = _corner(tangents, start, after[start])
-        start = after[start]
-    return sides, kept
+    return sides, start
 
 
 @kernel
+def cut_hull(
+    points: FloatArray,
+    radius: float,
+    along: tuple[float, float],
+    error: float,
+    tangents: FloatArray,
+    after: IntArray,
+    corners: FloatArray,
+) -> tuple[int, float]:
+    """Rounded polygon around the section of a hull of points, grown by `radius`, with the plane at height 0.
+
+    Args:
+        points: (k, 3) core points in plane coordinates [m].
+        radius: Radius about the hull [m].
+        along: Unit normal of the first tangent (along the core's length).
+        error: How far the polygon may stand outside [m].
+        tangents: (`MOST_TANGENTS`, 5) for its own use: normal (2), support, where each touches, less the rounding (2).
+        after: (`MOST_TANGENTS`,) for its own use: the next tangent.
+        corners: (`MOST_TANGENTS`, 2) takes the vertices [m].
+
+    Returns:
+        Number of vertices, 0 where the plane misses the body, and the radius about them.
+    """
+    count, lowest, highest, size = len(points), 0, 0, 1.0
+    for i in range(count):
+        if points[i, 2] < points[lowest, 2]:
+            lowest = i
+        if points[i, 2] > points[highest, 2]:
+            highest = i
+        size = max(size, abs(points[i, 0]), abs(points[i, 1]), abs(points[i, 2]))
+    if points[lowest, 2] > radius or points[highest, 2] < -radius:
+        return 0, 0.0
+    if count == 2 and points[highest, 2] - points[lowest, 2] <= _IN_PLANE:
+        # Nothing to bound: all discs along the segment are the same.
+        nearest = min(abs(points[lowest, 2]), abs(points[highest, 2]))
+        for i in range(2):
+            corners[i, 0], corners[i, 1] = points[i, 0], points[i, 1]
+        same = points[0, 0] == points[1, 0] and points[0, 1] == points[1, 1]
+        return 1 if same else 2, math.sqrt(radius * radius - nearest * nearest)
+    radius += OUTWARD * size
+    hull = _Hull(radius, _kept_rounding(points, radius), lowest, highest)
+    ux, uy = along
+    for side in range(4):
+        _draw_tangent(points, hull, ux, uy, tangents, side)
+        after[side] = (side + 1) & 3
+        ux, uy = -uy, ux
+    length, width = tangents[0, 2] + tangents[2, 2], tangents[1, 2] + tangents[3, 2]
+    if width <= error:
+        return _thin(tangents, length, width, hull.kept, error, corners)
+    made, error = _draw_between(points, hull, error, tangents, after)
+    sides, start = _drop_needless(made, error, tangents, after)
+    for i in range(sides):
+        corners[i, 0], corners[i, 1] = _corner(tangents, start, after[start])
+        start = after[start]
+    return sides, hull.kept
+
+
+@inlined
 def _thin(
     tangents: FloatArray, length: float, width: float, kept: float, error: float, corners: FloatArray
 ) -> tuple[int, float]:
-    """The stadium, or the disc, around a rectangle that is no wider than the error."""
+    """The stadium, or the disc, around a rectangle that is no wider than the error; as `cut_hull` returns it."""
     ux, uy = tangents[0, 0], tangents[0, 1]
-    aside = 0.5 * (tangents[1, 2] - tangents[3, 2])
+    offset = 0.5 * (tangents[1, 2] - tangents[3, 2])
     if math.hypot(length, width) <= error:
         middle = 0.5 * (tangents[0, 2] - tangents[2, 2])
-        corners[0, 0], corners[0, 1] = middle * ux - aside * uy, middle * uy + aside * ux
+        corners[0, 0], corners[0, 1] = middle * ux - offset * uy, middle * uy + offset * ux
         return 1, kept + 0.5 * math.hypot(length, width)
     for i in range(2):
         along = tangents[0, 2] if i == 0 else -tangents[2, 2]
-        corners[i, 0], corners[i, 1] = along * ux - aside * uy, along * uy + aside * ux
+        corners[i, 0], corners[i, 1] = along * ux - offset * uy, along * uy + offset * ux
     return 2, kept + 0.5 * width

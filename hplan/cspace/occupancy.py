@@ -10,10 +10,11 @@ half-width) stands at distance :math:`\rho` from the joint, at bearing :math:`\v
         \text{never}                                     & \text{beyond} \quad (3)
     \end{cases}
 
-and always where :math:`\rho \le R`. That is exact for a capsule link. The paper puts case 3 at
+(`_disc_half_angle`) and always where :math:`\rho \le R`. That is exact for a capsule link. The paper puts case 3 at
 :math:`\rho > \sqrt{L^2 + w^2} + r`, the reach of a rectangle's corner (model `paper`); the model `rectangle` solves
-the rectangle itself. Angles run counter-clockwise from +x of the arm plane, bearings by arctan2(y, x). The paper
-prints arctan(x / y), which gives its figures in no frame (`scripts/reproduce_paper.py` tries both).
+the rectangle itself (`hplan.cspace.rectangle_link`). Angles run counter-clockwise from +x of the arm plane, bearings by
+arctan2(y, x). The paper prints arctan(x / y), which gives its figures in no frame (`scripts/reproduce_paper.py` tries
+both).
 
 A rounded polygon is met in one interval too: the hull of the intervals of its corner discs and of the points where
 its straight sides leave the link's reach.
@@ -22,12 +23,14 @@ its straight sides leave the link's reach.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from hplan.base.arrays import BoolArray, FloatArray, IntArray, WordArray, frozen, readonly
 from hplan.base.kernels import inlined, kernel
-from hplan.cspace.sections import LINK_MODELS, ArmSections
+from hplan.cspace.rectangle_link import rectangle_half_angles
+from hplan.cspace.sections import LINK_MODELS, ArmSections, SectionArrays
 from hplan.errors import InputError
 from hplan.robot.model import PlanarArm
 from hplan.robot.self_contact import part_of_arm
@@ -36,8 +39,48 @@ from hplan.search.grid import Grid, Occupancy
 _CAPSULE, _PAPER, _RECTANGLE = range(len(LINK_MODELS))
 _ALL = np.uint64(0xFFFFFFFFFFFFFFFF)
 
-#: A joint closer than this to a rounded polygon is in it: bearings of points beside it would be noise [m].
+#: A joint closer than this to a rounded polygon is in it: bearings of points so near would be noise [m].
 _TOUCHING = 1e-12
+
+
+class _Links(NamedTuple):
+    """(links,) the links of an arm, as in `PlanarArm`, and the axes of their joints' grid, as in `Grid`."""
+
+    lengths: FloatArray
+    half_widths: FloatArray
+    signs: FloatArray
+    offsets: FloatArray
+    lower: FloatArray
+    step: FloatArray
+    counts: IntArray
+
+
+class _Axis(NamedTuple):
+    """One axis of the grid: its node i is the relative link angle `sign * (lower + i * step) + offset`."""
+
+    lower: float
+    step: float
+    size: int
+    sign: float
+    offset: float
+
+
+class _Poses(NamedTuple):
+    """(rows,) the poses of one link's joint at all nodes of the joints before it, a row of the grid each.
+
+    Attributes:
+        alive: Whether all links before it are free.
+        x: Place of the joint [m].
+        y: The same, second coordinate.
+        cos: Direction of the link before it.
+        sin: The same, second coordinate.
+    """
+
+    alive: BoolArray
+    x: FloatArray
+    y: FloatArray
+    cos: FloatArray
+    sin: FloatArray
 
 
 def joint_grid(arm: PlanarArm, step: float | FloatArray) -> Grid:
@@ -73,21 +116,9 @@ def occupancy(arm: PlanarArm, sections: ArmSections, grid: Grid) -> Occupancy:
             f"occupancy: the arm has {links} links, the grid {len(grid.shape)} axes and the sections are for "
             f"{len(sections.link_start) - 1} links",
         )
-    words = _fill(
-        np.array(grid.shape),
-        grid.lower,
-        grid.step,
-        arm.lengths,
-        arm.half_widths,
-        arm.signs,
-        arm.offsets,
-        LINK_MODELS.index(sections.link_model),
-        sections.link_start,
-        sections.vertex_start,
-        sections.vertices,
-        sections.radii,
-        sections.bounds,
-    )
+    shape = np.array(grid.shape)
+    joints = _Links(arm.lengths, arm.half_widths, arm.signs, arm.offsets, grid.lower, grid.step, shape)
+    words = _fill(joints, LINK_MODELS.index(sections.link_model), sections.arrays)
     for (link, other, _), radius in zip(sections.own_pairs.tolist(), sections.own_radii.tolist(), strict=True):
         if link < links:
             _take_out_contact(words, arm, grid, link, other, radius)
@@ -124,7 +155,7 @@ def _take_out_contact(words: WordArray, arm: PlanarArm, grid: Grid, link: int, o
 
 @inlined
 def _disc_half_angle(rho: float, length: float, radius: float) -> float:
-    """Equations (1) and (2) for rho > radius; -1 where the disc is out of reach."""
+    """Equations (1) and (2) for rho > radius; -1, equation (3), where the disc is out of reach."""
     if rho > length + radius:
         return -1.0
     if rho * rho <= length * length + radius * radius:
@@ -133,87 +164,58 @@ def _disc_half_angle(rho: float, length: float, radius: float) -> float:
     return math.acos(min(1.0, cosine))
 
 
-@kernel
-def _rectangle_half_angles(rho: float, length: float, half_width: float, radius: float) -> tuple[float, float]:
-    """Smallest and largest |bearing| at which a disc meets a rectangle [0, length] x [-w, w]; -1 where never.
-
-    The rectangle grown by the disc's radius reaches to `extent(a)` in direction `a`, which rises from `a = 0` to
-    the corner and falls from there to `a = pi`; each branch below inverts one of its pieces.
-    """
-    corner = math.hypot(length, half_width)
-    if rho > corner + radius:
-        return -1.0, -1.0
-    if rho <= radius:
-        return 0.0, math.pi
-    to_corner = math.atan2(half_width, length)
-    lowest = 0.0
-    if rho > length + radius:
-        if rho <= math.hypot(length + radius, half_width):
-            lowest = math.acos((length + radius) / rho)
-        else:
-            lowest = to_corner - _arc(rho, corner, radius)
-    if rho <= math.hypot(radius, half_width):
-        highest = math.pi - math.acos(radius / rho)
-    elif rho <= half_width + radius:
-        sine = (rho * rho + half_width * half_width - radius * radius) / (2.0 * rho * half_width)
-        highest = math.pi - math.asin(min(1.0, sine))
-    elif rho <= math.hypot(length, half_width + radius):
-        highest = math.asin((half_width + radius) / rho)
-    else:
-        highest = to_corner + _arc(rho, corner, radius)
-    return lowest, highest
-
-
 @inlined
-def _arc(rho: float, centre: float, radius: float) -> float:
-    """Angle between the directions to a circle's centre and to its point at distance rho."""
-    cosine = (rho * rho + centre * centre - radius * radius) / (2.0 * rho * centre)
-    return math.acos(max(-1.0, min(1.0, cosine)))
+def _disc_tangent(square: float, length: float, radius: float) -> tuple[float, float]:
+    """The angle of `_disc_half_angle`, for a squared distance, as a direction: cosine and sine times some length.
+
+    Polygons need it for each corner, and angles only of two of them. (For one disc the arc sine is faster.)
+    """
+    if square <= length * length + radius * radius:
+        return math.sqrt(square - radius * radius), radius
+    if square <= (length + radius) * (length + radius):
+        along = 0.5 * (length * length + square - radius * radius)
+        return along, math.sqrt(max(0.0, length * length * square - along * along))
+    return 0.0, 0.0
 
 
 @kernel
 def _polygon_interval(
-    vertices: FloatArray,
-    first: int,
-    last: int,
-    radius: float,
-    px: float,
-    py: float,
-    cos: float,
-    sin: float,
-    length: float,
+    vertices: FloatArray, first: int, last: int, radius: float, pose: tuple[float, float, float, float], length: float
 ) -> tuple[int, float, float]:
-    """Angles, relative to the direction (cos, sin), at which a link from (px, py) meets a rounded polygon.
+    """Angles, relative to the direction (cos, sin), at which a link from (x, y) meets a rounded polygon.
 
     The interval is narrower than pi, so its ends are found among the directions to points by the sign of their cross
     products, and only these two are made angles.
 
-    Returns 0 (never), 1 (between the two angles, the second may pass pi) or 2 (always).
+    Args:
+        vertices: Points of all sections.
+        first: The polygon's first vertex.
+        last: The one after its last vertex.
+        radius: The polygon's rounding.
+        pose: x, y, cos, sin.
+        length: Length of the link.
+
+    Returns:
+        0 (never), 1 (between the two angles, the second may pass pi) or 2 (always), and the angles.
     """
-    count = last - first
-    inside = count >= 3
-    square_length, square_radius = length * length, radius * radius
+    px, py, cos, sin = pose
+    inside = last - first >= 3
+    square_length = length * length
+    touching = (radius + _TOUCHING) * (radius + _TOUCHING)
     sure = max(0.0, length - radius)  # a corner nearer than this is within reach with all of its disc
-    lx, ly, hx, hy = 0.0, 0.0, 0.0, 0.0
+    cone = (0.0, 0.0, 0.0, 0.0)
     ax, ay = vertices[last - 1, 0] - px, vertices[last - 1, 1] - py
     before = ax * ax + ay * ay
-    for i in range(count):
+    for i in range(first, last):
         # The corner, and the side that leads to it from the corner before.
-        bx, by = vertices[first + i, 0] - px, vertices[first + i, 1] - py
+        bx, by = vertices[i, 0] - px, vertices[i, 1] - py
         square = bx * bx + by * by
-        if square <= (radius + _TOUCHING) * (radius + _TOUCHING):
+        if square <= touching:
             return 2, 0.0, 0.0
-        if square <= square_length + square_radius:
-            tangent = math.sqrt(square - square_radius)  # equation (1), both tangents as directions
-            lx, ly, hx, hy = _widen(
-                lx, ly, hx, hy, bx * tangent + by * radius, by * tangent - bx * radius,
-                bx * tangent - by * radius, by * tangent + bx * radius,
-            )  # fmt: skip
-        elif square <= (length + radius) * (length + radius):
-            along = 0.5 * (square_length + square - square_radius)  # equation (2), times the distance
-            across = math.sqrt(max(0.0, square_length * square - along * along))
-            lx, ly, hx, hy = _widen(
-                lx, ly, hx, hy, bx * along + by * across, by * along - bx * across,
+        along, across = _disc_tangent(square, length, radius)
+        if along > 0.0 or across > 0.0:
+            cone = _widen(
+                cone, bx * along + by * across, by * along - bx * across,
                 bx * along - by * across, by * along + bx * across,
             )  # fmt: skip
         ex, ey = bx - ax, by - ay
@@ -223,7 +225,7 @@ def _polygon_interval(
             along = -(ex * ax + ey * ay)
             if outward > 0.0:
                 inside = False
-            if 0.0 <= along <= edge and outward * outward <= (radius + _TOUCHING) * (radius + _TOUCHING) * edge:
+            if 0.0 <= along <= edge and outward * outward <= touching * edge:
                 return 2, 0.0, 0.0
             # Where the straight side to the right leaves the reach. (Two vertices make two sides, there and back, and
             # so both sides of a stadium.)
@@ -236,12 +238,12 @@ def _polygon_interval(
                     for direction in (-1.0, 1.0):
                         t = along / size + direction * chord
                         if 0.0 <= t <= size:
-                            x = ax + t * ux + radius * uy
-                            y = ay + t * uy - radius * ux
-                            lx, ly, hx, hy = _widen(lx, ly, hx, hy, x, y, x, y)
+                            x, y = ax + t * ux + radius * uy, ay + t * uy - radius * ux
+                            cone = _widen(cone, x, y, x, y)
         ax, ay, before = bx, by, square
     if inside:
         return 2, 0.0, 0.0
+    lx, ly, hx, hy = cone
     if lx == 0.0 and ly == 0.0:
         return 0, 0.0, 0.0
     low = math.atan2(cos * ly - sin * lx, cos * lx + sin * ly)
@@ -250,9 +252,10 @@ def _polygon_interval(
 
 @inlined
 def _widen(
-    lx: float, ly: float, hx: float, hy: float, ax: float, ay: float, bx: float, by: float
+    cone: tuple[float, float, float, float], ax: float, ay: float, bx: float, by: float
 ) -> tuple[float, float, float, float]:
-    """Widen the cone from direction l to direction h, counter-clockwise, to hold the one from a to b."""
+    """Widen the cone between two directions, counter-clockwise, to hold the one from a to b."""
+    lx, ly, hx, hy = cone
     if lx == 0.0 and ly == 0.0:
         return ax, ay, bx, by
     if lx * ay - ly * ax < 0.0:
@@ -263,18 +266,9 @@ def _widen(
 
 
 @kernel
-def _mark(
-    rows: WordArray,
-    r: int,
-    low: float,
-    high: float,
-    lower: float,
-    step: float,
-    count: int,
-    sign: float,
-    offset: float,
-) -> None:
-    """Clear the bits of row `r` whose joint angle gives a relative link angle in [low, high] (mod 2 pi)."""
+def _mark(rows: WordArray, r: int, low: float, high: float, axis: _Axis) -> None:
+    """Clear the bits of row `r` whose relative link angle is in [low, high] (mod 2 pi)."""
+    lower, step, count, sign, offset = axis
     if sign < 0.0:
         low, high = offset - high, offset - low
     else:
@@ -298,44 +292,29 @@ def _mark(
         low, high = low + turn, high + turn
 
 
-@kernel
-def _fill_link(
-    rows: WordArray,
-    alive: BoolArray,
-    px: FloatArray,
-    py: FloatArray,
-    cos: FloatArray,
-    sin: FloatArray,
-    length: float,
-    half_width: float,
-    sign: float,
-    offset: float,
-    lower: float,
-    step: float,
-    count: int,
-    model: int,
-    first_section: int,
-    last_section: int,
-    vertex_start: IntArray,
-    vertices: FloatArray,
-    radii: FloatArray,
-    bounds: FloatArray,
-) -> None:
-    """Free bits of one link's rows: its joint at (px, py), the link before it along (cos, sin).
+@inlined
+def _axis(links: _Links, k: int) -> _Axis:
+    """The axis of joint k."""
+    return _Axis(links.lower[k], links.step[k], links.counts[k], links.signs[k], links.offsets[k])
 
-    A row whose earlier links collide (not `alive`) is occupied whole.
-    """
+
+@kernel
+def _fill_link(rows: WordArray, poses: _Poses, k: int, links: _Links, model: int, sections: SectionArrays) -> None:
+    """Free bits of the rows of link k; a row whose earlier links collide is occupied whole."""
+    alive, px, py, cos, sin = poses
+    length, half_width, axis = links.lengths[k], links.half_widths[k], _axis(links, k)
+    link_start, vertex_start, vertices, radii, bounds = sections
     words = rows.shape[1]
     corner = math.hypot(length, half_width)
     reach = corner if model == _RECTANGLE else length
-    tail = _ALL >> np.uint64((64 - count) & 63)
+    tail = _ALL >> np.uint64((64 - axis.size) & 63)
     for r in range(rows.shape[0]):
         blocked = not alive[r]
         for w in range(words):
             rows[r, w] = np.uint64(0) if blocked else (tail if w == words - 1 else _ALL)
         if blocked:
             continue
-        for s in range(first_section, last_section):
+        for s in range(link_start[k], link_start[k + 1]):
             dx, dy = bounds[s, 0] - px[r], bounds[s, 1] - py[r]
             limit = reach + bounds[s, 2]
             square = dx * dx + dy * dy
@@ -346,15 +325,15 @@ def _fill_link(
             state, low, high, bearing = 0, 0.0, 0.0, 0.0
             if vertex_start[s + 1] - vertex_start[s] > 1:
                 state, low, high = _polygon_interval(
-                    vertices, vertex_start[s], vertex_start[s + 1], radius, px[r], py[r], cos[r], sin[r], length
-                )  # fmt: skip
+                    vertices, vertex_start[s], vertex_start[s + 1], radius, (px[r], py[r], cos[r], sin[r]), length
+                )
             else:
                 rho = math.sqrt(square)
                 bearing = math.atan2(cos[r] * dy - sin[r] * dx, cos[r] * dx + sin[r] * dy)
                 if rho <= radius:
                     state = 2
                 elif model == _RECTANGLE:
-                    low, high = _rectangle_half_angles(rho, length, half_width, radius)
+                    low, high = rectangle_half_angles(rho, length, half_width, radius)
                     if high >= 0.0:
                         state = 3 if low > 0.0 else 1
                         low = low if low > 0.0 else -high
@@ -367,33 +346,23 @@ def _fill_link(
                     rows[r, w] = np.uint64(0)
                 break
             if state != 0:
-                _mark(rows, r, bearing + low, bearing + high, lower, step, count, sign, offset)
+                _mark(rows, r, bearing + low, bearing + high, axis)
             if state == 3:
-                _mark(rows, r, bearing - high, bearing - low, lower, step, count, sign, offset)
+                _mark(rows, r, bearing - high, bearing - low, axis)
 
 
 @kernel
-def _advance(
-    rows: WordArray,
-    px: FloatArray,
-    py: FloatArray,
-    cos: FloatArray,
-    sin: FloatArray,
-    length: float,
-    sign: float,
-    offset: float,
-    lower: float,
-    step: float,
-    count: int,
-) -> tuple[BoolArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-    """The next link's rows: which are alive, the position of its joint, the direction of this link."""
+def _advance(rows: WordArray, poses: _Poses, k: int, links: _Links) -> _Poses:
+    """The poses of the next link's joint, from the rows of link k and the poses of its joint."""
+    length, axis = links.lengths[k], _axis(links, k)
+    count = axis.size
     size = rows.shape[0] * count
     alive = np.empty(size, dtype=np.bool_)
-    next_px, next_py = np.empty(size), np.empty(size)
-    next_cos, next_sin = np.empty(size), np.empty(size)
+    next_x, next_y, next_cos, next_sin = np.empty(size), np.empty(size), np.empty(size), np.empty(size)
+    _, x, y, cos, sin = poses
     turn_cos, turn_sin = np.empty(count), np.empty(count)
     for b in range(count):
-        angle = sign * (lower + b * step) + offset
+        angle = axis.sign * (axis.lower + b * axis.step) + axis.offset
         turn_cos[b], turn_sin[b] = math.cos(angle), math.sin(angle)
     for r in range(rows.shape[0]):
         for b in range(count):
@@ -402,40 +371,18 @@ def _advance(
             c = cos[r] * turn_cos[b] - sin[r] * turn_sin[b]
             s = sin[r] * turn_cos[b] + cos[r] * turn_sin[b]
             next_cos[i], next_sin[i] = c, s
-            next_px[i] = px[r] + length * c
-            next_py[i] = py[r] + length * s
-    return alive, next_px, next_py, next_cos, next_sin
+            next_x[i], next_y[i] = x[r] + length * c, y[r] + length * s
+    return _Poses(alive, next_x, next_y, next_cos, next_sin)
 
 
 @kernel
-def _fill(
-    shape: IntArray,
-    lower: FloatArray,
-    step: FloatArray,
-    lengths: FloatArray,
-    half_widths: FloatArray,
-    signs: FloatArray,
-    offsets: FloatArray,
-    model: int,
-    link_start: IntArray,
-    vertex_start: IntArray,
-    vertices: FloatArray,
-    radii: FloatArray,
-    bounds: FloatArray,
-) -> WordArray:
+def _fill(links: _Links, model: int, sections: SectionArrays) -> WordArray:
     """Free bits of all rows, link by link."""
-    px, py, sin = np.zeros(1), np.zeros(1), np.zeros(1)
-    cos, alive = np.ones(1), np.ones(1, dtype=np.bool_)
-    rows = np.empty((1, (shape[0] + 63) >> 6), dtype=np.uint64)
-    for k in range(len(shape)):
+    poses = _Poses(np.ones(1, dtype=np.bool_), np.zeros(1), np.zeros(1), np.ones(1), np.zeros(1))
+    rows = np.empty((1, (links.counts[0] + 63) >> 6), dtype=np.uint64)
+    for k in range(len(links.counts)):
         if k > 0:
-            alive, px, py, cos, sin = _advance(
-                rows, px, py, cos, sin, lengths[k - 1], signs[k - 1], offsets[k - 1], lower[k - 1], step[k - 1],
-                shape[k - 1],
-            )  # fmt: skip
-            rows = np.empty((len(alive), (shape[k] + 63) >> 6), dtype=np.uint64)
-        _fill_link(
-            rows, alive, px, py, cos, sin, lengths[k], half_widths[k], signs[k], offsets[k], lower[k], step[k],
-            shape[k], model, link_start[k], link_start[k + 1], vertex_start, vertices, radii, bounds,
-        )  # fmt: skip
+            poses = _advance(rows, poses, k - 1, links)
+            rows = np.empty((len(poses.alive), (links.counts[k] + 63) >> 6), dtype=np.uint64)
+        _fill_link(rows, poses, k, links, model, sections)
     return rows

@@ -22,6 +22,7 @@ are those of the plane at :math:`\psi` with the body turned by all :math:`|\delt
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -36,71 +37,155 @@ _THROUGH_AXIS = 1e-6
 _CUT_POINTS = 8
 
 
+class Balls(NamedTuple):
+    """Balls to be cut.
+
+    Attributes:
+        centres: (balls, 3) in `base_link` [m].
+        radii: (balls,) clearance included [m].
+        owners: (balls,) index of the obstacle that each belongs to.
+    """
+
+    centres: FloatArray
+    radii: FloatArray
+    owners: IntArray
+
+
+class Hulls(NamedTuple):
+    """Hulls of points, grown by a radius, to be cut.
+
+    Attributes:
+        points: (P, 3) core points of all hulls, two or more each, in `base_link` [m].
+        starts: (hulls + 1,) indices of their first points.
+        radii: (hulls,) radii about them, clearance included [m].
+        owners: (hulls,) index of the obstacle that each belongs to.
+        bounds: (hulls, 4) a ball that holds each core: centre and radius [m].
+    """
+
+    points: FloatArray
+    starts: IntArray
+    radii: FloatArray
+    owners: IntArray
+    bounds: FloatArray
+
+
+class ArmPlane(NamedTuple):
+    """The arm plane over an interval of yaw.
+
+    Attributes:
+        origin: (3,) a point of the plane in the middle of the interval [m].
+        axes: (3, 3) rows: its horizontal and upward axis and its normal there.
+        half_angle: Half of the interval, less than a right angle; above 0 the plane must be vertical.
+    """
+
+    origin: FloatArray
+    axes: FloatArray
+    half_angle: float
+
+
+class LinkExtents(NamedTuple):
+    """What the links add to what they meet, and where they can be.
+
+    Attributes:
+        growth: (links,) what each link adds to the radii [m].
+        depths: (links,) how far each link extends to both sides of the plane, flat; balls alone are cut so [m].
+        reaches: (links,) distance from the origin beyond which sections are left out [m], inf for none.
+    """
+
+    growth: FloatArray
+    depths: FloatArray
+    reaches: FloatArray
+
+
+class Cut(NamedTuple):
+    """Sections, link by link, as in `hplan.cspace.sections.ArmSections`; all but `link_start` have room at their end.
+
+    Attributes:
+        link_start: (links + 1,) indices of sections.
+        vertex_start: Indices of vertices.
+        vertices: Points [m].
+        discs: Of each section a disc around it, and its rounding: centre, radius, rounding [m].
+        owners: Index of the obstacle that each is cut from.
+    """
+
+    link_start: IntArray
+    vertex_start: IntArray
+    vertices: FloatArray
+    discs: FloatArray
+    owners: IntArray
+
+
+@inlined
+def _origin_from_axis(origin: FloatArray, axes: FloatArray) -> tuple[float, float]:
+    """The plane's origin as seen from the yaw axis: along the plane, and beyond it."""
+    along = axes[0, 0] * origin[0] + axes[0, 1] * origin[1] + axes[0, 2] * origin[2]
+    return along, axes[2, 0] * origin[0] + axes[2, 1] * origin[1] + axes[2, 2] * origin[2]
+
+
 @kernel
 def _sweep(
-    points: FloatArray,
-    first: int,
-    last: int,
-    origin: FloatArray,
-    axes: FloatArray,
-    half_angle: float,
-    radius: float,
-    reach: float,
-    turned: FloatArray,
+    points: FloatArray, plane: ArmPlane, radius: float, reach: float, turned: FloatArray
 ) -> tuple[int, float, float, float]:
     """Core points in plane coordinates; over an interval of yaw the two for each that the module's text speaks of.
+
+    Args:
+        points: Core points of a hull [m].
+        plane: The plane.
+        radius: Radius about the hull, the link's growth included [m].
+        reach: Largest reach of a link [m].
+        turned: Takes the points, and needs room for the hull's own at its end.
 
     Returns:
         How many points were written, by how much the radius grows, and the direction from the first core point to the
         second, in the plane.
     """
-    count = last - first
-    spare = len(turned) - count  # the core's own points stand at the end until they are turned
+    origin, axes, half_angle = plane
+    count = len(points)
+    own = len(turned) - count  # the core's own points stand at the end until they are turned
     far = 0.0
-    # Along, upward and aside, of the axis where there is an interval and of the plane's origin where there is none.
-    ox = axes[0, 0] * origin[0] + axes[0, 1] * origin[1] + axes[0, 2] * origin[2]
-    on = axes[2, 0] * origin[0] + axes[2, 1] * origin[1] + axes[2, 2] * origin[2]
+    # Along, upward and sideways, of the axis where there is an interval and of the plane's origin where there is none.
+    ox, on = _origin_from_axis(origin, axes)
     swept = half_angle > 0.0
     for i in range(count):
-        x, y, z = points[first + i, 0] - origin[0], points[first + i, 1] - origin[1], points[first + i, 2] - origin[2]
+        x, y, z = points[i, 0] - origin[0], points[i, 1] - origin[1], points[i, 2] - origin[2]
         for axis in range(3):
-            turned[spare + i, axis] = axes[axis, 0] * x + axes[axis, 1] * y + axes[axis, 2] * z
+            turned[own + i, axis] = axes[axis, 0] * x + axes[axis, 1] * y + axes[axis, 2] * z
         if swept:
-            turned[spare + i, 0] += ox
-            turned[spare + i, 2] += on
-            far = max(far, math.hypot(turned[spare + i, 0], turned[spare + i, 2]))
-    ex, ey = turned[spare + 1, 0] - turned[spare, 0], turned[spare + 1, 1] - turned[spare, 1]
+            turned[own + i, 0] += ox
+            turned[own + i, 2] += on
+            far = max(far, math.hypot(turned[own + i, 0], turned[own + i, 2]))
+    ex, ey = turned[own + 1, 0] - turned[own, 0], turned[own + 1, 1] - turned[own, 1]
     length = math.hypot(ex, ey)
     ex, ey = (ex / length, ey / length) if length > 1e-9 else (1.0, 0.0)
     written = 0
     if not swept:
         for i in range(count):
             for axis in range(3):
-                turned[i, axis] = turned[spare + i, axis]
+                turned[i, axis] = turned[own + i, axis]
         return count, 0.0, ex, ey
     cos, sin = math.cos(half_angle), math.sin(half_angle)
-    # What is farther aside than this touches the plane at no yaw of the interval within the reach.
+    # What is farther sideways than this touches the plane at no yaw of the interval within the reach.
     wide = min(far, abs(ox) + reach + radius) * sin + OUTWARD * (1.0 + far)
     upper, under = on + radius, on - radius
     upper = (upper if upper > 0.0 else upper * cos) + wide
     under = (under if under < 0.0 else under * cos) - wide
     for i in range(count):
-        height = turned[spare + i, 2]
+        height = turned[own + i, 2]
         if count > _CUT_POINTS or under <= height <= upper:
             for axis in range(3):
-                turned[written, axis] = turned[spare + i, axis]
+                turned[written, axis] = turned[own + i, axis]
             written += 1
         if count > _CUT_POINTS:
             continue
         for j in range(i):
-            rise = turned[spare + j, 2] - height
+            rise = turned[own + j, 2] - height
             for side in range(2):
                 level = under if side == 0 else upper
                 if (height - level) * (height + rise - level) < 0.0:
-                    share = (level - height) / rise
+                    t = (level - height) / rise
                     for axis in range(3):
-                        turned[written, axis] = turned[spare + i, axis] + share * (
-                            turned[spare + j, axis] - turned[spare + i, axis]
+                        turned[written, axis] = turned[own + i, axis] + t * (
+                            turned[own + j, axis] - turned[own + i, axis]
                         )
                     written += 1
     far = 0.0
@@ -119,7 +204,7 @@ def _sweep(
 
 @inlined
 def _ball(x: float, n: float, ox: float, on: float, cos: float, sin: float, nested: bool) -> tuple[float, float, float]:
-    """Range of the centre's place along the plane, and its least height, while it turns about the axis.
+    """Range of a ball's centre along the plane, and its least height, while it turns about the axis.
 
     It stands at (x, n) from the axis, in the middle of the interval, and the plane's origin at (ox, on). Where the
     discs lie in each other, only the largest counts.
@@ -142,72 +227,58 @@ def _ball(x: float, n: float, ox: float, on: float, cos: float, sin: float, nest
     return low - ox, high - ox, max(0.0, under, -upper)
 
 
-@kernel
-def cut_balls(
-    centres: FloatArray,
-    radii: FloatArray,
-    owners: IntArray,
-    origin: FloatArray,
-    axes: FloatArray,
-    half_angle: float,
-    growth: FloatArray,
-    depths: FloatArray,
-    reaches: FloatArray,
-    discs_only: bool,
-    error: float,
-) -> tuple[IntArray, IntArray, FloatArray, FloatArray, IntArray]:
-    """Sections of balls, link by link.
-
-    Args:
-        centres: (balls, 3) centres [m].
-        radii: (balls,) radii [m].
-        owners: (balls,) whose they are.
-        origin: (3,) the plane's origin [m].
-        axes: (3, 3) rows: the plane's horizontal and upward axis, its normal.
-        half_angle: Half of the yaw interval, less than a right angle; above 0 the plane must be vertical.
-        growth: (links,) what each link adds to the radii [m].
-        depths: (links,) how far each link extends to both sides of the plane, flat [m].
-        reaches: (links,) distance from the origin beyond which sections are left out [m], inf for none.
-        discs_only: Whether a disc must hold what is a stadium.
-        error: How far a section may stand outside [m].
-
-    Returns:
-        Sections as in `hplan.cspace.sections.ArmSections`: link starts, vertex starts, vertices; of each section its
-        bound and its radius in one row, and its owner. All but the first have room left behind the last section.
-    """
-    links = len(growth)
-    cos, sin, moved = math.cos(half_angle), math.sin(half_angle), 2.0 * math.sin(0.5 * half_angle)
-    ox = axes[0, 0] * origin[0] + axes[0, 1] * origin[1] + axes[0, 2] * origin[2]
-    on = axes[2, 0] * origin[0] + axes[2, 1] * origin[1] + axes[2, 2] * origin[2]
-    aside = abs(on) if abs(on) <= _THROUGH_AXIS else 0.0
+@inlined
+def _near_balls(balls: Balls, plane: ArmPlane, links: LinkExtents) -> tuple[int, IntArray, FloatArray]:
+    """Number of balls near enough for any link, which they are, and their centres in plane coordinates."""
+    (centres, radii, _), (origin, axes, half_angle), (growth, depths, reaches) = balls, plane, links
+    moved = 2.0 * math.sin(0.5 * half_angle)
+    ox, on = _origin_from_axis(origin, axes)
     widest, farthest = 0.0, 0.0
-    for k in range(links):
+    for k in range(len(growth)):
         widest, farthest = max(widest, growth[k] + depths[k]), max(farthest, reaches[k])
-    # Balls near enough for any link, with their centres in plane coordinates.
     near, places = np.empty(len(radii), dtype=np.int64), np.empty((len(radii), 3))
     found = 0
     for b in range(len(radii)):
         dx, dy, dz = centres[b, 0] - origin[0], centres[b, 1] - origin[1], centres[b, 2] - origin[2]
-        n = axes[2, 0] * dx + axes[2, 1] * dy + axes[2, 2] * dz
         x = axes[0, 0] * dx + axes[0, 1] * dy + axes[0, 2] * dz
         y = axes[1, 0] * dx + axes[1, 1] * dy + axes[1, 2] * dz
+        n = axes[2, 0] * dx + axes[2, 1] * dy + axes[2, 2] * dz
         size = (radii[b] + widest + moved * math.sqrt((x + ox) ** 2 + (n + on) ** 2)) * (1.0 + 1e-9)
         if abs(n) <= size and x * x + y * y <= (farthest + size) ** 2:
             near[found], places[found, 0], places[found, 1], places[found, 2] = b, x, y, n
             found += 1
-    link_start, vertex_start = np.empty(links + 1, dtype=np.int64), np.empty(links * found + 1, dtype=np.int64)
-    discs, owner = np.empty((links * found, 4)), np.empty(links * found, dtype=np.int64)
-    vertices = np.empty((2 * links * found, 2))
+    return found, near, places
+
+
+@kernel
+def cut_balls(balls: Balls, plane: ArmPlane, links: LinkExtents, discs_only: bool, error: float) -> Cut:
+    """Sections of balls, link by link.
+
+    Args:
+        balls: The balls.
+        plane: The plane that they are cut by.
+        links: The links that meet them.
+        discs_only: Whether a disc must hold what is a stadium.
+        error: How far a section may stand outside [m].
+    """
+    (_, radii, obstacles), (origin, axes, half_angle), (growth, depths, reaches) = balls, plane, links
+    count, cos, sin = len(growth), math.cos(half_angle), math.sin(half_angle)
+    ox, on = _origin_from_axis(origin, axes)
+    off_axis = abs(on) if abs(on) <= _THROUGH_AXIS else 0.0
+    found, near, places = _near_balls(balls, plane, links)
+    link_start, vertex_start = np.empty(count + 1, dtype=np.int64), np.empty(count * found + 1, dtype=np.int64)
+    discs, owners = np.empty((count * found, 4)), np.empty(count * found, dtype=np.int64)
+    vertices = np.empty((2 * count * found, 2))
     link_start[0], vertex_start[0] = 0, 0
     made, used = 0, 0
-    for k in range(links):
+    for k in range(count):
         for c in range(found):
             x, y, n = places[c, 0], places[c, 1], places[c, 2]
             radius = radii[near[c]] + growth[k]
             low, high, height = x, x, abs(n)
             if half_angle > 0.0:
                 x, n = x + ox, n + on
-                radius += OUTWARD + aside
+                radius += OUTWARD + off_axis
                 nested = abs(on) <= _THROUGH_AXIS and depths[k] == 0.0 and x * x + n * n > radius * radius
                 low, high, height = _ball(x, n, ox, on, cos, sin, nested)
             height = max(0.0, height - depths[k])
@@ -226,117 +297,100 @@ def cut_balls(
             if half > 0.0:
                 vertices[used, 0], vertices[used, 1] = high, y
                 used += 1
-            discs[made, 3], owner[made] = rounding, owners[near[c]]
+            discs[made, 3], owners[made] = rounding, obstacles[near[c]]
             made += 1
             vertex_start[made] = used
         link_start[k + 1] = made
-    return link_start, vertex_start, vertices, discs, owner
+    return Cut(link_start, vertex_start, vertices, discs, owners)
 
 
-@kernel
-def cut_hulls(
-    points: FloatArray,
-    starts: IntArray,
-    radii: FloatArray,
-    owners: IntArray,
-    around: FloatArray,
-    origin: FloatArray,
-    axes: FloatArray,
-    half_angle: float,
-    growth: FloatArray,
-    reaches: FloatArray,
-    error: float,
-    ball_start: IntArray,
-    ball_vertex_start: IntArray,
-    ball_vertices: FloatArray,
-    ball_discs: FloatArray,
-    ball_owner: IntArray,
-) -> tuple[IntArray, IntArray, FloatArray, FloatArray, IntArray]:
-    """Sections of grown hulls, link by link, behind those of the balls of each link.
-
-    Args:
-        points: (P, 3) core points of all hulls, two or more each [m].
-        starts: (hulls + 1,) indices of their first points.
-        radii: (hulls,) radii about them [m].
-        owners: (hulls,) whose they are.
-        around: (hulls, 4) a ball around each core: centre and radius [m].
-        origin: As for `cut_balls`, and so on.
-        axes: The same.
-        half_angle: The same.
-        growth: The same.
-        reaches: The same.
-        error: The same.
-        ball_start: What `cut_balls` returned, and so on.
-        ball_vertex_start: The same.
-        ball_vertices: The same.
-        ball_discs: The same.
-        ball_owner: The same.
-
-    Returns:
-        As `cut_balls`.
-    """
-    links = len(growth)
+@inlined
+def _near_hulls(hulls: Hulls, plane: ArmPlane, links: LinkExtents) -> tuple[int, IntArray, int, float]:
+    """Number of hulls near enough for any link, which they are, most points of one, and the links' largest reach."""
+    (_, starts, radii, _, bounds), (origin, axes, half_angle), (growth, _, reaches) = hulls, plane, links
     moved, widest, farthest = 2.0 * math.sin(0.5 * half_angle), 0.0, 0.0
-    for k in range(links):
+    for k in range(len(growth)):
         widest, farthest = max(widest, growth[k]), max(farthest, reaches[k])
-    near = np.empty(len(radii), dtype=np.int64)
+    near = np.empty(len(bounds), dtype=np.int64)
     found, most = 0, 0
-    for b in range(len(radii)):
-        dx, dy, dz = around[b, 0] - origin[0], around[b, 1] - origin[1], around[b, 2] - origin[2]
+    for b in range(len(bounds)):
+        dx, dy, dz = bounds[b, 0] - origin[0], bounds[b, 1] - origin[1], bounds[b, 2] - origin[2]
         n = axes[2, 0] * dx + axes[2, 1] * dy + axes[2, 2] * dz
-        away = moved * math.sqrt(around[b, 0] ** 2 + around[b, 1] ** 2)
-        size = (radii[b] + widest + around[b, 3] + away) * (1.0 + 1e-9)
+        away = moved * math.sqrt(bounds[b, 0] ** 2 + bounds[b, 1] ** 2)
+        size = (radii[b] + widest + bounds[b, 3] + away) * (1.0 + 1e-9)
         if abs(n) <= size and dx * dx + dy * dy + dz * dz - n * n <= (farthest + size) ** 2:
             near[found] = b
             found += 1
             most = max(most, starts[b + 1] - starts[b])
+    return found, near, most, farthest
+
+
+@inlined
+def _disc_around(corners: FloatArray, count: int, rounding: float) -> tuple[float, float, float]:
+    """Centre and radius of a disc around a rounded polygon: about the middle of its corners' bounding box."""
+    low_x, low_y, high_x, high_y = corners[0, 0], corners[0, 1], corners[0, 0], corners[0, 1]
+    for i in range(1, count):
+        low_x, high_x = min(low_x, corners[i, 0]), max(high_x, corners[i, 0])
+        low_y, high_y = min(low_y, corners[i, 1]), max(high_y, corners[i, 1])
+    x, y, square = 0.5 * (low_x + high_x), 0.5 * (low_y + high_y), 0.0
+    for i in range(count):
+        square = max(square, (corners[i, 0] - x) ** 2 + (corners[i, 1] - y) ** 2)
+    return x, y, math.sqrt(square) + rounding
+
+
+@kernel
+def cut_hulls(hulls: Hulls, plane: ArmPlane, links: LinkExtents, error: float, balls: Cut) -> Cut:
+    """Sections of grown hulls, link by link, behind those of the balls of each link.
+
+    Args:
+        hulls: The hulls.
+        plane: The plane that they are cut by.
+        links: The links that meet them.
+        error: How far a section may stand outside [m].
+        balls: What `cut_balls` has made.
+    """
+    (points, starts, radii, obstacles, _), (growth, _, reaches) = hulls, links
+    ball_start, ball_vertex_start, ball_vertices, ball_discs, ball_owners = balls
+    count = len(growth)
+    found, near, most, farthest = _near_hulls(hulls, plane, links)
     # Two for each point, of small cores also where each pair crosses the two borders; and the points themselves.
     turned = np.empty((3 * most + 2 * _CUT_POINTS * _CUT_POINTS, 3))
     tangents, after = np.empty((MOST_TANGENTS, 5)), np.empty(MOST_TANGENTS, dtype=np.int64)
     corners = np.empty((MOST_TANGENTS, 2))
-    room = links * found + ball_start[links]
-    link_start, vertex_start = np.empty(links + 1, dtype=np.int64), np.empty(room + 1, dtype=np.int64)
-    discs, owner = np.empty((room, 4)), np.empty(room, dtype=np.int64)
-    vertices = np.empty((MOST_TANGENTS * links * found + ball_vertex_start[ball_start[links]], 2))
+    room = count * found + ball_start[count]
+    link_start, vertex_start = np.empty(count + 1, dtype=np.int64), np.empty(room + 1, dtype=np.int64)
+    discs, owners = np.empty((room, 4)), np.empty(room, dtype=np.int64)
+    vertices = np.empty((MOST_TANGENTS * count * found + ball_vertex_start[ball_start[count]], 2))
     link_start[0], vertex_start[0] = 0, 0
     made, used = 0, 0
-    for k in range(links):
+    for k in range(count):
         for s in range(ball_start[k], ball_start[k + 1]):
             for i in range(ball_vertex_start[s], ball_vertex_start[s + 1]):
                 vertices[used, 0], vertices[used, 1] = ball_vertices[i, 0], ball_vertices[i, 1]
                 used += 1
             for i in range(4):
                 discs[made, i] = ball_discs[s, i]
-            owner[made] = ball_owner[s]
+            owners[made] = ball_owners[s]
             made += 1
             vertex_start[made] = used
         for c in range(found):
             b = near[c]
             radius = radii[b] + growth[k]
-            count, more, ex, ey = _sweep(
-                points, starts[b], starts[b + 1], origin, axes, half_angle, radius, farthest, turned
-            )  # fmt: skip
-            if count == 0:
+            swept, more, ex, ey = _sweep(points[starts[b] : starts[b + 1]], plane, radius, farthest, turned)
+            if swept == 0:
                 continue
-            count, rounding = cut_hull(turned, count, radius + more, ex, ey, error, tangents, after, corners)
-            if count == 0:
+            sides, rounding = cut_hull(turned[:swept], radius + more, (ex, ey), error, tangents, after, corners)
+            if sides == 0:
                 continue
-            low_x, low_y, high_x, high_y = corners[0, 0], corners[0, 1], corners[0, 0], corners[0, 1]
-            for i in range(count):
-                x, y = corners[i, 0], corners[i, 1]
-                vertices[used + i, 0], vertices[used + i, 1] = x, y
-                low_x, high_x = min(low_x, x), max(high_x, x)
-                low_y, high_y = min(low_y, y), max(high_y, y)
-            x, y, extent = 0.5 * (low_x + high_x), 0.5 * (low_y + high_y), 0.0
-            for i in range(count):
-                extent = max(extent, (corners[i, 0] - x) ** 2 + (corners[i, 1] - y) ** 2)
-            extent = math.sqrt(extent) + rounding
+            x, y, extent = _disc_around(corners, sides, rounding)
             if math.sqrt(x * x + y * y) > (reaches[k] + extent) * (1.0 + 1e-9):
                 continue
+            for i in range(sides):
+                vertices[used + i, 0], vertices[used + i, 1] = corners[i, 0], corners[i, 1]
             discs[made, 0], discs[made, 1], discs[made, 2], discs[made, 3] = x, y, extent, rounding
-            owner[made] = owners[b]
-            used += count
+            owners[made] = obstacles[b]
+            used += sides
             made += 1
             vertex_start[made] = used
         link_start[k + 1] = made
-    return link_start, vertex_start, vertices, discs, owner
+    return Cut(link_start, vertex_start, vertices, discs, owners)

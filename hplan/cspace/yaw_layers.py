@@ -8,13 +8,15 @@ from __future__ import annotations
 
 import math
 from threading import Lock
+from typing import NamedTuple
 
 import numpy as np
 
 from hplan.base.arrays import WordArray, frozen
 from hplan.base.kernels import kernel
 from hplan.cspace.occupancy import occupancy
-from hplan.cspace.sections import ArmSections, PreparedObstacles, sections_at
+from hplan.cspace.prepared_obstacles import PreparedObstacles
+from hplan.cspace.sections import ArmSections, sections_at
 from hplan.errors import OptionError
 from hplan.robot.model import Robot
 from hplan.search.grid import Grid, Occupancy, words_for
@@ -23,9 +25,15 @@ from hplan.search.grid import Grid, Occupancy, words_for
 MOST_BYTES = 150_000_000
 
 
-def yaw_axis(
-    start: float, goal: float, step: float, lower: float, upper: float, beyond: float
-) -> tuple[float, float, int]:
+class YawAxis(NamedTuple):
+    """Equally spaced yaws, one for each layer."""
+
+    first: float
+    step: float
+    size: int
+
+
+def yaw_axis(start: float, goal: float, step: float, lower: float, upper: float, beyond: float) -> YawAxis:
     """Equally spaced yaws that hold start and goal and go beyond them where the limits allow.
 
     Args:
@@ -37,8 +45,7 @@ def yaw_axis(
         beyond: How far to go beyond start and goal.
 
     Returns:
-        The first yaw, the spacing and the number of yaws. Where start and goal are nearer to each other than half a
-        step, only the start's yaw is met exactly.
+        The yaws. Where start and goal are nearer to each other than half a step, only the start's is met exactly.
     """
     low, high = min(start, goal), max(start, goal)
     if high - low >= 0.5 * step:
@@ -47,14 +54,13 @@ def yaw_axis(
         low = high = start
     below = math.floor(min(beyond, low - lower) / step + 1e-9)
     above = math.floor(min(beyond, upper - high) / step + 1e-9)
-    return low - below * step, step, round((high - low) / step) + below + above + 1
+    return YawAxis(low - below * step, step, round((high - low) / step) + below + above + 1)
 
 
 class LayerCache:
-    """Planar layers that were computed before, found again by what they are made from: grid and sections.
+    """Planar layers computed before, by grid and sections: what a changed scene leaves as it was need not be again.
 
-    A layer whose sections have not changed need not be computed again, whatever else has changed in the scene. Once
-    more than `most_bytes` are held, the oldest go.
+    Once more than `most_bytes` are held, the oldest go.
     """
 
     def __init__(self, most_bytes: int = 64_000_000) -> None:
@@ -95,45 +101,36 @@ class LayerCache:
 
 
 def turning_occupancy(
-    robot: Robot,
-    bodies: PreparedObstacles,
-    planar: Grid,
-    first_yaw: float,
-    yaw_step: float,
-    count: int,
-    *,
-    thick: bool,
-    layers: LayerCache,
+    robot: Robot, obstacles: PreparedObstacles, planar: Grid, yaws: YawAxis, *, thick: bool, layers: LayerCache
 ) -> Occupancy:
-    """Which nodes of planar grid times yaws are free.
+    """Occupancy of the planar grid times yaws.
 
     Args:
         robot: The arm, with a yaw.
-        bodies: The obstacles.
+        obstacles: The obstacles.
         planar: Grid over the planar joints.
-        first_yaw: Yaw of the first layer.
-        yaw_step: Spacing of the layers.
-        count: Number of layers.
+        yaws: Yaws of the layers.
         thick: Whether a layer holds the obstacles at all yaws nearer to it than to others, not at its own yaw alone.
         layers: Layers that are already there; of this robot only.
 
     Raises:
         OptionError: A grid that takes more than `MOST_BYTES`.
     """
+    first, step, count = yaws
     size = 8 * planar.size * words_for(count)
     if size > MOST_BYTES:
         raise OptionError(
             "step_deg",
-            round(math.degrees(yaw_step), 6),
+            round(math.degrees(step), 6),
             f"a larger step: with the base turning, one bit for each of {planar.size} nodes and {count} yaws takes "
             f"{size / 1e6:.0f} MB, more than {MOST_BYTES / 1e6:.0f} MB, and a search five times that",
         )
-    grid = Grid(np.append(planar.lower, first_yaw), np.append(planar.step, yaw_step), (*planar.shape, count))
-    half_angle = 0.5 * yaw_step if thick else 0.0
+    grid = Grid(np.append(planar.lower, first), np.append(planar.step, step), (*planar.shape, count))
+    half_angle = 0.5 * step if thick else 0.0
     words = np.empty((planar.size, words_for(count)), dtype=np.uint64)
     for place in range(words_for(count)):
-        yaws = first_yaw + yaw_step * np.arange(64 * place, min(count, 64 * place + 64))
-        sections = (sections_at(robot, bodies, yaw, half_angle=half_angle) for yaw in yaws.tolist())
+        some = first + step * np.arange(64 * place, min(count, 64 * place + 64))
+        sections = (sections_at(robot, obstacles, yaw, half_angle=half_angle) for yaw in some.tolist())
         _stack(np.stack([layers.free_words(robot, each, planar) for each in sections]), planar.shape[-1], place, words)
     return Occupancy(grid, frozen(words))
 

@@ -174,7 +174,7 @@ class PlanningTask(PlanningContext):
                 problem.upper[0], math.radians(attempt.yaw_range_deg),
             )  # fmt: skip
             bodies = self.world.bodies(attempt.growth_m)
-            return turning_occupancy(robot, bodies, planar, *yaws, thick=attempt.thick, layers=self.layers)
+            return turning_occupancy(robot, bodies, planar, yaws, thick=attempt.thick, layers=self.layers)
 
 
 class PlanningCache:

@@ -17,7 +17,7 @@ from hplan.base import ties
 from hplan.base.arrays import FloatArray, Record, frozen
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.coal_scene import CoalScene, base_contacts, base_radius, check_clear
-from hplan.cspace.sections import PreparedObstacles, bodies_of
+from hplan.cspace.prepared_obstacles import PreparedObstacles, prepare_obstacles
 from hplan.errors import ConfigurationInCollisionError, InputError
 from hplan.robot.base_shapes import BASE_DEPTH, turning_shapes
 from hplan.robot.model import Robot
@@ -84,7 +84,7 @@ class World(Record):
     def bodies(self, more: float = 0.0) -> PreparedObstacles:
         """The solids made ready for cutting, grown by the clearance to keep and `more` [m]."""
         names = [solid.name for solid in self.solids]
-        return bodies_of(
+        return prepare_obstacles(
             self.solids,
             clearance=self.clearance + self.growth + more,
             own_clearance=self.clearance + more,

@@ -160,7 +160,7 @@ def test_no_path_is_said_if_there_is_none(robot: Robot, seed: int) -> None:
     bodies, planar = task_of.world.bodies(), task_of.planar_grid(GridAttempt(step))
     ends = task_of.problem.start, task_of.problem.goal
     yaws = yaw_axis(ends[0][0], ends[1][0], math.radians(step), robot.lower[0], robot.upper[0], 0.0)
-    space = turning_occupancy(robot, bodies, planar, *yaws, thick=False, layers=task_of.layers)
+    space = turning_occupancy(robot, bodies, planar, yaws, thick=False, layers=task_of.layers)
     labels = labels_of(space)
     first, second = (labels[tuple(space.grid.nearest(q[task_of.axes]))] for q in ends)
     assert first > 0

@@ -49,7 +49,7 @@ def test_field_bodies_and_judge_agree(robot: Robot) -> None:
     bodies = world.bodies(0.003)
     assert bodies.deviation == 0.002
     radii = np.array([0.1, 0.12, 0.14]) + world.clearance + 0.003
-    np.testing.assert_allclose(bodies.ball_radii, radii)
+    np.testing.assert_allclose(bodies.balls.radii, radii)
     assert bodies.names == ("sure", "vague", "vaguer")
 
 

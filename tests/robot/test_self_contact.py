@@ -19,7 +19,8 @@ from hplan.collision.coal_scene import CoalScene
 from hplan.collision.obstacle_rows import _base_solid
 from hplan.cspace.blockers import blockers
 from hplan.cspace.occupancy import joint_grid, occupancy
-from hplan.cspace.sections import arm_sections, bodies_of, only, sections_at
+from hplan.cspace.prepared_obstacles import prepare_obstacles
+from hplan.cspace.sections import arm_sections, only, sections_at
 from hplan.errors import ConfigurationInCollisionError
 from hplan.planning.plan import plan
 from hplan.problem.options import PlanOptions
@@ -298,7 +299,9 @@ def test_cspace_with_obstacles_is_the_union(wide):
     obstacles = random_obstacles(rng)
     checker = CoalScene(wide, obstacles)
     for yaw, half_angle in ((0.4, 0.0), (-1.0, 0.02)):
-        ours = occupancy(wide.arm, sections_at(wide, bodies_of(obstacles), yaw, half_angle=half_angle), grid).occupied
+        ours = occupancy(
+            wide.arm, sections_at(wide, prepare_obstacles(obstacles), yaw, half_angle=half_angle), grid
+        ).occupied
         theirs = sampled_occupancy(checker, grid, yaw)
         wrong = np.argwhere(theirs & ~ours)
         assert all(checker.distances([yaw, *grid.coordinates(node)]).min() > -TOUCH for node in wrong)
@@ -307,11 +310,11 @@ def test_cspace_with_obstacles_is_the_union(wide):
 
 def test_own_clearance_is_the_smallest_unless_given():
     discs = [Sphere(name="a", center=(1, 0, 1), radius=0.1), Sphere(name="b", center=(1, 0, 2), radius=0.1)]
-    assert bodies_of(discs, clearance=[0.03, 0.01]).own_clearance == 0.01
-    assert bodies_of(discs, clearance=0.02).own_clearance == 0.02
-    assert bodies_of([], clearance=np.zeros(0)).own_clearance == 0.0
-    assert bodies_of([], clearance=np.zeros(0), own_clearance=0.04).own_clearance == 0.04
-    assert bodies_of(discs, clearance=0.02, own_clearance=0.0).own_clearance == 0.0
+    assert prepare_obstacles(discs, clearance=[0.03, 0.01]).own_clearance == 0.01
+    assert prepare_obstacles(discs, clearance=0.02).own_clearance == 0.02
+    assert prepare_obstacles([], clearance=np.zeros(0)).own_clearance == 0.0
+    assert prepare_obstacles([], clearance=np.zeros(0), own_clearance=0.04).own_clearance == 0.04
+    assert prepare_obstacles(discs, clearance=0.02, own_clearance=0.0).own_clearance == 0.0
 
 
 # Distances

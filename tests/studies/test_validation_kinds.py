@@ -25,7 +25,8 @@ from studies.validation.scenes import KINDS, Kind, random_scene
 
 from hplan.collision.clearance_field import ClearanceField
 from hplan.cspace.occupancy import occupancy
-from hplan.cspace.sections import bodies_of, sections_at
+from hplan.cspace.prepared_obstacles import prepare_obstacles
+from hplan.cspace.sections import sections_at
 from hplan.errors import OptionError
 from hplan.planning.report import write_report
 from hplan.robot.model import Robot
@@ -82,7 +83,7 @@ def test_nothing_in_contact_is_free(robot: Robot, kind: Kind) -> None:
         made = random_scene(robot, kind, number)
         rng = np.random.default_rng(number)
         checker = _CoalWithShapes(robot, made.scene)
-        bodies = bodies_of(made.scene.solids, clearance=made.scene.clearance)
+        bodies = prepare_obstacles(made.scene.solids, clearance=made.scene.clearance)
         field = ClearanceField.of(robot, made.scene.solids, clearance=made.scene.clearance)
         ends = rng.uniform(robot.lower, robot.upper, (2, 300, robot.dof))
         ends[:, :, 0] = rng.uniform(*made.sector, 300)
@@ -155,7 +156,9 @@ def test_sections_a_little_aside_are_caught(robot: Robot, monkeypatch: pytest.Mo
 
 def test_too_much_care_is_caught(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
-        validation_kinds, "bodies_of", lambda solids, clearance: bodies_of(solids, clearance=clearance + 0.05)
+        validation_kinds,
+        "prepare_obstacles",
+        lambda solids, clearance: prepare_obstacles(solids, clearance=clearance + 0.05),
     )
     fixed, turning = look(robot, "box").results
     assert fixed.lost_share > MOST_LOST

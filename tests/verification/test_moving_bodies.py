@@ -16,7 +16,8 @@ from fitted_arms import Bodies, box, distance, fitted, mesh, quintic, scene_of
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.coal_scene import CoalScene
 from hplan.cspace.occupancy import joint_grid, occupancy
-from hplan.cspace.sections import arm_sections, bodies_of, only, sections_at
+from hplan.cspace.prepared_obstacles import prepare_obstacles
+from hplan.cspace.sections import arm_sections, only, sections_at
 from hplan.errors import BlockedError, ConfigurationInCollisionError, InputError, NoPathError
 from hplan.planning.plan import plan
 from hplan.problem.joint_ranges import MARGIN, joint_ranges
@@ -327,7 +328,7 @@ def test_thick_layers_hold_what_stands_on_the_pedestal(tmp_path):
     nodes = grid.coordinates(np.stack(np.unravel_index(np.arange(grid.size), grid.shape), axis=-1))
     middle, half_angle, contacts = 0.4, 0.2, 0
     thin, thick = (
-        occupancy(robot.arm, sections_at(robot, bodies_of([]), middle, half_angle=half), grid).occupied.ravel()
+        occupancy(robot.arm, sections_at(robot, prepare_obstacles([]), middle, half_angle=half), grid).occupied.ravel()
         for half in (0.0, half_angle)
     )
     assert (thin <= thick).all()
@@ -386,7 +387,9 @@ def test_distances_and_sections_of_what_is_on_the_base_are_those_of_coal(tmp_pat
         nodes = grid.coordinates(np.stack(np.unravel_index(np.arange(grid.size), grid.shape), axis=-1))
         yaws = rng.uniform(robot.lower[0], robot.upper[0], 2) if robot.has_yaw else [0.0]
         for yaw, half_angle in zip(yaws, (0.0, 0.2), strict=False):
-            sections = sections_at(robot, bodies_of([]), float(yaw), half_angle=half_angle if robot.has_yaw else 0.0)
+            sections = sections_at(
+                robot, prepare_obstacles([]), float(yaw), half_angle=half_angle if robot.has_yaw else 0.0
+            )
             ours = occupancy(robot.arm, sections, grid).occupied.ravel()
             for node, occupied in zip(nodes, ours, strict=True):
                 # Thick layers hold what is met anywhere in them.

@@ -12,13 +12,14 @@ from typing import Any
 import numpy as np
 import pytest
 from PIL import Image
+from studies.paper.planar_sections import RoundedPolygon, planar_sections
 from studies.view import figure_data, figures_arm
 from studies.view.figures_arm import arm_and_obstacle, motions
 from studies.view.figures_cspace import slice_paths, slices
 
 from hplan.base.arrays import FloatArray, IntArray
 from hplan.cspace import occupancy as cspace
-from hplan.cspace.sections import ArmSections, RoundedPolygon, arm_sections, planar_sections
+from hplan.cspace.sections import ArmSections, arm_sections
 from hplan.errors import InputError
 from hplan.robot.model import PlanarArm, load_robot
 from hplan.scene.file import load_scene

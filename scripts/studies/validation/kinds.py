@@ -35,7 +35,8 @@ from hplan.collision.coal_scene import CoalScene
 from hplan.collision.coal_shapes import triangle_tree
 from hplan.collision.geometry_pairs import GeometryPairs
 from hplan.cspace.occupancy import occupancy
-from hplan.cspace.sections import PreparedObstacles, bodies_of, sections_at
+from hplan.cspace.prepared_obstacles import PreparedObstacles, prepare_obstacles
+from hplan.cspace.sections import sections_at
 from hplan.errors import OptionError
 from hplan.planning.report import versions
 from hplan.robot.model import Robot
@@ -256,7 +257,7 @@ class _KindCounts:
         """Look at one scene."""
         robot, clearance = self._robot, made.scene.clearance
         rng = np.random.default_rng([seed, number, KINDS.index(self._kind), int(self._layers)])
-        bodies = bodies_of(made.scene.solids, clearance=clearance)
+        bodies = prepare_obstacles(made.scene.solids, clearance=clearance)
         looks = _intervals if self._layers else _single_yaws
         # (nodes, yaws looked at, dof), and (nodes,) whether the node is forbidden
         q, forbidden = looks(robot, bodies, made.sector, configurations, rng)

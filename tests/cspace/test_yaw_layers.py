@@ -12,8 +12,9 @@ from hypothesis import strategies as st
 
 from hplan.base.arrays import BoolArray
 from hplan.cspace.occupancy import joint_grid, occupancy
-from hplan.cspace.sections import bodies_of, sections_at
-from hplan.cspace.yaw_layers import LayerCache, turning_occupancy, yaw_axis
+from hplan.cspace.prepared_obstacles import prepare_obstacles
+from hplan.cspace.sections import sections_at
+from hplan.cspace.yaw_layers import LayerCache, YawAxis, turning_occupancy, yaw_axis
 from hplan.search.grid import Occupancy
 
 LOWER, UPPER = -3.0, 3.0
@@ -59,10 +60,10 @@ def test_no_yaw_beyond_where_none_is_asked_for() -> None:
 def test_each_layer_is_the_planar_problem_at_its_yaw(tmp_path, count, thick, step) -> None:
     """Grids of less than a word, and of one and more, in either direction."""
     robot = load_variant("one link on a yaw" if step < 0.1 else "upright on a yaw", tmp_path)
-    bodies = bodies_of(random_obstacles(np.random.default_rng(count), 9))
+    bodies = prepare_obstacles(random_obstacles(np.random.default_rng(count), 9))
     planar = joint_grid(robot.arm, step)
     first, turn = -0.7, 0.03
-    space = turning_occupancy(robot, bodies, planar, first, turn, count, thick=thick, layers=LayerCache())
+    space = turning_occupancy(robot, bodies, planar, YawAxis(first, turn, count), thick=thick, layers=LayerCache())
     assert space.grid.shape == (*planar.shape, count)
     np.testing.assert_allclose(
         space.grid.coordinates(np.array([0] * len(planar.shape) + [count - 1]))[-1], first + turn * (count - 1)
@@ -79,11 +80,11 @@ def test_each_layer_is_the_planar_problem_at_its_yaw(tmp_path, count, thick, ste
 @pytest.mark.parametrize("variant", ["upright on a yaw", "shoulder beside the yaw axis"])
 def test_what_is_free_in_a_thick_layer_is_free_at_all_its_yaws(tmp_path, variant) -> None:
     robot = load_variant(variant, tmp_path)
-    bodies = bodies_of(random_obstacles(np.random.default_rng(5), 9))
+    bodies = prepare_obstacles(random_obstacles(np.random.default_rng(5), 9))
     planar = joint_grid(robot.arm, 0.5)
     step = math.radians(8.0)
     thick, thin = (
-        free_nodes(turning_occupancy(robot, bodies, planar, 0.0, step, 6, thick=which, layers=LayerCache()))
+        free_nodes(turning_occupancy(robot, bodies, planar, YawAxis(0.0, step, 6), thick=which, layers=LayerCache()))
         for which in (True, False)
     )
     assert (thin & ~thick).any()
@@ -97,7 +98,7 @@ def test_what_is_free_in_a_thick_layer_is_free_at_all_its_yaws(tmp_path, variant
 def test_layers_are_remembered_until_there_are_too_many(tmp_path) -> None:
     robot = load_variant("upright on a yaw", tmp_path)
     planar, finer = joint_grid(robot.arm, 1.0), joint_grid(robot.arm, 0.8)
-    bodies = bodies_of(random_obstacles(np.random.default_rng(1), 9))
+    bodies = prepare_obstacles(random_obstacles(np.random.default_rng(1), 9))
     sections = [sections_at(robot, bodies, 0.1 * k) for k in range(4)]
     layers = LayerCache()
     first = layers.free_words(robot, sections[0], planar)
@@ -105,7 +106,7 @@ def test_layers_are_remembered_until_there_are_too_many(tmp_path) -> None:
     assert layers.free_words(robot, sections[1], planar) is not first
     assert layers.free_words(robot, sections[0], finer).shape != first.shape
     assert layers.free_words(robot, sections[0], planar) is first
-    grown = sections_at(robot, bodies_of(random_obstacles(np.random.default_rng(1), 9), clearance=0.01), 0.0)
+    grown = sections_at(robot, prepare_obstacles(random_obstacles(np.random.default_rng(1), 9), clearance=0.01), 0.0)
     assert layers.free_words(robot, grown, planar) is not first
 
     few = LayerCache(most_bytes=1)

@@ -10,22 +10,14 @@ import pytest
 from arm_variants import VARIANTS, load_variant, random_obstacles
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from test_cspace import point_segment, segment_polygon
+from studies.paper.planar_sections import RoundedPolygon, planar_sections
+from test_occupancy import point_segment, segment_polygon
 
 from hplan.collision.coal_scene import CoalScene
 from hplan.cspace.occupancy import joint_grid, occupancy
-from hplan.cspace.section_kernels import cut_balls, cut_hulls
-from hplan.cspace.sections import (
-    LINK_MODELS,
-    MAX_HALF_ANGLE,
-    SECTION_ERROR,
-    RoundedPolygon,
-    arm_sections,
-    bodies_of,
-    only,
-    planar_sections,
-    sections_at,
-)
+from hplan.cspace.prepared_obstacles import prepare_obstacles
+from hplan.cspace.section_kernels import ArmPlane, LinkExtents, cut_balls, cut_hulls
+from hplan.cspace.sections import LINK_MODELS, MAX_HALF_ANGLE, SECTION_ERROR, arm_sections, only, sections_at
 from hplan.errors import InputError, OptionError
 from hplan.scene.obstacles import Box, Capsule, Sphere
 
@@ -45,15 +37,11 @@ class Solid:
 
 def cut(obstacle, *, origin=(0.0, 0.0, 0.0), axes=UPRIGHT, half_angle=0.0, reach=math.inf):
     """Sections of one obstacle with a plane, for a link of no width."""
-    b, none, reaches, origin = bodies_of([obstacle]), np.zeros(1), np.array([reach]), np.array(origin, dtype=float)
-    sections = cut_balls(
-        b.ball_centres, b.ball_radii, b.ball_owners, origin, axes, half_angle, none, none, reaches, False, SECTION_ERROR
-    )
-    if len(b.hull_owners):
-        sections = cut_hulls(
-            b.hull_points, b.hull_starts, b.hull_radii, b.hull_owners, b.around, origin, axes, half_angle, none,
-            reaches, SECTION_ERROR, *sections,
-        )  # fmt: skip
+    prepared, none = prepare_obstacles([obstacle]), np.zeros(1)
+    plane, links = ArmPlane(np.array(origin, dtype=float), axes, half_angle), LinkExtents(none, none, np.array([reach]))
+    sections = cut_balls(prepared.balls, plane, links, False, SECTION_ERROR)
+    if len(prepared.hulls.owners):
+        sections = cut_hulls(prepared.hulls, plane, links, SECTION_ERROR, sections)
     link_start, vertex_start, vertices, discs, _ = sections
     return [RoundedPolygon(vertices[slice(*vertex_start[s : s + 2])], discs[s, 3]) for s in range(link_start[1])]
 
@@ -563,7 +551,7 @@ def test_coal_finds_no_collision_outside_the_sections_of_an_interval(name, tmp_p
     for _ in range(12):
         yaw, half_angle = rng.uniform(-2.5, 2.5), rng.choice([0.004, 0.02, 0.1])
         obstacles = random_obstacles(rng)
-        sections = sections_at(robot, bodies_of(obstacles, clearance=0.01), yaw, half_angle=half_angle)
+        sections = sections_at(robot, prepare_obstacles(obstacles, clearance=0.01), yaw, half_angle=half_angle)
         q = rng.uniform(robot.lower, robot.upper, (300, robot.dof))
         q[:, 0] = yaw + half_angle * rng.choice([-1.0, 1.0, *rng.uniform(-1.0, 1.0, 3)], len(q))
         theirs = CoalScene(robot, obstacles).in_collision(q, margin=0.01 - 1e-9)
@@ -591,7 +579,7 @@ def test_interval_holds_the_occupancy_at_each_yaw(robot, link_model):
     rng = np.random.default_rng(17)
     grid = joint_grid(robot.arm, math.radians(6.0))
     balls = [random_solid("sphere", rng) for _ in range(4)]
-    bodies, half_angle = bodies_of(balls), 0.03
+    bodies, half_angle = prepare_obstacles(balls), 0.03
     whole = occupancy(robot.arm, sections_at(robot, bodies, 0.1, half_angle=half_angle, link_model=link_model), grid)
     union = np.zeros(grid.shape, dtype=bool)
     for yaw in np.linspace(0.1 - half_angle, 0.1 + half_angle, 9):
@@ -608,7 +596,7 @@ def test_out_of_reach_changes_nothing_but_the_number_of_sections(robot):
     for link_model in ("capsule", "paper", "rectangle"):
         chosen = [o for o in obstacles if isinstance(o, Sphere)] if link_model == "rectangle" else obstacles
         every = arm_sections(robot, chosen, link_model=link_model)
-        near = sections_at(robot, bodies_of(chosen), link_model=link_model)
+        near = sections_at(robot, prepare_obstacles(chosen), link_model=link_model)
         assert len(near.radii) < len(every.radii)
         assert len(chosen) - 1 in every.obstacle_of
         assert len(chosen) - 1 not in near.obstacle_of
@@ -629,12 +617,13 @@ def test_loose_points_are_balls(robot, half_angle, link_model):
     rng = np.random.default_rng(23)
     points = rng.uniform([-2.0, -0.2, 0.0], [2.0, 0.2, 2.0], (500, 3))
     post = Solid(np.array([[1.0, 0.0, 1.0]]), 0.2)
-    cloud = sections_at(
-        robot, bodies_of([Solid(points, 0.02, is_point_set=True, name="cloud"), post], clearance=[0.01, 0.0]), 0.1,
-        half_angle=half_angle, link_model=link_model,
-    )  # fmt: skip
+    solids = [Solid(points, 0.02, is_point_set=True, name="cloud"), post]
+    prepared = prepare_obstacles(solids, clearance=[0.01, 0.0])
+    cloud = sections_at(robot, prepared, 0.1, half_angle=half_angle, link_model=link_model)
     balls = [Solid(point[None], 0.03) for point in points]
-    one_by_one = sections_at(robot, bodies_of([*balls, post]), 0.1, half_angle=half_angle, link_model=link_model)
+    one_by_one = sections_at(
+        robot, prepare_obstacles([*balls, post]), 0.1, half_angle=half_angle, link_model=link_model
+    )
     same(cloud, one_by_one, "obstacle_of", "obstacle_names")
     assert len(cloud.radii) > 30
     assert cloud.obstacle_of.tolist() == (one_by_one.obstacle_of == len(points)).astype(int).tolist()
@@ -683,14 +672,14 @@ def test_many_sections_of_many_vertices(robot):
 
 
 def test_same_input_same_sections(robot):
-    bodies = bodies_of(random_obstacles(np.random.default_rng(41), 12))
+    bodies = prepare_obstacles(random_obstacles(np.random.default_rng(41), 12))
     first, second = (sections_at(robot, bodies, 0.2, half_angle=0.02) for _ in range(2))
     same(first, second)
     assert not first.vertices.flags.writeable
 
 
 def test_no_obstacle_no_section(robot):
-    sections = sections_at(robot, bodies_of([]), half_angle=0.1)
+    sections = sections_at(robot, prepare_obstacles([]), half_angle=0.1)
     assert sections.link_start.tolist() == [0, 0, 0, 0]
     assert sections.vertices.shape == (0, 2)
 
@@ -741,17 +730,17 @@ def test_obstacle_that_is_none(robot, solid):
 @pytest.mark.parametrize("half_angle", [-0.1, math.nan, math.inf, 1.001 * MAX_HALF_ANGLE])
 def test_bad_half_angle(robot, half_angle):
     with pytest.raises(OptionError, match="half_angle"):
-        sections_at(robot, bodies_of([]), half_angle=half_angle)
+        sections_at(robot, prepare_obstacles([]), half_angle=half_angle)
 
 
 def test_interval_needs_a_yaw(tmp_path):
     robot = load_variant("no yaw", tmp_path)
-    assert sections_at(robot, bodies_of([])).radii.size == 0
+    assert sections_at(robot, prepare_obstacles([])).radii.size == 0
     with pytest.raises(OptionError, match="this arm has no yaw"):
-        sections_at(robot, bodies_of([]), half_angle=0.1)
+        sections_at(robot, prepare_obstacles([]), half_angle=0.1)
 
 
 @pytest.mark.parametrize("yaw", [math.nan, math.inf])
 def test_bad_yaw(robot, yaw):
     with pytest.raises(OptionError, match="yaw"):
-        sections_at(robot, bodies_of([]), yaw)
+        sections_at(robot, prepare_obstacles([]), yaw)

@@ -1,0 +1,45 @@
+"""A link as a rectangle, and the angles at which it meets a disc: exact, for comparison with capsule and paper."""
+
+from __future__ import annotations
+
+import math
+
+from hplan.base.kernels import inlined, kernel
+
+
+@kernel
+def rectangle_half_angles(rho: float, length: float, half_width: float, radius: float) -> tuple[float, float]:
+    """Smallest and largest |bearing| at which a disc meets a rectangle [0, length] x [-w, w]; -1 where never.
+
+    The rectangle grown by the disc's radius reaches to `extent(a)` in direction `a`, which rises from `a = 0` to
+    the corner and falls from there to `a = pi`; each branch below inverts one of its pieces.
+    """
+    corner = math.hypot(length, half_width)
+    if rho > corner + radius:
+        return -1.0, -1.0
+    if rho <= radius:
+        return 0.0, math.pi
+    to_corner = math.atan2(half_width, length)
+    lowest = 0.0
+    if rho > length + radius:
+        if rho <= math.hypot(length + radius, half_width):
+            lowest = math.acos((length + radius) / rho)
+        else:
+            lowest = to_corner - _arc(rho, corner, radius)
+    if rho <= math.hypot(radius, half_width):
+        highest = math.pi - math.acos(radius / rho)
+    elif rho <= half_width + radius:
+        sine = (rho * rho + half_width * half_width - radius * radius) / (2.0 * rho * half_width)
+        highest = math.pi - math.asin(min(1.0, sine))
+    elif rho <= math.hypot(length, half_width + radius):
+        highest = math.asin((half_width + radius) / rho)
+    else:
+        highest = to_corner + _arc(rho, corner, radius)
+    return lowest, highest
+
+
+@inlined
+def _arc(rho: float, centre: float, radius: float) -> float:
+    """Angle between the directions to a circle's centre and to its point at distance rho."""
+    cosine = (rho * rho + centre * centre - radius * radius) / (2.0 * rho * centre)
+    return math.acos(max(-1.0, min(1.0, cosine)))

@@ -321,8 +321,8 @@ def _approach_reason(task: _ReachTask, window: Window) -> UnreachableError:
     asked = np.degrees([window.low, window.low + window.width]).tolist()
     text = ", ".join(f"{low:.4g} to {high:.4g}" if high > low else f"{low:.4g}" for low, high in reachable)
     angle = f"{asked[0]:.4g}" if window.width == 0.0 else f"{asked[0]:.4g} to {asked[1]:.4g}"
-    return UnreachableError(
-        task.position.tolist(),
+    return _unreachable(
+        task,
         "approach",
         f"not with an approach angle of {angle} deg, only of {text} deg",
         approach_deg=asked,
@@ -335,12 +335,8 @@ def _locked_reason(task: _ReachTask) -> UnreachableError:
     names = [task.robot.joint_names[joint] for joint in np.flatnonzero(task.held)]
     distance = task.views.distance
     detail = "" if distance <= MATCH_TOLERANCE else f": the arm plane passes it at {distance:.6g} m"
-    return UnreachableError(
-        task.position.tolist(),
-        "locked",
-        f"not with {', '.join(names)} locked{detail}",
-        locked_joints=names,
-        beside_m=distance,
+    return _unreachable(
+        task, "locked", f"not with {', '.join(names)} locked{detail}", locked_joints=names, beside_m=distance
     )
 
 
@@ -349,31 +345,23 @@ def _arm_reason(task: _ReachTask) -> UnreachableError:
     lengths, points = task.robot.arm.lengths, task.views.point
     if task.views.distance > MATCH_TOLERANCE:
         distance = task.views.distance
-        return UnreachableError(
-            task.position.tolist(), "off_plane", f"it is {distance:.6g} m beside the arm plane", beside_m=distance
-        )
+        return _unreachable(task, "off_plane", f"it is {distance:.6g} m beside the arm plane", beside_m=distance)
     farthest = float(lengths.sum())
     nearest = max(0.0, 2.0 * float(lengths.max()) - farthest)
     beyond = float(modulus(points).min()) - farthest
     short = nearest - float(modulus(points).max())
     if beyond > 0.0:
-        return UnreachableError(
-            task.position.tolist(),
-            "too_far",
-            f"it is {beyond:.6g} m beyond the reach of {farthest:.6g} m",
-            excess_m=beyond,
+        return _unreachable(
+            task, "too_far", f"it is {beyond:.6g} m beyond the reach of {farthest:.6g} m", excess_m=beyond
         )
     if short > 0.0:
-        return UnreachableError(
-            task.position.tolist(),
-            "too_near",
-            f"it is {short:.6g} m nearer than the arm can fold, {nearest:.6g} m",
-            excess_m=short,
+        return _unreachable(
+            task, "too_near", f"it is {short:.6g} m nearer than the arm can fold, {nearest:.6g} m", excess_m=short
         )
     if task.gridded:  # neither found nor excluded
         names = [task.robot.arm.joint_names[joint] for joint in task.gridded]
         detail = f"no configuration with {', '.join(names)} at values of a grid"
-        return UnreachableError(task.position.tolist(), "not_found", detail, joints=names)
+        return _unreachable(task, "not_found", detail, joints=names)
     return _limit_reason(task)
 
 
@@ -402,4 +390,8 @@ def _limit_reason(task: _ReachTask) -> UnreachableError:
         limit = float(np.degrees(robot.lower[joint] if below else robot.upper[joint]))
         passed.append({"joint": name, "limit_deg": limit, "excess_deg": beyond})
         text.append(f"joint {name!r} would have to pass its limit of {limit:.6g} deg by {beyond:.4g} deg")
-    return UnreachableError(task.position.tolist(), "joint_limit", " and ".join(text), **passed[0], passed=passed)
+    return _unreachable(task, "joint_limit", " and ".join(text), **passed[0], passed=passed)
+
+
+def _unreachable(task: _ReachTask, reason: str, detail: str, **data: Any) -> UnreachableError:
+    return UnreachableError(task.position.tolist(), reason, detail, **data)

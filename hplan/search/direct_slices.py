@@ -17,7 +17,7 @@ from hplan.base.kernels import kernel
 from hplan.search.bits import popcount
 
 
-class Ends(NamedTuple):
+class PlaneEnds(NamedTuple):
     """Start and goal of searches on planar slices.
 
     Attributes:
@@ -55,7 +55,7 @@ class DirectPaths(NamedTuple):
 
 
 @kernel
-def direct_paths(free: WordArray, ends: Ends, wanted: WordArray, first: int) -> DirectPaths:
+def direct_paths(free: WordArray, ends: PlaneEnds, wanted: WordArray, first: int) -> DirectPaths:
     """Direct paths between two rows of planar slices.
 
     Args:

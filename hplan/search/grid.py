@@ -162,7 +162,7 @@ def checked_node(occupancy: Occupancy, index: ArrayLike, which: str) -> IntArray
     """The (d,) index of a free node.
 
     Raises:
-        OptionError: The occupancy is none.
+        OptionError: `occupancy` is no `Occupancy`.
         InputError: The index is no node of the grid, or an occupied one.
     """
     instance("occupancy", occupancy, Occupancy, "Occupancy.from_mask")

@@ -23,7 +23,7 @@ import numpy as np
 
 from hplan.base.arrays import FloatArray, IntArray, ShortArray, WordArray
 from hplan.base.kernels import inlined, kernel
-from hplan.search.direct_slices import Ends
+from hplan.search.direct_slices import PlaneEnds
 from hplan.search.heap import NEW, begin, pop, priority, push
 
 #: (8, 2) the directions in which an obstacle lets a path turn.
@@ -37,7 +37,7 @@ _ONWARD = np.array([0b1, 0b10, 0b100, 0b1000, 0b10101, 0b100110, 0b1001001, 0b10
 _EVERY = 0b11111111
 
 
-class _Plane(NamedTuple):
+class _SliceBlock(NamedTuple):
     """A block of 64 slices.
 
     Attributes:
@@ -50,12 +50,12 @@ class _Plane(NamedTuple):
 
     free: WordArray
     lead: WordArray
-    ends: Ends
+    ends: PlaneEnds
     offsets: IntArray
     lengths: FloatArray
 
 
-class _Work(NamedTuple):
+class _SearchArrays(NamedTuple):
     """Arrays of a search, used again for every slice; entries of a place are valid if `seen` names the slice."""
 
     seen: ShortArray
@@ -71,7 +71,7 @@ class _Work(NamedTuple):
 
 @kernel
 def jump_slices(
-    free: WordArray, feasible: WordArray, first: int, last: int, ends: Ends, steps: FloatArray
+    free: WordArray, feasible: WordArray, first: int, last: int, ends: PlaneEnds, steps: FloatArray
 ) -> tuple[IntArray, IntArray, int]:
     """Shortest path from the start's row to the goal's in each feasible slice from `first` to `last`.
 
@@ -91,8 +91,8 @@ def jump_slices(
     diagonal = math.hypot(steps[0], steps[1])
     lengths = np.array([steps[1], steps[1], steps[0], steps[0], diagonal, diagonal, diagonal, diagonal])
     offsets = _offsets(ends.width)
-    plane = _Plane(np.empty(rows, dtype=np.uint64), np.zeros((8, rows), dtype=np.uint64), ends, offsets, lengths)
-    work = _Work(
+    plane = _SliceBlock(np.empty(rows, dtype=np.uint64), np.zeros((8, rows), dtype=np.uint64), ends, offsets, lengths)
+    work = _SearchArrays(
         seen=np.full(rows, -1, dtype=np.int32),
         cost=np.empty(rows),
         parent=np.empty(rows, dtype=np.int32),
@@ -163,7 +163,7 @@ def _offsets(width: int) -> IntArray:
 
 
 @kernel
-def _fill_leads(plane: _Plane) -> None:
+def _fill_leads(plane: _SliceBlock) -> None:
     """Fill `lead`: the places from which a scan meets a jump point, or the goal, before it meets an obstacle."""
     for k in range(8):
         if k < 2:
@@ -179,7 +179,7 @@ def _fill_leads(plane: _Plane) -> None:
 
 
 @kernel
-def _lead_along_j(plane: _Plane, k: int) -> None:
+def _lead_along_j(plane: _SliceBlock, k: int) -> None:
     """`lead` in direction 0 or 1, from place to place: a scan stops at a corner of the next one, or goes on there."""
     width, step = plane.ends.width, plane.offsets[k]
     grid, lead = plane.free.reshape(-1, width), plane.lead[k].reshape(-1, width)
@@ -194,7 +194,7 @@ def _lead_along_j(plane: _Plane, k: int) -> None:
 
 
 @kernel
-def _lead_along_i(plane: _Plane, k: int) -> None:
+def _lead_along_i(plane: _SliceBlock, k: int) -> None:
     """`lead` in directions 2 to 7, row by row: a diagonal scan also stops where a straight one meets a jump point."""
     free, lead, width, offset = plane.free, plane.lead, plane.ends.width, plane.offsets[k]
     side, other_side = plane.offsets[_SIDES[k, 0]], plane.offsets[_SIDES[k, 1]]
@@ -215,7 +215,7 @@ def _lead_along_i(plane: _Plane, k: int) -> None:
 
 
 @kernel
-def _search_slice(plane: _Plane, number: int, bit: Any, work: _Work) -> int:
+def _search_slice(plane: _SliceBlock, number: int, bit: Any, work: _SearchArrays) -> int:
     """A* over the jump points of one slice that has a path; leaves `parent` and `arrival` in `work`.
 
     A place reached at the same cost from several directions goes on in the directions of all of them.

@@ -16,7 +16,7 @@ import numpy as np
 
 from hplan.base.arrays import BoolArray, IntArray, Record, WordArray, frozen
 from hplan.base.kernels import kernel
-from hplan.search.direct_slices import Ends, direct_paths, with_others
+from hplan.search.direct_slices import PlaneEnds, direct_paths, with_others
 from hplan.search.flood import bits_of, flood_slices
 from hplan.search.grid import words_for
 from hplan.search.jump_point_search import jump_slices
@@ -118,7 +118,7 @@ def search_slices(
 
 def _planar(lattice: Lattice, free: WordArray, start_row: int, goal_row: int, slices: range) -> SlicePaths:
     """Paths of planar slices, 64 at once."""
-    ends = Ends(lattice.padded[1], start_row, goal_row)
+    ends = PlaneEnds(lattice.padded[1], start_row, goal_row)
     direct = direct_paths(free, ends, lattice.mask(slices), slices[0])
     flooded, expansions = direct.reached, 0
     path_rows, begins = np.empty(0, dtype=np.int64), np.zeros(len(slices) + 1, dtype=np.int64)

@@ -52,20 +52,20 @@ def meet(lattice: Lattice, free: WordArray, starts: IntArray, goals: IntArray) -
         goals: (m, d) or (d,) free nodes; the path ends at any of them.
     """
     ends = np.atleast_2d(starts), np.atleast_2d(goals)
-    found = _fronts(lattice, free, ends, PATIENT)
+    found = _grow(lattice, free, ends, PATIENT)
     if found.path is not None or found.enclosed:
         return found
     # In large regions a flood settles much faster if the ends are connected.
     goals_region, of_goals = flood_from(lattice, free, ends[1])
     if any(has_bit(goals_region, lattice.row_of(node), int(node[-1])) for node in ends[0]):
-        return _fronts(lattice, free, ends, 64 * free.size)
+        return _grow(lattice, free, ends, 64 * free.size)
     starts_region, of_starts = flood_from(lattice, free, ends[0])
     if of_starts < of_goals:
         return Wavefronts(None, of_starts + of_goals, "start", starts_region)
     return Wavefronts(None, of_starts + of_goals, "goal", goals_region)
 
 
-def _fronts(lattice: Lattice, free: WordArray, ends: tuple[IntArray, IntArray], most: int) -> Wavefronts:
+def _grow(lattice: Lattice, free: WordArray, ends: tuple[IntArray, IntArray], most: int) -> Wavefronts:
     """Grow both wavefronts; the result has neither a path nor an end enclosed where they reach `most` nodes before."""
     shape, neighbours = in_lines(lattice)
     # Memory that no front comes near is never touched, and costs nothing.
@@ -73,7 +73,7 @@ def _fronts(lattice: Lattice, free: WordArray, ends: tuple[IntArray, IntArray], 
     planes = np.zeros((2, 3, lattice.rows, lattice.words), dtype=np.uint64)
     bits = free.reshape(shape), seen.reshape(2, *shape), planes.reshape(2, 3, *shape)
     inner = (np.arange(shape[1]) % lattice.words > 0).astype(np.uint64)
-    grid = _Grid(*bits, neighbours, inner, lattice.words)
+    grid = _LineBits(*bits, neighbours, inner, lattice.words)
     nodes = np.array([lattice.node(index) for side in ends for index in side])
     row, bit, side, levels, flooded = _meet(grid, nodes, len(ends[0]), most)
     nothing = np.empty((0, lattice.words), dtype=np.uint64)
@@ -85,8 +85,8 @@ def _fronts(lattice: Lattice, free: WordArray, ends: tuple[IntArray, IntArray], 
     return Wavefronts(frozen(lattice.indices(nodes[:, 0], nodes[:, 1])), int(flooded), "", nothing)
 
 
-class _Grid(NamedTuple):
-    """A grid for both fronts, its rows in lines along the axis before the last; first axis of both: the side.
+class _LineBits(NamedTuple):
+    """Bits of a grid for two fronts, its rows in lines along the axis before the last; side 0 is that of the start.
 
     Attributes:
         free: (lines, length) free bits.
@@ -105,8 +105,8 @@ class _Grid(NamedTuple):
     words: int
 
 
-class _State(NamedTuple):
-    """The lines in which the fronts are; first axis of all but the last two: the side.
+class _Fronts(NamedTuple):
+    """Progress of both fronts; side 0 is that of the start.
 
     Attributes:
         active: (2, lines) the lines with news at the last level.
@@ -134,7 +134,7 @@ class _State(NamedTuple):
 
 
 @kernel
-def _meet(grid: _Grid, ends: IntArray, starts: int, most: int) -> tuple[int, int, int, IntArray, int]:
+def _meet(grid: _LineBits, ends: IntArray, starts: int, most: int) -> tuple[int, int, int, IntArray, int]:
     """Grow both fronts from (k, 2) ends until they meet or one is enclosed; fills `seen` and `planes`.
 
     A line is settled where some neighbouring line had news at the level before, and only along the rows next to these.
@@ -146,7 +146,7 @@ def _meet(grid: _Grid, ends: IntArray, starts: int, most: int) -> tuple[int, int
     """
     lines, length = grid.free.shape
     rows = length // grid.words
-    state = _State(
+    state = _Fronts(
         active=np.empty((2, lines), dtype=np.int32),
         sizes=np.zeros(2, dtype=np.int64),
         is_active=np.zeros((2, lines), dtype=np.bool_),
@@ -192,7 +192,7 @@ def _meet(grid: _Grid, ends: IntArray, starts: int, most: int) -> tuple[int, int
 
 
 @kernel
-def _spread(grid: _Grid, state: _State, side: int) -> int:
+def _spread(grid: _LineBits, state: _Fronts, side: int) -> int:
     """Fill `spread` with the last level of a side and its neighbours in the same line; returns the lines wanted.
 
     Whole rows are taken, first along them, then across them, one more row on either side. Words are taken from flat
@@ -238,7 +238,7 @@ def _spread(grid: _Grid, state: _State, side: int) -> int:
 
 
 @kernel
-def _gather(grid: _Grid, state: _State, side: int, count: int) -> tuple[int, int]:
+def _gather(grid: _LineBits, state: _Fronts, side: int, count: int) -> tuple[int, int]:
     """Settle the next level of a side in `count` lines wanted; line and word where it meets the other side, or -1."""
     lines, length = grid.free.shape
     neighbours, wanted, active = grid.neighbours, state.wanted, state.active[side]

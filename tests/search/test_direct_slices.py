@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from reference import make_occupancy, path_cost, shortest
 
 from hplan.base.arrays import BoolArray, IntArray
-from hplan.search.direct_slices import DirectPaths, Ends, direct_paths, with_others
+from hplan.search.direct_slices import DirectPaths, PlaneEnds, direct_paths, with_others
 from hplan.search.lattice import Lattice
 
 
@@ -21,7 +21,7 @@ def paths_of(free: BoolArray, start: list[int], goal: list[int], wanted: range) 
     lattice = Lattice.of(free.shape, np.ones(3))
     words = lattice.bordered(make_occupancy(free, np.ones(3)).free_words)
     rows = [lattice.row_of(np.array([*place, 0])) for place in (start, goal)]
-    found = direct_paths(words, Ends(lattice.padded[1], *rows), lattice.mask(wanted), wanted[0])
+    found = direct_paths(words, PlaneEnds(lattice.padded[1], *rows), lattice.mask(wanted), wanted[0])
     path_rows, begins = with_others(found, np.empty(0, dtype=np.int64), np.zeros(len(wanted) + 1, dtype=np.int64))
     return found, [lattice.row_coordinates[path_rows[a:b]] for a, b in itertools.pairwise(begins)]
 
@@ -68,7 +68,7 @@ def test_other_slices_keep_their_paths() -> None:
     lattice = Lattice.of(free.shape, np.ones(3))
     words = lattice.bordered(make_occupancy(free, np.ones(3)).free_words)
     start, goal = (lattice.row_of(np.array([place, place, 0])) for place in (0, 2))
-    found = direct_paths(words, Ends(lattice.padded[1], start, goal), lattice.mask(range(4)), 0)
+    found = direct_paths(words, PlaneEnds(lattice.padded[1], start, goal), lattice.mask(range(4)), 0)
     rows, begins = with_others(found, np.array([7, 8, 9]), np.array([0, 0, 0, 3, 3]))
     assert begins.tolist() == [0, 3, 3, 6, 9]
     assert rows[3:6].tolist() == [7, 8, 9]

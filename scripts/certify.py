@@ -1,8 +1,11 @@
 """Certify a trajectory, or what a job left in its folder."""
 
 import sys
+from functools import partial
 
-from hplan.cli.certify import main
+from hplan.cli.main import run_subcommand
+
+main = partial(run_subcommand, "certify", "certify.py")
 
 if __name__ == "__main__":
-    sys.exit(main(prog="certify.py"))
+    sys.exit(main())

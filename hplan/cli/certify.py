@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hplan.cli.finished_job import FinishedJob
 from hplan.cli.job_folder import REPORT
 from hplan.cli.options import CommandParser, add_robot, add_scene, add_tracking, command_parser, tracking_of
-from hplan.cli.terminal import FAILED, certificate_words, facts_table, loading, percent, run_command, show_title
+from hplan.cli.terminal import FAILED, certificate_words, facts_table, loading, percent, show_title
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -28,12 +27,6 @@ exit status:
   2  bad input
   5  not certified, or the folder's report is about something else
 """
-
-
-def main(argv: Sequence[str] | None = None, *, prog: str = "hplan certify") -> int:
-    """Run the command; returns the exit status."""
-    arguments = parser(prog).parse_args(argv)
-    return run_command(lambda console, _: _certify(arguments, console))
 
 
 def parser(prog: str) -> CommandParser:
@@ -57,7 +50,7 @@ def parser(prog: str) -> CommandParser:
     return parser
 
 
-def _certify(arguments: argparse.Namespace, console: Console) -> int:
+def run(arguments: argparse.Namespace, console: Console, _: Console) -> int:
     """Read, certify, compare, say; returns the exit status."""
     with loading():
         from hplan.planning.report import certificate_report, report_text, versions, write_report

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import argparse
 from importlib import import_module
+from typing import TYPE_CHECKING
 
 from hplan.base.data_files import shipped_scenes
 from hplan.cli.options import CommandParser, command_parser
-from hplan.cli.terminal import run_command
+
+if TYPE_CHECKING:
+    from rich.console import Console
 
 _DESCRIPTION = "Print a script that completes hplan's words in a shell, from the options that there are today."
 _EPILOG = """\
@@ -29,10 +32,10 @@ complete -o default -F _hplan hplan
 """
 
 
-def main(argv: Sequence[str] | None = None, *, prog: str = "hplan completion") -> int:
-    """Run the command; returns the exit status."""
-    parser(prog).parse_args(argv)
-    return run_command(lambda console, _: console.file.write(_script()) * 0)
+def run(_: argparse.Namespace, console: Console, __: Console) -> int:
+    """Print the script; returns the exit status."""
+    console.file.write(_script())
+    return 0
 
 
 def _script() -> str:

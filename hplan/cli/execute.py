@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hplan.cli.options import CommandParser, add_robot, add_scene, add_tracking, command_parser, tracking_of
-from hplan.cli.terminal import FAILED, facts_table, number_table, run_command
+from hplan.cli.terminal import FAILED, facts_table, number_table
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -38,13 +37,7 @@ exit status:
 """
 
 
-def main(argv: Sequence[str] | None = None, *, prog: str = "hplan execute") -> int:
-    """Run the command; returns the exit status."""
-    arguments = parser(prog).parse_args(argv)
-    return run_command(lambda console, _: _run(arguments, console))
-
-
-def _run(arguments: argparse.Namespace, console: Console) -> int:
+def run(arguments: argparse.Namespace, console: Console, _: Console) -> int:
     """Execute and show; returns the exit status."""
     from hplan.robot.model import load_robot
     from hplan.scene.file import load_scene

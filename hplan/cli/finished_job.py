@@ -19,9 +19,9 @@ class FinishedJob:
     """The report of a finished job, and where its motion is.
 
     Attributes:
-        trajectory_paths: The files of its motion: one, or one for each leg of a tour.
-        report_path: The report's file.
+        path: The report's file.
         report: Its content; `certificate` and the digests in it are there.
+        trajectory_paths: The files of its motion: one, or one for each leg of a tour.
     """
 
     def __init__(self, folder: Path, *, tours: bool = False) -> None:
@@ -30,15 +30,13 @@ class FinishedJob:
         Raises:
             InputError: There is none, or it is no report of a finished job.
         """
-        path = folder / REPORT
-        if tours and _time_of(folder / TOUR_REPORT) > _time_of(path):
-            path = folder / TOUR_REPORT
+        self.path = max((folder / name for name in (REPORT, TOUR_REPORT)[: 1 + tours]), key=_time_of)
         try:
-            report = json.loads(path.read_text(encoding="utf-8"))
+            report = json.loads(self.path.read_text(encoding="utf-8"))
         except OSError as error:
-            raise self._fault(path, str(error.strerror)) from error
+            raise self._fault(str(error.strerror)) from error
         except ValueError as error:
-            raise self._fault(path, f"it is no JSON: {error}") from error
+            raise self._fault(f"it is no JSON: {error}") from error
         certificate = report.get("certificate") if isinstance(report, dict) else None
         numbers = ("tracking_error_rad", "tracking_delay_s", "sigmas")
         if (
@@ -47,17 +45,15 @@ class FinishedJob:
             or not all(type(certificate.get(key)) in (int, float) for key in numbers)
         ):
             reason = f"it is no report of a plan with digests; {folder / TRAJECTORY} can be given by itself"
-            raise self._fault(path, reason)
+            raise self._fault(reason)
         files = report.get("files", [TRAJECTORY])
         if not isinstance(files, list) or not all(isinstance(name, str) for name in files):
-            raise self._fault(path, "files: expected names")
-        self.trajectory_paths = [folder / name for name in files]
-        self.report_path = path
+            raise self._fault("files: expected names")
         self.report: dict[str, Any] = report
+        self.trajectory_paths = [folder / name for name in files]
 
-    @staticmethod
-    def _fault(path: Path, reason: str) -> InputError:
-        return InputError(f"report file {path}: {reason}", path=str(path))
+    def _fault(self, reason: str) -> InputError:
+        return InputError(f"report file {self.path}: {reason}", path=str(self.path))
 
     @property
     def shipped_scene(self) -> str | None:
@@ -84,7 +80,7 @@ class FinishedJob:
         from hplan.planning.plan import Phase
 
         try:
-            if self.report_path.name == REPORT:
+            if self.path.name == REPORT:
                 phases = [Phase(**phase) for phase in self.report["phases"]]
                 fruit = (self.report["grasp"] or {}).get("fruit")
                 reached = [phase.end_s for phase in phases if phase.name != "retreat"]
@@ -99,7 +95,7 @@ class FinishedJob:
                 if phases[-1].name == "drop":
                     dropped |= {name: phases[-1].end_s for name in picked if name not in dropped}
         except (AttributeError, IndexError, KeyError, TypeError) as error:
-            raise self._fault(self.report_path, "it does not say what happens when in the motion") from error
+            raise self._fault("it does not say what happens when in the motion") from error
         return {"picked": picked, "dropped": dropped, "phases": phases}
 
     def differing(self, digests: Digests | None) -> list[str]:

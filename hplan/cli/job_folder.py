@@ -6,7 +6,6 @@ ends, by a fault, a full disk or a signal, no trajectory stands there without th
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import os
 import shutil
@@ -130,27 +129,21 @@ def prepare_folder(folder: Path) -> None:
         raise OutputError(folder, error.strerror or str(error)) from error
 
 
-def parse_job(
-    parser: CommandParser, arguments: Sequence[str] | None, out: Path, folder_at: Callable[[Path], JobFolder]
-) -> argparse.Namespace:
-    """Understand the arguments of a command that writes into the folder `--out`.
-
-    Arguments that cannot be understood are a failed job as well, if the folder that they name is there.
+def fail_on_usage_errors(parser: CommandParser, out: Path, folder_at: Callable[[Path], JobFolder]) -> None:
+    """Make arguments that cannot be understood a failed job as well, if the folder that they name is there.
 
     Args:
-        parser: Of the command.
-        arguments: What it was given; None for the program's own.
+        parser: Of a command that writes into the folder `--out`.
         out: Where files go unless something else is said.
         folder_at: The job's folder at a path.
     """
 
-    def refuse(message: str) -> None:
-        path = named_output(arguments, out)
+    def refuse(message: str, words: Sequence[str]) -> None:
+        path = named_output(words, out)
         if path is not None and path.is_dir():
             folder_at(path).fail(InputError(message))
 
     parser.on_usage_error = refuse
-    return parser.parse_args(arguments)
 
 
 def _runs(process: int) -> bool:

@@ -6,9 +6,11 @@ import sys
 from collections.abc import Sequence
 from importlib import import_module
 
-from hplan.cli.options import command_parser
+from hplan.cli.options import CommandParser, command_parser
+from hplan.cli.terminal import run_command
 
-#: What each subcommand does; its file in this folder has its name, and in it a function `main`.
+#: What each subcommand does. A file of its name in this folder has its `parser(prog)`, and `run(arguments, console,
+#: errors)`, which returns the exit status.
 COMMANDS = {
     "plan": "plan one motion; write trajectory.csv, report.json and scene.html",
     "tour": "plan a picking tour through the fruits of a scene",
@@ -33,8 +35,20 @@ def main(argv: Sequence[str] | None = None) -> int:
         epilog = "\n".join(["commands:", *lines, "", "hplan COMMAND --help says more of each."])
         command_parser(_DESCRIPTION, epilog, prog="hplan", usage=_USAGE).parse_args(words[:1])
     if words and words[0] in COMMANDS:
-        status: int = import_module(f"hplan.cli.{words[0]}").main(words[1:], prog=f"hplan {words[0]}")
-        return status
-    from hplan.cli import plan
+        return run_subcommand(words[0], f"hplan {words[0]}", words[1:])
+    return run_subcommand("plan", "hplan", words)
 
-    return plan.main(words, prog="hplan")
+
+def run_subcommand(name: str, prog: str, argv: Sequence[str] | None = None) -> int:
+    """Run a subcommand on its arguments, or on the program's; returns the exit status.
+
+    Args:
+        name: One of `COMMANDS`.
+        prog: What it is called in its help and messages.
+        argv: The arguments; None for the program's own.
+    """
+    command = import_module(f"hplan.cli.{name}")
+    parser: CommandParser = command.parser(prog)
+    parser.words = sys.argv[1:] if argv is None else argv
+    arguments = parser.parse_args(parser.words)
+    return run_command(lambda console, errors: command.run(arguments, console, errors))

@@ -20,13 +20,15 @@ if TYPE_CHECKING:
 class CommandParser(argparse.ArgumentParser):
     """A parser that lets a command know of arguments that cannot be understood, before it ends the program."""
 
-    #: Called with what is wrong.
-    on_usage_error: Callable[[str], None] | None = None
+    #: What is to be understood.
+    words: Sequence[str] = ()
+    #: Called with what is wrong, and with the words.
+    on_usage_error: Callable[[str, Sequence[str]], None] | None = None
 
     def error(self, message: str) -> NoReturn:
         """Say what is wrong and end the program."""
         if self.on_usage_error is not None:
-            self.on_usage_error(message)
+            self.on_usage_error(message, self.words)
         super().error(message)
 
 
@@ -46,12 +48,12 @@ def command_parser(
     return parser
 
 
-def named_output(arguments: Sequence[str] | None, default: Path) -> Path | None:
+def named_output(words: Sequence[str], default: Path) -> Path | None:
     """What `--out` names in arguments that may not be understood otherwise; None where that cannot be told."""
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
     parser.add_argument("--out", "--ou", type=Path, default=default)
     try:
-        found: Path = parser.parse_known_args(arguments)[0].out
+        found: Path = parser.parse_known_args(words)[0].out
     except argparse.ArgumentError:
         return None
     return found

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hplan.cli.options import CommandParser, check_output_file, command_parser
-from hplan.cli.terminal import facts_table, run_command
+from hplan.cli.terminal import facts_table
 from hplan.errors import OptionError
 
 if TYPE_CHECKING:
@@ -36,12 +36,6 @@ exit status:
 _COMMON = ("seed", "distance", "spacing", "clearance", "fruits", "fruit_radius", "goal")
 _GROWN = ("form", "trees", "branches", "shoots", "tree_height", "branch_length", "vehicle", "ground")
 _MEASURED = ("turn", "height")
-
-
-def main(argv: Sequence[str] | None = None, *, prog: str = "hplan orchard") -> int:
-    """Run the command; returns the exit status."""
-    arguments = parser(prog).parse_args(argv)
-    return run_command(lambda console, _: _run(arguments, console))
 
 
 def parser(prog: str) -> CommandParser:
@@ -81,8 +75,8 @@ def parser(prog: str) -> CommandParser:
     return parser
 
 
-def _run(arguments: argparse.Namespace, console: Console) -> int:
-    """Make the scene, write it and say what is in it."""
+def run(arguments: argparse.Namespace, console: Console, _: Console) -> int:
+    """Make the scene, write it and say what is in it; returns the exit status."""
     from hplan.scene.file import save_scene
 
     out: Path = arguments.out

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hplan.cli.job_folder import PAGE, REPORT, TRAJECTORY, JobFolder, parse_job
+from hplan.cli.job_folder import PAGE, REPORT, TRAJECTORY, JobFolder, fail_on_usage_errors
 from hplan.cli.options import (
     CommandParser,
     add_pace,
@@ -24,7 +24,6 @@ from hplan.cli.terminal import (
     loading,
     percent,
     progress_line,
-    run_command,
     show_title,
 )
 from hplan.errors import InputError
@@ -71,21 +70,15 @@ _STAGE_WORDS = {
 }
 
 
-def main(argv: Sequence[str] | None = None, *, prog: str = "hplan plan") -> int:
-    """Run the command; returns the exit status."""
-    arguments = parse_job(parser(prog), argv, OUT, _job_folder)
-    return run_command(lambda console, errors: _plan(arguments, console, errors))
-
-
 def _job_folder(path: Path) -> JobFolder:
     return JobFolder(path, (TRAJECTORY, PAGE, CSPACE_PAGE, CSPACE_FIGURE), REPORT)
 
 
-def _plan(arguments: argparse.Namespace, console: Console, errors: Console) -> int:
+def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int:
     """Plan, write, show what came of it; returns the exit status."""
     folder = _job_folder(arguments.out)
     with folder.job():
-        robot, scene, result = _run(arguments, folder, errors)
+        robot, scene, result = _made(arguments, folder, errors)
     if not arguments.quiet:
         _show_summary(console, result, folder.path)
     if arguments.view:
@@ -122,10 +115,11 @@ def parser(prog: str) -> CommandParser:
         "cspace.png too where matplotlib is installed")  # fmt: skip
     add("--cspace-yaw", type=float, metavar="DEG", help="the same for a yaw of choice (default: the goal's)")
     add("--quiet", action="store_true", help="no progress, no summary")
+    fail_on_usage_errors(parser, OUT, _job_folder)
     return parser
 
 
-def _run(arguments: argparse.Namespace, folder: JobFolder, errors: Console) -> tuple[Robot, Scene, PlanResult]:
+def _made(arguments: argparse.Namespace, folder: JobFolder, errors: Console) -> tuple[Robot, Scene, PlanResult]:
     """Load, plan and write."""
     with progress_line(errors, quiet=arguments.quiet) as show:
         show("reading robot and scene")

@@ -5,13 +5,12 @@ from __future__ import annotations
 import argparse
 import contextlib
 import math
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hplan.cli.options import CommandParser, add_pace, check_output_file, command_parser, named_output
-from hplan.cli.terminal import facts_table, number_table, run_command, show_title
+from hplan.cli.terminal import facts_table, number_table, show_title
 from hplan.errors import OptionError, RobotFileError
 
 if TYPE_CHECKING:
@@ -46,21 +45,6 @@ exit status:
 """
 
 
-def main(argv: Sequence[str] | None = None, *, prog: str = "hplan time") -> int:
-    """Run the command; returns the exit status."""
-    words = sys.argv[1:] if argv is None else argv
-    understood = parser(prog)
-    understood.on_usage_error = lambda _: _remove_earlier(words)
-    arguments = understood.parse_args(words)
-
-    def command(console: Console, _: Console) -> int:
-        _prepare(arguments)
-        _run(arguments, console)
-        return 0
-
-    return run_command(command)
-
-
 def parser(prog: str) -> CommandParser:
     """The parser of the command's arguments."""
     parser = command_parser(_DESCRIPTION, _EPILOG, prog=prog)
@@ -79,16 +63,17 @@ def parser(prog: str) -> CommandParser:
     add_pace(parser)
     add("--out", type=Path, default=OUT, metavar="FILE.csv", help="file to write (default: timed.csv)")
     add("--quiet", action="store_true", help="no summary")
+    parser.on_usage_error = lambda _, words: _remove_earlier(words)
     return parser
 
 
-def _remove_earlier(argv: Sequence[str]) -> None:
+def _remove_earlier(words: Sequence[str]) -> None:
     """Remove an earlier result where arguments cannot be understood, unless they name it as something to read too."""
-    out = named_output(argv, OUT)
+    out = named_output(words, OUT)
     if out is None or out.suffix != ".csv" or not out.is_file():
         return
-    named = [Path(text) for text in argv if Path(text).exists() and Path(text).samefile(out)]
-    given = sum(text == "--out" for text in argv)
+    named = [Path(text) for text in words if Path(text).exists() and Path(text).samefile(out)]
+    given = sum(text == "--out" for text in words)
     if len(named) <= given:
         with contextlib.suppress(OSError):
             out.unlink()
@@ -108,11 +93,12 @@ def _prepare(arguments: argparse.Namespace) -> None:
             out.unlink()
 
 
-def _run(arguments: argparse.Namespace, console: Console) -> None:
-    """Read, time, write, and say how it went."""
+def run(arguments: argparse.Namespace, console: Console, _: Console) -> int:
+    """Read, time, write, and say how it went; returns the exit status."""
     from hplan.timing.trajectory import write_csv
     from hplan.waypoints import read_machine, read_waypoints, time_waypoints
 
+    _prepare(arguments)
     machine = read_machine(arguments.urdf, arguments.joints, hold=dict(map(_held, arguments.hold)))
     waypoints = read_waypoints(arguments.waypoints, machine.joint_names)
     limits = _limits(arguments, machine)
@@ -127,6 +113,7 @@ def _run(arguments: argparse.Namespace, console: Console) -> None:
     write_csv(trajectory, arguments.out)
     if not arguments.quiet:
         _show(console, arguments, machine, waypoints, limits, trajectory)
+    return 0
 
 
 def _held(text: str) -> tuple[str, float]:

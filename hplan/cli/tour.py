@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hplan.cli.job_folder import PAGE, TOUR, TOUR_REPORT, JobFolder, parse_job
+from hplan.cli.job_folder import PAGE, TOUR, TOUR_REPORT, JobFolder, fail_on_usage_errors
 from hplan.cli.options import (
     CommandParser,
     add_pace,
@@ -18,7 +18,7 @@ from hplan.cli.options import (
     command_parser,
     plan_options,
 )
-from hplan.cli.terminal import certificate_words, facts_table, number_table, progress_line, run_command, show_title
+from hplan.cli.terminal import certificate_words, facts_table, number_table, progress_line, show_title
 from hplan.errors import OptionError
 
 if TYPE_CHECKING:
@@ -53,12 +53,6 @@ exit status:
 """
 
 
-def main(argv: Sequence[str] | None = None, *, prog: str = "hplan tour") -> int:
-    """Run the command; returns the exit status."""
-    arguments = parse_job(parser(prog), argv, OUT, _job_folder)
-    return run_command(lambda console, errors: _plan(arguments, console, errors))
-
-
 def _job_folder(path: Path) -> JobFolder:
     return JobFolder(path, (TOUR, "tour-[0-9]*-*.csv", PAGE), TOUR_REPORT)
 
@@ -84,20 +78,21 @@ def parser(prog: str) -> CommandParser:
     add_pace(parser)
     add_tracking(parser)
     add("--quiet", action="store_true", help="no progress, no summary")
+    fail_on_usage_errors(parser, OUT, _job_folder)
     return parser
 
 
-def _plan(arguments: argparse.Namespace, console: Console, errors: Console) -> int:
+def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int:
     """Plan, write, show what came of it; returns the exit status."""
     folder = _job_folder(arguments.out)
     with folder.job(), progress_line(errors, quiet=arguments.quiet) as progress:
-        result, files = _run(arguments, folder, progress)
+        result, files = _made(arguments, folder, progress)
     if not arguments.quiet:
         _show(console, result, folder.path, files)
     return 0
 
 
-def _run(
+def _made(
     arguments: argparse.Namespace, folder: JobFolder, progress: Callable[[str], None]
 ) -> tuple[TourResult, list[str]]:
     """Load, plan and write; gives the tour and the names of its files."""

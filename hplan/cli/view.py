@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hplan.cli.finished_job import FinishedJob
 from hplan.cli.job_folder import PAGE
 from hplan.cli.options import CommandParser, add_robot, add_scene, check_output_file, command_parser
-from hplan.cli.terminal import FAILED, run_command
+from hplan.cli.terminal import FAILED
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -37,12 +36,6 @@ exit status:
 """
 
 
-def main(argv: Sequence[str] | None = None, *, prog: str = "hplan view") -> int:
-    """Run the command; returns the exit status."""
-    arguments = parser(prog).parse_args(argv)
-    return run_command(lambda console, errors: _view(arguments, console, errors))
-
-
 def parser(prog: str) -> CommandParser:
     """The parser of the command's arguments."""
     parser = command_parser(_DESCRIPTION, _EPILOG, prog=prog)
@@ -57,7 +50,7 @@ def parser(prog: str) -> CommandParser:
     return parser
 
 
-def _view(arguments: argparse.Namespace, console: Console, errors: Console) -> int:
+def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int:
     """Read, compare, write, serve; returns the exit status."""
     from hplan.robot.model import load_robot
     from hplan.scene.file import load_scene
@@ -70,7 +63,7 @@ def _view(arguments: argparse.Namespace, console: Console, errors: Console) -> i
     job = FinishedJob(path, tours=True) if path.is_dir() else None
     out = arguments.out or (path.with_suffix(".html") if job is None else path / PAGE)
     scene_path = None if arguments.scene is None else Path(arguments.scene)
-    motion = [path] if job is None else [*job.trajectory_paths, job.report_path]
+    motion = [path] if job is None else [*job.trajectory_paths, job.path]
     check_output_file(out, (*motion, scene_path, arguments.robot, arguments.limits))
     trajectory = read_csv(path) if job is None else job.trajectory()
     robot = load_robot(arguments.robot, limits=arguments.limits)
@@ -79,7 +72,7 @@ def _view(arguments: argparse.Namespace, console: Console, errors: Console) -> i
     if job is not None:
         differs = job.differing(Digests.of(robot, scene, trajectory))
         for what in differs:
-            errors.print(f"the {what} is not the one of {job.report_path}", markup=False, soft_wrap=True)
+            errors.print(f"the {what} is not the one of {job.path}", markup=False, soft_wrap=True)
         if differs:
             return FAILED
         shown = job.shown()

@@ -82,6 +82,12 @@ def test_help_lists_every_command(capsys: pytest.CaptureFixture[str]) -> None:
     assert max(map(len, shown.splitlines())) <= 80
 
 
+def test_the_documentation_lists_every_command() -> None:
+    text = (ROOT / "docs" / "commands.md").read_text(encoding="utf-8")
+    assert [name for name in COMMANDS if f"| `hplan {name}" not in text] == []
+    assert [name for name in shipped_scenes() if f"`{name}`" not in text] == []
+
+
 def test_every_file_of_a_command_is_listed() -> None:
     texts = {path.stem: path.read_text(encoding="utf-8") for path in (ROOT / "hplan" / "cli").glob("*.py")}
     assert {name for name, text in texts.items() if text.startswith('"""The command `hplan ')} == set(COMMANDS)

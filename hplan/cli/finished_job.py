@@ -13,6 +13,7 @@ from hplan.errors import InputError
 if TYPE_CHECKING:
     from hplan.timing.trajectory import Trajectory
     from hplan.verification.digests import Digests
+    from hplan.view.playback import Playback
 
 
 class FinishedJob:
@@ -71,20 +72,21 @@ class FinishedJob:
 
         return joined([read_csv(path) for path in self.trajectory_paths])
 
-    def shown(self) -> dict[str, Any]:
-        """What the animated page says of the motion: when fruit is picked and dropped [s], and the phases.
+    def playback(self, trajectory: Trajectory) -> Playback:
+        """The job's motion as the animated page shows it, with the times and phases of the report.
 
         Raises:
-            InputError: The report does not say it.
+            InputError: The report does not say them.
         """
         from hplan.planning.plan import Phase
+        from hplan.view.playback import Playback
 
         try:
             if self.path.name == REPORT:
                 phases = [Phase(**phase) for phase in self.report["phases"]]
                 fruit = (self.report["grasp"] or {}).get("fruit")
                 reached = [phase.end_s for phase in phases if phase.name != "retreat"]
-                return {"picked": {} if fruit is None else {fruit: reached[-1]}, "phases": phases}
+                return Playback(trajectory, {} if fruit is None else {fruit: reached[-1]}, phases=phases)
             picked: dict[str, float] = {}
             dropped: dict[str, float] = {}
             phases = []
@@ -96,7 +98,7 @@ class FinishedJob:
                     dropped |= {name: phases[-1].end_s for name in picked if name not in dropped}
         except (AttributeError, IndexError, KeyError, TypeError) as error:
             raise self._fault("it does not say what happens when in the motion") from error
-        return {"picked": picked, "dropped": dropped, "phases": phases}
+        return Playback(trajectory, picked, dropped, phases)
 
     def differing(self, digests: Digests | None) -> list[str]:
         """Which of robot, scene and trajectory are not those of the report."""

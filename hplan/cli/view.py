@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from hplan.cli.finished_job import FinishedJob
 from hplan.cli.job_folder import PAGE
@@ -68,15 +68,14 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int
     trajectory = read_csv(path) if job is None else job.trajectory()
     robot = load_robot(arguments.robot, limits=arguments.limits)
     scene = load_scene(job.shipped_scene if arguments.scene is None and job is not None else arguments.scene)
-    shown: dict[str, Any] = {}
+    playback = Playback(trajectory)
     if job is not None:
         differs = job.differing(Digests.of(robot, scene, trajectory))
         for what in differs:
             errors.print(f"the {what} is not the one of {job.path}", markup=False, soft_wrap=True)
         if differs:
             return FAILED
-        shown = job.shown()
-    playback = Playback(trajectory, **shown)
+        playback = job.playback(trajectory)
     write_page(robot, scene, playback, out)
     if not arguments.quiet:
         console.print(f"written: {out}", markup=False, soft_wrap=True)

@@ -82,8 +82,8 @@ class Lattice(Record):
     def row_of(self, index: IntArray) -> int:
         """Bordered row of a node."""
         row = 0
-        for place, count in zip(index[:-1], self.padded, strict=True):
-            row = row * count + int(place) + 1
+        for place, count in zip(index[:-1].tolist(), self.padded, strict=True):
+            row = row * count + place + 1
         return row
 
     def node(self, index: IntArray) -> Node:

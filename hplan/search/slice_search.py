@@ -86,10 +86,10 @@ def search_slices(
         slice_search: Searches one slice after the other; None searches planar slices by jump points, all in one pass.
         carried: Let slices take over the path of one searched before, where it is free in them.
     """
-    start_row, goal_row, mask = lattice.row_of(start), lattice.row_of(goal), lattice.mask(slices)
+    start_row, goal_row = lattice.row_of(start), lattice.row_of(goal)
     if slice_search is None:
         return _planar(lattice, free, start_row, goal_row, slices)
-    flat = Lattice.of(lattice.shape[:-1], lattice.step[:-1])
+    flat, mask = Lattice.of(lattice.shape[:-1], lattice.step[:-1]), lattice.mask(slices)
     inside, flooded = (free, 0) if carried else flood_slices(lattice, free, start_row, mask)
     left = bits_of(inside[start_row] & inside[goal_row] & mask)
     found: dict[int, IntArray] = {}

@@ -1,4 +1,4 @@
-"""Clearance of the arm in 3-D, and motions shown clear over continuous time.
+"""Clearance of the arm in space, and motions shown clear over continuous time.
 
 Distances are exact for capsule links against balls, capsules, boxes, hulls and clouds of balls. A motion is shown clear
 by a bound on how far each link moves (`hplan.collision.clearance_kernels`).
@@ -10,18 +10,19 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from hplan.base.arrays import BoolArray, FloatArray, IntArray, Record, frozen, readonly
-from hplan.collision.clearance_kernels import clearances_along, link_clearances, mark_near, path_is_clear
-from hplan.collision.obstacle_rows import GATE, rows_of
+from hplan.collision.clearance_kernels import FieldArrays, clearances_along, link_clearances, mark_near, path_is_clear
+from hplan.collision.obstacle_rows import FIRST_LINK, GATE, KIND, LAST_LINK, NEXT, TURNS, rows_of
 from hplan.errors import OptionError
 from hplan.robot.model import Robot
 from hplan.scene.obstacles import Solid
 
-#: Largest turn of a joint between two looks at what is near a motion.
+#: Largest turn of a joint between two samples of a motion, for what is near it.
 _NEAR_STEP = 0.05
 
 
@@ -32,7 +33,8 @@ class ClearanceField(Record):
     Attributes:
         chain: (links, 4) rows: length, half-width with the link's sway [m], sign, zero offset.
         base: (10,) shoulder position, the plane's horizontal and upward axes, all at yaw 0; 1 where joint 0 is a yaw.
-        solids: (rows, 21) balls, capsules, boxes, hulls and nodes of clouds, grown by the clearance to keep.
+        solids: (rows, 21) balls, capsules, boxes, hulls and nodes of clouds, grown by the clearance to keep; columns as
+            in `hplan.collision.obstacle_rows`.
         data: Facets and edges of hulls, and points of clouds, one after the other; rows say where.
         owner: (rows,) index of the solid behind each row, -1 for parts of the arm.
     """
@@ -42,6 +44,11 @@ class ClearanceField(Record):
     solids: FloatArray
     data: FloatArray
     owner: IntArray
+
+    @cached_property
+    def arrays(self) -> FieldArrays:
+        """What kernels are given."""
+        return FieldArrays(self.chain, self.base, self.solids, self.data)
 
     @classmethod
     def of(
@@ -96,22 +103,22 @@ class ClearanceField(Record):
         before = np.concatenate([[0], np.cumsum(first)])
         solids = np.insert(self.solids, np.flatnonzero(first), 0.0, axis=0)
         moved = np.arange(len(rows)) + before[1:]
-        solids[moved, 20] = self.solids[:, 20] + before[self.solids[:, 20].astype(np.int64)]
+        solids[moved, NEXT] = self.solids[:, NEXT] + before[self.solids[:, NEXT].astype(np.int64)]
         ends = np.append(np.flatnonzero(first), len(rows))[1:]
         for start, end in zip(np.flatnonzero(first).tolist(), ends.tolist(), strict=True):
             last = start + int(np.count_nonzero(self.owner[start:end] == self.owner[start]))
             gate = solids[start + before[start]]
             gate[:] = self.solids[start]
-            gate[0], gate[6], gate[7], gate[8] = GATE, 0, len(self.chain) - 2, 0.0
-            gate[20] = last + before[last]
+            gate[KIND], gate[FIRST_LINK], gate[LAST_LINK], gate[TURNS] = GATE, 0, len(self.chain) - 2, 0.0
+            gate[NEXT] = last + before[last]
         owner = np.insert(self.owner, np.flatnonzero(first), self.owner[first])
         return replace(self, solids=frozen(solids), owner=frozen(owner))
 
     def near(self, path: ArrayLike, distance: float) -> ClearanceField:
-        """The field of what is near a motion: for optimisers, who prove in the end with the whole one.
+        """The field of what is near a motion: for optimisers, whose result is proved with the whole field.
 
         Args:
-            path: (m, dof) waypoints; between them the motion is looked at every `_NEAR_STEP`.
+            path: (m, dof) waypoints; between them the motion is sampled every `_NEAR_STEP`.
             distance: Distance from the links up to which solids, by their bounding balls, are kept [m].
         """
         points = np.asarray(path, dtype=np.float64)
@@ -120,15 +127,15 @@ class ClearanceField(Record):
             count = max(1, math.ceil(float(np.abs(last - first).max()) / _NEAR_STEP))
             parts.append(first + np.linspace(0.0, 1.0, count + 1)[1:, None] * (last - first))
         kept = np.zeros(len(self.solids), dtype=np.bool_)
-        mark_near(np.concatenate(parts), self.chain, self.base, self.solids, distance, kept)
+        mark_near(np.concatenate(parts), self.arrays, distance, kept)
         return self._of_rows(kept)
 
     def _of_rows(self, kept: BoolArray) -> ClearanceField:
         """The field of some rows; where a node is left out, so is all below it."""
         rows = np.flatnonzero(kept)
-        place = np.searchsorted(rows, np.arange(len(self.solids) + 1))  # where the rows kept come to stand
+        place = np.searchsorted(rows, np.arange(len(self.solids) + 1))  # new numbers of the rows kept
         solids = self.solids[rows]
-        solids[:, 20] = place[solids[:, 20].astype(np.int64)]
+        solids[:, NEXT] = place[solids[:, NEXT].astype(np.int64)]
         return replace(self, solids=frozen(solids), owner=frozen(self.owner[rows]))
 
     def link_clearances(self, q: ArrayLike) -> FloatArray:
@@ -142,14 +149,14 @@ class ClearanceField(Record):
             exact for balls and for capsules whose axis is not crossed, a lower bound of the depth otherwise.
         """
         result = np.empty(len(self.chain))
-        link_clearances(np.asarray(q, dtype=np.float64), self.chain, self.base, self.solids, self.data, result)
+        link_clearances(np.asarray(q, dtype=np.float64), self.arrays, result)
         return result
 
     def along(self, configurations: ArrayLike) -> FloatArray:
         """Clearances of the links at many configurations, (n, dof) -> (n, links) [m]; as `link_clearances`."""
         points = np.array(configurations, dtype=np.float64, order="C")
         result = np.empty((len(points), len(self.chain)))
-        clearances_along(points, self.chain, self.base, self.solids, self.data, result)
+        clearances_along(points, self.arrays, result)
         return result
 
     def clearance(self, q: ArrayLike) -> float:
@@ -157,16 +164,17 @@ class ClearanceField(Record):
         return float(self.link_clearances(q).min())
 
     def is_clear(self, path: ArrayLike, margin: float) -> bool:
-        """Whether the straight joint-space motions between waypoints are shown clear.
+        """True if the straight joint-space motions between waypoints are shown clear.
 
         Args:
             path: (m, dof) waypoints.
             margin: Clearance asked for wherever it is evaluated [m], positive. A step from clearance `d` may use up
-                `d` before the next look finds at least `margin`, so half of it is shown to be kept everywhere.
+                `d` before the next one finds at least `margin`, so half of it is shown to be kept everywhere.
+
+        Raises:
+            OptionError: A margin that is not positive.
         """
         if not margin > 0.0:
             raise OptionError("margin", margin, "a positive number of metres")
         points = np.array(path, dtype=np.float64, order="C")
-        return bool(
-            np.isfinite(points).all() and path_is_clear(points, self.chain, self.base, self.solids, self.data, margin)
-        )
+        return bool(np.isfinite(points).all() and path_is_clear(points, self.arrays, margin))

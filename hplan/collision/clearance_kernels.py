@@ -1,4 +1,4 @@
-r"""The compiled part of `hplan.collision.clearance_field`: the clearance of each link, and motions shown clear.
+r"""Kernels of `hplan.collision.clearance_field`: the clearance of each link, and motions shown clear.
 
 Clearance at a configuration is only a sample. It becomes a proof with a bound on motion: while a joint-space segment
 is traversed, no axis point of link :math:`k` moves farther than
@@ -16,13 +16,23 @@ neither moves farther than the bound of the outer one, so together they use up n
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from hplan.base.arrays import BoolArray, FloatArray
 from hplan.base.kernels import inlined, kernel
-from hplan.collision.distances import point_segment, segment_box, segment_hull, segment_segment
-from hplan.collision.obstacle_rows import BOX, GATE, HULL, LOT, NODE, PAIR, POINT, SEGMENT
+from hplan.collision import obstacle_rows as row
+from hplan.collision.distances import Vector, point_segment, segment_box, segment_hull, segment_segment
+
+
+class FieldArrays(NamedTuple):
+    """The arrays of a `hplan.collision.clearance_field.ClearanceField` that kernels read."""
+
+    chain: FloatArray
+    base: FloatArray
+    solids: FloatArray
+    data: FloatArray
 
 
 @kernel
@@ -35,144 +45,147 @@ def _links_apart(q: FloatArray, first: int, chain: FloatArray, inner: int, outer
         angle += chain[k, 2] * q[first + k] + chain[k, 3]
         along, up = chain[k, 0] * math.cos(angle), chain[k, 0] * math.sin(angle)
     length = chain[inner, 0]
-    distance: float = segment_segment(x, y, 0.0, along, up, 0.0, -length, 0.0, 0.0, length, 0.0, 0.0)
+    distance: float = segment_segment((x, y, 0.0), (along, up, 0.0), (-length, 0.0, 0.0), (length, 0.0, 0.0))
     return distance
 
 
 @kernel
-def _segment_distance(
-    x: float, y: float, z: float, ux: float, uy: float, uz: float,
-    solids: FloatArray, s: int, data: FloatArray, limit: float,
-) -> float:  # fmt: skip
+def _core_distance(start: Vector, u: Vector, solids: FloatArray, s: int, data: FloatArray, limit: float) -> float:
     """Distance of a segment from the core of a row that is a point, a segment or a hull; any above the limit beyond."""
-    if solids[s, 0] == POINT:
-        apart: float = point_segment(solids[s, 6], solids[s, 7], solids[s, 8], x, y, z, ux, uy, uz)
-    elif solids[s, 0] == SEGMENT:
-        apart = segment_segment(
-            x, y, z, ux, uy, uz, solids[s, 6], solids[s, 7], solids[s, 8],
-            solids[s, 9] - solids[s, 6], solids[s, 10] - solids[s, 7], solids[s, 11] - solids[s, 8],
-        )  # fmt: skip
+    ax, ay, az = solids[s, row.SHAPE], solids[s, row.SHAPE + 1], solids[s, row.SHAPE + 2]
+    bx, by, bz = solids[s, row.SECOND_END], solids[s, row.SECOND_END + 1], solids[s, row.SECOND_END + 2]
+    if solids[s, row.KIND] == row.POINT:
+        apart: float = point_segment((ax, ay, az), start, u)
+    elif solids[s, row.KIND] == row.SEGMENT:
+        apart = segment_segment(start, u, (ax, ay, az), (bx - ax, by - ay, bz - az))
     else:
-        apart = segment_hull(
-            x, y, z, ux, uy, uz, data, int(solids[s, 6]), int(solids[s, 7]), int(solids[s, 8]), limit
-        )  # fmt: skip
+        apart = segment_hull(start, u, data, int(ax), int(ay), int(az), limit)
     return apart
 
 
 @kernel
-def link_clearances(
-    q: FloatArray, chain: FloatArray, base: FloatArray, solids: FloatArray, data: FloatArray, result: FloatArray
-) -> None:
+def _box_distance(start: Vector, u: Vector, solids: FloatArray, s: int) -> float:
+    """Distance of a segment from a row that is a box, in the box's frame."""
+    offset = (
+        start[0] - solids[s, row.CENTRE],
+        start[1] - solids[s, row.CENTRE + 1],
+        start[2] - solids[s, row.CENTRE + 2],
+    )
+    first = (solids[s, row.AXES], solids[s, row.AXES + 1], solids[s, row.AXES + 2])
+    second = (solids[s, row.AXES + 3], solids[s, row.AXES + 4], solids[s, row.AXES + 5])
+    third = (solids[s, row.AXES + 6], solids[s, row.AXES + 7], solids[s, row.AXES + 8])
+    distance: float = segment_box(
+        (_dot(offset, first), _dot(offset, second), _dot(offset, third)),
+        (_dot(u, first), _dot(u, second), _dot(u, third)),
+        (solids[s, row.SHAPE], solids[s, row.SHAPE + 1], solids[s, row.SHAPE + 2]),
+    )
+    return distance
+
+
+@inlined
+def _dot(a: Vector, b: Vector) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@inlined
+def _arm_plane(q: FloatArray, base: FloatArray) -> tuple[int, float, float, Vector, Vector, Vector]:
+    """First planar joint, cosine and sine of the yaw, shoulder, and the plane's forward and upward axis."""
+    first, cos, sin = 0, 1.0, 0.0
+    if base[9] > 0.0:
+        first, cos, sin = 1, math.cos(q[0]), math.sin(q[0])
+    shoulder = (cos * base[0] - sin * base[1], sin * base[0] + cos * base[1], base[2])
+    forward = (cos * base[3] - sin * base[4], sin * base[3] + cos * base[4], base[5])
+    upward = (cos * base[6] - sin * base[7], sin * base[6] + cos * base[7], base[8])
+    return first, cos, sin, shoulder, forward, upward
+
+
+@kernel
+def link_clearances(q: FloatArray, field: FieldArrays, result: FloatArray) -> None:
     """Clearance of each link at one configuration."""
-    first = 1 if base[9] > 0.0 else 0
-    yaw_cos, yaw_sin = 1.0, 0.0
-    if first:
-        yaw_cos, yaw_sin = math.cos(q[0]), math.sin(q[0])
-    fx, fy = yaw_cos * base[3] - yaw_sin * base[4], yaw_sin * base[3] + yaw_cos * base[4]
-    gx, gy = yaw_cos * base[6] - yaw_sin * base[7], yaw_sin * base[6] + yaw_cos * base[7]
-    x, y, z = yaw_cos * base[0] - yaw_sin * base[1], yaw_sin * base[0] + yaw_cos * base[1], base[2]
+    chain, base, solids, data = field
+    first, cos, sin, (x, y, z), (fx, fy, fz), (gx, gy, gz) = _arm_plane(q, base)
     angle = 0.0
     for k in range(chain.shape[0]):
         angle += chain[k, 2] * q[first + k] + chain[k, 3]
         along, up = chain[k, 0] * math.cos(angle), chain[k, 0] * math.sin(angle)
-        ux, uy, uz = along * fx + up * gx, along * fy + up * gy, along * base[5] + up * base[8]
+        ux, uy, uz = along * fx + up * gx, along * fy + up * gy, along * fz + up * gz
         mx, my, mz = x + 0.5 * ux, y + 0.5 * uy, z + 0.5 * uz
         half_length = 0.5 * chain[k, 0]
         least = math.inf
         following = 0
         while following < solids.shape[0]:
             s = following
-            dx, dy, dz = solids[s, 2] - mx, solids[s, 3] - my, solids[s, 4] - mz
-            within = least + half_length + solids[s, 5]
+            cx, cy, cz = solids[s, row.CENTRE], solids[s, row.CENTRE + 1], solids[s, row.CENTRE + 2]
+            dx, dy, dz = cx - mx, cy - my, cz - mz
+            within = least + half_length + solids[s, row.BOUND]
             if dx * dx + dy * dy + dz * dz > within * within:
                 # Its bounding ball is farther than the nearest so far.
-                following = int(solids[s, 20]) if solids[s, 0] >= NODE else s + 1
+                following = int(solids[s, row.NEXT]) if solids[s, row.KIND] >= row.NODE else s + 1
                 continue
             following = s + 1
-            kind = solids[s, 0]
+            kind = solids[s, row.KIND]
             distance = math.inf
-            if kind == POINT:
-                distance = point_segment(solids[s, 6], solids[s, 7], solids[s, 8], x, y, z, ux, uy, uz)
-            elif kind == SEGMENT:
-                distance = segment_segment(
-                    x, y, z, ux, uy, uz, solids[s, 6], solids[s, 7], solids[s, 8],
-                    solids[s, 9] - solids[s, 6], solids[s, 10] - solids[s, 7], solids[s, 11] - solids[s, 8],
-                )  # fmt: skip
-            elif kind == BOX:
-                ox, oy, oz = x - solids[s, 2], y - solids[s, 3], z - solids[s, 4]
-                distance = segment_box(
-                    ox * solids[s, 9] + oy * solids[s, 10] + oz * solids[s, 11],
-                    ox * solids[s, 12] + oy * solids[s, 13] + oz * solids[s, 14],
-                    ox * solids[s, 15] + oy * solids[s, 16] + oz * solids[s, 17],
-                    ux * solids[s, 9] + uy * solids[s, 10] + uz * solids[s, 11],
-                    ux * solids[s, 12] + uy * solids[s, 13] + uz * solids[s, 14],
-                    ux * solids[s, 15] + uy * solids[s, 16] + uz * solids[s, 17],
-                    solids[s, 6],
-                    solids[s, 7],
-                    solids[s, 8],
-                )
-            elif kind == HULL:
-                distance = segment_hull(
-                    x, y, z, ux, uy, uz, data, int(solids[s, 6]), int(solids[s, 7]), int(solids[s, 8]),
-                    least + solids[s, 1],
-                )  # fmt: skip
-            elif kind == GATE:
-                if not solids[s, 6] <= k <= solids[s, 7]:
-                    following = int(solids[s, 20])
-                elif solids[s, 8] > 0.0:
+            # (Points, segments and hulls without a call to `_core_distance`, which takes half as long again.)
+            ax, ay, az = solids[s, row.SHAPE], solids[s, row.SHAPE + 1], solids[s, row.SHAPE + 2]
+            if kind == row.POINT:
+                distance = point_segment((ax, ay, az), (x, y, z), (ux, uy, uz))
+            elif kind == row.SEGMENT:
+                bx, by, bz = solids[s, row.SECOND_END], solids[s, row.SECOND_END + 1], solids[s, row.SECOND_END + 2]
+                distance = segment_segment((x, y, z), (ux, uy, uz), (ax, ay, az), (bx - ax, by - ay, bz - az))
+            elif kind == row.BOX:
+                distance = _box_distance((x, y, z), (ux, uy, uz), solids, s)
+            elif kind == row.HULL:
+                limit = least + solids[s, row.RADIUS]
+                distance = segment_hull((x, y, z), (ux, uy, uz), data, int(ax), int(ay), int(az), limit)
+            elif kind == row.GATE:
+                if not solids[s, row.FIRST_LINK] <= k <= solids[s, row.LAST_LINK]:
+                    following = int(solids[s, row.NEXT])
+                elif solids[s, row.TURNS] > 0.0:
                     # What turns with the arm plane, from the link as it stands at yaw 0.
-                    distance = _segment_distance(
-                        yaw_cos * x + yaw_sin * y, yaw_cos * y - yaw_sin * x, z,
-                        yaw_cos * ux + yaw_sin * uy, yaw_cos * uy - yaw_sin * ux, uz,
-                        solids, s + 1, data, least + solids[s, 1],
+                    distance = _core_distance(
+                        (cos * x + sin * y, cos * y - sin * x, z), (cos * ux + sin * uy, cos * uy - sin * ux, uz),
+                        solids, s + 1, data, least + solids[s, row.RADIUS],
                     )  # fmt: skip
-                    following = int(solids[s, 20])
-            elif kind == PAIR:
-                if k == solids[s, 7]:
-                    apart = _links_apart(q, first, chain, int(solids[s, 6]), k) - solids[s, 8]
+                    following = int(solids[s, row.NEXT])
+            elif kind == row.PAIR:
+                if k == solids[s, row.OUTER]:
+                    apart = _links_apart(q, first, chain, int(solids[s, row.INNER]), k) - solids[s, row.TOUCHING]
                     distance = 0.5 * apart + chain[k, 1]  # less the half-width, below
-            elif point_segment(solids[s, 2], solids[s, 3], solids[s, 4], x, y, z, ux, uy, uz) > least + solids[s, 5]:
-                following = int(solids[s, 20])
-            elif kind == LOT:
-                for p in range(int(solids[s, 6]), int(solids[s, 7]), 3):
-                    distance = min(distance, point_segment(data[p], data[p + 1], data[p + 2], x, y, z, ux, uy, uz))
-            least = min(least, distance - solids[s, 1])
+            elif point_segment((cx, cy, cz), (x, y, z), (ux, uy, uz)) > least + solids[s, row.BOUND]:
+                following = int(solids[s, row.NEXT])
+            elif kind == row.LOT:
+                for p in range(int(solids[s, row.POINTS]), int(solids[s, row.POINTS_END]), 3):
+                    point = point_segment((data[p], data[p + 1], data[p + 2]), (x, y, z), (ux, uy, uz))
+                    distance = min(distance, point)
+            least = min(least, distance - solids[s, row.RADIUS])
         result[k] = least - chain[k, 1]
         x, y, z = x + ux, y + uy, z + uz
 
 
 @kernel
-def clearances_along(
-    points: FloatArray, chain: FloatArray, base: FloatArray, solids: FloatArray, data: FloatArray, result: FloatArray
-) -> None:
+def clearances_along(points: FloatArray, field: FieldArrays, result: FloatArray) -> None:
     """Clearance of each link at (n, dof) configurations, written into (n, links)."""
     for i in range(points.shape[0]):
-        link_clearances(points[i], chain, base, solids, data, result[i])
+        link_clearances(points[i], field, result[i])
 
 
 @kernel
-def mark_near(
-    path: FloatArray, chain: FloatArray, base: FloatArray, solids: FloatArray, distance: float, near: BoolArray
-) -> None:
+def mark_near(path: FloatArray, field: FieldArrays, distance: float, near: BoolArray) -> None:
     """Mark the rows whose bounding ball comes within a distance of a link at some configuration."""
-    first = 1 if base[9] > 0.0 else 0
+    chain, base, solids, _ = field
     for i in range(path.shape[0]):
-        yaw_cos, yaw_sin = 1.0, 0.0
-        if first:
-            yaw_cos, yaw_sin = math.cos(path[i, 0]), math.sin(path[i, 0])
-        fx, fy = yaw_cos * base[3] - yaw_sin * base[4], yaw_sin * base[3] + yaw_cos * base[4]
-        gx, gy = yaw_cos * base[6] - yaw_sin * base[7], yaw_sin * base[6] + yaw_cos * base[7]
-        x, y, z = yaw_cos * base[0] - yaw_sin * base[1], yaw_sin * base[0] + yaw_cos * base[1], base[2]
+        first, _, _, (x, y, z), (fx, fy, fz), (gx, gy, gz) = _arm_plane(path[i], base)
         angle = 0.0
         for k in range(chain.shape[0]):
             angle += chain[k, 2] * path[i, first + k] + chain[k, 3]
             along, up = chain[k, 0] * math.cos(angle), chain[k, 0] * math.sin(angle)
-            ux, uy, uz = along * fx + up * gx, along * fy + up * gy, along * base[5] + up * base[8]
+            u = (along * fx + up * gx, along * fy + up * gy, along * fz + up * gz)
             for s in range(solids.shape[0]):
                 if not near[s]:
-                    reach = point_segment(solids[s, 2], solids[s, 3], solids[s, 4], x, y, z, ux, uy, uz)
-                    near[s] = reach <= distance + solids[s, 5] + chain[k, 1]
-            x, y, z = x + ux, y + uy, z + uz
+                    centre = (solids[s, row.CENTRE], solids[s, row.CENTRE + 1], solids[s, row.CENTRE + 2])
+                    apart = point_segment(centre, (x, y, z), u)
+                    near[s] = apart <= distance + solids[s, row.BOUND] + chain[k, 1]
+            x, y, z = x + u[0], y + u[1], z + u[2]
 
 
 @kernel
@@ -186,7 +199,7 @@ def smallest(values: FloatArray) -> float:
 
 @inlined
 def proven_advance(clear: FloatArray, bounds: FloatArray, margin: float) -> float:
-    """The share of a motion, at most 1, that cannot use up any link's clearance; -1 where the margin is not kept."""
+    """The part of a motion, at most 1, that cannot use up any link's clearance; -1 where the margin is not kept."""
     advance = 1.0
     for k in range(len(clear)):
         if not clear[k] >= margin:  # so that nothing that is no number passes
@@ -219,38 +232,29 @@ def motion_bounds(turns: FloatArray, chain: FloatArray, base: FloatArray, result
 
 
 @kernel
-def path_is_clear(
-    path: FloatArray, chain: FloatArray, base: FloatArray, solids: FloatArray, data: FloatArray, margin: float
-) -> bool:
+def path_is_clear(path: FloatArray, field: FieldArrays, margin: float) -> bool:
     """Conservative advancement along every segment of a polyline."""
-    for i in range(path.shape[0] - 1):
-        if not segment_is_clear(path[i], path[i + 1], chain, base, solids, data, margin):
-            return False
-    return True
+    clear, i = True, 0
+    while clear and i < path.shape[0] - 1:
+        clear = segment_is_clear(path[i], path[i + 1], field, margin)
+        i += 1
+    return clear
 
 
 @kernel
-def segment_is_clear(
-    start: FloatArray,
-    end: FloatArray,
-    chain: FloatArray,
-    base: FloatArray,
-    solids: FloatArray,
-    data: FloatArray,
-    margin: float,
-) -> bool:
-    """Whether the straight joint-space motion is shown clear; `margin` is asked for wherever it is evaluated."""
-    links, dof = chain.shape[0], start.shape[0]
+def segment_is_clear(start: FloatArray, end: FloatArray, field: FieldArrays, margin: float) -> bool:
+    """True if the straight joint-space motion is shown clear; `margin` is asked for wherever it is evaluated."""
+    links, dof = field.chain.shape[0], start.shape[0]
     bounds, clear, q, turns = np.empty(links), np.empty(links), np.empty(dof), np.empty(dof)
     for i in range(dof):
         turns[i] = end[i] - start[i]
-    motion_bounds(turns, chain, base, bounds)
+    motion_bounds(turns, field.chain, field.base, bounds)
     # The middle first: where a motion fails it often fails there.
     t, at_middle = 0.5, True
     while True:
         for i in range(dof):
             q[i] = start[i] + t * turns[i]
-        link_clearances(q, chain, base, solids, data, clear)
+        link_clearances(q, field, clear)
         advance = proven_advance(clear, bounds, margin)
         if advance < 0.0:
             return False

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import math
+from typing import TypeAlias
 
 from hplan.base.arrays import FloatArray
 from hplan.base.kernels import inlined, kernel
 
+#: Three coordinates. They stay in registers; an array would be made and counted for each call.
+Vector: TypeAlias = tuple[float, float, float]
+
 
 @inlined
-def point_segment(
-    cx: float, cy: float, cz: float, ax: float, ay: float, az: float, ux: float, uy: float, uz: float
-) -> float:
-    """Distance of a point from the segment a, a + u."""
+def point_segment(c: Vector, a: Vector, u: Vector) -> float:
+    """Distance of a point c from the segment a, a + u."""
+    (cx, cy, cz), (ax, ay, az), (ux, uy, uz) = c, a, u
     dx, dy, dz = cx - ax, cy - ay, cz - az
     square = ux * ux + uy * uy + uz * uz
     t = 0.0
@@ -23,15 +26,13 @@ def point_segment(
 
 
 @kernel
-def segment_segment(
-    ax: float, ay: float, az: float, ux: float, uy: float, uz: float,
-    bx: float, by: float, bz: float, vx: float, vy: float, vz: float,
-) -> float:  # fmt: skip
+def segment_segment(a: Vector, u: Vector, b: Vector, v: Vector) -> float:
     """Distance between the segments a, a + u and b, b + v.
 
     Closest points by clamping (Ericson, Real-Time Collision Detection, 5.1.9).
     """
-    rx, ry, rz = ax - bx, ay - by, az - bz
+    (ux, uy, uz), (vx, vy, vz) = u, v
+    rx, ry, rz = a[0] - b[0], a[1] - b[1], a[2] - b[2]
     uu, vv = ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz
     vr = vx * rx + vy * ry + vz * rz
     if uu <= 1e-18 and vv <= 1e-18:
@@ -61,19 +62,18 @@ def segment_segment(
 
 @inlined
 def _beyond(x: float, half: float) -> float:
-    """How far, with sign, a coordinate is outside [-half, half]."""
+    """Signed distance of a coordinate from [-half, half]."""
     return x - half if x > half else (x + half if x < -half else 0.0)
 
 
 @kernel
-def segment_box(
-    ax: float, ay: float, az: float, ux: float, uy: float, uz: float, hx: float, hy: float, hz: float
-) -> float:  # fmt: skip
-    """Distance of the segment a, a + u from the box of half sizes h, in the box's frame.
+def segment_box(a: Vector, u: Vector, half: Vector) -> float:
+    """Distance of the segment a, a + u from the box of half sizes `half`, in the box's frame.
 
     The squared distance is convex and piecewise quadratic along the segment; its derivative is piecewise linear and
     changes sign between two of the at most eight breakpoints (faces crossed, ends).
     """
+    (ax, ay, az), (ux, uy, uz), (hx, hy, hz) = a, u, half
     low, high = 0.0, 1.0
     slope_low = 2.0 * (_beyond(ax, hx) * ux + _beyond(ay, hy) * uy + _beyond(az, hz) * uz)
     slope_high = 2.0 * (_beyond(ax + ux, hx) * ux + _beyond(ay + uy, hy) * uy + _beyond(az + uz, hz) * uz)
@@ -84,13 +84,10 @@ def segment_box(
         t = 1.0
     else:
         for axis in range(3):
-            a = ax if axis == 0 else (ay if axis == 1 else az)
-            u = ux if axis == 0 else (uy if axis == 1 else uz)
-            h = hx if axis == 0 else (hy if axis == 1 else hz)
-            if u == 0.0:
+            if u[axis] == 0.0:
                 continue
             for side in (-1.0, 1.0):
-                x = (side * h - a) / u
+                x = (side * half[axis] - a[axis]) / u[axis]
                 if low < x < high:
                     px, py, pz = ax + x * ux, ay + x * uy, az + x * uz
                     slope = 2.0 * (_beyond(px, hx) * ux + _beyond(py, hy) * uy + _beyond(pz, hz) * uz)
@@ -105,14 +102,14 @@ def segment_box(
 
 @kernel
 def segment_hull(
-    ax: float, ay: float, az: float, ux: float, uy: float, uz: float,
-    data: FloatArray, first: int, middle: int, last: int, enough: float,
-) -> float:  # fmt: skip
-    """Distance of the segment a, a + u from a hull, or some number from `enough` up where it is no less than that.
+    start: Vector, u: Vector, data: FloatArray, first: int, middle: int, last: int, enough: float
+) -> float:
+    """Distance of the segment start, start + u from a hull, or some number from `enough` up where it is not below that.
 
     Facets stand in data[first:middle], edges in data[middle:last]. The nearest point of the hull lies on an edge, or on
     the facet above which an end of the segment stands highest.
     """
+    (ax, ay, az), (ux, uy, uz) = start, u
     bx, by, bz = ax + ux, ay + uy, az + uz
     enter, leave = 0.0, 1.0
     apart, top_a, top_b, at_a, at_b = -math.inf, -math.inf, -math.inf, first, first
@@ -150,11 +147,7 @@ def segment_hull(
                 least = min(least, height)
     for e in range(middle, last, 7):
         # No edge that is farther than the nearest so far, by its middle and half its length.
-        mx, my, mz = data[e] + 0.5 * data[e + 3], data[e + 1] + 0.5 * data[e + 4], data[e + 2] + 0.5 * data[e + 5]
-        if point_segment(mx, my, mz, ax, ay, az, ux, uy, uz) - data[e + 6] < least:
-            distance = segment_segment(
-                ax, ay, az, ux, uy, uz,
-                data[e], data[e + 1], data[e + 2], data[e + 3], data[e + 4], data[e + 5],
-            )  # fmt: skip
-            least = min(least, distance)
+        x, y, z, vx, vy, vz = data[e], data[e + 1], data[e + 2], data[e + 3], data[e + 4], data[e + 5]
+        if point_segment((x + 0.5 * vx, y + 0.5 * vy, z + 0.5 * vz), start, u) - data[e + 6] < least:
+            least = min(least, segment_segment(start, u, (x, y, z), (vx, vy, vz)))
     return least

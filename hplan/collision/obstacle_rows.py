@@ -1,8 +1,8 @@
 """Obstacles, and what the arm can touch of itself, as rows of numbers for the kernels of clearance.
 
 The rows of a cloud are the nodes of its tree: where a node's bounding ball is farther than the nearest solid so far,
-all rows below it are skipped. What carries the arm (`hplan.robot.self_contact`) stands below a gate that only the links
-pass that can touch it. A shape that turns with the arm plane is given as it stands at yaw 0, and links are then taken
+all rows below it are skipped. Turret and pedestal (`hplan.robot.self_contact`) stand below a gate that only the links
+pass that can touch them. A shape that turns with the arm plane is given as it stands at yaw 0, and links are then taken
 as they stand at yaw 0 too; its bounding ball is about the yaw axis, so that it holds the shape at every yaw.
 """
 
@@ -23,12 +23,23 @@ from hplan.robot.self_contact import BaseBody, pair_sway, self_contact
 from hplan.scene.obstacles import Box, Capsule, Solid, Sphere
 from hplan.scene.solids import Cloud, Hull, hull_of
 
-#: Columns of a row: kind, radius, bounding centre (3) and radius, 14 numbers of its kind, the row to go on with where
-#: the bounding ball is too far. A node is an inner one of a cloud's tree, its leaves are lots of points. The row below
-#: a gate is for the links from one to another, and turns with them where the gate says 1; a pair is one link of the arm
-#: to one after it.
+#: Kinds of rows. A node is an inner one of a cloud's tree, its leaves are lots of points; the row below a gate is for
+#: some links alone; a pair is one link of the arm to one after it.
 POINT, SEGMENT, BOX, HULL, NODE, LOT, GATE, PAIR = 0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0
+
+#: Columns of every row: its kind, the radius about its core, its bounding ball (centre (3) and radius), and the row to
+#: go on with where that ball is too far.
+KIND, RADIUS, CENTRE, BOUND, NEXT = 0, 1, 2, 5, 20
 _COLUMNS = 21
+
+#: Columns of one kind, from `SHAPE` on. Point: its place (3). Segment: its two ends (3 each). Box: its half sizes (3),
+#: then its axes (3 rows of 3). Hull: where its facets begin in the data, where its edges begin and end. Lot: where its
+#: points begin and end there.
+SHAPE, SECOND_END, AXES, FACETS, EDGES, EDGES_END, POINTS, POINTS_END = 6, 9, 9, 6, 7, 8, 6, 7
+
+#: Gate: the first and the last link that pass it, and 1 where the row below turns with them. Pair: its links, and the
+#: distance of their axes at which they touch.
+FIRST_LINK, LAST_LINK, TURNS, INNER, OUTER, TOUCHING = 6, 7, 8, 6, 7, 8
 
 #: A hull whose points lie in one plane is made so thick [m].
 _THICKNESS = 1e-5
@@ -64,7 +75,7 @@ def rows_of(
             rows, more = _base_rows(part, own, data_count)
         else:
             rows, more = _rows(part, grown[index], data_count)
-        rows[:, 20] += row_count
+        rows[:, NEXT] += row_count
         blocks.append(rows)
         data.append(more)
         owner.append(np.full(len(rows), index))
@@ -85,28 +96,30 @@ def _rows(obstacle: Solid, clearance: float, offset: int) -> tuple[FloatArray, F
     first = row[0]
     radius = obstacle.rounding + clearance
     if isinstance(obstacle, Sphere):
-        first[0], first[6:9] = POINT, obstacle.center
+        first[KIND], first[SHAPE : SHAPE + 3] = POINT, obstacle.center
         centre, reach = obstacle.center, 0.0
     elif isinstance(obstacle, Capsule):
-        first[0], first[6:9], first[9:12] = SEGMENT, obstacle.start, obstacle.end
+        first[KIND], first[SHAPE : SHAPE + 6] = SEGMENT, (*obstacle.start, *obstacle.end)
         (ax, ay, az), (bx, by, bz) = obstacle.start, obstacle.end
         centre = 0.5 * (ax + bx), 0.5 * (ay + by), 0.5 * (az + bz)
         reach = 0.5 * math.dist(obstacle.start, obstacle.end)
     elif isinstance(obstacle, Box):
-        first[0], first[6:9] = BOX, 0.5 * np.array(obstacle.size)
-        first[9:18] = obstacle.rotation.T.ravel()  # rows: the box's axes in base_link
+        first[KIND], first[SHAPE : SHAPE + 3] = BOX, 0.5 * np.array(obstacle.size)
+        first[AXES : AXES + 9] = obstacle.rotation.T.ravel()  # rows: the box's axes in base_link
         centre, reach = obstacle.center, 0.5 * math.hypot(*obstacle.size)
     elif isinstance(obstacle, Hull):
         edges = np.column_stack([obstacle.edges, 0.5 * np.linalg.norm(obstacle.edges[:, 3:], axis=1)])
         data = np.concatenate([obstacle.planes.ravel(), edges.ravel()])
-        first[0], first[6], first[7], first[8] = HULL, offset, offset + obstacle.planes.size, offset + len(data)
+        first[KIND], first[FACETS], first[EDGES] = HULL, offset, offset + obstacle.planes.size
+        first[EDGES_END] = offset + len(data)
         low, high = obstacle.core.min(axis=0), obstacle.core.max(axis=0)
         centre = tuple((0.5 * (low + high)).tolist())
         reach = float(np.linalg.norm(obstacle.core - centre, axis=1).max())
     else:
         assert_never(obstacle)
     # Rounding errors never make the bounding ball too small.
-    first[1], first[2:5], first[5], first[20] = radius, centre, (reach + radius) * (1.0 + 1e-12), 1
+    first[RADIUS], first[CENTRE:BOUND], first[BOUND] = radius, centre, (reach + radius) * (1.0 + 1e-12)
+    first[NEXT] = 1
     return row, data
 
 
@@ -116,13 +129,13 @@ def _base_rows(body: BaseBody, clearance: float, offset: int) -> tuple[FloatArra
     turns = body.carrier == TURRET and not body.is_round
     if turns:
         # About the axis: within the centre's distance from it, and the ball's radius.
-        solid[:, 5] += np.hypot(solid[:, 2], solid[:, 3])
-        solid[:, 2:4] = 0.0
+        solid[:, BOUND] += np.hypot(solid[:, CENTRE], solid[:, CENTRE + 1])
+        solid[:, CENTRE : CENTRE + 2] = 0.0
     links, blocks = np.array(body.links), list[FloatArray]()
     for run in np.split(links, np.flatnonzero(np.diff(links) > 1) + 1):
         rows = np.concatenate([solid[:1], solid])
-        rows[0, 0], rows[0, 6], rows[0, 7], rows[0, 8] = GATE, run[0], run[-1], float(turns)
-        rows[:, 20] = 2 * (len(blocks) + 1)
+        rows[0, KIND], rows[0, FIRST_LINK], rows[0, LAST_LINK], rows[0, TURNS] = GATE, run[0], run[-1], float(turns)
+        rows[:, NEXT] = 2 * (len(blocks) + 1)
         blocks.append(rows)
     return np.concatenate(blocks), data
 
@@ -150,10 +163,10 @@ def _pair_rows(
     """The rows of pairs of links, from number `first` on; they have no place, and are near to everything."""
     rows, widths = np.zeros((len(pairs), _COLUMNS)), robot.arm.half_widths
     inner, outer = np.array(pairs).T
-    rows[:, 0], rows[:, 5] = PAIR, np.inf
+    rows[:, KIND], rows[:, BOUND] = PAIR, np.inf
     sway = np.array([pair_sway(robot, j, i, deviation) for i, j in pairs])
-    rows[:, 6], rows[:, 7], rows[:, 8] = inner, outer, widths[inner] + widths[outer] + clearance + sway
-    rows[:, 20] = first + 1 + np.arange(len(pairs))
+    rows[:, INNER], rows[:, OUTER], rows[:, TOUCHING] = inner, outer, widths[inner] + widths[outer] + clearance + sway
+    rows[:, NEXT] = first + 1 + np.arange(len(pairs))
     return rows
 
 
@@ -161,10 +174,10 @@ def _cloud_rows(cloud: Cloud, clearance: float, offset: int) -> FloatArray:
     """The nodes of a cloud's tree."""
     tree = cloud.tree
     rows = np.zeros((len(tree), _COLUMNS))
-    rows[:, 0] = np.where(tree[:, 2] == np.arange(len(tree)) + 1, LOT, NODE)  # what has nothing below it is a leaf
-    rows[:, 1] = cloud.rounding + clearance
-    rows[:, 2:5] = tree[:, 3:6]
-    rows[:, 5] = tree[:, 6] * (1.0 + 1e-12) + rows[:, 1]
-    rows[:, 6:8] = offset + 3 * tree[:, :2]
-    rows[:, 20] = tree[:, 2]
+    rows[:, KIND] = np.where(tree[:, 2] == np.arange(len(tree)) + 1, LOT, NODE)  # what has nothing below it is a leaf
+    rows[:, RADIUS] = cloud.rounding + clearance
+    rows[:, CENTRE:BOUND] = tree[:, 3:6]
+    rows[:, BOUND] = tree[:, 6] * (1.0 + 1e-12) + rows[:, RADIUS]
+    rows[:, POINTS : POINTS_END + 1] = offset + 3 * tree[:, :2]
+    rows[:, NEXT] = tree[:, 2]
     return rows

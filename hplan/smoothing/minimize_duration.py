@@ -1,4 +1,4 @@
-r"""The spline moved to where the motion along it is fastest.
+r"""Duration minimised over the control points of a spline.
 
 The shortest path is not the fastest: it turns sharply around obstacles, and where it turns the arm must slow down.
 Here the control points of the spline are moved, one joint at a time (pattern search), to lower an estimate of the
@@ -15,15 +15,17 @@ The estimate is the classic two-pass time-optimal parameterisation on a coarse g
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
-from hplan.base.arrays import FloatArray, IntArray, frozen
-from hplan.base.kernels import any_int, kernel
+from hplan.base.arrays import FloatArray, frozen
+from hplan.base.kernels import any_int, inlined, kernel
 from hplan.collision.clearance_field import ClearanceField
-from hplan.smoothing.options import PostprocessOptions
+from hplan.collision.clearance_kernels import FieldArrays
+from hplan.smoothing.options import JointArrays, PostprocessOptions
 from hplan.smoothing.push_clear import push_out
-from hplan.smoothing.spline import FIRST, STRIDE, SplinePath, bezier_piece, copy_into, pieces_are_clear
+from hplan.smoothing.spline import FIRST, STRIDE, MovableSpline, SplinePath, bezier_piece, copy_into, pieces_are_clear
 
 #: Points at which a piece's speed is estimated.
 _PER_PIECE = 8
@@ -47,19 +49,28 @@ def minimize_duration(
         A spline with the same ends, clear, and the estimate of its duration [s], no longer than before.
     """
     control = np.array(spline.control)
-    duration = _search(
-        control, spline.knots, field.chain, field.base, field.solids, field.data, options.lower, options.upper,
-        options.velocity, options.acceleration, options.movable, margin, options.trials,
-    )  # fmt: skip
+    moved = MovableSpline(control, spline.knots)
+    duration = _search(moved, field.arrays, options.joints, margin, options.trials)
     return SplinePath(frozen(control), spline.knots), float(duration)
 
 
-@kernel
-def _derivative_weights(knots: FloatArray, pieces: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Grid parameters, and how the first and second derivative there weigh a piece's four control points.
+class _Grid(NamedTuple):
+    """Where the duration is estimated: each inner end of a piece belongs to the piece after it.
 
-    Each inner end of a piece belongs to the piece after it.
+    Attributes:
+        parameter: (points,) path parameters.
+        first: (points, 4) weights of the piece's control points in the first derivative.
+        second: (points, 4) and in the second.
     """
+
+    parameter: FloatArray
+    first: FloatArray
+    second: FloatArray
+
+
+@kernel
+def _grid_of(knots: FloatArray, pieces: int) -> _Grid:
+    """The grid of a spline with these knots."""
     points = pieces * _PER_PIECE + 1
     grid, first, second = np.empty(points), np.empty((points, 4)), np.empty((points, 4))
     unit, piece = np.zeros((pieces + 3, 1)), np.empty((4, 1))
@@ -77,37 +88,29 @@ def _derivative_weights(knots: FloatArray, pieces: int) -> tuple[FloatArray, Flo
                 grid[row] = knots[i + 3] + t * width
                 first[row, c] = 3.0 * (u * u * a + 2.0 * u * t * b + t * t * d) / width
                 second[row, c] = 6.0 * (u * (b - a) + t * (d - b)) / (width * width)
-    return grid, first, second
+    return _Grid(grid, first, second)
 
 
 @kernel
-def _demands(
-    control: FloatArray,
-    low: int,
-    high: int,
-    first_weights: FloatArray,
-    second_weights: FloatArray,
-    velocity: FloatArray,
-    acceleration: FloatArray,
-    movable: IntArray,
-    demands: FloatArray,
-) -> None:
-    """What the limits demand at the grid points of pieces low to high.
+def _demands(control: FloatArray, low: int, high: int, grid: _Grid, joints: JointArrays, demands: FloatArray) -> None:
+    """Write what the limits demand at the grid points of pieces low to high.
 
     Written into the rows of `demands` are, with q' taken positive, push = a / q' and bend = q'' / q' for each movable
     joint, so that -push <= u + bend x <= push, and last the largest x at which some u remains.
     """
-    points, joints = demands.shape[0], len(movable)
+    _, first, second = grid
+    _, _, velocity, acceleration, movable = joints
+    points, count = demands.shape[0], len(movable)
     for row in range(low * _PER_PIECE, _rows_up_to(high, points)):
         demand = demands[row]
         i = min(row // _PER_PIECE, (points - 1) // _PER_PIECE - 1)
         cap = 1e12
-        for m in range(joints):
+        for m in range(count):
             j = movable[m]
             p, c = 0.0, 0.0
             for k in range(4):
-                p += first_weights[row, k] * control[i + k, j]
-                c += second_weights[row, k] * control[i + k, j]
+                p += first[row, k] * control[i + k, j]
+                c += second[row, k] * control[i + k, j]
             if p < 0.0:
                 p, c = -p, -c
             if p < 1e-6:
@@ -118,16 +121,16 @@ def _demands(
             inverse = 1.0 / p
             demand[2 * m], demand[2 * m + 1] = acceleration[j] * inverse, c * inverse
             cap = min(cap, (velocity[j] * inverse) ** 2)
-        for m in range(joints):
+        for m in range(count):
             for n in range(m):
                 gap = abs(demand[2 * m + 1] - demand[2 * n + 1])
                 both = demand[2 * m] + demand[2 * n]
                 if gap * cap > both:
                     cap = both / gap
-        demand[2 * joints] = cap
+        demand[2 * count] = cap
 
 
-@kernel
+@inlined
 def _rows_up_to(piece: int, points: int) -> int:
     """Grid points of the pieces up to one; the last piece has both its ends."""
     return points if piece == (points - 1) // _PER_PIECE - 1 else (piece + 1) * _PER_PIECE
@@ -167,35 +170,22 @@ def _duration(grid: FloatArray, demands: FloatArray, square: FloatArray) -> floa
 
 
 @kernel
-def _search(
-    control: FloatArray,
-    knots: FloatArray,
-    chain: FloatArray,
-    base: FloatArray,
-    solids: FloatArray,
-    data: FloatArray,
-    lower: FloatArray,
-    upper: FloatArray,
-    velocity: FloatArray,
-    acceleration: FloatArray,
-    movable: IntArray,
-    margin: float,
-    trials: int,
-) -> float:
+def _search(spline: MovableSpline, field: FieldArrays, joints: JointArrays, margin: float, trials: int) -> float:
     """Pattern search over the inner control points, each coordinate with a step of its own."""
+    control, (lower, upper, _, _, movable) = spline.control, joints
     count, dof = control.shape
     pieces = count - 3
-    grid, first, second = _derivative_weights(knots, pieces)
-    points = len(grid)
+    grid = _grid_of(spline.knots, pieces)
+    points = len(grid.parameter)
     demands, square = np.empty((points, 2 * len(movable) + 1)), np.empty(points)
     saved = np.empty((count, dof))
     step = np.empty((count, dof))
     for c in range(count):
         for j in range(dof):
             step[c, j] = 0.05
-    _demands(control, FIRST, pieces - 1, first, second, velocity, acceleration, movable, demands)
+    _demands(control, FIRST, pieces - 1, grid, joints, demands)
     kept = demands.copy()  # of the control points as they stand between moves
-    best = _duration(grid, demands, square)
+    best = _duration(grid.parameter, demands, square)
     tried = 0
     largest = 1.0
     paid = False
@@ -211,21 +201,17 @@ def _search(
             copy_into(saved, control)
             control[c, j] = min(upper[j], max(lower[j], control[c, j] + step[c, j]))
             tried += 1
-            _demands(control, low, high, first, second, velocity, acceleration, movable, demands)
-            value = _duration(grid, demands, square)
+            _demands(control, low, high, grid, joints, demands)
+            value = _duration(grid.parameter, demands, square)
             paid = value < best - 1e-7
-            if paid and not pieces_are_clear(control, knots, low, high, chain, base, solids, data, margin, STRIDE):
+            if paid and not pieces_are_clear(spline, low, high, field, margin, STRIDE):
                 # Slide along the obstacle: push the neighbours out, and see whether it still pays.
-                paid = push_out(
-                    control, knots, chain, base, solids, data, lower, upper, movable, margin, low, high, _SLIDES
-                )  # fmt: skip
+                paid = push_out(spline, low, high, field, joints, margin, _SLIDES)
                 low, high = max(0, c - 6), min(pieces - 1, c + 3)
                 if paid:
-                    _demands(control, low, high, first, second, velocity, acceleration, movable, demands)
-                    value = _duration(grid, demands, square)
-                    paid = value < best - 1e-7 and pieces_are_clear(
-                        control, knots, low, high, chain, base, solids, data, margin, STRIDE
-                    )
+                    _demands(control, low, high, grid, joints, demands)
+                    value = _duration(grid.parameter, demands, square)
+                    paid = value < best - 1e-7 and pieces_are_clear(spline, low, high, field, margin, STRIDE)
             if paid:
                 best = value
                 _copy_rows(kept, demands, low, high)
@@ -235,9 +221,9 @@ def _search(
                 _copy_rows(demands, kept, low, high)
                 step[c, j] *= -1.0 if move % 2 == 0 else -0.4
             largest = max(largest, abs(step[c, j]))
-        if not pieces_are_clear(control, knots, FIRST, pieces - 1, chain, base, solids, data, 0.5 * margin, 0.0):
+        if not pieces_are_clear(spline, FIRST, pieces - 1, field, 0.5 * margin, 0.0):
             copy_into(control, proven)
-            _demands(control, FIRST, pieces - 1, first, second, velocity, acceleration, movable, demands)
-            return float(_duration(grid, demands, square))
+            _demands(control, FIRST, pieces - 1, grid, joints, demands)
+            return float(_duration(grid.parameter, demands, square))
         copy_into(proven, control)
     return float(best)

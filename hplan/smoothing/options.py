@@ -1,15 +1,26 @@
-"""What post-processing has to respect, what it aims at, and how long it may try."""
+"""Limits, aim and effort of post-processing."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from functools import cached_property
+from typing import Literal, NamedTuple
 
 from hplan.base.arrays import FloatArray, IntArray
 
 #: What a path is made for.
 Objective = Literal["duration", "length"]
 OBJECTIVES: tuple[Objective, ...] = ("duration", "length")
+
+
+class JointArrays(NamedTuple):
+    """What kernels read of `PostprocessOptions`: limits of all joints, and which of them may move."""
+
+    lower: FloatArray
+    upper: FloatArray
+    velocity: FloatArray
+    acceleration: FloatArray
+    movable: IntArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,3 +50,8 @@ class PostprocessOptions:
     shortcuts: int = 200
     trials: int = 250
     taut_rounds: int = 45
+
+    @cached_property
+    def joints(self) -> JointArrays:
+        """What kernels are given."""
+        return JointArrays(self.lower, self.upper, self.velocity, self.acceleration, self.movable)

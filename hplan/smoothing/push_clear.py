@@ -13,18 +13,18 @@ import math
 import numpy as np
 
 from hplan.base.arrays import FloatArray, IntArray, frozen
-from hplan.base.kernels import any_int, kernel
+from hplan.base.kernels import any_int, inlined, kernel
 from hplan.base.polyline import stations
 from hplan.collision.clearance_field import ClearanceField
-from hplan.collision.clearance_kernels import link_clearances, smallest
-from hplan.smoothing.options import PostprocessOptions
-from hplan.smoothing.spline import FIRST, STRIDE, SplinePath, bezier_piece, copy_into, piece_is_clear
+from hplan.collision.clearance_kernels import FieldArrays, link_clearances, smallest
+from hplan.smoothing.options import JointArrays, PostprocessOptions
+from hplan.smoothing.spline import FIRST, STRIDE, MovableSpline, SplinePath, bezier_piece, copy_into, piece_is_clear
 
 #: Rounds of pushing, and after a round of smoothing.
 _ROUNDS, _PUSHES = any_int(40), any_int(6)
 
 #: Pushing is given up after so many rounds in which what is missing in clearance, over all pieces, did not shrink to
-#: this share of the least before.
+#: this part of the least before.
 _STALLED, _SHRUNK = 8, 0.9
 
 
@@ -47,12 +47,9 @@ def clear_spline(
     even = np.linspace(0.0, station[-1], count)
     control = np.column_stack([np.interp(even, station, path[:, joint]) for joint in range(path.shape[1])])
     control[0], control[-1] = path[0], path[-1]
-    knots = SplinePath.through(control).knots
-    pushed = push_out(
-        control, knots, field.chain, field.base, field.solids, field.data, options.lower, options.upper,
-        options.movable, margin, 0, count - 4, _ROUNDS,
-    )  # fmt: skip
-    spline = SplinePath(frozen(control), knots)
+    moved = MovableSpline(control, SplinePath.through(control).knots)
+    pushed = push_out(moved, 0, count - 4, field.arrays, options.joints, margin, _ROUNDS)
+    spline = SplinePath(frozen(control), moved.knots)
     return spline if pushed and spline.is_clear(field, 0.5 * margin) else None
 
 
@@ -72,74 +69,73 @@ def tighten(
         The clear spline with the shortest control polygon found, with the same ends and knots.
     """
     control = np.array(spline.control)
-    _tighten(
-        control, spline.knots, field.chain, field.base, field.solids, field.data, options.lower, options.upper,
-        options.movable, margin, rounds,
-    )  # fmt: skip
+    _tighten(MovableSpline(control, spline.knots), field.arrays, options.joints, margin, rounds)
     taut = SplinePath(frozen(control), spline.knots)
     return taut if taut.is_clear(field, 0.5 * margin) else spline
 
 
+@inlined
+def _worst_point(piece: FloatArray, field: FieldArrays, movable: IntArray, gradient: FloatArray) -> tuple[float, float]:
+    """Least clearance at samples of a Bezier piece, the parameter there, and, written, its gradient in the joints."""
+    dof = piece.shape[1]
+    q, worst, clear = np.empty(dof), np.empty(dof), np.empty(field.chain.shape[0])
+    least, at = math.inf, 0.0
+    for sample in range(17):
+        t = sample / 16.0
+        u = 1.0 - t
+        w0, w1, w2, w3 = u * u * u, 3.0 * u * u * t, 3.0 * u * t * t, t * t * t
+        for k in range(dof):
+            q[k] = w0 * piece[0, k] + w1 * piece[1, k] + w2 * piece[2, k] + w3 * piece[3, k]
+        link_clearances(q, field, clear)
+        here = smallest(clear)
+        if here < least:
+            least, at = here, t
+            for k in range(dof):
+                worst[k] = q[k]
+    for k in range(dof):
+        q[k] = worst[k]
+    for j in movable:
+        q[j] = worst[j] + 1e-4
+        link_clearances(q, field, clear)
+        ahead = smallest(clear)
+        q[j] = worst[j] - 1e-4
+        link_clearances(q, field, clear)
+        gradient[j] = (ahead - smallest(clear)) / 2e-4
+        q[j] = worst[j]
+    return least, at
+
+
 @kernel
 def push_out(
-    control: FloatArray,
-    knots: FloatArray,
-    chain: FloatArray,
-    base: FloatArray,
-    solids: FloatArray,
-    data: FloatArray,
-    lower: FloatArray,
-    upper: FloatArray,
-    movable: IntArray,
-    margin: float,
+    spline: MovableSpline,
     first_piece: int,
     last_piece: int,
+    field: FieldArrays,
+    joints: JointArrays,
+    margin: float,
     rounds: int,
 ) -> bool:
     """Move control points along the gradient of the clearance until the pieces named seem clear."""
+    control, knots = spline
     count, dof = control.shape
-    links = chain.shape[0]
-    piece, q, clear = np.empty((4, dof)), np.empty(dof), np.empty(links)
-    worst, gradient = np.empty(dof), np.empty(dof)
-    weight = np.empty(4)
+    lower, upper, movable = joints.lower, joints.upper, joints.movable
+    piece, gradient, weight = np.empty((4, dof)), np.empty(dof), np.empty(4)
     lowest, since = math.inf, 0
     for _ in range(rounds):
         contact, missing = False, 0.0
         for i in range(first_piece, last_piece + 1):
             bezier_piece(control, knots, i + 3, piece)
-            if piece_is_clear(piece, chain, base, solids, data, margin, STRIDE):
+            if piece_is_clear(piece, field, margin, STRIDE):
                 continue
             contact = True
-            # First samples of the piece for its worst point, then central differences there for the gradient.
-            least, at, square, ahead = math.inf, 0.0, 0.0, 0.0
-            for probe in range(17 + 2 * len(movable)):
-                t = probe / 16.0
-                u = 1.0 - t
-                w0, w1, w2, w3 = u * u * u, 3.0 * u * u * t, 3.0 * u * t * t, t * t * t
-                j = movable[(probe - 17) // 2] if probe >= 17 else -1
-                for k in range(dof):
-                    if probe < 17:
-                        q[k] = w0 * piece[0, k] + w1 * piece[1, k] + w2 * piece[2, k] + w3 * piece[3, k]
-                    else:
-                        q[k] = worst[k]
-                if j >= 0:
-                    q[j] += 1e-4 if probe % 2 == 1 else -1e-4
-                link_clearances(q, chain, base, solids, data, clear)
-                here = smallest(clear)
-                if j >= 0:
-                    if probe % 2 == 1:
-                        ahead = here
-                    else:
-                        gradient[j] = (ahead - here) / 2e-4
-                        square += gradient[j] * gradient[j]
-                elif here < least:
-                    least, at = here, t
-                    for k in range(dof):
-                        worst[k] = q[k]
+            least, at = _worst_point(piece, field, movable, gradient)
+            square = 0.0
+            for j in movable:
+                square += gradient[j] * gradient[j]
             if square < 1e-8:
                 return False
             missing += margin - least
-            # Share the step among the four control points about as they weigh on the curve there.
+            # The step is divided among the four control points about as they weigh on the curve there.
             u = 1.0 - at
             weight[0] = u * u * u / 6.0
             weight[3] = at * at * at / 6.0
@@ -168,32 +164,17 @@ def push_out(
 
 
 @kernel
-def _tighten(
-    control: FloatArray,
-    knots: FloatArray,
-    chain: FloatArray,
-    base: FloatArray,
-    solids: FloatArray,
-    data: FloatArray,
-    lower: FloatArray,
-    upper: FloatArray,
-    movable: IntArray,
-    margin: float,
-    rounds: int,
-) -> None:
-    """Smooth and push in turn; `control` is left as the shortest that kept the margin at its samples."""
-    count = control.shape[0]
+def _tighten(spline: MovableSpline, field: FieldArrays, joints: JointArrays, margin: float, rounds: int) -> None:
+    """Smooth and push in turn; the control points are left as the shortest that kept the margin at their samples."""
+    control, count = spline.control, spline.control.shape[0]
     best, before = control.copy(), control.copy()
     shortest = _polygon_length(control)
     for _ in range(rounds):
         copy_into(before, control)
         for i in range(1, count - 1):
-            for j in movable:
+            for j in joints.movable:
                 control[i, j] = 0.5 * (before[i - 1, j] + before[i + 1, j])
-        clear = push_out(
-            control, knots, chain, base, solids, data, lower, upper, movable, margin, FIRST, count - 4, _PUSHES
-        )  # fmt: skip
-        if clear:
+        if push_out(spline, FIRST, count - 4, field, joints, margin, _PUSHES):
             length = _polygon_length(control)
             if length < shortest:
                 shortest = length

@@ -14,7 +14,7 @@ import numpy as np
 from hplan.base.arrays import FloatArray, frozen
 from hplan.base.kernels import kernel
 from hplan.collision.clearance_field import ClearanceField
-from hplan.collision.clearance_kernels import segment_is_clear
+from hplan.collision.clearance_kernels import FieldArrays, segment_is_clear
 
 #: Waypoints nearer than this to each other are one [rad].
 _MERGE = 1e-9
@@ -46,14 +46,11 @@ def shorten(path: FloatArray, field: ClearanceField, *, margin: float, rounds: i
     path = without_twins(path)
     if len(path) < 3:
         return frozen(np.array(path))
-    taut = _skip_visible(path, field.chain, field.base, field.solids, field.data, margin)
-    return frozen(_shortcut(taut, field.chain, field.base, field.solids, field.data, margin, rounds))
+    return frozen(_shortcut(_skip_visible(path, field.arrays, margin), field.arrays, margin, rounds))
 
 
 @kernel
-def _skip_visible(
-    path: FloatArray, chain: FloatArray, base: FloatArray, solids: FloatArray, data: FloatArray, margin: float
-) -> FloatArray:
+def _skip_visible(path: FloatArray, field: FieldArrays, margin: float) -> FloatArray:
     """Keep only waypoints that are needed: from each, go to the farthest that galloping and bisection find clear."""
     kept = [0]
     last = path.shape[0] - 1
@@ -62,20 +59,20 @@ def _skip_visible(
         clear_to, stride = here + 1, 2
         blocked = last + 1
         while here + stride <= last:
-            if segment_is_clear(path[here], path[here + stride], chain, base, solids, data, margin):
+            if segment_is_clear(path[here], path[here + stride], field, margin):
                 clear_to = here + stride
                 stride *= 2
             else:
                 blocked = here + stride
                 break
         if blocked > last and clear_to < last:
-            if segment_is_clear(path[here], path[last], chain, base, solids, data, margin):
+            if segment_is_clear(path[here], path[last], field, margin):
                 clear_to = last
             else:
                 blocked = last
         while blocked - clear_to > 1 and clear_to < last:
             middle = (clear_to + blocked) // 2
-            if segment_is_clear(path[here], path[middle], chain, base, solids, data, margin):
+            if segment_is_clear(path[here], path[middle], field, margin):
                 clear_to = middle
             else:
                 blocked = middle
@@ -103,9 +100,9 @@ def _place(path: FloatArray, station: FloatArray, at: float, point: FloatArray) 
     i = 0
     while i < path.shape[0] - 2 and station[i + 1] <= at:
         i += 1
-    share = (at - station[i]) / (station[i + 1] - station[i])
+    fraction = (at - station[i]) / (station[i + 1] - station[i])
     for joint in range(path.shape[1]):
-        point[joint] = path[i, joint] + share * (path[i + 1, joint] - path[i, joint])
+        point[joint] = path[i, joint] + fraction * (path[i + 1, joint] - path[i, joint])
     return i
 
 
@@ -130,15 +127,7 @@ def _join(path: FloatArray, i: int, bypass: FloatArray, inner: int, j: int) -> F
 
 
 @kernel
-def _shortcut(
-    path: FloatArray,
-    chain: FloatArray,
-    base: FloatArray,
-    solids: FloatArray,
-    data: FloatArray,
-    margin: float,
-    rounds: int,
-) -> FloatArray:
+def _shortcut(path: FloatArray, field: FieldArrays, margin: float, rounds: int) -> FloatArray:
     """Try shortcuts between pairs of points of a low-discrepancy sequence."""
     dof = path.shape[1]
     for attempt in range(rounds):
@@ -166,10 +155,10 @@ def _shortcut(
             bypass[inner + 1, k] = bypass[1, k]
         for m in range(inner):
             # The other joints keep their motion; this one goes straight along the stations.
-            share = (station[i + 1 + m] - low) / (high - low)
+            fraction = (station[i + 1 + m] - low) / (high - low)
             for k in range(dof):
                 bypass[1 + m, k] = path[i + 1 + m, k]
-            bypass[1 + m, joint] = bypass[0, joint] + share * (bypass[inner + 1, joint] - bypass[0, joint])
+            bypass[1 + m, joint] = bypass[0, joint] + fraction * (bypass[inner + 1, joint] - bypass[0, joint])
         length = 0.0
         for m in range(inner + 1):
             length += _distance(bypass, m + 1, bypass, m)
@@ -177,7 +166,7 @@ def _shortcut(
             continue
         clear = True
         for m in range(inner + 1):
-            if not segment_is_clear(bypass[m], bypass[m + 1], chain, base, solids, data, margin):
+            if not segment_is_clear(bypass[m], bypass[m + 1], field, margin):
                 clear = False
                 break
         if clear:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,7 +18,7 @@ from hplan.base.arrays import BoolArray, FloatArray, Record, frozen, readonly
 from hplan.base.kernels import any_int, kernel
 from hplan.base.polyline import curve_length, stations
 from hplan.collision.clearance_field import ClearanceField
-from hplan.collision.clearance_kernels import link_clearances, proven_advance
+from hplan.collision.clearance_kernels import FieldArrays, link_clearances, proven_advance
 from hplan.errors import InputError
 
 #: Longest step along a piece with which an optimiser looks for contact before the proof.
@@ -94,20 +95,29 @@ class SplinePath(Record):
     @cached_property
     def length(self) -> float:
         """Joint-space length, by Gauss-Legendre quadrature on `PANELS` panels of each piece."""
-        share = np.arange(PANELS) / PANELS
-        inner = self.breaks[:-1, None] + share * np.diff(self.breaks)[:, None]
+        starts = np.arange(PANELS) / PANELS
+        inner = self.breaks[:-1, None] + starts * np.diff(self.breaks)[:, None]
         panels = np.append(inner.ravel(), self.breaks[-1])
         return curve_length(lambda s: np.linalg.norm(self.evaluate(s, 1), axis=-1), panels)
 
     def is_clear(self, field: ClearanceField, margin: float) -> bool:
-        """Whether the whole path is shown clear; `margin` [m] is asked for wherever it is evaluated."""
+        """True if the whole path is shown clear; `margin` [m] is asked for wherever it is evaluated."""
         return bool(np.isfinite(self.control).all()) and not first_contact(self.pieces, field, margin).any()
 
 
 def first_contact(pieces: FloatArray, field: ClearanceField, margin: float) -> BoolArray:
     """(pieces,) True for each Bezier piece that is not shown clear."""
-    arrays = field.chain, field.base, field.solids, field.data
-    return np.array([not piece_is_clear(piece, *arrays, margin, 0.0) for piece in np.array(pieces)])
+    return np.array([not piece_is_clear(piece, field.arrays, margin, 0.0) for piece in np.array(pieces)])
+
+
+class MovableSpline(NamedTuple):
+    """A spline whose control points, (n, dof), an optimiser moves; its knots stay.
+
+    Its piece `i` depends on the control points `i` to `i + 3`.
+    """
+
+    control: FloatArray
+    knots: FloatArray
 
 
 @kernel
@@ -207,29 +217,21 @@ def piece_bounds(piece: FloatArray, chain: FloatArray, base: FloatArray, result:
 
 
 @kernel
-def piece_is_clear(
-    piece: FloatArray,
-    chain: FloatArray,
-    base: FloatArray,
-    solids: FloatArray,
-    data: FloatArray,
-    margin: float,
-    stride: float = 0.0,
-) -> bool:
+def piece_is_clear(piece: FloatArray, field: FieldArrays, margin: float, stride: float) -> bool:
     """Conservative advancement along a Bezier piece; `margin` is asked for wherever it is evaluated.
 
-    With a `stride` the steps are never shorter than that: no proof then near contact, but cheap, for optimisers.
+    With a `stride` above 0 no step is shorter than that: no proof then near contact, but cheap, for optimisers.
     """
-    links, dof = chain.shape[0], piece.shape[1]
+    links, dof = field.chain.shape[0], piece.shape[1]
     bounds, clear, q = np.empty(links), np.empty(links), np.empty(dof)
-    piece_bounds(piece, chain, base, bounds)
+    piece_bounds(piece, field.chain, field.base, bounds)
     t = 0.0
     while True:
         u = 1.0 - t
         w0, w1, w2, w3 = u * u * u, 3.0 * u * u * t, 3.0 * u * t * t, t * t * t
         for i in range(dof):
             q[i] = w0 * piece[0, i] + w1 * piece[1, i] + w2 * piece[2, i] + w3 * piece[3, i]
-        link_clearances(q, chain, base, solids, data, clear)
+        link_clearances(q, field, clear)
         advance = proven_advance(clear, bounds, margin)
         if advance < 0.0:
             return False
@@ -240,21 +242,13 @@ def piece_is_clear(
 
 @kernel
 def pieces_are_clear(
-    control: FloatArray,
-    knots: FloatArray,
-    low: int,
-    high: int,
-    chain: FloatArray,
-    base: FloatArray,
-    solids: FloatArray,
-    data: FloatArray,
-    margin: float,
-    stride: float,
+    spline: MovableSpline, low: int, high: int, field: FieldArrays, margin: float, stride: float
 ) -> bool:
-    """Whether pieces low to high are clear in the sense of `piece_is_clear`."""
+    """True if pieces low to high are clear in the sense of `piece_is_clear`."""
+    control, knots = spline
     piece = np.empty((4, control.shape[1]))
     for i in range(low, high + 1):
         bezier_piece(control, knots, i + 3, piece)
-        if not piece_is_clear(piece, chain, base, solids, data, margin, stride):
+        if not piece_is_clear(piece, field, margin, stride):
             return False
     return True

@@ -61,7 +61,7 @@ def segment_to_box(a, u, half):
 @example((0, 0, 0), (1, 0, 0), (0.5, -1, 0), (0, 2, 0))
 def test_segment_to_segment(a, u, b, v):
     expected = segment_to_segment(*(np.array(x, dtype=float) for x in (a, u, b, v)))
-    assert segment_segment(*(float(x) for x in (*a, *u, *b, *v))) == pytest.approx(expected, abs=1e-7)
+    assert segment_segment(*(tuple(map(float, x)) for x in (a, u, b, v))) == pytest.approx(expected, abs=1e-7)
 
 
 @pytest.mark.parametrize("angle", [0.0, 1e-12, 1e-9, 1e-7, 1e-6, 1e-5, 1e-3])
@@ -74,7 +74,9 @@ def test_nearly_parallel_segments(angle):
         v = rng.uniform(-2, 2) * (u + angle * turn)
         a, b = np.zeros(3), rng.uniform(-1, 2) * u + rng.choice([0.0, 0.3]) * np.cross(u, turn) / (turn @ turn) ** 0.5
         expected = segment_to_segment(a, u, b, v)
-        assert segment_segment(*a, *u, *b, *v) == pytest.approx(expected, abs=2e-5 if angle else 1e-9)
+        assert segment_segment(*(tuple(x.tolist()) for x in (a, u, b, v))) == pytest.approx(
+            expected, abs=2e-5 if angle else 1e-9
+        )
 
 
 @settings(max_examples=300)
@@ -86,4 +88,4 @@ def test_nearly_parallel_segments(angle):
 @example((2, 2, 2), (0, 0, 0), (1, 1, 1))
 def test_segment_to_box(a, u, half):
     expected = segment_to_box(*(np.array(x, dtype=float) for x in (a, u, half)))
-    assert segment_box(*(float(x) for x in (*a, *u, *half))) == pytest.approx(expected, abs=1e-7)
+    assert segment_box(*(tuple(map(float, x)) for x in (a, u, half))) == pytest.approx(expected, abs=1e-7)

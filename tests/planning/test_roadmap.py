@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hplan.base.arrays import FloatArray
-from hplan.planning.roadmap import ASIDE_S, BRIEF, CORNER_S, FARTHEST, WIDE, low_discrepancy, quick_path
+from hplan.planning.roadmap import BEYOND_S, BRIEF, CORNER_S, FARTHEST, WIDE, low_discrepancy, quick_path
 from hplan.problem.definition import Problem, check_problem
 from hplan.problem.world import World
 from hplan.robot.model import Robot
@@ -68,9 +68,9 @@ def test_clear_and_no_slower_than_by_one_configuration(robot: Robot, seed: int, 
     way = quick_path(problem, world.field, robot.velocity_limit, MARGIN)
     # All ways by one of the points, one after the other.
     span = float((np.abs(GOAL - START) / robot.velocity_limit).max())
-    aside = np.minimum(robot.velocity_limit * max(BRIEF.aside * span, ASIDE_S), FARTHEST)
-    lower = np.maximum(np.minimum(START, GOAL) - aside, problem.lower)
-    upper = np.minimum(np.maximum(START, GOAL) + aside, problem.upper)
+    beyond = np.minimum(robot.velocity_limit * max(BRIEF.beyond * span, BEYOND_S), FARTHEST)
+    lower = np.maximum(np.minimum(START, GOAL) - beyond, problem.lower)
+    upper = np.minimum(np.maximum(START, GOAL) + beyond, problem.upper)
     points = lower + low_discrepancy(BRIEF.points, 4) * (upper - lower)
     single = [np.stack([START, point, GOAL]) for point in points] + [np.stack([START, GOAL])]
     clear = [lasting(robot, one) for one in single if world.field.is_clear(one, MARGIN)]
@@ -108,11 +108,11 @@ def test_only_ways_that_are_quick_enough(robot: Robot) -> None:
 def test_none_where_the_goal_is_shut_in(robot: Robot) -> None:
     """x."""
     ahead = np.array([math.cos(GOAL[0]), math.sin(GOAL[0]), 0.0])
-    aside = np.array([-ahead[1], ahead[0], 0.0])
+    beyond = np.array([-ahead[1], ahead[0], 0.0])
     plates = [
         Box(
             name=f"plate {side}",
-            center=tuple((0.9 * ahead + side * 0.25 * aside + [0.0, 0.0, 1.2]).tolist()),
+            center=tuple((0.9 * ahead + side * 0.25 * beyond + [0.0, 0.0, 1.2]).tolist()),
             size=(1.0, 0.02, 4.0),
             rpy_deg=(0.0, 0.0, math.degrees(GOAL[0])),
         )

@@ -11,7 +11,15 @@ from hypothesis import strategies as st
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.coal_scene import CoalScene
 from hplan.scene.obstacles import Sphere
-from hplan.smoothing.spline import STRIDE, SplinePath, first_contact, piece_bounds, piece_is_clear, pieces_are_clear
+from hplan.smoothing.spline import (
+    STRIDE,
+    MovableSpline,
+    SplinePath,
+    first_contact,
+    piece_bounds,
+    piece_is_clear,
+    pieces_are_clear,
+)
 
 
 @st.composite
@@ -170,14 +178,14 @@ def test_no_piece_in_contact_is_accepted_and_few_others_refused(robot):
             piece = rng.uniform(robot.lower, robot.upper) + np.cumsum(rng.uniform(-0.2, 0.2, (4, 4)), axis=0)
             if field.clearance(piece[0]) <= 0.0 or not -0.05 < field.clearance(bezier(piece, [0.5])[0]) < 0.2:
                 continue
-            chain = (field.chain, field.base, field.solids, field.data)
+            arrays = field.arrays
             least = min(checker.distances(q).min() for q in bezier(piece, np.linspace(0.0, 1.0, 200)))
             bounds = np.empty(3)
             piece_bounds(piece, field.chain, field.base, bounds)
-            if piece_is_clear(piece, *chain, margin, 0.0):
+            if piece_is_clear(piece, arrays, margin, 0.0):
                 accepted += 1
                 assert least >= 0.5 * margin
-                assert piece_is_clear(piece, *chain, margin, STRIDE)  # fewer looks find no more
+                assert piece_is_clear(piece, arrays, margin, STRIDE)  # fewer looks find no more
             else:
                 refused += 1
                 assert least < margin + bounds.max() / 398
@@ -194,9 +202,9 @@ def test_contact_of_a_piece_for_a_moment_is_refused(robot):
                 reach = 2.2 + 0.03 + 0.001 + gap
                 bead = Sphere(name="bead", center=(reach * np.cos(at), 0, 0.6 + reach * np.sin(at)), radius=0.001)
                 field = ClearanceField.of(robot, [bead])
-                chain = (field.chain, field.base, field.solids, field.data)
-                assert piece_is_clear(piece, *chain, 0.5e-4, 0.0) is clear
-                assert piece_is_clear(np.ascontiguousarray(piece[::-1]), *chain, 0.5e-4, 0.0) is clear
+                arrays = field.arrays
+                assert piece_is_clear(piece, arrays, 0.5e-4, 0.0) is clear
+                assert piece_is_clear(np.ascontiguousarray(piece[::-1]), arrays, 0.5e-4, 0.0) is clear
 
 
 def test_the_piece_in_contact_is_named(robot, scene):
@@ -211,11 +219,12 @@ def test_the_piece_in_contact_is_named(robot, scene):
     assert found.tolist() == expected
     assert 0 < sum(expected) < len(expected)
     assert not path.is_clear(field, 1e-6)
-    chain = (field.chain, field.base, field.solids, field.data)
+    arrays = field.arrays
     first = expected.index(True)
-    assert pieces_are_clear(path.control, path.knots, 0, first - 1, *chain, 1e-6, 0.0)
-    assert not pieces_are_clear(path.control, path.knots, 0, first, *chain, 1e-6, 0.0)
-    assert not pieces_are_clear(path.control, path.knots, first, len(expected) - 1, *chain, 1e-6, 0.0)
+    spline = MovableSpline(path.control, path.knots)
+    assert pieces_are_clear(spline, 0, first - 1, arrays, 1e-6, 0.0)
+    assert not pieces_are_clear(spline, 0, first, arrays, 1e-6, 0.0)
+    assert not pieces_are_clear(spline, first, len(expected) - 1, arrays, 1e-6, 0.0)
 
 
 def test_spline_that_is_not_a_number_is_not_clear(robot, scene):

@@ -15,7 +15,7 @@ from studies.benchmark.paths import PeerTask
 from hplan.base.arrays import FloatArray
 from hplan.base.kernels import kernel
 from hplan.collision.clearance_field import ClearanceField
-from hplan.collision.clearance_kernels import link_clearances, segment_is_clear
+from hplan.collision.clearance_kernels import FieldArrays, link_clearances, segment_is_clear
 from hplan.robot.model import Robot
 
 #: How long a planner may take to find a path, and again to simplify it [s].
@@ -160,9 +160,7 @@ class _Calls:
         field, axes = self._field, range(self._count)
         ends = [first[i] for i in axes], [second[i] for i in axes]
         self._a[self._joints], self._b[self._joints] = ends
-        clear = bool(
-            segment_is_clear(self._a, self._b, field.chain, field.base, field.solids, field.data, self._margin)
-        )
+        clear = bool(segment_is_clear(self._a, self._b, field.arrays, self._margin))
         self._motions.extend(ends[0])
         self._motions.extend(ends[1])
         self.seconds += time.perf_counter() - begin
@@ -174,7 +172,7 @@ class _Calls:
         field = self._field
         values = [state[i] for i in range(self._count)]
         self._a[self._joints] = values
-        link_clearances(self._a, field.chain, field.base, field.solids, field.data, self._clear)
+        link_clearances(self._a, field.arrays, self._clear)
         clear = bool(self._clear.min() >= self._margin)
         self._states.extend(values)
         self.seconds += time.perf_counter() - begin
@@ -185,8 +183,8 @@ class _Calls:
         motions = self._whole(self._motions).reshape(-1, 2, len(self._template))
         states = self._whole(self._states)
         field = self._field
-        _ask(motions[:0], states[:0], field.chain, field.base, field.solids, field.data, self._margin)  # loads it
-        return timed(lambda: _ask(motions, states, field.chain, field.base, field.solids, field.data, self._margin))[1]
+        _ask(motions[:0], states[:0], field.arrays, self._margin)  # loads it
+        return timed(lambda: _ask(motions, states, field.arrays, self._margin))[1]
 
     def _whole(self, values: array[float]) -> FloatArray:
         """(n, dof) configurations of the values of the joints that move."""
@@ -197,20 +195,12 @@ class _Calls:
 
 
 @kernel
-def _ask(
-    motions: FloatArray,
-    states: FloatArray,
-    chain: FloatArray,
-    base: FloatArray,
-    solids: FloatArray,
-    data: FloatArray,
-    margin: float,
-) -> int:
+def _ask(motions: FloatArray, states: FloatArray, field: FieldArrays, margin: float) -> int:
     count = 0
-    result = np.empty(chain.shape[0])
+    result = np.empty(field.chain.shape[0])
     for i in range(motions.shape[0]):
-        count += segment_is_clear(motions[i, 0], motions[i, 1], chain, base, solids, data, margin)
+        count += segment_is_clear(motions[i, 0], motions[i, 1], field, margin)
     for i in range(states.shape[0]):
-        link_clearances(states[i], chain, base, solids, data, result)
+        link_clearances(states[i], field, result)
         count += result.min() >= margin
     return count

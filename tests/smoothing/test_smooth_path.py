@@ -325,13 +325,11 @@ def test_estimate_is_that_of_the_spline_returned(field, grid_path, options, coun
 def test_largest_speeds_at_which_all_joints_can_accelerate(options, seed):
     """Against linear programs: the largest x with |q' u + q'' x| <= a for some u, and |q'|^2 x <= v^2."""
     control = np.random.default_rng(seed).uniform(-1.0, 1.0, (9, 4))
-    movable = np.arange(4)
-    spline = SplinePath.through(control)
-    _, first, second = fast._derivative_weights(spline.knots, 6)
-    demands = np.empty((len(first), 9))
+    grid = fast._grid_of(SplinePath.through(control).knots, 6)
+    demands = np.empty((len(grid.first), 9))
     velocity = 100.0 * options.velocity  # where joints disagree, not how fast each of them is
-    fast._demands(control, 0, 5, first, second, velocity, options.acceleration, movable, demands)
-    for row, (weights, bends) in enumerate(zip(first, second, strict=True)):
+    fast._demands(control, 0, 5, grid, replace(options, velocity=velocity, movable=np.arange(4)).joints, demands)
+    for row, (weights, bends) in enumerate(zip(grid.first, grid.second, strict=True)):
         piece = min(row // 8, 5)
         p, c = weights @ control[piece : piece + 4], bends @ control[piece : piece + 4]
         sides = np.stack([p, c], axis=1)

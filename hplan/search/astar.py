@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hplan.base.arrays import FloatArray, IntArray, ShortArray, frozen
+from hplan.base.arrays import FloatArray, IntArray, frozen
 from hplan.base.kernels import inlined, kernel
 from hplan.search.bits import lowest_bit, popcount
 from hplan.search.grid import Occupancy, checked_node
@@ -272,24 +272,13 @@ def _astar(
                 place[other] = neighbour * bit_count + there
                 ahead = _ahead(row_coordinates, step, neighbour, there, goal, octile, bounds)
                 size = push(keys, entries, slot, size, priority(new, ahead, scale), other)
-    path = _path_to(found, parent, place, bit_count, row_coordinates)
-    return path, cost[found] if found >= 0 else np.inf, expansions
-
-
-@kernel
-def _path_to(found: int, parent: ShortArray, place: IntArray, bit_count: int, row_coordinates: IntArray) -> IntArray:
-    """Node indices from the start to the node `found`, (m, d); none for -1."""
-    length = 0
-    node = found
+    length, node = 0, found
     while node >= 0:
-        node = parent[node]
-        length += 1
-    axes = row_coordinates.shape[1]
+        length, node = length + 1, parent[node]
+    axes, node = len(step) - 1, found
     path = np.empty((length, axes + 1), dtype=np.int64)
-    node = found
     for i in range(length - 1, -1, -1):
         for axis in range(axes):
             path[i, axis] = row_coordinates[place[node] // bit_count, axis]
-        path[i, axes] = place[node] % bit_count
-        node = parent[node]
-    return path
+        path[i, axes], node = place[node] % bit_count, parent[node]
+    return path, cost[found] if found >= 0 else np.inf, expansions

@@ -102,7 +102,7 @@ def with_others(direct: DirectPaths, other_rows: IntArray, other_begins: IntArra
     Returns:
         The rows of all paths, slice after slice, and where each slice's path begins in them.
     """
-    onward, first = direct.onward, direct.first
+    first, start, diagonal, straight, onward, _, _ = direct
     length, count = onward.shape[0] + onward.shape[1] - 1, len(other_begins) - 1
     begins = np.zeros(count + 1, dtype=np.int64)
     for k in range(count):
@@ -116,11 +116,11 @@ def with_others(direct: DirectPaths, other_rows: IntArray, other_begins: IntArra
             for i in range(begins[k + 1] - begins[k]):
                 rows[begins[k] + i] = other_rows[other_begins[k] + i]
             continue
-        row, d = direct.start, 0
+        row, d = start, 0
         for i in range(length):
             rows[begins[k] + i] = row
             if d < onward.shape[0] - 1 and onward[d + 1, i - d, word] & bit:
-                row, d = row + direct.diagonal, d + 1
+                row, d = row + diagonal, d + 1
             else:
-                row += direct.straight
+                row += straight
     return rows, begins

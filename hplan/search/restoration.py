@@ -83,21 +83,23 @@ def _restore(
         if previous < k - 1:
             for head in (True, False):
                 if previous >= 0 or head != descending:
-                    _carry(free, path, range(first + k - 1, first + previous, -1), head, union, restored)
+                    _carry(free, path, first + k - 1, first + previous, head, union, restored)
                 if previous >= 0:
                     before = path_rows[begins[previous] : begins[previous + 1]]
-                    _carry(free, before, range(first + previous + 1, first + k, 1), head, union, restored)
+                    _carry(free, before, first + previous + 1, first + k, head, union, restored)
         previous = k
     if previous >= 0:
         path = path_rows[begins[previous] : begins[previous + 1]]
-        _carry(free, path, range(first + previous + 1, first + count, 1), descending, union, restored)
+        _carry(free, path, first + previous + 1, first + count, descending, union, restored)
 
 
 @kernel
-def _carry(free: WordArray, path: IntArray, slices: range, head: bool, union: WordArray, restored: BoolArray) -> None:
-    """Carry a path's head (or tail) from slice to slice, cut before the first contact in each."""
+def _carry(
+    free: WordArray, path: IntArray, begin: int, end: int, head: bool, union: WordArray, restored: BoolArray
+) -> None:
+    """Carry a path's head (or tail) from slice `begin` on until `end`, cut before the first contact in each."""
     kept = len(path)
-    for number in slices:
+    for number in range(begin, end, 1 if end >= begin else -1):
         word, bit = number >> 6, np.uint64(1) << np.uint64(number & 63)
         for i in range(kept):
             row = path[i] if head else path[len(path) - 1 - i]

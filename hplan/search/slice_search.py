@@ -111,7 +111,8 @@ def search_slices(
             inside, more = flood_slices(lattice, free, start_row, mask)
             flooded += more
             left &= bits_of(inside[goal_row])
-    parts = [found.get(number, np.empty(0, dtype=np.int64)) for number in slices]
+    none = np.empty(0, dtype=np.int64)
+    parts = [found.get(number, none) for number in slices]
     begins = np.concatenate([[0], np.cumsum([len(part) for part in parts])])
     return SlicePaths(lattice, slices[0], frozen(np.concatenate(parts)), frozen(begins), expansions, flooded)
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -64,7 +64,7 @@ class Lattice(Record):
         """
         return _lattice(shape, step.tobytes())
 
-    @property
+    @cached_property
     def arrays(self) -> LatticeArrays:
         """Its arrays for the kernels."""
         return LatticeArrays(self.row_offsets, self.move_costs, self.row_coordinates, self.step)

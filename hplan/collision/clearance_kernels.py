@@ -21,9 +21,11 @@ from typing import NamedTuple
 import numpy as np
 
 from hplan.base.arrays import BoolArray, FloatArray
-from hplan.base.kernels import inlined, kernel
+from hplan.base.kernels import any_int, inlined, kernel
 from hplan.collision import obstacle_rows as row
 from hplan.collision.distances import Vector, point_segment, segment_box, segment_hull, segment_segment
+
+_FIRST_ROW = any_int(0)
 
 
 class FieldArrays(NamedTuple):
@@ -112,7 +114,7 @@ def link_clearances(q: FloatArray, field: FieldArrays, result: FloatArray) -> No
         mx, my, mz = x + 0.5 * ux, y + 0.5 * uy, z + 0.5 * uz
         half_length = 0.5 * chain[k, 0]
         least = math.inf
-        following = 0
+        following = _FIRST_ROW
         while following < solids.shape[0]:
             s = following
             cx, cy, cz = solids[s, row.CENTRE], solids[s, row.CENTRE + 1], solids[s, row.CENTRE + 2]

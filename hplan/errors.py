@@ -82,7 +82,8 @@ class RobotFileError(InputError):
 
     def __init__(self, path: Path | str, reason: str) -> None:
         """Name the file and what is wrong with it."""
-        super().__init__(f"robot file {path}: {reason}", path=str(path), reason=reason)
+        place = path if str(path) == "URDF text" else f"robot file {path}"
+        super().__init__(f"{place}: {reason}", path=str(path), reason=reason)
         self.path = Path(path)
 
 
@@ -344,3 +345,19 @@ class CertificationError(HplanError):
     """A motion whose safety could not be proved; `data` says where and by how much."""
 
     exit_status = 5
+
+
+class NotFoundError(HplanError):
+    """No motion was found within the memory and effort given, and none was shown not to exist.
+
+    `tried` says what was looked at, sentence by sentence.
+    """
+
+    exit_status = 6
+
+    tried: list[str]
+
+    def __init__(self, tried: Sequence[str], **data: Any) -> None:
+        """Say what was tried."""
+        message = f"no motion was found, and it was not shown that there is none; tried: {'; '.join(tried)}"
+        super().__init__(message, tried=list(tried), **data)

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from hplan.cli.options import add_robot, add_tracking, command_parser, tracking_of
+from hplan.cli.options import add_robot, add_tracking, command_parser, robot_of, tracking_of
 from hplan.cli.terminal import FAILED, run_command
 
 if TYPE_CHECKING:
@@ -60,12 +60,11 @@ def _run(arguments: argparse.Namespace, console: Console) -> int:
 
     from hplan.planning.task import PlanningCache
     from hplan.problem.options import PlanOptions
-    from hplan.robot.model import load_robot
     from hplan.scene.file import load_scene
     from hplan.verification.plant import Plant
     from hplan.verification.simulation import execute
 
-    tracking, robot = tracking_of(arguments), load_robot(arguments.robot, limits=arguments.limits)
+    tracking, robot = tracking_of(arguments), robot_of(arguments)
     plants = [
         Plant(factor, 1e-3 * arguments.command_delay, arguments.bandwidth, decoupled=True)
         for factor in arguments.mass_factors

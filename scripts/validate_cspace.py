@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hplan.cli.job_folder import prepare_folder
-from hplan.cli.options import add_robot, add_scene, command_parser
+from hplan.cli.options import add_robot, add_scene, command_parser, robot_of
 from hplan.cli.terminal import FAILED, run_command
 from hplan.errors import OptionError, OutputError
 
@@ -139,10 +139,9 @@ def _validate(arguments: argparse.Namespace, errors: Console) -> Validation:
             raise OptionError("--step", step, "a positive number of degrees")
         from studies.validation.cspace import validate_cspace
 
-        from hplan.robot.model import load_robot
         from hplan.scene.file import load_scene
 
-        robot = load_robot(arguments.robot, limits=arguments.limits)
+        robot = robot_of(arguments)
         scene = load_scene(arguments.scene)
         if arguments.yaw is not None and robot.has_yaw:
             low, high = math.degrees(robot.lower[0]), math.degrees(robot.upper[0])
@@ -175,10 +174,8 @@ def _validate_kinds(arguments: argparse.Namespace, errors: Console) -> KindsVali
         from studies.validation.kinds import CONFIGURATIONS, SCENES, validate_kinds
         from studies.validation.scenes import KINDS
 
-        from hplan.robot.model import load_robot
-
         return validate_kinds(
-            load_robot(arguments.robot, limits=arguments.limits),
+            robot_of(arguments),
             arguments.kinds or KINDS,
             scenes=SCENES if arguments.scenes is None else arguments.scenes,
             configurations=CONFIGURATIONS if arguments.configurations is None else arguments.configurations,

@@ -27,7 +27,9 @@ def project() -> dict[str, Any]:
 
 def test_robot_ships_in_the_wheel(project: dict[str, Any]) -> None:
     assert project["tool"]["hatch"]["build"]["targets"]["wheel"]["force-include"] == {"urdf": "hplan/urdf"}
-    assert {path.name for path in (ROOT / "urdf").iterdir()} == {"harvester.urdf", "harvester.limits.yaml"}
+    assert {path.name for path in (ROOT / "urdf").iterdir()} == {
+        f"{name}{suffix}" for name in ("harvester", "orchard_harvester") for suffix in (".urdf", ".limits.yaml")
+    }
 
 
 def test_wheel_holds_what_a_user_runs_and_nothing_else(project: dict[str, Any], tmp_path: Path) -> None:

@@ -82,7 +82,7 @@ def test_all_errors_have_one_root() -> None:
     kinds = [kind for kind in vars(errors).values() if isinstance(kind, type) and issubclass(kind, Exception)]
     assert len(kinds) > 8
     assert all(issubclass(kind, hplan.HplanError) for kind in kinds)
-    assert {kind.exit_status for kind in kinds} == {1, 2, 3, 4, 5}
+    assert {kind.exit_status for kind in kinds} == {1, 2, 3, 4, 5, 6}
 
 
 def test_trajectory_file_from_anywhere_can_be_judged(tmp_path: Path) -> None:

@@ -13,6 +13,11 @@ def urdf_dir() -> Path:
     return installed if installed.is_dir() else _PACKAGE.parent / "urdf"
 
 
+def shipped_robots() -> list[str]:
+    """Names of the shipped robots."""
+    return sorted(path.stem for path in urdf_dir().glob("*.urdf"))
+
+
 def scenes_dir() -> Path:
     """Folder of the shipped scenes."""
     return _PACKAGE / "scenes"

@@ -1,4 +1,4 @@
-"""YAML as hplan's files use it: what JSON has, with comments; plain values as in YAML 1.2.
+"""YAML as hplan's files use it: what JSON has, with comments, anchors and merge keys; plain values as in YAML 1.2.
 
 PyYAML follows YAML 1.1, where `010` is 8, `1:30` is 90, `no` is False, `1e-2` is text and a repeated key replaces the
 first in silence. None of that belongs in a file that moves a robot.
@@ -38,7 +38,7 @@ def read_yaml(text: str) -> tuple[Any, yaml.Node | None]:
         The content (mappings as dict, lists as tuple) and its node, which knows the lines; (None, None) if empty.
 
     Raises:
-        yaml.MarkedYAMLError: Malformed text, a repeated key, an alias, a tag that is none of JSON's types, or more than
+        yaml.MarkedYAMLError: Malformed text, a repeated key, a tag that is none of JSON's types, or more than
             `MOST_VALUES`.
     """
     try:
@@ -63,6 +63,10 @@ class _Loader(yaml.SafeLoader):
     yaml_constructors = {}  # noqa: RUF012
     values = 0
 
+    def __init__(self, text: str) -> None:
+        super().__init__(text)
+        self.sizes: dict[str, int] = {}  # values of each anchored node, those that it repeats included
+
     def scan_to_next_token(self) -> None:
         super().scan_to_next_token()
         while self.flow_level and self.peek() == "\t":  # between braces JSON may be indented by tabs
@@ -70,27 +74,47 @@ class _Loader(yaml.SafeLoader):
             super().scan_to_next_token()
 
     def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
-        if self.check_event(yaml.AliasEvent):
-            event = self.peek_event()  # type: ignore[no-untyped-call]
-            raise yaml.MarkedYAMLError(problem=f"alias *{event.anchor}: write it out", problem_mark=event.start_mark)
-        self.values += 1
+        event = self.peek_event()  # type: ignore[no-untyped-call]
+        repeats = isinstance(event, yaml.AliasEvent)
+        if repeats and event.anchor in self.anchors and event.anchor not in self.sizes:
+            problem = f"alias *{event.anchor} stands in what it repeats"
+            raise yaml.MarkedYAMLError(problem=problem, problem_mark=event.start_mark)
+        before = self.values
+        # What is repeated counts each time: a few lines could stand for more values than fit any memory.
+        self.values += self.sizes.get(event.anchor, 1) if repeats else 1
         if self.values > MOST_VALUES:
-            mark = self.peek_event().start_mark  # type: ignore[no-untyped-call]
-            raise yaml.MarkedYAMLError(problem=f"more than {MOST_VALUES:,} values", problem_mark=mark)
-        return super().compose_node(parent, index)
+            raise yaml.MarkedYAMLError(problem=f"more than {MOST_VALUES:,} values", problem_mark=event.start_mark)
+        node = super().compose_node(parent, index)
+        if not repeats and event.anchor is not None:
+            self.sizes[event.anchor] = self.values - before
+        return node
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         if not isinstance(node, yaml.MappingNode):
             raise yaml.MarkedYAMLError(problem="expected a mapping", problem_mark=node.start_mark)
         lines: dict[str, int] = {}
-        for key, _ in node.value:
+        merged: dict[Any, Any] = {}
+        for key, value in node.value:
+            if key.value == "<<" and key.style is None:
+                merged |= self._merged(key, value)
+                continue
             if key.tag != "tag:yaml.org,2002:str":
                 raise yaml.MarkedYAMLError(problem="a key must be text", problem_mark=key.start_mark)
             if key.value in lines:
                 problem = f"key {key.value!r} stands on line {lines[key.value]} already"
                 raise yaml.MarkedYAMLError(problem=problem, problem_mark=key.start_mark)
             lines[key.value] = key.start_mark.line + 1
-        return {key.value: self.construct_object(value, deep=deep) for key, value in node.value}
+        return merged | {k.value: self.construct_object(v, deep=deep) for k, v in node.value if k.value in lines}
+
+    def _merged(self, key: yaml.Node, value: yaml.Node) -> dict[Any, Any]:
+        """What the merge key `<<` takes over from one mapping, or from a list of them, the first before the next."""
+        parts = value.value if isinstance(value, yaml.SequenceNode) else [value]
+        if not all(isinstance(part, yaml.MappingNode) for part in parts):
+            raise yaml.MarkedYAMLError(problem="<< takes a mapping, or a list of them", problem_mark=key.start_mark)
+        merged: dict[Any, Any] = {}
+        for part in reversed(parts):
+            merged |= self.construct_mapping(part, deep=True)
+        return merged
 
 
 def _construct_text(loader: _Loader, node: yaml.ScalarNode) -> str:

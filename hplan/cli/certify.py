@@ -9,7 +9,17 @@ from typing import TYPE_CHECKING, Any
 
 from hplan.cli.finished_job import FinishedJob
 from hplan.cli.job_folder import REPORT
-from hplan.cli.options import CommandParser, add_robot, add_scene, add_tracking, command_parser, tracking_of
+from hplan.cli.options import (
+    CommandParser,
+    add_drop_inside,
+    add_robot,
+    add_scene,
+    add_tracking,
+    command_parser,
+    robot_of,
+    scene_among,
+    tracking_of,
+)
 from hplan.cli.terminal import FAILED, certificate_words, facts_table, loading, percent, show_title
 
 if TYPE_CHECKING:
@@ -36,6 +46,7 @@ def parser(prog: str) -> CommandParser:
     add("trajectory", type=Path, help="CSV, or the folder of a job")
     add_scene(parser)
     add_robot(parser)
+    add_drop_inside(parser)
     add_tracking(parser)
     add("--sigmas", type=float, metavar="K", help="an uncertain obstacle grows by K sigma (default: 3)")
     add("--goal-contact", choices=("approach", "motion"), help="when the last link may touch the fruit that is "
@@ -55,7 +66,6 @@ def run(arguments: argparse.Namespace, console: Console, _: Console) -> int:
     with loading():
         from hplan.planning.report import certificate_report, report_text, versions, write_report
         from hplan.problem.options import PlanOptions
-        from hplan.robot.model import load_robot
         from hplan.scene.file import load_scene
         from hplan.timing.trajectory import read_csv
         from hplan.verification.certificate import certify
@@ -65,8 +75,8 @@ def run(arguments: argparse.Namespace, console: Console, _: Console) -> int:
     _fill_in(arguments, job)
     tracking = tracking_of(arguments)
     options = PlanOptions(tracking_error=tracking.still_rad, tracking_delay_s=tracking.delay_s, sigmas=arguments.sigmas)
-    robot = load_robot(arguments.robot, limits=arguments.limits)
-    scene = load_scene(arguments.scene)
+    robot = robot_of(arguments)
+    scene, _left_out = scene_among(arguments, robot, load_scene(arguments.scene))
     certificate = certify(
         robot,
         scene,

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hplan.cli.options import CommandParser, add_robot, add_scene, add_tracking, command_parser, tracking_of
+from hplan.cli.options import CommandParser, add_robot, add_scene, add_tracking, command_parser, robot_of, tracking_of
 from hplan.cli.terminal import FAILED, facts_table, number_table
 
 if TYPE_CHECKING:
@@ -39,14 +39,13 @@ exit status:
 
 def run(arguments: argparse.Namespace, console: Console, _: Console) -> int:
     """Execute and show; returns the exit status."""
-    from hplan.robot.model import load_robot
     from hplan.scene.file import load_scene
     from hplan.verification.plant import Plant
     from hplan.verification.recorded_motion import read_motion
     from hplan.verification.simulation import execute
 
     motion = read_motion(arguments.trajectory)
-    robot = load_robot(arguments.robot, limits=arguments.limits)
+    robot = robot_of(arguments)
     scene = load_scene(arguments.scene)
     plant = Plant(arguments.mass_factor, 1e-3 * arguments.command_delay, arguments.bandwidth)
     result = execute(robot, scene, motion, plant)

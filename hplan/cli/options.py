@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import sys
 import textwrap
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -14,7 +15,9 @@ from hplan.errors import OptionError, OutputError
 
 if TYPE_CHECKING:
     from hplan.problem.options import PlanOptions
+    from hplan.robot.model import Robot
     from hplan.robot.tracking import TrackingModel
+    from hplan.scene.model import Scene
 
 
 class CommandParser(argparse.ArgumentParser):
@@ -64,11 +67,75 @@ def add_scene(parser: argparse.ArgumentParser, default: str = "the paper's refer
     parser.add_argument("scene", nargs="?", help=f"scene file, or name of a shipped scene (default: {default})")
 
 
+def add_drop_inside(parser: argparse.ArgumentParser) -> None:
+    """Add the option `--drop-inside`."""
+    parser.add_argument("--drop-inside", action="store_true", help="leave out obstacles and fruits that stand in "
+        "pedestal or turret, and say which; they are in no proof")  # fmt: skip
+
+
+def scene_among(arguments: argparse.Namespace, robot: Robot, scene: Scene) -> tuple[Scene, list[str]]:
+    """The scene as `--drop-inside` wants it, and the names of what is left out, which standard error is told."""
+    if not arguments.drop_inside:
+        return scene, []
+    from hplan.problem.world import without_inside
+
+    smaller, names = without_inside(robot, scene)
+    if names:
+        goal = "" if smaller.goal == scene.goal else f"; the goal is {smaller.goal.fruit} instead"
+        sys.stderr.write(f"left out, standing in pedestal or turret: {', '.join(names)}{goal}\n")
+    return smaller, list(names)
+
+
 def add_robot(parser: argparse.ArgumentParser) -> None:
-    """Add the options `--robot` and `--limits`."""
+    """Add the options `--robot`, `--limits`, `--hold` and `--package-dir`."""
     add = parser.add_argument
-    add("--robot", type=Path, metavar="URDF", help="robot (default: the harvester that ships with hplan)")
+    add("--robot", type=Path, metavar="URDF", help="robot, or name of a shipped one (default: harvester)")
     add("--limits", type=Path, metavar="YAML", help="acceleration limits (default: NAME.limits.yaml beside the URDF)")
+    add_hold(parser)
+    add("--package-dir", action="append", type=Path, default=[], metavar="DIR", help="where package:// meshes are "
+        "looked for first")  # fmt: skip
+
+
+def add_hold(parser: argparse.ArgumentParser) -> None:
+    """Add the option `--hold`."""
+    parser.add_argument(
+        "--hold",
+        nargs="+",
+        action="extend",
+        default=[],
+        metavar="NAME=RAD",
+        help="where joints that do not move stand",
+    )
+
+
+def held_joints(arguments: argparse.Namespace) -> dict[str, float]:
+    """What `--hold` says: joints and their positions.
+
+    Raises:
+        OptionError: A text that is not NAME=RAD.
+    """
+    held = {}
+    for text in arguments.hold:
+        name, _, value = text.partition("=")
+        try:
+            held[name] = float(value)
+        except ValueError:
+            held[name] = math.nan
+        if not (name and math.isfinite(held[name])):
+            raise OptionError("--hold", text, "NAME=RAD, a joint and its position")
+    return held
+
+
+def robot_of(arguments: argparse.Namespace) -> Robot:
+    """The robot that the options of `add_robot` name.
+
+    Raises:
+        HplanError: As `hplan.robot.model.load_robot`.
+    """
+    from hplan.robot.model import load_robot
+
+    hold = held_joints(arguments)
+    return load_robot(arguments.robot, limits=arguments.limits, hold=hold, package_dirs=arguments.package_dir)
 
 
 def add_pace(parser: argparse.ArgumentParser) -> None:

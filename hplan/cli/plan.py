@@ -11,12 +11,15 @@ from typing import TYPE_CHECKING, Any
 from hplan.cli.job_folder import PAGE, REPORT, TRAJECTORY, JobFolder, fail_on_usage_errors
 from hplan.cli.options import (
     CommandParser,
+    add_drop_inside,
     add_pace,
     add_robot,
     add_scene,
     add_tracking,
     command_parser,
     plan_options,
+    robot_of,
+    scene_among,
 )
 from hplan.cli.terminal import (
     certificate_words,
@@ -54,6 +57,7 @@ exit status:
   3  no path exists (shown on the grid)
   4  the motion cannot be timed
   5  the motion is not certified
+  6  no motion was found, and it was not shown that there is none
 
 hplan --help lists the other commands.
 """
@@ -96,6 +100,7 @@ def parser(prog: str) -> CommandParser:
     add = parser.add_argument
     add("--out", type=Path, default=OUT, metavar="DIR", help="folder to write into (default: out)")
     add_robot(parser)
+    add_drop_inside(parser)
     add("--method", choices=("two-level", "dense"), default="two-level", help="search (default: two-level)")
     add(
         "--objective", choices=("duration", "length"), default="duration", help="what to make small (default: duration)"
@@ -129,7 +134,6 @@ def _made(arguments: argparse.Namespace, folder: JobFolder, errors: Console) -> 
             from hplan.planning.compile_ahead import is_first_run
             from hplan.planning.plan import with_export_time
             from hplan.planning.report import write_report
-            from hplan.robot.model import load_robot
             from hplan.scene.file import load_scene
             from hplan.timing.trajectory import write_csv
             from hplan.view.page import write_page
@@ -139,13 +143,13 @@ def _made(arguments: argparse.Namespace, folder: JobFolder, errors: Console) -> 
         options = plan_options(
             arguments, "method", "step_deg", "objective", "link_model", "sigmas", "standoff", "certify"
         )
-        robot = load_robot(arguments.robot, limits=arguments.limits)
+        robot = robot_of(arguments)
         folder.robot = robot.name
         yaw = None if arguments.cspace_yaw is None else math.radians(arguments.cspace_yaw)
         wants_cspace = arguments.cspace or yaw is not None
         if wants_cspace:
             check_yaw(robot, yaw)
-        scene = load_scene(arguments.scene)
+        scene, left_out = scene_among(arguments, robot, load_scene(arguments.scene))
         folder.scene = scene.name
         first_run = is_first_run()
         note = " (compiling, as on every first run)" if first_run else ""
@@ -162,7 +166,7 @@ def _made(arguments: argparse.Namespace, folder: JobFolder, errors: Console) -> 
             if wants_cspace:
                 _write_cspace(robot, scene, options, result, yaw, staging)
             result = with_export_time(result, time.perf_counter() - begin)
-            write_report(result.report, staging / REPORT)
+            write_report(result.report | ({"left_out": left_out} if left_out else {}), staging / REPORT)
     return robot, scene, result
 
 

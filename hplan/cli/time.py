@@ -9,9 +9,17 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hplan.cli.options import CommandParser, add_pace, check_output_file, command_parser, named_output
+from hplan.cli.options import (
+    CommandParser,
+    add_hold,
+    add_pace,
+    check_output_file,
+    command_parser,
+    held_joints,
+    named_output,
+)
 from hplan.cli.terminal import facts_table, number_table, show_title
-from hplan.errors import OptionError, RobotFileError
+from hplan.errors import OptionError
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -58,7 +66,7 @@ def parser(prog: str) -> CommandParser:
     limits.add_argument("--acceleration", type=float, metavar="RAD_S2", help="one acceleration limit for all joints")
     add("--no-torque", action="store_true", help="do not limit the torque")
     add("--joints", nargs="+", metavar="NAME", help="the joints that move")
-    add("--hold", nargs="+", default=[], metavar="NAME=RAD", help="where joints that do not move stand")
+    add_hold(parser)
     add("--deviation", type=float, default=1.0, metavar="DEG", help="largest distance from the polyline (default: 1)")
     add_pace(parser)
     add("--out", type=Path, default=OUT, metavar="FILE.csv", help="file to write (default: timed.csv)")
@@ -99,7 +107,7 @@ def run(arguments: argparse.Namespace, console: Console, _: Console) -> int:
     from hplan.waypoints import read_machine, read_waypoints, time_waypoints
 
     _prepare(arguments)
-    machine = read_machine(arguments.urdf, arguments.joints, hold=dict(map(_held, arguments.hold)))
+    machine = read_machine(arguments.urdf, arguments.joints, hold=held_joints(arguments))
     waypoints = read_waypoints(arguments.waypoints, machine.joint_names)
     limits = _limits(arguments, machine)
     trajectory = time_waypoints(
@@ -114,15 +122,6 @@ def run(arguments: argparse.Namespace, console: Console, _: Console) -> int:
     if not arguments.quiet:
         _show(console, arguments, machine, waypoints, limits, trajectory)
     return 0
-
-
-def _held(text: str) -> tuple[str, float]:
-    """A joint and its position, from NAME=RAD."""
-    name, _, value = text.partition("=")
-    with contextlib.suppress(ValueError):
-        if name and math.isfinite(float(value)):
-            return name, float(value)
-    raise OptionError("--hold", text, "NAME=RAD, a joint and its position")
 
 
 def _limits(arguments: argparse.Namespace, machine: Machine) -> Limits:
@@ -142,16 +141,8 @@ def _limits(arguments: argparse.Namespace, machine: Machine) -> Limits:
             None,
             f"acceleration limits, which a URDF cannot hold: a number here, or a file by --limits ({path} is missing)",
         )
-    moving, held = machine.joint_names, tuple(machine.held)
-    try:
-        acceleration, jerk = read_limits(path, moving)
-    except RobotFileError:
-        if not held:
-            raise
-        # The file may as well speak of all joints.
-        acceleration, jerk = read_limits(path, moving + held)
-    count = len(moving)
-    return limits_of(machine.model, acceleration[:count], None if jerk is None else jerk[:count], torque=torque)
+    acceleration, jerk = read_limits(path, machine.joint_names, machine.held)
+    return limits_of(machine.model, acceleration, jerk, torque=torque)
 
 
 def _show(

@@ -11,12 +11,15 @@ from typing import TYPE_CHECKING
 from hplan.cli.job_folder import PAGE, TOUR, TOUR_REPORT, JobFolder, fail_on_usage_errors
 from hplan.cli.options import (
     CommandParser,
+    add_drop_inside,
     add_pace,
     add_robot,
     add_scene,
     add_tracking,
     command_parser,
     plan_options,
+    robot_of,
+    scene_among,
 )
 from hplan.cli.terminal import certificate_words, facts_table, number_table, progress_line, show_title
 from hplan.errors import OptionError
@@ -50,6 +53,7 @@ exit status:
   3  no fruit can be picked, or the drop-off cannot be reached
   4  the motion to the drop-off cannot be timed
   5  the motion to the drop-off is not certified
+  6  no motion to the drop-off was found
 """
 
 
@@ -64,6 +68,7 @@ def parser(prog: str) -> CommandParser:
     add = parser.add_argument
     add("--out", type=Path, default=OUT, metavar="DIR", help="folder to write into (default: out)")
     add_robot(parser)
+    add_drop_inside(parser)
     add("--fruits", nargs="+", metavar="NAME", help="fruits to pick (default: all)")
     drop = parser.add_mutually_exclusive_group()
     drop.add_argument("--drop-off", type=float, nargs=3, metavar=("X", "Y", "Z"), help="drop-off: a place of the tool")
@@ -100,7 +105,6 @@ def _made(
 
     from hplan.base.data_files import shipped_scene
     from hplan.planning.report import write_report
-    from hplan.robot.model import load_robot
     from hplan.scene.file import load_scene
     from hplan.timing.trajectory import write_csv
     from hplan.tour.tour import plan_tour
@@ -109,9 +113,10 @@ def _made(
 
     options = plan_options(arguments, "standoff")
     tour = _tour_options(arguments)
-    robot = load_robot(arguments.robot, limits=arguments.limits)
+    robot = robot_of(arguments)
     folder.robot = robot.name
-    scene = load_scene(shipped_scene("tour") if arguments.scene is None else arguments.scene)
+    given = load_scene(shipped_scene("tour") if arguments.scene is None else arguments.scene)
+    scene, left_out = scene_among(arguments, robot, given)
     folder.scene = scene.name
     result = plan_tour(robot, scene, options, fruits=arguments.fruits, tour=tour, progress=progress)
     progress("writing files")
@@ -128,7 +133,8 @@ def _made(
             write_csv(motion, staging / name)
         playback = Playback(result.trajectory, result.picked, result.dropped, phases)
         write_page(robot, scene, playback, staging / PAGE)
-        write_report({**result.report, "files": list(motions)}, staging / TOUR_REPORT)
+        told = {"left_out": left_out} if left_out else {}
+        write_report({**result.report, **told, "files": list(motions)}, staging / TOUR_REPORT)
     return result, [*motions, TOUR_REPORT, PAGE]
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from hplan.cli.finished_job import FinishedJob
 from hplan.cli.job_folder import PAGE
-from hplan.cli.options import CommandParser, add_robot, add_scene, check_output_file, command_parser
+from hplan.cli.options import CommandParser, add_robot, add_scene, check_output_file, command_parser, robot_of
 from hplan.cli.terminal import FAILED
 
 if TYPE_CHECKING:
@@ -52,7 +52,6 @@ def parser(prog: str) -> CommandParser:
 
 def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int:
     """Read, compare, write, serve; returns the exit status."""
-    from hplan.robot.model import load_robot
     from hplan.scene.file import load_scene
     from hplan.timing.trajectory import read_csv
     from hplan.verification.digests import Digests
@@ -66,7 +65,7 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int
     motion = [path] if job is None else [*job.trajectory_paths, job.path]
     check_output_file(out, (*motion, scene_path, arguments.robot, arguments.limits))
     trajectory = read_csv(path) if job is None else job.trajectory()
-    robot = load_robot(arguments.robot, limits=arguments.limits)
+    robot = robot_of(arguments)
     scene = load_scene(job.shipped_scene if arguments.scene is None and job is not None else arguments.scene)
     playback = Playback(trajectory)
     if job is not None:

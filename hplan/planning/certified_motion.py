@@ -23,9 +23,9 @@ from hplan.verification.certificate import Certificate, Stretch, certify_among
 #: Fractions of the clearance that sway may take which comes with speed, tried in turn until a motion is certified.
 CEILINGS = (0.75, 0.5, 0.2)
 
-#: A motion is empty, straight, along a path found in a roadmap or on a grid, along that of an earlier motion, or an
-#: earlier motion.
-Origin: TypeAlias = Literal["none", "direct", "roadmap", "search", "mended", "kept"]
+#: A motion is empty, straight, along a path found in a roadmap, by trees or on a grid, along that of an earlier motion,
+#: or an earlier motion.
+Origin: TypeAlias = Literal["none", "direct", "roadmap", "trees", "search", "mended", "kept"]
 
 
 class Part(NamedTuple):

@@ -76,6 +76,7 @@ class EnclosedError(NoPathError):
         where = "" if region is None else f": {region.what}"
         super().__init__(f"no path exists on the grid{where}", reached_cells=reached_cells)
         self.open_ended = open_ended
+        self.coarse_step_deg: float | None = None  # of the grid, where a finer one did not fit
         self._region = region
 
     def forget_region(self) -> None:
@@ -85,7 +86,13 @@ class EnclosedError(NoPathError):
     def explained(self) -> NoPathError:
         """The same with what bounds the region, which takes longer to find than whether another grid is open."""
         known = NoPathError(self.message, reached_cells=self.reached_cells)
-        return known if self._region is None else self._region.explained()
+        error = known if self._region is None else self._region.explained()
+        if self.coarse_step_deg is not None:
+            remark = (
+                f"the grid's step is {self.coarse_step_deg:g} deg, as a finer one over all joint ranges is too large"
+            )
+            error.add(remark, step_deg=self.coarse_step_deg)
+        return error
 
 
 def open_ended(problem: Problem, grid: Grid, reached: WordArray) -> bool:

@@ -1,14 +1,16 @@
 """One motion from configuration to configuration: route, smooth path, timing, certificate, tried until all hold.
 
 Where the base turns and the straight motion is clear, that is the motion. Else a roadmap looks for a quick path by a
-few configurations; unless what comes of it is close to the fastest motion that there could be, grids are tried in turn,
-from coarse and near to fine and wide, and the quicker motion is taken.
+few configurations, and where it finds none, trees do; unless what comes of it is close to the fastest motion that there
+could be, grids are tried in turn, from coarse and near to fine and wide, and the quicker motion is taken. Grids have as
+many nodes as fit a memory and a time, whatever the joint ranges: their step is made larger where it has to be. Before
+anything is refused, trees are given more time.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from typing import TypeVar
@@ -16,14 +18,16 @@ from typing import TypeVar
 import numpy as np
 
 from hplan.base.arrays import FloatArray, frozen
-from hplan.errors import CertificationError, HplanError, NoPathError, OptionError, TimingError
+from hplan.errors import CertificationError, HplanError, NoPathError, NotFoundError, TimingError
 from hplan.planning.certified_motion import PlannedMotion, certificate_of, required, smooth_and_certify
 from hplan.planning.enclosure import EnclosedError, enclosed_goals
 from hplan.planning.grid_route import find_route
 from hplan.planning.refusals import Refusals
-from hplan.planning.roadmap import BRIEF, WIDE, Effort, quick_path
+from hplan.planning.sampled_motion import BRIEF_TREES, SEEDS, by_roadmap, by_trees, by_trees_to_any
+from hplan.planning.task import STEP_FACTORS as GRID_FACTORS
 from hplan.planning.task import GridAttempt, PlanningTask
 from hplan.robot.limits import least_duration as least_between
+from hplan.sampling.roadmap import WIDE
 from hplan.smoothing.repair import repaired
 from hplan.timing.retime import resting
 
@@ -52,6 +56,12 @@ YAW_GRID_ATTEMPTS = (
 
 #: So far the base may turn beyond start and goal where many goals are decided at once, tried in turn [deg].
 WIDTHS = (45.0, 360.0)
+
+#: Most nodes of a grid, of one that is searched for a quicker motion than there is, and of all grids of one search.
+MOST_CELLS, MOST_CELLS_AGAIN, MOST_CELLS_IN_ALL = 1e8, 1.6e7, 4e8
+
+#: A planar grid with more nodes is searched only after trees.
+LARGE_PLANAR = 2e6
 
 #: Goals at yaws that differ by less than this have the same grid.
 SAME_YAW = 1e-9
@@ -99,8 +109,14 @@ def first_motion(tasks: Sequence[PlanningTask]) -> tuple[int, PlannedMotion] | R
     for number, task in enumerate(tasks):
         if task.problem.is_empty:
             return number, _at_rest(task)
-    if not tasks[0].problem.turns:
-        return _first_planar(tasks)
+    found = _first_planar(tasks) if not tasks[0].problem.turns else _first_over_yaws(tasks)
+    if isinstance(found, Refusals) and tasks[0].options.method == "two-level":
+        return by_trees_to_any(tasks) or found
+    return found
+
+
+def _first_over_yaws(tasks: Sequence[PlanningTask]) -> tuple[int, PlannedMotion] | Refusals:
+    """The first goal that is reached while the base turns: straight, or the quicker of other motions."""
     straight = _first(tasks, _straight)
     if straight is None:
         return _roadmap_or_grids(tasks)
@@ -130,10 +146,10 @@ def without_path(tasks: Sequence[PlanningTask]) -> list[NoPathError | None]:
         left = [number for number in todo if abs(tasks[number].problem.goal[0] - yaw) < SAME_YAW]
         todo = [number for number in todo if number not in left]
         for yaw_range_deg in WIDTHS:
-            try:
-                found = _enclosed([tasks[number] for number in left], GridAttempt(yaw_range_deg=yaw_range_deg))
-            except OptionError:  # no such grid
+            attempt = tasks[0].fitting(GridAttempt(yaw_range_deg=yaw_range_deg), MOST_CELLS)
+            if attempt is None:
                 break
+            found = _enclosed([tasks[number] for number in left], attempt)
             shown = {number: error for number, error in zip(left, found, strict=True) if error is not None}
             left = [number for number, error in shown.items() if error.open_ended]
             for number in shown.keys() - left:
@@ -199,21 +215,6 @@ def _straight(task: PlanningTask) -> PlannedMotion | None:
     return None
 
 
-def _by_roadmap(
-    task: PlanningTask, effort: Effort = BRIEF, *, quicker_than_s: float = math.inf
-) -> PlannedMotion | None:
-    """The motion along a quick path, or None where there is none, or none that can be timed and certified."""
-    if task.options.objective != "duration" or task.options.method != "two-level":
-        return None  # a short path is wanted, not a quick one, or a certain search
-    margin, velocity = task.margin(), task.robot.velocity_limit
-    with task.stage("roadmap"):
-        waypoints = quick_path(task.problem, task.field, velocity, 0.1 * margin, effort, quicker_than_s=quicker_than_s)
-    if waypoints is not None:
-        with suppress(CertificationError, TimingError):
-            return smooth_and_certify(task, waypoints, margin, "roadmap")
-    return None
-
-
 def _on_grid(task: PlanningTask, attempt: GridAttempt) -> PlannedMotion:
     """One pass on one grid."""
     margin = task.margin(attempt.growth_m)
@@ -222,37 +223,48 @@ def _on_grid(task: PlanningTask, attempt: GridAttempt) -> PlannedMotion:
 
 
 def _planar(task: PlanningTask) -> PlannedMotion:
-    """Try finer grids and larger obstacles in turn until a motion is certified."""
-    refused: CertificationError | None = None
+    """Try finer grids and larger obstacles in turn until a motion is certified; where they are large, trees first."""
+    if task.cells(GridAttempt()) > LARGE_PLANAR and (motion := by_trees(task)) is not None:
+        return motion
+    refused: HplanError | None = None
+    tried: list[str] = []
     for step_factor in STEP_FACTORS:
         for growth_m in sorted({task.grown(growth_m) for growth_m in GROWTH}):
+            attempt = task.fitting(GridAttempt(step_factor, growth_m=growth_m), MOST_CELLS)
+            if attempt is None:
+                step_deg = task.options.step_deg * GRID_FACTORS[-1]
+                tried = [f"no grid of {step_deg:g} deg or less has fewer than {MOST_CELLS:.3g} nodes"]
+                continue
             try:
-                return _on_grid(task, GridAttempt(step_factor, growth_m=growth_m))
+                return _on_grid(task, attempt)
             except CertificationError as error:
                 refused = refused or error.with_traceback(None)
             except NoPathError:
                 if refused is None:
                     raise
                 break  # grown obstacles close the passage; the motion found without them could not be certified
-    raise refused or CertificationError("no motion could be certified")
+    if refused is None and task.options.method == "two-level":
+        tried.append(f"trees with {SEEDS * BRIEF_TREES} evaluations of the clearance")
+    raise refused or NotFoundError(tried)
 
 
 def _roadmap_or_grids(tasks: Sequence[PlanningTask]) -> tuple[int, PlannedMotion] | Refusals:
-    """The quicker of a motion found in a roadmap and one found on grids."""
-    quick = _first(tasks[:ROADMAPS], _by_roadmap)
+    """The quicker of a motion found in a roadmap, or by trees, and one found on grids."""
+    quick = _first(tasks[:ROADMAPS], by_roadmap) or _first(tasks[:ROADMAPS], by_trees)
     if quick is None:
-        found = _first_turning(tasks, YAW_GRID_ATTEMPTS)
+        found = _first_turning(tasks, YAW_GRID_ATTEMPTS, MOST_CELLS)
         if isinstance(found, Refusals):
             return found
         number, motion = found
-        if number >= ROADMAPS or _is_close(motion):
-            return found
-        other = _by_roadmap(tasks[number], WIDE, quicker_than_s=motion.trajectory.duration + CORNERS_S)
-        return number, motion if other is None else _quicker(motion, other)
-    if _is_close(quick[1]):
-        return quick
-    detour = _second_look(tasks, YAW_GRID_ATTEMPTS[:SECOND_LOOKS])
-    return quick if detour is None or _quicker(quick[1], detour[1]) is quick[1] else detour
+    else:
+        if _is_close(quick[1]):
+            return quick
+        detour = _second_look(tasks, YAW_GRID_ATTEMPTS[:SECOND_LOOKS])
+        number, motion = quick if detour is None or _quicker(quick[1], detour[1]) is quick[1] else detour
+    if number >= ROADMAPS or _is_close(motion) or motion.origin == "roadmap":
+        return number, motion
+    other = by_roadmap(tasks[number], WIDE, quicker_than_s=motion.trajectory.duration + CORNERS_S)
+    return number, motion if other is None else _quicker(motion, other)
 
 
 def _is_close(motion: PlannedMotion) -> bool:
@@ -266,11 +278,9 @@ def _quicker(first: PlannedMotion, second: PlannedMotion) -> PlannedMotion:
 
 
 def _second_look(tasks: Sequence[PlanningTask], attempts: Sequence[GridAttempt]) -> tuple[int, PlannedMotion] | None:
-    """A motion over grids where there is another already; None where there is none, or no such grid."""
-    with suppress(OptionError):
-        found = _first_turning(tasks, attempts)
-        return None if isinstance(found, Refusals) else found
-    return None
+    """A motion over grids where there is another already; None where there is none."""
+    found = _first_turning(tasks, attempts, MOST_CELLS_AGAIN)
+    return None if isinstance(found, Refusals) else found
 
 
 def _first_planar(tasks: Sequence[PlanningTask]) -> tuple[int, PlannedMotion] | Refusals:
@@ -281,7 +291,7 @@ def _first_planar(tasks: Sequence[PlanningTask]) -> tuple[int, PlannedMotion] | 
             continue
         try:
             return number, _planar(task)
-        except (CertificationError, TimingError) as error:
+        except (CertificationError, NotFoundError, TimingError) as error:
             refused[number] = error.with_traceback(None)
         except NoPathError as error:
             refused[number] = _kept(error, number)
@@ -292,12 +302,14 @@ def _first_planar(tasks: Sequence[PlanningTask]) -> tuple[int, PlannedMotion] | 
 
 
 def _first_turning(
-    tasks: Sequence[PlanningTask], attempts: Sequence[GridAttempt]
+    tasks: Sequence[PlanningTask], attempts: Sequence[GridAttempt], most_cells: float
 ) -> tuple[int, PlannedMotion] | Refusals:
     """The first goal that grids lead to, coarse and near ones first, the base turning.
 
-    What is closed on the finest grid, whatever the yaw, is closed.
+    What is closed on the finest grid that fits, whatever the yaw, is closed.
     """
+    left = [MOST_CELLS_IN_ALL] * len(tasks)
+    seen: set[tuple[int, GridAttempt]] = set()
     refused: dict[int, HplanError] = {}
     closed: dict[tuple[int, float], tuple[float, EnclosedError]] = {}  # by goal and step: up to which range of yaws
     slow: tuple[int, PlannedMotion] | None = None
@@ -306,11 +318,15 @@ def _first_turning(
         range_deg, error = closed.get((number, attempt.step_factor), (0.0, None))
         return error is None or (error.open_ended and attempt.yaw_range_deg > range_deg)
 
-    for attempt in attempts:
+    for wanted in attempts:
         failed: list[FloatArray] = []  # goals tried on this grid
         for number, task in enumerate(tasks):
-            if not may_be_open(number, attempt):
+            fitting = task.fitting(wanted, min(most_cells, left[number]))
+            if fitting is None or (number, fitting) in seen or not may_be_open(number, fitting):
                 continue
+            attempt = fitting
+            seen.add((number, attempt))
+            left[number] -= task.cells(attempt)
             goal, pocket = task.problem.goal, math.radians(2.0 * task.step_deg(attempt))
             if attempt.step_factor > 1.0 and any(np.abs(goal - other).max() < pocket for other in failed):
                 continue  # most likely in the same pocket; finer grids leave none out
@@ -338,11 +354,29 @@ def _first_turning(
                         closed[other, attempt.step_factor] = attempt.yaw_range_deg, shown
     if slow is not None:
         return slow
-    none = CertificationError("no motion could be certified")
-    no_path = {
-        number: error for (number, factor), (_, error) in closed.items() if factor == 1.0 and not error.open_ended
-    }
-    return Refusals(tuple(no_path.get(number, refused.get(number, none)) for number in range(len(tasks))))
+    none = [_no_path(task, number, closed) for number, task in enumerate(tasks)]
+    return Refusals(tuple(none[number] or refused.get(number) or _not_found(task) for number, task in enumerate(tasks)))
+
+
+def _no_path(
+    task: PlanningTask, number: int, closed: Mapping[tuple[int, float], tuple[float, EnclosedError]]
+) -> EnclosedError | None:
+    """What shows that no path leads to a goal: it is closed for all yaws on the finest grid over all of them."""
+    widest = task.fitting(GridAttempt(yaw_range_deg=WIDTHS[-1]), MOST_CELLS)
+    for factor in [] if widest is None else [factor for factor in GRID_FACTORS if factor <= widest.step_factor]:
+        error = closed.get((number, factor), (0.0, None))[1]
+        if error is not None and not error.open_ended:
+            if factor > 1.0:
+                error.coarse_step_deg = factor * task.options.step_deg
+            return error
+    return None
+
+
+def _not_found(task: PlanningTask) -> NotFoundError:
+    """What was tried for a goal that the base turns to."""
+    coarse = task.fitting(GridAttempt(yaw_range_deg=WIDTHS[-1]), MOST_CELLS)
+    grid = "no grid over all yaws fits" if coarse is None else f"grids down to {task.step_deg(coarse):g} deg"
+    return NotFoundError(["straight motion", "roadmap", f"trees of {SEEDS} seeds", grid])
 
 
 def _enclosed(tasks: Sequence[PlanningTask], attempt: GridAttempt) -> list[EnclosedError | None]:

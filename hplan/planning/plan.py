@@ -185,7 +185,7 @@ def _planned(
     context = cache.context(scene, options, progress)
     context.world.check_base(cache.robot.yaw_of(start))
     if goal is not None:
-        task = context.task(start, goal)
+        task = context.task(start, cache.robot.turned_near(goal, start))
         motion = None if before is None else reuse_motion(task, before)
         if motion is None:
             motion = find_motion([task])[1]

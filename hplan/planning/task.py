@@ -29,6 +29,9 @@ from hplan.search.grid import Grid, Occupancy
 #: Clearance asked for wherever a motion is evaluated, beyond the scene's own [m]; less where start or goal have less.
 MARGIN = 2e-3
 
+#: Multiples of the step that are tried where a grid has too many nodes.
+STEP_FACTORS = (0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0)
+
 #: Called with the name of each stage as it begins.
 Progress = Callable[[str], None]
 
@@ -139,6 +142,23 @@ class PlanningTask(PlanningContext):
     def step_deg(self, attempt: GridAttempt) -> float:
         """Largest spacing of the grid of an attempt [deg]."""
         return attempt.step_factor * self.options.step_deg
+
+    def cells(self, attempt: GridAttempt) -> float:
+        """About how many nodes the grid of an attempt has; it need not fit any memory."""
+        problem, step = self.problem, math.radians(self.step_deg(attempt))
+        planar = self.robot.arm_slice
+        count = math.prod((1.0 + (problem.upper[planar] - problem.lower[planar]) / step).tolist())
+        if problem.turns:
+            beyond = math.radians(attempt.yaw_range_deg)
+            low = max(problem.lower[0], min(problem.start[0], problem.goal[0]) - beyond)
+            high = min(problem.upper[0], max(problem.start[0], problem.goal[0]) + beyond)
+            count *= 1.0 + (high - low) / step
+        return float(count)
+
+    def fitting(self, attempt: GridAttempt, most_cells: float) -> GridAttempt | None:
+        """The attempt with a step as much larger as keeps the grid within a number of nodes; None without any."""
+        larger = (replace(attempt, step_factor=factor) for factor in STEP_FACTORS if factor >= attempt.step_factor)
+        return next((coarser for coarser in larger if self.cells(coarser) <= most_cells), None)
 
     def planar_grid(self, attempt: GridAttempt) -> Grid:
         """The grid over the planar joints.

@@ -22,6 +22,7 @@ from hplan.errors import ConfigurationInCollisionError, InputError
 from hplan.robot.base_shapes import BASE_DEPTH, turning_shapes
 from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel, largest_fraction, name_margin
+from hplan.scene.model import Scene
 from hplan.scene.obstacles import Solid
 from hplan.verification.sway import pair_sways
 
@@ -159,8 +160,37 @@ class World(Record):
             raise InputError(
                 f"obstacle {worst.obstacle!r} is {-1e3 * worst.distance_m:.3g} mm deep in the robot's {worst.link!r}, "
                 + (f"at a yaw of {math.degrees(yaw):.4g} deg" if turns else "which does not move")
-                + ": move the obstacle, or the robot",
+                + ": move the obstacle, or the robot, or leave it out (--drop-inside)",
                 obstacle=worst.obstacle,
                 link=worst.link,
                 depth_m=-worst.distance_m,
             )
+
+
+def without_inside(robot: Robot, scene: Scene) -> tuple[Scene, tuple[str, ...]]:
+    """The scene without what `World.check_base` would refuse: obstacles and fruits in pedestal or turret.
+
+    Trees that were measured without an arm between them may stand in it. What is left out is in no proof. Meshes and
+    clouds stay, of which only a part is inside. Where the goal is a fruit that is left out, the next one is the goal.
+
+    Args:
+        robot: The arm.
+        scene: The scene; the turret is looked at as it stands at the start.
+
+    Returns:
+        The scene, and the names of what was left out, in the order of the scene.
+    """
+    yaw = robot.yaw_of(scene.start.configuration)
+    whole = {obstacle.name for obstacle in scene.obstacles if obstacle.kind in ("mesh", "points")}
+    solids = [solid for solid in scene.solids_with_goal if solid.name not in whole]
+    inside = {contact.obstacle for contact in base_contacts(robot, solids, yaw, margin=-BASE_DEPTH)}
+    if not inside:
+        return scene, ()
+    parts = {key: getattr(scene, key) for key in Scene.model_fields}
+    for key in ("obstacles", "fruits"):
+        parts[key] = tuple(part for part in parts[key] if part.name not in inside)
+    if scene.goal.fruit in inside and parts["fruits"]:
+        parts["goal"] = scene.goal.model_copy(update={"fruit": parts["fruits"][0].name})
+    return Scene.model_validate(parts), tuple(
+        part.name for part in (*scene.obstacles, *scene.fruits) if part.name in inside
+    )

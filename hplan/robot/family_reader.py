@@ -18,6 +18,8 @@ GEOMETRY_TOLERANCE = 1e-6
 #: Axes this near to a direction have it [rad]: over ten metres 10 nm, of which no bound needs to take account.
 AXIS_TOLERANCE = 1e-9
 
+_INTO_THE_PLANE = "move the origin along the joint axis until it lies in the plane, and its link's shapes back"
+
 _REVOLUTE = ("JointModelRX", "JointModelRY", "JointModelRZ", "JointModelRevoluteUnaligned")
 
 
@@ -69,7 +71,8 @@ class FamilyReader:
             if kind.startswith("JointModelRUB") or "Unbounded" in kind:
                 raise self._fault(f"joint {name!r}", "it is continuous; make it revolute with limits")
             if kind not in _REVOLUTE:
-                raise self._fault(f"joint {name!r}", f"it is a {kind}; only revolute joints")
+                advice = hold_advice(name) if model.joints[index].nq == 1 else "make it fixed where it stands"
+                raise self._fault(f"joint {name!r}", f"it is a {kind}; only revolute joints move; {advice}")
             if model.parents[index] != index - 1:
                 raise self._fault(f"joint {name!r}", "the chain branches here; only serial arms")
 
@@ -102,7 +105,8 @@ class FamilyReader:
             raise self._fault(f"joint {model.names[2]!r}", "it is not perpendicular to the yaw axis" + _nearly(lean))
         x, y = self.data.oMi[1].translation[:2]
         if math.hypot(x, y) > GEOMETRY_TOLERANCE:
-            reason = f"the yaw axis stands at ({x:.6g}, {y:.6g}) m; it must pass the root link's origin"
+            reason = f"the yaw axis stands at ({x:.6g}, {y:.6g}) m; it must pass the root link's origin: call a link "
+            reason += "'base_link' whose origin is on it"
             raise self._fault(f"joint {name!r}", reason)
         return True
 
@@ -112,7 +116,8 @@ class FamilyReader:
             if angle > AXIS_TOLERANCE:
                 raise self._fault(
                     f"joint {model.names[first + 1 + offset]!r}",
-                    f"it is not parallel to joint {model.names[first + 1]!r}{_nearly(angle)}",
+                    f"it is not parallel to joint {model.names[first + 1]!r}{_nearly(angle)}; "
+                    + hold_advice(model.names[first + 1 + offset]),
                 )
         normal = axes[0]
         up = np.array([0.0, 0.0, 1.0]) - normal[2] * normal
@@ -127,11 +132,13 @@ class FamilyReader:
         names = [*tuple(model.names)[first + 1 :], "tool frame"]
         for name, offset in zip(names, offsets, strict=True):
             if abs(offset) > GEOMETRY_TOLERANCE:
-                raise self._fault(f"{name!r}", f"it lies {offset:.6g} m beside the arm plane")
+                reason = f"it lies {offset:.6g} m beside the arm plane"
+                raise self._fault(f"{name!r}", f"{reason}; {_INTO_THE_PLANE}")
         if self.has_yaw and abs(points[0] @ normal) > GEOMETRY_TOLERANCE:
             raise self._fault(
                 f"joint {names[0]!r}",
-                f"the arm plane passes the yaw axis at {points[0] @ normal:.6g} m; it must contain it",
+                f"the arm plane passes the yaw axis at {points[0] @ normal:.6g} m; it must contain it; "
+                + _INTO_THE_PLANE,
             )
         steps = np.diff(points, axis=0) @ np.stack([forward, up], axis=1)
         lengths = np.linalg.norm(steps, axis=1)
@@ -174,6 +181,11 @@ class FamilyReader:
 def _angle_between(axis: FloatArray, other: FloatArray) -> float:
     """Angle between two lines of unit direction, 0 to a right angle (the cosine would lose small ones)."""
     return math.atan2(float(np.linalg.norm(np.cross(axis, other))), abs(float(axis @ other)))
+
+
+def hold_advice(joint: str) -> str:
+    """How a joint is let stand still, as the end of a message."""
+    return f"hold={{{joint!r}: 0.0}} (--hold {joint}=0) lets it stand still"
 
 
 def _nearly(angle: float) -> str:

@@ -5,7 +5,9 @@ Any robot's; which of them hplan can plan for is decided in `hplan.robot.family_
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import pinocchio as pin
@@ -17,7 +19,7 @@ from hplan.base.yaml_text import read_yaml
 from hplan.errors import RobotFileError
 from hplan.robot.urdf_check import check_models
 from hplan.robot.urdf_file import Urdf, read_urdf
-from hplan.robot.urdf_xml import line_of, read_urdf_xml
+from hplan.robot.urdf_xml import URDF_TEXT, line_of, read_urdf_xml
 
 #: Key `format` of a limits file.
 LIMITS_FORMAT = "hplan-limits/1"
@@ -36,11 +38,33 @@ def read_models(urdf_path: Path) -> tuple[pin.Model, pin.GeometryModel, pin.Geom
         RobotFileError: Missing or unreadable file, malformed XML, content that `hplan.robot.urdf_file` or Pinocchio
             refuses, or that Pinocchio reads otherwise.
     """
-    urdf = read_urdf(urdf_path, read_urdf_xml(urdf_path))
+    return build_models(urdf_path, read_urdf(urdf_path, read_urdf_xml(urdf_path)))
+
+
+def build_models(
+    urdf_path: Path, urdf: Urdf, text: str | None = None
+) -> tuple[pin.Model, pin.GeometryModel, pin.GeometryModel]:
+    """Kinematic, collision and visual model of a URDF that was read strictly.
+
+    Args:
+        urdf_path: The file, in whose folder meshes are.
+        urdf: What it says.
+        text: Its XML where that is not the file's.
+
+    Raises:
+        RobotFileError: Content that Pinocchio refuses, or reads otherwise.
+    """
     _check_family(urdf_path, urdf)
+    models: tuple[pin.Model, pin.GeometryModel, pin.GeometryModel]
+    folders = [str(urdf_path.parent)]
     try:
-        models: tuple[pin.Model, pin.GeometryModel, pin.GeometryModel]
-        models = pin.buildModelsFromUrdf(str(urdf_path), package_dirs=[str(urdf_path.parent)])
+        if text is None:
+            models = pin.buildModelsFromUrdf(str(urdf_path), package_dirs=folders)
+        else:
+            with TemporaryDirectory() as scratch:
+                file = Path(scratch, "adapted.urdf")
+                file.write_text(text, encoding="utf-8")
+                models = pin.buildModelsFromUrdf(str(file), package_dirs=folders)
     except (ValueError, RuntimeError) as error:
         reason = f"Pinocchio refuses it: {error} (its reader's own words, if any, are on the terminal)"
         raise RobotFileError(urdf_path, reason) from error
@@ -58,8 +82,8 @@ def _check_family(path: Path, urdf: Urdf) -> None:
         where = f"{line_of(joint.element)}joint {joint.name!r}"
         if joint.element.find("mimic") is not None:
             raise RobotFileError(path, f"{where} mimics another; every joint must move by itself")
-        for key in ("velocity", "effort") if joint.kind == "revolute" else ():
-            if not joint.limits[key] > 0.0:
+        for key in ("velocity", "effort", "acceleration", "jerk") if joint.kind == "revolute" else ():
+            if key in joint.limits and not joint.limits[key] > 0.0:
                 text = joint.element.find("limit").get(key)  # type: ignore[union-attr]
                 reason = f"{where}: {key} of <limit> is {text!r}, expected a finite number that is positive"
                 raise RobotFileError(path, reason)
@@ -75,8 +99,51 @@ class _LimitsFile(BaseModel):
     jerk_rad_s3: dict[str, PositiveFloat] | None = None
 
 
-def read_limits(path: Path, joint_names: tuple[str, ...]) -> tuple[FloatArray, FloatArray | None]:
+def find_limits(
+    urdf_path: Path, urdf: Urdf, joint_names: tuple[str, ...], given: Path | None, held: Iterable[str]
+) -> tuple[FloatArray, FloatArray | None]:
+    """Acceleration and jerk limits as `read_limits`: from a file, else from the URDF (1.2).
+
+    Args:
+        urdf_path: The URDF; the limits file is `NAME.limits.yaml` beside it, of `NAME.urdf.xacro` too.
+        urdf: What it says.
+        joint_names: The joints that move.
+        given: The limits file, where it is another one.
+        held: Joints that the file may name too.
+
+    Raises:
+        RobotFileError: As `read_limits`; no file, and a joint of which the URDF has no acceleration, or of which it has
+            no jerk as it has of others.
+    """
+    name = urdf_path.name.removesuffix(".xacro").removesuffix(".urdf") if urdf_path.suffix == ".xacro" else None
+    beside = urdf_path.with_suffix(LIMITS_SUFFIX) if name is None else urdf_path.with_name(name + LIMITS_SUFFIX)
+    limits = [urdf.joints[name].limits for name in joint_names]
+    is_text = urdf_path == URDF_TEXT
+    if given is not None or not any("acceleration" in limit for limit in limits) or (beside.is_file() and not is_text):
+        if given is None and is_text:
+            raise RobotFileError(urdf_path, f"it has no acceleration limits: {_LIMITS_ADVICE}")
+        return read_limits(beside if given is None else given, joint_names, held)
+
+    def listed(key: str) -> FloatArray:
+        for name, limit in zip(joint_names, limits, strict=True):
+            if key not in limit:
+                reason = f"joint {name!r}: <limit> has no {key}, as others have: {_LIMITS_ADVICE}"
+                raise RobotFileError(urdf_path, line_of(urdf.joints[name].element) + reason)
+        return np.array([limit[key] for limit in limits])
+
+    return listed("acceleration"), listed("jerk") if any("jerk" in limit for limit in limits) else None
+
+
+#: How limits are given.
+_LIMITS_ADVICE = "write acceleration (and jerk) into every <limit> (URDF 1.2), or give a limits file (limits, --limits)"
+
+
+def read_limits(
+    path: Path, joint_names: tuple[str, ...], others: Iterable[str] = ()
+) -> tuple[FloatArray, FloatArray | None]:
     """Read acceleration [rad/s^2] and, where given, jerk limits [rad/s^3] in the order of `joint_names`.
+
+    The file may name `others` too.
 
     Raises:
         RobotFileError: Missing or malformed file, a joint missing or unknown, a limit that is not positive.
@@ -85,7 +152,8 @@ def read_limits(path: Path, joint_names: tuple[str, ...]) -> tuple[FloatArray, F
         content, _ = read_yaml(path.read_text(encoding="utf-8"))
         limits = _LimitsFile.model_validate(content)
     except OSError as error:
-        raise RobotFileError(path, f"{error.strerror}; it gives the acceleration limits, which URDF cannot") from error
+        reason = f"{error.strerror}; it gives the acceleration limits, where the URDF does not: {_LIMITS_ADVICE}"
+        raise RobotFileError(path, reason) from error
     except UnicodeDecodeError as error:
         raise RobotFileError(path, "it is not UTF-8 text") from error
     except yaml.MarkedYAMLError as error:
@@ -98,9 +166,11 @@ def read_limits(path: Path, joint_names: tuple[str, ...]) -> tuple[FloatArray, F
     if limits.format != LIMITS_FORMAT:
         raise RobotFileError(path, f"format is {limits.format!r}, expected {LIMITS_FORMAT!r}")
 
+    known = frozenset(others)
+
     def ordered(key: str, table: dict[str, float]) -> FloatArray:
         missing = [name for name in joint_names if name not in table]
-        unknown = [name for name in table if name not in joint_names]
+        unknown = [name for name in table if name not in joint_names and name not in known]
         if missing or unknown:
             raise RobotFileError(path, f"{key}: joints missing {missing}, unknown {unknown}")
         return np.array([table[name] for name in joint_names])

@@ -7,7 +7,7 @@ What URDF cannot say (acceleration, jerk) stands in a limits YAML in the same fo
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -17,13 +17,15 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from hplan.base.arguments import file_path, instance
+from hplan.base.arguments import each, file_path, instance, list_of, number
 from hplan.base.arrays import BoolArray, FloatArray, Record, readonly
-from hplan.base.data_files import urdf_dir
+from hplan.base.data_files import shipped_robots, urdf_dir
 from hplan.errors import InputError, JointLimitError
 from hplan.robot.dynamics import InverseDynamics
 from hplan.robot.family_reader import FamilyReader, joint_range
-from hplan.robot.files import LIMITS_SUFFIX, read_limits, read_models
+from hplan.robot.files import build_models, find_limits
+from hplan.robot.urdf_adaptation import RobotChoice, adapt_urdf
+from hplan.robot.urdf_xml import URDF_TEXT, is_urdf_text, read_urdf_xml
 
 _T = TypeVar("_T")
 
@@ -98,6 +100,9 @@ class Robot(Record):
         acceleration_limit: (dof,) [rad/s^2].
         torque_limit: (dof,) [N m].
         jerk_limit: (dof,) [rad/s^3], or None where the limits file gives none.
+        continuous: (dof,) True where the URDF gives a joint no limits; it turns by a whole turn to either side.
+        held: Where joints of the URDF stand that do not move, by name [rad, m]; None for those of several coordinates.
+        urdf_text: The URDF that the models were built from, where it is not the file's content.
     """
 
     name: str
@@ -117,6 +122,9 @@ class Robot(Record):
     acceleration_limit: FloatArray
     torque_limit: FloatArray
     jerk_limit: FloatArray | None
+    continuous: BoolArray
+    held: Mapping[str, float | None]
+    urdf_text: str | None
 
     @property
     def dof(self) -> int:
@@ -212,6 +220,32 @@ class Robot(Record):
             )
         return np.array([name in names for name in self.joint_names], dtype=np.bool_)
 
+    def turned_near(self, q: ArrayLike, start: ArrayLike) -> ArrayLike:
+        """A configuration with its continuous joints moved by whole turns to the values nearest to those of a start.
+
+        So a goal is reached the short way: from 0, 350 deg is reached at -10 deg, and the trajectory counts on from the
+        start without a jump. Values stay within the limits where some are; what is no configuration is returned as it
+        is, for `check_configuration` to refuse.
+
+        Args:
+            q: (dof,) configuration.
+            start: (dof,) configuration.
+        """
+        try:
+            values = np.array(q)
+        except ValueError:
+            return q
+        usable = values.shape == (self.dof,) and values.dtype.kind in "fiu" and np.isfinite(values).all()
+        if not (usable and self.continuous.any()):
+            return q
+        values, near = values.astype(np.float64), np.asarray(start, dtype=np.float64)
+        for joint in np.flatnonzero(self.continuous).tolist():
+            first = math.ceil((self.lower[joint] - values[joint] - 1e-9) / math.tau)
+            last = math.floor((self.upper[joint] - values[joint] + 1e-9) / math.tau)
+            turns = min(max(round((near[joint] - values[joint]) / math.tau), first), last)
+            values[joint] += math.tau * turns
+        return values
+
     def check_configuration(self, q: ArrayLike, which: str) -> FloatArray:
         """Return `q` as a read-only (dof,) array.
 
@@ -241,25 +275,51 @@ class Robot(Record):
         return readonly(np.clip(values, self.lower, self.upper))
 
 
-def load_robot(path: Path | str | None = None, *, limits: Path | str | None = None, tool_frame: str = "tool0") -> Robot:
-    """Load a robot of the family.
+def load_robot(
+    path: Path | str | None = None,
+    *,
+    limits: Path | str | None = None,
+    tool_frame: str = "tool0",
+    joints: Sequence[str] | None = None,
+    hold: Mapping[str, float] | None = None,
+    package_dirs: Sequence[Path | str] = (),
+) -> Robot:
+    """Load a robot of the family; joints of its URDF that do not move are made fixed.
 
     Args:
-        path: URDF file; None for the harvester that ships with hplan.
-        limits: Limits YAML; None for the file in the folder of the URDF, `NAME.limits.yaml`.
+        path: URDF or xacro file, or a URDF itself (a text that begins with `<`); None for the harvester that ships with
+            hplan. A text without suffix and folder that is no file names a robot that ships:
+            `load_robot("orchard_harvester")`.
+        limits: Limits YAML; None for the file beside the URDF, `NAME.limits.yaml`, and without one for acceleration and
+            jerk in the URDF (1.2).
         tool_frame: Frame at the end of the last link.
+        joints: Names of the joints that move, from the base on; None for all revolute and continuous ones up to the
+            tool frame that are not held.
+        hold: Values of joints that stand still [rad, m]. All that do not move do: without a value at 0, or at the limit
+            nearest to it, or as they mimic another.
+        package_dirs: Folders in which `package://` meshes are looked for, before those around the URDF.
 
     Raises:
-        RobotFileError: The URDF or the limits file is missing, malformed or incomplete.
+        RobotFileError: The URDF or the limits file is missing, malformed or incomplete; a mesh is missing.
         RobotFamilyError: The URDF is well-formed but no planar arm on an optional yaw; says which element and why.
+        InputError: A joint to move or to hold that does not exist or cannot; xacro without `xacrodoc`.
+        JointLimitError: A joint held outside its limits.
     """
-    urdf_path = urdf_dir() / "harvester.urdf" if path is None else file_path("path", path)
     instance("tool_frame", tool_frame, str)
-    model, collision_model, visual_model = read_models(urdf_path)
+    choice = RobotChoice(
+        tool_frame,
+        None if joints is None else list_of("joints", joints, str, "names"),
+        {name: number(f"hold[{name!r}]", value, "a position") for name, value in _mapping(hold).items()},
+        each("package_dirs", package_dirs, "a list of folders", file_path),
+    )
+    text = path if isinstance(path, str) and is_urdf_text(path) else None
+    urdf_path = URDF_TEXT if text is not None else _urdf_path(path)
+    adapted = adapt_urdf(urdf_path, read_urdf_xml(urdf_path, text, choice.package_dirs), choice)
+    model, collision_model, visual_model = build_models(urdf_path, adapted.urdf, adapted.text)
     kinematics = FamilyReader(model, collision_model, tool_frame)
     joint_names = tuple(model.names)[1:]
-    limits_path = urdf_path.with_suffix(LIMITS_SUFFIX) if limits is None else file_path("limits", limits)
-    acceleration, jerk = read_limits(limits_path, joint_names)
+    given = None if limits is None else file_path("limits", limits)
+    acceleration, jerk = find_limits(urdf_path, adapted.urdf, joint_names, given, adapted.held)
     lower, upper = joint_range(model)
     arm_slice = slice(1 if kinematics.has_yaw else 0, None)
     arm = PlanarArm(
@@ -290,4 +350,16 @@ def load_robot(path: Path | str | None = None, *, limits: Path | str | None = No
         acceleration_limit=readonly(acceleration),
         torque_limit=readonly(model.effortLimit),
         jerk_limit=None if jerk is None else readonly(jerk),
+        continuous=readonly([name in adapted.continuous for name in joint_names], np.bool_),
+        held=adapted.held,
+        urdf_text=adapted.text,
     )
+
+
+def _mapping(hold: Mapping[str, float] | None) -> dict[str, float]:
+    return {} if hold is None else dict(instance("hold", hold, Mapping, "{joint: value}"))  # type: ignore[type-abstract]
+
+
+def _urdf_path(path: Path | str | None) -> Path:
+    found = urdf_dir() / "harvester.urdf" if path is None else file_path("path", path)
+    return urdf_dir() / f"{path}.urdf" if str(path) in shipped_robots() and not found.is_file() else found

@@ -41,7 +41,7 @@ _ATTRIBUTES: Final[Mapping[str, frozenset[str]]] = {
     "parent": frozenset({"link"}),
     "child": frozenset({"link"}),
     "axis": frozenset({"xyz"}),
-    "limit": frozenset({"lower", "upper", "velocity", "effort"}),
+    "limit": frozenset({"lower", "upper", "velocity", "effort", "acceleration", "jerk"}),
     "dynamics": frozenset({"damping", "friction"}),
     "mimic": frozenset({"joint", "multiplier", "offset"}),
     "safety_controller": frozenset({"soft_lower_limit", "soft_upper_limit", "k_position", "k_velocity"}),
@@ -134,7 +134,8 @@ class Joint:
         child: Name of the link that it moves.
         placement: In the parent link's frame.
         axis: (3,) axis as the file gives it, of any length.
-        limits: `lower`, `upper`, `velocity`, `effort`, those that the file gives [rad, m, s, N, N m].
+        limits: `lower`, `upper`, `velocity`, `effort`, and of URDF 1.2 `acceleration`, `jerk`, those that the file
+            gives [rad, m, s, N, N m].
     """
 
     element: ET.Element
@@ -266,7 +267,7 @@ class _Reader:
                 raise self.fault(joint, f"{where}: it has no <limit>")
             return {}
         limits: dict[str, float] = {}
-        for attribute in ("lower", "upper", "velocity", "effort"):
+        for attribute in ("lower", "upper", "velocity", "effort", "acceleration", "jerk"):
             if attribute in limit.attrib or (bounded and attribute in ("velocity", "effort")):
                 (limits[attribute],) = self._numbers(limit, attribute, where, 1)
         return limits

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 from xml.parsers import expat
 
-from hplan.errors import RobotFileError
+from hplan.errors import InputError, RobotFileError
 
 #: Most bytes of a URDF.
 MOST_BYTES: Final = 16_000_000
@@ -22,25 +23,64 @@ class Element(ET.Element):
     line = 0
 
 
-def read_urdf_xml(path: Path) -> ET.Element:
+#: Stands for the file of a URDF that is given as a text.
+URDF_TEXT: Final = Path("URDF text")
+
+
+def read_urdf_xml(path: Path, text: str | None = None, package_dirs: Sequence[Path] = ()) -> ET.Element:
     """Read a URDF's XML and nothing more: its root element; all elements are `Element`.
+
+    Args:
+        path: The file; one that ends in `.xacro` is expanded first.
+        text: Its content, where there is no file.
+        package_dirs: Folders in which xacro looks for packages first.
 
     Raises:
         RobotFileError: Missing or unreadable file, too large, malformed XML, a document type, or no robot.
+        InputError: It is xacro, which `xacrodoc` is missing for.
     """
-    try:
-        with path.open("rb") as file:
-            content = file.read(MOST_BYTES + 1)
-    except OSError as error:
-        raise RobotFileError(path, error.strerror or str(error)) from error
-    except ValueError as error:
-        raise RobotFileError(path, f"its name cannot be that of a file: {error}") from error
+    content = _content(path, package_dirs) if text is None else text.lstrip().encode("utf-8", "surrogatepass")
     if len(content) > MOST_BYTES:
         raise RobotFileError(path, f"it has more than {MOST_BYTES:,} bytes")
     root = _parsed(path, content)
     if root.tag != "robot":
         raise RobotFileError(path, f"the root element is <{root.tag}>, expected <robot>")
     return root
+
+
+def is_urdf_text(source: object) -> bool:
+    """True if what is given for a path is a URDF itself."""
+    return isinstance(source, str) and source.lstrip().startswith("<")
+
+
+def _content(path: Path, package_dirs: Sequence[Path]) -> bytes:
+    if path.suffix == ".xacro" and path.is_file():
+        return _expanded(path, package_dirs).encode("utf-8")
+    try:
+        with path.open("rb") as file:
+            return file.read(MOST_BYTES + 1)
+    except OSError as error:
+        raise RobotFileError(path, error.strerror or str(error)) from error
+    except ValueError as error:
+        raise RobotFileError(path, f"its name cannot be that of a file: {error}") from error
+
+
+def _expanded(path: Path, package_dirs: Sequence[Path]) -> str:
+    """The URDF that a xacro file stands for; its packages are looked for later, with those of any URDF."""
+    try:
+        import xacrodoc
+    except ImportError as error:
+        raise InputError(
+            f"robot file {path}: xacro needs xacrodoc, which is not installed: pip install 'hplan[xacro]'",
+            path=str(path),
+            extra="xacro",
+        ) from error
+    try:
+        xacrodoc.packages.look_in([str(folder) for folder in package_dirs])
+        text: str = xacrodoc.XacroDoc.from_file(str(path), resolve_packages=False).to_urdf_string()
+    except Exception as error:  # xacro raises classes of its own, expat's and Python's
+        raise RobotFileError(path, f"xacro refuses it: {error}") from error
+    return text
 
 
 def line_of(element: ET.Element) -> str:

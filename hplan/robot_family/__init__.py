@@ -4,6 +4,6 @@ May use `base`, `scene` and `robot`.
 """
 
 from hplan.robot_family.members import CrossCheck, cross_check, write_robot
-from hplan.robot_family.spec import HARVESTER, ArmSpec
+from hplan.robot_family.spec import HARVESTER, ORCHARD_HARVESTER, ArmSpec, Gripper
 
-__all__ = ["HARVESTER", "ArmSpec", "CrossCheck", "cross_check", "write_robot"]
+__all__ = ["HARVESTER", "ORCHARD_HARVESTER", "ArmSpec", "CrossCheck", "Gripper", "cross_check", "write_robot"]

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
-from hplan.robot_family.spec import ArmSpec
+from hplan.robot_family.spec import ArmSpec, Gripper
 
 Vector = tuple[float, float, float]
 Axis = Literal["x", "y", "z"]
@@ -133,8 +133,26 @@ def _gripper(link: str, length: float, half_width: float, unit: float) -> list[P
     return shapes
 
 
-def arm_visuals(link: str, length: float, half_width: float, next_half_width: float | None) -> list[Primitive]:
-    """Housing, tube and collars of an arm link, then the fork for the next joint or the gripper."""
+def gripper_visuals(gripper: Gripper) -> list[Primitive]:
+    """Palm and fingers of a gripper, in the frame of `tool0`."""
+    unit = min(gripper.length / 4.3, gripper.half_width)
+    return _gripper("gripper", 0.0, gripper.half_width, unit)
+
+
+def gripper_collisions(gripper: Gripper) -> list[Primitive]:
+    """The exact capsule of a gripper, in the frame of `tool0`."""
+    near = -gripper.length
+    return [
+        _round("gripper_capsule_side", "x", near, 0.0, gripper.half_width),
+        Primitive("gripper_capsule_near", "sphere", (near, 0.0, 0.0), (gripper.half_width,)),
+        Primitive("gripper_capsule_far", "sphere", (0.0, 0.0, 0.0), (gripper.half_width,)),
+    ]
+
+
+def arm_visuals(
+    link: str, length: float, half_width: float, next_half_width: float | None, *, bare: bool = False
+) -> list[Primitive]:
+    """Housing, tube and collars of an arm link, then the fork for the next joint or, unless bare, the gripper."""
     w = half_width
     unit = min(w, length / 6)  # a stubby link gets its fittings shortened, so that they fit on it
     shapes = [
@@ -142,7 +160,9 @@ def arm_visuals(link: str, length: float, half_width: float, next_half_width: fl
         _round(f"{link}_collar", "x", 0.5 * unit, 1.8 * unit, 0.8 * w, "graphite"),
         _round(f"{link}_accent", "x", 1.8 * unit, 2.05 * unit, 0.7 * w, "orange"),
     ]
-    if next_half_width is None:
+    if next_half_width is None and bare:
+        tube_end, end = length - 2.0 * unit, []
+    elif next_half_width is None:
         tube_end = length - 3.8 * unit
         end = _gripper(link, length, w, unit)
     else:

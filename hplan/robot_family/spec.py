@@ -5,13 +5,36 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
-from hplan.base.arguments import each, keep_checked, number, truth
+from hplan.base.arguments import each, instance, keep_checked, number, truth
 from hplan.errors import OptionError
 
 _HALF_PI = math.pi / 2
+
+
+@dataclass(frozen=True)
+class Gripper:
+    """A gripper about the end of the last link, which collides as a capsule that ends at `tool0`.
+
+    Attributes:
+        mass: Its mass, spread as a solid cylinder [kg].
+        length: How far it reaches back from `tool0` [m].
+        half_width: Radius of its capsule [m].
+    """
+
+    mass: float
+    length: float
+    half_width: float
+
+    def __post_init__(self) -> None:
+        """Check every value.
+
+        Raises:
+            OptionError: A value that is no positive number.
+        """
+        keep_checked(self, dict.fromkeys(("mass", "length", "half_width"), (_positive,)))
 
 
 @dataclass(frozen=True)
@@ -36,6 +59,7 @@ class ArmSpec:
         has_yaw: True if the turret turns about the vertical through the origin of `base_link`.
         base_mass: Mass of the pedestal [kg].
         turret_mass: Mass of the turret [kg].
+        gripper: What the last link carries; None draws one within its capsule, without a mass of its own.
     """
 
     name: str
@@ -52,6 +76,7 @@ class ArmSpec:
     has_yaw: bool = True
     base_mass: float = 40.0
     turret_mass: float = 12.0
+    gripper: Gripper | None = None
 
     def __post_init__(self) -> None:
         """Check every value and keep sequences as tuples of floats.
@@ -71,6 +96,8 @@ class ArmSpec:
             if not lower < upper:
                 raise OptionError(f"lower[{joint}]", lower, f"less than the upper limit {upper!r}")
         keep_checked(self, dict.fromkeys(("shoulder_height", "base_mass", "turret_mass"), (_positive,)))
+        if self.gripper is not None:
+            instance("gripper", self.gripper, Gripper)
 
     @property
     def n_links(self) -> int:
@@ -140,4 +167,13 @@ HARVESTER = ArmSpec(
     effort=(150.0, 250.0, 120.0, 30.0),
     acceleration=(3.0, 3.0, 4.0, 6.0),
     jerk=(150.0, 150.0, 200.0, 300.0),
+)
+
+#: As an orchard needs it: joints that bend both ways, so that fruit below the shoulder is reached too, and a gripper.
+ORCHARD_HARVESTER = replace(
+    HARVESTER,
+    name="orchard_harvester",
+    lower=(-math.pi, math.radians(-90.0), math.radians(-150.0), math.radians(-120.0)),
+    upper=(math.pi, math.radians(135.0), math.radians(150.0), math.radians(120.0)),
+    gripper=Gripper(mass=0.7, length=0.14, half_width=0.036),
 )

@@ -31,10 +31,12 @@ from hplan.robot_family.shapes import (
     base_radius,
     base_visuals,
     capsule,
+    gripper_collisions,
+    gripper_visuals,
     turret_collisions,
     turret_visuals,
 )
-from hplan.robot_family.spec import HARVESTER, ArmSpec
+from hplan.robot_family.spec import HARVESTER, ORCHARD_HARVESTER, ArmSpec
 
 _HALF_PI = math.pi / 2
 
@@ -117,8 +119,9 @@ def _turret_link(spec: ArmSpec) -> Any:
 def _arm_link(spec: ArmSpec, index: int) -> Any:
     name, length, radius = spec.arm_link_names[index], spec.link_lengths[index], spec.link_half_widths[index]
     next_radius = spec.link_half_widths[index + 1] if index + 1 < spec.n_links else None
+    visuals = arm_visuals(name, length, radius, next_radius, bare=spec.gripper is not None)
     inertial = _cylinder_inertial(spec.link_masses[index], radius, "x", 0.0, length)
-    return _link(name, inertial, arm_visuals(name, length, radius, next_radius), capsule(name, length, radius))
+    return _link(name, inertial, visuals, capsule(name, length, radius))
 
 
 def _link(name: str, inertial: Any, visuals: Sequence[Primitive], collisions: Sequence[Primitive]) -> Any:
@@ -128,6 +131,15 @@ def _link(name: str, inertial: Any, visuals: Sequence[Primitive], collisions: Se
         visuals=[_visual(shape) for shape in _to_four_digits(visuals)],
         collisions=[_collision(shape) for shape in collisions],
     )
+
+
+def _tool_link(spec: ArmSpec) -> Any:
+    """The tool point, with the gripper that ends there."""
+    gripper = spec.gripper
+    if gripper is None:
+        return yourdfpy.Link(name="tool0")
+    inertial = _cylinder_inertial(gripper.mass, gripper.half_width, "x", -gripper.length, 0.0)
+    return _link("tool0", inertial, gripper_visuals(gripper), gripper_collisions(gripper))
 
 
 def _revolute(spec: ArmSpec, name: str, parent: str, child: str, xyz: Vector, axis: Vector) -> Any:
@@ -181,7 +193,7 @@ def build_robot(spec: ArmSpec) -> Any:
         _base_link(spec),
         _turret_link(spec),
         *(_arm_link(spec, index) for index in range(spec.n_links)),
-        yourdfpy.Link(name="tool0"),
+        _tool_link(spec),
     ]
     materials = [
         yourdfpy.Material(name=name, color=yourdfpy.Color(rgba=np.array(rgba))) for name, rgba in PALETTE.items()
@@ -216,10 +228,9 @@ def urdf_text(spec: ArmSpec) -> str:
 
 
 def _header_lines(spec: ArmSpec) -> list[str]:
-    if spec == HARVESTER:
-        names, argument = "HARVESTER, write_robot", "HARVESTER"
-    else:
-        names, argument = "ArmSpec, write_robot", "spec"
+    shipped = {HARVESTER: "HARVESTER", ORCHARD_HARVESTER: "ORCHARD_HARVESTER"}
+    argument = shipped.get(spec, "spec")
+    names = f"{argument if spec in shipped else 'ArmSpec, Gripper' if spec.gripper else 'ArmSpec'}, write_robot"
     links = ", ".join(
         f"{name} {length:g} (radius {radius:g})"
         for name, length, radius in zip(spec.arm_link_names, spec.link_lengths, spec.link_half_widths, strict=True)
@@ -232,13 +243,14 @@ def _header_lines(spec: ArmSpec) -> list[str]:
         "Metres, kilograms, radians. Each arm link collides as an exact capsule: a cylinder and two"
         f" spheres. Acceleration limits, which URDF lacks, are in the {LIMITS_SUFFIX} file beside"
         " this one.",
+        *_gripper_prose(spec),
         "Written by hplan.robot_family with yourdfpy. Do not edit: write it again.",
     ]
     lines = ["<!--"]
     for paragraph in prose:
         lines += textwrap.wrap(paragraph, 98, initial_indent="  ", subsequent_indent="  ")
     lines += ["", f"    from hplan.robot_family import {names}"]
-    if spec != HARVESTER:
+    if spec not in shipped:
         lines += textwrap.wrap(
             f"spec = {spec!r}",
             98,
@@ -248,6 +260,16 @@ def _header_lines(spec: ArmSpec) -> list[str]:
             break_on_hyphens=False,
         )
     return [*lines, f'    write_robot({argument}, "{spec.name}.urdf")', "-->"]
+
+
+def _gripper_prose(spec: ArmSpec) -> list[str]:
+    """What the header says of the gripper."""
+    if spec.gripper is None:
+        return []
+    gripper = spec.gripper
+    return [
+        f"tool0 carries a gripper: {gripper.mass:g} kg, {gripper.length:g} m long, radius {gripper.half_width:g} m."
+    ]
 
 
 def _sections(spec: ArmSpec, root: ET.Element) -> Iterator[tuple[str, list[ET.Element]]]:

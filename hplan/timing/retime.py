@@ -22,7 +22,8 @@ duration and a deviation from the path of at most :math:`a (m h)^2 / 24` a joint
 judges the rows.
 
 In all the motion takes :math:`m + 1` to :math:`m + 2` periods longer than toppra's. What passes a limit all the same
-(a little, by the spacing of the grid; torque is no linear function of the motion) is taken back by slowing down.
+(a little, by the spacing of the grid, which `hplan.timing.speed_profile` refines where it is more; torque is no linear
+function of the motion) is taken back by slowing down.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from functools import cache, cached_property
+from functools import cache
 
 import numpy as np
 import pinocchio as pin
@@ -39,6 +40,7 @@ from hplan.base.arrays import BoolArray, FloatArray
 from hplan.errors import OptionError, TimingError
 from hplan.robot.dynamics import InverseDynamics
 from hplan.robot.limits import GeometricPath, Limits, check_rate
+from hplan.timing.speed_profile import MOST_POINTS, MOST_ROWS, NO_MOTION, SpeedProfile, parameter_grid, refined
 from hplan.timing.trajectory import Trajectory
 
 #: Grid points of the path parameter, beside the knots.
@@ -47,19 +49,12 @@ GRID_POINTS = 400
 #: With fewer points than this for each row, what passes a limit between them slows the whole motion down; longer
 #: motions get more points, up to a number that takes a tenth of a second.
 POINTS_PER_ROW = 0.8
-MOST_POINTS = 4000
-
-#: Paths on which no joint leaves its place by as much as this are no motion [rad].
-NO_MOTION = 1e-7
 
 #: Share by which a limit may be passed before the motion is slowed down.
 KEPT = 2e-4
 
 #: Where rows are farther apart than this, torque is kept at as many times between them [s].
 TORQUE_PERIOD_S = 0.01
-
-#: Most rows of a motion: as many take 0.2 GB.
-MOST_ROWS = 400_000
 
 #: Numbers of control points to average that are tried one by one; of larger ones each is tried that is so much larger.
 ONE_BY_ONE, GROWTH = 128, 1.02
@@ -108,7 +103,7 @@ def time_path(
         raise OptionError("grid", "given", "none where the ends of the motion are not at rest")
     dynamics = model if isinstance(model, InverseDynamics) else InverseDynamics.of(model)
     names = tuple(dynamics.model.names)[1:]
-    whole = _grid(path, grid_points, (0.0, 0.0)) if grid is None else grid
+    whole = parameter_grid(path, grid_points, (0.0, 0.0)) if grid is None else grid
     fine = path.evaluate(whole)
     if np.ptp(fine, axis=0).max() < NO_MOTION:
         return resting(dynamics.model, path.evaluate(0.0))
@@ -117,8 +112,10 @@ def time_path(
     # Path speeds ds/dt at the ends; the parameter need not run exactly as the length.
     rates = np.array([start_speed, end_speed]) / np.linalg.norm(path.evaluate(ends, 1), axis=1)
 
+    period = 1.0 / rate_hz
+
     @cache
-    def profile_for(window: int) -> _Profile:
+    def profile_for(window: int) -> SpeedProfile:
         """With as much constant speed at each end as the rows' averages reach over; the same for all from rest."""
         if window > 1 and not rates.any():
             return profile_for(1)
@@ -126,14 +123,15 @@ def time_path(
         if leads.sum() >= 0.5 * path.breaks[-1]:
             raise TimingError("the path is too short for its start and end speeds", cause="speed at the ends")
         ends = (float(leads[0]), float(leads[1]))
-        between = _grid(path, grid_points, ends) if rates.any() else whole
-        found = _Profile.along(path, dynamics, limits, between, rates)
+        between = parameter_grid(path, grid_points, ends) if rates.any() else whole
+        found = SpeedProfile.along(path, dynamics, limits, between, rates)
         wanted = int(POINTS_PER_ROW * found.arrival[-1] * rate_hz)
-        if grid is not None or wanted <= len(between):
-            return found
-        return _Profile.along(path, dynamics, limits, _grid(path, min(wanted, MOST_POINTS), ends), rates)
+        if grid is None and wanted > len(between):
+            found = SpeedProfile.along(
+                path, dynamics, limits, parameter_grid(path, min(wanted, MOST_POINTS), ends), rates
+            )
+        return found if rates.any() else refined(found, dynamics, limits, period)
 
-    period = 1.0 / rate_hz
     window = _smoothing_window(profile_for, limits, period)
     return _sample(profile_for(window), dynamics, names, limits, period, window)
 
@@ -143,29 +141,6 @@ def resting(model: pin.Model, q: FloatArray) -> Trajectory:
     zero = np.zeros((1, model.nv))
     torque = pin.rnea(model, model.createData(), q, zero[0], zero[0])
     return Trajectory(tuple(model.names)[1:], np.zeros(1), q[None], zero, zero, torque[None])
-
-
-def _grid(path: GeometricPath, points: int, leads: tuple[float, float]) -> FloatArray:
-    """Path parameters, denser towards the ends, together with the ends of the pieces.
-
-    From rest the parameter grows with the square of time; cosine spacing makes the first intervals as short in time
-    as the others.
-    """
-    first, last = leads[0], float(path.breaks[-1]) - leads[1]
-    inner = path.breaks[(path.breaks > first) & (path.breaks < last)]
-    spaced = first + 0.5 * (last - first) * (1.0 - np.cos(np.linspace(0.0, np.pi, points)))
-    if len(inner) == 0:
-        return spaced
-    # Spaced points that stand close to a piece's end give way to it, so that few intervals become very short.
-    following = np.searchsorted(inner, spaced)
-    nearest = np.minimum(
-        np.abs(spaced - inner[np.minimum(following, len(inner) - 1)]),
-        np.abs(spaced - inner[np.maximum(following - 1, 0)]),
-    )
-    kept = nearest > 0.3 * np.gradient(spaced)
-    kept[[0, -1]] = True
-    grid: FloatArray = np.union1d(spaced[kept], inner)
-    return grid
 
 
 def _check_limits(
@@ -200,60 +175,7 @@ def _check_limits(
         )
 
 
-@dataclass(frozen=True, eq=False)
-class _Profile:
-    """The fastest motion along a path, in continuous time.
-
-    The path speed is linear in time between grid points. Before the first grid point and after the last one it is
-    constant, on the path's tangent where that leads beyond its ends.
-
-    Attributes:
-        path: The path.
-        grid: (n,) path parameters.
-        speed: (n,) ds/dt there.
-        arrival: (n,) times.
-    """
-
-    path: GeometricPath
-    grid: FloatArray
-    speed: FloatArray
-    arrival: FloatArray
-
-    @classmethod
-    def along(
-        cls, path: GeometricPath, dynamics: InverseDynamics, limits: Limits, grid: FloatArray, rates: FloatArray
-    ) -> _Profile:
-        """By toppra, with path speeds `rates` at the ends of the grid."""
-        from hplan.timing.topp import fastest_speed
-
-        speed = fastest_speed(path, dynamics, limits, grid, rates)
-        # The path acceleration is constant between grid points, so each interval takes 2 ds / (sum of its speeds).
-        lasting = 2.0 * np.diff(grid) / (speed[:-1] + speed[1:])
-        return cls(path, grid, speed, np.concatenate([[0.0], np.cumsum(lasting)]))
-
-    def positions(self, clock: FloatArray) -> FloatArray:
-        """(k, dof) configurations at times."""
-        time = np.clip(clock, 0.0, self.arrival[-1])
-        interval = np.clip(np.searchsorted(self.arrival, time, side="right") - 1, 0, len(self.arrival) - 2)
-        since = time - self.arrival[interval]
-        lasting = self.arrival[interval + 1] - self.arrival[interval]
-        acceleration = (self.speed[interval + 1] - self.speed[interval]) / lasting
-        parameter = self.grid[interval] + since * (self.speed[interval] + 0.5 * acceleration * since)
-        parameter += np.where(clock < 0.0, self.speed[0], self.speed[-1]) * (clock - time)
-        q = np.array(self.path.evaluate(parameter))
-        end = float(self.path.breaks[-1])
-        for outside, s in ((parameter < 0.0, 0.0), (parameter > end, end)):
-            if outside.any():
-                q[outside] += (parameter[outside] - s)[:, None] * self.path.evaluate(s, 1)
-        return q
-
-    @cached_property
-    def ends(self) -> FloatArray:
-        """(2, dof) configurations at both ends of the path."""
-        return self.path.evaluate(np.array([0.0, self.path.breaks[-1]]))
-
-
-def _smoothing_window(profile_for: Callable[[int], _Profile], limits: Limits, period: float) -> int:
+def _smoothing_window(profile_for: Callable[[int], SpeedProfile], limits: Limits, period: float) -> int:
     """The fewest control points to average that keep the jerk limits; 2 a / (m h) <= jerk always suffices."""
     if limits.jerk is None:
         return 1
@@ -290,7 +212,7 @@ class _Rows:
 
 
 def _sample(
-    profile: _Profile, dynamics: InverseDynamics, names: tuple[str, ...], limits: Limits, period: float, window: int
+    profile: SpeedProfile, dynamics: InverseDynamics, names: tuple[str, ...], limits: Limits, period: float, window: int
 ) -> Trajectory:
     """The trajectory, slowed down where torque, which is no linear function of the motion, passes its limit."""
     stretch = 1.0
@@ -331,7 +253,7 @@ def _torque_excess(dynamics: InverseDynamics, position: FloatArray, torque: Floa
     return float(max(1.0 + 1e-4, np.sqrt((np.abs(torque - gravity) / room)[over].max())))
 
 
-def _rows(profile: _Profile, limits: Limits, period: float, window: int, stretch: float = 1.0) -> _Rows:
+def _rows(profile: SpeedProfile, limits: Limits, period: float, window: int, stretch: float = 1.0) -> _Rows:
     """Rows at multiples of the period (see the module's text), `window` control points averaged.
 
     Between grid points the velocity and acceleration limits are passed by a little; as much pace is taken back.
@@ -378,7 +300,7 @@ def _rows(profile: _Profile, limits: Limits, period: float, window: int, stretch
 
 
 def _make_exact(
-    position: FloatArray, velocity: FloatArray, acceleration: FloatArray, control: FloatArray, profile: _Profile
+    position: FloatArray, velocity: FloatArray, acceleration: FloatArray, control: FloatArray, profile: SpeedProfile
 ) -> None:
     """Take rounding out of what is known: joints that stay where they are, and rest at the ends."""
     still = np.ptp(control, axis=0) <= 1e-12

@@ -18,6 +18,7 @@ This module is imported lazily: toppra, with scipy, takes a quarter of a second.
 from __future__ import annotations
 
 import logging
+import math
 from typing import Any
 
 import numpy as np
@@ -125,7 +126,7 @@ class _Velocity(constraint.LinearConstraint):  # type: ignore[misc]
         """Return toppra's a, b, c, F, g, ubound, of which there are none, and xbound."""
         fastest = (self._limit / np.maximum(np.abs(path(gridpoints, 1)), 1e-300)).min(axis=1)
         fastest = np.minimum(fastest, self._ceiling)
-        bound = np.stack([np.zeros(len(fastest)), np.minimum(fastest**2, _BOUND)], axis=1)
+        bound = np.stack([np.zeros(len(fastest)), np.minimum(fastest, math.sqrt(_BOUND)) ** 2], axis=1)
         return None, None, None, None, None, None, bound
 
 

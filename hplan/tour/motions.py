@@ -345,7 +345,7 @@ def drop_off(goal: Goal, empty: PlanningContext, loaded: PlanningContext, start:
     """
     world, joints = loaded.world, goal.joints()
     if joints is not None:
-        q = world.robot.check_configuration(joints, "drop_off")
+        q = world.robot.check_configuration(world.robot.turned_near(joints, start), "drop_off")
         world.check_clear(q, "drop_off")
         _, motion = find_motion([empty.task(start, q)])
         return DropOff(q, motion.transit)

@@ -44,7 +44,8 @@ def mujoco_model(mujoco: ModuleType, robot: Robot, scene: Scene, *, timestep_s: 
         RobotFileError: MuJoCo refuses the URDF.
     """
     try:
-        spec = mujoco.MjSpec.from_file(str(robot.urdf_path))
+        text = robot.urdf_text
+        spec = mujoco.MjSpec.from_file(str(robot.urdf_path)) if text is None else mujoco.MjSpec.from_string(text)
     except ValueError as error:
         raise RobotFileError(robot.urdf_path, f"MuJoCo refuses it: {error}") from error
     for mesh in spec.meshes:

@@ -159,7 +159,7 @@ def execute(robot: Robot, scene: Scene, motion: Movement, plant: Plant | None = 
         raise OptionError("motion", motion, "a Trajectory, as from plan, or a Motion, as from read_motion")
     mujoco = import_mujoco()
     reference = _Reference.of(robot, motion)
-    start, goal = (_joints(robot, scene, which) for which in ("start", "goal"))
+    start, goal = (_joints(robot, scene, which, reference.position[-1]) for which in ("start", "goal"))
     goal = reference.position[-1] if goal is None else goal
     model, obstacle_of = mujoco_model(mujoco, robot, scene, timestep_s=CONTROL_PERIOD / SUBSTEPS)
     plant = Plant() if plant is None else plant
@@ -323,9 +323,12 @@ class _Simulation:
             self.touched[link, obstacle] = (time, max(deepest, depth))
 
 
-def _joints(robot: Robot, scene: Scene, which: str) -> FloatArray | None:
+def _joints(robot: Robot, scene: Scene, which: str, end: FloatArray) -> FloatArray | None:
+    """Start or goal of a scene; the goal at the turn at which the motion's end is."""
     joints = (scene.start if which == "start" else scene.goal).joints()
-    return None if joints is None else robot.check_configuration(joints, which)
+    if joints is None:
+        return None
+    return robot.check_configuration(robot.turned_near(joints, end) if which == "goal" else joints, which)
 
 
 def _nearest(robot: Robot, scene: Scene, position: FloatArray) -> Contact | None:

@@ -40,7 +40,8 @@ def task_violations(robot: Robot, scene: Scene, bezier: FloatArray) -> Iterator[
             yield f"joint {robot.joint_names[joint]!r} is locked, but moves by {moved:.4g} rad"
     goal = scene.goal.joints()
     if goal is not None:
-        yield from _apart(robot, "ends", rows[-1], robot.check_configuration(goal, "goal"), "goal")
+        asked = robot.check_configuration(robot.turned_near(goal, rows[-1]), "goal")
+        yield from _apart(robot, "ends", rows[-1], asked, "goal")
         return
     fruit = next((fruit for fruit in scene.fruits if fruit.name == scene.goal.fruit), None)
     if fruit is None:

@@ -23,6 +23,7 @@ from hplan.errors import InputError, JointLimitError, TimingError
 from hplan.robot.limits import Limits
 from hplan.smoothing.spline import SplinePath
 from hplan.timing import retime as timing
+from hplan.timing.speed_profile import NO_MOTION
 from hplan.timing.trajectory import QUANTITIES, Trajectory
 from hplan.waypoints.corner_rounding import as_waypoints, rounded_path
 
@@ -145,7 +146,7 @@ def time_waypoints(
         raise JointLimitError(f"waypoint {number + 1}", names[joint], value, float(lower[joint]), float(upper[joint]))
     points = np.clip(points, lower, upper)
     if limits.torque is not None:
-        for joint in np.flatnonzero((np.ptp(points, axis=0) >= timing.NO_MOTION) & ~(limits.torque > 0.0)):
+        for joint in np.flatnonzero((np.ptp(points, axis=0) >= NO_MOTION) & ~(limits.torque > 0.0)):
             raise TimingError(
                 f"joint {names[joint]!r} must move, but its torque limit is {limits.torque[joint]:g}",
                 joint=names[joint],

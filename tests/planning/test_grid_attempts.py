@@ -12,7 +12,8 @@ from planned import task
 from test_grid_route import posed
 
 import hplan.planning.find_motion
-from hplan.errors import CertificationError, HplanError, NoPathError, TimingError
+import hplan.planning.sampled_motion
+from hplan.errors import CertificationError, HplanError, NoPathError, NotFoundError, TimingError
 from hplan.planning.certified_motion import PlannedMotion
 from hplan.planning.enclosure import EnclosedError
 from hplan.planning.find_motion import GROWTH, SLUGGISH, YAW_GRID_ATTEMPTS, find_motion, least_duration
@@ -40,8 +41,11 @@ def goals(robot: Robot, *yaws: float) -> list[PlanningTask]:
 
 @pytest.fixture
 def ladder(monkeypatch: pytest.MonkeyPatch, robot: Robot) -> Callable[..., list[Try]]:
-    """Grids that give what they are told to; no roadmaps. Returns what has been tried."""
+    """Grids that give what they are told to, however large; no roadmaps, no trees. Returns what has been tried."""
     monkeypatch.setattr(hplan.planning.find_motion, "ROADMAPS", 0)
+    monkeypatch.setattr(hplan.planning.sampled_motion, "tree_path", lambda *_, **__: None)
+    for most in ("MOST_CELLS", "MOST_CELLS_IN_ALL"):
+        monkeypatch.setattr(hplan.planning.find_motion, most, 1e12)
 
     def prepare(tasks: list[PlanningTask], outcome: Callable[[Try], Outcome]) -> list[Try]:
         tried: list[Try] = []
@@ -168,7 +172,7 @@ def test_open_ended_is_tried_with_more_yaws(robot: Robot, ladder: Any) -> None:
     """What is open to yaws beyond the grid is not closed, however often it is looked at."""
     tasks = goals(robot, 60.0)
     tried = ladder(tasks, lambda _: enclosed(open_ended=True))
-    with pytest.raises(CertificationError, match="no motion could be certified"):
+    with pytest.raises(NotFoundError, match="no motion was found"):
         find_motion(tasks)
     # Thick grids close narrow ways, so they show nothing; of the others each wider one is tried.
     assert [one[1:3] for one in tried if not one[4] and not one[3]] == [
@@ -210,6 +214,7 @@ def test_planar_ladder(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
         raise closed_at.get(tried[-1], CertificationError(f"number {len(tried)}"))
 
     monkeypatch.setattr(hplan.planning.find_motion, "_on_grid", on_grid)
+    monkeypatch.setattr(hplan.planning.sampled_motion, "tree_path", lambda *_, **__: None)
     with pytest.raises(CertificationError, match=r"number 1$"):
         find_motion([posed(robot, scene, PlanOptions(step_deg=STEP))])
     assert tried == [(step, growth) for step in (STEP, 0.5 * STEP) for growth in GROWTH]
@@ -223,3 +228,51 @@ def test_planar_ladder(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(NoPathError, match="closed"):
         find_motion([posed(robot, scene, PlanOptions(step_deg=STEP))])
     assert tried == [(STEP, 0.0)]
+
+
+def test_a_grid_that_is_too_large_gets_a_larger_step(robot: Robot) -> None:
+    (one,) = goals(robot, 60.0)
+    widest = GridAttempt(1.0, 360.0)
+    nodes = one.cells(widest)
+    assert one.fitting(widest, 1.01 * nodes) == widest
+    coarser = one.fitting(widest, 0.5 * nodes)
+    assert coarser == replace(widest, step_factor=1.5)
+    assert one.cells(coarser) <= 0.5 * nodes
+    assert one.fitting(widest, 10.0) is None
+
+
+@pytest.mark.parametrize("attempt", [GridAttempt(2.0, 4.0), GridAttempt(4.0, 45.0), GridAttempt(4.0, 360.0)])
+def test_cells_are_those_of_the_grid(robot: Robot, attempt: GridAttempt) -> None:
+    (one,) = goals(robot, 60.0)
+    assert one.cells(attempt) == pytest.approx(one.occupancy(attempt).grid.size, rel=0.15)
+
+
+def test_closed_on_the_finest_grid_that_fits_names_its_step(
+    robot: Robot, ladder: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tasks = goals(robot, 60.0)
+    ladder(tasks, lambda one: enclosed(open_ended=one[2] < 360.0))
+    monkeypatch.setattr(hplan.planning.find_motion, "MOST_CELLS", 0.5 * tasks[0].cells(GridAttempt(1.0, 360.0)))
+    with pytest.raises(NoPathError, match=r"explained; the grid's step is 1.5 deg") as caught:
+        find_motion(tasks)
+    assert caught.value.data["step_deg"] == 1.5
+
+
+def test_nothing_found_and_nothing_shown(robot: Robot, ladder: Any) -> None:
+    """Closed up to some yaws only, and trees found nothing: it is said what was tried."""
+    tasks = goals(robot, 60.0)
+    ladder(tasks, lambda _: enclosed(open_ended=True))
+    with pytest.raises(NotFoundError, match="trees of 3 seeds; grids down to 1 deg") as caught:
+        find_motion(tasks)
+    assert caught.value.exit_status == 6
+    assert caught.value.data["tried"][0] == "straight motion"
+
+
+def test_trees_go_before_grids(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No quick path in the roadmap: the trees' motion is taken, or a quicker one of a small grid."""
+    monkeypatch.setattr(hplan.planning.sampled_motion, "quick_path", lambda *_, **__: None)
+    monkeypatch.setattr(hplan.planning.find_motion, "SECOND_LOOKS", 0)
+    tasks = goals(robot, 60.0)
+    number, motion = find_motion(tasks)
+    assert (number, motion.origin) == (0, "trees")
+    assert motion.certificate.verified

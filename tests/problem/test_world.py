@@ -16,12 +16,13 @@ from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.coal_scene import CoalScene, base_contacts
 from hplan.cspace.sections import sections_at
 from hplan.errors import ConfigurationInCollisionError, InputError
-from hplan.problem.world import BASE_DEPTH, World
+from hplan.problem.world import BASE_DEPTH, World, without_inside
 from hplan.robot.model import Robot, load_robot
 from hplan.robot.self_contact import pair_sway
 from hplan.robot_family.members import write_robot
 from hplan.robot_family.spec import ArmSpec
-from hplan.scene.obstacles import Box, PointCloud, Sphere
+from hplan.scene.model import Fruit, Goal, Scene, Start
+from hplan.scene.obstacles import Box, Capsule, PointCloud, Sphere
 
 BALLS = (
     Sphere(name="sure", center=(1.0, 0.3, 1.0), radius=0.1),
@@ -235,3 +236,28 @@ def test_a_base_without_shape_has_nothing_in_it(tmp_path: Path) -> None:
     bare = load_variant("upright on a yaw", tmp_path)
     rock = Sphere(name="rock", center=(0.0, 0.0, 0.2), radius=0.1)
     World.of(bare, [rock]).check_base(0.0)
+
+
+def test_what_stands_in_the_pedestal_is_left_out(robot: Robot) -> None:
+    scene = Scene(
+        name="row",
+        start=Start(joints_deg=(0.0, 90.0, 90.0, 90.0)),
+        goal=Goal(fruit="goal"),
+        obstacles=(
+            Capsule(name="through", start=(-1.0, 0.0, 0.2), end=(1.0, 0.0, 0.2), radius=0.02),
+            Capsule(name="beyond", start=(1.5, 0.0, 0.2), end=(1.5, 1.0, 0.2), radius=0.02),
+            Box(name="ground", center=(0.0, 0.0, -0.05), size=(6.0, 6.0, 0.1)),
+        ),
+        fruits=(
+            Fruit(name="goal", center=(0.0, 0.0, 0.3), radius=0.04),
+            Fruit(name="in", center=(0.0, 0.0, 0.1), radius=0.04),
+            Fruit(name="out", center=(1.0, 0.0, 1.9), radius=0.04),
+        ),
+    )
+    smaller, left_out = without_inside(robot, scene)
+    assert left_out == ("through", "goal", "in")
+    assert [obstacle.name for obstacle in smaller.obstacles] == ["beyond", "ground"]
+    assert [fruit.name for fruit in smaller.fruits] == ["out"]
+    assert smaller.goal == Goal(fruit="out")
+    assert smaller.start == scene.start
+    assert without_inside(robot, smaller) == (smaller, ())

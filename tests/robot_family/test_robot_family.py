@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 from hplan.base.data_files import urdf_dir
 from hplan.errors import OptionError, OutputError, RobotFileError
 from hplan.robot.files import LIMITS_FORMAT
-from hplan.robot_family.members import HARVESTER, ArmSpec, cross_check, write_robot
+from hplan.robot.model import load_robot
+from hplan.robot_family import HARVESTER, ORCHARD_HARVESTER, ArmSpec, Gripper, cross_check, write_robot
 from hplan.robot_family.urdf import limits_text, urdf_text
 
 URDF = urdf_dir() / "harvester.urdf"
@@ -46,10 +47,29 @@ def tool_position(model: pin.Model, q: list[float]) -> np.ndarray:
 # The shipped robot
 
 
-def test_shipped_files_are_what_the_writer_writes(tmp_path):
-    urdf, limits = write_robot(HARVESTER, tmp_path / "harvester.urdf")
-    assert urdf.read_text() == URDF.read_text()
-    assert limits.read_text() == URDF.with_suffix(".limits.yaml").read_text()
+@pytest.mark.parametrize("spec", [HARVESTER, ORCHARD_HARVESTER], ids=lambda spec: spec.name)
+def test_shipped_files_are_what_the_writer_writes(tmp_path, spec):
+    urdf, limits = write_robot(spec, tmp_path / f"{spec.name}.urdf")
+    shipped = URDF.with_name(f"{spec.name}.urdf")
+    assert urdf.read_text() == shipped.read_text()
+    assert limits.read_text() == shipped.with_suffix(".limits.yaml").read_text()
+
+
+def test_gripper_has_mass_and_shape(tmp_path):
+    """It is fixed to the last link: its capsule widens that link's, its mass hangs on the wrist."""
+    with_gripper, without = load_robot("orchard_harvester"), load_robot()
+    assert with_gripper.arm.half_widths == pytest.approx([0.05, 0.04, ORCHARD_HARVESTER.gripper.half_width])
+    straight = np.zeros((1, 4))
+    more = with_gripper.dynamics.gravity(straight) - without.dynamics.gravity(straight)
+    assert abs(more[0, 3]) == pytest.approx(0.7 * 9.81 * (0.4 - 0.07), rel=1e-6)
+    urdf, _ = write_robot(replace(HARVESTER, name="thin", gripper=Gripper(1.0, 0.1, 0.01)), tmp_path / "thin.urdf")
+    assert load_robot(urdf).arm.half_widths[2] == pytest.approx(0.03)
+
+
+@pytest.mark.parametrize("values", [(0.0, 0.1, 0.03), (1.0, -0.1, 0.03), (1.0, 0.1, math.nan)])
+def test_wrong_gripper(values):
+    with pytest.raises(OptionError):
+        Gripper(*values)
 
 
 def test_shipped_robot_reads_alike_everywhere():

@@ -383,8 +383,9 @@ def test_missing_key(key):
         (f"{HEAD}x: !!map [1]\n", 5, "malformed YAML"),
         (f"{HEAD}x: !!seq {{a: 1}}\n", 5, "malformed YAML"),
         (f"{HEAD}x: {'1' * 5000}\n", 5, "cannot be read as int"),
-        (f"{HEAD}x: &a [*a]\n", 5, "alias *a: write it out"),
-        (f"{HEAD}x: &a [1]\ny: *a\n", 6, "alias *a: write it out"),
+        (f"{HEAD}x: &a [*a]\n", 5, "alias *a stands in what it repeats"),
+        (f"{HEAD}x: *b\n", 5, "undefined alias 'b'"),
+        (f"{HEAD}x: {{<<: 3}}\n", 5, "<< takes a mapping"),
         (f"{HEAD}x: {'[' * 5000}\n", None, "nested too deeply"),
         (f"{HEAD}x: {'{a: ' * 5000}\n", None, "nested too deeply"),
         (f"{HEAD}x: {'[' * 5000}{']' * 5000}\n", None, "nested too deeply"),
@@ -417,3 +418,26 @@ def test_files_that_cannot_be_read(tmp_path: Path):
     (tmp_path / "scene.yaml").write_bytes(HEAD.encode("utf-16"))
     with pytest.raises(SceneError, match="not UTF-8"):
         load_scene(tmp_path / "scene.yaml")
+
+
+def test_anchors_and_merge_keys(write) -> None:
+    text = """format: hplan-scene/1
+name: wires
+start: &home {joints_deg: [0, 90, 90, 90]}
+goal: {joints_deg: [0, 0, 0, 0]}
+obstacles:
+  - &wire {name: low, kind: capsule, from: [3, -2, 1.0], to: [3, 2, 1.0], radius: 0.005}
+  - {<<: *wire, name: high, from: [3, -2, 1.5], to: [3, 2, 1.5]}
+"""
+    scene = load_scene(write("scene.yaml", text))
+    low, high = scene.obstacles
+    assert (low.radius, high.radius) == (0.005, 0.005)
+    assert (low.name, high.name, high.end[2], low.end[2]) == ("low", "high", 1.5, 1.0)
+
+
+def test_aliases_count_what_they_repeat(write) -> None:
+    """A few lines that stand for 9^7 values."""
+    lines = ["a0: &a0 [1, 1, 1, 1, 1, 1, 1, 1, 1]"]
+    lines += [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]" for i in range(1, 8)]
+    with pytest.raises(SceneError, match="more than 500,000 values"):
+        load_scene(write("scene.yaml", "\n".join(lines)))

@@ -11,10 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hplan.base.arrays import FloatArray
-from hplan.planning.roadmap import BEYOND_S, BRIEF, CORNER_S, FARTHEST, WIDE, low_discrepancy, quick_path
 from hplan.problem.definition import Problem, check_problem
 from hplan.problem.world import World
 from hplan.robot.model import Robot
+from hplan.sampling.roadmap import BEYOND_S, BRIEF, CORNER_S, FARTHEST, WIDE, low_discrepancy, quick_path
 from hplan.scene.obstacles import Box, Solid, Sphere
 
 START, GOAL = np.radians([-40.0, 30.0, 30.0, 20.0]), np.radians([40.0, 30.0, 30.0, 20.0])

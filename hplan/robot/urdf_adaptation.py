@@ -1,0 +1,361 @@
+"""URDFs as they come, adapted to what the family's reader and Pinocchio take.
+
+A URDF of a real robot has more joints than the arm's: fingers, joints that mimic, a lift, a camera's pan. Those stand
+still: each becomes a fixed joint at the value at which it is held, so that mass and shapes of its links stay where they
+then are. `base_link` becomes the root, continuous joints get limits of a turn to either side, and meshes are found.
+
+The pass works on the XML's elements in place, after they were read strictly; what it leaves is read strictly again.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import xml.etree.ElementTree as ET
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import pinocchio as pin
+
+from hplan.base.arrays import Record
+from hplan.errors import InputError, JointLimitError, RobotFamilyError, RobotFileError
+from hplan.robot.family_reader import hold_advice
+from hplan.robot.urdf_file import Joint, Urdf, read_urdf
+from hplan.robot.urdf_xml import URDF_TEXT, line_of
+
+#: Frame in which scenes are.
+BASE_LINK: Final = "base_link"
+
+#: A continuous joint turns by this, a whole turn, to either side [rad].
+CONTINUOUS_RANGE: Final = 2.0 * math.pi
+
+#: The vertical of `base_link` and that of what carries it may differ by this [rad].
+_TILT: Final = 1e-9
+
+_PACKAGE: Final = "package://"
+
+#: What a fixed joint has no use for.
+_OF_MOVING: Final = ("axis", "limit", "mimic", "dynamics", "safety_controller", "calibration")
+
+
+@dataclass(frozen=True, eq=False)
+class RobotChoice(Record):
+    """What a caller says of a robot beside its file.
+
+    Attributes:
+        tool_frame: Frame at the end of the arm.
+        joints: Names of the joints that move, from the base on; None: all revolute and continuous ones up to the tool
+            frame that are not held.
+        hold: Values of joints that stand still, by name [rad, m].
+        package_dirs: Folders in which `package://` meshes are looked for first.
+    """
+
+    tool_frame: str = "tool0"
+    joints: tuple[str, ...] | None = None
+    hold: Mapping[str, float] | None = None
+    package_dirs: tuple[Path, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class AdaptedUrdf(Record):
+    """A URDF after the pass.
+
+    Attributes:
+        urdf: Its content.
+        text: Its XML; None where that is the file's.
+        continuous: Names of the joints that were continuous and move.
+        held: Where joints stand that were made fixed, by name [rad, m]; of joints of several coordinates, None.
+    """
+
+    urdf: Urdf
+    text: str | None
+    continuous: frozenset[str]
+    held: Mapping[str, float | None]
+
+
+def adapt_urdf(path: Path, root: ET.Element, choice: RobotChoice) -> AdaptedUrdf:
+    """Adapt a URDF to the family's reader.
+
+    Args:
+        path: The file, for messages and for what is looked for around it.
+        root: Its root element; it is changed.
+        choice: What the caller says.
+
+    Raises:
+        RobotFileError: What `read_urdf` refuses; a mesh that is not found; a joint that mimics one that does not exist,
+            or itself.
+        RobotFamilyError: A joint between base and tool frame that is of the wrong kind; a base that is tilted, or not
+            fixed, on what carries it.
+        InputError: A joint to move or to hold that does not exist or cannot.
+        JointLimitError: A joint held outside its limits.
+    """
+    urdf = read_urdf(path, root)
+    changed = _find_meshes(path, root, choice)
+    chain = _Adaptation(path, str(root.get("name")), urdf, choice)
+    changed |= chain.apply()
+    if not changed and path != URDF_TEXT and path.suffix != ".xacro":
+        return AdaptedUrdf(urdf, None, frozenset(), {})
+    text = ET.tostring(root, encoding="unicode")
+    return AdaptedUrdf(read_urdf(path, root), text, frozenset(chain.continuous), chain.held)
+
+
+class _Adaptation:
+    """The pass over one robot's joints."""
+
+    def __init__(self, path: Path, robot: str, urdf: Urdf, choice: RobotChoice) -> None:
+        self._path = path
+        self._robot = robot
+        self._urdf = urdf
+        self._choice = choice
+        self._hold = dict(choice.hold or {})
+        self._carrying = {joint.child: joint for joint in urdf.joints.values()}
+        self.continuous: list[str] = []
+        self.held: dict[str, float | None] = {}
+
+    def apply(self) -> bool:
+        """Change the elements; returns True if there was anything to change."""
+        self._check_names()
+        tip = self._tip()
+        if tip is None or not self._is_tree():
+            return False  # what is wrong is said by Pinocchio or the family's reader
+        mount = self._up_from(BASE_LINK) if BASE_LINK in self._urdf.links else []
+        changed = self._make_root(mount)
+        above = {joint.name for joint in mount}
+        chain = [joint for joint in self._up_from(tip)[::-1] if joint.name not in above]
+        values = self._values()
+        moving = self._moving(chain)
+        for joint in self._urdf.joints.values():
+            if joint.kind == "fixed" or joint.name in above:
+                continue
+            if joint.name not in moving:
+                self._fix(joint, values[joint.name])
+                changed = True
+            elif joint.kind == "continuous":
+                self._bound(joint)
+                changed = True
+        return changed
+
+    def _family_fault(self, joint: Joint, reason: str) -> RobotFamilyError:
+        return RobotFamilyError(self._robot, f"joint {joint.name!r}", reason)
+
+    def _file_fault(self, joint: Joint, reason: str) -> RobotFileError:
+        return RobotFileError(self._path, f"{line_of(joint.element)}joint {joint.name!r} {reason}")
+
+    def _check_names(self) -> None:
+        joints = self._choice.joints or ()
+        for name in (*joints, *self._hold):
+            joint = self._urdf.joints.get(name)
+            if joint is None or joint.kind == "fixed":
+                known = ", ".join(j.name for j in self._urdf.joints.values() if j.kind != "fixed")
+                raise InputError(f"robot {self._robot!r} has no joint {name!r} that moves; it has {known}", joint=name)
+            if name in joints and name in self._hold:
+                raise InputError(f"joint {name!r} cannot both move and be held", joint=name)
+
+    def _tip(self) -> str | None:
+        """The link that the tool frame is, or is on."""
+        frame = self._choice.tool_frame
+        if frame in self._urdf.links:
+            return frame
+        joint = self._urdf.joints.get(frame)
+        return None if joint is None else joint.child
+
+    def _is_tree(self) -> bool:
+        """True if each link but one hangs on one joint, and none on itself."""
+        children = [joint.child for joint in self._urdf.joints.values()]
+        if len(set(children)) != len(children) or len(children) != len(self._urdf.links) - 1:
+            return False
+        return all(len(self._up_from(link)) <= len(children) for link in self._urdf.links)
+
+    def _up_from(self, link: str) -> list[Joint]:
+        """The joints from a link up to the root; of a loop, one more than there are joints."""
+        found: list[Joint] = []
+        while link in self._carrying and len(found) <= len(self._carrying):
+            found.append(self._carrying[link])
+            link = found[-1].parent
+        return found
+
+    def _make_root(self, mount: list[Joint]) -> bool:
+        """Turn round the fixed joints above `base_link`, from which what carries it hangs then.
+
+        Nothing that carries shapes is lost; gravity and the vertical stay as they are.
+
+        Raises:
+            RobotFamilyError: A joint that is not fixed, or a tilt.
+        """
+        for joint in mount:
+            if joint.kind != "fixed" and joint.name not in self._hold:
+                reason = (
+                    f"it is {joint.kind} and carries {BASE_LINK!r}, in which scenes are; only fixed joints may; "
+                    f"{hold_advice(joint.name)}"
+                )
+                raise self._family_fault(joint, reason)
+        tilt = np.eye(3)
+        values = self._values() if mount else {}
+        for joint in mount:
+            tilt = _placed(joint, values.get(joint.name)).rotation @ tilt
+        if math.hypot(tilt[0, 2], tilt[1, 2]) > _TILT or tilt[2, 2] < 0.0:
+            angle = math.degrees(math.atan2(math.hypot(tilt[0, 2], tilt[1, 2]), tilt[2, 2]))
+            reason = (
+                f"it tilts {BASE_LINK!r} by {angle:.4g} deg, and gravity would pull along another axis than -z; mount "
+                f'{BASE_LINK!r} upright (rpy="0 0 YAW"), or give the upright link that name'
+            )
+            raise self._family_fault(mount[0], reason)
+        for joint in mount:
+            if joint.kind != "fixed":
+                self._fix(joint, values[joint.name])
+            place = _placed(joint, values.get(joint.name)).inverse()
+            _set_origin(joint.element, place)
+            for end, link in (("parent", joint.child), ("child", joint.parent)):
+                joint.element.find(end).set("link", link)  # type: ignore[union-attr]
+        return bool(mount)
+
+    def _values(self) -> dict[str, float | None]:
+        """Where each joint stands if it does not move: as held, as it mimics, at 0 or at the limit nearest to it."""
+        values: dict[str, float | None] = {}
+        for joint in self._urdf.joints.values():
+            if joint.kind != "fixed":
+                values[joint.name] = self._value(joint, ())
+        return values
+
+    def _value(self, joint: Joint, followers: tuple[str, ...]) -> float | None:
+        if joint.name in followers:
+            raise self._file_fault(joint, f"mimics itself, by {' and '.join(followers)}")
+        mimic = joint.element.find("mimic")
+        if mimic is not None:
+            leader = self._urdf.joints.get(str(mimic.get("joint")))
+            if leader is None or leader.kind == "fixed":
+                raise self._file_fault(joint, f"mimics {mimic.get('joint')!r}, which is no joint that moves")
+            if joint.name in self._hold:
+                reason = f"joint {joint.name!r} cannot be held by itself, for it mimics {leader.name!r}; hold that one"
+                raise InputError(reason, joint=joint.name)
+            value = self._value(leader, (*followers, joint.name))
+            if value is None:
+                raise self._file_fault(joint, f"mimics {leader.name!r}, which is {leader.kind}")
+            return float(mimic.get("multiplier", "1")) * value + float(mimic.get("offset", "0"))
+        if joint.kind in ("floating", "planar"):
+            if joint.name in self._hold:
+                reason = f"joint {joint.name!r} cannot be held at a value, for it is {joint.kind}; make it fixed"
+                raise InputError(reason, joint=joint.name)
+            return None
+        low, high = -math.inf, math.inf
+        if joint.kind != "continuous":
+            low, high = joint.limits.get("lower", 0.0), joint.limits.get("upper", 0.0)
+        value = self._hold.get(joint.name, min(max(0.0, low), high))
+        if joint.name in self._hold and not low - 1e-9 <= value <= high + 1e-9:
+            raise JointLimitError("hold", joint.name, value, low, high)
+        return value
+
+    def _moving(self, chain: list[Joint]) -> set[str]:
+        """Names of the joints that move.
+
+        Raises:
+            RobotFileError: One that mimics.
+            RobotFamilyError: One that is mimicked, or continuous and without velocity or effort limit.
+            InputError: Joints to move that are not in the chain, or in another order.
+        """
+        joints = self._choice.joints
+        on_chain = [joint.name for joint in chain if joint.kind != "fixed"]
+        if joints is not None and [name for name in on_chain if name in joints] != list(joints):
+            frame = self._choice.tool_frame
+            reason = f"joints: {', '.join(joints)}; expected some of those up to {frame!r}, in their order: "
+            raise InputError(reason + ", ".join(on_chain), joints=list(joints))
+        moving = {
+            name
+            for name in (on_chain if joints is None else joints)
+            if name not in self._hold and (joints is not None or self._leader(name) not in self._hold)
+        }
+        for name in on_chain:
+            if name in moving:
+                self._check_moving(self._urdf.joints[name])
+        for follower in self._urdf.joints.values():
+            leader = self._leader(follower.name)
+            if leader in moving and leader != follower.name:
+                reason = f"joint {follower.name!r} mimics it and would have to move along; {hold_advice(leader)}"
+                raise self._family_fault(self._urdf.joints[leader], reason)
+        return moving
+
+    def _leader(self, name: str) -> str:
+        """The joint that a joint mimics in the end; itself if it mimics none."""
+        mimic = self._urdf.joints[name].element.find("mimic")
+        return name if mimic is None else self._leader(str(mimic.get("joint")))
+
+    def _check_moving(self, joint: Joint) -> None:
+        if joint.element.find("mimic") is not None:
+            leader = self._leader(joint.name)
+            reason = f"mimics another; every joint must move by itself, but {hold_advice(leader)}, and this one with it"
+            raise self._file_fault(joint, reason)
+        missing = [key for key in ("velocity", "effort") if key not in joint.limits]
+        if joint.kind == "continuous" and missing:
+            reason = f"it is continuous, and its <limit> gives no {' and no '.join(missing)}; a motion needs both: "
+            raise self._family_fault(joint, f"{reason}write them there, or {hold_advice(joint.name)}")
+
+    def _fix(self, joint: Joint, value: float | None) -> None:
+        """Make a joint fixed where it stands."""
+        if value:
+            if not np.linalg.norm(joint.axis) > 0.0:
+                raise self._family_fault(joint, "its axis has no direction")
+            _set_origin(joint.element, _placed(joint, value))
+        joint.element.set("type", "fixed")
+        for part in [part for part in joint.element if part.tag in _OF_MOVING]:
+            joint.element.remove(part)
+        self.held[joint.name] = value
+
+    def _bound(self, joint: Joint) -> None:
+        """Make a continuous joint revolute with limits."""
+        limit = joint.element.find("limit")
+        assert limit is not None  # it has a velocity
+        joint.element.set("type", "revolute")
+        limit.set("lower", repr(-CONTINUOUS_RANGE))
+        limit.set("upper", repr(CONTINUOUS_RANGE))
+        self.continuous.append(joint.name)
+
+
+def _placed(joint: Joint, value: float | None) -> pin.SE3:
+    """Placement of a joint's child in its parent where it stands at a value; without one, at 0."""
+    if not value:
+        return joint.placement
+    axis = joint.axis / np.linalg.norm(joint.axis)
+    if joint.kind == "prismatic":
+        return joint.placement * pin.SE3(np.eye(3), value * axis)
+    return joint.placement * pin.SE3(pin.AngleAxis(value, axis).toRotationMatrix(), np.zeros(3))
+
+
+def _set_origin(element: ET.Element, placement: pin.SE3) -> None:
+    origin = element.find("origin")
+    if origin is None:
+        origin = ET.SubElement(element, "origin")
+    for key, numbers in (("xyz", placement.translation), ("rpy", pin.rpy.matrixToRpy(placement.rotation))):
+        origin.set(key, " ".join(repr(number) for number in numbers.tolist()))
+
+
+def _find_meshes(path: Path, root: ET.Element, choice: RobotChoice) -> bool:
+    """Put the files of `package://` meshes in place of those names; returns True if there were any.
+
+    Looked for, as NAME/FILE and then as FILE, in the folders given, in that of the URDF and the four above it, and in
+    those of ROS.
+
+    Raises:
+        RobotFileError: There is no such file; says where it was looked for.
+    """
+    around = [] if path == URDF_TEXT else [path.resolve().parent, *path.resolve().parents[1:5]]
+    ros = [Path(folder) for folder in os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep) if folder]
+    ros += [Path(folder) / "share" for folder in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if folder]
+    folders = [*choice.package_dirs, *around, *ros]
+    meshes = [mesh for mesh in root.iter("mesh") if mesh.get("filename", "").startswith(_PACKAGE)]
+    for mesh in meshes:
+        name = mesh.get("filename", "")
+        within = name.removeprefix(_PACKAGE).lstrip("/")
+        candidates = [folder / part for part in (within, within.partition("/")[2]) for folder in folders]
+        found = next((file for file in candidates if file.is_file()), None)
+        if found is None:
+            looked = ", ".join(map(str, folders)) or "no folder, for it is a text"
+            reason = (
+                f"{line_of(mesh)}mesh {name!r} is not found; looked for in {looked}, with and without the package's "
+                "name; package_dirs=[FOLDER] (--package-dir FOLDER) says where packages are"
+            )
+            raise RobotFileError(path, reason)
+        mesh.set("filename", str(found.resolve()))
+    return bool(meshes)

@@ -1,0 +1,232 @@
+"""Bidirectional rapidly-exploring random trees (RRT-Connect), whose edges are shown clear over continuous time.
+
+Two trees grow from start and goal (Kuffner and LaValle 2000, "RRT-Connect: an efficient approach to single-query path
+planning"). An edge goes as far as conservative advancement shows it clear, so it ends close to what stops it, and no
+resolution has to be chosen. The cost follows what lies between start and goal, not the joint ranges: there is no grid.
+
+Samples come from a seeded generator and the effort is counted in evaluations of the clearance, so that the same problem
+gives the same path on every machine. Where no path is found, nothing is shown.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from hplan.base.arrays import FloatArray, IntArray, frozen
+from hplan.base.kernels import kernel
+from hplan.collision.clearance_field import ClearanceField
+from hplan.collision.clearance_kernels import FieldArrays, link_clearances, motion_bounds, proven_advance
+from hplan.problem.definition import Problem
+
+#: Samples drawn at a time, and nodes that a tree may have.
+CHUNK, MOST_NODES = 500, 20_000
+
+#: Longest edge, in time at the velocity limits [s].
+EDGE_S = 0.25
+
+#: An edge that gets less far is not worth a node [s].
+LEAST_S = 0.002
+
+#: Looks at the clearance along one edge before the rest of it is given up.
+LOOKS = 64
+
+#: What a corner adds to the time of a path [s].
+CORNER_S = 0.02
+
+#: Samples are drawn from the box of start and goal, this much larger on all sides [rad], and about either of them
+#: within 1 rad, half of that, and so on.
+ASIDE, SCALES = 0.6, 7
+
+
+@dataclass(frozen=True)
+class TreeEffort:
+    """How far the trees go.
+
+    Attributes:
+        evaluations: Evaluations of the clearance, all links at one configuration each.
+        seed: Of the samples.
+    """
+
+    evaluations: int
+    seed: int = 0
+
+
+class Tree(NamedTuple):
+    """Nodes of one tree.
+
+    Attributes:
+        points: (most, dof) configurations.
+        parents: (most,) numbers of the nodes that they were reached from.
+        size: (1,) how many there are.
+    """
+
+    points: FloatArray
+    parents: IntArray
+    size: IntArray
+
+
+class Surroundings(NamedTuple):
+    """What an edge is checked against.
+
+    Attributes:
+        slowness: (dof,) times for a unit of each joint at its velocity limit [s/rad].
+        field: Arm and obstacles.
+        margin: Clearance asked for wherever a motion is evaluated [m].
+    """
+
+    slowness: FloatArray
+    field: FieldArrays
+    margin: float
+
+
+def tree_path(
+    problem: Problem, field: ClearanceField, velocity: FloatArray, margin: float, effort: TreeEffort,
+    *, goals: FloatArray | None = None,
+) -> FloatArray | None:  # fmt: skip
+    """A clear path of straight motions from start to goal.
+
+    Args:
+        problem: Start, goal and joint limits.
+        field: Arm and obstacles.
+        velocity: (dof,) velocity limits [rad/s]; distances are times at these.
+        margin: Clearance asked for wherever a motion is evaluated [m].
+        effort: How far to go.
+        goals: (k, dof) configurations of which one is to be reached, whichever comes first; None for the problem's.
+
+    Returns:
+        (m, dof) waypoints, m >= 2; None where none was found.
+    """
+    ends = np.array(problem.goal[None] if goals is None else goals)
+    first, second = _tree(problem.start[None]), _tree(ends)
+    arm = Surroundings(1.0 / velocity, field.arrays, margin)
+    generator = np.random.Generator(np.random.PCG64(effort.seed))
+    looks = np.array([effort.evaluations], dtype=np.int64)
+    while looks[0] > 0 and max(first.size[0], second.size[0]) < MOST_NODES - CHUNK:
+        joined = _grow(_samples(generator, problem, ends), first, second, arm, looks)
+        if joined[0] >= 0:
+            there = np.concatenate([_branch(first, int(joined[0]))[::-1], _branch(second, int(joined[1]))])
+            return frozen(there[np.append(True, (np.diff(there, axis=0) != 0.0).any(axis=1))])
+    return None
+
+
+def _samples(generator: np.random.Generator, problem: Problem, goals: FloatArray) -> FloatArray:
+    """(CHUNK, dof) targets in turn: anywhere; in the box of start and goals; about start, or a goal, at all scales."""
+    lower, upper = problem.lower, problem.upper
+    samples: FloatArray = generator.random((CHUNK, len(lower)))
+    low = np.maximum(np.minimum(problem.start, goals.min(axis=0)) - ASIDE, lower)
+    high = np.minimum(np.maximum(problem.start, goals.max(axis=0)) + ASIDE, upper)
+    samples[::3] = lower + samples[::3] * (upper - lower)
+    samples[1::3] = low + samples[1::3] * (high - low)
+    chosen = goals[generator.integers(0, len(goals), len(samples[2::3]))]
+    about = np.where(generator.random((len(chosen), 1)) < 0.5, problem.start, chosen)
+    scale = np.ldexp(1.0, -generator.integers(0, SCALES, (len(chosen), 1)))
+    samples[2::3] = np.clip(about + scale * (2.0 * samples[2::3] - 1.0), lower, upper)
+    return samples
+
+
+def path_time(path: FloatArray, velocity: FloatArray) -> float:
+    """About how long a motion along waypoints takes: at the velocity limits, and a little for each corner [s]."""
+    return float((np.abs(np.diff(path, axis=0)) / velocity).max(axis=1).sum() + CORNER_S * (len(path) - 2))
+
+
+def _tree(roots: FloatArray) -> Tree:
+    """A tree of roots alone, each its own parent."""
+    count, dof = roots.shape
+    tree = Tree(np.empty((MOST_NODES, dof)), np.zeros(MOST_NODES, dtype=np.int64), np.array([count], dtype=np.int64))
+    tree.points[:count], tree.parents[:count] = roots, np.arange(count)
+    return tree
+
+
+def _branch(tree: Tree, node: int) -> FloatArray:
+    """Configurations from a node to its root."""
+    nodes = [node]
+    while (parent := int(tree.parents[nodes[-1]])) != nodes[-1]:
+        nodes.append(parent)
+    return np.array(tree.points[nodes])
+
+
+@kernel
+def _grow(samples: FloatArray, first: Tree, second: Tree, arm: Surroundings, looks: IntArray) -> IntArray:
+    """Grow both trees by some samples; the nodes at which they meet, or -1."""
+    joined = np.full(2, -1, dtype=np.int64)
+    for s in range(samples.shape[0]):
+        if looks[0] <= 0:
+            break
+        forward = first.size[0] <= second.size[0]
+        tree, towards = (first, second) if forward else (second, first)
+        new = _extend(tree, _nearest(tree, samples[s], arm), samples[s], arm, looks)
+        if new < 0:
+            continue
+        target = tree.points[new]
+        here = _nearest(towards, target, arm)
+        while here >= 0 and _time(towards.points[here], target, arm.slowness) > 0.0:
+            here = _extend(towards, here, target, arm, looks)
+        if here >= 0:
+            joined[0], joined[1] = (new, here) if forward else (here, new)
+            break
+    return joined
+
+
+@kernel
+def _time(start: FloatArray, end: FloatArray, slowness: FloatArray) -> float:
+    """Least time of the straight motion at the velocity limits [s]."""
+    time = 0.0
+    for i in range(len(start)):
+        time = max(time, abs(end[i] - start[i]) * slowness[i])
+    return time
+
+
+@kernel
+def _nearest(tree: Tree, target: FloatArray, arm: Surroundings) -> int:
+    """The node from which the target is reached soonest, by Euclidean distance in time; the first of several."""
+    nearest, least = 0, np.inf
+    for n in range(tree.size[0]):
+        square = 0.0
+        for i in range(len(target)):
+            square += ((tree.points[n, i] - target[i]) * arm.slowness[i]) ** 2
+        if square < least:
+            nearest, least = n, square
+    return nearest
+
+
+@kernel
+def _extend(tree: Tree, node: int, target: FloatArray, arm: Surroundings, looks: IntArray) -> int:
+    """Add a node on the way from a node to a target, as far as an edge goes and is shown clear; -1 without progress."""
+    if tree.size[0] >= tree.points.shape[0]:
+        return -1
+    dof, links = len(target), arm.field.chain.shape[0]
+    start = tree.points[node]
+    q, turns = np.empty(dof), np.empty(dof)
+    bounds, clear = np.empty(links), np.empty(links)
+    time = _time(start, target, arm.slowness)
+    part = min(1.0, EDGE_S / time) if time > 0.0 else 1.0
+    for i in range(dof):
+        turns[i] = part * (target[i] - start[i])
+    motion_bounds(turns, arm.field.chain, arm.field.base, bounds)
+    shown, at = 0.0, 0.0
+    for _ in range(LOOKS):
+        for i in range(dof):
+            q[i] = start[i] + at * turns[i]
+        if at == 1.0 and part == 1.0:
+            for i in range(dof):
+                q[i] = target[i]
+        looks[0] -= 1
+        link_clearances(q, arm.field, clear)
+        advance = proven_advance(clear, bounds, arm.margin)
+        if advance < 0.0:
+            break
+        shown = at
+        if at >= 1.0:
+            break
+        at = min(1.0, at + advance)
+    if shown * part * time < LEAST_S and not (shown == 1.0 and part == 1.0):
+        return -1
+    new = int(tree.size[0])
+    for i in range(dof):
+        tree.points[new, i] = target[i] if shown == 1.0 and part == 1.0 else start[i] + shown * turns[i]
+    tree.parents[new] = node
+    tree.size[0] = new + 1
+    return new

@@ -36,7 +36,7 @@ from __future__ import annotations
 import heapq
 import math
 from dataclasses import dataclass
-from typing import Literal, NamedTuple, TypeAlias
+from typing import Literal, TypeAlias
 
 import numpy as np
 
@@ -114,7 +114,7 @@ def prove_clearance(
     distances = checker.pair_distances(bezier[0, 0])
     going = search.take(np.arange(len(distances)), distances, 0.0)
     while going:
-        pairs, at, q = _first(search.arrays.due, bezier)
+        pairs, at, q = _first(search.pairs[1], bezier)
         if at == math.inf:
             return Proof("shown", needed + search.shown, search.contact(), search.checks, len(bezier))
         if search.checks >= budget:
@@ -122,35 +122,22 @@ def prove_clearance(
         search.place(q)
         going = search.ask(pairs, at)
         # Together with the pair that is due, those that would be before it is due again.
-        others = _due_before(search.arrays.due, pairs)
+        others = _due_before(search.pairs[1], pairs)
         if going and len(others):
             going = search.ask(others, at)
     return search.worst("too near")
-
-
-class _Arrays(NamedTuple):
-    """Arrays of an advancement.
-
-    Attributes:
-        kept: (pairs,) distance to be kept, coal's error with it [m].
-        mover_of: (pairs,) each pair's mover.
-        sway: (movers, rows) how much nearer each mover may be than in the motion [m].
-        travel: (movers, rows) how far it has travelled at each row [m].
-        due: (pairs,) place where each is to be asked again; infinite where that is after the end.
-    """
-
-    kept: FloatArray
-    mover_of: IntArray
-    sway: FloatArray
-    travel: FloatArray
-    due: FloatArray
 
 
 class _Advancement:
     """State of the advancement along a motion, pair by pair.
 
     Attributes:
-        arrays: What the kernels take; `due` is written.
+        movers: (2, movers, rows + 1) at each row, how much nearer each mover may be than in the motion, and how far it
+            has travelled [m].
+        pairs: (2, pairs) for each pair the distance to be kept, coal's error with it [m], and the place where it is to
+            be asked again, infinite where that is after the end. (Arrays, for a named tuple of them costs a call of a
+            kernel 2 us more, and there are 200 calls.)
+        mover_of: (pairs,) each pair's mover.
         shown: Clearance shown of every pair so far, beyond the one needed [m].
         nearest: The smallest distance so far [m], and the pair.
         checks: Configurations looked at.
@@ -180,8 +167,9 @@ class _Advancement:
             # For the search of the rows alone: after such a piece every pair may be anywhere.
             moved = np.where(moved <= LONGEST_TRAVEL, moved, LONGEST_TRAVEL)
             travel[:, 1:] = np.cumsum(moved, axis=1)
-        due = np.full(len(checker.pairs), math.inf)
-        self.arrays = _Arrays(needed + checker.distance_errors, mover_of, sway, travel, due)
+        self.movers = np.stack([sway, travel])
+        self.pairs = np.stack([needed + checker.distance_errors, np.full(len(checker.pairs), math.inf)])
+        self.mover_of = mover_of
         self._at = 0.0
         self.shown = math.inf
         self.nearest = math.inf, 0
@@ -199,7 +187,7 @@ class _Advancement:
     def take(self, pairs: IntArray, distances: FloatArray, at: float) -> bool:
         """Take distances of some pairs at a place; True if the proof goes on."""
         self._at = at
-        least, self.shown = _put_off(pairs, distances, at, self.shown, self.arrays)
+        least, self.shown = _put_off(pairs, distances, at, self.shown, self.mover_of, self.movers, self.pairs)
         self.nearest = min(self.nearest, (float(distances[least]), int(pairs[least])))
         return self.shown > 0.0
 
@@ -213,7 +201,7 @@ class _Advancement:
 
         A pair is not asked where its mover has not yet travelled as much as it was farther away than the nearest.
         """
-        mover_of, sway_at_rows, travel = self.arrays.mover_of, self.arrays.sway, self.arrays.travel
+        mover_of, (sway_at_rows, travel) = self.mover_of, self.movers
         rows, least = len(self._bezier), math.inf
         first = min(int(self._at), rows - 1)
         end = self._at if outcome != "travel" else float(self.bounded)
@@ -277,13 +265,16 @@ def _linear(values: FloatArray, at: float) -> float:
 
 
 @kernel
-def _put_off(pairs: IntArray, distances: FloatArray, at: float, shown: float, arrays: _Arrays) -> tuple[int, float]:
+def _put_off(
+    pairs: IntArray, distances: FloatArray, at: float, shown: float,
+    mover_of: IntArray, movers: FloatArray, all_pairs: FloatArray,
+) -> tuple[int, float]:  # fmt: skip
     """Write down where pairs are due again that were asked at a place.
 
     Returns:
         Which of them has the smallest distance, and the clearance then shown; 0 where the proof has to give up.
     """
-    kept, mover_of, sway, travel, due = arrays
+    sway, travel, kept, due = movers[0], movers[1], all_pairs[0], all_pairs[1]
     least = 0
     spare_clearances = np.empty(len(pairs))
     for i in range(len(pairs)):

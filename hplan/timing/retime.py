@@ -37,10 +37,10 @@ import numpy as np
 import pinocchio as pin
 
 from hplan.base.arrays import BoolArray, FloatArray
-from hplan.errors import OptionError, TimingError
+from hplan.errors import HplanError, OptionError, TimingError
 from hplan.robot.dynamics import InverseDynamics
 from hplan.robot.limits import GeometricPath, Limits, check_rate
-from hplan.timing.speed_profile import MOST_POINTS, MOST_ROWS, NO_MOTION, SpeedProfile, parameter_grid, refined
+from hplan.timing.speed_profile import LITTLE, MOST_POINTS, MOST_ROWS, NO_MOTION, SpeedProfile, parameter_grid, refined
 from hplan.timing.trajectory import Trajectory
 
 #: Grid points of the path parameter, beside the knots.
@@ -130,10 +130,25 @@ def time_path(
             found = SpeedProfile.along(
                 path, dynamics, limits, parameter_grid(path, min(wanted, MOST_POINTS), ends), rates
             )
-        return found if rates.any() else refined(found, dynamics, limits, period)
+        return found
 
     window = _smoothing_window(profile_for, limits, period)
-    return _sample(profile_for(window), dynamics, names, limits, period, window)
+    profile = profile_for(window)
+    coarse: HplanError | Trajectory
+    try:
+        coarse, stretch = _sample(profile, dynamics, names, limits, period, window)
+        if stretch <= 1.0 + LITTLE or rates.any():
+            return coarse
+    except (OptionError, TimingError) as error:
+        coarse = error
+    # Slowed down as a whole for what passes limits between grid points: those are put closer there.
+    finer = profile if rates.any() else refined(profile, dynamics, limits, period)
+    if finer is not profile:
+        window = _smoothing_window(lambda _: finer, limits, period)
+        return _sample(finer, dynamics, names, limits, period, window)[0]
+    if isinstance(coarse, HplanError):
+        raise coarse
+    return coarse
 
 
 def resting(model: pin.Model, q: FloatArray) -> Trajectory:
@@ -213,7 +228,7 @@ class _Rows:
 
 def _sample(
     profile: SpeedProfile, dynamics: InverseDynamics, names: tuple[str, ...], limits: Limits, period: float, window: int
-) -> Trajectory:
+) -> tuple[Trajectory, float]:
     """The trajectory, slowed down where torque, which is no linear function of the motion, passes its limit."""
     stretch = 1.0
     for _ in range(MOST_STRETCHES):
@@ -227,7 +242,7 @@ def _sample(
                 excess = max(excess, _torque_excess(dynamics, q, dynamics.torques(q, v, a), limits.torque))
         if excess <= 1.0:
             time = np.arange(len(torque), dtype=np.float64) * period
-            return Trajectory(names, time, rows.position, rows.velocity, rows.acceleration, torque)
+            return Trajectory(names, time, rows.position, rows.velocity, rows.acceleration, torque), rows.stretch
         stretch = rows.stretch * excess
     raise TimingError("no pace was found at which the motion keeps the torque limits", cause="torque limit not kept")
 

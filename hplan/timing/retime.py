@@ -134,21 +134,9 @@ def time_path(
 
     window = _smoothing_window(profile_for, limits, period)
     profile = profile_for(window)
-    coarse: HplanError | Trajectory
-    try:
-        coarse, stretch = _sample(profile, dynamics, names, limits, period, window)
-        if stretch <= 1.0 + LITTLE or rates.any():
-            return coarse
-    except (OptionError, TimingError) as error:
-        coarse = error
-    # Slowed down as a whole for what passes limits between grid points: those are put closer there.
-    finer = profile if rates.any() else refined(profile, dynamics, limits, period)
-    if finer is not profile:
-        window = _smoothing_window(lambda _: finer, limits, period)
-        return _sample(finer, dynamics, names, limits, period, window)[0]
-    if isinstance(coarse, HplanError):
-        raise coarse
-    return coarse
+    if rates.any():
+        return _sample(profile, dynamics, names, limits, period, window)[0]
+    return _sample_refined(profile, dynamics, names, limits, period, window)
 
 
 def resting(model: pin.Model, q: FloatArray) -> Trajectory:
@@ -245,6 +233,31 @@ def _sample(
             return Trajectory(names, time, rows.position, rows.velocity, rows.acceleration, torque), rows.stretch
         stretch = rows.stretch * excess
     raise TimingError("no pace was found at which the motion keeps the torque limits", cause="torque limit not kept")
+
+
+def _sample_refined(
+    profile: SpeedProfile, dynamics: InverseDynamics, names: tuple[str, ...], limits: Limits, period: float, window: int
+) -> Trajectory:
+    """The trajectory from rest to rest; where it would be slowed down as a whole, on a grid that is refined there.
+
+    Raises:
+        TimingError: No pace keeps the limits.
+        OptionError: More than `MOST_ROWS` rows.
+    """
+    coarse: HplanError | Trajectory
+    try:
+        coarse, stretch = _sample(profile, dynamics, names, limits, period, window)
+        if stretch <= 1.0 + LITTLE:
+            return coarse
+    except (OptionError, TimingError) as error:
+        coarse = error
+    finer = refined(profile, dynamics, limits, period)
+    if finer is not profile:
+        window = _smoothing_window(lambda _: finer, limits, period)
+        return _sample(finer, dynamics, names, limits, period, window)[0]
+    if isinstance(coarse, HplanError):
+        raise coarse
+    return coarse
 
 
 def _between(rows: _Rows, period: float) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -7,8 +7,7 @@ nearly every node stands at no round number. Three sides answer for each:
   interval that holds it;
 - the *distances* of `hplan.collision.clearance_field`, by their sign;
 - *coal* on capsule links placed by Pinocchio, which shares no formula with the other two. It is asked about the solids
-  that keep the arm away, and about the triangles of meshes as they were given, and the points of clouds before any were
-  merged.
+  that keep the arm away, about the triangles of meshes as they were given, and all points of clouds.
 
 Configurations that coal forbids the intervals must forbid: others are *missed*, and one is too many. Those that coal
 has free by more than `SPARE` they should leave free: others are *lost*, and at one yaw may be `MOST_LOST`. Over an

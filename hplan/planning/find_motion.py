@@ -97,6 +97,7 @@ def find_motion(tasks: Sequence[PlanningTask]) -> tuple[int, PlannedMotion]:
         NoPathError: No path exists on the grid to any of them.
         TimingError: The path cannot be timed.
         CertificationError: No motion could be certified.
+        NotFoundError: None was found within memory and effort, and it was not shown that there is none.
     """
     found = first_motion(tasks)
     if isinstance(found, Refusals):

@@ -108,6 +108,7 @@ def plan(
         NoPathError: No path exists on the grid; names what blocks it.
         TimingError: The path cannot be timed.
         CertificationError: No motion could be certified.
+        NotFoundError: None was found within memory and effort, and it was not shown that there is none.
     """
     check_task(robot, scene, options)
     return plan_with(PlanningCache(robot), scene, PlanOptions() if options is None else options, progress=progress)

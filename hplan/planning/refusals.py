@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass
 
-from hplan.errors import CertificationError, HplanError, NoPathError, TimingError
+from hplan.errors import CertificationError, HplanError, NoPathError, NotFoundError, TimingError
 from hplan.planning.enclosure import EnclosedError
 
 #: So many reasons stand in the sentence; `data` has all of them.
@@ -23,7 +23,10 @@ class Refusals:
     errors: tuple[HplanError, ...]
 
     def error(self, goals: str = "goals") -> HplanError:
-        """The one error to raise: `NoPathError` only where no path was shown for every goal.
+        """The one error to raise.
+
+        `NoPathError` only where no path was shown for every goal; `NotFoundError` where it was shown for some and no
+        motion was found to the others.
 
         Args:
             goals: What the goals are, in the plural.
@@ -42,6 +45,9 @@ class Refusals:
             return first
         tally = Counter(_reason(error) for error in self.errors).most_common()  # in order of appearance where equal
         reasons = [{"reason": reason, "goals": number} for reason, number in tally]
+        if all(isinstance(error, NoPathError | NotFoundError) for error in self.errors):
+            missed = next(error for error in self.errors if isinstance(error, NotFoundError))
+            return NotFoundError(missed.tried, goals=count, reasons=reasons)
         text = "; ".join(f"{number} x {reason}" for reason, number in tally[:TOLD])
         message = f"no certified motion to any of {count} {goals}: {text}{'; ...' if len(tally) > TOLD else ''}"
         failed = next(error for error in self.errors if not isinstance(error, NoPathError))

@@ -15,7 +15,7 @@ from test_grid_route import posed
 import hplan.planning.grasp_motion
 import hplan.planning.grasps
 from hplan.collision.coal_scene import CoalScene
-from hplan.errors import BlockedError, CertificationError, NoPathError, TimingError
+from hplan.errors import BlockedError, CertificationError, NoPathError, NotFoundError, TimingError
 from hplan.planar.finer_angles import FINEST, Refined, refined
 from hplan.planar.inverse_kinematics import Candidates, reach
 from hplan.planning.enclosure import EnclosedError, enclosed_goals
@@ -251,6 +251,11 @@ def test_the_error_of_several_goals() -> None:
     ):
         assert type(Refusals(errors).error()) is kind
     assert "3 goals: 2 x no path exists on the grid; 1 x doubt" in str(Refusals((doubt, none, none)).error())
+    missed = NotFoundError(["trees"])
+    left_open = Refusals((none, missed, none)).error()
+    assert type(left_open) is NotFoundError
+    assert (left_open.tried, left_open.data["goals"]) == (["trees"], 3)
+    assert type(Refusals((doubt, missed)).error()) is CertificationError
 
 
 # Goals decided together

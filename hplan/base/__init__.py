@@ -1,4 +1,4 @@
-"""What every room uses and no robot needs: arrays, checks of arguments, files, compiled kernels, plane geometry.
+"""Tools of every room, without robots: arrays, checks of arguments, files, compiled kernels, plane geometry.
 
 Imports nothing of hplan but `hplan.errors`.
 """

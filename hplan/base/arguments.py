@@ -23,7 +23,7 @@ DECIMAL: Final = re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]
 
 
 def is_number(value: object) -> bool:
-    """Whether a value is a finite real number; truth values are none."""
+    """True for a finite real number; truth values are none."""
     if isinstance(value, bool) or not isinstance(value, Real):
         return False
     try:
@@ -128,7 +128,7 @@ def decimal(text: str) -> float | None:
 
 
 def is_float(text: str) -> bool:
-    """Whether Python takes a text for a number, as it does `nan` and `1_0`."""
+    """True if Python reads a text as a number, as it does `nan` and `1_0`."""
     try:
         float(text)
     except ValueError:

@@ -1,4 +1,4 @@
-"""Where the files that ship with hplan are, installed or in a checkout."""
+"""Folders of the files that ship with hplan, installed or in a checkout."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ _PACKAGE = Path(__file__).resolve().parents[1]
 
 
 def urdf_dir() -> Path:
-    """Folder of the shipped robots: inside the package in a wheel, beside it in a checkout."""
+    """Folder of the shipped robots: inside the package in a wheel, next to it in a checkout."""
     installed = _PACKAGE / "urdf"
     return installed if installed.is_dir() else _PACKAGE.parent / "urdf"
 

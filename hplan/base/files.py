@@ -11,7 +11,7 @@ from hplan.errors import OutputError
 
 
 def write_text(path: Path | str, text: str) -> Path:
-    """Write a file by way of a temporary one beside it, so that nothing half-written is ever seen.
+    """Write a file by a temporary one next to it, so that nothing half-written is ever seen.
 
     A link is followed; what exists and is no ordinary file (a folder, a device) is left alone.
 

@@ -1,4 +1,4 @@
-"""How functions are compiled: by numba, once, and kept on disk beside their source.
+"""Functions compiled by numba, once, and kept on disk next to their source.
 
 numba ends the program where neither the package's folder nor the user's cache can be written, and where a file of the
 cache is damaged. Neither keeps a kernel from being compiled, so it is, and a `KernelCacheWarning` says so once.
@@ -74,12 +74,12 @@ def _keep_on_disk(compiled: Any) -> None:
 
 
 def can_be_kept(compiled: Any) -> bool:
-    """Whether there is a place on disk for what a function is compiled to."""
+    """True if there is a place on disk for what a function is compiled to."""
     return isinstance(getattr(compiled, "_cache", None), _DiskCache)
 
 
 def is_kept(compiled: Callable[..., Any]) -> bool:
-    """Whether a function that stands as it does in its file is on disk, compiled for this processor.
+    """True if a function, as it stands in its file, is on disk, compiled for this processor.
 
     numba itself is asked, which knows the source by its content (older ones: by its time and size). The times of the
     files on disk say nothing: a copy may keep them, an installer may set them.
@@ -92,7 +92,7 @@ class _DiskCache(FunctionCache):  # type: ignore[misc]
     """numba's cache of one function, no fault of which ends the program."""
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """What was compiled for these types; None where there is nothing, or nothing that can be read."""
+        """The code compiled for these types; None where there is none, or none that can be read."""
         try:
             return super().load_overload(sig, target_context)
         except Exception as error:  # whatever reading a damaged pickle raises
@@ -112,7 +112,7 @@ class _DiskCache(FunctionCache):  # type: ignore[misc]
             self._report("written", error)
 
     def holds_any(self, codegen: Any) -> bool:
-        """Whether there is anything for a processor."""
+        """True if there is anything for a processor."""
         try:
             overloads = self._cache_file._load_index()
         except Exception:  # whatever reading a damaged pickle raises

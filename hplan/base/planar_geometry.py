@@ -45,13 +45,13 @@ def polygon_distances(starts: FloatArray, ends: FloatArray, polygon: FloatArray)
     starts, ends = starts[:, None], ends[:, None]
     sides, links = b - a, ends - starts
     from_a, from_b = starts - a, starts - b
-    beside = _cross(sides, from_a)
+    turns = _cross(sides, from_a)
     least = np.minimum(_point_distances(from_a, sides), _point_distances(ends - a, sides))
     least = np.minimum(least, np.minimum(_point_distances(-from_a, links), _point_distances(-from_b, links)))
     # Where a segment and a side cross, the ends of each are on different sides of the other.
-    crossing = (beside * _cross(sides, ends - a) < 0.0) & (_cross(links, from_a) * _cross(links, from_b) < 0.0)
+    crossing = (turns * _cross(sides, ends - a) < 0.0) & (_cross(links, from_a) * _cross(links, from_b) < 0.0)
     distances: FloatArray = np.where(crossing, 0.0, least).min(axis=1)
-    inside = (beside >= 0.0).all(axis=1) if len(polygon) >= 3 else np.zeros(len(distances), dtype=np.bool_)
+    inside = (turns >= 0.0).all(axis=1) if len(polygon) >= 3 else np.zeros(len(distances), dtype=np.bool_)
     return np.where(inside, 0.0, distances)
 
 

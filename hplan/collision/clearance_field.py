@@ -47,7 +47,7 @@ class ClearanceField(Record):
 
     @cached_property
     def arrays(self) -> FieldArrays:
-        """What kernels are given."""
+        """The arrays for kernels."""
         return FieldArrays(self.chain, self.base, self.solids, self.data)
 
     @classmethod

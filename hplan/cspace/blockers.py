@@ -1,4 +1,4 @@
-"""What stands in the way when there is no path: the links and obstacles that bound all that the start reaches."""
+"""Links and obstacles that block the path: those that bound all that the start reaches, where there is no path."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def blockers(arm: PlanarArm, sections: ArmSections, grid: Grid, reached: BoolArr
         arm: The planar chain.
         sections: Obstacles cut by the arm plane.
         grid: Grid over the planar joints.
-        reached: Mask of the grid's shape: what the start is connected to.
+        reached: Mask of the grid's shape: the nodes connected to the start.
 
     Returns:
         For each pair `obstacle`, `link`, `cells` (occupied border nodes) and `slices_deg` (first and last value of

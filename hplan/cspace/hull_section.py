@@ -37,7 +37,7 @@ _STEPS = 64
 
 
 class _Hull(NamedTuple):
-    """What is known of the hull that is cut, apart from its points."""
+    """The hull that is cut, apart from its points."""
 
     radius: float
     kept: float  # rounding that the section keeps

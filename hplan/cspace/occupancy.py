@@ -83,19 +83,6 @@ class _Poses(NamedTuple):
     sin: FloatArray
 
 
-def joint_grid(arm: PlanarArm, step: float | FloatArray) -> Grid:
-    """Grid over the joint range of the planar joints.
-
-    Args:
-        arm: The planar chain.
-        step: Largest spacing [rad], one number or one for each joint.
-
-    Raises:
-        OptionError: A step that is not positive, or too small.
-    """
-    return Grid.over(arm.lower, arm.upper, step)
-
-
 def occupancy(arm: PlanarArm, sections: ArmSections, grid: Grid) -> Occupancy:
     """Occupancy of the joint grid: which nodes make some link meet some section.
 

@@ -31,7 +31,7 @@ class ConvexObstacle(Protocol):
 
     @property
     def is_point_set(self) -> bool:
-        """Whether every core point is a ball of its own (a point cloud) and not a corner of one hull."""
+        """True if every core point is a ball of its own (a point cloud) and not a corner of one hull."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -84,7 +84,7 @@ class ArmPlane(NamedTuple):
 
 
 class LinkExtents(NamedTuple):
-    """What the links add to what they meet, and where they can be.
+    """Widths and reaches of the links.
 
     Attributes:
         growth: (links,) what each link adds to the radii [m].

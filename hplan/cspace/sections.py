@@ -26,11 +26,10 @@ from typing import Literal, NamedTuple, TypeAlias
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from hplan.base.arguments import one_of
 from hplan.base.arrays import FloatArray, IntArray, Record, frozen, readonly
-from hplan.cspace.prepared_obstacles import ConvexObstacle, PreparedObstacles, prepare_obstacles
+from hplan.cspace.prepared_obstacles import PreparedObstacles, prepare_obstacles
 from hplan.cspace.section_kernels import ArmPlane, LinkExtents, cut_balls, cut_hulls
 from hplan.errors import OptionError
 from hplan.robot.model import Robot
@@ -92,39 +91,13 @@ class ArmSections(Record):
 
     @property
     def arrays(self) -> SectionArrays:
-        """What kernels are given."""
+        """The arrays for kernels."""
         return SectionArrays(self.link_start, self.vertex_start, self.vertices, self.radii, self.bounds)
 
     @property
     def links(self) -> IntArray:
         """(sections,) the link that each concerns."""
         return np.repeat(np.arange(len(self.link_start) - 1), np.diff(self.link_start))
-
-
-def arm_sections(
-    robot: Robot,
-    obstacles: Sequence[ConvexObstacle],
-    *,
-    yaw: float = 0.0,
-    clearance: ArrayLike = 0.0,
-    link_model: LinkModel = "capsule",
-) -> ArmSections:
-    """Cut all obstacles by the arm plane at one yaw, once for each link (their half-widths differ).
-
-    Args:
-        robot: The arm.
-        obstacles: The obstacles.
-        yaw: Yaw of the arm plane.
-        clearance: Distance to keep from every obstacle [m], one number or one for each.
-        link_model: How links are modelled.
-
-    Raises:
-        OptionError: Unknown link model, a negative clearance, or `rectangle` with an obstacle that is no sphere.
-        InputError: An obstacle without core points, or with a point or radius that is not finite.
-    """
-    one_of("link_model", link_model, LINK_MODELS)
-    prepared = prepare_obstacles(obstacles, clearance=clearance)
-    return sections_at(robot, prepared, yaw, link_model=link_model, within_reach=False)
 
 
 def sections_at(

@@ -55,7 +55,7 @@ def minimize_duration(
 
 
 class _Grid(NamedTuple):
-    """Where the duration is estimated: each inner end of a piece belongs to the piece after it.
+    """Points of the path at which speeds are estimated: each inner end of a piece belongs to the piece after it.
 
     Attributes:
         parameter: (points,) path parameters.

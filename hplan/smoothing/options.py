@@ -8,13 +8,13 @@ from typing import Literal, NamedTuple
 
 from hplan.base.arrays import FloatArray, IntArray
 
-#: What a path is made for.
+#: Aims of post-processing.
 Objective = Literal["duration", "length"]
 OBJECTIVES: tuple[Objective, ...] = ("duration", "length")
 
 
 class JointArrays(NamedTuple):
-    """What kernels read of `PostprocessOptions`: limits of all joints, and which of them may move."""
+    """The arrays of `PostprocessOptions` that kernels read: limits of all joints, and the joints that may move."""
 
     lower: FloatArray
     upper: FloatArray
@@ -53,5 +53,5 @@ class PostprocessOptions:
 
     @cached_property
     def joints(self) -> JointArrays:
-        """What kernels are given."""
+        """The arrays for kernels."""
         return JointArrays(self.lower, self.upper, self.velocity, self.acceleration, self.movable)

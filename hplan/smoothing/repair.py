@@ -1,7 +1,7 @@
-"""Nodes are not motions: a motion between two nodes that cannot be shown clear, replaced by ones that can.
+"""Repair of motions between free nodes that cannot be shown clear themselves: replaced by motions that can.
 
 First the joints move one after the other, in any order that will do. Then the middle of the motion is pushed out of
-the obstacles, along the gradient of the clearance, and the two halves are looked at in the same way.
+the obstacles, along the gradient of the clearance, and the two halves are repaired likewise.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _PUSHES = 8
 #: Largest push [rad], and the difference that the gradient is taken with.
 _LARGEST_PUSH, _DIFFERENCE = 0.1, 1e-4
 
-#: Clearances on the way out of a tight place [m].
+#: Clearances aimed at in turn when leaving a tight place [m].
 _ESCAPES = (5e-3, 0.01, 0.02, 0.04, 0.08)
 
 #: What a push aims at beyond the margin [m].
@@ -39,7 +39,7 @@ def repaired(
     margin: float,
     known: dict[bytes, FloatArray | None] | None = None,
 ) -> tuple[FloatArray, list[int]]:
-    """A polyline whose motions are shown clear, as far as they can be mended.
+    """A polyline whose motions are shown clear, as far as they can be repaired.
 
     Args:
         path: (m, dof) configurations.
@@ -47,10 +47,10 @@ def repaired(
         lower: (dof,) joint limits.
         upper: (dof,) joint limits; equal to `lower` for a joint that may not move.
         margin: Clearance asked for wherever a motion is evaluated [m].
-        known: What earlier calls with the same field, limits and margin found out, where there were any; added to.
+        known: Results of earlier calls with the same field, limits and margin; added to.
 
     Returns:
-        The polyline, and the motions of the one given, by number, that could not be mended.
+        The polyline, and the motions of the one given, by number, that could not be repaired.
     """
     known = {} if known is None else known
     pieces, contacts = [path[:1]], []
@@ -70,7 +70,7 @@ def repaired(
 def leave_contact(
     q: FloatArray, field: ClearanceField, lower: FloatArray, upper: FloatArray, margin: float
 ) -> Iterator[FloatArray]:
-    """Ways out of a tight place along the gradient of the clearance, one longer than the other.
+    """Paths out of a tight place along the gradient of the clearance, each longer than the one before.
 
     Args:
         q: (dof,) configuration.
@@ -82,15 +82,15 @@ def leave_contact(
     Yields:
         (k, dof) configurations from `q` on, the motions between them shown clear.
     """
-    way = q[None]
+    path = q[None]
     for wanted in _ESCAPES:
-        if field.clearance(way[-1]) >= wanted:
+        if field.clearance(path[-1]) >= wanted:
             continue
-        there = _out(way[-1], field, lower, upper, wanted)
-        if there is None or not field.is_clear(np.stack([way[-1], there]), margin):
+        there = _out(path[-1], field, lower, upper, wanted)
+        if there is None or not field.is_clear(np.stack([path[-1], there]), margin):
             return
-        way = np.vstack([way, there])
-        yield way
+        path = np.vstack([path, there])
+        yield path
 
 
 def _between(

@@ -30,35 +30,35 @@ def smooth(path: FloatArray, field: ClearanceField, *, margin: float) -> SplineP
         CertificationError: No rounding of some corner can be shown clear.
     """
     lengths = np.linalg.norm(np.diff(path, axis=0), axis=1)
-    share = np.minimum(lengths[:-1], lengths[1:]) / 3.0
+    cuts = np.minimum(lengths[:-1], lengths[1:]) / 3.0
     while True:
-        control, corner_of = _control_points(path, lengths, share)
+        control, corner_of = _control_points(path, lengths, cuts)
         spline = SplinePath.through(control)
         bad = first_contact(spline.pieces, field, 0.5 * margin)
         if not bad.any():
             return spline
         # Piece i depends on control points i to i + 3.
         corners = {int(c) for i in np.flatnonzero(bad) for c in corner_of[i : i + 4] if c >= 0}
-        if not corners or min(share[c] for c in corners) < _SMALLEST:
+        if not corners or min(cuts[c] for c in corners) < _SMALLEST:
             raise CertificationError(
                 "the path's corners cannot be rounded within its clearance", pieces=np.flatnonzero(bad).tolist()
             )
-        share[list(corners)] *= 0.5
+        cuts[list(corners)] *= 0.5
 
 
-def _control_points(path: FloatArray, lengths: FloatArray, share: FloatArray) -> tuple[FloatArray, list[int]]:
-    """Control points and, for each, the corner it belongs to (-1: none)."""
+def _control_points(path: FloatArray, lengths: FloatArray, cuts: FloatArray) -> tuple[FloatArray, list[int]]:
+    """Control points, `cuts` from the corners, and for each the corner it belongs to (-1: none)."""
     points, corner_of = [path[0]], [-1]
     for i, length in enumerate(lengths):
         direction = (path[i + 1] - path[i]) / length
         if i > 0:
-            points.append(path[i] + share[i - 1] * direction)
+            points.append(path[i] + cuts[i - 1] * direction)
             corner_of.append(i - 1)
         # Between its corners a segment is straight; a point in its middle keeps it so.
         points.append(0.5 * (path[i] + path[i + 1]))
         corner_of.append(-1)
         if i < len(lengths) - 1:
-            points.append(path[i + 1] - share[i] * direction)
+            points.append(path[i + 1] - cuts[i] * direction)
             points.append(path[i + 1])
             corner_of.extend([i, i])
     points.append(path[-1])

@@ -1,4 +1,4 @@
-"""The way from a grid path to a path worth executing."""
+"""Post-processing: from a grid path to a smooth path worth executing."""
 
 from __future__ import annotations
 
@@ -24,19 +24,19 @@ SHORT_CONTROL_POINTS = (44, 64)
 STARTS = 2
 
 #: Ends nearer to each other than this are one [rad].
-NO_WAY = 1e-9
+NO_MOTION = 1e-9
 
-#: A motion that takes no longer than this share of the least duration of its ends is as good as the fastest.
+#: A motion that takes no longer than so many times the least duration of its ends is as good as the fastest.
 GOOD_ENOUGH = 1.005
 
 #: Obstacles farther than this from the grid path are left out while the spline is moved [m].
 NEAR = 0.15
 
-#: With no more rows in the field than this all are looked at.
+#: With no more rows in the field than this none are left out.
 FEW = 20
 
-#: Share of the margin that is still asked for where the full one cannot be kept.
-SMALLEST_SHARE = 0.05
+#: Fraction of the margin that is still asked for where the full one cannot be kept.
+SMALLEST_FRACTION = 0.05
 
 
 def fast_path(path: FloatArray, field: ClearanceField, options: PostprocessOptions) -> SplinePath:
@@ -51,9 +51,9 @@ def fast_path(path: FloatArray, field: ClearanceField, options: PostprocessOptio
         InputError: The path ends where it begins.
         CertificationError: The grid path's own motions cannot be shown clear, or its corners cannot be rounded.
     """
-    if np.linalg.norm(path[-1] - path[0]) < NO_WAY:
+    if np.linalg.norm(path[-1] - path[0]) < NO_MOTION:
         raise InputError("the path ends where it begins; there is no motion to make")
-    smallest = SMALLEST_SHARE * options.margin
+    smallest = SMALLEST_FRACTION * options.margin
     if not field.is_clear(path, smallest):
         raise CertificationError("the motions between the nodes of the grid path cannot be shown clear")
     if options.objective == "length":
@@ -64,9 +64,9 @@ def fast_path(path: FloatArray, field: ClearanceField, options: PostprocessOptio
         return SplinePath.through(np.linspace(path[0], path[-1], 4))
     # What is far away does not matter to the optimisers; the proof does not leave it out.
     fields = (field.near(path, NEAR), field) if len(field.solids) > FEW else (field,)
-    for around in fields:
-        found = _fastest(path, around, options, smallest, least)
-        if around is field or found.is_clear(field, 0.5 * smallest):
+    for part in fields:
+        found = _fastest(path, part, options, smallest, least)
+        if part is field or found.is_clear(field, 0.5 * smallest):
             break
     return found
 

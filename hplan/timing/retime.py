@@ -43,14 +43,14 @@ from hplan.robot.limits import GeometricPath, Limits, check_rate
 from hplan.timing.speed_profile import LITTLE, MOST_POINTS, MOST_ROWS, NO_MOTION, SpeedProfile, parameter_grid, refined
 from hplan.timing.trajectory import Trajectory
 
-#: Grid points of the path parameter, beside the knots.
+#: Grid points of the path parameter, in addition to the knots.
 GRID_POINTS = 400
 
 #: With fewer points than this for each row, what passes a limit between them slows the whole motion down; longer
 #: motions get more points, up to a number that takes a tenth of a second.
 POINTS_PER_ROW = 0.8
 
-#: Share by which a limit may be passed before the motion is slowed down.
+#: Fraction by which a limit may be passed before the motion is slowed down.
 KEPT = 2e-4
 
 #: Where rows are farther apart than this, torque is kept at as many times between them [s].
@@ -71,8 +71,7 @@ def time_path(
     rate_hz: float = 250.0,
     grid_points: int = GRID_POINTS,
     grid: FloatArray | None = None,
-    start_speed: float = 0.0,
-    end_speed: float = 0.0,
+    end_speeds: tuple[float, float] = (0.0, 0.0),
 ) -> Trajectory:
     """The fastest motion along a path.
 
@@ -81,13 +80,12 @@ def time_path(
         model: Pinocchio's model, for torques, or what was made from it; its joints are the path's.
         limits: Velocity, acceleration and, where given, torque and jerk limits.
         rate_hz: Rows per second.
-        grid_points: Number of points at which the path speed is chosen, beside the ends of the path's pieces.
+        grid_points: Number of points at which the path speed is chosen, in addition to the ends of the path's pieces.
         grid: (n,) increasing path parameters from 0 to the end to choose it at instead, for a motion from rest to rest.
-        start_speed: Joint-space speed along the path at its start [rad/s]; 0 starts from rest.
-        end_speed: Joint-space speed along the path at its end [rad/s]; 0 comes to rest. Where it is not, the motion is
-            slowed down by less than one period in all, and the speeds with it, to end on a row. Where the motion as a
-            whole is slowed down to keep a limit, so are they, and the first and the last row stand beside the path's
-            ends by a share of one period's motion (2 % of it at 25 Hz).
+        end_speeds: Joint-space speeds along the path at its start and its end [rad/s]; 0 is at rest. A motion that
+            does not end at rest is slowed down by less than one period in all, and the speeds with it, to end on a row.
+            Where the motion as a whole is slowed down to keep a limit, so are they, and the first and the last row are
+            off the path's ends by a part of one period's motion (2 % of it at 25 Hz).
 
     Raises:
         TimingError: No motion within the limits exists; names the joint and the cause.
@@ -96,10 +94,10 @@ def time_path(
     check_rate(rate_hz)
     if grid_points < 10:
         raise OptionError("grid_points", grid_points, "at least 10")
-    for option, value in (("start_speed", start_speed), ("end_speed", end_speed)):
-        if not (np.isfinite(value) and value >= 0.0):
-            raise OptionError(option, value, "a finite speed along the path >= 0")
-    if grid is not None and (start_speed or end_speed):
+    for speed in end_speeds:
+        if not (np.isfinite(speed) and speed >= 0.0):
+            raise OptionError("end_speeds", speed, "a finite speed along the path >= 0")
+    if grid is not None and any(end_speeds):
         raise OptionError("grid", "given", "none where the ends of the motion are not at rest")
     dynamics = model if isinstance(model, InverseDynamics) else InverseDynamics.of(model)
     names = tuple(dynamics.model.names)[1:]
@@ -110,13 +108,13 @@ def time_path(
     _check_limits(path, dynamics, limits, whole, names)
     ends = np.array([0.0, path.breaks[-1]])
     # Path speeds ds/dt at the ends; the parameter need not run exactly as the length.
-    rates = np.array([start_speed, end_speed]) / np.linalg.norm(path.evaluate(ends, 1), axis=1)
+    rates = np.array(end_speeds) / np.linalg.norm(path.evaluate(ends, 1), axis=1)
 
     period = 1.0 / rate_hz
 
     @cache
     def profile_for(window: int) -> SpeedProfile:
-        """With as much constant speed at each end as the rows' averages reach over; the same for all from rest."""
+        """Profile with constant speed at both ends for as long as the rows' averages reach; from rest all are one."""
         if window > 1 and not rates.any():
             return profile_for(1)
         leads = rates * (0.5 * (window + 1) / rate_hz)
@@ -272,7 +270,7 @@ def _between(rows: _Rows, period: float) -> tuple[FloatArray, FloatArray, FloatA
 
 
 def _torque_excess(dynamics: InverseDynamics, position: FloatArray, torque: FloatArray, limit: FloatArray) -> float:
-    """By how much the pace has to be slowed for the torque limits; gravity's share does not shrink with the pace."""
+    """By how much the pace has to be slowed for the torque limits; gravity's part does not shrink with the pace."""
     over = np.abs(torque) > limit * (1.0 + KEPT)
     if not over.any():
         return 0.0
@@ -340,6 +338,6 @@ def _make_exact(
 
 
 def _largest_use(values: FloatArray, limit: FloatArray, joints: BoolArray) -> float:
-    """Largest share of a limit over the joints marked."""
-    share = np.abs(values).max(axis=0) / np.maximum(limit, 1e-12)
-    return float(share[joints].max(initial=0.0))
+    """Largest use of a limit over the joints marked."""
+    use = np.abs(values).max(axis=0) / np.maximum(limit, 1e-12)
+    return float(use[joints].max(initial=0.0))

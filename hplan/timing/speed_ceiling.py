@@ -1,4 +1,4 @@
-r"""How fast a path may be run where it is tight, if tracking errors grow with speed.
+r"""Ceiling of the path speed where the path is tight and tracking errors grow with speed.
 
 At the path speed :math:`\dot s` every joint may be off by the delay times :math:`|q_j'(s)| \, \dot s` beyond its
 deviation at rest, and link :math:`k` sways by :math:`\dot s` times the delay times :math:`\sigma_k(|q'(s)|)`, with
@@ -25,8 +25,8 @@ from hplan.robot.model import Robot
 #: Clearance that counts at least, so that motions end [m].
 LEAST = 2e-5
 
-#: Looks at the clearance for each interval of the grid.
-LOOKS = 2
+#: Samples of the clearance in each interval of the grid.
+SAMPLES = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +38,7 @@ class SpeedCeiling:
         path: The path.
         field: Arm and obstacles; deviations at rest are allowed for in it.
         delay_s: Deviation of a joint for each rad/s [s].
-        share: Share of the clearance that the sway may take.
+        fraction: Part of the clearance that the sway may take.
         averaged_s: Rows of the motion are averages over this long before and after [s].
     """
 
@@ -46,37 +46,37 @@ class SpeedCeiling:
     path: GeometricPath
     field: ClearanceField
     delay_s: float
-    share: float
+    fraction: float
     averaged_s: float
 
     def __call__(self, grid: FloatArray) -> FloatArray:
         """(n,) increasing path parameters -> (n,) largest ds/dt there, infinite where nothing is near."""
-        shares = np.arange(LOOKS) / LOOKS
-        looks = np.append((grid[:-1, None] + np.diff(grid)[:, None] * shares).ravel(), grid[-1])
-        clear = np.maximum(self.field.along(self.path.evaluate(looks)), LEAST)
-        sway = self.delay_s * self.robot.sway(np.abs(self.path.evaluate(looks, 1)))
+        inner = np.arange(SAMPLES) / SAMPLES
+        samples = np.append((grid[:-1, None] + np.diff(grid)[:, None] * inner).ravel(), grid[-1])
+        clear = np.maximum(self.field.along(self.path.evaluate(samples)), LEAST)
+        sway = self.delay_s * self.robot.sway(np.abs(self.path.evaluate(samples, 1)))
         with np.errstate(divide="ignore"):
-            ceiling = (self.share * clear / sway).min(axis=1)
-        tight = np.flatnonzero(ceiling < self._fastest(looks))
+            ceiling = (self.fraction * clear / sway).min(axis=1)
+        tight = np.flatnonzero(ceiling < self._fastest(samples))
         result = np.full(len(grid), np.inf)
-        # A look holds at both ends of its interval, and as far as the averages reach from there.
+        # A sample holds at both ends of its interval, and as far as the averages reach from there.
         reach = ceiling * self.averaged_s
-        first = np.searchsorted(grid, looks - reach, side="right") - 1
-        last = np.searchsorted(grid, looks + reach, side="left")
-        for look in tight.tolist():
-            part = slice(max(first[look], 0), last[look] + 1)
-            result[part] = np.minimum(result[part], ceiling[look])
+        first = np.searchsorted(grid, samples - reach, side="right") - 1
+        last = np.searchsorted(grid, samples + reach, side="left")
+        for sample in tight.tolist():
+            part = slice(max(first[sample], 0), last[sample] + 1)
+            result[part] = np.minimum(result[part], ceiling[sample])
         return result
 
-    def _fastest(self, looks: FloatArray) -> FloatArray:
+    def _fastest(self, samples: FloatArray) -> FloatArray:
         """(n,) path speeds that the joints' velocity limits do not let pass."""
-        rates = np.maximum(np.abs(self.path.evaluate(looks, 1)), 1e-300)
+        rates = np.maximum(np.abs(self.path.evaluate(samples, 1)), 1e-300)
         fastest: FloatArray = (self.robot.velocity_limit / rates).min(axis=1)
         return fastest
 
 
 def averaging_s(limits: Limits, rate_hz: float) -> float:
-    """How long before and after it the averages of a row reach at most [s] (`hplan.timing.retime`)."""
+    """Longest time before and after a row that its averages reach over [s] (`hplan.timing.retime`)."""
     moves = limits.acceleration > 0.0
     window = 0.0 if limits.jerk is None else float((limits.acceleration[moves] / limits.jerk[moves]).max(initial=0.0))
     return window + 1.0 / rate_hz

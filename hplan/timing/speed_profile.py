@@ -80,16 +80,16 @@ class SpeedProfile:
 
         speed = fastest_speed(path, dynamics, limits, grid, rates)
         # The path acceleration is constant between grid points, so each interval takes 2 ds / (sum of its speeds).
-        lasting = 2.0 * np.diff(grid) / (speed[:-1] + speed[1:])
-        return cls(path, grid, speed, np.concatenate([[0.0], np.cumsum(lasting)]))
+        durations = 2.0 * np.diff(grid) / (speed[:-1] + speed[1:])
+        return cls(path, grid, speed, np.concatenate([[0.0], np.cumsum(durations)]))
 
     def positions(self, clock: FloatArray) -> FloatArray:
         """(k, dof) configurations at times."""
         time = np.clip(clock, 0.0, self.arrival[-1])
         interval = np.clip(np.searchsorted(self.arrival, time, side="right") - 1, 0, len(self.arrival) - 2)
         since = time - self.arrival[interval]
-        lasting = self.arrival[interval + 1] - self.arrival[interval]
-        acceleration = (self.speed[interval + 1] - self.speed[interval]) / lasting
+        durations = self.arrival[interval + 1] - self.arrival[interval]
+        acceleration = (self.speed[interval + 1] - self.speed[interval]) / durations
         parameter = self.grid[interval] + since * (self.speed[interval] + 0.5 * acceleration * since)
         parameter += np.where(clock < 0.0, self.speed[0], self.speed[-1]) * (clock - time)
         q = np.array(self.path.evaluate(parameter))

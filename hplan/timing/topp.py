@@ -5,7 +5,7 @@ limit of the form :math:`|a u + b x + c| \le g` enforced at grid points (colloca
 enforced at both ends of each interval (interpolation) leaves some of it unused everywhere; both errors are of the
 order of the spacing. Enforced at the middle, where :math:`x_m = x_i + \Delta s \, u`, the error alternates in sign
 and its average over an interval is of second order. The rows of a trajectory are such averages
-(`hplan.timing.retime`), so there the limits are used in full and kept to within a share that timing then takes back.
+(`hplan.timing.retime`), so there the limits are used in full and kept to within a fraction that timing then takes back.
 
 toppra states the problem: at each grid point its constraints give half-planes of (u, x). From the end backward, the
 set of x from which the end can be reached is an interval, whose two ends are linear programs in two variables; forward,

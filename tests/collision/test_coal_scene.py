@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from arm_variants import VARIANTS, axis_points, coal_distances, load_variant, random_obstacles
 from shapes import torus
+from studies.planar_cspace import arm_sections, joint_grid
 from studies.validation.cspace import sampled_occupancy
 
 from hplan.base.data_files import urdf_dir
 from hplan.collision.coal_scene import CoalScene, base_contacts, base_radius, check_clear
-from hplan.cspace.occupancy import joint_grid, occupancy
-from hplan.cspace.sections import arm_sections
+from hplan.cspace.occupancy import occupancy
 from hplan.errors import ConfigurationInCollisionError, OptionError
 from hplan.robot.convex_shape import convex_hull_shape
 from hplan.robot.model import load_robot

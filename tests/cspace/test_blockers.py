@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from studies.planar_cspace import arm_sections, joint_grid
 
 from hplan.cspace.blockers import _grown, blockers
-from hplan.cspace.occupancy import joint_grid, occupancy
-from hplan.cspace.sections import arm_sections
+from hplan.cspace.occupancy import occupancy
 from hplan.robot.model import Robot
 from hplan.scene.obstacles import Sphere
 

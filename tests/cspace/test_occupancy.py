@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from studies.paper.planar_sections import RoundedPolygon, planar_sections
+from studies.planar_cspace import RoundedPolygon, arm_sections, joint_grid, planar_sections
 
 from hplan.base.arrays import readonly
-from hplan.cspace.occupancy import joint_grid, occupancy
-from hplan.cspace.sections import LINK_MODELS, arm_sections
+from hplan.cspace.occupancy import occupancy
+from hplan.cspace.sections import LINK_MODELS
 from hplan.errors import InputError, OptionError
 from hplan.robot.model import PlanarArm
 from hplan.search.grid import Grid

@@ -10,14 +10,14 @@ import pytest
 from arm_variants import VARIANTS, load_variant, random_obstacles
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from studies.paper.planar_sections import RoundedPolygon, planar_sections
+from studies.planar_cspace import RoundedPolygon, arm_sections, joint_grid, planar_sections
 from test_occupancy import point_segment, segment_polygon
 
 from hplan.collision.coal_scene import CoalScene
-from hplan.cspace.occupancy import joint_grid, occupancy
+from hplan.cspace.occupancy import occupancy
 from hplan.cspace.prepared_obstacles import prepare_obstacles
 from hplan.cspace.section_kernels import ArmPlane, LinkExtents, cut_balls, cut_hulls
-from hplan.cspace.sections import LINK_MODELS, MAX_HALF_ANGLE, SECTION_ERROR, arm_sections, only, sections_at
+from hplan.cspace.sections import LINK_MODELS, MAX_HALF_ANGLE, SECTION_ERROR, only, sections_at
 from hplan.errors import InputError, OptionError
 from hplan.scene.obstacles import Box, Capsule, Sphere
 

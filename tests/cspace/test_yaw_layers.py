@@ -9,9 +9,10 @@ import pytest
 from arm_variants import load_variant, random_obstacles
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from studies.planar_cspace import joint_grid
 
 from hplan.base.arrays import BoolArray
-from hplan.cspace.occupancy import joint_grid, occupancy
+from hplan.cspace.occupancy import occupancy
 from hplan.cspace.prepared_obstacles import prepare_obstacles
 from hplan.cspace.sections import sections_at
 from hplan.cspace.yaw_layers import LayerCache, YawAxis, turning_occupancy, yaw_axis

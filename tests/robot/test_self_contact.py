@@ -11,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from arm_variants import axis_points, coal_distances, load_variant, random_obstacles
+from studies.planar_cspace import arm_sections, joint_grid
 from studies.validation.cspace import sampled_occupancy
 
 from hplan.base.planar_geometry import polygon_distances
@@ -18,9 +19,9 @@ from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.coal_scene import CoalScene
 from hplan.collision.obstacle_rows import _base_solid
 from hplan.cspace.blockers import blockers
-from hplan.cspace.occupancy import joint_grid, occupancy
+from hplan.cspace.occupancy import occupancy
 from hplan.cspace.prepared_obstacles import prepare_obstacles
-from hplan.cspace.sections import arm_sections, only, sections_at
+from hplan.cspace.sections import only, sections_at
 from hplan.errors import ConfigurationInCollisionError
 from hplan.planning.plan import plan
 from hplan.problem.options import PlanOptions

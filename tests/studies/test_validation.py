@@ -13,14 +13,15 @@ import studies.validation.cspace as validation
 import studies.validation.kinds as validation_kinds
 from rich.console import Console
 from script_loader import load_script
+from studies.planar_cspace import arm_sections, joint_grid
 from studies.validation.cspace import EXAMPLES, validate_cspace
 from studies.validation.cspace_results import CONTACT_TOLERANCE, Comparison, Validation
 from studies.validation.scenes import KINDS
 
 from hplan.collision.coal_scene import CoalScene, base_contacts
 from hplan.collision.coal_shapes import LINK_SHAPES
-from hplan.cspace.occupancy import joint_grid, occupancy
-from hplan.cspace.sections import SECTION_ERROR, arm_sections
+from hplan.cspace.occupancy import occupancy
+from hplan.cspace.sections import SECTION_ERROR
 from hplan.errors import InputError, JointLimitError, OptionError
 from hplan.robot.model import Robot, load_robot
 from hplan.robot_family.members import ArmSpec, write_robot

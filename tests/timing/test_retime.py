@@ -334,9 +334,9 @@ MOVING_ENDS = [
 @pytest.mark.parametrize("with_jerk", [False, True])
 @pytest.mark.parametrize(("seed", "points", "near"), MOVING_ENDS)
 def test_from_a_given_speed(robot, limits, smooth_limits, seed, points, near, with_jerk, speed):
-    """Rows are averages: where the path curves, a moving end is beside it by a little."""
+    """Rows are averages: where the path curves, a moving end is off it by a little."""
     kept, path = limits if with_jerk else smooth_limits, curve(seed, robot) if seed else straight(START, GOAL)
-    trajectory = time_path(path, robot.model, kept, start_speed=speed, grid_points=points)
+    trajectory = time_path(path, robot.model, kept, end_speeds=(speed, 0.0), grid_points=points)
     assert_sound(trajectory, robot.model, kept, path=path, rest=(False, True), jerk=False)
     np.testing.assert_allclose(trajectory.position[0], path.evaluate(0.0), rtol=0, atol=near)
     assert np.linalg.norm(trajectory.velocity[0]) == pytest.approx(speed, rel=0.01)
@@ -349,7 +349,7 @@ def test_from_a_given_speed(robot, limits, smooth_limits, seed, points, near, wi
 @pytest.mark.parametrize(("seed", "points", "near"), MOVING_ENDS)
 def test_to_a_given_speed(robot, limits, smooth_limits, seed, points, near, with_jerk, speed):
     kept, path = limits if with_jerk else smooth_limits, curve(seed, robot) if seed else straight(START, GOAL)
-    trajectory = time_path(path, robot.model, kept, end_speed=speed, grid_points=points)
+    trajectory = time_path(path, robot.model, kept, end_speeds=(0.0, speed), grid_points=points)
     assert_sound(trajectory, robot.model, kept, path=path, rest=(True, False), jerk=False)
     np.testing.assert_allclose(trajectory.position[-1], path.evaluate(path.end), rtol=0, atol=near)
     assert np.linalg.norm(trajectory.velocity[-1]) == pytest.approx(speed, rel=0.01)
@@ -365,7 +365,7 @@ def test_to_a_given_speed(robot, limits, smooth_limits, seed, points, near, with
 )
 def test_from_and_to_given_speeds(robot, limits, rate, speeds, off):
     path = straight(START, GOAL)
-    trajectory = time_path(path, robot.model, limits, rate_hz=rate, start_speed=speeds[0], end_speed=speeds[1])
+    trajectory = time_path(path, robot.model, limits, rate_hz=rate, end_speeds=speeds)
     ends = np.linalg.norm(trajectory.velocity[[0, -1]], axis=1)
     assert (ends <= np.array(speeds) * (1 + 1e-6)).all()
     assert (ends >= np.array(speeds) * (1 - 2.0 / rate)).all()
@@ -374,24 +374,28 @@ def test_from_and_to_given_speeds(robot, limits, rate, speeds, off):
 
 def test_speeds_shorten_the_motion(robot, limits):
     path = straight(START, GOAL)
-    rest, moving = (time_path(path, robot.model, limits, start_speed=v, end_speed=v).duration for v in (0.0, 0.5))
+    rest, moving = (time_path(path, robot.model, limits, end_speeds=(v, v)).duration for v in (0.0, 0.5))
     assert moving < 0.9 * rest
 
 
-@pytest.mark.parametrize("option", ["start_speed", "end_speed"])
+@pytest.mark.parametrize("end", [0, 1])
 @pytest.mark.parametrize("value", [-0.1, np.nan, np.inf])
-def test_bad_speeds(robot, limits, option, value):
+def test_bad_speeds(robot, limits, end, value):
     with pytest.raises(OptionError) as caught:
-        time_path(straight(START, GOAL), robot.model, limits, **{option: value})
-    assert caught.value.option == option
+        time_path(straight(START, GOAL), robot.model, limits, end_speeds=at_one_end(value, end))
+    assert caught.value.option == "end_speeds"
 
 
-@pytest.mark.parametrize("option", ["start_speed", "end_speed"])
-def test_speed_that_no_motion_can_have(robot, limits, option):
+@pytest.mark.parametrize("end", [0, 1])
+def test_speed_that_no_motion_can_have(robot, limits, end):
     with pytest.raises(TimingError):
-        time_path(straight(START, GOAL), robot.model, limits, **{option: 50.0})
+        time_path(straight(START, GOAL), robot.model, limits, end_speeds=at_one_end(50.0, end))
     with pytest.raises(TimingError, match="too short"):
-        time_path(straight(START, START + 1e-3), robot.model, limits, **{option: 1.0})
+        time_path(straight(START, START + 1e-3), robot.model, limits, end_speeds=at_one_end(1.0, end))
+
+
+def at_one_end(speed, end):
+    return (speed, 0.0) if end == 0 else (0.0, speed)
 
 
 # What cannot be timed

@@ -47,9 +47,9 @@ def timed(robot: Robot, path: SplinePath, ceiling: SpeedCeiling | None) -> Traje
     return time_path(path, robot.dynamics, limits)
 
 
-def ceiling_of(robot: Robot, path: SplinePath, field: ClearanceField, share: float = 0.75) -> SpeedCeiling:
+def ceiling_of(robot: Robot, path: SplinePath, field: ClearanceField, fraction: float = 0.75) -> SpeedCeiling:
     averaged_s = averaging_s(Limits(robot.velocity_limit, robot.acceleration_limit, None, robot.jerk_limit), 250.0)
-    return SpeedCeiling(robot, path, field, DELAY, share, averaged_s)
+    return SpeedCeiling(robot, path, field, DELAY, fraction, averaged_s)
 
 
 def scene_of(obstacles: list[Sphere]) -> Scene:
@@ -171,8 +171,8 @@ def test_lower_ceilings_are_tried_in_turn(robot: Robot, monkeypatch: pytest.Monk
     """Where a certificate is refused for the first ones; the last refusal is told."""
     tried: list[float] = []
 
-    def note(robot: Robot, path: object, field: object, delay_s: float, share: float, averaged_s: float) -> object:
-        tried.append(share)
+    def note(robot: Robot, path: object, field: object, delay_s: float, fraction: float, averaged_s: float) -> object:
+        tried.append(fraction)
         return lambda grid: np.full(len(grid), np.inf)  # no ceiling at all: nothing can be certified
 
     monkeypatch.setattr(certified_motion, "SpeedCeiling", note)

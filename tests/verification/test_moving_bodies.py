@@ -12,12 +12,13 @@ import numpy as np
 import pytest
 from arm_variants import axis_points, random_obstacles
 from fitted_arms import Bodies, box, distance, fitted, mesh, quintic, scene_of
+from studies.planar_cspace import arm_sections, joint_grid
 
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.coal_scene import CoalScene
-from hplan.cspace.occupancy import joint_grid, occupancy
+from hplan.cspace.occupancy import occupancy
 from hplan.cspace.prepared_obstacles import prepare_obstacles
-from hplan.cspace.sections import arm_sections, only, sections_at
+from hplan.cspace.sections import only, sections_at
 from hplan.errors import BlockedError, ConfigurationInCollisionError, InputError, NoPathError
 from hplan.planning.plan import plan
 from hplan.problem.joint_ranges import MARGIN, joint_ranges

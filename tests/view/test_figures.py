@@ -12,14 +12,14 @@ from typing import Any
 import numpy as np
 import pytest
 from PIL import Image
-from studies.paper.planar_sections import RoundedPolygon, planar_sections
+from studies.planar_cspace import RoundedPolygon, arm_sections, joint_grid, planar_sections
 from studies.view import figure_data, figures_arm
 from studies.view.figures_arm import arm_and_obstacle, motions
 from studies.view.figures_cspace import slice_paths, slices
 
 from hplan.base.arrays import FloatArray, IntArray
 from hplan.cspace import occupancy as cspace
-from hplan.cspace.sections import ArmSections, arm_sections
+from hplan.cspace.sections import ArmSections
 from hplan.errors import InputError
 from hplan.robot.model import PlanarArm, load_robot
 from hplan.scene.file import load_scene
@@ -48,7 +48,7 @@ class Case:
 def case() -> Case:
     robot, scene = load_robot(), load_scene()
     sections = arm_sections(robot, scene.solids)
-    grid = cspace.joint_grid(robot.arm, math.radians(3.0))
+    grid = joint_grid(robot.arm, math.radians(3.0))
     occupancy = cspace.occupancy(robot.arm, sections, grid)
     start, goal = np.array([0, 0, 0]), np.array([15, 20, 23])
     result = two_level_search(occupancy, start, goal)
@@ -135,7 +135,7 @@ def test_without_matplotlib_the_error_says_what_to_install(case: Case, monkeypat
 
 
 def test_clearance_field_is_negative_exactly_on_the_occupied_nodes(case: Case) -> None:
-    grid = cspace.joint_grid(case.arm, math.radians(1.0))
+    grid = joint_grid(case.arm, math.radians(1.0))
     occupied = cspace.occupancy(case.arm, case.sections, grid).occupied
     field = figure_data.clearance_field(case.arm, case.sections, grid)
     assert occupied.sum() == 128_891

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from studies.benchmark.measure import Progress, fitted_slope, median, peak_memory_mb, timed, times_ms
 from studies.benchmark.scenes import discs_in_plane, task
+from studies.planar_cspace import arm_sections, joint_grid
 
 from hplan.base.arrays import FloatArray, IntArray
 from hplan.collision.clearance_field import ClearanceField
-from hplan.cspace.occupancy import joint_grid, occupancy
-from hplan.cspace.sections import arm_sections
+from hplan.cspace.occupancy import occupancy
 from hplan.errors import HplanError, InputError
 from hplan.planning.plan import plan
 from hplan.problem.options import PlanOptions

@@ -27,7 +27,7 @@ from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 from hplan.smoothing.options import PostprocessOptions
 from hplan.smoothing.round_corners import smooth
-from hplan.smoothing.smooth_path import SMALLEST_SHARE, fast_path
+from hplan.smoothing.smooth_path import SMALLEST_FRACTION, fast_path
 from hplan.smoothing.spline import SplinePath
 from hplan.timing.retime import time_path
 from hplan.verification.certificate import certify
@@ -56,7 +56,7 @@ class PeerTask:
     @property
     def smallest_margin(self) -> float:
         """The margin that hplan accepts at worst, which is what planners are asked to keep [m]."""
-        return SMALLEST_SHARE * self.margin
+        return SMALLEST_FRACTION * self.margin
 
     def options(self) -> PostprocessOptions:
         """Options of hplan's post-processing, as `hplan.plan` sets them."""

@@ -20,13 +20,13 @@ from studies.benchmark.motions import (
 from studies.benchmark.paths import PeerTask, motions_of, summary, without_jerk
 from studies.benchmark.planners import Ompl
 from studies.benchmark.scenes import STEP_DEG
+from studies.planar_cspace import arm_sections, joint_grid
 from studies.validation.cspace import sampled_occupancy
 
 from hplan.base.arrays import FloatArray
 from hplan.base.polyline import path_length
 from hplan.collision.coal_scene import CoalScene
-from hplan.cspace.occupancy import joint_grid, occupancy
-from hplan.cspace.sections import arm_sections
+from hplan.cspace.occupancy import occupancy
 from hplan.errors import InputError
 from hplan.planning.plan import PlanResult, plan
 from hplan.planning.report import STAGES

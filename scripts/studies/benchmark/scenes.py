@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from studies.planar_cspace import arm_sections, joint_grid
 
 from hplan.base.arrays import FloatArray, IntArray
-from hplan.cspace.occupancy import joint_grid, occupancy
-from hplan.cspace.sections import arm_sections
+from hplan.cspace.occupancy import occupancy
 from hplan.errors import InputError
 from hplan.planning.task import PlanningCache
 from hplan.problem.options import PlanOptions

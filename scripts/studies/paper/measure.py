@@ -16,10 +16,11 @@ from studies.paper.results import PAPER, Gap, ModelRow, Reproduction, Run
 from studies.paper.slip import printed_arctan, slip_of
 from studies.paper.ties import distances_from
 from studies.paper.variants import try_variants
+from studies.planar_cspace import arm_sections, joint_grid
 
 from hplan.base.arrays import FloatArray, IntArray
 from hplan.cspace import occupancy as cspace
-from hplan.cspace.sections import LINK_MODELS, ArmSections, LinkModel, arm_sections
+from hplan.cspace.sections import LINK_MODELS, ArmSections, LinkModel
 from hplan.errors import InputError
 from hplan.robot.model import Robot, load_robot
 from hplan.scene.file import load_scene
@@ -85,7 +86,7 @@ def measure(
 ) -> tuple[Reproduction, Evidence]:
     """As `reproduce`, with the evidence for the figures."""
     robot, scene = load_robot(), load_scene()
-    grid = cspace.joint_grid(robot.arm, math.radians(1.0))
+    grid = joint_grid(robot.arm, math.radians(1.0))
     start, goal = (_node(grid, pose.joints(), robot) for pose in (scene.start, scene.goal))
 
     models = []

@@ -12,10 +12,10 @@ from dataclasses import asdict, dataclass
 from typing import Any, get_args
 
 import numpy as np
-from studies.paper.planar_sections import RoundedPolygon, planar_sections
+from studies.planar_cspace import RoundedPolygon, joint_grid, planar_sections
 
 from hplan.base.arrays import FloatArray, IntArray, readonly
-from hplan.cspace.occupancy import joint_grid, occupancy
+from hplan.cspace.occupancy import occupancy
 from hplan.cspace.sections import LinkModel
 from hplan.robot.model import PlanarArm
 from hplan.search import Fallback, dense_search, two_level_search

@@ -26,13 +26,14 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
+from studies.planar_cspace import arm_sections, joint_grid
 from studies.validation.cspace_results import CONTACT_TOLERANCE, Comparison, Difference, Validation
 
 from hplan.base.arrays import BoolArray, FloatArray, IntArray
 from hplan.collision.coal_scene import CoalScene, Contact, base_contacts
 from hplan.collision.coal_shapes import LINK_SHAPES, LinkShapes
-from hplan.cspace.occupancy import joint_grid, occupancy
-from hplan.cspace.sections import SECTION_ERROR, LinkModel, arm_sections
+from hplan.cspace.occupancy import occupancy
+from hplan.cspace.sections import SECTION_ERROR, LinkModel
 from hplan.errors import InputError, OptionError
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene

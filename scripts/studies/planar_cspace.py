@@ -1,4 +1,4 @@
-"""Sections of obstacles that are given in the arm plane itself: for planar scenes."""
+"""C-space of one arm plane: its grid, and sections of obstacles in space or in the plane itself."""
 
 from __future__ import annotations
 
@@ -6,11 +6,53 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from hplan.base.arguments import one_of
 from hplan.base.arrays import FloatArray, readonly
 from hplan.base.planar_geometry import convex_hull
-from hplan.cspace.sections import LINK_MODELS, ArmSections, LinkModel, balls_only
+from hplan.cspace.prepared_obstacles import ConvexObstacle, prepare_obstacles
+from hplan.cspace.sections import LINK_MODELS, ArmSections, LinkModel, balls_only, sections_at
+from hplan.robot.model import PlanarArm, Robot
+from hplan.search.grid import Grid
+
+
+def joint_grid(arm: PlanarArm, step: float | FloatArray) -> Grid:
+    """Grid over the joint range of the planar joints.
+
+    Args:
+        arm: The planar chain.
+        step: Largest spacing [rad], one number or one for each joint.
+
+    Raises:
+        OptionError: A step that is not positive, or too small.
+    """
+    return Grid.over(arm.lower, arm.upper, step)
+
+
+def arm_sections(
+    robot: Robot,
+    obstacles: Sequence[ConvexObstacle],
+    *,
+    yaw: float = 0.0,
+    clearance: ArrayLike = 0.0,
+    link_model: LinkModel = "capsule",
+) -> ArmSections:
+    """Cut all obstacles by the arm plane at one yaw, once for each link (their half-widths differ).
+
+    Args:
+        robot: The arm.
+        obstacles: The obstacles.
+        yaw: Yaw of the arm plane.
+        clearance: Distance to keep from every obstacle [m], one number or one for each.
+        link_model: How links are modelled.
+
+    Raises:
+        OptionError: Unknown link model, a negative clearance, or `rectangle` with an obstacle that is no sphere.
+        InputError: An obstacle without core points, or with a point or radius that is not finite.
+    """
+    prepared = prepare_obstacles(obstacles, clearance=clearance)
+    return sections_at(robot, prepared, yaw, link_model=link_model, within_reach=False)
 
 
 @dataclass(frozen=True, eq=False)

@@ -69,7 +69,7 @@ def _can_be_pickled(value: object) -> bool:
 
 
 class InputError(HplanError):
-    """What was handed in cannot be used: a file, a value, an option."""
+    """Something handed in cannot be used: a file, a value, an option."""
 
     exit_status = 2
 

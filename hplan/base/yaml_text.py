@@ -107,7 +107,7 @@ class _Loader(yaml.SafeLoader):
         return merged | {k.value: self.construct_object(v, deep=deep) for k, v in node.value if k.value in lines}
 
     def _merged(self, key: yaml.Node, value: yaml.Node) -> dict[Any, Any]:
-        """What the merge key `<<` takes over from one mapping, or from a list of them, the first before the next."""
+        """Values that the merge key `<<` takes from one mapping, or from a list of them, the first before the next."""
         parts = value.value if isinstance(value, yaml.SequenceNode) else [value]
         if not all(isinstance(part, yaml.MappingNode) for part in parts):
             raise yaml.MarkedYAMLError(problem="<< takes a mapping, or a list of them", problem_mark=key.start_mark)

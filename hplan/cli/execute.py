@@ -74,7 +74,7 @@ def parser(prog: str) -> CommandParser:
 
 
 def _show(console: Console, path: Path, scene: Scene, result: Execution) -> None:
-    """What happened, joint by joint, and the verdict."""
+    """Show what happened, joint by joint, and the verdict."""
     import math
 
     from rich.markup import escape

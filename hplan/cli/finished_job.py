@@ -1,4 +1,4 @@
-"""What a finished job left in its folder: the report, and the motion that it is about."""
+"""A finished job in its folder: the report, and the motion that it is about."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ class FinishedJob:
         return Playback(trajectory, picked, dropped, phases)
 
     def differing(self, digests: Digests | None) -> list[str]:
-        """Which of robot, scene and trajectory are not those of the report."""
+        """Those of robot, scene and trajectory that are not the report's."""
         told = self.report["certificate"]["digests"]
         return [] if digests is None else [what for what, digest in vars(digests).items() if told.get(what) != digest]
 

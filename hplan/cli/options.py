@@ -52,7 +52,7 @@ def command_parser(
 
 
 def named_output(words: Sequence[str], default: Path) -> Path | None:
-    """What `--out` names in arguments that may not be understood otherwise; None where that cannot be told."""
+    """The path that `--out` names in arguments that may not be understood otherwise; None where that cannot be told."""
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
     parser.add_argument("--out", "--ou", type=Path, default=default)
     try:
@@ -109,7 +109,7 @@ def add_hold(parser: argparse.ArgumentParser) -> None:
 
 
 def held_joints(arguments: argparse.Namespace) -> dict[str, float]:
-    """What `--hold` says: joints and their positions.
+    """Joints and their positions, as `--hold` gives them.
 
     Raises:
         OptionError: A text that is not NAME=RAD.
@@ -160,7 +160,7 @@ def add_tracking(parser: argparse.ArgumentParser) -> None:
 
 
 def tracking_of(arguments: argparse.Namespace) -> TrackingModel:
-    """What `--tracking-error` and `--tracking-delay` say.
+    """The tracking model of `--tracking-error` and `--tracking-delay`.
 
     Raises:
         OptionError: One that is negative or not finite.
@@ -175,7 +175,7 @@ def tracking_of(arguments: argparse.Namespace) -> TrackingModel:
 
 
 def plan_options(arguments: argparse.Namespace, *options: str) -> PlanOptions:
-    """How to plan: tracking, pace, and the other options of these names.
+    """Options of a plan: tracking, pace, and the others of these names.
 
     Raises:
         OptionError: A value out of its range.

@@ -126,7 +126,7 @@ def _refuse(arguments: argparse.Namespace, source: str | None, options: Sequence
 
 
 def _zone(arguments: argparse.Namespace, usual: FruitZone) -> FruitZone:
-    """Where fruit may hang: what was given, the usual for the rest."""
+    """Zone of the fruit: what was given, the usual for the rest."""
     from hplan.orchard import FruitZone
 
     low, high = arguments.fruit_heights or (usual.low, usual.high)
@@ -134,7 +134,7 @@ def _zone(arguments: argparse.Namespace, usual: FruitZone) -> FruitZone:
 
 
 def _show(console: Console, scene: Scene, out: Path) -> None:
-    """What the scene holds; fits 80 columns, unless names are long."""
+    """Show what the scene holds; fits 80 columns, unless names are long."""
     from rich.markup import escape
 
     heights = [fruit.center[2] for fruit in scene.fruits]

@@ -49,7 +49,7 @@ class _Terminal:
         self.fault: OSError | ValueError | None = None
 
     def __getattr__(self, name: str) -> Any:
-        """What the stream has."""
+        """Attribute of the stream."""
         return getattr(self._stream, name)
 
     def write(self, text: str) -> int:

@@ -139,7 +139,7 @@ def _made(
 
 
 def _tour_options(arguments: argparse.Namespace) -> TourOptions:
-    """What the tour is to be like."""
+    """Options of the tour."""
     from hplan.scene.model import Goal
     from hplan.tour.tour import TourOptions
 
@@ -192,12 +192,12 @@ def _show(console: Console, result: TourResult, folder: Path, files: Sequence[st
 
 
 def _times(leg: Leg, kind: str) -> float:
-    """How long the phases of a kind take in a leg [s]."""
+    """Duration of the phases of a kind in a leg [s]."""
     return sum(phase.end_s - phase.start_s for phase in leg.phases if phase.name == kind)
 
 
 def _show_facts(console: Console, result: TourResult, folder: Path, files: Sequence[str]) -> None:
-    """What holds for the whole tour."""
+    """Facts of the whole tour."""
     from rich.markup import escape
 
     report = result.report

@@ -1,4 +1,4 @@
-"""Where fruit hangs: at wood, not in it, and no two in the same place.
+"""Placement of fruit: at wood, not in it, and no two in the same place.
 
 A fruit of radius r touches a capsule of radius w where its centre is r + w from the capsule's axis. Centres are whole
 tenths of a millimetre, for short scene files; so fruit that touches is put a tenth further out, and the gap is 0 to
@@ -64,7 +64,7 @@ class Canopy:
         return distances
 
     def depth(self, center: FloatArray) -> float:
-        """How deep a fruit would be in the wood; infinite outside the zone or in another fruit [m]."""
+        """Depth of a fruit in the wood; infinite outside the zone or in another fruit [m]."""
         if not self.zone.holds(*center.tolist()):
             return math.inf
         if self.centers and np.linalg.norm(np.array(self.centers) - center, axis=1).min() < 2.0 * self.radius:

@@ -86,7 +86,7 @@ def measured_orchard(
 
 
 def _places_in_row(count: int, spacing: float) -> list[float]:
-    """Where trees stand along y, their middle at 0 [m]."""
+    """Positions of the trees along y, their middle at 0 [m]."""
     return [(number - 0.5 * (count - 1)) * spacing for number in range(count)]
 
 

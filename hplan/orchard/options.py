@@ -1,4 +1,4 @@
-"""What an orchard is asked to be, checked: its row of trees, its wires and posts, its fruit."""
+"""Options of an orchard, checked: its row of trees, its wires and posts, its fruit."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ FARTHEST: Final = 1000.0
 
 @dataclass(frozen=True)
 class FruitZone:
-    """Where a fruit's centre may be: a disc about the base's axis, between two heights.
+    """Zone of the fruits' centres: a disc about the base's axis, between two heights.
 
     Attributes:
         low: Least height [m].

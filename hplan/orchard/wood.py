@@ -1,4 +1,4 @@
-"""How a tree grows: a tapering trunk, branches that bend as they leave it, side shoots; all of it straight pieces.
+"""Growth of a tree: a tapering trunk, branches that bend as they leave it, side shoots; all of it straight pieces.
 
 Two forms of modern apple trees. A spindle has one leader with branches all around it, each turned by the golden angle
 from the one below, long at the bottom and short at the top, so that light falls on all. A trellised tree has a pair of

@@ -140,7 +140,7 @@ class FreeChain(Record):
         return q
 
     def keeps_limits(self, q: FloatArray) -> BoolArray:
-        """Which of (..., m) joint angles, as `joints` gives them, are within the limits."""
+        """Mask of the (..., m) joint angles, as `joints` gives them, that are within the limits."""
         kept: BoolArray = np.all(q <= self.upper + ANGLE_TOLERANCE, axis=-1)
         return kept
 
@@ -217,7 +217,7 @@ class FreeChain(Record):
         return q, np.maximum(np.maximum(self.lower - q, q - self.upper), 0.0)
 
     def _isolated(self, points: ComplexArray) -> tuple[IntArray, FloatArray]:
-        """Which point, and absolute angles, for fewer than three free joints."""
+        """Number of the point, and absolute angles, for fewer than three free joints."""
         count = len(self.free)
         if count == 2:
             first, second, ok = _both_elbows(self.lengths[0], self.lengths[1], points)
@@ -232,14 +232,14 @@ class FreeChain(Record):
         return np.stack([first, second, np.broadcast_to(last[..., None], first.shape)], axis=-1), ok
 
     def _directed(self, points: ComplexArray, last: FloatArray) -> tuple[IntArray, FloatArray]:
-        """Which point, and absolute angles, for (b, j) absolute angles of the last of three pieces."""
+        """Number of the point, and absolute angles, for (b, j) absolute angles of the last of three pieces."""
         absolute, ok = self._with_last(points[:, None], last)
         return np.nonzero(ok)[0], absolute[ok]
 
     def _sampled(
         self, points: ComplexArray, low: FloatArray | None, width: float, count: int
     ) -> tuple[IntArray, FloatArray]:
-        """Which point, and absolute angles: the corners, and samples of what is feasible between them."""
+        """Number of the point, and absolute angles: the corners, and samples of what is feasible between them."""
         corners, solved = self._corners(points)
         start, widths, feasible = self._intervals(points, corners, low, width)
         index, found = [np.nonzero(solved)[0]], [corners[solved]]

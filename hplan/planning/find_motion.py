@@ -362,7 +362,7 @@ def _first_turning(
 def _no_path(
     task: PlanningTask, number: int, closed: Mapping[tuple[int, float], tuple[float, EnclosedError]]
 ) -> EnclosedError | None:
-    """What shows that no path leads to a goal: it is closed for all yaws on the finest grid over all of them."""
+    """The error that shows that no path leads to a goal: closed for all yaws on the finest grid over them."""
     widest = task.fitting(GridAttempt(yaw_range_deg=WIDTHS[-1]), MOST_CELLS)
     for factor in [] if widest is None else [factor for factor in GRID_FACTORS if factor <= widest.step_factor]:
         error = closed.get((number, factor), (0.0, None))[1]
@@ -374,7 +374,7 @@ def _no_path(
 
 
 def _not_found(task: PlanningTask) -> NotFoundError:
-    """What was tried for a goal that the base turns to."""
+    """The error that says what was tried for a goal that the base turns to."""
     coarse = task.fitting(GridAttempt(yaw_range_deg=WIDTHS[-1]), MOST_CELLS)
     grid = "no grid over all yaws fits" if coarse is None else f"grids down to {task.step_deg(coarse):g} deg"
     return NotFoundError(["straight motion", "roadmap", f"trees of {SEEDS} seeds", grid])

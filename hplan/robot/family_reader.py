@@ -184,7 +184,7 @@ def _angle_between(axis: FloatArray, other: FloatArray) -> float:
 
 
 def hold_advice(joint: str) -> str:
-    """How a joint is let stand still, as the end of a message."""
+    """End of a message: the argument that lets a joint stand still."""
     return f"hold={{{joint!r}: 0.0}} (--hold {joint}=0) lets it stand still"
 
 

@@ -290,8 +290,8 @@ def load_robot(
         path: URDF or xacro file, or a URDF itself (a text that begins with `<`); None for the harvester that ships with
             hplan. A text without suffix and folder that is no file names a robot that ships:
             `load_robot("orchard_harvester")`.
-        limits: Limits YAML; None for the file beside the URDF, `NAME.limits.yaml`, and without one for acceleration and
-            jerk in the URDF (1.2).
+        limits: Limits YAML; None for the file in the folder of the URDF, `NAME.limits.yaml`, and without one for
+            acceleration and jerk in the URDF (1.2).
         tool_frame: Frame at the end of the last link.
         joints: Names of the joints that move, from the base on; None for all revolute and continuous ones up to the
             tool frame that are not held.

@@ -43,7 +43,7 @@ _OF_MOVING: Final = ("axis", "limit", "mimic", "dynamics", "safety_controller", 
 
 @dataclass(frozen=True, eq=False)
 class RobotChoice(Record):
-    """What a caller says of a robot beside its file.
+    """Arguments of a caller that come with a robot's file.
 
     Attributes:
         tool_frame: Frame at the end of the arm.
@@ -213,7 +213,7 @@ class _Adaptation:
         return bool(mount)
 
     def _values(self) -> dict[str, float | None]:
-        """Where each joint stands if it does not move: as held, as it mimics, at 0 or at the limit nearest to it."""
+        """Position of each joint that does not move: as held, as it mimics, at 0 or at the limit nearest to it."""
         values: dict[str, float | None] = {}
         for joint in self._urdf.joints.values():
             if joint.kind != "fixed":

@@ -263,7 +263,7 @@ def _header_lines(spec: ArmSpec) -> list[str]:
 
 
 def _gripper_prose(spec: ArmSpec) -> list[str]:
-    """What the header says of the gripper."""
+    """Lines of the header about the gripper."""
     if spec.gripper is None:
         return []
     gripper = spec.gripper

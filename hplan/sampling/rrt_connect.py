@@ -43,7 +43,7 @@ ASIDE, SCALES = 0.6, 7
 
 @dataclass(frozen=True)
 class TreeEffort:
-    """How far the trees go.
+    """Effort of the trees.
 
     Attributes:
         evaluations: Evaluations of the clearance, all links at one configuration each.
@@ -69,7 +69,7 @@ class Tree(NamedTuple):
 
 
 class Surroundings(NamedTuple):
-    """What an edge is checked against.
+    """Arm and obstacles that edges are checked with.
 
     Attributes:
         slowness: (dof,) times for a unit of each joint at its velocity limit [s/rad].

@@ -291,7 +291,7 @@ def _fill_link(rows: WordArray, poses: _Poses, k: int, links: _Links, model: int
     alive, px, py, cos, sin = poses
     length, half_width, axis = links.lengths[k], links.half_widths[k], _axis(links, k)
     link_start, vertex_start, vertices, radii, bounds = sections
-    words = rows.shape[1]
+    words, first, last = rows.shape[1], link_start[k], link_start[k + 1]
     corner = math.hypot(length, half_width)
     reach = corner if model == _RECTANGLE else length
     tail = _ALL >> np.uint64((64 - axis.size) & 63)
@@ -301,7 +301,7 @@ def _fill_link(rows: WordArray, poses: _Poses, k: int, links: _Links, model: int
             rows[r, w] = np.uint64(0) if blocked else (tail if w == words - 1 else _ALL)
         if blocked:
             continue
-        for s in range(link_start[k], link_start[k + 1]):
+        for s in range(first, last):
             dx, dy = bounds[s, 0] - px[r], bounds[s, 1] - py[r]
             limit = reach + bounds[s, 2]
             square = dx * dx + dy * dy

@@ -6,8 +6,9 @@ table names; whatever stands there can be imported from there as well.
 
 from __future__ import annotations
 
-import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from hplan.base.lazy_import import lazy_names
 
 if TYPE_CHECKING:
     from hplan.errors import HplanError
@@ -44,35 +45,29 @@ __all__ = [
     "write_csv",
 ]
 
-_HOME = {
-    "Certificate": "verification.certificate",
-    "HplanError": "errors",
-    "PlanOptions": "problem.options",
-    "PlanResult": "planning.plan",
-    "Planner": "planning.planner",
-    "Robot": "robot.model",
-    "Scene": "scene.model",
-    "TourOptions": "tour.tour",
-    "TourResult": "tour.tour",
-    "Trajectory": "timing.trajectory",
-    "certify": "verification.certificate",
-    "load_robot": "robot.model",
-    "load_scene": "scene.file",
-    "plan": "planning.plan",
-    "plan_tour": "tour.tour",
-    "read_csv": "timing.trajectory",
-    "save_scene": "scene.file",
-    "write_csv": "timing.trajectory",
-}
-
-
-def __getattr__(name: str) -> Any:
-    """Load a public name from its module on first use."""
-    if name not in _HOME:
-        raise AttributeError(f"module 'hplan' has no attribute {name!r}")
-    value = getattr(importlib.import_module(f"hplan.{_HOME[name]}"), name)
-    globals()[name] = value
-    return value
+__getattr__ = lazy_names(
+    __name__,
+    {
+        "Certificate": "hplan.verification.certificate",
+        "HplanError": "hplan.errors",
+        "PlanOptions": "hplan.problem.options",
+        "PlanResult": "hplan.planning.plan",
+        "Planner": "hplan.planning.planner",
+        "Robot": "hplan.robot.model",
+        "Scene": "hplan.scene.model",
+        "TourOptions": "hplan.tour.tour",
+        "TourResult": "hplan.tour.tour",
+        "Trajectory": "hplan.timing.trajectory",
+        "certify": "hplan.verification.certificate",
+        "load_robot": "hplan.robot.model",
+        "load_scene": "hplan.scene.file",
+        "plan": "hplan.planning.plan",
+        "plan_tour": "hplan.tour.tour",
+        "read_csv": "hplan.timing.trajectory",
+        "save_scene": "hplan.scene.file",
+        "write_csv": "hplan.timing.trajectory",
+    },
+)
 
 
 def __dir__() -> list[str]:

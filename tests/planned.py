@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from hplan.base.arrays import FloatArray
 from hplan.collision.coal_scene import CoalScene
 from hplan.planning.plan import PlanResult
 from hplan.robot.model import Robot
@@ -210,3 +211,29 @@ def random_scene(seed: int, robot: Robot) -> Scene:
     to_fruit = bool(fruits) and seed % 3 == 0
     goal = Goal(fruit=fruits[0].name) if to_fruit else Goal(joints_deg=tuple(ends[1].tolist()))
     return task(tuple(ends[0].tolist()), goal, obstacles, fruits=tuple(fruits))
+
+
+def between_twigs() -> Scene:
+    """A fruit between two twigs."""
+    twigs = [Sphere(name=f"twig {i}", center=(1.6, side, 1.43), radius=0.05) for i, side in enumerate((-0.085, 0.085))]
+    return Scene(
+        name="between twigs",
+        start=Start(joints_deg=(60.0, 30.0, 20.0, 20.0)),
+        goal=Goal(fruit="apple"),
+        obstacles=tuple(twigs),
+        fruits=(Fruit(name="apple", center=(1.6, 0.0, 1.5), radius=0.03),),
+    )
+
+
+def on_cubics(trajectory: Trajectory, time: FloatArray) -> FloatArray:
+    """(n, dof) positions at (n,) times on the cubic Hermite curves through the rows."""
+    row = np.clip(np.searchsorted(trajectory.time, time, side="right") - 1, 0, trajectory.samples - 2)
+    h = (trajectory.time[row + 1] - trajectory.time[row])[:, None]
+    t = (time - trajectory.time[row])[:, None] / h
+    q, v = trajectory.position, trajectory.velocity
+    return (
+        (2 * t**3 - 3 * t**2 + 1) * q[row]
+        + (t**3 - 2 * t**2 + t) * h * v[row]
+        + (3 * t**2 - 2 * t**3) * q[row + 1]
+        + (t**3 - t**2) * h * v[row + 1]
+    )

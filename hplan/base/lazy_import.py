@@ -41,20 +41,19 @@ def deferred(*names: str) -> Iterator[None]:
                 del sys.modules[name]
 
 
-def lazy_names(package: str, homes: Mapping[str, tuple[str, ...]]) -> Callable[[str], Any]:
+def lazy_names(package: str, homes: Mapping[str, str]) -> Callable[[str], Any]:
     """A module-level `__getattr__` that loads a package's public names from their modules on first use.
 
     Args:
         package: Name of the package, its `__name__`.
-        homes: Public names for each module that defines them.
+        homes: Module that defines each public name.
     """
-    home_of = {name: module for module, names in homes.items() for name in names}
 
     def load(name: str) -> Any:
         """Load one name and keep it in the package."""
-        if name not in home_of:
+        if name not in homes:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        value = getattr(importlib.import_module(home_of[name]), name)
+        value = getattr(importlib.import_module(homes[name]), name)
         vars(sys.modules[package])[name] = value
         return value
 

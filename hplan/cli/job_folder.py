@@ -17,6 +17,9 @@ from hplan.base.files import check_replaceable
 from hplan.cli.options import CommandParser, named_output
 from hplan.errors import HplanError, InputError, OutputError
 
+#: Where files go unless something else is said.
+OUT = Path("out")
+
 #: Files of a finished job: of one motion, of a tour, of both.
 TRAJECTORY, REPORT = "trajectory.csv", "report.json"
 TOUR, TOUR_REPORT = "tour.csv", "tour.json"

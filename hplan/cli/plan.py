@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hplan.cli.job_folder import PAGE, REPORT, TRAJECTORY, JobFolder, fail_on_usage_errors
+from hplan.cli.job_folder import OUT, PAGE, REPORT, TRAJECTORY, JobFolder, fail_on_usage_errors
 from hplan.cli.options import (
     CommandParser,
     add_drop_inside,
@@ -41,9 +41,6 @@ if TYPE_CHECKING:
 
 #: Files of the C-space view, where it is asked for.
 CSPACE_PAGE, CSPACE_FIGURE = "cspace.html", "cspace.png"
-
-#: Where they go unless something else is said.
-OUT = Path("out")
 
 _DESCRIPTION = """\
 Plan a collision-free motion of a harvesting arm, time it, certify it, and write it for the controller:

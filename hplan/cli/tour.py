@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hplan.cli.job_folder import PAGE, TOUR, TOUR_REPORT, JobFolder, fail_on_usage_errors
+from hplan.cli.job_folder import OUT, PAGE, TOUR, TOUR_REPORT, JobFolder, fail_on_usage_errors
 from hplan.cli.options import (
     CommandParser,
     add_drop_inside,
@@ -28,9 +28,6 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from hplan.tour.tour import Leg, TourOptions, TourResult
-
-#: Where they go unless something else is said.
-OUT = Path("out")
 
 _DESCRIPTION = """\
 Plan a picking tour through the fruits of a scene, from its start, in the order in which the certified motions take the

@@ -229,6 +229,7 @@ def _planar(task: PlanningTask) -> PlannedMotion:
         return motion
     refused: HplanError | None = None
     tried: list[str] = []
+    seen: set[GridAttempt] = set()
     for step_factor in STEP_FACTORS:
         for growth_m in sorted({task.grown(growth_m) for growth_m in GROWTH}):
             attempt = task.fitting(GridAttempt(step_factor, growth_m=growth_m), MOST_CELLS)
@@ -236,12 +237,16 @@ def _planar(task: PlanningTask) -> PlannedMotion:
                 step_deg = task.options.step_deg * GRID_FACTORS[-1]
                 tried = [f"no grid of {step_deg:g} deg or less has fewer than {MOST_CELLS:.3g} nodes"]
                 continue
+            if attempt in seen:
+                continue  # both steps were too fine, and gave way to the same
+            seen.add(attempt)
             try:
                 return _on_grid(task, attempt)
             except CertificationError as error:
                 refused = refused or error.with_traceback(None)
-            except NoPathError:
+            except NoPathError as error:
                 if refused is None:
+                    _with_step(error, task, attempt)
                     raise
                 break  # grown obstacles close the passage; the motion found without them could not be certified
     if refused is None and task.options.method == "two-level":
@@ -343,16 +348,17 @@ def _first_turning(
             except EnclosedError as error:
                 if attempt.thick or attempt.growth_m > 0.0:
                     continue
-                closed[number, attempt.step_factor] = attempt.yaw_range_deg, _kept(error, number)
+                shown = _with_step(_kept(error, number), task, attempt)
+                closed[number, attempt.step_factor] = attempt.yaw_range_deg, shown
                 # The same grid may show it of others.
                 rest = [
                     other
                     for other in range(number + 1, len(tasks))
                     if abs(tasks[other].problem.goal[0] - goal[0]) < SAME_YAW and may_be_open(other, attempt)
                 ]
-                for other, shown in zip(rest, _enclosed([tasks[k] for k in rest], attempt), strict=True):
-                    if shown is not None:
-                        closed[other, attempt.step_factor] = attempt.yaw_range_deg, shown
+                for other, also in zip(rest, _enclosed([tasks[k] for k in rest], attempt), strict=True):
+                    if also is not None:
+                        closed[other, attempt.step_factor] = attempt.yaw_range_deg, also
     if slow is not None:
         return slow
     none = [_no_path(task, number, closed) for number, task in enumerate(tasks)]
@@ -367,8 +373,6 @@ def _no_path(
     for factor in [] if widest is None else [factor for factor in GRID_FACTORS if factor <= widest.step_factor]:
         error = closed.get((number, factor), (0.0, None))[1]
         if error is not None and not error.open_ended:
-            if factor > 1.0:
-                error.coarse_step_deg = factor * task.options.step_deg
             return error
     return None
 
@@ -382,7 +386,15 @@ def _not_found(task: PlanningTask) -> NotFoundError:
 
 def _enclosed(tasks: Sequence[PlanningTask], attempt: GridAttempt) -> list[EnclosedError | None]:
     """Goals that the start is not connected to on one grid."""
-    return enclosed_goals(tasks, attempt, [0.1 * task.margin() for task in tasks])
+    errors = enclosed_goals(tasks, attempt, [0.1 * task.margin() for task in tasks])
+    return [error and _with_step(error, task, attempt) for task, error in zip(tasks, errors, strict=True)]
+
+
+def _with_step(error: _NoPath, task: PlanningTask, attempt: GridAttempt) -> _NoPath:
+    """An error that names the step of its grid where that is larger than the one asked for."""
+    if isinstance(error, EnclosedError) and attempt.step_factor > 1.0:
+        error.coarse_step_deg = task.step_deg(attempt)
+    return error
 
 
 def _kept(error: _NoPath, number: int) -> _NoPath:

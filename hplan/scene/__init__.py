@@ -33,11 +33,12 @@ __all__ = [
     "save_scene",
 ]
 
+_OBSTACLES = ("Box", "Capsule", "Mesh", "Obstacle", "PointCloud", "Sphere")
+_FILES = ("default_scene_path", "dump_scene", "load_scene", "parse_scene", "save_scene")
+
 __getattr__ = lazy_names(
     __name__,
-    {
-        "hplan.scene.model": ("FORMAT", "Fruit", "Goal", "Scene", "Start"),
-        "hplan.scene.obstacles": ("Box", "Capsule", "Mesh", "Obstacle", "PointCloud", "Sphere"),
-        "hplan.scene.file": ("default_scene_path", "dump_scene", "load_scene", "parse_scene", "save_scene"),
-    },
+    dict.fromkeys(__all__, "hplan.scene.model")
+    | dict.fromkeys(_OBSTACLES, "hplan.scene.obstacles")
+    | dict.fromkeys(_FILES, "hplan.scene.file"),
 )

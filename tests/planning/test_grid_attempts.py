@@ -258,6 +258,31 @@ def test_closed_on_the_finest_grid_that_fits_names_its_step(
     assert caught.value.data["step_deg"] == 1.5
 
 
+def test_a_planar_grid_that_gave_way_to_a_coarser_one_names_its_step_and_is_tried_once(
+    robot: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene = task((0.0, 10.0, 10.0, 10.0), (0.0, 40.0, 10.0, 10.0), locked_joints=("base_yaw",))
+    one = posed(robot, scene, PlanOptions(step_deg=STEP))
+    tried: list[GridAttempt] = []
+    found: list[HplanError] = [enclosed(open_ended=False)]
+
+    def on_grid(_: PlanningTask, attempt: GridAttempt) -> PlannedMotion:
+        tried.append(attempt)
+        raise found[0]
+
+    monkeypatch.setattr(hplan.planning.find_motion, "_on_grid", on_grid)
+    monkeypatch.setattr(hplan.planning.sampled_motion, "tree_path", lambda *_, **__: None)
+    monkeypatch.setattr(hplan.planning.find_motion, "MOST_CELLS", 0.5 * one.cells(GridAttempt()))
+    with pytest.raises(NoPathError, match=r"explained; the grid's step is 1.5 deg"):
+        find_motion([one])
+    tried.clear()
+    found[0] = CertificationError("not clear")
+    with pytest.raises(CertificationError, match="not clear"):
+        find_motion([one])
+    assert [attempt.growth_m for attempt in tried] == list(GROWTH)
+    assert {attempt.step_factor for attempt in tried} == {1.5}
+
+
 def test_nothing_found_and_nothing_shown(robot: Robot, ladder: Any) -> None:
     """Closed up to some yaws only, and trees found nothing: it is said what was tried."""
     tasks = goals(robot, 60.0)

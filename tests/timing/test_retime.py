@@ -12,6 +12,7 @@ import pinocchio as pin
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from planned import on_cubics
 
 from hplan.collision.clearance_field import ClearanceField
 from hplan.errors import InputError, OptionError, TimingError
@@ -68,16 +69,7 @@ def joint_turn(robot, joint, angle, start=0.1):
 def hermite(trajectory, step=FINE):
     """Time and position of the cubic Hermite curve through the rows, every `step` seconds."""
     time = np.arange(0.0, trajectory.duration + 0.5 * step, step)
-    row = np.clip(np.searchsorted(trajectory.time, time, side="right") - 1, 0, trajectory.samples - 2)
-    h = (trajectory.time[row + 1] - trajectory.time[row])[:, None]
-    t = (time - trajectory.time[row])[:, None] / h
-    q, v = trajectory.position, trajectory.velocity
-    return (
-        (2 * t**3 - 3 * t**2 + 1) * q[row]
-        + (t**3 - 2 * t**2 + t) * h * v[row]
-        + (3 * t**2 - 2 * t**3) * q[row + 1]
-        + (t**3 - t**2) * h * v[row + 1]
-    )
+    return on_cubics(trajectory, time)
 
 
 def inverse_dynamics(model, q, v, a):

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from planned import between_twigs
 
 from hplan.collision.clearance_field import ClearanceField
 from hplan.errors import CertificationError
@@ -15,7 +16,7 @@ from hplan.planning.plan import plan
 from hplan.problem.options import PlanOptions
 from hplan.robot.limits import Limits
 from hplan.robot.model import Robot
-from hplan.scene.model import Fruit, Goal, Scene, Start
+from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Sphere
 from hplan.smoothing.spline import SplinePath
 from hplan.timing.retime import time_path
@@ -132,21 +133,9 @@ def test_path_speed_is_kept(robot: Robot, turn: float) -> None:
     assert (motion.velocity[:, 0] / path.evaluate(at, 1)[:, 0]).max() == pytest.approx(half, rel=0.03)
 
 
-def picking() -> Scene:
-    """A fruit between two twigs."""
-    twigs = [Sphere(name=f"twig {i}", center=(1.6, side, 1.43), radius=0.05) for i, side in enumerate((-0.085, 0.085))]
-    return Scene(
-        name="between twigs",
-        start=Start(joints_deg=(60.0, 30.0, 20.0, 20.0)),
-        goal=Goal(fruit="apple"),
-        obstacles=tuple(twigs),
-        fruits=(Fruit(name="apple", center=(1.6, 0.0, 1.5), radius=0.03),),
-    )
-
-
 def test_approach_between_twigs(robot: Robot) -> None:
     """With a delay it takes a little longer, and then all of it is certified."""
-    scene = picking()
+    scene = between_twigs()
     plain, careful = (plan(robot, scene, PlanOptions(tracking_delay_s=delay)) for delay in (0.0, DELAY))
     assert careful.certificate.verified
     checker = plain.motion.task.world.touching("apple").checker
@@ -161,10 +150,10 @@ def test_without_delay_no_ceiling_is_looked_for(robot: Robot, monkeypatch: pytes
         raise AssertionError("looked for")
 
     monkeypatch.setattr(certified_motion, "SpeedCeiling", never)
-    assert plan(robot, picking(), PlanOptions(tracking_error=1e-4)).certificate.verified
-    assert plan(robot, picking(), PlanOptions(tracking_delay_s=DELAY, certify=False)).trajectory.duration > 0.0
+    assert plan(robot, between_twigs(), PlanOptions(tracking_error=1e-4)).certificate.verified
+    assert plan(robot, between_twigs(), PlanOptions(tracking_delay_s=DELAY, certify=False)).trajectory.duration > 0.0
     with pytest.raises(AssertionError, match="looked for"):
-        plan(robot, picking(), PlanOptions(tracking_delay_s=DELAY))
+        plan(robot, between_twigs(), PlanOptions(tracking_delay_s=DELAY))
 
 
 def test_lower_ceilings_are_tried_in_turn(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -176,7 +165,7 @@ def test_lower_ceilings_are_tried_in_turn(robot: Robot, monkeypatch: pytest.Monk
         return lambda grid: np.full(len(grid), np.inf)  # no ceiling at all: nothing can be certified
 
     monkeypatch.setattr(certified_motion, "SpeedCeiling", note)
-    found = plan(robot, picking(), PlanOptions()).motion
+    found = plan(robot, between_twigs(), PlanOptions()).motion
     task = replace(found.task, options=PlanOptions(tracking_delay_s=0.1))
     with pytest.raises(CertificationError, match="100 ms"):
         certified_motion.certified_trajectory(task, found.path)

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
+from planned import on_cubics
 
 from hplan.collision.coal_scene import CoalScene
 from hplan.errors import InputError, OptionError
@@ -50,16 +51,7 @@ def quintic(robot, start, end, duration=2.0, rate=250.0):
 def interpolated(trajectory, step=FINE):
     """The cubic Hermite curve through the rows, sampled every `step` seconds."""
     time = np.union1d(np.arange(0.0, trajectory.duration, step), trajectory.time)
-    row = np.clip(np.searchsorted(trajectory.time, time, side="right") - 1, 0, trajectory.samples - 2)
-    h = (trajectory.time[row + 1] - trajectory.time[row])[:, None]
-    t = (time - trajectory.time[row])[:, None] / h
-    q, v = trajectory.position, trajectory.velocity
-    return (
-        (2 * t**3 - 3 * t**2 + 1) * q[row]
-        + (t**3 - 2 * t**2 + t) * h * v[row]
-        + (3 * t**2 - 2 * t**3) * q[row + 1]
-        + (t**3 - t**2) * h * v[row + 1]
-    )
+    return on_cubics(trajectory, time)
 
 
 def sampled_clearance(checker, trajectory, step=FINE):

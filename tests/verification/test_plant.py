@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from planned import post, task
+from planned import between_twigs, post, task
 from script_loader import load_script
 
 from hplan.errors import OptionError
@@ -16,8 +16,6 @@ from hplan.planning.plan import PlanResult, plan
 from hplan.problem.options import PlanOptions
 from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel
-from hplan.scene.model import Fruit, Goal, Scene, Start
-from hplan.scene.obstacles import Sphere
 from hplan.timing.trajectory import write_csv
 from hplan.verification.plant import Plant
 from hplan.verification.simulation import execute
@@ -30,18 +28,6 @@ needs_mujoco = pytest.mark.skipif(
 STIFF = 200.0
 
 MODEL = TrackingModel(math.radians(0.02), 3e-3)
-
-
-def between_twigs() -> Scene:
-    """A fruit between two twigs."""
-    twigs = [Sphere(name=f"twig {i}", center=(1.6, side, 1.43), radius=0.05) for i, side in enumerate((-0.085, 0.085))]
-    return Scene(
-        name="between twigs",
-        start=Start(joints_deg=(60.0, 30.0, 20.0, 20.0)),
-        goal=Goal(fruit="apple"),
-        obstacles=tuple(twigs),
-        fruits=(Fruit(name="apple", center=(1.6, 0.0, 1.5), radius=0.03),),
-    )
 
 
 @pytest.fixture(scope="module")

@@ -279,13 +279,15 @@ class BlockedError(HplanError):
 
     `obstacles` lists what is, most often first, each a mapping with `obstacle`, `link` and the number of
     `configurations`, of those at evenly spaced approach angles. `refined` more were tried at angles in between, where
-    these come nearest to being clear; the best of all has the clearance `best_clearance_m` beyond the one to keep.
+    these come nearest to being clear; the best of all has the clearance `best_clearance_m` beyond the one to keep, and
+    `needed_clearance_m` would be needed.
     """
 
     exit_status = 3
     what: str
     refined: int
     best_clearance_m: float | None
+    needed_clearance_m: float
 
     def __init__(
         self,
@@ -295,13 +297,15 @@ class BlockedError(HplanError):
         *,
         refined: int = 0,
         best_clearance_m: float | None = None,
+        needed_clearance_m: float = 0.0,
     ) -> None:
         """Name what cannot be reached, how many configurations were tried, what is in their way and by how much."""
         names = ", ".join(f"{o['obstacle']!r} ({o['link']}: {o['configurations']})" for o in obstacles[:3])
         more = f", and so do {refined} at finer approach angles" if refined else ""
         if best_clearance_m is not None and best_clearance_m > 0.0:
             more += (
-                f"; the best of them has only {1e3 * best_clearance_m:.3g} mm to spare, too little to be shown clear"
+                f"; spare clearance {1e3 * best_clearance_m:.3g} mm at the best of them, too little to be shown clear: "
+                f"{1e3 * needed_clearance_m:.3g} mm are needed"
             )
         super().__init__(
             f"{what} is blocked: all {tried} configurations that reach it collide, with {names}{more}",
@@ -310,6 +314,7 @@ class BlockedError(HplanError):
             obstacles=[dict(o) for o in obstacles],
             refined=refined,
             best_clearance_m=best_clearance_m,
+            needed_clearance_m=needed_clearance_m,
         )
         self.obstacles = tuple(dict(o) for o in obstacles)
 

@@ -90,12 +90,13 @@ def assert_clear(
     if not solids:
         return
     checker = CoalScene(robot, solids)
-    keep = np.array([scene.clearance + sigmas * solid.sigma for solid in solids])
+    own = [scene.clearance] * (len(checker.obstacle_names) - len(solids))  # from parts of the arm itself
+    keep = np.array([*(scene.clearance + sigmas * solid.sigma for solid in solids), *own])
     spare = np.min([checker.distances(q) for q in configurations], axis=0) - keep
     if touched is not None:
-        spare[-1, [solid.name == touched for solid in solids]] = np.inf
-    link, solid = np.unravel_index(int(spare.argmin()), spare.shape)
-    assert spare.min() > 0.0, f"{checker.link_names[link]} and {solids[solid].name}: {spare.min()}"
+        spare[len(checker.link_names) - 1, [name == touched for name in checker.obstacle_names]] = np.inf
+    mover, other = np.unravel_index(int(spare.argmin()), spare.shape)
+    assert spare.min() > 0.0, f"{checker.mover_names[mover]} and {checker.obstacle_names[other]}: {spare.min()}"
 
 
 def assert_sound(robot: Robot, scene: Scene, result: PlanResult, *, sigmas: float = 3.0) -> None:

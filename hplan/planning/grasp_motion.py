@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import TypeVar
 
 from hplan.base.arrays import FloatArray
 from hplan.errors import CertificationError, ConfigurationInCollisionError, HplanError, TimingError
 from hplan.planning.certified_motion import Part, PlannedMotion, certified_trajectory
 from hplan.planning.find_motion import first_motion, without_path
-from hplan.planning.grasps import Grasp, Target, promising
+from hplan.planning.grasps import SPARE, Grasp, Target, promising
 from hplan.planning.refusals import Refusals
 from hplan.planning.task import PlanningContext, PlanningTask
 from hplan.timing.trajectory import Trajectory
@@ -30,7 +30,8 @@ def motion_to_grasp(
     """A grasp, the motion to where its approach begins, and what is made of the approach.
 
     The promising grasps are tried as if there were no others. Where none of them can be reached, one flood shows to
-    which of the others no path exists, and those that are left are tried in their order.
+    which of the others no path exists, and those that are left are tried in their order. Grasps without an approach
+    come after all those with one.
 
     Args:
         target: What is grasped.
@@ -45,13 +46,13 @@ def motion_to_grasp(
         CertificationError: Not all grasps were shown to have no path, and no motion could be certified.
         ConfigurationInCollisionError: The start is in collision.
     """
-    likely = promising(found, target, start)
-    first = {id(grasp) for grasp in likely}
-    ordered = [*likely, *(grasp for grasp in found if id(grasp) not in first)]
+    ordered: list[Grasp] = []
     refused: dict[int, HplanError] = {}
-    for batch in (range(len(likely)), range(len(likely), len(ordered))):
-        tasks = _tasks(ordered, batch, task_to, refused)
-        if batch.start > 0:
+    for is_likely, batch in _batches(target, found, start):
+        begin = len(ordered)
+        ordered += batch
+        tasks = _tasks(ordered, range(begin, len(ordered)), task_to, refused)
+        if not is_likely:
             for number, error in zip(list(tasks), without_path(list(tasks.values())), strict=True):
                 if error is not None:
                     refused[number] = error
@@ -68,7 +69,28 @@ def motion_to_grasp(
             except (CertificationError, TimingError) as error:
                 refused[number] = error.with_traceback(None)
                 del tasks[number]
-    raise Refusals(tuple(refused[number] for number in range(len(ordered)))).error(f"grasps of {target.what}")
+    raise _refusal(target, ordered, [refused[number] for number in range(len(ordered))])
+
+
+def _refusal(target: Target, ordered: Sequence[Grasp], errors: Sequence[HplanError]) -> HplanError:
+    """The one error for all grasps; where they have little room it says how little."""
+    refusal = Refusals(tuple(errors)).error(f"grasps of {target.what}")
+    room = max(grasp.room for grasp in ordered)
+    if room < SPARE:
+        remark = (
+            f"spare clearance {1e3 * room:.2g} mm at the grasp; with {1e3 * SPARE:g} mm there would be room to move"
+        )
+        refusal.add(remark, spare_clearance_m=room, needed_clearance_m=SPARE)
+    return refusal
+
+
+def _batches(target: Target, found: Sequence[Grasp], start: FloatArray) -> Iterator[tuple[bool, list[Grasp]]]:
+    """Grasps to try together, those with an approach before those without; and whether they are the promising ones."""
+    for batch in ([grasp for grasp in found if grasp.distance > 0.0], [grasp for grasp in found if not grasp.distance]):
+        likely = promising(batch, target, start)
+        first = {id(grasp) for grasp in likely}
+        yield True, likely
+        yield False, [grasp for grasp in batch if id(grasp) not in first]
 
 
 def _tasks(

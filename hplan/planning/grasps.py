@@ -10,16 +10,18 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from hplan.base import ties
-from hplan.base.arrays import FloatArray, Record, frozen
+from hplan.base.arrays import BoolArray, FloatArray, Record, frozen
 from hplan.errors import BlockedError
-from hplan.planar.finer_angles import Refined, refined
+from hplan.planar.finer_angles import refined
 from hplan.planar.inverse_kinematics import Candidates, reach
 from hplan.planar.straight_approach import ApproachPath, standoffs
 from hplan.problem.joint_ranges import LEAST_MARGIN, JointRanges, joint_ranges
@@ -47,6 +49,9 @@ BEYOND = -1.0
 #: Clearance that a grasp and its stand-off have beyond the one to keep, and half of it all along the approach [m].
 SPARE = 1e-3
 
+#: Where there is none with that, less is asked for, as little as the last of these [m].
+ROOMS = (SPARE, 5e-4, 2e-4, 5e-5)
+
 
 @dataclass(frozen=True, eq=False)
 class Grasp(Record):
@@ -58,6 +63,7 @@ class Grasp(Record):
         distance: Length of the approach [m].
         approach: Absolute angle of the last link in the arm plane [rad].
         least_duration: Duration that no motion from the start by the stand-off to the goal can undercut [s].
+        room: Clearance beyond the one to keep that grasp and stand-off have, `SPARE` where they have more [m].
     """
 
     goal: FloatArray
@@ -65,10 +71,29 @@ class Grasp(Record):
     distance: float
     approach: float
     least_duration: float
+    room: float = SPARE
 
     def path(self, robot: Robot, locked: tuple[str, ...] = ()) -> ApproachPath | None:
         """The approach, or None where there is none."""
         return ApproachPath(robot, self.goal, self.distance, locked) if self.distance > 0.0 else None
+
+
+class Approaches(NamedTuple):
+    """Straight approaches of one length to several goals.
+
+    Attributes:
+        feasible: (k,) mask of the goals to which there is one.
+        polylines: (k, points, dof) configurations from the goals to the stand-offs.
+    """
+
+    feasible: BoolArray
+    polylines: FloatArray
+
+    @classmethod
+    def of(cls, robot: Robot, goals: FloatArray, length: float, locked: Sequence[str]) -> Approaches:
+        """The approaches of a length [m] to (k, dof) goals."""
+        stages = [standoffs(robot, goals, length * look, locked=locked) for look in _LOOKS]
+        return cls(stages[-1].feasible, np.stack([goals, *(stage.configurations for stage in stages)], axis=1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,41 +147,62 @@ def grasps(target: Target, start: FloatArray, *, standoff: float, locked: Sequen
         InputError: A position or an approach that is none.
         OptionError: As `reach`.
     """
-    robot = target.world.robot
     ranges = joint_ranges(target.world.checker, start, LEAST_MARGIN)
     if ranges.walls:
         target.world.check_clear(start, "start")
-    found = _clear_candidates(target, ranges, start, locked)
-    goals, angles = frozen(found.configurations), found.approach
-    chosen: dict[int, tuple[float, FloatArray]] = {}
+    found, room = _clear_candidates(target, ranges, start, locked)
+    goals = frozen(found.configurations)
     # A straight approach takes three joints in the arm plane.
-    straight = sum(name not in locked for name in robot.arm.joint_names) >= 3
-    for distance in _distances(standoff, target.least_standoff) if straight else ():
-        left = [i for i in range(len(goals)) if i not in chosen]
-        if not left:
-            break
-        for i, begin in zip(left, _clear_standoffs(target, ranges, goals[left], distance, locked), strict=True):
-            if begin is not None:
-                chosen[i] = (distance, begin)
-    if not chosen:
-        chosen = {i: (0.0, goal) for i, goal in enumerate(goals)}
-    unsorted = [
-        Grasp(goals[i], begin, distance, float(angles[i]), _least_duration(robot, start, begin, goals[i]))
-        for i, (distance, begin) in chosen.items()
-    ]
+    straight = sum(name not in locked for name in target.world.robot.arm.joint_names) >= 3
+    lengths = _distances(standoff, target.least_standoff) if straight else []
+
+    @cache
+    def along(length: float) -> Approaches:
+        return Approaches.of(target.world.robot, goals, length, locked)
+
+    direct = {i: (0.0, goal) for i, goal in enumerate(goals)}
+    for less in (room, *(less for less in ROOMS if less < room)):
+        chosen = _clear_approaches(target, ranges, along, lengths, less)
+        if chosen:
+            approached = _sorted(target, found, chosen, start)
+            # What has less room may turn out not to be certified.
+            return approached if less == room else (*approached, *_sorted(target, found, direct, start))
+    return _sorted(target, found, direct, start)
+
+
+def _sorted(
+    target: Target, found: Candidates, chosen: dict[int, tuple[float, FloatArray]], start: FloatArray
+) -> tuple[Grasp, ...]:
+    """Grasps of the lengths of their approaches and their stand-offs, by the number of the candidate."""
+    robot, unsorted = target.world.robot, []
+    for i, (distance, begin) in chosen.items():
+        goal = frozen(found.configurations[i])
+        room = target.world_touching.field.clearance(goal)
+        if distance > 0.0:
+            room = min(room, target.world.field.clearance(begin))
+        least = _least_duration(robot, start, begin, goal)
+        unsorted.append(Grasp(goal, begin, distance, float(found.approach[i]), least, min(room, SPARE)))
     return tuple(unsorted[i] for i in ties.argsort([grasp.least_duration for grasp in unsorted]).tolist())
 
 
 def promising(found: Sequence[Grasp], target: Target, start: FloatArray) -> list[Grasp]:
     """The first grasp that a straight motion leads to, and a few that promise more, evenly taken from all of those."""
-    clear = (target.transit_world(grasp).field.is_clear(np.stack([start, grasp.standoff]), SPARE) for grasp in found)
+    clear = (
+        target.transit_world(grasp).field.is_clear(np.stack([start, grasp.standoff]), 0.9 * grasp.room)
+        for grasp in found
+    )
     straight = next((number for number, is_clear in enumerate(clear) if is_clear), len(found))
     stride = max(1, math.ceil(straight / SEARCHED))
     return [*found[:straight:stride], *found[straight : straight + 1]]
 
 
-def _clear_candidates(target: Target, ranges: JointRanges, start: FloatArray, locked: Sequence[str]) -> Candidates:
+def _clear_candidates(
+    target: Target, ranges: JointRanges, start: FloatArray, locked: Sequence[str]
+) -> tuple[Candidates, float]:
     """Configurations with the tool at the point that are clear: at evenly spaced approach angles, else at finer ones.
+
+    Returns:
+        The configurations, and which of `ROOMS` they have.
 
     Raises:
         UnreachableError: No configuration reaches the point.
@@ -171,13 +217,19 @@ def _clear_candidates(target: Target, ranges: JointRanges, start: FloatArray, lo
         return world.field.clearance(q) if ranges.wall_before(q) is None else BEYOND
 
     found = within(target.approach_deg, COUNT)
-    clear = np.array([clearance(q) > SPARE for q in found.configurations])
-    if clear.any():
-        return Candidates(found.configurations[clear], found.approach[clear])
-    finer = refined(found, within, clearance, SPARE, target.approach_deg)
-    if finer.candidates is not None:
-        return finer.candidates
-    error = _blocked(target, ranges, found.configurations, finer)
+    rooms = np.array([clearance(q) for q in found.configurations])
+    tried = 0
+    for room in ROOMS:
+        clear = rooms > room
+        if clear.any():
+            return Candidates(found.configurations[clear], found.approach[clear]), room
+        finer = refined(found, within, clearance, room, target.approach_deg)
+        tried += finer.tried
+        if finer.candidates is not None:
+            return finer.candidates, room
+        if finer.best_m <= ROOMS[-1]:
+            break
+    error = _blocked(target, ranges, found.configurations, (tried, finer.best_m))
     if world.deviation > 0.0:
         free = [q for q in found.configurations if ranges.wall_before(q) is None]
         fraction = world.fraction_of_deviation(np.array(free), SPARE) if free else 0.0
@@ -193,26 +245,28 @@ def _distances(standoff: float, least: float) -> list[float]:
     return sorted(shorter, reverse=True)
 
 
-def _clear_standoffs(
-    target: Target, ranges: JointRanges, goals: FloatArray, distance: float, locked: Sequence[str]
-) -> list[FloatArray | None]:
-    """For each goal the configuration at the stand-off, if arm and approach are clear of obstacles there.
+def _clear_approaches(
+    target: Target, ranges: JointRanges, along: Callable[[float], Approaches], lengths: Sequence[float], room: float
+) -> dict[int, tuple[float, FloatArray]]:
+    """Length of the approach and stand-off of the goals, by their number, where arm and approach are clear.
 
     The approach is looked at along a polyline of a few points; `Grasp.path` is the exact one, and the certificate is
     about that.
     """
-    stages = [standoffs(target.world.robot, goals, distance * look, locked=locked) for look in _LOOKS]
-    approaches = np.stack([goals, *(stage.configurations for stage in stages)], axis=1)
-    begins: list[FloatArray | None] = []
-    for feasible, approach in zip(stages[-1].feasible, approaches, strict=True):
-        usable = (
-            feasible
-            and ranges.wall_before(approach[-1]) is None
-            and target.world.field.clearance(approach[-1]) > SPARE
-            and target.world_touching.field.is_clear(approach, 0.5 * SPARE)
-        )
-        begins.append(frozen(approach[-1].copy()) if usable else None)
-    return begins
+    chosen: dict[int, tuple[float, FloatArray]] = {}
+    for length in lengths:
+        if chosen and len(chosen) == len(along(length).polylines):
+            break
+        for i in np.flatnonzero(along(length).feasible).tolist():
+            approach = along(length).polylines[i]
+            if (
+                i not in chosen
+                and ranges.wall_before(approach[-1]) is None
+                and target.world.field.clearance(approach[-1]) > room
+                and target.world_touching.field.is_clear(approach, 0.5 * room)
+            ):
+                chosen[i] = length, frozen(approach[-1].copy())
+    return chosen
 
 
 def _least_duration(robot: Robot, start: FloatArray, standoff: FloatArray, goal: FloatArray) -> float:
@@ -221,8 +275,18 @@ def _least_duration(robot: Robot, start: FloatArray, standoff: FloatArray, goal:
     return sum(least_duration(a, b, *limits) for a, b in ((start, standoff), (standoff, goal)))
 
 
-def _blocked(target: Target, ranges: JointRanges, configurations: FloatArray, finer: Refined) -> BlockedError:
-    """The error that names what is in the way, the most frequent first."""
+def _blocked(
+    target: Target, ranges: JointRanges, configurations: FloatArray, refined_to: tuple[int, float]
+) -> BlockedError:
+    """The error that names what is in the way, the most frequent first.
+
+    Args:
+        target: The point to reach.
+        ranges: Where joints are blocked.
+        configurations: (n, dof) those that reach it.
+        refined_to: How many more were tried, and the largest clearance of all [m].
+    """
+    tried, best_m = refined_to
     walls = [ranges.wall_before(q) for q in configurations]
     nearest = [
         target.world_touching.checker.nearest(q) if wall is None else wall.contact
@@ -233,4 +297,11 @@ def _blocked(target: Target, ranges: JointRanges, configurations: FloatArray, fi
         {"obstacle": obstacle, "link": link, "configurations": count}
         for (link, obstacle), count in counts.most_common()
     ]
-    return BlockedError(target.what, len(configurations), obstacles, refined=finer.tried, best_clearance_m=finer.best_m)
+    return BlockedError(
+        target.what,
+        len(configurations),
+        obstacles,
+        refined=tried,
+        best_clearance_m=best_m,
+        needed_clearance_m=ROOMS[-1],
+    )

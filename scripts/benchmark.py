@@ -17,11 +17,11 @@ from hplan.errors import InputError, OutputError
 if TYPE_CHECKING:
     from rich.console import Console
 
-SETS = ("reference", "clutter", "orchards", "replanning", "growth", "recheck")
+SETS = ("reference", "clutter", "orchards", "replanning", "narrow", "growth", "recheck")
 
-#: Random scenes: planned, replanned, and rechecked.
-CLUTTER_SCENES, REPLANNING_SCENES, RECHECK_SCENES = 200, 20, 1000
-QUICK_CLUTTER_SCENES, QUICK_REPLANNING_SCENES, QUICK_RECHECK_SCENES = 20, 2, 25
+#: Random scenes: planned, replanned, and rechecked; windows and traps.
+CLUTTER_SCENES, REPLANNING_SCENES, RECHECK_SCENES, NARROW_PLACES = 200, 20, 1000, 200
+QUICK_CLUTTER_SCENES, QUICK_REPLANNING_SCENES, QUICK_RECHECK_SCENES, QUICK_NARROW_PLACES = 20, 2, 25, 12
 
 #: Problems of each kind of orchard in a quick run.
 QUICK_PROBLEMS = 3
@@ -37,6 +37,7 @@ sets:
   clutter     random planar scenes: success, time, length, duration, planners
   orchards    all joints among trees: success, time, duration, planners
   replanning  an obstacle of 40 moves: time, duration, beside plans from nothing
+  narrow      windows, traps and pinches for three kinds of arm: success, time, duration, RRTConnect
   growth      time and memory against grid step, obstacles and links
   recheck     certified trajectories looked at again every 0.1 ms
 
@@ -86,7 +87,7 @@ def _parser() -> argparse.ArgumentParser:
         type=int,
         metavar="N",
         help=f"random scenes of each set (default: {CLUTTER_SCENES} in clutter, {REPLANNING_SCENES} in replanning, "
-        f"{RECHECK_SCENES} in recheck); problems of each kind of orchard (default: all)",
+        f"{RECHECK_SCENES} in recheck, {NARROW_PLACES} in narrow); problems of each kind of orchard (default: all)",
     )
     add("--trees", type=Path, metavar="DIR", help="folder of measured trees, a CSV of capsules each, for orchards")
     return parser
@@ -109,6 +110,7 @@ def run(arguments: argparse.Namespace, errors: Console) -> dict[str, Any]:
 def _measure(arguments: argparse.Namespace, progress: Callable[[str, int, int], None]) -> dict[str, Any]:
     from studies.benchmark import clutter, growth, orchards, recheck, reference, replanning
     from studies.benchmark.measure import environment
+    from studies.benchmark.narrow import measure as narrow
     from studies.benchmark.planners import Ompl
 
     from hplan.robot.model import load_robot
@@ -122,11 +124,13 @@ def _measure(arguments: argparse.Namespace, progress: Callable[[str, int, int], 
     each = arguments.scenes or (QUICK_PROBLEMS if quick else None)
     walks = arguments.scenes or (QUICK_REPLANNING_SCENES if quick else REPLANNING_SCENES)
     most = arguments.scenes or (QUICK_RECHECK_SCENES if quick else RECHECK_SCENES)
+    places = arguments.scenes or (QUICK_NARROW_PLACES if quick else NARROW_PLACES)
     sets: dict[str, Callable[[], dict[str, Any]]] = {
         "reference": lambda: reference.measure(robot, scene, seed=seed, quick=quick, ompl=ompl, progress=progress),
         "clutter": lambda: clutter.measure(robot, seed=seed, scenes=many, ompl=ompl, progress=progress),
         "orchards": lambda: orchards.measure(robot, trees=arguments.trees, most=each, ompl=ompl, progress=progress),
         "replanning": lambda: replanning.measure(robot, seed=seed, scenes=walks, quick=quick, progress=progress),
+        "narrow": lambda: narrow.measure(seed=seed, problems=places, ompl=ompl, progress=progress),
         "growth": lambda: growth.measure(robot, scene, seed=seed, quick=quick, progress=progress),
         "recheck": lambda: recheck.measure(robot, scene, seed=seed, scenes=most, progress=progress),
     }

@@ -18,7 +18,7 @@ from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.clearance_kernels import FieldArrays, link_clearances, segment_is_clear
 from hplan.robot.model import Robot
 
-#: How long a planner may take to find a path, and again to simplify it [s].
+#: CPU time that a planner may take to find a path, and again to simplify it [s].
 PATIENCE = 1.0
 
 
@@ -93,7 +93,7 @@ class Ompl:
             start: (dof,) configuration.
             goal: (dof,) configuration; differs from the start in planar joints only, unless the base turns.
             planner: One of `PLANNERS`; RRTConnect stops at its first path, BITstar when time is up.
-            seconds: Time for planning.
+            seconds: CPU time for planning; other load on the machine takes nothing from it.
             turns: Whether the base may turn.
         """
         robot = task.robot
@@ -102,7 +102,9 @@ class Ompl:
         setup = self._setup(robot, calls, start, goal, joints)
         info = setup.getSpaceInformation()
         setup.setPlanner(getattr(self._geometric, planner)(info))
-        _, plan_ms = timed(lambda: setup.solve(seconds))
+        end = time.thread_time() + seconds
+        enough = self._base.PlannerTerminationCondition(lambda: time.thread_time() >= end)
+        _, plan_ms = timed(lambda: setup.solve(enough))
         if not setup.haveExactSolutionPath():
             return OmplResult(None, plan_ms, 0.0, plan_ms, float("nan"))
         before = float(setup.getSolutionPath().length())

@@ -1,0 +1,1 @@
+"""Windows in walls, traps with one opening, and pinches, for arms of three kinds."""

@@ -4,7 +4,7 @@ Where the base turns and the straight motion is clear, that is the motion. Else 
 few configurations, and where it finds none, trees do; unless what comes of it is close to the fastest motion that there
 could be, grids are tried in turn, from coarse and near to fine and wide, and the quicker motion is taken. Grids have as
 many nodes as fit a memory and a time, whatever the joint ranges: their step is made larger where it has to be. Before
-anything is refused, trees are given more time.
+large grids are searched, and before anything is refused, trees are given more time.
 """
 
 from __future__ import annotations
@@ -110,10 +110,13 @@ def first_motion(tasks: Sequence[PlanningTask]) -> tuple[int, PlannedMotion] | R
     for number, task in enumerate(tasks):
         if task.problem.is_empty:
             return number, _at_rest(task)
-    found = _first_planar(tasks) if not tasks[0].problem.turns else _first_over_yaws(tasks)
-    if isinstance(found, Refusals) and tasks[0].options.method == "two-level":
-        return by_trees_to_any(tasks) or found
-    return found
+    if tasks[0].problem.turns:
+        return _first_over_yaws(tasks)
+    if tasks[0].cells(GridAttempt()) > LARGE_PLANAR:
+        # Trees take a fraction of the time, and their paths are shorter than those that a flood of the grid finds.
+        return _first(tasks[:ROADMAPS], by_trees) or by_trees_to_any(tasks) or _first_planar(tasks)
+    found = _first_planar(tasks)
+    return (by_trees_to_any(tasks) or found) if isinstance(found, Refusals) else found
 
 
 def _first_over_yaws(tasks: Sequence[PlanningTask]) -> tuple[int, PlannedMotion] | Refusals:
@@ -224,9 +227,7 @@ def _on_grid(task: PlanningTask, attempt: GridAttempt) -> PlannedMotion:
 
 
 def _planar(task: PlanningTask) -> PlannedMotion:
-    """Try finer grids and larger obstacles in turn until a motion is certified; where they are large, trees first."""
-    if task.cells(GridAttempt()) > LARGE_PLANAR and (motion := by_trees(task)) is not None:
-        return motion
+    """Try finer grids and larger obstacles in turn until a motion is certified."""
     refused: HplanError | None = None
     tried: list[str] = []
     seen: set[GridAttempt] = set()
@@ -256,7 +257,8 @@ def _planar(task: PlanningTask) -> PlannedMotion:
 
 def _roadmap_or_grids(tasks: Sequence[PlanningTask]) -> tuple[int, PlannedMotion] | Refusals:
     """The quicker of a motion found in a roadmap, or by trees, and one found on grids."""
-    quick = _first(tasks[:ROADMAPS], by_roadmap) or _first(tasks[:ROADMAPS], by_trees)
+    brief = _first(tasks[:ROADMAPS], by_roadmap) or _first(tasks[:ROADMAPS], by_trees)
+    quick = brief or by_trees_to_any(tasks)
     if quick is None:
         found = _first_turning(tasks, YAW_GRID_ATTEMPTS, MOST_CELLS)
         if isinstance(found, Refusals):

@@ -117,15 +117,19 @@ def _planar_search(
     if search.path is not None:
         return search, search.path
     most: tuple[int, BoolArray] = (0, np.zeros(space.grid.shape, dtype=np.bool_))
+    known = most[1].copy()  # nodes from which the goal cannot be reached
     for node in start.all():
+        if known[tuple(node)]:
+            continue
         reached = reachable(space, node)
         for other in goal.all():
             if reached[tuple(other)]:
                 search = _search(task, space, node, other)
                 if search.path is not None:
                     return search, search.path
-        if int(reached.sum()) > most[0]:
-            most = (int(reached.sum()), reached)
+        known |= reached
+        if (count := int(reached.sum())) > most[0]:
+            most = count, reached
     what = f"the start reaches {most[0]} of {space.grid.size} nodes, not the goal"
     raise EnclosedError(Region(what, task, attempt.growth_m, space.grid, most[1]), most[0], open_ended=False)
 

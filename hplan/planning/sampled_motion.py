@@ -58,6 +58,8 @@ def by_trees(task: PlanningTask) -> PlannedMotion | None:
 
 def by_trees_to_any(tasks: Sequence[PlanningTask]) -> tuple[int, PlannedMotion] | None:
     """A motion to whichever goal trees with more effort reach; None where they reach none."""
+    if tasks[0].options.method != "two-level":
+        return None  # a certain search is wanted
     goals = np.array([task.problem.goal for task in tasks])
     margin, first = min(task.margin() for task in tasks), tasks[0]
     found: dict[int, list[FloatArray]] = {}

@@ -32,6 +32,9 @@ from hplan.search.wavefront import meet
 #: Axes from which on the fallback is by wavefronts.
 MANY_AXES = 4
 
+#: And so where so many nodes are connected to the start: A* on all of them takes seconds, and 50 bytes for each.
+MOST_DENSE = 2_000_000
+
 
 def two_level_search(occupancy: Occupancy, start: ArrayLike, goal: ArrayLike, *, octile: bool = True) -> SearchResult:
     """Search every slice of the last axis between start and goal, then the union of their paths.
@@ -89,7 +92,11 @@ def _two_level(lattice: Lattice, free: WordArray, start: IntArray, goal: IntArra
         fallback = "dense"
         reached, flooded = flood_from(lattice, free, start)
         counts = counts.with_fallback(0, flooded)
-        if has_bit(reached, *lattice.node(goal)):
+        if has_bit(reached, *lattice.node(goal)) and octile and flooded > MOST_DENSE:
+            fallback = "wavefront"
+            path = meet(lattice, free, start, goal).path
+            cost = math.inf if path is None else path_cost(path, lattice.step)
+        elif has_bit(reached, *lattice.node(goal)):
             path, cost, expanded = astar(lattice, NodeSet.of(reached), start, goal, octile=octile)
             counts = counts.with_fallback(expanded, 0)
     times = StageTimes(layers_done - begin, sparse_done - layers_done, time.perf_counter() - sparse_done)

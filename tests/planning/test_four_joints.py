@@ -76,8 +76,9 @@ def test_straight_motion_is_about_as_fast_as_can_be(robot: Robot) -> None:
 
 @pytest.fixture
 def grids_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    """No roadmap is made before grids are searched."""
+    """No roadmap is made, and no trees grow, before grids are searched."""
     monkeypatch.setattr("hplan.planning.find_motion.ROADMAPS", 0)
+    monkeypatch.setattr("hplan.planning.find_motion.by_trees_to_any", lambda _: None)
 
 
 @pytest.mark.parametrize("high", [1.0, 1.3, 1.6, 2.2])

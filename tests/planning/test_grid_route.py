@@ -20,6 +20,7 @@ from hplan.problem.options import PlanOptions
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 from hplan.scene.obstacles import Sphere
+from hplan.search import reachable
 from hplan.search.grid import Occupancy
 
 MARGIN = 1e-4
@@ -112,6 +113,24 @@ def test_enclosed_whatever_the_yaw(robot: Robot) -> None:
     assert whole.blockers
     assert whole.message.startswith(error.message)
     assert "is not among them" in whole.message
+
+
+def test_a_region_is_flooded_once(robot: Robot, scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    """However many of its nodes a start off the grid is joined to."""
+    floods: list[int] = []
+
+    def counted(*arguments: Any) -> Any:
+        reached = reachable(*arguments)
+        floods.append(int(reached.sum()))
+        return reached
+
+    monkeypatch.setattr("hplan.planning.grid_route.reachable", counted)
+    wall = Sphere(name="wall", center=(0.9, 0.0, 1.45), radius=0.3)
+    start, goal = (0.0, 80.3, 10.3, 10.3), (0.0, 10.0, 10.0, 10.0)
+    closed = task(start, goal, [wall]).model_copy(update={"locked_joints": ("base_yaw",)})
+    with pytest.raises(EnclosedError) as caught:
+        find_route(posed(robot, closed), GridAttempt(2.0), MARGIN)
+    assert floods == [caught.value.reached_cells]
 
 
 def test_step_that_gives_no_grid(robot: Robot, scene: Scene) -> None:

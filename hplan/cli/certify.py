@@ -61,7 +61,7 @@ def parser(prog: str) -> CommandParser:
     return parser
 
 
-def run(arguments: argparse.Namespace, console: Console, _: Console) -> int:
+def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int:
     """Read, certify, compare, say; returns the exit status."""
     with loading():
         from hplan.planning.report import certificate_report, report_text, versions, write_report
@@ -76,7 +76,7 @@ def run(arguments: argparse.Namespace, console: Console, _: Console) -> int:
     tracking = tracking_of(arguments)
     options = PlanOptions(tracking_error=tracking.still_rad, tracking_delay_s=tracking.delay_s, sigmas=arguments.sigmas)
     robot = robot_of(arguments)
-    scene, _left_out = scene_among(arguments, robot, load_scene(arguments.scene))
+    scene, _left_out = scene_among(arguments, robot, load_scene(arguments.scene), errors)
     certificate = certify(
         robot,
         scene,

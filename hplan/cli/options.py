@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import math
-import sys
 import textwrap
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -14,6 +13,8 @@ import hplan
 from hplan.errors import OptionError, OutputError
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from hplan.problem.options import PlanOptions
     from hplan.robot.model import Robot
     from hplan.robot.tracking import TrackingModel
@@ -73,8 +74,8 @@ def add_drop_inside(parser: argparse.ArgumentParser) -> None:
         "pedestal or turret, and say which; they are in no proof")  # fmt: skip
 
 
-def scene_among(arguments: argparse.Namespace, robot: Robot, scene: Scene) -> tuple[Scene, list[str]]:
-    """The scene as `--drop-inside` wants it, and the names of what is left out, which standard error is told."""
+def scene_among(arguments: argparse.Namespace, robot: Robot, scene: Scene, errors: Console) -> tuple[Scene, list[str]]:
+    """The scene as `--drop-inside` wants it, and the names of what is left out, which the console is told."""
     if not arguments.drop_inside:
         return scene, []
     from hplan.problem.world import without_inside
@@ -82,7 +83,8 @@ def scene_among(arguments: argparse.Namespace, robot: Robot, scene: Scene) -> tu
     smaller, names = without_inside(robot, scene)
     if names:
         goal = "" if smaller.goal == scene.goal else f"; the goal is {smaller.goal.fruit} instead"
-        sys.stderr.write(f"left out, standing in pedestal or turret: {', '.join(names)}{goal}\n")
+        left_out = f"left out, standing in pedestal or turret: {', '.join(names)}{goal}"
+        errors.print(left_out, markup=False, soft_wrap=True)
     return smaller, list(names)
 
 

@@ -146,7 +146,7 @@ def _made(arguments: argparse.Namespace, folder: JobFolder, errors: Console) -> 
         wants_cspace = arguments.cspace or yaw is not None
         if wants_cspace:
             check_yaw(robot, yaw)
-        scene, left_out = scene_among(arguments, robot, load_scene(arguments.scene))
+        scene, left_out = scene_among(arguments, robot, load_scene(arguments.scene), errors)
         folder.scene = scene.name
         first_run = is_first_run()
         note = " (compiling, as on every first run)" if first_run else ""

@@ -88,14 +88,14 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int
     """Plan, write, show what came of it; returns the exit status."""
     folder = _job_folder(arguments.out)
     with folder.job(), progress_line(errors, quiet=arguments.quiet) as progress:
-        result, files = _made(arguments, folder, progress)
+        result, files = _made(arguments, folder, errors, progress)
     if not arguments.quiet:
         _show(console, result, folder.path, files)
     return 0
 
 
 def _made(
-    arguments: argparse.Namespace, folder: JobFolder, progress: Callable[[str], None]
+    arguments: argparse.Namespace, folder: JobFolder, errors: Console, progress: Callable[[str], None]
 ) -> tuple[TourResult, list[str]]:
     """Load, plan and write; gives the tour and the names of its files."""
     progress("reading robot and scene")
@@ -113,7 +113,7 @@ def _made(
     robot = robot_of(arguments)
     folder.robot = robot.name
     given = load_scene(shipped_scene("tour") if arguments.scene is None else arguments.scene)
-    scene, left_out = scene_among(arguments, robot, given)
+    scene, left_out = scene_among(arguments, robot, given, errors)
     folder.scene = scene.name
     result = plan_tour(robot, scene, options, fruits=arguments.fruits, tour=tour, progress=progress)
     progress("writing files")

@@ -24,8 +24,8 @@ from hplan.planning.enclosure import EnclosedError, enclosed_goals
 from hplan.planning.grid_route import find_route
 from hplan.planning.refusals import Refusals
 from hplan.planning.sampled_motion import BRIEF_TREES, SEEDS, by_roadmap, by_trees, by_trees_to_any
+from hplan.planning.task import COARSEST_DEG, GridAttempt, PlanningTask
 from hplan.planning.task import STEP_FACTORS as GRID_FACTORS
-from hplan.planning.task import GridAttempt, PlanningTask
 from hplan.robot.limits import least_duration as least_between
 from hplan.sampling.roadmap import WIDE
 from hplan.smoothing.repair import repaired
@@ -235,7 +235,7 @@ def _planar(task: PlanningTask) -> PlannedMotion:
         for growth_m in sorted({task.grown(growth_m) for growth_m in GROWTH}):
             attempt = task.fitting(GridAttempt(step_factor, growth_m=growth_m), MOST_CELLS)
             if attempt is None:
-                step_deg = task.options.step_deg * GRID_FACTORS[-1]
+                step_deg = max(task.options.step_deg, COARSEST_DEG)
                 tried = [f"no grid of {step_deg:g} deg or less has fewer than {MOST_CELLS:.3g} nodes"]
                 continue
             if attempt in seen:

@@ -29,8 +29,13 @@ from hplan.search.grid import Grid, Occupancy
 #: Clearance asked for wherever a motion is evaluated, beyond the scene's own [m]; less where start or goal have less.
 MARGIN = 2e-3
 
-#: Multiples of the step that are tried where a grid has too many nodes.
-STEP_FACTORS = (0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0)
+#: Multiples of the step that are tried where a grid has too many nodes, as long as the step is no larger than the
+#: coarsest [deg]; the one that is asked for may be.
+STEP_FACTORS = (0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0, 48.0, 64.0)
+COARSEST_DEG = 8.0
+
+#: A row of yaws takes as much memory as one of so many nodes, however few there are.
+LEAST_ROW = 32
 
 #: Called with the name of each stage as it begins.
 Progress = Callable[[str], None]
@@ -144,7 +149,7 @@ class PlanningTask(PlanningContext):
         return attempt.step_factor * self.options.step_deg
 
     def cells(self, attempt: GridAttempt) -> float:
-        """About how many nodes the grid of an attempt has; it need not fit any memory."""
+        """About how many nodes the grid of an attempt has, by the memory it takes; it need not fit any."""
         problem, step = self.problem, math.radians(self.step_deg(attempt))
         planar = self.robot.arm_slice
         count = math.prod((1.0 + (problem.upper[planar] - problem.lower[planar]) / step).tolist())
@@ -152,12 +157,14 @@ class PlanningTask(PlanningContext):
             beyond = math.radians(attempt.yaw_range_deg)
             low = max(problem.lower[0], min(problem.start[0], problem.goal[0]) - beyond)
             high = min(problem.upper[0], max(problem.start[0], problem.goal[0]) + beyond)
-            count *= 1.0 + (high - low) / step
+            count *= max(1.0 + (high - low) / step, LEAST_ROW)
         return float(count)
 
     def fitting(self, attempt: GridAttempt, most_cells: float) -> GridAttempt | None:
         """The attempt with a step as much larger as keeps the grid within a number of nodes; None without any."""
-        larger = (replace(attempt, step_factor=factor) for factor in STEP_FACTORS if factor >= attempt.step_factor)
+        coarsest = max(attempt.step_factor, COARSEST_DEG / self.options.step_deg)
+        factors = (factor for factor in STEP_FACTORS if attempt.step_factor <= factor <= coarsest)
+        larger = (replace(attempt, step_factor=factor) for factor in factors)
         return next((coarser for coarser in larger if self.cells(coarser) <= most_cells), None)
 
     def planar_grid(self, attempt: GridAttempt) -> Grid:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Final
 from xml.parsers import expat
 
+from hplan.base.data_files import shipped_robots
 from hplan.errors import InputError, RobotFileError
 
 #: Most bytes of a URDF.
@@ -60,7 +61,10 @@ def _content(path: Path, package_dirs: Sequence[Path]) -> bytes:
         with path.open("rb") as file:
             return file.read(MOST_BYTES + 1)
     except OSError as error:
-        raise RobotFileError(path, error.strerror or str(error)) from error
+        reason = error.strerror or str(error)
+        if isinstance(error, FileNotFoundError) and str(path) == path.name and not path.suffix:
+            reason += f"; robots that ship with hplan: {', '.join(shipped_robots())}"
+        raise RobotFileError(path, reason) from error
     except ValueError as error:
         raise RobotFileError(path, f"its name cannot be that of a file: {error}") from error
 

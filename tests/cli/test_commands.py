@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import argparse
+import io
+import json
 import re
 import shutil
 import signal
@@ -10,11 +13,13 @@ import sys
 from pathlib import Path
 
 import pytest
+from rich.console import Console
 from toy_urdf import urdf
 
 import hplan
-from hplan.base.data_files import shipped_scene, shipped_scenes
+from hplan.base.data_files import shipped_robots, shipped_scene, shipped_scenes
 from hplan.cli.main import COMMANDS, main
+from hplan.cli.options import scene_among
 from hplan.errors import SceneError
 
 ROOT = Path(__file__).parents[2]
@@ -240,6 +245,33 @@ def test_a_name_that_no_scene_has(
     shown = capsys.readouterr().err
     assert "scene file trelis: No such file or directory; scenes that ship with hplan: dense-canopy, " in shown
     assert [name for name in shipped_scenes() if name not in shown] == []
+
+
+def test_a_name_that_no_robot_has(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["plan", "trellis", "--robot", "nosuch", "--out", str(tmp_path / "out")]) == 2
+    shown = capsys.readouterr().err
+    assert "robot file nosuch: No such file or directory; robots that ship with hplan: harvester, " in shown
+    assert [name for name in shipped_robots() if name not in shown] == []
+    assert main(["plan", "trellis", "--robot", "./no.urdf", "--out", str(tmp_path / "out")]) == 2
+    assert "robots that ship" not in capsys.readouterr().err
+
+
+def test_what_is_left_out_is_told_by_the_commands_own_console(tmp_path: Path) -> None:
+    inside = [{"name": "stump", "kind": "sphere", "center": [0.0, 0.0, 0.3], "radius": 0.2}]
+    scene = {
+        "format": "hplan-scene/1",
+        "name": "stump",
+        "start": {"joints_deg": [0, 90, 90, 90]},
+        "goal": {"joints_deg": [5, 90, 90, 90]},
+        "obstacles": inside,
+    }
+    (tmp_path / "scene.yaml").write_text(json.dumps(scene))
+    told = Console(file=io.StringIO())
+    arguments = argparse.Namespace(drop_inside=True)
+    left, names = scene_among(arguments, hplan.load_robot(), hplan.load_scene(tmp_path / "scene.yaml"), told)
+    assert (left.obstacles, names) == ((), ["stump"])
+    assert isinstance(told.file, io.StringIO)
+    assert told.file.getvalue() == "left out, standing in pedestal or turret: stump\n"
 
 
 def test_a_file_goes_before_a_shipped_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -28,6 +28,19 @@ VARIANTS: dict[str, tuple[bool, str, str, tuple[str, ...]]] = {
     "tilted plane": (False, "0.1 0.2 0.7", "0.5 0.3 -0.4", (UP, DOWN, UP)),
     "horizontal plane": (False, "0 0.1 0.4", "0 0 0.2", ("0 0 1", "0 0 -1", "0 0 1")),
     "horizontal plane from below": (False, "0 0 0.4", "3.141592653589793 0 0", ("0 0 1", "0 0 1")),
+    "yaw axis off the origin": (True, "0.1 0 0.5", "0 0 0", (UP, UP, UP)),
+    "plane beside the yaw axis": (True, "-0.05 0.22 0.5", "0 0 0.4", (UP, DOWN, UP)),
+    "links beside each other, off the axis": (True, "0.1 -0.15 0.5", "0 0 0", (DOWN, UP, UP)),
+    "links beside each other, no yaw": (False, "0.2 -0.3 0.4", "0 0 0.5", (UP, DOWN)),
+}
+
+#: Where they have offsets: where the yaw axis stands, how far each joint, and then the tool, lies beside the joint
+#: before it, and how far beside its joint each link's body lies.
+OFFSETS: dict[str, tuple[str, tuple[float, ...], tuple[float, ...]]] = {
+    "yaw axis off the origin": ("0.4 -0.3 0", (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
+    "plane beside the yaw axis": ("0 0 0.1", (0.05, -0.12, 0.03), (0.0, 0.0, 0.0)),
+    "links beside each other, off the axis": ("-0.3 0.2 0", (0.04, 0.0, -0.02), (0.13, -0.05, 0.0)),
+    "links beside each other, no yaw": ("0 0 0", (0.1, -0.2), (0.06, 0.0)),
 }
 
 
@@ -37,6 +50,7 @@ def load_variant(name: str, folder: Path, *, touches_itself: bool = False) -> Ro
     Unless said otherwise, links pass through one another, so that a test is of obstacles alone.
     """
     has_yaw, xyz, rpy, axes = VARIANTS[name]
+    foot, aside, body = OFFSETS.get(name, ("0 0 0", (0.0,) * len(axes), (0.0,) * len(axes)))
     lengths = [0.8, 0.6, 0.45, 0.3, 0.25][: len(axes)]
     widths = [0.06, 0.05, 0.04, 0.03, 0.02][: len(axes)]
     limit = '<limit lower="-%g" upper="%g" velocity="2" effort="300"/>'
@@ -46,7 +60,7 @@ def load_variant(name: str, folder: Path, *, touches_itself: bool = False) -> Ro
     if has_yaw:
         parts.append(
             f'<link name="turret"/><joint name="yaw" type="revolute"><parent link="base_link"/><child link="turret"/>'
-            f'<axis xyz="0 0 1"/>{limit % (3, 3)}</joint>'
+            f'<origin xyz="{foot}"/><axis xyz="0 0 1"/>{limit % (3, 3)}</joint>'
         )
         parent = "turret"
         names.append("yaw")
@@ -56,10 +70,10 @@ def load_variant(name: str, folder: Path, *, touches_itself: bool = False) -> Ro
             f'<axis xyz="{axis}"/>{limit % (2.5, 2.5)}</joint><link name="l{k}"><inertial><mass value="1"/>'
             f'<origin xyz="{0.5 * lengths[k]} 0 0"/>'
             '<inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial>'
-            f'<collision><origin xyz="{0.5 * lengths[k]} 0 0"/><geometry><sphere radius="{widths[k]}"/></geometry>'
-            "</collision></link>"
+            f'<collision><origin xyz="{0.5 * lengths[k]} {body[k]} 0"/>'
+            f'<geometry><sphere radius="{widths[k]}"/></geometry></collision></link>'
         )
-        parent, place = f"l{k}", f'<origin xyz="{lengths[k]} 0 0"/>'
+        parent, place = f"l{k}", f'<origin xyz="{lengths[k]} {aside[k]} 0"/>'
         names.append(f"j{k}")
     parts.append(
         f'<joint name="tool" type="fixed"><parent link="{parent}"/><child link="tool0"/>{place}</joint>'
@@ -83,6 +97,19 @@ def axis_points(robot: Robot, q: np.ndarray) -> np.ndarray:
     first = 2 if robot.has_yaw else 1
     joints = [data.oMi[j].translation.copy() for j in range(first, robot.model.njoints)]
     return np.array([*joints, data.oMf[robot.model.getFrameId(robot.tool_frame)].translation])
+
+
+def link_axes(robot: Robot, q: np.ndarray) -> np.ndarray:
+    """(links, 2, 3) both ends of each link's axis, along x in its frame, and at the y of its first collision shape."""
+    points, data = axis_points(robot, q), robot.model.createData()
+    pin.forwardKinematics(robot.model, data, np.asarray(q, dtype=float))
+    first, ends = robot.model.njoints - robot.arm.link_count, []
+    for joint, tip in enumerate(points[1:], start=first):
+        shape = next(g for g in robot.collision_model.geometryObjects if g.parentJoint == joint)
+        place, y = data.oMi[joint], shape.placement.translation[1]
+        x, _, z = place.actInv(tip)
+        ends.append([place.act(np.array([0.0, y, 0.0])), place.act(np.array([x, y, z]))])
+    return np.array(ends)
 
 
 def random_obstacles(rng: np.random.Generator, count: int = 6) -> list[Sphere | Capsule | Box]:
@@ -125,11 +152,11 @@ def _placed(obstacle: Sphere | Capsule | Box) -> tuple[coal.ShapeBase, coal.Tran
 
 def coal_distances(robot: Robot, q: np.ndarray, obstacles: Sequence[Sphere | Capsule | Box]) -> np.ndarray:
     """(links, obstacles) signed distances of capsule links placed by Pinocchio."""
-    points = axis_points(robot, q)
+    points = link_axes(robot, q)
     solids = [_placed(obstacle) for obstacle in obstacles]
     table = np.empty((robot.arm.link_count, len(solids)))
     for k, half_width in enumerate(robot.arm.half_widths):
-        capsule, place = _upright_capsule(points[k], points[k + 1], half_width)
+        capsule, place = _upright_capsule(*points[k], half_width)
         for s, (solid, at) in enumerate(solids):
             table[k, s] = coal.distance(capsule, place, solid, at, coal.DistanceRequest(), coal.DistanceResult())
     return table

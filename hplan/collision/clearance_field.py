@@ -31,8 +31,10 @@ class ClearanceField(Record):
     """Arm and obstacles as flat arrays, ready for the kernels.
 
     Attributes:
-        chain: (links, 4) rows: length, half-width with the link's sway [m], sign, zero offset.
-        base: (10,) shoulder position, the plane's horizontal and upward axes, all at yaw 0; 1 where joint 0 is a yaw.
+        chain: (links, 6) rows: length, half-width with the link's sway [m], sign, zero offset, distance from the arm
+            plane and largest distance from the yaw axis [m].
+        base: (12,) shoulder position, from the foot of the yaw axis, the plane's horizontal and upward axes, all at
+            yaw 0; 1 where joint 0 is a yaw; where its axis stands.
         solids: (rows, 21) balls, capsules, boxes, hulls and nodes of clouds, grown by the clearance to keep; columns as
             in `hplan.collision.obstacle_rows`.
         data: Facets and edges of hulls, and points of clouds, one after the other; rows say where.
@@ -72,10 +74,12 @@ class ClearanceField(Record):
         """
         arm = robot.arm
         widths = arm.half_widths + robot.sway(deviation)
-        base = [*robot.plane_origin, *robot.plane_axes[0], *robot.plane_axes[1], float(robot.has_yaw)]
+        shoulder = robot.plane_origin - np.append(robot.yaw_axis, 0.0)
+        base = [*shoulder, *robot.plane_axes[0], *robot.plane_axes[1], float(robot.has_yaw), *robot.yaw_axis]
+        chain = [arm.lengths, widths, arm.signs, arm.offsets, arm.lateral, robot.yaw_radius]
         solids, data, owner = rows_of(robot, obstacles, clearance, own_clearance, deviation)
         return cls(
-            chain=readonly(np.column_stack([arm.lengths, widths, arm.signs, arm.offsets])),
+            chain=readonly(np.column_stack(chain)),
             base=readonly(base),
             solids=readonly(solids),
             data=readonly(data),

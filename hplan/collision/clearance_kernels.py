@@ -39,7 +39,7 @@ class FieldArrays(NamedTuple):
 
 @kernel
 def _links_apart(q: FloatArray, first: int, chain: FloatArray, inner: int, outer: int) -> float:
-    """Distance between the axes of two links, in the plane; the end of the inner one is the origin, its direction x."""
+    """Distance between the axes of two links; x is along the inner one, from its end, and z across the arm plane."""
     x, y, angle = 0.0, 0.0, 0.0
     along, up = 0.0, 0.0
     for k in range(inner + 1, outer + 1):
@@ -47,7 +47,8 @@ def _links_apart(q: FloatArray, first: int, chain: FloatArray, inner: int, outer
         angle += chain[k, 2] * q[first + k] + chain[k, 3]
         along, up = chain[k, 0] * math.cos(angle), chain[k, 0] * math.sin(angle)
     length = chain[inner, 0]
-    distance: float = segment_segment((x, y, 0.0), (along, up, 0.0), (-length, 0.0, 0.0), (length, 0.0, 0.0))
+    aside = chain[outer, 4] - chain[inner, 4]
+    distance: float = segment_segment((x, y, aside), (along, up, 0.0), (-length, 0.0, 0.0), (length, 0.0, 0.0))
     return distance
 
 
@@ -95,7 +96,7 @@ def _arm_plane(q: FloatArray, base: FloatArray) -> tuple[int, float, float, Vect
     first, cos, sin = 0, 1.0, 0.0
     if base[9] > 0.0:
         first, cos, sin = 1, math.cos(q[0]), math.sin(q[0])
-    shoulder = (cos * base[0] - sin * base[1], sin * base[0] + cos * base[1], base[2])
+    shoulder = (base[10] + (cos * base[0] - sin * base[1]), base[11] + (sin * base[0] + cos * base[1]), base[2])
     forward = (cos * base[3] - sin * base[4], sin * base[3] + cos * base[4], base[5])
     upward = (cos * base[6] - sin * base[7], sin * base[6] + cos * base[7], base[8])
     return first, cos, sin, shoulder, forward, upward
@@ -105,12 +106,15 @@ def _arm_plane(q: FloatArray, base: FloatArray) -> tuple[int, float, float, Vect
 def link_clearances(q: FloatArray, field: FieldArrays, result: FloatArray) -> None:
     """Clearance of each link at one configuration."""
     chain, base, solids, data = field
-    first, cos, sin, (x, y, z), (fx, fy, fz), (gx, gy, gz) = _arm_plane(q, base)
+    first, cos, sin, shoulder, (fx, fy, fz), (gx, gy, gz) = _arm_plane(q, base)
+    nx, ny, nz = fy * gz - fz * gy, fz * gx - fx * gz, fx * gy - fy * gx
+    px, py, pz = shoulder
     angle = 0.0
     for k in range(chain.shape[0]):
         angle += chain[k, 2] * q[first + k] + chain[k, 3]
         along, up = chain[k, 0] * math.cos(angle), chain[k, 0] * math.sin(angle)
         ux, uy, uz = along * fx + up * gx, along * fy + up * gy, along * fz + up * gz
+        x, y, z = px + chain[k, 4] * nx, py + chain[k, 4] * ny, pz + chain[k, 4] * nz
         mx, my, mz = x + 0.5 * ux, y + 0.5 * uy, z + 0.5 * uz
         half_length = 0.5 * chain[k, 0]
         least = math.inf
@@ -144,8 +148,10 @@ def link_clearances(q: FloatArray, field: FieldArrays, result: FloatArray) -> No
                     following = int(solids[s, row.NEXT])
                 elif solids[s, row.TURNS] > 0.0:
                     # What turns with the arm plane, from the link as it stands at yaw 0.
+                    rx, ry = x - base[10], y - base[11]
                     distance = _core_distance(
-                        (cos * x + sin * y, cos * y - sin * x, z), (cos * ux + sin * uy, cos * uy - sin * ux, uz),
+                        (base[10] + (cos * rx + sin * ry), base[11] + (cos * ry - sin * rx), z),
+                        (cos * ux + sin * uy, cos * uy - sin * ux, uz),
                         solids, s + 1, data, least + solids[s, row.RADIUS],
                     )  # fmt: skip
                     following = int(solids[s, row.NEXT])
@@ -161,7 +167,7 @@ def link_clearances(q: FloatArray, field: FieldArrays, result: FloatArray) -> No
                     distance = min(distance, point)
             least = min(least, distance - solids[s, row.RADIUS])
         result[k] = least - chain[k, 1]
-        x, y, z = x + ux, y + uy, z + uz
+        px, py, pz = px + ux, py + uy, pz + uz
 
 
 @kernel
@@ -177,15 +183,17 @@ def mark_near(path: FloatArray, field: FieldArrays, distance: float, near: BoolA
     chain, base, solids, _ = field
     for i in range(path.shape[0]):
         first, _, _, (x, y, z), (fx, fy, fz), (gx, gy, gz) = _arm_plane(path[i], base)
+        nx, ny, nz = fy * gz - fz * gy, fz * gx - fx * gz, fx * gy - fy * gx
         angle = 0.0
         for k in range(chain.shape[0]):
             angle += chain[k, 2] * path[i, first + k] + chain[k, 3]
             along, up = chain[k, 0] * math.cos(angle), chain[k, 0] * math.sin(angle)
             u = (along * fx + up * gx, along * fy + up * gy, along * fz + up * gz)
+            start = (x + chain[k, 4] * nx, y + chain[k, 4] * ny, z + chain[k, 4] * nz)
             for s in range(solids.shape[0]):
                 if not near[s]:
                     centre = (solids[s, row.CENTRE], solids[s, row.CENTRE + 1], solids[s, row.CENTRE + 2])
-                    apart = point_segment(centre, (x, y, z), u)
+                    apart = point_segment(centre, start, u)
                     near[s] = apart <= distance + solids[s, row.BOUND] + chain[k, 1]
             x, y, z = x + u[0], y + u[1], z + u[2]
 
@@ -224,13 +232,11 @@ def motion_bounds(turns: FloatArray, chain: FloatArray, base: FloatArray, result
     """
     first = 1 if base[9] > 0.0 else 0
     swing = abs(turns[0]) if first else 0.0
-    radius = math.hypot(base[0], base[1])
     absolute, bound = 0.0, 0.0
     for k in range(chain.shape[0]):
         absolute += chain[k, 2] * turns[first + k]
         bound += chain[k, 0] * abs(absolute)
-        radius += chain[k, 0]
-        result[k] = bound + swing * radius
+        result[k] = bound + swing * chain[k, 5]
 
 
 @kernel

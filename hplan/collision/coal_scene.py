@@ -304,13 +304,15 @@ def base_radius(robot: Robot) -> float:
 
 
 def _base_radius(robot: Robot) -> float:
-    radius = 0.0
+    radius, axis = 0.0, np.append(robot.yaw_axis, 0.0)
     for shape in robot.collision_model.geometryObjects:
         if shape.parentJoint <= robot.yaw_joints:
             shape.geometry.computeLocalAABB()
-            # Joint 0 turns about the vertical through the origin: distances from there stay.
+            # Joint 0 turns about a vertical: distances from a point of that stay.
+            about = axis if shape.parentJoint else np.zeros(3)
             centre = robot.model.jointPlacements[shape.parentJoint] * shape.placement * shape.geometry.aabb_center
-            radius = max(radius, float(np.linalg.norm(centre)) + shape.geometry.aabb_radius)
+            far = float(np.linalg.norm(centre - about)) + shape.geometry.aabb_radius
+            radius = max(radius, float(np.linalg.norm(about)) + far)
     return radius
 
 

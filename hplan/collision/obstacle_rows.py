@@ -72,7 +72,7 @@ def rows_of(
     contact = self_contact(robot, deviation=deviation, clearance=own)
     for index, part in [*enumerate(obstacles), *((-1, body) for body in contact.bodies)]:
         if isinstance(part, BaseBody):
-            rows, more = _base_rows(part, own, data_count)
+            rows, more = _base_rows(part, own, data_count, robot.yaw_axis)
         else:
             rows, more = _rows(part, grown[index], data_count)
         rows[:, NEXT] += row_count
@@ -123,14 +123,14 @@ def _rows(obstacle: Solid, clearance: float, offset: int) -> tuple[FloatArray, F
     return row, data
 
 
-def _base_rows(body: BaseBody, clearance: float, offset: int) -> tuple[FloatArray, FloatArray]:
+def _base_rows(body: BaseBody, clearance: float, offset: int, axis: FloatArray) -> tuple[FloatArray, FloatArray]:
     """As `_rows`, below gates that let the links pass that can touch the body: one for each run of them."""
     solid, data = _rows(_base_solid(body), clearance, offset)
     turns = body.carrier == TURRET and not body.is_round
     if turns:
         # About the axis: within the centre's distance from it, and the ball's radius.
-        solid[:, BOUND] += np.hypot(solid[:, CENTRE], solid[:, CENTRE + 1])
-        solid[:, CENTRE : CENTRE + 2] = 0.0
+        solid[:, BOUND] += np.hypot(solid[:, CENTRE] - axis[0], solid[:, CENTRE + 1] - axis[1])
+        solid[:, CENTRE : CENTRE + 2] = axis
     links, blocks = np.array(body.links), list[FloatArray]()
     for run in np.split(links, np.flatnonzero(np.diff(links) > 1) + 1):
         rows = np.concatenate([solid[:1], solid])

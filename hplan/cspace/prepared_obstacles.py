@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hplan.base.arrays import FloatArray, IntArray, Record, frozen
-from hplan.cspace.section_kernels import Balls, Hulls
+from hplan.cspace.cutting_arrays import Balls, Hulls
 from hplan.errors import InputError, OptionError
 
 

@@ -5,7 +5,8 @@ At one yaw the section of a ball is a disc, and that of a hull is drawn by `hpla
 **A yaw interval.** Let :math:`R_\delta` turn about the yaw axis. The arm plane at yaw :math:`\psi + \delta` has its
 origin and axes turned by :math:`R_\delta`, so a point :math:`p` has there the plane coordinates that
 :math:`R_{-\delta}\,p` has in the plane at :math:`\psi`, wherever the origin stands. The sections over the interval
-are those of the plane at :math:`\psi` with the body turned by all :math:`|\delta| \le h`.
+are those of the plane at :math:`\psi` with the body turned by all :math:`|\delta| \le h`. A link beside the plane
+moves in a plane parallel to it; whichever it is, it may pass the axis at a distance.
 
 - Hull of points: a point at distance :math:`\rho` from the axis moves on an arc that lies between the distances
   :math:`\rho \cos h` and :math:`\rho` along the middle direction. Its chord, stretched by
@@ -22,12 +23,12 @@ are those of the plane at :math:`\psi` with the body turned by all :math:`|\delt
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
 from hplan.base.arrays import FloatArray, IntArray
 from hplan.base.kernels import inlined, kernel
+from hplan.cspace.cutting_arrays import ArmPlane, Balls, Cut, Hulls, LinkExtents
 from hplan.cspace.hull_section import MOST_TANGENTS, OUTWARD, cut_hull
 
 #: A plane that passes the yaw axis by less holds it; bodies grow by the difference [m].
@@ -37,100 +38,24 @@ _THROUGH_AXIS = 1e-6
 _CUT_POINTS = 8
 
 
-class Balls(NamedTuple):
-    """Balls to be cut.
-
-    Attributes:
-        centres: (balls, 3) in `base_link` [m].
-        radii: (balls,) clearance included [m].
-        owners: (balls,) index of the obstacle that each belongs to.
-    """
-
-    centres: FloatArray
-    radii: FloatArray
-    owners: IntArray
-
-
-class Hulls(NamedTuple):
-    """Hulls of points, grown by a radius, to be cut.
-
-    Attributes:
-        points: (P, 3) core points of all hulls, two or more each, in `base_link` [m].
-        starts: (hulls + 1,) indices of their first points.
-        radii: (hulls,) radii about them, clearance included [m].
-        owners: (hulls,) index of the obstacle that each belongs to.
-        bounds: (hulls, 4) a ball that holds each core: centre and radius [m].
-    """
-
-    points: FloatArray
-    starts: IntArray
-    radii: FloatArray
-    owners: IntArray
-    bounds: FloatArray
-
-
-class ArmPlane(NamedTuple):
-    """The arm plane over an interval of yaw.
-
-    Attributes:
-        origin: (3,) a point of the plane in the middle of the interval [m].
-        axes: (3, 3) rows: its horizontal and upward axis and its normal there.
-        half_angle: Half of the interval, less than a right angle; above 0 the plane must be vertical.
-    """
-
-    origin: FloatArray
-    axes: FloatArray
-    half_angle: float
-
-
-class LinkExtents(NamedTuple):
-    """Widths and reaches of the links.
-
-    Attributes:
-        growth: (links,) what each link adds to the radii [m].
-        depths: (links,) how far each link extends to both sides of the plane, flat; balls alone are cut so [m].
-        reaches: (links,) distance from the origin beyond which sections are left out [m], inf for none.
-    """
-
-    growth: FloatArray
-    depths: FloatArray
-    reaches: FloatArray
-
-
-class Cut(NamedTuple):
-    """Sections, link by link, as in `hplan.cspace.sections.ArmSections`; all but `link_start` have room at their end.
-
-    Attributes:
-        link_start: (links + 1,) indices of sections.
-        vertex_start: Indices of vertices.
-        vertices: Points [m].
-        discs: Of each section a disc around it, and its rounding: centre, radius, rounding [m].
-        owners: Index of the obstacle that each is cut from.
-    """
-
-    link_start: IntArray
-    vertex_start: IntArray
-    vertices: FloatArray
-    discs: FloatArray
-    owners: IntArray
-
-
 @inlined
-def _origin_from_axis(origin: FloatArray, axes: FloatArray) -> tuple[float, float]:
+def _origin_from_axis(plane: ArmPlane) -> tuple[float, float]:
     """The plane's origin as seen from the yaw axis: along the plane, and beyond it."""
-    along = axes[0, 0] * origin[0] + axes[0, 1] * origin[1] + axes[0, 2] * origin[2]
-    return along, axes[2, 0] * origin[0] + axes[2, 1] * origin[1] + axes[2, 2] * origin[2]
+    axes = plane.axes
+    x, y, z = plane.origin[0] - plane.yaw_axis[0], plane.origin[1] - plane.yaw_axis[1], plane.origin[2]
+    return axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z, axes[2, 0] * x + axes[2, 1] * y + axes[2, 2] * z
 
 
 @kernel
 def _sweep(
-    points: FloatArray, plane: ArmPlane, radius: float, reach: float, turned: FloatArray
+    points: FloatArray, plane: ArmPlane, lateral: float, radius: float, reach: float, turned: FloatArray
 ) -> tuple[int, float, float, float]:
-    """Core points in plane coordinates; over an interval of yaw the two for each that the module's text speaks of.
+    """Core points in the coordinates of a link's plane; over an interval of yaw the two for each of the module's text.
 
     Args:
         points: Core points of a hull [m].
         plane: The plane.
+        lateral: How far beside it the link moves [m].
         radius: Radius about the hull, the link's growth included [m].
         reach: Largest reach of a link [m].
         turned: Takes the points, and needs room for the hull's own at its end.
@@ -139,12 +64,12 @@ def _sweep(
         How many points were written, by how much the radius grows, and the direction from the first core point to the
         second, in the plane.
     """
-    origin, axes, half_angle = plane
+    origin, axes, half_angle, _ = plane
     count = len(points)
     own = len(turned) - count  # the core's own points stand at the end until they are turned
     far = 0.0
     # Along, upward and sideways, of the axis where there is an interval and of the plane's origin where there is none.
-    ox, on = _origin_from_axis(origin, axes)
+    ox, on = _origin_from_axis(plane)
     swept = half_angle > 0.0
     for i in range(count):
         x, y, z = points[i, 0] - origin[0], points[i, 1] - origin[1], points[i, 2] - origin[2]
@@ -162,7 +87,9 @@ def _sweep(
         for i in range(count):
             for axis in range(3):
                 turned[i, axis] = turned[own + i, axis]
+            turned[i, 2] -= lateral
         return count, 0.0, ex, ey
+    on += lateral
     cos, sin = math.cos(half_angle), math.sin(half_angle)
     # What is farther sideways than this touches the plane at no yaw of the interval within the reach.
     wide = min(far, abs(ox) + reach + radius) * sin + OUTWARD * (1.0 + far)
@@ -228,14 +155,22 @@ def _ball(x: float, n: float, ox: float, on: float, cos: float, sin: float, nest
 
 
 @inlined
+def _largest(links: LinkExtents) -> tuple[float, float, float]:
+    """The links' largest width, reach, and distance from the plane."""
+    widest, farthest, beside = 0.0, 0.0, 0.0
+    for k in range(len(links.growth)):
+        widest, farthest = max(widest, links.growth[k] + links.depths[k]), max(farthest, links.reaches[k])
+        beside = max(beside, abs(links.lateral[k]))
+    return widest, farthest, beside
+
+
+@inlined
 def _near_balls(balls: Balls, plane: ArmPlane, links: LinkExtents) -> tuple[int, IntArray, FloatArray]:
     """Number of balls near enough for any link, which they are, and their centres in plane coordinates."""
-    (centres, radii, _), (origin, axes, half_angle), (growth, depths, reaches) = balls, plane, links
+    (centres, radii, _), (origin, axes, half_angle, _) = balls, plane
     moved = 2.0 * math.sin(0.5 * half_angle)
-    ox, on = _origin_from_axis(origin, axes)
-    widest, farthest = 0.0, 0.0
-    for k in range(len(growth)):
-        widest, farthest = max(widest, growth[k] + depths[k]), max(farthest, reaches[k])
+    ox, on = _origin_from_axis(plane)
+    widest, farthest, beside = _largest(links)
     near, places = np.empty(len(radii), dtype=np.int64), np.empty((len(radii), 3))
     found = 0
     for b in range(len(radii)):
@@ -244,7 +179,7 @@ def _near_balls(balls: Balls, plane: ArmPlane, links: LinkExtents) -> tuple[int,
         y = axes[1, 0] * dx + axes[1, 1] * dy + axes[1, 2] * dz
         n = axes[2, 0] * dx + axes[2, 1] * dy + axes[2, 2] * dz
         size = (radii[b] + widest + moved * math.sqrt((x + ox) ** 2 + (n + on) ** 2)) * (1.0 + 1e-9)
-        if abs(n) <= size and x * x + y * y <= (farthest + size) ** 2:
+        if abs(n) <= size + beside and x * x + y * y <= (farthest + size) ** 2:
             near[found], places[found, 0], places[found, 1], places[found, 2] = b, x, y, n
             found += 1
     return found, near, places
@@ -261,10 +196,9 @@ def cut_balls(balls: Balls, plane: ArmPlane, links: LinkExtents, discs_only: boo
         discs_only: Whether a disc must hold what is a stadium.
         error: How far a section may stand outside [m].
     """
-    (_, radii, obstacles), (origin, axes, half_angle), (growth, depths, reaches) = balls, plane, links
+    (_, radii, obstacles), half_angle, (growth, depths, reaches, lateral) = balls, plane.half_angle, links
     count, cos, sin = len(growth), math.cos(half_angle), math.sin(half_angle)
-    ox, on = _origin_from_axis(origin, axes)
-    off_axis = abs(on) if abs(on) <= _THROUGH_AXIS else 0.0
+    ox, plane_on = _origin_from_axis(plane)
     found, near, places = _near_balls(balls, plane, links)
     link_start, vertex_start = np.empty(count + 1, dtype=np.int64), np.empty(count * found + 1, dtype=np.int64)
     discs, owners = np.empty((count * found, 4)), np.empty(count * found, dtype=np.int64)
@@ -272,12 +206,14 @@ def cut_balls(balls: Balls, plane: ArmPlane, links: LinkExtents, discs_only: boo
     link_start[0], vertex_start[0] = 0, 0
     made, used = 0, 0
     for k in range(count):
+        on = plane_on + lateral[k]
+        off_axis = abs(on) if abs(on) <= _THROUGH_AXIS else 0.0
         for c in range(found):
             x, y, n = places[c, 0], places[c, 1], places[c, 2]
             radius = radii[near[c]] + growth[k]
-            low, high, height = x, x, abs(n)
+            low, high, height = x, x, abs(n - lateral[k])
             if half_angle > 0.0:
-                x, n = x + ox, n + on
+                x, n = x + ox, n + plane_on
                 radius += OUTWARD + off_axis
                 nested = abs(on) <= _THROUGH_AXIS and depths[k] == 0.0 and x * x + n * n > radius * radius
                 low, high, height = _ball(x, n, ox, on, cos, sin, nested)
@@ -307,18 +243,16 @@ def cut_balls(balls: Balls, plane: ArmPlane, links: LinkExtents, discs_only: boo
 @inlined
 def _near_hulls(hulls: Hulls, plane: ArmPlane, links: LinkExtents) -> tuple[int, IntArray, int, float]:
     """Number of hulls near enough for any link, which they are, most points of one, and the links' largest reach."""
-    (_, starts, radii, _, bounds), (origin, axes, half_angle), (growth, _, reaches) = hulls, plane, links
-    moved, widest, farthest = 2.0 * math.sin(0.5 * half_angle), 0.0, 0.0
-    for k in range(len(growth)):
-        widest, farthest = max(widest, growth[k]), max(farthest, reaches[k])
+    (_, starts, radii, _, bounds), (origin, axes, half_angle, yaw_axis) = hulls, plane
+    moved, (widest, farthest, beside) = 2.0 * math.sin(0.5 * half_angle), _largest(links)
     near = np.empty(len(bounds), dtype=np.int64)
     found, most = 0, 0
     for b in range(len(bounds)):
         dx, dy, dz = bounds[b, 0] - origin[0], bounds[b, 1] - origin[1], bounds[b, 2] - origin[2]
         n = axes[2, 0] * dx + axes[2, 1] * dy + axes[2, 2] * dz
-        away = moved * math.sqrt(bounds[b, 0] ** 2 + bounds[b, 1] ** 2)
+        away = moved * math.sqrt((bounds[b, 0] - yaw_axis[0]) ** 2 + (bounds[b, 1] - yaw_axis[1]) ** 2)
         size = (radii[b] + widest + bounds[b, 3] + away) * (1.0 + 1e-9)
-        if abs(n) <= size and dx * dx + dy * dy + dz * dz - n * n <= (farthest + size) ** 2:
+        if abs(n) <= size + beside and dx * dx + dy * dy + dz * dz - n * n <= (farthest + size) ** 2:
             near[found] = b
             found += 1
             most = max(most, starts[b + 1] - starts[b])
@@ -349,7 +283,7 @@ def cut_hulls(hulls: Hulls, plane: ArmPlane, links: LinkExtents, error: float, b
         error: How far a section may stand outside [m].
         balls: What `cut_balls` has made.
     """
-    (points, starts, radii, obstacles, _), (growth, _, reaches) = hulls, links
+    (points, starts, radii, obstacles, _), (growth, _, reaches, lateral) = hulls, links
     ball_start, ball_vertex_start, ball_vertices, ball_discs, ball_owners = balls
     count = len(growth)
     found, near, most, farthest = _near_hulls(hulls, plane, links)
@@ -376,7 +310,7 @@ def cut_hulls(hulls: Hulls, plane: ArmPlane, links: LinkExtents, error: float, b
         for c in range(found):
             b = near[c]
             radius = radii[b] + growth[k]
-            swept, more, ex, ey = _sweep(points[starts[b] : starts[b + 1]], plane, radius, farthest, turned)
+            swept, more, ex, ey = _sweep(points[starts[b] : starts[b + 1]], plane, lateral[k], radius, farthest, turned)
             if swept == 0:
                 continue
             sides, rounding = cut_hull(turned[:swept], radius + more, (ex, ey), error, tangents, after, corners)

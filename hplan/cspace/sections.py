@@ -1,8 +1,9 @@
 r"""Planar sections of 3-D obstacles: the convex part of the arm plane in which a link meets an obstacle.
 
-A link's axis lies in the arm plane. A capsule link of half-width :math:`w` meets a convex obstacle :math:`O` exactly
-when its axis meets :math:`S = (O \oplus B_w) \cap \text{plane}`. Here :math:`O` is the hull of a few core points grown
-by a radius, and every :math:`S` is given as a *rounded polygon*: the hull of a few plane points grown by a radius.
+A link's axis lies in the arm plane, or in one parallel to it. A capsule link of half-width :math:`w` meets a convex
+obstacle :math:`O` exactly when its axis meets :math:`S = (O \oplus B_w) \cap \text{plane}`. Here :math:`O` is the hull
+of a few core points grown by a radius, and every :math:`S` is given as a *rounded polygon*: the hull of a few plane
+points grown by a radius.
 
 - Core of one point (sphere) at distance :math:`s` from the plane: a disc of radius
   :math:`\sqrt{(r + w)^2 - s^2}`, exact.
@@ -29,11 +30,12 @@ import numpy as np
 
 from hplan.base.arguments import one_of
 from hplan.base.arrays import FloatArray, IntArray, Record, frozen, readonly
+from hplan.cspace.cutting_arrays import ArmPlane, LinkExtents
 from hplan.cspace.prepared_obstacles import PreparedObstacles, prepare_obstacles
-from hplan.cspace.section_kernels import ArmPlane, LinkExtents, cut_balls, cut_hulls
+from hplan.cspace.section_kernels import cut_balls, cut_hulls
 from hplan.errors import OptionError
 from hplan.robot.model import Robot
-from hplan.robot.self_contact import BaseBody, SelfContact, pair_sway, self_contact
+from hplan.robot.self_contact import BaseBody, SelfContact, pair_sway, radius_in_plane, self_contact
 
 #: How a link is modelled: the capsule, the paper's three cases to the letter, or the exact rectangle.
 LinkModel: TypeAlias = Literal["capsule", "paper", "rectangle"]
@@ -74,7 +76,7 @@ class ArmSections(Record):
         obstacle_names: Names of the obstacles, then those of what the arm can touch of itself.
         own_names: How many of the last names are the arm's own.
         own_pairs: (pairs, 3) pairs of links that can touch: the link, one before it, its index in `obstacle_names`.
-        own_radii: (pairs,) distance of their axes from which on they are too near [m].
+        own_radii: (pairs,) distance of their axes, seen along the plane's normal, from which on they are too near [m].
     """
 
     link_model: LinkModel
@@ -178,9 +180,10 @@ def _cut(
         growth=(none if rectangle else widths) + robot.sway(obstacles.deviation),
         depths=np.array(widths) if rectangle else none,
         reaches=reaches if within_reach else np.full(len(reaches), np.inf),
+        lateral=np.array(robot.arm.lateral),
     )
     origin, axes = (np.ascontiguousarray(array) for array in robot.plane_at(yaw))
-    plane = ArmPlane(origin, axes, half_angle)
+    plane = ArmPlane(origin, axes, half_angle, np.array(robot.yaw_axis))
     cut = cut_balls(obstacles.balls, plane, links, rectangle, SECTION_ERROR)
     if len(obstacles.hulls.owners):
         # Left out where there is none: this kernel takes longest to compile.
@@ -214,7 +217,10 @@ def _with_own_pairs(
         ),
         own_radii=readonly(
             [
-                arm.half_widths[i] + arm.half_widths[j] + obstacles.own_clearance + sway
+                radius_in_plane(
+                    float(arm.half_widths[i] + arm.half_widths[j] + obstacles.own_clearance + sway),
+                    float(arm.lateral[j] - arm.lateral[i]),
+                )
                 for (i, j), sway in zip(contact.links, sways, strict=True)
             ]
         ),

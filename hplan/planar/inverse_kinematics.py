@@ -1,9 +1,9 @@
 r"""Inverse kinematics: all configurations with the tool at a point, or the reason why there is none.
 
-The yaw that brings a point into the arm plane is found first. Let the plane pass the yaw axis at the distance d (zero
-but for rounding) and the point stand at the distance :math:`\rho` from it. Then the point lies
-:math:`\pm\sqrt{\rho^2 - d^2}` from the axis along the plane: there are two yaws, one with the point ahead of the axis,
-one with the point behind it. A point on the axis lies in the plane at any yaw.
+The yaw that brings a point into the arm plane is found first. Let the plane pass the yaw axis at the distance d and the
+point stand at the distance :math:`\rho` from it. Then the point lies :math:`\pm\sqrt{\rho^2 - d^2}` from the axis along
+the plane: there are two yaws, one with the point ahead of the axis, one with the point behind it. What is nearer to the
+axis than the plane is in it at no yaw; where the plane holds the axis, a point on that lies in it at any yaw.
 
 In the plane the chain of `hplan.planar.planar_chain` is left. Its free parameter, with three joints, is the *approach
 angle*: the absolute angle of the last link in the arm plane, 0 along the plane's horizontal axis, 90 degrees straight
@@ -188,19 +188,19 @@ class _ReachTask:
             origin, axes = robot.plane_at(yaw)
             place = axes @ (self.position - origin)
             return _Views(np.array([yaw]), place[:1] + 1j * place[1:2], abs(float(place[2])))
-        (fx, fy), origin = robot.plane_axes[0, :2], robot.plane_origin
-        distance = float(np.hypot(*self.position[:2]))
-        aside, ahead = float(fx * origin[1] - fy * origin[0]), float(fx * origin[0] + fy * origin[1])
+        (fx, fy), height = robot.plane_axes[0, :2], self.position[2] - robot.plane_origin[2]
+        ahead, across = robot.shoulder_from_axis
+        x, y = self.position[:2] - robot.yaw_axis
+        distance = float(np.hypot(x, y))
         yaws: FloatArray
-        if distance <= ON_AXIS:
+        if distance <= ON_AXIS >= abs(across):
             yaws = np.linspace(robot.lower[0], robot.upper[0], AXIS_YAWS) if self.start is None else self.start[:1]
             out: FloatArray = np.zeros(len(yaws))
         else:
-            out = np.sqrt(max(distance**2 - aside**2, 0.0)) * np.array([1.0, -1.0])
-            bearing = math.atan2(self.position[1], self.position[0])
-            yaws = bearing - math.atan2(fy, fx) - arctan2(aside, out)
+            out = np.sqrt(max(distance**2 - across**2, 0.0)) * np.array([1.0, -1.0])
+            yaws = math.atan2(y, x) - math.atan2(fy, fx) - arctan2(0.0 - across, out)
         turns = np.floor((yaws - robot.lower[0] + ANGLE_TOLERANCE) / _TURN)
-        return _Views(yaws - _TURN * turns, (out - ahead) + 1j * (self.position[2] - origin[2]), 0.0)
+        return _Views(yaws - _TURN * turns, (out - ahead) + 1j * height, max(0.0, abs(across) - distance))
 
     @property
     def yaw_excess(self) -> FloatArray:
@@ -345,7 +345,10 @@ def _arm_reason(task: _ReachTask) -> UnreachableError:
     lengths, points = task.robot.arm.lengths, task.views.point
     if task.views.distance > MATCH_TOLERANCE:
         distance = task.views.distance
-        return _unreachable(task, "off_plane", f"it is {distance:.6g} m beside the arm plane", beside_m=distance)
+        across = f"{abs(task.robot.shoulder_from_axis[1]):.6g} m"
+        where = f"nearer to the yaw axis than the arm plane, which passes that at {across}"
+        detail = f"it is {distance:.6g} m {where if task.robot.has_yaw else 'beside the arm plane'}"
+        return _unreachable(task, "off_plane", detail, beside_m=distance)
     farthest = float(lengths.sum())
     nearest = max(0.0, 2.0 * float(lengths.max()) - farthest)
     beyond = float(modulus(points).min()) - farthest

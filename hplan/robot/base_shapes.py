@@ -51,6 +51,7 @@ class BaseShape:
             the hull of all that they sweep about the yaw axis.
         rounding: Radius about the points [m].
         is_round: Whether a turn about the yaw axis leaves it as it is.
+        axis: (3,) the foot of the yaw axis in `base_link` [m].
     """
 
     number: int
@@ -61,11 +62,13 @@ class BaseShape:
     points: FloatArray
     rounding: float
     is_round: bool
+    axis: FloatArray
 
     @cached_property
     def radius(self) -> float:
         """Largest distance of its points from the yaw axis [m]."""
-        return float(np.hypot(self.points[:, 0], self.points[:, 1]).max()) + self.rounding
+        x, y, _ = (self.points - self.axis).T
+        return float(np.hypot(x, y).max()) + self.rounding
 
     @cached_property
     def bottom(self) -> float:
@@ -83,8 +86,9 @@ class BaseShape:
 
     def distance_to(self, yaw: float, other: coal.CollisionGeometry, placement: pin.SE3) -> float:
         """Signed distance from what stands still where the turret is at a yaw [m]."""
-        turn = pin.SE3(pin.utils.rotate("z", yaw), np.zeros(3))
-        return coal_distance(self.geometry, turn * self.placement, other, placement)
+        turn = pin.utils.rotate("z", yaw)
+        place = pin.SE3(turn, self.axis - turn @ self.axis) * self.placement
+        return coal_distance(self.geometry, place, other, placement)
 
 
 #: Radius of the ball that stands for a point [m].
@@ -153,7 +157,8 @@ def always(distance: Callable[[float], float], low: float, high: float, rate: fl
 def _base_shape(robot: Robot, number: int) -> BaseShape:
     shape = robot.collision_model.geometryObjects[number]
     placement = robot.model.jointPlacements[shape.parentJoint] * shape.placement
-    is_round = robot.has_yaw and _is_round(shape.geometry, placement)
+    axis = np.append(robot.yaw_axis, 0.0)
+    is_round = robot.has_yaw and _is_round(shape.geometry, pin.SE3(placement.rotation, placement.translation - axis))
     points, rounding = outline(shape, rim_from_outside=not is_round)
     return BaseShape(
         number=number,
@@ -164,11 +169,12 @@ def _base_shape(robot: Robot, number: int) -> BaseShape:
         points=frozen(points @ placement.rotation.T + placement.translation),
         rounding=float(rounding),
         is_round=is_round,
+        axis=frozen(axis),
     )
 
 
 def _is_round(geometry: coal.CollisionGeometry, placement: pin.SE3) -> bool:
-    """True if a sphere's centre, or the axis of a cylinder or capsule, is on the yaw axis."""
+    """True if a sphere's centre, or the axis of a cylinder or capsule, is on the vertical through the origin."""
     if isinstance(geometry, coal.Sphere):
         half_length = 0.0
     elif isinstance(geometry, coal.Capsule | coal.Cylinder):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 import pinocchio as pin
@@ -18,7 +19,8 @@ GEOMETRY_TOLERANCE = 1e-6
 #: Axes this near to a direction have it [rad]: over ten metres 10 nm, of which no bound needs to take account.
 AXIS_TOLERANCE = 1e-9
 
-_INTO_THE_PLANE = "move the origin along the joint axis until it lies in the plane, and its link's shapes back"
+#: Part of an interval that the golden section keeps.
+_GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 
 _REVOLUTE = ("JointModelRX", "JointModelRY", "JointModelRZ", "JointModelRevoluteUnaligned")
 
@@ -26,13 +28,18 @@ _REVOLUTE = ("JointModelRX", "JointModelRY", "JointModelRZ", "JointModelRevolute
 class FamilyReader:
     """The planar chain in Pinocchio's models at q = 0; what is not of the family is refused.
 
+    The arm plane is the one in which the tool frame moves. Where along its axis a joint's origin lies is of no
+    account, so the plane may pass the yaw axis at a distance, and links may lie beside the plane.
+
     Attributes:
         has_yaw: True where joint 0 turns the arm plane about the vertical.
-        origin: (3,) first planar joint [m].
+        yaw_axis: (2,) where that vertical stands [m]; zeros without a yaw.
+        origin: (3,) first planar joint, where its axis meets the plane [m].
         axes: (2, 3) the plane's horizontal and upward unit vectors.
         link_names: Names of the `n` planar links.
         lengths: (n,) their lengths [m].
         half_widths: (n,) radii of the capsules that enclose them [m].
+        lateral: (n,) distances of the capsules' axes from the plane, along its normal [m].
         signs: (n,) +1 or -1, sense of each planar joint.
         offsets: (n,) relative link angles.
     """
@@ -55,10 +62,11 @@ class FamilyReader:
         axes = self._joint_axes(model)
         self.has_yaw = self._find_yaw(model, axes)
         first = 1 if self.has_yaw else 0
+        self.yaw_axis: FloatArray = self.data.oMi[1].translation[:2].copy() if self.has_yaw else np.zeros(2)
         points = [self.data.oMi[i].translation.copy() for i in range(first + 1, model.njoints)]
         points.append(self.data.oMf[tool_id].translation.copy())
         self._read_plane(model, axes[first:], np.array(points), first)
-        self._read_half_widths(collision_model, np.array(points), first)
+        self._read_capsules(collision_model, first)
 
     def _fault(self, element: str, reason: str) -> RobotFamilyError:
         return RobotFamilyError(self.robot_name, element, reason)
@@ -103,11 +111,6 @@ class FamilyReader:
         lean = abs(math.atan2(axes[1, 2], math.hypot(axes[1, 0], axes[1, 1])))
         if lean > AXIS_TOLERANCE:
             raise self._fault(f"joint {model.names[2]!r}", "it is not perpendicular to the yaw axis" + _nearly(lean))
-        x, y = self.data.oMi[1].translation[:2]
-        if math.hypot(x, y) > GEOMETRY_TOLERANCE:
-            reason = f"the yaw axis stands at ({x:.6g}, {y:.6g}) m; it must pass the root link's origin: call a link "
-            reason += "'base_link' whose origin is on it"
-            raise self._fault(f"joint {name!r}", reason)
         return True
 
     def _read_plane(self, model: pin.Model, axes: FloatArray, points: FloatArray, first: int) -> None:
@@ -128,18 +131,9 @@ class FamilyReader:
         if lead < 0.0:
             forward = -forward
         normal = np.cross(forward, up)
-        offsets = (points - points[0]) @ normal
-        names = [*tuple(model.names)[first + 1 :], "tool frame"]
-        for name, offset in zip(names, offsets, strict=True):
-            if abs(offset) > GEOMETRY_TOLERANCE:
-                reason = f"it lies {offset:.6g} m beside the arm plane"
-                raise self._fault(f"{name!r}", f"{reason}; {_INTO_THE_PLANE}")
-        if self.has_yaw and abs(points[0] @ normal) > GEOMETRY_TOLERANCE:
-            raise self._fault(
-                f"joint {names[0]!r}",
-                f"the arm plane passes the yaw axis at {points[0] @ normal:.6g} m; it must contain it; "
-                + _INTO_THE_PLANE,
-            )
+        beside = (points - points[-1]) @ normal
+        beside[np.abs(beside) <= GEOMETRY_TOLERANCE] = 0.0
+        points = points - beside[:, None] * normal
         steps = np.diff(points, axis=0) @ np.stack([forward, up], axis=1)
         lengths = np.linalg.norm(steps, axis=1)
         self.link_names = tuple(self._link_name(model, index) for index in range(first + 1, model.njoints))
@@ -148,7 +142,7 @@ class FamilyReader:
                 raise self._fault(f"link {name!r}", "it has no length")
         absolute = np.array([math.atan2(y, x) for x, y in steps.tolist()])
         relative = np.diff(absolute, prepend=0.0)
-        self.origin = points[0]
+        self._points, self._normal, self.origin = points, normal, points[0]
         self.axes = np.stack([forward, up])
         self.lengths = lengths
         self.signs = np.sign(axes @ normal)
@@ -162,20 +156,26 @@ class FamilyReader:
                 return str(frame.name)
         return str(model.names[joint])
 
-    def _read_half_widths(self, collision_model: pin.GeometryModel, points: FloatArray, first: int) -> None:
-        """Radius of the smallest capsule about each link's axis that holds its collision geometry."""
-        widths = []
+    def _read_capsules(self, collision_model: pin.GeometryModel, first: int) -> None:
+        """Radius of the smallest capsule along each link that holds its collision geometry, and where it lies.
+
+        Its axis is that of the link in the arm plane, or parallel to it beside the plane where that makes it thinner.
+        """
+        widths, lateral = [], []
         for index, name in enumerate(self.link_names):
             joint = first + 1 + index
             shapes = [g for g in collision_model.geometryObjects if g.parentJoint == joint]
             if not shapes:
                 raise self._fault(f"link {name!r}", "it has no collision geometry")
-            placement, start, end = self.data.oMi[joint], points[index], points[index + 1]
+            placement, ends = self.data.oMi[joint], self._points[index : index + 2]
             try:
+                beside = _thinnest([_outline_about(shape, placement, ends, self._normal) for shape in shapes])
+                start, end = ends + beside * self._normal
                 widths.append(max(_enclosing_radius(shape, placement, start, end) for shape in shapes))
             except TypeError as error:
                 raise self._fault(f"link {name!r}", str(error)) from error
-        self.half_widths = np.array(widths)
+            lateral.append(beside)
+        self.half_widths, self.lateral = np.array(widths), np.array(lateral)
 
 
 def _angle_between(axis: FloatArray, other: FloatArray) -> float:
@@ -224,6 +224,40 @@ def _enclosing_radius(shape: pin.GeometryObject, joint_placement: pin.SE3, start
     world = corners @ placement.rotation.T + placement.translation
     along = np.clip((world - start) @ axis / (axis @ axis), 0.0, 1.0)
     return float(np.max(np.linalg.norm(world - start - along[:, None] * axis, axis=1))) + rounding
+
+
+def _outline_about(
+    shape: pin.GeometryObject, joint_placement: pin.SE3, ends: FloatArray, normal: FloatArray
+) -> tuple[FloatArray, FloatArray, float]:
+    """Points of a shape: how far beside the plane, and how far from a link's axis seen along the normal; rounding."""
+    placement = joint_placement * shape.placement
+    corners, rounding = outline(shape, rim_from_outside=True)
+    from_start = corners @ placement.rotation.T + placement.translation - ends[0]
+    axis = ends[1] - ends[0]
+    beside = from_start @ normal
+    in_plane = from_start - beside[:, None] * normal
+    along = np.clip(in_plane @ axis / (axis @ axis), 0.0, 1.0)
+    return beside, np.linalg.norm(in_plane - along[:, None] * axis, axis=1), rounding
+
+
+def _thinnest(outlines: Sequence[tuple[FloatArray, FloatArray, float]]) -> float:
+    """Distance from the plane at which a capsule that holds all outlines is thinnest; 0 where that is no gain [m].
+
+    The radius is convex in that distance, as a maximum of distances: the interval is narrowed by the golden section.
+    """
+
+    def radius(at: float) -> float:
+        return max(float(np.hypot(beside - at, away).max()) + rounding for beside, away, rounding in outlines)
+
+    low, high = (float(end([end(beside) for beside, _, _ in outlines])) for end in (np.min, np.max))
+    while high - low > 1e-3 * GEOMETRY_TOLERANCE:
+        left, right = high - _GOLDEN * (high - low), low + _GOLDEN * (high - low)
+        if radius(left) <= radius(right):
+            high = right
+        else:
+            low = left
+    found = round(0.5 * (low + high), 6)
+    return found if radius(found) < radius(0.0) - GEOMETRY_TOLERANCE else 0.0
 
 
 def outline(shape: pin.GeometryObject, *, rim_from_outside: bool) -> tuple[FloatArray, float]:

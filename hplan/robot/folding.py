@@ -8,8 +8,10 @@ folded flat, the nearest point of such a part is the one at the distance :math:`
 .. math:: D \sin \alpha \quad (D \cos \alpha \le L), \qquad
     \sqrt{D^2 + L^2 - 2 D L \cos \alpha} \quad \text{beyond the end of the other link}
 
-away from the other link of length :math:`L`; both grow with :math:`\alpha`. So what is blocked is an interval of the
-joint angle about the fold, of half-width :math:`\arcsin(1 / 3)`, 19.5 degrees, or less where a link is short.
+away from the other link of length :math:`L`, in the arm plane; both grow with :math:`\alpha`. Where the links lie
+beside each other at a distance :math:`a`, the distance to keep in the plane is :math:`\sqrt{R^2 - a^2}`. So what is
+blocked is an interval of the joint angle about the fold, of half-width :math:`\arcsin(1 / 3)`, 19.5 degrees, or less
+where a link is short.
 """
 
 from __future__ import annotations
@@ -71,6 +73,11 @@ def folded_angles(arm: PlanarArm, fold: Fold, radius: float) -> list[tuple[float
         radius: Distance of their axes [m].
     """
     joint = fold.inner + 1
+    apart = float(arm.lateral[joint] - arm.lateral[fold.inner])
+    if radius <= abs(apart):
+        return []
+    # Seen along the plane's normal, they are nearer to each other than the radius by what they lie beside each other.
+    radius = math.sqrt(radius * radius - apart * apart) if apart else radius
     # Where both reach beyond the joint's own region, either is long enough to give the same angle.
     half = _half_angle(fold.own_reach, float(arm.lengths[_other(fold, fold.trims[0])]), radius)
     if half < 0.0:

@@ -36,13 +36,15 @@ class PlanarArm(Record):
 
     The plane's origin is the first planar joint (the shoulder); its first axis is horizontal, its second points
     up. Link `k` is the segment from its joint to the next one (the last ends at the tool frame). Relative link
-    angles, counter-clockwise from the first axis, are `signs * q + offsets`.
+    angles, counter-clockwise from the first axis, are `signs * q + offsets`. The tool moves in the plane; the body of
+    a link may lie beside it, in a plane of its own.
 
     Attributes:
         joint_names: Names of the `n` planar joints.
         link_names: Names of the `n` links they move.
         lengths: (n,) link lengths [m].
         half_widths: (n,) radii of the capsules that enclose the links [m].
+        lateral: (n,) distances of these capsules' axes from the plane, along its normal [m].
         signs: (n,) +1 or -1, sense of each joint.
         offsets: (n,) relative link angles at q = 0.
         lower: (n,) lower joint limits.
@@ -53,6 +55,7 @@ class PlanarArm(Record):
     link_names: tuple[str, ...]
     lengths: FloatArray
     half_widths: FloatArray
+    lateral: FloatArray
     signs: FloatArray
     offsets: FloatArray
     lower: FloatArray
@@ -90,6 +93,7 @@ class Robot(Record):
         visual_model: Visual geometry.
         joint_names: Names of the `dof` joints, base first.
         has_yaw: True where joint 0 turns the arm plane about the vertical.
+        yaw_axis: (2,) where that vertical stands in `base_link` [m]; zeros without a yaw.
         arm: The planar chain.
         plane_origin: (3,) shoulder position at yaw 0, in `base_link` [m].
         plane_axes: (2, 3) the plane's horizontal and upward unit vectors at yaw 0.
@@ -112,6 +116,7 @@ class Robot(Record):
     visual_model: pin.GeometryModel
     joint_names: tuple[str, ...]
     has_yaw: bool
+    yaw_axis: FloatArray
     arm: PlanarArm
     plane_origin: FloatArray
     plane_axes: FloatArray
@@ -171,7 +176,8 @@ class Robot(Record):
         turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
         (ax, ay, az), (bx, by, bz) = self.plane_axes.tolist()
         axes = np.array([[ax, ay, az], [bx, by, bz], [ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx]])
-        return turn @ self.plane_origin, axes @ turn.T
+        axis = np.append(self.yaw_axis, 0.0)
+        return axis + turn @ (self.plane_origin - axis), axes @ turn.T
 
     def tool_positions(self, q: ArrayLike) -> FloatArray:
         """Tool positions of configurations, (..., dof) -> (..., 3), in `base_link` [m]."""
@@ -180,9 +186,10 @@ class Robot(Record):
         at_zero = self.plane_origin + tip @ self.plane_axes
         if not self.has_yaw:
             return at_zero
-        cos, sin = np.cos(q[..., 0]), np.sin(q[..., 0])
+        cos, sin, (ax, ay) = np.cos(q[..., 0]), np.sin(q[..., 0]), self.yaw_axis.tolist()
         x, y, z = np.moveaxis(at_zero, -1, 0)
-        return np.stack([cos * x - sin * y, sin * x + cos * y, z], axis=-1)
+        x, y = x - ax, y - ay
+        return np.stack([ax + (cos * x - sin * y), ay + (sin * x + cos * y), z], axis=-1)
 
     def sway(self, deviation: ArrayLike) -> FloatArray:
         """Largest distance of an axis point of each link from its place when joints are off by `deviation` at most.
@@ -201,11 +208,24 @@ class Robot(Record):
         sway: FloatArray = np.cumsum(self.arm.lengths * np.cumsum(off[..., self.arm_slice], axis=-1), axis=-1)
         return sway + off[..., :1] * self.yaw_radius if self.has_yaw else sway
 
+    @cached_property
+    def shoulder_from_axis(self) -> tuple[float, float]:
+        """The shoulder as seen from the yaw axis: along the plane's horizontal axis, and along its normal [m]."""
+        (fx, fy), (x, y) = self.plane_axes[0, :2].tolist(), (self.plane_origin[:2] - self.yaw_axis).tolist()
+        return fx * x + fy * y, fy * x - fx * y
+
     @property
     def yaw_radius(self) -> FloatArray:
         """(links,) largest distance of any point of each link's axis from the yaw axis [m]."""
-        radius: FloatArray = np.hypot(*self.plane_origin[:2]) + np.cumsum(self.arm.lengths)
+        ahead, across = self.shoulder_from_axis
+        radius: FloatArray = np.hypot(abs(ahead) + np.cumsum(self.arm.lengths), across + self.arm.lateral)
         return radius
+
+    @property
+    def tool_radius(self) -> float:
+        """Largest distance of the tool from the yaw axis [m]."""
+        ahead, across = self.shoulder_from_axis
+        return math.hypot(abs(ahead) + float(self.arm.lengths.sum()), across)
 
     def locked_mask(self, names: Sequence[str]) -> BoolArray:
         """(dof,) mask of the locked joints.
@@ -327,6 +347,7 @@ def load_robot(
         link_names=kinematics.link_names,
         lengths=readonly(kinematics.lengths),
         half_widths=readonly(kinematics.half_widths),
+        lateral=readonly(kinematics.lateral),
         signs=readonly(kinematics.signs),
         offsets=readonly(kinematics.offsets),
         lower=readonly(lower[arm_slice]),
@@ -340,6 +361,7 @@ def load_robot(
         visual_model=visual_model,
         joint_names=joint_names,
         has_yaw=kinematics.has_yaw,
+        yaw_axis=readonly(kinematics.yaw_axis),
         arm=arm,
         plane_origin=readonly(kinematics.origin),
         plane_axes=readonly(kinematics.axes),

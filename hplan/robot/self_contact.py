@@ -207,16 +207,21 @@ def part_of_arm(arm: PlanarArm, first: int, last: int) -> PlanarArm:
     return PlanarArm(**{field.name: getattr(arm, field.name)[part] for field in fields(arm)})
 
 
+def radius_in_plane(radius: float, aside: float) -> float:
+    """What is left of a radius in a plane at a distance from that of its centre; 0 where it does not reach it [m]."""
+    return math.sqrt(max(0.0, radius * radius - aside * aside)) if aside else radius
+
+
 def _link_pairs(arm: PlanarArm, clearance: float) -> tuple[tuple[int, int], ...]:
     pairs = []
     for i in range(arm.link_count):
         before = np.array([[-arm.lengths[i], 0.0], [0.0, 0.0]])  # link i, from where link i + 1 begins
         for j in range(i + 2, arm.link_count):
-            radius = float(arm.half_widths[i] + arm.half_widths[j])
+            radius, aside = float(arm.half_widths[i] + arm.half_widths[j]), float(arm.lateral[j] - arm.lateral[i])
             # The links between hold the end of one at the beginning of the other: never farther apart than this.
-            held = float(arm.lengths[i + 1 : j].sum()) - radius
-            reach = SLACK + (clearance if held > clearance else 0.0)
-            if held > 0.0 and _can_touch(part_of_arm(arm, i + 1, j), before, radius + reach):
+            held = math.hypot(float(arm.lengths[i + 1 : j].sum()), aside) - radius
+            reach = radius_in_plane(radius + SLACK + (clearance if held > clearance else 0.0), aside)
+            if held > 0.0 and reach > 0.0 and _can_touch(part_of_arm(arm, i + 1, j), before, reach):
                 pairs.append((i, j))
     return tuple(pairs)
 
@@ -231,14 +236,15 @@ def _bodies(robot: Robot, arm: PlanarArm, deviation: float, clearance: float) ->
         # Its shadow in the arm plane holds its section there, at every yaw.
         shadow = convex_hull((core - robot.plane_origin) @ robot.plane_axes.T)
         aside = (core - robot.plane_origin) @ normal
-        off_plane = max(float(aside.min()), -float(aside.max()), 0.0)
         touching: list[int] = []
         for link in range(arm.link_count):
             radius = shape.rounding + float(arm.half_widths[link])
-            held = partial(_is_held, robot, shape, deviation, float(arm.half_widths[link] - arm.lengths[:link].sum()))
+            held = partial(_is_held, robot, shape, deviation, link)
             if held(0.0):
                 continue  # it carries the shoulder, or the links between are too short to leave it
             reach = SLACK + (0.0 if clearance > 0.0 and held(clearance) else clearance)
+            lateral = float(arm.lateral[link])
+            off_plane = max(float(aside.min()) - lateral, lateral - float(aside.max()), 0.0)
             if off_plane <= radius + reach and _can_touch(part_of_arm(arm, 0, link), shadow, radius + reach):
                 touching.append(link)
         if touching:
@@ -249,24 +255,25 @@ def _bodies(robot: Robot, arm: PlanarArm, deviation: float, clearance: float) ->
     return found
 
 
-def _is_held(robot: Robot, shape: BaseShape, deviation: float, within: float, clearance: float) -> bool:
-    """True if a shape of the base is within a distance, and the clearance, of the shoulder at every yaw.
+def _is_held(robot: Robot, shape: BaseShape, deviation: float, link: int, clearance: float) -> bool:
+    """True if a link always touches a shape of the base, or is within the clearance of it, whatever the yaw.
 
     A link of half-width w begins no farther from the shoulder than the lengths before it, and so always touches what is
-    within w less those lengths of the shoulder.
+    within w less those lengths of the shoulder, as far beside the plane as the link is.
     """
-    level = within + clearance
+    arm = robot.arm
+    level = float(arm.half_widths[link] - arm.lengths[:link].sum()) + clearance
     if level < 0.0:
         return False
-    shoulder = robot.plane_origin
+    shoulder = robot.plane_origin + arm.lateral[link] * np.cross(*robot.plane_axes)
     if not robot.has_yaw or shape.carrier == TURRET or shape.is_round:
         return shape.distance_from(shoulder) <= level
-    radius = float(np.hypot(*shoulder[:2]))
+    (x, y), (ax, ay), z = shoulder[:2] - robot.yaw_axis, robot.yaw_axis, shoulder[2]
+    radius = float(np.hypot(x, y))
 
     def distance(yaw: float) -> float:
         cos, sin = np.cos(yaw), np.sin(yaw)
-        turned = np.array([cos * shoulder[0] - sin * shoulder[1], sin * shoulder[0] + cos * shoulder[1], shoulder[2]])
-        return shape.distance_from(turned)
+        return shape.distance_from(np.array([ax + (cos * x - sin * y), ay + (sin * x + cos * y), z]))
 
     if radius <= 1e-9:
         return distance(0.0) <= level
@@ -275,7 +282,7 @@ def _is_held(robot: Robot, shape: BaseShape, deviation: float, within: float, cl
 
 def _swept(shape: BaseShape) -> FloatArray:
     """Core points of a hull, to be grown by the rounding, that holds what a shape sweeps about the yaw axis."""
-    points = shape.points
+    points = shape.points - shape.axis
     # It lies in the hull of the rings that the points sweep.
     profile = np.column_stack([np.hypot(points[:, 0], points[:, 1]), points[:, 2]])
     profile = convex_hull(np.vstack([profile, profile * [-1.0, 1.0]]))
@@ -283,7 +290,8 @@ def _swept(shape: BaseShape) -> FloatArray:
     angles = (np.arange(_CORNERS) + 0.5) * (2.0 * np.pi / _CORNERS)
     ring = radius / np.cos(np.pi / _CORNERS)
     rings = [np.outer(np.cos(angles), ring), np.outer(np.sin(angles), ring), np.tile(height, (_CORNERS, 1))]
-    return np.stack(rings, axis=-1).reshape(-1, 3)
+    swept: FloatArray = shape.axis + np.stack(rings, axis=-1).reshape(-1, 3)
+    return swept
 
 
 def _turret_pairs(robot: Robot, deviation: float, clearance: float) -> list[tuple[BaseShape, BaseShape]]:

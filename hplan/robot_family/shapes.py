@@ -7,8 +7,8 @@ the check.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from hplan.robot_family.spec import ArmSpec, Gripper
@@ -58,6 +58,14 @@ def capsule(link: str, length: float, radius: float) -> list[Primitive]:
         _round(f"{link}_capsule_side", "x", 0.0, length, radius),
         Primitive(f"{link}_capsule_near", "sphere", (0.0, 0.0, 0.0), (radius,)),
         Primitive(f"{link}_capsule_far", "sphere", (length, 0.0, 0.0), (radius,)),
+    ]
+
+
+def moved(shapes: Sequence[Primitive], x: float, y: float) -> list[Primitive]:
+    """The same shapes elsewhere, at the same height."""
+    return [
+        replace(shape, center=(shape.center[0] + x, shape.center[1] + y, shape.center[2])) if x or y else shape
+        for shape in shapes
     ]
 
 
@@ -196,7 +204,21 @@ def turret_collisions(spec: ArmSpec) -> list[Primitive]:
     """The turret's body, for collisions."""
     # It ends at the shoulder axis: above it there is nothing but the first link's own capsule.
     bottom = PEDESTAL_TOP * spec.shoulder_height
-    return [_round("turret_body", "z", bottom, spec.shoulder_height, 0.8 * base_radius(spec))]
+    return [_round("turret_body", "z", bottom, spec.shoulder_height, 0.8 * base_radius(spec)), *_axle(spec, None)]
+
+
+def shoulder_side(spec: ArmSpec) -> float:
+    """How far the first link's body lies to the left of the yaw axis [m]."""
+    return spec.shoulder_offset + spec.body_offsets[0]
+
+
+def _axle(spec: ArmSpec, material: str | None) -> list[Primitive]:
+    """What carries a shoulder that lies beside the yaw axis."""
+    side = shoulder_side(spec)
+    if side == 0.0:
+        return []
+    axle = _round("turret_axle", "y", min(0.0, side), max(0.0, side), 0.8 * spec.link_half_widths[0], material)
+    return [replace(axle, center=(0.0, axle.center[1], spec.shoulder_height))]
 
 
 def base_visuals(spec: ArmSpec) -> list[Primitive]:
@@ -219,5 +241,6 @@ def turret_visuals(spec: ArmSpec) -> list[Primitive]:
         _round("turret_ring", "z", bottom, bottom + 0.015 * height, 0.72 * radius, "orange"),
         _round("turret_body", "z", bottom + 0.015 * height, top, 0.7 * radius, "warm_white"),
         _round("turret_cover", "z", top, top + 0.015 * height, 0.64 * radius, "graphite"),
-        *_fork("turret", "z", top, height, w),
+        *_axle(spec, "steel"),
+        *moved(_fork("turret", "z", top, height, w), 0.0, shoulder_side(spec)),
     ]

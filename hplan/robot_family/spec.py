@@ -56,10 +56,13 @@ class ArmSpec:
         acceleration: Acceleration limits [rad/s^2].
         jerk: Jerk limits [rad/s^3]; None leaves them out of the limits file.
         shoulder_height: Height of the first planar axis above the ground [m].
-        has_yaw: True if the turret turns about the vertical through the origin of `base_link`.
+        has_yaw: True if the turret turns about the vertical through `yaw_axis`.
         base_mass: Mass of the pedestal [kg].
         turret_mass: Mass of the turret [kg].
         gripper: What the last link carries; None draws one within its capsule, without a mass of its own.
+        yaw_axis: Where the pedestal stands, and the yaw axis with it, in `base_link` (2,) [m].
+        shoulder_offset: How far the arm plane passes the yaw axis, to the left of where the arm points [m].
+        link_offsets: How far each link's body lies beside the arm plane, to the left; None where all lie in it [m].
     """
 
     name: str
@@ -77,6 +80,9 @@ class ArmSpec:
     base_mass: float = 40.0
     turret_mass: float = 12.0
     gripper: Gripper | None = None
+    yaw_axis: tuple[float, float] = (0.0, 0.0)
+    shoulder_offset: float = 0.0
+    link_offsets: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
         """Check every value and keep sequences as tuples of floats.
@@ -96,6 +102,9 @@ class ArmSpec:
             if not lower < upper:
                 raise OptionError(f"lower[{joint}]", lower, f"less than the upper limit {upper!r}")
         keep_checked(self, dict.fromkeys(("shoulder_height", "base_mass", "turret_mass"), (_positive,)))
+        keep_checked(self, {"yaw_axis": (*finite, 2), "shoulder_offset": (_finite,)})
+        if self.link_offsets is not None:
+            keep_checked(self, {"link_offsets": (*finite, self.n_links)})
         if self.gripper is not None:
             instance("gripper", self.gripper, Gripper)
 
@@ -103,6 +112,11 @@ class ArmSpec:
     def n_links(self) -> int:
         """Number of planar links."""
         return len(self.link_lengths)
+
+    @property
+    def body_offsets(self) -> tuple[float, ...]:
+        """How far each link's body lies beside the arm plane [m]."""
+        return (0.0,) * self.n_links if self.link_offsets is None else self.link_offsets
 
     @property
     def planar_joint_names(self) -> tuple[str, ...]:

@@ -33,6 +33,7 @@ from hplan.robot_family.shapes import (
     capsule,
     gripper_collisions,
     gripper_visuals,
+    moved,
     turret_collisions,
     turret_visuals,
 )
@@ -95,9 +96,12 @@ def _origin(shape: Primitive) -> FloatArray:
     return _transform(shape.center, _CYLINDER_RPY[shape.axis])
 
 
-def _cylinder_inertial(mass: float, radius: float, axis: Axis, start: float, end: float) -> Any:
-    """Inertial of a solid cylinder from `start` to `end` on `axis`, about its centre."""
-    center, length = along(axis, start, end)
+def _cylinder_inertial(
+    mass: float, radius: float, axis: Axis, span: tuple[float, float], foot: tuple[float, float] = (0.0, 0.0)
+) -> Any:
+    """Inertial of a solid cylinder that spans a part of an axis through `foot`, about its centre."""
+    (x, y, z), length = along(axis, *span)
+    center = (x + foot[0], y + foot[1], z)
     # Nine digits hide the noise of binary fractions and nothing that one could weigh.
     spin = _significant(mass * radius**2 / 2, 9)
     tumble = _significant(mass * (3 * radius**2 + length**2) / 12, 9)
@@ -106,13 +110,16 @@ def _cylinder_inertial(mass: float, radius: float, axis: Axis, start: float, end
 
 
 def _base_link(spec: ArmSpec) -> Any:
-    inertial = _cylinder_inertial(spec.base_mass, base_radius(spec), "z", 0.0, PEDESTAL_TOP * spec.shoulder_height)
-    return _link("base_link", inertial, base_visuals(spec), _to_four_digits(base_collisions(spec)))
+    top = PEDESTAL_TOP * spec.shoulder_height
+    inertial = _cylinder_inertial(spec.base_mass, base_radius(spec), "z", (0.0, top), spec.yaw_axis)
+    # Moved after rounding: the pedestal is to be round about the yaw axis.
+    collisions = moved(_to_four_digits(base_collisions(spec)), *spec.yaw_axis)
+    return _link("base_link", inertial, moved(base_visuals(spec), *spec.yaw_axis), collisions)
 
 
 def _turret_link(spec: ArmSpec) -> Any:
     bottom, radius = PEDESTAL_TOP * spec.shoulder_height, 0.8 * base_radius(spec)
-    inertial = _cylinder_inertial(spec.turret_mass, radius, "z", bottom, spec.shoulder_height)
+    inertial = _cylinder_inertial(spec.turret_mass, radius, "z", (bottom, spec.shoulder_height))
     return _link("turret", inertial, turret_visuals(spec), _to_four_digits(turret_collisions(spec)))
 
 
@@ -120,8 +127,9 @@ def _arm_link(spec: ArmSpec, index: int) -> Any:
     name, length, radius = spec.arm_link_names[index], spec.link_lengths[index], spec.link_half_widths[index]
     next_radius = spec.link_half_widths[index + 1] if index + 1 < spec.n_links else None
     visuals = arm_visuals(name, length, radius, next_radius, bare=spec.gripper is not None)
-    inertial = _cylinder_inertial(spec.link_masses[index], radius, "x", 0.0, length)
-    return _link(name, inertial, visuals, capsule(name, length, radius))
+    side = (0.0, spec.body_offsets[index])
+    inertial = _cylinder_inertial(spec.link_masses[index], radius, "x", (0.0, length), side)
+    return _link(name, inertial, moved(visuals, *side), moved(capsule(name, length, radius), *side))
 
 
 def _link(name: str, inertial: Any, visuals: Sequence[Primitive], collisions: Sequence[Primitive]) -> Any:
@@ -138,7 +146,7 @@ def _tool_link(spec: ArmSpec) -> Any:
     gripper = spec.gripper
     if gripper is None:
         return yourdfpy.Link(name="tool0")
-    inertial = _cylinder_inertial(gripper.mass, gripper.half_width, "x", -gripper.length, 0.0)
+    inertial = _cylinder_inertial(gripper.mass, gripper.half_width, "x", (-gripper.length, 0.0))
     return _link("tool0", inertial, gripper_visuals(gripper), gripper_collisions(gripper))
 
 
@@ -163,15 +171,14 @@ def _fixed(name: str, parent: str, child: str, xyz: Vector) -> Any:
 
 def _joints(spec: ArmSpec) -> list[Any]:
     """The joints, one for each link but the root, in chain order."""
-    ground = (0.0, 0.0, 0.0)
-    # The turret's frame lies in base_link's origin, not on the pedestal: the shoulder height is
-    # then written once.
+    ground = (*spec.yaw_axis, 0.0)
+    # The turret's frame lies on the ground, not on the pedestal: the shoulder height is then written once.
     joints = [
         _revolute(spec, "base_yaw", "base_link", "turret", ground, (0.0, 0.0, 1.0))
         if spec.has_yaw
         else _fixed("turret_mount", "base_link", "turret", ground)
     ]
-    parent, xyz = "turret", (0.0, 0.0, spec.shoulder_height)
+    parent, xyz = "turret", (0.0, spec.shoulder_offset, spec.shoulder_height)
     for name, child, length in zip(spec.planar_joint_names, spec.arm_link_names, spec.link_lengths, strict=True):
         # About -y, a positive angle lifts the arm in the x-z plane.
         joints.append(_revolute(spec, name, parent, child, xyz, (0.0, -1.0, 0.0)))
@@ -244,6 +251,7 @@ def _header_lines(spec: ArmSpec) -> list[str]:
         f" spheres. Acceleration limits, which URDF lacks, are in the {LIMITS_SUFFIX} file beside"
         " this one.",
         *_gripper_prose(spec),
+        *_offset_prose(spec),
         "Written by hplan.robot_family with yourdfpy. Do not edit: write it again.",
     ]
     lines = ["<!--"]
@@ -272,12 +280,27 @@ def _gripper_prose(spec: ArmSpec) -> list[str]:
     ]
 
 
+def _offset_prose(spec: ArmSpec) -> list[str]:
+    """Lines of the header about what lies aside."""
+    prose = []
+    if any(spec.yaw_axis):
+        prose.append(f"The yaw axis stands at ({spec.yaw_axis[0]:g}, {spec.yaw_axis[1]:g}) m.")
+    if spec.shoulder_offset:
+        prose.append(f"The arm plane passes the yaw axis at {spec.shoulder_offset:g} m, along y.")
+    if spec.link_offsets is not None:
+        beside = ", ".join(f"{offset:g}" for offset in spec.link_offsets)
+        prose.append(f"The links' bodies lie beside the arm plane, along y: {beside} m.")
+    return [" ".join(prose)] if prose else []
+
+
 def _sections(spec: ArmSpec, root: ET.Element) -> Iterator[tuple[str, list[ET.Element]]]:
     """Titles and elements in reading order: palette, base, then each joint with its link."""
     yield "Palette", root.findall("material")
     links = {link.get("name"): link for link in root.findall("link")}
     yield "Pedestal: origin on the ground, z up", [links["base_link"]]
     titles = ["Turret: its frame is base_link's, turned by the yaw" if spec.has_yaw else "Turret"]
+    if any(spec.yaw_axis) and spec.has_yaw:
+        titles = ["Turret: its frame stands on the yaw axis"]
     titles += [f"{name}: link {i} of {spec.n_links}" for i, name in enumerate(spec.arm_link_names, start=1)]
     titles.append("Tool point, between the fingers")
     for title, joint, name in zip(titles, root.findall("joint"), spec.link_names[1:], strict=True):

@@ -205,15 +205,13 @@ def piece_bounds(piece: FloatArray, chain: FloatArray, base: FloatArray, result:
     if first:
         for c in range(3):
             swing = max(swing, 3.0 * abs(piece[c + 1, 0] - piece[c, 0]))
-    radius = np.hypot(base[0], base[1])
     turn0, turn1, turn2, bound = 0.0, 0.0, 0.0, 0.0
     for k in range(chain.shape[0]):
         turn0 += chain[k, 2] * (piece[1, first + k] - piece[0, first + k])
         turn1 += chain[k, 2] * (piece[2, first + k] - piece[1, first + k])
         turn2 += chain[k, 2] * (piece[3, first + k] - piece[2, first + k])
         bound += 3.0 * chain[k, 0] * max(abs(turn0), abs(turn1), abs(turn2))
-        radius += chain[k, 0]
-        result[k] = bound + swing * radius
+        result[k] = bound + swing * chain[k, 5]
 
 
 @kernel

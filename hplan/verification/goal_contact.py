@@ -86,7 +86,7 @@ def _is_straight(robot: Robot, bezier: FloatArray, rows: FloatArray, row: int) -
     if robot.has_yaw:
         yaw_rate, yaw_push = _largest_rates(bezier[..., :1])
         reach += 2.0 * yaw_rate[:, 0] * (rates @ arm.lengths)
-        reach += robot.yaw_radius[-1] * (yaw_push[:, 0] + yaw_rate[:, 0] ** 2)
+        reach += robot.tool_radius * (yaw_push[:, 0] + yaw_rate[:, 0] ** 2)
     tool = robot.tool_positions(rows)
     direction = _last_direction(robot, rows[row])
     from_there = tool - tool[row]

@@ -5,6 +5,7 @@ The commands are plain dictionaries, the same for the page in a file and for the
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
 from collections.abc import Sequence
 
@@ -248,14 +249,17 @@ def _visible_points(robot: Robot, scene: Scene, arm: FloatArray) -> FloatArray:
     """Points that the picture must hold, (n, 3) [m]: the moving arm, its foot, obstacles near the arm, fruits."""
     width = float(robot.arm.half_widths.max())
     points = [arm - width, arm + width, _footprint(robot)]
-    reach = float(robot.arm.lengths.sum())
+    reach, middle = float(robot.arm.lengths.sum()), robot.plane_origin
+    if robot.has_yaw:
+        reach += math.hypot(*robot.shoulder_from_axis)
+        middle = np.append(robot.yaw_axis, robot.plane_origin[2])
     for core, rounding in (
         *((_outline(solid), solid.rounding) for item in scene.obstacles for solid in item.solids),
         *((np.array([fruit.center]), fruit.radius) for fruit in scene.fruits),
     ):
         corners = np.vstack([core - rounding, core + rounding])
         # A long wire or a distant wall may leave the picture; what the arm can touch may not.
-        points.append(np.clip(corners, robot.plane_origin - reach, robot.plane_origin + reach))
+        points.append(np.clip(corners, middle - reach, middle + reach))
     result = np.vstack(points)
     result[:, 2] = np.maximum(result[:, 2], 0.0)
     return result
@@ -269,7 +273,8 @@ def _outline(solid: Solid) -> FloatArray:
 def _footprint(robot: Robot) -> FloatArray:
     """A square on the ground about the foot, (4, 3) [m]."""
     side = 0.16 * np.array([(x, y, 0.0) for x in (-1, 1) for y in (-1, 1)])
-    return side * max(1.0, float(robot.arm.lengths[0]))
+    square: FloatArray = side * max(1.0, float(robot.arm.lengths[0])) + np.append(robot.yaw_axis, 0.0)
+    return square
 
 
 def _ground(view: Frame) -> Body:

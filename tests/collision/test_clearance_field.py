@@ -7,7 +7,7 @@ import itertools
 
 import numpy as np
 import pytest
-from arm_variants import VARIANTS, axis_points, coal_distances, load_variant, random_obstacles
+from arm_variants import VARIANTS, axis_points, coal_distances, link_axes, load_variant, random_obstacles
 from shapes import torus
 
 from hplan.collision.clearance_field import ClearanceField
@@ -67,12 +67,12 @@ def random_hull(rng, index, count=12):
 
 def by_points(robot, q, cloud):
     """(links,) distances from every ball, one by one."""
-    ends = axis_points(robot, q)
+    axes = link_axes(robot, q)
     found = []
     for k, width in enumerate(robot.arm.half_widths):
-        along = ends[k + 1] - ends[k]
-        t = np.clip((cloud.core - ends[k]) @ along / (along @ along), 0.0, 1.0)
-        found.append(np.linalg.norm(cloud.core - ends[k] - t[:, None] * along, axis=1).min() - cloud.rounding - width)
+        start, along = axes[k, 0], axes[k, 1] - axes[k, 0]
+        t = np.clip((cloud.core - start) @ along / (along @ along), 0.0, 1.0)
+        found.append(np.linalg.norm(cloud.core - start - t[:, None] * along, axis=1).min() - cloud.rounding - width)
     return np.array(found)
 
 
@@ -320,10 +320,10 @@ def test_no_axis_point_moves_farther_than_the_bound(variant):
             end[1:] = start[1:]
         end = start + rng.choice([1.0, 0.01]) * (end - start)
         bounds = bounds_of(field, end - start)
-        before = axis_points(variant, start)
+        before = link_axes(variant, start)
         for t in np.linspace(0.0, 1.0, 41):
-            moved = np.linalg.norm(axis_points(variant, start + t * (end - start)) - before, axis=1)
-            farthest = np.maximum(moved[:-1], moved[1:])  # on a segment the displacement is largest at an end
+            moved = np.linalg.norm(link_axes(variant, start + t * (end - start)) - before, axis=2)
+            farthest = moved.max(axis=1)  # on a segment the displacement is largest at an end
             assert (farthest <= t * bounds + 1e-12).all()
             closest = max(closest, (farthest / np.maximum(t * bounds, 1e-12)).max())
     assert closest > 0.5

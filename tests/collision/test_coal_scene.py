@@ -6,10 +6,11 @@ import dataclasses
 import re
 import shutil
 import struct
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from arm_variants import VARIANTS, axis_points, coal_distances, load_variant, random_obstacles
+from arm_variants import VARIANTS, coal_distances, link_axes, load_variant, random_obstacles
 from shapes import torus
 from studies.planar_cspace import arm_sections, joint_grid
 from studies.validation.cspace import sampled_occupancy
@@ -20,6 +21,7 @@ from hplan.cspace.occupancy import occupancy
 from hplan.errors import ConfigurationInCollisionError, OptionError
 from hplan.robot.convex_shape import convex_hull_shape
 from hplan.robot.model import load_robot
+from hplan.robot_family import HARVESTER, write_robot
 from hplan.scene.obstacles import Box, Capsule, Mesh, Sphere
 from hplan.scene.solids import Cloud, hull_of
 
@@ -46,9 +48,9 @@ def test_distances_to_balls_by_the_closed_form(name, tmp_path):
     balls = [ball(*rng.uniform(-1.5, 1.5, 3), radius=rng.uniform(0.02, 0.3), name=f"b{i}") for i in range(7)]
     checker = CoalScene(robot, balls)
     for q in rng.uniform(robot.lower, robot.upper, (30, robot.dof)):
-        points = axis_points(robot, q)
+        axes = link_axes(robot, q)
         expected = [
-            [point_to_segment(np.array(b.center), points[k], points[k + 1]) - b.radius - width for b in balls]
+            [point_to_segment(np.array(b.center), *axes[k]) - b.radius - width for b in balls]
             for k, width in enumerate(robot.arm.half_widths)
         ]
         np.testing.assert_allclose(checker.distances(q), expected, atol=1e-9)
@@ -270,11 +272,11 @@ def test_beams_lie_along_the_links(name, tmp_path):
     """A bead on the axis is within, one half a width beside it is on the skin; across the plane and in it."""
     robot = load_variant(name, tmp_path)
     q = np.random.default_rng(3).uniform(robot.lower, robot.upper)
-    points = axis_points(robot, q)
+    ends = link_axes(robot, q)
     _, axes = robot.plane_at(robot.yaw_of(q))
     for k, width in enumerate(robot.arm.half_widths):
-        along = points[k + 1] - points[k]
-        middle = points[k] + 0.4 * along
+        along = ends[k, 1] - ends[k, 0]
+        middle = ends[k, 0] + 0.4 * along
         normal = axes[2]
         for side in (normal, np.cross(normal, along / np.linalg.norm(along))):
             bead = ball(*(middle + (width + 0.02) * side), radius=0.005)
@@ -386,14 +388,16 @@ def test_base_contacts(robot):
     assert all(0.0 < contact.distance_m <= 2.0 for contact in near)
 
 
-def test_ball_about_the_base(robot):
+@pytest.mark.parametrize(("offsets", "least"), [({}, 0.6), ({"yaw_axis": (0.5, -0.4), "shoulder_offset": 0.6}, 1.4)])
+def test_ball_about_the_base(offsets, least, tmp_path):
     """It holds pedestal and turret at every yaw: nothing beyond it touches them, and it is not far too large."""
+    robot = load_robot(write_robot(replace(HARVESTER, **offsets), tmp_path / "arm.urdf")[0])
     radius = base_radius(robot)
-    assert 0.6 < radius < 0.75
+    assert least < radius < least + 0.25
     rng = np.random.default_rng(8)
     for direction in rng.normal(size=(40, 3)):
         place = (radius + 0.0201) * direction / np.linalg.norm(direction)
-        for yaw in (0.0, 1.0, -2.5):
+        for yaw in np.linspace(-3.0, 3.0, 13):
             assert base_contacts(robot, [ball(*place, radius=0.02)], yaw) == ()
 
 

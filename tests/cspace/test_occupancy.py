@@ -177,6 +177,7 @@ def random_arm(rng, count, lengths=(0.2, 1.2), widths=(0.01, 0.15)):
         link_names=tuple(f"link_{i}" for i in range(count)),
         lengths=rng.uniform(*lengths, count),
         half_widths=rng.uniform(*widths, count),
+        lateral=np.zeros(count),
         signs=rng.choice([-1.0, 1.0], count),
         offsets=rng.uniform(-4.0, 4.0, count),
         lower=lower,
@@ -260,7 +261,7 @@ def one_link(length=1.0, half_width=0.02, sign=1.0, offset=0.0):
     return PlanarArm(
         ("joint",),
         ("link",),
-        *(np.array([value]) for value in (length, half_width, sign, offset, -8.0, 8.0)),
+        *(np.array([value]) for value in (length, half_width, 0.0, sign, offset, -8.0, 8.0)),
     )
 
 

@@ -78,7 +78,9 @@ def test_each_layer_is_the_planar_problem_at_its_yaw(tmp_path, count, thick, ste
     assert not spare.any()
 
 
-@pytest.mark.parametrize("variant", ["upright on a yaw", "shoulder beside the yaw axis"])
+@pytest.mark.parametrize(
+    "variant", ["upright on a yaw", "shoulder beside the yaw axis", "links beside each other, off the axis"]
+)
 def test_what_is_free_in_a_thick_layer_is_free_at_all_its_yaws(tmp_path, variant) -> None:
     robot = load_variant(variant, tmp_path)
     bodies = prepare_obstacles(random_obstacles(np.random.default_rng(5), 9))

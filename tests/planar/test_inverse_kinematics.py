@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -273,6 +274,28 @@ def test_lock_in_the_way(robot):
     with pytest.raises(UnreachableError) as caught:
         reach(robot, position, start=[0.0, 0.0, 0.0, 0.5], locked=["shoulder", "elbow"])
     assert caught.value.reason == "locked"
+
+
+@pytest.mark.parametrize("name", ["plane beside the yaw axis", "links beside each other, off the axis"])
+def test_points_nearer_to_the_yaw_axis_than_the_plane(variants, name):
+    """Just outside there are two yaws, with the point ahead and with it behind; inside it is told by how much."""
+    robot = variants[name]
+    _, across = robot.shoulder_from_axis
+    assert abs(across) > 0.1
+    height = robot.plane_origin[2] + 0.9
+    direction = np.array([math.cos(0.3), math.sin(0.3)])
+    outside = np.append(robot.yaw_axis + (abs(across) + 1e-3) * direction, height)
+    found = reach(robot, outside, count=8)
+    assert_reached(robot, found, outside)
+    yaws = np.unique(found.configurations[:, 0].round(6))
+    assert len(yaws) == 2
+    assert np.diff(yaws) == pytest.approx(2.0 * math.acos(abs(across) / (abs(across) + 1e-3)), abs=1e-5)
+    for part in (0.0, 0.5, 0.99):
+        inside = np.append(robot.yaw_axis + part * abs(across) * direction, height)
+        with pytest.raises(UnreachableError, match="nearer to the yaw axis than the arm plane") as caught:
+            reach(robot, inside)
+        assert caught.value.reason == "off_plane"
+        assert caught.value.data["beside_m"] == pytest.approx((1.0 - part) * abs(across), abs=1e-12)
 
 
 # Other numbers of joints

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from arm_variants import VARIANTS, axis_points, load_variant
+from arm_variants import VARIANTS, axis_points, link_axes, load_variant
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -30,8 +30,8 @@ def variants(tmp_path_factory):
 
 def last_link(robot, q):
     """Unit vector of the last link as Pinocchio places it."""
-    points = axis_points(robot, q)
-    return (points[-1] - points[-2]) / np.linalg.norm(points[-1] - points[-2])
+    start, end = link_axes(robot, q)[-1]
+    return (end - start) / np.linalg.norm(end - start)
 
 
 def random_approaches(robot, seed, count, standoff):

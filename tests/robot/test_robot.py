@@ -49,7 +49,10 @@ def collision_of_hand(new: str) -> tuple[str, str]:
 
 
 def assert_kinematics_match(robot: Robot) -> None:
-    """Joint points and tool positions are Pinocchio's, at random configurations and at random yaw."""
+    """Joint points and tool positions are Pinocchio's, at random configurations and at random yaw.
+
+    The tool is in the plane; of a joint it is where its axis meets the plane that counts.
+    """
     rng = np.random.default_rng(0)
     data = robot.model.createData()
     tool = robot.model.getFrameId(robot.tool_frame)
@@ -63,7 +66,7 @@ def assert_kinematics_match(robot: Robot) -> None:
         origin, axes = robot.plane_at(robot.yaw_of(q[i]))
         in_plane = (np.array(world) - origin) @ axes.T
         np.testing.assert_allclose(in_plane[:, :2], points[i], atol=1e-12)
-        np.testing.assert_allclose(in_plane[:, 2], 0.0, atol=1e-12)
+        np.testing.assert_allclose(in_plane[-1, 2], 0.0, atol=1e-12)
         np.testing.assert_allclose(tools[i], world[-1], atol=1e-12)
         np.testing.assert_allclose(axes @ axes.T, np.eye(3), atol=1e-14)
         assert np.linalg.det(axes) == pytest.approx(1.0)
@@ -205,17 +208,19 @@ CYLINDER = '<geometry><cylinder radius="%g" length="%g"/></geometry>'
     ("collision", "half_width", "tolerance"),
     [
         ('<geometry><sphere radius="0.05"/></geometry><origin xyz="0.2 0 0"/>', 0.05, 1e-15),
-        ('<geometry><sphere radius="0.05"/></geometry><origin xyz="0.43 0.04 0"/>', 0.1, 1e-15),
+        ('<geometry><sphere radius="0.05"/></geometry><origin xyz="0.43 0 0.04"/>', 0.1, 1e-15),
+        ('<geometry><sphere radius="0.05"/></geometry><origin xyz="0.43 0.04 0"/>', 0.08, 1e-15),
         ('<geometry><box size="0.4 0.06 0.08"/></geometry><origin xyz="0.2 0 0"/>', 0.05, 1e-15),
         ('<geometry><box size="0.46 0.06 0.08"/></geometry><origin xyz="0.2 0 0"/>', math.hypot(0.03, 0.05), 1e-15),
         (f'{CYLINDER % (0.03, 0.4)}<origin xyz="0.2 0 0" rpy="0 {HALF_PI} 0"/>', 0.03, 1e-15),
         (f'{CYLINDER % (0.03, 0.48)}<origin xyz="0.2 0 0" rpy="0 {HALF_PI} 0"/>', 0.05, 1e-15),
         (f'{CYLINDER % (0.03, 0.08)}<origin xyz="0.2 0 0"/>', 0.05, 2e-3),
-        (f'{CYLINDER % (0.02, 0.4)}<origin xyz="0.2 0.03 0.04" rpy="0 {HALF_PI} 0"/>', 0.07, 2e-3),
+        (f'{CYLINDER % (0.02, 0.4)}<origin xyz="0.2 0.03 0.04" rpy="0 {HALF_PI} 0"/>', 0.06, 2e-3),
+        (f'{CYLINDER % (0.02, 0.4)}<origin xyz="0.2 0.13 0" rpy="0 {HALF_PI} 0"/>', 0.02, 1e-15),
         ('<geometry><mesh filename="wedge.stl" scale="1 1 2"/></geometry>', 0.06, 1e-6),
     ],
-    ids=["sphere", "sphere aside", "box", "long box", "cylinder", "long cylinder", "upright cylinder",
-         "cylinder aside", "mesh"],
+    ids=["sphere", "sphere above", "sphere aside", "box", "long box", "cylinder", "long cylinder", "upright cylinder",
+         "cylinder aside and above", "cylinder aside", "mesh"],
 )  # fmt: skip
 def test_half_width_holds_the_collision_geometry(load_edited, tmp_path, collision, half_width, tolerance):
     """Never smaller than the geometry needs, and larger by no more than the tolerance."""
@@ -250,17 +255,6 @@ FAMILY_FAULTS = {
         "joint 'shoulder': it is not perpendicular to the yaw axis",
     ),
     "axis without direction": ([(AXIS, '<axis xyz="0 0 0"/>')], "joint 'shoulder': its axis has no direction"),
-    "joint beside the plane": (
-        [origin_of("forearm", 'xyz="1 0.01 0"')], "'elbow': it lies -0.01 m beside the arm plane"
-    ),
-    "tool beside the plane": (
-        [origin_of("tool0", 'xyz="0.4 -0.02 0"')],
-        "'tool frame': it lies 0.02 m beside the arm plane",
-    ),
-    "plane beside the yaw axis": (
-        [origin_of("upper_arm", 'xyz="0 0.2 0.6"')],
-        "joint 'shoulder': the arm plane passes the yaw axis at -0.2 m",
-    ),
     "no tool frame": (
         [('<child link="tool0"/>', '<child link="tcp"/>'), ('<link name="tool0"', '<link name="tcp"')],
         "frame 'tool0': it marks the end of the arm and is missing",
@@ -340,10 +334,34 @@ def test_yaw_axis_beside_the_origin(load_edited, tmp_path):
     old = re.search(r'<child link="turret"/>\s*<origin xyz="0 0 0"/>', SHIPPED).group()
     path = tmp_path / "harvester.urdf"
     path.write_text(SHIPPED.replace(old, '<child link="turret"/><origin xyz="0.3 0 0.1"/>'))
-    with pytest.raises(RobotFamilyError, match=r"joint 'base_yaw': the yaw axis stands at \(0\.3, 0\) m"):
-        load_robot(path)
+    robot = load_robot(path)
+    assert robot.yaw_axis.tolist() == [0.3, 0.0]
+    assert robot.shoulder_from_axis == (0.0, 0.0)
+    assert_kinematics_match(robot)
     path.write_text(SHIPPED.replace(old, '<child link="turret"/><origin xyz="0 0 0.1" rpy="0 0 0.7"/>'))
     assert_kinematics_match(load_robot(path))
+
+
+ASIDE = {
+    # The edit; how far the tool and each link are to the left of the yaw axis [m].
+    "joint beside the others": (origin_of("forearm", 'xyz="1 0.01 0"'), 0.01, [0.0, 0.01, 0.01]),
+    "tool beside the joints": (origin_of("tool0", 'xyz="0.4 -0.02 0"'), -0.02, [0.0, 0.0, 0.0]),
+    "shoulder beside the yaw axis": (origin_of("upper_arm", 'xyz="0 0.2 0.6"'), 0.2, [0.2, 0.2, 0.2]),
+}
+
+
+@pytest.mark.parametrize("case", ASIDE)
+def test_what_lies_aside_is_part_of_the_family(load_edited, case):
+    """The plane is the tool's; the bodies of links that are not in it keep their thickness."""
+    edit, left, links = ASIDE[case]
+    robot = load_edited(edit)
+    assert robot.plane_origin == pytest.approx([0.0, left, 0.6], abs=1e-15)
+    assert robot.shoulder_from_axis == pytest.approx((0.0, -left), abs=1e-15)
+    assert robot.arm.lateral == pytest.approx([left - place for place in links], abs=1e-15)  # the normal is -y
+    assert robot.arm.half_widths == pytest.approx([0.05, 0.04, 0.03], rel=1e-12)
+    assert robot.yaw_radius == pytest.approx(np.hypot([1.0, 1.8, 2.2], links), rel=1e-12)
+    assert robot.tool_radius == pytest.approx(math.hypot(2.2, left), rel=1e-12)
+    assert_kinematics_match(robot)
 
 
 def test_no_moving_joint(tmp_path):

@@ -10,7 +10,7 @@ import coal
 import numpy as np
 import pinocchio as pin
 import pytest
-from arm_variants import axis_points, coal_distances, load_variant, random_obstacles
+from arm_variants import OFFSETS, coal_distances, link_axes, load_variant, random_obstacles
 from studies.planar_cspace import arm_sections, joint_grid
 from studies.validation.cspace import sampled_occupancy
 
@@ -25,6 +25,7 @@ from hplan.cspace.sections import only, sections_at
 from hplan.errors import ConfigurationInCollisionError
 from hplan.planning.plan import plan
 from hplan.problem.options import PlanOptions
+from hplan.robot.base_shapes import coal_distance, turning_shapes
 from hplan.robot.model import Robot, load_robot
 from hplan.robot.self_contact import GROUND, TURRET, BaseBody, pair_rates, pair_sway, self_contact
 from hplan.robot_family.members import write_robot
@@ -42,7 +43,9 @@ STANDS_OUT = 2.5e-3
 TOUCH = 1e-6
 
 
-def arm_of(folder, low, high, *, lengths=(1.0, 0.8, 0.4), widths=(0.05, 0.04, 0.03), has_yaw=True, height=0.6):
+def arm_of(
+    folder, low, high, *, lengths=(1.0, 0.8, 0.4), widths=(0.05, 0.04, 0.03), has_yaw=True, height=0.6, **offsets
+):
     """A member of the family whose planar joints turn from `low` to `high` [deg], each alike or one by one."""
     count = len(lengths)
     low, high = (np.radians(np.broadcast_to(limit, (count,))).tolist() for limit in (low, high))
@@ -61,6 +64,7 @@ def arm_of(folder, low, high, *, lengths=(1.0, 0.8, 0.4), widths=(0.05, 0.04, 0.
         acceleration=(3.0,) * joints,
         jerk=(150.0,) * joints,
         shoulder_height=height,
+        **offsets,
     )
     return load_robot(write_robot(spec, folder / "wide.urdf")[0])
 
@@ -81,29 +85,29 @@ class Truth:
             for w, length in zip(robot.arm.half_widths, robot.arm.lengths, strict=True)
         ]
         self.moving = 2 if robot.has_yaw else 1
-        self.base = [g for g in robot.collision_model.geometryObjects if g.parentJoint < self.moving]
+        shapes = enumerate(robot.collision_model.geometryObjects)
+        self.base = {str(number): g for number, g in shapes if g.parentJoint < self.moving}
 
     def distances(self, q):
-        """By (link, other): another link's number, or the name of a part of the base; what joins them left out."""
+        """By (link, other): a link's number, or that of a shape of the base as a text; what joins them left out."""
         robot, data = self.robot, self.robot.model.createData()
         pin.forwardKinematics(robot.model, data, np.asarray(q, dtype=float))
-        points = axis_points(robot, q)
+        axes = link_axes(robot, q)
         placed = []
-        for a, b in itertools.pairwise(points):
+        for a, b in axes:
             turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), (b - a) / np.linalg.norm(b - a))
             placed.append(coal.Transform3s(turn.toRotationMatrix(), 0.5 * (a + b)))
         found = {}
         for j, i in itertools.combinations(range(len(self.links)), 2):
             if i - j >= 2:
                 found[i, j] = self._distance(self.links[i], placed[i], self.links[j], placed[j])
-        for shape in self.base:
+        for number, shape in self.base.items():
             at = data.oMi[shape.parentJoint] * shape.placement
-            name = robot.model.frames[shape.parentFrame].name
             at = coal.Transform3s(at.rotation, at.translation)
-            shoulder = coal.Sphere(float(robot.arm.half_widths[0])), coal.Transform3s(np.eye(3), points[0])
+            shoulder = coal.Sphere(float(robot.arm.half_widths[0])), coal.Transform3s(np.eye(3), axes[0, 0])
             carries = self._distance(*shoulder, shape.geometry, at) <= 0.0
             for link in range(1 if carries else 0, len(self.links)):
-                found[link, name] = self._distance(self.links[link], placed[link], shape.geometry, at)
+                found[link, number] = self._distance(self.links[link], placed[link], shape.geometry, at)
         return found
 
     def clearance(self, q):
@@ -115,20 +119,26 @@ class Truth:
 
 
 def random_arms(rng, folder, count):
-    """Arms of two to four links whose joints may turn far, or not so far."""
-    for _ in range(count):
+    """Arms of two to four links whose joints may turn far, or not so far; half of them with offsets."""
+    aside = np.random.default_rng(count)
+    for number in range(count):
         links = int(rng.integers(2, 5))
         low, high = -rng.uniform(0.0, 160.0, links), rng.uniform(20.0, 160.0, links)
         lengths = tuple(rng.uniform(0.25, 1.0, links).round(3).tolist())
         widths = tuple(np.sort(rng.uniform(0.02, 0.07, links))[::-1].round(3).tolist())
         has_yaw, height = bool(rng.random() < 0.7), round(float(rng.uniform(0.3, 1.2)), 3)
-        yield arm_of(folder, low, high, lengths=lengths, widths=widths, has_yaw=has_yaw, height=height)
+        offsets = {}
+        if number % 2:
+            place, side, *beside = aside.uniform(-1.0, 1.0, (links + 2, 2)).round(3)
+            offsets = {"yaw_axis": (0.4 * place).tolist(), "shoulder_offset": 0.3 * side[0]}
+            offsets["link_offsets"] = [0.08 * each[0] if each[1] > -0.2 else 0.0 for each in beside]
+        yield arm_of(folder, low, high, lengths=lengths, widths=widths, has_yaw=has_yaw, height=height, **offsets)
 
 
 def named_pairs(robot):
     contact = self_contact(robot)
     links = {(j, i) for i, j in contact.links}
-    bodies = {(k, body.name) for body in contact.bodies for k in body.links}
+    bodies = {(k, str(body.shape)) for body in contact.bodies for k in body.links}
     return links | bodies
 
 
@@ -190,6 +200,20 @@ def test_pedestal_and_turret(wide):
     assert bodies["turret"].carrier == TURRET
     # The first link is the turret's neighbour; the tip of the second cannot come back to it.
     assert (bodies["base_link"].links[0], bodies["turret"].links) == (0, (2,))
+
+
+def test_what_turns_turns_about_the_yaw_axis(tmp_path):
+    """An axle that carries a shoulder beside the axis, as Pinocchio turns it."""
+    robot = arm_of(tmp_path, 0.0, 90.0, yaw_axis=(0.7, -0.5), shoulder_offset=0.4)
+    (axle,) = turning_shapes(robot)
+    assert axle.radius == pytest.approx(math.hypot(0.4, 0.8 * 0.05), rel=2e-3)
+    data, ball, place = robot.model.createData(), coal.Sphere(0.05), pin.SE3(np.eye(3), np.array([0.8, -0.1, 0.65]))
+    for yaw in np.linspace(-3.0, 3.0, 7):
+        pin.forwardKinematics(robot.model, data, np.array([yaw, 0.0, 0.0, 0.0]))
+        at = data.oMi[1] * robot.collision_model.geometryObjects[axle.number].placement
+        assert axle.distance_to(yaw, ball, place) == pytest.approx(
+            coal_distance(axle.geometry, at, ball, place), abs=1e-9
+        )
 
 
 def test_distances_from_polygons():
@@ -321,7 +345,9 @@ def test_own_clearance_is_the_smallest_unless_given():
 # Distances
 
 
-@pytest.mark.parametrize("name", ["upright on a yaw", "five links on a yaw", "tilted plane", "horizontal plane"])
+@pytest.mark.parametrize(
+    "name", ["upright on a yaw", "five links on a yaw", "tilted plane", "horizontal plane", *OFFSETS]
+)
 def test_clearances_of_variants(name, tmp_path):
     robot = load_variant(name, tmp_path, touches_itself=True)
     rng = np.random.default_rng(11)
@@ -350,7 +376,7 @@ def test_distances_from_what_carries_the_arm(tmp_path):
                 lower[j] = min(lower[j], 0.5 * (distances[j, i] - 0.01))
             for body in contact.bodies:
                 for link in body.links:
-                    lower[link] = min(lower[link], distances[link, body.name] - 0.01)
+                    lower[link] = min(lower[link], distances[link, str(body.shape)] - 0.01)
             found = field.link_clearances(q)
             # Nothing nearer than coal says is missed, and little is made up.
             apart = lower > 0.0
@@ -399,9 +425,10 @@ def test_judge_against_coal(tmp_path):
     contacts = 0
     for robot in random_arms(rng, tmp_path, 10):
         obstacles = [Sphere(name="turret", center=(2.0, 0.5, 1.0), radius=0.2)]  # a name that the arm has too
-        checker, truth, known = CoalScene(robot, obstacles), Truth(robot), named_pairs(robot)
+        checker = CoalScene(robot, obstacles, single_joint_pairs=False)
+        truth, known = Truth(robot), named_pairs(robot)
         assert checker.own_first == 1
-        urdf = CoalScene(robot, obstacles, links="urdf")
+        urdf = CoalScene(robot, obstacles, links="urdf", single_joint_pairs=False)
         configurations = rng.uniform(robot.lower, robot.upper, (40, robot.dof))
         for q, touching in zip(configurations, checker.in_collision(configurations), strict=True):
             table = checker.distances(q)
@@ -410,8 +437,10 @@ def test_judge_against_coal(tmp_path):
             expected[:, 0] = coal_distances(robot, q, obstacles)[:, 0]
             for (link, other), distance in truth.distances(q).items():
                 if (link, other) in known:
-                    name = other if isinstance(other, str) else robot.arm.link_names[other]
-                    expected[link, 1 + checker.obstacle_names[1:].index(name)] = distance
+                    frame = robot.model.frames[truth.base[other].parentFrame] if isinstance(other, str) else None
+                    name = frame.name if frame is not None else robot.arm.link_names[other]
+                    column = 1 + checker.obstacle_names[1:].index(name)
+                    expected[link, column] = min(expected[link, column], distance)
             apart = expected > 0.0  # depths are coal's by iteration, and depend on who comes first
             np.testing.assert_allclose(table[apart], expected[apart], atol=1e-5)
             np.testing.assert_allclose(table[~apart], expected[~apart], atol=1e-3)
@@ -434,9 +463,16 @@ def test_a_fruit_of_a_links_name_may_be_touched_the_link_not(wide):
 # Bounds on motion, as seen from another part
 
 
-@pytest.mark.parametrize("has_yaw", [True, False])
-def test_bounds_hold_what_points_do(tmp_path, has_yaw):
-    robot = arm_of(tmp_path, -150, 150, lengths=(0.6, 0.5, 0.4, 0.3), widths=(0.04,) * 4, has_yaw=has_yaw)
+@pytest.mark.parametrize(
+    ("has_yaw", "offsets"),
+    [
+        (True, {}),
+        (False, {}),
+        (True, {"yaw_axis": (1.0, -0.5), "shoulder_offset": 0.4, "link_offsets": (0.3, 0.0, -0.1, 0.0)}),
+    ],
+)
+def test_bounds_hold_what_points_do(tmp_path, has_yaw, offsets):
+    robot = arm_of(tmp_path, -150, 150, lengths=(0.6, 0.5, 0.4, 0.3), widths=(0.04,) * 4, has_yaw=has_yaw, **offsets)
     rng, arm = np.random.default_rng(31), robot.arm
     for _ in range(60):
         start, turn = rng.uniform(-1.0, 1.0, (2, robot.dof))
@@ -448,7 +484,7 @@ def test_bounds_hold_what_points_do(tmp_path, has_yaw):
             assert np.linalg.norm(seen[1] - seen[0], axis=-1).max() <= 1e-6 * speed * (1 + 1e-5) + 1e-12
         for link in range(4):
             speed = pair_rates(robot, link, GROUND, turn[None, None])[0]
-            seen = [axis_points(robot, q)[link : link + 2] for q in (start, start + 1e-6 * turn)]
+            seen = [link_axes(robot, q)[link] for q in (start, start + 1e-6 * turn)]
             assert np.linalg.norm(seen[1] - seen[0], axis=-1).max() <= 1e-6 * speed * (1 + 1e-5) + 1e-12
             assert speed <= pair_sway(robot, link, GROUND, float(np.abs(turn).max())) + 1e-12
 

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from hplan.base.data_files import urdf_dir
 from hplan.errors import OptionError, OutputError, RobotFileError
+from hplan.robot.base_shapes import turning_shapes
 from hplan.robot.files import LIMITS_FORMAT
 from hplan.robot.model import load_robot
 from hplan.robot_family import HARVESTER, ORCHARD_HARVESTER, ArmSpec, Gripper, cross_check, write_robot
@@ -341,6 +342,9 @@ def specs(draw: st.DrawFn) -> ArmSpec:
         jerk=draw(st.none() | st.just(tuple(values(positive, joints)))),
         shoulder_height=draw(st.floats(0.01, 3.0)),
         has_yaw=has_yaw,
+        yaw_axis=tuple(values(st.floats(-2.0, 2.0), 2)),
+        shoulder_offset=draw(st.floats(-0.5, 0.5)),
+        link_offsets=draw(st.none() | st.just(tuple(values(st.floats(-0.3, 0.3), n)))),
     )
 
 
@@ -366,6 +370,19 @@ def test_any_spec_survives_the_files(spec, tmp_path):
     if spec.jerk is not None:
         assert tuple(limits["jerk_rad_s3"].values()) == spec.jerk
     assert cross_check(urdf, samples=3).max_position_deviation < 1e-10
+
+
+def test_offsets_are_read_as_they_were_written(tmp_path):
+    spec = replace(HARVESTER, name="aside", yaw_axis=(0.3, -0.2), shoulder_offset=0.15, link_offsets=(0.06, -0.02, 0.0))
+    robot = load_robot(write_robot(spec, tmp_path / "aside.urdf")[0])
+    assert robot.yaw_axis.tolist() == [0.3, -0.2]
+    assert robot.plane_origin == pytest.approx([0.3, -0.2 + 0.15, 0.6], abs=1e-15)
+    assert robot.plane_axes.tolist() == [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
+    assert robot.shoulder_from_axis == pytest.approx((0.0, -0.15), abs=1e-15)
+    assert robot.arm.lateral.tolist() == [-0.06, 0.02, 0.0]  # the plane's normal is -y
+    assert robot.arm.half_widths == pytest.approx(HARVESTER.link_half_widths, rel=1e-9)
+    (axle,) = turning_shapes(robot)  # the pedestal and the turret's body are round about the yaw axis
+    assert axle.radius == pytest.approx(math.hypot(0.15 + 0.06, 0.8 * 0.05), rel=2e-3)
 
 
 # Faults
@@ -398,6 +415,10 @@ def test_any_spec_survives_the_files(spec, tmp_path):
         ({"base_mass": math.nan}, "base_mass"),
         ({"turret_mass": None}, "turret_mass"),
         ({"has_yaw": "yes"}, "has_yaw"),
+        ({"yaw_axis": (0.1,)}, "yaw_axis"),
+        ({"yaw_axis": (0.1, math.nan)}, "yaw_axis[1]"),
+        ({"shoulder_offset": math.inf}, "shoulder_offset"),
+        ({"link_offsets": (0.1,)}, "link_offsets"),
     ],
 )
 def test_bad_specs_name_the_field(change, option):

@@ -106,7 +106,13 @@ def test_nothing_in_contact_is_free(robot: Robot, kind: Kind) -> None:
     assert looked_at > 20
 
 
-@pytest.mark.parametrize("variant", ["shoulder aside and behind, arm turned", "one link on a yaw", "tilted plane"])
+@pytest.mark.parametrize(
+    "variant",
+    [
+        *("shoulder aside and behind, arm turned", "one link on a yaw", "tilted plane"),
+        *("plane beside the yaw axis", "links beside each other, off the axis"),
+    ],
+)
 def test_other_arms(variant: str, tmp_path: Path) -> None:
     robot = load_variant(variant, tmp_path)
     result = look(robot, "box", "fruits", scenes=6, configurations=1_000)

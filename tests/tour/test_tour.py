@@ -6,6 +6,7 @@ import itertools
 import json
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -230,6 +231,11 @@ def test_what_is_carried_is_clear_as_well(robot: Robot, scene: Scene, carried: T
                 begin, end = contact.get(other, (math.inf, -math.inf))
                 touching = begin - 1e-9 <= motion.time[row] <= end
                 assert distances[: -1 if touching else None, column].min() > 0.0
+
+
+def test_a_link_beside_the_tool_holds_what_the_tool_carries(robot: Robot) -> None:
+    aside = replace(robot, arm=replace(robot.arm, lateral=np.array([0.0, 0.0, -0.05])))
+    assert carrying(aside, 0.04).arm.half_widths[-1] == pytest.approx(0.09)
 
 
 def test_gap_that_only_the_empty_arm_fits_into(robot: Robot) -> None:

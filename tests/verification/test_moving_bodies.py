@@ -25,7 +25,7 @@ from hplan.problem.joint_ranges import MARGIN, joint_ranges
 from hplan.problem.options import PlanOptions
 from hplan.problem.world import World
 from hplan.robot.base_shapes import BASE_DEPTH, GROUND, TURRET, always, base_shapes, ever, turret_radius
-from hplan.robot.folding import Fold, folded_angles
+from hplan.robot.folding import Fold, folded_angles, folds
 from hplan.robot.self_contact import pair_rates, pair_sway, self_contact
 from hplan.scene.model import Goal
 from hplan.scene.obstacles import Box, Capsule, Sphere
@@ -468,14 +468,16 @@ def test_neighbours_fold_up_to_the_convention(tmp_path):
     assert result.problem.upper[2] > low - 0.02
 
 
+@pytest.mark.parametrize("aside", [0.0, 0.06])
 @pytest.mark.parametrize("lengths", [(1.0, 0.7), (0.26, 0.7), (0.7, 0.26), (0.2, 0.8)])
-def test_folded_angles_are_those_of_coal(tmp_path, lengths):
+def test_folded_angles_are_those_of_coal(tmp_path, lengths, aside):
     """Whichever link is the shorter one; what lies beyond the joint's own reach is trimmed by the test itself."""
     robot = fitted(tmp_path, low=-179.0, high=(90.0, 179.0), lengths=lengths, widths=(0.05, 0.04))
+    robot = replace(robot, arm=replace(robot.arm, lateral=np.array([0.0, aside])))
     checker, reach = CoalScene(robot, []), 0.27
-    folds = self_contact(robot).folds
-    assert bool(folds) == (max(lengths) > reach and min(lengths) > reach - 0.09)
-    assert len(folds) == bool(folds)
+    found_folds = self_contact(robot).folds
+    assert bool(found_folds) == (max(lengths) > reach and min(lengths) > reach - math.sqrt(0.09**2 - aside**2))
+    assert len(found_folds) == bool(found_folds)
     for angle in np.radians(np.arange(-179.0, 180.0, 0.5)):
         points = axis_points(robot, np.array([0.3, 0.4, angle]))
         expected = math.inf
@@ -484,13 +486,12 @@ def test_folded_angles_are_those_of_coal(tmp_path, lengths):
             if length > reach:
                 beyond = joint + (end - joint) * np.linspace(reach / length, 1.0, 60)[:, None]
                 t = np.clip(((beyond - joint) @ (other - joint)) / ((other - joint) @ (other - joint)), 0.0, 1.0)
-                expected = min(
-                    expected, np.linalg.norm(beyond - joint - t[:, None] * (other - joint), axis=1).min() - 0.09
-                )
-        if folds:
+                in_plane = np.linalg.norm(beyond - joint - t[:, None] * (other - joint), axis=1).min()
+                expected = min(expected, np.hypot(in_plane, aside) - 0.09)
+        if found_folds:
             found = float(checker.distances([0.3, 0.4, angle])[1, checker.obstacle_names.index("link_1")])
             assert found == pytest.approx(expected, abs=1e-6)
-            blocked = any(low < angle < high for low, high in folded_angles(robot.arm, folds[0], 0.09))
+            blocked = any(low < angle < high for low, high in folded_angles(robot.arm, found_folds[0], 0.09))
             if abs(expected) > 1e-6:
                 assert blocked == (expected < 0.0)
 
@@ -509,6 +510,14 @@ def test_an_elbow_does_not_pass_through_its_fold(tmp_path):
     with pytest.raises(NoPathError) as uncertain:
         plan(robot, scene_of(start, goal), PlanOptions(tracking_error=0.01))
     assert uncertain.value.blockers[0]["slices_deg"][0] < low - 0.5
+
+
+def test_neighbours_that_lie_beside_each_other_do_not_fold(tmp_path):
+    robot = fitted(tmp_path, low=-179.0, high=(90.0, 179.0), lengths=(1.0, 0.7), widths=(0.05, 0.04))
+    apart = replace(robot, arm=replace(robot.arm, lateral=np.array([0.0, 0.0901])))
+    assert self_contact(replace(apart, arm=replace(apart.arm, lateral=np.array([0.0, 0.0899])))).folds
+    assert folds(apart.arm, 0.0, 0.0) == ()
+    assert folds(apart.arm, 1e-3, 0.0) != ()
 
 
 # Limits, tracking error and clearance
@@ -605,7 +614,7 @@ def test_certified_motions_of_random_arms_touch_nothing(tmp_path):
 @pytest.mark.parametrize("kind", ["box", "mesh"])
 @pytest.mark.parametrize("hung", [False, True])
 def test_a_gripper_is_in_the_last_link(tmp_path, kind, hung):
-    """Off the axis, on `tool0` or on a fixed link farther out."""
+    """Off the axis, on `tool0` or on a fixed link farther out: its capsule lies where it is thinnest."""
     half, at = np.array([0.05, 0.02, 0.03]), np.array([0.02, 0.06, -0.01])
     corners = half * np.array(list(itertools.product((-1, 1), repeat=3)))
     shape = box(2.0 * half, at) if kind == "box" else mesh(tmp_path / "gripper.obj", corners, at)
@@ -614,8 +623,13 @@ def test_a_gripper_is_in_the_last_link(tmp_path, kind, hung):
     robot = fitted(tmp_path, more, hung=fixed)
     points = corners + at + out  # from the tool, x along the link
     beyond = np.maximum(points[:, 0], 0.0)
-    expected = np.sqrt(beyond**2 + points[:, 1] ** 2 + points[:, 2] ** 2).max()
-    assert robot.arm.half_widths[-1] == pytest.approx(expected, abs=1e-9)
+    beside = np.append(np.linspace(-0.1, 0.1, 20_001), -robot.arm.lateral[-1])  # the plane's normal is -y
+    radii = np.sqrt(beyond**2 + (points[:, 1] - beside[:, None]) ** 2 + points[:, 2] ** 2).max(axis=1)
+    radii = np.maximum(radii, np.abs(beside) + 0.03)  # and the hand's own
+    # A cylinder beside the axis counts as the polygon about it.
+    assert radii[-1] - 1e-9 <= robot.arm.half_widths[-1] <= radii[-1] + 0.0013 * 0.03
+    assert radii[-1] <= radii.min() + 0.0013 * 0.03
+    assert beside[-1] > 0.01
     assert robot.arm.half_widths[:-1] == pytest.approx([0.05, 0.04])
 
 

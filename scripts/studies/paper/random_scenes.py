@@ -27,6 +27,7 @@ ARM = PlanarArm(
     ("upper_arm", "forearm", "hand"),
     readonly([1.0, 0.8, 0.4]),
     readonly([0.05, 0.04, 0.03]),
+    readonly([0, 0, 0]),
     readonly([1, 1, 1]),
     readonly([0, 0, 0]),
     readonly([0, 0, 0]),

@@ -366,7 +366,7 @@ class _CoalWithShapes:
             for obstacle in scene.obstacles
             if isinstance(obstacle, PointCloud)
         ]
-        self._points = CoalScene(robot, bare) if bare else None
+        self._points = CoalScene(robot, bare, clearance=scene.clearance, single_joint_pairs=False) if bare else None
         surfaces = [obstacle.surface for obstacle in scene.obstacles if isinstance(obstacle, Mesh)]
         self._surfaces = _Surfaces(self._solids, surfaces) if surfaces else None
 

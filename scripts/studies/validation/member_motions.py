@@ -296,8 +296,12 @@ class MemberMotions:
                 geometry.addGeometryObject(shape)
         tool = model.frames[model.getFrameId(self.robot.tool_frame)].placement.translation
         ends = [model.jointPlacements[joint].translation for joint in range(first + 1, model.njoints)]
+        normal = np.cross(*self.robot.plane_axes)
         for k, end in enumerate([*ends, tool]):
-            body, place = capsule(np.zeros(3), np.array(end), float(arm.half_widths[k]))
+            # Joints turn about y: what is at the tool's y, or beside it, is so in every joint's frame at all angles.
+            aside = sum(float(each[1]) for each in [*ends, tool][k:]) + float(arm.lateral[k] * normal[1])
+            start, stop = np.array([0.0, aside, 0.0]), np.array([end[0], aside, end[2]])
+            body, place = capsule(start, stop, float(arm.half_widths[k]))
             geometry.addGeometryObject(pin.GeometryObject(f"capsule_{k}", first + k, place, body))
         return geometry
 

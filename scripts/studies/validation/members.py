@@ -1,7 +1,8 @@
 """Random members of the family, drawn as URDFs: bodies of all kinds on pedestal, turret, links and tool.
 
 Nothing of hplan writes them: links are boxes or cylinders; pedestal and turret carry cabinets, counterweights and masts
-on fixed links; the last link carries boxes, and grippers whose meshes are written as STL.
+on fixed links; the last link carries boxes, and grippers whose meshes are written as STL. Where they have offsets, the
+yaw axis stands off the origin, the arm plane passes it at a distance, and joints, links and tool lie beside each other.
 """
 
 from __future__ import annotations
@@ -20,12 +21,13 @@ from hplan.base.arrays import FloatArray
 EFFORT = 5000.0
 
 
-def write_member(folder: Path, rng: np.random.Generator) -> Path:
+def write_member(folder: Path, rng: np.random.Generator, *, offsets: bool = False) -> Path:
     """Draw a member and write it.
 
     Args:
         folder: Where to write URDF, limits and meshes.
         rng: Where its numbers come from.
+        offsets: Whether it has offsets.
 
     Returns:
         The URDF.
@@ -34,29 +36,34 @@ def write_member(folder: Path, rng: np.random.Generator) -> Path:
     lengths = np.sort(rng.uniform(0.3, 1.0, count))[::-1]
     widths = np.sort(rng.uniform(0.02, 0.05, count))[::-1]
     column = float(rng.uniform(0.3, 0.6))
-    parts = ['<?xml version="1.0"?>', '<robot name="drawn">', _link("base_link", _pedestal(rng, column))]
+    foot: list[float] = rng.uniform(-0.6, 0.6, 2).tolist() if offsets else [0.0, 0.0]
+    # From the joint before it: the shoulder, the other joints, the tool; and from its joint, each link's body.
+    aside = rng.uniform(-0.15, 0.15, count + 1) if offsets else np.zeros(count + 1)
+    body = rng.uniform(-0.1, 0.1, count) * (rng.random(count) < 0.6) if offsets else np.zeros(count)
+    parts = ['<?xml version="1.0"?>', '<robot name="drawn">', _link("base_link", _pedestal(rng, column, foot))]
     limits: list[str] = []
     if rng.random() < 0.6:
         place = _beside(rng, 0.3, 0.6, 0.0)
         size = rng.uniform(0.1, 0.35, 3)
         size[2] = rng.uniform(0.2, column + 0.5)
-        parts += _hung("cabinet", "base_link", [*place[:2], 0.5 * size[2]], _box(size), rng)
-    parent, place = "base_link", [0.0, 0.0, column]
+        parts += _hung("cabinet", "base_link", [foot[0] + place[0], foot[1] + place[1], 0.5 * size[2]], _box(size), rng)
+    parent, place = "base_link", [*foot, column]
     if has_yaw:
         parts.append(_link("turret", _turret(rng)))
         reach = math.radians(float(rng.uniform(90.0, 180.0)))
         parts.append(_joint("yaw", parent, "turret", place, "0 0 1", (-reach, reach)))
         limits.append(f"yaw: {rng.uniform(1.5, 4.0):.3f}")
         parts += _turret_load(rng)
-        parent, place = "turret", [float(rng.choice([0.0, rng.uniform(-0.1, 0.2)])), 0.0, float(rng.uniform(0.15, 0.3))]
+        parent, ahead = "turret", float(rng.choice([0.0, rng.uniform(-0.1, 0.2)]))
+        place = [ahead, float(aside[0]), float(rng.uniform(0.15, 0.3))]
     for k in range(count):
         length, width = float(lengths[k]), float(widths[k])
-        parts.append(_link(f"link_{k}", _beam(rng, length, width)))
+        parts.append(_link(f"link_{k}", _beam(rng, length, width, float(body[k]))))
         low, high = _range(rng, k)
         parts.append(_joint(f"joint_{k}", parent, f"link_{k}", place, rng.choice(["0 -1 0", "0 1 0"]), (low, high)))
         limits.append(f"joint_{k}: {rng.uniform(2.0, 6.0):.3f}")
-        parent, place = f"link_{k}", [length, 0.0, 0.0]
-    parts += _tool(rng, folder, parent, float(lengths[-1]))
+        parent, place = f"link_{k}", [length, float(aside[k + 1]), 0.0]
+    parts += _tool(rng, folder, parent, place)
     path = folder / "member.urdf"
     path.write_text("\n".join([*parts, "</robot>"]) + "\n", encoding="utf-8")
     table = "{" + ", ".join(limits) + "}"
@@ -94,13 +101,13 @@ def _range(rng: np.random.Generator, joint: int) -> tuple[float, float]:
     return middle - half, middle + half
 
 
-def _pedestal(rng: np.random.Generator, column: float) -> list[str]:
+def _pedestal(rng: np.random.Generator, column: float, foot: Sequence[float]) -> list[str]:
     """What stands still below the yaw."""
     if rng.random() < 0.5:
         body = cylinder(float(rng.uniform(0.06, 0.15)), column - 0.02)
     else:
         body = _box([*rng.uniform(0.1, 0.3, 2), column - 0.02])
-    return [_collision(body, [0.0, 0.0, 0.5 * (column - 0.02)])]
+    return [_collision(body, [*foot, 0.5 * (column - 0.02)])]
 
 
 def _turret(rng: np.random.Generator) -> list[str]:
@@ -125,28 +132,28 @@ def _turret_load(rng: np.random.Generator) -> list[str]:
     return parts
 
 
-def _beam(rng: np.random.Generator, length: float, width: float) -> list[str]:
+def _beam(rng: np.random.Generator, length: float, width: float, aside: float) -> list[str]:
     """A link: a box or a cylinder along it, now and then a motor at its side."""
     if rng.random() < 0.5:
-        beam = _collision(_box([length, 2.0 * width, 1.4 * width]), [0.5 * length, 0.0, 0.0])
+        beam = _collision(_box([length, 2.0 * width, 1.4 * width]), [0.5 * length, aside, 0.0])
     else:
-        beam = _collision(cylinder(width, length), [0.5 * length, 0.0, 0.0], [0.0, 0.5 * math.pi, 0.0])
+        beam = _collision(cylinder(width, length), [0.5 * length, aside, 0.0], [0.0, 0.5 * math.pi, 0.0])
     if rng.random() < 0.3:
-        place = [float(rng.uniform(0.3, 0.7)) * length, 0.0, 1.2 * width]
+        place = [float(rng.uniform(0.3, 0.7)) * length, aside, 1.2 * width]
         return [beam, _collision(_box([1.5 * width, 1.5 * width, 1.5 * width]), place)]
     return [beam]
 
 
-def _tool(rng: np.random.Generator, folder: Path, parent: str, length: float) -> list[str]:
+def _tool(rng: np.random.Generator, folder: Path, parent: str, end: Sequence[float]) -> list[str]:
     """The tool frame; a box on it, a gripper mesh on a fixed link behind it, or on the last link before it."""
     size = rng.uniform(0.02, 0.08, 3)
     on_tool = [_collision(_box(size), [-0.5 * size[0], 0.0, 0.0])] if rng.random() < 0.5 else []
-    parts = [_link("tool0", on_tool), _joint("tool", parent, "tool0", [length, 0.0, 0.0])]
+    parts = [_link("tool0", on_tool), _joint("tool", parent, "tool0", end)]
     if rng.random() < 0.6:
         points = rng.uniform(-1.0, 1.0, (14, 3)) * rng.uniform(0.02, 0.07, 3)
         write_stl(folder / "gripper.stl", points)
         body = f'<mesh filename="{folder / "gripper.stl"}"/>'
-        hangs_on, place = ("tool0", [-0.05, 0.0, 0.0]) if rng.random() < 0.5 else (parent, [0.8 * length, 0.0, 0.03])
+        hangs_on, place = ("tool0", [-0.05, 0.0, 0.0]) if rng.random() < 0.5 else (parent, [0.8 * end[0], end[1], 0.03])
         parts += _hung("gripper", hangs_on, place, body, rng)
     return parts
 

@@ -78,13 +78,14 @@ def _each(parts: Sequence[tuple[int, int, int, int]], jobs: int) -> Iterator[Mot
 
 
 def _of_member(part: tuple[int, int, int, int]) -> MotionCounts:
-    """One member of the family."""
+    """One member of the family; every other one has offsets."""
     seed, number, motions, grazing = part
     rng, tally = np.random.default_rng([seed, number]), MotionCounts()
     with TemporaryDirectory() as name:
         folder = Path(name)
         for _ in range(REDRAWN):
-            member = MemberMotions(_loaded(folder, rng, tally), folder, rng, tally, f"{seed}/{number}")
+            robot = _loaded(folder, rng, tally, offsets=number % 2 == 1)
+            member = MemberMotions(robot, folder, rng, tally, f"{seed}/{number}")
             member.certified_motions(motions - tally.certified)
             member.grazing_motions(grazing - tally.grazing, grazing - tally.clear)
             if (tally.certified, tally.grazing, tally.clear) == (motions, grazing, grazing):
@@ -92,14 +93,15 @@ def _of_member(part: tuple[int, int, int, int]) -> MotionCounts:
     return tally
 
 
-def _loaded(folder: Path, rng: np.random.Generator, tally: MotionCounts) -> Robot:
+def _loaded(folder: Path, rng: np.random.Generator, tally: MotionCounts, *, offsets: bool) -> Robot:
     """A member that can be loaded."""
     while True:
-        path = write_member(folder, rng)
+        path = write_member(folder, rng, offsets=offsets)
         try:
             robot = load_robot(path)
         except HplanError as error:
             tally.members[error.kind] += 1
             continue
-        tally.members[f"{robot.arm.link_count} links{', yaw' if robot.has_yaw else ''}"] += 1
+        kind = f"{robot.arm.link_count} links{', yaw' if robot.has_yaw else ''}{', offsets' if offsets else ''}"
+        tally.members[kind] += 1
         return robot

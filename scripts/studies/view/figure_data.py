@@ -91,7 +91,10 @@ def earlier_links(arm: PlanarArm, sections: ArmSections, grid: Grid) -> BoolArra
         arm,
         joint_names=arm.joint_names[:n],
         link_names=arm.link_names[:n],
-        **{key: getattr(arm, key)[:n] for key in ("lengths", "half_widths", "signs", "offsets", "lower", "upper")},
+        **{
+            key: getattr(arm, key)[:n]
+            for key in ("lengths", "half_widths", "lateral", "signs", "offsets", "lower", "upper")
+        },
     )
     fewer = replace(sections, link_start=sections.link_start[: n + 1])
     return cspace.occupancy(shorter, fewer, Grid(grid.lower[:n], grid.step[:n], grid.shape[:n])).occupied

@@ -213,40 +213,7 @@ class _Adaptation:
         return bool(mount)
 
     def _values(self) -> dict[str, float | None]:
-        """Position of each joint that does not move: as held, as it mimics, at 0 or at the limit nearest to it."""
-        values: dict[str, float | None] = {}
-        for joint in self._urdf.joints.values():
-            if joint.kind != "fixed":
-                values[joint.name] = self._value(joint, ())
-        return values
-
-    def _value(self, joint: Joint, followers: tuple[str, ...]) -> float | None:
-        if joint.name in followers:
-            raise self._file_fault(joint, f"mimics itself, by {' and '.join(followers)}")
-        mimic = joint.element.find("mimic")
-        if mimic is not None:
-            leader = self._urdf.joints.get(str(mimic.get("joint")))
-            if leader is None or leader.kind == "fixed":
-                raise self._file_fault(joint, f"mimics {mimic.get('joint')!r}, which is no joint that moves")
-            if joint.name in self._hold:
-                reason = f"joint {joint.name!r} cannot be held by itself, for it mimics {leader.name!r}; hold that one"
-                raise InputError(reason, joint=joint.name)
-            value = self._value(leader, (*followers, joint.name))
-            if value is None:
-                raise self._file_fault(joint, f"mimics {leader.name!r}, which is {leader.kind}")
-            return float(mimic.get("multiplier", "1")) * value + float(mimic.get("offset", "0"))
-        if joint.kind in ("floating", "planar"):
-            if joint.name in self._hold:
-                reason = f"joint {joint.name!r} cannot be held at a value, for it is {joint.kind}; make it fixed"
-                raise InputError(reason, joint=joint.name)
-            return None
-        low, high = -math.inf, math.inf
-        if joint.kind != "continuous":
-            low, high = joint.limits.get("lower", 0.0), joint.limits.get("upper", 0.0)
-        value = self._hold.get(joint.name, min(max(0.0, low), high))
-        if joint.name in self._hold and not low - 1e-9 <= value <= high + 1e-9:
-            raise JointLimitError("hold", joint.name, value, low, high)
-        return value
+        return standing_values(self._path, self._urdf.joints, self._hold)
 
     def _moving(self, chain: list[Joint]) -> set[str]:
         """Names of the joints that move.
@@ -294,13 +261,7 @@ class _Adaptation:
 
     def _fix(self, joint: Joint, value: float | None) -> None:
         """Make a joint fixed where it stands."""
-        if value:
-            if not np.linalg.norm(joint.axis) > 0.0:
-                raise self._family_fault(joint, "its axis has no direction")
-            _set_origin(joint.element, _placed(joint, value))
-        joint.element.set("type", "fixed")
-        for part in [part for part in joint.element if part.tag in _OF_MOVING]:
-            joint.element.remove(part)
+        fix_joint(self._path, joint, value)
         self.held[joint.name] = value
 
     def _bound(self, joint: Joint) -> None:
@@ -311,6 +272,74 @@ class _Adaptation:
         limit.set("lower", repr(-CONTINUOUS_RANGE))
         limit.set("upper", repr(CONTINUOUS_RANGE))
         self.continuous.append(joint.name)
+
+
+def standing_values(path: Path, joints: Mapping[str, Joint], hold: Mapping[str, float]) -> dict[str, float | None]:
+    """Where each joint stands if it does not move: as held, as it mimics, at 0 or at the limit nearest to it.
+
+    Args:
+        path: The file, for messages.
+        joints: All joints, by name.
+        hold: Values at which some are held [rad, m].
+
+    Returns:
+        Values by name, of all that are not fixed [rad, m]; None for those of several coordinates.
+
+    Raises:
+        RobotFileError: A joint that mimics itself, or what is no joint that moves.
+        InputError: A joint held that mimics another, or has several coordinates.
+        JointLimitError: A joint held outside its limits.
+    """
+    return {name: _standing(path, joints, hold, (name,)) for name, joint in joints.items() if joint.kind != "fixed"}
+
+
+def _standing(
+    path: Path, joints: Mapping[str, Joint], hold: Mapping[str, float], followers: tuple[str, ...]
+) -> float | None:
+    """Where the last of `followers` stands, each of which mimics the next."""
+    joint = joints[followers[-1]]
+    where = f"{line_of(joint.element)}joint {joint.name!r}"
+    if joint.name in followers[:-1]:
+        raise RobotFileError(path, f"{where} mimics itself, by {' and '.join(followers[:-1])}")
+    mimic = joint.element.find("mimic")
+    if mimic is not None:
+        leader = joints.get(str(mimic.get("joint")))
+        if leader is None or leader.kind == "fixed":
+            raise RobotFileError(path, f"{where} mimics {mimic.get('joint')!r}, which is no joint that moves")
+        if joint.name in hold:
+            reason = f"joint {joint.name!r} cannot be held by itself, for it mimics {leader.name!r}; hold that one"
+            raise InputError(reason, joint=joint.name)
+        value = _standing(path, joints, hold, (*followers, leader.name))
+        if value is None:
+            raise RobotFileError(path, f"{where} mimics {leader.name!r}, which is {leader.kind}")
+        return float(mimic.get("multiplier", "1")) * value + float(mimic.get("offset", "0"))
+    if joint.kind in ("floating", "planar"):
+        if joint.name in hold:
+            reason = f"joint {joint.name!r} cannot be held at a value, for it is {joint.kind}; make it fixed"
+            raise InputError(reason, joint=joint.name)
+        return None
+    low, high = -math.inf, math.inf
+    if joint.kind != "continuous":
+        low, high = joint.limits.get("lower", 0.0), joint.limits.get("upper", 0.0)
+    value = hold.get(joint.name, min(max(0.0, low), high))
+    if joint.name in hold and not low - 1e-9 <= value <= high + 1e-9:
+        raise JointLimitError("hold", joint.name, value, low, high)
+    return value
+
+
+def fix_joint(path: Path, joint: Joint, value: float | None) -> None:
+    """Make a joint's element that of a fixed joint, its child where it stands.
+
+    Raises:
+        RobotFileError: Its axis has no direction.
+    """
+    if value:
+        if not np.linalg.norm(joint.axis) > 0.0:
+            raise RobotFileError(path, f"{line_of(joint.element)}joint {joint.name!r}: its axis has no direction")
+        _set_origin(joint.element, _placed(joint, value))
+    joint.element.set("type", "fixed")
+    for part in [part for part in joint.element if part.tag in _OF_MOVING]:
+        joint.element.remove(part)
 
 
 def _placed(joint: Joint, value: float | None) -> pin.SE3:

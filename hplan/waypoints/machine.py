@@ -4,7 +4,7 @@ Nothing here knows the family of `hplan.robot.model`; the robot is whatever Pino
 
 Revolute, prismatic and continuous joints can move. A continuous joint becomes a revolute one without ends: its
 waypoints are angles that count on past a whole turn, and nothing is wrapped. Floating, planar and other joints of
-several coordinates, and joints that mimic another or are mimicked, cannot move; they can be held.
+several coordinates, and joints that mimic another or are mimicked, cannot move; they stand still, or are held.
 """
 
 from __future__ import annotations
@@ -20,10 +20,11 @@ from numpy.typing import ArrayLike
 
 from hplan.base.arguments import file_path, instance, list_of, number, truth
 from hplan.base.arrays import FloatArray, Record, readonly
-from hplan.errors import InputError, JointLimitError, RobotFileError
+from hplan.errors import InputError, RobotFileError
 from hplan.robot.limits import Limits
+from hplan.robot.urdf_adaptation import fix_joint, standing_values
 from hplan.robot.urdf_check import check_models
-from hplan.robot.urdf_file import read_urdf
+from hplan.robot.urdf_file import Joint, read_urdf
 from hplan.robot.urdf_xml import read_urdf_xml
 
 #: End of a continuous joint's range [rad].
@@ -75,16 +76,16 @@ def read_machine(
     for name, value in hold.items():
         number(f"hold[{name!r}]", value, "a position [rad]")
     root = read_urdf_xml(path)
-    elements = {str(joint.get("name")): joint for joint in root.findall("joint") if joint.get("type") != "fixed"}
-    read_urdf(path, root, any_robot=True)
-    tied = _cut_mimics(root)
+    joints_of = read_urdf(path, root, any_robot=True).joints
+    elements = {name: joint for name, joint in joints_of.items() if joint.kind != "fixed"}
+    tied = _tied(elements)
     moving = [name for name in elements if name not in tied] if joints is None else list(joints)
     for name in [*moving, *hold]:
         if name not in elements:
             raise InputError(f"robot file {path}: there is no joint {name!r} that moves", path=str(path), joint=name)
         if name in tied and name in moving:
             raise _immovable(path, name, "moved", f"it and {tied[name]!r} move as one (mimic)")
-        kind = elements[name].get("type")
+        kind = elements[name].kind
         if kind not in _MOVABLE:
             raise _immovable(
                 path, name, "moved or held", f"it is {kind}; revolute, prismatic and continuous joints can"
@@ -93,8 +94,11 @@ def read_machine(
             raise InputError(f"joint {name!r} cannot both move and be held", joint=name)
     if not moving:
         raise InputError(f"robot file {path}: no joint is to move", path=str(path))
-    missing = {name: _make_revolute(joint) for name, joint in elements.items() if joint.get("type") == "continuous"}
-    _rename_links(root)
+    values = standing_values(path, joints_of, hold)
+    held = {name: values[name] for name in elements if name not in moving}
+    for name in held:
+        fix_joint(path, elements[name], values[name])
+    missing = {name: _make_revolute(elements[name].element) for name in moving if elements[name].kind == "continuous"}
     try:
         model = pin.buildModelFromXML(ET.tostring(root, encoding="unicode"))
     except (ValueError, RuntimeError) as error:
@@ -105,28 +109,18 @@ def read_machine(
         for attribute in attributes:
             limit = model.velocityLimit if attribute == "velocity" else model.effortLimit
             limit[model.joints[model.getJointId(name)].idx_v] = np.inf
-    return _reduced(model, moving, hold)
+    return Machine(model, held)
 
 
-def _cut_mimics(root: ET.Element) -> dict[str, str]:
-    """Make mimicking joints independent; returns each joint that mimics or is mimicked, with the other one."""
+def _tied(joints: Mapping[str, Joint]) -> dict[str, str]:
+    """Each joint that mimics or is mimicked, with the other one."""
     tied: dict[str, str] = {}
-    for joint in root.findall("joint"):
-        for mimic in joint.findall("mimic"):
-            joint.remove(mimic)
-            follower, leader = str(joint.get("name")), str(mimic.get("joint"))
+    for follower, joint in joints.items():
+        for mimic in joint.element.findall("mimic"):
+            leader = str(mimic.get("joint"))
             tied[follower] = leader
             tied.setdefault(leader, follower)
     return tied
-
-
-def _rename_links(root: ET.Element) -> None:
-    """Keep names of links apart from those of joints: Pinocchio does not reduce a model that has one of both."""
-    for link in root.findall("link"):
-        link.set("name", f"link {link.get('name')}")
-    for joint in root.findall("joint"):
-        for end in (*joint.findall("parent"), *joint.findall("child")):
-            end.set("link", f"link {end.get('link')}")
 
 
 def _immovable(path: Path, joint: str, what: str, reason: str) -> InputError:
@@ -151,25 +145,6 @@ def _make_revolute(joint: ET.Element) -> list[str]:
     limit.set("lower", str(-ENDLESS))
     limit.set("upper", str(ENDLESS))
     return missing
-
-
-def _reduced(model: pin.Model, moving: Sequence[str], hold: Mapping[str, float]) -> Machine:
-    """The model with all joints but the moving ones fixed."""
-    reference = pin.neutral(model)
-    held: dict[str, float | None] = {}
-    for name in tuple(model.names)[1:]:
-        if name in moving:
-            continue
-        joint = model.joints[model.getJointId(name)]
-        if (joint.nq, joint.nv) != (1, 1):
-            held[name] = None
-            continue
-        low, high = float(model.lowerPositionLimit[joint.idx_q]), float(model.upperPositionLimit[joint.idx_q])
-        value = float(hold.get(name, min(max(0.0, low), high)))
-        if not low - 1e-9 <= value <= high + 1e-9:
-            raise JointLimitError("hold", name, value, low, high)
-        reference[joint.idx_q] = held[name] = value
-    return Machine(pin.buildReducedModel(model, [model.getJointId(name) for name in held], reference), held)
 
 
 def limits_of(

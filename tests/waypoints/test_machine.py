@@ -83,6 +83,19 @@ def test_mimic_is_held_with_the_one_it_mimics(load):
             load(*joints, joints=[name])
 
 
+def test_what_mimics_a_held_joint_follows_it(load):
+    joints = [f'<joint name="{name}" type="revolute">{LIMIT}' for name in ("arm", "finger", "other")]
+    joints[2] += '<mimic joint="finger" multiplier="-0.5" offset="0.1"/>'
+    assert load(*joints, hold={"finger": 0.4}).held == {"finger": 0.4, "other": pytest.approx(-0.1)}
+    with pytest.raises(InputError, match="'other' cannot be held by itself, for it mimics 'finger'"):
+        load(*joints, hold={"other": 0.4})
+
+
+def test_a_continuous_joint_that_stands_needs_no_limits(load):
+    machine = load('<joint name="a" type="continuous">', f'<joint name="b" type="revolute">{LIMIT}', joints=["b"])
+    assert (machine.joint_names, machine.held) == (("b",), {"a": 0.0})
+
+
 def test_held_joints_stand_where_told(load):
     wide, narrow = LIMIT, LIMIT.replace('lower="-3"', 'lower="0.5"')
     joints = [f'<joint name="a" type="revolute">{wide}', f'<joint name="b" type="revolute">{narrow}']

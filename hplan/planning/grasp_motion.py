@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from typing import TypeVar
+from typing import TypeAlias, TypeVar
 
 from hplan.base.arrays import FloatArray
 from hplan.errors import CertificationError, ConfigurationInCollisionError, HplanError, TimingError
@@ -19,6 +19,9 @@ from hplan.verification.limit_use import cubic_pieces
 
 _Last = TypeVar("_Last")
 
+#: Finds a motion to one of several goals, or says why there is none to each.
+FindMotion: TypeAlias = Callable[[Sequence[PlanningTask]], tuple[int, PlannedMotion] | Refusals]
+
 
 def motion_to_grasp(
     target: Target,
@@ -26,6 +29,7 @@ def motion_to_grasp(
     start: FloatArray,
     task_to: Callable[[Grasp], PlanningTask],
     last_of: Callable[[Grasp], _Last],
+    find: FindMotion = first_motion,
 ) -> tuple[Grasp, PlannedMotion, _Last]:
     """A grasp, the motion to where its approach begins, and what is made of the approach.
 
@@ -39,6 +43,7 @@ def motion_to_grasp(
         start: (dof,) configuration from which the arm comes.
         task_to: The motion to plan to a grasp; raises `ConfigurationInCollisionError` where it cannot be taken.
         last_of: What follows the motion to a grasp; raises `CertificationError` or `TimingError` where nothing can.
+        find: Finds a motion to one of several grasps.
 
     Raises:
         NoPathError: No path to any of the grasps exists on the grid.
@@ -59,7 +64,7 @@ def motion_to_grasp(
                     del tasks[number]
         while tasks:
             numbers = list(tasks)
-            result = first_motion(list(tasks.values()))
+            result = find(list(tasks.values()))
             if isinstance(result, Refusals):
                 refused |= zip(numbers, result.errors, strict=True)
                 break

@@ -38,7 +38,7 @@ def by_roadmap(task: PlanningTask, effort: Effort = BRIEF, *, quicker_than_s: fl
     return None
 
 
-def by_trees(task: PlanningTask) -> PlannedMotion | None:
+def by_trees(task: PlanningTask, seeds: int = SEEDS) -> PlannedMotion | None:
     """The quickest motion along the most promising paths of some trees; None where none is found and certified."""
     if task.options.method != "two-level":
         return None  # a certain search is wanted
@@ -46,7 +46,7 @@ def by_trees(task: PlanningTask) -> PlannedMotion | None:
     paths: list[FloatArray] = []
     times: list[float] = []
     with task.stage("roadmap"):
-        for seed in range(SEEDS):
+        for seed in range(seeds):
             path = tree_path(task.problem, task.field, velocity, 0.1 * margin, TreeEffort(BRIEF_TREES, seed))
             if path is None and not paths:
                 return None

@@ -33,21 +33,40 @@ def check_speed(speed: float) -> None:
     number("speed", speed, "a factor in (0, 1]", lambda factor: 0.0 < factor <= 1.0)
 
 
-def rest_to_rest(distance: FloatArray, velocity: ArrayLike, acceleration: ArrayLike) -> FloatArray:
-    """Durations of the fastest motions over distances, each from rest to rest on its own.
+def rest_to_rest(
+    distance: FloatArray, velocity: ArrayLike, acceleration: ArrayLike, jerk: ArrayLike | None = None
+) -> FloatArray:
+    r"""Durations of the fastest motions over distances, each from rest to rest on its own.
+
+    With a jerk limit j the acceleration takes time to grow: over distance d, at most at speed v and acceleration a,
+
+    .. math::
+        T = d / v + v / a + a / j, \quad T = a / j + \sqrt{(a / j)^2 + 4 d / a}, \quad T = \sqrt[3]{32 d / j}
+
+    where v is reached, where only a is, where neither is.
 
     Args:
         distance: (...) distances >= 0.
         velocity: Largest speeds.
         acceleration: Largest accelerations.
+        jerk: Largest jerks; None where there is no limit.
 
     Returns:
         (...) durations [s]; 0 for a distance of 0.
     """
-    speed, push = np.asarray(velocity, dtype=np.float64), np.asarray(acceleration, dtype=np.float64)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        cruise = distance / speed + speed / push
-        durations = np.where(distance * push >= speed**2, cruise, 2.0 * np.sqrt(distance / push))
+    v, a = np.asarray(velocity, dtype=np.float64), np.asarray(acceleration, dtype=np.float64)
+    j = np.full(1, np.inf) if jerk is None else np.asarray(jerk, dtype=np.float64)
+    a = np.minimum(a, np.sqrt(v * j))  # where the speed is reached before the acceleration
+    growth = a / j  # until the acceleration is reached [s]
+    durations = np.where(
+        distance >= v * (v / a + growth),
+        distance / v + v / a + growth,
+        np.where(
+            distance >= 2.0 * a * growth**2,
+            growth + np.sqrt(growth**2 + 4.0 * distance / a),
+            np.cbrt(32.0 * distance / j),
+        ),
+    )
     return np.where(distance > 0.0, durations, 0.0)
 
 

@@ -1,13 +1,14 @@
-"""The motions that picking tours are made of, planned and certified once they are asked for.
+"""The places that a tour picks from, and what it costs to go from one to another.
 
-A motion between two places takes as long in either direction, so each is planned once. Until then its cost is what no
-motion can undercut: the slowest joint on its own. A tour that is the best by such bounds has its motions planned, their
-true durations put in place of the bounds, and is sought anew, until nothing in it is a bound: then it is the best by
-true durations too, though most motions were never planned.
+Until a motion is planned its cost is what no motion can undercut: the slowest joint on its own. A tour that is the best
+by such bounds has its motions planned, their durations put in place of the bounds, and is sought anew, until nothing in
+it is a bound. Motions are planned quickly then (`hplan.tour.moves`); those of the tour that last much longer than their
+bounds are sought thoroughly, and if any becomes quicker the tour is sought anew. Most motions are never planned, and
+few thoroughly.
 
 All fruits stay obstacles all along, also those that would have been picked by then: what is shown holds in any order.
 From a hub (the start, or the drop-off where there is one) a motion to every fruit is shown; where no direct motion is
-found between two places, the arm moves by the hub.
+found between two places, the arm moves by others.
 
 What is carried to a drop-off is as if within the last link, made as thick as the thickest fruit; the arm is as thick
 from the stand-off before a fruit to the drop-off. The motions of the empty arm are planned as it is.
@@ -17,26 +18,26 @@ from __future__ import annotations
 
 import math
 from bisect import bisect
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from hplan.base import ties
 from hplan.base.arrays import FloatArray, IntArray, readonly
-from hplan.errors import BlockedError, CertificationError, ConfigurationInCollisionError, NoPathError, TimingError
 from hplan.planning.certified_motion import Part
 from hplan.planning.find_motion import find_motion
 from hplan.planning.grasp_motion import approach_and_retreat, motion_to_grasp
 from hplan.planning.grasps import Grasp, Target, grasps
 from hplan.planning.task import PlanningContext, PlanningTask
-from hplan.robot.limits import Limits, rest_to_rest
+from hplan.robot.limits import rest_to_rest
 from hplan.robot.model import Robot
 from hplan.scene.model import Fruit, Goal
-from hplan.tour.ordering import Costs, Visits
+from hplan.tour.moves import NO_MOTION, NONE, Move, Moves, Stop, quick_or_any_motion
+from hplan.tour.ordering import Costs, Visits, along
 
-#: What says that there is no motion, or none was found; anything else is a fault of what was asked.
-NO_MOTION = (BlockedError, NoPathError, CertificationError, TimingError, ConfigurationInCollisionError)
+#: Other grasps are looked at so many times, as long as the tour becomes shorter by this fraction.
+WIDENINGS, LEAST_GAIN = 8, 2e-3
 
 
 def carrying(robot: Robot, radius: float) -> Robot:
@@ -44,51 +45,6 @@ def carrying(robot: Robot, radius: float) -> Robot:
     widths = np.array(robot.arm.half_widths)
     widths[-1] = max(widths[-1], radius + abs(robot.arm.lateral[-1]))
     return replace(robot, arm=replace(robot.arm, half_widths=readonly(widths)))
-
-
-@dataclass(frozen=True, eq=False)
-class Stop:
-    """A configuration in which motions begin and end: at rest.
-
-    Attributes:
-        configuration: (dof,).
-        fruit: The fruit that the last link is at; None elsewhere.
-    """
-
-    configuration: FloatArray
-    fruit: str | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class _Move:
-    """Motions between two stops, or back and forth between a stand-off and its fruit.
-
-    Attributes:
-        seconds: Its duration; infinite where there is none [s].
-        parts: Its motions.
-    """
-
-    seconds: float
-    parts: tuple[Part, ...]
-
-    @classmethod
-    def of(cls, parts: Sequence[Part]) -> _Move:
-        """Motions one after the other."""
-        return cls(sum(part.trajectory.duration for part in parts), tuple(parts))
-
-    @property
-    def reversed(self) -> _Move:
-        """The same backwards: the same distances, and the same torques."""
-        return replace(
-            self, parts=tuple(part._replace(trajectory=part.trajectory.reversed) for part in self.parts[::-1])
-        )
-
-    def named(self, name: str) -> list[Part]:
-        """Its parts under another name, if it is one."""
-        return [part._replace(name=name or part.name) for part in self.parts]
-
-
-_NONE = _Move(math.inf, ())
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +65,6 @@ class Motions:
 
     Attributes:
         fruits: The fruits, in the order in which they were added.
-        planned: How many motions between stops were planned, those among them that were not found.
     """
 
     def __init__(
@@ -127,71 +82,106 @@ class Motions:
             every: How many fruits are carried at most.
             back: True if the tour goes back.
         """
-        self.fruits, self.planned = list[str](), 0
-        self._contexts = (empty, empty if loaded is None else loaded)
+        self.fruits = list[str]()
+        self._context = empty if loaded is None else loaded
+        self._moves = Moves(empty, loaded)
         self._every, self._back, self._carries = every, back, loaded is not None
-        self._stops: list[Stop] = []
-        self._here, self._home = self._stop(here), self._stop(home)
-        self._hub = self._home if drop is None else self._stop(Stop(drop.configuration))
+        self._here, self._home = self._moves.stop(here), self._moves.stop(home)
+        self._hub = self._home if drop is None else self._moves.stop(Stop(drop.configuration))
+        self._moves.drop_at(self._hub)
         self._begin = [0]
-        self._first = len(self._stops)  # stop of the first place
+        self._first = len(self._moves.stops)  # stop of the first place
         self._grasps: list[Grasp] = []
         self._targets: list[Target] = []
-        self._moves: dict[tuple[int, int, bool], _Move] = {}
-        self._picks: dict[int, _Move] = {}
+        self._active: list[list[int]] = []
+        self._picks: dict[int, Move] = {}
+        self._sought = 0
         if drop is not None and self._home != self._hub:
-            move, a, b = _Move.of([drop.transit]), self._home, self._hub
-            self._moves[min(a, b), max(a, b), False] = move if a < b else move.reversed
-        limits = Limits(empty.robot.velocity_limit, empty.robot.acceleration_limit).scaled(empty.options.speed)
-        self._limits = limits.velocity, limits.acceleration
+            self._moves.keep(self._home, self._hub, False, [drop.transit])
+
+    @property
+    def planned(self) -> int:
+        """How many motions between stops were planned, those among them that were not found."""
+        return self._sought + self._moves.planned
 
     def add(self, fruit: Fruit, keep: int) -> None:
         """Find grasps of a fruit: one that the hub is shown to lead to, and others by their bounds alone.
 
         Args:
             fruit: The fruit.
-            keep: How many grasps are kept at most.
+            keep: Among how many grasps the best is sought at a time.
 
         Raises:
             UnreachableError: No configuration has the tool there.
             HplanError: One of `NO_MOTION`: it is blocked, or no certified motion leads there.
         """
-        context, hub = self._contexts[1], self._stops[self._hub].configuration
+        context, hub = self._context, self._moves.stops[self._hub].configuration
         target = Target.of_fruit(context.world, fruit, context.scene.goal.approach_deg)
         found = grasps(target, hub, standoff=context.options.standoff, locked=context.scene.locked_joints)
-        self.planned += 1
+        self._sought += 1
         shown, motion, pick = motion_to_grasp(
             target,
             found,
             hub,
             lambda grasp: context.among(target.transit_world(grasp)).task(hub, grasp.standoff),
             lambda grasp: self._planned_pick(target, grasp),
+            quick_or_any_motion,
         )
-        spread = [found[i] for i in np.unique(np.linspace(0, len(found) - 1, max(0, keep - 1)).astype(int))]
-        place = len(self._grasps)
-        self._picks[place] = pick
-        self._moves[self._hub, self._first + place, self._carries] = _Move.of([motion.transit])
-        for grasp in [shown, *(other for other in spread if other is not shown)]:
+        begin = self._begin[-1]
+        for grasp in found:
             self._grasps.append(grasp)
-            self._stops.append(Stop(grasp.standoff, fruit.name if grasp.distance == 0.0 else None))
+            self._moves.add(Stop(grasp.standoff, fruit.name if grasp.distance == 0.0 else None))
+        place = begin + next(number for number, grasp in enumerate(found) if grasp is shown)
+        self._picks[place] = pick
+        self._moves.keep(self._hub, self._first + place, self._carries, [motion.transit])
+        spread = begin + np.linspace(0, len(found) - 1, max(0, keep - 1)).astype(int)
+        self._active.append(sorted({place, *spread.tolist()}))
         self._begin.append(len(self._grasps))
         self.fruits.append(fruit.name)
         self._targets.append(target)
 
-    def settle(self, solve: Callable[[Costs, Visits | None], Visits]) -> Visits:
+    def settle(self, solve: Callable[[Costs, IntArray | None], Visits]) -> Visits:
         """The tour that a solver finds by true durations.
 
         Args:
-            solve: Finds a tour, given costs and the tour it found before.
+            solve: Finds a tour, given costs and the order of the fruits in the tour it found before.
         """
         visits: Visits | None = None
+        widened, cost = 0, math.inf
         while True:
-            before, visits = visits, solve(self._costs(), visits)
+            before, visits = visits, self._solved(solve, visits)
             missing = [step for leg in self._steps(visits) for _, step in leg if not self._known(step)]
             for step in dict.fromkeys(missing):
-                self._take(step)
-            if not missing and before is not None and np.array_equal(before.places, visits.places):
+                if len(step) == 1:
+                    self._pick(step[0])
+                else:
+                    self._moves.look(step[0], step[1], bool(step[2]))
+            if missing or before is None or not np.array_equal(before.places, visits.places):
+                continue
+            steps = [step for leg in self._steps(visits) for _, step in leg if len(step) == 3]
+            if [step for step in steps if self._moves.made_quicker(step[0], step[1], bool(step[2]))]:
+                continue
+            if widened == WIDENINGS or visits.cost > (1.0 - LEAST_GAIN) * cost or not self._widened(visits):
                 return visits
+            widened, cost = widened + 1, visits.cost
+
+    def _solved(self, solve: Callable[[Costs, IntArray | None], Visits], before: Visits | None) -> Visits:
+        """The tour over active places that a solver finds."""
+        places = np.array([place for active in self._active for place in active])
+        found = solve(self._costs(places), None if before is None else self.fruits_at(before.places))
+        return replace(found, places=places[found.places])
+
+    def _widened(self, visits: Visits) -> bool:
+        """True if other grasps promise a quicker tour in the same order: they become active, in place of others."""
+        order = self.fruits_at(visits.places)
+        promised = along(self._costs(np.arange(len(self._grasps))), order).places
+        wider = False
+        for fruit, place, other in zip(order.tolist(), visits.places.tolist(), promised.tolist(), strict=True):
+            active = self._active[fruit]
+            kept = list(dict.fromkeys([place, other, *active]))[: len(active)]
+            wider |= other in kept and other not in active
+            self._active[fruit] = sorted(kept)
+        return wider
 
     def fruits_at(self, places: IntArray) -> IntArray:
         """The numbers of the fruits at places."""
@@ -207,62 +197,21 @@ class Motions:
 
     def return_parts(self, visits: Visits) -> list[Part]:
         """The motions from the end of a tour's last leg to where it goes back to."""
-        return self._move(self._end(visits), self._home, False).named("return")
+        return self._moves.take(self._end(visits), self._home, False).named("return")
 
     def end(self, visits: Visits) -> Stop:
         """The end of a tour's last leg."""
-        return self._stops[self._end(visits)]
+        return self._moves.stops[self._end(visits)]
 
     def _end(self, visits: Visits) -> int:
         """The stop at which a tour's last leg ends."""
         return self._hub if self._carries else self._first + int(visits.places[-1])
 
-    def _stop(self, stop: Stop) -> int:
-        """The number of a stop, a new one unless there is the same already."""
-        for number, other in enumerate(self._stops):
-            if other.fruit == stop.fruit and np.array_equal(other.configuration, stop.configuration):
-                return number
-        self._stops.append(stop)
-        return len(self._stops) - 1
-
-    def _planned_pick(self, target: Target, grasp: Grasp) -> _Move:
+    def _planned_pick(self, target: Target, grasp: Grasp) -> Move:
         """Approach and retreat."""
-        return _Move.of(approach_and_retreat(self._contexts[1], target, grasp))
+        return Move.of(approach_and_retreat(self._context, target, grasp))
 
-    def _move(self, a: int, b: int, loaded: bool) -> _Move:
-        """The motions from stop to stop; planned if they are not there yet."""
-        if a == b:
-            return _Move(0.0, ())
-        if a > b:
-            return self._move(b, a, loaded).reversed
-        key = a, b, loaded
-        if key not in self._moves:
-            self._moves[key] = self._direct(*key) or self._over_hub(*key)
-        return self._moves[key]
-
-    def _direct(self, a: int, b: int, loaded: bool) -> _Move | None:
-        """The direct motion; None where none is found."""
-        ends, context = (self._stops[a], self._stops[b]), self._contexts[loaded]
-        self.planned += 1
-        try:
-            for name in {end.fruit: None for end in ends if end.fruit is not None}:
-                context = context.among(context.world.touching(name))  # at a fruit the last link may touch it
-            _, motion = find_motion([context.task(*(end.configuration for end in ends))])
-        except NO_MOTION:
-            return None
-        return _Move.of([motion.transit])
-
-    def _over_hub(self, a: int, b: int, loaded: bool) -> _Move:
-        """The motions by the hub; to the hub itself the empty arm may move as if it carried."""
-        if loaded:
-            return _NONE  # the drop-off is the hub: what is carried would be dropped there
-        if self._hub in (a, b):
-            return self._move(a, b, True) if self._carries else _NONE
-        there, on = self._move(a, self._hub, False), self._move(self._hub, b, False)
-        seconds = there.seconds + on.seconds
-        return _Move(seconds, (*there.parts, *on.parts)) if math.isfinite(seconds) else _NONE
-
-    def _pick(self, place: int) -> _Move:
+    def _pick(self, place: int) -> Move:
         """Approach and retreat at a place; planned if they are not there yet."""
         if place not in self._picks:
             try:
@@ -270,7 +219,7 @@ class Motions:
                     self._targets[bisect(self._begin, place) - 1], self._grasps[place]
                 )
             except NO_MOTION:
-                self._picks[place] = _NONE
+                self._picks[place] = NONE
         return self._picks[place]
 
     def _steps(self, visits: Visits) -> list[list[tuple[str, tuple[int, ...]]]]:
@@ -292,38 +241,36 @@ class Motions:
         return found
 
     def _known(self, step: tuple[int, ...]) -> bool:
-        if len(step) == 1:
-            return step[0] in self._picks
-        a, b, loaded = step
-        return a == b or (min(a, b), max(a, b), bool(loaded)) in self._moves
+        return step[0] in self._picks if len(step) == 1 else self._moves.is_known(step[0], step[1], bool(step[2]))
 
-    def _take(self, step: tuple[int, ...]) -> _Move:
+    def _take(self, step: tuple[int, ...]) -> Move:
         """The motions of a step, planned if need be."""
-        return self._pick(step[0]) if len(step) == 1 else self._move(step[0], step[1], bool(step[2]))
+        return self._pick(step[0]) if len(step) == 1 else self._moves.take(step[0], step[1], bool(step[2]))
 
-    def _costs(self) -> Costs:
-        """True durations where they are known, bounds elsewhere; on a raster, so that equal sums of them are equal."""
-        stops = np.array([stop.configuration for stop in self._stops])
-        least = rest_to_rest(np.abs(stops[:, None] - stops), *self._limits).max(axis=2)
-        seconds = np.stack([least, least])
-        for (a, b, loaded), move in self._moves.items():
-            seconds[int(loaded), a, b] = seconds[int(loaded), b, a] = move.seconds
-        turns = np.array([np.abs(grasp.goal - grasp.standoff) for grasp in self._grasps])
-        pick = 2.0 * rest_to_rest(turns, *self._limits).max(axis=1)
-        for place, move in self._picks.items():
-            pick[place] = move.seconds
-        places, hub, home = slice(self._first, None), self._hub, self._home
-        drop = seconds[1, places, hub] if self._carries else np.full(len(pick), np.inf)
+    def _costs(self, places: IntArray) -> Costs:
+        """Costs of going to some places: true durations where they are known, else bounds.
+
+        They are on a raster, so that equal sums of them are equal.
+        """
+        ends = np.concatenate([[self._here, self._hub, self._home], self._first + places])
+        empty = self._moves.seconds(ends, False)
+        loaded = self._moves.seconds(ends, True) if self._carries else empty
+        turns = np.array([np.abs(self._grasps[place].goal - self._grasps[place].standoff) for place in places])
+        pick = 2.0 * rest_to_rest(turns, *self._moves.limits).max(axis=1)
+        for number, place in enumerate(places.tolist()):
+            if place in self._picks:
+                pick[number] = self._picks[place].seconds
+        drop = loaded[3:, 1] if self._carries else np.full(len(pick), np.inf)
         if self._carries:
-            last = drop + (seconds[0, hub, home] if self._back else 0.0)
+            last = drop + (empty[1, 2] if self._back else 0.0)
         else:
-            last = seconds[0, places, home] if self._back else np.zeros(len(pick))
+            last = empty[3:, 2] if self._back else np.zeros(len(pick))
         return Costs(
-            begin=readonly(self._begin, np.int64),
-            first=readonly(ties.on_raster(seconds[0, self._here, places] + pick)),
-            onward=readonly(ties.on_raster(seconds[int(self._carries), places, places] + pick)),
+            begin=readonly(np.searchsorted(places, self._begin), np.int64),
+            first=readonly(ties.on_raster(empty[0, 3:] + pick)),
+            onward=readonly(ties.on_raster(loaded[3:, 3:] + pick)),
             drop=readonly(ties.on_raster(drop)),
-            away=readonly(ties.on_raster(seconds[0, hub, places] + pick)),
+            away=readonly(ties.on_raster(empty[1, 3:] + pick)),
             last=readonly(ties.on_raster(last)),
             capacity=self._every if self._carries else 0,
         )

@@ -29,8 +29,9 @@ from hplan.robot.model import Robot
 from hplan.scene.model import Fruit, Goal, Scene
 from hplan.timing.retime import resting
 from hplan.timing.trajectory import Trajectory, joined
-from hplan.tour.motions import NO_MOTION, Motions, Stop, carrying, drop_off
-from hplan.tour.ordering import Costs, Visits, along, best, nearest
+from hplan.tour.motions import Motions, carrying, drop_off
+from hplan.tour.moves import NO_MOTION, Stop
+from hplan.tour.ordering import Visits, along, best, nearest
 from hplan.verification.certificate import Certificate, all_of
 from hplan.verification.digests import Digests
 
@@ -49,7 +50,8 @@ class TourOptions:
         back: True if the arm goes back to the start in the end.
         order: `best`; `nearest`: always on to the fruit that is taken soonest; `given`: as the fruits are listed.
         compare: True if the report gives the durations of all three orders.
-        grasps: Number of grasps of a fruit among which the best is sought.
+        grasps: Number of grasps of a fruit among which the best is sought at a time; with more than one, others take
+            the place of those that are not used, as long as the tour becomes shorter.
     """
 
     drop_off: Goal | None = None
@@ -341,12 +343,8 @@ class _TourPlanner:
 
 def _visits(motions: Motions, order: Order) -> Visits:
     """The tour in the best order, in that of the nearest neighbour, or in the one given; places as good as can be."""
-
-    def improved(costs: Costs, before: Visits | None) -> Visits:
-        return best(costs, None if before is None else costs.fruit_of[before.places])
-
     if order == "best":
-        return motions.settle(improved)
+        return motions.settle(best)
     fixed = np.arange(len(motions.fruits))
     if order == "nearest":
         fixed = motions.fruits_at(motions.settle(lambda costs, _: nearest(costs)).places)

@@ -8,7 +8,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -25,13 +25,17 @@ from hplan.errors import (
     TourError,
     UnreachableError,
 )
+from hplan.planning.certified_motion import Part
+from hplan.planning.task import PlanningCache
 from hplan.problem.options import PlanOptions
+from hplan.robot.limits import rest_to_rest
 from hplan.robot.model import Robot
-from hplan.scene.file import save_scene
+from hplan.scene.file import load_scene, save_scene
 from hplan.scene.model import Fruit, Goal, Scene, Start
 from hplan.scene.obstacles import Box, Sphere
 from hplan.timing.trajectory import read_csv
-from hplan.tour.motions import Motions, carrying
+from hplan.tour.motions import carrying
+from hplan.tour.moves import Moves, Stop
 from hplan.tour.ordering import Costs, nearest
 from hplan.tour.tour import TourOptions, TourResult, plan_tour
 
@@ -144,16 +148,16 @@ def test_no_other_order_is_faster(robot: Robot, scene: Scene, tour: TourResult) 
 def test_motions_are_planned_only_where_they_matter(
     robot: Robot, scene: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    pairs: list[tuple[int, int]] = []
-    direct = Motions._direct
+    pairs: list[tuple[int, int, bool]] = []
+    plan = Moves._plan
 
-    def counted(self: Motions, a: int, b: int, loaded: bool) -> Any:
-        pairs.append((a, b))
-        return direct(self, a, b, loaded)
+    def counted(self: Moves, key: tuple[int, int, bool], found: Any) -> None:
+        pairs.append(key)
+        plan(self, key, found)
 
-    monkeypatch.setattr(Motions, "_direct", counted)
+    monkeypatch.setattr(Moves, "_plan", counted)
     result = plan_tour(robot, scene, OPTIONS)
-    assert len(set(pairs)) == len(pairs)
+    assert len(set(pairs)) == len(pairs)  # none was so slow that it was planned again
     places = 4 * 4
     assert 0 < len(pairs) < places * (places + 1) // 2
     assert result.report["planner"]["motions_planned"] == len(pairs) + 4
@@ -334,19 +338,76 @@ def test_no_fruit_at_all_is_an_error_with_all_reasons(robot: Robot) -> None:
 def test_where_no_direct_motion_is_found_the_way_is_over_the_start(
     robot: Robot, scene: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    direct = Motions._direct
+    plan = Moves._plan
 
-    def none_between_places(self: Motions, a: int, b: int, loaded: bool) -> Any:
-        return direct(self, a, b, loaded) if a == 0 else None
+    def none_between_places(self: Moves, key: tuple[int, int, bool], found: Any) -> None:
+        plan(self, key, found if key[0] == 0 else None)
 
-    monkeypatch.setattr(Motions, "_direct", none_between_places)
+    monkeypatch.setattr(Moves, "_plan", none_between_places)
     result = plan_tour(robot, scene, OPTIONS, fruits=["a", "b"])
     assert_sound(robot, scene, result)
     assert [phase.name for phase in result.legs[1].phases] == ["transit", "transit", "approach", "retreat"]
-    monkeypatch.setattr(Motions, "_direct", lambda *_: None)
+    monkeypatch.setattr(Moves, "_plan", lambda self, key, found: plan(self, key, None))
     result = plan_tour(robot, scene, OPTIONS, fruits=["a", "b"], tour=TourOptions(drop_off=DROP, every=2))
     assert set(result.order) == {"a", "b"}
     assert all(leg.phases[-1].name == "drop" for leg in result.legs)
+
+
+def moves_of_seconds(robot: Robot, seconds: dict[tuple[int, int], float], stops: Sequence[Stop]) -> Moves:
+    """Moves among stops of which some motions are there already, named by their ends."""
+    scene = orchard(robot, fruits=False)
+    moves = Moves(PlanningCache(robot).context(scene, OPTIONS), None)
+    for stop in stops:
+        moves.add(stop)
+    for (a, b), duration in seconds.items():
+        there, back = (SimpleNamespace(duration=duration, ends=ends) for ends in ((a, b), (b, a)))
+        there.reversed, back.reversed = back, there
+        moves.keep(a, b, False, [Part("transit", there, None)])  # type: ignore[arg-type]
+    return moves
+
+
+def test_motions_are_joined_where_that_is_quicker(robot: Robot) -> None:
+    stops = [Stop(np.radians([turn, 80.0, 80.0, 60.0])) for turn in (0.0, 10.0, 20.0, 30.0)]
+    seconds = {(0, 1): 1.0, (2, 1): 1.5, (0, 2): 3.0, (2, 3): 0.5, (0, 3): 2.9}
+
+    def path(moves: Moves, a: int, b: int) -> tuple[float, list[tuple[int, int]]]:
+        move = moves.take(a, b, False)
+        return move.seconds, [part.trajectory.ends for part in move.parts]
+
+    moves = moves_of_seconds(robot, seconds, stops)
+    assert path(moves, 0, 2) == (2.5, [(0, 1), (1, 2)])
+    assert path(moves, 2, 0) == (2.5, [(2, 1), (1, 0)])
+    assert path(moves, 0, 3) == (2.9, [(0, 3)])
+    assert moves.seconds(np.array([3, 0, 2]), False)[1, 2] == 2.5
+    # At a stop where the last link is at a fruit no motion to elsewhere passes by.
+    moves = moves_of_seconds(robot, seconds, [*stops[:1], Stop(stops[1].configuration, "a"), *stops[2:]])
+    assert path(moves, 0, 2) == (3.0, [(0, 2)])
+
+
+def test_unplanned_motions_cost_what_none_can_undercut(robot: Robot, tour: TourResult) -> None:
+    limits = robot.velocity_limit, robot.acceleration_limit, robot.jerk_limit
+    for leg in tour.legs:
+        for phase in leg.phases:
+            rows = [int(np.argmin(np.abs(tour.trajectory.time - at))) for at in (phase.start_s, phase.end_s)]
+            turned = np.abs(np.diff(tour.trajectory.position[rows], axis=0)[0])
+            assert rest_to_rest(turned, *limits).max() <= phase.end_s - phase.start_s + 1e-9
+
+
+def test_other_grasps_take_the_place_of_those_that_are_not_used(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    scene, fruits = load_scene("tour"), ["fruit 02", "fruit 12", "fruit 19", "fruit 07"]
+
+    def durations(of: int) -> tuple[float, float]:
+        """With that many grasps of each fruit at a time, and with no others in their place."""
+        options = TourOptions(grasps=of)
+        with monkeypatch.context() as patch:
+            patch.setattr("hplan.tour.motions.WIDENINGS", 0)
+            before = plan_tour(robot, scene, OPTIONS, fruits=fruits, tour=options).duration
+        return plan_tour(robot, scene, OPTIONS, fruits=fruits, tour=options).duration, before
+
+    wider, before = durations(3)
+    assert wider < before
+    wider, before = durations(1)
+    assert wider == before
 
 
 # Refusals

@@ -1,0 +1,300 @@
+"""Certified motions between stops, planned quickly at first, and joined where that is quicker than any one of them.
+
+What a roadmap or trees find between two stops is taken, however much longer it lasts than it has to; grids are searched
+for those motions alone that a tour is to be made of. Motions that are there already are joined where no motion was
+found, or where their sum is less: the arm then stops at stops that it does not pick from. A motion and its reverse take
+the same time, so each is planned once.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections import Counter
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+
+from hplan.base.arrays import FloatArray, IntArray
+from hplan.errors import (
+    BlockedError,
+    CertificationError,
+    ConfigurationInCollisionError,
+    NoPathError,
+    NotFoundError,
+    TimingError,
+)
+from hplan.planning.certified_motion import Part, PlannedMotion
+from hplan.planning.find_motion import CLOSE, ROADMAPS, first_motion
+from hplan.planning.refusals import Refusals
+from hplan.planning.sampled_motion import by_roadmap, by_trees
+from hplan.planning.task import PlanningContext, PlanningTask
+from hplan.robot.limits import Limits, rest_to_rest
+
+#: What says that there is no motion, or none was found; anything else is a fault of what was asked.
+NO_MOTION = (BlockedError, NoPathError, NotFoundError, CertificationError, TimingError, ConfigurationInCollisionError)
+
+#: A motion that was looked for so many times and not found is reckoned with so many times its least duration: blocked
+#: straight, and without a path in a roadmap too.
+LOOKED_FOR = (1.0, CLOSE, 1.5)
+
+#: By less than this a joined motion is not quicker than another [s]; motions last whole periods.
+_GAIN_S = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Stop:
+    """A configuration in which motions begin and end: at rest.
+
+    Attributes:
+        configuration: (dof,).
+        fruit: The fruit that the last link is at; None elsewhere.
+    """
+
+    configuration: FloatArray
+    fruit: str | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Move:
+    """Motions between two stops, or back and forth between a stand-off and its fruit.
+
+    Attributes:
+        seconds: Its duration; infinite where there is none [s].
+        parts: Its motions.
+    """
+
+    seconds: float
+    parts: tuple[Part, ...]
+
+    @classmethod
+    def of(cls, parts: Sequence[Part]) -> Move:
+        """Motions one after the other."""
+        return cls(sum(part.trajectory.duration for part in parts), tuple(parts))
+
+    @property
+    def reversed(self) -> Move:
+        """The same backwards: the same distances, and the same torques."""
+        return replace(
+            self, parts=tuple(part._replace(trajectory=part.trajectory.reversed) for part in self.parts[::-1])
+        )
+
+    def named(self, name: str) -> list[Part]:
+        """Its parts under another name, if it is one."""
+        return [part._replace(name=name or part.name) for part in self.parts]
+
+
+NONE = Move(math.inf, ())
+
+
+def quick_motion(tasks: Sequence[PlanningTask], trees: bool = True) -> tuple[int, PlannedMotion] | None:
+    """The first motion that a roadmap finds to one of several goals, or else trees; None where neither does."""
+    tasks = [task for task in tasks if task.problem.turns and not task.problem.is_empty]
+    for find, some in ((by_roadmap, tasks), (partial(by_trees, seeds=1), tasks[: ROADMAPS if trees else 0])):
+        for number, task in enumerate(some):
+            if (motion := find(task)) is not None:
+                return number, motion
+    return None
+
+
+def quick_or_any_motion(tasks: Sequence[PlanningTask]) -> tuple[int, PlannedMotion] | Refusals:
+    """As `first_motion`, but the first motion that is found is taken without a look at others."""
+    return quick_motion(tasks) or first_motion(tasks)
+
+
+class _Joins(NamedTuple):
+    """The quickest motions from stop to stop, over others where that is quicker.
+
+    Attributes:
+        stops: (n,) the stops that motions begin or end at.
+        numbers: Which of them each stop is.
+        seconds: (n, n) durations; infinite where there is no motion [s].
+        before: (n, n) which of them comes last before the end.
+    """
+
+    stops: list[int]
+    numbers: dict[int, int]
+    seconds: FloatArray
+    before: IntArray
+
+
+class Moves:
+    """Stops, and the motions between them.
+
+    Attributes:
+        stops: The stops, by their numbers.
+        planned: How many motions between stops were planned, those among them that were not found.
+    """
+
+    def __init__(self, empty: PlanningContext, loaded: PlanningContext | None) -> None:
+        """Begin without stops.
+
+        Args:
+            empty: The arm as it is, among its obstacles.
+            loaded: The arm as it carries; None where nothing is carried.
+        """
+        self.stops: list[Stop] = []
+        self.planned = 0
+        self._contexts = (empty, empty if loaded is None else loaded)
+        self._carries = loaded is not None
+        self._hub = 0
+        self._found: dict[tuple[int, int, bool], Move | None] = {}
+        self._thorough: set[tuple[int, int, bool]] = set()
+        self._looks: Counter[tuple[int, int, bool]] = Counter()
+        self._joined: dict[bool, _Joins] = {}
+        robot = empty.robot
+        limits = Limits(robot.velocity_limit, robot.acceleration_limit, jerk=robot.jerk_limit)
+        limits = limits.scaled(empty.options.speed)
+        self.limits = limits.velocity, limits.acceleration, limits.jerk
+
+    def stop(self, stop: Stop) -> int:
+        """The number of a stop, a new one unless there is the same already."""
+        for number, other in enumerate(self.stops):
+            if other.fruit == stop.fruit and np.array_equal(other.configuration, stop.configuration):
+                return number
+        return self.add(stop)
+
+    def add(self, stop: Stop) -> int:
+        """The number of a new stop."""
+        self.stops.append(stop)
+        return len(self.stops) - 1
+
+    def drop_at(self, hub: int) -> None:
+        """Say at which stop what is carried is let go: there loaded motions end."""
+        self._hub = hub
+
+    def keep(self, a: int, b: int, loaded: bool, parts: Sequence[Part]) -> None:
+        """Keep a motion that is there."""
+        move = Move.of(parts)
+        self._found[min(a, b), max(a, b), loaded] = move if a < b else move.reversed
+        self._joined.clear()
+
+    def is_known(self, a: int, b: int, loaded: bool) -> bool:
+        """True if the motion was planned."""
+        return a == b or (min(a, b), max(a, b), loaded) in self._found
+
+    def look(self, a: int, b: int, loaded: bool) -> None:
+        """Look for a motion, with a little more effort each time, until it is known whether there is one.
+
+        A motion that was looked for and not found is reckoned with a longer duration than its bound.
+        """
+        key = min(a, b), max(a, b), loaded
+        if a == b or key in self._found:
+            return
+        self._looks[key] += 1
+        try:
+            task = self._task(*key)
+            if not task.problem.turns or task.problem.is_empty:
+                self._plan(key, first_motion([task]))
+            elif self._looks[key] > 1 or task.field.is_clear(
+                np.stack([task.problem.start, task.problem.goal]), task.margin()
+            ):
+                found = quick_motion([task], trees=self._looks[key] > 2)
+                if found is not None or self._looks[key] > 2:
+                    self._plan(key, found)
+        except NO_MOTION:
+            self._plan(key, None)
+
+    def take(self, a: int, b: int, loaded: bool) -> Move:
+        """The quickest motions from stop to stop that are there; looked for if that was not done yet."""
+        while not self.is_known(a, b, loaded):
+            self.look(a, b, loaded)
+        if a == b:
+            return Move.of(())
+        joins = self._joins(loaded)
+        i, j = joins.numbers[a], joins.numbers[b]
+        if not math.isfinite(joins.seconds[i, j]):
+            return NONE
+        parts: list[Part] = []
+        while i != j:
+            last = int(joins.before[i, j])
+            parts[:0] = self._one(joins.stops[last], joins.stops[j], loaded).parts
+            j = last
+        return Move.of(parts)
+
+    def made_quicker(self, a: int, b: int, loaded: bool) -> bool:
+        """True if a thorough search, done once where it may pay, gives quicker motions than there are."""
+        key = min(a, b), max(a, b), loaded
+        seconds = self.take(a, b, loaded).seconds
+        if key in self._thorough or seconds <= CLOSE * self._least([a, b])[0, 1]:
+            return False
+        self._thorough.add(key)
+        before = self._found[key]
+        with suppress(*NO_MOTION):
+            self._plan(key, first_motion([self._task(*key)]))
+        found = self._found[key]
+        if found is not None and found.seconds < seconds - _GAIN_S:
+            return True
+        self._found[key] = before
+        return False
+
+    def seconds(self, stops: IntArray, loaded: bool) -> FloatArray:
+        """(k, k) durations between k stops: true ones where motions were planned, else what none can undercut [s]."""
+        least, joins = self._least(stops), self._joins(loaded)
+        seconds = least.copy()
+        places: dict[int, list[int]] = {}
+        for place, stop in enumerate(stops.tolist()):
+            places.setdefault(stop, []).append(place)
+        for a, b, also in (*self._looks, *self._found):
+            if also != loaded:
+                continue
+            for i, j in itertools.product(places.get(a, ()), places.get(b, ())):
+                if (a, b, also) in self._found:
+                    seconds[i, j] = seconds[j, i] = joins.seconds[joins.numbers[a], joins.numbers[b]]
+                else:
+                    seconds[i, j] = seconds[j, i] = least[i, j] * LOOKED_FOR[self._looks[a, b, also]]
+        return seconds
+
+    def _least(self, stops: IntArray | Sequence[int]) -> FloatArray:
+        """(k, k) durations that no motion between k stops can undercut [s]."""
+        there = np.array([self.stops[stop].configuration for stop in stops])
+        least: FloatArray = rest_to_rest(np.abs(there[:, None] - there), *self.limits).max(axis=2)
+        return least
+
+    def _task(self, a: int, b: int, loaded: bool) -> PlanningTask:
+        """The motion to plan between two stops."""
+        ends, context = (self.stops[a], self.stops[b]), self._contexts[loaded]
+        for name in {end.fruit: None for end in ends if end.fruit is not None}:
+            context = context.among(context.world.touching(name))  # at a fruit the last link may touch it
+        return context.task(*(end.configuration for end in ends))
+
+    def _plan(self, key: tuple[int, int, bool], found: tuple[int, PlannedMotion] | Refusals | None) -> None:
+        """Keep what was found of a motion."""
+        self.planned += 1
+        self._found[key] = None if found is None or isinstance(found, Refusals) else Move.of([found[1].transit])
+        self._joined.clear()
+
+    def _one(self, a: int, b: int, loaded: bool) -> Move:
+        """The quicker of the direct motions that are there: the empty arm may move as if it carried."""
+        both = [self._found.get((min(a, b), max(a, b), also)) for also in (loaded, loaded or self._carries)]
+        move = min((one for one in both if one is not None), key=lambda one: one.seconds, default=NONE)
+        return move if a < b else move.reversed
+
+    def _joins(self, loaded: bool) -> _Joins:
+        """The quickest motions over other stops, those of the empty arm or of the loaded one."""
+        if loaded not in self._joined:
+            self._joined[loaded] = self._all_joins(loaded)
+        return self._joined[loaded]
+
+    def _all_joins(self, loaded: bool) -> _Joins:
+        stops = sorted({stop for a, b, _ in self._found for stop in (a, b)})
+        numbers = {stop: number for number, stop in enumerate(stops)}
+        seconds = np.full((len(stops), len(stops)), math.inf)
+        np.fill_diagonal(seconds, 0.0)
+        before = np.repeat(np.arange(len(stops))[:, None], len(stops), axis=1)
+        for (a, b, also), move in self._found.items():
+            if move is not None and (also or not loaded):
+                i, j = numbers[a], numbers[b]
+                seconds[i, j] = seconds[j, i] = min(seconds[i, j], move.seconds)
+        for number, stop in enumerate(stops):
+            if self.stops[stop].fruit is not None or (loaded and stop == self._hub):
+                continue  # the fruit would be touched, what is carried dropped
+            over = seconds[:, number, None] + seconds[number]
+            better = over < seconds - _GAIN_S
+            seconds = np.where(better, over, seconds)
+            before = np.where(better, before[number], before)
+        return _Joins(stops, numbers, seconds, before)

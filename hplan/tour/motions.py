@@ -20,6 +20,7 @@ import math
 from bisect import bisect
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import TypeAlias
 
 import numpy as np
 
@@ -35,6 +36,10 @@ from hplan.robot.model import Robot
 from hplan.scene.model import Fruit, Goal
 from hplan.tour.moves import NO_MOTION, NONE, Move, Moves, Stop, quick_or_any_motion
 from hplan.tour.ordering import Costs, Visits, along
+
+#: Finds a tour, given costs, the order of the fruits in the tour it found before, and whether to look far, as nothing
+#: else moves any more.
+Solver: TypeAlias = Callable[[Costs, IntArray | None, bool], Visits]
 
 #: Other grasps are looked at so many times, as long as the tour becomes shorter by this fraction.
 WIDENINGS, LEAST_GAIN = 8, 2e-3
@@ -140,24 +145,23 @@ class Motions:
         self.fruits.append(fruit.name)
         self._targets.append(target)
 
-    def settle(self, solve: Callable[[Costs, IntArray | None], Visits]) -> Visits:
-        """The tour that a solver finds by true durations.
-
-        Args:
-            solve: Finds a tour, given costs and the order of the fruits in the tour it found before.
-        """
+    def settle(self, solve: Solver) -> Visits:
+        """The tour that a solver finds by true durations."""
         visits: Visits | None = None
-        widened, cost = 0, math.inf
+        widened, cost, last = 0, math.inf, False
         while True:
-            before, visits = visits, self._solved(solve, visits)
+            before, visits = visits, self._solved(solve, visits, last)
             missing = [step for leg in self._steps(visits) for _, step in leg if not self._known(step)]
             for step in dict.fromkeys(missing):
                 if len(step) == 1:
                     self._pick(step[0])
                 else:
                     self._moves.look(step[0], step[1], bool(step[2]))
-            if missing or before is None or not np.array_equal(before.places, visits.places):
+            same = not missing and before is not None and np.array_equal(before.places, visits.places)
+            if not same or not last:
+                last = same
                 continue
+            last = False
             steps = [step for leg in self._steps(visits) for _, step in leg if len(step) == 3]
             if [step for step in steps if self._moves.made_quicker(step[0], step[1], bool(step[2]))]:
                 continue
@@ -165,10 +169,10 @@ class Motions:
                 return visits
             widened, cost = widened + 1, visits.cost
 
-    def _solved(self, solve: Callable[[Costs, IntArray | None], Visits], before: Visits | None) -> Visits:
+    def _solved(self, solve: Solver, before: Visits | None, last: bool) -> Visits:
         """The tour over active places that a solver finds."""
         places = np.array([place for active in self._active for place in active])
-        found = solve(self._costs(places), None if before is None else self.fruits_at(before.places))
+        found = solve(self._costs(places), None if before is None else self.fruits_at(before.places), last)
         return replace(found, places=places[found.places])
 
     def _widened(self, visits: Visits) -> bool:

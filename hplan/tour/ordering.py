@@ -118,12 +118,13 @@ def nearest(costs: Costs) -> Visits:
     return Visits(_total(costs, places, dropped), np.array(places), np.array([*dropped, False]))
 
 
-def best(costs: Costs, before: IntArray | None = None) -> Visits:
+def best(costs: Costs, before: IntArray | None = None, kicked: bool = True) -> Visits:
     """The best tour: exact for few fruits, else a local optimum.
 
     Args:
         costs: Costs from place to place.
         before: (n,) order of the fruits from which to go on.
+        kicked: True if disturbed orders are tried, where the order is the one from before.
     """
     n, m = costs.fruits, len(costs.first)
     if n <= 2 or (n <= EXACT and (m * max(1, min(costs.capacity, n))) << n <= MOST_STATES):
@@ -133,7 +134,7 @@ def best(costs: Costs, before: IntArray | None = None) -> Visits:
         orders.insert(0, np.asarray(before, dtype=np.int64))
     found = [_improved(np.array(order), costs) for order in orders]
     cost, order = found[ties.argmin([cost for cost, _ in found])]
-    if before is None or not np.array_equal(order, orders[0]):
+    if before is None or not kicked or not np.array_equal(order, orders[0]):
         return along(costs, order)  # there is time for kicks once nothing else moves
     random = np.random.default_rng(0)
     for _ in range(KICKS):

@@ -347,8 +347,8 @@ def _visits(motions: Motions, order: Order) -> Visits:
         return motions.settle(best)
     fixed = np.arange(len(motions.fruits))
     if order == "nearest":
-        fixed = motions.fruits_at(motions.settle(lambda costs, _: nearest(costs)).places)
-    return motions.settle(lambda costs, _: along(costs, fixed))
+        fixed = motions.fruits_at(motions.settle(lambda costs, *_: nearest(costs)).places)
+    return motions.settle(lambda costs, *_: along(costs, fixed))
 
 
 def _times(legs: Sequence[Leg]) -> tuple[dict[str, float], dict[str, float]]:

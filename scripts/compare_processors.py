@@ -110,7 +110,6 @@ def _planned() -> Iterator[tuple[str, NDArray]]:
     from hplan import PlanOptions, TourOptions, load_robot, load_scene, plan, plan_tour
     from hplan.base.data_files import scenes_dir
 
-    robot = load_robot()
     scenes = {path.stem: load_scene(path) for path in sorted(scenes_dir().glob("*.yaml"))}
     tasks = [(name, scene, PlanOptions()) for name, scene in scenes.items()]
     tasks += [
@@ -119,7 +118,7 @@ def _planned() -> Iterator[tuple[str, NDArray]]:
         ("dense", scenes["table-1"], PlanOptions(method="dense", step_deg=3.0)),
     ]
     for name, scene, options in tasks:
-        result = plan(robot, scene, options)
+        result = plan(load_robot(scene.robot), scene, options)
         yield f"{name} grid path", result.grid_path
         yield f"{name} origin", np.array(result.motion.origin)
         if result.search is not None and result.search.path is not None:
@@ -131,7 +130,7 @@ def _planned() -> Iterator[tuple[str, NDArray]]:
         yield f"{name} torque", result.trajectory.torque
         yield f"{name} clearance", np.array(result.certificate.min_clearance_m)
     for order in ("best", "nearest"):
-        tour = plan_tour(robot, scenes["tour"], fruits=_TOUR, tour=TourOptions(order=order))
+        tour = plan_tour(load_robot(), scenes["tour"], fruits=_TOUR, tour=TourOptions(order=order))
         yield f"tour {order} order", np.array(tour.order)
         yield f"tour {order} position", tour.trajectory.position
 

@@ -64,17 +64,18 @@ def _run(arguments: argparse.Namespace, console: Console) -> int:
     from hplan.verification.plant import Plant
     from hplan.verification.simulation import execute
 
-    tracking, robot = tracking_of(arguments), robot_of(arguments)
+    tracking = tracking_of(arguments)
     plants = [
         Plant(factor, 1e-3 * arguments.command_delay, arguments.bandwidth, decoupled=True)
         for factor in arguments.mass_factors
     ]
-    plain, careful = PlanningCache(robot), PlanningCache(robot)
     options = PlanOptions()
     allowing = replace(options, tracking_error=tracking.still_rad, tracking_delay_s=tracking.delay_s)
     ratios, pickable, runs, within, touching, both = [], 0, 0, 0, 0, 0
     for name in arguments.scenes:
         scene = load_scene(name)
+        robot = robot_of(arguments, scene)
+        plain, careful = PlanningCache(robot), PlanningCache(robot)
         for fruit in scene.fruits[: arguments.fruits]:
             task = scene.model_copy(update={"goal": scene.goal.model_copy(update={"fruit": fruit.name})})
             before = _planned(plain, task, options)

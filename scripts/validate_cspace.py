@@ -141,8 +141,8 @@ def _validate(arguments: argparse.Namespace, errors: Console) -> Validation:
 
         from hplan.scene.file import load_scene
 
-        robot = robot_of(arguments)
         scene = load_scene(arguments.scene)
+        robot = robot_of(arguments, scene)
         if arguments.yaw is not None and robot.has_yaw:
             low, high = math.degrees(robot.lower[0]), math.degrees(robot.upper[0])
             if not low - 1e-9 <= arguments.yaw <= high + 1e-9:

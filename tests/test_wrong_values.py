@@ -336,6 +336,7 @@ CASES: dict[str, Case] = {
             "fruit_zone": NO_OBJECT,
             "picked": (None, "1", (0,), (1.5,)),
             "goal": (1, ""),
+            "robot": (1, "", "arm"),
             "posts": (None, 1),
             "clearance": (*NO_NUMBER, -1.0),
         },

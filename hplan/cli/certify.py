@@ -75,8 +75,9 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int
     _fill_in(arguments, job)
     tracking = tracking_of(arguments)
     options = PlanOptions(tracking_error=tracking.still_rad, tracking_delay_s=tracking.delay_s, sigmas=arguments.sigmas)
-    robot = robot_of(arguments)
-    scene, _left_out = scene_among(arguments, robot, load_scene(arguments.scene), errors)
+    given = load_scene(arguments.scene)
+    robot = robot_of(arguments, given)
+    scene, _left_out = scene_among(arguments, robot, given, errors)
     certificate = certify(
         robot,
         scene,

@@ -45,8 +45,8 @@ def run(arguments: argparse.Namespace, console: Console, _: Console) -> int:
     from hplan.verification.simulation import execute
 
     motion = read_motion(arguments.trajectory)
-    robot = robot_of(arguments)
     scene = load_scene(arguments.scene)
+    robot = robot_of(arguments, scene)
     plant = Plant(arguments.mass_factor, 1e-3 * arguments.command_delay, arguments.bandwidth)
     result = execute(robot, scene, motion, plant)
     _show(console, arguments.trajectory, scene, result)

@@ -91,7 +91,8 @@ def scene_among(arguments: argparse.Namespace, robot: Robot, scene: Scene, error
 def add_robot(parser: argparse.ArgumentParser) -> None:
     """Add the options `--robot`, `--limits`, `--hold` and `--package-dir`."""
     add = parser.add_argument
-    add("--robot", type=Path, metavar="URDF", help="robot, or name of a shipped one (default: harvester)")
+    add("--robot", type=Path, metavar="URDF", help="robot, or name of a shipped one (default: the scene's, else "
+        "harvester)")  # fmt: skip
     add("--limits", type=Path, metavar="YAML", help="acceleration limits (default: NAME.limits.yaml beside the URDF)")
     add_hold(parser)
     add("--package-dir", action="append", type=Path, default=[], metavar="DIR", help="where package:// meshes are "
@@ -128,8 +129,8 @@ def held_joints(arguments: argparse.Namespace) -> dict[str, float]:
     return held
 
 
-def robot_of(arguments: argparse.Namespace) -> Robot:
-    """The robot that the options of `add_robot` name.
+def robot_of(arguments: argparse.Namespace, scene: Scene | None = None) -> Robot:
+    """The robot that the options of `add_robot` name, else the one that the scene is meant for.
 
     Raises:
         HplanError: As `hplan.robot.model.load_robot`.
@@ -137,7 +138,8 @@ def robot_of(arguments: argparse.Namespace) -> Robot:
     from hplan.robot.model import load_robot
 
     hold = held_joints(arguments)
-    return load_robot(arguments.robot, limits=arguments.limits, hold=hold, package_dirs=arguments.package_dir)
+    path = scene.robot if arguments.robot is None and scene is not None else arguments.robot
+    return load_robot(path, limits=arguments.limits, hold=hold, package_dirs=arguments.package_dir)
 
 
 def add_pace(parser: argparse.ArgumentParser) -> None:

@@ -33,7 +33,7 @@ exit status:
 """
 
 #: Options of both kinds of rows by their names here, those of grown ones, and those of measured ones.
-_COMMON = ("seed", "distance", "spacing", "clearance", "fruits", "fruit_radius", "goal")
+_COMMON = ("robot", "seed", "distance", "spacing", "clearance", "fruits", "fruit_radius", "goal")
 _GROWN = ("form", "trees", "branches", "shoots", "tree_height", "branch_length", "vehicle", "ground")
 _MEASURED = ("turn", "height")
 
@@ -49,6 +49,7 @@ def parser(prog: str) -> CommandParser:
     add = parser.add_argument
     add("--out", type=Path, default=Path("orchard.yaml"), metavar="FILE", help="file to write (default: orchard.yaml)")
     add("--name", help="name of the scene (default: the file's)")
+    add("--robot", metavar="NAME", help="shipped robot that the scene is for (default: harvester)")
     add("--seed", type=int, metavar="N", help="what is left to chance follows from it (default: 0)")
     add("--distance", type=float, metavar="M", help="from the base's axis to the row (default: 1.4)")
     add("--spacing", type=float, metavar="M", help="from tree to tree (default: 1.1)")
@@ -91,6 +92,7 @@ def run(arguments: argparse.Namespace, console: Console, _: Console) -> int:
 def _made(arguments: argparse.Namespace) -> Scene:
     """The scene that is asked for."""
     from hplan.orchard import SHIPPED, MeasuredOptions, OrchardOptions, generate, measured_orchard
+    from hplan.orchard.options import REACHED
 
     start = {} if arguments.start is None else {"start_deg": arguments.start}
     if arguments.shipped is not None:
@@ -107,7 +109,7 @@ def _made(arguments: argparse.Namespace) -> Scene:
         return measured_orchard(arguments.files, MeasuredOptions(**_given(wanted)), **start)
     _refuse(arguments, None, _MEASURED)
     wanted |= {option: getattr(arguments, option) for option in _GROWN}
-    wanted["fruit_zone"] = _zone(arguments, OrchardOptions.fruit_zone)
+    wanted["fruit_zone"] = _zone(arguments, REACHED.get(arguments.robot, OrchardOptions.fruit_zone))
     return generate(OrchardOptions(**_given(wanted)), **start)
 
 

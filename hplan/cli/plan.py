@@ -140,13 +140,14 @@ def _made(arguments: argparse.Namespace, folder: JobFolder, errors: Console) -> 
         options = plan_options(
             arguments, "method", "step_deg", "objective", "link_model", "sigmas", "standoff", "certify"
         )
-        robot = robot_of(arguments)
+        given = load_scene(arguments.scene)
+        robot = robot_of(arguments, given)
         folder.robot = robot.name
         yaw = None if arguments.cspace_yaw is None else math.radians(arguments.cspace_yaw)
         wants_cspace = arguments.cspace or yaw is not None
         if wants_cspace:
             check_yaw(robot, yaw)
-        scene, left_out = scene_among(arguments, robot, load_scene(arguments.scene), errors)
+        scene, left_out = scene_among(arguments, robot, given, errors)
         folder.scene = scene.name
         first_run = is_first_run()
         note = " (compiling, as on every first run)" if first_run else ""

@@ -74,7 +74,7 @@ def parser(prog: str) -> CommandParser:
     add("--back", action="store_true", help="go back to the start in the end")
     add("--order", choices=("best", "nearest", "given"), default="best", help="default: best")
     add("--compare", action="store_true", help="show what the other orders would take")
-    add("--grasps", type=int, default=4, metavar="N", help="grasps of a fruit to choose from (default: 4)")
+    add("--grasps", type=int, default=4, metavar="N", help="grasps of a fruit weighed at a time (default: 4)")
     add("--csv", choices=("one", "each"), default="one", help="one CSV, or one for each fruit (default: one)")
     add("--standoff", type=float, default=0.1, metavar="M", help="length of straight approaches (default: 0.1)")
     add_pace(parser)
@@ -110,9 +110,9 @@ def _made(
 
     options = plan_options(arguments, "standoff")
     tour = _tour_options(arguments)
-    robot = robot_of(arguments)
-    folder.robot = robot.name
     given = load_scene(shipped_scene("tour") if arguments.scene is None else arguments.scene)
+    robot = robot_of(arguments, given)
+    folder.robot = robot.name
     scene, left_out = scene_among(arguments, robot, given, errors)
     folder.scene = scene.name
     result = plan_tour(robot, scene, options, fruits=arguments.fruits, tour=tour, progress=progress)

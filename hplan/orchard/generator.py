@@ -134,6 +134,7 @@ def _scene(
         raise OptionError("goal", options.goal, f"one of the fruits, {names[0]} to {names[-1]}")
     return Scene(
         name=options.name,
+        robot=options.robot,
         start=Start(joints_deg=start),
         goal=Goal(fruit=options.goal or names[0]),
         clearance=options.clearance,

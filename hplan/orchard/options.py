@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Final, Literal, TypeAlias, get_args
 
 from hplan.base.arguments import between, instance, keep_checked, list_between, one_of, text, truth, whole
+from hplan.base.data_files import shipped_robots
 from hplan.errors import OptionError
 
 #: How the trees are trained: branches all around a leader, or arms along the wires.
@@ -53,15 +54,20 @@ class FruitZone:
         return self.low <= z <= self.high and math.hypot(x, y) <= self.reach
 
 
+#: Zone of fruit that each shipped robot reaches nearly all of.
+REACHED: Final = {"harvester": FruitZone(1.45, 2.05, 1.7), "orchard_harvester": FruitZone(0.35, 2.2, 1.7)}
+
+
 @dataclass(frozen=True)
 class OrchardOptions:
     """A row of trees in front of the arm: across its view, along y, at `distance` along x.
 
     Wires run along the row through the trunks, from post to post; the posts stand half a spacing beyond the outer
-    trees. The defaults are an apple orchard's, and a zone for the fruit that the harvester reaches nearly all of.
+    trees. The defaults are an apple orchard's, and the harvester's zone of fruit.
 
     Attributes:
         name: Name of the scene.
+        robot: Name of the shipped robot that it is meant for; None for the default one.
         seed: What is left to chance follows from this number alone.
         form: `spindle`: branches all around the trunk; `trellis`: arms along the wires, with branches on them.
         trees: Number of trees, the row's middle in front of the base.
@@ -88,6 +94,7 @@ class OrchardOptions:
     """
 
     name: str = "orchard"
+    robot: str | None = None
     seed: int = 0
     form: Form = "spindle"
     trees: int = 3
@@ -104,7 +111,7 @@ class OrchardOptions:
     posts: bool = True
     fruits: int = 24
     fruit_radius: float = 0.04
-    fruit_zone: FruitZone = FruitZone(1.45, 2.05, 1.7)
+    fruit_zone: FruitZone = REACHED["harvester"]
     picked: tuple[int, ...] = ()
     goal: str | None = None
     stem: float = 0.02
@@ -119,7 +126,7 @@ class OrchardOptions:
             OptionError: A value is of the wrong kind or out of its range.
         """
         keep_checked(self, _CHECKS)
-        _check_goal(self.goal)
+        _check_names(self.robot, self.goal)
         heights = self.wire_heights
         if any(high <= low for low, high in itertools.pairwise(heights)):
             raise OptionError("wire_heights", heights, "heights that increase")
@@ -142,6 +149,7 @@ class MeasuredOptions:
 
     Attributes:
         name: Name of the scene.
+        robot: Name of the shipped robot that it is meant for; None for the default one.
         seed: Shuffles the tips of branches that fruit hangs at.
         spacing: Distance of neighbouring trunks [m].
         distance: Distance of the row from the base's axis [m].
@@ -155,6 +163,7 @@ class MeasuredOptions:
     """
 
     name: str = "measured"
+    robot: str | None = None
     seed: int = 0
     spacing: float = 1.1
     distance: float = 1.4
@@ -173,10 +182,12 @@ class MeasuredOptions:
             OptionError: A value is of the wrong kind or out of its range.
         """
         keep_checked(self, _MEASURED_CHECKS)
-        _check_goal(self.goal)
+        _check_names(self.robot, self.goal)
 
 
-def _check_goal(goal: str | None) -> None:
+def _check_names(robot: str | None, goal: str | None) -> None:
+    if robot is not None:
+        one_of("robot", robot, shipped_robots())
     if goal is not None:
         text("goal", goal, "the name of a fruit, or None for the first")
 

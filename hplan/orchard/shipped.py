@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from hplan.orchard.options import FruitZone, OrchardOptions
+from hplan.orchard.options import REACHED, FruitZone, OrchardOptions
 
 _ORCHARDS = (
     OrchardOptions(name="orchard-row", seed=1),
@@ -42,6 +42,37 @@ _ORCHARDS = (
         fruit_zone=FruitZone(1.4, 2.05, 1.7),
         # What is left is within reach: for each there is a motion that touches nothing, the base turned to it before.
         picked=(4, 5, 7, 9, 11, 14, 15, 16, 17, 18, 20, 21, 22, 24, 25, 26, 27, 30, 33, 34, 36, 37, 39, 40, 42, 46),
+        vehicle=True,
+    ),
+    # For the arm that bends both ways: fruit from knee height to above the trees' middle, and the ground.
+    OrchardOptions(
+        name="orchard-arm-row",
+        robot="orchard_harvester",
+        seed=5,
+        distance=1.35,
+        first_branch=0.45,
+        branches=16,
+        branch_length=0.5,
+        shoots=1,
+        fruits=26,
+        fruit_zone=REACHED["orchard_harvester"],
+        ground=True,
+        goal="fruit 20",
+    ),
+    OrchardOptions(
+        name="orchard-arm-tour",
+        robot="orchard_harvester",
+        seed=8,
+        form="trellis",
+        distance=1.35,
+        tree_height=2.3,
+        branches=24,
+        branch_length=0.3,
+        shoots=0,
+        wire_heights=(0.5, 0.95, 1.4, 1.85),
+        fruits=22,
+        fruit_zone=REACHED["orchard_harvester"],
+        ground=True,
         vehicle=True,
     ),
 )

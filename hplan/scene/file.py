@@ -97,7 +97,9 @@ def dump_scene(scene: Scene) -> str:
         if isinstance(obstacle, Mesh | PointCloud) and obstacle.file is None:
             reason = f"{obstacle.name!r} was made of arrays and has no file; save_scene writes one beside the scene"
             raise SceneError(reason, where=f"obstacles[{index}].file")
-    content = scene.model_dump(mode="json", by_alias=True, exclude_none=True)
+    dumped = scene.model_dump(mode="json", by_alias=True, exclude_none=True)
+    robot = {} if scene.robot is None else {"robot": scene.robot}
+    content = {"format": dumped["format"], "name": dumped["name"], **robot, **dumped}
     for item in (*content["obstacles"], *content["fruits"]):
         if item["sigma"] == 0.0:
             del item["sigma"]

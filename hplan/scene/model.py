@@ -11,9 +11,10 @@ from collections.abc import Sequence
 from typing import Annotated, ClassVar, Final, Literal
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from hplan.base.arrays import FloatArray
+from hplan.base.data_files import shipped_robots
 from hplan.errors import SceneError
 from hplan.scene.fault import StrictModel, fault
 from hplan.scene.limits import FARTHEST_M, MOST_OBSTACLES
@@ -92,6 +93,8 @@ class Scene(StrictModel):
 
     Attributes:
         name: Name of the scene.
+        robot: Name of the shipped robot that it is meant for; None for the default one. Commands take it unless they
+            are told another, as `load_robot(scene.robot)` does; it is no part of what is planned or certified.
         start: Configuration at which the motion begins.
         goal: Configuration, tool position or fruit to reach.
         locked_joints: Joints that keep their start value.
@@ -102,12 +105,20 @@ class Scene(StrictModel):
 
     format: Literal["hplan-scene/1"] = FORMAT
     name: Name
+    robot: Annotated[str | None, Field(exclude=True)] = None  # no part of the digest: the robot has its own
     start: Start
     goal: Goal
     locked_joints: tuple[str, ...] = ()
     clearance: Annotated[float, Field(ge=0.0, le=FARTHEST_M)] = 0.0
     obstacles: Annotated[tuple[Obstacle, ...], Field(max_length=MOST_OBSTACLES)] = ()
     fruits: Annotated[tuple[Fruit, ...], Field(max_length=MOST_OBSTACLES)] = ()
+
+    @field_validator("robot")
+    @classmethod
+    def _robot_ships(cls, robot: str | None) -> str | None:
+        if robot is not None and robot not in shipped_robots():
+            raise ValueError(f"no robot of that name ships with hplan; there are {', '.join(shipped_robots())}")
+        return robot
 
     @model_validator(mode="after")
     def _names_are_unique(self) -> Scene:

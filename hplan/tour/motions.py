@@ -42,7 +42,7 @@ from hplan.tour.ordering import Costs, Visits, along
 Solver: TypeAlias = Callable[[Costs, IntArray | None, bool], Visits]
 
 #: Other grasps are looked at so many times, as long as the tour becomes shorter by this fraction.
-WIDENINGS, LEAST_GAIN = 8, 2e-3
+WIDENINGS, LEAST_GAIN = 8, 5e-3
 
 
 def carrying(robot: Robot, radius: float) -> Robot:

@@ -258,6 +258,8 @@ def _visible_points(robot: Robot, scene: Scene, arm: FloatArray) -> FloatArray:
         *((np.array([fruit.center]), fruit.radius) for fruit in scene.fruits),
     ):
         corners = np.vstack([core - rounding, core + rounding])
+        if corners[:, 2].max() <= 0.0:
+            continue  # the ground is as wide as it likes
         # A long wire or a distant wall may leave the picture; what the arm can touch may not.
         points.append(np.clip(corners, middle - reach, middle + reach))
     result = np.vstack(points)

@@ -87,6 +87,15 @@ def test_reach_alone_keeps_the_usual_heights(make: Callable[..., Scene]) -> None
     )
 
 
+def test_robot_gives_the_heights(make: Callable[..., Scene]) -> None:
+    scene = make("--robot", "orchard_harvester", "--fruits", "30")
+    assert scene.robot == "orchard_harvester"
+    assert min(fruit.center[2] for fruit in scene.fruits) < OrchardOptions().fruit_zone.low
+    assert make("--robot", "harvester", "--fruits", "9") == generate(
+        OrchardOptions(name="out", robot="harvester", fruits=9)
+    )
+
+
 @pytest.mark.parametrize("name", SHIPPED)
 def test_shipped_scenes_made_anew(make: Callable[..., Scene], name: str) -> None:
     assert make("--shipped", name) == generate(SHIPPED[name])
@@ -120,6 +129,7 @@ def test_measured_trees(make: Callable[..., Scene], tree: Path) -> None:
     ("options", "message"),
     [
         ("--seed -1", "seed = -1"),
+        ("--robot orchard", "robot = 'orchard': expected one of harvester, orchard_harvester"),
         ("--distance nan", "distance = nan"),
         ("--trees 0", "trees = 0"),
         ("--fruits 1000", "which found room in their zone"),

@@ -14,6 +14,7 @@ from hplan.collision.coal_scene import CoalScene, base_contacts
 from hplan.errors import InputError, OptionError
 from hplan.orchard import SHIPPED, TUCKED_DEG, FruitZone, MeasuredOptions, OrchardOptions, generate, measured_orchard
 from hplan.orchard.fruits import Canopy
+from hplan.robot.model import load_robot
 from hplan.scene.file import dump_scene, load_scene, parse_scene
 from hplan.scene.obstacles import Capsule, Sphere
 
@@ -254,8 +255,9 @@ def test_shipped_scene_is_what_its_options_give(name):
 
 
 @pytest.mark.parametrize("name", SHIPPED)
-def test_a_hand_can_be_at_the_goal(name, robot):
+def test_a_hand_can_be_at_the_goal(name):
     scene = load_scene(scenes_dir() / f"{name}.yaml")
+    robot = load_robot(scene.robot)
     (goal,) = [fruit for fruit in scene.fruits if fruit.name == scene.goal.fruit]
     assert within_reach(robot, goal.center, clear_of=CoalScene(robot, scene.solids))
 
@@ -266,6 +268,18 @@ def test_every_fruit_of_the_tour_can_be_picked(robot):
     for fruit in scene.fruits:
         others = [ball for ball in balls(scene) if ball.name != fruit.name]
         assert within_reach(robot, fruit.center, clear_of=CoalScene(robot, [*scene.obstacles, *others])), fruit
+
+
+@pytest.mark.parametrize("name", ["orchard-arm-row", "orchard-arm-tour"])
+def test_orchard_arm_has_fruit_above_and_below_its_shoulder(name):
+    scene = load_scene(scenes_dir() / f"{name}.yaml")
+    assert scene.robot == "orchard_harvester"
+    shoulder = load_robot(scene.robot).plane_origin[-1]
+    heights = np.array([fruit.center[2] for fruit in scene.fruits])
+    assert len(heights) >= 20
+    assert (heights < shoulder).sum() >= 3
+    assert (heights > shoulder + 1.0).sum() >= 3
+    assert "ground" in {obstacle.name for obstacle in scene.obstacles}
 
 
 # Measured trees

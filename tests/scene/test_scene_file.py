@@ -14,6 +14,7 @@ from hplan.scene.file import default_scene_path, dump_scene, load_scene, parse_s
 from hplan.scene.limits import FARTHEST_M
 from hplan.scene.model import Fruit, Goal, Scene, Start
 from hplan.scene.obstacles import Box, Capsule, Sphere
+from hplan.verification.digests import scene_digest
 
 HEAD = """\
 format: hplan-scene/1
@@ -35,6 +36,23 @@ def test_shipped_scenes_load(path):
 def test_default_is_table_1():
     assert default_scene_path().name == "table-1.yaml"
     assert load_scene() == load_scene(str(default_scene_path()))
+
+
+def test_robot_of_a_scene(tmp_path):
+    scene = parse_scene(HEAD.replace("start", "robot: orchard_harvester\nstart", 1))
+    assert scene.robot == "orchard_harvester"
+    assert dump_scene(scene).splitlines()[1:3] == ["name: a scene", "robot: orchard_harvester"]
+    assert load_scene(save_scene(scene, tmp_path / "scene.yaml")) == scene
+    assert scene.with_obstacles([]).robot == scene.robot
+    none = parse_scene(HEAD)
+    assert none.robot is None
+    assert "robot" not in dump_scene(none)
+    assert scene_digest(none) == scene_digest(scene)  # the robot has a digest of its own
+    with pytest.raises(
+        SceneError, match=r"no robot of that name ships with hplan; there are harvester, orchard"
+    ) as error:
+        parse_scene(HEAD.replace("start", "robot: orchard_arm\nstart", 1))
+    assert (error.value.where, error.value.line) == ("robot", 3)
 
 
 def test_every_key():

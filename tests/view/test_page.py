@@ -301,6 +301,20 @@ def test_the_camera_holds_arm_and_obstacles(robot: Robot) -> None:
         assert abs(point @ right) < depth * half_height * 1.3
 
 
+def test_the_camera_does_not_stand_back_for_the_ground(robot: Robot) -> None:
+    trajectory, scene = motion(robot, (1.2, *GOAL[1:])), orchard()
+    ground = Box(name="ground", center=(0.0, 0.0, -0.051), size=(6.0, 6.0, 0.1))
+    places = [
+        next(
+            c["value"]
+            for c in stage(robot, one, Playback(trajectory))
+            if c["path"] == "/Cameras/default/rotated/<object>"
+        )
+        for one in (scene, scene.with_obstacles([*scene.obstacles, ground]))
+    ]
+    assert places[0] == places[1]
+
+
 @pytest.mark.parametrize("has_yaw", [True, False])
 def test_other_arms(tmp_path: Path, has_yaw: bool) -> None:
     joints = 2 + has_yaw

@@ -115,8 +115,9 @@ class CropProblems:
 
 
 def shipped_orchards() -> list[Orchard]:
-    """The orchards that ship with hplan."""
-    return [Orchard(name, name, load_scene(scenes_dir() / f"{name}.yaml")) for name in SHIPPED]
+    """The orchards that ship with hplan for the default robot."""
+    scenes = {name: load_scene(scenes_dir() / f"{name}.yaml") for name in SHIPPED}
+    return [Orchard(name, name, scene) for name, scene in scenes.items() if scene.robot is None]
 
 
 def measured_orchards(robot: Robot, folder: Path) -> list[Orchard]:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import lru_cache
 from typing import assert_never
 
 import numpy as np
@@ -140,6 +141,7 @@ def _base_rows(body: BaseBody, clearance: float, offset: int, axis: FloatArray) 
     return np.concatenate(blocks), data
 
 
+@lru_cache(maxsize=64)
 def _base_solid(body: BaseBody) -> Solid:
     """A shape of turret or pedestal as a solid."""
     core = body.core

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple, TypeAlias
 
+from hplan.base import ties
 from hplan.base.arrays import FloatArray, Record
-from hplan.errors import CertificationError
+from hplan.errors import CertificationError, TimingError
 from hplan.planning.grid_route import Route
 from hplan.planning.task import PlanningContext, PlanningTask
 from hplan.robot.limits import GeometricPath, Limits
 from hplan.robot.tracking import TrackingModel
+from hplan.smoothing.minimize_duration import estimated_duration
 from hplan.smoothing.options import PostprocessOptions
 from hplan.smoothing.smooth_path import fast_path
 from hplan.smoothing.spline import SplinePath
@@ -86,22 +89,49 @@ def smooth_and_certify(
         CertificationError: There is none, or none can be certified.
         TimingError: It cannot be timed.
     """
-    robot, problem, options = task.robot, task.problem, task.options
     with task.stage("postprocess"):
-        path = fast_path(
-            waypoints,
-            task.field,
-            PostprocessOptions(
-                lower=problem.lower,
-                upper=problem.upper,
-                velocity=robot.velocity_limit,
-                acceleration=robot.acceleration_limit,
-                movable=problem.movable,
-                margin=margin,
-                objective=options.objective,
-            ),
-        )
+        path = fast_path(waypoints, task.field, smoothing_options(task, margin))
     return PlannedMotion(task, route, waypoints, path, *certified_trajectory(task, path), origin)
+
+
+def quickest_certified(
+    task: PlanningTask, polylines: Sequence[FloatArray], margin: float, origin: Origin
+) -> PlannedMotion | None:
+    """The certified motion along the smooth path of least estimated duration, or length; None where there is none.
+
+    Args:
+        task: What is asked.
+        polylines: (m, dof) clear polylines between the same ends.
+        margin: Clearance asked for beyond the one to keep [m].
+        origin: Where the polylines come from.
+    """
+    options = replace(smoothing_options(task, margin), starts=1)
+    found: list[tuple[FloatArray, SplinePath]] = []
+    with task.stage("postprocess"):
+        for waypoints in polylines:
+            with suppress(CertificationError):
+                found.append((waypoints, fast_path(waypoints, task.field, options)))
+    by_time = options.objective == "duration"
+    aims = [estimated_duration(path, options) if by_time else path.length for _, path in found]
+    for number in ties.argsort(aims).tolist():
+        with suppress(CertificationError, TimingError):
+            waypoints, path = found[number]
+            return PlannedMotion(task, None, waypoints, path, *certified_trajectory(task, path), origin)
+    return None
+
+
+def smoothing_options(task: PlanningTask, margin: float) -> PostprocessOptions:
+    """Options of post-processing for a task, with a clearance beyond the one to keep [m]."""
+    robot, problem = task.robot, task.problem
+    return PostprocessOptions(
+        lower=problem.lower,
+        upper=problem.upper,
+        velocity=robot.velocity_limit,
+        acceleration=robot.acceleration_limit,
+        movable=problem.movable,
+        margin=margin,
+        objective=task.options.objective,
+    )
 
 
 def certified_trajectory(

@@ -1,10 +1,10 @@
 """One motion from configuration to configuration: route, smooth path, timing, certificate, tried until all hold.
 
 Where the base turns and the straight motion is clear, that is the motion. Else a roadmap looks for a quick path by a
-few configurations, and where it finds none, trees do; unless what comes of it is close to the fastest motion that there
-could be, grids are tried in turn, from coarse and near to fine and wide, and the quicker motion is taken. Grids have as
-many nodes as fit a memory and a time, whatever the joint ranges: their step is made larger where it has to be. Before
-large grids are searched, and before anything is refused, trees are given more time.
+few configurations; unless what comes of it is close to the fastest motion that there could be, several pairs of trees
+look for others, and the quickest motion is taken. Where neither finds a path, trees are given more time, and then grids
+are tried in turn, from coarse and near to fine and wide: they alone can show that there is none. Grids have as many
+nodes as fit a memory and a time, whatever the joint ranges: their step is made larger where it has to be.
 """
 
 from __future__ import annotations
@@ -23,11 +23,10 @@ from hplan.planning.certified_motion import PlannedMotion, certificate_of, requi
 from hplan.planning.enclosure import EnclosedError, enclosed_goals
 from hplan.planning.grid_route import find_route
 from hplan.planning.refusals import Refusals
-from hplan.planning.sampled_motion import BRIEF_TREES, SEEDS, by_roadmap, by_trees, by_trees_to_any
+from hplan.planning.sampled_motion import BRIEF_TREES, by_roadmap, by_trees, by_trees_to_any
 from hplan.planning.task import COARSEST_DEG, GridAttempt, PlanningTask
 from hplan.planning.task import STEP_FACTORS as GRID_FACTORS
 from hplan.robot.limits import least_duration as least_between
-from hplan.sampling.roadmap import WIDE
 from hplan.smoothing.repair import repaired
 from hplan.timing.retime import resting
 
@@ -54,11 +53,14 @@ YAW_GRID_ATTEMPTS = (
     GridAttempt(1.0, 45.0, 0.02, False),
 )
 
+#: The trees, where it is told what was tried.
+TREES = f"trees with {BRIEF_TREES.evaluations} evaluations of the clearance"
+
 #: So far the base may turn beyond start and goal where many goals are decided at once, tried in turn [deg].
 WIDTHS = (45.0, 360.0)
 
-#: Most nodes of a grid, of one that is searched for a quicker motion than there is, and of all grids of one search.
-MOST_CELLS, MOST_CELLS_AGAIN, MOST_CELLS_IN_ALL = 1e8, 1.6e7, 4e8
+#: Most nodes of a grid, and of all grids of one search.
+MOST_CELLS, MOST_CELLS_IN_ALL = 1e8, 4e8
 
 #: A planar grid with more nodes is searched only after trees.
 LARGE_PLANAR = 2e6
@@ -73,12 +75,9 @@ SLUGGISH = 8.0
 #: Where the least duration is shorter, this counts [s].
 SHORT = 0.25
 
-#: So many goals are looked for in roadmaps. With a motion that takes no more than this many times the least duration
-#: nothing else is looked for; with a slower one only so many grids.
-ROADMAPS, CLOSE, SECOND_LOOKS = 2, 1.15, 2
-
-#: A path in a roadmap is reckoned with its corners, and so may take this much longer than the motion along it [s].
-CORNERS_S = 0.3
+#: So many goals are looked for by sampling; with a motion found in a roadmap that takes no more than so many times the
+#: least duration nothing else is looked for.
+SAMPLED, CLOSE = 2, 1.15
 
 #: A route is searched to a goal that promises to be reached in less than this fraction of a straight motion's time.
 WORTHWHILE = 0.7
@@ -114,7 +113,7 @@ def first_motion(tasks: Sequence[PlanningTask]) -> tuple[int, PlannedMotion] | R
         return _first_over_yaws(tasks)
     if tasks[0].cells(GridAttempt()) > LARGE_PLANAR:
         # Trees take a fraction of the time, and their paths are shorter than those that a flood of the grid finds.
-        return _first(tasks[:ROADMAPS], by_trees) or by_trees_to_any(tasks) or _first_planar(tasks)
+        return _first(tasks[:SAMPLED], by_trees) or by_trees_to_any(tasks) or _first_planar(tasks)
     found = _first_planar(tasks)
     return (by_trees_to_any(tasks) or found) if isinstance(found, Refusals) else found
 
@@ -123,14 +122,14 @@ def _first_over_yaws(tasks: Sequence[PlanningTask]) -> tuple[int, PlannedMotion]
     """The first goal that is reached while the base turns: straight, or the quicker of other motions."""
     straight = _first(tasks, _straight)
     if straight is None:
-        return _roadmap_or_grids(tasks)
+        return _sampled_or_grids(tasks)
     number, motion = straight
     enough = WORTHWHILE * motion.trajectory.duration
     better = next((other for other in range(number) if least_duration(tasks[other]) < enough), None)
     if better is not None:
-        detour = _second_look(tasks[better : better + 1], YAW_GRID_ATTEMPTS[:1])
-        if detour is not None and detour[1].trajectory.duration < motion.trajectory.duration:
-            return better, detour[1]
+        detour = _sampled(tasks[better])
+        if detour is not None and detour.trajectory.duration < motion.trajectory.duration:
+            return better, detour
     return straight
 
 
@@ -251,28 +250,24 @@ def _planar(task: PlanningTask) -> PlannedMotion:
                     raise
                 break  # grown obstacles close the passage; the motion found without them could not be certified
     if refused is None and task.options.method == "two-level":
-        tried.append(f"trees with {SEEDS * BRIEF_TREES} evaluations of the clearance")
+        tried.append(TREES)
     raise refused or NotFoundError(tried)
 
 
-def _roadmap_or_grids(tasks: Sequence[PlanningTask]) -> tuple[int, PlannedMotion] | Refusals:
-    """The quicker of a motion found in a roadmap, or by trees, and one found on grids."""
-    brief = _first(tasks[:ROADMAPS], by_roadmap) or _first(tasks[:ROADMAPS], by_trees)
-    quick = brief or by_trees_to_any(tasks)
+def _sampled_or_grids(tasks: Sequence[PlanningTask]) -> tuple[int, PlannedMotion] | Refusals:
+    """A motion along a sampled path and, where none is found, one found on grids."""
+    return _first(tasks[:SAMPLED], _sampled) or by_trees_to_any(tasks) or _first_turning(tasks)
+
+
+def _sampled(task: PlanningTask) -> PlannedMotion | None:
+    """The motion along a quick path in a roadmap, or the quickest along paths of trees; None where there is none."""
+    quick = by_roadmap(task)
     if quick is None:
-        found = _first_turning(tasks, YAW_GRID_ATTEMPTS, MOST_CELLS)
-        if isinstance(found, Refusals):
-            return found
-        number, motion = found
-    else:
-        if _is_close(quick[1]):
-            return quick
-        detour = _second_look(tasks, YAW_GRID_ATTEMPTS[:SECOND_LOOKS])
-        number, motion = quick if detour is None or _quicker(quick[1], detour[1]) is quick[1] else detour
-    if number >= ROADMAPS or _is_close(motion) or motion.origin == "roadmap":
-        return number, motion
-    other = by_roadmap(tasks[number], WIDE, quicker_than_s=motion.trajectory.duration + CORNERS_S)
-    return number, motion if other is None else _quicker(motion, other)
+        return by_trees(task)
+    if _is_close(quick):
+        return quick
+    other = by_trees(task, quicker_than_s=quick.trajectory.duration)
+    return quick if other is None else _quicker(quick, other)
 
 
 def _is_close(motion: PlannedMotion) -> bool:
@@ -283,12 +278,6 @@ def _is_close(motion: PlannedMotion) -> bool:
 def _quicker(first: PlannedMotion, second: PlannedMotion) -> PlannedMotion:
     """The one that takes less time; the first of two that take the same."""
     return first if first.trajectory.duration <= second.trajectory.duration else second
-
-
-def _second_look(tasks: Sequence[PlanningTask], attempts: Sequence[GridAttempt]) -> tuple[int, PlannedMotion] | None:
-    """A motion over grids where there is another already; None where there is none."""
-    found = _first_turning(tasks, attempts, MOST_CELLS_AGAIN)
-    return None if isinstance(found, Refusals) else found
 
 
 def _first_planar(tasks: Sequence[PlanningTask]) -> tuple[int, PlannedMotion] | Refusals:
@@ -309,9 +298,7 @@ def _first_planar(tasks: Sequence[PlanningTask]) -> tuple[int, PlannedMotion] | 
     return Refusals(tuple(refused[number] for number in range(len(tasks))))
 
 
-def _first_turning(
-    tasks: Sequence[PlanningTask], attempts: Sequence[GridAttempt], most_cells: float
-) -> tuple[int, PlannedMotion] | Refusals:
+def _first_turning(tasks: Sequence[PlanningTask]) -> tuple[int, PlannedMotion] | Refusals:
     """The first goal that grids lead to, coarse and near ones first, the base turning.
 
     What is closed on the finest grid that fits, whatever the yaw, is closed.
@@ -323,13 +310,18 @@ def _first_turning(
     slow: tuple[int, PlannedMotion] | None = None
 
     def may_be_open(number: int, attempt: GridAttempt) -> bool:
-        range_deg, error = closed.get((number, attempt.step_factor), (0.0, None))
-        return error is None or (error.open_ended and attempt.yaw_range_deg > range_deg)
+        """True unless a grid as fine is closed over as many yaws, or at any."""
+        return not any(
+            which == number
+            and factor <= attempt.step_factor
+            and (attempt.yaw_range_deg <= upto or not error.open_ended)
+            for (which, factor), (upto, error) in closed.items()
+        )
 
-    for wanted in attempts:
+    for wanted in YAW_GRID_ATTEMPTS:
         failed: list[FloatArray] = []  # goals tried on this grid
         for number, task in enumerate(tasks):
-            fitting = task.fitting(wanted, min(most_cells, left[number]))
+            fitting = task.fitting(wanted, min(MOST_CELLS, left[number]))
             if fitting is None or (number, fitting) in seen or not may_be_open(number, fitting):
                 continue
             attempt = fitting
@@ -383,7 +375,7 @@ def _not_found(task: PlanningTask) -> NotFoundError:
     """The error that says what was tried for a goal that the base turns to."""
     coarse = task.fitting(GridAttempt(yaw_range_deg=WIDTHS[-1]), MOST_CELLS)
     grid = "no grid over all yaws fits" if coarse is None else f"grids down to {task.step_deg(coarse):g} deg"
-    return NotFoundError(["straight motion", "roadmap", f"trees of {SEEDS} seeds", grid])
+    return NotFoundError(["straight motion", "roadmap", TREES, grid])
 
 
 def _enclosed(tasks: Sequence[PlanningTask], attempt: GridAttempt) -> list[EnclosedError | None]:

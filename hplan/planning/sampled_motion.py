@@ -8,21 +8,21 @@ from contextlib import suppress
 
 import numpy as np
 
-from hplan.base import ties
 from hplan.base.arrays import FloatArray
 from hplan.errors import CertificationError, TimingError
-from hplan.planning.certified_motion import PlannedMotion, smooth_and_certify
+from hplan.planning.certified_motion import PlannedMotion, quickest_certified, smooth_and_certify
 from hplan.planning.task import PlanningTask
 from hplan.sampling.roadmap import BRIEF, Effort, quick_path
-from hplan.sampling.rrt_connect import TreeEffort, path_time, tree_path
-from hplan.smoothing.shortcut import shorten
+from hplan.sampling.rrt_connect import TreeEffort, tree_path
+from hplan.sampling.several_trees import TreesEffort, promising_paths
 
-#: Trees of so many seeds are tried, and the most promising path taken; what they may spend, in evaluations of the
-#: clearance; and the same before goals are refused.
-SEEDS, BRIEF_TREES, LONG_SEEDS, LONG_TREES = 3, 12_000, 2, 120_000
+#: Effort of the trees: of a quick try, of one that takes what it finds first, and before goals are refused, with so
+#: many seeds.
+BRIEF_TREES, ONE_PAIR = TreesEffort(30_000, (3, 12_000), (9, 3_000)), TreesEffort(12_000, (1, 12_000), (0, 0))
+LONG_TREES, LONG_SEEDS = 120_000, 2
 
-#: Of so many paths the motions are compared.
-COMPARED = 2
+#: Of so many paths the motions are compared, of those that promise to take no longer than so many times the least.
+COMPARED, PROMISING = 3, 1.2
 
 
 def by_roadmap(task: PlanningTask, effort: Effort = BRIEF, *, quicker_than_s: float = math.inf) -> PlannedMotion | None:
@@ -38,22 +38,17 @@ def by_roadmap(task: PlanningTask, effort: Effort = BRIEF, *, quicker_than_s: fl
     return None
 
 
-def by_trees(task: PlanningTask, seeds: int = SEEDS) -> PlannedMotion | None:
+def by_trees(
+    task: PlanningTask, effort: TreesEffort = BRIEF_TREES, *, quicker_than_s: float = math.inf
+) -> PlannedMotion | None:
     """The quickest motion along the most promising paths of some trees; None where none is found and certified."""
     if task.options.method != "two-level":
         return None  # a certain search is wanted
     margin, velocity = task.margin(), task.robot.velocity_limit
-    paths: list[FloatArray] = []
-    times: list[float] = []
     with task.stage("roadmap"):
-        for seed in range(seeds):
-            path = tree_path(task.problem, task.field, velocity, 0.1 * margin, TreeEffort(BRIEF_TREES, seed))
-            if path is None and not paths:
-                return None
-            if path is not None:
-                paths.append(path)
-                times.append(path_time(shorten(path, task.field, margin=0.1 * margin), velocity))
-    return _quickest_along(task, [paths[number] for number in ties.argsort(times).tolist()], margin)
+        paths = promising_paths(task.problem, task.field, velocity, 0.1 * margin, effort)
+    useful = min([quicker_than_s, *(PROMISING * seconds for seconds, _ in paths)])
+    return _quickest_along(task, [path for seconds, path in paths if seconds <= useful], margin)
 
 
 def by_trees_to_any(tasks: Sequence[PlanningTask]) -> tuple[int, PlannedMotion] | None:
@@ -66,11 +61,13 @@ def by_trees_to_any(tasks: Sequence[PlanningTask]) -> tuple[int, PlannedMotion] 
     for seed in range(LONG_SEEDS):
         effort = TreeEffort(LONG_TREES, seed)
         with first.stage("roadmap"):
-            path = tree_path(first.problem, first.field, first.robot.velocity_limit, 0.1 * margin, effort, goals=goals)
+            path, _ = tree_path(
+                first.problem, first.field, first.robot.velocity_limit, 0.1 * margin, effort, goals=goals
+            )
         if path is not None:
             found.setdefault(int((goals == path[-1]).all(axis=1).argmax()), []).append(path)
-    for number, paths in found.items():
-        motion = _quickest_along(tasks[number], paths, margin)
+    for number, reached in found.items():
+        motion = _quickest_along(tasks[number], reached, margin)
         if motion is not None:
             return number, motion
     return None
@@ -78,11 +75,7 @@ def by_trees_to_any(tasks: Sequence[PlanningTask]) -> tuple[int, PlannedMotion] 
 
 def _quickest_along(task: PlanningTask, paths: Sequence[FloatArray], margin: float) -> PlannedMotion | None:
     """The quickest certified motion along `COMPARED` of some paths, the first that give one; None where none does."""
-    motions: list[PlannedMotion] = []
-    for path in paths:
-        # The path as it was found: a shortened one touches the margin, and leaves smoothing no room.
-        with suppress(CertificationError, TimingError):
-            motions.append(smooth_and_certify(task, path, margin, "trees"))
-        if len(motions) == COMPARED:
-            break
-    return min(motions, key=lambda motion: motion.trajectory.duration, default=None)
+    # The paths as they were found: shortened ones touch the margin, and leave smoothing no room.
+    batches = (paths[first : first + COMPARED] for first in range(0, len(paths), COMPARED))
+    motions = (quickest_certified(task, batch, margin, "trees") for batch in batches)
+    return next((motion for motion in motions if motion is not None), None)

@@ -20,6 +20,7 @@ from hplan.base.kernels import kernel
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.clearance_kernels import FieldArrays, link_clearances, motion_bounds, proven_advance
 from hplan.problem.definition import Problem
+from hplan.sampling.time_shortcut import motion_time
 
 #: Samples drawn at a time, and nodes that a tree may have.
 CHUNK, MOST_NODES = 500, 20_000
@@ -32,9 +33,6 @@ LEAST_S = 0.002
 
 #: Looks at the clearance along one edge before the rest of it is given up.
 LOOKS = 64
-
-#: What a corner adds to the time of a path [s].
-CORNER_S = 0.02
 
 #: Samples are drawn from the box of start and goal, this much larger on all sides [rad], and about either of them
 #: within 1 rad, half of that, and so on.
@@ -85,7 +83,7 @@ class Surroundings(NamedTuple):
 def tree_path(
     problem: Problem, field: ClearanceField, velocity: FloatArray, margin: float, effort: TreeEffort,
     *, goals: FloatArray | None = None,
-) -> FloatArray | None:  # fmt: skip
+) -> tuple[FloatArray | None, int]:  # fmt: skip
     """A clear path of straight motions from start to goal.
 
     Args:
@@ -97,19 +95,20 @@ def tree_path(
         goals: (k, dof) configurations of which one is to be reached, whichever comes first; None for the problem's.
 
     Returns:
-        (m, dof) waypoints, m >= 2; None where none was found.
+        (m, dof) waypoints, m >= 2, or None where none was found; and the evaluations that it took.
     """
     ends = np.array(problem.goal[None] if goals is None else goals)
     first, second = _tree(problem.start[None]), _tree(ends)
     arm = Surroundings(1.0 / velocity, field.arrays, margin)
     generator = np.random.Generator(np.random.PCG64(effort.seed))
     looks = np.array([effort.evaluations], dtype=np.int64)
-    while looks[0] > 0 and max(first.size[0], second.size[0]) < MOST_NODES - CHUNK:
+    path = None
+    while path is None and looks[0] > 0 and max(first.size[0], second.size[0]) < MOST_NODES - CHUNK:
         joined = _grow(_samples(generator, problem, ends), first, second, arm, looks)
         if joined[0] >= 0:
             there = np.concatenate([_branch(first, int(joined[0]))[::-1], _branch(second, int(joined[1]))])
-            return frozen(there[np.append(True, (np.diff(there, axis=0) != 0.0).any(axis=1))])
-    return None
+            path = frozen(there[np.append(True, (np.diff(there, axis=0) != 0.0).any(axis=1))])
+    return path, effort.evaluations - int(looks[0])
 
 
 def _samples(generator: np.random.Generator, problem: Problem, goals: FloatArray) -> FloatArray:
@@ -125,11 +124,6 @@ def _samples(generator: np.random.Generator, problem: Problem, goals: FloatArray
     scale = np.ldexp(1.0, -generator.integers(0, SCALES, (len(chosen), 1)))
     samples[2::3] = np.clip(about + scale * (2.0 * samples[2::3] - 1.0), lower, upper)
     return samples
-
-
-def path_time(path: FloatArray, velocity: FloatArray) -> float:
-    """About how long a motion along waypoints takes: at the velocity limits, and a little for each corner [s]."""
-    return float((np.abs(np.diff(path, axis=0)) / velocity).max(axis=1).sum() + CORNER_S * (len(path) - 2))
 
 
 def _tree(roots: FloatArray) -> Tree:
@@ -162,21 +156,12 @@ def _grow(samples: FloatArray, first: Tree, second: Tree, arm: Surroundings, loo
             continue
         target = tree.points[new]
         here = _nearest(towards, target, arm)
-        while here >= 0 and _time(towards.points[here], target, arm.slowness) > 0.0:
+        while here >= 0 and motion_time(towards.points[here], target, arm.slowness) > 0.0:
             here = _extend(towards, here, target, arm, looks)
         if here >= 0:
             joined[0], joined[1] = (new, here) if forward else (here, new)
             break
     return joined
-
-
-@kernel
-def _time(start: FloatArray, end: FloatArray, slowness: FloatArray) -> float:
-    """Least time of the straight motion at the velocity limits [s]."""
-    time = 0.0
-    for i in range(len(start)):
-        time = max(time, abs(end[i] - start[i]) * slowness[i])
-    return time
 
 
 @kernel
@@ -201,7 +186,7 @@ def _extend(tree: Tree, node: int, target: FloatArray, arm: Surroundings, looks:
     start = tree.points[node]
     q, turns = np.empty(dof), np.empty(dof)
     bounds, clear = np.empty(links), np.empty(links)
-    time = _time(start, target, arm.slowness)
+    time = motion_time(start, target, arm.slowness)
     part = min(1.0, EDGE_S / time) if time > 0.0 else 1.0
     for i in range(dof):
         turns[i] = part * (target[i] - start[i])

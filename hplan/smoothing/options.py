@@ -38,6 +38,8 @@ class PostprocessOptions:
         shortcuts: Shortcuts tried on the polyline.
         trials: Steps tried on the spline for a shorter duration.
         taut_rounds: Rounds of pulling taut for a shorter path.
+        starts: How many numbers of control points are carried through for the fastest motion: the search is local, so
+            each finds another path.
     """
 
     lower: FloatArray
@@ -50,6 +52,7 @@ class PostprocessOptions:
     shortcuts: int = 200
     trials: int = 250
     taut_rounds: int = 45
+    starts: int = 2
 
     @cached_property
     def joints(self) -> JointArrays:

@@ -20,9 +20,6 @@ from hplan.smoothing.spline import SplinePath
 FAST_CONTROL_POINTS = (6, 8, 7, 9, 10, 12, 14, 17, 20, 25, 30, 44)
 SHORT_CONTROL_POINTS = (44, 64)
 
-#: How many of them are carried through for the fastest motion: the search is local, so each finds another path.
-STARTS = 2
-
 #: Ends nearer to each other than this are one [rad].
 NO_MOTION = 1e-9
 
@@ -30,7 +27,7 @@ NO_MOTION = 1e-9
 GOOD_ENOUGH = 1.005
 
 #: Obstacles farther than this from the grid path are left out while the spline is moved [m].
-NEAR = 0.15
+NEAR = 0.3
 
 #: With no more rows in the field than this none are left out.
 FEW = 20
@@ -82,7 +79,7 @@ def _fastest(
             spline = clear_spline(taut, field, options, count=count, margin=margin)
             if spline is not None:
                 found.append(minimize_duration(spline, field, options, margin=margin))
-            if len(found) == STARTS or (found and found[-1][1] <= GOOD_ENOUGH * least):
+            if len(found) == options.starts or (found and found[-1][1] <= GOOD_ENOUGH * least):
                 break
         if found:
             return found[ties.argmin([seconds for _, seconds in found])][0]

@@ -29,9 +29,9 @@ from hplan.errors import (
     TimingError,
 )
 from hplan.planning.certified_motion import Part, PlannedMotion
-from hplan.planning.find_motion import CLOSE, ROADMAPS, first_motion
+from hplan.planning.find_motion import CLOSE, SAMPLED, first_motion
 from hplan.planning.refusals import Refusals
-from hplan.planning.sampled_motion import by_roadmap, by_trees
+from hplan.planning.sampled_motion import ONE_PAIR, by_roadmap, by_trees
 from hplan.planning.task import PlanningContext, PlanningTask
 from hplan.robot.limits import Limits, rest_to_rest
 
@@ -94,7 +94,7 @@ NONE = Move(math.inf, ())
 def quick_motion(tasks: Sequence[PlanningTask], trees: bool = True) -> tuple[int, PlannedMotion] | None:
     """The first motion that a roadmap finds to one of several goals, or else trees; None where neither does."""
     tasks = [task for task in tasks if task.problem.turns and not task.problem.is_empty]
-    for find, some in ((by_roadmap, tasks), (partial(by_trees, seeds=1), tasks[: ROADMAPS if trees else 0])):
+    for find, some in ((by_roadmap, tasks), (partial(by_trees, effort=ONE_PAIR), tasks[: SAMPLED if trees else 0])):
         for number, task in enumerate(some):
             if (motion := find(task)) is not None:
                 return number, motion

@@ -199,7 +199,7 @@ def test_stages_are_announced_in_order(robot: Robot, monkeypatch: pytest.MonkeyP
     find_motion([found])
     assert seen == ["roadmap", "postprocess", "timing", "certificate"]
     seen.clear()
-    monkeypatch.setattr("hplan.planning.find_motion.ROADMAPS", 0)
+    monkeypatch.setattr("hplan.planning.find_motion.SAMPLED", 0)
     monkeypatch.setattr("hplan.planning.find_motion.by_trees_to_any", lambda _: None)
     find_motion([found])
     assert seen[:2] == ["cspace", "search"]

@@ -77,7 +77,7 @@ def test_straight_motion_is_about_as_fast_as_can_be(robot: Robot) -> None:
 @pytest.fixture
 def grids_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     """No roadmap is made, and no trees grow, before grids are searched."""
-    monkeypatch.setattr("hplan.planning.find_motion.ROADMAPS", 0)
+    monkeypatch.setattr("hplan.planning.find_motion.SAMPLED", 0)
     monkeypatch.setattr("hplan.planning.find_motion.by_trees_to_any", lambda _: None)
 
 
@@ -494,5 +494,5 @@ def test_random_scenes_are_worth_it(robot: Robot) -> None:
         assert_sound(robot, scene, result)
         kind = planner_of(result)[0]
         kinds[kind] = kinds.get(kind, 0) + 1
-    assert kinds.keys() == {"direct", "roadmap", "two-level"}
+    assert kinds.keys() == {"direct", "roadmap", "trees"}
     assert min(kinds.values()) >= 2

@@ -42,8 +42,9 @@ def goals(robot: Robot, *yaws: float) -> list[PlanningTask]:
 @pytest.fixture
 def ladder(monkeypatch: pytest.MonkeyPatch, robot: Robot) -> Callable[..., list[Try]]:
     """Grids that give what they are told to, however large; no roadmaps, no trees. Returns what has been tried."""
-    monkeypatch.setattr(hplan.planning.find_motion, "ROADMAPS", 0)
-    monkeypatch.setattr(hplan.planning.sampled_motion, "tree_path", lambda *_, **__: None)
+    monkeypatch.setattr(hplan.planning.find_motion, "SAMPLED", 0)
+    monkeypatch.setattr(hplan.planning.sampled_motion, "promising_paths", lambda *_: [])
+    monkeypatch.setattr(hplan.planning.sampled_motion, "tree_path", lambda *_, **__: (None, 0))
     for most in ("MOST_CELLS", "MOST_CELLS_IN_ALL"):
         monkeypatch.setattr(hplan.planning.find_motion, most, 1e12)
 
@@ -214,7 +215,8 @@ def test_planar_ladder(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
         raise closed_at.get(tried[-1], CertificationError(f"number {len(tried)}"))
 
     monkeypatch.setattr(hplan.planning.find_motion, "_on_grid", on_grid)
-    monkeypatch.setattr(hplan.planning.sampled_motion, "tree_path", lambda *_, **__: None)
+    monkeypatch.setattr(hplan.planning.sampled_motion, "promising_paths", lambda *_: [])
+    monkeypatch.setattr(hplan.planning.sampled_motion, "tree_path", lambda *_, **__: (None, 0))
     with pytest.raises(CertificationError, match=r"number 1$"):
         find_motion([posed(robot, scene, PlanOptions(step_deg=STEP))])
     assert tried == [(step, growth) for step in (STEP, 0.5 * STEP) for growth in GROWTH]
@@ -290,7 +292,8 @@ def test_a_planar_grid_that_gave_way_to_a_coarser_one_names_its_step_and_is_trie
         raise found[0]
 
     monkeypatch.setattr(hplan.planning.find_motion, "_on_grid", on_grid)
-    monkeypatch.setattr(hplan.planning.sampled_motion, "tree_path", lambda *_, **__: None)
+    monkeypatch.setattr(hplan.planning.sampled_motion, "promising_paths", lambda *_: [])
+    monkeypatch.setattr(hplan.planning.sampled_motion, "tree_path", lambda *_, **__: (None, 0))
     monkeypatch.setattr(hplan.planning.find_motion, "MOST_CELLS", 0.5 * one.cells(GridAttempt()))
     with pytest.raises(NoPathError, match=r"explained; the grid's step is 1.5 deg"):
         find_motion([one])
@@ -306,16 +309,15 @@ def test_nothing_found_and_nothing_shown(robot: Robot, ladder: Any) -> None:
     """Closed up to some yaws only, and trees found nothing: it is said what was tried."""
     tasks = goals(robot, 60.0)
     ladder(tasks, lambda _: enclosed(open_ended=True))
-    with pytest.raises(NotFoundError, match="trees of 3 seeds; grids down to 1 deg") as caught:
+    with pytest.raises(NotFoundError, match=r"trees with 30000 evaluations .*; grids down to 1 deg") as caught:
         find_motion(tasks)
     assert caught.value.exit_status == 6
     assert caught.value.data["tried"][0] == "straight motion"
 
 
 def test_trees_go_before_grids(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
-    """No quick path in the roadmap: the trees' motion is taken, or a quicker one of a small grid."""
+    """No quick path in the roadmap: the trees' motion is taken."""
     monkeypatch.setattr(hplan.planning.sampled_motion, "quick_path", lambda *_, **__: None)
-    monkeypatch.setattr(hplan.planning.find_motion, "SECOND_LOOKS", 0)
     tasks = goals(robot, 60.0)
     number, motion = find_motion(tasks)
     assert (number, motion.origin) == (0, "trees")

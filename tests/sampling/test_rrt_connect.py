@@ -20,7 +20,7 @@ START, GOAL = np.array([0.0, 1.2, 0.3, 0.3]), np.array([0.0, 0.1, 0.3, 0.3])
 
 
 def path_of(robot: Robot, problem: Problem, world: World, effort: TreeEffort) -> FloatArray | None:
-    return tree_path(problem, world.field, robot.velocity_limit, MARGIN, effort)
+    return tree_path(problem, world.field, robot.velocity_limit, MARGIN, effort)[0]
 
 
 @pytest.fixture
@@ -79,3 +79,19 @@ def test_locked_joints_stay(robot: Robot, scene: Scene) -> None:
 def test_less_effort_than_it_takes(robot: Robot, blocked: tuple[Problem, World]) -> None:
     problem, world = blocked
     assert path_of(robot, problem, world, TreeEffort(5)) is None
+
+
+def test_evaluations_are_counted(robot: Robot, blocked: tuple[Problem, World]) -> None:
+    problem, world = blocked
+
+    def spent(evaluations: int) -> tuple[FloatArray | None, int]:
+        return tree_path(problem, world.field, robot.velocity_limit, MARGIN, TreeEffort(evaluations))
+
+    path, least = spent(50_000)
+    assert path is not None
+    again, same = spent(least)
+    assert again is not None
+    assert same == least
+    missed, few = spent(5)
+    assert missed is None
+    assert 5 <= few < least  # an edge that was begun is gone along to its end

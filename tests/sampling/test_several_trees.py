@@ -1,0 +1,71 @@
+"""Several pairs of trees: the quickest first, later ones only where a path would be quicker."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hplan.base.arrays import FloatArray
+from hplan.problem.definition import Problem, check_problem
+from hplan.problem.world import World
+from hplan.robot.model import Robot
+from hplan.sampling.rrt_connect import TreeEffort, tree_path
+from hplan.sampling.several_trees import TreesEffort, promising_paths, quicker_only
+from hplan.sampling.time_shortcut import path_time, quicken
+from hplan.scene import Sphere
+
+MARGIN = 2e-4
+START, GOAL = np.array([0.0, 1.2, 0.3, 0.3]), np.array([0.0, 0.1, 0.3, 0.3])
+ALONE = TreesEffort(10**6, (3, 50_000), (0, 0))
+
+
+@pytest.fixture
+def blocked(robot: Robot) -> tuple[Problem, World]:
+    world = World.of(robot, [Sphere(name="ball", center=(1.6, 0.0, 1.6), radius=0.25)], clearance=0.005)
+    return check_problem(world, START, GOAL), world
+
+
+def found(robot: Robot, blocked: tuple[Problem, World], effort: TreesEffort) -> list[tuple[float, FloatArray]]:
+    return promising_paths(blocked[0], blocked[1].field, robot.velocity_limit, MARGIN, effort)
+
+
+def test_anywhere_each_pair_is_one_that_grows_alone(robot: Robot, blocked: tuple[Problem, World]) -> None:
+    problem, world = blocked
+    velocity = robot.velocity_limit
+    grown = (tree_path(problem, world.field, velocity, MARGIN, TreeEffort(50_000, seed))[0] for seed in range(3))
+    alone = [path for path in grown if path is not None]
+    times = [path_time(quicken(path, world.field, velocity, margin=MARGIN), velocity) for path in alone]
+    paths = found(robot, blocked, ALONE)
+    assert [time for time, _ in paths] == pytest.approx(sorted(times), abs=1e-9)
+    assert all(any(np.array_equal(path, other) for other in alone) for _, path in paths)
+
+
+def test_later_pairs_stay_where_a_path_would_be_quicker(robot: Robot, blocked: tuple[Problem, World]) -> None:
+    problem, world = blocked
+    first = found(robot, blocked, ALONE)
+    more = found(robot, blocked, TreesEffort(10**6, (3, 50_000), (9, 50_000)))
+    assert len(more) > len(first)
+    assert [time for time, _ in more] == pytest.approx(sorted(time for time, _ in more), abs=1e-9)
+    inside = quicker_only(problem, robot.velocity_limit, first[0][0])
+    new = [path for _, path in more if not any(np.array_equal(path, other) for _, other in first)]
+    assert all(((path >= inside.lower - 1e-12) & (path <= inside.upper + 1e-12)).all() for path in new)
+    assert all(world.field.is_clear(path, 0.5 * MARGIN) for path in new)
+
+
+def test_what_is_quicker_is_inside(robot: Robot, blocked: tuple[Problem, World]) -> None:
+    """Any path of so short a time stays within the narrowed limits, whichever joint makes the detour."""
+    problem, velocity = blocked[0], robot.velocity_limit
+    rng = np.random.default_rng(0)
+    for via in rng.uniform(problem.lower, problem.upper, (400, 4)):
+        inside = quicker_only(problem, velocity, path_time(np.array([START, via, GOAL]), velocity))
+        assert ((via >= inside.lower - 1e-12) & (via <= inside.upper + 1e-12)).all()
+    tight = quicker_only(problem, velocity, 0.0)
+    np.testing.assert_array_equal(tight.lower, np.minimum(START, GOAL))
+    np.testing.assert_array_equal(tight.upper, np.maximum(START, GOAL))
+
+
+def test_effort_ends(robot: Robot, blocked: tuple[Problem, World]) -> None:
+    assert found(robot, blocked, TreesEffort(5, (3, 50_000), (9, 50_000))) == []
+    assert found(robot, blocked, TreesEffort(10**6, (3, 5), (9, 50_000))) == []
+    spent = tree_path(blocked[0], blocked[1].field, robot.velocity_limit, MARGIN, TreeEffort(50_000))[1]
+    assert len(found(robot, blocked, TreesEffort(spent, (3, 50_000), (9, 50_000)))) == 1

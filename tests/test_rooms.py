@@ -14,7 +14,8 @@ PACKAGE = Path(__file__).resolve().parents[1] / "hplan"
 #: From the ground up: a room imports only those before it, and itself.
 ROOMS = (
     *("errors", "base", "scene", "orchard", "search", "robot", "robot_family", "planar", "cspace", "collision"),
-    *("timing", "smoothing", "verification", "waypoints", "problem", "sampling", "planning", "tour", "view", "cli"),
+    *("timing", "smoothing", "optimization", "verification", "waypoints", "problem", "sampling", "planning", "tour"),
+    *("view", "cli"),
 )
 MOST_FILES = 15
 

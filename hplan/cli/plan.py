@@ -102,6 +102,8 @@ def parser(prog: str) -> CommandParser:
     add(
         "--objective", choices=("duration", "length"), default="duration", help="what to make small (default: duration)"
     )
+    add("--effort", choices=("quick", "default", "best"), default="default", help="what to spend on a faster motion; "
+        "quick: the first that is certified (default: default)")  # fmt: skip
     add("--link-model", choices=("capsule", "paper", "rectangle"), default="capsule", help="default: capsule")
     add(
         "--step", dest="step_deg", type=float, default=1.0, metavar="DEG", help="spacing of the joint grid (default: 1)"
@@ -138,7 +140,7 @@ def _made(arguments: argparse.Namespace, folder: JobFolder, errors: Console) -> 
             from hplan.view.yaw_section import check_yaw
 
         options = plan_options(
-            arguments, "method", "step_deg", "objective", "link_model", "sigmas", "standoff", "certify"
+            arguments, "method", "step_deg", "objective", "effort", "link_model", "sigmas", "standoff", "certify"
         )
         given = load_scene(arguments.scene)
         robot = robot_of(arguments, given)

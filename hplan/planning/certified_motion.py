@@ -10,18 +10,30 @@ from typing import Literal, NamedTuple, TypeAlias
 from hplan.base import ties
 from hplan.base.arrays import FloatArray, Record
 from hplan.errors import CertificationError, TimingError
+from hplan.optimization.minimize_time import Effort, TimeProblem, minimize_time
+from hplan.optimization.timed_spline import TimedSpline
 from hplan.planning.grid_route import Route
 from hplan.planning.task import PlanningContext, PlanningTask
 from hplan.robot.limits import GeometricPath, Limits
 from hplan.robot.tracking import TrackingModel
-from hplan.smoothing.minimize_duration import estimated_duration
+from hplan.smoothing.minimize_duration import coarse_profile, estimated_duration
 from hplan.smoothing.options import PostprocessOptions
-from hplan.smoothing.smooth_path import fast_path
+from hplan.smoothing.smooth_path import clear_start, fast_path, is_straight, near_field
 from hplan.smoothing.spline import SplinePath
 from hplan.timing.retime import time_path
 from hplan.timing.speed_ceiling import SpeedCeiling, averaging_s
 from hplan.timing.trajectory import Trajectory
 from hplan.verification.certificate import Certificate, Stretch, certify_among
+
+#: What may be spent on the optimisation of a motion, by the option.
+EFFORTS: dict[str, Effort | None] = {
+    "quick": None,
+    "default": Effort(piece_s=0.03, pieces=(50, 120), steps=12, gain=0.02),
+    "best": Effort(piece_s=0.012, pieces=(60, 300), steps=20, gain=1e-4),
+}
+
+#: Obstacles farther than this from a path are left out of the programs that move it [m].
+OPTIMIZED = 0.4
 
 #: Fractions of the clearance that sway may take which comes with speed, tried in turn until a motion is certified.
 CEILINGS = (0.75, 0.5, 0.2)
@@ -53,7 +65,7 @@ class PlannedMotion(Record):
         task: What was asked.
         route: The path over the grid; None where none was needed.
         waypoints: (m, dof) the polyline before post-processing.
-        path: The smooth path; None for an empty motion.
+        path: The smooth path; None for an empty motion. Of a motion optimised with its timing the parameter is time.
         trajectory: The timed motion.
         certificate: What was shown of it.
         origin: Where the waypoints come from.
@@ -89,15 +101,21 @@ def smooth_and_certify(
         CertificationError: There is none, or none can be certified.
         TimingError: It cannot be timed.
     """
+    processing = smoothing_options(task, margin)
+    optimized = _first_certified(task, [(waypoints, _optimized(task, waypoints, processing))], origin, route)
+    if optimized is not None:
+        return optimized
     with task.stage("postprocess"):
-        path = fast_path(waypoints, task.field, smoothing_options(task, margin))
+        path = fast_path(waypoints, task.field, processing)
     return PlannedMotion(task, route, waypoints, path, *certified_trajectory(task, path), origin)
 
 
 def quickest_certified(
     task: PlanningTask, polylines: Sequence[FloatArray], margin: float, origin: Origin
 ) -> PlannedMotion | None:
-    """The certified motion along the smooth path of least estimated duration, or length; None where there is none.
+    """The quickest certified motion near some polylines; None where there is none.
+
+    Where none can be optimised with its timing, that along the smooth path of least estimated duration, or length.
 
     Args:
         task: What is asked.
@@ -105,7 +123,12 @@ def quickest_certified(
         margin: Clearance asked for beyond the one to keep [m].
         origin: Where the polylines come from.
     """
-    options = replace(smoothing_options(task, margin), starts=1)
+    processing = smoothing_options(task, margin)
+    splines = [(waypoints, _optimized(task, waypoints, processing)) for waypoints in polylines]
+    optimized = _first_certified(task, splines, origin)
+    if optimized is not None:
+        return optimized
+    options = replace(processing, starts=1)
     found: list[tuple[FloatArray, SplinePath]] = []
     with task.stage("postprocess"):
         for waypoints in polylines:
@@ -134,6 +157,40 @@ def smoothing_options(task: PlanningTask, margin: float) -> PostprocessOptions:
     )
 
 
+def _optimized(task: PlanningTask, waypoints: FloatArray, processing: PostprocessOptions) -> TimedSpline | None:
+    """The fastest motion near a polyline; None where the straight one is as good, or none was found or is asked for."""
+    effort, options = EFFORTS[task.options.effort], task.options
+    if effort is None or options.objective != "duration" or options.tracking.delay_s > 0.0:
+        return None
+    with task.stage("postprocess"):
+        if is_straight(waypoints, task.field, processing):
+            return None
+        near = near_field(waypoints, task.field, OPTIMIZED)
+        start = clear_start(waypoints, near, processing)
+    if start is None:
+        return None
+    with task.stage("timing"):
+        problem = TimeProblem(task.field, near, processing, motion_limits(task), task.robot.dynamics, options.rate_hz)
+        return minimize_time(coarse_profile(start, processing), problem, effort)
+
+
+def _first_certified(
+    task: PlanningTask,
+    splines: Sequence[tuple[FloatArray, TimedSpline | None]],
+    origin: Origin,
+    route: Route | None = None,
+) -> PlannedMotion | None:
+    """The quickest of some optimised motions, each with its polyline, that is certified; None where none is."""
+    found = [(waypoints, spline) for waypoints, spline in splines if spline is not None]
+    for number in ties.argsort([spline.duration for _, spline in found]).tolist():
+        waypoints, spline = found[number]
+        trajectory = spline.trajectory(task.robot.dynamics, task.options.rate_hz)
+        certificate = certificate_of(task, trajectory)
+        if certificate.verified:
+            return PlannedMotion(task, route, waypoints, spline.path, trajectory, certificate, origin)
+    return None
+
+
 def certified_trajectory(
     context: PlanningContext, path: GeometricPath, among: Callable[[Trajectory], Sequence[Stretch]] | None = None
 ) -> tuple[Trajectory, Certificate]:
@@ -158,6 +215,13 @@ def certified_trajectory(
     return trajectory, required(context, certificate)
 
 
+def motion_limits(context: PlanningContext) -> Limits:
+    """What motions of a context may use of the robot's limits."""
+    robot = context.robot
+    limits = Limits(robot.velocity_limit, robot.acceleration_limit, robot.torque_limit, robot.jerk_limit)
+    return limits.scaled(context.options.speed)
+
+
 def timed(context: PlanningContext, path: GeometricPath, fraction: float = 0.0) -> Trajectory:
     """The fastest trajectory along a path under the robot's limits.
 
@@ -171,8 +235,7 @@ def timed(context: PlanningContext, path: GeometricPath, fraction: float = 0.0) 
     """
     robot, options, delay_s = context.robot, context.options, context.options.tracking.delay_s
     with context.stage("timing"):
-        limits = Limits(robot.velocity_limit, robot.acceleration_limit, robot.torque_limit, robot.jerk_limit)
-        limits = limits.scaled(options.speed)
+        limits = motion_limits(context)
         if fraction > 0.0:
             averaged_s = averaging_s(limits, options.rate_hz)
             limits = replace(limits, path_speed=SpeedCeiling(robot, path, context.field, delay_s, fraction, averaged_s))

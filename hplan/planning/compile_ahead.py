@@ -18,7 +18,7 @@ import numpy as np
 
 from hplan.base.child_process import import_environment, python_module
 from hplan.base.kernels import can_be_kept, is_kept
-from hplan.timing.topp import greedy
+from hplan.optimization.interior_point import solve
 
 #: Longest wait for the other process [s].
 PATIENCE_S = 120.0
@@ -29,7 +29,7 @@ _FOLDED_DEG = (80.0, 80.0)
 
 def is_first_run() -> bool:
     """True if a kernel that every plan needs is not on disk as its source stands."""
-    return not is_kept(greedy)
+    return not is_kept(solve)
 
 
 @contextmanager
@@ -42,7 +42,7 @@ def compiling_ahead(first_run: bool) -> Iterator[Callable[[], None]]:
     Yields:
         A function that waits until they are.
     """
-    useful = first_run and can_be_kept(greedy) and len(os.sched_getaffinity(0)) > 1
+    useful = first_run and can_be_kept(solve) and len(os.sched_getaffinity(0)) > 1
     other = _start() if useful else None
 
     def wait() -> None:
@@ -68,19 +68,21 @@ def _start() -> subprocess.Popen[bytes] | None:
 
 
 def compile_from_postprocessing_on() -> None:
-    """Smooth, time and certify a path through the reference scene."""
-    from hplan.planning.certified_motion import smooth_and_certify
+    """Optimise and certify a motion through the reference scene, and time its path."""
+    from hplan.planning.certified_motion import smooth_and_certify, timed
     from hplan.planning.task import MARGIN, PlanningCache
     from hplan.problem.options import PlanOptions
     from hplan.robot.model import load_robot
     from hplan.scene.file import load_scene
+    from hplan.smoothing.spline import SplinePath
 
     scene = load_scene()
     start, goal = scene.start.configuration, scene.goal.configuration
     waypoints = np.stack([start, start, goal, goal])
     waypoints[1:3, -2:] = np.radians(_FOLDED_DEG)
     task = PlanningCache(load_robot()).context(scene, PlanOptions()).task(start, goal)
-    smooth_and_certify(task, waypoints, MARGIN, "search")
+    motion = smooth_and_certify(task, waypoints, MARGIN, "search")
+    timed(task, SplinePath.through(motion.trajectory.position[:: motion.trajectory.samples // 8]))
 
 
 if __name__ == "__main__":

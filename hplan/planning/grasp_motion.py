@@ -29,7 +29,7 @@ def motion_to_grasp(
     start: FloatArray,
     task_to: Callable[[Grasp], PlanningTask],
     last_of: Callable[[Grasp], _Last],
-    find: FindMotion = first_motion,
+    find: FindMotion | None = None,
 ) -> tuple[Grasp, PlannedMotion, _Last]:
     """A grasp, the motion to where its approach begins, and what is made of the approach.
 
@@ -43,7 +43,7 @@ def motion_to_grasp(
         start: (dof,) configuration from which the arm comes.
         task_to: The motion to plan to a grasp; raises `ConfigurationInCollisionError` where it cannot be taken.
         last_of: What follows the motion to a grasp; raises `CertificationError` or `TimingError` where nothing can.
-        find: Finds a motion to one of several grasps.
+        find: Finds a motion to one of several grasps; `first_motion` where this is None.
 
     Raises:
         NoPathError: No path to any of the grasps exists on the grid.
@@ -64,7 +64,7 @@ def motion_to_grasp(
                     del tasks[number]
         while tasks:
             numbers = list(tasks)
-            result = find(list(tasks.values()))
+            result = (find or first_motion)(list(tasks.values()))
             if isinstance(result, Refusals):
                 refused |= zip(numbers, result.errors, strict=True)
                 break

@@ -14,6 +14,10 @@ from hplan.smoothing.options import OBJECTIVES, Objective
 Method = Literal["two-level", "dense"]
 METHODS: tuple[Method, ...] = ("two-level", "dense")
 
+#: How much is spent on a faster motion.
+EffortName = Literal["quick", "default", "best"]
+EFFORT_NAMES: tuple[EffortName, ...] = ("quick", "default", "best")
+
 
 @dataclass(frozen=True)
 class PlanOptions:
@@ -23,6 +27,8 @@ class PlanOptions:
         method: `two-level`, or `dense` for the baseline.
         step_deg: Largest spacing of the joint grid [deg].
         objective: `duration` for the fastest motion, `length` for the shortest path.
+        effort: `quick` for the first certified motion, `default` for one optimised together with its timing, `best` for
+            the fastest of several that are optimised for longer. Each gives the same motion every time.
         link_model: Link model of the C-space; motions are always certified for capsules.
         rate_hz: Rows of the trajectory per second.
         speed: Fraction of the velocity limits to use, in (0, 1].
@@ -36,6 +42,7 @@ class PlanOptions:
     method: Method = "two-level"
     step_deg: float = 1.0
     objective: Objective = "duration"
+    effort: EffortName = "default"
     link_model: LinkModel = "capsule"
     rate_hz: float = 250.0
     speed: float = 1.0
@@ -65,6 +72,7 @@ class PlanOptions:
 _CHECKS = {
     "method": (one_of, METHODS),
     "objective": (one_of, OBJECTIVES),
+    "effort": (one_of, EFFORT_NAMES),
     "link_model": (one_of, LINK_MODELS),
     "step_deg": (number, "a positive number of degrees", lambda step: step > 0.0),
     **dict.fromkeys(("sigmas", "standoff"), (number, "a finite number >= 0", lambda value: value >= 0.0)),

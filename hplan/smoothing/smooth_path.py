@@ -20,6 +20,9 @@ from hplan.smoothing.spline import SplinePath
 FAST_CONTROL_POINTS = (6, 8, 7, 9, 10, 12, 14, 17, 20, 25, 30, 44)
 SHORT_CONTROL_POINTS = (44, 64)
 
+#: Shortcuts tried before an optimiser begins: what is less taut has more room.
+START_SHORTCUTS = 25
+
 #: Ends nearer to each other than this are one [rad].
 NO_MOTION = 1e-9
 
@@ -55,17 +58,45 @@ def fast_path(path: FloatArray, field: ClearanceField, options: PostprocessOptio
         raise CertificationError("the motions between the nodes of the grid path cannot be shown clear")
     if options.objective == "length":
         return _short(path, field, options, smallest)
-    least = least_duration(path[0], path[-1], options.velocity, options.acceleration)
-    straight = straight_duration(path[0], path[-1], options)
-    if straight <= GOOD_ENOUGH * least and field.is_clear(path[[0, -1]], options.margin):
+    if is_straight(path, field, options):
         return SplinePath.through(np.linspace(path[0], path[-1], 4))
-    # What is far away does not matter to the optimisers; the proof does not leave it out.
-    fields = (field.near(path, NEAR), field) if len(field.solids) > FEW else (field,)
-    for part in fields:
+    least = least_duration(path[0], path[-1], options.velocity, options.acceleration)
+    for part in (near_field(path, field), field):
         found = _fastest(path, part, options, smallest, least)
         if part is field or found.is_clear(field, 0.5 * smallest):
             break
     return found
+
+
+def is_straight(path: FloatArray, field: ClearanceField, options: PostprocessOptions) -> bool:
+    """True if the fastest motion between the ends of a path is the straight one, which is shown clear."""
+    least = least_duration(path[0], path[-1], options.velocity, options.acceleration)
+    straight = straight_duration(path[0], path[-1], options)
+    return straight <= GOOD_ENOUGH * least and field.is_clear(path[[0, -1]], options.margin)
+
+
+def near_field(path: FloatArray, field: ClearanceField, distance: float = NEAR) -> ClearanceField:
+    """The field without what is far from a path, which does not matter to optimisers; proofs do not leave it out."""
+    return field.near(path, distance) if len(field.solids) > FEW else field
+
+
+def clear_start(path: FloatArray, field: ClearanceField, options: PostprocessOptions) -> SplinePath | None:
+    """A spline along a clear path for an optimiser to begin with, shown clear; None where none is found at once.
+
+    Args:
+        path: (m, dof) waypoints, clear, m >= 2.
+        field: Arm and obstacles.
+        options: Limits, margin and effort.
+    """
+    if np.linalg.norm(path[-1] - path[0]) < NO_MOTION or not field.is_clear(path, SMALLEST_FRACTION * options.margin):
+        return None
+    for margin in (options.margin, 0.25 * options.margin):
+        taut = shorten(path, field, margin=margin, rounds=START_SHORTCUTS)
+        for count in FAST_CONTROL_POINTS:
+            spline = clear_spline(taut, field, options, count=count, margin=margin)
+            if spline is not None:
+                return spline
+    return None
 
 
 def _fastest(

@@ -78,7 +78,11 @@ class SpeedProfile:
         """By toppra, with path speeds `rates` at the ends of the grid."""
         from hplan.timing.topp import fastest_speed
 
-        speed = fastest_speed(path, dynamics, limits, grid, rates)
+        return cls.of(path, grid, fastest_speed(path, dynamics, limits, grid, rates))
+
+    @classmethod
+    def of(cls, path: GeometricPath, grid: FloatArray, speed: FloatArray) -> SpeedProfile:
+        """From the path speed at the grid points."""
         # The path acceleration is constant between grid points, so each interval takes 2 ds / (sum of its speeds).
         durations = 2.0 * np.diff(grid) / (speed[:-1] + speed[1:])
         return cls(path, grid, speed, np.concatenate([[0.0], np.cumsum(durations)]))

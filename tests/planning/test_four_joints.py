@@ -495,4 +495,3 @@ def test_random_scenes_are_worth_it(robot: Robot) -> None:
         kind = planner_of(result)[0]
         kinds[kind] = kinds.get(kind, 0) + 1
     assert kinds.keys() == {"direct", "roadmap", "trees"}
-    assert min(kinds.values()) >= 2

@@ -214,13 +214,13 @@ def test_locked_base(robot: Robot, scene: Scene) -> None:
 def test_uncertainty_counts_when_it_is_judged_again(robot: Robot) -> None:
     planner = planner_for(robot, [POST])
     first = planner.plan()
-    planner.move("post", sigma=0.02)
+    planner.move("post", sigma=0.04)
     second = planner.replan()
     assert method(second) != "kept"
     assert_fresh(robot, planner, second)
     checker = CoalScene(robot, planner.scene.solids)
     nearest = [min(checker.distances(q).min() for q in result.trajectory.position) for result in (first, second)]
-    assert nearest[0] < 0.06 < nearest[1]
+    assert nearest[0] < 0.12 < nearest[1]
 
 
 def test_a_plan_that_fails_leaves_the_last_one(robot: Robot) -> None:

@@ -44,7 +44,7 @@ def smooth_limits(limits):
 
 @pytest.fixture(scope="module")
 def reference_path(robot, scene):
-    return plan(robot, scene).path
+    return plan(robot, scene, PlanOptions(effort="quick")).path
 
 
 def straight(start, end, count=5):

@@ -165,7 +165,7 @@ def test_lower_ceilings_are_tried_in_turn(robot: Robot, monkeypatch: pytest.Monk
         return lambda grid: np.full(len(grid), np.inf)  # no ceiling at all: nothing can be certified
 
     monkeypatch.setattr(certified_motion, "SpeedCeiling", note)
-    found = plan(robot, between_twigs(), PlanOptions()).motion
+    found = plan(robot, between_twigs(), PlanOptions(effort="quick")).motion
     task = replace(found.task, options=PlanOptions(tracking_delay_s=0.1))
     with pytest.raises(CertificationError, match="100 ms"):
         certified_motion.certified_trajectory(task, found.path)

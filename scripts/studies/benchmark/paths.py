@@ -2,7 +2,7 @@
 
 - `spline`: a cubic spline through the waypoints, timed by toppra as its users are advised; not limited in jerk;
 - `rounded`: corners rounded within the clearance (`hplan.smoothing.round_corners`), timed and certified by hplan;
-- `processed`: hplan's whole post-processing (`hplan.smoothing.smooth_path.fast_path`), timed and certified by hplan.
+- `processed`: hplan's whole post-processing (`hplan.planning.certified_motion.smooth_and_certify`).
 """
 
 from __future__ import annotations
@@ -19,15 +19,16 @@ from hplan.base.arrays import FloatArray
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.coal_scene import CoalScene
 from hplan.errors import HplanError
-from hplan.planning.task import MARGIN
+from hplan.planning.certified_motion import smooth_and_certify
+from hplan.planning.task import MARGIN, PlanningCache
 from hplan.problem.definition import Problem, check_problem
+from hplan.problem.options import PlanOptions
 from hplan.problem.world import World
 from hplan.robot.limits import Limits
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
-from hplan.smoothing.options import PostprocessOptions
 from hplan.smoothing.round_corners import smooth
-from hplan.smoothing.smooth_path import SMALLEST_FRACTION, fast_path
+from hplan.smoothing.smooth_path import SMALLEST_FRACTION
 from hplan.smoothing.spline import SplinePath
 from hplan.timing.retime import time_path
 from hplan.verification.certificate import certify
@@ -58,17 +59,6 @@ class PeerTask:
         """The margin that hplan accepts at worst, which is what planners are asked to keep [m]."""
         return SMALLEST_FRACTION * self.margin
 
-    def options(self) -> PostprocessOptions:
-        """Options of hplan's post-processing, as `hplan.plan` sets them."""
-        return PostprocessOptions(
-            lower=self.problem.lower,
-            upper=self.problem.upper,
-            velocity=self.robot.velocity_limit,
-            acceleration=self.robot.acceleration_limit,
-            movable=self.problem.movable,
-            margin=self.margin,
-        )
-
 
 @dataclass(frozen=True)
 class PathMotions:
@@ -98,7 +88,7 @@ def motions_of(task: PeerTask, path: FloatArray) -> PathMotions:
     robot = task.robot
     motion, spline_ms = timed(lambda: toppra_motion(robot, path))
     rounded, rounded_ms = timed(lambda: _certified(task, lambda: smooth(path, task.field, margin=task.smallest_margin)))
-    processed, processed_ms = timed(lambda: _certified(task, lambda: fast_path(path, task.field, task.options())))
+    processed, processed_ms = timed(lambda: _processed(task, path))
     return PathMotions(
         length_deg=float(np.degrees(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())),
         spline=None if motion is None else look_at(robot, task.checker, motion),
@@ -120,6 +110,16 @@ def _certified(task: PeerTask, make: Any) -> float | None:
         return None
     certificate = certify(robot, task.scene, trajectory, checker=task.checker)
     return trajectory.duration if certificate.verified else None
+
+
+def _processed(task: PeerTask, path: FloatArray) -> float | None:
+    """Duration of the certified motion that hplan makes of a path, or None where there is none."""
+    context = PlanningCache(task.robot).context(task.scene, PlanOptions())
+    asked = replace(context.task(path[0], path[-1]), problem=task.problem)
+    try:
+        return smooth_and_certify(asked, path, task.margin, "search").trajectory.duration
+    except HplanError:
+        return None
 
 
 def limits_of(robot: Robot) -> Limits:

@@ -1,0 +1,260 @@
+r"""Limits and clearance to first order about a timed spline, as rows of a linear program.
+
+Unknown are the changes of the inner control points, :math:`\Delta c`, and the pace :math:`s` by which all times are
+multiplied. Velocity, acceleration and jerk of a spline are linear in its control points, and over :math:`s`,
+:math:`s^2` and :math:`s^3` in time:
+
+.. math:: |V(c)| \le \bar v s, \quad |A(c)| \le \bar a s^2, \quad |J(c)| \le \bar\jmath s^3.
+
+The powers are convex, and replaced by their tangents at :math:`s = 1`, which lie below them. What keeps the program's
+limits therefore keeps the true ones, and where the motion before a step kept them, so does every part of the step.
+`A` at the knots and `J` in the pieces are exact; `V` are the control points of the velocity, which hold it in their
+hull.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from hplan.base.arrays import FloatArray, IntArray
+from hplan.base.kernels import any_int, inlined, kernel
+from hplan.collision.clearance_kernels import FieldArrays, link_clearances
+from hplan.optimization.interior_point import ProgramRows
+
+#: Places in each piece where the clearance is kept.
+PLACES = any_int(2)
+
+#: Links farther than this from everything are left out of a program; rows are in multiples of it [m].
+NEAR = 0.15
+
+#: By how much a step has to add to a clearance that is less than the margin, where all control points may move [m].
+RECOVERED = 5e-4
+
+#: Step of the differences that give the gradient of a clearance [rad].
+_DIFFERENCE = 1e-5
+
+
+class MotionLimits(NamedTuple):
+    """What a motion has to keep, for kernels.
+
+    Attributes:
+        lower: (dof,) joint limits.
+        upper: (dof,) joint limits.
+        rates: (3, dof) largest velocity [rad/s], acceleration [rad/s^2] and jerk [rad/s^3]; infinite for none.
+        movable: (k,) joints that may move.
+    """
+
+    lower: FloatArray
+    upper: FloatArray
+    rates: FloatArray
+    movable: IntArray
+
+
+@inlined
+def _difference_weights(knots: FloatArray, first: int, order: int, weight: FloatArray) -> None:
+    """Weights of control points `first` to `first + order` in a control point of a derivative of a cubic B-spline."""
+    d0 = 3.0 / (knots[first + 4] - knots[first + 1])
+    weight[0], weight[1] = -d0, d0
+    if order > 1:
+        d1 = 3.0 / (knots[first + 5] - knots[first + 2])
+        e0 = 2.0 / (knots[first + 4] - knots[first + 2])
+        weight[0], weight[1], weight[2] = e0 * d0, -e0 * (d0 + d1), e0 * d1
+    if order > 2:
+        d2 = 3.0 / (knots[first + 6] - knots[first + 3])
+        e1 = 2.0 / (knots[first + 5] - knots[first + 3])
+        f = 1.0 / (knots[first + 4] - knots[first + 3])
+        weight[0], weight[3] = -f * e0 * d0, f * e1 * d2
+        weight[1], weight[2] = f * (e1 * d1 + e0 * (d0 + d1)), -f * (e1 * (d1 + d2) + e0 * d1)
+
+
+@kernel
+def basis(knots: FloatArray, piece: int, t: float, weight: FloatArray) -> None:
+    """Weights of control points `piece` to `piece + 3` at a fraction of a piece, by the Cox-de Boor recursion."""
+    span = piece + 3
+    x = knots[span] + t * (knots[span + 1] - knots[span])
+    weight[0] = 1.0
+    for level in range(1, 4):
+        weight[level] = 0.0
+        for c in range(level, -1, -1):
+            value = 0.0
+            if c > 0:
+                low = knots[span - level + c]
+                value += weight[c - 1] * (x - low) / (knots[span + c] - low)
+            if c < level:
+                high = knots[span + c + 1]
+                value += weight[c] * (high - x) / (high - knots[span - level + c + 1])
+            weight[c] = value
+
+
+@kernel
+def least_pace(control: FloatArray, knots: FloatArray, limits: MotionLimits) -> float:
+    """By what all times have to be multiplied for the limits of velocity, acceleration and jerk to be just kept."""
+    n = control.shape[0]
+    pace, weight = 0.0, np.empty(4)
+    for order in range(1, 4):
+        use = 0.0
+        for k in range(n - order):
+            _difference_weights(knots, k, order, weight)
+            for j in limits.movable:
+                value = 0.0
+                for c in range(order + 1):
+                    value += weight[c] * control[k + c, j]
+                use = max(use, abs(value) / limits.rates[order - 1, j])
+        pace = max(pace, use ** (1.0 / order))
+    return pace
+
+
+@kernel
+def first_order(
+    control: FloatArray, knots: FloatArray, limits: MotionLimits, field: FieldArrays, margin: float, trust: float
+) -> ProgramRows:
+    """The program of a step from a motion.
+
+    Args:
+        control: (n, dof) control points; the outer three at each end stay. Unknowns are the changes of the others in
+            the movable joints, one control point after the other.
+        knots: (n + 4,) clamped knots [s].
+        limits: What the motion has to keep.
+        field: Arm and obstacles.
+        margin: Clearance asked for at `PLACES` of each piece, or a little more than there is if that is less [m].
+        trust: Largest change of a control point in a joint [rad].
+    """
+    n, joints = control.shape[0], len(limits.movable)
+    near = _places(control, knots, field)
+    links_near = int((near.clear < NEAR).sum())
+    kinematic, free = joints * (3 * n - 6), joints * (n - 6)
+    most = kinematic + free + links_near
+    entries_most = 4 * kinematic + free + 4 * joints * links_near
+    rows = ProgramRows(
+        np.zeros(most + 1, dtype=np.int32), np.empty(entries_most, dtype=np.int32), np.empty(entries_most),
+        np.zeros(most), np.empty(most), np.empty(kinematic + free),
+    )  # fmt: skip
+    both = _add_kinematics(rows, control, knots, limits)
+    both = _add_bounds(rows, both, control, limits, trust)
+    row = _add_clearances(rows, both, near, limits, field, margin)
+    used = rows.starts[row]
+    return ProgramRows(
+        rows.starts[: row + 1], rows.columns[:used], rows.entries[:used],
+        rows.pace[:row], rows.upper[:row], rows.lower[:both],
+    )  # fmt: skip
+
+
+@kernel
+def _add_kinematics(rows: ProgramRows, control: FloatArray, knots: FloatArray, limits: MotionLimits) -> int:
+    """Velocity, acceleration and jerk, divided by their limits; the number of rows is returned."""
+    n, movable = control.shape[0], limits.movable
+    joints = len(movable)
+    row, entry, weight = 0, 0, np.empty(4)
+    for order in range(1, 4):
+        for k in range(max(0, 3 - order), min(n - order, n - 3)):  # those that rest does not fix
+            _difference_weights(knots, k, order, weight)
+            for m in range(joints):
+                limit, value = limits.rates[order - 1, movable[m]], 0.0
+                if limit == math.inf:
+                    continue
+                for c in range(order + 1):
+                    value += weight[c] * control[k + c, movable[m]]
+                    if 3 <= k + c < n - 3:
+                        rows.columns[entry] = (k + c - 3) * joints + m
+                        rows.entries[entry] = weight[c] / limit
+                        entry += 1
+                rows.pace[row] = -float(order)
+                rows.upper[row], rows.lower[row] = 1.0 - order - value / limit, 1.0 - order + value / limit
+                row += 1
+                rows.starts[row] = entry
+    return row
+
+
+@kernel
+def _add_bounds(rows: ProgramRows, row: int, control: FloatArray, limits: MotionLimits, trust: float) -> int:
+    """Joint limits and the largest change, in multiples of that; the number of rows so far is returned."""
+    joints, entry = len(limits.movable), rows.starts[row]
+    for unknown in range(joints * (control.shape[0] - 6)):
+        joint = limits.movable[unknown % joints]
+        here = control[3 + unknown // joints, joint]
+        rows.columns[entry], rows.entries[entry] = unknown, 1.0 / trust
+        entry += 1
+        rows.upper[row] = min(1.0, max(-0.5, (limits.upper[joint] - here) / trust))
+        rows.lower[row] = min(1.0, max(-0.5, (here - limits.lower[joint]) / trust))
+        row += 1
+        rows.starts[row] = entry
+    return row
+
+
+class _Places(NamedTuple):
+    """Places of a motion.
+
+    Attributes:
+        configuration: (places, dof) the configurations there.
+        weight: (places, 4) weights of the control points, the first of which is that of the place's piece.
+        clear: (places, links) clearances [m].
+    """
+
+    configuration: FloatArray
+    weight: FloatArray
+    clear: FloatArray
+
+
+@kernel
+def _places(control: FloatArray, knots: FloatArray, field: FieldArrays) -> _Places:
+    """`PLACES` of each piece."""
+    n, dof = control.shape
+    count = (n - 3) * PLACES
+    q, weight, clear = np.zeros((count, dof)), np.empty((count, 4)), np.empty((count, field.chain.shape[0]))
+    for place in range(count):
+        piece = place // PLACES
+        basis(knots, piece, (place % PLACES) / PLACES, weight[place])
+        for j in range(dof):
+            for c in range(4):
+                q[place, j] += weight[place, c] * control[piece + c, j]
+        link_clearances(q[place], field, clear[place])
+    return _Places(q, weight, clear)
+
+
+@kernel
+def _add_clearances(
+    rows: ProgramRows, row: int, near: _Places, limits: MotionLimits, field: FieldArrays, margin: float
+) -> int:
+    """A row for each link that is near something, in multiples of `NEAR`; the number of rows so far is returned."""
+    q, weight, clear = near
+    count, links = clear.shape
+    joints, inner = len(limits.movable), count // PLACES - 3
+    entry = rows.starts[row]
+    gradient, ahead, behind = np.empty((links, joints)), np.empty(links), np.empty(links)
+    for place in range(count):
+        nearest = math.inf
+        for link in range(links):
+            nearest = min(nearest, clear[place, link])
+        if not nearest < NEAR:
+            continue
+        for m in range(joints):
+            j = limits.movable[m]
+            here = q[place, j]
+            q[place, j] = here + _DIFFERENCE
+            link_clearances(q[place], field, ahead)
+            q[place, j] = here - _DIFFERENCE
+            link_clearances(q[place], field, behind)
+            q[place, j] = here
+            for link in range(links):
+                gradient[link, m] = (ahead[link] - behind[link]) / (2.0 * _DIFFERENCE)
+        for link in range(links):
+            distance = clear[place, link]
+            if not distance < NEAR:
+                continue
+            free = 0.0
+            for c in range(4):
+                k = place // PLACES + c - 3
+                if 0 <= k < inner:
+                    free += weight[place, c]
+                    for m in range(joints):
+                        rows.columns[entry] = k * joints + m
+                        rows.entries[entry] = -weight[place, c] * gradient[link, m] / NEAR
+                        entry += 1
+            if entry > rows.starts[row]:
+                rows.upper[row] = (distance - min(margin, distance + free * RECOVERED)) / NEAR
+                row += 1
+                rows.starts[row] = entry
+    return row

@@ -1,0 +1,218 @@
+"""The fastest motion near a given one, by linear programs in sequence over a spline in time.
+
+A motion at its limits everywhere on its path is not the fastest: another path may allow more. Here path and timing move
+together. Each step is the best one to first order (`hplan.optimization.first_order`), or as much of it as is shown
+clear; the last has its pieces meet at rows, so that the rows are the motion exactly.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from hplan.base.arrays import FloatArray, Record, frozen
+from hplan.collision.clearance_field import ClearanceField
+from hplan.optimization.first_order import MotionLimits, first_order, least_pace
+from hplan.optimization.interior_point import solve
+from hplan.optimization.timed_spline import RESTING, TimedSpline, breaks_at_rows, even_breaks
+from hplan.optimization.torque_rows import ALLOWED, NEAR_LIMIT, TorqueUse, torque_rows, with_rows
+from hplan.robot.dynamics import InverseDynamics
+from hplan.robot.limits import Limits
+from hplan.smoothing.options import PostprocessOptions
+from hplan.smoothing.spline import FIRST, MovableSpline, pieces_are_clear
+from hplan.timing.speed_profile import SpeedProfile
+
+#: Fraction of the margin asked for wherever the proof of a step looks; the programs ask for all of it at their places.
+PROVED = 0.05
+
+#: A step is halved so often at most until it is clear.
+HALVINGS = 5
+
+#: How near to the best pace steps come, and the last one.
+COARSE, EXACT = 1e-5, 1e-8
+
+#: Largest change of a control point in a joint: in the first step of a stage, and where pieces come to meet at rows
+#: [rad]; and what a step that was not clear as a whole leaves of it for the next.
+TRUST, SMALL_TRUST, SHRINK = 0.2, 0.03, 0.5
+
+#: Longest motion that is looked at; longer ones begin on a path on which the arm has to stop [s].
+LONGEST_S = 600.0
+
+#: How often the rows of a motion are counted anew until they are enough.
+TRIES = 4
+
+
+@dataclass(frozen=True)
+class Effort:
+    """What may be spent on a motion.
+
+    Attributes:
+        piece_s: About how long a piece of the spline lasts [s].
+        pieces: Fewest and most pieces.
+        steps: Most steps, before those that have pieces meet at rows.
+        gain: The last step is the first one that is clear as a whole and makes the motion quicker by less than this
+            part.
+    """
+
+    piece_s: float
+    pieces: tuple[int, int]
+    steps: int
+    gain: float
+
+    def pieces_of(self, duration_s: float, rate_hz: float) -> int:
+        """Number of pieces of a motion; no more than half as many as it has rows."""
+        wanted = min(max(round(duration_s / self.piece_s), self.pieces[0]), self.pieces[1])
+        return min(wanted, int(duration_s * rate_hz) // 2)
+
+
+@dataclass(frozen=True, eq=False)
+class TimeProblem(Record):
+    """What a fastest motion has to keep.
+
+    Attributes:
+        field: Arm and obstacles.
+        near: What is near the motion to begin with.
+        options: Joint limits, movable joints and margin.
+        limits: Velocity, acceleration, torque and jerk limits.
+        dynamics: Torques of the arm's motions.
+        rate_hz: Rows per second.
+    """
+
+    field: ClearanceField
+    near: ClearanceField
+    options: PostprocessOptions
+    limits: Limits
+    dynamics: InverseDynamics
+    rate_hz: float
+
+    @property
+    def arrays(self) -> MotionLimits:
+        """The limits for kernels."""
+        limits, options = self.limits, self.options
+        jerk = np.full_like(limits.velocity, np.inf) if limits.jerk is None else limits.jerk
+        rates = np.stack([limits.velocity, limits.acceleration, jerk])
+        return MotionLimits(options.lower, options.upper, rates, options.movable)
+
+    def is_clear(self, spline: TimedSpline) -> bool:
+        """True if the whole motion is shown clear."""
+        moved, pieces = MovableSpline(np.array(spline.control), spline.knots), len(spline.control) - 3
+        return bool(pieces_are_clear(moved, FIRST, pieces - 1, self.field.arrays, PROVED * self.options.margin, 0.0))
+
+    def pace(self, spline: TimedSpline) -> float:
+        """By what the motion's times have to be multiplied to keep velocity, acceleration and jerk."""
+        return float(least_pace(np.array(spline.control), spline.knots, self.arrays))
+
+    def torque_use(self, spline: TimedSpline) -> TorqueUse | None:
+        """The use of the torque limits; None without any."""
+        limit = self.limits.torque
+        return None if limit is None else TorqueUse.of(spline, self.dynamics, limit)
+
+    def keeps_torque(self, spline: TimedSpline) -> bool:
+        """True if the torques looked at are within their limits."""
+        use = self.torque_use(spline)
+        return use is None or use.largest <= 1.0
+
+    def step(self, spline: TimedSpline, trust: float, gap: float) -> FloatArray | None:
+        """(inner, movable) changes of the inner control points that are best to first order; None where none is found.
+
+        Args:
+            spline: The motion.
+            trust: Largest change [rad].
+            gap: How near to the best pace.
+        """
+        arrays, options = self.arrays, self.options
+        rows = first_order(np.array(spline.control), spline.knots, arrays, self.near.arrays, options.margin, trust)
+        use = self.torque_use(spline)
+        if use is not None and self.limits.torque is not None and use.largest > NEAR_LIMIT:
+            rows = with_rows(rows, torque_rows(use, spline, self.dynamics, self.limits.torque, arrays))
+        joints = len(options.movable)
+        inner = len(spline.control) - 2 * RESTING
+        found, unknowns = solve(rows, inner * joints, 4 * joints - 1, gap)
+        return unknowns[:-1].reshape(inner, joints) if found else None
+
+
+def minimize_time(start: SpeedProfile, problem: TimeProblem, effort: Effort) -> TimedSpline | None:
+    """The fastest motion near a given one, clear and within all limits, its pieces meeting at rows.
+
+    Args:
+        start: A clear motion from rest to rest, about within the limits.
+        problem: What is to be kept.
+        effort: What may be spent.
+
+    Returns:
+        The motion, or None where none was found.
+    """
+    limit = problem.limits.torque
+    found = _minimized(start, replace(problem, limits=replace(problem.limits, torque=None)), effort)
+    if found is None or limit is None or TorqueUse.of(found, problem.dynamics, limit).largest <= ALLOWED:
+        return found
+    return _minimized(start, problem, effort)
+
+
+def _minimized(start: SpeedProfile, problem: TimeProblem, effort: Effort) -> TimedSpline | None:
+    """As `minimize_time`, with the limits of torque in the programs if the problem has any."""
+    duration = float(start.arrival[-1])
+    if not duration < LONGEST_S:
+        return None
+    pieces = effort.pieces_of(duration, problem.rate_hz)
+    if pieces < 2 * RESTING:
+        return None
+    spline = TimedSpline.near(start.positions, even_breaks(duration, pieces))
+    best, trust = None, TRUST
+    for _ in range(effort.steps):
+        step = _step(spline, problem, trust, COARSE)
+        if step is None or step.part < 1.0:
+            trust *= SHRINK
+        if step is None:
+            continue
+        moved = step.spline.at_pace(problem.pace(step.spline))
+        before = math.inf if best is None else best.duration
+        if moved.duration < before:
+            best = spline = moved
+        if step.part == 1.0 and moved.duration > (1.0 - effort.gain) * before:
+            break
+    return None if best is None else _on_rows(best, problem, pieces)
+
+
+def _on_rows(spline: TimedSpline, problem: TimeProblem, pieces: int) -> TimedSpline | None:
+    """The fastest motion near a given one with pieces that meet at rows; None where none was found."""
+    rows, trust = math.ceil(spline.duration * problem.rate_hz - 1e-6), SMALL_TRUST
+    found: TimedSpline | None = None
+    most = math.inf
+    for _ in range(TRIES):
+        breaks = breaks_at_rows(rows, pieces, problem.rate_hz)
+        slower = spline.at_pace(breaks[-1] / spline.duration)
+        step = _step(TimedSpline.near(slower.path.evaluate, breaks), problem, trust, EXACT)
+        if step is None:
+            break
+        spline, pace = step.spline, problem.pace(step.spline)
+        if pace <= 1.0 + 1e-6 and problem.keeps_torque(spline):
+            found, most = spline, rows
+        if step.part < 1.0:
+            trust *= SHRINK
+        rows = math.ceil(rows * pace - 1e-6)
+        if rows >= most:
+            break
+    return found
+
+
+class _Step(NamedTuple):
+    """A motion after a step, and how much of the step was taken."""
+
+    spline: TimedSpline
+    part: float
+
+
+def _step(spline: TimedSpline, problem: TimeProblem, trust: float, gap: float) -> _Step | None:
+    """The best step, or as much of it as is clear; None where there is none. The pace is left as it was."""
+    found = problem.step(spline, trust, gap)
+    if found is None:
+        return None
+    change = np.zeros_like(spline.control)
+    change[RESTING:-RESTING, problem.options.movable] = found
+    parts = (0.5**halving for halving in range(HALVINGS + 1))
+    tried = (_Step(TimedSpline(frozen(spline.control + part * change), spline.knots), part) for part in parts)
+    return next((step for step in tried if problem.is_clear(step.spline)), None)

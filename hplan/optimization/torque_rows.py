@@ -1,0 +1,102 @@
+"""Torque limits to first order about a timed spline, as rows of a linear program."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hplan.base.arrays import FloatArray
+from hplan.optimization.first_order import MotionLimits
+from hplan.optimization.interior_point import ProgramRows
+from hplan.optimization.timed_spline import RESTING, TimedSpline
+from hplan.robot.dynamics import InverseDynamics
+
+#: Torques below this fraction of their limits are left out of a program.
+NEAR_LIMIT = 0.75
+
+#: Fraction of the limits that may be used: between the times looked at, torque is a little higher.
+ALLOWED = 0.995
+
+#: Times looked at in each piece.
+TIMES = 2
+
+#: Step of the differences, in rad, rad/s and rad/s^2.
+_DIFFERENCE = 1e-5
+
+
+@dataclass(frozen=True, eq=False)
+class TorqueUse:
+    """Torques of a motion at some times.
+
+    Attributes:
+        clock: (times,) the times [s].
+        states: (3, times, dof) positions, velocities and accelerations.
+        use: (times, dof) torques as fractions of their limits.
+    """
+
+    clock: FloatArray
+    states: FloatArray
+    use: FloatArray
+
+    @classmethod
+    def of(cls, spline: TimedSpline, dynamics: InverseDynamics, limit: FloatArray) -> TorqueUse:
+        """The torques at `TIMES` of each piece."""
+        breaks = spline.knots[3:-3]
+        inner = np.diff(breaks)[:, None] * (np.arange(TIMES) / TIMES)
+        clock = (breaks[:-1, None] + inner).ravel()
+        states = np.stack([spline.path.evaluate(clock, order) for order in range(3)])
+        return cls(clock, states, dynamics.torques(*states) / limit)
+
+    @property
+    def largest(self) -> float:
+        """Largest use of a limit."""
+        return float(np.abs(self.use).max(initial=0.0))
+
+
+def torque_rows(
+    found: TorqueUse, spline: TimedSpline, dynamics: InverseDynamics, limit: FloatArray, limits: MotionLimits
+) -> ProgramRows:
+    """A row for each torque near its limit: `ALLOWED` of it, or what is used if that is more."""
+    from scipy import sparse
+    from scipy.interpolate import BSpline
+
+    times, joints = np.nonzero(np.abs(found.use) > NEAR_LIMIT)
+    movable = limits.movable
+    size = (len(spline.control) - 2 * RESTING) * len(movable)
+    at, which = np.unique(times, return_inverse=True)
+    states, sign = found.states[:, at], np.sign(found.use[times, joints])
+    derivatives = np.empty((3, len(movable), len(at), len(limit)))
+    for order in range(3):
+        for number, joint in enumerate(movable.tolist()):
+            changed = np.repeat(states[None], 2, axis=0)
+            changed[:, order, :, joint] += [[_DIFFERENCE], [-_DIFFERENCE]]
+            ahead, behind = (dynamics.torques(*state) / limit for state in changed)
+            derivatives[order, number] = (ahead - behind) / (2.0 * _DIFFERENCE)
+    picked = sign * derivatives[:, :, which, joints]  # (3, movable, rows)
+    basis = _bases(BSpline(spline.knots, np.eye(len(spline.control)), 3), found.clock[times])
+    blocks = sum(picked[order].T[:, None, :] * basis[order][:, RESTING:-RESTING, None] for order in range(3))
+    # Slower by the pace s, velocity is over s and acceleration over s^2.
+    speeds, pushes = (np.einsum("mr,rm->r", picked[order], found.states[order][times][:, movable]) for order in (1, 2))
+    by_pace = -speeds - 2.0 * pushes
+    use = np.abs(found.use[times, joints])
+    matrix = sparse.csr_matrix(np.reshape(blocks, (len(times), size)))
+    bound = np.maximum(ALLOWED, use) - use + by_pace
+    return ProgramRows(matrix.indptr, matrix.indices, matrix.data, by_pace, bound, np.empty(0))
+
+
+def _bases(unit: object, clock: FloatArray) -> list[FloatArray]:
+    """(times, n) weights of the control points in position, velocity and acceleration."""
+    return [np.asarray(unit(clock, nu=order)) for order in range(3)]  # type: ignore[operator]
+
+
+def with_rows(rows: ProgramRows, more: ProgramRows) -> ProgramRows:
+    """A program with more rows, all of one side, at its end."""
+    return ProgramRows(
+        np.concatenate([rows.starts, rows.starts[-1] + more.starts[1:]]),
+        np.concatenate([rows.columns, more.columns]),
+        np.concatenate([rows.entries, more.entries]),
+        np.concatenate([rows.pace, more.pace]),
+        np.concatenate([rows.upper, more.upper]),
+        rows.lower,
+    )

@@ -38,6 +38,9 @@ COARSE, EXACT = 1e-5, 1e-8
 #: [rad]; and what a step that was not clear as a whole leaves of it for the next.
 TRUST, SMALL_TRUST, SHRINK = 0.2, 0.03, 0.5
 
+#: Steps of which no more than this part is clear, or nothing, are stalled; after so many no more are tried.
+STALLED, STALLS = 1.0 / 8.0, 2
+
 #: Longest motion that is looked at; longer ones begin on a path on which the arm has to stop [s].
 LONGEST_S = 600.0
 
@@ -53,8 +56,8 @@ class Effort:
         piece_s: About how long a piece of the spline lasts [s].
         pieces: Fewest and most pieces.
         steps: Most steps, before those that have pieces meet at rows.
-        gain: The last step is the first one that is clear as a whole and makes the motion quicker by less than this
-            part.
+        gain: The last step is the first one that makes the motion quicker by less than this part; in proportion where
+            only a part of a step was clear.
     """
 
     piece_s: float
@@ -161,18 +164,20 @@ def _minimized(start: SpeedProfile, problem: TimeProblem, effort: Effort) -> Tim
     if pieces < 2 * RESTING:
         return None
     spline = TimedSpline.near(start.positions, even_breaks(duration, pieces))
-    best, trust = None, TRUST
+    best, trust, stalled = None, TRUST, 0
     for _ in range(effort.steps):
         step = _step(spline, problem, trust, COARSE)
         if step is None or step.part < 1.0:
             trust *= SHRINK
-        if step is None:
-            continue
-        moved = step.spline.at_pace(problem.pace(step.spline))
-        before = math.inf if best is None else best.duration
-        if moved.duration < before:
-            best = spline = moved
-        if step.part == 1.0 and moved.duration > (1.0 - effort.gain) * before:
+        stalled += step is None or step.part <= STALLED
+        if step is not None:
+            moved = step.spline.at_pace(problem.pace(step.spline))
+            before = math.inf if best is None else best.duration
+            if moved.duration < before:
+                best = spline = moved
+            if moved.duration > (1.0 - effort.gain * step.part) * before:
+                break
+        if stalled == STALLS:
             break
     return None if best is None else _on_rows(best, problem, pieces)
 

@@ -232,7 +232,7 @@ def _clear_candidates(
     error = _blocked(target, ranges, found.configurations, (tried, finer.best_m))
     if world.deviation > 0.0:
         free = [q for q in found.configurations if ranges.wall_before(q) is None]
-        fraction = world.fraction_of_deviation(np.array(free), SPARE) if free else 0.0
+        fraction = world.fraction_of_deviation(np.array(free), ROOMS[-1]) if free else 0.0
         name_margin(error, TrackingModel(world.deviation), fraction)
     raise error
 

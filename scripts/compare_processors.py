@@ -58,7 +58,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         description=_DESCRIPTION, epilog=_EPILOG, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("names", nargs="*", metavar="VARIANT", help=f"of {', '.join(variants())} (default: all)")
-    parser.add_argument("--tolerance", type=float, default=0.0, metavar="X", help="largest difference (default: 0)")
+    parser.add_argument(
+        "--tolerance",
+        type=float,
+        default=0.0,
+        metavar="X",
+        help="largest difference, of numbers beyond 1 in parts of the largest of their array (default: 0)",
+    )
     parser.add_argument("--cache", type=Path, metavar="DIR", help="where numba keeps its code (default: nowhere)")
     parser.add_argument("--write", type=Path, help=argparse.SUPPRESS)
     parser.add_argument(
@@ -100,7 +106,7 @@ def _differences(one: dict[str, NDArray], other: dict[str, NDArray], tolerance: 
             if (values != other[name]).any():
                 yield f"{name}: {values.tolist()} and {other[name].tolist()}"
         else:
-            difference = float(np.abs(values - other[name]).max(initial=0.0))
+            difference = float(np.abs(values - other[name]).max(initial=0.0) / np.abs(values).max(initial=1.0))
             if not difference <= tolerance:
                 yield f"{name}: {difference:.2g}"
 

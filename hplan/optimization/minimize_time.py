@@ -34,7 +34,7 @@ HALVINGS = 5
 #: How near to the best pace steps come, and the last one.
 COARSE, EXACT = 1e-5, 1e-8
 
-#: Largest change of a control point in a joint: in the first step of a stage, and where pieces come to meet at rows
+#: Largest change of a control point in a joint: in the first step, and where pieces come to meet at rows
 #: [rad]; and what a step that was not clear as a whole leaves of it for the next.
 TRUST, SMALL_TRUST, SHRINK = 0.2, 0.03, 0.5
 

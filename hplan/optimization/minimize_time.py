@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -91,7 +92,7 @@ class TimeProblem(Record):
     dynamics: InverseDynamics
     rate_hz: float
 
-    @property
+    @cached_property
     def arrays(self) -> MotionLimits:
         """The limits for kernels."""
         limits, options = self.limits, self.options
@@ -129,8 +130,8 @@ class TimeProblem(Record):
         arrays, options = self.arrays, self.options
         rows = first_order(np.array(spline.control), spline.knots, arrays, self.near.arrays, options.margin, trust)
         use = self.torque_use(spline)
-        if use is not None and self.limits.torque is not None and use.largest > NEAR_LIMIT:
-            rows = with_rows(rows, torque_rows(use, spline, self.dynamics, self.limits.torque, arrays))
+        if use is not None and use.largest > NEAR_LIMIT:
+            rows = with_rows(rows, torque_rows(use, spline, self.dynamics, arrays))
         joints = len(options.movable)
         inner = len(spline.control) - 2 * RESTING
         found, unknowns = solve(rows, inner * joints, 4 * joints - 1, gap)

@@ -33,11 +33,13 @@ class TorqueUse:
         clock: (times,) the times [s].
         states: (3, times, dof) positions, velocities and accelerations.
         use: (times, dof) torques as fractions of their limits.
+        limit: (dof,) the limits [N m].
     """
 
     clock: FloatArray
     states: FloatArray
     use: FloatArray
+    limit: FloatArray
 
     @classmethod
     def of(cls, spline: TimedSpline, dynamics: InverseDynamics, limit: FloatArray) -> TorqueUse:
@@ -46,7 +48,7 @@ class TorqueUse:
         inner = np.diff(breaks)[:, None] * (np.arange(TIMES) / TIMES)
         clock = (breaks[:-1, None] + inner).ravel()
         states = np.stack([spline.path.evaluate(clock, order) for order in range(3)])
-        return cls(clock, states, dynamics.torques(*states) / limit)
+        return cls(clock, states, dynamics.torques(*states) / limit, limit)
 
     @property
     def largest(self) -> float:
@@ -54,13 +56,12 @@ class TorqueUse:
         return float(np.abs(self.use).max(initial=0.0))
 
 
-def torque_rows(
-    found: TorqueUse, spline: TimedSpline, dynamics: InverseDynamics, limit: FloatArray, limits: MotionLimits
-) -> ProgramRows:
+def torque_rows(found: TorqueUse, spline: TimedSpline, dynamics: InverseDynamics, limits: MotionLimits) -> ProgramRows:
     """A row for each torque near its limit: `ALLOWED` of it, or what is used if that is more."""
     from scipy import sparse
     from scipy.interpolate import BSpline
 
+    limit = found.limit
     times, joints = np.nonzero(np.abs(found.use) > NEAR_LIMIT)
     movable = limits.movable
     size = (len(spline.control) - 2 * RESTING) * len(movable)

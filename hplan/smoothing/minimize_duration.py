@@ -57,11 +57,7 @@ def minimize_duration(
 
 def estimated_duration(spline: SplinePath, options: PostprocessOptions) -> float:
     """The estimate of a spline's duration that `minimize_duration` goes by [s]."""
-    grid = _grid_of(spline.knots, len(spline.control) - 3)
-    points = len(grid.parameter)
-    demands = np.empty((points, 2 * len(options.movable) + 1))
-    _demands(np.array(spline.control), FIRST, len(spline.control) - 4, grid, options.joints, demands)
-    return float(_duration(grid.parameter, demands, np.empty(points)))
+    return _estimate(spline, options)[2]
 
 
 def coarse_profile(spline: SplinePath, options: PostprocessOptions) -> SpeedProfile:
@@ -69,13 +65,19 @@ def coarse_profile(spline: SplinePath, options: PostprocessOptions) -> SpeedProf
 
     Between the points of its grid the limits are passed by a little.
     """
-    grid = _grid_of(spline.knots, len(spline.control) - 3)
+    parameter, square, _ = _estimate(spline, options)
+    with np.errstate(divide="ignore"):  # where the path has a cusp the arm stops, for ever
+        return SpeedProfile.of(spline, frozen(parameter), frozen(np.sqrt(square)))
+
+
+def _estimate(spline: SplinePath, options: PostprocessOptions) -> tuple[FloatArray, FloatArray, float]:
+    """Path parameters, the squares of the path speed there, and the duration [s]."""
+    pieces = len(spline.control) - 3
+    grid = _grid_of(spline.knots, pieces)
     points = len(grid.parameter)
     demands, square = np.empty((points, 2 * len(options.movable) + 1)), np.empty(points)
-    _demands(np.array(spline.control), FIRST, len(spline.control) - 4, grid, options.joints, demands)
-    _duration(grid.parameter, demands, square)
-    with np.errstate(divide="ignore"):  # where the path has a cusp the arm stops, for ever
-        return SpeedProfile.of(spline, frozen(grid.parameter), frozen(np.sqrt(square)))
+    _demands(np.array(spline.control), FIRST, pieces - 1, grid, options.joints, demands)
+    return grid.parameter, square, float(_duration(grid.parameter, demands, square))
 
 
 class _Grid(NamedTuple):

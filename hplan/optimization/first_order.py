@@ -33,8 +33,25 @@ NEAR = 0.15
 #: By how much a step has to add to a clearance that is less than the margin, where all control points may move [m].
 RECOVERED = 5e-4
 
+#: Kinematic rows of a joint that the states at the ends have a part in: one, two and three at each end.
+DRIFTING = any_int(12)
+
 #: Step of the differences that give the gradient of a clearance [rad].
 _DIFFERENCE = 1e-5
+
+
+class MotionArrays(NamedTuple):
+    """A timed spline, for kernels.
+
+    Attributes:
+        control: (n, dof) control points.
+        knots: (n + 4,) clamped knots [s].
+        drift: (n, dof) changes of the control points with the pace, which leave the states at both ends as they are.
+    """
+
+    control: FloatArray
+    knots: FloatArray
+    drift: FloatArray
 
 
 class MotionLimits(NamedTuple):
@@ -109,32 +126,34 @@ def least_pace(control: FloatArray, knots: FloatArray, limits: MotionLimits) -> 
 
 @kernel
 def first_order(
-    control: FloatArray, knots: FloatArray, limits: MotionLimits, field: FieldArrays, margin: float, trust: float
+    motion: MotionArrays, limits: MotionLimits, field: FieldArrays, margin: float, trust: float
 ) -> ProgramRows:
     """The program of a step from a motion.
 
     Args:
-        control: (n, dof) control points; the outer three at each end stay. Unknowns are the changes of the others in
-            the movable joints, one control point after the other.
-        knots: (n + 4,) clamped knots [s].
+        motion: The motion; the outer three control points at each end move with the pace alone. Unknowns are the
+            changes of the others in the movable joints, one control point after the other.
         limits: What the motion has to keep.
         field: Arm and obstacles.
         margin: Clearance asked for at `PLACES` of each piece, or a little more than there is if that is less [m].
         trust: Largest change of a control point in a joint [rad].
     """
+    control, knots, drift = motion
     n, joints = control.shape[0], len(limits.movable)
     near = _places(control, knots, field)
     links_near = int((near.clear < NEAR).sum())
     kinematic, free = joints * (3 * n - 6), joints * (n - 6)
-    most = kinematic + free + links_near
-    entries_most = 4 * kinematic + free + 4 * joints * links_near
+    split = 2 * joints * DRIFTING
+    most = kinematic + free + links_near + split
+    entries_most = 4 * (kinematic + split) + free + 4 * joints * links_near
     rows = ProgramRows(
         np.zeros(most + 1, dtype=np.int32), np.empty(entries_most, dtype=np.int32), np.empty(entries_most),
         np.zeros(most), np.empty(most), np.empty(kinematic + free),
     )  # fmt: skip
-    both = _add_kinematics(rows, control, knots, limits)
+    both = _add_kinematics(rows, motion, limits)
     both = _add_bounds(rows, both, control, limits, trust)
-    row = _add_clearances(rows, both, near, limits, field, margin)
+    row = _add_drifting(rows, both, motion, limits)
+    row = _add_clearances(rows, row, (near, drift), limits, field, margin)
     used = rows.starts[row]
     return ProgramRows(
         rows.starts[: row + 1], rows.columns[:used], rows.entries[:used],
@@ -142,9 +161,22 @@ def first_order(
     )  # fmt: skip
 
 
+@inlined
+def _drift_of(drift: FloatArray, weight: FloatArray, first: int, order: int, joint: int) -> float:
+    """By how much a control point of a derivative changes with the pace."""
+    change = 0.0
+    for c in range(order + 1):
+        change += weight[c] * drift[first + c, joint]
+    return change
+
+
 @kernel
-def _add_kinematics(rows: ProgramRows, control: FloatArray, knots: FloatArray, limits: MotionLimits) -> int:
-    """Velocity, acceleration and jerk, divided by their limits; the number of rows is returned."""
+def _add_kinematics(rows: ProgramRows, motion: MotionArrays, limits: MotionLimits) -> int:
+    """Velocity, acceleration and jerk, divided by their limits; the number of rows is returned.
+
+    Without those that change with the pace beyond the limits themselves.
+    """
+    control, knots, drift = motion
     n, movable = control.shape[0], limits.movable
     joints = len(movable)
     row, entry, weight = 0, 0, np.empty(4)
@@ -153,7 +185,7 @@ def _add_kinematics(rows: ProgramRows, control: FloatArray, knots: FloatArray, l
             _difference_weights(knots, k, order, weight)
             for m in range(joints):
                 limit, value = limits.rates[order - 1, movable[m]], 0.0
-                if limit == math.inf:
+                if limit == math.inf or _drift_of(drift, weight, k, order, movable[m]) != 0.0:
                     continue
                 for c in range(order + 1):
                     value += weight[c] * control[k + c, movable[m]]
@@ -165,6 +197,41 @@ def _add_kinematics(rows: ProgramRows, control: FloatArray, knots: FloatArray, l
                 rows.upper[row], rows.lower[row] = 1.0 - order - value / limit, 1.0 - order + value / limit
                 row += 1
                 rows.starts[row] = entry
+    return row
+
+
+@kernel
+def _add_drifting(rows: ProgramRows, row: int, motion: MotionArrays, limits: MotionLimits) -> int:
+    """Both sides of the kinematic rows that change with the pace, as rows of one side; the number so far is returned.
+
+    The state at an end stays what it is at any pace: the pieces there change with it.
+    """
+    control, knots, drift = motion
+    n, movable = control.shape[0], limits.movable
+    joints, entry, weight = len(movable), rows.starts[row], np.empty(4)
+    for order in range(1, 4):
+        for k in range(max(0, 3 - order), min(n - order, n - 3)):
+            if 3 <= k < n - 3 - order:
+                continue
+            _difference_weights(knots, k, order, weight)
+            for m in range(joints):
+                limit = limits.rates[order - 1, movable[m]]
+                change = _drift_of(drift, weight, k, order, movable[m]) / limit
+                if limit == math.inf or change == 0.0:
+                    continue
+                value = 0.0
+                for c in range(order + 1):
+                    value += weight[c] * control[k + c, movable[m]] / limit
+                for side in (1.0, -1.0):
+                    for c in range(order + 1):
+                        if 3 <= k + c < n - 3:
+                            rows.columns[entry] = (k + c - 3) * joints + m
+                            rows.entries[entry] = side * weight[c] / limit
+                            entry += 1
+                    rows.pace[row] = side * change - order
+                    rows.upper[row] = 1.0 - order + side * (change - value)
+                    row += 1
+                    rows.starts[row] = entry
     return row
 
 
@@ -216,10 +283,24 @@ def _places(control: FloatArray, knots: FloatArray, field: FieldArrays) -> _Plac
 
 @kernel
 def _add_clearances(
-    rows: ProgramRows, row: int, near: _Places, limits: MotionLimits, field: FieldArrays, margin: float
+    rows: ProgramRows,
+    row: int,
+    places: tuple[_Places, FloatArray],
+    limits: MotionLimits,
+    field: FieldArrays,
+    margin: float,
 ) -> int:
-    """A row for each link that is near something, in multiples of `NEAR`; the number of rows so far is returned."""
-    q, weight, clear = near
+    """A row for each link that is near something, in multiples of `NEAR`; the number of rows so far is returned.
+
+    Args:
+        rows: The program.
+        row: Number of rows so far.
+        places: Where clearance is kept, and (n, dof) changes of the control points with the pace.
+        limits: What the motion has to keep.
+        field: Arm and obstacles.
+        margin: Clearance asked for.
+    """
+    (q, weight, clear), drift = places
     count, links = clear.shape
     joints, inner = len(limits.movable), count // PLACES - 3
     entry = rows.starts[row]
@@ -244,9 +325,11 @@ def _add_clearances(
             distance = clear[place, link]
             if not distance < NEAR:
                 continue
-            free = 0.0
+            free, pace = 0.0, 0.0
             for c in range(4):
                 k = place // PLACES + c - 3
+                for m in range(joints):
+                    pace -= weight[place, c] * gradient[link, m] * drift[k + 3, limits.movable[m]] / NEAR
                 if 0 <= k < inner:
                     free += weight[place, c]
                     for m in range(joints):
@@ -254,7 +337,8 @@ def _add_clearances(
                         rows.entries[entry] = -weight[place, c] * gradient[link, m] / NEAR
                         entry += 1
             if entry > rows.starts[row]:
-                rows.upper[row] = (distance - min(margin, distance + free * RECOVERED)) / NEAR
+                rows.pace[row] = pace
+                rows.upper[row] = (distance - min(margin, distance + free * RECOVERED)) / NEAR + pace
                 row += 1
                 rows.starts[row] = entry
     return row

@@ -10,21 +10,27 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from hplan.base.arrays import FloatArray, Record, frozen
 from hplan.collision.clearance_field import ClearanceField
-from hplan.optimization.first_order import MotionLimits, first_order, least_pace
-from hplan.optimization.interior_point import solve
-from hplan.optimization.timed_spline import RESTING, TimedSpline, breaks_at_rows, even_breaks
+from hplan.optimization.first_order import MotionArrays, MotionLimits, first_order, least_pace
+from hplan.optimization.interior_point import ProgramRows, solve
+from hplan.optimization.timed_spline import (
+    RESTING,
+    BoundaryState,
+    MotionBetween,
+    TimedSpline,
+    breaks_at_rows,
+    even_breaks,
+)
 from hplan.optimization.torque_rows import ALLOWED, NEAR_LIMIT, TorqueUse, torque_rows, with_rows
 from hplan.robot.dynamics import InverseDynamics
 from hplan.robot.limits import Limits
 from hplan.smoothing.options import PostprocessOptions
 from hplan.smoothing.spline import FIRST, MovableSpline, pieces_are_clear
-from hplan.timing.speed_profile import SpeedProfile
 
 #: Fraction of the margin asked for wherever the proof of a step looks; the programs ask for all of it at their places.
 PROVED = 0.05
@@ -47,6 +53,15 @@ LONGEST_S = 600.0
 
 #: How often the rows of a motion are counted anew until they are enough.
 TRIES = 4
+
+#: Least pace of a step where an end is in motion: the pieces there are no linear functions of the pace.
+LEAST_PACE = 0.75
+
+#: Where an end is in motion, more than this much slower is no remedy for a step that passes limits: the next step is.
+REPAIRED = 1.02
+
+#: How often the pace of a motion is looked at anew whose ends do not slow down with it.
+PACES = 4
 
 
 @dataclass(frozen=True)
@@ -83,6 +98,7 @@ class TimeProblem(Record):
         limits: Velocity, acceleration, torque and jerk limits.
         dynamics: Torques of the arm's motions.
         rate_hz: Rows per second.
+        ends: The states in which it begins and ends; None where both are at rest.
     """
 
     field: ClearanceField
@@ -91,6 +107,7 @@ class TimeProblem(Record):
     limits: Limits
     dynamics: InverseDynamics
     rate_hz: float
+    ends: tuple[BoundaryState, BoundaryState] | None = None
 
     @cached_property
     def arrays(self) -> MotionLimits:
@@ -107,7 +124,19 @@ class TimeProblem(Record):
 
     def pace(self, spline: TimedSpline) -> float:
         """By what the motion's times have to be multiplied to keep velocity, acceleration and jerk."""
-        return float(least_pace(np.array(spline.control), spline.knots, self.arrays))
+        pace = float(least_pace(np.array(spline.control), spline.knots, self.arrays))
+        if spline.ends is None:
+            return pace
+        # The states at the ends stay as they are: with the pace the pieces there change their shape. That may take more
+        # pace than it gives, so that only what has to be slower is slowed down.
+        total, more = 1.0, pace
+        for _ in range(PACES):
+            if more <= 1.0:
+                break
+            total *= more
+            slower = spline.at_pace(total)
+            more = float(least_pace(np.array(slower.control), slower.knots, self.arrays))
+        return total * max(1.0, more)
 
     def torque_use(self, spline: TimedSpline) -> TorqueUse | None:
         """The use of the torque limits; None without any."""
@@ -119,30 +148,57 @@ class TimeProblem(Record):
         use = self.torque_use(spline)
         return use is None or use.largest <= 1.0
 
-    def step(self, spline: TimedSpline, trust: float, gap: float) -> FloatArray | None:
-        """(inner, movable) changes of the inner control points that are best to first order; None where none is found.
+    def step(
+        self, spline: TimedSpline, trust: float, gap: float, *, least: float | None = None
+    ) -> tuple[FloatArray, float] | None:
+        """The step that is best to first order; None where none is found.
 
         Args:
             spline: The motion.
             trust: Largest change [rad].
             gap: How near to the best pace.
+            least: Least pace; None where there is none.
+
+        Returns:
+            (inner, movable) changes of the inner control points, and the pace.
         """
         arrays, options = self.arrays, self.options
-        rows = first_order(np.array(spline.control), spline.knots, arrays, self.near.arrays, options.margin, trust)
+        motion = MotionArrays(np.array(spline.control), spline.knots, spline.drift)
+        rows = first_order(motion, arrays, self.near.arrays, options.margin, trust)
+        if least is not None:
+            rows = with_rows(rows, _at_least(least))
         use = self.torque_use(spline)
         if use is not None and use.largest > NEAR_LIMIT:
             rows = with_rows(rows, torque_rows(use, spline, self.dynamics, arrays))
         joints = len(options.movable)
         inner = len(spline.control) - 2 * RESTING
         found, unknowns = solve(rows, inner * joints, 4 * joints - 1, gap)
-        return unknowns[:-1].reshape(inner, joints) if found else None
+        return (unknowns[:-1].reshape(inner, joints), float(unknowns[-1])) if found else None
 
 
-def minimize_time(start: SpeedProfile, problem: TimeProblem, effort: Effort) -> TimedSpline | None:
+def _at_least(pace: float) -> ProgramRows:
+    """The row of a program that asks for a pace."""
+    nothing = np.zeros(0, dtype=np.int32)
+    alone = np.array([-1.0])
+    return ProgramRows(np.zeros(2, dtype=np.int32), nothing, np.empty(0), alone, pace * alone, np.empty(0))
+
+
+class TimedMotion(Protocol):
+    """A motion that an optimiser may begin with."""
+
+    @property
+    def duration(self) -> float:
+        """How long it takes [s]."""
+
+    def positions(self, clock: FloatArray) -> FloatArray:
+        """(k, dof) configurations at times."""
+
+
+def minimize_time(start: TimedMotion, problem: TimeProblem, effort: Effort) -> TimedSpline | None:
     """The fastest motion near a given one, clear and within all limits, its pieces meeting at rows.
 
     Args:
-        start: A clear motion from rest to rest, about within the limits.
+        start: A clear motion from rest to rest, about within the limits, between the same positions.
         problem: What is to be kept.
         effort: What may be spent.
 
@@ -156,15 +212,17 @@ def minimize_time(start: SpeedProfile, problem: TimeProblem, effort: Effort) -> 
     return _minimized(start, problem, effort)
 
 
-def _minimized(start: SpeedProfile, problem: TimeProblem, effort: Effort) -> TimedSpline | None:
+def _minimized(start: TimedMotion, problem: TimeProblem, effort: Effort) -> TimedSpline | None:
     """As `minimize_time`, with the limits of torque in the programs if the problem has any."""
-    duration = float(start.arrival[-1])
+    duration = start.duration
     if not duration < LONGEST_S:
         return None
     pieces = effort.pieces_of(duration, problem.rate_hz)
     if pieces < 2 * RESTING:
         return None
-    spline = TimedSpline.near(start.positions, even_breaks(duration, pieces))
+    if problem.ends is not None:
+        start = MotionBetween(start.positions, duration, problem.ends)
+    spline = TimedSpline.near(start.positions, even_breaks(duration, pieces), problem.ends)
     best, trust, stalled = None, TRUST, 0
     for _ in range(effort.steps):
         step = _step(spline, problem, trust, COARSE)
@@ -172,7 +230,11 @@ def _minimized(start: SpeedProfile, problem: TimeProblem, effort: Effort) -> Tim
             trust *= SHRINK
         stalled += step is None or step.part <= STALLED
         if step is not None:
-            moved = step.spline.at_pace(problem.pace(step.spline))
+            pace = problem.pace(step.spline)
+            if spline.ends is not None and pace > REPAIRED:
+                spline = step.spline
+                continue
+            moved = step.spline.at_pace(pace)
             before = math.inf if best is None else best.duration
             if moved.duration < before:
                 best = spline = moved
@@ -191,7 +253,8 @@ def _on_rows(spline: TimedSpline, problem: TimeProblem, pieces: int) -> TimedSpl
     for _ in range(TRIES):
         breaks = breaks_at_rows(rows, pieces, problem.rate_hz)
         slower = spline.at_pace(breaks[-1] / spline.duration)
-        step = _step(TimedSpline.near(slower.path.evaluate, breaks), problem, trust, EXACT)
+        near = TimedSpline.near(slower.path.evaluate, breaks, problem.ends)
+        step = _step(near, problem, trust, EXACT, on_rows=True)
         if step is None:
             break
         spline, pace = step.spline, problem.pace(step.spline)
@@ -199,6 +262,8 @@ def _on_rows(spline: TimedSpline, problem: TimeProblem, pieces: int) -> TimedSpl
             found, most = spline, rows
         if step.part < 1.0:
             trust *= SHRINK
+        if spline.ends is not None and pace > 1.0 + 1e-6:
+            pace = max(step.pace, 1.0 + 1e-4)
         rows = math.ceil(rows * pace - 1e-6)
         if rows >= most:
             break
@@ -206,19 +271,41 @@ def _on_rows(spline: TimedSpline, problem: TimeProblem, pieces: int) -> TimedSpl
 
 
 class _Step(NamedTuple):
-    """A motion after a step, and how much of the step was taken."""
+    """A motion after a step.
+
+    Attributes:
+        spline: The motion.
+        part: How much of the step was taken.
+        pace: The pace that its program gives.
+    """
 
     spline: TimedSpline
     part: float
+    pace: float
 
 
-def _step(spline: TimedSpline, problem: TimeProblem, trust: float, gap: float) -> _Step | None:
-    """The best step, or as much of it as is clear; None where there is none. The pace is left as it was."""
-    found = problem.step(spline, trust, gap)
+def _step(
+    spline: TimedSpline, problem: TimeProblem, trust: float, gap: float, *, on_rows: bool = False
+) -> _Step | None:
+    """The best step, or as much of it as is clear; None where there is none.
+
+    The pace is left as it was, unless an end is in motion, which changes the pieces there with the pace.
+    """
+    least = None if spline.ends is None else 1.0 if on_rows else LEAST_PACE
+    found = problem.step(spline, trust, gap, least=least)
     if found is None:
         return None
     change = np.zeros_like(spline.control)
-    change[RESTING:-RESTING, problem.options.movable] = found
+    change[RESTING:-RESTING, problem.options.movable], pace = found
     parts = (0.5**halving for halving in range(HALVINGS + 1))
-    tried = (_Step(TimedSpline(frozen(spline.control + part * change), spline.knots), part) for part in parts)
+    tried = (
+        _Step(_taken(spline, part * change, 1.0 if on_rows else 1.0 + part * (pace - 1.0)), part, pace)
+        for part in parts
+    )
     return next((step for step in tried if problem.is_clear(step.spline)), None)
+
+
+def _taken(spline: TimedSpline, change: FloatArray, pace: float) -> TimedSpline:
+    """The motion after a change of its control points and, where an end is in motion, of its pace."""
+    moved = TimedSpline(frozen(spline.control + change), spline.knots, spline.ends)
+    return moved if spline.ends is None else moved.at_pace(pace)

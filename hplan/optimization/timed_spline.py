@@ -13,25 +13,86 @@ from hplan.robot.dynamics import InverseDynamics
 from hplan.smoothing.spline import SplinePath
 from hplan.timing.trajectory import Trajectory
 
-#: Control points at each end that are equal where the motion is at rest, without acceleration.
+#: Control points at each end that the state there decides: equal where the motion is at rest, without acceleration.
 RESTING = 3
 
 
 @dataclass(frozen=True, eq=False)
-class TimedSpline(Record):
-    """A motion from rest to rest.
+class BoundaryState(Record):
+    """Position, velocity and acceleration at one end of a motion.
 
     Attributes:
-        control: (n, dof) control points; the first `RESTING` are equal, and so are the last.
+        position: (dof,).
+        velocity: (dof,) [rad/s].
+        acceleration: (dof,) [rad/s^2].
+    """
+
+    position: FloatArray
+    velocity: FloatArray
+    acceleration: FloatArray
+
+    @classmethod
+    def at_rest(cls, position: FloatArray) -> BoundaryState:
+        """Standing still."""
+        still = frozen(np.zeros_like(position))
+        return cls(position, still, still)
+
+    @classmethod
+    def of_row(cls, trajectory: Trajectory, row: int) -> BoundaryState:
+        """The state at a row of a motion."""
+        return cls(trajectory.position[row], trajectory.velocity[row], trajectory.acceleration[row])
+
+    @property
+    def is_rest(self) -> bool:
+        """True without velocity and acceleration."""
+        return not (self.velocity.any() or self.acceleration.any())
+
+    def controls(self, widths: FloatArray) -> FloatArray:
+        r"""(`RESTING`, dof) outer control points of a spline that begins in this state.
+
+        Over the first two pieces, of durations :math:`h_1, h_2`, they are :math:`q, \; q + h_1 v / 3` and, from there,
+        :math:`(h_1 + h_2) (v + h_1 a / 2) / 3` farther. For the end of a motion the durations are negative.
+
+        Args:
+            widths: (2,) durations of the first pieces, the outer one first [s].
+        """
+        first, second = widths.tolist()
+        near = self.position + (first / 3.0) * self.velocity
+        far = near + ((first + second) / 3.0) * (self.velocity + (0.5 * first) * self.acceleration)
+        return np.stack([self.position, near, far])
+
+    def drifts(self, widths: FloatArray) -> FloatArray:
+        """(`RESTING`, dof) derivatives of the outer control points by the pace, at pace 1."""
+        first, second = widths.tolist()
+        near = (first / 3.0) * self.velocity
+        far = near + ((first + second) / 3.0) * (self.velocity + first * self.acceleration)
+        return np.stack([np.zeros_like(near), near, far])
+
+
+@dataclass(frozen=True, eq=False)
+class TimedSpline(Record):
+    """A motion from rest to rest, or between states of motion.
+
+    Attributes:
+        control: (n, dof) control points; the first `RESTING` are decided by the state there, and so are the last.
         knots: (n + 4,) clamped knots [s].
+        ends: The states at begin and end; None where both are at rest.
     """
 
     control: FloatArray
     knots: FloatArray
+    ends: tuple[BoundaryState, BoundaryState] | None = None
 
     @classmethod
-    def near(cls, positions: Callable[[FloatArray], FloatArray], breaks: FloatArray) -> TimedSpline:
-        """A spline near a motion from rest to rest, off it by the fourth power of the pieces' duration.
+    def near(
+        cls,
+        positions: Callable[[FloatArray], FloatArray],
+        breaks: FloatArray,
+        ends: tuple[BoundaryState, BoundaryState] | None = None,
+    ) -> TimedSpline:
+        """A spline near a motion, off it by the fourth power of the pieces' duration.
+
+        Between states of motion it goes through the motion at the means of the knots of its control points.
 
         The control points are taken from the motion at the means of their knots, less a sixth of their second
         differences: for equal pieces the quasi-interpolant of de Boor and Fix (J. Approx. Theory 8, 1973).
@@ -39,12 +100,49 @@ class TimedSpline(Record):
         Args:
             positions: The motion, (k,) times -> (k, dof) configurations.
             breaks: (pieces + 1,) increasing times from 0 at which pieces meet [s], at least 2 * `RESTING` pieces.
+            ends: The states in which the spline begins and ends, of the motion or not; None for rest where it does.
         """
         knots = np.concatenate([np.zeros(3), breaks, np.full(3, breaks[-1])])
-        control = positions((knots[1:-3] + knots[2:-2] + knots[3:-1]) / 3.0)
+        means = (knots[1:-3] + knots[2:-2] + knots[3:-1]) / 3.0
+        control = positions(means)
+        if ends is not None:
+            return cls(frozen(control), frozen(knots)).between(ends)._through(control[RESTING:-RESTING], means)
         control[RESTING:-RESTING] -= np.diff(control[RESTING - 1 : 1 - RESTING], n=2, axis=0) / 6.0
         control[:RESTING], control[-RESTING:] = control[0], control[-1]
         return cls(frozen(control), frozen(knots))
+
+    def _through(self, points: FloatArray, clock: FloatArray) -> TimedSpline:
+        """The spline with the same ends whose inner control points lead it through (inner, dof) points."""
+        from scipy.interpolate import BSpline
+
+        inner = slice(RESTING, -RESTING)
+        weights = BSpline.design_matrix(clock[inner], self.knots, 3).toarray()
+        control = np.array(self.control)
+        control[inner] = 0.0
+        control[inner] = np.linalg.solve(weights[:, inner], points - weights @ control)
+        return TimedSpline(frozen(control), self.knots, self.ends)
+
+    def between(self, ends: tuple[BoundaryState, BoundaryState] | None) -> TimedSpline:
+        """The spline with the outer control points that begin and end in some states; as it is where there are none."""
+        if ends is None:
+            return self
+        control, (first, last) = np.array(self.control), self._widths
+        control[:RESTING], control[-RESTING:] = ends[0].controls(first), ends[1].controls(last)[::-1]
+        return TimedSpline(frozen(control), self.knots, ends)
+
+    @property
+    def _widths(self) -> tuple[FloatArray, FloatArray]:
+        """(2,) durations of the outer pieces at both ends, the outermost first, those at the end negative [s]."""
+        return np.diff(self.knots[3:6]), np.diff(self.knots[-6:-3])[::-1] * -1.0
+
+    @property
+    def drift(self) -> FloatArray:
+        """(n, dof) derivatives of the control points by the pace: with it, the states at the ends stay as they are."""
+        drift = np.zeros_like(self.control)
+        if self.ends is not None:
+            first, last = self._widths
+            drift[:RESTING], drift[-RESTING:] = self.ends[0].drifts(first), self.ends[1].drifts(last)[::-1]
+        return drift
 
     @property
     def duration(self) -> float:
@@ -57,8 +155,8 @@ class TimedSpline(Record):
         return SplinePath(self.control, self.knots)
 
     def at_pace(self, pace: float) -> TimedSpline:
-        """The motion with all times multiplied by a number."""
-        return TimedSpline(self.control, frozen(self.knots * pace))
+        """The motion with all times multiplied by a number; its ends keep their states."""
+        return TimedSpline(self.control, frozen(self.knots * pace)).between(self.ends)
 
     def trajectory(self, dynamics: InverseDynamics, rate_hz: float) -> Trajectory:
         """Rows of the motion.
@@ -68,10 +166,36 @@ class TimedSpline(Record):
         """
         clock = np.arange(math.floor(self.duration * rate_hz + 1e-6) + 1, dtype=np.float64) / rate_hz
         position, velocity, acceleration = (self.path.evaluate(clock, derivative) for derivative in range(3))
-        for end in (0, -1):
+        for end, state in zip((0, -1), self.ends or (None, None), strict=True):
             position[end], velocity[end], acceleration[end] = self.control[end], 0.0, 0.0
+            if state is not None:
+                velocity[end], acceleration[end] = state.velocity, state.acceleration
         torque = dynamics.torques(position, velocity, acceleration)
         return Trajectory(tuple(dynamics.model.names)[1:], clock, position, velocity, acceleration, torque)
+
+
+@dataclass(frozen=True, eq=False)
+class MotionBetween(Record):
+    """A motion that is led over into states of motion at its ends, each within half of its duration.
+
+    Attributes:
+        positions_at_rest: The motion, from rest to rest, (k,) times -> (k, dof) configurations.
+        duration: How long it takes [s].
+        ends: The states; their positions are those of the motion.
+    """
+
+    positions_at_rest: Callable[[FloatArray], FloatArray]
+    duration: float
+    ends: tuple[BoundaryState, BoundaryState]
+
+    def positions(self, clock: FloatArray) -> FloatArray:
+        """(k, dof) configurations at times."""
+        q, span = np.array(self.positions_at_rest(clock)), 0.5 * self.duration
+        for state, sign, since in ((self.ends[0], 1.0, clock), (self.ends[1], -1.0, self.duration - clock)):
+            left = np.clip(1.0 - since / span, 0.0, 1.0)
+            speed, push = sign * state.velocity, state.acceleration + 6.0 * sign * state.velocity / span
+            q += (since * left**3)[:, None] * (speed + (0.5 * since)[:, None] * push)
+        return q
 
 
 def even_breaks(duration: float, pieces: int) -> FloatArray:

@@ -77,9 +77,12 @@ def torque_rows(found: TorqueUse, spline: TimedSpline, dynamics: InverseDynamics
     picked = sign * derivatives[:, :, which, joints]  # (3, movable, rows)
     basis = _bases(BSpline(spline.knots, np.eye(len(spline.control)), 3), found.clock[times])
     blocks = sum(picked[order].T[:, None, :] * basis[order][:, RESTING:-RESTING, None] for order in range(3))
+    drift = spline.drift[:, movable]
     # Slower by the pace s, velocity is over s and acceleration over s^2.
     speeds, pushes = (np.einsum("mr,rm->r", picked[order], found.states[order][times][:, movable]) for order in (1, 2))
     by_pace = -speeds - 2.0 * pushes
+    if drift.any():
+        by_pace += sum(np.einsum("mr,rm->r", picked[order], basis[order] @ drift) for order in range(3))
     use = np.abs(found.use[times, joints])
     matrix = sparse.csr_matrix(np.reshape(blocks, (len(times), size)))
     bound = np.maximum(ALLOWED, use) - use + by_pace

@@ -87,6 +87,11 @@ class SpeedProfile:
         durations = 2.0 * np.diff(grid) / (speed[:-1] + speed[1:])
         return cls(path, grid, speed, np.concatenate([[0.0], np.cumsum(durations)]))
 
+    @property
+    def duration(self) -> float:
+        """How long the motion takes [s]."""
+        return float(self.arrival[-1])
+
     def positions(self, clock: FloatArray) -> FloatArray:
         """(k, dof) configurations at times."""
         time = np.clip(clock, 0.0, self.arrival[-1])

@@ -7,7 +7,7 @@ import pytest
 from scipy.interpolate import BSpline
 
 from hplan.collision.clearance_field import ClearanceField
-from hplan.optimization.first_order import NEAR, PLACES, MotionLimits, basis, first_order, least_pace
+from hplan.optimization.first_order import NEAR, PLACES, MotionArrays, MotionLimits, basis, first_order, least_pace
 from hplan.scene.obstacles import Sphere
 
 PIECES, MARGIN, TRUST = 12, 2e-3, 0.1
@@ -28,6 +28,10 @@ def motion():
     control[:3], control[-3:] = control[2], control[-3]
     control[:, [0, 2]] = control[0, [0, 2]]
     return control, knots
+
+
+def at_rest(control, knots):
+    return MotionArrays(control, knots, np.zeros_like(control))
 
 
 def dense(rows, count):
@@ -75,7 +79,7 @@ def test_a_motion_that_keeps_the_program_keeps_the_limits(motion, limits, robot)
     control, knots = motion
     rng = np.random.default_rng(4)
     count = (PIECES - 3) * 2
-    rows = first_order(control, knots, limits, field_of(robot).arrays, MARGIN, TRUST)
+    rows = first_order(at_rest(control, knots), limits, field_of(robot).arrays, MARGIN, TRUST)
     matrix = dense(rows, count)
     both = len(rows.lower)
     for _ in range(200):
@@ -91,7 +95,7 @@ def test_a_motion_that_keeps_the_program_keeps_the_limits(motion, limits, robot)
 
 def test_without_a_step_the_rows_are_the_limits_themselves(motion, limits, robot):
     control, knots = motion
-    rows = first_order(control, knots, limits, field_of(robot).arrays, MARGIN, TRUST)
+    rows = first_order(at_rest(control, knots), limits, field_of(robot).arrays, MARGIN, TRUST)
     kinematic = np.count_nonzero(rows.pace)
     use = (np.abs(rows.lower - rows.upper[: len(rows.lower)]) / 2.0)[:kinematic]
     order = -rows.pace[:kinematic]
@@ -102,7 +106,7 @@ def test_clearances_follow_the_field(motion, limits, robot):
     control, knots = motion
     field = field_of(robot)
     count = (PIECES - 3) * 2
-    rows = first_order(control, knots, limits, field.arrays, MARGIN, TRUST)
+    rows = first_order(at_rest(control, knots), limits, field.arrays, MARGIN, TRUST)
     matrix, both = dense(rows, count), len(rows.lower)
     gradients, bounds = matrix[both:, :-1], rows.upper[both:]
 
@@ -128,7 +132,7 @@ def test_clearances_follow_the_field(motion, limits, robot):
 def test_control_points_outside_the_joint_limits_come_back(motion, limits, robot):
     control, knots = motion
     control[6, 1] = limits.upper[1] + 0.01
-    rows = first_order(control, knots, limits, field_of(robot).arrays, MARGIN, TRUST)
+    rows = first_order(at_rest(control, knots), limits, field_of(robot).arrays, MARGIN, TRUST)
     kinematic = np.count_nonzero(rows.pace)
     bound = rows.upper[kinematic + (6 - 3) * 2]
     assert bound == pytest.approx(-0.01 / TRUST)

@@ -17,13 +17,16 @@ from hplan.errors import InputError, OutputError
 if TYPE_CHECKING:
     from rich.console import Console
 
-SETS = ("reference", "clutter", "orchards", "replanning", "narrow", "growth", "recheck")
+SETS = ("reference", "clutter", "orchards", "replanning", "narrow", "fastest", "growth", "recheck")
 
 #: Random scenes: planned, replanned, and rechecked; windows and traps.
 CLUTTER_SCENES, REPLANNING_SCENES, RECHECK_SCENES, NARROW_PLACES = 200, 20, 1000, 200
 QUICK_CLUTTER_SCENES, QUICK_REPLANNING_SCENES, QUICK_RECHECK_SCENES, QUICK_NARROW_PLACES = 20, 2, 25, 12
 
-#: Problems of each kind of orchard in a quick run.
+#: Who else may look for faster motions than the best known (`studies.benchmark.fastest.peers`).
+PEERS = ("rrtconnect",)
+
+#: Problems of each kind of orchard, and of the fastest, in a quick run.
 QUICK_PROBLEMS = 3
 
 _DESCRIPTION = """\
@@ -38,6 +41,7 @@ sets:
   orchards    all joints among trees: success, time, duration, planners
   replanning  an obstacle of 40 moves: time, duration, beside plans from nothing
   narrow      windows, traps and pinches for three kinds of arm: success, time, duration, RRTConnect
+  fastest     blocked scenes and trees: duration with each effort to the best known, time
   growth      time and memory against grid step, obstacles and links
   recheck     certified trajectories looked at again every 0.1 ms
 
@@ -87,9 +91,19 @@ def _parser() -> argparse.ArgumentParser:
         type=int,
         metavar="N",
         help=f"random scenes of each set (default: {CLUTTER_SCENES} in clutter, {REPLANNING_SCENES} in replanning, "
-        f"{RECHECK_SCENES} in recheck, {NARROW_PLACES} in narrow); problems of each kind of orchard (default: all)",
+        f"{RECHECK_SCENES} in recheck, {NARROW_PLACES} in narrow); problems of each kind of orchard and in "
+        "fastest (default: all)",
     )
-    add("--trees", type=Path, metavar="DIR", help="folder of measured trees, a CSV of capsules each, for orchards")
+    trees = "folder of measured trees, a CSV of capsules each, for orchards and fastest"
+    add("--trees", type=Path, metavar="DIR", help=trees)
+    add(
+        "--improve",
+        nargs="*",
+        choices=PEERS,
+        metavar="PEER",
+        help="fastest: write durations shorter than the best known to the set's file, hplan's and those of these peers "
+        f"({', '.join(PEERS)})",
+    )
     return parser
 
 
@@ -109,6 +123,7 @@ def run(arguments: argparse.Namespace, errors: Console) -> dict[str, Any]:
 
 def _measure(arguments: argparse.Namespace, progress: Callable[[str, int, int], None]) -> dict[str, Any]:
     from studies.benchmark import clutter, growth, orchards, recheck, reference, replanning
+    from studies.benchmark.fastest import measure as fastest
     from studies.benchmark.measure import environment
     from studies.benchmark.narrow import measure as narrow
     from studies.benchmark.planners import Ompl
@@ -131,6 +146,9 @@ def _measure(arguments: argparse.Namespace, progress: Callable[[str, int, int], 
         "orchards": lambda: orchards.measure(robot, trees=arguments.trees, most=each, ompl=ompl, progress=progress),
         "replanning": lambda: replanning.measure(robot, seed=seed, scenes=walks, quick=quick, progress=progress),
         "narrow": lambda: narrow.measure(seed=seed, problems=places, ompl=ompl, progress=progress),
+        "fastest": lambda: fastest.measure(
+            trees=arguments.trees, most=each, improve=arguments.improve, progress=progress
+        ),
         "growth": lambda: growth.measure(robot, scene, seed=seed, quick=quick, progress=progress),
         "recheck": lambda: recheck.measure(robot, scene, seed=seed, scenes=most, progress=progress),
     }

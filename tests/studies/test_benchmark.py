@@ -84,7 +84,7 @@ def test_writes_everything(out: Path, results: Any) -> None:
             assert min(image.size) > 500
     assert results["format"] == "hplan-benchmark/1"
     assert results["settings"] == {
-        "sets": ["reference", "clutter", "orchards", "replanning", "narrow", "growth", "recheck"],
+        "sets": ["reference", "clutter", "orchards", "replanning", "narrow", "fastest", "growth", "recheck"],
         "quick": True,
         "seed": 4,
     }

@@ -60,6 +60,18 @@ class Orchard:
     group: str
     scene: Scene
 
+    def problem(self, name: str, start: FloatArray, goal: FloatArray) -> OrchardProblem:
+        """The motion between two configurations among all of its trees and fruit."""
+        posed = Scene(
+            name=name,
+            start=Start(joints_rad=tuple(start.tolist())),
+            goal=Goal(joints_rad=tuple(goal.tolist())),
+            clearance=self.scene.clearance,
+            obstacles=self.scene.obstacles,
+            fruits=self.scene.fruits,
+        )
+        return OrchardProblem(name, self.group, posed)
+
 
 @dataclass(frozen=True)
 class OrchardProblem:
@@ -101,17 +113,7 @@ class CropProblems:
         return [self._problem(*way) for way in ways]
 
     def _problem(self, before: str, start: FloatArray, after: str, goal: FloatArray) -> OrchardProblem:
-        scene = self.orchard.scene
-        name = f"{self.orchard.name}: {before} to {after}"
-        posed = Scene(
-            name=name,
-            start=Start(joints_rad=tuple(start.tolist())),
-            goal=Goal(joints_rad=tuple(goal.tolist())),
-            clearance=scene.clearance,
-            obstacles=scene.obstacles,
-            fruits=scene.fruits,
-        )
-        return OrchardProblem(name, self.orchard.group, posed)
+        return self.orchard.problem(f"{self.orchard.name}: {before} to {after}", start, goal)
 
 
 def shipped_orchards() -> list[Orchard]:
@@ -130,10 +132,15 @@ def measured_orchards(robot: Robot, folder: Path) -> list[Orchard]:
     Raises:
         InputError: A file that is not in order, or a tree with too little room for its fruit.
     """
-    return [_measured(robot, file, distance) for distance in DISTANCES for file in sorted(folder.glob("*.csv"))]
+    return [measured_orchard(robot, file, distance) for distance in DISTANCES for file in sorted(folder.glob("*.csv"))]
 
 
-def _measured(robot: Robot, file: Path, distance: float) -> Orchard:
+def measured_orchard(robot: Robot, file: Path, distance: float) -> Orchard:
+    """A measured tree with fruit, at a distance [m] in front of the base.
+
+    Raises:
+        InputError: A file that is not in order, or a tree with too little room for its fruit.
+    """
     wood = import_capsules(file, position=(distance, 0.0, 0.0))
     branches = sum(piece.name.split()[0] != "trunk" for piece in wood)
     try:

@@ -22,7 +22,7 @@ from hplan.errors import HplanError
 from hplan.planning.certified_motion import smooth_and_certify
 from hplan.planning.task import MARGIN, PlanningCache
 from hplan.problem.definition import Problem, check_problem
-from hplan.problem.options import PlanOptions
+from hplan.problem.options import EffortName, PlanOptions
 from hplan.problem.world import World
 from hplan.robot.limits import Limits
 from hplan.robot.model import Robot
@@ -88,7 +88,7 @@ def motions_of(task: PeerTask, path: FloatArray) -> PathMotions:
     robot = task.robot
     motion, spline_ms = timed(lambda: toppra_motion(robot, path))
     rounded, rounded_ms = timed(lambda: _certified(task, lambda: smooth(path, task.field, margin=task.smallest_margin)))
-    processed, processed_ms = timed(lambda: _processed(task, path))
+    processed, processed_ms = timed(lambda: processed_duration(task, path))
     return PathMotions(
         length_deg=float(np.degrees(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())),
         spline=None if motion is None else look_at(robot, task.checker, motion),
@@ -112,9 +112,15 @@ def _certified(task: PeerTask, make: Any) -> float | None:
     return trajectory.duration if certificate.verified else None
 
 
-def _processed(task: PeerTask, path: FloatArray) -> float | None:
-    """Duration of the certified motion that hplan makes of a path, or None where there is none."""
-    context = PlanningCache(task.robot).context(task.scene, PlanOptions())
+def processed_duration(task: PeerTask, path: FloatArray, effort: EffortName = "default") -> float | None:
+    """Duration of the certified motion that hplan makes of a path, or None where there is none.
+
+    Args:
+        task: Arm and scene.
+        path: (m, dof) waypoints, clear at the smallest margin.
+        effort: What to spend on it.
+    """
+    context = PlanningCache(task.robot).context(task.scene, PlanOptions(effort=effort))
     asked = replace(context.task(path[0], path[-1]), problem=task.problem)
     try:
         return smooth_and_certify(asked, path, task.margin, "search").trajectory.duration

@@ -95,17 +95,25 @@ def narrow_problems(seed: int, count: int) -> list[NarrowProblem]:
         count: How many windows and traps; kinds, arms and gaps in turn.
     """
     found = [
-        _problem(seed, number, KINDS[number % 4], ARMS[number // 4 % 3], GAPS[number // 12 % 4])
+        narrow_problem(seed, number, KINDS[number % 4], ARMS[number // 4 % 3], GAPS[number // 12 % 4])
         for number in range(count)
     ]
     pinches = range(-(-count // PER_PINCH))
     return found + [
-        _problem(seed, count + number, "pinch", ARMS[number % 3], ROOMS[number // 3 % 4]) for number in pinches
+        narrow_problem(seed, count + number, "pinch", ARMS[number % 3], ROOMS[number // 3 % 4]) for number in pinches
     ]
 
 
-def _problem(seed: int, number: int, kind: str, arm: str, gap: float) -> NarrowProblem:
-    """The problem with a number."""
+def narrow_problem(seed: int, number: int, kind: str, arm: str, gap: float) -> NarrowProblem:
+    """The problem with a number.
+
+    Args:
+        seed: Of all problems.
+        number: Its number.
+        kind: One of `KINDS`, or `pinch`.
+        arm: One of `ARMS`.
+        gap: By how much openings are wider than the link, or what balls leave beside it [m].
+    """
     random = np.random.default_rng([seed, number])
     robot = drawn_member(seed, number) if arm == "drawn" else load_robot(arm)
     while True:

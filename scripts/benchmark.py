@@ -24,7 +24,7 @@ CLUTTER_SCENES, REPLANNING_SCENES, RECHECK_SCENES, NARROW_PLACES = 200, 20, 1000
 QUICK_CLUTTER_SCENES, QUICK_REPLANNING_SCENES, QUICK_RECHECK_SCENES, QUICK_NARROW_PLACES = 20, 2, 25, 12
 
 #: Who else may look for faster motions than the best known (`studies.benchmark.fastest.peers`).
-PEERS = ("rrtconnect",)
+PEERS = ("rrtconnect", "detours", "ipopt")
 
 #: Problems of each kind of orchard, and of the fastest, in a quick run.
 QUICK_PROBLEMS = 3

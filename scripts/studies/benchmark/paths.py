@@ -31,6 +31,7 @@ from hplan.smoothing.round_corners import smooth
 from hplan.smoothing.smooth_path import SMALLEST_FRACTION
 from hplan.smoothing.spline import SplinePath
 from hplan.timing.retime import time_path
+from hplan.timing.trajectory import Trajectory
 from hplan.verification.certificate import certify
 
 
@@ -88,7 +89,7 @@ def motions_of(task: PeerTask, path: FloatArray) -> PathMotions:
     robot = task.robot
     motion, spline_ms = timed(lambda: toppra_motion(robot, path))
     rounded, rounded_ms = timed(lambda: _certified(task, lambda: smooth(path, task.field, margin=task.smallest_margin)))
-    processed, processed_ms = timed(lambda: processed_duration(task, path))
+    processed, processed_ms = timed(lambda: _duration(processed_motion(task, path)))
     return PathMotions(
         length_deg=float(np.degrees(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())),
         spline=None if motion is None else look_at(robot, task.checker, motion),
@@ -112,8 +113,8 @@ def _certified(task: PeerTask, make: Any) -> float | None:
     return trajectory.duration if certificate.verified else None
 
 
-def processed_duration(task: PeerTask, path: FloatArray, effort: EffortName = "default") -> float | None:
-    """Duration of the certified motion that hplan makes of a path, or None where there is none.
+def processed_motion(task: PeerTask, path: FloatArray, effort: EffortName = "default") -> Trajectory | None:
+    """The certified motion that hplan makes of a path, or None where there is none.
 
     Args:
         task: Arm and scene.
@@ -123,9 +124,13 @@ def processed_duration(task: PeerTask, path: FloatArray, effort: EffortName = "d
     context = PlanningCache(task.robot).context(task.scene, PlanOptions(effort=effort))
     asked = replace(context.task(path[0], path[-1]), problem=task.problem)
     try:
-        return smooth_and_certify(asked, path, task.margin, "search").trajectory.duration
+        return smooth_and_certify(asked, path, task.margin, "search").trajectory
     except HplanError:
         return None
+
+
+def _duration(motion: Trajectory | None) -> float | None:
+    return None if motion is None else motion.duration
 
 
 def limits_of(robot: Robot) -> Limits:

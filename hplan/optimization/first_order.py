@@ -25,7 +25,7 @@ from hplan.collision.clearance_kernels import FieldArrays, link_clearances
 from hplan.optimization.interior_point import ProgramRows
 
 #: Places in each piece where the clearance is kept.
-PLACES = any_int(2)
+PLACES = any_int(3)
 
 #: Links farther than this from everything are left out of a program; rows are in multiples of it [m].
 NEAR = 0.15
@@ -304,7 +304,7 @@ def _add_clearances(
     count, links = clear.shape
     joints, inner = len(limits.movable), count // PLACES - 3
     entry = rows.starts[row]
-    gradient, ahead, behind = np.empty((links, joints)), np.empty(links), np.empty(links)
+    gradient, ahead = np.empty((links, joints)), np.empty(links)
     for place in range(count):
         nearest = math.inf
         for link in range(links):
@@ -316,11 +316,9 @@ def _add_clearances(
             here = q[place, j]
             q[place, j] = here + _DIFFERENCE
             link_clearances(q[place], field, ahead)
-            q[place, j] = here - _DIFFERENCE
-            link_clearances(q[place], field, behind)
             q[place, j] = here
             for link in range(links):
-                gradient[link, m] = (ahead[link] - behind[link]) / (2.0 * _DIFFERENCE)
+                gradient[link, m] = (ahead[link] - clear[place, link]) / _DIFFERENCE
         for link in range(links):
             distance = clear[place, link]
             if not distance < NEAR:

@@ -8,6 +8,7 @@ clear; the last has its pieces meet at rows, so that the rows are the motion exa
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple, Protocol
@@ -41,9 +42,9 @@ HALVINGS = 5
 #: How near to the best pace steps come, and the last one.
 COARSE, EXACT = 1e-5, 1e-8
 
-#: Largest change of a control point in a joint: in the first step, and where pieces come to meet at rows
-#: [rad]; and what a step that was not clear as a whole leaves of it for the next.
-TRUST, SMALL_TRUST, SHRINK = 0.2, 0.03, 0.5
+#: Largest change of a control point in a joint where pieces come to meet at rows [rad]; and what a step that was not
+#: clear as a whole leaves of it for the next.
+SMALL_TRUST, SHRINK = 0.03, 0.5
 
 #: Steps of which no more than this part is clear, or nothing, are stalled; after so many no more are tried.
 STALLED, STALLS = 1.0 / 8.0, 2
@@ -65,26 +66,35 @@ PACES = 4
 
 
 @dataclass(frozen=True)
-class Effort:
-    """What may be spent on a motion.
+class Level:
+    """How fine a spline is, and what may be spent on it.
 
     Attributes:
-        piece_s: About how long a piece of the spline lasts [s].
+        piece_s: About how long a piece lasts [s].
         pieces: Fewest and most pieces.
-        steps: Most steps, before those that have pieces meet at rows.
+        steps: Most steps.
         gain: The last step is the first one that makes the motion quicker by less than this part; in proportion where
             only a part of a step was clear.
+        trust: Largest change of a control point in a joint in the first step [rad].
     """
 
     piece_s: float
     pieces: tuple[int, int]
     steps: int
     gain: float
+    trust: float
 
     def pieces_of(self, duration_s: float, rate_hz: float) -> int:
         """Number of pieces of a motion; no more than half as many as it has rows."""
         wanted = min(max(round(duration_s / self.piece_s), self.pieces[0]), self.pieces[1])
         return min(wanted, int(duration_s * rate_hz) // 2)
+
+
+@dataclass(frozen=True)
+class Effort:
+    """What may be spent on a motion: levels from coarse to fine, of which the last has its pieces meet at rows."""
+
+    levels: tuple[Level, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,37 +204,64 @@ class TimedMotion(Protocol):
         """(k, dof) configurations at times."""
 
 
-def minimize_time(start: TimedMotion, problem: TimeProblem, effort: Effort) -> TimedSpline | None:
+def rough_motion(start: TimedMotion, problem: TimeProblem, effort: Effort) -> TimedSpline | None:
+    """The motion of the first level, whose torques and rows are not looked at; None where none was found.
+
+    Args:
+        start: A clear motion from rest to rest, about within the limits.
+        problem: What is to be kept.
+        effort: What may be spent.
+    """
+    return _of_level(start, _without_torque(problem), effort.levels[0])
+
+
+def minimize_time(
+    start: TimedMotion, problem: TimeProblem, effort: Effort, *, rough: TimedSpline | None = None
+) -> TimedSpline | None:
     """The fastest motion near a given one, clear and within all limits, its pieces meeting at rows.
 
     Args:
         start: A clear motion from rest to rest, about within the limits, between the same positions.
         problem: What is to be kept.
         effort: What may be spent.
+        rough: What `rough_motion` makes of the start, if that is known.
 
     Returns:
         The motion, or None where none was found.
     """
-    limit = problem.limits.torque
-    found = _minimized(start, replace(problem, limits=replace(problem.limits, torque=None)), effort)
+    limit, free = problem.limits.torque, _without_torque(problem)
+    found = _minimized(start, free, effort.levels) if rough is None else _minimized(rough, free, effort.levels[1:])
     if found is None or limit is None or TorqueUse.of(found, problem.dynamics, limit).largest <= ALLOWED:
         return found
-    return _minimized(start, problem, effort)
+    return _minimized(start, problem, effort.levels)
 
 
-def _minimized(start: TimedMotion, problem: TimeProblem, effort: Effort) -> TimedSpline | None:
+def _without_torque(problem: TimeProblem) -> TimeProblem:
+    return replace(problem, limits=replace(problem.limits, torque=None))
+
+
+def _minimized(start: TimedMotion, problem: TimeProblem, levels: Sequence[Level]) -> TimedSpline | None:
     """As `minimize_time`, with the limits of torque in the programs if the problem has any."""
-    duration = start.duration
-    if not duration < LONGEST_S:
+    found: TimedSpline | None = None
+    for level in levels:
+        found = _of_level(found or start, problem, level) or found
+    found = found or (start if isinstance(start, TimedSpline) else None)
+    return None if found is None else _on_rows(found, problem, levels[-1])
+
+
+def _of_level(start: TimedMotion, problem: TimeProblem, level: Level) -> TimedSpline | None:
+    """The fastest motion near a given one with the pieces of a level; None where no step was clear."""
+    if not start.duration < LONGEST_S:
         return None
-    pieces = effort.pieces_of(duration, problem.rate_hz)
+    pieces = level.pieces_of(start.duration, problem.rate_hz)
     if pieces < 2 * RESTING:
         return None
-    if problem.ends is not None:
-        start = MotionBetween(start.positions, duration, problem.ends)
-    spline = TimedSpline.near(start.positions, even_breaks(duration, pieces), problem.ends)
-    best, trust, stalled = None, TRUST, 0
-    for _ in range(effort.steps):
+    positions = start.positions
+    if problem.ends is not None and not (isinstance(start, TimedSpline) and start.ends is not None):
+        positions = MotionBetween(start.positions, start.duration, problem.ends).positions
+    spline = TimedSpline.near(positions, even_breaks(start.duration, pieces), problem.ends)
+    best, trust, stalled = None, level.trust, 0
+    for _ in range(level.steps):
         step = _step(spline, problem, trust, COARSE)
         if step is None or step.part < 1.0:
             trust *= SHRINK
@@ -238,22 +275,25 @@ def _minimized(start: TimedMotion, problem: TimeProblem, effort: Effort) -> Time
             before = math.inf if best is None else best.duration
             if moved.duration < before:
                 best = spline = moved
-            if moved.duration > (1.0 - effort.gain * step.part) * before:
+            if moved.duration > (1.0 - level.gain * step.part) * before:
                 break
         if stalled == STALLS:
             break
-    return None if best is None else _on_rows(best, problem, pieces)
+    return best
 
 
-def _on_rows(spline: TimedSpline, problem: TimeProblem, pieces: int) -> TimedSpline | None:
+def _on_rows(spline: TimedSpline, problem: TimeProblem, level: Level) -> TimedSpline | None:
     """The fastest motion near a given one with pieces that meet at rows; None where none was found."""
+    pieces = level.pieces_of(spline.duration, problem.rate_hz)
+    if pieces < 2 * RESTING:
+        return None
     rows, trust = math.ceil(spline.duration * problem.rate_hz - 1e-6), SMALL_TRUST
     found: TimedSpline | None = None
     most = math.inf
     for _ in range(TRIES):
         breaks = breaks_at_rows(rows, pieces, problem.rate_hz)
         slower = spline.at_pace(breaks[-1] / spline.duration)
-        near = TimedSpline.near(slower.path.evaluate, breaks, problem.ends)
+        near = TimedSpline.near(slower.positions, breaks, problem.ends)
         step = _step(near, problem, trust, EXACT, on_rows=True)
         if step is None:
             break

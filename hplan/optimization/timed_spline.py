@@ -154,6 +154,10 @@ class TimedSpline(Record):
         """The same curve as a path; its parameter is the time."""
         return SplinePath(self.control, self.knots)
 
+    def positions(self, clock: FloatArray) -> FloatArray:
+        """(k, dof) configurations at times."""
+        return self.path.evaluate(clock)
+
     def at_pace(self, pace: float) -> TimedSpline:
         """The motion with all times multiplied by a number; its ends keep their states."""
         return TimedSpline(self.control, frozen(self.knots * pace)).between(self.ends)

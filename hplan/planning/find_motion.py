@@ -23,10 +23,15 @@ from hplan.planning.certified_motion import PlannedMotion, certificate_of, requi
 from hplan.planning.enclosure import EnclosedError, enclosed_goals
 from hplan.planning.grid_route import find_route
 from hplan.planning.refusals import Refusals
-from hplan.planning.sampled_motion import BRIEF_TREES, by_roadmap, by_trees, by_trees_to_any
+from hplan.planning.sampled_motion import (
+    SAMPLING,
+    by_sampling,
+    by_trees_to_any,
+    least_duration,
+    rivals,
+)
 from hplan.planning.task import COARSEST_DEG, GridAttempt, PlanningTask
 from hplan.planning.task import STEP_FACTORS as GRID_FACTORS
-from hplan.robot.limits import least_duration as least_between
 from hplan.smoothing.repair import repaired
 from hplan.timing.retime import resting
 
@@ -53,9 +58,6 @@ YAW_GRID_ATTEMPTS = (
     GridAttempt(1.0, 45.0, 0.02, False),
 )
 
-#: The trees, where it is told what was tried.
-TREES = f"trees with {BRIEF_TREES.evaluations} evaluations of the clearance"
-
 #: So far the base may turn beyond start and goal where many goals are decided at once, tried in turn [deg].
 WIDTHS = (45.0, 360.0)
 
@@ -75,9 +77,8 @@ SLUGGISH = 8.0
 #: Where the least duration is shorter, this counts [s].
 SHORT = 0.25
 
-#: So many goals are looked for by sampling; with a motion found in a roadmap that takes no more than so many times the
-#: least duration nothing else is looked for.
-SAMPLED, CLOSE = 2, 1.15
+#: So many goals are looked for by sampling, and so many are compared with the effort `best`.
+SAMPLED, COMPARED = 2, 6
 
 #: A route is searched to a goal that promises to be reached in less than this fraction of a straight motion's time.
 WORTHWHILE = 0.7
@@ -113,7 +114,7 @@ def first_motion(tasks: Sequence[PlanningTask]) -> tuple[int, PlannedMotion] | R
         return _first_over_yaws(tasks)
     if tasks[0].cells(GridAttempt()) > LARGE_PLANAR:
         # Trees take a fraction of the time, and their paths are shorter than those that a flood of the grid finds.
-        return _first(tasks[:SAMPLED], by_trees) or by_trees_to_any(tasks) or _first_planar(tasks)
+        return _sampled(tasks) or by_trees_to_any(tasks) or _first_planar(tasks)
     found = _first_planar(tasks)
     return (by_trees_to_any(tasks) or found) if isinstance(found, Refusals) else found
 
@@ -127,7 +128,7 @@ def _first_over_yaws(tasks: Sequence[PlanningTask]) -> tuple[int, PlannedMotion]
     enough = WORTHWHILE * motion.trajectory.duration
     better = next((other for other in range(number) if least_duration(tasks[other]) < enough), None)
     if better is not None:
-        detour = _sampled(tasks[better])
+        detour = by_sampling(tasks[better])
         if detour is not None and detour.trajectory.duration < motion.trajectory.duration:
             return better, detour
     return straight
@@ -183,12 +184,6 @@ def reuse_motion(task: PlanningTask, before: PlannedMotion) -> PlannedMotion | N
     return None
 
 
-def least_duration(task: PlanningTask) -> float:
-    """Duration that no motion between start and goal can undercut [s]."""
-    problem, robot = task.problem, task.robot
-    return least_between(problem.start, problem.goal, robot.velocity_limit, robot.acceleration_limit)
-
-
 def _at_rest(task: PlanningTask) -> PlannedMotion:
     """The motion from a configuration to itself."""
     start = task.problem.start
@@ -205,6 +200,19 @@ def _first(
     return next(((number, motion) for number, motion in found if motion is not None), None)
 
 
+def _sampled(tasks: Sequence[PlanningTask]) -> tuple[int, PlannedMotion] | None:
+    """The motion by sampling to the first goal that has one; with the effort `best`, to that which is reached first."""
+    if tasks[0].options.effort != "best":
+        return _first(tasks[:SAMPLED], by_sampling)
+    best: tuple[int, PlannedMotion] | None = None
+    for number, task in enumerate(tasks[:COMPARED]):
+        if best is None or least_duration(task) < best[1].trajectory.duration:
+            motion = by_sampling(task)
+            if motion is not None and (best is None or motion.trajectory.duration < best[1].trajectory.duration):
+                best = number, motion
+    return best
+
+
 def _straight_is_clear(task: PlanningTask) -> bool:
     return task.field.is_clear(np.stack([task.problem.start, task.problem.goal]), task.margin())
 
@@ -219,10 +227,11 @@ def _straight(task: PlanningTask) -> PlannedMotion | None:
 
 
 def _on_grid(task: PlanningTask, attempt: GridAttempt) -> PlannedMotion:
-    """One pass on one grid."""
+    """One pass on one grid; where the base is locked, other paths are compared with the one that it has."""
     margin = task.margin(attempt.growth_m)
     route = find_route(task, attempt, 0.1 * margin)
-    return smooth_and_certify(task, route.path, margin, "search", route)
+    others = [] if task.problem.turns or _straight_is_clear(task) else rivals(task)
+    return smooth_and_certify(task, route.path, margin, "search", route, others)
 
 
 def _planar(task: PlanningTask) -> PlannedMotion:
@@ -250,34 +259,13 @@ def _planar(task: PlanningTask) -> PlannedMotion:
                     raise
                 break  # grown obstacles close the passage; the motion found without them could not be certified
     if refused is None and task.options.method == "two-level":
-        tried.append(TREES)
+        tried.append(_trees(task))
     raise refused or NotFoundError(tried)
 
 
 def _sampled_or_grids(tasks: Sequence[PlanningTask]) -> tuple[int, PlannedMotion] | Refusals:
     """A motion along a sampled path and, where none is found, one found on grids."""
-    return _first(tasks[:SAMPLED], _sampled) or by_trees_to_any(tasks) or _first_turning(tasks)
-
-
-def _sampled(task: PlanningTask) -> PlannedMotion | None:
-    """The motion along a quick path in a roadmap, or the quickest along paths of trees; None where there is none."""
-    quick = by_roadmap(task)
-    if quick is None:
-        return by_trees(task)
-    if _is_close(quick):
-        return quick
-    other = by_trees(task, quicker_than_s=quick.trajectory.duration)
-    return quick if other is None else _quicker(quick, other)
-
-
-def _is_close(motion: PlannedMotion) -> bool:
-    """True if there cannot be a much quicker one."""
-    return motion.trajectory.duration <= CLOSE * least_duration(motion.task)
-
-
-def _quicker(first: PlannedMotion, second: PlannedMotion) -> PlannedMotion:
-    """The one that takes less time; the first of two that take the same."""
-    return first if first.trajectory.duration <= second.trajectory.duration else second
+    return _sampled(tasks) or by_trees_to_any(tasks) or _first_turning(tasks)
 
 
 def _first_planar(tasks: Sequence[PlanningTask]) -> tuple[int, PlannedMotion] | Refusals:
@@ -371,11 +359,16 @@ def _no_path(
     return None
 
 
+def _trees(task: PlanningTask) -> str:
+    """The trees, where it is told what was tried."""
+    return f"trees with {SAMPLING[task.options.effort].trees.evaluations} evaluations of the clearance"
+
+
 def _not_found(task: PlanningTask) -> NotFoundError:
     """The error that says what was tried for a goal that the base turns to."""
     coarse = task.fitting(GridAttempt(yaw_range_deg=WIDTHS[-1]), MOST_CELLS)
     grid = "no grid over all yaws fits" if coarse is None else f"grids down to {task.step_deg(coarse):g} deg"
-    return NotFoundError(["straight motion", "roadmap", TREES, grid])
+    return NotFoundError(["straight motion", "roadmap", _trees(task), grid])
 
 
 def _enclosed(tasks: Sequence[PlanningTask], attempt: GridAttempt) -> list[EnclosedError | None]:

@@ -2,53 +2,127 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from contextlib import suppress
+from typing import NamedTuple
 
 import numpy as np
 
 from hplan.base.arrays import FloatArray
 from hplan.errors import CertificationError, TimingError
-from hplan.planning.certified_motion import PlannedMotion, quickest_certified, smooth_and_certify
+from hplan.planning.certified_motion import PlannedMotion, Polyline, quickest_certified, smooth_and_certify
 from hplan.planning.task import PlanningTask
-from hplan.sampling.roadmap import BRIEF, Effort, quick_path
+from hplan.robot.limits import least_duration as least_between
+from hplan.sampling.roadmap import BRIEF, WIDE, Effort, quick_path
 from hplan.sampling.rrt_connect import TreeEffort, tree_path
 from hplan.sampling.several_trees import TreesEffort, promising_paths
 
-#: Effort of the trees: of a quick try, of one that takes what it finds first, and before goals are refused, with so
-#: many seeds.
-BRIEF_TREES, ONE_PAIR = TreesEffort(30_000, (3, 12_000), (9, 3_000)), TreesEffort(12_000, (1, 12_000), (0, 0))
+
+class SamplingEffort(NamedTuple):
+    """Where polylines are looked for, of which the quickest motion is taken.
+
+    Attributes:
+        roadmaps: Sizes of the roadmaps.
+        trees: Effort of the trees where the base turns.
+        planar: Effort of the trees where it is locked, and a grid has been searched; None for none.
+        close: With a motion in a roadmap that takes no more than so many times the least duration nothing else is
+            looked for.
+    """
+
+    roadmaps: tuple[Effort, ...]
+    trees: TreesEffort
+    planar: TreesEffort | None
+    close: float
+
+
+#: A motion that takes no more than so many times the least duration is close to the fastest.
+CLOSE = 1.15
+
+_MANY = TreesEffort(150_000, (10, 12_000), (10, 3_000))
+
+#: What is looked for, by the option `effort`.
+SAMPLING: dict[str, SamplingEffort] = {
+    "quick": SamplingEffort((BRIEF,), TreesEffort(30_000, (3, 12_000), (9, 3_000)), None, CLOSE),
+    "default": SamplingEffort(
+        (BRIEF,), TreesEffort(60_000, (6, 12_000), (4, 3_000)), TreesEffort(6_000, (2, 3_000), (0, 0)), CLOSE
+    ),
+    "best": SamplingEffort((BRIEF, WIDE), _MANY, _MANY, 1.005),
+}
+
+#: Effort of trees of which the first path is taken, and before goals are refused, with so many seeds.
+ONE_PAIR = TreesEffort(12_000, (1, 12_000), (0, 0))
 LONG_TREES, LONG_SEEDS = 120_000, 2
 
-#: Of so many paths the motions are compared, of those that promise to take no longer than so many times the least.
-COMPARED, PROMISING = 3, 1.2
 
-
-def by_roadmap(task: PlanningTask, effort: Effort = BRIEF, *, quicker_than_s: float = math.inf) -> PlannedMotion | None:
+def by_roadmap(task: PlanningTask) -> PlannedMotion | None:
     """The motion along a quick path, or None where there is none, or none that can be timed and certified."""
-    if task.options.objective != "duration" or task.options.method != "two-level":
-        return None  # a short path is wanted, not a quick one, or a certain search
-    margin, velocity = task.margin(), task.robot.velocity_limit
-    with task.stage("roadmap"):
-        waypoints = quick_path(task.problem, task.field, velocity, 0.1 * margin, effort, quicker_than_s=quicker_than_s)
-    if waypoints is not None:
-        with suppress(CertificationError, TimingError):
-            return smooth_and_certify(task, waypoints, margin, "roadmap")
+    with suppress(CertificationError, TimingError):
+        for waypoints, origin in _of_roadmaps(task, (BRIEF,)):
+            return smooth_and_certify(task, waypoints, task.margin(), origin)
     return None
 
 
-def by_trees(
-    task: PlanningTask, effort: TreesEffort = BRIEF_TREES, *, quicker_than_s: float = math.inf
+def by_trees(task: PlanningTask, effort: TreesEffort | None = None) -> PlannedMotion | None:
+    """The quickest motion along paths of some trees; None where none is found and certified."""
+    polylines = _of_trees(task, effort or SAMPLING[task.options.effort].trees)
+    return quickest_certified(task, polylines, task.margin())
+
+
+def by_sampling(task: PlanningTask) -> PlannedMotion | None:
+    """The motion along a quick path in a roadmap, or the quickest along many paths; None where there is none."""
+    effort = SAMPLING[task.options.effort]
+    quick = by_roadmap(task)
+    if quick is not None and quick.trajectory.duration <= effort.close * least_duration(task):
+        return quick
+    polylines = [*_of_roadmaps(task, effort.roadmaps[1:]), *_of_trees(task, effort.trees)]
+    return quicker_along(task, polylines, quick)
+
+
+def quicker_along(
+    task: PlanningTask, polylines: Sequence[Polyline], motion: PlannedMotion | None
 ) -> PlannedMotion | None:
-    """The quickest motion along the most promising paths of some trees; None where none is found and certified."""
-    if task.options.method != "two-level":
-        return None  # a certain search is wanted
-    margin, velocity = task.margin(), task.robot.velocity_limit
+    """The quickest of a motion and those along some polylines; None where there is none at all."""
+    if motion is None:
+        return quickest_certified(task, polylines, task.margin())
+    other = quickest_certified(task, polylines, task.margin(), quicker_than_s=motion.trajectory.duration)
+    return motion if other is None or motion.trajectory.duration <= other.trajectory.duration else other
+
+
+def rivals(task: PlanningTask) -> list[Polyline]:
+    """Other paths, to be compared with one that was found on a planar grid."""
+    effort = SAMPLING[task.options.effort]
+    if effort.planar is None:
+        return []
+    return [*_of_roadmaps(task, effort.roadmaps[1:]), *_of_trees(task, effort.planar)]
+
+
+def least_duration(task: PlanningTask) -> float:
+    """Duration that no motion between start and goal can undercut [s]."""
+    problem, robot = task.problem, task.robot
+    return least_between(problem.start, problem.goal, robot.velocity_limit, robot.acceleration_limit)
+
+
+def _of_roadmaps(task: PlanningTask, efforts: Sequence[Effort]) -> list[Polyline]:
+    """The quick path of each roadmap that has one."""
+    if task.options.objective != "duration" or task.options.method != "two-level":
+        return []  # a short path is wanted, not a quick one, or a certain search
+    margin, velocity = 0.1 * task.margin(), task.robot.velocity_limit
     with task.stage("roadmap"):
-        paths = promising_paths(task.problem, task.field, velocity, 0.1 * margin, effort)
-    useful = min([quicker_than_s, *(PROMISING * seconds for seconds, _ in paths)])
-    return _quickest_along(task, [path for seconds, path in paths if seconds <= useful], margin)
+        paths = [quick_path(task.problem, task.field, velocity, margin, effort) for effort in efforts]
+    return [Polyline(path, "roadmap") for path in paths if path is not None]
+
+
+def _of_trees(task: PlanningTask, effort: TreesEffort) -> list[Polyline]:
+    """The paths of several pairs of trees, the most promising first.
+
+    As they were found: shortened ones touch the margin, and leave smoothing no room.
+    """
+    if task.options.method != "two-level":
+        return []  # a certain search is wanted
+    margin, velocity = 0.1 * task.margin(), task.robot.velocity_limit
+    with task.stage("roadmap"):
+        paths = promising_paths(task.problem, task.field, velocity, margin, effort)
+    return [Polyline(path, "trees") for _, path in paths]
 
 
 def by_trees_to_any(tasks: Sequence[PlanningTask]) -> tuple[int, PlannedMotion] | None:
@@ -67,15 +141,7 @@ def by_trees_to_any(tasks: Sequence[PlanningTask]) -> tuple[int, PlannedMotion] 
         if path is not None:
             found.setdefault(int((goals == path[-1]).all(axis=1).argmax()), []).append(path)
     for number, reached in found.items():
-        motion = _quickest_along(tasks[number], reached, margin)
+        motion = quickest_certified(tasks[number], [Polyline(path, "trees") for path in reached], margin)
         if motion is not None:
             return number, motion
     return None
-
-
-def _quickest_along(task: PlanningTask, paths: Sequence[FloatArray], margin: float) -> PlannedMotion | None:
-    """The quickest certified motion along `COMPARED` of some paths, the first that give one; None where none does."""
-    # The paths as they were found: shortened ones touch the margin, and leave smoothing no room.
-    batches = (paths[first : first + COMPARED] for first in range(0, len(paths), COMPARED))
-    motions = (quickest_certified(task, batch, margin, "trees") for batch in batches)
-    return next((motion for motion in motions if motion is not None), None)

@@ -11,64 +11,37 @@ from typing import Literal, NamedTuple, TypeAlias
 from hplan.base import ties
 from hplan.base.arrays import FloatArray, Record
 from hplan.errors import CertificationError, TimingError
-from hplan.optimization.minimize_time import Effort, Level, TimeProblem, minimize_time, rough_motion
-from hplan.optimization.timed_spline import TimedSpline
+from hplan.optimization.minimize_time import Effort, Level, TimeProblem
+from hplan.optimization.several_starts import StartsEffort, fastest_motions, optimization_starts
 from hplan.planning.grid_route import Route
 from hplan.planning.task import PlanningContext, PlanningTask
 from hplan.robot.limits import GeometricPath, Limits
 from hplan.robot.tracking import TrackingModel
-from hplan.smoothing.minimize_duration import coarse_profile, estimated_duration
+from hplan.smoothing.minimize_duration import estimated_duration
 from hplan.smoothing.options import PostprocessOptions
-from hplan.smoothing.smooth_path import clear_start, fast_path, is_straight, near_field
+from hplan.smoothing.smooth_path import fast_path, is_straight
 from hplan.smoothing.spline import SplinePath
 from hplan.timing.retime import time_path
 from hplan.timing.speed_ceiling import SpeedCeiling, averaging_s
-from hplan.timing.speed_profile import SpeedProfile
 from hplan.timing.trajectory import Trajectory
 from hplan.verification.certificate import Certificate, Stretch, certify_among
-
-
-@dataclass(frozen=True)
-class MotionEffort:
-    """What may be spent on a motion along one of several polylines.
-
-    Attributes:
-        optimization: Of one motion.
-        rough: Of so many polylines, those with the quickest splines, rough motions are made where the base turns.
-        planar: As many where it is locked.
-        finished: So many of them, the quickest, are optimised to the end.
-    """
-
-    optimization: Effort
-    rough: int
-    planar: int
-    finished: int
-
 
 _COARSE = Level(piece_s=0.08, pieces=(20, 40), steps=20, gain=2e-3, trust=0.2)
 
 #: What may be spent on the optimisation of a motion, by the option.
-EFFORTS: dict[str, MotionEffort | None] = {
+EFFORTS: dict[str, StartsEffort | None] = {
     "quick": None,
-    "default": MotionEffort(
+    "default": StartsEffort(
         Effort((_COARSE, Level(piece_s=0.03, pieces=(50, 120), steps=3, gain=5e-3, trust=0.05))),
         rough=4,
-        planar=1,
         finished=2,
     ),
-    "best": MotionEffort(
+    "best": StartsEffort(
         Effort((_COARSE, Level(piece_s=0.012, pieces=(60, 300), steps=20, gain=1e-4, trust=0.2))),
         rough=8,
-        planar=8,
-        finished=3,
+        finished=2,
     ),
 }
-
-#: A rough motion comes out quicker by no more than about this part.
-LEFT_TO_GAIN = 0.1
-
-#: Obstacles farther than this from a path are left out of the programs that move it [m].
-OPTIMIZED = 0.4
 
 #: Of so many polylines smooth paths are compared where none can be optimised with its timing.
 SMOOTHED = 3
@@ -151,7 +124,7 @@ def smooth_and_certify(
         margin: Clearance asked for beyond the one to keep [m].
         origin: Where the polyline comes from.
         route: The path over a grid that it comes from; None for none.
-        rivals: Other polylines between the same ends; the motion along one of them is taken where it is quicker.
+        rivals: Other polylines between the same ends; one of them is taken where it promises a quicker motion.
 
     Raises:
         CertificationError: There is none, or none can be certified.
@@ -212,20 +185,6 @@ def smoothing_options(task: PlanningTask, margin: float) -> PostprocessOptions:
     )
 
 
-class _Start(NamedTuple):
-    """What an optimiser begins with.
-
-    Attributes:
-        polyline: What it comes from.
-        problem: What is to be kept.
-        profile: About the fastest motion along a smooth path near the polyline.
-    """
-
-    polyline: Polyline
-    problem: TimeProblem
-    profile: SpeedProfile
-
-
 def _optimized(
     task: PlanningTask, polylines: Sequence[Polyline], margin: float, quicker_than_s: float = math.inf
 ) -> PlannedMotion | None:
@@ -236,51 +195,22 @@ def _optimized(
     effort, options = EFFORTS[task.options.effort], task.options
     if effort is None or options.objective != "duration" or options.tracking.delay_s > 0.0:
         return None
-    processing = smoothing_options(task, margin)
+    processing, paths = smoothing_options(task, margin), [polyline.waypoints for polyline in polylines]
+    limits, dynamics = motion_limits(task), task.robot.dynamics
     with task.stage("postprocess"):
-        if is_straight(polylines[0].waypoints, task.field, processing):
+        if is_straight(paths[0], task.field, processing):
             return None
-        starts = [start for polyline in polylines if (start := _start(task, polyline, processing)) is not None]
+        problem = TimeProblem(task.field, task.field, processing, limits, dynamics, options.rate_hz)
+        starts = optimization_starts(paths, problem)
     with task.stage("timing"):
-        splines = _splines(starts, effort, effort.rough if task.problem.turns else effort.planar, quicker_than_s)
-    for (waypoints, origin), spline in splines:
-        trajectory = spline.trajectory(task.robot.dynamics, options.rate_hz)
+        motions = fastest_motions(starts, effort, quicker_than_s=quicker_than_s)
+    for number, motion in motions:
+        trajectory = motion.trajectory(dynamics, options.rate_hz)
         certificate = certificate_of(task, trajectory)
         if certificate.verified:
-            return PlannedMotion(task, None, waypoints, spline.path, trajectory, certificate, origin)
+            waypoints, origin = polylines[number]
+            return PlannedMotion(task, None, waypoints, motion.path, trajectory, certificate, origin)
     return None
-
-
-def _start(task: PlanningTask, polyline: Polyline, processing: PostprocessOptions) -> _Start | None:
-    """What an optimiser begins with near a polyline; None where no smooth path near it is found clear at once."""
-    near = near_field(polyline.waypoints, task.field, OPTIMIZED)
-    spline = clear_start(polyline.waypoints, near, processing)
-    if spline is None:
-        return None
-    limits, rate_hz = motion_limits(task), task.options.rate_hz
-    problem = TimeProblem(task.field, near, processing, limits, task.robot.dynamics, rate_hz)
-    return _Start(polyline, problem, coarse_profile(spline, processing))
-
-
-def _splines(
-    starts: Sequence[_Start], effort: MotionEffort, most: int, quicker_than_s: float
-) -> list[tuple[Polyline, TimedSpline]]:
-    """The quickest motions that come of some starts, each with its polyline; the quickest first."""
-    order = ties.argsort([start.profile.duration for start in starts])[:most]
-    chosen: list[tuple[_Start, TimedSpline | None]] = [(starts[number], None) for number in order.tolist()]
-    optimization = effort.optimization
-    if len(chosen) > 1:
-        chosen = [(start, rough_motion(start.profile, start.problem, optimization)) for start, _ in chosen]
-        times = [math.inf if rough is None else rough.duration for _, rough in chosen]
-        enough = min(quicker_than_s, min(times)) / (1.0 - LEFT_TO_GAIN)
-        order = ties.argsort(times)[: effort.finished]
-        chosen = [chosen[number] for number in order.tolist() if times[number] <= enough]
-    found = [
-        (start.polyline, spline)
-        for start, rough in chosen
-        if (spline := minimize_time(start.profile, start.problem, optimization, rough=rough)) is not None
-    ]
-    return [found[number] for number in ties.argsort([spline.duration for _, spline in found]).tolist()]
 
 
 def certified_trajectory(

@@ -38,13 +38,13 @@ class SamplingEffort(NamedTuple):
 #: A motion that takes no more than so many times the least duration is close to the fastest.
 CLOSE = 1.15
 
-_MANY = TreesEffort(150_000, (10, 12_000), (10, 3_000))
+_MANY = TreesEffort(200_000, (16, 12_000), (16, 3_000))
 
 #: What is looked for, by the option `effort`.
 SAMPLING: dict[str, SamplingEffort] = {
     "quick": SamplingEffort((BRIEF,), TreesEffort(30_000, (3, 12_000), (9, 3_000)), None, CLOSE),
     "default": SamplingEffort(
-        (BRIEF,), TreesEffort(60_000, (6, 12_000), (4, 3_000)), TreesEffort(6_000, (2, 3_000), (0, 0)), CLOSE
+        (BRIEF,), TreesEffort(80_000, (6, 12_000), (10, 3_000)), TreesEffort(6_000, (2, 3_000), (0, 0)), CLOSE
     ),
     "best": SamplingEffort((BRIEF, WIDE), _MANY, _MANY, 1.005),
 }

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from scipy.interpolate import BSpline
 
 from hplan.collision.clearance_field import ClearanceField
-from hplan.optimization.first_order import NEAR, MotionArrays, MotionLimits, first_order
-from hplan.optimization.minimize_time import Effort, TimeProblem, minimize_time
+from hplan.optimization.first_order import NEAR, PLACES, MotionArrays, MotionLimits, first_order
+from hplan.optimization.minimize_time import Effort, Level, TimeProblem, minimize_time
 from hplan.optimization.timed_spline import BoundaryState, TimedSpline
 from hplan.optimization.torque_rows import TorqueUse, torque_rows
 from hplan.robot.limits import Limits
@@ -148,7 +148,7 @@ def test_clearances_follow_the_pace_where_an_end_is_in_motion(robot, limits):
 
 def clearances(spline, field):
     breaks = spline.knots[3:-3]
-    clock = (breaks[:-1, None] + np.diff(breaks)[:, None] * np.arange(2) / 2).ravel()
+    clock = (breaks[:-1, None] + np.diff(breaks)[:, None] * np.arange(PLACES) / PLACES).ravel()
     return field.along(BSpline(spline.knots, spline.control, 3)(clock)).ravel()
 
 
@@ -182,7 +182,7 @@ def swing(duration):
 
 START, TURN = np.array([0.1, 0.6, 0.7, 0.5]), np.array([0.0, 0.5, 0.4, -0.2])
 
-EFFORT = Effort(piece_s=0.03, pieces=(30, 60), steps=12, gain=1e-3)
+EFFORT = Effort((Level(piece_s=0.03, pieces=(30, 60), steps=12, gain=1e-3, trust=0.2),))
 
 
 def fastest(robot, ends, limits=None):

@@ -123,7 +123,7 @@ def test_clearances_follow_the_field(motion, limits, robot):
     unknowns = np.random.default_rng(5).uniform(-1e-4, 1e-4, count)
     change = near(moved(control, unknowns, limits.movable)) - here
     expected = -gradients @ unknowns * NEAR
-    np.testing.assert_allclose(change[touched], expected, atol=2e-8)
+    np.testing.assert_allclose(change[touched], expected, atol=1e-7)  # the gradients are one-sided differences
     # Where there is more than the margin, the margin is asked for.
     clearance = here[touched]
     np.testing.assert_allclose((clearance - bounds * NEAR)[clearance > 2.0 * MARGIN], MARGIN, atol=1e-12)

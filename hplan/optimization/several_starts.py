@@ -1,0 +1,115 @@
+"""The fastest of the motions near several paths: estimated, then made roughly, and the best of them to the end.
+
+An optimiser finds the fastest motion near the one that it begins with: on the other side of an obstacle there may be a
+faster one. Paths that can be moved into each other lead to about the same one, so that only the quickest
+of every class is looked at.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from hplan.base import ties
+from hplan.base.arrays import FloatArray, IntArray
+from hplan.optimization.minimize_time import LONGEST_S, Effort, TimeProblem, minimize_time, rough_motion
+from hplan.optimization.path_classes import class_numbers
+from hplan.optimization.timed_spline import TimedSpline
+from hplan.smoothing.minimize_duration import coarse_profile
+from hplan.smoothing.smooth_path import clear_start, near_field
+from hplan.timing.speed_profile import SpeedProfile
+
+#: Obstacles farther than this from a path are left out of the programs that move it [m].
+NEAR = 0.4
+
+#: Points of a path at which it is compared with others.
+COMPARED = 12
+
+#: A rough motion comes out quicker by no more than about this part of a motion that is known, and of another one.
+LEFT_TO_GAIN, AMONG_ROUGH = 0.1, 0.05
+
+
+@dataclass(frozen=True)
+class StartsEffort:
+    """What may be spent on the motions near several paths.
+
+    Attributes:
+        optimization: Of one motion.
+        rough: So many rough motions are made, of the paths with the quickest splines.
+        finished: So many of them, the quickest, are optimised to the end.
+    """
+
+    optimization: Effort
+    rough: int
+    finished: int
+
+
+class OptimizationStart(NamedTuple):
+    """What an optimiser begins with.
+
+    Attributes:
+        number: Of the path.
+        problem: What is to be kept.
+        profile: About the fastest motion along a smooth path near it.
+    """
+
+    number: int
+    problem: TimeProblem
+    profile: SpeedProfile
+
+
+def optimization_starts(paths: Sequence[FloatArray], problem: TimeProblem) -> list[OptimizationStart]:
+    """Smooth paths near some polylines, the quickest first; without those where none is found clear at once.
+
+    Args:
+        paths: (m, dof) clear polylines between the same ends.
+        problem: What is to be kept; what is near is chosen for each path.
+    """
+    found: list[OptimizationStart] = []
+    for number, path in enumerate(paths):
+        near = near_field(path, problem.field, NEAR)
+        spline = clear_start(path, near, problem.options)
+        if spline is not None:
+            found.append(
+                OptimizationStart(number, replace(problem, near=near), coarse_profile(spline, problem.options))
+            )
+    found = [start for start in found if start.profile.duration < LONGEST_S]
+    return [found[k] for k in ties.argsort([start.profile.duration for start in found]).tolist()]
+
+
+def fastest_motions(
+    starts: Sequence[OptimizationStart], effort: StartsEffort, *, quicker_than_s: float = math.inf
+) -> list[tuple[int, TimedSpline]]:
+    """The fastest motions that come of some starts, each with the number of its path; the fastest first.
+
+    Args:
+        starts: The starts, the quickest first.
+        effort: What may be spent.
+        quicker_than_s: Longest duration of a motion that is of use [s].
+    """
+    several = starts if len(starts) < 2 else [starts[k] for k in _first_of_class(starts)[: effort.rough].tolist()]
+    chosen: list[tuple[OptimizationStart, TimedSpline | None]] = [(start, None) for start in several]
+    if len(several) > 1:
+        chosen = [(start, rough_motion(start.profile, start.problem, effort.optimization)) for start in several]
+        times = [math.inf if rough is None else rough.duration for _, rough in chosen]
+        enough = min(quicker_than_s / (1.0 - LEFT_TO_GAIN), min(times) / (1.0 - AMONG_ROUGH))
+        best = ties.argsort(times)[: effort.finished]
+        chosen = [chosen[k] for k in best.tolist() if times[k] <= enough]
+    found = [
+        (start.number, motion)
+        for start, rough in chosen
+        if (motion := minimize_time(start.profile, start.problem, effort.optimization, rough=rough)) is not None
+    ]
+    return [found[k] for k in ties.argsort([motion.duration for _, motion in found]).tolist()]
+
+
+def _first_of_class(starts: Sequence[OptimizationStart]) -> IntArray:
+    """Numbers of the starts that are the first of their class."""
+    parts = np.linspace(0.0, 1.0, COMPARED + 2)[1:-1]
+    paths = np.stack([start.profile.positions(parts * start.profile.duration) for start in starts])
+    number = class_numbers(paths, starts[0].problem.field)
+    return np.flatnonzero(number == np.arange(len(starts)))

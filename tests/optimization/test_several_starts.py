@@ -15,7 +15,7 @@ from hplan.robot.limits import Limits
 from hplan.scene.obstacles import Sphere
 from hplan.smoothing.options import PostprocessOptions
 
-START, GOAL = np.array([0.2, 1.2, 0.3, 0.3]), np.array([0.2, 0.1, 0.3, 0.3])
+START, GOAL = np.array([0.15, 1.2, 0.3, 0.3]), np.array([0.15, 0.1, 0.3, 0.3])
 LEVELS = (Level(0.1, (15, 30), 10, 1e-2, 0.2), Level(0.05, (20, 40), 3, 1e-2, 0.05))
 EFFORT = StartsEffort(Effort(LEVELS), rough=4, finished=1)
 

@@ -29,6 +29,9 @@ NEAR = 0.4
 #: Points of a path at which it is compared with others.
 COMPARED = 12
 
+#: Another path than the first is preferred to it only where its smooth path is quicker by more than this part.
+PREFERENCE = 0.02
+
 #: A rough motion comes out quicker by no more than about this part of a motion that is known, and of another one.
 LEFT_TO_GAIN, AMONG_ROUGH = 0.1, 0.05
 
@@ -63,7 +66,7 @@ class OptimizationStart(NamedTuple):
 
 
 def optimization_starts(paths: Sequence[FloatArray], problem: TimeProblem) -> list[OptimizationStart]:
-    """Smooth paths near some polylines, the quickest first; without those where none is found clear at once.
+    """Smooth paths near some polylines, about the quickest first; without those where none is found clear at once.
 
     Args:
         paths: (m, dof) clear polylines between the same ends.
@@ -78,7 +81,8 @@ def optimization_starts(paths: Sequence[FloatArray], problem: TimeProblem) -> li
                 OptimizationStart(number, replace(problem, near=near), coarse_profile(spline, problem.options))
             )
     found = [start for start in found if start.profile.duration < LONGEST_S]
-    return [found[k] for k in ties.argsort([start.profile.duration for start in found]).tolist()]
+    times = [start.profile.duration * (1.0 - PREFERENCE * (start.number == 0)) for start in found]
+    return [found[k] for k in ties.argsort(times).tolist()]
 
 
 def fastest_motions(
@@ -87,7 +91,7 @@ def fastest_motions(
     """The fastest motions that come of some starts, each with the number of its path; the fastest first.
 
     Args:
-        starts: The starts, the quickest first.
+        starts: The starts, in the order of `optimization_starts`.
         effort: What may be spent.
         quicker_than_s: Longest duration of a motion that is of use [s].
     """

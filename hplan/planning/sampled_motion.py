@@ -104,7 +104,7 @@ def least_duration(task: PlanningTask) -> float:
 
 def _of_roadmaps(task: PlanningTask, efforts: Sequence[Effort]) -> list[Polyline]:
     """The quick path of each roadmap that has one."""
-    if task.options.objective != "duration" or task.options.method != "two-level":
+    if not efforts or task.options.objective != "duration" or task.options.method != "two-level":
         return []  # a short path is wanted, not a quick one, or a certain search
     margin, velocity = 0.1 * task.margin(), task.robot.velocity_limit
     with task.stage("roadmap"):

@@ -309,7 +309,7 @@ def test_nothing_found_and_nothing_shown(robot: Robot, ladder: Any) -> None:
     """Closed up to some yaws only, and trees found nothing: it is said what was tried."""
     tasks = goals(robot, 60.0)
     ladder(tasks, lambda _: enclosed(open_ended=True))
-    with pytest.raises(NotFoundError, match=r"trees with 30000 evaluations .*; grids down to 1 deg") as caught:
+    with pytest.raises(NotFoundError, match=r"trees with 80000 evaluations .*; grids down to 1 deg") as caught:
         find_motion(tasks)
     assert caught.value.exit_status == 6
     assert caught.value.data["tried"][0] == "straight motion"

@@ -38,7 +38,7 @@ class SamplingEffort(NamedTuple):
 #: A motion that takes no more than so many times the least duration is close to the fastest.
 CLOSE = 1.15
 
-_MANY = TreesEffort(200_000, (16, 12_000), (16, 3_000))
+_MANY = TreesEffort(200_000, (8, 12_000), (40, 3_000))
 
 #: What is looked for, by the option `effort`.
 SAMPLING: dict[str, SamplingEffort] = {

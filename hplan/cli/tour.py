@@ -75,7 +75,12 @@ def parser(prog: str) -> CommandParser:
     add("--order", choices=("best", "nearest", "given"), default="best", help="default: best")
     add("--compare", action="store_true", help="show what the other orders would take")
     add("--grasps", type=int, default=4, metavar="N", help="grasps of a fruit weighed at a time (default: 4)")
-    add("--csv", choices=("one", "each"), default="one", help="one CSV, or one for each fruit (default: one)")
+    add(
+        "--csv",
+        choices=("one", "each"),
+        default="one",
+        help="one CSV, or one for each fruit, from rest to rest (default: one)",
+    )
     add("--standoff", type=float, default=0.1, metavar="M", help="length of straight approaches (default: 0.1)")
     add_pace(parser)
     add_tracking(parser)
@@ -150,7 +155,7 @@ def _tour_options(arguments: argparse.Namespace) -> TourOptions:
         except ValueError as error:
             raise OptionError(f"--{option.replace('_', '-')}", values, "finite numbers") from error
     chosen = {option: getattr(arguments, option) for option in ("every", "back", "order", "compare", "grasps")}
-    return TourOptions(drop_off=drop, **chosen)
+    return TourOptions(drop_off=drop, stops=arguments.csv == "each", **chosen)
 
 
 def _file_word(name: str) -> str:

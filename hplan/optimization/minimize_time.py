@@ -32,6 +32,7 @@ from hplan.robot.dynamics import InverseDynamics
 from hplan.robot.limits import Limits
 from hplan.smoothing.options import PostprocessOptions
 from hplan.smoothing.spline import FIRST, MovableSpline, pieces_are_clear
+from hplan.timing.retime import KEPT
 
 #: Fraction of the margin asked for wherever the proof of a step looks; the programs ask for all of it at their places.
 PROVED = 0.05
@@ -54,6 +55,10 @@ LONGEST_S = 600.0
 
 #: How often the rows of a motion are counted anew until they are enough.
 TRIES = 4
+
+#: Within these times, tried in turn, a motion is led over into the state of motion at its end: with more it leaves its
+#: path for a longer distance, with less it is farther beyond the limits [s].
+LED_OVER_S = (0.2, 0.1, 0.05)
 
 #: Least pace of a step where an end is in motion: the pieces there are no linear functions of the pace.
 LEAST_PACE = 0.75
@@ -256,10 +261,7 @@ def _of_level(start: TimedMotion, problem: TimeProblem, level: Level) -> TimedSp
     pieces = level.pieces_of(start.duration, problem.rate_hz)
     if pieces < 2 * RESTING:
         return None
-    positions = start.positions
-    if problem.ends is not None and not (isinstance(start, TimedSpline) and start.ends is not None):
-        positions = MotionBetween(start.positions, start.duration, problem.ends).positions
-    spline = TimedSpline.near(positions, even_breaks(start.duration, pieces), problem.ends)
+    spline = _first(start, problem, even_breaks(start.duration, pieces))
     best, trust, stalled = None, level.trust, 0
     for _ in range(level.steps):
         step = _step(spline, problem, trust, COARSE)
@@ -282,6 +284,18 @@ def _of_level(start: TimedMotion, problem: TimeProblem, level: Level) -> TimedSp
     return best
 
 
+def _first(start: TimedMotion, problem: TimeProblem, breaks: FloatArray) -> TimedSpline:
+    """The spline to begin with: between states of motion one that leaves the start no farther than is clear."""
+    if problem.ends is None or (isinstance(start, TimedSpline) and start.ends is not None):
+        return TimedSpline.near(start.positions, breaks, problem.ends)
+    for within_s in LED_OVER_S:
+        between = MotionBetween(start.positions, start.duration, problem.ends, within_s)
+        spline = TimedSpline.near(between.positions, breaks, problem.ends)
+        if problem.is_clear(spline):
+            break
+    return spline
+
+
 def _on_rows(spline: TimedSpline, problem: TimeProblem, level: Level) -> TimedSpline | None:
     """The fastest motion near a given one with pieces that meet at rows; None where none was found."""
     pieces = level.pieces_of(spline.duration, problem.rate_hz)
@@ -298,12 +312,13 @@ def _on_rows(spline: TimedSpline, problem: TimeProblem, level: Level) -> TimedSp
         if step is None:
             break
         spline, pace = step.spline, problem.pace(step.spline)
-        if pace <= 1.0 + 1e-6 and problem.keeps_torque(spline):
+        kept = 1e-6 if spline.ends is None else KEPT
+        if pace <= 1.0 + kept and problem.keeps_torque(spline):
             found, most = spline, rows
         if step.part < 1.0:
             trust *= SHRINK
-        if spline.ends is not None and pace > 1.0 + 1e-6:
-            pace = max(step.pace, 1.0 + 1e-4)
+        if spline.ends is not None and pace > 1.0 + kept:
+            pace = max(step.pace, 1.0 + KEPT)
         rows = math.ceil(rows * pace - 1e-6)
         if rows >= most:
             break

@@ -180,21 +180,23 @@ class TimedSpline(Record):
 
 @dataclass(frozen=True, eq=False)
 class MotionBetween(Record):
-    """A motion that is led over into states of motion at its ends, each within half of its duration.
+    """A motion that is led over into states of motion at its ends.
 
     Attributes:
         positions_at_rest: The motion, from rest to rest, (k,) times -> (k, dof) configurations.
         duration: How long it takes [s].
         ends: The states; their positions are those of the motion.
+        within_s: For how long at most the motion is another one at each end [s].
     """
 
     positions_at_rest: Callable[[FloatArray], FloatArray]
     duration: float
     ends: tuple[BoundaryState, BoundaryState]
+    within_s: float
 
     def positions(self, clock: FloatArray) -> FloatArray:
         """(k, dof) configurations at times."""
-        q, span = np.array(self.positions_at_rest(clock)), 0.5 * self.duration
+        q, span = np.array(self.positions_at_rest(clock)), min(self.within_s, 0.5 * self.duration)
         for state, sign, since in ((self.ends[0], 1.0, clock), (self.ends[1], -1.0, self.duration - clock)):
             left = np.clip(1.0 - since / span, 0.0, 1.0)
             speed, push = sign * state.velocity, state.acceleration + 6.0 * sign * state.velocity / span

@@ -185,6 +185,13 @@ def smoothing_options(task: PlanningTask, margin: float) -> PostprocessOptions:
     )
 
 
+def effort_of(context: PlanningContext) -> StartsEffort | None:
+    """What may be spent on the optimisation of a motion; None where motions are not optimised with their timing."""
+    options = context.options
+    optimized = options.objective == "duration" and options.tracking.delay_s == 0.0
+    return EFFORTS[options.effort] if optimized else None
+
+
 def _optimized(
     task: PlanningTask, polylines: Sequence[Polyline], margin: float, quicker_than_s: float = math.inf
 ) -> PlannedMotion | None:
@@ -192,8 +199,8 @@ def _optimized(
 
     None where the straight one is as good, or none was found or is asked for.
     """
-    effort, options = EFFORTS[task.options.effort], task.options
-    if effort is None or options.objective != "duration" or options.tracking.delay_s > 0.0:
+    effort, options = effort_of(task), task.options
+    if effort is None:
         return None
     processing, paths = smoothing_options(task, margin), [polyline.waypoints for polyline in polylines]
     limits, dynamics = motion_limits(task), task.robot.dynamics
@@ -265,7 +272,11 @@ def timed(context: PlanningContext, path: GeometricPath, fraction: float = 0.0) 
 
 
 def certificate_of(
-    context: PlanningContext, trajectory: Trajectory, among: Sequence[Stretch] | None = None
+    context: PlanningContext,
+    trajectory: Trajectory,
+    among: Sequence[Stretch] | None = None,
+    *,
+    rest_to_rest: bool = True,
 ) -> Certificate:
     """The certificate of a trajectory, whatever it says.
 
@@ -273,6 +284,7 @@ def certificate_of(
         context: Arm, obstacles and options.
         trajectory: The timed motion.
         among: The obstacles that it is certified among, stretch by stretch; those of the context where this is None.
+        rest_to_rest: Whether it has to begin and end at rest.
     """
     options = context.options
     with context.stage("certificate"):
@@ -282,6 +294,7 @@ def certificate_of(
             [(slice(0, max(1, trajectory.samples - 1)), context.world.checker)] if among is None else among,
             clearance=context.scene.clearance,
             tracking=TrackingModel(options.tracking_error, options.tracking_delay_s),
+            rest_to_rest=rest_to_rest,
         )
 
 

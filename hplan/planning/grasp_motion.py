@@ -1,23 +1,75 @@
-"""A certified motion to one of several grasps: the promising ones first, all of them before any is refused."""
+"""A certified motion to one of several grasps: the promising ones first, all of them before any is refused.
+
+And the approach to the grasp that is taken, and the retreat, from rest or out of the motion before and into the next.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from typing import TypeAlias, TypeVar
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import NamedTuple, TypeAlias, TypeVar
+
+import numpy as np
 
 from hplan.base.arrays import FloatArray
 from hplan.errors import CertificationError, ConfigurationInCollisionError, HplanError, TimingError
-from hplan.planning.certified_motion import Part, PlannedMotion, certified_trajectory
+from hplan.optimization.minimize_time import Effort, Level, TimeProblem, minimize_time
+from hplan.optimization.several_starts import NEAR
+from hplan.optimization.timed_spline import BoundaryState, TimedSpline
+from hplan.planar.straight_approach import ApproachPath, standoffs
+from hplan.planning.certified_motion import (
+    Part,
+    PlannedMotion,
+    certificate_of,
+    certified_trajectory,
+    effort_of,
+    motion_limits,
+    smoothing_options,
+    timed,
+)
 from hplan.planning.find_motion import first_motion, without_path
 from hplan.planning.grasps import SPARE, Grasp, Target, promising
 from hplan.planning.refusals import Refusals
 from hplan.planning.task import PlanningContext, PlanningTask
+from hplan.robot.model import Robot
+from hplan.smoothing.smooth_path import near_field
+from hplan.smoothing.spline import SplinePath
 from hplan.timing.trajectory import Trajectory
 from hplan.verification.certificate import Stretch, stretches
 from hplan.verification.goal_contact import contact_window
 from hplan.verification.limit_use import cubic_pieces
 
 _Last = TypeVar("_Last")
+
+#: An approach that is in motion at the stand-off would begin at rest so much farther away, as a fraction of its length.
+#: More lets it pass the stand-off faster, and gives the transit more to do. Where the transit comes to last longer by
+#: more than this part of what approach and retreat save, less is tried next, else more.
+LEADS, FIRST_LEAD, EATEN = (0.02, 0.05, 0.15, 0.3, 0.45), 2, 0.5
+
+#: So many are tried, and what is spent on the transit of each, by the effort.
+TRIED: dict[str, tuple[int, Effort]] = {
+    "default": (2, Effort((Level(piece_s=0.03, pieces=(50, 120), steps=12, gain=0.02, trust=0.2),))),
+    "best": (4, Effort((Level(piece_s=0.012, pieces=(60, 300), steps=20, gain=1e-4, trust=0.2),))),
+}
+
+#: Beyond the stand-off obstacles are looked for at so many places.
+LOOKS = 16
+
+#: Where there is less room than this beyond the stand-off, the arm stops there [m].
+LEAST_LEAD = 1e-3
+
+#: So far the tool of an approach in motion may be off its straight line, looked at at so many times a row [m].
+OFF_LINE, OFF_LOOKS = 1e-4, 4
+
+#: A row at which the tool is as far from the grasp as the stand-off, but for this, is before it [m].
+ROUNDING = 1e-9
+
+#: By less than this no motion is quicker than another [s].
+LEAST_GAIN_S = 1e-6
+
+#: Configurations of a transit between which obstacles are looked for that are near it.
+ALONG = 33
 
 #: Finds a motion to one of several goals, or says why there is none to each.
 FindMotion: TypeAlias = Callable[[Sequence[PlanningTask]], tuple[int, PlannedMotion] | Refusals]
@@ -122,16 +174,190 @@ def approach_and_retreat(context: PlanningContext, target: Target, grasp: Grasp)
         TimingError: There is none within the limits.
         CertificationError: It is asked for, and something was not shown.
     """
-    path, fruit = grasp.path(context.robot, context.scene.locked_joints), target.fruit
+    path = grasp.path(context.robot, context.scene.locked_joints)
     if path is None:
         return []
-
-    def among(there: Trajectory) -> list[Stretch]:
-        bezier, _ = cubic_pieces(there)
-        contact = None if fruit is None else contact_window(context.robot, bezier, fruit.center)
-        return stretches(target.world.checker, len(bezier), contact, None if fruit is None else fruit.name)
-
-    there, shown = certified_trajectory(context.among(target.world_touching), path, among)
+    there, shown = certified_trajectory(
+        context.among(target.world_touching), path, lambda there: _contact_stretches(context, target, there)
+    )
     approach = Part("approach", there, shown)
-    # The same motion backwards: accelerations and torques stay as they are, and so do all the distances.
-    return [approach] if fruit is None else [approach, Part("retreat", there.reversed, shown)]
+    return [approach] if target.fruit is None else [approach, retreat_of(approach)]
+
+
+def retreat_of(approach: Part) -> Part:
+    """An approach backwards: accelerations and torques stay as they are, and so do all the distances."""
+    return Part("retreat", approach.trajectory.reversed, approach.certificate)
+
+
+def _contact_stretches(context: PlanningContext, target: Target, approach: Trajectory) -> list[Stretch]:
+    """What an approach is certified among: the last link may touch the fruit while it moves straight."""
+    bezier, _ = cubic_pieces(approach)
+    fruit = target.fruit
+    contact = None if fruit is None else contact_window(context.robot, bezier, fruit.center)
+    return stretches(target.world.checker, len(bezier), contact, None if fruit is None else fruit.name)
+
+
+@dataclass(frozen=True, eq=False)
+class Pick:
+    """A grasp with its approach from rest, and approaches to it that are in motion at the stand-off.
+
+    Attributes:
+        context: The arm among its obstacles, and options.
+        target: What is grasped.
+        grasp: How.
+        approach: The approach that begins at rest.
+    """
+
+    context: PlanningContext
+    target: Target
+    grasp: Grasp
+    approach: Part
+    _known: dict[float, Part | None] = field(init=False, default_factory=dict)
+
+    @cached_property
+    def farthest(self) -> float:
+        """From where the tool can come straight and clear, at most `LEADS` beyond the stand-off [m]."""
+        grasp, context, locked = self.grasp, self.context, self.context.scene.locked_joints
+        longest = (1.0 + LEADS[-1]) * grasp.distance
+        possible = float(standoffs(context.robot, grasp.goal[None], longest, locked=locked).largest[0])
+        if possible <= grasp.distance:
+            return grasp.distance
+        path = ApproachPath(context.robot, grasp.goal, possible, locked)
+        away = np.linspace(grasp.distance, possible, LOOKS)
+        field = self.target.transit_world(grasp).field
+        touching = np.flatnonzero(field.along(path.evaluate((1.0 - away / possible) * path.end)).min(axis=1) < 0.0)
+        return float(away[max(0, touching[0] - 1)]) if len(touching) else possible
+
+    def passing(self, lead: float) -> Part | None:
+        """The approach that is in motion where it passes the stand-off; None where there is none.
+
+        It is the last part of one that begins at rest farther away. So it passes the stand-off at a speed that the arm
+        can reach on a straight line, and on this line all joints can keep their limits; the motion there need not.
+
+        Args:
+            lead: How much farther away, as a fraction of the approach.
+        """
+        longer = min(self.farthest, (1.0 + lead) * self.grasp.distance)
+        if longer not in self._known:
+            self._known[longer] = self._passing(longer)
+        return self._known[longer]
+
+    def _passing(self, longer: float) -> Part | None:
+        """The approach of which the whole has a length [m]."""
+        context, grasp = self.context.among(self.target.world_touching), self.grasp
+        if longer < grasp.distance + LEAST_LEAD:
+            return None
+        path = ApproachPath(context.robot, grasp.goal, longer, context.scene.locked_joints)
+        try:
+            whole = timed(context, path)
+        except TimingError:
+            return None
+        tool = context.robot.tool_positions(whole.position)
+        beyond = np.linalg.norm(tool - tool[-1], axis=1) >= grasp.distance - ROUNDING
+        there = whole.since(int(np.flatnonzero(beyond)[-1]))
+        if _off_line(context.robot, there, grasp) > OFF_LINE:
+            return None
+        shown = certificate_of(context, there, _contact_stretches(context, self.target, there), rest_to_rest=False)
+        return Part("approach", there, shown) if shown.verified else None
+
+
+def _off_line(robot: Robot, approach: Trajectory, grasp: Grasp) -> float:
+    """How far the tool leaves the straight line between stand-off and grasp, at rows and between them [m]."""
+    clock = np.linspace(0.0, approach.duration, OFF_LOOKS * (approach.samples - 1) + 1)
+    tip, standoff = robot.tool_positions(np.stack([grasp.goal, grasp.standoff]))
+    line = standoff - tip
+    away = robot.tool_positions(approach.positions(clock)) - tip
+    away -= (away @ line / (line @ line))[:, None] * line
+    return float(np.linalg.norm(away, axis=1).max())
+
+
+class Flow(NamedTuple):
+    """A transit that is in motion at a stand-off, and what is before and after it.
+
+    Attributes:
+        retreat: The retreat before it; None where the transit begins at rest.
+        transit: The transit.
+        path: Its curve.
+        approach: The approach after it; None where the transit ends at rest.
+    """
+
+    retreat: Part | None
+    transit: Part
+    path: SplinePath
+    approach: Part | None
+
+
+def flowing(task: PlanningTask, transit: Part, before: Pick | None, after: Pick | None) -> Flow | None:
+    """The quickest motion without a stop at the stand-offs; None where the one with stops is as quick.
+
+    Args:
+        task: What is asked of the transit.
+        transit: The transit from rest to rest.
+        before: From where the arm retreats before it; None where the transit begins at rest.
+        after: What it approaches after it; None where the transit ends at rest.
+    """
+    if effort_of(task) is None or transit.trajectory.samples == 1:
+        return None
+    stopping = [0.0 if pick is None else pick.approach.trajectory.duration for pick in (before, after)]
+    limit = transit.trajectory.duration + sum(stopping) - LEAST_GAIN_S
+    found: list[tuple[float, _Draft]] = []
+    number, direction = FIRST_LEAD, 0
+    passing: list[Part | None] = []
+    tries, effort = TRIED[task.options.effort]
+    for _ in range(tries):
+        known = passing
+        passing = [None if pick is None else pick.passing(LEADS[number]) for pick in (before, after)]
+        if known and all(one is other for one, other in zip(known, passing, strict=True)):
+            break  # there is no more room beyond the stand-offs
+        draft = _draft(task, transit.trajectory, passing, effort)
+        if draft is not None:
+            saved = sum(
+                stop - part.trajectory.duration
+                for stop, part in zip(stopping, (draft.leaving, draft.coming), strict=True)
+                if part is not None
+            )
+            seconds = draft.spline.duration + sum(stopping) - saved
+            if found and seconds > found[-1][0] - LEAST_GAIN_S:
+                break
+            found.append((seconds, draft))
+            direction = direction or (1 if limit - seconds > EATEN * saved else -1)
+        number += direction or -1
+        if number not in range(len(LEADS)):
+            break
+    for seconds, draft in reversed(found):  # the quickest first
+        if seconds > limit:
+            break
+        trajectory = draft.spline.trajectory(task.robot.dynamics, task.options.rate_hz)
+        shown = certificate_of(task, trajectory, rest_to_rest=False)
+        if shown.verified:
+            retreat = None if draft.leaving is None else retreat_of(draft.leaving)
+            return Flow(retreat, Part(transit.name, trajectory, shown), draft.spline.path, draft.coming)
+    return None
+
+
+class _Draft(NamedTuple):
+    """A transit that begins or ends in motion, and the approaches, that before it backwards, that it is between."""
+
+    spline: TimedSpline
+    leaving: Part | None
+    coming: Part | None
+
+
+def _draft(task: PlanningTask, transit: Trajectory, passing: Sequence[Part | None], effort: Effort) -> _Draft | None:
+    """The fastest motion near a transit between approaches in motion, at rest without one; None where none is found."""
+    leaving, coming = passing
+    if leaving is None and coming is None:
+        return None
+    first, last = (BoundaryState.at_rest(transit.position[end]) for end in (0, -1))
+    if leaving is not None:
+        first = BoundaryState.of_row(leaving.trajectory.reversed, -1)
+    if coming is not None:
+        last = BoundaryState.of_row(coming.trajectory, 0)
+    along = transit.position[np.linspace(0, transit.samples - 1, ALONG).astype(int)]
+    with task.stage("timing"):
+        processing = smoothing_options(task, task.margin())
+        near = near_field(along, task.field, NEAR)
+        limits, rate_hz = motion_limits(task), task.options.rate_hz
+        problem = TimeProblem(task.field, near, processing, limits, task.robot.dynamics, rate_hz, (first, last))
+        spline = minimize_time(transit, problem, effort)
+    return None if spline is None else _Draft(spline, leaving, coming)

@@ -15,7 +15,7 @@ from hplan.base.polyline import path_length
 from hplan.errors import CertificationError, HplanError, NoPathError, TimingError
 from hplan.planning.certified_motion import Part, PlannedMotion
 from hplan.planning.find_motion import find_motion, reuse_motion
-from hplan.planning.grasp_motion import approach_and_retreat, motion_to_grasp
+from hplan.planning.grasp_motion import Pick, approach_and_retreat, flowing, motion_to_grasp
 from hplan.planning.grasps import Grasp, Target, grasps
 from hplan.planning.report import motion_report
 from hplan.planning.task import PlanningCache, PlanningContext, Progress, no_progress
@@ -92,8 +92,8 @@ def plan(
 ) -> PlanResult:
     """Plan a motion from the scene's start to its goal.
 
-    To a fruit, or to a point, the motion is a transit to a stand-off and a straight approach; from a fruit the arm
-    then retreats to the stand-off.
+    To a fruit, or to a point, the motion is a transit to a stand-off and a straight approach, without a stop between
+    them where that is quicker; from a fruit the arm then retreats to the stand-off.
 
     Args:
         robot: The arm.
@@ -201,6 +201,12 @@ def _planned(
         lambda grasp: context.among(target.transit_world(grasp)).task(start, grasp.standoff),
         lambda grasp: approach_and_retreat(context, target, grasp),
     )
+    if last:
+        flow = flowing(motion.task, motion.transit, None, Pick(context, target, grasp, last[0]))
+        if flow is not None and flow.approach is not None:
+            _, trajectory, certificate = flow.transit
+            motion = replace(motion, path=flow.path, trajectory=trajectory, certificate=certificate)
+            last[0] = flow.approach
     return _result(context, grasp, motion, [motion.transit, *last])
 
 

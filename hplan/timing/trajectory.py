@@ -79,6 +79,29 @@ class Trajectory(Record):
         """Number of samples."""
         return len(self.time)
 
+    def since(self, row: int) -> Trajectory:
+        """The motion from a row on; it begins in motion if it is in motion there."""
+        return Trajectory(
+            self.joint_names,
+            self.time[row:] - self.time[row],
+            self.position[row:],
+            self.velocity[row:],
+            self.acceleration[row:],
+            self.torque[row:],
+        )
+
+    def positions(self, clock: FloatArray) -> FloatArray:
+        """(k, dof) configurations at (k,) times, on the cubics with the rows' positions and velocities."""
+        if self.samples == 1:
+            return np.repeat(self.position, len(clock), axis=0)
+        row = np.clip(np.searchsorted(self.time, clock, side="right") - 1, 0, self.samples - 2)
+        width = (self.time[row + 1] - self.time[row])[:, None]
+        t = np.clip((clock - self.time[row])[:, None] / width, 0.0, 1.0)
+        u, there = 1.0 - t, self.position[row + 1]
+        here, first, last = self.position[row], width * self.velocity[row], width * self.velocity[row + 1]
+        q: FloatArray = u * u * ((1.0 + 2.0 * t) * here + t * first) + t * t * ((1.0 + 2.0 * u) * there - u * last)
+        return q
+
 
 def joined(parts: Sequence[Trajectory]) -> Trajectory:
     """Motions one after the other; each begins where the one before it ends, and at its speed.

@@ -10,6 +10,9 @@ All fruits stay obstacles all along, also those that would have been picked by t
 From a hub (the start, or the drop-off where there is one) a motion to every fruit is shown; where no direct motion is
 found between two places, the arm moves by others.
 
+Once the tour is found, motions flow: where that is quicker, the arm does not stop at stand-offs. The order is found by
+durations with stops.
+
 What is carried to a drop-off is as if within the last link, made as thick as the thickest fruit; the arm is as thick
 from the stand-off before a fruit to the drop-off. The motions of the empty arm are planned as it is.
 """
@@ -18,8 +21,10 @@ from __future__ import annotations
 
 import math
 from bisect import bisect
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import TypeAlias
 
 import numpy as np
@@ -28,7 +33,7 @@ from hplan.base import ties
 from hplan.base.arrays import FloatArray, IntArray, readonly
 from hplan.planning.certified_motion import Part
 from hplan.planning.find_motion import find_motion
-from hplan.planning.grasp_motion import approach_and_retreat, motion_to_grasp
+from hplan.planning.grasp_motion import Flow, Pick, approach_and_retreat, flowing, motion_to_grasp
 from hplan.planning.grasps import Grasp, Target, grasps
 from hplan.planning.task import PlanningContext, PlanningTask
 from hplan.robot.limits import rest_to_rest
@@ -40,6 +45,9 @@ from hplan.tour.ordering import Costs, Visits, along
 #: Finds a tour, given costs, the order of the fruits in the tour it found before, and whether to look far, as nothing
 #: else moves any more.
 Solver: TypeAlias = Callable[[Costs, IntArray | None, bool], Visits]
+
+#: The fruit and how it is taken, neither for the leg back, and the motions.
+LegParts: TypeAlias = tuple[str | None, Grasp | None, list[Part]]
 
 #: Other grasps are looked at so many times, as long as the tour becomes shorter by this fraction.
 WIDENINGS, LEAST_GAIN = 8, 5e-3
@@ -63,6 +71,23 @@ class DropOff:
 
     configuration: FloatArray
     transit: Part
+
+
+@dataclass(eq=False)
+class _Motion:
+    """A motion of a tour in the making.
+
+    Attributes:
+        part: The motion.
+        step: The place that it approaches or retreats from, or the stops that it is between and whether it is loaded.
+    """
+
+    part: Part
+    step: tuple[int, ...]
+
+    def place_of(self, name: str) -> int | None:
+        """The place of an approach or a retreat; None for another motion."""
+        return self.step[0] if self.part.name == name else None
 
 
 class Motions:
@@ -100,6 +125,8 @@ class Motions:
         self._targets: list[Target] = []
         self._active: list[list[int]] = []
         self._picks: dict[int, Move] = {}
+        self._passings: dict[int, Pick] = {}
+        self._flows: dict[tuple[int | None, ...], Flow | None] = {}
         self._sought = 0
         if drop is not None and self._home != self._hub:
             self._moves.keep(self._home, self._hub, False, [drop.transit])
@@ -191,17 +218,74 @@ class Motions:
         """The numbers of the fruits at places."""
         return np.searchsorted(self._begin, places, side="right") - 1
 
-    def legs(self, visits: Visits) -> list[tuple[str, Grasp, list[Part]]]:
-        """For each fruit of a tour its name, how it is taken, and the motions there and, if it is, to the drop-off."""
-        found = []
-        for place, leg in zip(visits.places.tolist(), self._steps(visits), strict=True):
-            parts = [part for name, step in leg if name != "return" for part in self._take(step).named(name)]
-            found.append((self.fruits[bisect(self._begin, place) - 1], self._grasps[place], parts))
-        return found
+    def legs(self, visits: Visits, *, back: bool, stops: bool) -> list[LegParts]:
+        """The legs of a tour: the fruit's name, how it is taken, the motions there and, if it is, to the drop-off.
 
-    def return_parts(self, visits: Visits) -> list[Part]:
-        """The motions from the end of a tour's last leg to where it goes back to."""
-        return self._moves.take(self._end(visits), self._home, False).named("return")
+        Args:
+            visits: The tour.
+            back: True if a leg back follows, without a fruit.
+            stops: True if the arm stops between legs.
+        """
+        places = visits.places.tolist()
+        names: list[tuple[str | None, Grasp | None]] = [
+            (self.fruits[bisect(self._begin, place) - 1], self._grasps[place]) for place in places
+        ]
+        steps = [[(name, step) for name, step in leg if name != "return"] for leg in self._steps(visits)]
+        if back:
+            names.append((None, None))
+            steps.append([("return", (self._end(visits), self._home, 0))])
+        legs = [[motion for name, step in leg for motion in self._motions_of(name, step)] for leg in steps]
+        for group in legs if stops else [[motion for leg in legs for motion in leg]]:
+            self._flow(group)
+        return [(*name, [motion.part for motion in leg]) for name, leg in zip(names, legs, strict=True)]
+
+    def _motions_of(self, name: str, step: tuple[int, ...]) -> list[_Motion]:
+        """The motions of a step, planned if need be."""
+        parts = self._take(step).named(name)
+        if len(step) == 1:
+            return [_Motion(part, step) for part in parts]
+        path = self._moves.path(step[0], step[1], bool(step[2])) or []
+        return [_Motion(part, (*ends, step[2])) for part, ends in zip(parts, pairwise(path), strict=True)]
+
+    def _flow(self, motions: Sequence[_Motion]) -> None:
+        """Take motions without stops at stand-offs in place of those with stops, where they are quicker."""
+        for number, motion in enumerate(motions):
+            if len(motion.step) == 1:
+                continue
+            before = motions[number - 1] if number else None
+            after = motions[number + 1] if number + 1 < len(motions) else None
+            leaving = None if before is None else before.place_of("retreat")
+            coming = None if after is None else after.place_of("approach")
+            key = *motion.step, leaving, coming
+            if key not in self._flows:
+                self._flows[key] = self._flowing(motion, leaving, coming)
+            flow = self._flows[key]
+            if flow is None:
+                continue
+            motion.part = flow.transit._replace(name=motion.part.name)
+            if before is not None and flow.retreat is not None:
+                before.part = flow.retreat
+            if after is not None and flow.approach is not None:
+                after.part = flow.approach
+
+    def _flowing(self, motion: _Motion, leaving: int | None, coming: int | None) -> Flow | None:
+        """A motion that flows out of the retreat from a place, or into the approach to one; None for stops."""
+        if leaving is None and coming is None:
+            return None
+        with suppress(*NO_MOTION):
+            a, b, loaded = motion.step
+            task = self._moves.task(a, b, bool(loaded))
+            return flowing(
+                task, motion.part, *(None if place is None else self._passing(place) for place in (leaving, coming))
+            )
+        return None
+
+    def _passing(self, place: int) -> Pick:
+        """The approach to a place, as it may be in motion at the stand-off."""
+        if place not in self._passings:
+            target = self._targets[bisect(self._begin, place) - 1]
+            self._passings[place] = Pick(self._context, target, self._grasps[place], self._pick(place).parts[0])
+        return self._passings[place]
 
     def end(self, visits: Visits) -> Stop:
         """The end of a tour's last leg."""

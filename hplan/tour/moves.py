@@ -15,6 +15,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -187,7 +188,7 @@ class Moves:
             return
         self._looks[key] += 1
         try:
-            task = self._task(*key)
+            task = self.task(*key)
             if not task.problem.turns or task.problem.is_empty:
                 self._plan(key, first_motion([task]))
             elif self._looks[key] > 1 or task.field.is_clear(
@@ -201,20 +202,26 @@ class Moves:
 
     def take(self, a: int, b: int, loaded: bool) -> Move:
         """The quickest motions from stop to stop that are there; looked for if that was not done yet."""
+        path = self.path(a, b, loaded)
+        if path is None:
+            return NONE
+        return Move.of([part for one, other in pairwise(path) for part in self._one(one, other, loaded).parts])
+
+    def path(self, a: int, b: int, loaded: bool) -> list[int] | None:
+        """The stops from one to another on the quickest motions; None where there are none."""
         while not self.is_known(a, b, loaded):
             self.look(a, b, loaded)
         if a == b:
-            return Move.of(())
+            return [a]
         joins = self._joins(loaded)
         i, j = joins.numbers[a], joins.numbers[b]
         if not math.isfinite(joins.seconds[i, j]):
-            return NONE
-        parts: list[Part] = []
+            return None
+        path = [b]
         while i != j:
-            last = int(joins.before[i, j])
-            parts[:0] = self._one(joins.stops[last], joins.stops[j], loaded).parts
-            j = last
-        return Move.of(parts)
+            j = int(joins.before[i, j])
+            path.append(joins.stops[j])
+        return path[::-1]
 
     def made_quicker(self, a: int, b: int, loaded: bool) -> bool:
         """True if a thorough search, done once where it may pay, gives quicker motions than there are."""
@@ -225,7 +232,7 @@ class Moves:
         self._thorough.add(key)
         before = self._found[key]
         with suppress(*NO_MOTION):
-            self._plan(key, first_motion([self._task(*key)]))
+            self._plan(key, first_motion([self.task(*key)]))
         found = self._found[key]
         if found is not None and found.seconds < seconds - _GAIN_S:
             return True
@@ -255,7 +262,7 @@ class Moves:
         least: FloatArray = rest_to_rest(np.abs(there[:, None] - there), *self.limits).max(axis=2)
         return least
 
-    def _task(self, a: int, b: int, loaded: bool) -> PlanningTask:
+    def task(self, a: int, b: int, loaded: bool) -> PlanningTask:
         """The motion to plan between two stops."""
         ends, context = (self.stops[a], self.stops[b]), self._contexts[loaded]
         for name in {end.fruit: None for end in ends if end.fruit is not None}:

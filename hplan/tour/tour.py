@@ -16,6 +16,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from hplan.base import ties
 from hplan.base.arguments import instance, keep_checked, list_of, one_of, truth, whole
 from hplan.base.arrays import Record
 from hplan.errors import CertificationError, HplanError, OptionError, TourError, UnreachableError
@@ -29,7 +30,7 @@ from hplan.robot.model import Robot
 from hplan.scene.model import Fruit, Goal, Scene
 from hplan.timing.retime import resting
 from hplan.timing.trajectory import Trajectory, joined
-from hplan.tour.motions import Motions, carrying, drop_off
+from hplan.tour.motions import LegParts, Motions, carrying, drop_off
 from hplan.tour.moves import NO_MOTION, Stop
 from hplan.tour.ordering import Visits, along, best, nearest
 from hplan.verification.certificate import Certificate, all_of
@@ -49,6 +50,7 @@ class TourOptions:
         every: How many fruits are carried to the drop-off at most; one where this is None.
         back: True if the arm goes back to the start in the end.
         order: `best`; `nearest`: always on to the fruit that is taken soonest; `given`: as the fruits are listed.
+        stops: True if the arm stops between legs, so that each can be run by itself.
         compare: True if the report gives the durations of all three orders.
         grasps: Number of grasps of a fruit among which the best is sought at a time; with more than one, others take
             the place of those that are not used, as long as the tour becomes shorter.
@@ -58,6 +60,7 @@ class TourOptions:
     every: int | None = None
     back: bool = False
     order: Order = "best"
+    stops: bool = False
     compare: bool = False
     grasps: int = 4
 
@@ -73,12 +76,17 @@ class TourOptions:
             if self.drop_off is None:
                 raise OptionError("every", self.every, "a drop-off with it")
             keep_checked(self, {"every": (whole, 1)})
-        keep_checked(self, {"order": (one_of, ORDERS), "grasps": (whole, 1), "back": (truth,), "compare": (truth,)})
+        keep_checked(
+            self,
+            {"order": (one_of, ORDERS), "grasps": (whole, 1), "back": (truth,), "stops": (truth,), "compare": (truth,)},
+        )
 
 
 @dataclass(frozen=True, eq=False)
 class Leg(Record):
-    """A part of a tour, at rest at both ends: to a fruit and, where it is next, to the drop-off; or back to the start.
+    """A part of a tour: to a fruit and, where it is next, to the drop-off; or back to the start.
+
+    It is at rest at both ends but where the retreat from a fruit flows into the next leg.
 
     Attributes:
         fruit: Name of the fruit; None for the leg back.
@@ -122,7 +130,7 @@ class TourResult(Record):
     Attributes:
         order: The fruits that are picked, in their order.
         legs: One for each, and the leg back where there is one.
-        trajectory: The whole motion; the arm rests between its phases.
+        trajectory: The whole motion; the arm rests at the fruits, and wherever a stop is quicker.
         certificate: What was shown of it.
         picked: When the tool is at each fruit [s].
         dropped: When each fruit is let go at the drop-off [s]; empty where there is none.
@@ -266,20 +274,22 @@ class _TourPlanner:
         if motions.fruits:
             orders = sorted(ORDERS, key=lambda order: order != self.tour.order)
             found = {order: _visits(motions, order) for order in (orders if self.tour.compare else orders[:1])}
+        totals = {order: self._duration(motions, visits) for order, visits in found.items()}
+        if self.tour.order == "best" and found:
+            # By durations with stops; without them another order may be quicker.
+            quickest = list(totals)[ties.argmin(list(totals.values()))]
+            found["best"], totals["best"] = found[quickest], totals[quickest]
         visits = found.get(self.tour.order, Visits(math.inf, np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.bool_)))
         if motions.fruits and not math.isfinite(visits.cost):
             cut_off = CertificationError("no certified motions join the places from which it could be picked to others")
             unreached += [Unreached(name, cut_off) for name in motions.fruits]
-        return _Stage(motions, visits, {order: found[order].cost for order in ORDERS if order in found}, unreached)
+        return _Stage(motions, visits, {order: totals[order] for order in ORDERS if order in totals}, unreached)
 
     def _result(self, stages: Sequence[_Stage], unreached: Sequence[Unreached]) -> TourResult:
         """The tour and its report."""
-        drafts: list[tuple[str | None, Grasp | None, list[Part]]] = []
+        drafts = list[LegParts]()
         for stage in stages:
-            drafts += stage.motions.legs(stage.visits)
-        last = stages[-1]
-        if self.tour.back:
-            drafts.append((None, None, last.motions.return_parts(last.visits)))
+            drafts += self._legs(stage.motions, stage.visits, back=self.tour.back and stage is stages[-1])
         here, begin, legs = self.start, 0.0, list[Leg]()
         for fruit, grasp, parts in drafts:
             if not parts:  # the arm rests where it is
@@ -302,6 +312,17 @@ class _TourPlanner:
             unreached=tuple(unreached),
             report=self._report(stages, legs, picked, unreached) | motion_report(trajectory, certificate, self.options),
         )
+
+    def _legs(self, motions: Motions, visits: Visits, *, back: bool) -> list[LegParts]:
+        """The legs of a tour among one set of obstacles."""
+        return motions.legs(visits, back=back, stops=self.tour.stops)
+
+    def _duration(self, motions: Motions, visits: Visits) -> float:
+        """How long a tour takes, as it is driven; infinite where there is none [s]."""
+        if not math.isfinite(visits.cost):
+            return math.inf
+        legs = self._legs(motions, visits, back=self.tour.back)
+        return sum(part.trajectory.duration for _, _, parts in legs for part in parts)
 
     def _report(
         self, stages: Sequence[_Stage], legs: Sequence[Leg], picked: Mapping[str, float], unreached: Sequence[Unreached]

@@ -38,6 +38,30 @@ def test_what_it_tells():
     assert trajectory.duration == trajectory.time[-1]
 
 
+@pytest.mark.parametrize("row", [0, 3, 6])
+def test_a_motion_from_a_row_on(row):
+    trajectory = some_trajectory(7)
+    rest = trajectory.since(row)
+    assert rest.samples == 7 - row
+    assert rest.time[0] == 0.0
+    np.testing.assert_array_equal(rest.velocity, trajectory.velocity[row:])
+    if row:
+        begin = Trajectory(trajectory.joint_names, *(getattr(trajectory, field)[: row + 1] for field in FIELDS))
+        np.testing.assert_allclose(joined([begin, rest]).time, trajectory.time, rtol=0, atol=1e-12)
+
+
+def test_positions_between_rows_are_on_the_cubics():
+    from scipy.interpolate import CubicHermiteSpline
+
+    trajectory = some_trajectory(7)
+    curve = CubicHermiteSpline(trajectory.time, trajectory.position, trajectory.velocity)
+    clock = np.linspace(0.0, trajectory.duration, 200)
+    np.testing.assert_allclose(trajectory.positions(clock), curve(clock), rtol=0, atol=1e-12)
+    outside = trajectory.positions(np.array([-1.0, trajectory.duration + 1.0]))
+    np.testing.assert_allclose(outside, trajectory.position[[0, -1]], rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(some_trajectory(1).positions(np.zeros(2)), some_trajectory(1).position[[0, 0]])
+
+
 def test_arrays_are_its_own_and_read_only():
     position = np.zeros((2, 1))
     trajectory = Trajectory(("a",), np.array([0.0, 1.0]), position, *np.zeros((3, 2, 1)))

@@ -33,7 +33,7 @@ from hplan.robot.model import Robot
 from hplan.scene.file import load_scene, save_scene
 from hplan.scene.model import Fruit, Goal, Scene, Start
 from hplan.scene.obstacles import Box, Sphere
-from hplan.timing.trajectory import read_csv
+from hplan.timing.trajectory import Trajectory, read_csv
 from hplan.tour.motions import carrying
 from hplan.tour.moves import Moves, Stop
 from hplan.tour.ordering import Costs, nearest
@@ -89,17 +89,32 @@ def times_of_contact(result: TourResult) -> dict[str, tuple[float, float]]:
     }
 
 
+def rests_of(result: TourResult) -> list[float]:
+    """When the arm is at rest for certain: at both ends, at each fruit and at the drop-off."""
+    return sorted({0.0, *result.picked.values(), *result.dropped.values(), result.duration})
+
+
+def rows_at(motion: Trajectory, times: Sequence[float]) -> list[int]:
+    return [int(np.argmin(np.abs(motion.time - at))) for at in times]
+
+
 def assert_sound(robot: Robot, scene: Scene, result: TourResult) -> None:
-    """Continuous, at rest between phases, clear of everything that is still there, the tool at each fruit."""
+    """Continuous, at rest at fruits and drop-off, clear of everything that is still there, the tool at each fruit."""
     motion = result.trajectory
     assert result.certificate.verified
     assert result.duration == pytest.approx(sum(leg.trajectory.duration for leg in result.legs), abs=1e-9)
     np.testing.assert_allclose(motion.position[0], scene.start.configuration, rtol=0, atol=1e-9)
-    rests = [0.0, *(phase.end_s for leg in result.legs for phase in leg.phases)]
-    rows = [int(np.argmin(np.abs(motion.time - rest))) for rest in rests]
-    np.testing.assert_allclose(motion.time[rows], rests, rtol=0, atol=1e-9)
-    np.testing.assert_allclose(motion.velocity[rows], 0.0, rtol=0, atol=1e-9)
-    assert rests == sorted(rests)
+    ends = [0.0, *(phase.end_s for leg in result.legs for phase in leg.phases)]
+    rows = rows_at(motion, ends)
+    np.testing.assert_allclose(motion.time[rows], ends, rtol=0, atol=1e-9)
+    assert ends == sorted(ends)
+    np.testing.assert_allclose(motion.velocity[rows_at(motion, rests_of(result))], 0.0, rtol=0, atol=1e-9)
+    # Seams in motion are as smooth as the rest: velocity and acceleration go on, and jerk keeps its limit.
+    jerk = np.diff(motion.acceleration, axis=0) / np.diff(motion.time)[:, None]
+    assert (np.abs(jerk) <= robot.jerk_limit * 1.001).all()
+    mean = 0.5 * (motion.velocity[1:] + motion.velocity[:-1])
+    slip = np.diff(motion.position, axis=0) / np.diff(motion.time)[:, None] - mean
+    assert (np.abs(slip) <= robot.jerk_limit * np.diff(motion.time)[:, None] ** 2 / 12.0 + 1e-6).all()
     for one, other in itertools.pairwise(phase for leg in result.legs for phase in leg.phases):
         assert one.end_s == other.start_s
     turned = np.abs(np.diff(motion.position, axis=0))
@@ -386,11 +401,52 @@ def test_motions_are_joined_where_that_is_quicker(robot: Robot) -> None:
 
 def test_unplanned_motions_cost_what_none_can_undercut(robot: Robot, tour: TourResult) -> None:
     limits = robot.velocity_limit, robot.acceleration_limit, robot.jerk_limit
+    for begin, end in itertools.pairwise(rests_of(tour)):
+        turned = np.abs(np.diff(tour.trajectory.position[rows_at(tour.trajectory, (begin, end))], axis=0)[0])
+        assert rest_to_rest(turned, *limits).max() <= end - begin + 1e-9
+
+
+def test_motions_flow_where_that_is_quicker(robot: Robot, scene: Scene, tour: TourResult) -> None:
+    stopping = plan_tour(
+        robot, scene, replace(OPTIONS, effort="quick"), fruits=list(tour.order), tour=TourOptions(order="given")
+    )
+    assert_sound(robot, scene, stopping)
+    assert moving_seams(stopping) == []
+    assert len(moving_seams(tour)) >= 4
+    assert tour.duration < 0.95 * stopping.duration
+    # With stops between legs only approaches flow, and each leg can be run by itself.
+    legs = plan_tour(robot, scene, OPTIONS, tour=TourOptions(stops=True))
+    assert_sound(robot, scene, legs)
+    assert {second for _, second in moving_seams(legs)} == {"approach"}
+    assert tour.duration <= legs.duration <= stopping.duration
+    for leg in legs.legs:
+        assert not leg.trajectory.velocity[[0, -1]].any()
+
+
+def moving_seams(result: TourResult) -> list[tuple[str, str]]:
+    """Between which phases the arm is in motion."""
+    phases = [phase for leg in result.legs for phase in leg.phases]
+    rows = rows_at(result.trajectory, [phase.end_s for phase in phases])
+    moving = np.abs(result.trajectory.velocity[rows]).max(axis=1) > 1e-3
+    return [(one.name, other.name) for one, other, moves in zip(phases, phases[1:], moving, strict=False) if moves]
+
+
+def test_approaches_and_retreats_in_motion_are_straight(robot: Robot, tour: TourResult) -> None:
     for leg in tour.legs:
+        assert leg.grasp is not None
         for phase in leg.phases:
-            rows = [int(np.argmin(np.abs(tour.trajectory.time - at))) for at in (phase.start_s, phase.end_s)]
-            turned = np.abs(np.diff(tour.trajectory.position[rows], axis=0)[0])
-            assert rest_to_rest(turned, *limits).max() <= phase.end_s - phase.start_s + 1e-9
+            if phase.name not in ("approach", "retreat"):
+                continue
+            first, last = rows_at(tour.trajectory, (phase.start_s, phase.end_s))
+            clock = np.linspace(phase.start_s, phase.end_s, 10 * (last - first) + 1)
+            tool = robot.tool_positions(tour.trajectory.positions(clock))
+            tip = robot.tool_positions(leg.grasp.goal)
+            line = robot.tool_positions(leg.grasp.standoff) - tip
+            line /= np.linalg.norm(line)
+            along = (tool - tip) @ line
+            off = np.linalg.norm(tool - tip - along[:, None] * line, axis=1)
+            assert off.max() < 1e-4
+            assert along.max() >= leg.grasp.distance - 1e-4
 
 
 def test_other_grasps_take_the_place_of_those_that_are_not_used(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:

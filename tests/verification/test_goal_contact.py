@@ -64,10 +64,11 @@ def test_what_plan_exports_certify_verifies(robot, picked, tmp_path):
     certificate = certify(robot, scene, again)
     assert certificate.verified, certificate.violations
     (begin, end), planned = certificate.contact_s, result.certificate.contact_s
-    # At least approach and retreat; where the transit comes to rest it is straight too.
+    # At least approach and retreat; where the transit comes to the stand-off it is straight too.
     assert begin <= planned[0] < planned[1] == end == result.trajectory.duration
     assert planned[0] - begin < 0.1
-    assert certificate.min_clearance_m == pytest.approx(result.certificate.min_clearance_m, rel=0.2)
+    # There the last link may be at the fruit, which the plan keeps it from until the stand-off.
+    assert certificate.min_clearance_m >= 0.8 * result.certificate.min_clearance_m
     assert certificate.goal_contact == result.certificate.goal_contact == "approach"
     assert certificate.digests == result.certificate.digests
 
@@ -128,7 +129,8 @@ def test_deeper_than_to_the_centre_is_refused(robot, picked):
 
 def test_a_second_visit_is_refused(robot, picked):
     """Straight to the fruit and back twice: a picked fruit is gone, another visit is not asked for."""
-    scene, result = picked
+    scene, _ = picked
+    result = hplan.plan(robot, scene, hplan.PlanOptions(effort="quick"))  # it stops at the stand-off
     approach = result.phases[1]
     rows = (result.trajectory.time >= approach.start_s - 1e-9) & (result.trajectory.time <= result.phases[-1].end_s)
     first = int(np.flatnonzero(rows)[0])

@@ -1,0 +1,158 @@
+"""Approaches that flow out of the transit, without a stop at the stand-off."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hplan.planning import plan as planning
+from hplan.planning.grasp_motion import LEADS, Flow, Pick, flowing
+from hplan.planning.plan import PlanResult, plan
+from hplan.problem.options import PlanOptions
+from hplan.robot.model import Robot
+from hplan.scene.file import load_scene
+from hplan.scene.model import Scene
+from hplan.timing.trajectory import Trajectory, read_csv, write_csv
+from hplan.verification.certificate import certify
+
+SCENES = ("trellis", "dense-canopy")
+
+
+class Told:
+    """The arguments and the result of the last call of `flowing`."""
+
+    pick: Pick
+    stopping: float
+    flow: Flow | None
+
+
+@pytest.fixture(scope="module")
+def plans(robot: Robot) -> dict[str, tuple[Scene, PlanResult, Told]]:
+    """Plans of scenes, with what they would be with a stop."""
+    found = {}
+    with pytest.MonkeyPatch.context() as patch:
+        for name in SCENES:
+            told = Told()
+
+            def keep(task: Any, transit: Any, before: Any, after: Pick, told: Told = told) -> Flow | None:
+                told.pick = after
+                told.stopping = transit.trajectory.duration + 2.0 * after.approach.trajectory.duration
+                told.flow = flowing(task, transit, before, after)
+                return told.flow
+
+            patch.setattr(planning, "flowing", keep)
+            scene = load_scene(name)
+            found[name] = scene, plan(robot, scene), told
+    return found
+
+
+def seam_of(result: PlanResult) -> int:
+    """The row at which the approach begins."""
+    approach = next(phase for phase in result.phases if phase.name == "approach")
+    return int(np.argmin(np.abs(result.trajectory.time - approach.start_s)))
+
+
+def offset_of(robot: Robot, result: PlanResult, motion: Trajectory) -> float:
+    """How far the tool is off its straight line at most, from the stand-off to the grasp and back, between rows too."""
+    assert result.grasp is not None
+    tip, off = robot.tool_positions(result.grasp.goal), robot.tool_positions(result.grasp.standoff)
+    line = (off - tip) / np.linalg.norm(off - tip)
+    begin = motion.time[seam_of(result)]
+    tool = robot.tool_positions(motion.positions(np.linspace(begin, motion.duration, 2001))) - tip
+    along = tool @ line
+    assert along.max() >= result.grasp.distance - 1e-4
+    return float(np.linalg.norm(tool - along[:, None] * line, axis=1).max())
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_the_approach_begins_in_motion_and_is_straight(robot: Robot, plans: Any, name: str) -> None:
+    _, result, told = plans[name]
+    assert told.flow is not None
+    assert [phase.name for phase in result.phases] == ["transit", "approach", "retreat"]
+    assert np.abs(result.trajectory.velocity[seam_of(result)]).max() > 0.05
+    assert offset_of(robot, result, result.trajectory) < 1e-4
+    assert result.trajectory.duration < told.stopping - 1e-3
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_the_seam_is_as_smooth_as_the_rest(robot: Robot, plans: Any, name: str) -> None:
+    _, result, told = plans[name]
+    motion, seam = result.trajectory, seam_of(result)
+    transit, approach = told.flow.transit.trajectory, told.flow.approach.trajectory
+    for quantity in ("position", "velocity", "acceleration", "torque"):
+        end, begin = getattr(transit, quantity)[-1], getattr(approach, quantity)[0]
+        np.testing.assert_allclose(end, begin, rtol=0, atol=1e-9)
+    near = slice(seam - 10, seam + 10)
+    step = np.diff(motion.time)[0]
+    jerk = np.diff(motion.acceleration[near], axis=0) / step
+    assert (np.abs(jerk) <= robot.jerk_limit * 1.0005).all()
+    # The rows' velocities and accelerations are those of their positions.
+    mean = 0.5 * (motion.velocity[1:] + motion.velocity[:-1])[near]
+    slip = np.diff(motion.position, axis=0)[near] / step - mean
+    assert (np.abs(slip) <= robot.jerk_limit * step**2 / 12.0 + 1e-6).all()
+    use = result.certificate.limit_use
+    assert max(use.velocity, use.acceleration, use.torque) <= 1.0005
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_anybody_certifies_the_rows(robot: Robot, plans: Any, name: str, tmp_path: Path) -> None:
+    scene, result, _ = plans[name]
+    read = read_csv(write_csv(result.trajectory, tmp_path / "motion.csv"))
+    certificate = certify(robot, scene, read)
+    assert certificate.verified, certificate.violations
+    assert certificate.contact_s is not None
+    assert certificate.contact_s[0] <= result.phases[1].start_s
+
+
+@pytest.mark.parametrize("changes", [{"effort": "quick"}, {"tracking_delay_s": 1e-3}])
+def test_where_motions_are_not_optimised_the_arm_stops(robot: Robot, changes: dict[str, Any]) -> None:
+    result = plan(robot, load_scene("trellis"), replace(PlanOptions(), **changes))
+    assert result.certificate.verified
+    assert not result.trajectory.velocity[seam_of(result)].any()
+
+
+def test_more_lead_is_more_speed(plans: Any) -> None:
+    _, _, told = plans["dense-canopy"]
+    pick, speeds, seconds = told.pick, [0.0], [told.pick.approach.trajectory.duration]
+    for lead in LEADS:
+        passing = pick.passing(lead)
+        assert passing is not None
+        assert passing.certificate.verified
+        assert not passing.trajectory.velocity[-1].any()
+        speeds.append(float(np.linalg.norm(passing.trajectory.velocity[0])))
+        seconds.append(passing.trajectory.duration)
+    assert speeds == sorted(speeds)
+    assert seconds == sorted(seconds, reverse=True)
+    assert pick.passing(LEADS[0]) is pick.passing(LEADS[0])
+
+
+def test_there_is_no_lead_into_obstacles(plans: Any) -> None:
+    """Behind the stand-off before the trellis' fruit there are few millimetres of room."""
+    _, _, told = plans["trellis"]
+    pick = told.pick
+    assert pick.grasp.distance < pick.farthest < 1.1 * pick.grasp.distance
+    assert pick.passing(LEADS[-1]) is pick.passing(LEADS[-2])
+    narrow = replace(pick, grasp=replace(pick.grasp, distance=pick.farthest))
+    assert narrow.passing(LEADS[-1]) is None
+
+
+def test_at_few_rows_a_second_approaches_in_motion_are_straight_too(robot: Robot, plans: Any) -> None:
+    _, _, told = plans["dense-canopy"]
+    pick = told.pick
+    slow = Pick(replace(pick.context, options=PlanOptions(rate_hz=25.0)), pick.target, pick.grasp, pick.approach)
+    found = [slow.passing(lead) for lead in LEADS]
+    assert any(part is None for part in found)  # off their line by more, between rows
+    for part in found:
+        assert part is None or straightness(robot, pick, part.trajectory) <= 1e-4
+
+
+def straightness(robot: Robot, pick: Pick, motion: Trajectory) -> float:
+    tip = robot.tool_positions(pick.grasp.goal)
+    line = robot.tool_positions(pick.grasp.standoff) - tip
+    line /= np.linalg.norm(line)
+    tool = robot.tool_positions(motion.positions(np.linspace(0.0, motion.duration, 2001))) - tip
+    return float(np.linalg.norm(tool - (tool @ line)[:, None] * line, axis=1).max())

@@ -37,7 +37,7 @@ PROGRAMS, GAIN = 8, 5e-4
 STARTS, SLOWER = 3, 1.15
 
 #: Starts whose durations differ by less than this part are taken for the same motion.
-SAME = 2e-3
+SAME = 5e-3
 
 
 def optimized(robot: Robot, scene: Scene, starts: Sequence[Trajectory]) -> Trajectory | None:

@@ -8,6 +8,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from functools import cache
 from itertools import pairwise
 from typing import NamedTuple
@@ -22,7 +23,7 @@ from studies.benchmark.planners import Ompl
 from hplan.base.arrays import FloatArray
 from hplan.errors import HplanError, InputError
 from hplan.planning.plan import plan
-from hplan.problem.options import EFFORT_NAMES, PlanOptions
+from hplan.problem.options import PlanOptions
 
 #: Paths of RRTConnect on each problem, and detours.
 PATHS, DETOURS = 3, 6
@@ -30,7 +31,7 @@ PATHS, DETOURS = 3, 6
 #: CPU time that a path may take, and each half of a detour, whose middle may be out of reach [s].
 PATIENCE, HALF_PATIENCE = 10.0, 1.0
 
-#: Paths and detours that IPOPT begins with, beside hplan's motions.
+#: Paths and detours that IPOPT begins with, beside hplan's motion.
 STARTS = 2
 
 #: Draws of a configuration for a detour that is clear.
@@ -70,18 +71,15 @@ def detours(problem: FastestProblem) -> list[Found]:
 
 
 def ipopt(problem: FastestProblem) -> list[Found]:
-    """The fastest motion of IPOPT from hplan's motions, and from those near a few paths.
+    """The fastest motion of IPOPT from hplan's motion, and from those near a few paths.
 
     Raises:
         InputError: CasADi or OMPL is not installed.
     """
     load_casadi()
     task, starts = PeerTask.of(problem.robot, problem.scene), []
-    for effort in EFFORT_NAMES:
-        try:
-            starts.append(plan(problem.robot, problem.scene, PlanOptions(effort=effort)).trajectory)
-        except HplanError:
-            continue
+    with suppress(HplanError):
+        starts.append(plan(problem.robot, problem.scene, PlanOptions(effort="best")).trajectory)
     places = [None] * STARTS + list(_places(problem, task, STARTS))
     for path in (_path(task, via) for via in places):
         motion = None if path is None else processed_motion(task, path)

@@ -31,10 +31,10 @@ MARGINS = (1e-4, 3e-4, 1e-3)
 
 #: Programs in turn, at most; no more are solved where one is faster than the last by less than this part and saves no
 #: row.
-PROGRAMS, GAIN = 8, 5e-4
+PROGRAMS, GAIN = 5, 5e-4
 
 #: Starts at most, and how much slower than the fastest of them a start may be.
-STARTS, SLOWER = 3, 1.15
+STARTS, SLOWER = 2, 1.15
 
 #: Starts whose durations differ by less than this part are taken for the same motion.
 SAME = 5e-3

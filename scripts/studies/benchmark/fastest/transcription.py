@@ -39,7 +39,7 @@ TRUST, NEAR, NEAREST = 0.1, 0.2, 4
 LOADED, ALLOWED = 0.7, 0.998
 
 #: Most iterations, and CPU time [s].
-ITERATIONS, SECONDS = 400, 60.0
+ITERATIONS, SECONDS = 400, 20.0
 
 
 @dataclass(frozen=True, eq=False)

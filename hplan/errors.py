@@ -352,6 +352,14 @@ class CertificationError(HplanError):
     exit_status = 5
 
 
+class BoundError(HplanError):
+    """A motion is shorter than a duration that was shown to be too short: one of the two is wrong."""
+
+    duration_s: float
+    joint: str
+    exit_status = 5
+
+
 class NotFoundError(HplanError):
     """No motion was found within the memory and effort given, and none was shown not to exist.
 

@@ -17,11 +17,12 @@ from hplan.errors import InputError, OutputError
 if TYPE_CHECKING:
     from rich.console import Console
 
-SETS = ("reference", "clutter", "orchards", "replanning", "narrow", "fastest", "growth", "recheck")
+SETS = ("reference", "clutter", "orchards", "replanning", "narrow", "fastest", "bound", "growth", "recheck")
 
 #: Random scenes: planned, replanned, and rechecked; windows and traps.
-CLUTTER_SCENES, REPLANNING_SCENES, RECHECK_SCENES, NARROW_PLACES = 200, 20, 1000, 200
+CLUTTER_SCENES, REPLANNING_SCENES, RECHECK_SCENES, NARROW_PLACES, BOUND_SCENES = 200, 20, 1000, 200, 500
 QUICK_CLUTTER_SCENES, QUICK_REPLANNING_SCENES, QUICK_RECHECK_SCENES, QUICK_NARROW_PLACES = 20, 2, 25, 12
+QUICK_BOUND_SCENES = 10
 
 #: Who else may look for faster motions than the best known (`studies.benchmark.fastest.peers`).
 PEERS = ("rrtconnect", "detours", "ipopt")
@@ -42,6 +43,7 @@ sets:
   replanning  an obstacle of 40 moves: time, duration, beside plans from nothing
   narrow      windows, traps and pinches for three kinds of arm: success, time, duration, RRTConnect
   fastest     blocked scenes and trees: duration with each effort to the best known, time
+  bound       planar problems: lower bound of the duration beside the certified motion, time
   growth      time and memory against grid step, obstacles and links
   recheck     certified trajectories looked at again every 0.1 ms
 
@@ -73,7 +75,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         show(console, results)
         for path in write(results, arguments.out):
             console.print(f"written: {path}", markup=False, soft_wrap=True)
-        faults = (("recheck", "violations"), ("orchards", "at_fault"), ("replanning", "at_fault"))
+        faults = (
+            *(("recheck", "violations"), ("bound", "violations")),
+            *(("orchards", "at_fault"), ("replanning", "at_fault")),
+        )
         return FAULT if any(results.get(name, {}).get(key) for name, key in faults) else 0
 
     return run_command(command)
@@ -91,8 +96,8 @@ def _parser() -> argparse.ArgumentParser:
         type=int,
         metavar="N",
         help=f"random scenes of each set (default: {CLUTTER_SCENES} in clutter, {REPLANNING_SCENES} in replanning, "
-        f"{RECHECK_SCENES} in recheck, {NARROW_PLACES} in narrow); problems of each kind of orchard and in "
-        "fastest (default: all)",
+        f"{RECHECK_SCENES} in recheck, {NARROW_PLACES} in narrow, {BOUND_SCENES} in bound); problems of each kind of "
+        "orchard and in fastest (default: all)",
     )
     trees = "folder of measured trees, a CSV of capsules each, for orchards and fastest"
     add("--trees", type=Path, metavar="DIR", help=trees)
@@ -123,6 +128,7 @@ def run(arguments: argparse.Namespace, errors: Console) -> dict[str, Any]:
 
 def _measure(arguments: argparse.Namespace, progress: Callable[[str, int, int], None]) -> dict[str, Any]:
     from studies.benchmark import clutter, growth, orchards, recheck, reference, replanning
+    from studies.benchmark.fastest import bound
     from studies.benchmark.fastest import measure as fastest
     from studies.benchmark.measure import environment
     from studies.benchmark.narrow import measure as narrow
@@ -140,6 +146,7 @@ def _measure(arguments: argparse.Namespace, progress: Callable[[str, int, int], 
     walks = arguments.scenes or (QUICK_REPLANNING_SCENES if quick else REPLANNING_SCENES)
     most = arguments.scenes or (QUICK_RECHECK_SCENES if quick else RECHECK_SCENES)
     places = arguments.scenes or (QUICK_NARROW_PLACES if quick else NARROW_PLACES)
+    bounded = arguments.scenes or (QUICK_BOUND_SCENES if quick else BOUND_SCENES)
     sets: dict[str, Callable[[], dict[str, Any]]] = {
         "reference": lambda: reference.measure(robot, scene, seed=seed, quick=quick, ompl=ompl, progress=progress),
         "clutter": lambda: clutter.measure(robot, seed=seed, scenes=many, ompl=ompl, progress=progress),
@@ -149,6 +156,7 @@ def _measure(arguments: argparse.Namespace, progress: Callable[[str, int, int], 
         "fastest": lambda: fastest.measure(
             trees=arguments.trees, most=each, improve=arguments.improve, progress=progress
         ),
+        "bound": lambda: bound.measure(robot, scene, seed=seed, scenes=bounded, progress=progress),
         "growth": lambda: growth.measure(robot, scene, seed=seed, quick=quick, progress=progress),
         "recheck": lambda: recheck.measure(robot, scene, seed=seed, scenes=most, progress=progress),
     }

@@ -38,6 +38,7 @@ SAMPLES = [
     errors.OptionError("speed", 2.0, "at most 1"),
     errors.OutputError("out/motion.csv", "why"),
     errors.NotFoundError(["straight motion", "roadmap"], goals=2),
+    errors.BoundError("what", duration_s=1.0, joint="elbow"),
     errors.NoPathError("what", reached_cells=7, blockers=[{"obstacle": "post", "cells": 3}]),
     errors.UnreachableError((1.0, 2.0, 3.0), "too_far", "why", excess_m=1.0),
     errors.ApproachError(0.1, "joint_limit", "why", largest_standoff_m=0.05, joint="elbow"),

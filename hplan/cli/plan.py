@@ -67,6 +67,7 @@ _STAGE_WORDS = {
     "postprocess": "smoothing the path",
     "timing": "timing the motion",
     "certificate": "proving clearance and limits",
+    "bound": "bounding the duration from below",
     "export": "writing files",
 }
 
@@ -114,6 +115,7 @@ def parser(prog: str) -> CommandParser:
     add("--standoff", type=float, default=0.1, metavar="M", help="straight approach to a fruit (default: 0.1)")
     add("--uncertified", dest="certify", action="store_false", help="write the motion even if it is not certified; "
         "the report says so")  # fmt: skip
+    add("--bound", action="store_true", help="also show how much faster any motion could be at most")
     add("--view", action="store_true", help="serve the animated scene until interrupted")
     add("--cspace", action="store_true", help="write cspace.html: the forbidden joint angles and the motion; "
         "cspace.png too where matplotlib is installed")  # fmt: skip
@@ -140,7 +142,16 @@ def _made(arguments: argparse.Namespace, folder: JobFolder, errors: Console) -> 
             from hplan.view.yaw_section import check_yaw
 
         options = plan_options(
-            arguments, "method", "step_deg", "objective", "effort", "link_model", "sigmas", "standoff", "certify"
+            arguments,
+            "method",
+            "step_deg",
+            "objective",
+            "effort",
+            "link_model",
+            "sigmas",
+            "standoff",
+            "certify",
+            "bound",
         )
         given = load_scene(arguments.scene)
         robot = robot_of(arguments, given)
@@ -242,6 +253,8 @@ def _show_summary(console: Console, result: PlanResult, folder: Path) -> None:
     add("motion", f"[bold]{motion['duration_s']:.3f} s[/], {rows}")
     if len(result.phases) > 1:
         add("", ", ".join(f"{phase.name} {phase.end_s - phase.start_s:.3f} s" for phase in result.phases))
+    if result.bound is not None:
+        add("bound", _bound_words(report["bound"], len(result.phases) > 1))
     add("limits used", ", ".join(f"{name} {percent(used)}" for name, used in proof["limit_use"].items()) + " %")
     add("clearance", _clearance_words(proof))
     if proof["nearest"] is not None:
@@ -259,6 +272,15 @@ def _show_summary(console: Console, result: PlanResult, folder: Path) -> None:
     console.print()
 
 
+def _bound_words(bound: dict[str, Any], several: bool) -> str:
+    """How far the transit is from the fastest one that is not excluded, rounded up."""
+    import math
+
+    gap = math.ceil(1e3 * bound["gap"] - 1e-6) / 10.0
+    what = "the transit is at" if several else "at"
+    return f"{what} most {gap:.1f} % from the fastest possible: none is shorter than {bound['bound_s']:.3f} s"
+
+
 def _approach_words(standoff_m: float) -> str:
     return f"straight approach of {100 * standoff_m:.1f} cm" if standoff_m > 0.0 else "no straight approach is clear"
 
@@ -274,6 +296,8 @@ def _clearance_words(proof: dict[str, Any]) -> str:
 def _time_words(times: dict[str, float]) -> str:
     """The whole, then the stages that there were, those up to the path and those of the motion a line each."""
     stages = {name: f"{name} {ms:.1f}" for name, ms in times.items() if name != "total" and ms > 0.0}
-    motion = [stages.pop(name) for name in ("postprocess", "timing", "certificate", "export") if name in stages]
+    motion = [
+        stages.pop(name) for name in ("postprocess", "timing", "certificate", "bound", "export") if name in stages
+    ]
     lines = [", ".join(part) for part in (stages.values(), motion) if part]
     return "\n".join([f"[bold]{times['total']:,.0f} ms[/], loading of compiled code included", *lines])

@@ -86,13 +86,14 @@ class ClearanceField(Record):
             owner=readonly(owner, np.int64),
         )
 
-    def only(self, kept: BoolArray) -> ClearanceField:
+    def only(self, kept: BoolArray, *, arm: bool = True) -> ClearanceField:
         """The field of some of the solids, and of the arm itself.
 
         Args:
             kept: (solids,) which of them.
+            arm: False leaves the arm itself out.
         """
-        return self._of_rows(np.append(kept, True)[self.owner])
+        return self._of_rows(np.append(kept, arm)[self.owner])
 
     def sparing(self, touched: BoolArray) -> ClearanceField:
         """The field where the last link may touch some of the solids.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -13,11 +13,11 @@ from hplan.base.arguments import instance
 from hplan.base.arrays import FloatArray, Record
 from hplan.base.polyline import path_length
 from hplan.errors import CertificationError, HplanError, NoPathError, TimingError
-from hplan.planning.certified_motion import Part, PlannedMotion
+from hplan.planning.certified_motion import Part, PlannedMotion, motion_limits
 from hplan.planning.find_motion import find_motion, reuse_motion
 from hplan.planning.grasp_motion import Pick, approach_and_retreat, flowing, motion_to_grasp
 from hplan.planning.grasps import Grasp, Target, grasps
-from hplan.planning.report import motion_report
+from hplan.planning.report import bound_report, motion_report
 from hplan.planning.task import PlanningCache, PlanningContext, Progress, no_progress
 from hplan.problem.definition import Problem
 from hplan.problem.options import PlanOptions
@@ -30,8 +30,11 @@ from hplan.search.grid import Occupancy
 from hplan.search.result import Expansions
 from hplan.smoothing.spline import SplinePath
 from hplan.timing.trajectory import Trajectory, joined
-from hplan.verification.certificate import Certificate, all_of, certify
+from hplan.verification.certificate import REST, Certificate, all_of, certify
 from hplan.verification.digests import Digests
+
+if TYPE_CHECKING:
+    from hplan.lower_bound.duration_bound import DurationBound
 
 
 @dataclass(frozen=True)
@@ -65,6 +68,8 @@ class PlanResult(Record):
         phases: The parts of the trajectory.
         motion: The transit, with all that it was made from.
         report: The numbers of `report.json`.
+        bound: A lower bound of the durations of all transits between the same configurations; None where it was not
+            asked for, or nothing was certified.
     """
 
     problem: Problem
@@ -78,6 +83,7 @@ class PlanResult(Record):
     phases: tuple[Phase, ...]
     motion: PlannedMotion
     report: dict[str, Any]
+    bound: DurationBound | None = None
 
     @property
     def picked(self) -> dict[str, float]:
@@ -109,6 +115,7 @@ def plan(
         TimingError: The path cannot be timed.
         CertificationError: No motion could be certified.
         NotFoundError: None was found within memory and effort, and it was not shown that there is none.
+        BoundError: The bound, where it is asked for, contradicts the motion.
     """
     check_task(robot, scene, options)
     return plan_with(PlanningCache(robot), scene, PlanOptions() if options is None else options, progress=progress)
@@ -236,6 +243,7 @@ def _result(context: PlanningContext, grasp: Grasp | None, motion: PlannedMotion
         contact_s = phases[0 if direct else 1].start_s, phases[-1].end_s
         certificate = replace(certificate, goal_contact="motion" if direct else "approach", contact_s=contact_s)
     certificate = replace(certificate, digests=Digests.of(context.robot, scene, trajectory))
+    bound = _bound(context, motion, parts[0]) if context.options.bound else None
     return PlanResult(
         problem=motion.task.problem,
         occupancy=None if route is None else route.occupancy,
@@ -247,8 +255,27 @@ def _result(context: PlanningContext, grasp: Grasp | None, motion: PlannedMotion
         grasp=grasp,
         phases=phases,
         motion=motion,
-        report=_report(context, grasp, motion, phases) | motion_report(trajectory, certificate, context.options),
+        report=_report(context, grasp, motion, phases)
+        | bound_report(bound)
+        | motion_report(trajectory, certificate, context.options),
+        bound=bound,
     )
+
+
+def _bound(context: PlanningContext, motion: PlannedMotion, transit: Part) -> DurationBound | None:
+    """The bound of transits from rest to rest; None for one that is not, or is not certified.
+
+    Raises:
+        BoundError: It contradicts the motion.
+    """
+    from hplan.lower_bound.duration_bound import duration_bound  # its kernels cost nothing where none is asked for
+
+    if not transit.certificate.verified or np.abs(transit.trajectory.velocity[[0, -1]]).max() > REST:
+        return None
+    with context.stage("bound"):
+        return duration_bound(
+            motion.task.world, motion.task.problem, motion_limits(context), transit.trajectory.duration
+        )
 
 
 def _report(

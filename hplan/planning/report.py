@@ -16,13 +16,15 @@ from hplan.base.files import write_text
 from hplan.errors import HplanError
 
 if TYPE_CHECKING:
+    from hplan.lower_bound.duration_bound import DurationBound
     from hplan.problem.options import PlanOptions
     from hplan.timing.trajectory import Trajectory
     from hplan.verification.certificate import Certificate
 
 #: Stages of a plan, in order.
 STAGES = (
-    "grasps", "roadmap", "cspace", "layers", "sparse", "fallback", "postprocess", "timing", "certificate", "export",
+    "grasps", "roadmap", "cspace", "layers", "sparse", "fallback", "postprocess", "timing", "certificate", "bound",
+    "export",
 )  # fmt: skip
 
 #: Packages whose versions a report names.
@@ -89,6 +91,23 @@ def certificate_report(certificate: Certificate, options: PlanOptions) -> dict[s
         "limit_use": vars(certificate.limit_use),
         "violations": list(certificate.violations),
         "digests": None if digests is None else vars(digests),
+    }
+
+
+def bound_report(bound: DurationBound | None) -> dict[str, Any]:
+    """The part of a plan's report that compares its transit with the bound of all; empty where there is none."""
+    if bound is None:
+        return {}
+    return {
+        "bound": {
+            "phase": "transit",
+            "bound_s": bound.seconds,
+            "duration_s": bound.duration_s,
+            "gap": bound.gap,
+            "method": bound.method,
+            "joint": bound.joint,
+            "joints_s": bound.joints_s,
+        }
     }
 
 

@@ -37,6 +37,8 @@ class PlanOptions:
         sigmas: How many standard deviations of its place an obstacle is grown by, where the scene gives one.
         standoff: Length of the straight approach to a fruit or a point [m]; shorter where it cannot be had.
         certify: False exports what was not certified, and says so.
+        bound: True also bounds the durations of all motions from below (`hplan.lower_bound`), which takes seconds where
+            the base does not turn and something is in the way. Tours have no bound.
     """
 
     method: Method = "two-level"
@@ -51,6 +53,7 @@ class PlanOptions:
     sigmas: float = 3.0
     standoff: float = 0.1
     certify: bool = True
+    bound: bool = False
 
     def __post_init__(self) -> None:
         """Check every value.
@@ -76,5 +79,5 @@ _CHECKS = {
     "link_model": (one_of, LINK_MODELS),
     "step_deg": (number, "a positive number of degrees", lambda step: step > 0.0),
     **dict.fromkeys(("sigmas", "standoff"), (number, "a finite number >= 0", lambda value: value >= 0.0)),
-    "certify": (truth,),
+    **dict.fromkeys(("certify", "bound"), (truth,)),
 }

@@ -84,7 +84,7 @@ def test_writes_everything(out: Path, results: Any) -> None:
             assert min(image.size) > 500
     assert results["format"] == "hplan-benchmark/1"
     assert results["settings"] == {
-        "sets": ["reference", "clutter", "orchards", "replanning", "narrow", "fastest", "growth", "recheck"],
+        "sets": ["reference", "clutter", "orchards", "replanning", "narrow", "fastest", "bound", "growth", "recheck"],
         "quick": True,
         "seed": 4,
     }
@@ -124,6 +124,16 @@ def test_recheck_numbers(results: Any) -> None:
     assert set(r["violation_counts"]) == set(recheck.CHECKS)
     assert r["least_clearance_beyond_certificate_mm"] >= 0.0
     assert 0.0 < r["reference"]["hplan"]["any"] <= 1.0
+
+
+def test_bound_numbers(results: Any) -> None:
+    b = results["bound"]
+    assert b["violations"] == []
+    assert b["best_checked"] >= 1
+    assert b["groups"]["all"]["motions"] == len(b["rows"]) == 3
+    assert b["groups"]["joints"]["motions"] + b["groups"]["planar"]["motions"] == 3
+    assert all(0.0 < row["joints_s"] <= row["seconds"] <= row["duration_s"] for row in b["rows"])
+    assert 0.0 < b["reference"]["gap"] < 0.05
 
 
 def test_orchard_numbers(results: Any) -> None:

@@ -2,4 +2,5 @@
 
 `records` holds them (`best_known.json`), `problems` makes the problems, `draw` chose them, `measure` runs hplan with
 each effort, and `peers` looks for quicker motions by other means. A motion counts only if hplan certifies its rows.
+`bound` holds lower bounds, of other problems, against certified motions.
 """

@@ -9,7 +9,7 @@ from rich import box
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table as RichTable
-from studies.benchmark.tables import clutter, fastest, growth, narrow, orchards, recheck, reference, replanning
+from studies.benchmark.tables import bound, clutter, fastest, growth, narrow, orchards, recheck, reference, replanning
 from studies.benchmark.tables.table import Table
 
 #: Makers of the tables of each set, in the order in which they are shown.
@@ -20,6 +20,7 @@ _MAKERS = {
     "replanning": replanning.tables,
     "narrow": narrow.tables,
     "fastest": fastest.tables,
+    "bound": bound.tables,
     "recheck": recheck.tables,
     "growth": growth.tables,
 }

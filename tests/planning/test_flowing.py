@@ -25,6 +25,7 @@ SCENES = ("trellis", "dense-canopy")
 class Told:
     """The arguments and the result of the last call of `flowing`."""
 
+    asked: tuple[Any, Any]
     pick: Pick
     stopping: float
     flow: Flow | None
@@ -39,7 +40,7 @@ def plans(robot: Robot) -> dict[str, tuple[Scene, PlanResult, Told]]:
             told = Told()
 
             def keep(task: Any, transit: Any, before: Any, after: Pick, told: Told = told) -> Flow | None:
-                told.pick = after
+                told.asked, told.pick = (task, transit), after
                 told.stopping = transit.trajectory.duration + 2.0 * after.approach.trajectory.duration
                 told.flow = flowing(task, transit, before, after)
                 return told.flow
@@ -64,7 +65,7 @@ def offset_of(robot: Robot, result: PlanResult, motion: Trajectory) -> float:
     begin = motion.time[seam_of(result)]
     tool = robot.tool_positions(motion.positions(np.linspace(begin, motion.duration, 2001))) - tip
     along = tool @ line
-    assert along.max() >= result.grasp.distance - 1e-4
+    assert along[0] >= result.grasp.distance - 1e-6
     return float(np.linalg.norm(tool - along[:, None] * line, axis=1).max())
 
 
@@ -113,6 +114,21 @@ def test_where_motions_are_not_optimised_the_arm_stops(robot: Robot, changes: di
     result = plan(robot, load_scene("trellis"), replace(PlanOptions(), **changes))
     assert result.certificate.verified
     assert not result.trajectory.velocity[seam_of(result)].any()
+
+
+def test_where_the_stop_is_as_quick_the_arm_stops(plans: Any) -> None:
+    _, _, told = plans["dense-canopy"]
+    assert told.flow is not None
+    flown = told.flow.transit.trajectory.duration + told.flow.approach.trajectory.duration
+    task, transit = told.asked
+    for seconds, flows in ((0.004, True), (0.0, False)):
+        # As if the approach from rest were as quick as this.
+        rest = told.pick.approach
+        left = flown - transit.trajectory.duration + seconds
+        time = rest.trajectory.time * (left / rest.trajectory.duration)
+        quick = rest._replace(trajectory=replace(rest.trajectory, time=time))
+        found = flowing(task, transit, None, replace(told.pick, approach=quick))
+        assert (found is not None) is flows
 
 
 def test_more_lead_is_more_speed(plans: Any) -> None:

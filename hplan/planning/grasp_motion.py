@@ -212,7 +212,8 @@ class Pick:
     target: Target
     grasp: Grasp
     approach: Part
-    _known: dict[float, Part | None] = field(init=False, default_factory=dict)
+    _known: dict[float, Trajectory | None] = field(init=False, default_factory=dict)
+    _shown: dict[int, Part | None] = field(init=False, default_factory=dict)
 
     @cached_property
     def farthest(self) -> float:
@@ -228,7 +229,7 @@ class Pick:
         touching = np.flatnonzero(field.along(path.evaluate((1.0 - away / possible) * path.end)).min(axis=1) < 0.0)
         return float(away[max(0, touching[0] - 1)]) if len(touching) else possible
 
-    def passing(self, lead: float) -> Part | None:
+    def passing(self, lead: float) -> Trajectory | None:
         """The approach that is in motion where it passes the stand-off; None where there is none.
 
         It is the last part of one that begins at rest farther away. So it passes the stand-off at a speed that the arm
@@ -242,7 +243,16 @@ class Pick:
             self._known[longer] = self._passing(longer)
         return self._known[longer]
 
-    def _passing(self, longer: float) -> Part | None:
+    def certified(self, passing: Trajectory) -> Part | None:
+        """An approach in motion with its certificate; None where it is not verified."""
+        if id(passing) not in self._shown:
+            context = self.context.among(self.target.world_touching)
+            among = _contact_stretches(context, self.target, passing)
+            shown = certificate_of(context, passing, among, rest_to_rest=False)
+            self._shown[id(passing)] = Part("approach", passing, shown) if shown.verified else None
+        return self._shown[id(passing)]
+
+    def _passing(self, longer: float) -> Trajectory | None:
         """The approach of which the whole has a length [m]."""
         context, grasp = self.context.among(self.target.world_touching), self.grasp
         if longer < grasp.distance + LEAST_LEAD:
@@ -255,10 +265,7 @@ class Pick:
         tool = context.robot.tool_positions(whole.position)
         beyond = np.linalg.norm(tool - tool[-1], axis=1) >= grasp.distance - ROUNDING
         there = whole.since(int(np.flatnonzero(beyond)[-1]))
-        if _off_line(context.robot, there, grasp) > OFF_LINE:
-            return None
-        shown = certificate_of(context, there, _contact_stretches(context, self.target, there), rest_to_rest=False)
-        return Part("approach", there, shown) if shown.verified else None
+        return there if _off_line(context.robot, there, grasp) <= OFF_LINE else None
 
 
 def _off_line(robot: Robot, approach: Trajectory, grasp: Grasp) -> float:
@@ -298,61 +305,75 @@ def flowing(task: PlanningTask, transit: Part, before: Pick | None, after: Pick 
     """
     if effort_of(task) is None or transit.trajectory.samples == 1:
         return None
-    stopping = [0.0 if pick is None else pick.approach.trajectory.duration for pick in (before, after)]
+    picks = before, after
+    stopping = [0.0 if pick is None else pick.approach.trajectory.duration for pick in picks]
     limit = transit.trajectory.duration + sum(stopping) - LEAST_GAIN_S
     found: list[tuple[float, _Draft]] = []
     number, direction = FIRST_LEAD, 0
-    passing: list[Part | None] = []
+    passing: list[Trajectory | None] = []
     tries, effort = TRIED[task.options.effort]
     for _ in range(tries):
         known = passing
-        passing = [None if pick is None else pick.passing(LEADS[number]) for pick in (before, after)]
+        passing = [None if pick is None else pick.passing(LEADS[number]) for pick in picks]
         if known and all(one is other for one, other in zip(known, passing, strict=True)):
             break  # there is no more room beyond the stand-offs
         draft = _draft(task, transit.trajectory, passing, effort)
         if draft is not None:
-            saved = sum(
-                stop - part.trajectory.duration
-                for stop, part in zip(stopping, (draft.leaving, draft.coming), strict=True)
-                if part is not None
-            )
+            saved = sum(stop - part.duration for stop, part in zip(stopping, passing, strict=True) if part is not None)
             seconds = draft.spline.duration + sum(stopping) - saved
             if found and seconds > found[-1][0] - LEAST_GAIN_S:
                 break
             found.append((seconds, draft))
             direction = direction or (1 if limit - seconds > EATEN * saved else -1)
+            if direction > 0 and None in picks and task.options.effort != "best":
+                break  # with one stand-off there is little more to gain
         number += direction or -1
         if number not in range(len(LEADS)):
             break
     for seconds, draft in reversed(found):  # the quickest first
         if seconds > limit:
             break
-        trajectory = draft.spline.trajectory(task.robot.dynamics, task.options.rate_hz)
-        shown = certificate_of(task, trajectory, rest_to_rest=False)
-        if shown.verified:
-            retreat = None if draft.leaving is None else retreat_of(draft.leaving)
-            return Flow(retreat, Part(transit.name, trajectory, shown), draft.spline.path, draft.coming)
+        flow = _certified(task, transit.name, draft, picks)
+        if flow is not None:
+            return flow
     return None
+
+
+def _certified(task: PlanningTask, name: str, draft: _Draft, picks: Sequence[Pick | None]) -> Flow | None:
+    """The motions of a draft with their certificates; None where one is not verified."""
+    shown: list[Part | None] = []
+    for pick, passing in zip(picks, draft.passing, strict=True):
+        shown.append(None if pick is None or passing is None else pick.certified(passing))
+        if shown[-1] is None and passing is not None:
+            return None
+    trajectory = draft.spline.trajectory(task.robot.dynamics, task.options.rate_hz)
+    certificate = certificate_of(task, trajectory, rest_to_rest=False)
+    if not certificate.verified:
+        return None
+    leaving, coming = shown
+    retreat = None if leaving is None else retreat_of(leaving)
+    return Flow(retreat, Part(name, trajectory, certificate), draft.spline.path, coming)
 
 
 class _Draft(NamedTuple):
     """A transit that begins or ends in motion, and the approaches, that before it backwards, that it is between."""
 
     spline: TimedSpline
-    leaving: Part | None
-    coming: Part | None
+    passing: Sequence[Trajectory | None]
 
 
-def _draft(task: PlanningTask, transit: Trajectory, passing: Sequence[Part | None], effort: Effort) -> _Draft | None:
+def _draft(
+    task: PlanningTask, transit: Trajectory, passing: Sequence[Trajectory | None], effort: Effort
+) -> _Draft | None:
     """The fastest motion near a transit between approaches in motion, at rest without one; None where none is found."""
     leaving, coming = passing
     if leaving is None and coming is None:
         return None
     first, last = (BoundaryState.at_rest(transit.position[end]) for end in (0, -1))
     if leaving is not None:
-        first = BoundaryState.of_row(leaving.trajectory.reversed, -1)
+        first = BoundaryState.of_row(leaving.reversed, -1)
     if coming is not None:
-        last = BoundaryState.of_row(coming.trajectory, 0)
+        last = BoundaryState.of_row(coming, 0)
     along = transit.position[np.linspace(0, transit.samples - 1, ALONG).astype(int)]
     with task.stage("timing"):
         processing = smoothing_options(task, task.margin())
@@ -360,4 +381,4 @@ def _draft(task: PlanningTask, transit: Trajectory, passing: Sequence[Part | Non
         limits, rate_hz = motion_limits(task), task.options.rate_hz
         problem = TimeProblem(task.field, near, processing, limits, task.robot.dynamics, rate_hz, (first, last))
         spline = minimize_time(transit, problem, effort)
-    return None if spline is None else _Draft(spline, leaving, coming)
+    return None if spline is None else _Draft(spline, passing)

@@ -44,7 +44,7 @@ _MANY = TreesEffort(200_000, (8, 12_000), (40, 3_000))
 SAMPLING: dict[str, SamplingEffort] = {
     "quick": SamplingEffort((BRIEF,), TreesEffort(30_000, (3, 12_000), (9, 3_000)), None, CLOSE),
     "default": SamplingEffort(
-        (BRIEF,), TreesEffort(80_000, (6, 12_000), (10, 3_000)), TreesEffort(6_000, (2, 3_000), (0, 0)), CLOSE
+        (BRIEF,), TreesEffort(80_000, (6, 12_000), (10, 3_000)), TreesEffort(6_000, (2, 3_000), (0, 0)), 1.08
     ),
     "best": SamplingEffort((BRIEF, WIDE), _MANY, _MANY, 1.005),
 }

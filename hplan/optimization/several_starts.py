@@ -26,9 +26,6 @@ from hplan.timing.speed_profile import SpeedProfile
 #: Obstacles farther than this from a path are left out of the programs that move it [m].
 NEAR = 0.4
 
-#: Of so many starts at least one has a rough motion.
-FOR_ONE = 5
-
 #: Points of a path at which it is compared with others.
 COMPARED = 12
 
@@ -45,12 +42,14 @@ class StartsEffort:
 
     Attributes:
         optimization: Of one motion.
-        rough: So many rough motions are made, of the paths with the quickest splines.
+        rough: So many rough motions are made, of the paths with the quickest splines, one of each class.
+        others: So many, if there are fewer classes, with other paths.
         finished: So many of them, the quickest, are optimised to the end.
     """
 
     optimization: Effort
     rough: int
+    others: int
     finished: int
 
 
@@ -98,7 +97,7 @@ def fastest_motions(
         effort: What may be spent.
         quicker_than_s: Longest duration of a motion that is of use [s].
     """
-    several = starts if len(starts) < 2 else [starts[k] for k in _promising(starts)[: effort.rough].tolist()]
+    several = starts if len(starts) < 2 else [starts[k] for k in _promising(starts, effort).tolist()]
     chosen: list[tuple[OptimizationStart, TimedSpline | None]] = [(start, None) for start in several]
     if len(several) > 1:
         chosen = [(start, rough_motion(start.profile, start.problem, effort.optimization)) for start in several]
@@ -114,9 +113,10 @@ def fastest_motions(
     return [found[k] for k in ties.argsort([motion.duration for _, motion in found]).tolist()]
 
 
-def _promising(starts: Sequence[OptimizationStart]) -> IntArray:
-    """Numbers of the starts that are the first of their class, and of a few others where there are many starts."""
+def _promising(starts: Sequence[OptimizationStart], effort: StartsEffort) -> IntArray:
+    """Numbers of the starts that have rough motions: the first of each class, and others if these are few."""
     parts = np.linspace(0.0, 1.0, COMPARED + 2)[1:-1]
     paths = np.stack([start.profile.positions(parts * start.profile.duration) for start in starts])
     first = class_numbers(paths, starts[0].problem.field) == np.arange(len(starts))
-    return np.argsort(~first, kind="stable")[: max(int(first.sum()), len(starts) // FOR_ONE)]
+    count = min(max(int(first.sum()), effort.others), effort.rough)
+    return np.argsort(~first, kind="stable")[:count]

@@ -34,11 +34,13 @@ EFFORTS: dict[str, StartsEffort | None] = {
     "default": StartsEffort(
         Effort((_COARSE, Level(piece_s=0.03, pieces=(50, 120), steps=3, gain=5e-3, trust=0.05))),
         rough=4,
+        others=1,
         finished=2,
     ),
     "best": StartsEffort(
         Effort((_COARSE, Level(piece_s=0.012, pieces=(60, 300), steps=20, gain=1e-4, trust=0.2))),
         rough=8,
+        others=4,
         finished=2,
     ),
 }

@@ -122,7 +122,7 @@ def _of_trees(task: PlanningTask, effort: TreesEffort) -> list[Polyline]:
     margin, velocity = 0.1 * task.margin(), task.robot.velocity_limit
     with task.stage("roadmap"):
         paths = promising_paths(task.problem, task.field, velocity, margin, effort)
-    return [Polyline(path, "trees") for _, path in paths]
+    return [Polyline(path.waypoints, "trees") for path in paths]
 
 
 def by_trees_to_any(tasks: Sequence[PlanningTask]) -> tuple[int, PlannedMotion] | None:

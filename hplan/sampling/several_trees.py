@@ -8,15 +8,23 @@ what it can do in the time that is left: once there is a path, samples come from
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from hplan.base import ties
 from hplan.base.arrays import FloatArray, frozen
 from hplan.collision.clearance_field import ClearanceField
+from hplan.optimization.path_classes import class_numbers
 from hplan.problem.definition import Problem
 from hplan.sampling.rrt_connect import TreeEffort, tree_path
 from hplan.sampling.time_shortcut import path_time, quicken
+
+#: So many paths of a class are of use, as smoothing may fail.
+OF_A_CLASS = 3
+
+#: Points at which paths are compared.
+POINTS = 12
 
 
 @dataclass(frozen=True)
@@ -34,10 +42,24 @@ class TreesEffort:
     quicker: tuple[int, int]
 
 
+class PromisingPath(NamedTuple):
+    """A clear path, and what it may come to.
+
+    Attributes:
+        seconds: Its time after shortcuts [s].
+        waypoints: (m, dof) its waypoints as they were found.
+        points: (POINTS, dof) points of what shortcuts leave of it.
+    """
+
+    seconds: float
+    waypoints: FloatArray
+    points: FloatArray
+
+
 def promising_paths(
     problem: Problem, field: ClearanceField, velocity: FloatArray, margin: float, effort: TreesEffort
-) -> list[tuple[float, FloatArray]]:
-    """Clear paths of straight motions from start to goal, and what they may come to.
+) -> list[PromisingPath]:
+    """Clear paths of straight motions from start to goal, the most promising of every class.
 
     Args:
         problem: Start, goal and joint limits.
@@ -47,22 +69,33 @@ def promising_paths(
         effort: How far to go.
 
     Returns:
-        For each path its time after shortcuts [s], and its (m, dof) waypoints as they were found; the quickest first.
+        The paths, the quickest first; of each class (`hplan.optimization.path_classes`) `OF_A_CLASS` at most.
     """
-    found: list[FloatArray] = []
-    times: list[float] = []
+    found: list[PromisingPath] = []
     left = effort.evaluations
     for seed in range(effort.anywhere[0] + effort.quicker[0]):
         each = effort.anywhere[1] if seed < effort.anywhere[0] else effort.quicker[1]
         if left <= 0 or (seed >= effort.anywhere[0] and not found):
             break
-        inside = problem if seed < effort.anywhere[0] else quicker_only(problem, velocity, min(times))
+        quickest_s = min((path.seconds for path in found), default=0.0)
+        inside = problem if seed < effort.anywhere[0] else quicker_only(problem, velocity, quickest_s)
         path, spent = tree_path(inside, field, velocity, margin, TreeEffort(min(each, left), seed))
         left -= spent
         if path is not None:
-            found.append(path)
-            times.append(path_time(quicken(path, field, velocity, margin=margin), velocity))
-    return [(times[number], found[number]) for number in ties.argsort(times).tolist()]
+            shorter = quicken(path, field, velocity, margin=margin)
+            found.append(PromisingPath(path_time(shorter, velocity), path, _evenly(shorter, velocity)))
+    found = [found[number] for number in ties.argsort([path.seconds for path in found]).tolist()]
+    if len(found) <= OF_A_CLASS:
+        return found
+    number = class_numbers(np.stack([path.points for path in found]), field)
+    return [path for k, path in enumerate(found) if np.count_nonzero(number[:k] == number[k]) < OF_A_CLASS]
+
+
+def _evenly(path: FloatArray, velocity: FloatArray) -> FloatArray:
+    """(POINTS, dof) points of a path, evenly spaced in time at the velocity limits."""
+    clock = np.concatenate([[0.0], np.cumsum((np.abs(np.diff(path, axis=0)) / velocity).max(axis=1))])
+    times = np.linspace(0.0, clock[-1], POINTS + 2)[1:-1]
+    return frozen(np.stack([np.interp(times, clock, joint) for joint in path.T], axis=1))
 
 
 def quicker_only(problem: Problem, velocity: FloatArray, time_s: float) -> Problem:

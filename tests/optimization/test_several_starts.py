@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from hplan.smoothing.options import PostprocessOptions
 
 START, GOAL = np.array([0.15, 1.2, 0.3, 0.3]), np.array([0.15, 0.1, 0.3, 0.3])
 LEVELS = (Level(0.1, (15, 30), 10, 1e-2, 0.2), Level(0.05, (20, 40), 3, 1e-2, 0.05))
-EFFORT = StartsEffort(Effort(LEVELS), rough=4, finished=1)
+EFFORT = StartsEffort(Effort(LEVELS), rough=4, others=1, finished=1)
 
 
 @pytest.fixture(scope="module")
@@ -54,6 +55,9 @@ def test_one_rough_motion_for_each_class(problem, monkeypatch):
     monkeypatch.setattr(several_starts, "rough_motion", lambda *given: made.append(given) or original(*given))
     fastest_motions(starts, EFFORT)
     assert len(made) == 2
+    made.clear()
+    fastest_motions(starts, replace(EFFORT, others=3))
+    assert len(made) == 3
     made.clear()
     fastest_motions(starts[:1], EFFORT)
     assert not made

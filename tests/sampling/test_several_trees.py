@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hplan.base.arrays import FloatArray
+from hplan.optimization.path_classes import class_numbers
 from hplan.problem.definition import Problem, check_problem
 from hplan.problem.world import World
 from hplan.robot.model import Robot
+from hplan.sampling import several_trees
 from hplan.sampling.rrt_connect import TreeEffort, tree_path
-from hplan.sampling.several_trees import TreesEffort, promising_paths, quicker_only
+from hplan.sampling.several_trees import OF_A_CLASS, PromisingPath, TreesEffort, promising_paths, quicker_only
 from hplan.sampling.time_shortcut import path_time, quicken
 from hplan.scene import Sphere
 
@@ -25,7 +26,7 @@ def blocked(robot: Robot) -> tuple[Problem, World]:
     return check_problem(world, START, GOAL), world
 
 
-def found(robot: Robot, blocked: tuple[Problem, World], effort: TreesEffort) -> list[tuple[float, FloatArray]]:
+def found(robot: Robot, blocked: tuple[Problem, World], effort: TreesEffort) -> list[PromisingPath]:
     return promising_paths(blocked[0], blocked[1].field, robot.velocity_limit, MARGIN, effort)
 
 
@@ -36,20 +37,38 @@ def test_anywhere_each_pair_is_one_that_grows_alone(robot: Robot, blocked: tuple
     alone = [path for path in grown if path is not None]
     times = [path_time(quicken(path, world.field, velocity, margin=MARGIN), velocity) for path in alone]
     paths = found(robot, blocked, ALONE)
-    assert [time for time, _ in paths] == pytest.approx(sorted(times), abs=1e-9)
-    assert all(any(np.array_equal(path, other) for other in alone) for _, path in paths)
+    assert [path.seconds for path in paths] == pytest.approx(sorted(times), abs=1e-9)
+    assert all(any(np.array_equal(path.waypoints, other) for other in alone) for path in paths)
 
 
-def test_later_pairs_stay_where_a_path_would_be_quicker(robot: Robot, blocked: tuple[Problem, World]) -> None:
+def test_later_pairs_stay_where_a_path_would_be_quicker(
+    robot: Robot, blocked: tuple[Problem, World], monkeypatch: pytest.MonkeyPatch
+) -> None:
     problem, world = blocked
+    monkeypatch.setattr(several_trees, "OF_A_CLASS", 100)
     first = found(robot, blocked, ALONE)
     more = found(robot, blocked, TreesEffort(10**6, (3, 50_000), (9, 50_000)))
     assert len(more) > len(first)
-    assert [time for time, _ in more] == pytest.approx(sorted(time for time, _ in more), abs=1e-9)
-    inside = quicker_only(problem, robot.velocity_limit, first[0][0])
-    new = [path for _, path in more if not any(np.array_equal(path, other) for _, other in first)]
+    assert [path.seconds for path in more] == pytest.approx(sorted(path.seconds for path in more), abs=1e-9)
+    inside = quicker_only(problem, robot.velocity_limit, first[0].seconds)
+    known = [path.waypoints for path in first]
+    new = [path.waypoints for path in more if not any(np.array_equal(path.waypoints, other) for other in known)]
     assert all(((path >= inside.lower - 1e-12) & (path <= inside.upper + 1e-12)).all() for path in new)
     assert all(world.field.is_clear(path, 0.5 * MARGIN) for path in new)
+
+
+def test_the_quickest_of_every_class(
+    robot: Robot, blocked: tuple[Problem, World], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    effort = TreesEffort(10**6, (12, 50_000), (0, 0))
+    some = found(robot, blocked, effort)
+    monkeypatch.setattr(several_trees, "OF_A_CLASS", 100)
+    every = found(robot, blocked, effort)
+    number = class_numbers(np.stack([path.points for path in every]), blocked[1].field)
+    expected = [path for k, path in enumerate(every) if (number[:k] == number[k]).sum() < OF_A_CLASS]
+    assert len(expected) < len(every)
+    assert [path.seconds for path in some] == [path.seconds for path in expected]
+    assert all(np.array_equal(path.waypoints, other.waypoints) for path, other in zip(some, expected, strict=True))
 
 
 def test_what_is_quicker_is_inside(robot: Robot, blocked: tuple[Problem, World]) -> None:

@@ -253,8 +253,8 @@ def _show_summary(console: Console, result: PlanResult, folder: Path) -> None:
     add("motion", f"[bold]{motion['duration_s']:.3f} s[/], {rows}")
     if len(result.phases) > 1:
         add("", ", ".join(f"{phase.name} {phase.end_s - phase.start_s:.3f} s" for phase in result.phases))
-    if result.bound is not None:
-        add("bound", _bound_words(report["bound"], len(result.phases) > 1))
+    if "bound" in report:
+        add("bound", _bound_words(report["bound"], len(result.phases)))
     add("limits used", ", ".join(f"{name} {percent(used)}" for name, used in proof["limit_use"].items()) + " %")
     add("clearance", _clearance_words(proof))
     if proof["nearest"] is not None:
@@ -272,13 +272,16 @@ def _show_summary(console: Console, result: PlanResult, folder: Path) -> None:
     console.print()
 
 
-def _bound_words(bound: dict[str, Any], several: bool) -> str:
-    """How far the transit is from the fastest one that is not excluded, rounded up."""
+def _bound_words(bound: dict[str, Any] | None, phases: int) -> str:
+    """How far the motion, or its first phases, is from the fastest one that is not excluded, rounded up."""
     import math
 
+    if bound is None:
+        return "none, as the motion is not certified"
     gap = math.ceil(1e3 * bound["gap"] - 1e-6) / 10.0
-    what = "the transit is at" if several else "at"
-    return f"{what} most {gap:.1f} % from the fastest possible: none is shorter than {bound['bound_s']:.3f} s"
+    what = "" if len(bound["phases"]) == phases else f"{' and '.join(bound['phases'])}: "
+    words = f"at most {gap:.1f} % from the fastest possible"
+    return f"{words}\n{what}none is shorter than {bound['bound_s']:.3f} s"
 
 
 def _approach_words(standoff_m: float) -> str:

@@ -2,7 +2,7 @@
 
 For every problem that of the slowest joint alone. Where the base does not turn, reachability on grids of the first
 three planar joints excludes longer ones: on coarse grids first, with each joint in turn as the one whose speed is
-followed, at last on a finer one with the joint that excluded most. `docs/method.md` has the proof.
+followed, at last on finer ones with the joint that excluded most. `docs/method.md` has the proof.
 """
 
 from __future__ import annotations
@@ -23,8 +23,9 @@ from hplan.problem.world import World
 from hplan.robot.limits import Limits
 from hplan.verification.certificate import LIMIT_TOLERANCE
 
-#: Samples of the grids on which the speed of each joint is followed in turn, and of that for the best of them.
-EACH_JOINT, ONE_JOINT = (24, 40, 60), 80
+#: Samples of the grids on which the speed of each joint is followed in turn, and of those for the best of them. How the
+#: cells lie to the obstacles matters about as much as their size: so there are two.
+EACH_JOINT, ONE_JOINT = (24, 48), (66, 76)
 
 #: The largest number of states of all samples, in words, that a grid may have; finer ones are left out.
 MOST_STATES = 400_000_000
@@ -151,7 +152,7 @@ def _planar(
         return PlanarSearch.of(world.robot, obstacles, problem.start, order, grid)
 
     best = orders[0]
-    for samples in (*EACH_JOINT, ONE_JOINT):
+    for samples in (*EACH_JOINT, *ONE_JOINT):
         if found >= near:
             break
         for order in orders if samples in EACH_JOINT else [best]:

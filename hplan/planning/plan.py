@@ -68,8 +68,8 @@ class PlanResult(Record):
         phases: The parts of the trajectory.
         motion: The transit, with all that it was made from.
         report: The numbers of `report.json`.
-        bound: A lower bound of the durations of all transits between the same configurations; None where it was not
-            asked for, or nothing was certified.
+        bound: A lower bound of the durations of all transits between the same configurations, or of all motions to the
+            grasp where transit and approach are one; None where it was not asked for, or nothing was certified.
     """
 
     problem: Problem
@@ -243,7 +243,8 @@ def _result(context: PlanningContext, grasp: Grasp | None, motion: PlannedMotion
         contact_s = phases[0 if direct else 1].start_s, phases[-1].end_s
         certificate = replace(certificate, goal_contact="motion" if direct else "approach", contact_s=contact_s)
     certificate = replace(certificate, digests=Digests.of(context.robot, scene, trajectory))
-    bound = _bound(context, motion, parts[0]) if context.options.bound else None
+    bounded = _bounded(parts)
+    bound = _bound(context, grasp, motion, bounded) if context.options.bound else None
     return PlanResult(
         problem=motion.task.problem,
         occupancy=None if route is None else route.occupancy,
@@ -256,26 +257,38 @@ def _result(context: PlanningContext, grasp: Grasp | None, motion: PlannedMotion
         phases=phases,
         motion=motion,
         report=_report(context, grasp, motion, phases)
-        | bound_report(bound)
+        | (bound_report(bound, [part.name for part in bounded]) if context.options.bound else {})
         | motion_report(trajectory, certificate, context.options),
         bound=bound,
     )
 
 
-def _bound(context: PlanningContext, motion: PlannedMotion, transit: Part) -> DurationBound | None:
-    """The bound of transits from rest to rest; None for one that is not, or is not certified.
+def _bounded(parts: Sequence[Part]) -> Sequence[Part]:
+    """The first parts of a plan that end at rest: the transit, and the approach where one flows into the other."""
+    at_rest = np.abs(parts[0].trajectory.velocity[-1]).max() <= REST
+    return parts[: 1 if at_rest else 2]
+
+
+def _bound(
+    context: PlanningContext, grasp: Grasp | None, motion: PlannedMotion, parts: Sequence[Part]
+) -> DurationBound | None:
+    """The bound of the durations of some first parts of a plan; None where they are not certified.
 
     Raises:
-        BoundError: It contradicts the motion.
+        BoundError: It contradicts them.
     """
     from hplan.lower_bound.duration_bound import duration_bound  # its kernels cost nothing where none is asked for
 
-    if not transit.certificate.verified or np.abs(transit.trajectory.velocity[[0, -1]]).max() > REST:
+    if not all(part.certificate.verified for part in parts):
         return None
+    world, problem = motion.task.world, motion.task.problem
+    if len(parts) > 1 and grasp is not None:
+        # Any motion to the grasp, the last link free to touch the fruit all the time: more than there are.
+        fruit = context.scene.goal.fruit
+        world, problem = context.world, replace(problem, goal=grasp.goal)
+        world = world if fruit is None else world.touching(fruit)
     with context.stage("bound"):
-        return duration_bound(
-            motion.task.world, motion.task.problem, motion_limits(context), transit.trajectory.duration
-        )
+        return duration_bound(world, problem, motion_limits(context), sum(part.trajectory.duration for part in parts))
 
 
 def _report(

@@ -6,7 +6,7 @@ import functools
 import json
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from importlib import metadata
 from pathlib import Path
@@ -94,13 +94,13 @@ def certificate_report(certificate: Certificate, options: PlanOptions) -> dict[s
     }
 
 
-def bound_report(bound: DurationBound | None) -> dict[str, Any]:
-    """The part of a plan's report that compares its transit with the bound of all; empty where there is none."""
+def bound_report(bound: DurationBound | None, phases: Sequence[str]) -> dict[str, Any]:
+    """The part of a plan's report that compares the durations of some phases with the bound of all; null for none."""
     if bound is None:
-        return {}
+        return {"bound": None}
     return {
         "bound": {
-            "phase": "transit",
+            "phases": list(phases),
             "bound_s": bound.seconds,
             "duration_s": bound.duration_s,
             "gap": bound.gap,

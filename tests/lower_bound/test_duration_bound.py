@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from planned import post, task
+from planned import fruit, post, task
 from studies.benchmark.scenes import random_scene
 
 import hplan.lower_bound.duration_bound as module
@@ -22,7 +22,7 @@ from hplan.planning.plan import PlanResult, plan
 from hplan.problem.options import PlanOptions
 from hplan.robot.limits import rest_to_rest
 from hplan.robot.model import Robot, load_robot
-from hplan.scene.model import Scene
+from hplan.scene.model import Goal, Scene
 from hplan.verification.certificate import LIMIT_TOLERANCE
 
 BOUND = PlanOptions(bound=True)
@@ -39,7 +39,7 @@ def bound_of(result: PlanResult, duration_s: float | None = None) -> DurationBou
 def coarse(monkeypatch: pytest.MonkeyPatch) -> None:
     """Bounds on coarse grids alone, which take a tenth of the time."""
     monkeypatch.setattr(module, "EACH_JOINT", (24,))
-    monkeypatch.setattr(module, "ONE_JOINT", 36)
+    monkeypatch.setattr(module, "ONE_JOINT", (36,))
 
 
 def tolerated(distance: float, velocity: float, acceleration: float, jerk: float | None) -> float:
@@ -56,7 +56,7 @@ def test_the_reference_motion_is_near_its_bound(robot: Robot, scene: Scene) -> N
     assert 1.70 < bound.seconds < 1.752 < bound.duration_s  # 1.752 s: the fastest certified motion that is known
     assert bound.joints_s < 0.65 * bound.seconds
     assert result.report["bound"] == {
-        "phase": "transit",
+        "phases": ["transit"],
         "bound_s": bound.seconds,
         "duration_s": result.trajectory.duration,
         "gap": bound.duration_s / bound.seconds - 1.0,
@@ -119,6 +119,30 @@ def test_a_motion_that_is_too_fast_to_exist_is_an_error(robot: Robot, scene: Sce
         with pytest.raises(BoundError, match="impossible") as error:
             bound_of(result, duration)
         assert error.value.duration_s == duration
+
+
+@pytest.mark.usefixtures("coarse")
+@pytest.mark.parametrize("locked", [(), ("base_yaw",)])
+def test_transit_and_approach_are_bounded_together_where_one_flows_into_the_other(
+    robot: Robot, locked: tuple[str, ...]
+) -> None:
+    yaw = 0.0 if locked else 40.0
+    scene = task([0, 10, 20, 10], Goal(fruit="apple"), fruits=(fruit("apple", yaw, 1.5, 1.5),), locked_joints=locked)
+    result = plan(robot, scene, BOUND)
+    flows = np.abs(result.motion.trajectory.velocity[-1]).max() > 0.0
+    assert [phase.name for phase in result.phases] == ["transit", "approach", "retreat"]
+    assert result.report["bound"]["phases"] == ["transit", "approach"][: 2 if flows else 1]
+    ends = result.phases[1 if flows else 0].end_s
+    assert result.bound is not None
+    assert result.bound.duration_s == pytest.approx(ends)
+    assert 0.0 < result.bound.gap < 1.0
+
+
+def test_what_is_not_certified_has_no_bound(robot: Robot, scene: Scene) -> None:
+    result = plan(robot, scene, PlanOptions(bound=True, certify=False, tracking_error=0.2))
+    assert not result.certificate.verified
+    assert result.bound is None
+    assert result.report["bound"] is None
 
 
 @pytest.mark.usefixtures("coarse")

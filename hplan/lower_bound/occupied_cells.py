@@ -18,8 +18,9 @@ from hplan.base.arrays import FloatArray, IntArray, WordArray
 from hplan.base.kernels import kernel
 from hplan.collision.clearance_kernels import FieldArrays, link_clearances
 
-#: What kernels' distances are exact to, a hull that is flat made thicker included [m].
-ACCURACY = 2e-5
+#: What kernels' distances are exact to; a hull that is flat made thicker is in it, and joints that are locked to the
+#: certificate's tolerance [m].
+ACCURACY = 1e-4
 
 
 class Cells(NamedTuple):

@@ -24,11 +24,11 @@ from hplan.planning.enclosure import EnclosedError, enclosed_goals
 from hplan.planning.grid_route import find_route
 from hplan.planning.refusals import Refusals
 from hplan.planning.sampled_motion import (
-    SAMPLING,
     by_sampling,
     by_trees_to_any,
     least_duration,
     rivals,
+    trees_tried,
 )
 from hplan.planning.task import COARSEST_DEG, GridAttempt, PlanningTask
 from hplan.planning.task import STEP_FACTORS as GRID_FACTORS
@@ -107,6 +107,18 @@ def find_motion(tasks: Sequence[PlanningTask]) -> tuple[int, PlannedMotion]:
 
 def first_motion(tasks: Sequence[PlanningTask]) -> tuple[int, PlannedMotion] | Refusals:
     """As `find_motion`; where there is none, why there is none to each of the goals."""
+    found = _first_motion(tasks)
+    if tasks[0].options.effort != "best" or isinstance(found, Refusals):
+        return found
+    # More starts need not lead to all that fewer lead to.
+    known = _first_motion([replace(task, options=replace(task.options, effort="default")) for task in tasks])
+    if isinstance(known, Refusals) or known[1].trajectory.duration >= found[1].trajectory.duration:
+        return found
+    return known[0], replace(known[1], task=tasks[known[0]])
+
+
+def _first_motion(tasks: Sequence[PlanningTask]) -> tuple[int, PlannedMotion] | Refusals:
+    """The same with one effort."""
     for number, task in enumerate(tasks):
         if task.problem.is_empty:
             return number, _at_rest(task)
@@ -259,7 +271,7 @@ def _planar(task: PlanningTask) -> PlannedMotion:
                     raise
                 break  # grown obstacles close the passage; the motion found without them could not be certified
     if refused is None and task.options.method == "two-level":
-        tried.append(_trees(task))
+        tried.append(trees_tried(task))
     raise refused or NotFoundError(tried)
 
 
@@ -359,16 +371,11 @@ def _no_path(
     return None
 
 
-def _trees(task: PlanningTask) -> str:
-    """The trees, where it is told what was tried."""
-    return f"trees with {SAMPLING[task.options.effort].trees.evaluations} evaluations of the clearance"
-
-
 def _not_found(task: PlanningTask) -> NotFoundError:
     """The error that says what was tried for a goal that the base turns to."""
     coarse = task.fitting(GridAttempt(yaw_range_deg=WIDTHS[-1]), MOST_CELLS)
     grid = "no grid over all yaws fits" if coarse is None else f"grids down to {task.step_deg(coarse):g} deg"
-    return NotFoundError(["straight motion", "roadmap", _trees(task), grid])
+    return NotFoundError(["straight motion", "roadmap", trees_tried(task), grid])
 
 
 def _enclosed(tasks: Sequence[PlanningTask], attempt: GridAttempt) -> list[EnclosedError | None]:

@@ -96,6 +96,11 @@ def rivals(task: PlanningTask) -> list[Polyline]:
     return [*_of_roadmaps(task, effort.roadmaps[1:]), *_of_trees(task, effort.planar)]
 
 
+def trees_tried(task: PlanningTask) -> str:
+    """The trees, where it is told what was tried."""
+    return f"trees with {SAMPLING[task.options.effort].trees.evaluations} evaluations of the clearance"
+
+
 def least_duration(task: PlanningTask) -> float:
     """Duration that no motion between start and goal can undercut [s]."""
     problem, robot = task.problem, task.robot

@@ -45,6 +45,10 @@ EFFORTS: dict[str, StartsEffort | None] = {
     ),
 }
 
+#: Where the base is locked a rough motion costs little: of more than so many polylines, so many and so many others are
+#: made at least (`StartsEffort`).
+MANY, PLANAR_ROUGH, PLANAR_OTHERS = 4, 6, 4
+
 #: Of so many polylines smooth paths are compared where none can be optimised with its timing.
 SMOOTHED = 3
 
@@ -204,6 +208,9 @@ def _optimized(
     effort, options = effort_of(task), task.options
     if effort is None:
         return None
+    if not task.problem.turns and len(polylines) > MANY:
+        rough, others = max(effort.rough, PLANAR_ROUGH), max(effort.others, PLANAR_OTHERS)
+        effort = replace(effort, rough=rough, others=others)
     processing, paths = smoothing_options(task, margin), [polyline.waypoints for polyline in polylines]
     limits, dynamics = motion_limits(task), task.robot.dynamics
     with task.stage("postprocess"):

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from hplan.base.arrays import FloatArray
-from hplan.errors import CertificationError, TimingError
+from hplan.errors import CertificationError, NoPathError, TimingError
 from hplan.planning.certified_motion import PlannedMotion, Polyline, quickest_certified, smooth_and_certify
-from hplan.planning.task import PlanningTask
+from hplan.planning.grid_route import find_route
+from hplan.planning.task import GridAttempt, PlanningTask
 from hplan.robot.limits import least_duration as least_between
 from hplan.sampling.roadmap import BRIEF, WIDE, Effort, quick_path
 from hplan.sampling.rrt_connect import TreeEffort, tree_path
@@ -25,6 +27,7 @@ class SamplingEffort(NamedTuple):
         roadmaps: Sizes of the roadmaps.
         trees: Effort of the trees where the base turns.
         planar: Effort of the trees where it is locked, and a grid has been searched; None for none.
+        grids: Coarse grids where the base is locked and a fine one has too many nodes to be searched first.
         close: With a motion in a roadmap that takes no more than so many times the least duration nothing else is
             looked for.
     """
@@ -32,6 +35,7 @@ class SamplingEffort(NamedTuple):
     roadmaps: tuple[Effort, ...]
     trees: TreesEffort
     planar: TreesEffort | None
+    grids: tuple[GridAttempt, ...]
     close: float
 
 
@@ -40,13 +44,19 @@ CLOSE = 1.15
 
 _MANY = TreesEffort(200_000, (8, 12_000), (40, 3_000))
 
+_GRIDS = (GridAttempt(2.0, growth_m=0.02), GridAttempt(2.0, growth_m=5e-3), GridAttempt(3.0, growth_m=0.01))
+
 #: What is looked for, by the option `effort`.
 SAMPLING: dict[str, SamplingEffort] = {
-    "quick": SamplingEffort((BRIEF,), TreesEffort(30_000, (3, 12_000), (9, 3_000)), None, CLOSE),
+    "quick": SamplingEffort((BRIEF,), TreesEffort(30_000, (3, 12_000), (9, 3_000)), None, (), CLOSE),
     "default": SamplingEffort(
-        (BRIEF,), TreesEffort(80_000, (6, 12_000), (10, 3_000)), TreesEffort(6_000, (2, 3_000), (0, 0)), 1.08
+        (BRIEF,),
+        TreesEffort(80_000, (6, 12_000), (10, 3_000)),
+        TreesEffort(6_000, (2, 3_000), (0, 0)),
+        _GRIDS,
+        1.08,
     ),
-    "best": SamplingEffort((BRIEF, WIDE), _MANY, _MANY, 1.005),
+    "best": SamplingEffort((BRIEF, WIDE), _MANY, _MANY, _GRIDS, 1.005),
 }
 
 #: Effort of trees of which the first path is taken, and before goals are refused, with so many seeds.
@@ -74,7 +84,11 @@ def by_sampling(task: PlanningTask) -> PlannedMotion | None:
     quick = by_roadmap(task)
     if quick is not None and quick.trajectory.duration <= effort.close * least_duration(task):
         return quick
-    polylines = [*_of_roadmaps(task, effort.roadmaps[1:]), *_of_trees(task, effort.trees)]
+    polylines = [
+        *_of_grids(task, effort.grids),
+        *_of_roadmaps(task, effort.roadmaps[1:]),
+        *_of_trees(task, effort.trees),
+    ]
     return quicker_along(task, polylines, quick)
 
 
@@ -115,6 +129,18 @@ def _of_roadmaps(task: PlanningTask, efforts: Sequence[Effort]) -> list[Polyline
     with task.stage("roadmap"):
         paths = [quick_path(task.problem, task.field, velocity, margin, effort) for effort in efforts]
     return [Polyline(path, "roadmap") for path in paths if path is not None]
+
+
+def _of_grids(task: PlanningTask, attempts: Sequence[GridAttempt]) -> list[Polyline]:
+    """The shortest path on each of some planar grids that has one."""
+    if task.problem.turns or task.options.method != "two-level":
+        return []
+    found: list[Polyline] = []
+    for attempt in attempts:
+        with suppress(NoPathError):
+            route = find_route(task, replace(attempt, growth_m=task.grown(attempt.growth_m)), 0.1 * task.margin())
+            found.append(Polyline(route.path, "search"))
+    return found
 
 
 def _of_trees(task: PlanningTask, effort: TreesEffort) -> list[Polyline]:

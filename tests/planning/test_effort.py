@@ -1,7 +1,8 @@
-"""More effort is never slower."""
+"""What is compared with which effort."""
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 import hplan
@@ -9,7 +10,8 @@ from hplan.planning.find_motion import find_motion
 from hplan.planning.task import PlanningCache
 from hplan.problem.options import PlanOptions
 from hplan.robot.model import Robot
-from hplan.scene.model import Scene
+from hplan.scene.model import Goal, Scene, Start
+from hplan.scene.obstacles import Sphere
 
 
 def test_best_falls_back_on_what_the_default_finds(robot: Robot, scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -25,3 +27,22 @@ def test_best_falls_back_on_what_the_default_finds(robot: Robot, scene: Scene, m
     _, motion = find_motion([task])
     assert motion.trajectory.duration == default.trajectory.duration
     assert motion.task is task
+
+
+def test_coarse_grids_give_paths_where_fine_ones_are_too_large(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The base locked, wide joints: what sampling does not find is on a coarse grid."""
+    robot = hplan.load_robot("orchard_harvester")
+    tip = robot.tool_positions(np.array([0.0, 0.6, -0.6, 0.3]))
+    scene = Scene(
+        name="ball",
+        start=Start(joints_rad=(0.0, 1.4, -0.6, 0.3)),
+        goal=Goal(joints_rad=(0.0, -0.2, -0.6, 0.3)),
+        obstacles=(Sphere(name="ball", center=tuple(tip.tolist()), radius=0.2),),
+        locked_joints=("base_yaw",),
+    )
+    monkeypatch.setattr(hplan.planning.sampled_motion, "promising_paths", lambda *_: [])
+    monkeypatch.setattr(hplan.planning.sampled_motion, "quick_path", lambda *_, **__: None)
+    result = hplan.plan(robot, scene)
+    assert result.motion.origin == "search"
+    assert result.motion.route is None
+    assert result.certificate.verified

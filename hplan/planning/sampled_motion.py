@@ -44,6 +44,9 @@ CLOSE = 1.15
 
 _MANY = TreesEffort(200_000, (8, 12_000), (40, 3_000))
 
+#: Coarse grids with more nodes than this are left out.
+MOST_COARSE = 5e6
+
 _GRIDS = (GridAttempt(2.0, growth_m=0.02), GridAttempt(2.0, growth_m=5e-3), GridAttempt(3.0, growth_m=0.01))
 
 #: What is looked for, by the option `effort`.
@@ -137,6 +140,8 @@ def _of_grids(task: PlanningTask, attempts: Sequence[GridAttempt]) -> list[Polyl
         return []
     found: list[Polyline] = []
     for attempt in attempts:
+        if task.cells(attempt) > MOST_COARSE:
+            continue
         with suppress(NoPathError):
             route = find_route(task, replace(attempt, growth_m=task.grown(attempt.growth_m)), 0.1 * task.margin())
             found.append(Polyline(route.path, "search"))

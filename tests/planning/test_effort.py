@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -10,6 +13,7 @@ from hplan.planning.find_motion import find_motion
 from hplan.planning.task import PlanningCache
 from hplan.problem.options import PlanOptions
 from hplan.robot.model import Robot
+from hplan.robot_family import ArmSpec, write_robot
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Sphere
 
@@ -46,3 +50,23 @@ def test_coarse_grids_give_paths_where_fine_ones_are_too_large(monkeypatch: pyte
     assert result.motion.origin == "search"
     assert result.motion.route is None
     assert result.certificate.verified
+
+
+def test_coarse_grids_that_are_too_large_are_left_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A chain of six links that turn all around has no grid that fits."""
+    six = (1.0,) * 6
+    spec = ArmSpec(
+        name="chain", link_lengths=(0.4,) * 6, link_half_widths=(0.01,) * 6, link_masses=six,
+        lower=(-math.pi,) * 6, upper=(math.pi,) * 6, velocity=six, effort=(500.0,) * 6, acceleration=six, jerk=None,
+        shoulder_height=3.0, has_yaw=False, base_mass=40.0, turret_mass=12.0,
+    )  # fmt: skip
+    write_robot(spec, tmp_path / "chain.urdf")
+    robot = hplan.load_robot(tmp_path / "chain.urdf")
+    scene = Scene(
+        name="ball",
+        start=Start(joints_rad=(0.5, 0.1, 0.1, 0.1, 0.1, 0.1)),
+        goal=Goal(joints_rad=(-0.5, 0.1, 0.1, 0.1, 0.1, 0.1)),
+        obstacles=(Sphere(name="ball", center=(2.2, 0.0, 2.6), radius=0.1),),
+    )
+    monkeypatch.setattr(hplan.planning.sampled_motion, "quick_path", lambda *_, **__: None)
+    assert hplan.plan(robot, scene).motion.origin == "trees"

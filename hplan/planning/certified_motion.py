@@ -49,7 +49,7 @@ EFFORTS: dict[str, StartsEffort | None] = {
 #: made at least (`StartsEffort`).
 MANY, PLANAR_ROUGH, PLANAR_OTHERS = 4, 6, 4
 
-#: Of so many polylines smooth paths are compared where none can be optimised with its timing.
+#: Of so many polylines at a time smooth paths are compared where none can be optimised with its timing.
 SMOOTHED = 3
 
 #: Fractions of the clearance that sway may take which comes with speed, tried in turn until a motion is certified.
@@ -160,12 +160,19 @@ def quickest_certified(
     if not polylines:
         return None
     optimized = _optimized(task, polylines, margin, quicker_than_s)
-    if optimized is not None or math.isfinite(quicker_than_s):
+    if optimized is not None or (math.isfinite(quicker_than_s) and effort_of(task) is not None):
         return optimized
+    batches = (polylines[first : first + SMOOTHED] for first in range(0, len(polylines), SMOOTHED))
+    smoothed = (_quickest_smoothed(task, batch, margin) for batch in batches)
+    return next((motion for motion in smoothed if motion is not None), None)
+
+
+def _quickest_smoothed(task: PlanningTask, polylines: Sequence[Polyline], margin: float) -> PlannedMotion | None:
+    """The certified motion along the smooth path of least estimated duration, or length; None where there is none."""
     options = replace(smoothing_options(task, margin), starts=1)
     found: list[tuple[Polyline, SplinePath]] = []
     with task.stage("postprocess"):
-        for polyline in polylines[:SMOOTHED]:
+        for polyline in polylines:
             with suppress(CertificationError):
                 found.append((polyline, fast_path(polyline.waypoints, task.field, options)))
     by_time = options.objective == "duration"

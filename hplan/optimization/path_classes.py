@@ -14,6 +14,9 @@ from hplan.base.kernels import any_int, kernel
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.clearance_kernels import FieldArrays, link_clearances, smallest
 
+#: Where paths are compared, as fractions of their times.
+PARTS = frozen(np.linspace(0.0, 1.0, 14)[1:-1])
+
 #: Points looked at between corresponding points of two paths.
 BETWEEN = any_int(3)
 

@@ -17,7 +17,7 @@ import numpy as np
 from hplan.base import ties
 from hplan.base.arrays import FloatArray, IntArray
 from hplan.optimization.minimize_time import LONGEST_S, Effort, TimeProblem, minimize_time, rough_motion
-from hplan.optimization.path_classes import class_numbers
+from hplan.optimization.path_classes import PARTS, class_numbers
 from hplan.optimization.timed_spline import TimedSpline
 from hplan.smoothing.minimize_duration import coarse_profile
 from hplan.smoothing.smooth_path import clear_start, near_field
@@ -25,9 +25,6 @@ from hplan.timing.speed_profile import SpeedProfile
 
 #: Obstacles farther than this from a path are left out of the programs that move it [m].
 NEAR = 0.4
-
-#: Points of a path at which it is compared with others.
-COMPARED = 12
 
 #: Another path than the first is preferred to it only where its smooth path is quicker by more than this part.
 PREFERENCE = 0.02
@@ -115,8 +112,7 @@ def fastest_motions(
 
 def _promising(starts: Sequence[OptimizationStart], effort: StartsEffort) -> IntArray:
     """Numbers of the starts that have rough motions: the first of each class, and others if these are few."""
-    parts = np.linspace(0.0, 1.0, COMPARED + 2)[1:-1]
-    paths = np.stack([start.profile.positions(parts * start.profile.duration) for start in starts])
+    paths = np.stack([start.profile.positions(PARTS * start.profile.duration) for start in starts])
     first = class_numbers(paths, starts[0].problem.field) == np.arange(len(starts))
     count = min(max(int(first.sum()), effort.others), effort.rough)
     return np.argsort(~first, kind="stable")[:count]

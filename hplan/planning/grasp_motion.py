@@ -35,10 +35,9 @@ from hplan.planning.task import PlanningContext, PlanningTask
 from hplan.robot.model import Robot
 from hplan.smoothing.smooth_path import near_field
 from hplan.smoothing.spline import SplinePath
-from hplan.timing.trajectory import Trajectory
+from hplan.timing.trajectory import Trajectory, cubic_pieces
 from hplan.verification.certificate import Stretch, stretches
 from hplan.verification.goal_contact import contact_window
-from hplan.verification.limit_use import cubic_pieces
 
 _Last = TypeVar("_Last")
 

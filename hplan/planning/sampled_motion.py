@@ -24,7 +24,7 @@ class SamplingEffort(NamedTuple):
     """Where polylines are looked for, of which the quickest motion is taken.
 
     Attributes:
-        roadmaps: Sizes of the roadmaps.
+        roadmaps: Sizes of roadmaps, in addition to the brief one that comes first.
         trees: Effort of the trees where the base turns.
         planar: Effort of the trees where it is locked, and a grid has been searched; None for none.
         grids: Coarse grids where the base is locked and a fine one has too many nodes to be searched first.
@@ -51,15 +51,15 @@ _GRIDS = (GridAttempt(2.0, growth_m=0.02), GridAttempt(2.0, growth_m=5e-3), Grid
 
 #: What is looked for, by the option `effort`.
 SAMPLING: dict[str, SamplingEffort] = {
-    "quick": SamplingEffort((BRIEF,), TreesEffort(30_000, (3, 12_000), (9, 3_000)), None, (), CLOSE),
+    "quick": SamplingEffort((), TreesEffort(30_000, (3, 12_000), (9, 3_000)), None, (), CLOSE),
     "default": SamplingEffort(
-        (BRIEF,),
+        (),
         TreesEffort(80_000, (6, 12_000), (10, 3_000)),
         TreesEffort(6_000, (2, 3_000), (0, 0)),
         _GRIDS,
         1.08,
     ),
-    "best": SamplingEffort((BRIEF, WIDE), _MANY, _MANY, _GRIDS, 1.005),
+    "best": SamplingEffort((WIDE,), _MANY, _MANY, _GRIDS, 1.005),
 }
 
 #: Effort of trees of which the first path is taken, and before goals are refused, with so many seeds.
@@ -75,10 +75,9 @@ def by_roadmap(task: PlanningTask) -> PlannedMotion | None:
     return None
 
 
-def by_trees(task: PlanningTask, effort: TreesEffort | None = None) -> PlannedMotion | None:
+def by_trees(task: PlanningTask, effort: TreesEffort) -> PlannedMotion | None:
     """The quickest motion along paths of some trees; None where none is found and certified."""
-    polylines = _of_trees(task, effort or SAMPLING[task.options.effort].trees)
-    return quickest_certified(task, polylines, task.margin())
+    return quickest_certified(task, _of_trees(task, effort), task.margin())
 
 
 def by_sampling(task: PlanningTask) -> PlannedMotion | None:
@@ -89,20 +88,13 @@ def by_sampling(task: PlanningTask) -> PlannedMotion | None:
         return quick
     polylines = [
         *_of_grids(task, effort.grids),
-        *_of_roadmaps(task, effort.roadmaps[1:]),
+        *_of_roadmaps(task, effort.roadmaps),
         *_of_trees(task, effort.trees),
     ]
-    return quicker_along(task, polylines, quick)
-
-
-def quicker_along(
-    task: PlanningTask, polylines: Sequence[Polyline], motion: PlannedMotion | None
-) -> PlannedMotion | None:
-    """The quickest of a motion and those along some polylines; None where there is none at all."""
-    if motion is None:
+    if quick is None:
         return quickest_certified(task, polylines, task.margin())
-    other = quickest_certified(task, polylines, task.margin(), quicker_than_s=motion.trajectory.duration)
-    return motion if other is None or motion.trajectory.duration <= other.trajectory.duration else other
+    other = quickest_certified(task, polylines, task.margin(), quicker_than_s=quick.trajectory.duration)
+    return quick if other is None or quick.trajectory.duration <= other.trajectory.duration else other
 
 
 def rivals(task: PlanningTask) -> list[Polyline]:
@@ -110,7 +102,7 @@ def rivals(task: PlanningTask) -> list[Polyline]:
     effort = SAMPLING[task.options.effort]
     if effort.planar is None:
         return []
-    return [*_of_roadmaps(task, effort.roadmaps[1:]), *_of_trees(task, effort.planar)]
+    return [*_of_roadmaps(task, effort.roadmaps), *_of_trees(task, effort.planar)]
 
 
 def trees_tried(task: PlanningTask) -> str:

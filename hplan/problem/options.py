@@ -28,7 +28,7 @@ class PlanOptions:
         step_deg: Largest spacing of the joint grid [deg].
         objective: `duration` for the fastest motion, `length` for the shortest path.
         effort: `quick` for the first certified motion, `default` for one optimised together with its timing, `best` for
-            one optimised for longer, with shorter pieces. Each gives the same motion every time.
+            the quickest along more paths, optimised for longer. Each gives the same motion every time.
         link_model: Link model of the C-space; motions are always certified for capsules.
         rate_hz: Rows of the trajectory per second.
         speed: Fraction of the velocity limits to use, in (0, 1].

@@ -15,16 +15,13 @@ import numpy as np
 from hplan.base import ties
 from hplan.base.arrays import FloatArray, frozen
 from hplan.collision.clearance_field import ClearanceField
-from hplan.optimization.path_classes import class_numbers
+from hplan.optimization.path_classes import PARTS, class_numbers
 from hplan.problem.definition import Problem
 from hplan.sampling.rrt_connect import TreeEffort, tree_path
 from hplan.sampling.time_shortcut import path_time, quicken
 
 #: So many paths of a class are of use, as smoothing may fail.
 OF_A_CLASS = 3
-
-#: Points at which paths are compared.
-POINTS = 12
 
 
 @dataclass(frozen=True)
@@ -48,7 +45,7 @@ class PromisingPath(NamedTuple):
     Attributes:
         seconds: Its time after shortcuts [s].
         waypoints: (m, dof) its waypoints as they were found.
-        points: (POINTS, dof) points of what shortcuts leave of it.
+        points: (k, dof) points of what shortcuts leave of it, at `PARTS` of its time.
     """
 
     seconds: float
@@ -92,10 +89,9 @@ def promising_paths(
 
 
 def _evenly(path: FloatArray, velocity: FloatArray) -> FloatArray:
-    """(POINTS, dof) points of a path, evenly spaced in time at the velocity limits."""
+    """(k, dof) points of a path, at `PARTS` of its time at the velocity limits."""
     clock = np.concatenate([[0.0], np.cumsum((np.abs(np.diff(path, axis=0)) / velocity).max(axis=1))])
-    times = np.linspace(0.0, clock[-1], POINTS + 2)[1:-1]
-    return frozen(np.stack([np.interp(times, clock, joint) for joint in path.T], axis=1))
+    return frozen(np.stack([np.interp(PARTS * clock[-1], clock, joint) for joint in path.T], axis=1))
 
 
 def quicker_only(problem: Problem, velocity: FloatArray, time_s: float) -> Problem:

@@ -91,16 +91,30 @@ class Trajectory(Record):
         )
 
     def positions(self, clock: FloatArray) -> FloatArray:
-        """(k, dof) configurations at (k,) times, on the cubics with the rows' positions and velocities."""
-        if self.samples == 1:
-            return np.repeat(self.position, len(clock), axis=0)
-        row = np.clip(np.searchsorted(self.time, clock, side="right") - 1, 0, self.samples - 2)
-        width = (self.time[row + 1] - self.time[row])[:, None]
-        t = np.clip((clock - self.time[row])[:, None] / width, 0.0, 1.0)
-        u, there = 1.0 - t, self.position[row + 1]
-        here, first, last = self.position[row], width * self.velocity[row], width * self.velocity[row + 1]
-        q: FloatArray = u * u * ((1.0 + 2.0 * t) * here + t * first) + t * t * ((1.0 + 2.0 * u) * there - u * last)
+        """(k, dof) configurations at (k,) times, on the cubics of `cubic_pieces`."""
+        bezier, duration = cubic_pieces(self)
+        piece = np.clip(np.searchsorted(self.time, clock, side="right") - 1, 0, len(bezier) - 1)
+        t = np.clip((clock - self.time[piece]) / duration[piece], 0.0, 1.0)[:, None]
+        a, b, c, d = np.moveaxis(bezier[piece], 1, 0)
+        u = 1.0 - t
+        q: FloatArray = u * u * (u * a + 3.0 * t * b) + t * t * (3.0 * u * c + t * d)
         return q
+
+
+def cubic_pieces(trajectory: Trajectory) -> tuple[FloatArray, FloatArray]:
+    """The cubics between the rows of a trajectory, with the rows' positions and velocities.
+
+    Returns:
+        (pieces, 4, dof) Bezier points [rad] and (pieces,) durations [s]; of a single row one constant piece of 1 s.
+        Points are not finite where numbers overflow.
+    """
+    q, v = trajectory.position, trajectory.velocity
+    if len(q) == 1:
+        return np.repeat(q[:, None, :], 4, axis=1), np.ones(1)
+    duration = np.diff(trajectory.time)
+    third = duration[:, None] / 3.0
+    with np.errstate(over="ignore", invalid="ignore"):
+        return np.stack([q[:-1], q[:-1] + third * v[:-1], q[1:] - third * v[1:], q[1:]], axis=1), duration
 
 
 def joined(parts: Sequence[Trajectory]) -> Trajectory:

@@ -38,11 +38,11 @@ from hplan.robot.base_shapes import BASE_DEPTH
 from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel
 from hplan.scene.model import Scene
-from hplan.timing.trajectory import Trajectory
+from hplan.timing.trajectory import Trajectory, cubic_pieces
 from hplan.verification.clearance_proof import Proof, prove_clearance
 from hplan.verification.digests import Digests
 from hplan.verification.goal_contact import contact_window
-from hplan.verification.limit_use import LimitUse, cubic_pieces, limit_use
+from hplan.verification.limit_use import LimitUse, limit_use
 from hplan.verification.task_check import task_violations
 
 #: Use of a limit up to which it counts as kept.

@@ -29,22 +29,6 @@ class LimitUse:
     torque: float
 
 
-def cubic_pieces(trajectory: Trajectory) -> tuple[FloatArray, FloatArray]:
-    """The cubics between the rows of a trajectory, with the rows' positions and velocities.
-
-    Returns:
-        (pieces, 4, dof) Bezier points [rad] and (pieces,) durations [s]; of a single row one constant piece of 1 s.
-        Points are not finite where numbers overflow.
-    """
-    q, v = trajectory.position, trajectory.velocity
-    if len(q) == 1:
-        return np.repeat(q[:, None, :], 4, axis=1), np.ones(1)
-    duration = np.diff(trajectory.time)
-    third = duration[:, None] / 3.0
-    with np.errstate(over="ignore", invalid="ignore"):
-        return np.stack([q[:-1], q[:-1] + third * v[:-1], q[1:] - third * v[1:], q[1:]], axis=1), duration
-
-
 def limit_use(robot: Robot, trajectory: Trajectory, bezier: FloatArray, duration: FloatArray) -> LimitUse:
     """Bound the use of each limit over a motion's cubics, and by its columns for velocity, acceleration and torque.
 

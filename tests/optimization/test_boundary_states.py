@@ -16,8 +16,8 @@ from hplan.optimization.torque_rows import TorqueUse, torque_rows
 from hplan.robot.limits import Limits
 from hplan.scene.obstacles import Sphere
 from hplan.smoothing.options import PostprocessOptions
-from hplan.timing.trajectory import Trajectory
-from hplan.verification.limit_use import cubic_pieces, limit_use
+from hplan.timing.trajectory import Trajectory, cubic_pieces
+from hplan.verification.limit_use import limit_use
 
 PIECES, STEP = 12, 1e-6
 

@@ -11,7 +11,8 @@ import hplan
 from hplan.optimization.torque_rows import TorqueUse
 from hplan.planning.certified_motion import EFFORTS
 from hplan.problem.options import EFFORT_NAMES, PlanOptions
-from hplan.verification.limit_use import cubic_pieces, limit_use
+from hplan.timing.trajectory import cubic_pieces
+from hplan.verification.limit_use import limit_use
 
 
 @pytest.fixture(scope="module")

@@ -15,7 +15,7 @@ import pytest
 from PIL import Image
 from studies.benchmark import growth, orchard_scenes, orchards, recheck, replanning
 from studies.benchmark.figures import figures
-from studies.benchmark.measure import fitted_slope, peak_memory_mb, spread
+from studies.benchmark.measure import evenly_chosen, fitted_slope, peak_memory_mb, spread
 from studies.benchmark.motions import Findings, of_rows, row_cubics, stopping_duration, toppra_motion
 from studies.benchmark.moving_scenes import CLOSE, OBSTACLES, ROOM, SHIFT, ObstacleMove, moving_scene, next_move
 from studies.benchmark.orchard_scenes import (
@@ -448,8 +448,8 @@ def test_why_there_are_no_trees(robot: Robot, tmp_path: Path, folder: str | None
 
 def test_chosen_problems_are_spread_over_each_group(scene: Scene) -> None:
     problems = [OrchardProblem(f"{group} {i}", group, scene) for group in "ab" for i in range(9)]
-    assert [problem.name for problem in orchards.chosen(problems, 3)] == ["a 1", "a 4", "a 7", "b 1", "b 4", "b 7"]
-    assert orchards.chosen(problems, None) == orchards.chosen(problems, 100) == problems
+    assert [problem.name for problem in evenly_chosen(problems, 3)] == ["a 1", "a 4", "a 7", "b 1", "b 4", "b 7"]
+    assert evenly_chosen(problems, None) == evenly_chosen(problems, 100) == problems
 
 
 def test_what_a_peer_alone_solves_is_named(robot: Robot, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 from studies.benchmark.fastest import measure as fastest
 from studies.benchmark.fastest.draw import DISCS, PINCHES, TREES, is_blocked
-from studies.benchmark.fastest.measure import chosen
 from studies.benchmark.fastest.peers import PEERS, Found
 from studies.benchmark.fastest.problems import FastestProblem, digest_of, problem_of, problems_of
 from studies.benchmark.fastest.records import BEST_KNOWN, Record, TreeSource, read_records, write_records
+from studies.benchmark.measure import evenly_chosen
 from studies.benchmark.tables import fastest as fastest_tables
 
 from hplan.errors import InputError
@@ -31,7 +31,7 @@ def records() -> list[Record]:
 def handful(records: list[Record]) -> list[FastestProblem]:
     """Discs for both arms, and a pinch."""
     planar = [record for record in records if record.group == "planar"]
-    return problems_of(chosen(planar, HANDFUL), None)
+    return problems_of(evenly_chosen(planar, HANDFUL), None)
 
 
 def test_the_file_has_the_problems_that_were_drawn(records: list[Record]) -> None:
@@ -77,7 +77,7 @@ def test_another_problem_of_the_same_name_is_noticed(handful: list[FastestProble
 @pytest.mark.skipif(not MEASURED.is_dir(), reason="the measured trees are not beside the project")
 def test_problems_among_trees_are_those_of_the_file(records: list[Record]) -> None:
     among = [record for record in records if record.group == "trees"]
-    for problem in problems_of(chosen(among, 2), MEASURED):
+    for problem in problems_of(evenly_chosen(among, 2), MEASURED):
         assert is_blocked(problem.robot, problem.scene)
 
 
@@ -89,7 +89,7 @@ def test_trees_are_asked_for(records: list[Record]) -> None:
 def test_only_what_is_faster_is_kept(records: list[Record], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """One problem's best is made longer than hplan's by hand, another's shorter than anybody's."""
     planar = [record for record in records if record.group == "planar"]
-    first, second = chosen(planar, 2)
+    first, second = evenly_chosen(planar, 2)
     told = [replace(first, duration_s=99.0), replace(second, duration_s=0.5)]
     path = write_records(told, tmp_path / "known.json")
 

@@ -12,11 +12,10 @@ from planned import on_cubics
 from hplan.collision.coal_scene import CoalScene
 from hplan.errors import InputError, OptionError
 from hplan.scene.obstacles import Box, Capsule, Sphere
-from hplan.timing.trajectory import Trajectory, read_csv, write_csv
+from hplan.timing.trajectory import Trajectory, cubic_pieces, read_csv, write_csv
 from hplan.verification import certificate as certificates
 from hplan.verification import clearance_proof
 from hplan.verification.clearance_proof import place_after
-from hplan.verification.limit_use import cubic_pieces
 from hplan.verification.sway import off_axis
 
 FINE = 1e-4

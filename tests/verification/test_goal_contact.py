@@ -16,10 +16,9 @@ from hplan.planar.straight_approach import ApproachPath
 from hplan.planning import certified_motion
 from hplan.scene.file import load_scene
 from hplan.scene.model import Fruit, Goal, Scene, Start
-from hplan.timing.trajectory import Trajectory, joined, read_csv, write_csv
+from hplan.timing.trajectory import Trajectory, cubic_pieces, joined, read_csv, write_csv
 from hplan.verification.certificate import certify
 from hplan.verification.goal_contact import OFFSET, THERE, TURN, contact_window
-from hplan.verification.limit_use import cubic_pieces
 
 GRASP = np.radians([0.0, 20.0, 20.0, 20.0])
 

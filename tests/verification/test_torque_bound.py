@@ -12,10 +12,9 @@ from arm_variants import VARIANTS, load_variant
 from hplan.robot.model import load_robot
 from hplan.robot_family.members import HARVESTER, write_robot
 from hplan.scene.model import Goal, Scene, Start
-from hplan.timing.trajectory import Trajectory
+from hplan.timing.trajectory import Trajectory, cubic_pieces
 from hplan.verification import torque_bound
 from hplan.verification.certificate import certify
-from hplan.verification.limit_use import cubic_pieces
 from hplan.verification.torque_bound import GAP, largest_torques
 
 

@@ -15,13 +15,24 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from importlib import metadata
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
 from hplan.planning.report import versions
 
 _T = TypeVar("_T")
+
+
+class Grouped(Protocol):
+    """A problem of a set."""
+
+    @property
+    def group(self) -> str:
+        """What it is counted with."""
+
+
+_Grouped = TypeVar("_Grouped", bound=Grouped)
 
 #: Called with what is being measured, how much of it is done and how much there is.
 Progress = Callable[[str, int, int], None]
@@ -42,6 +53,16 @@ def times_ms(run: Callable[[], object], repetitions: int, *, warm: int = 2) -> l
     for _ in range(warm):
         run()
     return [timed(run)[1] for _ in range(repetitions)]
+
+
+def evenly_chosen(problems: Sequence[_Grouped], most: int | None) -> list[_Grouped]:
+    """So many problems of each group at most, evenly spread over it, in the order given."""
+    kept: list[_Grouped] = []
+    for group in dict.fromkeys(problem.group for problem in problems):
+        ours = [problem for problem in problems if problem.group == group]
+        count = len(ours) if most is None else min(most, len(ours))
+        kept += [ours[(2 * i + 1) * len(ours) // (2 * count)] for i in range(count)]
+    return kept
 
 
 def median(values: Sequence[float]) -> float:

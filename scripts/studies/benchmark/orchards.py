@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from studies.benchmark.measure import Progress, median, spread, stages_in_cpu_time, timed
+from studies.benchmark.measure import Progress, evenly_chosen, median, spread, stages_in_cpu_time, timed
 from studies.benchmark.motions import look_at, of_rows
 from studies.benchmark.orchard_scenes import CropProblems, OrchardProblem, crop_of, measured_orchards, shipped_orchards
 from studies.benchmark.paths import PathMotions, PeerTask, motions_of, summary
@@ -91,8 +91,8 @@ def measure(
     for number, orchard in enumerate(orchards):
         progress("orchards: grasps", number, len(orchards))
         crops.append(crop_of(robot, orchard))
-    problems = chosen([problem for crop in crops for problem in crop.problems()], most)
-    for number, problem in enumerate(warm := chosen(problems, WARM)):
+    problems = evenly_chosen([problem for crop in crops for problem in crop.problems()], most)
+    for number, problem in enumerate(warm := evenly_chosen(problems, WARM)):
         progress("orchards: loading", number, len(warm))
         _planned(robot, problem)
     rows: list[dict[str, Any]] = []
@@ -122,16 +122,6 @@ def _absent(trees: Path | None) -> str | None:
     if not trees.is_dir():
         return f"there is no folder {trees}"
     return None if any(trees.glob("*.csv")) else f"there is no CSV in {trees}"
-
-
-def chosen(problems: Sequence[OrchardProblem], most: int | None) -> list[OrchardProblem]:
-    """So many of each group at most, evenly spread over it, in the order given."""
-    kept: list[OrchardProblem] = []
-    for group in dict.fromkeys(problem.group for problem in problems):
-        ours = [problem for problem in problems if problem.group == group]
-        count = len(ours) if most is None else min(most, len(ours))
-        kept += [ours[(2 * i + 1) * len(ours) // (2 * count)] for i in range(count)]
-    return kept
 
 
 def _planned(robot: Robot, problem: OrchardProblem) -> PlanResult | HplanError:

@@ -11,7 +11,7 @@ import numpy as np
 from studies.benchmark.fastest.peers import PEERS, Found
 from studies.benchmark.fastest.problems import FastestProblem, problems_of
 from studies.benchmark.fastest.records import BEST_KNOWN, Record, read_records, write_records
-from studies.benchmark.measure import Progress, spread, stages_in_cpu_time, timed
+from studies.benchmark.measure import Progress, evenly_chosen, spread, stages_in_cpu_time, timed
 
 from hplan.errors import HplanError
 from hplan.planning.plan import plan
@@ -40,7 +40,9 @@ def measure(
         path: The set's file.
     """
     records = read_records(path)
-    problems = problems_of(chosen(records, most), trees, lambda done, total: progress("fastest: drawing", done, total))
+    problems = problems_of(
+        evenly_chosen(records, most), trees, lambda done, total: progress("fastest: drawing", done, total)
+    )
     for number, problem in enumerate(problems):
         if number % max(1, len(problems) // (2 * WARM)) == 0:
             progress("fastest: loading", number, len(problems))
@@ -68,16 +70,6 @@ def measure(
         "improved": [row["name"] for row in rows if row["improved"]],
         "rows": rows,
     }
-
-
-def chosen(records: Sequence[Record], most: int | None) -> list[Record]:
-    """So many records of each group at most, evenly spread over it."""
-    kept: list[Record] = []
-    for group in dict.fromkeys(record.group for record in records):
-        ours = [record for record in records if record.group == group]
-        count = len(ours) if most is None else min(most, len(ours))
-        kept += [ours[(2 * i + 1) * len(ours) // (2 * count)] for i in range(count)]
-    return kept
 
 
 def _planned(problem: FastestProblem, effort: EffortName) -> dict[str, Any]:

@@ -12,8 +12,8 @@ from hplan.base.lazy_import import lazy_names
 
 if TYPE_CHECKING:
     from hplan.errors import HplanError
+    from hplan.online.planner import Planner
     from hplan.planning.plan import PlanResult, plan
-    from hplan.planning.planner import Planner
     from hplan.problem.options import PlanOptions
     from hplan.robot.model import Robot, load_robot
     from hplan.scene.file import load_scene, save_scene
@@ -52,7 +52,7 @@ __getattr__ = lazy_names(
         "HplanError": "hplan.errors",
         "PlanOptions": "hplan.problem.options",
         "PlanResult": "hplan.planning.plan",
-        "Planner": "hplan.planning.planner",
+        "Planner": "hplan.online.planner",
         "Robot": "hplan.robot.model",
         "Scene": "hplan.scene.model",
         "TourOptions": "hplan.tour.tour",

@@ -24,6 +24,7 @@ ROOMS = (
         "lower_bound",
         "sampling",
         "planning",
+        "online",
         "tour",
     ),
     *("view", "cli"),

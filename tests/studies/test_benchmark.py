@@ -34,7 +34,7 @@ from studies.benchmark.tables import number, to_markdown
 import hplan
 from hplan.collision.coal_scene import CoalScene, base_contacts
 from hplan.errors import InputError, NoPathError
-from hplan.planning.planner import Planner
+from hplan.online.planner import Planner
 from hplan.problem.world import BASE_DEPTH, World
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene

@@ -21,9 +21,9 @@ from studies.benchmark.moving_scenes import CLOSE_SHARE, OBSTACLES, ROOM, SHIFT,
 
 from hplan.collision.coal_scene import CoalScene
 from hplan.errors import HplanError, NoPathError
+from hplan.online.planner import Planner
 from hplan.planning.certified_motion import Origin
 from hplan.planning.plan import PlanResult, plan
-from hplan.planning.planner import Planner
 from hplan.robot.model import Robot
 
 #: Steps of each scene.

@@ -130,7 +130,7 @@ def test_a_change_waits_for_the_plan_under_way(robot: Robot, monkeypatch: pytest
         planning.set()
         assert go_on.wait(30)
 
-    monkeypatch.setattr("hplan.planning.planner.plan_with", slow)
+    monkeypatch.setattr("hplan.online.planner.plan_with", slow)
     with ThreadPoolExecutor(2) as pool:
         plan = pool.submit(planner.plan)
         assert planning.wait(30)

@@ -22,8 +22,8 @@ from shapes import blocks
 
 from hplan.collision.coal_scene import CoalScene
 from hplan.errors import ConfigurationInCollisionError, InputError, NoPathError, SceneError
+from hplan.online.planner import Planner
 from hplan.planning.plan import PlanResult, plan
-from hplan.planning.planner import Planner
 from hplan.problem.options import PlanOptions
 from hplan.robot.model import Robot
 from hplan.scene.model import Fruit, Goal, Scene, Start

@@ -58,11 +58,11 @@ def _run(arguments: argparse.Namespace, console: Console) -> int:
     """Plan, execute, show; returns the exit status."""
     import numpy as np
 
+    from hplan.execution.plant import Plant
+    from hplan.execution.simulation import execute
     from hplan.planning.task import PlanningCache
     from hplan.problem.options import PlanOptions
     from hplan.scene.file import load_scene
-    from hplan.verification.plant import Plant
-    from hplan.verification.simulation import execute
 
     tracking = tracking_of(arguments)
     plants = [

@@ -19,6 +19,7 @@ ROOMS = (
         "smoothing",
         "optimization",
         "verification",
+        "execution",
         "waypoints",
         "problem",
         "lower_bound",

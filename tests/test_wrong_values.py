@@ -16,6 +16,8 @@ import hplan
 from hplan.base.arguments import decimal
 from hplan.base.files import write_text
 from hplan.errors import HplanError, InputError, SceneError
+from hplan.execution.recorded_motion import RecordedMotion, read_motion
+from hplan.execution.simulation import execute
 from hplan.orchard import (
     FruitZone,
     MeasuredOptions,
@@ -33,8 +35,6 @@ from hplan.scene.obstacles import Box, Capsule, Mesh, PointCloud, Sphere
 from hplan.search import dense_search, reachable, slices_with_path, two_level_search
 from hplan.search.grid import Grid, Occupancy
 from hplan.tour.tour import TourOptions
-from hplan.verification.recorded_motion import RecordedMotion, read_motion
-from hplan.verification.simulation import execute
 from hplan.waypoints import limit_shares, limits_of, read_machine, read_waypoints, time_waypoints
 from hplan.waypoints.corner_rounding import largest_deviation, rounded_path
 

@@ -12,8 +12,8 @@ from hplan.cli.terminal import FAILED, facts_table, number_table
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from hplan.execution.simulation import Execution
     from hplan.scene.model import Scene
-    from hplan.verification.simulation import Execution
 
 _DESCRIPTION = """\
 Run a trajectory in MuJoCo: the robot's own URDF with torque motors, the scene's obstacles as solid bodies, and a
@@ -39,10 +39,10 @@ exit status:
 
 def run(arguments: argparse.Namespace, console: Console, _: Console) -> int:
     """Execute and show; returns the exit status."""
+    from hplan.execution.plant import Plant
+    from hplan.execution.recorded_motion import read_motion
+    from hplan.execution.simulation import execute
     from hplan.scene.file import load_scene
-    from hplan.verification.plant import Plant
-    from hplan.verification.recorded_motion import read_motion
-    from hplan.verification.simulation import execute
 
     motion = read_motion(arguments.trajectory)
     scene = load_scene(arguments.scene)

@@ -59,7 +59,7 @@ INSIDE = {
     "tour": ("hplan.tour.tour", "plan_tour"),
     "time": ("hplan.waypoints", "time_waypoints"),
     "certify": ("hplan.verification.certificate", "certify"),
-    "execute": ("hplan.verification.simulation", "execute"),
+    "execute": ("hplan.execution.simulation", "execute"),
     "orchard": ("hplan.orchard", "generate"),
     "view": ("hplan.view.page", "write_page"),
 }

@@ -550,7 +550,7 @@ def test_xacro_itself(tmp_path):
 
 def test_mujoco_has_the_adapted_robot(load, tmp_path):
     mujoco = pytest.importorskip("mujoco")
-    from hplan.verification.mujoco_model import mujoco_model
+    from hplan.execution.mujoco_model import mujoco_model
 
     write_stl(tmp_path / "meshes" / "hand.stl")
     robot = load(MESH.replace("</robot>", f"{FINGERS}{WORLD}</robot>").replace(*CONTINUOUS))

@@ -12,13 +12,13 @@ from planned import between_twigs, post, task
 from script_loader import load_script
 
 from hplan.errors import OptionError
+from hplan.execution.plant import Plant
+from hplan.execution.simulation import execute
 from hplan.planning.plan import PlanResult, plan
 from hplan.problem.options import PlanOptions
 from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel
 from hplan.timing.trajectory import write_csv
-from hplan.verification.plant import Plant
-from hplan.verification.simulation import execute
 
 needs_mujoco = pytest.mark.skipif(
     importlib.util.find_spec("mujoco") is None, reason="MuJoCo is not installed: pip install 'hplan[execution]'"

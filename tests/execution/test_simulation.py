@@ -15,16 +15,16 @@ from shapes import ball, torus
 
 from hplan.collision.coal_scene import CoalScene
 from hplan.errors import ConfigurationInCollisionError, HplanError, InputError, NoPathError, RobotFileError
+from hplan.execution import simulation
+from hplan.execution.mujoco_model import MOST_BALLS
+from hplan.execution.recorded_motion import RecordedMotion, read_motion
+from hplan.execution.simulation import HOLD, Execution, execute
 from hplan.planning.plan import PlanResult, plan
 from hplan.robot.model import Robot, load_robot
 from hplan.robot_family.members import ArmSpec, write_robot
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Box, Capsule, Mesh, PointCloud, Sphere
 from hplan.timing.trajectory import Trajectory, write_csv
-from hplan.verification import simulation
-from hplan.verification.mujoco_model import MOST_BALLS
-from hplan.verification.recorded_motion import RecordedMotion, read_motion
-from hplan.verification.simulation import HOLD, Execution, execute
 
 needs_mujoco = pytest.mark.skipif(
     importlib.util.find_spec("mujoco") is None, reason="MuJoCo is not installed: pip install 'hplan[execution]'"

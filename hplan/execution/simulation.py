@@ -25,29 +25,20 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from types import ModuleType
-from typing import Any
 
 import numpy as np
-import pinocchio as pin
 
 from hplan.base import ties
 from hplan.base.arguments import instance
 from hplan.base.arrays import FloatArray, Record, readonly
 from hplan.collision.coal_scene import CoalScene, Contact
 from hplan.errors import InputError, OptionError
+from hplan.execution.plant import Plant
+from hplan.execution.recorded_motion import Movement
+from hplan.execution.simulated_arm import CONTROL_PERIOD, SimulatedArm, Touch
 from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel
 from hplan.scene.model import Scene
-from hplan.verification.mujoco_model import import_mujoco, mujoco_model
-from hplan.verification.plant import Plant
-from hplan.verification.recorded_motion import Movement
-
-#: Period of the controller [s].
-CONTROL_PERIOD = 1e-3
-
-#: Steps of the simulation for each of the controller's.
-SUBSTEPS = 4
 
 #: How long the last row is held [s].
 HOLD = 0.25
@@ -57,23 +48,6 @@ GOAL_TOLERANCE = math.radians(0.5)
 
 #: Rows at which inertias are looked at for the gains.
 _INERTIA_SAMPLES = 50
-
-
-@dataclass(frozen=True)
-class Touch:
-    """Contact of a link and an obstacle in a simulation.
-
-    Attributes:
-        time_s: When they first did [s].
-        link: The link, by its name in the URDF.
-        obstacle: The obstacle.
-        depth_m: Largest depth to which one was pushed into the other [m].
-    """
-
-    time_s: float
-    link: str
-    obstacle: str
-    depth_m: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,13 +131,10 @@ def execute(robot: Robot, scene: Scene, motion: Movement, plant: Plant | None = 
     instance("scene", scene, Scene, "load_scene")
     if not all(hasattr(motion, name) for name in ("joint_names", "time", "position", "velocity")):
         raise OptionError("motion", motion, "a Trajectory, as from plan, or a Motion, as from read_motion")
-    mujoco = import_mujoco()
     reference = _Reference.of(robot, motion)
     start, goal = (_joints(robot, scene, which, reference.position[-1]) for which in ("start", "goal"))
-    goal = reference.position[-1] if goal is None else goal
-    model, obstacle_of = mujoco_model(mujoco, robot, scene, timestep_s=CONTROL_PERIOD / SUBSTEPS)
-    plant = Plant() if plant is None else plant
-    return _Simulation(mujoco, robot, model, obstacle_of, reference, plant).run(scene, start, goal)
+    arm = SimulatedArm(robot, scene, plant)
+    return _executed(arm, reference, scene, start, reference.position[-1] if goal is None else goal)
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,114 +184,67 @@ class _Reference:
         return np.where(over, self.position[-1], q), np.where(over, 0.0, v), np.where(over, 0.0, a)
 
 
-class _Simulation:
-    """One arm in one world, about to run one motion."""
+def _executed(
+    arm: SimulatedArm, reference: _Reference, scene: Scene, start: FloatArray | None, goal: FloatArray
+) -> Execution:
+    """Track the reference and hold its end."""
+    robot, plant = arm.robot, arm.plant
+    duration = float(reference.time[-1])
+    ticks = math.ceil(duration / CONTROL_PERIOD - 1e-9) + math.ceil(HOLD / CONTROL_PERIOD)
+    clock: FloatArray = CONTROL_PERIOD * np.arange(ticks + 1, dtype=np.float64)
+    q_ref, v_ref, _ = reference.at(clock)
+    # What the controller follows comes late; before it comes the arm is held, or goes on, as it begins.
+    late = clock - plant.command_delay_s
+    q_late, v_late, a_late = reference.at(np.maximum(late, 0.0))
+    q_late = q_late + np.minimum(late, 0.0)[:, None] * v_late
+    a_late[late < 0.0] = 0.0
+    feed = np.array([arm.feed_forward(*row) for row in zip(q_late, v_late, a_late, strict=True)])
+    stiffness, damping = _gains(arm, q_ref)
+    arm.place(q_ref[0], v_ref[0])
+    position = np.full_like(q_ref, np.nan)
+    torque = np.zeros_like(q_ref)
+    for k in range(len(clock)):
+        if not arm.is_finite:
+            break
+        position[k] = arm.position
+        if k == ticks:
+            break
+        if plant.decoupled:
+            torque[k] = feed[k] + arm.feedback(q_late[k], v_late[k])
+        else:
+            torque[k] = feed[k] + stiffness * (q_late[k] - position[k]) + damping * (v_late[k] - arm.velocity)
+        arm.advance(torque[k])
+    # A simulation that ran away counts as infinitely far off.
+    error = np.nan_to_num(np.abs(position - q_ref), nan=np.inf).max(axis=0)
+    resting = clock >= duration - 1e-9
+    final = np.nan_to_num(np.abs(position[resting] - goal), nan=np.inf).max(axis=0)
+    limit = robot.torque_limit
+    return Execution(
+        joint_names=robot.joint_names,
+        duration_s=duration,
+        contacts=arm.contacts,
+        start_error_rad=math.nan if start is None else float(np.abs(q_ref[0] - start).max()),
+        max_tracking_error_rad=tuple(error.tolist()),
+        final_error_rad=tuple(final.tolist()),
+        ended_at_goal=bool((final <= GOAL_TOLERANCE).all()),
+        needed_torque_nm=tuple(np.abs(feed).max(axis=0).tolist()),
+        peak_torque_nm=tuple(np.abs(torque).max(axis=0).tolist()),
+        torque_limit_nm=tuple(limit.tolist()),
+        saturated_s=float((np.abs(torque) > limit).any(axis=1).sum() * CONTROL_PERIOD),
+        nearest=_nearest(robot, scene, position),
+        time=readonly(clock),
+        position=readonly(position),
+        reference=readonly(q_ref),
+        reference_velocity=readonly(v_ref),
+    )
 
-    def __init__(
-        self,
-        mujoco: ModuleType,
-        robot: Robot,
-        model: Any,
-        obstacle_of: dict[int, str],
-        reference: _Reference,
-        plant: Plant,
-    ) -> None:
-        self.mujoco, self.robot, self.model, self.obstacle_of = mujoco, robot, model, obstacle_of
-        self.reference, self.plant = reference, plant
-        self.pin_data = robot.model.createData()
-        model.body_mass[:] *= plant.mass_factor
-        model.body_inertia[:] *= plant.mass_factor
-        self.data = mujoco.MjData(model)
-        joints = [model.joint(name) for name in robot.joint_names]
-        self.q_at = np.array([int(joint.qposadr[0]) for joint in joints])
-        self.v_at = np.array([int(joint.dofadr[0]) for joint in joints])
-        self.motors = np.array([model.actuator(name).id for name in robot.joint_names])
-        self.touched: dict[tuple[str, str], tuple[float, float]] = {}
 
-    def run(self, scene: Scene, start: FloatArray | None, goal: FloatArray) -> Execution:
-        """Track the reference and hold its end."""
-        duration = float(self.reference.time[-1])
-        ticks = math.ceil(duration / CONTROL_PERIOD - 1e-9) + math.ceil(HOLD / CONTROL_PERIOD)
-        clock: FloatArray = CONTROL_PERIOD * np.arange(ticks + 1, dtype=np.float64)
-        q_ref, v_ref, _ = self.reference.at(clock)
-        # What the controller follows comes late; before it comes the arm is held, or goes on, as it begins.
-        late = clock - self.plant.command_delay_s
-        q_late, v_late, a_late = self.reference.at(np.maximum(late, 0.0))
-        q_late = q_late + np.minimum(late, 0.0)[:, None] * v_late
-        a_late[late < 0.0] = 0.0
-        rows = zip(q_late, v_late, a_late, strict=True)
-        feed = np.array([pin.rnea(self.robot.model, self.pin_data, *row) for row in rows])
-        stiffness, damping = self._gains(q_ref)
-        limit = self.robot.torque_limit
-        self.data.qpos[self.q_at] = q_ref[0]
-        self.data.qvel[self.v_at] = v_ref[0]
-        self.mujoco.mj_forward(self.model, self.data)
-        self._note_contacts()
-        position = np.full_like(q_ref, np.nan)
-        torque = np.zeros_like(q_ref)
-        for k in range(len(clock)):
-            q, v = self.data.qpos[self.q_at], self.data.qvel[self.v_at]
-            if not (np.isfinite(q).all() and np.isfinite(v).all()):
-                break
-            position[k] = q
-            if k == ticks:
-                break
-            if self.plant.decoupled:
-                error = self.plant.bandwidth * (q_late[k] - q) + 2.0 * (v_late[k] - v)
-                torque[k] = feed[k] + self._inertia(q_late[k]) @ (self.plant.bandwidth * error)
-            else:
-                torque[k] = feed[k] + stiffness * (q_late[k] - q) + damping * (v_late[k] - v)
-            self.data.ctrl[self.motors] = np.clip(torque[k], -limit, limit)
-            for _ in range(SUBSTEPS):
-                self.mujoco.mj_step(self.model, self.data)
-                self._note_contacts()
-        # A simulation that ran away counts as infinitely far off.
-        error = np.nan_to_num(np.abs(position - q_ref), nan=np.inf).max(axis=0)
-        resting = clock >= duration - 1e-9
-        final = np.nan_to_num(np.abs(position[resting] - goal), nan=np.inf).max(axis=0)
-        contacts = [Touch(time, *pair, depth) for pair, (time, depth) in self.touched.items()]
-        return Execution(
-            joint_names=self.robot.joint_names,
-            duration_s=duration,
-            contacts=tuple(contacts),
-            start_error_rad=math.nan if start is None else float(np.abs(q_ref[0] - start).max()),
-            max_tracking_error_rad=tuple(error.tolist()),
-            final_error_rad=tuple(final.tolist()),
-            ended_at_goal=bool((final <= GOAL_TOLERANCE).all()),
-            needed_torque_nm=tuple(np.abs(feed).max(axis=0).tolist()),
-            peak_torque_nm=tuple(np.abs(torque).max(axis=0).tolist()),
-            torque_limit_nm=tuple(limit.tolist()),
-            saturated_s=float((np.abs(torque) > limit).any(axis=1).sum() * CONTROL_PERIOD),
-            nearest=_nearest(self.robot, scene, position),
-            time=readonly(clock),
-            position=readonly(position),
-            reference=readonly(q_ref),
-            reference_velocity=readonly(v_ref),
-        )
-
-    def _gains(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Stiffness [N m/rad] and damping [N m s/rad] of each joint."""
-        rows = np.unique(np.linspace(0, len(q) - 1, _INERTIA_SAMPLES).astype(np.int64))
-        inertia = np.max([np.diag(self._inertia(q[row])) for row in rows], axis=0)
-        bandwidth = self.plant.bandwidth
-        return bandwidth**2 * inertia, 2.0 * bandwidth * inertia
-
-    def _inertia(self, q: FloatArray) -> FloatArray:
-        """(dof, dof) inertia matrix that the controller knows, symmetric."""
-        upper = np.triu(pin.crba(self.robot.model, self.pin_data, q))
-        return np.asarray(upper + np.triu(upper, 1).T)
-
-    def _note_contacts(self) -> None:
-        """Keep the first time and the largest depth of each pair that touches now."""
-        for number in range(self.data.ncon):
-            contact = self.data.contact[number]
-            geoms = [int(geom) for geom in contact.geom]
-            obstacle = next(self.obstacle_of[geom] for geom in geoms if geom in self.obstacle_of)
-            other = next(geom for geom in geoms if geom not in self.obstacle_of)
-            link = self.model.body(self.model.geom_bodyid[other]).name
-            depth = max(0.0, -float(contact.dist))
-            time, deepest = self.touched.get((link, obstacle), (float(self.data.time), 0.0))
-            self.touched[link, obstacle] = (time, max(deepest, depth))
+def _gains(arm: SimulatedArm, q: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Stiffness [N m/rad] and damping [N m s/rad] of each joint."""
+    rows = np.unique(np.linspace(0, len(q) - 1, _INERTIA_SAMPLES).astype(np.int64))
+    inertia = np.max([np.diag(arm.inertia(q[row])) for row in rows], axis=0)
+    bandwidth = arm.plant.bandwidth
+    return bandwidth**2 * inertia, 2.0 * bandwidth * inertia
 
 
 def _joints(robot: Robot, scene: Scene, which: str, end: FloatArray) -> FloatArray | None:

@@ -31,7 +31,7 @@ from hplan.robot.tracking import TrackingModel
 from hplan.robot_family.members import HARVESTER, ArmSpec, cross_check, write_robot
 from hplan.scene.file import dump_scene, parse_scene
 from hplan.scene.model import Fruit, Goal, Scene, Start
-from hplan.scene.obstacles import Box, Capsule, Mesh, PointCloud, Sphere
+from hplan.scene.obstacles import Box, Capsule, Cylinder, Mesh, PointCloud, Sphere
 from hplan.search import dense_search, reachable, slices_with_path, two_level_search
 from hplan.search.grid import Grid, Occupancy
 from hplan.tour.tour import TourOptions
@@ -97,6 +97,7 @@ def free() -> Occupancy:
 BALL: dict[str, Any] = {"name": "ball", "center": (0.0, 0.0, 0.0), "radius": 0.1}
 ROD: dict[str, Any] = {"name": "rod", "start": (0.0, 0.0, 0.0), "end": (0.0, 0.0, 1.0), "radius": 0.1}
 BOX: dict[str, Any] = {"name": "box", "center": (0.0, 0.0, 0.0), "size": (0.1, 0.1, 0.1)}
+CAN: dict[str, Any] = {"name": "can", "center": (0.0, 0.0, 0.0), "length": 0.2, "radius": 0.03}
 TETRA = ([(0.0, 0, 0), (1.0, 0, 0), (0, 1.0, 0), (0, 0, 1.0)], [(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)])
 SPEC = {name: getattr(HARVESTER, name) for name in HARVESTER.__dataclass_fields__}
 
@@ -121,6 +122,17 @@ CASES: dict[str, Case] = {
         Box,
         BOX,
         {"name": NO_NAME, "center": NO_VECTOR, "size": (*NO_VECTOR, (0.0, 1.0, 1.0)), "rpy_deg": NO_VECTOR[:-3]},
+    ),
+    "Cylinder": (
+        Cylinder,
+        CAN,
+        {
+            "name": NO_NAME,
+            "center": NO_VECTOR,
+            "length": NO_LENGTH,
+            "radius": NO_LENGTH,
+            "rpy_deg": NO_VECTOR[:-3],
+        },
     ),
     "Fruit": (Fruit, BALL, {"name": NO_NAME, "center": NO_VECTOR, "radius": NO_LENGTH}),
     "Mesh.of": (

@@ -13,7 +13,7 @@ from hplan.base.arrays import FloatArray, IntArray
 from hplan.robot.base_shapes import filled
 from hplan.robot.convex_shape import convex_shape
 from hplan.robot.model import Robot
-from hplan.scene.obstacles import Box, Capsule, Solid, Sphere
+from hplan.scene.obstacles import Box, Capsule, Cylinder, Solid, Sphere
 from hplan.scene.solids import Cloud, Hull
 
 #: Shape of the links: the planner's capsules, beams of the same half-widths, or the URDF's collision geometry.
@@ -78,6 +78,9 @@ def solid_shape(obstacle: Solid) -> pin.GeometryObject:
         start, end = np.array(obstacle.start), np.array(obstacle.end)
         placement = _along(start, end)
         shape = coal.Capsule(float(obstacle.radius), float(np.linalg.norm(end - start)))
+    elif isinstance(obstacle, Cylinder):
+        placement = pin.SE3(obstacle.rotation, np.array(obstacle.center))
+        shape = coal.Cylinder(float(obstacle.radius), float(obstacle.length))
     elif isinstance(obstacle, Box):
         placement = pin.SE3(obstacle.rotation, np.array(obstacle.center))
         shape = coal.Box(*(float(size) for size in obstacle.size))

@@ -21,7 +21,7 @@ from hplan.base.arrays import FloatArray, IntArray
 from hplan.robot.base_shapes import TURRET
 from hplan.robot.model import Robot
 from hplan.robot.self_contact import BaseBody, pair_sway, self_contact
-from hplan.scene.obstacles import Box, Capsule, Solid, Sphere
+from hplan.scene.obstacles import Box, Capsule, Cylinder, Solid, Sphere
 from hplan.scene.solids import Cloud, Hull, hull_of
 
 #: Kinds of rows. A node is an inner one of a cloud's tree, its leaves are lots of points; the row below a gate is for
@@ -108,10 +108,11 @@ def _rows(obstacle: Solid, clearance: float, offset: int) -> tuple[FloatArray, F
         first[KIND], first[SHAPE : SHAPE + 3] = BOX, 0.5 * np.array(obstacle.size)
         first[AXES : AXES + 9] = obstacle.rotation.T.ravel()  # rows: the box's axes in base_link
         centre, reach = obstacle.center, 0.5 * math.hypot(*obstacle.size)
-    elif isinstance(obstacle, Hull):
-        edges = np.column_stack([obstacle.edges, 0.5 * np.linalg.norm(obstacle.edges[:, 3:], axis=1)])
-        data = np.concatenate([obstacle.planes.ravel(), edges.ravel()])
-        first[KIND], first[FACETS], first[EDGES] = HULL, offset, offset + obstacle.planes.size
+    elif isinstance(obstacle, Hull | Cylinder):
+        flat = obstacle.prism if isinstance(obstacle, Cylinder) else obstacle
+        edges = np.column_stack([flat.edges, 0.5 * np.linalg.norm(flat.edges[:, 3:], axis=1)])
+        data = np.concatenate([flat.planes.ravel(), edges.ravel()])
+        first[KIND], first[FACETS], first[EDGES] = HULL, offset, offset + flat.planes.size
         first[EDGES_END] = offset + len(data)
         low, high = obstacle.core.min(axis=0), obstacle.core.max(axis=0)
         centre = tuple((0.5 * (low + high)).tolist())

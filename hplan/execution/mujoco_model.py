@@ -13,7 +13,7 @@ from hplan.base.arrays import FloatArray
 from hplan.errors import InputError, RobotFileError
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
-from hplan.scene.obstacles import Box, Capsule, Solid, Sphere
+from hplan.scene.obstacles import Box, Capsule, Cylinder, Solid, Sphere
 from hplan.scene.solids import CUBE_CORNERS, Cloud, Hull
 
 #: Most balls of a cloud that MuJoCo is given.
@@ -98,10 +98,13 @@ def _shapes(mujoco: ModuleType, spec: Any, obstacle: Solid, number: int) -> list
         turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), (end - start) / length)
         size, quat = [obstacle.radius, 0.5 * length, 0.0], [turn.w, turn.x, turn.y, turn.z]
         return [{"type": kinds.mjGEOM_CAPSULE, "pos": middle, "quat": quat, "size": size}]
-    if isinstance(obstacle, Box):
+    if isinstance(obstacle, Box | Cylinder):
         turn = pin.Quaternion(obstacle.rotation)
-        size, quat = [0.5 * side for side in obstacle.size], [turn.w, turn.x, turn.y, turn.z]
-        return [{"type": kinds.mjGEOM_BOX, "pos": obstacle.center, "quat": quat, "size": size}]
+        if isinstance(obstacle, Box):
+            kind, size = kinds.mjGEOM_BOX, [0.5 * side for side in obstacle.size]
+        else:
+            kind, size = kinds.mjGEOM_CYLINDER, [obstacle.radius, 0.5 * obstacle.length, 0.0]
+        return [{"type": kind, "pos": obstacle.center, "quat": [turn.w, turn.x, turn.y, turn.z], "size": size}]
     if isinstance(obstacle, Hull):
         name = f"obstacle:{number}"
         mesh = spec.add_mesh(name=name, uservert=_grown_vertices(obstacle).ravel())

@@ -21,6 +21,7 @@ from hplan.lower_bound.planar_search import PlanarSearch, Resolution, TimedGrid
 from hplan.problem.definition import Problem
 from hplan.problem.world import World
 from hplan.robot.limits import Limits
+from hplan.scene.obstacles import Cylinder
 from hplan.verification.certificate import LIMIT_TOLERANCE
 
 #: Samples of the grids on which the speed of each joint is followed in turn, and of those for the best of them. How the
@@ -168,9 +169,10 @@ def _planar(
 
 
 def _obstacles(world: World) -> ClearanceField:
-    """Obstacles with the clearance to keep, without tracking errors and the arm itself."""
+    """Obstacles with the clearance to keep, without tracking errors and the arm itself; none is too large."""
+    excess = np.array([solid.prism.excess if isinstance(solid, Cylinder) else 0.0 for solid in world.solids])
     field = ClearanceField.of(
-        world.robot, world.solids, clearance=world.clearance + world.growth, own_clearance=world.clearance
+        world.robot, world.solids, clearance=world.clearance + world.growth - excess, own_clearance=world.clearance
     )
     names = np.array([solid.name for solid in world.solids])
     if world.touched is not None:

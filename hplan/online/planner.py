@@ -19,7 +19,7 @@ from hplan.planning.task import PlanningCache
 from hplan.problem.options import PlanOptions
 from hplan.robot.model import Robot
 from hplan.scene.model import Goal, Scene, Start
-from hplan.scene.obstacles import Box, Capsule, Mesh, PointCloud, Sphere, Vector
+from hplan.scene.obstacles import Box, Capsule, Cylinder, Mesh, PointCloud, Sphere, Vector
 
 
 class Planner:
@@ -88,7 +88,7 @@ class Planner:
             self.last = plan_with(self._cache, self.scene, self.options, before=before)
             return self.last
 
-    def add(self, obstacle: Sphere | Capsule | Box | Mesh | PointCloud) -> None:
+    def add(self, obstacle: Sphere | Capsule | Cylinder | Box | Mesh | PointCloud) -> None:
         """Add an obstacle.
 
         Raises:
@@ -132,7 +132,7 @@ class Planner:
         with self._lock:
             self.scene = _changed(self.scene, changes)
 
-    def _change(self, obstacles: tuple[Sphere | Capsule | Box | Mesh | PointCloud, ...]) -> None:
+    def _change(self, obstacles: tuple[Sphere | Capsule | Cylinder | Box | Mesh | PointCloud, ...]) -> None:
         # The names were looked at, and the obstacles are checked: no need to check the scene again.
         self.scene = self.scene.model_copy(update={"obstacles": obstacles})
 
@@ -144,7 +144,7 @@ class Planner:
 
 
 _Model = TypeVar("_Model", bound=BaseModel)
-_KINDS = (Sphere, Capsule, Box, Mesh, PointCloud)
+_KINDS = (Sphere, Capsule, Cylinder, Box, Mesh, PointCloud)
 _VECTOR: TypeAdapter[Vector] = TypeAdapter(Vector, config=ConfigDict(allow_inf_nan=False, strict=True))
 
 

@@ -12,12 +12,13 @@ from hplan.base.lazy_import import lazy_names
 if TYPE_CHECKING:
     from hplan.scene.file import default_scene_path, dump_scene, load_scene, parse_scene, save_scene
     from hplan.scene.model import FORMAT, Fruit, Goal, Scene, Start
-    from hplan.scene.obstacles import Box, Capsule, Mesh, Obstacle, PointCloud, Sphere
+    from hplan.scene.obstacles import Box, Capsule, Cylinder, Mesh, Obstacle, PointCloud, Sphere
 
 __all__ = [
     "FORMAT",
     "Box",
     "Capsule",
+    "Cylinder",
     "Fruit",
     "Goal",
     "Mesh",
@@ -33,7 +34,7 @@ __all__ = [
     "save_scene",
 ]
 
-_OBSTACLES = ("Box", "Capsule", "Mesh", "Obstacle", "PointCloud", "Sphere")
+_OBSTACLES = ("Box", "Capsule", "Cylinder", "Mesh", "Obstacle", "PointCloud", "Sphere")
 _FILES = ("default_scene_path", "dump_scene", "load_scene", "parse_scene", "save_scene")
 
 __getattr__ = lazy_names(

@@ -19,7 +19,7 @@ else:
 _Part = TypeVar("_Part", bound=BaseModel)
 
 #: Steps that pydantic puts before the keys of an obstacle.
-_KINDS = ("sphere", "capsule", "box", "mesh", "points")
+_KINDS = ("sphere", "capsule", "cylinder", "box", "mesh", "points")
 
 
 class _SceneErrors(ModelMetaclass):
@@ -101,7 +101,7 @@ def plain_message(fault: Any, words: Mapping[str, str] = MappingProxyType({})) -
     if kind == "missing":
         return "too few values" if isinstance(fault["loc"][-1], int) else "this key is missing"
     if kind == "union_tag_not_found":
-        return "this key is missing: kind (sphere, capsule, box, mesh or points)"
+        return "this key is missing: kind (sphere, capsule, cylinder, box, mesh or points)"
     if kind == "union_tag_invalid":
         return f"kind is {fault['ctx']['tag']!r}, expected one of {fault['ctx']['expected_tags']}"
     if kind in ("model_type", "model_attributes_type", "dict_type"):

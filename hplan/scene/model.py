@@ -18,7 +18,20 @@ from hplan.base.data_files import shipped_robots
 from hplan.errors import SceneError
 from hplan.scene.fault import StrictModel, fault
 from hplan.scene.limits import FARTHEST_M, MOST_OBSTACLES
-from hplan.scene.obstacles import Box, Capsule, Mesh, Name, Obstacle, PointCloud, Sigma, Size, Solid, Sphere, Vector
+from hplan.scene.obstacles import (
+    Box,
+    Capsule,
+    Cylinder,
+    Mesh,
+    Name,
+    Obstacle,
+    PointCloud,
+    Sigma,
+    Size,
+    Solid,
+    Sphere,
+    Vector,
+)
 
 FORMAT: Final = "hplan-scene/1"
 
@@ -146,7 +159,7 @@ class Scene(StrictModel):
         balls = (Sphere(name=f.name, center=f.center, radius=f.radius, sigma=f.sigma) for f in self.fruits)
         return (*(solid for obstacle in self.obstacles for solid in obstacle.solids), *balls)
 
-    def with_obstacles(self, obstacles: Sequence[Sphere | Capsule | Box | Mesh | PointCloud]) -> Scene:
+    def with_obstacles(self, obstacles: Sequence[Sphere | Capsule | Cylinder | Box | Mesh | PointCloud]) -> Scene:
         """The same task among other obstacles."""
         return Scene.model_validate(
             {**{key: getattr(self, key) for key in type(self).model_fields}, "obstacles": tuple(obstacles)}

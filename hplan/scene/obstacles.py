@@ -1,4 +1,4 @@
-"""Obstacles of a scene: spheres, capsules, boxes, meshes and point clouds, and the convex solids that they become.
+"""Obstacles of a scene: spheres, capsules, cylinders, boxes, meshes, point clouds, and the convex solids they become.
 
 Positions are in `base_link`, z up, in metres. The classes are the scene file's schema too (`hplan.scene.file`).
 """
@@ -19,6 +19,7 @@ from hplan.base.arrays import FloatArray, IntArray, readonly
 from hplan.errors import SceneError
 from hplan.scene.fault import StrictModel, fault, validated
 from hplan.scene.limits import FARTHEST_M, MOST_SHAPE_BYTES, ByteBudget
+from hplan.scene.prism import Prism, prism
 from hplan.scene.solids import CUBE_CORNERS, Cloud, Hull, rpy_rotation
 
 if TYPE_CHECKING:
@@ -55,7 +56,7 @@ class _Convex(_Obstacle):
     @property
     def solids(self) -> tuple[Solid, ...]:
         """The obstacle itself: it is convex."""
-        return (self,)  # type: ignore[return-value]  # one of the three below
+        return (self,)  # type: ignore[return-value]  # one of the four below
 
 
 class Sphere(_Convex):
@@ -97,6 +98,41 @@ class Capsule(_Convex):
     def rounding(self) -> float:
         """Radius about the core [m]."""
         return self.radius
+
+
+class Cylinder(_Convex):
+    """A cylinder, flat at both ends, turned by roll, pitch and yaw (fixed axes x, y, z); unturned it stands on z.
+
+    The certificate and MuJoCo take it as it is, kernels and sections the prism about it (`hplan.scene.prism`).
+    """
+
+    kind: Literal["cylinder"] = "cylinder"
+    name: Name
+    center: Vector
+    length: Size
+    radius: Size
+    rpy_deg: Angles = (0.0, 0.0, 0.0)
+    sigma: Sigma = 0.0
+
+    @property
+    def rotation(self) -> FloatArray:
+        """(3, 3) rotation from the cylinder's frame to `base_link`."""
+        return rpy_rotation(*map(math.radians, self.rpy_deg))
+
+    @property
+    def prism(self) -> Prism:
+        """The prism about it."""
+        return prism(self.center, self.rpy_deg, self.length, self.radius)
+
+    @property
+    def core(self) -> FloatArray:
+        """(k, 3) corners of the prism about it; the obstacle lies in their hull."""
+        return self.prism.corners
+
+    @property
+    def rounding(self) -> float:
+        """Radius about the core [m]."""
+        return 0.0
 
 
 class Box(_Convex):
@@ -320,8 +356,8 @@ def _shape_data(
 
 
 #: A body that the planner keeps clear of: the hull of `core` grown by `rounding`; of a point set a ball about each
-#: core point.
-Solid: TypeAlias = Sphere | Capsule | Box | Hull | Cloud
+#: core point; of a cylinder the hull holds it.
+Solid: TypeAlias = Sphere | Capsule | Cylinder | Box | Hull | Cloud
 
 #: An obstacle as a scene lists it.
-Obstacle: TypeAlias = Annotated[Sphere | Capsule | Box | Mesh | PointCloud, Field(discriminator="kind")]
+Obstacle: TypeAlias = Annotated[Sphere | Capsule | Cylinder | Box | Mesh | PointCloud, Field(discriminator="kind")]

@@ -18,7 +18,7 @@ import numpy as np
 from hplan.base.arrays import FloatArray
 from hplan.errors import InputError
 from hplan.scene.model import Fruit, Scene
-from hplan.scene.obstacles import Box, Capsule, Mesh, PointCloud, Sphere
+from hplan.scene.obstacles import Box, Capsule, Cylinder, Mesh, PointCloud, Sphere
 from hplan.view import three_js as three
 from hplan.view.commands import ROOT, clip, moving, node, set_object, set_property, set_transform, showing
 from hplan.view.framing import FIELD_OF_VIEW_DEG
@@ -103,11 +103,14 @@ def _surface(look: Look) -> Json:
     return three.material(look.color, opacity=look.opacity, roughness=0.55 if look in (OTHER, METAL) else 0.85)
 
 
-def _add(body: Body, item: Sphere | Box | Mesh | PointCloud, look: Look) -> None:
+def _add(body: Body, item: Sphere | Cylinder | Box | Mesh | PointCloud, look: Look) -> None:
     surface = _surface(look)
     match item:
         case Sphere():
             body.add(three.sphere(item.radius), surface, three.transform(position=item.center), name=item.name)
+        case Cylinder():
+            place = three.transform(item.rotation, item.center) @ three.Z_UP
+            body.add(three.cylinder(item.radius, item.length), surface, place, name=item.name)
         case Box():
             body.add(three.box(item.size), surface, three.transform(item.rotation, item.center), name=item.name)
         case Mesh():

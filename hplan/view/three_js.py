@@ -168,8 +168,8 @@ class Body:
         return str(table[-1]["uuid"])
 
 
-# three.js's cylinders and hemispheres stand on y; ours on z.
-_Z_UP = transform(np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]))
+#: three.js's cylinders and hemispheres stand on y; ours on z.
+Z_UP = transform(np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]))
 
 
 def box(size: Sequence[float] | NDArray[np.float64]) -> Json:
@@ -366,9 +366,9 @@ def add_shape(
     elif isinstance(shape, coal.Sphere):
         add(sphere(shape.radius))
     elif isinstance(shape, coal.Cylinder):
-        add(cylinder(shape.radius, 2.0 * shape.halfLength), _Z_UP)
+        add(cylinder(shape.radius, 2.0 * shape.halfLength), Z_UP)
     elif isinstance(shape, coal.Capsule):
-        add(cylinder(shape.radius, 2.0 * shape.halfLength, open_ended=True), _Z_UP)
+        add(cylinder(shape.radius, 2.0 * shape.halfLength, open_ended=True), Z_UP)
         for side in (-1.0, 1.0):
             add(sphere(shape.radius), transform(position=[0.0, 0.0, side * shape.halfLength]))
     elif isinstance(shape, coal.BVHModelBase):

@@ -13,7 +13,7 @@ from shapes import torus
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.clearance_kernels import motion_bounds, segment_is_clear
 from hplan.collision.coal_scene import CoalScene
-from hplan.scene.obstacles import Box, Capsule, Mesh, PointCloud, Sphere
+from hplan.scene.obstacles import Box, Capsule, Cylinder, Mesh, PointCloud, Sphere
 from hplan.scene.solids import Cloud, hull_of
 
 #: Where signed distances are this near to zero, either side may call it contact [m].
@@ -152,6 +152,25 @@ def test_meshes_and_points_of_a_scene(robot, scene):
     path = np.array([[0, 0, 0, 0], [0, 1.0, 0, 0]])
     assert not field.is_clear(path, 1e-3)
     assert ClearanceField.of(robot, canopy.solids).is_clear(path * 0.1, 1e-3)
+
+
+def test_cylinders_from_outside(robot):
+    """Of a cylinder the kernels see the prism about it: never farther than it is, nor much nearer."""
+    rng, excess = np.random.default_rng(8), []
+    for _ in range(40):
+        center = tuple(rng.uniform([0.2, -0.6, 0.2], [1.8, 0.6, 1.8]))
+        length, radius = np.exp(rng.uniform(np.log(0.02), np.log(0.4), 2))
+        rpy = tuple(rng.choice([0.0, 90.0, 33.0], 3))
+        can = Cylinder(name="can", center=center, length=length, radius=radius, rpy_deg=rpy)
+        field, checker = ClearanceField.of(robot, can.solids), CoalScene(robot, can.solids)
+        for q in rng.uniform(robot.lower, robot.upper, (20, 4)):
+            true, found = checker.distances(q)[:, 0], field.link_clearances(q)
+            apart = true > 1e-3
+            assert (found[apart] <= true[apart] + 1e-9).all()
+            assert (found[apart] >= true[apart] - can.prism.excess - 1e-5).all()
+            assert (found[true < 0.0] < can.prism.excess).all()
+            excess += [*(true - found)[apart] / can.prism.excess]
+    assert max(excess) > 0.9
 
 
 def test_links_in_line_with_and_across_obstacles(robot):

@@ -7,11 +7,11 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from hplan.collision.coal_accuracy import ITERATION, PARALLEL, SIZE, distance_errors
+from hplan.collision.coal_accuracy import CURVED, ITERATION, PARALLEL, SIZE, distance_errors
 from hplan.collision.coal_scene import CoalScene
 from hplan.collision.coal_shapes import solid_shape
 from hplan.scene.model import Goal, Scene, Start
-from hplan.scene.obstacles import Box, Capsule, Sphere
+from hplan.scene.obstacles import Box, Capsule, Cylinder, Sphere
 from hplan.timing.trajectory import Trajectory
 from hplan.verification.certificate import certify
 
@@ -83,6 +83,56 @@ def test_capsules_above_large_boxes(size):
         )  # fmt: skip
         if size >= 10.0 or abs(along[2]) > 0.9:
             assert found - gap <= allowed
+
+
+def from_cylinder(points, cylinder):
+    """Distances of (k, 3) points from a cylinder that stands on z at the origin."""
+    beyond = np.abs(points[:, 2]) - 0.5 * cylinder.length
+    outside = np.hypot(points[:, 0], points[:, 1]) - cylinder.radius
+    return np.hypot(np.maximum(beyond, 0.0), np.maximum(outside, 0.0))
+
+
+def least_along(start, end, cylinder):
+    """Distance of a segment from it, a convex function along the segment, by ever finer rasters."""
+    low, high = 0.0, 1.0
+    for _ in range(12):
+        share = np.linspace(low, high, 33)
+        apart = from_cylinder(start + share[:, None] * (end - start), cylinder)
+        at = int(apart.argmin())
+        low, high = share[max(at - 1, 0)], share[min(at + 1, 32)]
+    return apart.min()
+
+
+@pytest.mark.parametrize("farthest", [0.05, 10.0])
+@pytest.mark.parametrize("sizes", [(0.003, 0.5), (1.0, 100.0)])
+def test_capsules_about_cylinders(sizes, farthest):
+    rng, over = np.random.default_rng(6), []
+    for _ in range(300):
+        length, radius = np.exp(rng.uniform(*np.log(sizes), 2))
+        can = Cylinder(name="c", center=(0.0, 0.0, 0.0), length=length, radius=radius)
+        placed, reach = solid_shape(can).geometry, rng.uniform(0.05, 1.5)
+        allowed = distance_errors([capsule_object(0.05, reach)], [can], [])[0]
+        along, away = rng.normal(size=(2, 3)) * [1.0, 1.0, rng.choice([0.0, 1.0])]
+        along, away = (ray / np.linalg.norm(ray) for ray in (along, away))
+        shares = rng.permutation([1.0, rng.random(), 1.0])[:2]  # on the side, an end, or the rim between them
+        aside = shares[0] * radius * away[:2] / np.linalg.norm(away[:2])
+        start = np.append(aside, np.copysign(shares[1] * 0.5 * length, away[2])) + away * (
+            0.05 + farthest * rng.random()
+        )
+        end = start + along * reach
+        expected = least_along(start, end, can) - 0.05
+        found = coal.distance(
+            coal.Capsule(0.05, reach), coal.Transform3s(turned(along, rng), 0.5 * (start + end)),
+            placed, coal.Transform3s(np.eye(3), np.zeros(3)), coal.DistanceRequest(), coal.DistanceResult(),
+        )  # fmt: skip
+        if expected > 0.0:
+            assert found - expected <= allowed
+            over.append(found - expected)
+        else:
+            assert found <= 1e-6
+    assert len(over) > 100
+    # What is allowed for is needed, far away.
+    assert max(over) > (0.0 if farthest < 1.0 else 0.3 * CURVED)
 
 
 def test_one_for_each_pair(robot):

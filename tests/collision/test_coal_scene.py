@@ -22,7 +22,7 @@ from hplan.errors import ConfigurationInCollisionError, OptionError
 from hplan.robot.convex_shape import convex_hull_shape
 from hplan.robot.model import load_robot
 from hplan.robot_family import HARVESTER, write_robot
-from hplan.scene.obstacles import Box, Capsule, Mesh, Sphere
+from hplan.scene.obstacles import Box, Capsule, Cylinder, Mesh, Sphere
 from hplan.scene.solids import Cloud, hull_of
 
 FLAT = np.zeros(4)
@@ -77,6 +77,10 @@ def test_distances_to_all_kinds(robot):
         (Box(name="o", center=(0.5, 0, 1.0), size=(0.2, 0.2, 0.2), rpy_deg=(0, 45, 0)), [0.35 - 0.1 * 2**0.5]),
         (Box(name="o", center=(0.5, 0, 1.0), size=(0.2, 0.6, 0.2), rpy_deg=(90, 0, 0)), [0.35 - 0.3]),
         (Box(name="o", center=(1.6, 1.0, 0.6), size=(0.2, 0.4, 0.2), rpy_deg=(0, 0, 90)), [0.0, 0.86]),
+        (Cylinder(name="o", center=(0.5, 0, 1.0), length=0.2, radius=0.1), [0.25, 0.0, 0.0]),
+        (Cylinder(name="o", center=(0.5, 0, 1.0), length=0.6, radius=0.1), [0.05, 0.0, 0.0]),
+        (Cylinder(name="o", center=(0.5, 0, 1.0), length=0.6, radius=0.1, rpy_deg=(0, 90, 0)), [0.25, 0.0, 0.0]),
+        (Cylinder(name="o", center=(1.6, 1.0, 0.6), length=0.2, radius=0.2, rpy_deg=(90, 0, 0)), [0.0, 0.86]),
         (Capsule(name="o", start=(2.7, 0, 0.6), end=(2.3, 0.0, 0.6), radius=0.02), [0.0, 0.0, 0.05]),
     ],
 )  # fmt: skip

@@ -20,7 +20,7 @@ from hplan.cspace.prepared_obstacles import prepare_obstacles
 from hplan.cspace.section_kernels import cut_balls, cut_hulls
 from hplan.cspace.sections import LINK_MODELS, MAX_HALF_ANGLE, SECTION_ERROR, only, sections_at
 from hplan.errors import InputError, OptionError
-from hplan.scene.obstacles import Box, Capsule, Sphere
+from hplan.scene.obstacles import Box, Capsule, Cylinder, Sphere
 
 #: The plane of x and z at yaw 0, as a robot on a yaw has it: horizontal axis, upward axis, normal.
 UPRIGHT = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
@@ -440,7 +440,7 @@ def test_part_far_from_the_plane_does_not_loosen():
 # Sections for an arm
 
 
-KINDS = ("sphere", "capsule", "box")
+KINDS = ("sphere", "capsule", "cylinder", "box")
 
 
 def random_solid(kind, rng, yaw=0.0):
@@ -453,6 +453,9 @@ def random_solid(kind, rng, yaw=0.0):
     if kind == "capsule":
         end = tuple(turned @ (place + rng.normal(0.0, 0.5, 3) * rng.choice([0.02, 1.0], 3)))
         return Capsule(name="branch", start=center, end=end, radius=rng.uniform(0.005, 0.1))
+    if kind == "cylinder":
+        length, radius, rpy = rng.uniform(0.02, 0.6), rng.uniform(0.01, 0.3), tuple(rng.uniform(-180.0, 180.0, 3))
+        return Cylinder(name="can", center=center, length=length, radius=radius, rpy_deg=rpy)
     size, rpy = tuple(rng.uniform(0.02, 0.6, 3)), tuple(rng.uniform(-180.0, 180.0, 3))
     return Box(name="crate", center=center, size=size, rpy_deg=rpy)
 
@@ -464,6 +467,9 @@ def coal_model(robot, obstacle):
         shape, rotation, centre = coal.Sphere(obstacle.radius), np.eye(3), obstacle.center
     elif isinstance(obstacle, Box):
         shape, rotation, centre = coal.Box(*obstacle.size), obstacle.rotation, obstacle.center
+    elif isinstance(obstacle, Cylinder):
+        shape = coal.Cylinder(obstacle.radius, obstacle.length)
+        rotation, centre = obstacle.rotation, obstacle.center
     else:
         axis = np.subtract(obstacle.end, obstacle.start)
         shape = coal.Capsule(obstacle.radius, float(np.linalg.norm(axis)))
@@ -637,7 +643,7 @@ def test_loose_points_are_balls(robot, half_angle, link_model):
 def test_each_obstacle_keeps_its_own_clearance(robot):
     rng = np.random.default_rng(29)
     obstacles = [random_solid(kind, rng) for kind in KINDS]
-    margins = np.array([0.0, 0.03, 0.01])
+    margins = np.array([0.0, 0.03, 0.01, 0.02])
     together = arm_sections(robot, obstacles, clearance=margins)
     for index, margin in enumerate(margins):
         alone = arm_sections(robot, obstacles[index : index + 1], clearance=margin)

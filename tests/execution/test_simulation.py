@@ -23,7 +23,7 @@ from hplan.planning.plan import PlanResult, plan
 from hplan.robot.model import Robot, load_robot
 from hplan.robot_family.members import ArmSpec, write_robot
 from hplan.scene.model import Goal, Scene, Start
-from hplan.scene.obstacles import Box, Capsule, Mesh, PointCloud, Sphere
+from hplan.scene.obstacles import Box, Capsule, Cylinder, Mesh, PointCloud, Sphere
 from hplan.timing.trajectory import Trajectory, write_csv
 
 needs_mujoco = pytest.mark.skipif(
@@ -212,6 +212,7 @@ def test_ending_elsewhere_or_moving(robot: Robot, scene: Scene) -> None:
         Capsule(name="it", start=(1.9, -0.5, 0.4), end=(1.9, 0.5, 0.7), radius=0.05),
         Capsule(name="it", start=(1.9, 0.0, 0.6), end=(1.9, 0.0, 0.6), radius=0.05),
         Box(name="it", center=(1.9, 0.0, 0.6), size=(0.1, 0.4, 0.02), rpy_deg=(20.0, 40.0, 70.0)),
+        Cylinder(name="it", center=(1.9, 0.0, 0.6), length=0.3, radius=0.08, rpy_deg=(20.0, 40.0, 70.0)),
         Mesh.of("it", *torus(0.2, 0.03, 12), position=(1.9, 0.0, 0.6), rpy_deg=(90.0, 0.0, 20.0)),
         PointCloud.of("it", np.random.default_rng(0).uniform(-0.1, 0.1, (40, 3)), 0.02, position=(1.9, 0.0, 0.6)),
     ],

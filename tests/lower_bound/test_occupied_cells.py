@@ -15,7 +15,7 @@ from hplan.problem.definition import check_problem
 from hplan.problem.options import PlanOptions
 from hplan.robot.limits import Limits
 from hplan.robot.model import Robot
-from hplan.scene.obstacles import Box, Capsule, Sphere
+from hplan.scene.obstacles import Box, Capsule, Cylinder, Sphere
 
 
 def bits(search: PlanarSearch) -> BoolArray:
@@ -35,6 +35,7 @@ def configurations(search: PlanarSearch, joints: list[int], cells: FloatArray) -
 OBSTACLES = {
     "sphere": Sphere(name="a", center=(1.0, 0.0, 1.9), radius=0.15),
     "capsule": Capsule(name="a", start=(0.9, -0.5, 1.5), end=(1.2, 0.6, 1.9), radius=0.06),
+    "cylinder": Cylinder(name="a", center=(1.1, 0.0, 1.7), length=0.3, radius=0.1, rpy_deg=(20.0, 40.0, 0.0)),
     "box": Box(name="a", center=(1.2, 0.0, 1.6), size=(0.3, 0.4, 0.2), rpy_deg=(10.0, 20.0, 30.0)),
 }
 

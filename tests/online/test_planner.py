@@ -344,7 +344,7 @@ def test_values_that_cannot_be(robot: Robot, changes: dict[str, Any], message: s
     "item", [None, "post", {"kind": "sphere"}, Fruit(name="f", center=(1.0, 0.0, 2.0), radius=0.1)]
 )
 def test_only_obstacles_can_be_added(robot: Robot, item: Any) -> None:
-    with pytest.raises(InputError, match="expected one of Sphere, Capsule, Box, Mesh, PointCloud, got"):
+    with pytest.raises(InputError, match="expected one of Sphere, Capsule, Cylinder, Box, Mesh, PointCloud, got"):
         planner_for(robot).add(item)
 
 

@@ -13,7 +13,7 @@ from hplan.errors import OutputError, SceneError
 from hplan.scene.file import default_scene_path, dump_scene, load_scene, parse_scene, save_scene
 from hplan.scene.limits import FARTHEST_M
 from hplan.scene.model import Fruit, Goal, Scene, Start
-from hplan.scene.obstacles import Box, Capsule, Sphere
+from hplan.scene.obstacles import Box, Capsule, Cylinder, Sphere
 from hplan.verification.digests import scene_digest
 
 HEAD = """\
@@ -67,6 +67,7 @@ clearance: 0.01
 obstacles:
   - {name: ball, kind: sphere, center: [1.0, 0.0, 1.9], radius: 0.15}
   - {name: branch, kind: capsule, from: [0, 0, 0], to: [0, 0, 1], radius: 0.02}
+  - {name: can, kind: cylinder, center: [0, 1, 2], length: 0.14, radius: 0.03, rpy_deg: [0, 90, 0]}
   - name: post
     kind: box
     center: [0, 0, 1]
@@ -84,6 +85,7 @@ fruits:
         obstacles=(
             Sphere(name="ball", center=(1.0, 0.0, 1.9), radius=0.15),
             Capsule(name="branch", start=(0.0, 0.0, 0.0), end=(0.0, 0.0, 1.0), radius=0.02),
+            Cylinder(name="can", center=(0.0, 1.0, 2.0), length=0.14, radius=0.03, rpy_deg=(0.0, 90.0, 0.0)),
             Box(name="post", center=(0.0, 0.0, 1.0), size=(0.1, 0.1, 2.0), rpy_deg=(0.0, 0.0, 30.0)),
         ),
         fruits=(Fruit(name="f1", center=(1.2, 0.3, 1.4), radius=0.04),),
@@ -300,13 +302,13 @@ BAD_CONTENT = {
         obstacle("name: b, radius: 1"),
         7,
         "obstacles[1]",
-        "missing: kind (sphere, capsule, box, mesh or points)",
+        "missing: kind (sphere, capsule, cylinder, box, mesh or points)",
     ),
     "unknown kind": (
         obstacle("name: b, kind: cone"),
         7,
         "obstacles[1].kind",
-        "kind is 'cone', expected one of 'sphere', 'capsule', 'box'",
+        "kind is 'cone', expected one of 'sphere', 'capsule', 'cylinder', 'box'",
     ),
     "kind that is a list": (obstacle("name: b, kind: [1]"), 7, "obstacles[1].kind", "expected one of 'sphere'"),
     "empty name": (obstacle("name: '', kind: box"), 7, "obstacles[1].name", "at least 1 character"),

@@ -10,14 +10,14 @@ import pytest
 from hplan.errors import InputError
 from hplan.robot.model import Robot
 from hplan.scene.model import Fruit, Goal, Scene, Start
-from hplan.scene.obstacles import Box, Capsule
+from hplan.scene.obstacles import Box, Capsule, Cylinder
 from hplan.timing.trajectory import Trajectory
 from hplan.view import framing
 from hplan.view import three_js as three
 from hplan.view.page import render_page
 from hplan.view.playback import Playback
 from hplan.view.scene_stage import REST_S, stage
-from hplan.view.scenery import BULK, LEAVES, METAL, OTHER, WOOD, Look, look_of, picks
+from hplan.view.scenery import BULK, LEAVES, METAL, OTHER, WOOD, Look, look_of, obstacles, picks
 
 CAPSULES = (
     Capsule(name="tree 1 branch 1", start=(1.6, 0.5, 0.0), end=(1.2, 0.1, 1.4), radius=0.03),
@@ -241,3 +241,15 @@ def test_a_smooth_surface_has_outward_normals() -> None:
     normals = np.reshape(attributes["normal"]["array"], (-1, 3))
     out = vertices - 10.0
     assert (np.einsum("ij,ij->i", normals, out) > 0.95 * np.linalg.norm(out, axis=1)).all()
+
+
+def test_a_cylinder_lies_where_it_is() -> None:
+    """three.js has it along y: the matrix takes y to the cylinder's axis."""
+    can = Cylinder(name="can", center=(1.2, 0.1, 0.9), length=0.3, radius=0.05, rpy_deg=(0.0, 90.0, 30.0))
+    (command,) = obstacles(orchard(obstacles=(can,), goal=Goal(joints_deg=(0.0,) * 4)))
+    (geometry,) = command["object"]["geometries"]
+    assert (geometry["type"], geometry["height"], geometry["radiusTop"]) == ("CylinderGeometry", 0.3, 0.05)
+    (mesh,) = command["object"]["object"]["children"]
+    matrix = np.reshape(mesh["matrix"], (4, 4)).T
+    np.testing.assert_allclose(matrix[:3, 1], [math.cos(math.radians(30)), 0.5, 0.0], atol=1e-6)
+    np.testing.assert_allclose(matrix[:3, 3], can.center, atol=1e-6)

@@ -1,0 +1,75 @@
+"""Prisms about cylinders, by points of the cylinder and by the hull of their corners."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hplan.errors import SceneError
+from hplan.scene.model import Goal, Scene, Start
+from hplan.scene.obstacles import Cylinder
+from hplan.scene.prism import ERROR, FEWEST_SIDES, MOST_SIDES
+from hplan.scene.solids import hull_of
+
+ANGLES = st.floats(-360.0, 360.0)
+
+
+@settings(max_examples=40)
+@given(st.floats(1e-3, 5.0), st.floats(1e-4, 5.0), st.tuples(ANGLES, ANGLES, ANGLES))
+def test_a_prism_holds_its_cylinder_and_little_more(length, radius, rpy):
+    can = Cylinder(name="can", center=(1.0, -2.0, 3.0), length=length, radius=radius, rpy_deg=rpy)
+    found = can.prism
+    angles = np.linspace(0.0, 2.0 * np.pi, 721)
+    rim = radius * np.column_stack([np.cos(angles), np.sin(angles), np.zeros(721)])
+    ends = np.concatenate([rim + np.array([0.0, 0.0, side * 0.5 * length]) for side in (-1.0, 1.0)])
+    points = ends @ can.rotation.T + np.array(can.center)
+    heights = points @ found.planes[:, :3].T - found.planes[:, 3]
+    assert heights.max() <= 1e-12
+    assert heights.max(axis=0).min() >= -1e-4 * radius  # every facet touches it
+    local = (found.corners - can.center) @ can.rotation
+    np.testing.assert_allclose(np.hypot(local[:, 0], local[:, 1]), radius + found.excess, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(np.abs(local[:, 2]), 0.5 * length, rtol=1e-9, atol=1e-12)
+    sides = len(found.corners) // 2
+    assert FEWEST_SIDES <= sides <= MOST_SIDES
+    assert found.excess <= (ERROR if sides < MOST_SIDES else 1.3e-3 * radius)
+    assert can.solids == (can,)
+
+
+def test_facets_and_edges_are_those_of_the_hull():
+    can = Cylinder(name="can", center=(0.3, 0.2, 0.1), length=0.2, radius=0.03, rpy_deg=(10.0, 20.0, 30.0))
+    found, hull = can.prism, hull_of(can.core)
+
+    def rounded(rows):
+        return sorted(map(tuple, np.round(rows, 9) + 0.0))
+
+    assert rounded(found.planes) == rounded(hull.planes)
+    middles = [edges[:, :3] + 0.5 * edges[:, 3:] for edges in (found.edges, hull.edges)]
+    assert rounded(middles[0]) == rounded(middles[1])
+    assert not any(array.flags.writeable for array in (found.corners, found.planes, found.edges))
+    assert can.prism is found
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "match"),
+    [
+        ("radius", 0.0, "greater than 0"),
+        ("length", -1.0, "greater than 0"),
+        ("length", float("nan"), "finite"),
+        ("radius", 1e5, "less than or equal to 10000"),
+        ("center", (0.0, 0.0), "too few values"),
+        ("rpy_deg", (0.0, 0.0, float("inf")), "finite"),
+        ("height", 1.0, "unknown key"),
+    ],
+)
+def test_wrong_values(key, value, match):
+    good = {"name": "can", "center": (0.0, 0.0, 0.0), "length": 1.0, "radius": 0.1}
+    with pytest.raises(SceneError, match=match) as error:
+        Cylinder(**{**good, key: value})
+    assert error.value.where.startswith(key)
+    item = {**good, "kind": "cylinder", key: value}
+    rest = Start(joints_deg=(0.0,)), Goal(joints_deg=(0.0,))
+    with pytest.raises(SceneError, match=match) as error:
+        Scene.model_validate({"name": "s", "start": rest[0], "goal": rest[1], "obstacles": (item,)})
+    assert error.value.where.startswith(f"obstacles[0].{key}")

@@ -16,7 +16,7 @@ import numpy as np
 import pinocchio as pin
 
 from hplan.base.arrays import BoolArray
-from hplan.collision.coal_shapes import beyond_geometry, solid_shape
+from hplan.collision.coal_cloud import distance_from
 from hplan.robot.base_shapes import BASE_DEPTH, GROUND, TURRET, BaseShape, always, filled, turning_shapes
 from hplan.robot.model import Robot
 from hplan.robot.self_contact import SelfContact
@@ -109,10 +109,9 @@ def below(robot: Robot, shape: BaseShape, obstacles: Sequence[Solid]) -> BoolArr
     tops = np.array([float(obstacle.core[:, 2].max()) + obstacle.rounding for obstacle in obstacles])
     never: BoolArray = tops <= shape.bottom + _ROUNDING
     for number in np.flatnonzero(~never & (tops <= shape.bottom + BASE_DEPTH)).tolist():
-        body, beyond = solid_shape(obstacles[number]), beyond_geometry(obstacles[number])
 
-        def distance(yaw: float, body: pin.GeometryObject = body, beyond: float = beyond) -> float:
-            return shape.distance_to(yaw, body.geometry, body.placement) - beyond
+        def distance(yaw: float, obstacle: Solid = obstacles[number]) -> float:
+            return distance_from(obstacle, shape.geometry, shape.placed_at(yaw))
 
         low, high = float(robot.lower[0]), float(robot.upper[0])
         never[number] = always(distance, low, high, shape.radius, BASE_DEPTH)

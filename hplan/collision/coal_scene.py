@@ -15,10 +15,11 @@ from hplan.base import ties
 from hplan.base.arrays import BoolArray, FloatArray, IntArray
 from hplan.collision.arm_pairs import below, fold_pairs, link_pairs, turret_pairs, turret_shapes
 from hplan.collision.coal_accuracy import distance_errors
-from hplan.collision.coal_shapes import LINK_SHAPES, LinkShapes, beyond_geometry, link_shapes, solid_shape, urdf_shapes
+from hplan.collision.coal_cloud import distance_from, obstacle_shape
+from hplan.collision.coal_shapes import LINK_SHAPES, LinkShapes, beyond_geometry, link_shapes, urdf_shapes
 from hplan.collision.geometry_pairs import GeometryPairs
 from hplan.errors import ConfigurationInCollisionError, OptionError
-from hplan.robot.base_shapes import TURRET, coal_distance, filled
+from hplan.robot.base_shapes import TURRET, filled
 from hplan.robot.model import Robot
 from hplan.robot.self_contact import self_contact
 from hplan.scene.obstacles import Solid
@@ -61,7 +62,7 @@ class CoalScene:
 
     Neighbours that fold into one another are asked as capsules always.
 
-    A cloud is one tree of bounding volumes about its points, asked with its radius taken off the distance. Wherever a
+    A cloud is its points in trees of bounding volumes, asked with its radius taken off the distance. Wherever a
     link does not reach the points themselves the distance is right, and at most 2e-7 m too small; where it does,
     the depth is at least the radius, and may be less than the true one.
 
@@ -156,7 +157,7 @@ class CoalScene:
         ]
         # Parts of the arm do not grow.
         self._taken_off: FloatArray = np.append(self._beyond, np.zeros(len(own)))
-        solids = [solid_shape(obstacle) for obstacle in obstacles]
+        solids = [obstacle_shape(obstacle) for obstacle in obstacles]
         self._geometry = GeometryPairs(robot.model, self._mover_shapes, solids, self._own_shapes)
 
     def __getstate__(self) -> dict[str, Any]:
@@ -291,8 +292,7 @@ def base_contacts(
         place = data.oMi[shape.parentJoint] * shape.placement
         name = str(robot.model.frames[shape.parentFrame].name)
         for obstacle in obstacles:
-            solid = solid_shape(obstacle)
-            distance = coal_distance(body, place, solid.geometry, solid.placement) - beyond_geometry(obstacle)
+            distance = distance_from(obstacle, body, place)
             if distance <= margin:
                 found.append(Contact(name, obstacle.name, distance))
     return tuple(found)

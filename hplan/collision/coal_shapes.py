@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from typing import Literal, TypeAlias, assert_never
-from weakref import WeakKeyDictionary
 
 import coal
 import numpy as np
@@ -19,9 +18,6 @@ from hplan.scene.solids import Cloud, Hull
 #: Shape of the links: the planner's capsules, beams of the same half-widths, or the URDF's collision geometry.
 LinkShapes: TypeAlias = Literal["capsule", "box", "urdf"]
 LINK_SHAPES: tuple[LinkShapes, ...] = ("capsule", "box", "urdf")
-
-#: Size of the triangle that stands for a point of a cloud [m].
-_SPECK = 1e-7
 
 
 def link_shapes(robot: Robot, links: LinkShapes) -> list[pin.GeometryObject]:
@@ -69,8 +65,8 @@ def urdf_shapes(robot: Robot) -> list[list[pin.GeometryObject]]:
     return found
 
 
-def solid_shape(obstacle: Solid) -> pin.GeometryObject:
-    """An obstacle as a fixed geometry object; a cloud without its radius (`beyond_geometry`)."""
+def solid_shape(obstacle: Sphere | Capsule | Box | Hull) -> pin.GeometryObject:
+    """A convex obstacle as a fixed geometry object."""
     placement = pin.SE3.Identity()
     if isinstance(obstacle, Sphere):
         placement, shape = pin.SE3(np.eye(3), np.array(obstacle.center)), coal.Sphere(float(obstacle.radius))
@@ -86,30 +82,14 @@ def solid_shape(obstacle: Solid) -> pin.GeometryObject:
         shape = coal.Box(*(float(size) for size in obstacle.size))
     elif isinstance(obstacle, Hull):
         shape = convex_shape(obstacle)
-    elif isinstance(obstacle, Cloud):
-        shape = _cloud_tree(obstacle)
     else:
         assert_never(obstacle)
     return pin.GeometryObject(f"obstacle:{obstacle.name}", 0, placement, shape)
 
 
 def beyond_geometry(obstacle: Solid) -> float:
-    """Distance by which an obstacle reaches beyond its geometry in coal, whose trees take no radius [m]."""
+    """Distance by which an obstacle reaches beyond its geometry in coal, where points have no radius [m]."""
     return obstacle.rounding if isinstance(obstacle, Cloud) else 0.0
-
-
-#: The trees of clouds that are in use: 0.3 s for 100,000 points.
-_TREES: WeakKeyDictionary[Cloud, coal.BVHModelOBBRSS] = WeakKeyDictionary()
-
-
-def _cloud_tree(cloud: Cloud) -> coal.BVHModelOBBRSS:
-    """The points of a cloud as tiny triangles about them, built once."""
-    if cloud not in _TREES:
-        # Of triangles that are mere points, coal's distance from a ball is wrong.
-        corners = _SPECK * np.array([[1.0, 0.0, 0.5], [-0.5, 0.75, -0.25], [-0.5, -0.75, -0.25]])
-        points = (cloud.core[:, None] + corners).reshape(-1, 3)
-        _TREES[cloud] = triangle_tree(points, np.arange(len(points)).reshape(-1, 3))
-    return _TREES[cloud]
 
 
 def triangle_tree(points: FloatArray, faces: IntArray) -> coal.BVHModelOBBRSS:

@@ -15,6 +15,7 @@ import numpy as np
 import pinocchio as pin
 
 from hplan.base.arrays import BoolArray, FloatArray, IntArray
+from hplan.collision.coal_cloud import PointBlocks, local_box
 
 #: Most obstacles in one geometry model.
 _CHUNK: Final = 128
@@ -44,10 +45,10 @@ class _QueryData(threading.local):
         single: Arm and part where there is one model alone: looking up what belongs to a thread takes its time.
     """
 
-    def __init__(self, model: pin.Model, geometries: Sequence[pin.GeometryModel]) -> None:
+    def __init__(self, model: pin.Model, geometries: Sequence[pin.GeometryModel], has_clouds: bool) -> None:
         self.arm = model.createData()
         self.parts = [_PartData(geometry) for geometry in geometries]
-        self.single = (self.arm, self.parts[0]) if len(self.parts) == 1 else None
+        self.single = (self.arm, self.parts[0]) if len(self.parts) == 1 and not has_clouds else None
 
 
 class GeometryPairs:
@@ -61,7 +62,7 @@ class GeometryPairs:
         self,
         model: pin.Model,
         movers: Sequence[pin.GeometryObject],
-        obstacles: Sequence[pin.GeometryObject],
+        obstacles: Sequence[pin.GeometryObject | PointBlocks],
         chosen: Sequence[tuple[pin.GeometryObject, pin.GeometryObject]] = (),
     ) -> None:
         """Build the geometry models.
@@ -69,7 +70,7 @@ class GeometryPairs:
         Args:
             model: The arm.
             movers: Shapes that meet every obstacle.
-            obstacles: Fixed shapes.
+            obstacles: Fixed shapes, and clouds.
             chosen: Further pairs, of movers or of shapes that meet no obstacle.
         """
         self._model = model
@@ -77,19 +78,22 @@ class GeometryPairs:
         #: Numbers of each model's pairs among all.
         self._numbers: list[IntArray] = []
         self.count = len(movers) * len(obstacles) + len(chosen)
-        starts = range(0, max(len(obstacles), 1), _CHUNK)
+        self._movers = [(shape.geometry, local_box(shape.geometry)) for shape in movers]
+        self._clouds = [(column, shape) for column, shape in enumerate(obstacles) if isinstance(shape, PointBlocks)]
+        fixed = [(column, shape) for column, shape in enumerate(obstacles) if not isinstance(shape, PointBlocks)]
+        starts = range(0, max(len(fixed), 1), _CHUNK)
         for start in starts:
             geometry = pin.GeometryModel()
             for shape in movers:
                 geometry.addGeometryObject(shape)
-            chunk = obstacles[start : start + _CHUNK]
-            for shape in chunk:
+            chunk = fixed[start : start + _CHUNK]
+            for _, shape in chunk:
                 geometry.addGeometryObject(shape)
             wanted = np.zeros((geometry.ngeoms, geometry.ngeoms), dtype=np.bool_)
             wanted[: len(movers), len(movers) :] = True
             geometry.setCollisionPairs(wanted)
             rows = np.arange(len(movers))[:, None] * len(obstacles)
-            numbers = (rows + np.arange(start, start + len(chunk))).ravel()
+            numbers = (rows + np.array([column for column, _ in chunk], dtype=np.int64)).ravel()
             if start == starts[-1]:
                 places = {id(shape): number for number, shape in enumerate(movers)}
                 for shape in itertools.chain(*chosen):
@@ -100,10 +104,13 @@ class GeometryPairs:
                 numbers = np.append(numbers, np.arange(self.count - len(chosen), self.count))
             self._geometries.append(geometry)
             self._numbers.append(numbers)
-        self._query = _QueryData(model, self._geometries)
-        # In which model a pair is, and its number there.
-        self._part_of = np.zeros(self.count, dtype=np.int64)
+        self._query = _QueryData(model, self._geometries, bool(self._clouds))
+        # In which model a pair is, and its number there; the pairs of clouds, in none, mover by mover.
+        self._part_of = np.full(self.count, -1, dtype=np.int64)
         self._local = np.zeros(self.count, dtype=np.int64)
+        columns = np.array([column for column, _ in self._clouds], dtype=np.int64)
+        self._of_clouds = (np.arange(len(movers))[:, None] * len(obstacles) + columns).ravel()
+        self._local[self._of_clouds] = np.arange(len(self._of_clouds))
         for part, numbers in enumerate(self._numbers):
             self._part_of[numbers] = part
             self._local[numbers] = np.arange(len(numbers))
@@ -129,6 +136,8 @@ class GeometryPairs:
         for part, (geometry, numbers) in enumerate(zip(self._geometries, self._numbers, strict=True)):
             pin.computeDistances(geometry, self._placed(query, part))
             found[numbers] = [result.min_distance for result in query.parts[part].results]
+        for local, number in enumerate(self._of_clouds.tolist()):
+            found[number] = self._cloud_distance(query, local)
         return found
 
     def distances_of(self, pairs: IntArray) -> FloatArray:
@@ -141,7 +150,10 @@ class GeometryPairs:
         found = np.empty(len(pairs))
         where = zip(self._part_of[pairs].tolist(), self._local[pairs].tolist(), strict=True)
         for number, (part, local) in enumerate(where):
-            found[number] = pin.computeDistance(geometries[part], self._placed(query, part), local).min_distance
+            if part < 0:
+                found[number] = self._cloud_distance(query, local)
+            else:
+                found[number] = pin.computeDistance(geometries[part], self._placed(query, part), local).min_distance
         return found
 
     def in_collision(self, configurations: FloatArray, margins: FloatArray) -> BoolArray:
@@ -157,7 +169,18 @@ class GeometryPairs:
                 # shape stands symmetrically in the other or its core touches a face; with contacts it does not.
                 request.enable_contact = True
             found |= np.asarray(pin.computeCollisionsInParallel(1, pool, q, True, False), dtype=np.bool_)
+        if self._clouds:
+            query, of_clouds = self._query, list(enumerate(margins[self._of_clouds].tolist()))
+            for place in np.flatnonzero(~found).tolist():
+                self.place(configurations[place])
+                found[place] = any(self._cloud_distance(query, local) <= margin for local, margin in of_clouds)
         return found
+
+    def _cloud_distance(self, query: _QueryData, local: int) -> float:
+        """Signed distance of a pair of a cloud where the arm was last placed [m]."""
+        mover, cloud = divmod(local, len(self._clouds))
+        geometry, box = self._movers[mover]
+        return self._clouds[cloud][1].distance(geometry, self._placed(query, 0).oMg[mover], box)
 
     def _placed(self, query: _QueryData, part: int) -> pin.GeometryData:
         """The data of a model, its shapes where the arm was last placed."""

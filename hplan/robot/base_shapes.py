@@ -84,11 +84,14 @@ class BaseShape:
         """Distance from a (3,) point, both at yaw 0 [m]; not above 0 inside."""
         return coal_distance(self.geometry, self.placement, coal.Sphere(_SPECK), pin.SE3(np.eye(3), point)) + _SPECK
 
+    def placed_at(self, yaw: float) -> pin.SE3:
+        """Its place in `base_link` where the turret is at a yaw."""
+        turn = pin.utils.rotate("z", yaw)
+        return pin.SE3(turn, self.axis - turn @ self.axis) * self.placement
+
     def distance_to(self, yaw: float, other: coal.CollisionGeometry, placement: pin.SE3) -> float:
         """Signed distance from what stands still where the turret is at a yaw [m]."""
-        turn = pin.utils.rotate("z", yaw)
-        place = pin.SE3(turn, self.axis - turn @ self.axis) * self.placement
-        return coal_distance(self.geometry, place, other, placement)
+        return coal_distance(self.geometry, self.placed_at(yaw), other, placement)
 
 
 #: Radius of the ball that stands for a point [m].

@@ -37,9 +37,6 @@ THIN: Final = 1e-5
 #: No ball of a cloud grows by more than this where points are merged [m].
 MERGE_ERROR: Final = 1e-3
 
-#: Points are merged where that leaves at most this fraction of the balls.
-_WORTH_MERGING: Final = 0.7
-
 #: Most points in a leaf of a cloud's tree.
 LEAF: Final = 16
 
@@ -267,49 +264,9 @@ class Cloud(Record):
     @classmethod
     def of(cls, name: str, points: FloatArray, radius: float, sigma: float = 0.0) -> Cloud:
         """The balls about (n, 3) points, n > 0; near ones merged where that makes them notably fewer."""
-        centers, growth = _merged(points)
-        order, tree = _tree(centers)
-        return cls(name, readonly(centers[order]), radius + growth, frozen(tree), sigma)
+        from hplan.scene.cloud_tree import merged, tree_of  # compiled: nothing that needs no cloud loads numba
 
-
-def _merged(points: FloatArray) -> tuple[FloatArray, float]:
-    """Fewer points, and the distance of the farthest old one from its new one [m]."""
-    points = np.unique(points, axis=0)
-    # In a voxel of this edge no two points are farther apart than twice the error along its diagonal.
-    edge = 2.0 * MERGE_ERROR / math.sqrt(3.0)
-    _, voxel = np.unique(np.floor(points / edge), axis=0, return_inverse=True)
-    voxel = voxel.ravel()
-    count = int(voxel.max()) + 1
-    if count > _WORTH_MERGING * len(points):
-        return points, 0.0
-    low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
-    np.minimum.at(low, voxel, points)
-    np.maximum.at(high, voxel, points)
-    centers = 0.5 * (low + high)
-    return centers, float(np.linalg.norm(points - centers[voxel], axis=1).max())
-
-
-def _tree(points: FloatArray) -> tuple[IntArray, FloatArray]:
-    """The order of the points in a tree split at medians, and its nodes as in `Cloud`."""
-    order = np.arange(len(points))
-    nodes: list[list[float]] = []
-    # A node's place on the stack is its parts still to come; what is finished learns where the next one begins.
-    stack = [(0, len(points), -1)]
-    while stack:
-        first, last, closes = stack.pop()
-        if closes >= 0:
-            nodes[closes][2] = len(nodes)
-            continue
-        inside = points[order[first:last]]
-        low, high = inside.min(axis=0), inside.max(axis=0)
-        center = 0.5 * (low + high)
-        radius = math.sqrt(float(((inside - center) ** 2).sum(axis=1).max()))
-        number = len(nodes)
-        nodes.append([first, last, number + 1, *center, radius])
-        if last - first <= LEAF:
-            continue
-        middle = (first + last) // 2
-        split = np.argpartition(inside[:, int((high - low).argmax())], middle - first)
-        order[first:last] = order[first:last][split]
-        stack += [(0, 0, number), (middle, last, -1), (first, middle, -1)]
-    return order, np.array(nodes)
+        # In a voxel of this edge no two points are farther apart than twice the error along its diagonal.
+        core, growth = merged(np.array(points, dtype=np.float64, order="C"), 2.0 * MERGE_ERROR / math.sqrt(3.0))
+        tree = tree_of(core, LEAF)
+        return cls(name, frozen(core), radius + growth, frozen(tree), sigma)

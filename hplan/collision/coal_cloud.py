@@ -1,0 +1,150 @@
+r"""Clouds in coal: trees of bounding volumes over blocks of their points, built when a block is first asked.
+
+coal takes 2 us a point to build a tree, but a motion comes near a few blocks alone. A block has a ball about its
+points; a shape of the arm lies in its local axis-aligned box. The distance of the ball from the box bounds the distance
+of the points from the shape from below, so a block with a bound that is no smaller than a distance found already is
+passed over, and the least distance over all blocks is exact.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+from weakref import WeakKeyDictionary
+
+import coal
+import numpy as np
+import pinocchio as pin
+
+from hplan.base.arrays import FloatArray, IntArray
+from hplan.base.kernels import kernel
+from hplan.collision.coal_shapes import beyond_geometry, solid_shape, triangle_tree
+from hplan.robot.base_shapes import coal_distance
+from hplan.scene.cloud_tree import halves, tree_of
+from hplan.scene.obstacles import Solid
+from hplan.scene.solids import Cloud
+
+#: Most points of a block.
+_BLOCK: Final = 64
+
+#: Size of the triangle that stands for a point [m]. Of triangles that are mere points, coal's distance from a ball is
+#: wrong.
+_SPECK: Final = 1e-7
+_CORNERS: Final = _SPECK * np.array([[1.0, 0.0, 0.5], [-0.5, 0.75, -0.25], [-0.5, -0.75, -0.25]])
+
+#: The blocks of clouds that are in use.
+_KNOWN: WeakKeyDictionary[Cloud, PointBlocks] = WeakKeyDictionary()
+
+_PLACE: Final = coal.Transform3s()
+_REQUEST: Final = coal.DistanceRequest()
+
+
+class PointBlocks:
+    """The points of a cloud, without their radius, in blocks of neighbours.
+
+    Several threads may ask at once.
+
+    Attributes:
+        balls: (blocks, 4) centre and radius of a ball about the points of each block [m].
+    """
+
+    def __init__(self, points: FloatArray) -> None:
+        """Cut (n, 3) points, in the order of a tree that is split at medians, into blocks.
+
+        Args:
+            points: The points, n > 0 [m].
+        """
+        self._points = points
+        self._starts: IntArray = halves(len(points), _BLOCK)
+        first, counts = self._starts[:-1], np.diff(self._starts)
+        low, high = np.minimum.reduceat(points, first), np.maximum.reduceat(points, first)
+        centres = 0.5 * (low + high)
+        distances = np.linalg.norm(points - np.repeat(centres, counts, axis=0), axis=1)
+        # Rounding errors, and the specks, never make a ball too small.
+        radii = np.maximum.reduceat(distances, first) * (1.0 + 1e-12) + 2.0 * _SPECK
+        self.balls: FloatArray = np.column_stack([centres, radii])
+        self._trees: dict[int, coal.BVHModelOBBRSS] = {}
+
+    @classmethod
+    def of(cls, cloud: Cloud) -> PointBlocks:
+        """The blocks of a cloud, cut once."""
+        found = _KNOWN.get(cloud)
+        if found is None:
+            points = cloud.core
+            if len(cloud.tree) == 0:  # its points are in no order
+                points = points.copy()
+                tree_of(points, _BLOCK)
+            found = _KNOWN[cloud] = cls(points)
+        return found
+
+    def distance(self, shape: coal.CollisionGeometry, placement: pin.SE3, box: FloatArray | None = None) -> float:
+        """Signed distance of a shape from the nearest point [m]; in contact that of one of those that it touches.
+
+        Args:
+            shape: The shape.
+            placement: Where it is.
+            box: Its `local_box`; found where it is not given.
+        """
+        box = local_box(shape) if box is None else box
+        rotation, translation = placement.rotation, placement.translation
+        bounds = _lower_bounds(rotation, translation, box, self.balls)
+        place, result = coal.Transform3s(rotation, translation), coal.DistanceResult()
+        least = math.inf
+        while True:
+            block = int(bounds.argmin())
+            if bounds[block] >= least or least <= 0.0:
+                return least
+            bounds[block] = math.inf
+            # coal goes on from the least distance in its result, and passes over what is farther.
+            least = min(least, coal.distance(shape, place, self._tree(block), _PLACE, _REQUEST, result))
+
+    def _tree(self, block: int) -> coal.BVHModelOBBRSS:
+        """The points of a block as tiny triangles about them, built once."""
+        tree = self._trees.get(block)
+        if tree is None:
+            inside = self._points[self._starts[block] : self._starts[block + 1]]
+            corners = (inside[:, None] + _CORNERS).reshape(-1, 3)
+            tree = self._trees[block] = triangle_tree(corners, np.arange(len(corners)).reshape(-1, 3))
+        return tree
+
+
+def local_box(shape: coal.CollisionGeometry) -> FloatArray:
+    """(2, 3) centre and half sizes of the axis-aligned box about a shape, in its own frame [m]."""
+    shape.computeLocalAABB()
+    low, high = np.array(shape.aabb_local.min_), np.array(shape.aabb_local.max_)
+    return np.stack([0.5 * (low + high), 0.5 * (high - low) * (1.0 + 1e-12)])
+
+
+def obstacle_shape(obstacle: Solid) -> pin.GeometryObject | PointBlocks:
+    """An obstacle as coal is asked about it; a cloud without its radius (`beyond_geometry`)."""
+    return PointBlocks.of(obstacle) if isinstance(obstacle, Cloud) else solid_shape(obstacle)
+
+
+def distance_from(obstacle: Solid, shape: coal.CollisionGeometry, placement: pin.SE3) -> float:
+    """Signed distance of a shape in its place from an obstacle [m]."""
+    solid = obstacle_shape(obstacle)
+    if isinstance(solid, PointBlocks):
+        return solid.distance(shape, placement) - beyond_geometry(obstacle)
+    return coal_distance(shape, placement, solid.geometry, solid.placement)
+
+
+@kernel
+def _lower_bounds(rotation: FloatArray, translation: FloatArray, box: FloatArray, balls: FloatArray) -> FloatArray:
+    """(k,) distances of balls from a box in its place; of one that reaches into it, less than 0.
+
+    Args:
+        rotation: (3, 3) of the box's frame.
+        translation: (3,) of the box's frame.
+        box: (2, 3) its centre and half sizes there.
+        balls: (k, 4) centre and radius.
+    """
+    bounds = np.empty(balls.shape[0])
+    for ball in range(balls.shape[0]):
+        x, y, z = balls[ball, 0] - translation[0], balls[ball, 1] - translation[1], balls[ball, 2] - translation[2]
+        square = 0.0
+        for axis in range(3):
+            along = rotation[0, axis] * x + rotation[1, axis] * y + rotation[2, axis] * z
+            beyond = max(0.0, abs(along - box[0, axis]) - box[1, axis])
+            square += beyond * beyond
+        bounds[ball] = math.sqrt(square) - balls[ball, 3]
+    return bounds

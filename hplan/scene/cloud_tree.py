@@ -1,0 +1,180 @@
+"""The points of a cloud, merged where they are near to one another, and the tree over them: compiled.
+
+The tree is split at the median of the longest side of the box about a node's points, until few are left. Neighbours
+stand together in its order. A million points take about a second, 30,000 take 10 ms.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hplan.base.arrays import FloatArray, IntArray, ShortArray
+from hplan.base.kernels import kernel
+from hplan.scene.cell_table import number_cells
+
+#: Points are merged where that leaves at most this fraction of the balls.
+_WORTH_MERGING = 0.7
+
+#: Columns of a node: as in `hplan.scene.solids.Cloud`.
+_COLUMNS = 7
+
+
+def merged(points: FloatArray, edge: float) -> tuple[FloatArray, float]:
+    """Points of one voxel as the middle of the box about them, where that makes them notably fewer.
+
+    Args:
+        points: (n, 3) points [m]; such as are equal become one in any case.
+        edge: Edge of a voxel [m].
+
+    Returns:
+        (m, 3) fewer points, and the distance of the farthest old one from its new one [m].
+    """
+    points = points + 0.0  # so that -0.0 and 0.0 are one
+    numbers, count = number_cells(points.view(np.int64))
+    if count < len(points):
+        points, _ = box_centres(points, numbers, count)
+    numbers, count = number_cells(np.floor(points / edge).astype(np.int64))
+    if count > _WORTH_MERGING * len(points):
+        return points, 0.0
+    return box_centres(points, numbers, count)
+
+
+@kernel
+def box_centres(points: FloatArray, numbers: ShortArray, count: int) -> tuple[FloatArray, float]:
+    """The middle of the box about the points of each number.
+
+    Args:
+        points: (n, 3) points.
+        numbers: (n,) number of each.
+        count: How many numbers there are.
+
+    Returns:
+        (count, 3) middles, and the distance of the farthest point from its one.
+    """
+    low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
+    for i in range(points.shape[0]):
+        number = numbers[i]
+        for axis in range(3):
+            low[number, axis] = min(low[number, axis], points[i, axis])
+            high[number, axis] = max(high[number, axis], points[i, axis])
+    for number in range(count):
+        for axis in range(3):
+            if low[number, axis] < high[number, axis]:  # else it stays, to the last digit
+                low[number, axis] = 0.5 * (low[number, axis] + high[number, axis])
+    farthest = 0.0
+    for i in range(points.shape[0]):
+        number = numbers[i]
+        dx, dy, dz = points[i, 0] - low[number, 0], points[i, 1] - low[number, 1], points[i, 2] - low[number, 2]
+        farthest = max(farthest, dx * dx + dy * dy + dz * dz)
+    return low, math.sqrt(farthest)
+
+
+@kernel
+def _swap(points: FloatArray, a: int, b: int) -> None:
+    for axis in range(3):
+        points[a, axis], points[b, axis] = points[b, axis], points[a, axis]
+
+
+@kernel
+def _part_at(points: FloatArray, first: int, last: int, middle: int, axis: int) -> None:
+    """Rearrange the points first..last - 1 so that none before `middle` has a larger coordinate than any from there on.
+
+    Hoare's selection, the pivot a median of three.
+    """
+    low, high = first, last - 1
+    while low < high:
+        a, b, c = points[low, axis], points[(low + high) // 2, axis], points[high, axis]
+        pivot = max(min(a, b), min(max(a, b), c))
+        i, j = low, high
+        while i <= j:
+            while points[i, axis] < pivot:
+                i += 1
+            while points[j, axis] > pivot:
+                j -= 1
+            if i <= j:
+                _swap(points, i, j)
+                i += 1
+                j -= 1
+        if middle <= j:
+            high = j
+        elif middle >= i:
+            low = i
+        else:
+            return
+
+
+@kernel
+def _bounds(points: FloatArray, first: int, last: int, node: FloatArray) -> int:
+    """Write the ball about the points first..last - 1 into a node: about the middle of their box.
+
+    Returns:
+        The longest side of the box.
+    """
+    size, longest, longest_side = np.empty(3), 0, -1.0
+    for axis in range(3):
+        low = high = points[first, axis]
+        for i in range(first + 1, last):
+            low, high = min(low, points[i, axis]), max(high, points[i, axis])
+        node[3 + axis], size[axis] = 0.5 * (low + high), high - low
+    for axis in range(3):
+        if size[axis] > longest_side:
+            longest, longest_side = axis, size[axis]
+    x, y, z, square = node[3], node[4], node[5], 0.0
+    for i in range(first, last):
+        dx, dy, dz = points[i, 0] - x, points[i, 1] - y, points[i, 2] - z
+        square = max(square, dx * dx + dy * dy + dz * dz)
+    node[6] = math.sqrt(square)
+    return longest
+
+
+@kernel
+def tree_of(points: FloatArray, leaf: int) -> FloatArray:
+    """Put points into the order of a tree split at medians, in place.
+
+    Args:
+        points: (n, 3) points, n > 0; rearranged.
+        leaf: Most points of a leaf.
+
+    Returns:
+        (nodes, 7) its nodes, as in `hplan.scene.solids.Cloud`.
+    """
+    count, most = points.shape[0], 1
+    while most * leaf < count:
+        most *= 2
+    nodes = np.empty((2 * most - 1, _COLUMNS))
+    # A node's place on the stack is its parts still to come; what is finished learns where the next one begins.
+    stack = np.empty((3 * 64, 3), dtype=np.int64)
+    stack[0] = (0, count, -1)
+    height, number = 1, 0
+    while height > 0:
+        height -= 1
+        first, last, closes = stack[height, 0], stack[height, 1], stack[height, 2]
+        if closes >= 0:
+            nodes[closes, 2] = number
+            continue
+        nodes[number, 0], nodes[number, 1], nodes[number, 2] = first, last, number + 1
+        longest = _bounds(points, first, last, nodes[number])
+        if last - first > leaf:
+            middle = (first + last) // 2
+            _part_at(points, first, last, middle, longest)
+            stack[height] = (0, 0, number)
+            stack[height + 1] = (middle, last, -1)
+            stack[height + 2] = (first, middle, -1)
+            height += 3
+        number += 1
+    return nodes[:number].copy()
+
+
+def halves(count: int, most: int) -> IntArray:
+    """(k + 1,) where the parts of a tree with at most so many points begin, and where the last one ends."""
+    starts, stack = [0], [(0, count)]
+    while stack:
+        first, last = stack.pop()
+        if last - first > most:
+            middle = (first + last) // 2
+            stack += [(middle, last), (first, middle)]
+        else:
+            starts.append(last)
+    return np.array(starts, dtype=np.int64)

@@ -1,0 +1,85 @@
+"""Numbers of cells, merged points and the tree over them against NumPy."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hplan.scene.cell_table import cell_place, larger_table, number_cells
+from hplan.scene.cloud_tree import box_centres, halves, merged, tree_of
+from hplan.scene.solids import LEAF
+
+
+@settings(max_examples=30)
+@given(st.integers(0, 10_000), st.integers(0, 500), st.sampled_from([1, 3, 10, 2**40]))
+def test_cells_are_numbered_as_they_first_appear(seed, count, span):
+    rows = np.random.default_rng(seed).integers(-span, span + 1, (count, 3))
+    numbers, cells = number_cells(rows)
+    seen: dict[tuple[int, ...], int] = {}
+    expected = [seen.setdefault(tuple(row), len(seen)) for row in rows.tolist()]
+    assert numbers.tolist() == expected
+    assert cells == len(seen)
+
+
+def test_a_larger_table_holds_the_same_cells():
+    cells = np.array([(i, j, k) for i in range(-3, 4) for j in range(5) for k in range(5)], dtype=np.int64)
+    table = larger_table(cells, len(cells), 256)
+    assert [table[cell_place(*cell, cells, table)] for cell in cells.tolist()] == list(range(len(cells)))
+    assert table[cell_place(99, 0, 0, cells, table)] == -1
+
+
+@settings(max_examples=30)
+@given(st.integers(0, 10_000), st.integers(1, 300), st.integers(1, 40))
+def test_middles_of_boxes(seed, count, groups):
+    rng = np.random.default_rng(seed)
+    points, numbers = rng.uniform(-1, 1, (count, 3)), rng.integers(0, groups, count).astype(np.int32)
+    _, numbers = np.unique(numbers, return_inverse=True)
+    middles, farthest = box_centres(points, numbers.astype(np.int32), int(numbers.max()) + 1)
+    for number, middle in enumerate(middles):
+        inside = points[numbers == number]
+        np.testing.assert_array_equal(middle, 0.5 * (inside.min(axis=0) + inside.max(axis=0)))
+    assert farthest == pytest.approx(np.linalg.norm(points - middles[numbers], axis=1).max(), rel=1e-12)
+
+
+def test_points_are_merged_where_that_pays():
+    few = np.array([[0.0, 0.0, 0.0], [0.9, 0.0, 0.0], [5.0, 0.0, 0.0], [-0.0, 0.0, 0.0]])
+    same, growth = merged(few, 1.0)
+    assert same.tolist() == [[0.45, 0.0, 0.0], [5.0, 0.0, 0.0]]
+    assert growth == 0.45
+    same, growth = merged(few, 0.5)  # the two zeros are one point; nothing else is near
+    assert same.tolist() == [[0.0, 0.0, 0.0], [0.9, 0.0, 0.0], [5.0, 0.0, 0.0]]
+    assert growth == 0.0
+
+
+@pytest.mark.parametrize("kind", ["random", "one place", "steps", "line", "sorted"])
+@pytest.mark.parametrize("count", [1, LEAF + 1, 1000])
+def test_a_tree_halves_its_points(kind, count):
+    rng = np.random.default_rng(count)
+    points = {
+        "random": rng.uniform(0, 1, (count, 3)),
+        "one place": np.ones((count, 3)),
+        "steps": rng.integers(0, 3, (count, 3)).astype(float),
+        "line": rng.uniform(0, 1, (count, 1)) * [1.0, 0.0, 0.0],
+        "sorted": np.sort(rng.uniform(0, 1, (count, 3)), axis=0),
+    }[kind]
+    core = points.copy()
+    nodes = tree_of(core, LEAF)
+    assert sorted(map(tuple, core)) == sorted(map(tuple, points))
+    for number, (first, last, after, *ball) in enumerate(nodes.tolist()):
+        inside = core[int(first) : int(last)]
+        low, high = inside.min(axis=0), inside.max(axis=0)
+        np.testing.assert_array_equal(ball[:3], 0.5 * (low + high))
+        assert ball[3] == pytest.approx(np.linalg.norm(inside - ball[:3], axis=1).max(), rel=1e-12)
+        if after > number + 1:
+            axis, middle = int(np.argmax(high - low)), (int(first) + int(last)) // 2
+            assert nodes[number + 1, 1] == middle
+            assert core[int(first) : middle, axis].max() <= core[middle : int(last), axis].min()
+
+
+@pytest.mark.parametrize("count", [1, 7, 8, 9, 1000])
+def test_parts_of_a_tree(count):
+    starts = halves(count, 8)
+    leaves = [(int(n[0]), int(n[1])) for n in tree_of(np.zeros((count, 3)), 8) if n[1] - n[0] <= 8]
+    assert list(zip(starts[:-1].tolist(), starts[1:].tolist(), strict=True)) == leaves

@@ -85,6 +85,11 @@ class Part(NamedTuple):
     trajectory: Trajectory
     certificate: Certificate
 
+    @property
+    def reversed(self) -> Part:
+        """The same backwards: the same distances, and the same torques."""
+        return self._replace(trajectory=self.trajectory.reversed, certificate=self.certificate.reversed)
+
 
 @dataclass(frozen=True, eq=False)
 class PlannedMotion(Record):

@@ -185,7 +185,7 @@ def approach_and_retreat(context: PlanningContext, target: Target, grasp: Grasp)
 
 def retreat_of(approach: Part) -> Part:
     """An approach backwards: accelerations and torques stay as they are, and so do all the distances."""
-    return Part("retreat", approach.trajectory.reversed, approach.certificate)
+    return approach.reversed._replace(name="retreat")
 
 
 def _contact_stretches(context: PlanningContext, target: Target, approach: Trajectory) -> list[Stretch]:

@@ -80,9 +80,7 @@ class Move:
     @property
     def reversed(self) -> Move:
         """The same backwards: the same distances, and the same torques."""
-        return replace(
-            self, parts=tuple(part._replace(trajectory=part.trajectory.reversed) for part in self.parts[::-1])
-        )
+        return replace(self, parts=tuple(part.reversed for part in self.parts[::-1]))
 
     def named(self, name: str) -> list[Part]:
         """Its parts under another name, if it is one."""

@@ -24,7 +24,7 @@ flexing, the base's own motion, contact forces, what is not in the scene.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -39,6 +39,13 @@ from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel
 from hplan.scene.model import Scene
 from hplan.timing.trajectory import Trajectory, cubic_pieces
+from hplan.verification.clearance_curve import (
+    ClearanceCurve,
+    ProvedMotion,
+    ProvedStretch,
+    Subject,
+    joined_subjects,
+)
 from hplan.verification.clearance_proof import Proof, prove_clearance
 from hplan.verification.digests import Digests
 from hplan.verification.goal_contact import contact_window
@@ -75,6 +82,7 @@ class Certificate:
         goal_contact: When the last link may touch the fruit that is the goal; None where no fruit is.
         contact_s: The same as times, from and to [s]; None for never.
         digests: The robot, the scene and the trajectory that it is about; None for a part of a motion.
+        subject: The motions that it is about, for `clearance_curve`; None where it was made by hand.
     """
 
     verified: bool
@@ -86,6 +94,22 @@ class Certificate:
     goal_contact: GoalContact | None = None
     contact_s: tuple[float, float] | None = None
     digests: Digests | None = None
+    subject: Subject | None = field(default=None, compare=False, repr=False)
+
+    @property
+    def clearance_curve(self) -> ClearanceCurve | None:
+        """Clearance over time, computed when it is first asked for; None where the certificate was made by hand.
+
+        That takes as long as the certificate or several times as long: where the arm is far from everything, the proof
+        need not look how far.
+        """
+        return None if self.subject is None else self.subject.curve
+
+    @property
+    def reversed(self) -> Certificate:
+        """The certificate of the motion backwards: the same distances and torques; none of task or contact times."""
+        subject = None if self.subject is None else self.subject.reversed
+        return replace(self, subject=subject, contact_s=None, digests=None)
 
 
 # Ten parameters: three subjects, and options that callers name by keyword.
@@ -228,12 +252,13 @@ def certify_among(
     with np.errstate(over="ignore"):
         # Nothing is farther off than a joint that is off by a whole turn, or nobody knows how far.
         deviations = np.fmin(tracking.deviations(speeds), 2.0 * np.pi)
-    proofs, wanted = [], f"more than {1e3 * clearance:.3g} mm at a tracking error of {tracking}"
+    proved, wanted = [], f"more than {1e3 * clearance:.3g} mm at a tracking error of {tracking}"
     for part, checker in among:
         own = deviations if len(deviations) == 1 else deviations[part]
         proof = prove_clearance(robot, bezier[part], checker, own, clearance)
-        proofs.append(proof)
+        proved.append(ProvedStretch(part, checker, own, proof))
         violations += _not_shown(proof, trajectory, part.start, wanted)
+    proofs = [stretch.proof for stretch in proved]
     missing = [proof.clearance_m for proof in proofs if not proof.shown]
     return Certificate(
         verified=not violations,
@@ -242,6 +267,7 @@ def certify_among(
         limit_use=use,
         checks=sum(proof.checks for proof in proofs),
         violations=tuple(violations),
+        subject=Subject(((ProvedMotion(robot, trajectory, tuple(proved), clearance), False),)),
     )
 
 
@@ -258,6 +284,7 @@ def all_of(parts: Sequence[Certificate]) -> Certificate:
         ),
         checks=sum(part.checks for part in parts),
         violations=tuple(violation for part in parts for violation in part.violations),
+        subject=joined_subjects(part.subject for part in parts),
     )
 
 

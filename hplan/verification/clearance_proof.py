@@ -106,7 +106,7 @@ def prove_clearance(
     checker = checker.covering(float(deviations.max()), needed)
     if not checker.pairs:
         return Proof("shown", math.inf, None, 0, len(bezier))
-    search = _Advancement(robot, bezier, checker, deviations, needed)
+    search = Advancement(robot, bezier, checker, deviations, needed)
     if search.bounded < len(bezier):
         return search.worst("travel")
     budget = CHECKS + CHECKS_PER_PIECE * len(bezier)
@@ -128,7 +128,7 @@ def prove_clearance(
     return search.worst("too near")
 
 
-class _Advancement:
+class Advancement:
     """State of the advancement along a motion, pair by pair.
 
     Attributes:
@@ -147,6 +147,7 @@ class _Advancement:
     def __init__(
         self, robot: Robot, bezier: FloatArray, checker: CoalScene, deviations: FloatArray, needed: float
     ) -> None:
+        """Bound what each mover travels; ask nothing yet."""
         self._bezier, self._checker = bezier, checker
         mover_of, others = movers(checker)
         with np.errstate(over="ignore", invalid="ignore"):
@@ -226,7 +227,7 @@ class _Advancement:
 
 
 @kernel
-def _point(bezier: FloatArray, at: float) -> FloatArray:
+def point_at(bezier: FloatArray, at: float) -> FloatArray:
     """Configuration at a place counted in rows."""
     piece = min(int(at), bezier.shape[0] - 1)
     t = at - piece
@@ -246,7 +247,7 @@ def _point(bezier: FloatArray, at: float) -> FloatArray:
 def _first(due: FloatArray, bezier: FloatArray) -> tuple[IntArray, float, FloatArray]:
     """The pair that is due first, the place (infinite: after the end), and the configuration there."""
     first = np.argmin(due)
-    return np.array([first]), due[first], _point(bezier, min(due[first], float(bezier.shape[0])))
+    return np.array([first]), due[first], point_at(bezier, min(due[first], float(bezier.shape[0])))
 
 
 @kernel

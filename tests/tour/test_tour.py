@@ -38,6 +38,8 @@ from hplan.tour.motions import carrying
 from hplan.tour.moves import Moves, Stop
 from hplan.tour.ordering import Costs, nearest
 from hplan.tour.tour import TourOptions, TourResult, plan_tour
+from hplan.verification.certificate import Certificate
+from hplan.verification.limit_use import LimitUse
 
 OPTIONS = PlanOptions(rate_hz=100.0)
 DROP = Goal(joints_deg=(100.0, 60.0, 80.0, 60.0))
@@ -374,10 +376,11 @@ def moves_of_seconds(robot: Robot, seconds: dict[tuple[int, int], float], stops:
     moves = Moves(PlanningCache(robot).context(scene, OPTIONS), None)
     for stop in stops:
         moves.add(stop)
+    shown = Certificate(True, math.inf, None, LimitUse(0.0, 0.0, 0.0, 0.0), 0, ())
     for (a, b), duration in seconds.items():
         there, back = (SimpleNamespace(duration=duration, ends=ends) for ends in ((a, b), (b, a)))
         there.reversed, back.reversed = back, there
-        moves.keep(a, b, False, [Part("transit", there, None)])  # type: ignore[arg-type]
+        moves.keep(a, b, False, [Part("transit", there, shown)])  # type: ignore[arg-type]
     return moves
 
 

@@ -282,7 +282,7 @@ def test_links_that_are_no_capsules_are_bounded_off_their_axes(robot, scene):
     for links in ("box", "capsule"):
         checker = CoalScene(robot, scene.solids, links=links)
         bezier, _ = cubic_pieces(trajectory)
-        search = clearance_proof._Advancement(robot, bezier, checker, np.full((1, 4), 0.01), 0.0)
+        search = clearance_proof.Advancement(robot, bezier, checker, np.full((1, 4), 0.01), 0.0)
         travels.append((search.movers[1, :3, -1], search.movers[0, :3, 0]))
     for more, less in zip(*travels, strict=True):
         assert (more > less + 1e-3).all()

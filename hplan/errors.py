@@ -374,3 +374,27 @@ class NotFoundError(HplanError):
         """Say what was tried."""
         message = f"no motion was found, and it was not shown that there is none; tried: {'; '.join(tried)}"
         super().__init__(message, tried=list(tried), **data)
+
+
+class NotInTimeError(NotFoundError):
+    """No motion was certified before the deadline; `tried` says what was looked at, and for how long."""
+
+    deadline_s: float
+    elapsed_s: float
+
+    def __init__(self, deadline_s: float, elapsed_s: float, tried: Sequence[str]) -> None:
+        """Say what was tried within the time."""
+        listed = "; ".join(tried) or "nothing, as time was up at once"
+        message = f"no motion was found in time: {1e3 * deadline_s:.6g} ms are over; tried: {listed}"
+        HplanError.__init__(self, message, tried=list(tried), deadline_s=deadline_s, elapsed_s=elapsed_s)
+
+
+class PlanCancelledError(HplanError):
+    """Whoever asked for a plan does not want it any more, `elapsed_s` after it was begun."""
+
+    exit_status = 6
+    elapsed_s: float
+
+    def __init__(self, elapsed_s: float) -> None:
+        """Say after which time."""
+        super().__init__(f"the plan was cancelled after {1e3 * elapsed_s:.3g} ms", elapsed_s=elapsed_s)

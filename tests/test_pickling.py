@@ -38,6 +38,8 @@ SAMPLES = [
     errors.OptionError("speed", 2.0, "at most 1"),
     errors.OutputError("out/motion.csv", "why"),
     errors.NotFoundError(["straight motion", "roadmap"], goals=2),
+    errors.NotInTimeError(0.05, 0.0503, ["grasps for 8.1 ms", "roadmap for 42 ms"]),
+    errors.PlanCancelledError(0.031),
     errors.BoundError("what", duration_s=1.0, joint="elbow"),
     errors.NoPathError("what", reached_cells=7, blockers=[{"obstacle": "post", "cells": 3}]),
     errors.UnreachableError((1.0, 2.0, 3.0), "too_far", "why", excess_m=1.0),

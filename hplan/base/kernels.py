@@ -25,12 +25,13 @@ def kernel(function: Callable[P, R]) -> Callable[P, R]:
     """A compiled function, for Python and other kernels to call.
 
     It gets no entry for C, which would take a fifteenth of the time to compile. Division by zero gives inf or NaN, as
-    in NumPy: looking for zeros would keep loops from being made fast. Every combination of argument types is
+    in NumPy: looking for zeros would keep loops from being made fast. Python's lock is released while one runs, so that
+    other threads go on. Every combination of argument types is
     compiled on its own. Read-only arrays are a type of their own, and so is every number written out in a call from
     kernel to kernel; so a kernel is called with the same kinds everywhere. Arrays go in named tuples; one taken out of
     a tuple, or given to an inlined function, is counted at about 10 ns: before a loop, not in it.
     """
-    compiled: Callable[P, R] = nb.njit(no_cfunc_wrapper=True, error_model="numpy")(function)
+    compiled: Callable[P, R] = nb.njit(no_cfunc_wrapper=True, error_model="numpy", nogil=True)(function)
     _keep_on_disk(compiled)
     return compiled
 

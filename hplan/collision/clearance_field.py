@@ -10,12 +10,12 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from hplan.base.arrays import BoolArray, FloatArray, IntArray, Record, frozen, readonly
+from hplan.base.deadline import look, until
 from hplan.collision.clearance_kernels import FieldArrays, clearances_along, link_clearances, mark_near, path_is_clear
 from hplan.collision.obstacle_rows import FIRST_LINK, GATE, KIND, LAST_LINK, NEXT, TURNS, rows_of
 from hplan.errors import OptionError
@@ -47,10 +47,10 @@ class ClearanceField(Record):
     data: FloatArray
     owner: IntArray
 
-    @cached_property
+    @property
     def arrays(self) -> FieldArrays:
-        """The arrays for kernels."""
-        return FieldArrays(self.chain, self.base, self.solids, self.data)
+        """The arrays for kernels, and how long these may take."""
+        return FieldArrays(self.chain, self.base, self.solids, self.data, until())
 
     @classmethod
     def of(
@@ -133,6 +133,7 @@ class ClearanceField(Record):
             parts.append(first + np.linspace(0.0, 1.0, count + 1)[1:, None] * (last - first))
         kept = np.zeros(len(self.solids), dtype=np.bool_)
         mark_near(np.concatenate(parts), self.arrays, distance, kept)
+        look()
         return self._of_rows(kept)
 
     def _of_rows(self, kept: BoolArray) -> ClearanceField:
@@ -153,6 +154,7 @@ class ClearanceField(Record):
             (links,) distances to the nearest obstacle [m], inf without obstacles. Negative in contact; the depth is
             exact for balls and for capsules whose axis is not crossed, a lower bound of the depth otherwise.
         """
+        look()
         result = np.empty(len(self.chain))
         link_clearances(np.asarray(q, dtype=np.float64), self.arrays, result)
         return result
@@ -162,6 +164,7 @@ class ClearanceField(Record):
         points = np.array(configurations, dtype=np.float64, order="C")
         result = np.empty((len(points), len(self.chain)))
         clearances_along(points, self.arrays, result)
+        look()
         return result
 
     def clearance(self, q: ArrayLike) -> float:
@@ -182,4 +185,6 @@ class ClearanceField(Record):
         if not margin > 0.0:
             raise OptionError("margin", margin, "a positive number of metres")
         points = np.array(path, dtype=np.float64, order="C")
-        return bool(np.isfinite(points).all() and path_is_clear(points, self.arrays, margin))
+        clear = bool(np.isfinite(points).all() and path_is_clear(points, self.arrays, margin))
+        look()
+        return clear

@@ -21,6 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hplan.base.arrays import BoolArray, FloatArray
+from hplan.base.deadline import is_up
 from hplan.base.kernels import any_int, inlined, kernel
 from hplan.collision import obstacle_rows as row
 from hplan.collision.distances import Vector, point_segment, segment_box, segment_hull, segment_segment
@@ -29,12 +30,16 @@ _FIRST_ROW = any_int(0)
 
 
 class FieldArrays(NamedTuple):
-    """The arrays of a `hplan.collision.clearance_field.ClearanceField` that kernels read."""
+    """The arrays of a `hplan.collision.clearance_field.ClearanceField` that kernels read.
+
+    And how long they may take (`hplan.base.deadline`): what is shown clear by then is; after it nothing is.
+    """
 
     chain: FloatArray
     base: FloatArray
     solids: FloatArray
     data: FloatArray
+    until: FloatArray
 
 
 @kernel
@@ -105,7 +110,7 @@ def _arm_plane(q: FloatArray, base: FloatArray) -> tuple[int, float, float, Vect
 @kernel
 def link_clearances(q: FloatArray, field: FieldArrays, result: FloatArray) -> None:
     """Clearance of each link at one configuration."""
-    chain, base, solids, data = field
+    chain, base, solids, data = field.chain, field.base, field.solids, field.data
     first, cos, sin, shoulder, (fx, fy, fz), (gx, gy, gz) = _arm_plane(q, base)
     nx, ny, nz = fy * gz - fz * gy, fz * gx - fx * gz, fx * gy - fy * gx
     px, py, pz = shoulder
@@ -174,14 +179,18 @@ def link_clearances(q: FloatArray, field: FieldArrays, result: FloatArray) -> No
 def clearances_along(points: FloatArray, field: FieldArrays, result: FloatArray) -> None:
     """Clearance of each link at (n, dof) configurations, written into (n, links)."""
     for i in range(points.shape[0]):
+        if is_up(field.until):
+            break
         link_clearances(points[i], field, result[i])
 
 
 @kernel
 def mark_near(path: FloatArray, field: FieldArrays, distance: float, near: BoolArray) -> None:
     """Mark the rows whose bounding ball comes within a distance of a link at some configuration."""
-    chain, base, solids, _ = field
+    chain, base, solids = field.chain, field.base, field.solids
     for i in range(path.shape[0]):
+        if is_up(field.until):
+            break
         first, _, _, (x, y, z), (fx, fy, fz), (gx, gy, gz) = _arm_plane(path[i], base)
         nx, ny, nz = fy * gz - fz * gy, fz * gx - fx * gz, fx * gy - fy * gx
         angle = 0.0
@@ -268,5 +277,7 @@ def segment_is_clear(start: FloatArray, end: FloatArray, field: FieldArrays, mar
             return False
         if t >= 1.0:
             return True
+        if is_up(field.until):
+            return False
         t = 0.0 if at_middle else min(1.0, t + advance)
         at_middle = False

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from hplan.base import ties
 from hplan.base.arrays import BoolArray, FloatArray, IntArray
+from hplan.base.deadline import look
 from hplan.collision.arm_pairs import below, fold_pairs, link_pairs, turret_pairs, turret_shapes
 from hplan.collision.coal_accuracy import distance_errors
 from hplan.collision.coal_cloud import distance_from, obstacle_shape
@@ -158,6 +159,7 @@ class CoalScene:
         # Parts of the arm do not grow.
         self._taken_off: FloatArray = np.append(self._beyond, np.zeros(len(own)))
         solids = [obstacle_shape(obstacle) for obstacle in obstacles]
+        look()
         self._geometry = GeometryPairs(robot.model, self._mover_shapes, solids, self._own_shapes)
 
     def __getstate__(self) -> dict[str, Any]:

@@ -15,6 +15,7 @@ import numpy as np
 import pinocchio as pin
 
 from hplan.base.arrays import BoolArray, FloatArray, IntArray
+from hplan.base.deadline import look
 from hplan.collision.coal_cloud import PointBlocks, local_box
 
 #: Most obstacles in one geometry model.
@@ -83,6 +84,7 @@ class GeometryPairs:
         fixed = [(column, shape) for column, shape in enumerate(obstacles) if not isinstance(shape, PointBlocks)]
         starts = range(0, max(len(fixed), 1), _CHUNK)
         for start in starts:
+            look()
             geometry = pin.GeometryModel()
             for shape in movers:
                 geometry.addGeometryObject(shape)

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hplan.base.arrays import FloatArray, IntArray
+from hplan.base.deadline import look
 from hplan.robot.base_shapes import TURRET
 from hplan.robot.model import Robot
 from hplan.robot.self_contact import BaseBody, pair_sway, self_contact
@@ -72,6 +73,7 @@ def rows_of(
     own = float(growth.min()) if own_clearance is None and growth.size else own_clearance or 0.0
     contact = self_contact(robot, deviation=deviation, clearance=own)
     for index, part in [*enumerate(obstacles), *((-1, body) for body in contact.bodies)]:
+        look()
         if isinstance(part, BaseBody):
             rows, more = _base_rows(part, own, data_count, robot.yaw_axis)
         else:

@@ -28,6 +28,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hplan.base.arrays import BoolArray, FloatArray, IntArray, WordArray, frozen, readonly
+from hplan.base.deadline import is_up, look, until
 from hplan.base.kernels import inlined, kernel
 from hplan.cspace.rectangle_link import rectangle_half_angles
 from hplan.cspace.sections import LINK_MODELS, ArmSections, SectionArrays
@@ -42,9 +43,15 @@ _ALL = np.uint64(0xFFFFFFFFFFFFFFFF)
 #: A joint closer than this to a rounded polygon is in it: bearings of points so near would be noise [m].
 _TOUCHING = 1e-12
 
+#: The clock is looked at where the number of a row has none of these bits.
+_OFTEN = 63
+
 
 class _Links(NamedTuple):
-    """(links,) the links of an arm, as in `PlanarArm`, and the axes of their joints' grid, as in `Grid`."""
+    """(links,) the links of an arm, as in `PlanarArm`, and the axes of their joints' grid, as in `Grid`.
+
+    And how long it may take (`hplan.base.deadline`).
+    """
 
     lengths: FloatArray
     half_widths: FloatArray
@@ -53,6 +60,7 @@ class _Links(NamedTuple):
     lower: FloatArray
     step: FloatArray
     counts: IntArray
+    until: FloatArray
 
 
 class _Axis(NamedTuple):
@@ -104,8 +112,9 @@ def occupancy(arm: PlanarArm, sections: ArmSections, grid: Grid) -> Occupancy:
             f"{len(sections.link_start) - 1} links",
         )
     shape = np.array(grid.shape)
-    joints = _Links(arm.lengths, arm.half_widths, arm.signs, arm.offsets, grid.lower, grid.step, shape)
+    joints = _Links(arm.lengths, arm.half_widths, arm.signs, arm.offsets, grid.lower, grid.step, shape, until())
     words = _fill(joints, LINK_MODELS.index(sections.link_model), sections.arrays)
+    look()
     for (link, other, _), radius in zip(sections.own_pairs.tolist(), sections.own_radii.tolist(), strict=True):
         if link < links:
             _take_out_contact(words, arm, grid, link, other, radius)
@@ -301,6 +310,8 @@ def _fill_link(rows: WordArray, poses: _Poses, k: int, links: _Links, model: int
             rows[r, w] = np.uint64(0) if blocked else (tail if w == words - 1 else _ALL)
         if blocked:
             continue
+        if r & _OFTEN == 0 and is_up(links.until):
+            break
         for s in range(first, last):
             dx, dy = bounds[s, 0] - px[r], bounds[s, 1] - py[r]
             limit = reach + bounds[s, 2]
@@ -368,6 +379,8 @@ def _fill(links: _Links, model: int, sections: SectionArrays) -> WordArray:
     poses = _Poses(np.ones(1, dtype=np.bool_), np.zeros(1), np.zeros(1), np.ones(1), np.zeros(1))
     rows = np.empty((1, (links.counts[0] + 63) >> 6), dtype=np.uint64)
     for k in range(len(links.counts)):
+        if is_up(links.until):
+            break
         if k > 0:
             poses = _advance(rows, poses, k - 1, links)
             rows = np.empty((len(poses.alive), (links.counts[k] + 63) >> 6), dtype=np.uint64)

@@ -12,7 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hplan.base.arrays import WordArray, frozen
+from hplan.base.arrays import FloatArray, WordArray, frozen
+from hplan.base.deadline import is_up, look, until
 from hplan.base.kernels import kernel
 from hplan.cspace.occupancy import occupancy
 from hplan.cspace.prepared_obstacles import PreparedObstacles
@@ -23,6 +24,9 @@ from hplan.search.grid import Grid, Occupancy, words_for
 
 #: Largest C-space with a turning base [bytes], one bit a node: a search takes five times as much.
 MOST_BYTES = 150_000_000
+
+#: The clock is looked at where the number of a row has none of these bits.
+_OFTEN = 63
 
 
 class YawAxis(NamedTuple):
@@ -131,12 +135,14 @@ def turning_occupancy(
     for place in range(words_for(count)):
         some = first + step * np.arange(64 * place, min(count, 64 * place + 64))
         sections = (sections_at(robot, obstacles, yaw, half_angle=half_angle) for yaw in some.tolist())
-        _stack(np.stack([layers.free_words(robot, each, planar) for each in sections]), planar.shape[-1], place, words)
+        free = np.stack([layers.free_words(robot, each, planar) for each in sections])
+        _stack(free, planar.shape[-1], place, words, until())
+        look()
     return Occupancy(grid, frozen(words))
 
 
 @kernel
-def _stack(free: WordArray, count: int, place: int, words: WordArray) -> None:
+def _stack(free: WordArray, count: int, place: int, words: WordArray, until: FloatArray) -> None:
     """Word `place` of every node's row from 64 planar occupancies, (layers, rows, words): a bit from each of them.
 
     64 words of 64 bits are transposed: blocks of 32 bits change places across the diagonal, then blocks of 16 in each
@@ -145,6 +151,8 @@ def _stack(free: WordArray, count: int, place: int, words: WordArray) -> None:
     layers, rows, planar_words = free.shape
     block = np.empty(64, dtype=np.uint64)
     for row in range(rows):
+        if row & _OFTEN == 0 and is_up(until):
+            break
         for word in range(planar_words):
             for k in range(64):
                 block[k] = free[k, row, word] if k < layers else np.uint64(0)

@@ -20,6 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hplan.base.arrays import FloatArray, IntArray
+from hplan.base.deadline import is_up
 from hplan.base.kernels import any_int, inlined, kernel
 from hplan.collision.clearance_kernels import FieldArrays, link_clearances
 from hplan.optimization.interior_point import ProgramRows
@@ -270,13 +271,15 @@ def _places(control: FloatArray, knots: FloatArray, field: FieldArrays) -> _Plac
     """`PLACES` of each piece."""
     n, dof = control.shape
     count = (n - 3) * PLACES
-    q, weight, clear = np.zeros((count, dof)), np.empty((count, 4)), np.empty((count, field.chain.shape[0]))
+    q, weight, clear = np.zeros((count, dof)), np.empty((count, 4)), np.full((count, field.chain.shape[0]), np.inf)
     for place in range(count):
         piece = place // PLACES
         basis(knots, piece, (place % PLACES) / PLACES, weight[place])
         for j in range(dof):
             for c in range(4):
                 q[place, j] += weight[place, c] * control[piece + c, j]
+        if is_up(field.until):
+            break
         link_clearances(q[place], field, clear[place])
     return _Places(q, weight, clear)
 
@@ -309,7 +312,7 @@ def _add_clearances(
         nearest = math.inf
         for link in range(links):
             nearest = min(nearest, clear[place, link])
-        if not nearest < NEAR:
+        if not nearest < NEAR or is_up(field.until):
             continue
         for m in range(joints):
             j = limits.movable[m]

@@ -19,6 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hplan.base.arrays import FloatArray, ShortArray
+from hplan.base.deadline import is_up
 from hplan.base.kernels import kernel
 
 #: Weight of the squares of the changes: of motions that take the same time, the nearest one.
@@ -89,7 +90,7 @@ class _Normal(NamedTuple):
 
 
 @kernel
-def solve(rows: ProgramRows, count: int, band: int, accuracy: float) -> tuple[bool, FloatArray]:
+def solve(rows: ProgramRows, count: int, band: int, accuracy: float, until: FloatArray) -> tuple[bool, FloatArray]:
     """The solution of a program.
 
     Args:
@@ -97,6 +98,7 @@ def solve(rows: ProgramRows, count: int, band: int, accuracy: float) -> tuple[bo
         count: Number of unknowns besides the pace.
         band: Largest difference between columns of a row.
         accuracy: How near to the least pace.
+        until: How long it may take (`hplan.base.deadline`).
 
     Returns:
         Whether it was found, and (count + 1,) the unknowns, the pace last.
@@ -117,6 +119,8 @@ def solve(rows: ProgramRows, count: int, band: int, accuracy: float) -> tuple[bo
             gap += slack[side] * dual[side]
         if worst < _RESIDUAL and gap < accuracy:
             return True, x
+        if is_up(until):
+            break
         corner = _normal_equations(rows, slack, dual, normal.factor, normal.border)
         if not (worst < _LOST and _factored(normal.factor)):
             break

@@ -16,6 +16,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from hplan.base.arrays import FloatArray, Record, frozen
+from hplan.base.deadline import look, until
 from hplan.collision.clearance_field import ClearanceField
 from hplan.optimization.first_order import MotionArrays, MotionLimits, first_order, least_pace
 from hplan.optimization.interior_point import ProgramRows, solve
@@ -135,7 +136,9 @@ class TimeProblem(Record):
     def is_clear(self, spline: TimedSpline) -> bool:
         """True if the whole motion is shown clear."""
         moved, pieces = MovableSpline(np.array(spline.control), spline.knots), len(spline.control) - 3
-        return bool(pieces_are_clear(moved, FIRST, pieces - 1, self.field.arrays, PROVED * self.options.margin, 0.0))
+        clear = pieces_are_clear(moved, FIRST, pieces - 1, self.field.arrays, PROVED * self.options.margin, 0.0)
+        look()
+        return bool(clear)
 
     def pace(self, spline: TimedSpline) -> float:
         """By what the motion's times have to be multiplied to keep velocity, acceleration and jerk."""
@@ -180,6 +183,7 @@ class TimeProblem(Record):
         arrays, options = self.arrays, self.options
         motion = MotionArrays(np.array(spline.control), spline.knots, spline.drift)
         rows = first_order(motion, arrays, self.near.arrays, options.margin, trust)
+        look()
         if least is not None:
             rows = with_rows(rows, _at_least(least))
         use = self.torque_use(spline)
@@ -187,7 +191,8 @@ class TimeProblem(Record):
             rows = with_rows(rows, torque_rows(use, spline, self.dynamics, arrays))
         joints = len(options.movable)
         inner = len(spline.control) - 2 * RESTING
-        found, unknowns = solve(rows, inner * joints, 4 * joints - 1, gap)
+        found, unknowns = solve(rows, inner * joints, 4 * joints - 1, gap, until())
+        look()
         return (unknowns[:-1].reshape(inner, joints), float(unknowns[-1])) if found else None
 
 

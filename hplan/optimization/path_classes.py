@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from hplan.base.arrays import FloatArray, IntArray, frozen
+from hplan.base.deadline import is_up, look
 from hplan.base.kernels import any_int, kernel
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.clearance_kernels import FieldArrays, link_clearances, smallest
@@ -28,7 +29,9 @@ def class_numbers(paths: FloatArray, field: ClearanceField) -> IntArray:
         paths: (n, k, dof) corresponding points of the paths, between the same ends.
         field: Arm and obstacles.
     """
-    return frozen(_class_numbers(np.array(paths), field.arrays))
+    number = _class_numbers(np.array(paths), field.arrays)
+    look()
+    return frozen(number)
 
 
 @kernel
@@ -37,6 +40,8 @@ def _class_numbers(paths: FloatArray, field: FieldArrays) -> IntArray:
     count = paths.shape[0]
     number, clear, q = np.arange(count), np.empty(field.chain.shape[0]), np.empty(paths.shape[2])
     for path in range(count):
+        if is_up(field.until):
+            break
         for first in range(path):
             if number[first] == first and _may_be_moved(paths[path], paths[first], field, clear, q):
                 number[path] = first

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hplan.base.arrays import IntArray, Record
+from hplan.base.deadline import look
 from hplan.collision.clearance_field import ClearanceField
 from hplan.cspace.occupancy import occupancy
 from hplan.cspace.sections import ArmSections, sections_at
@@ -115,6 +116,7 @@ class PlanningContext(Record):
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
         """Announce a stage, and note the time of what runs inside."""
+        look()
         self.progress(name)
         with self.clock.stage(name):
             yield

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hplan.base.arrays import FloatArray, IntArray, frozen
+from hplan.base.deadline import is_up, look
 from hplan.base.kernels import kernel
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.clearance_kernels import FieldArrays, link_clearances, segment_is_clear, smallest
@@ -82,6 +83,7 @@ def quick_path(
     points = np.concatenate([[problem.start, problem.goal], spread])
     longest = min(LONGEST * straight_s + LONGEST_S, quicker_than_s)
     path = _quickest(points, np.array(velocity), field.arrays, margin, longest, effort.checks)
+    look()
     return frozen(points[path]) if len(path) else None
 
 
@@ -117,6 +119,8 @@ def _quickest(
     used = np.empty(count, dtype=np.int64)
     used[0], used[1], size = 0, 1, 2
     for i in range(2, count):
+        if is_up(field.until):
+            break
         if duration[0, i] + duration[i, 1] <= longest:
             link_clearances(points[i], field, clear)
             if smallest(clear) >= margin:
@@ -124,7 +128,7 @@ def _quickest(
                 size += 1
     checked = np.zeros((count, count), dtype=np.bool_)
     left, following, done = np.empty(count), np.empty(count, dtype=np.int64), np.empty(count, dtype=np.bool_)
-    while checks > 0:
+    while checks > 0 and not is_up(field.until):
         # Dijkstra's algorithm from the goal, on a graph in which nearly all are joined.
         for a in range(size):
             left[used[a]], done[used[a]] = math.inf, False

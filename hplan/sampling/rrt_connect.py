@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hplan.base.arrays import FloatArray, IntArray, frozen
+from hplan.base.deadline import is_up, look
 from hplan.base.kernels import kernel
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.clearance_kernels import FieldArrays, link_clearances, motion_bounds, proven_advance
@@ -105,6 +106,7 @@ def tree_path(
     path = None
     while path is None and looks[0] > 0 and max(first.size[0], second.size[0]) < MOST_NODES - CHUNK:
         joined = _grow(_samples(generator, problem, ends), first, second, arm, looks)
+        look()
         if joined[0] >= 0:
             there = np.concatenate([_branch(first, int(joined[0]))[::-1], _branch(second, int(joined[1]))])
             path = frozen(there[np.append(True, (np.diff(there, axis=0) != 0.0).any(axis=1))])
@@ -147,7 +149,7 @@ def _grow(samples: FloatArray, first: Tree, second: Tree, arm: Surroundings, loo
     """Grow both trees by some samples; the nodes at which they meet, or -1."""
     joined = np.full(2, -1, dtype=np.int64)
     for s in range(samples.shape[0]):
-        if looks[0] <= 0:
+        if looks[0] <= 0 or is_up(arm.field.until):
             break
         forward = first.size[0] <= second.size[0]
         tree, towards = (first, second) if forward else (second, first)
@@ -156,7 +158,9 @@ def _grow(samples: FloatArray, first: Tree, second: Tree, arm: Surroundings, loo
             continue
         target = tree.points[new]
         here = _nearest(towards, target, arm)
-        while here >= 0 and motion_time(towards.points[here], target, arm.slowness) > 0.0:
+        while (
+            here >= 0 and not is_up(arm.field.until) and motion_time(towards.points[here], target, arm.slowness) > 0.0
+        ):
             here = _extend(towards, here, target, arm, looks)
         if here >= 0:
             joined[0], joined[1] = (new, here) if forward else (here, new)

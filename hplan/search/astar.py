@@ -14,12 +14,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hplan.base.arrays import FloatArray, IntArray, frozen
+from hplan.base.deadline import is_up, look
 from hplan.base.kernels import inlined, kernel
 from hplan.search.bits import lowest_bit, popcount
 from hplan.search.grid import Occupancy, checked_node
 from hplan.search.heap import begin, pop, priority, push
 from hplan.search.lattice import Lattice, LatticeArrays, Node, NodeSet
 from hplan.search.result import Expansions, SearchResult, StageTimes
+
+#: The clock is looked at after one more than so many expansions.
+_OFTEN = 255
 
 
 def dense_search(occupancy: Occupancy, start: ArrayLike, goal: ArrayLike, *, octile: bool = False) -> SearchResult:
@@ -77,7 +81,9 @@ def row_bounds(lattice: Lattice, nodes: NodeSet, goal_row: int) -> RowBounds:
         nodes: The nodes, the goal among them.
         goal_row: Bordered row of the goal.
     """
-    return _row_bounds(nodes.rows, lattice.rows, lattice.arrays, goal_row)
+    bounds = _row_bounds(nodes.rows, lattice.rows, lattice.arrays, goal_row)
+    look()
+    return bounds
 
 
 @kernel
@@ -105,6 +111,8 @@ def _row_bounds(used: IntArray, rows: int, lattice: LatticeArrays, goal_row: int
             row = pop(keys, entries, slot, size)
             size -= 1
             settled += 1
+            if settled & _OFTEN == 0 and is_up(lattice.until):
+                break
             base = values[row, k]
             for move in range(len(row_offsets)):
                 neighbour = row + row_offsets[move]
@@ -143,6 +151,7 @@ def astar(
     path, cost, expansions = _astar(
         nodes, lattice.shape[-1], lattice.node(start), lattice.node(goal), lattice.arrays, octile, bounds
     )
+    look()
     return (path if len(path) else None), cost, expansions
 
 
@@ -216,7 +225,7 @@ def _astar(
 ) -> tuple[IntArray, float, int]:
     """A* over set bits; path as (m, d) node indices (empty without a path), cost, expansions."""
     words, ranks = nodes.words, nodes.ranks
-    row_offsets, move_costs, row_coordinates, step = lattice
+    row_offsets, move_costs, row_coordinates, step, until = lattice
     cost = np.full(nodes.size, np.inf)
     parent = np.full(nodes.size, -1, dtype=np.int32)
     place = np.empty(nodes.size, dtype=np.int64)  # row * bit_count + bit
@@ -242,6 +251,8 @@ def _astar(
         base = cost[node]
         if row == goal.row and bit == goal.bit:
             found = node
+            break
+        if expansions & _OFTEN == 0 and is_up(until):
             break
         word, position = bit >> 6, np.uint64(bit & 63)
         for move in range(len(row_offsets)):

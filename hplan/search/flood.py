@@ -9,7 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hplan.base.arrays import BoolArray, IntArray, WordArray, frozen
+from hplan.base.arrays import BoolArray, FloatArray, IntArray, WordArray, frozen
+from hplan.base.deadline import is_up, look, until
 from hplan.base.kernels import kernel
 from hplan.search.bits import lowest_bit, popcount
 from hplan.search.grid import Occupancy, checked_node
@@ -17,6 +18,9 @@ from hplan.search.lattice import Lattice
 
 #: A row that is never reached: it belongs to the border.
 _NOWHERE = 0
+
+#: The clock is looked at where the number of a line has none of these bits.
+_OFTEN = 15
 
 
 def flood_slices(
@@ -40,7 +44,10 @@ def flood_slices(
     shape, neighbours = in_lines(lattice)
     if goal_row is None:
         goal_row, enough = _NOWHERE, np.ones_like(enough)
-    count = _flood(free.reshape(shape), reached.reshape(shape), neighbours[neighbours != 0], False, goal_row, enough)
+    count = _flood(
+        free.reshape(shape), reached.reshape(shape), neighbours[neighbours != 0], (False, goal_row), enough, until()
+    )
+    look()
     return reached, int(count)
 
 
@@ -60,7 +67,8 @@ def flood_from(lattice: Lattice, free: WordArray, nodes: IntArray) -> tuple[Word
         reached[lattice.row_of(node), node[-1] >> 6] |= np.uint64(1) << np.uint64(node[-1] & 63)
     shape, neighbours = in_lines(lattice)
     enough = np.ones(lattice.words, dtype=np.uint64)
-    count = _flood(free.reshape(shape), reached.reshape(shape), neighbours, True, _NOWHERE, enough)
+    count = _flood(free.reshape(shape), reached.reshape(shape), neighbours, (True, _NOWHERE), enough, until())
+    look()
     return reached, int(count)
 
 
@@ -127,14 +135,17 @@ def has_bit(words: WordArray, row: int, bit: int) -> bool:
 
 @kernel
 def _flood(
-    free: WordArray, reached: WordArray, neighbours: IntArray, joined: bool, goal_row: int, enough: WordArray
-) -> int:
+    free: WordArray, reached: WordArray, neighbours: IntArray, how: tuple[bool, int], enough: WordArray,
+    until: FloatArray,
+) -> int:  # fmt: skip
     """Grow `reached` inside `free`, both (lines, rows of a line * words); returns the number of bits reached.
+
+    How: whether slices are joined, and the goal's row.
 
     A line with a neighbour that has news first takes one step from all of these, then runs along its rows and, where
     slices are joined, along its bits. The flood may end where (words,) `enough` is reached in the goal's row.
     """
-    lines, length = free.shape
+    (joined, goal_row), (lines, length) = how, free.shape
     words, zero = len(enough), np.uint64(0)
     goal_line, goal_word = goal_row * words // length, goal_row * words % length
     front, wide = np.zeros(length, dtype=np.uint64), np.zeros(length, dtype=np.uint64)
@@ -155,6 +166,8 @@ def _flood(
                 continue
             waiting[line] = False
             left -= 1
+            if line & _OFTEN == 0 and is_up(until):
+                return 0
             here, inside = reached[line], free[line]
             for k in range(length):
                 front[k] = here[k]

@@ -22,6 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hplan.base.arrays import FloatArray, IntArray, ShortArray, WordArray
+from hplan.base.deadline import is_up
 from hplan.base.kernels import inlined, kernel
 from hplan.search.direct_slices import PlaneEnds
 from hplan.search.heap import NEW, begin, pop, priority, push
@@ -71,7 +72,7 @@ class _SearchArrays(NamedTuple):
 
 @kernel
 def jump_slices(
-    free: WordArray, feasible: WordArray, first: int, last: int, ends: PlaneEnds, steps: FloatArray
+    free: WordArray, feasible: WordArray, first: int, last: int, ends: PlaneEnds, steps: FloatArray, until: FloatArray
 ) -> tuple[IntArray, IntArray, int]:
     """Shortest path from the start's row to the goal's in each feasible slice from `first` to `last`.
 
@@ -82,6 +83,7 @@ def jump_slices(
         last: Last slice to search.
         ends: Rows in which every path starts and ends.
         steps: (2,) weights of a step along axes i and j.
+        until: How long it may take (`hplan.base.deadline`).
 
     Returns:
         Rows of all paths one after the other, (last - first + 2,) where each slice's path begins in them, and the
@@ -113,6 +115,8 @@ def jump_slices(
         begins[number - first + 1] = begin
         if not (feasible[number >> 6] >> np.uint64(number & 63)) & np.uint64(1):
             continue
+        if is_up(until):
+            break
         if number >= base + 64:
             base = number
             _take_slices(free, base, plane.free)

@@ -9,12 +9,13 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
 from hplan.base.arrays import FloatArray, IntArray, Record, ShortArray, WordArray, readonly
+from hplan.base.deadline import until
 from hplan.base.kernels import kernel
 from hplan.search.bits import popcount
 from hplan.search.grid import words_for
@@ -28,12 +29,13 @@ class Node(NamedTuple):
 
 
 class LatticeArrays(NamedTuple):
-    """A lattice as the kernels take it; see `Lattice`."""
+    """A lattice as the kernels take it; see `Lattice`. And how long they may take (`hplan.base.deadline`)."""
 
     row_offsets: IntArray
     move_costs: FloatArray
     row_coordinates: IntArray
     step: FloatArray
+    until: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,10 +66,10 @@ class Lattice(Record):
         """
         return _lattice(shape, step.tobytes())
 
-    @cached_property
+    @property
     def arrays(self) -> LatticeArrays:
-        """Its arrays for the kernels."""
-        return LatticeArrays(self.row_offsets, self.move_costs, self.row_coordinates, self.step)
+        """Its arrays for the kernels, and how long these may take."""
+        return LatticeArrays(self.row_offsets, self.move_costs, self.row_coordinates, self.step, until())
 
     @property
     def rows(self) -> int:

@@ -15,6 +15,7 @@ from typing import TypeAlias
 import numpy as np
 
 from hplan.base.arrays import BoolArray, IntArray, Record, WordArray, frozen
+from hplan.base.deadline import look, until
 from hplan.base.kernels import kernel
 from hplan.search.direct_slices import PlaneEnds, direct_paths, with_others
 from hplan.search.flood import bits_of, flood_slices
@@ -128,7 +129,10 @@ def _planar(lattice: Lattice, free: WordArray, start_row: int, goal_row: int, sl
         flooded += count
         feasible = reached[goal_row]
         if feasible.any():
-            path_rows, begins, expansions = jump_slices(free, feasible, slices[0], slices[-1], ends, lattice.step[:-1])
+            path_rows, begins, expansions = jump_slices(
+                free, feasible, slices[0], slices[-1], ends, lattice.step[:-1], until()
+            )
+            look()
     path_rows, begins = with_others(direct, path_rows, begins)
     return SlicePaths(lattice, slices[0], frozen(path_rows), frozen(begins), expansions, flooded)
 

@@ -13,7 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hplan.base.arrays import BoolArray, IntArray, ShortArray, WordArray, frozen
+from hplan.base.arrays import BoolArray, FloatArray, IntArray, ShortArray, WordArray, frozen
+from hplan.base.deadline import is_up, look, until
 from hplan.base.kernels import kernel
 from hplan.search.bits import lowest_bit, popcount
 from hplan.search.flood import flood_from, has_bit, in_lines
@@ -73,9 +74,10 @@ def _grow(lattice: Lattice, free: WordArray, ends: tuple[IntArray, IntArray], mo
     planes = np.zeros((2, 3, lattice.rows, lattice.words), dtype=np.uint64)
     bits = free.reshape(shape), seen.reshape(2, *shape), planes.reshape(2, 3, *shape)
     inner = (np.arange(shape[1]) % lattice.words > 0).astype(np.uint64)
-    grid = _LineBits(*bits, neighbours, inner, lattice.words)
+    grid = _LineBits(*bits, neighbours, inner, lattice.words, until())
     nodes = np.array([lattice.node(index) for side in ends for index in side])
     row, bit, side, levels, flooded = _meet(grid, nodes, len(ends[0]), most)
+    look()
     nothing = np.empty((0, lattice.words), dtype=np.uint64)
     if row < 0:
         return Wavefronts(None, int(flooded), ("start", "goal", "")[side], nothing if side < 0 else seen[side].copy())
@@ -95,6 +97,7 @@ class _LineBits(NamedTuple):
         neighbours: Offsets of the neighbouring lines, the line itself among them.
         inner: (length,) 1 for words whose lower neighbour is of the same row.
         words: Words of a row.
+        until: How long it may take (`hplan.base.deadline`).
     """
 
     free: WordArray
@@ -103,6 +106,7 @@ class _LineBits(NamedTuple):
     neighbours: IntArray
     inner: WordArray
     words: int
+    until: FloatArray
 
 
 class _Fronts(NamedTuple):
@@ -176,7 +180,7 @@ def _meet(grid: _LineBits, ends: IntArray, starts: int, most: int) -> tuple[int,
             return row, bit, -1, levels, news[0] + news[1]
     flooded = news[0] + news[1]
     while news[0] > 0 and news[1] > 0:
-        if flooded > most:
+        if flooded > most or is_up(grid.until):
             return -1, -1, -1, levels, flooded
         side = 0 if news[0] <= news[1] else 1
         count = _spread(grid, state, side)

@@ -20,6 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hplan.base.arrays import FloatArray, frozen
+from hplan.base.deadline import is_up, look
 from hplan.base.kernels import any_int, inlined, kernel
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.clearance_kernels import FieldArrays
@@ -52,6 +53,7 @@ def minimize_duration(
     control = np.array(spline.control)
     moved = MovableSpline(control, spline.knots)
     duration = _search(moved, field.arrays, options.joints, margin, options.trials)
+    look()
     return SplinePath(frozen(control), spline.knots), float(duration)
 
 
@@ -223,6 +225,8 @@ def _search(spline: MovableSpline, field: FieldArrays, joints: JointArrays, marg
             c, j = 1 + (move // 2) // len(movable), movable[(move // 2) % len(movable)]
             if move % 2 == 1 and paid:
                 continue
+            if is_up(field.until):
+                return math.inf
             low, high = max(0, c - 3), min(pieces - 1, c)
             copy_into(saved, control)
             control[c, j] = min(upper[j], max(lower[j], control[c, j] + step[c, j]))

@@ -13,6 +13,7 @@ import math
 import numpy as np
 
 from hplan.base.arrays import FloatArray, IntArray, frozen
+from hplan.base.deadline import is_up, look
 from hplan.base.kernels import any_int, inlined, kernel
 from hplan.base.polyline import stations
 from hplan.collision.clearance_field import ClearanceField
@@ -49,6 +50,7 @@ def clear_spline(
     control[0], control[-1] = path[0], path[-1]
     moved = MovableSpline(control, SplinePath.through(control).knots)
     pushed = push_out(moved, 0, count - 4, field.arrays, options.joints, margin, _ROUNDS)
+    look()
     spline = SplinePath(frozen(control), moved.knots)
     return spline if pushed and spline.is_clear(field, 0.5 * margin) else None
 
@@ -70,6 +72,7 @@ def tighten(
     """
     control = np.array(spline.control)
     _tighten(MovableSpline(control, spline.knots), field.arrays, options.joints, margin, rounds)
+    look()
     taut = SplinePath(frozen(control), spline.knots)
     return taut if taut.is_clear(field, 0.5 * margin) else spline
 
@@ -127,6 +130,8 @@ def push_out(
             bezier_piece(control, knots, i + 3, piece)
             if piece_is_clear(piece, field, margin, STRIDE):
                 continue
+            if is_up(field.until):
+                return False
             contact = True
             least, at = _worst_point(piece, field, movable, gradient)
             square = 0.0
@@ -170,6 +175,8 @@ def _tighten(spline: MovableSpline, field: FieldArrays, joints: JointArrays, mar
     best, before = control.copy(), control.copy()
     shortest = _polygon_length(control)
     for _ in range(rounds):
+        if is_up(field.until):
+            break
         copy_into(before, control)
         for i in range(1, count - 1):
             for j in joints.movable:

@@ -12,6 +12,7 @@ import math
 import numpy as np
 
 from hplan.base.arrays import FloatArray, frozen
+from hplan.base.deadline import is_up, look
 from hplan.base.kernels import kernel
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.clearance_kernels import FieldArrays, segment_is_clear
@@ -46,7 +47,9 @@ def shorten(path: FloatArray, field: ClearanceField, *, margin: float, rounds: i
     path = without_twins(path)
     if len(path) < 3:
         return frozen(np.array(path))
-    return frozen(_shortcut(_skip_visible(path, field.arrays, margin), field.arrays, margin, rounds))
+    shorter = _shortcut(_skip_visible(path, field.arrays, margin), field.arrays, margin, rounds)
+    look()
+    return frozen(shorter)
 
 
 @kernel
@@ -132,7 +135,7 @@ def _shortcut(path: FloatArray, field: FieldArrays, margin: float, rounds: int) 
     dof = path.shape[1]
     for attempt in range(rounds):
         count = path.shape[0]
-        if count < 3:
+        if count < 3 or is_up(field.until):
             break
         station = np.zeros(count)
         for m in range(1, count):

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hplan.base.arrays import BoolArray, FloatArray, Record, frozen, readonly
+from hplan.base.deadline import is_up, look
 from hplan.base.kernels import any_int, kernel
 from hplan.base.polyline import curve_length, stations
 from hplan.collision.clearance_field import ClearanceField
@@ -107,7 +108,9 @@ class SplinePath(Record):
 
 def first_contact(pieces: FloatArray, field: ClearanceField, margin: float) -> BoolArray:
     """(pieces,) True for each Bezier piece that is not shown clear."""
-    return np.array([not piece_is_clear(piece, field.arrays, margin, 0.0) for piece in np.array(pieces)])
+    contact = np.array([not piece_is_clear(piece, field.arrays, margin, 0.0) for piece in np.array(pieces)])
+    look()
+    return contact
 
 
 class MovableSpline(NamedTuple):
@@ -235,6 +238,8 @@ def piece_is_clear(piece: FloatArray, field: FieldArrays, margin: float, stride:
             return False
         if t >= 1.0:
             return True
+        if is_up(field.until):
+            return False
         t = min(1.0, t + max(stride, advance))
 
 

@@ -41,6 +41,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from hplan.base.arrays import FloatArray, IntArray
+from hplan.base.deadline import look
 from hplan.base.kernels import kernel
 from hplan.collision.coal_scene import CoalScene, Contact
 from hplan.robot.model import Robot
@@ -114,6 +115,7 @@ def prove_clearance(
     distances = checker.pair_distances(bezier[0, 0])
     going = search.take(np.arange(len(distances)), distances, 0.0)
     while going:
+        look()
         pairs, at, q = _first(search.pairs[1], bezier)
         if at == math.inf:
             return Proof("shown", needed + search.shown, search.contact(), search.checks, len(bezier))
@@ -208,6 +210,7 @@ class Advancement:
         end = self._at if outcome != "travel" else float(self.bounded)
         due = [(first, pair) for pair in range(len(self._checker.pairs))]
         while due:
+            look()
             row = due[0][0]
             # Points of Bezier between the rows may be no numbers.
             self.place(self._bezier[row, 0] if row < rows else self._bezier[-1, 3])

@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linprog
 
+from hplan.base.deadline import NEVER
 from hplan.optimization.interior_point import ProgramRows, solve
 
 ACCURACY = 1e-8
@@ -49,7 +50,7 @@ def drawn(seed: int, count: int, band: int, one_sided: int) -> tuple[ProgramRows
 @given(st.integers(0, 10**6), st.integers(1, 25), st.integers(0, 11), st.integers(0, 30))
 def test_the_pace_is_the_least_that_highs_finds(seed, count, band, one_sided):
     rows, matrix, right = drawn(seed, count, band, min(one_sided, count))
-    found, x = solve(rows, count, band, ACCURACY)
+    found, x = solve(rows, count, band, ACCURACY, NEVER)
     cost = np.append(np.zeros(count), 1.0)
     best = linprog(cost, A_ub=matrix, b_ub=right, bounds=(None, None))
     assert best.status == 0
@@ -65,7 +66,7 @@ def test_of_equal_paces_the_smallest_change_is_taken():
         np.array([0, 1, 2], dtype=np.int32), np.array([0, 1], dtype=np.int32), np.array([1.0, 1.0]),
         np.array([-1.0, 0.0]), np.array([-0.5, 1.0]), np.array([-0.5, 1.0]),
     )  # fmt: skip
-    found, x = solve(rows, 2, 0, ACCURACY)
+    found, x = solve(rows, 2, 0, ACCURACY, NEVER)
     assert found
     assert x == pytest.approx([0.0, 0.0, 0.5], abs=1e-6)
 
@@ -75,4 +76,4 @@ def test_a_program_without_solution_is_not_solved():
         np.array([0, 1, 2], dtype=np.int32), np.array([0, 0], dtype=np.int32), np.array([1.0, -1.0]),
         np.array([0.0, 0.0]), np.array([-1.0, -1.0]), np.array([1.0]),
     )  # fmt: skip
-    assert not solve(rows, 1, 0, ACCURACY)[0]
+    assert not solve(rows, 1, 0, ACCURACY, NEVER)[0]

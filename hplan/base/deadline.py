@@ -1,0 +1,227 @@
+"""When an answer is wanted at the latest, and whether it is still wanted: looked at by Python code and by kernels.
+
+A limit belongs to the call that it was begun in, and to what that calls in its own thread (a context variable), so that
+it need not go through every function on the way. Python code calls `look` at its steps, which raises `TimeIsUpError`
+once time is up. Kernels that may take longer than a millisecond take the array `until()` and ask `is_up` every so
+often; where it is, they return whatever they have, and **their caller calls `look` before it uses that**. `is_up` stays
+true as long as the limit lasts, so nothing that was cut short is ever taken for a result.
+
+Deadlines are looked at on the monotonic clock, by kernels too: nobody has to tell them. A wish to cancel is polled by a
+thread of its own, as kernels release Python's lock while they run.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from typing import TypeAlias
+
+import numba as nb
+import numpy as np
+
+from hplan.base.arrays import FloatArray, frozen
+from hplan.base.kernels import inlined, kernel
+from hplan.errors import HplanError, OptionError, PlanCancelledError
+
+#: Says whether nobody wants the answer any more: a function that returns a truth value, or an event that is set.
+Cancel: TypeAlias = Callable[[], object] | threading.Event
+
+#: How often a wish to cancel is asked for [s].
+POLL_S = 1e-3
+
+#: Later than any time on the clock, yet finite, so that kernels look at the wish to cancel [s].
+_LATE = 1e300
+
+#: What kernels take where there is no limit: the time on the monotonic clock [s], and 1 once nobody wants an answer.
+NEVER: FloatArray = frozen(np.array([np.inf, 0.0]))
+
+_CURRENT: ContextVar[TimeLimit | None] = ContextVar("time_limit", default=None)
+
+
+class TimeIsUpError(Exception):
+    """Time is up, or nobody wants the answer any more. It does not leave the call that began the limit."""
+
+
+class TimeLimit:
+    """A deadline, and a wish to cancel.
+
+    Attributes:
+        deadline_s: How long there is in all; None for as long as it takes [s].
+        until: (2,) what kernels take.
+    """
+
+    def __init__(self, deadline_s: float | None = None, *, until_cancelled: bool = False) -> None:
+        """Begin now.
+
+        Args:
+            deadline_s: How long there is; None for as long as it takes [s].
+            until_cancelled: True where it may be cancelled.
+        """
+        self._begin = clock_s()
+        self.deadline_s = deadline_s
+        late = _LATE if until_cancelled else np.inf
+        self._values = np.array([late if deadline_s is None else self._begin + deadline_s, 0.0])
+        self.until = frozen(self._values[:])
+        self._failure: BaseException | None = None
+
+    @property
+    def elapsed_s(self) -> float:
+        """Time since it began [s]."""
+        return clock_s() - self._begin
+
+    @property
+    def left_s(self) -> float:
+        """Time that is left, infinite without a deadline [s]."""
+        return float(self._values[0]) - clock_s()
+
+    @property
+    def is_up(self) -> bool:
+        """True once there is no time left, or it was cancelled."""
+        return self.is_cancelled or self.left_s <= 0.0
+
+    @property
+    def is_cancelled(self) -> bool:
+        """True once it was cancelled."""
+        return bool(self._values[1] > 0.0)
+
+    def cancel(self, failure: BaseException | None = None) -> None:
+        """Nobody wants the answer any more, or, with an error, the question whether anybody does has failed."""
+        self._failure = failure
+        self._values[1] = 1.0
+
+    def check_cancelled(self) -> None:
+        """Return unless it was cancelled.
+
+        Raises:
+            PlanCancelledError: It was.
+            BaseException: What the function raised that says whether it is.
+        """
+        if self._failure is not None:
+            raise self._failure
+        if self.is_cancelled:
+            raise PlanCancelledError(self.elapsed_s)
+
+    @contextmanager
+    def sooner(self, keep_s: float) -> Iterator[None]:
+        """Time is up for what runs inside as much sooner [s]; afterwards there is as much as there was before."""
+        before = float(self._values[0])
+        self._values[0] = before - keep_s
+        try:
+            yield
+        finally:
+            self._values[0] = before
+
+
+@contextmanager
+def time_limit(deadline_s: float | None = None, cancel: Cancel | None = None) -> Iterator[TimeLimit]:
+    """Begin a limit, which lasts as long as what runs inside; within another one that one counts.
+
+    Args:
+        deadline_s: How long there is; None for as long as it takes [s].
+        cancel: Says whether nobody wants the answer any more; asked about every `POLL_S` by a thread of its own.
+
+    Raises:
+        OptionError: What says so is neither a function nor an event.
+        PlanCancelledError: Nobody does.
+        TimeIsUpError: Time is up.
+        BaseException: What the function has raised.
+    """
+    if cancel is not None and not (callable(cancel) or isinstance(cancel, threading.Event)):
+        raise OptionError("cancel", cancel, "a function without arguments, or a threading.Event")
+    outer = _CURRENT.get()
+    if outer is not None:
+        yield outer
+        return
+    limit = TimeLimit(deadline_s, until_cancelled=cancel is not None)
+    done = threading.Event()
+    if cancel is not None:
+        _ask(limit, cancel)
+        threading.Thread(target=_watch, args=(limit, cancel, done), daemon=True, name="hplan-cancel").start()
+    token = _CURRENT.set(limit)
+    try:
+        limit.check_cancelled()
+        yield limit
+    except (TimeIsUpError, HplanError):
+        limit.check_cancelled()
+        raise
+    finally:
+        _CURRENT.reset(token)
+        done.set()
+
+
+def _ask(limit: TimeLimit, cancel: Cancel) -> None:
+    """Find out whether nobody wants the answer any more."""
+    try:
+        if cancel.is_set() if isinstance(cancel, threading.Event) else cancel():
+            limit.cancel()
+    except BaseException as failure:  # whatever a foreign function raises belongs to the thread that plans
+        limit.cancel(failure)
+
+
+def _watch(limit: TimeLimit, cancel: Cancel, done: threading.Event) -> None:
+    """Ask again and again, until the limit is over."""
+    while not (limit.is_cancelled or done.wait(POLL_S)):
+        _ask(limit, cancel)
+
+
+def current() -> TimeLimit | None:
+    """The limit of the call that this belongs to; None for none."""
+    return _CURRENT.get()
+
+
+def until() -> FloatArray:
+    """(2,) what kernels take, for the limit of the call that this belongs to."""
+    limit = _CURRENT.get()
+    return NEVER if limit is None else limit.until
+
+
+def look() -> None:
+    """Return if there is time left, and the answer is wanted.
+
+    Raises:
+        TimeIsUpError: There is none, or it is not.
+    """
+    limit = _CURRENT.get()
+    if limit is not None and limit.is_up:
+        raise TimeIsUpError
+
+
+def clock_s() -> float:
+    """Time on the clock that deadlines are on [s]."""
+    return time.clock_gettime(time.CLOCK_MONOTONIC)
+
+
+if nb.config.DISABLE_JIT:
+
+    def _clock_s() -> float:
+        return clock_s()
+
+else:
+    # By its name, not its address, so that kernels which ask it can be kept on disk.
+    _clock_gettime = nb.types.ExternalFunction("clock_gettime", nb.int32(nb.int32, nb.types.voidptr))
+    _MONOTONIC = time.CLOCK_MONOTONIC
+
+    @kernel
+    def _clock_s() -> float:
+        """The same for kernels."""
+        parts = np.empty(2, dtype=np.int64)
+        _clock_gettime(_MONOTONIC, parts.ctypes)
+        seconds: float = parts[0] + 1e-9 * parts[1]
+        return seconds
+
+
+@kernel
+def _is_up(until: FloatArray) -> bool:
+    """The same where there is a limit; takes 0.2 us."""
+    up: bool = until[1] > 0.0 or _clock_s() >= until[0]
+    return up
+
+
+@inlined
+def is_up(until: FloatArray) -> bool:
+    """True once there is no time left, or nobody wants the answer any more."""
+    up: bool = until[0] < np.inf and _is_up(until)
+    return up

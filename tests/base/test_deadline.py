@@ -1,0 +1,152 @@
+"""Limits of time: what Python code and kernels see of them."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from hplan.base.arrays import FloatArray
+from hplan.base.deadline import NEVER, TimeIsUpError, current, is_up, look, time_limit, until
+from hplan.base.kernels import kernel
+from hplan.errors import OptionError, PlanCancelledError
+
+#: So long a kernel below would run that nothing stops [loops]: most of a minute.
+LOOPS = 10**11
+
+#: Long for a kernel that is to come back at once; only a kernel that does not come back takes so long [s].
+SOON = 5.0
+
+
+def count_and_look() -> None:
+    _count(until(), LOOPS)
+    look()
+
+
+@kernel
+def _count(until: FloatArray, most: int) -> int:
+    """Count until time is up."""
+    count = 0
+    while count < most:
+        count += 1
+        if count & 1023 == 0 and is_up(until):
+            break
+    return count
+
+
+def test_without_a_limit_kernels_go_on_to_their_end() -> None:
+    look()
+    assert current() is None
+    assert until() is NEVER
+    assert _count(until(), 5000) == 5000
+
+
+def test_a_kernel_comes_back_at_the_deadline() -> None:
+    begin = time.monotonic()
+    with time_limit(0.02) as limit:
+        assert _count(until(), LOOPS) < LOOPS
+        assert limit.is_up
+        assert not limit.is_cancelled
+        with pytest.raises(TimeIsUpError):
+            look()
+    assert 0.02 <= time.monotonic() - begin < SOON
+    look()
+
+
+def test_a_limit_holds_for_its_own_thread_alone() -> None:
+    found: list[object] = []
+    with time_limit(1e-9):
+        other = threading.Thread(target=lambda: found.append((current(), look())))
+        other.start()
+        other.join()
+    assert found == [(None, None)]
+
+
+def test_within_another_limit_that_one_counts() -> None:
+    with time_limit(1e3) as outer, time_limit(1e-9) as inner:
+        assert inner is outer
+        look()
+
+
+def test_time_may_be_up_sooner_for_a_part() -> None:
+    with time_limit(1e3) as limit:
+        with limit.sooner(1e4), pytest.raises(TimeIsUpError):
+            look()
+        look()
+        assert limit.left_s > 1e2
+
+
+def _event_set_by_a_timer() -> threading.Event:
+    event = threading.Event()
+    threading.Timer(0.02, event.set).start()
+    return event
+
+
+@pytest.mark.parametrize("of", [lambda event: event, lambda event: event.is_set], ids=["event", "function"])
+def test_a_kernel_comes_back_once_it_is_cancelled(of: Callable[[threading.Event], object]) -> None:
+    begin = time.monotonic()
+    with pytest.raises(PlanCancelledError) as error, time_limit(cancel=of(_event_set_by_a_timer())):
+        count_and_look()
+    assert 0.0 < error.value.elapsed_s <= time.monotonic() - begin < SOON
+
+
+def test_what_is_not_wanted_at_the_beginning_is_not_begun() -> None:
+    event = threading.Event()
+    event.set()
+    with pytest.raises(PlanCancelledError), time_limit(cancel=event):
+        pytest.fail("it was begun")
+
+
+def test_an_error_of_the_function_that_is_asked_comes_through() -> None:
+    asked: list[float] = []
+
+    def broken() -> bool:
+        asked.append(time.monotonic())
+        if len(asked) > 2:
+            raise ZeroDivisionError("broken")
+        return False
+
+    with pytest.raises(ZeroDivisionError, match="broken"), time_limit(cancel=broken):
+        count_and_look()
+
+
+def test_what_cannot_be_asked_is_refused() -> None:
+    with pytest.raises(OptionError, match="cancel"), time_limit(cancel=1):  # type: ignore[arg-type]
+        pass
+
+
+def test_nobody_is_asked_any_more_afterwards() -> None:
+    count = threading.active_count()
+    with time_limit(cancel=threading.Event()):
+        assert threading.active_count() == count + 1
+    begin = time.monotonic()
+    while threading.active_count() > count and time.monotonic() - begin < SOON:
+        time.sleep(0.001)
+    assert threading.active_count() == count
+
+
+def test_another_thread_ticks_while_a_kernel_runs() -> None:
+    ticks, done = [0], threading.Event()
+
+    def tick() -> None:
+        while not done.wait(1e-3):
+            ticks[0] += 1
+
+    other = threading.Thread(target=tick)
+    other.start()
+    with time_limit(0.3):
+        before = ticks[0]
+        _count(until(), LOOPS)
+        after = ticks[0]
+    done.set()
+    other.join()
+    assert after - before >= 5  # a kernel that held the lock would leave it none
+
+
+def test_what_never_ends_is_read_only() -> None:
+    with pytest.raises(ValueError, match="read-only"):
+        NEVER[0] = 0.0
+    np.testing.assert_array_equal(NEVER, [np.inf, 0.0])

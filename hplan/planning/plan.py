@@ -23,15 +23,17 @@ from hplan.problem.definition import Problem
 from hplan.problem.options import PlanOptions
 from hplan.problem.world import World
 from hplan.robot.model import Robot
-from hplan.robot.tracking import largest_fraction, name_margin
+from hplan.robot.tracking import TrackingModel, largest_fraction, name_margin
 from hplan.scene.model import Scene
 from hplan.search import SearchResult
 from hplan.search.grid import Occupancy
 from hplan.search.result import Expansions
 from hplan.smoothing.spline import SplinePath
+from hplan.timing.time_scaling import Profile, Retimed, scaled, stopped
 from hplan.timing.trajectory import Trajectory, joined
 from hplan.verification.certificate import REST, Certificate, all_of, certify
 from hplan.verification.digests import Digests
+from hplan.verification.retimed_certificate import CertifiedMotion, certified_retiming
 
 if TYPE_CHECKING:
     from hplan.lower_bound.duration_bound import DurationBound
@@ -91,6 +93,33 @@ class PlanResult(Record):
         fruit = self.motion.task.scene.goal.fruit
         reached = [phase.end_s for phase in self.phases if phase.name != "retreat"]
         return {} if fruit is None else {fruit: reached[-1]}
+
+    def stop_at(self, t: float) -> CertifiedMotion:
+        """The trajectory up to the first row at or after a time, and from there on the quickest stop on its path.
+
+        Raises:
+            OptionError: A time before the trajectory or after it.
+        """
+        return self._retimed(stopped(self.trajectory, t, self.motion.task.robot))
+
+    def scaled(self, profile: Profile) -> CertifiedMotion:
+        """The trajectory at other speeds, on its path.
+
+        Args:
+            profile: Fraction of its own speed over time (`hplan.timing.time_scaling.scaled`).
+
+        Raises:
+            OptionError: Factors that are none, beyond what limits allow, or with which the motion does not end.
+            TimingError: No motion within the limits was found.
+        """
+        return self._retimed(scaled(self.trajectory, profile, self.motion.task.robot))
+
+    def _retimed(self, retimed: Retimed) -> CertifiedMotion:
+        task = self.motion.task
+        tracking = TrackingModel(task.options.tracking_error, task.options.tracking_delay_s)
+        return certified_retiming(
+            task.robot, task.scene, self.certificate, retimed, tracking=tracking, sigmas=task.options.sigmas
+        )
 
 
 def plan(

@@ -8,6 +8,7 @@ import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,6 +17,10 @@ from hplan.base.arrays import FloatArray, Record, numbers
 from hplan.base.csv_file import CsvFile
 from hplan.base.files import write_text
 from hplan.errors import InputError
+
+if TYPE_CHECKING:
+    from hplan.robot.model import Robot
+    from hplan.timing.time_scaling import Profile
 
 #: Columns of the CSV for each joint, after `time_s`.
 QUANTITIES = ("pos_rad", "vel_rad_s", "acc_rad_s2", "torque_nm")
@@ -89,6 +94,50 @@ class Trajectory(Record):
             self.acceleration[row:],
             self.torque[row:],
         )
+
+    def until(self, row: int) -> Trajectory:
+        """The motion up to a row; it ends in motion if it is in motion there."""
+        return Trajectory(
+            self.joint_names,
+            self.time[: row + 1],
+            self.position[: row + 1],
+            self.velocity[: row + 1],
+            self.acceleration[: row + 1],
+            self.torque[: row + 1],
+        )
+
+    def stop_at(self, t: float, robot: Robot) -> Trajectory:
+        """The same motion up to the first row at or after a time, and from there on the quickest stop on its path.
+
+        The path stays (to 0.1 mm): what was clear of obstacles on it is. `hplan.timing.time_scaling.stopped` says more.
+
+        Args:
+            t: The time, within the motion [s].
+            robot: The arm, for its limits.
+
+        Raises:
+            OptionError: A time before the motion or after it, or no robot.
+            TimingError: The motion neither ends at rest, nor was a stop found.
+        """
+        from hplan.timing.time_scaling import stopped
+
+        return stopped(self, t, robot).trajectory
+
+    def scaled(self, profile: Profile, robot: Robot) -> Trajectory:
+        """The same motion at other speeds, on its path (to 0.1 mm).
+
+        Args:
+            profile: Fraction of the motion's own speed over time: a number, (n, 2) rows of time [s] and factor, or a
+                function of the time (`hplan.timing.time_scaling.scaled`).
+            robot: The arm, for its limits.
+
+        Raises:
+            OptionError: Factors that are none, beyond what limits allow, or with which the motion does not end.
+            TimingError: No motion within the limits was found.
+        """
+        from hplan.timing.time_scaling import scaled
+
+        return scaled(self, profile, robot).trajectory
 
     def positions(self, clock: FloatArray) -> FloatArray:
         """(k, dof) configurations at (k,) times, on the cubics of `cubic_pieces`."""

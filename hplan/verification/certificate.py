@@ -239,11 +239,7 @@ def certify_among(
     _check_joints(robot, trajectory)
     bezier, duration = cubic_pieces(trajectory)
     use = limit_use(robot, trajectory, bezier, duration)
-    violations = [
-        f"{what} reaches {fraction:{'.4f' if fraction < 1e4 else '.4g'}} of its limit"
-        for what, fraction in vars(use).items()
-        if not fraction <= (LIMIT_TOLERANCE if what != "position" else 1.0 + 1e-6)
-    ]
+    violations = list(limit_violations(use))
     if rest_to_rest:
         for where, velocity in (("begins", trajectory.velocity[0]), ("ends", trajectory.velocity[-1])):
             if np.abs(velocity).max() > REST:
@@ -269,6 +265,13 @@ def certify_among(
         violations=tuple(violations),
         subject=Subject(((ProvedMotion(robot, trajectory, tuple(proved), clearance), False),)),
     )
+
+
+def limit_violations(use: LimitUse) -> Iterator[str]:
+    """The limits that are not shown to be kept, in words."""
+    for what, fraction in vars(use).items():
+        if not fraction <= (LIMIT_TOLERANCE if what != "position" else 1.0 + 1e-6):
+            yield f"{what} reaches {fraction:{'.4f' if fraction < 1e4 else '.4g'}} of its limit"
 
 
 def all_of(parts: Sequence[Certificate]) -> Certificate:

@@ -1,0 +1,147 @@
+"""The certificate of a motion that runs along another one's path: the clearance is the path's, the limits are its own.
+
+What is certified clear stays so on its path. A new timing (`hplan.timing.time_scaling`) leaves the path by a bounded
+part of a millimetre; by as much the clearance is less, and where it does not suffice, it is shown anew. Velocity,
+acceleration and torque are always looked at anew.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hplan.base.arrays import FloatArray, Record
+from hplan.collision.coal_scene import CoalScene
+from hplan.robot.base_shapes import GROUND, TURRET
+from hplan.robot.model import Robot
+from hplan.robot.tracking import TrackingModel
+from hplan.scene.model import Scene
+from hplan.timing.time_scaling import Retimed
+from hplan.timing.trajectory import Trajectory, cubic_pieces
+from hplan.verification.certificate import (
+    REST,
+    Certificate,
+    Stretch,
+    all_of,
+    certify_among,
+    limit_violations,
+    stretches,
+)
+from hplan.verification.digests import Digests
+from hplan.verification.limit_use import limit_use
+from hplan.verification.sway import movers, sways
+
+#: Times that differ by less are one [s].
+SAME_TIME = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class CertifiedMotion(Record):
+    """A motion along the path of another one, and what was shown of it.
+
+    Attributes:
+        trajectory: The motion, on the same clock as the other one up to where they part.
+        certificate: What was shown of it.
+        parts_s: When the two part [s].
+        off_path_m: Bound of how far the arm is off the other one's path [m].
+    """
+
+    trajectory: Trajectory
+    certificate: Certificate
+    parts_s: float
+    off_path_m: float
+
+
+def certified_retiming(
+    robot: Robot,
+    scene: Scene,
+    running: Certificate,
+    retimed: Retimed,
+    *,
+    tracking: TrackingModel,
+    sigmas: float,
+    anew: bool = False,
+) -> CertifiedMotion:
+    """A motion along another one's path with its certificate.
+
+    Args:
+        robot: The arm.
+        scene: What the other motion is certified among.
+        running: The certificate of the other one.
+        retimed: The motion.
+        tracking: Deviation of the joints that is covered.
+        sigmas: How many standard deviations of its place an obstacle is grown by.
+        anew: Whether to show the clearance anew, even where that of the path suffices.
+    """
+    whole, row = retimed.trajectory, retimed.row
+    contact_s = None if running.contact_s is None else _later(retimed, running.contact_s)
+    nearer = _nearer(robot, retimed.off_path)
+    slower = bool(np.diff(retimed.clock).max(initial=0.0) <= np.diff(whole.time).max(initial=1.0) * (1.0 + 1e-9))
+    left = running.min_clearance_m - nearer
+    if running.verified and left > scene.clearance and (slower or tracking.delay_s == 0.0) and not anew:
+        certificate = _by_path(robot, running, whole, left)
+    else:
+        first = row if running.verified else 0
+        solids = scene.solids_with_goal
+        checker = CoalScene(robot, solids, growth=np.array([sigmas * solid.sigma for solid in solids]))
+        among = _among(checker, retimed, running.contact_s, scene.goal.fruit, first)
+        part = certify_among(
+            robot, whole.since(first), among, clearance=scene.clearance, tracking=tracking, rest_to_rest=False
+        )
+        certificate = all_of([running, part]) if running.verified else part
+    ends = np.abs(whole.velocity[-1]).max()
+    still = () if ends <= REST else (f"the motion ends at {ends:.4g} rad/s, not at rest",)
+    violations = (*certificate.violations, *still)
+    certificate = replace(
+        certificate,
+        verified=certificate.verified and not violations,
+        violations=violations,
+        goal_contact=running.goal_contact,
+        contact_s=contact_s,
+        digests=Digests.of(robot, scene, whole),
+    )
+    return CertifiedMotion(whole, certificate, float(whole.time[row]), retimed.off_path_m)
+
+
+def _by_path(robot: Robot, running: Certificate, motion: Trajectory, left: float) -> Certificate:
+    """The certificate of a motion where the clearance of its path suffices."""
+    use = limit_use(robot, motion, *cubic_pieces(motion))
+    violations = tuple(limit_violations(use))
+    return Certificate(not violations, left, running.nearest, use, 0, violations)
+
+
+def _nearer(robot: Robot, off_path: FloatArray) -> float:
+    """By how much any part of the arm may come nearer to anything with joints off by (dof,) [m]."""
+    if not off_path.any():
+        return 0.0
+    own = robot.once("movers of its own", lambda: movers(CoalScene(robot, ()))[1])
+    turning = [(TURRET, GROUND)] if robot.has_yaw else []
+    return float(sways(robot, [*own, *turning], off_path[None]).max())
+
+
+def _later(retimed: Retimed, times: tuple[float, float]) -> tuple[float, float] | None:
+    """When the motion is where the other one is between two times; None where it does not come there."""
+    inside = np.flatnonzero((retimed.clock >= times[0] - SAME_TIME) & (retimed.clock <= times[1] + SAME_TIME))
+    if len(inside) == 0:
+        return None
+    time = retimed.trajectory.time
+    return float(time[inside[0]]), float(time[inside[-1]])
+
+
+def _among(
+    checker: CoalScene, retimed: Retimed, contact_s: tuple[float, float] | None, fruit: str | None, first: int
+) -> Sequence[Stretch]:
+    """What the motion is certified among from a row on: the last link may touch the fruit where it could."""
+    clock = retimed.clock[first:]
+    pieces = max(1, len(clock) - 1)
+    if contact_s is None or fruit is None:
+        return stretches(checker, pieces, None, None)
+    if len(clock) == 1:
+        inside = np.array([contact_s[0] - SAME_TIME <= clock[0] <= contact_s[1] + SAME_TIME])
+    else:
+        inside = (clock[:-1] >= contact_s[0] - SAME_TIME) & (clock[1:] <= contact_s[1] + SAME_TIME)
+    touching = np.flatnonzero(inside)
+    contact = slice(int(touching[0]), int(touching[-1]) + 1) if len(touching) else None
+    return stretches(checker, pieces, contact, fruit)

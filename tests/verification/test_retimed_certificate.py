@@ -1,0 +1,112 @@
+"""Certificates of stops and other timings: by the path's clearance, or shown anew."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from planned import assert_clear, between_rows, fruit, post, task
+
+from hplan.planning.plan import PlanResult, plan
+from hplan.problem.options import PlanOptions
+from hplan.robot.model import load_robot
+from hplan.robot.tracking import TrackingModel
+from hplan.scene.file import load_scene
+from hplan.scene.model import Goal
+from hplan.scene.obstacles import Sphere
+from hplan.timing.time_scaling import stopped
+from hplan.verification.certificate import certify
+from hplan.verification.digests import trajectory_digest
+from hplan.verification.retimed_certificate import certified_retiming
+
+STILL = TrackingModel(0.0, 0.0)
+
+
+@cache
+def picking() -> PlanResult:
+    """A pick: transit, approach and retreat."""
+    apple = fruit("apple", 20.0, 1.5, 1.4)
+    scene = task((-20.0, 45.0, 45.0, 30.0), Goal(fruit="apple"), [post("post", 0.0, 1.2, 0.0, 0.9)], fruits=(apple,))
+    return plan(load_robot(), scene)
+
+
+@cache
+def reference() -> PlanResult:
+    return plan(load_robot(), load_scene())
+
+
+@pytest.mark.parametrize("part", np.linspace(0.0, 1.0, 12))
+def test_stops_are_certified_without_a_look_and_clear(robot, part):
+    result = reference()
+    scene = result.motion.task.scene
+    found = result.stop_at(part * result.trajectory.duration)
+    assert found.certificate.verified
+    assert found.certificate.checks in (0, result.certificate.checks)
+    assert found.certificate.digests.trajectory == trajectory_digest(found.trajectory)
+    again = certify(robot, scene, found.trajectory, check_ends=False)
+    assert again.verified
+    looked_at = between_rows(found.trajectory, np.arange(found.trajectory.samples), 1)
+    assert_clear(robot, scene, looked_at)
+
+
+def test_the_clearance_is_less_by_what_the_arm_is_off_the_path():
+    result = reference()
+    found = result.stop_at(0.5)
+    assert found.off_path_m > 0.0
+    less = result.certificate.min_clearance_m - found.certificate.min_clearance_m
+    assert 0.0 < less <= 2.0 * found.off_path_m
+
+
+@pytest.mark.parametrize("part", np.linspace(0.0, 1.0, 12))
+def test_stops_in_a_pick(part):
+    """On the approach too, where the last link may touch the fruit."""
+    result = picking()
+    found = result.stop_at(part * result.trajectory.duration)
+    assert found.certificate.verified, found.certificate.violations
+    anew = certified_retiming(
+        load_robot(), result.motion.task.scene, result.certificate,
+        stopped(result.trajectory, part * result.trajectory.duration, load_robot()),
+        tracking=STILL, sigmas=3.0, anew=True,
+    )  # fmt: skip
+    assert anew.certificate.verified, anew.certificate.violations
+
+
+def test_where_the_clearance_does_not_suffice_it_is_shown_anew(robot):
+    result = reference()
+    scene = result.motion.task.scene
+    tight = replace(result.certificate, min_clearance_m=1e-6)
+    retimed = stopped(result.trajectory, 0.6, robot)
+    found = certified_retiming(robot, scene, tight, retimed, tracking=STILL, sigmas=3.0)
+    assert found.certificate.verified
+    assert found.certificate.checks > tight.checks
+
+
+def test_what_is_not_clear_is_not_certified(robot):
+    """An obstacle on the path, and a certificate that does not hold."""
+    result = reference()
+    scene = result.motion.task.scene
+    tool = robot.tool_positions(result.trajectory.position[[100]])[0]
+    blocked = scene.with_obstacles([*scene.obstacles, Sphere(name="late", center=tuple(tool.tolist()), radius=0.05)])
+    unknown = replace(result.certificate, verified=False)
+    retimed = stopped(result.trajectory, result.trajectory.time[150], robot)
+    found = certified_retiming(robot, blocked, unknown, retimed, tracking=STILL, sigmas=3.0)
+    assert not found.certificate.verified
+    assert any("late" in violation for violation in found.certificate.violations)
+
+
+def test_other_speeds_are_certified(robot):
+    result = picking()
+    found = result.scaled([(0.0, 1.0), (0.4, 1.0), (0.4, 0.3)])
+    assert found.certificate.verified
+    assert found.parts_s == pytest.approx(0.396)
+    scene = result.motion.task.scene
+    assert certify(robot, scene, found.trajectory).verified
+
+
+def test_with_tracking_errors_that_grow_with_speed(robot):
+    options = PlanOptions(tracking_error=1e-4, tracking_delay_s=1e-3)
+    result = plan(robot, load_scene(), options)
+    assert result.stop_at(0.7).certificate.verified
+    assert result.scaled(0.4).certificate.verified

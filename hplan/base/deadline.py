@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import TypeAlias
@@ -24,7 +24,7 @@ import numpy as np
 
 from hplan.base.arrays import FloatArray, frozen
 from hplan.base.kernels import inlined, kernel
-from hplan.errors import HplanError, OptionError, PlanCancelledError
+from hplan.errors import HplanError, NotInTimeError, OptionError, PlanCancelledError
 
 #: Says whether nobody wants the answer any more: a function that returns a truth value, or an event that is set.
 Cancel: TypeAlias = Callable[[], object] | threading.Event
@@ -104,6 +104,16 @@ class TimeLimit:
         if self.is_cancelled:
             raise PlanCancelledError(self.elapsed_s)
 
+    def error(self, tried: Sequence[str]) -> HplanError:
+        """The error that says that time is up, and what was tried.
+
+        Raises:
+            PlanCancelledError: It is not the time, nobody wants the answer any more.
+            BaseException: As `check_cancelled`.
+        """
+        self.check_cancelled()
+        return NotInTimeError(self.deadline_s or 0.0, self.elapsed_s, tried)
+
     @contextmanager
     def sooner(self, keep_s: float) -> Iterator[None]:
         """Time is up for what runs inside as much sooner [s]; afterwards there is as much as there was before."""
@@ -144,6 +154,7 @@ def time_limit(deadline_s: float | None = None, cancel: Cancel | None = None) ->
     try:
         limit.check_cancelled()
         yield limit
+        limit.check_cancelled()
     except (TimeIsUpError, HplanError):
         limit.check_cancelled()
         raise

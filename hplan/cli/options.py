@@ -74,6 +74,11 @@ def add_drop_inside(parser: argparse.ArgumentParser) -> None:
         "pedestal or turret, and say which; they are in no proof")  # fmt: skip
 
 
+def add_deadline(parser: argparse.ArgumentParser) -> None:
+    """Add the option `--deadline`; loading does not count."""
+    parser.add_argument("--deadline", dest="deadline_ms", type=float, metavar="MS", help="time that planning may take")
+
+
 def scene_among(arguments: argparse.Namespace, robot: Robot, scene: Scene, errors: Console) -> tuple[Scene, list[str]]:
     """The scene as `--drop-inside` wants it, and the names of what is left out, which the console is told."""
     if not arguments.drop_inside:
@@ -179,7 +184,7 @@ def tracking_of(arguments: argparse.Namespace) -> TrackingModel:
 
 
 def plan_options(arguments: argparse.Namespace, *options: str) -> PlanOptions:
-    """Options of a plan: tracking, pace, and the others of these names.
+    """Options of a plan: tracking, pace, deadline, and the others of these names.
 
     Raises:
         OptionError: A value out of its range.
@@ -188,7 +193,13 @@ def plan_options(arguments: argparse.Namespace, *options: str) -> PlanOptions:
 
     tracking = tracking_of(arguments)
     chosen = {option: getattr(arguments, option) for option in ("rate_hz", "speed", *options)}
-    return PlanOptions(tracking_error=tracking.still_rad, tracking_delay_s=tracking.delay_s, **chosen)
+    deadline_ms = getattr(arguments, "deadline_ms", None)
+    return PlanOptions(
+        tracking_error=tracking.still_rad,
+        tracking_delay_s=tracking.delay_s,
+        deadline_s=None if deadline_ms is None else 1e-3 * deadline_ms,
+        **chosen,
+    )
 
 
 def check_output_file(out: Path, read: Sequence[Path | None]) -> None:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from hplan.cli.job_folder import OUT, PAGE, REPORT, TRAJECTORY, JobFolder, fail_on_usage_errors
 from hplan.cli.options import (
     CommandParser,
+    add_deadline,
     add_drop_inside,
     add_pace,
     add_robot,
@@ -54,7 +55,7 @@ exit status:
   3  no path exists (shown on the grid)
   4  the motion cannot be timed
   5  the motion is not certified
-  6  no motion was found, and it was not shown that there is none
+  6  no motion was found, or none in time, and it was not shown that there is none
 
 hplan --help lists the other commands.
 """
@@ -116,6 +117,7 @@ def parser(prog: str) -> CommandParser:
     add("--uncertified", dest="certify", action="store_false", help="write the motion even if it is not certified; "
         "the report says so")  # fmt: skip
     add("--bound", action="store_true", help="also show how much faster any motion could be at most")
+    add_deadline(parser)
     add("--view", action="store_true", help="serve the animated scene until interrupted")
     add("--cspace", action="store_true", help="write cspace.html: the forbidden joint angles and the motion; "
         "cspace.png too where matplotlib is installed")  # fmt: skip

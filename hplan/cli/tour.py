@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from hplan.cli.job_folder import OUT, PAGE, TOUR, TOUR_REPORT, JobFolder, fail_on_usage_errors
 from hplan.cli.options import (
     CommandParser,
+    add_deadline,
     add_drop_inside,
     add_pace,
     add_robot,
@@ -84,6 +85,7 @@ def parser(prog: str) -> CommandParser:
     add("--standoff", type=float, default=0.1, metavar="M", help="length of straight approaches (default: 0.1)")
     add_pace(parser)
     add_tracking(parser)
+    add_deadline(parser)
     add("--quiet", action="store_true", help="no progress, no summary")
     fail_on_usage_errors(parser, OUT, _job_folder)
     return parser

@@ -7,12 +7,14 @@ handed out was certified among the obstacles as they are now.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from threading import RLock
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
+from hplan.base.deadline import Cancel, time_limit
 from hplan.errors import InputError, SceneError
 from hplan.planning.plan import PlanResult, check_task, plan_with
 from hplan.planning.task import PlanningCache
@@ -20,6 +22,9 @@ from hplan.problem.options import PlanOptions
 from hplan.robot.model import Robot
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Box, Capsule, Cylinder, Mesh, PointCloud, Sphere, Vector
+
+#: How often a plan that waits for another one looks whether it is still wanted [s].
+_WAIT_S = 0.01
 
 
 class Planner:
@@ -62,17 +67,20 @@ class Planner:
         """Go on from there."""
         vars(self).update(state, _cache=PlanningCache(state["robot"]), _lock=RLock())
 
-    def plan(self) -> PlanResult:
+    def plan(self, *, cancel: Cancel | None = None) -> PlanResult:
         """Plan as `hplan.plan` does, whatever was planned before.
+
+        Args:
+            cancel: As for `hplan.plan`.
 
         Raises:
             HplanError: As `hplan.plan`.
         """
-        with self._lock:
+        with self._turn(cancel):
             self.last = plan_with(self._cache, self.scene, self.options)
             return self.last
 
-    def replan(self) -> PlanResult:
+    def replan(self, *, cancel: Cancel | None = None) -> PlanResult:
         """Plan again after a change.
 
         The last motion stays if it can be certified among the obstacles as they are now, and is repaired if it cannot.
@@ -80,13 +88,33 @@ class Planner:
         has changed, and to a fruit or a point. So the result depends on what was planned before; `plan` gives the one
         that does not.
 
+        Args:
+            cancel: As for `hplan.plan`.
+
         Raises:
             HplanError: As `hplan.plan`.
         """
-        with self._lock:
+        with self._turn(cancel):
             before = None if self.last is None else self.last.motion
             self.last = plan_with(self._cache, self.scene, self.options, before=before)
             return self.last
+
+    @contextmanager
+    def _turn(self, cancel: Cancel | None) -> Iterator[None]:
+        """Wait for the turn of a plan, whose time counts from now.
+
+        Raises:
+            NotInTimeError: Time is up before.
+            PlanCancelledError: Nobody wants the plan any more.
+        """
+        with time_limit(self.options.deadline_s, cancel) as limit:
+            while not self._lock.acquire(timeout=min(_WAIT_S, max(limit.left_s, 0.0))):
+                if limit.is_up:
+                    raise limit.error(["another plan of the same planner is under way"])
+            try:
+                yield
+            finally:
+                self._lock.release()
 
     def add(self, obstacle: Sphere | Capsule | Cylinder | Box | Mesh | PointCloud) -> None:
         """Add an obstacle.

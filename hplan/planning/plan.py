@@ -11,13 +11,14 @@ import numpy as np
 
 from hplan.base.arguments import instance
 from hplan.base.arrays import FloatArray, Record
+from hplan.base.deadline import Cancel, TimeIsUpError, time_limit
 from hplan.base.polyline import path_length
 from hplan.errors import CertificationError, HplanError, NoPathError, TimingError
 from hplan.planning.certified_motion import Part, PlannedMotion, motion_limits
 from hplan.planning.find_motion import find_motion, reuse_motion
 from hplan.planning.grasp_motion import Pick, approach_and_retreat, flowing, motion_to_grasp
 from hplan.planning.grasps import Grasp, Target, grasps
-from hplan.planning.report import bound_report, motion_report
+from hplan.planning.report import StageClock, bound_report, motion_report
 from hplan.planning.task import PlanningCache, PlanningContext, Progress, no_progress
 from hplan.problem.definition import Problem
 from hplan.problem.options import PlanOptions
@@ -123,7 +124,12 @@ class PlanResult(Record):
 
 
 def plan(
-    robot: Robot, scene: Scene, options: PlanOptions | None = None, *, progress: Progress = no_progress
+    robot: Robot,
+    scene: Scene,
+    options: PlanOptions | None = None,
+    *,
+    progress: Progress = no_progress,
+    cancel: Cancel | None = None,
 ) -> PlanResult:
     """Plan a motion from the scene's start to its goal.
 
@@ -135,6 +141,8 @@ def plan(
         scene: Obstacles and task.
         options: How to plan.
         progress: Called with the name of each stage as it begins.
+        cancel: A function or an event that says whether nobody wants the plan any more; another thread asks it about
+            every millisecond.
 
     Raises:
         InputError: The scene does not fit the robot, or start or goal cannot be taken (see `check_problem`).
@@ -144,10 +152,14 @@ def plan(
         TimingError: The path cannot be timed.
         CertificationError: No motion could be certified.
         NotFoundError: None was found within memory and effort, and it was not shown that there is none.
+        NotInTimeError: None was found before the deadline.
+        PlanCancelledError: Nobody wants the plan any more.
         BoundError: The bound, where it is asked for, contradicts the motion.
     """
     check_task(robot, scene, options)
-    return plan_with(PlanningCache(robot), scene, PlanOptions() if options is None else options, progress=progress)
+    options = PlanOptions() if options is None else options
+    with time_limit(options.deadline_s, cancel):
+        return plan_with(PlanningCache(robot), scene, options, progress=progress)
 
 
 def check_task(robot: Robot, scene: Scene, options: PlanOptions | None) -> None:
@@ -172,6 +184,8 @@ def plan_with(
 ) -> PlanResult:
     """As `plan`, with what earlier plans of the same robot have left.
 
+    The deadline counts from the beginning of the limit of time that this is called in, or else from this call.
+
     Args:
         cache: What they have left.
         scene: Obstacles and task.
@@ -182,10 +196,15 @@ def plan_with(
     Raises:
         HplanError: As `plan`.
     """
+    clock = StageClock()
     try:
-        return _planned(cache, scene, options, progress, before)
+        with time_limit(options.deadline_s) as limit:
+            try:
+                return _planned(cache.context(scene, options, progress, clock), before)
+            except TimeIsUpError:
+                raise limit.error(clock.told()) from None
     except (NoPathError, TimingError, CertificationError) as error:
-        if not options.tracking.is_exact:
+        if not options.tracking.is_exact and options.deadline_s is None:
             fraction = _fraction_with_room(cache, scene, options)
             name_margin(error, options.tracking, fraction, "the motion found without one has room for")
         raise
@@ -213,16 +232,14 @@ def _fraction_with_room(cache: PlanningCache, scene: Scene, options: PlanOptions
     return largest_fraction(is_certified)
 
 
-def _planned(
-    cache: PlanningCache, scene: Scene, options: PlanOptions, progress: Progress, before: PlannedMotion | None
-) -> PlanResult:
+def _planned(context: PlanningContext, before: PlannedMotion | None) -> PlanResult:
     """The plan: to joints a motion, to a fruit or a point motion, approach and, from a fruit, retreat."""
+    robot, scene, options = context.robot, context.scene, context.options
     goal = scene.goal.joints()
-    start = cache.robot.check_configuration(scene.start.configuration, "start")
-    context = cache.context(scene, options, progress)
-    context.world.check_base(cache.robot.yaw_of(start))
+    start = robot.check_configuration(scene.start.configuration, "start")
+    context.world.check_base(robot.yaw_of(start))
     if goal is not None:
-        task = context.task(start, cache.robot.turned_near(goal, start))
+        task = context.task(start, robot.turned_near(goal, start))
         motion = None if before is None else reuse_motion(task, before)
         if motion is None:
             motion = find_motion([task])[1]

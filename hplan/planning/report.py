@@ -52,6 +52,10 @@ class StageClock:
         """Add time that was measured elsewhere."""
         self.seconds[name] += seconds
 
+    def told(self) -> list[str]:
+        """The stages that there were and how long each took, in words."""
+        return [f"{name} for {1e3 * seconds:.3g} ms" for name, seconds in self.seconds.items() if seconds > 0.0]
+
     def as_ms(self) -> dict[str, float]:
         """Times by stage and in all [ms]."""
         table = {name: round(1e3 * seconds, 4) for name, seconds in self.seconds.items()}

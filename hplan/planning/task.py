@@ -227,7 +227,9 @@ class PlanningCache:
             self._last = last = asked, world
         return last[1]
 
-    def context(self, scene: Scene, options: PlanOptions, progress: Progress = no_progress) -> PlanningContext:
-        """A context with a clock of its own, to plan motions among the scene's solids."""
-        clock = StageClock()
+    def context(
+        self, scene: Scene, options: PlanOptions, progress: Progress = no_progress, clock: StageClock | None = None
+    ) -> PlanningContext:
+        """A context with a clock, its own where none is given, to plan motions among the scene's solids."""
+        clock = StageClock() if clock is None else clock
         return PlanningContext(self.world(scene, options), scene, options, self.layers, clock, progress)

@@ -7,6 +7,7 @@ from typing import Literal
 
 from hplan.base.arguments import keep_checked, number, one_of, truth
 from hplan.cspace.sections import LINK_MODELS, LinkModel
+from hplan.errors import OptionError
 from hplan.robot.limits import check_rate, check_speed
 from hplan.robot.tracking import TrackingModel
 from hplan.smoothing.options import OBJECTIVES, Objective
@@ -39,6 +40,8 @@ class PlanOptions:
         certify: False exports what was not certified, and says so.
         bound: True also bounds the durations of all motions from below (`hplan.lower_bound`), which takes seconds where
             the base does not turn and something is in the way. Tours have no bound.
+        deadline_s: How long planning may take, counted from the call; None for as long as it takes [s]. What is
+            certified by then depends on the machine: with a deadline the same input need not give the same motion.
     """
 
     method: Method = "two-level"
@@ -54,6 +57,7 @@ class PlanOptions:
     standoff: float = 0.1
     certify: bool = True
     bound: bool = False
+    deadline_s: float | None = None
 
     def __post_init__(self) -> None:
         """Check every value.
@@ -62,6 +66,10 @@ class PlanOptions:
             OptionError: A value is of the wrong kind or out of its range.
         """
         keep_checked(self, _CHECKS)
+        if self.deadline_s is not None:
+            keep_checked(self, {"deadline_s": (number, "a positive number of seconds", lambda value: value > 0.0)})
+            if self.bound:
+                raise OptionError("bound", self.bound, "False where there is a deadline: a bound may take seconds")
         check_rate(self.rate_hz)
         check_speed(self.speed)
         TrackingModel(self.tracking_error, self.tracking_delay_s)

@@ -19,6 +19,7 @@ import numpy as np
 from hplan.base import ties
 from hplan.base.arguments import instance, keep_checked, list_of, one_of, truth, whole
 from hplan.base.arrays import Record
+from hplan.base.deadline import Cancel, TimeIsUpError, time_limit
 from hplan.errors import CertificationError, HplanError, OptionError, TourError, UnreachableError
 from hplan.planning.certified_motion import Part, certificate_of, required
 from hplan.planning.grasps import Grasp
@@ -161,6 +162,7 @@ def plan_tour(
     fruits: Sequence[str] | None = None,
     tour: TourOptions | None = None,
     progress: Progress = no_progress,
+    cancel: Cancel | None = None,
 ) -> TourResult:
     """Plan a picking tour from the scene's start; of its goal only `approach_deg` counts, for all fruits.
 
@@ -171,6 +173,7 @@ def plan_tour(
         fruits: Names of the fruits to pick; all where this is None.
         tour: Options of the tour.
         progress: Called with what is being done.
+        cancel: As for `hplan.plan`.
 
     Raises:
         InputError: The scene does not fit the robot, or the start cannot be taken.
@@ -180,12 +183,21 @@ def plan_tour(
         BlockedError: Obstacles are in the way of all that do; names them.
         NoPathError: No path from the start to the drop-off exists on the grid; names what blocks it.
         CertificationError: No motion to the drop-off could be certified.
+        NotInTimeError: The deadline came before the tour was complete: there is no part of one.
+        PlanCancelledError: Nobody wants the tour any more.
     """
     check_task(robot, scene, options)
     if tour is not None:
         instance("tour", tour, TourOptions)
-    planner = _TourPlanner(robot, scene, options or PlanOptions(), tour or TourOptions(), progress)
-    return planner.run(_names(scene, fruits))
+    names = _names(scene, fruits)
+    options = options or PlanOptions()
+    with time_limit(options.deadline_s, cancel) as limit:
+        try:
+            # It is the whole that is wanted in time: motions are planned as without a deadline.
+            whole = replace(options, deadline_s=None)
+            return _TourPlanner(robot, scene, whole, tour or TourOptions(), progress).run(names)
+        except TimeIsUpError:
+            raise limit.error([f"a tour over {len(names)} fruits"]) from None
 
 
 def _names(scene: Scene, fruits: Sequence[str] | None) -> list[str]:

@@ -1,0 +1,142 @@
+"""Plans that have a deadline, or are cancelled."""
+
+from __future__ import annotations
+
+import json
+import math
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+from planned import post, task
+
+import hplan
+from hplan.base.deadline import current
+from hplan.cli.main import main
+from hplan.errors import NotFoundError, NotInTimeError, OptionError, PlanCancelledError
+from hplan.robot.model import Robot
+from hplan.scene.model import Scene
+
+#: Long for what is to come back at once; only what does not come back takes so long [s].
+SOON = 10.0
+
+
+def blocked() -> Scene:
+    """A post stands between start and goal."""
+    return task((-40.0, 30.0, 30.0, 30.0), (40.0, 30.0, 30.0, 30.0), [post("post", 0.0, 1.2, 0.3, 2.0)])
+
+
+@pytest.mark.parametrize("value", [0.0, -1.0, math.nan, math.inf, "soon", True])
+def test_a_deadline_is_a_positive_number(value: Any) -> None:
+    with pytest.raises(OptionError) as error:
+        hplan.PlanOptions(deadline_s=value)
+    assert error.value.option == "deadline_s"
+
+
+def test_a_bound_takes_too_long_for_a_deadline() -> None:
+    with pytest.raises(OptionError, match="bound"):
+        hplan.PlanOptions(deadline_s=1.0, bound=True)
+
+
+def test_nothing_is_found_in_no_time(robot: Robot) -> None:
+    with pytest.raises(NotInTimeError) as error:
+        hplan.plan(robot, blocked(), hplan.PlanOptions(deadline_s=1e-9))
+    assert isinstance(error.value, NotFoundError)
+    assert error.value.exit_status == 6
+    assert error.value.deadline_s == 1e-9
+    assert error.value.elapsed_s >= 1e-9
+    assert current() is None
+
+
+def test_an_error_says_what_was_tried(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever the machine: the clock is stopped in the first stage until the deadline is over."""
+    scene = hplan.load_scene("orchard-row")
+    with pytest.raises(NotInTimeError) as error:
+        hplan.plan(robot, scene, hplan.PlanOptions(deadline_s=1.0), progress=lambda _: time.sleep(1.01))
+    assert [words.split(" for ")[0] for words in error.value.tried] == ["grasps"]
+    assert "1000 ms are over; tried: grasps for" in error.value.message
+
+
+def test_with_time_enough_there_is_a_certified_motion(robot: Robot) -> None:
+    result = hplan.plan(robot, blocked(), hplan.PlanOptions(deadline_s=60.0))
+    assert result.certificate.verified
+
+
+@pytest.mark.parametrize("scene", ["reference", "blocked"])
+def test_a_wish_that_never_comes_changes_nothing(robot: Robot, scene: str) -> None:
+    asked = hplan.load_scene() if scene == "reference" else blocked()
+    alone, other = hplan.plan(robot, asked), hplan.plan(robot, asked, cancel=threading.Event())
+    assert alone.trajectory.position.tobytes() == other.trajectory.position.tobytes()
+    assert "deadline" not in alone.report
+
+
+def test_a_plan_is_cancelled_from_another_thread(robot: Robot) -> None:
+    event = threading.Event()
+    with pytest.raises(PlanCancelledError) as error:
+        hplan.plan(robot, blocked(), cancel=event, progress=lambda _: event.set())
+    assert error.value.elapsed_s < SOON
+    with pytest.raises(PlanCancelledError):
+        hplan.plan(robot, blocked(), cancel=lambda: True)
+    with pytest.raises(PlanCancelledError):
+        hplan.plan_tour(robot, hplan.load_scene("tour"), cancel=lambda: True)
+
+
+def test_a_plan_that_is_cancelled_in_a_long_flood_comes_back(robot: Robot) -> None:
+    """Nothing but grids of 3e7 nodes, searched by brute force: several seconds."""
+    event = threading.Event()
+    options = hplan.PlanOptions(method="dense", step_deg=0.5)
+    threading.Timer(0.2, event.set).start()
+    begin = time.monotonic()
+    with pytest.raises(PlanCancelledError):
+        hplan.plan(robot, blocked(), options, cancel=event)
+    assert time.monotonic() - begin < SOON
+
+
+def test_what_a_function_raises_that_is_asked_comes_through(robot: Robot) -> None:
+    def broken() -> bool:
+        raise ZeroDivisionError("broken")
+
+    with pytest.raises(ZeroDivisionError, match="broken"):
+        hplan.plan(robot, blocked(), cancel=broken)
+    with pytest.raises(OptionError) as error:
+        hplan.plan(robot, blocked(), cancel=3)  # type: ignore[arg-type]
+    assert error.value.option == "cancel"
+
+
+def test_a_planner_waits_for_its_turn_no_longer_than_there_is_time(robot: Robot) -> None:
+    planner = hplan.Planner(robot, blocked(), hplan.PlanOptions(deadline_s=0.05))
+    begun, go_on = threading.Event(), threading.Event()
+
+    def other() -> None:
+        with planner._lock:
+            begun.set()
+            go_on.wait(SOON)
+
+    holder = threading.Thread(target=other)
+    holder.start()
+    begun.wait()
+    with pytest.raises(NotInTimeError, match="another plan of the same planner is under way"):
+        planner.plan()
+    with pytest.raises(PlanCancelledError):
+        planner.replan(cancel=lambda: True)
+    go_on.set()
+    holder.join()
+
+
+def test_a_tour_has_to_be_complete_in_time(robot: Robot) -> None:
+    with pytest.raises(NotInTimeError, match="a tour over 20 fruits"):
+        hplan.plan_tour(robot, hplan.load_scene("tour"), hplan.PlanOptions(deadline_s=0.01))
+
+
+def test_the_command_says_that_time_is_up(tmp_path: Path) -> None:
+    assert main(["plan", "--deadline", "1e-6", "--quiet", "--out", str(tmp_path)]) == 6
+    report = json.loads((tmp_path / "report.json").read_text(encoding="utf-8"))
+    assert (report["status"], report["error"]["kind"]) == ("failed", "NotInTimeError")
+    assert report["error"]["deadline_s"] == pytest.approx(1e-9)
+    assert not (tmp_path / "trajectory.csv").exists()
+
+
+def test_the_command_refuses_a_deadline_that_is_none(tmp_path: Path) -> None:
+    assert main(["plan", "--deadline", "-5", "--quiet", "--out", str(tmp_path)]) == 2

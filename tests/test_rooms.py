@@ -28,7 +28,7 @@ ROOMS = (
         "online",
         "tour",
     ),
-    *("view", "cli"),
+    *("view", "ros", "cli"),
 )
 MOST_FILES = 15
 

@@ -131,11 +131,10 @@ def _made(
             f"tour-{number:0{digits}}-{_file_word(leg.name)}.csv": leg.trajectory
             for number, leg in enumerate(result.legs, start=1)
         }
-    phases = [phase for leg in result.legs for phase in leg.phases]
     with folder.filling() as staging:
         for name, motion in motions.items():
             write_csv(motion, staging / name)
-        playback = Playback(result.trajectory, result.picked, result.dropped, phases)
+        playback = Playback(result.trajectory, result.picked, result.dropped, result.phases)
         write_page(robot, scene, playback, staging / PAGE)
         told = {"left_out": left_out} if left_out else {}
         write_report({**result.report, **told, "files": list(motions)}, staging / TOUR_REPORT)

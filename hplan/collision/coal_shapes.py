@@ -65,7 +65,7 @@ def urdf_shapes(robot: Robot) -> list[list[pin.GeometryObject]]:
     return found
 
 
-def solid_shape(obstacle: Sphere | Capsule | Box | Hull) -> pin.GeometryObject:
+def solid_shape(obstacle: Sphere | Capsule | Cylinder | Box | Hull) -> pin.GeometryObject:
     """A convex obstacle as a fixed geometry object."""
     placement = pin.SE3.Identity()
     if isinstance(obstacle, Sphere):

@@ -89,6 +89,16 @@ class PlanResult(Record):
     bound: DurationBound | None = None
 
     @property
+    def robot(self) -> Robot:
+        """The arm."""
+        return self.motion.task.robot
+
+    @property
+    def scene(self) -> Scene:
+        """Obstacles and task, as they were given."""
+        return self.motion.task.scene
+
+    @property
     def picked(self) -> dict[str, float]:
         """The fruit that is picked, if any, and when the tool is at it [s]."""
         fruit = self.motion.task.scene.goal.fruit

@@ -137,6 +137,8 @@ class TourResult(Record):
         dropped: When each fruit is let go at the drop-off [s]; empty where there is none.
         unreached: The fruits that are not picked.
         report: The numbers of `tour.json`.
+        robot: The arm.
+        scene: Obstacles and fruits, as they were given.
     """
 
     order: tuple[str, ...]
@@ -147,6 +149,13 @@ class TourResult(Record):
     dropped: Mapping[str, float]
     unreached: tuple[Unreached, ...]
     report: dict[str, Any]
+    robot: Robot
+    scene: Scene
+
+    @property
+    def phases(self) -> tuple[Phase, ...]:
+        """The parts of all legs."""
+        return tuple(phase for leg in self.legs for phase in leg.phases)
 
     @property
     def duration(self) -> float:
@@ -323,6 +332,8 @@ class _TourPlanner:
             dropped=MappingProxyType(dropped),
             unreached=tuple(unreached),
             report=self._report(stages, legs, picked, unreached) | motion_report(trajectory, certificate, self.options),
+            robot=self.robot,
+            scene=self.scene,
         )
 
     def _legs(self, motions: Motions, visits: Visits, *, back: bool) -> list[LegParts]:

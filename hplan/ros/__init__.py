@@ -1,0 +1,37 @@
+"""ROS 2 without ROS: messages as plain dicts, MCAP files for Foxglove and RViz, obstacles out of MoveIt's scenes.
+
+Nothing of ROS needs to be installed. Files of messages need `rosbags` (the extra `ros`), loaded when one is written.
+May use every room but `cli`.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from hplan.base.lazy_import import lazy_names
+
+if TYPE_CHECKING:
+    from hplan.ros.joint_messages import from_joint_trajectory, to_joint_state, to_joint_trajectory
+    from hplan.ros.marked_scene import scene_markers
+    from hplan.ros.mcap_file import write_mcap
+    from hplan.ros.transforms import robot_description
+
+_HOMES = {
+    "from_joint_trajectory": "hplan.ros.joint_messages",
+    "robot_description": "hplan.ros.transforms",
+    "scene_markers": "hplan.ros.marked_scene",
+    "to_joint_state": "hplan.ros.joint_messages",
+    "to_joint_trajectory": "hplan.ros.joint_messages",
+    "write_mcap": "hplan.ros.mcap_file",
+}
+
+__all__ = [
+    "from_joint_trajectory",
+    "robot_description",
+    "scene_markers",
+    "to_joint_state",
+    "to_joint_trajectory",
+    "write_mcap",
+]
+
+__getattr__ = lazy_names(__name__, _HOMES)

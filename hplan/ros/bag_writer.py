@@ -1,0 +1,140 @@
+"""Messages as a bag: dicts encoded by rosbags (an extra that is imported on first use) into one MCAP file."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from types import ModuleType
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from hplan.base.files import check_replaceable
+from hplan.errors import InputError, OutputError
+
+
+class Message(NamedTuple):
+    """A message of a topic.
+
+    Attributes:
+        topic: The topic.
+        time_ns: When it is sent [ns].
+        content: Its fields; those left out are zero or empty.
+    """
+
+    topic: str
+    time_ns: int
+    content: Mapping[str, Any]
+
+
+def import_rosbags() -> tuple[ModuleType, ModuleType, ModuleType]:
+    """The modules `rosbags.interfaces`, `rosbags.rosbag2` and `rosbags.typesys`.
+
+    Raises:
+        InputError: They are not installed.
+    """
+    try:
+        import rosbags.interfaces
+        import rosbags.rosbag2
+        import rosbags.typesys
+    except ImportError as error:
+        raise InputError(
+            "an MCAP file needs rosbags, which is not installed: pip install 'hplan[ros]'", extra="ros"
+        ) from error
+    return rosbags.interfaces, rosbags.rosbag2, rosbags.typesys
+
+
+def write_bag(path: Path, topics: Mapping[str, tuple[str, int]], messages: Iterable[Message]) -> Path:
+    """Write an MCAP file, whole or not at all.
+
+    Args:
+        path: The file.
+        topics: For each topic the type of its messages, and how many are kept for those who come later.
+        messages: The messages, in the order of their times.
+
+    Raises:
+        InputError: rosbags is not installed.
+        OutputError: The file cannot be written.
+    """
+    interfaces, bags, typesys = import_rosbags()
+    folder: Path | None = None
+    try:
+        target = path.resolve()
+        check_replaceable(target, path)
+        folder = Path(tempfile.mkdtemp(dir=target.parent, prefix=".hplan-"))
+        # rosbags writes a folder, and in it the file of the folder's name.
+        store = typesys.get_typestore(typesys.Stores.ROS2_JAZZY)
+        encoder = _Encoder(store)
+        bag = folder / (target.stem or "motion")
+        with bags.Writer(bag, version=9, storage_plugin=bags.StoragePlugin.MCAP) as writer:
+            open_topics = {
+                topic: (
+                    kind,
+                    writer.add_connection(
+                        topic, kind, typestore=store, offered_qos_profiles=[_offer(interfaces, kept)]
+                    ),
+                )
+                for topic, (kind, kept) in topics.items()
+            }
+            for message in messages:
+                kind, connection = open_topics[message.topic]
+                writer.write(
+                    connection, message.time_ns, store.serialize_cdr(encoder.message(kind, message.content), kind)
+                )
+        (written,) = bag.glob("*.mcap")
+        written.chmod(0o644)
+        written.replace(target)
+    except OSError as error:
+        raise OutputError(path, error.strerror or str(error)) from error
+    finally:
+        if folder is not None:
+            shutil.rmtree(folder, ignore_errors=True)
+    return path
+
+
+def _offer(interfaces: ModuleType, kept: int) -> Any:
+    """How a topic is to be offered: reliably, and with so many messages kept."""
+    durability = interfaces.QosDurability
+    never = interfaces.QosTime(2147483647, 4294967295)
+    return interfaces.Qos(
+        history=interfaces.QosHistory.KEEP_LAST,
+        depth=kept or 10,
+        reliability=interfaces.QosReliability.RELIABLE,
+        durability=durability.TRANSIENT_LOCAL if kept else durability.VOLATILE,
+        deadline=never,
+        lifespan=never,
+        liveliness=interfaces.QosLiveliness.AUTOMATIC,
+        liveliness_lease_duration=never,
+        avoid_ros_namespace_conventions=False,
+    )
+
+
+class _Encoder:
+    """Dicts as the objects that rosbags encodes."""
+
+    def __init__(self, store: Any) -> None:
+        self._store = store
+
+    def message(self, kind: str, content: Mapping[str, Any]) -> Any:
+        """An object of a type of message."""
+        fields = dict(self._store.fielddefs[kind][1])
+        unknown = content.keys() - fields.keys()
+        if unknown:
+            raise InputError(f"{kind} has no field {sorted(unknown)[0]!r}", kind=kind)
+        values = {name: self._value(field, content.get(name)) for name, field in fields.items()}
+        return self._store.types[kind](**values)
+
+    def _value(self, field: Any, value: Any) -> Any:
+        """A value of a field; None where it is left out."""
+        node, what = field
+        if node.name == "NAME":
+            return self.message(what, {} if value is None else value)
+        if node.name == "BASE":
+            return value if value is not None else "" if what[0] == "string" else np.dtype(what[0]).type(0).item()
+        (inner, kind), _ = what
+        items = [] if value is None else value
+        if inner.name == "NAME":
+            return [self.message(kind, item) for item in items]
+        return list(items) if kind[0] == "string" else np.array(items, dtype=kind[0])

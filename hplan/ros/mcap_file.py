@@ -1,0 +1,139 @@
+"""A certified motion as an MCAP file of ROS 2 messages, for Foxglove, RViz and `ros2 bag`.
+
+| topic | type | when |
+|---|---|---|
+| `/robot_description` | `std_msgs/msg/String` | once, kept for those who come later |
+| `/tf_static`, `/tf` | `tf2_msgs/msg/TFMessage` | once and kept; with every joint state |
+| `/joint_trajectory` | `trajectory_msgs/msg/JointTrajectory` | once, the whole motion |
+| `/joint_states` | `sensor_msgs/msg/JointState` | at the rate asked for |
+| `/scene` | `visualization_msgs/msg/MarkerArray` | once and kept, and where a fruit is taken or let go |
+| `/certificate` | `visualization_msgs/msg/MarkerArray` | once and kept: the tool's path, what is certified |
+| `/nearest` | `visualization_msgs/msg/MarkerArray` | the nearest pair, with every joint state |
+| `/clearance` | `std_msgs/msg/Float64` | certain clearance [m], with every joint state |
+
+The file is one that rosbags writes, so that `ros2 bag play` finds in it what is to be kept.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hplan.base.arguments import file_path, number
+from hplan.base.arrays import FloatArray, IntArray
+from hplan.errors import OptionError
+from hplan.planning.plan import PlanResult
+from hplan.ros import marked_motion as motion
+from hplan.ros.bag_writer import Message, write_bag
+from hplan.ros.joint_messages import to_joint_state, to_joint_trajectory
+from hplan.ros.marked_scene import scene_markers
+from hplan.ros.marker_parts import Marker
+from hplan.ros.message_times import SECOND_NS, message_time, time_ns
+from hplan.ros.transforms import LinkFrames, robot_description
+from hplan.tour.tour import TourResult
+from hplan.view.playback import Playback
+from hplan.view.scenery import picks
+
+#: Types of the topics, and how many messages of each are kept for those who come later.
+TOPICS = {
+    "/robot_description": ("std_msgs/msg/String", 1),
+    "/tf_static": ("tf2_msgs/msg/TFMessage", 1),
+    "/scene": ("visualization_msgs/msg/MarkerArray", 1000),
+    "/certificate": ("visualization_msgs/msg/MarkerArray", 1),
+    "/joint_trajectory": ("trajectory_msgs/msg/JointTrajectory", 0),
+    "/joint_states": ("sensor_msgs/msg/JointState", 0),
+    "/tf": ("tf2_msgs/msg/TFMessage", 0),
+    "/nearest": ("visualization_msgs/msg/MarkerArray", 0),
+    "/clearance": ("std_msgs/msg/Float64", 0),
+}
+
+
+def write_mcap(
+    result: PlanResult | TourResult, file: Path | str, *, rate_hz: float = 100.0, stamp_s: float = 1.0
+) -> Path:
+    """Write a plan or a tour as an MCAP file.
+
+    Args:
+        result: What `plan` or `plan_tour` gave.
+        file: The file; replaced whole or not at all. Its name should end in `.mcap`.
+        rate_hz: Joint states and transforms a second, as far as the trajectory has rows.
+        stamp_s: When the motion begins [s]; not 0, which ROS takes for the latest there is.
+
+    Raises:
+        InputError: rosbags is not installed (the extra `ros`).
+        OptionError: Something else than a result, a rate that is not positive, a time that no message can hold.
+        OutputError: The file cannot be written.
+    """
+    if not isinstance(result, (PlanResult, TourResult)):
+        raise OptionError("result", result, "a PlanResult or a TourResult")
+    number("rate_hz", rate_hz, "a finite number > 0", lambda rate: rate > 0.0)
+    begin = time_ns("stamp_s", stamp_s)
+    recording = _Recording(result, rate_hz, begin)
+    return write_bag(file_path("file", file), TOPICS, recording.messages())
+
+
+class _Recording:
+    """The messages of a result, in the order of their times."""
+
+    def __init__(self, result: PlanResult | TourResult, rate_hz: float, begin_ns: int) -> None:
+        self.result, self.robot, self.scene, self.begin_ns = result, result.robot, result.scene, begin_ns
+        self.frames = LinkFrames(self.robot)
+        self.rows = _rows(result.trajectory.time, rate_hz)
+
+    def messages(self) -> Iterator[Message]:
+        """All of them."""
+        yield from self._at_first()
+        yield from heapq.merge(self._fruits(), self._samples(), key=lambda message: message.time_ns)
+
+    def _at_first(self) -> Iterator[Message]:
+        robot, frames, begin, trajectory = self.robot, self.frames, self.begin_ns, self.result.trajectory
+        frames.place(trajectory.position[0])
+        shown = motion.path_marker(robot, trajectory.position[self.rows], frames.root)
+        words = motion.words_marker(robot, self.result.certificate, frames.root)
+        contents: dict[str, Any] = {
+            "/robot_description": {"data": robot_description(robot)},
+            "/tf_static": frames.message(frames.fixed, begin),
+            "/scene": self._markers(scene_markers(self.scene, frames.root), begin),
+            "/certificate": self._markers([shown, words], begin),
+            "/joint_trajectory": to_joint_trajectory(trajectory, frame_id=frames.root, stamp_s=begin / SECOND_NS),
+        }
+        yield from (Message(topic, begin, content) for topic, content in contents.items())
+
+    def _samples(self) -> Iterator[Message]:
+        trajectory, frames = self.result.trajectory, self.frames
+        pairs = motion.NearestPairs(self.robot, self.scene, self.result.certificate, frames.root)
+        for row in self.rows.tolist():
+            clock, q = float(trajectory.time[row]), trajectory.position[row]
+            now = self.begin_ns + time_ns("time", clock)
+            state = to_joint_state(trajectory, row, frame_id=frames.root, stamp_s=self.begin_ns / SECOND_NS)
+            yield Message("/joint_states", now, state)
+            frames.place(q)
+            yield Message("/tf", now, frames.message(frames.moving, now))
+            yield Message("/nearest", now, self._markers([pairs.marker(clock, q)], now))
+            clearance = pairs.clearance_m(clock)
+            if clearance is not None:
+                yield Message("/clearance", now, {"data": clearance})
+
+    def _fruits(self) -> Iterator[Message]:
+        result = self.result
+        dropped = result.dropped if isinstance(result, TourResult) else {}
+        playback = Playback(result.trajectory, result.picked, dropped, result.phases)
+        events = motion.fruit_events(self.robot, self.scene, result.trajectory, picks(self.scene, playback))
+        for clock, marker in events:
+            now = self.begin_ns + time_ns("time", clock)
+            yield Message("/scene", now, self._markers([marker], now))
+
+    @staticmethod
+    def _markers(markers: list[Marker], stamp_ns: int) -> dict[str, Any]:
+        stamp = message_time(stamp_ns)
+        return {"markers": [marker | {"header": marker["header"] | {"stamp": stamp}} for marker in markers]}
+
+
+def _rows(time: FloatArray, rate_hz: float) -> IntArray:
+    """Rows of a trajectory, about as many a second, the first and the last among them."""
+    ticks = np.arange(0.0, time[-1], 1.0 / rate_hz)
+    return np.unique([*np.searchsorted(time, ticks), len(time) - 1])

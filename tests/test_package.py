@@ -14,6 +14,7 @@ import pytest
 
 import hplan
 from hplan.base.data_files import scenes_dir, urdf_dir
+from hplan.robot.files import NAMED_ROBOTS
 from hplan.robot.model import load_robot
 from hplan.scene.file import default_scene_path, load_scene
 
@@ -28,7 +29,8 @@ def project() -> dict[str, Any]:
 def test_robot_ships_in_the_wheel(project: dict[str, Any]) -> None:
     assert project["tool"]["hatch"]["build"]["targets"]["wheel"]["force-include"] == {"urdf": "hplan/urdf"}
     assert {path.name for path in (ROOT / "urdf").iterdir()} == {
-        f"{name}{suffix}" for name in ("harvester", "orchard_harvester") for suffix in (".urdf", ".limits.yaml")
+        *(f"{name}{suffix}" for name in ("harvester", "orchard_harvester") for suffix in (".urdf", ".limits.yaml")),
+        *(f"{name}.limits.yaml" for name in NAMED_ROBOTS),
     }
 
 

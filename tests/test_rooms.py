@@ -13,7 +13,19 @@ PACKAGE = Path(__file__).resolve().parents[1] / "hplan"
 
 #: From the ground up: a room imports only those before it, and itself.
 ROOMS = (
-    *("errors", "base", "scene", "orchard", "search", "robot", "robot_family", "planar", "cspace", "collision"),
+    *(
+        "errors",
+        "base",
+        "scene",
+        "orchard",
+        "search",
+        "robot",
+        "bodies",
+        "robot_family",
+        "planar",
+        "cspace",
+        "collision",
+    ),
     *(
         "timing",
         "smoothing",

@@ -10,8 +10,8 @@ import pinocchio as pin
 
 from hplan.base.arrays import FloatArray, IntArray
 from hplan.robot.base_shapes import filled
-from hplan.robot.convex_shape import convex_shape
 from hplan.robot.model import Robot
+from hplan.scene.convex_shape import convex_shape
 from hplan.scene.obstacles import Box, Capsule, Cylinder, Solid, Sphere
 from hplan.scene.solids import Cloud, Hull
 

@@ -9,7 +9,7 @@ import numpy as np
 from hplan.base.arrays import BoolArray
 from hplan.cspace.occupancy import occupancy
 from hplan.cspace.sections import ArmSections, meeting_pairs, only
-from hplan.robot.model import PlanarArm
+from hplan.robot.planar_family import PlanarArm
 from hplan.search.grid import Grid
 
 

@@ -33,7 +33,7 @@ from hplan.base.kernels import inlined, kernel
 from hplan.cspace.rectangle_link import rectangle_half_angles
 from hplan.cspace.sections import LINK_MODELS, ArmSections, SectionArrays
 from hplan.errors import InputError
-from hplan.robot.model import PlanarArm
+from hplan.robot.planar_family import PlanarArm
 from hplan.robot.self_contact import part_of_arm
 from hplan.search.grid import Grid, Occupancy
 

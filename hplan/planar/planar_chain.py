@@ -28,7 +28,8 @@ from hplan.base import ties
 from hplan.base.arrays import BoolArray, ComplexArray, FloatArray, IntArray, Record
 from hplan.base.elementary import arccos, arctan2, argument, modulus
 from hplan.errors import InputError
-from hplan.robot.model import PlanarArm, Robot
+from hplan.robot.model import Robot
+from hplan.robot.planar_family import PlanarArm
 
 #: A point this far out of reach is reached by a straight or folded arm [m].
 REACH_TOLERANCE = 1e-10

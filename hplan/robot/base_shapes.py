@@ -19,9 +19,9 @@ import numpy as np
 import pinocchio as pin
 
 from hplan.base.arrays import FloatArray, frozen
-from hplan.robot.convex_shape import convex_hull_shape
 from hplan.robot.family_reader import outline
 from hplan.robot.model import Robot
+from hplan.scene.convex_shape import convex_hull_shape
 
 #: Bodies that a link can touch and that are no links: those that turn with the arm plane, and those that stand still.
 TURRET: Final = -1

@@ -9,8 +9,9 @@ import numpy as np
 import pinocchio as pin
 
 from hplan.base import ties
-from hplan.base.arrays import FloatArray
+from hplan.base.arrays import FloatArray, readonly
 from hplan.errors import RobotFamilyError
+from hplan.robot.planar_family import PlanarArm, PlanarFamily
 from hplan.scene.solids import CUBE_CORNERS
 
 #: Lengths below this are zero, offsets below this are on the plane [m].
@@ -23,6 +24,54 @@ AXIS_TOLERANCE = 1e-9
 _GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 
 _REVOLUTE = ("JointModelRX", "JointModelRY", "JointModelRZ", "JointModelRevoluteUnaligned")
+
+
+_PRISMATIC = ("JointModelPX", "JointModelPY", "JointModelPZ", "JointModelPrismaticUnaligned")
+
+
+def read_family(model: pin.Model, collision_model: pin.GeometryModel, tool_frame: str) -> PlanarFamily:
+    """The planar family's part of a robot.
+
+    Raises:
+        RobotFamilyError: Not of the family; says which element and why.
+    """
+    found = FamilyReader(model, collision_model, tool_frame)
+    lower, upper = joint_range(model)
+    joints = slice(1 if found.has_yaw else 0, None)
+    arm = PlanarArm(
+        joint_names=tuple(model.names)[1:][joints],
+        link_names=found.link_names,
+        lengths=readonly(found.lengths),
+        half_widths=readonly(found.half_widths),
+        lateral=readonly(found.lateral),
+        signs=readonly(found.signs),
+        offsets=readonly(found.offsets),
+        lower=readonly(lower[joints]),
+        upper=readonly(upper[joints]),
+    )
+    return PlanarFamily(found.has_yaw, readonly(found.yaw_axis), arm, readonly(found.origin), readonly(found.axes))
+
+
+def check_joints(model: pin.Model, tool_frame: str) -> None:
+    """Refuse joints that no robot here has, of the family or not, and a tool frame that there is none of.
+
+    Raises:
+        RobotFamilyError: There is one; says which element and why.
+    """
+    if model.njoints < 2:
+        raise RobotFamilyError(model.name, "joints", "it has no moving joint")
+    for index in range(1, model.njoints):
+        name, kind = model.names[index], model.joints[index].shortname()
+        if kind not in _REVOLUTE + _PRISMATIC:
+            advice = hold_advice(name) if model.joints[index].nq == 1 else "make it fixed where it stands"
+            reason = f"it is a {kind}; only revolute and prismatic joints move; {advice}"
+            raise RobotFamilyError(model.name, f"joint {name!r}", reason)
+        axis = model.joints[index].createData()
+        model.joints[index].calc(axis, np.zeros(1))
+        if abs(np.linalg.norm(axis.S) - 1.0) > 1e-9:
+            raise RobotFamilyError(model.name, f"joint {name!r}", "its axis has no direction")
+    if not model.existFrame(tool_frame):
+        raise RobotFamilyError(model.name, f"frame {tool_frame!r}", "it marks the end of the arm and is missing")
 
 
 class FamilyReader:
@@ -52,8 +101,6 @@ class FamilyReader:
         """
         self.robot_name = model.name
         self._check_joints(model)
-        if not model.existFrame(tool_frame):
-            raise self._fault(f"frame {tool_frame!r}", "it marks the end of the arm and is missing")
         self.data = model.createData()
         pin.framesForwardKinematics(model, self.data, np.zeros(model.nq))
         tool_id = model.getFrameId(tool_frame)
@@ -72,15 +119,11 @@ class FamilyReader:
         return RobotFamilyError(self.robot_name, element, reason)
 
     def _check_joints(self, model: pin.Model) -> None:
-        if model.njoints < 2:
-            raise self._fault("joints", "it has no moving joint")
         for index in range(1, model.njoints):
             name, kind = model.names[index], model.joints[index].shortname()
-            if kind.startswith("JointModelRUB") or "Unbounded" in kind:
-                raise self._fault(f"joint {name!r}", "it is continuous; make it revolute with limits")
             if kind not in _REVOLUTE:
-                advice = hold_advice(name) if model.joints[index].nq == 1 else "make it fixed where it stands"
-                raise self._fault(f"joint {name!r}", f"it is a {kind}; only revolute joints move; {advice}")
+                reason = f"it is a {kind}; the family's joints are revolute; {hold_advice(name)}"
+                raise self._fault(f"joint {name!r}", reason)
             if model.parents[index] != index - 1:
                 raise self._fault(f"joint {name!r}", "the chain branches here; only serial arms")
 
@@ -88,10 +131,7 @@ class FamilyReader:
         """(joints, 3) rotation axes at q = 0 in the base frame."""
         pin.computeJointJacobians(model, self.data, np.zeros(model.nq))
         jacobian = pin.getJointJacobian(model, self.data, model.njoints - 1, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
-        axes = np.reshape(jacobian, (6, -1))[3:].T  # of one joint, Pinocchio gives a vector
-        for index, axis in enumerate(axes):
-            if abs(np.linalg.norm(axis) - 1.0) > 1e-9:
-                raise self._fault(f"joint {model.names[index + 1]!r}", "its axis has no direction")
+        axes: FloatArray = np.reshape(jacobian, (6, -1))[3:].T  # of one joint, Pinocchio gives a vector
         return axes
 
     def _find_yaw(self, model: pin.Model, axes: FloatArray) -> bool:

@@ -1,13 +1,16 @@
 """The files of a robot, read and checked: URDF, and in the same folder a limits YAML for what URDF cannot say.
 
-Any robot's; which of them hplan can plan for is decided in `hplan.robot.family_reader`.
+Any robot's, and where the files of the robots are that have a name (extra `robots`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Final
 
 import numpy as np
 import pinocchio as pin
@@ -15,8 +18,9 @@ import yaml
 from pydantic import BaseModel, ConfigDict, PositiveFloat, ValidationError
 
 from hplan.base.arrays import FloatArray
+from hplan.base.data_files import urdf_dir
 from hplan.base.yaml_text import read_yaml
-from hplan.errors import RobotFileError
+from hplan.errors import InputError, RobotFileError
 from hplan.robot.urdf_check import check_models
 from hplan.robot.urdf_file import Urdf, read_urdf
 from hplan.robot.urdf_xml import URDF_TEXT, line_of, read_urdf_xml
@@ -26,6 +30,95 @@ LIMITS_FORMAT = "hplan-limits/1"
 
 #: What stands in the limits file's name in place of `.urdf`.
 LIMITS_SUFFIX = ".limits.yaml"
+
+
+@dataclass(frozen=True)
+class NamedRobot:
+    """A robot of the package example-robot-data that has a name here.
+
+    Attributes:
+        urdf: Its URDF in that package's folder of robots.
+        tool_frame: Frame at the end of the arm.
+        srdf: Its SRDF there, where it says which links may touch, and why.
+    """
+
+    urdf: str
+    tool_frame: str
+    srdf: str | None = None
+
+
+#: Robots by name. Their limits files, NAME.limits.yaml, lie with the robots that ship.
+NAMED_ROBOTS: Final = {
+    "panda": NamedRobot("panda_description/urdf/panda.urdf", "panda_hand_tcp", "panda_description/srdf/panda.srdf"),
+    "ur3": NamedRobot("ur_description/urdf/ur3_robot.urdf", "tool0"),
+    "ur5": NamedRobot("ur_description/urdf/ur5_robot.urdf", "tool0"),
+    "ur10": NamedRobot("ur_description/urdf/ur10_robot.urdf", "tool0"),
+}
+
+
+@dataclass(frozen=True)
+class RobotFiles:
+    """Where the files of a robot are.
+
+    Attributes:
+        urdf: The URDF.
+        tool_frame: Frame at the end of the arm.
+        srdf: The SRDF, if there is one.
+        limits: The limits file, where it is not the one beside the URDF.
+        package_dirs: Folders of its meshes.
+    """
+
+    urdf: Path
+    tool_frame: str = "tool0"
+    srdf: Path | None = None
+    limits: Path | None = None
+    package_dirs: tuple[Path, ...] = ()
+
+
+def named_robot(name: str) -> RobotFiles:
+    """Where the files of a robot of `NAMED_ROBOTS` are.
+
+    Raises:
+        InputError: The package that holds them is not installed.
+    """
+    robot, cmeel = NAMED_ROBOTS[name], find_spec("cmeel")
+    roots = [] if cmeel is None else [Path(place).parent for place in cmeel.submodule_search_locations or ()]
+    for root in roots:
+        share = root / "cmeel.prefix" / "share"
+        folder = share / "example-robot-data" / "robots"
+        if (folder / robot.urdf).is_file():
+            srdf = None if robot.srdf is None else folder / robot.srdf
+            limits = urdf_dir() / f"{name}{LIMITS_SUFFIX}"
+            return RobotFiles(folder / robot.urdf, robot.tool_frame, srdf, limits, (share, folder))
+    raise InputError(
+        f"robot {name!r} is in the package example-robot-data, which is not installed: pip install 'hplan[robots]'",
+        robot=name,
+        extra="robots",
+    )
+
+
+#: Reasons of an SRDF for which links that it lets touch were never seen to touch: those are looked at all the same.
+_NEVER: Final = ("never", "notinsampling")
+
+
+def read_srdf(path: Path) -> tuple[tuple[str, str, str], ...]:
+    """Pairs of links that may touch by an SRDF, and its reason (`by the SRDF` where it gives none).
+
+    Pairs that it leaves out because they were never seen to touch are not among them.
+
+    Raises:
+        RobotFileError: Missing or malformed file, or a pair without two names.
+    """
+    root = read_urdf_xml(path)
+    found = []
+    for element in root.iter("disable_collisions"):
+        links = [element.get(key) for key in ("link1", "link2")]
+        if not all(links):
+            raise RobotFileError(path, f"{line_of(element)}<disable_collisions> names no two links")
+        reason = (element.get("reason") or "by the SRDF").strip()
+        if reason.lower().replace(" ", "") not in _NEVER:
+            found.append((str(links[0]), str(links[1]), reason))
+    return tuple(found)
 
 
 def read_models(urdf_path: Path) -> tuple[pin.Model, pin.GeometryModel, pin.GeometryModel]:
@@ -82,7 +175,7 @@ def _check_family(path: Path, urdf: Urdf) -> None:
         where = f"{line_of(joint.element)}joint {joint.name!r}"
         if joint.element.find("mimic") is not None:
             raise RobotFileError(path, f"{where} mimics another; every joint must move by itself")
-        for key in ("velocity", "effort", "acceleration", "jerk") if joint.kind == "revolute" else ():
+        for key in ("velocity", "effort", "acceleration", "jerk") if joint.kind in ("revolute", "prismatic") else ():
             if key in joint.limits and not joint.limits[key] > 0.0:
                 text = joint.element.find("limit").get(key)  # type: ignore[union-attr]
                 reason = f"{where}: {key} of <limit> is {text!r}, expected a finite number that is positive"

@@ -20,7 +20,7 @@ import math
 from dataclasses import dataclass
 from typing import Final
 
-from hplan.robot.model import PlanarArm
+from hplan.robot.planar_family import PlanarArm
 
 #: Neighbours may overlap up to this many times the distance to keep from their joint: a link ends in a cap as wide as
 #: it is thick, and links that meet at an angle overlap up to 1 / sin(angle) times their half-widths. 3 leaves them all

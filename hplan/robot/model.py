@@ -1,14 +1,15 @@
-"""The arm that hplan plans for: an optional yaw, then parallel revolute joints in one plane.
+"""The robot that hplan plans for: any tree of revolute, continuous and prismatic joints.
 
-Everything is read from the files with Pinocchio: how many links, their lengths, axes, half-widths and limits.
-What URDF cannot say (acceleration, jerk) stands in a limits YAML in the same folder.
+Everything is read from the files with Pinocchio: joints, axes, bodies and limits. What URDF cannot say (acceleration,
+jerk) stands in a limits YAML in the same folder. An arm with an optional yaw and parallel revolute joints in one plane
+is of the planar family, `Robot.planar`, for which there are a closed-form C-space and inverse kinematics.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Hashable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar
@@ -20,10 +21,11 @@ from numpy.typing import ArrayLike
 from hplan.base.arguments import each, file_path, instance, list_of, number
 from hplan.base.arrays import BoolArray, FloatArray, Record, readonly
 from hplan.base.data_files import shipped_robots, urdf_dir
-from hplan.errors import InputError, JointLimitError
+from hplan.errors import InputError, JointLimitError, RobotFamilyError
 from hplan.robot.dynamics import InverseDynamics
-from hplan.robot.family_reader import FamilyReader, joint_range
-from hplan.robot.files import build_models, find_limits
+from hplan.robot.family_reader import check_joints, joint_range, read_family
+from hplan.robot.files import NAMED_ROBOTS, RobotFiles, build_models, find_limits, named_robot, read_srdf
+from hplan.robot.planar_family import PlanarArm, PlanarFamily, PlanarNames
 from hplan.robot.urdf_adaptation import RobotChoice, adapt_urdf
 from hplan.robot.urdf_xml import URDF_TEXT, is_urdf_text, read_urdf_xml
 
@@ -31,59 +33,11 @@ _T = TypeVar("_T")
 
 
 @dataclass(frozen=True, eq=False)
-class PlanarArm(Record):
-    """The planar chain inside the robot, in the coordinates of its own plane.
+class Robot(PlanarNames, Record):
+    """A robot: Pinocchio's models, every limit, and the planar chain where it is one.
 
-    The plane's origin is the first planar joint (the shoulder); its first axis is horizontal, its second points
-    up. Link `k` is the segment from its joint to the next one (the last ends at the tool frame). Relative link
-    angles, counter-clockwise from the first axis, are `signs * q + offsets`. The tool moves in the plane; the body of
-    a link may lie beside it, in a plane of its own.
-
-    Attributes:
-        joint_names: Names of the `n` planar joints.
-        link_names: Names of the `n` links they move.
-        lengths: (n,) link lengths [m].
-        half_widths: (n,) radii of the capsules that enclose the links [m].
-        lateral: (n,) distances of these capsules' axes from the plane, along its normal [m].
-        signs: (n,) +1 or -1, sense of each joint.
-        offsets: (n,) relative link angles at q = 0.
-        lower: (n,) lower joint limits.
-        upper: (n,) upper joint limits.
-    """
-
-    joint_names: tuple[str, ...]
-    link_names: tuple[str, ...]
-    lengths: FloatArray
-    half_widths: FloatArray
-    lateral: FloatArray
-    signs: FloatArray
-    offsets: FloatArray
-    lower: FloatArray
-    upper: FloatArray
-
-    @property
-    def link_count(self) -> int:
-        """Number of planar links."""
-        return len(self.link_names)
-
-    def joint_points(self, q: ArrayLike) -> FloatArray:
-        """Joint and tool positions in the plane.
-
-        Args:
-            q: (..., n) planar joint angles.
-
-        Returns:
-            (..., n + 1, 2) positions [m]: the joints from the shoulder on, the tool frame last.
-        """
-        angles = np.cumsum(self.signs * np.asarray(q, dtype=np.float64) + self.offsets, axis=-1)
-        steps = self.lengths[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-        origin = np.zeros_like(steps[..., :1, :])
-        return np.concatenate([origin, np.cumsum(steps, axis=-2)], axis=-2)
-
-
-@dataclass(frozen=True, eq=False)
-class Robot(Record):
-    """A harvesting arm: Pinocchio's models, the planar chain inside, and every limit.
+    What `planar` holds is there under the same names on the robot itself (`robot.arm`, `robot.has_yaw`), and raises a
+    `RobotFamilyError` where the robot is not of the planar family.
 
     Attributes:
         name: Name in the URDF.
@@ -91,12 +45,7 @@ class Robot(Record):
         model: Pinocchio's kinematic and inertial model.
         collision_model: Collision geometry.
         visual_model: Visual geometry.
-        joint_names: Names of the `dof` joints, base first.
-        has_yaw: True where joint 0 turns the arm plane about the vertical.
-        yaw_axis: (2,) where that vertical stands in `base_link` [m]; zeros without a yaw.
-        arm: The planar chain.
-        plane_origin: (3,) shoulder position at yaw 0, in `base_link` [m].
-        plane_axes: (2, 3) the plane's horizontal and upward unit vectors at yaw 0.
+        joint_names: Names of the `dof` joints, base first, in the order of Pinocchio's model.
         tool_frame: Name of the frame at the end of the arm.
         lower: (dof,) lower joint limits.
         upper: (dof,) upper joint limits.
@@ -107,6 +56,9 @@ class Robot(Record):
         continuous: (dof,) True where the URDF gives a joint no limits; it turns by a whole turn to either side.
         held: Where joints of the URDF stand that do not move, by name [rad, m]; None for those of several coordinates.
         urdf_text: The URDF that the models were built from, where it is not the file's content.
+        planar: What it has as an arm of the planar family; None where it is not of it.
+        beyond_family: Element of the robot, and the reason, for which it is not of the family; None where it is.
+        may_touch: Pairs of links that may touch by the robot's SRDF, and the reason that it gives.
     """
 
     name: str
@@ -115,11 +67,6 @@ class Robot(Record):
     collision_model: pin.GeometryModel
     visual_model: pin.GeometryModel
     joint_names: tuple[str, ...]
-    has_yaw: bool
-    yaw_axis: FloatArray
-    arm: PlanarArm
-    plane_origin: FloatArray
-    plane_axes: FloatArray
     tool_frame: str
     lower: FloatArray
     upper: FloatArray
@@ -130,6 +77,28 @@ class Robot(Record):
     continuous: BoolArray
     held: Mapping[str, float | None]
     urdf_text: str | None
+    planar: PlanarFamily | None
+    beyond_family: tuple[str, str] | None = None
+    may_touch: tuple[tuple[str, str, str], ...] = ()
+
+    @property
+    def family(self) -> PlanarFamily:
+        """The planar family's part of the robot, as `planar`.
+
+        Raises:
+            RobotFamilyError: The robot is not of the family; says which element and why.
+        """
+        if self.planar is None:
+            raise RobotFamilyError(self.name, *(self.beyond_family or ("joints", "they are not those of one")))
+        return self.planar
+
+    def with_arm(self, arm: PlanarArm) -> Robot:
+        """The same robot with another planar chain.
+
+        Raises:
+            RobotFamilyError: The robot is not of the family.
+        """
+        return replace(self, planar=replace(self.family, arm=arm))
 
     @property
     def dof(self) -> int:
@@ -152,80 +121,22 @@ class Robot(Record):
         """Inverse dynamics of the model."""
         return InverseDynamics.of(self.model)
 
-    @property
-    def yaw_joints(self) -> int:
-        """Number of joints before the planar ones: 1 with a yaw, else 0."""
-        return int(self.has_yaw)
-
-    @property
-    def arm_slice(self) -> slice:
-        """Places of the planar joints in a configuration."""
-        return slice(self.yaw_joints, None)
-
-    def yaw_of(self, q: ArrayLike) -> float:
-        """Yaw of a configuration (0 for a robot without one)."""
-        return float(np.asarray(q)[0]) if self.has_yaw else 0.0
-
-    def plane_at(self, yaw: float) -> tuple[FloatArray, FloatArray]:
-        """The arm plane turned by `yaw`.
-
-        Returns:
-            The (3,) origin in `base_link` [m] and the (3, 3) rows: horizontal axis, upward axis, unit normal.
-        """
-        cos, sin = math.cos(yaw), math.sin(yaw)
-        turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
-        (ax, ay, az), (bx, by, bz) = self.plane_axes.tolist()
-        axes = np.array([[ax, ay, az], [bx, by, bz], [ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx]])
-        axis = np.append(self.yaw_axis, 0.0)
-        return axis + turn @ (self.plane_origin - axis), axes @ turn.T
-
     def tool_positions(self, q: ArrayLike) -> FloatArray:
         """Tool positions of configurations, (..., dof) -> (..., 3), in `base_link` [m]."""
+        if self.planar is not None:
+            return self.planar.tool_positions(q)
+        poses = self.tool_poses(q)
+        return poses[..., :3, 3]
+
+    def tool_poses(self, q: ArrayLike) -> FloatArray:
+        """Tool frames of configurations, (..., dof) -> (..., 4, 4) homogeneous matrices in `base_link`."""
         q = np.asarray(q, dtype=np.float64)
-        tip = self.arm.joint_points(q[..., self.arm_slice])[..., -1, :]
-        at_zero = self.plane_origin + tip @ self.plane_axes
-        if not self.has_yaw:
-            return at_zero
-        cos, sin, (ax, ay) = np.cos(q[..., 0]), np.sin(q[..., 0]), self.yaw_axis.tolist()
-        x, y, z = np.moveaxis(at_zero, -1, 0)
-        x, y = x - ax, y - ay
-        return np.stack([ax + (cos * x - sin * y), ay + (sin * x + cos * y), z], axis=-1)
-
-    def sway(self, deviation: ArrayLike) -> FloatArray:
-        """Largest distance of an axis point of each link from its place when joints are off by `deviation` at most.
-
-        The absolute angle of a link is off by no more than the joints up to it together, and each link adds its length
-        times that; yaw adds its own deviation times the largest distance from the yaw axis.
-
-        Args:
-            deviation: One number for all joints, or (..., dof) [rad].
-
-        Returns:
-            (..., links) distances [m].
-        """
-        off = np.asarray(deviation, dtype=np.float64)
-        off = off if off.ndim else np.full(self.dof, off)
-        sway: FloatArray = np.cumsum(self.arm.lengths * np.cumsum(off[..., self.arm_slice], axis=-1), axis=-1)
-        return sway + off[..., :1] * self.yaw_radius if self.has_yaw else sway
-
-    @cached_property
-    def shoulder_from_axis(self) -> tuple[float, float]:
-        """The shoulder as seen from the yaw axis: along the plane's horizontal axis, and along its normal [m]."""
-        (fx, fy), (x, y) = self.plane_axes[0, :2].tolist(), (self.plane_origin[:2] - self.yaw_axis).tolist()
-        return fx * x + fy * y, fy * x - fx * y
-
-    @property
-    def yaw_radius(self) -> FloatArray:
-        """(links,) largest distance of any point of each link's axis from the yaw axis [m]."""
-        ahead, across = self.shoulder_from_axis
-        radius: FloatArray = np.hypot(abs(ahead) + np.cumsum(self.arm.lengths), across + self.arm.lateral)
-        return radius
-
-    @property
-    def tool_radius(self) -> float:
-        """Largest distance of the tool from the yaw axis [m]."""
-        ahead, across = self.shoulder_from_axis
-        return math.hypot(abs(ahead) + float(self.arm.lengths.sum()), across)
+        data, frame = self.model.createData(), self.model.getFrameId(self.tool_frame)
+        poses = np.empty((*q.shape[:-1], 4, 4))
+        for place in np.ndindex(q.shape[:-1]):
+            pin.framesForwardKinematics(self.model, data, q[place])
+            poses[place] = data.oMf[frame].homogeneous
+        return poses
 
     def locked_mask(self, names: Sequence[str]) -> BoolArray:
         """(dof,) mask of the locked joints.
@@ -299,60 +210,60 @@ def load_robot(
     path: Path | str | None = None,
     *,
     limits: Path | str | None = None,
-    tool_frame: str = "tool0",
+    tool_frame: str | None = None,
     joints: Sequence[str] | None = None,
     hold: Mapping[str, float] | None = None,
     package_dirs: Sequence[Path | str] = (),
+    srdf: Path | str | None = None,
 ) -> Robot:
-    """Load a robot of the family; joints of its URDF that do not move are made fixed.
+    """Load a robot; joints of its URDF that do not move are made fixed.
 
     Args:
         path: URDF or xacro file, or a URDF itself (a text that begins with `<`); None for the harvester that ships with
-            hplan. A text without suffix and folder that is no file names a robot that ships:
-            `load_robot("orchard_harvester")`.
+            hplan. A text without suffix and folder that is no file names a robot that ships,
+            `load_robot("orchard_harvester")`, or one of example-robot-data (extra `robots`): `panda`, `ur3`, `ur5`,
+            `ur10`.
         limits: Limits YAML; None for the file in the folder of the URDF, `NAME.limits.yaml`, and without one for
             acceleration and jerk in the URDF (1.2).
-        tool_frame: Frame at the end of the last link.
-        joints: Names of the joints that move, from the base on; None for all revolute and continuous ones up to the
-            tool frame that are not held.
+        tool_frame: Frame at the end of the arm; None for that of a robot by name, and of another for `tool0`.
+        joints: Names of the joints that move, from the base on; None for all revolute, continuous and prismatic ones
+            up to the tool frame that are not held.
         hold: Values of joints that stand still [rad, m]. All that do not move do: without a value at 0, or at the limit
             nearest to it, or as they mimic another.
         package_dirs: Folders in which `package://` meshes are looked for, before those around the URDF.
+        srdf: SRDF that says which links may touch. Pairs that it leaves out because they never do are looked at all
+            the same, and so are all pairs of an arm of the planar family, whose geometry says which can touch.
 
     Raises:
-        RobotFileError: The URDF or the limits file is missing, malformed or incomplete; a mesh is missing.
-        RobotFamilyError: The URDF is well-formed but no planar arm on an optional yaw; says which element and why.
-        InputError: A joint to move or to hold that does not exist or cannot; xacro without `xacrodoc`.
+        RobotFileError: The URDF, the limits file or the SRDF is missing, malformed or incomplete; a mesh is missing.
+        RobotFamilyError: The URDF is well-formed but holds no arm that can move; says which element and why.
+        InputError: A joint to move or to hold that does not exist or cannot; xacro without `xacrodoc`; a robot by name
+            without example-robot-data.
         JointLimitError: A joint held outside its limits.
     """
-    instance("tool_frame", tool_frame, str)
+    files = _files(path)
+    frame = instance("tool_frame", files.tool_frame if tool_frame is None else tool_frame, str)
     choice = RobotChoice(
-        tool_frame,
+        frame,
         None if joints is None else list_of("joints", joints, str, "names"),
         {name: number(f"hold[{name!r}]", value, "a position") for name, value in _mapping(hold).items()},
-        each("package_dirs", package_dirs, "a list of folders", file_path),
+        (*each("package_dirs", package_dirs, "a list of folders", file_path), *files.package_dirs),
     )
     text = path if isinstance(path, str) and is_urdf_text(path) else None
-    urdf_path = URDF_TEXT if text is not None else _urdf_path(path)
+    urdf_path = files.urdf
     adapted = adapt_urdf(urdf_path, read_urdf_xml(urdf_path, text, choice.package_dirs), choice)
     model, collision_model, visual_model = build_models(urdf_path, adapted.urdf, adapted.text)
-    kinematics = FamilyReader(model, collision_model, tool_frame)
+    check_joints(model, frame)
     joint_names = tuple(model.names)[1:]
-    given = None if limits is None else file_path("limits", limits)
+    given = files.limits if limits is None else file_path("limits", limits)
+    allowed = files.srdf if srdf is None else file_path("srdf", srdf)
     acceleration, jerk = find_limits(urdf_path, adapted.urdf, joint_names, given, adapted.held)
     lower, upper = joint_range(model)
-    arm_slice = slice(1 if kinematics.has_yaw else 0, None)
-    arm = PlanarArm(
-        joint_names=joint_names[arm_slice],
-        link_names=kinematics.link_names,
-        lengths=readonly(kinematics.lengths),
-        half_widths=readonly(kinematics.half_widths),
-        lateral=readonly(kinematics.lateral),
-        signs=readonly(kinematics.signs),
-        offsets=readonly(kinematics.offsets),
-        lower=readonly(lower[arm_slice]),
-        upper=readonly(upper[arm_slice]),
-    )
+    planar, beyond_family = None, None
+    try:
+        planar = read_family(model, collision_model, frame)
+    except RobotFamilyError as error:
+        beyond_family = error.element, error.reason
     return Robot(
         name=model.name,
         urdf_path=urdf_path,
@@ -360,12 +271,7 @@ def load_robot(
         collision_model=collision_model,
         visual_model=visual_model,
         joint_names=joint_names,
-        has_yaw=kinematics.has_yaw,
-        yaw_axis=readonly(kinematics.yaw_axis),
-        arm=arm,
-        plane_origin=readonly(kinematics.origin),
-        plane_axes=readonly(kinematics.axes),
-        tool_frame=tool_frame,
+        tool_frame=frame,
         lower=readonly(lower),
         upper=readonly(upper),
         velocity_limit=readonly(model.velocityLimit),
@@ -375,6 +281,9 @@ def load_robot(
         continuous=readonly([name in adapted.continuous for name in joint_names], np.bool_),
         held=adapted.held,
         urdf_text=adapted.text,
+        planar=planar,
+        beyond_family=beyond_family,
+        may_touch=() if allowed is None else read_srdf(allowed),
     )
 
 
@@ -382,6 +291,14 @@ def _mapping(hold: Mapping[str, float] | None) -> dict[str, float]:
     return {} if hold is None else dict(instance("hold", hold, Mapping, "{joint: value}"))  # type: ignore[type-abstract]
 
 
-def _urdf_path(path: Path | str | None) -> Path:
+def _files(path: Path | str | None) -> RobotFiles:
+    """The files of what `load_robot` is asked for, as far as that says where they are."""
+    if isinstance(path, str) and is_urdf_text(path):
+        return RobotFiles(URDF_TEXT)
     found = urdf_dir() / "harvester.urdf" if path is None else file_path("path", path)
-    return urdf_dir() / f"{path}.urdf" if str(path) in shipped_robots() and not found.is_file() else found
+    if not found.is_file():
+        if str(path) in shipped_robots():
+            return RobotFiles(urdf_dir() / f"{path}.urdf")
+        if str(path) in NAMED_ROBOTS:
+            return named_robot(str(path))
+    return RobotFiles(found)

@@ -46,7 +46,8 @@ from hplan.robot.base_shapes import (
     turret_radius,
 )
 from hplan.robot.folding import Fold, folds
-from hplan.robot.model import PlanarArm, Robot
+from hplan.robot.model import Robot
+from hplan.robot.planar_family import PlanarArm
 
 #: Parts are taken to be able to touch if they come this near [m]: positions are kept to 1e-6 rad, distances to 1e-5 m.
 SLACK: Final = 1e-4

@@ -42,7 +42,8 @@ _ATTRIBUTES: Final[Mapping[str, frozenset[str]]] = {
     "child": frozenset({"link"}),
     "axis": frozenset({"xyz"}),
     "limit": frozenset({"lower", "upper", "velocity", "effort", "acceleration", "jerk"}),
-    "dynamics": frozenset({"damping", "friction"}),
+    # The last four are Franka's.
+    "dynamics": frozenset({"damping", "friction", "D", "K", "mu_coulomb", "mu_viscous"}),
     "mimic": frozenset({"joint", "multiplier", "offset"}),
     "safety_controller": frozenset({"soft_lower_limit", "soft_upper_limit", "k_position", "k_velocity"}),
     "calibration": frozenset({"rising", "falling", "reference_position"}),

@@ -57,7 +57,7 @@ def carrying(robot: Robot, radius: float) -> Robot:
     """The arm with its last link as thick as a fruit that it carries at the tool."""
     widths = np.array(robot.arm.half_widths)
     widths[-1] = max(widths[-1], radius + abs(robot.arm.lateral[-1]))
-    return replace(robot, arm=replace(robot.arm, half_widths=readonly(widths)))
+    return robot.with_arm(replace(robot.arm, half_widths=readonly(widths)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,8 @@ from hplan.base.arrays import FloatArray, readonly
 from hplan.base.planar_geometry import convex_hull
 from hplan.cspace.prepared_obstacles import ConvexObstacle, prepare_obstacles
 from hplan.cspace.sections import LINK_MODELS, ArmSections, LinkModel, balls_only, sections_at
-from hplan.robot.model import PlanarArm, Robot
+from hplan.robot.model import Robot
+from hplan.robot.planar_family import PlanarArm
 from hplan.search.grid import Grid
 
 

@@ -491,8 +491,13 @@ def test_robot_files_that_cannot_be_read(
     ("old", "new", "kind", "says"),
     [
         ('<axis xyz="0 0 1"/>', '<axis xyz="1 0 0"/>', "RobotFamilyError", "base_yaw"),
-        ('type="revolute"', 'type="prismatic"', "RobotFamilyError", "only revolute joints"),
-        ('type="revolute"', 'type="floating"', "RobotFamilyError", "only revolute joints move; make it fixed"),
+        ('type="revolute"', 'type="prismatic"', "RobotFamilyError", "joints are revolute"),
+        (
+            'type="revolute"',
+            'type="floating"',
+            "RobotFamilyError",
+            "only revolute and prismatic joints move; make it fixed",
+        ),
         ('"tool0"', '"tcp"', "RobotFamilyError", "tool0"),
         ('effort="250"', 'effort="0"', "RobotFileError", "shoulder"),
         ('velocity="1.2"', 'velocity="0"', "RobotFileError", "shoulder"),

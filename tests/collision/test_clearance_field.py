@@ -321,7 +321,7 @@ def test_near_a_single_configuration(robot):
 
 
 def test_near_looks_where_a_link_beside_the_plane_is(robot):
-    aside = dataclasses.replace(robot, arm=dataclasses.replace(robot.arm, lateral=np.array([0.0, 0.0, 0.5])))
+    aside = robot.with_arm(dataclasses.replace(robot.arm, lateral=np.array([0.0, 0.0, 0.5])))
     balls = [Sphere(name=f"b{y}", center=(2.0, y, 0.6), radius=0.05) for y in (0.0, -0.5)]  # the normal is -y
     assert ClearanceField.of(aside, balls).near(np.zeros((1, 4)), 0.05).owner.tolist() == [1]
 

@@ -19,9 +19,9 @@ from hplan.base.data_files import urdf_dir
 from hplan.collision.coal_scene import CoalScene, base_contacts, base_radius, check_clear
 from hplan.cspace.occupancy import occupancy
 from hplan.errors import ConfigurationInCollisionError, OptionError
-from hplan.robot.convex_shape import convex_hull_shape
 from hplan.robot.model import load_robot
 from hplan.robot_family import HARVESTER, write_robot
+from hplan.scene.convex_shape import convex_hull_shape
 from hplan.scene.obstacles import Box, Capsule, Cylinder, Mesh, Sphere
 from hplan.scene.solids import Cloud, hull_of
 

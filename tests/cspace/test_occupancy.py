@@ -14,7 +14,7 @@ from hplan.base.arrays import readonly
 from hplan.cspace.occupancy import occupancy
 from hplan.cspace.sections import LINK_MODELS
 from hplan.errors import InputError, OptionError
-from hplan.robot.model import PlanarArm
+from hplan.robot.planar_family import PlanarArm
 from hplan.search.grid import Grid
 
 TABLE_1_COUNTS = {"capsule": 128_891, "paper": 127_973, "rectangle": 127_342}

@@ -32,7 +32,7 @@ def with_arm(robot: Robot, **changes) -> Robot:
     yaw = slice(0, robot.dof - arm.link_count)
     lower = readonly(np.concatenate([robot.lower[yaw], arm.lower]))
     upper = readonly(np.concatenate([robot.upper[yaw], arm.upper]))
-    return replace(robot, arm=arm, lower=lower, upper=upper)
+    return replace(robot.with_arm(arm), lower=lower, upper=upper)
 
 
 def random_arm(robot: Robot, rng: np.random.Generator) -> Robot:

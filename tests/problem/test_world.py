@@ -106,7 +106,7 @@ def test_each_link_sways_by_its_own(robot: Robot) -> None:
     """Field and sections are those of an arm that is as much thicker; coal has the same distances less the sway."""
     error, rng = 0.01, np.random.default_rng(4)
     arm = replace(robot.arm, half_widths=robot.arm.half_widths + robot.sway(error))
-    thicker = replace(robot, arm=arm)
+    thicker = robot.with_arm(arm)
     world, same = World.of(robot, BALLS, tracking_error=error), World.of(thicker, BALLS)
     for yaw in (0.0, 0.1):
         ours, theirs = (sections_at(one.robot, one.bodies(), yaw) for one in (world, same))

@@ -9,6 +9,7 @@ import coal
 import numpy as np
 import pinocchio as pin
 import pytest
+from toy_urdf import SIX_AXIS_LIMITS, six_axis_arm
 
 from hplan.base.data_files import urdf_dir
 from hplan.errors import InputError, JointLimitError, RobotFamilyError, RobotFileError
@@ -270,7 +271,7 @@ FAMILY_FAULTS = {
 def test_family_faults_name_the_element(load_edited, case):
     edits, message = FAMILY_FAULTS[case]
     with pytest.raises(RobotFamilyError) as caught:
-        load_edited(*edits)
+        load_edited(*edits).family  # noqa: B018
     assert message in caught.value.message
     assert caught.value.robot == "harvester"
     assert caught.value.exit_status == 2
@@ -281,12 +282,12 @@ def test_yaw_axis_down(load_edited, tmp_path):
     path = tmp_path / "harvester.urdf"
     path.write_text(SHIPPED.replace('<axis xyz="0 0 1"/>', '<axis xyz="0 0 -1"/>'))
     with pytest.raises(RobotFamilyError, match="the yaw axis points down"):
-        load_robot(path)
+        assert load_robot(path).has_yaw
     path.write_text(SHIPPED.replace('<axis xyz="0 0 1"/>', '<axis xyz="1 0 0"/>'))
     with pytest.raises(
         RobotFamilyError, match="joint 'base_yaw': it is not parallel to the next joint and not vertical"
     ):
-        load_robot(path)
+        assert load_robot(path).has_yaw
 
 
 TILTS = {
@@ -309,7 +310,7 @@ def test_axes_off_by_a_little_are_refused_and_say_what_to_do(load_edited, tmp_pa
     path = tmp_path / "harvester.urdf"
     path.write_text(SHIPPED.replace(old, new.format(repr(tilt)), 1))
     with pytest.raises(RobotFamilyError) as caught:
-        load_robot(path)
+        assert load_robot(path).has_yaw
     assert message in caught.value.message
     assert f", by {tilt:.3g} rad, of which 1e-09 is taken: write angles in full" in caught.value.message
     path.write_text(SHIPPED.replace(old, new.format("1e-10"), 1))
@@ -326,7 +327,7 @@ def test_right_angles_are_to_be_written_in_full(load_edited, angle, taken):
         assert load_edited(edit, axis, elbow).arm.signs[0] in (-1.0, 1.0)
         return
     with pytest.raises(RobotFamilyError, match=r"a right one as 1\.5707963267948966"):
-        load_edited(edit, axis, elbow)
+        assert load_edited(edit, axis, elbow).has_yaw
 
 
 def test_yaw_axis_beside_the_origin(load_edited, tmp_path):
@@ -375,36 +376,31 @@ def test_another_tool_frame(robot):
         load_robot(robot.urdf_path, tool_frame="gripper")
 
 
-def test_six_axis_arm_with_offsets_is_refused(tmp_path):
-    """Axes and offsets as of a UR5: a yaw, three parallel joints beside the plane, and two more across."""
-    joints = [
-        ("shoulder_pan", "0 0 0.089", "0 0 1"),
-        ("shoulder_lift", "0 0.136 0", "0 1 0"),
-        ("elbow", "0 -0.12 0.425", "0 1 0"),
-        ("wrist_1", "0 0 0.392", "0 1 0"),
-        ("wrist_2", "0 0.093 0", "0 0 1"),
-        ("wrist_3", "0 0 0.095", "0 1 0"),
-    ]
-    parts = ['<robot name="six_axes"><link name="base_link"/>']
-    parent = "base_link"
-    for name, xyz, axis in joints:
-        parts.append(
-            f'<joint name="{name}" type="revolute"><parent link="{parent}"/><child link="{name}_link"/>'
-            f'<origin xyz="{xyz}"/><axis xyz="{axis}"/><limit lower="-3" upper="3" velocity="3" effort="150"/></joint>'
-            f'<link name="{name}_link"><collision><geometry><sphere radius="0.1"/></geometry></collision></link>'
-        )
-        parent = f"{name}_link"
-    parts.append(
-        f'<joint name="flange" type="fixed"><parent link="{parent}"/><child link="tool0"/>'
-        '<origin xyz="0 0.08 0"/></joint><link name="tool0"/></robot>'
-    )
-    (tmp_path / "six.urdf").write_text("\n".join(parts))
+def test_six_axis_arm_with_offsets_is_no_planar_arm(tmp_path):
+    (tmp_path / "six.urdf").write_text(six_axis_arm())
+    (tmp_path / "six.limits.yaml").write_text(SIX_AXIS_LIMITS)
+    robot = load_robot(tmp_path / "six.urdf")
+    assert robot.planar is None
     with pytest.raises(RobotFamilyError) as caught:
-        load_robot(tmp_path / "six.urdf")
+        assert robot.arm
     assert caught.value.message == (
         "robot 'six_axes' is not a planar arm on an optional yaw: joint 'wrist_2': it is not parallel to joint "
         "'shoulder_lift'; hold={'wrist_2': 0.0} (--hold wrist_2=0) lets it stand still"
     )
+
+
+def test_tool_of_any_arm_is_pinocchios(tmp_path):
+    (tmp_path / "six.urdf").write_text(six_axis_arm())
+    (tmp_path / "six.limits.yaml").write_text(SIX_AXIS_LIMITS)
+    robot = load_robot(tmp_path / "six.urdf")
+    q = np.random.default_rng(0).uniform(robot.lower, robot.upper, (2, 3, robot.dof))
+    poses = robot.tool_poses(q)
+    data = robot.model.createData()
+    for place in np.ndindex(2, 3):
+        pin.framesForwardKinematics(robot.model, data, q[place])
+        expected = data.oMf[robot.model.getFrameId("tool0")].homogeneous
+        np.testing.assert_array_equal(poses[place], expected)
+        np.testing.assert_array_equal(robot.tool_positions(q)[place], expected[:3, 3])
 
 
 # Files that cannot be read

@@ -226,7 +226,7 @@ REFUSED = {
     ),
     "prismatic in the chain": (
         edited(('name="elbow" type="revolute"', 'name="elbow" type="prismatic"')), {}, RobotFamilyError,
-        "joint 'elbow': it is a JointModelPrismaticUnaligned; only revolute joints move; hold={'elbow': 0.0}",
+        "joint 'elbow': it is a JointModelPrismaticUnaligned; the family's joints are revolute; hold={'elbow': 0.0}",
     ),
     "a floating joint held": (
         edited(('name="elbow" type="revolute"', 'name="elbow" type="floating"')), {"hold": {"elbow": 0.0}}, InputError,
@@ -260,7 +260,7 @@ REFUSED = {
 def test_refused_with_what_would_make_it_work(load, case):
     text, options, kind, message = REFUSED[case]
     with pytest.raises(kind) as caught:
-        load(text, **options)
+        assert load(text, **options).family
     assert type(caught.value) is kind
     assert message in str(caught.value)
 

@@ -255,7 +255,7 @@ def test_what_is_carried_is_clear_as_well(robot: Robot, scene: Scene, carried: T
 
 
 def test_a_link_beside_the_tool_holds_what_the_tool_carries(robot: Robot) -> None:
-    aside = replace(robot, arm=replace(robot.arm, lateral=np.array([0.0, 0.0, -0.05])))
+    aside = robot.with_arm(replace(robot.arm, lateral=np.array([0.0, 0.0, -0.05])))
     assert carrying(aside, 0.04).arm.half_widths[-1] == pytest.approx(0.09)
 
 

@@ -108,7 +108,7 @@ def test_robot(robot, tmp_path):
         found[name] = robot_digest(load_robot(tmp_path / "harvester.urdf"))
     assert found["comment"] == robot_digest(robot)
     assert len(set(found.values())) == len(found)
-    thicker = replace(robot, arm=replace(robot.arm, half_widths=robot.arm.half_widths + 1e-3))
+    thicker = robot.with_arm(replace(robot.arm, half_widths=robot.arm.half_widths + 1e-3))
     assert robot_digest(thicker) != robot_digest(robot)
 
 

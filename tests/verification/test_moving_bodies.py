@@ -473,7 +473,7 @@ def test_neighbours_fold_up_to_the_convention(tmp_path):
 def test_folded_angles_are_those_of_coal(tmp_path, lengths, aside):
     """Whichever link is the shorter one; what lies beyond the joint's own reach is trimmed by the test itself."""
     robot = fitted(tmp_path, low=-179.0, high=(90.0, 179.0), lengths=lengths, widths=(0.05, 0.04))
-    robot = replace(robot, arm=replace(robot.arm, lateral=np.array([0.0, aside])))
+    robot = robot.with_arm(replace(robot.arm, lateral=np.array([0.0, aside])))
     checker, reach = CoalScene(robot, []), 0.27
     found_folds = self_contact(robot).folds
     assert bool(found_folds) == (max(lengths) > reach and min(lengths) > reach - math.sqrt(0.09**2 - aside**2))
@@ -514,8 +514,8 @@ def test_an_elbow_does_not_pass_through_its_fold(tmp_path):
 
 def test_neighbours_that_lie_beside_each_other_do_not_fold(tmp_path):
     robot = fitted(tmp_path, low=-179.0, high=(90.0, 179.0), lengths=(1.0, 0.7), widths=(0.05, 0.04))
-    apart = replace(robot, arm=replace(robot.arm, lateral=np.array([0.0, 0.0901])))
-    assert self_contact(replace(apart, arm=replace(apart.arm, lateral=np.array([0.0, 0.0899])))).folds
+    apart = robot.with_arm(replace(robot.arm, lateral=np.array([0.0, 0.0901])))
+    assert self_contact(apart.with_arm(replace(apart.arm, lateral=np.array([0.0, 0.0899])))).folds
     assert folds(apart.arm, 0.0, 0.0) == ()
     assert folds(apart.arm, 1e-3, 0.0) != ()
 

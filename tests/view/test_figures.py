@@ -21,7 +21,8 @@ from hplan.base.arrays import FloatArray, IntArray
 from hplan.cspace import occupancy as cspace
 from hplan.cspace.sections import ArmSections
 from hplan.errors import InputError
-from hplan.robot.model import PlanarArm, load_robot
+from hplan.robot.model import load_robot
+from hplan.robot.planar_family import PlanarArm
 from hplan.scene.file import load_scene
 from hplan.search import SearchResult, dense_search, two_level_search
 from hplan.search.grid import Grid, Occupancy

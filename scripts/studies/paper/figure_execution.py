@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from studies.view.figures_arm import draw_arm, draw_disc
 
 from hplan.base.arrays import FloatArray, IntArray
-from hplan.robot.model import PlanarArm
+from hplan.robot.planar_family import PlanarArm
 from hplan.search.grid import Grid
 from hplan.view.figure_style import FAINT, GOAL, PATH, START, new_figure, styled
 

@@ -13,7 +13,7 @@ from studies.view.figures_cspace import degree_axes, paint
 
 from hplan.base.arrays import FloatArray
 from hplan.cspace.sections import ArmSections
-from hplan.robot.model import PlanarArm
+from hplan.robot.planar_family import PlanarArm
 from hplan.search.grid import Grid
 from hplan.view.figure_style import (
     FAINT,

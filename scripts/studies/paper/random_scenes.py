@@ -17,7 +17,7 @@ from studies.planar_cspace import RoundedPolygon, joint_grid, planar_sections
 from hplan.base.arrays import FloatArray, IntArray, readonly
 from hplan.cspace.occupancy import occupancy
 from hplan.cspace.sections import LinkModel
-from hplan.robot.model import PlanarArm
+from hplan.robot.planar_family import PlanarArm
 from hplan.search import Fallback, dense_search, two_level_search
 from hplan.search.grid import Occupancy
 

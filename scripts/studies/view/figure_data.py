@@ -12,7 +12,7 @@ from hplan.base.arrays import BoolArray, FloatArray
 from hplan.cspace import occupancy as cspace
 from hplan.cspace.sections import ArmSections
 from hplan.errors import InputError
-from hplan.robot.model import PlanarArm
+from hplan.robot.planar_family import PlanarArm
 from hplan.search.grid import Grid
 
 

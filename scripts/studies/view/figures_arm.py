@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hplan.base.arrays import FloatArray
-from hplan.robot.model import PlanarArm
+from hplan.robot.planar_family import PlanarArm
 from hplan.view.figure_style import GOAL, INK, LINKS, OBSTACLE, PATH, QUIET, START, new_figure, styled
 
 if TYPE_CHECKING:

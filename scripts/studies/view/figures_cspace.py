@@ -15,7 +15,7 @@ from studies.view.figure_data import earlier_links, reached_mask
 
 from hplan.base.arrays import BoolArray, IntArray
 from hplan.cspace.sections import ArmSections
-from hplan.robot.model import PlanarArm
+from hplan.robot.planar_family import PlanarArm
 from hplan.search.grid import Grid, Occupancy
 from hplan.view.figure_style import (
     FAINT,

@@ -1,0 +1,232 @@
+"""The planar family: an optional yaw, then parallel revolute joints in one plane, which has a closed-form C-space."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hplan.base.arrays import FloatArray, Record
+
+
+@dataclass(frozen=True, eq=False)
+class PlanarArm(Record):
+    """The planar chain inside the robot, in the coordinates of its own plane.
+
+    The plane's origin is the first planar joint (the shoulder); its first axis is horizontal, its second points
+    up. Link `k` is the segment from its joint to the next one (the last ends at the tool frame). Relative link
+    angles, counter-clockwise from the first axis, are `signs * q + offsets`. The tool moves in the plane; the body of
+    a link may lie beside it, in a plane of its own.
+
+    Attributes:
+        joint_names: Names of the `n` planar joints.
+        link_names: Names of the `n` links they move.
+        lengths: (n,) link lengths [m].
+        half_widths: (n,) radii of the capsules that enclose the links [m].
+        lateral: (n,) distances of these capsules' axes from the plane, along its normal [m].
+        signs: (n,) +1 or -1, sense of each joint.
+        offsets: (n,) relative link angles at q = 0.
+        lower: (n,) lower joint limits.
+        upper: (n,) upper joint limits.
+    """
+
+    joint_names: tuple[str, ...]
+    link_names: tuple[str, ...]
+    lengths: FloatArray
+    half_widths: FloatArray
+    lateral: FloatArray
+    signs: FloatArray
+    offsets: FloatArray
+    lower: FloatArray
+    upper: FloatArray
+
+    @property
+    def link_count(self) -> int:
+        """Number of planar links."""
+        return len(self.link_names)
+
+    def joint_points(self, q: ArrayLike) -> FloatArray:
+        """Joint and tool positions in the plane.
+
+        Args:
+            q: (..., n) planar joint angles.
+
+        Returns:
+            (..., n + 1, 2) positions [m]: the joints from the shoulder on, the tool frame last.
+        """
+        angles = np.cumsum(self.signs * np.asarray(q, dtype=np.float64) + self.offsets, axis=-1)
+        steps = self.lengths[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+        origin = np.zeros_like(steps[..., :1, :])
+        return np.concatenate([origin, np.cumsum(steps, axis=-2)], axis=-2)
+
+
+@dataclass(frozen=True, eq=False)
+class PlanarFamily(Record):
+    """What an arm of the family has besides its joints: the planar chain, and how it stands in `base_link`.
+
+    Attributes:
+        has_yaw: True where joint 0 turns the arm plane about the vertical.
+        yaw_axis: (2,) where that vertical stands in `base_link` [m]; zeros without a yaw.
+        arm: The planar chain.
+        plane_origin: (3,) shoulder position at yaw 0, in `base_link` [m].
+        plane_axes: (2, 3) the plane's horizontal and upward unit vectors at yaw 0.
+    """
+
+    has_yaw: bool
+    yaw_axis: FloatArray
+    arm: PlanarArm
+    plane_origin: FloatArray
+    plane_axes: FloatArray
+
+    @property
+    def yaw_joints(self) -> int:
+        """Number of joints before the planar ones: 1 with a yaw, else 0."""
+        return int(self.has_yaw)
+
+    @property
+    def arm_slice(self) -> slice:
+        """Places of the planar joints in a configuration."""
+        return slice(self.yaw_joints, None)
+
+    def yaw_of(self, q: ArrayLike) -> float:
+        """Yaw of a configuration (0 for a robot without one)."""
+        return float(np.asarray(q)[0]) if self.has_yaw else 0.0
+
+    def plane_at(self, yaw: float) -> tuple[FloatArray, FloatArray]:
+        """The arm plane turned by `yaw`.
+
+        Returns:
+            The (3,) origin in `base_link` [m] and the (3, 3) rows: horizontal axis, upward axis, unit normal.
+        """
+        cos, sin = math.cos(yaw), math.sin(yaw)
+        turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+        (ax, ay, az), (bx, by, bz) = self.plane_axes.tolist()
+        axes = np.array([[ax, ay, az], [bx, by, bz], [ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx]])
+        axis = np.append(self.yaw_axis, 0.0)
+        return axis + turn @ (self.plane_origin - axis), axes @ turn.T
+
+    def tool_positions(self, q: ArrayLike) -> FloatArray:
+        """Tool positions of configurations, (..., dof) -> (..., 3), in `base_link` [m]."""
+        q = np.asarray(q, dtype=np.float64)
+        tip = self.arm.joint_points(q[..., self.arm_slice])[..., -1, :]
+        at_zero = self.plane_origin + tip @ self.plane_axes
+        if not self.has_yaw:
+            return at_zero
+        cos, sin, (ax, ay) = np.cos(q[..., 0]), np.sin(q[..., 0]), self.yaw_axis.tolist()
+        x, y, z = np.moveaxis(at_zero, -1, 0)
+        x, y = x - ax, y - ay
+        return np.stack([ax + (cos * x - sin * y), ay + (sin * x + cos * y), z], axis=-1)
+
+    def sway(self, deviation: ArrayLike) -> FloatArray:
+        """Largest distance of an axis point of each link from its place when joints are off by `deviation` at most.
+
+        The absolute angle of a link is off by no more than the joints up to it together, and each link adds its length
+        times that; yaw adds its own deviation times the largest distance from the yaw axis.
+
+        Args:
+            deviation: One number for all joints, or (..., dof) [rad].
+
+        Returns:
+            (..., links) distances [m].
+        """
+        off = np.asarray(deviation, dtype=np.float64)
+        off = off if off.ndim else np.full(self.arm.link_count + self.yaw_joints, off)
+        sway: FloatArray = np.cumsum(self.arm.lengths * np.cumsum(off[..., self.arm_slice], axis=-1), axis=-1)
+        return sway + off[..., :1] * self.yaw_radius if self.has_yaw else sway
+
+    @cached_property
+    def shoulder_from_axis(self) -> tuple[float, float]:
+        """The shoulder as seen from the yaw axis: along the plane's horizontal axis, and along its normal [m]."""
+        (fx, fy), (x, y) = self.plane_axes[0, :2].tolist(), (self.plane_origin[:2] - self.yaw_axis).tolist()
+        return fx * x + fy * y, fy * x - fx * y
+
+    @property
+    def yaw_radius(self) -> FloatArray:
+        """(links,) largest distance of any point of each link's axis from the yaw axis [m]."""
+        ahead, across = self.shoulder_from_axis
+        radius: FloatArray = np.hypot(abs(ahead) + np.cumsum(self.arm.lengths), across + self.arm.lateral)
+        return radius
+
+    @property
+    def tool_radius(self) -> float:
+        """Largest distance of the tool from the yaw axis [m]."""
+        ahead, across = self.shoulder_from_axis
+        return math.hypot(abs(ahead) + float(self.arm.lengths.sum()), across)
+
+
+class PlanarNames:
+    """What `PlanarFamily` holds, under the same names on the robot itself; refused where it is not of the family."""
+
+    @property
+    def family(self) -> PlanarFamily:
+        """The planar family's part of the robot.
+
+        Raises:
+            RobotFamilyError: The robot is not of the family; says which element and why.
+        """
+        raise NotImplementedError
+
+    @property
+    def has_yaw(self) -> bool:
+        """True where joint 0 turns the arm plane about the vertical."""
+        return self.family.has_yaw
+
+    @property
+    def yaw_axis(self) -> FloatArray:
+        """(2,) where that vertical stands in `base_link` [m]; zeros without a yaw."""
+        return self.family.yaw_axis
+
+    @property
+    def arm(self) -> PlanarArm:
+        """The planar chain."""
+        return self.family.arm
+
+    @property
+    def plane_origin(self) -> FloatArray:
+        """(3,) shoulder position at yaw 0, in `base_link` [m]."""
+        return self.family.plane_origin
+
+    @property
+    def plane_axes(self) -> FloatArray:
+        """(2, 3) the plane's horizontal and upward unit vectors at yaw 0."""
+        return self.family.plane_axes
+
+    @property
+    def yaw_joints(self) -> int:
+        """Number of joints before the planar ones: 1 with a yaw, else 0."""
+        return self.family.yaw_joints
+
+    @property
+    def arm_slice(self) -> slice:
+        """Places of the planar joints in a configuration."""
+        return self.family.arm_slice
+
+    def yaw_of(self, q: ArrayLike) -> float:
+        """Yaw of a configuration (0 for a robot without one)."""
+        return self.family.yaw_of(q)
+
+    def plane_at(self, yaw: float) -> tuple[FloatArray, FloatArray]:
+        """The arm plane turned by `yaw` (`PlanarFamily.plane_at`)."""
+        return self.family.plane_at(yaw)
+
+    def sway(self, deviation: ArrayLike) -> FloatArray:
+        """How far links may be from their places when joints are off by `deviation` (`PlanarFamily.sway`)."""
+        return self.family.sway(deviation)
+
+    @property
+    def shoulder_from_axis(self) -> tuple[float, float]:
+        """The shoulder as seen from the yaw axis: along the plane's horizontal axis, and along its normal [m]."""
+        return self.family.shoulder_from_axis
+
+    @property
+    def yaw_radius(self) -> FloatArray:
+        """(links,) largest distance of any point of each link's axis from the yaw axis [m]."""
+        return self.family.yaw_radius
+
+    @property
+    def tool_radius(self) -> float:
+        """Largest distance of the tool from the yaw axis [m]."""
+        return self.family.tool_radius

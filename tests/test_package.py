@@ -43,7 +43,8 @@ def test_wheel_holds_what_a_user_runs_and_nothing_else(project: dict[str, Any], 
         held = {name for name in archive.namelist() if ".dist-info/" not in name}
         (points,) = [archive.read(name).decode() for name in archive.namelist() if name.endswith("/entry_points.txt")]
     package = ROOT / "hplan"
-    files = [*package.rglob("*.py"), *package.glob("scenes/*.yaml"), package / "py.typed"]
+    assets = package.glob("view/assets/*.*")
+    files = [*package.rglob("*.py"), *package.glob("scenes/*.yaml"), *assets, package / "py.typed"]
     robots = {f"hplan/urdf/{path.name}" for path in (ROOT / "urdf").iterdir()}
     assert held == {path.relative_to(ROOT).as_posix() for path in files} | robots
     assert not any(part in ("scripts", "studies", "tests") for name in held for part in Path(name).parts)

@@ -31,3 +31,8 @@ def shipped_scenes() -> list[str]:
 def shipped_scene(name: str) -> Path:
     """File of a shipped scene."""
     return scenes_dir() / f"{name}.yaml"
+
+
+def view_asset(name: str) -> str:
+    """Text of a file of the animated page: its outline, its style or its script."""
+    return (_PACKAGE / "view" / "assets" / name).read_text(encoding="utf-8")

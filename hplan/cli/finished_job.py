@@ -12,6 +12,8 @@ from hplan.errors import InputError
 
 if TYPE_CHECKING:
     from hplan.timing.trajectory import Trajectory
+    from hplan.verification.certificate import Certificate
+    from hplan.verification.clearance_curve import ClearanceCurve
     from hplan.verification.digests import Digests
     from hplan.view.playback import Playback
 
@@ -81,14 +83,16 @@ class FinishedJob:
         from hplan.planning.plan import Phase
         from hplan.view.playback import Playback
 
+        certificate, curve = self.certificate(), self.clearance_curve()
+        picked: dict[str, float] = {}
+        dropped: dict[str, float] = {}
         try:
             if self.path.name == REPORT:
                 phases = [Phase(**phase) for phase in self.report["phases"]]
                 fruit = (self.report["grasp"] or {}).get("fruit")
                 reached = [phase.end_s for phase in phases if phase.name != "retreat"]
-                return Playback(trajectory, {} if fruit is None else {fruit: reached[-1]}, phases=phases)
-            picked: dict[str, float] = {}
-            dropped: dict[str, float] = {}
+                picked |= {} if fruit is None else {fruit: reached[-1]}
+                return Playback(trajectory, picked, {}, phases, certificate, curve)
             phases = []
             for leg in self.report["legs"]:
                 if leg["fruit"] is not None:
@@ -98,12 +102,69 @@ class FinishedJob:
                     dropped |= {name: phases[-1].end_s for name in picked if name not in dropped}
         except (AttributeError, IndexError, KeyError, TypeError) as error:
             raise self._fault("it does not say what happens when in the motion") from error
-        return Playback(trajectory, picked, dropped, phases)
+        return Playback(trajectory, picked, dropped, phases, certificate, curve)
+
+    def certificate(self) -> Certificate:
+        """What the report says was shown of the motion.
+
+        Raises:
+            InputError: It does not say all of it.
+        """
+        from hplan.collision.coal_scene import Contact
+        from hplan.verification.certificate import Certificate
+        from hplan.verification.limit_use import LimitUse
+
+        told = self.report["certificate"]
+        try:
+            return Certificate(
+                verified=told["verified"] is True,
+                min_clearance_m=_number(told["min_clearance_m"]),
+                nearest=None if told["nearest"] is None else Contact(**told["nearest"]),
+                limit_use=LimitUse(**{name: _number(value) for name, value in told["limit_use"].items()}),
+                checks=0,
+                violations=tuple(map(str, told["violations"])),
+            )
+        except (AttributeError, KeyError, TypeError, ValueError) as error:
+            raise self._fault("its certificate is not complete") from error
+
+    def clearance_curve(self) -> ClearanceCurve | None:
+        """The clearance over time that the report has; None where it has none.
+
+        Raises:
+            InputError: It is malformed.
+        """
+        import numpy as np
+
+        from hplan.base.arrays import readonly
+        from hplan.verification.clearance_curve import ClearanceCurve
+
+        told = self.report.get("clearance_curve")
+        if told is None:
+            return None
+        try:
+            time, distance = (readonly([_number(value) for value in told[name]]) for name in ("time_s", "distance_m"))
+            # Nothing to meet, or nothing certain: both are null.
+            unknown = np.where(distance < np.inf, -np.inf, np.inf)
+            values = zip(told["clearance_m"], unknown.tolist(), strict=True)
+            clearance = readonly([none if value is None else float(value) for value, none in values])
+            nearest = readonly(told["nearest"], np.int64)
+            pairs = tuple((str(link), str(other)) for link, other in told["pairs"])
+            fits = len(time) == len(distance) == len(nearest) > 0 and max(nearest) < len(pairs)
+        except (AttributeError, KeyError, TypeError, ValueError) as error:
+            raise self._fault("its clearance over time is malformed") from error
+        if not fits:
+            raise self._fault("its clearance over time has lists of different lengths")
+        return ClearanceCurve(time, clearance, distance, nearest, pairs)
 
     def differing(self, digests: Digests | None) -> list[str]:
         """Those of robot, scene and trajectory that are not the report's."""
         told = self.report["certificate"]["digests"]
         return [] if digests is None else [what for what, digest in vars(digests).items() if told.get(what) != digest]
+
+
+def _number(value: float | None) -> float:
+    """A number of a report, where what was infinite is null."""
+    return float("inf") if value is None else float(value)
 
 
 def _time_of(path: Path) -> float:

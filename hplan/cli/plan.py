@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from hplan.problem.options import PlanOptions
     from hplan.robot.model import Robot
     from hplan.scene.model import Scene
+    from hplan.view.playback import Playback
 
 #: Files of the C-space view, where it is asked for.
 CSPACE_PAGE, CSPACE_FIGURE = "cspace.html", "cspace.png"
@@ -86,9 +87,8 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int
         _show_summary(console, result, folder.path)
     if arguments.view:
         from hplan.cli.view import serve_page
-        from hplan.view.playback import Playback
 
-        serve_page(console, robot, scene, Playback(result.trajectory, result.picked, phases=result.phases))
+        serve_page(console, robot, scene, _playback(result))
     return 0
 
 
@@ -136,11 +136,10 @@ def _made(arguments: argparse.Namespace, folder: JobFolder, errors: Console) -> 
 
             from hplan.planning.compile_ahead import is_first_run
             from hplan.planning.plan import with_export_time
-            from hplan.planning.report import write_report
+            from hplan.planning.report import curve_report, write_report
             from hplan.scene.file import load_scene
             from hplan.timing.trajectory import write_csv
             from hplan.view.page import write_page
-            from hplan.view.playback import Playback
             from hplan.view.yaw_section import check_yaw
 
         options = plan_options(
@@ -175,11 +174,12 @@ def _made(arguments: argparse.Namespace, folder: JobFolder, errors: Console) -> 
         begin = time.perf_counter()
         with folder.filling() as staging:
             write_csv(result.trajectory, staging / TRAJECTORY)
-            write_page(robot, scene, Playback(result.trajectory, result.picked, phases=result.phases), staging / PAGE)
+            write_page(robot, scene, _playback(result), staging / PAGE)
             if wants_cspace:
                 _write_cspace(robot, scene, options, result, yaw, staging)
             result = with_export_time(result, time.perf_counter() - begin)
-            write_report(result.report | ({"left_out": left_out} if left_out else {}), staging / REPORT)
+            told = curve_report(result.certificate) | ({"left_out": left_out} if left_out else {})
+            write_report(result.report | told, staging / REPORT)
     return robot, scene, result
 
 
@@ -200,6 +200,13 @@ def _planned(
         return plan(robot, scene, options, progress=stage)
 
 
+def _playback(result: PlanResult) -> Playback:
+    """The motion as pages show it."""
+    from hplan.view.playback import Playback
+
+    return Playback(result.trajectory, result.picked, phases=result.phases, certificate=result.certificate)
+
+
 def _write_cspace(
     robot: Robot, scene: Scene, options: PlanOptions, result: PlanResult, yaw: float | None, folder: Path
 ) -> None:
@@ -211,10 +218,9 @@ def _write_cspace(
     from hplan.view.cspace_figure import cspace_at_yaw
     from hplan.view.cspace_page import write_cspace_page
     from hplan.view.figure_style import require_matplotlib, write_png
-    from hplan.view.playback import Playback
     from hplan.view.yaw_section import yaw_section
 
-    section = yaw_section(robot, scene, Playback(result.trajectory, phases=result.phases), options, yaw=yaw)
+    section = yaw_section(robot, scene, _playback(result), options, yaw=yaw)
     write_cspace_page(section, scene.name, folder / CSPACE_PAGE)
     try:
         require_matplotlib()

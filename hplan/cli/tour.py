@@ -108,7 +108,7 @@ def _made(
     progress("reading robot and scene")
 
     from hplan.base.data_files import shipped_scene
-    from hplan.planning.report import write_report
+    from hplan.planning.report import curve_report, write_report
     from hplan.scene.file import load_scene
     from hplan.timing.trajectory import write_csv
     from hplan.tour.tour import plan_tour
@@ -134,9 +134,9 @@ def _made(
     with folder.filling() as staging:
         for name, motion in motions.items():
             write_csv(motion, staging / name)
-        playback = Playback(result.trajectory, result.picked, result.dropped, result.phases)
+        playback = Playback(result.trajectory, result.picked, result.dropped, result.phases, result.certificate)
         write_page(robot, scene, playback, staging / PAGE)
-        told = {"left_out": left_out} if left_out else {}
+        told = curve_report(result.certificate) | ({"left_out": left_out} if left_out else {})
         write_report({**result.report, **told, "files": list(motions)}, staging / TOUR_REPORT)
     return result, [*motions, TOUR_REPORT, PAGE]
 

@@ -98,6 +98,22 @@ def certificate_report(certificate: Certificate, options: PlanOptions) -> dict[s
     }
 
 
+def curve_report(certificate: Certificate) -> dict[str, Any]:
+    """The part of a report that has the clearance over time, as pages show it; null where it is not known."""
+    curve = certificate.shown_curve
+    if curve is None:
+        return {"clearance_curve": None}
+    return {
+        "clearance_curve": {
+            "time_s": curve.time.tolist(),
+            "clearance_m": curve.clearance_m.tolist(),
+            "distance_m": curve.distance_m.tolist(),
+            "nearest": curve.nearest.tolist(),
+            "pairs": [list(pair) for pair in curve.pairs],
+        }
+    }
+
+
 def bound_report(bound: DurationBound | None, phases: Sequence[str]) -> dict[str, Any]:
     """The part of a plan's report that compares the durations of some phases with the bound of all; null for none."""
     if bound is None:

@@ -40,6 +40,9 @@ STATION_FRACTION, STATION_M = 0.08, (1e-3, 0.05)
 #: Most stations of a stretch, about.
 STATIONS = 20_000
 
+#: Stations of a curve that is to be shown.
+SHOWN_STATIONS = 300
+
 #: Part of a distance by which coal's may be too large far away.
 FAR_ERROR = 1e-3
 

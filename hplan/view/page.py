@@ -14,16 +14,19 @@ import subprocess
 import threading
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+from string import Template
 from types import TracebackType
 from typing import Any
 
 from hplan.base.child_process import import_environment, python_module
+from hplan.base.data_files import view_asset
 from hplan.base.files import write_text
 from hplan.errors import HplanError
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 from hplan.view import scenery
 from hplan.view.framing import ASPECT
+from hplan.view.motion_data import certificate_words, motion_data
 from hplan.view.playback import Playback
 from hplan.view.scene_stage import APPROACH_COLOR, GOAL_COLOR, START_COLOR, stage
 from hplan.view.three_js import Json
@@ -31,57 +34,8 @@ from hplan.view.three_js import Json
 #: Longest wait for the live server [s].
 START_S = 60.0
 
-_PAGE = """<!DOCTYPE html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<title>{title}</title>
-<link rel="icon" href="data:,">
-<style>
-body {{ margin: 0; overflow: hidden; background: #e8edf2; }}
-#meshcat-pane {{ width: 100vw; height: 100vh; overflow: hidden; }}
-#legend {{
-  position: absolute; left: 20px; top: 16px; pointer-events: none; color: #26303c;
-  font: 14px/1.5 system-ui, -apple-system, "Segoe UI", "DejaVu Sans", sans-serif;
-}}
-#legend h1 {{ margin: 0 0 2px; font-size: 19px; font-weight: 600; }}
-#legend p {{ margin: 0 0 8px; color: #5a6675; }}
-#legend span {{ display: block; }}
-#legend i {{
-  display: inline-block; width: 11px; height: 11px; margin-right: 8px; border-radius: 50%; vertical-align: -1px;
-}}
-.dg.main .close-button, .dg.main .close-button:hover {{ background: #26303c; opacity: 0.55; }}
-</style>
-</head>
-<body>
-<div id="meshcat-pane"></div>
-<div id="legend">
-<h1>{title}</h1>
-<p>{subtitle}</p>
-{legend}
-</div>
-<script type="application/json" id="commands">{commands}</script>
-<script>
-{viewer}
-</script>
-<script>
-try {{
-  var viewer = new MeshCat.Viewer(document.getElementById("meshcat-pane"));
-  JSON.parse(document.getElementById("commands").textContent).forEach(command => viewer.handle_command(command));
-  const fit = () => {{
-    viewer.camera.zoom = Math.min(1, window.innerWidth / window.innerHeight / {aspect});
-    viewer.set_dirty();
-  }};
-  window.addEventListener("resize", fit);
-  fit();
-}} catch (error) {{
-  document.querySelector("#legend p").textContent = "This page needs WebGL: " + error.message;
-}}
-</script>
-</body>
-</html>
-"""
+#: Violations of a motion that is not certified which its page lists.
+MOST_VIOLATIONS = 6
 
 
 def render_page(robot: Robot, scene: Scene, playback: Playback) -> str:
@@ -112,10 +66,13 @@ def render_page(robot: Robot, scene: Scene, playback: Playback) -> str:
     if moves and playback.picked:
         entries.append(("Picked", scenery.PICKED_COLOR))
     subtitle = f"{robot.name}, {trajectory.duration:.2f} s" if moves else f"{robot.name}, at rest"
-    return document(scene.name, subtitle, entries, stage(robot, scene, playback))
+    panel = _panel(robot, scene, playback) if moves else ""
+    return document(scene.name, subtitle, entries, stage(robot, scene, playback), panel)
 
 
-def document(title: str, subtitle: str, entries: Iterable[tuple[str, int]], commands: Sequence[Json]) -> str:
+def document(
+    title: str, subtitle: str, entries: Iterable[tuple[str, int]], commands: Sequence[Json], panel: str = ""
+) -> str:
     """A page of meshcat's viewer as HTML text, self-contained.
 
     Args:
@@ -123,6 +80,7 @@ def document(title: str, subtitle: str, entries: Iterable[tuple[str, int]], comm
         subtitle: A line below it.
         entries: Words and colours of the legend.
         commands: Commands to the viewer.
+        panel: HTML below the picture; without it the picture fills the window.
 
     Raises:
         HplanError: meshcat, which brings the viewer, is not installed.
@@ -130,15 +88,39 @@ def document(title: str, subtitle: str, entries: Iterable[tuple[str, int]], comm
     legend = "\n".join(
         f'<span><i style="background: #{color:06x}"></i>{html.escape(text)}</span>' for text, color in entries
     )
-    return _PAGE.format(
+    return Template(view_asset("page.html")).substitute(
         title=html.escape(title),
         subtitle=html.escape(subtitle),
+        style=view_asset("page.css"),
+        kind="motion" if panel else "picture",
         legend=legend,
-        # Inside a script element, "<" could end it.
-        commands=json.dumps(commands, separators=(",", ":")).replace("<", "\\u003c"),
+        commands=_json_text(commands),
         viewer=_viewer_source(),
         aspect=ASPECT,
+        panel=panel,
     )
+
+
+def _panel(robot: Robot, scene: Scene, playback: Playback) -> str:
+    """Certificate, controls, time line and charts of a motion as HTML."""
+    kind, words, violations = certificate_words(playback.certificate)
+    title = {"ok": "certified", "bad": "not certified", "none": "no certificate"}[kind]
+    listed = "".join(f"<li>{html.escape(violation)}</li>" for violation in violations[:MOST_VIOLATIONS])
+    if len(violations) > MOST_VIOLATIONS:
+        listed += f"<li>and {len(violations) - MOST_VIOLATIONS} more</li>"
+    return Template(view_asset("panel.html")).substitute(
+        kind=kind,
+        title=title,
+        words=html.escape(words),
+        violations=f"<ul>{listed}</ul>" if listed else "",
+        data=_json_text(motion_data(robot, scene, playback)),
+        script=view_asset("player.js"),
+    )
+
+
+def _json_text(value: Any) -> str:
+    """JSON for the inside of a script element, which "<" could end."""
+    return json.dumps(value, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
 
 
 def write_page(robot: Robot, scene: Scene, playback: Playback, path: Path | str) -> Path:
@@ -153,12 +135,11 @@ def write_page(robot: Robot, scene: Scene, playback: Playback, path: Path | str)
 
 
 class LiveView:
-    """A running meshcat server that shows one motion; `close` ends it, as does leaving a `with` block."""
+    """A running server that shows the page of one motion; `close` ends it, as does leaving a `with` block."""
 
-    def __init__(self, url: str, zmq_url: str, process: subprocess.Popen[str]) -> None:
+    def __init__(self, url: str, process: subprocess.Popen[bytes]) -> None:
         """Hold what `serve` has started."""
         self.url = url
-        self.zmq_url = zmq_url
         self._process = process
 
     @property
@@ -187,7 +168,7 @@ class LiveView:
 
 
 def serve(robot: Robot, scene: Scene, playback: Playback) -> LiveView:
-    """Start meshcat's live server with the same scene and motion; prints nothing and opens no browser.
+    """Start a server of the same page; prints nothing and opens no browser.
 
     Args:
         robot: The arm.
@@ -202,83 +183,56 @@ def serve(robot: Robot, scene: Scene, playback: Playback) -> LiveView:
         InputError: As `render_page`.
         HplanError: The server does not start.
     """
-    commands = stage(robot, scene, playback)
-    _viewer_source()  # says plainly that meshcat is missing
-    process, zmq_url, url = _start_server()
-    view = LiveView(url, zmq_url, process)
+    page = render_page(robot, scene, playback).encode()
     try:
-        _send(zmq_url, commands)
+        process = subprocess.Popen(
+            python_module("hplan.view.server"),
+            stdin=subprocess.PIPE,  # the page, and from then on nothing: the server ends with it
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            env=import_environment(),
+        )
+    except OSError as error:
+        raise HplanError(f"the page's server does not start: {error}") from error
+    try:
+        return LiveView(_address(process, page), process)
     except BaseException:
-        view.close()
+        _end(process)
         raise
-    return view
 
 
-def _start_server() -> tuple[subprocess.Popen[str], str, str]:
-    """The process of `hplan.view.server`, and its addresses for commands and for a browser.
+def _address(process: subprocess.Popen[bytes], page: bytes) -> str:
+    """Hand the page to the process of `hplan.view.server`; the address at which it serves that.
 
     Raises:
         HplanError: It does not start.
     """
-    try:
-        process = subprocess.Popen(
-            python_module("hplan.view.server"),
-            stdin=subprocess.PIPE,  # never written to: the server ends with it
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            env=import_environment(),
-            text=True,
-        )
-    except OSError as error:
-        raise HplanError(f"the meshcat server does not start: {error}") from error
     too_late = threading.Timer(START_S, process.kill)
     too_late.start()
+    said: list[str] = []
     try:
-        said: list[str] = []
+        with contextlib.suppress(BrokenPipeError):  # what it has to say about that comes next
+            if process.stdin is not None:
+                process.stdin.write(b"%d\n" % len(page) + page)
+                process.stdin.flush()
         for line in process.stdout or ():
-            said.append(line)
-            if line.startswith("web_url="):
-                addresses = dict(each.rstrip("\n").split("=", 1) for each in said if "_url=" in each)
-                return process, addresses["zmq_url"], addresses["web_url"]
-    except BaseException:
-        _end(process)
-        raise
+            said.append(line.decode(errors="replace"))
+            if said[-1].startswith("web_url="):
+                return said[-1].strip().split("=", 1)[1]
     finally:
         too_late.cancel()
-    _end(process)
-    raise HplanError(f"the meshcat server does not start: {''.join(said).strip() or 'it says nothing'}")
+    raise HplanError(f"the page's server does not start: {''.join(said).strip() or 'it says nothing'}")
 
 
-def _end(process: subprocess.Popen[str]) -> None:
+def _end(process: subprocess.Popen[bytes]) -> None:
     """End a process and close its pipes."""
     if process.poll() is None:
         process.kill()
     process.wait()
     for stream in (process.stdin, process.stdout):
         if stream is not None:
-            stream.close()
-
-
-def _send(zmq_url: str, commands: Sequence[Json]) -> None:
-    """Hand commands to a meshcat server; each is answered before the next is sent.
-
-    Raises:
-        HplanError: No answer within 10 s.
-    """
-    import umsgpack  # type: ignore[import-untyped]
-    import zmq
-
-    with zmq.Context() as context, context.socket(zmq.REQ) as socket:
-        socket.setsockopt(zmq.LINGER, 0)
-        socket.setsockopt(zmq.RCVTIMEO, 10_000)
-        socket.connect(zmq_url)
-        try:
-            for command in commands:
-                head = [command["type"].encode(), command["path"].encode()]
-                socket.send_multipart([*head, umsgpack.packb(command)])
-                socket.recv()
-        except zmq.Again as error:
-            raise HplanError("the meshcat server does not answer") from error
+            with contextlib.suppress(BrokenPipeError):  # a page that it has not read
+                stream.close()
 
 
 def _viewer_source() -> str:

@@ -1,14 +1,18 @@
-"""A motion to be shown: trajectory, picked fruits and phases."""
+"""A motion to be shown: trajectory, picked fruits, phases, and its certificate."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from hplan.errors import InputError
 from hplan.robot.model import Robot
 from hplan.timing.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from hplan.verification.certificate import Certificate
+    from hplan.verification.clearance_curve import ClearanceCurve
 
 
 class NamedPhase(Protocol):
@@ -36,12 +40,23 @@ class Playback:
         picked: Fruit and when the tool reaches it [s]; it changes its colour then, and moves with the tool.
         dropped: Fruit and when the tool lets it go [s]; where it is not named, at the end of the retreat.
         phases: Parts of the motion; `approach` is drawn in a colour of its own, `retreat` is its path backwards.
+        certificate: What was shown of it; None where that is not known.
+        clearance_curve: Its clearance over time; the certificate's own where this is None.
     """
 
     trajectory: Trajectory
     picked: Mapping[str, float] = field(default_factory=dict)
     dropped: Mapping[str, float] = field(default_factory=dict)
     phases: Sequence[NamedPhase] = ()
+    certificate: Certificate | None = None
+    clearance_curve: ClearanceCurve | None = None
+
+    @property
+    def curve(self) -> ClearanceCurve | None:
+        """Clearance over time; None where it is not known."""
+        if self.clearance_curve is None and self.certificate is not None:
+            return self.certificate.shown_curve
+        return self.clearance_curve
 
     def check(self, robot: Robot) -> None:
         """Check that the motion is one of a robot.

@@ -681,7 +681,7 @@ def test_live_view_that_does_not_start_is_no_traceback(
     run: Run, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def refuse(*_: object, **__: object) -> None:
-        raise hplan.HplanError("the meshcat server does not start")
+        raise hplan.HplanError("the page's server does not start")
 
     monkeypatch.setattr("hplan.view.page.serve", refuse)
     status, folder = run("--view", "--quiet")

@@ -215,7 +215,7 @@ def test_obstacles_and_fruits_are_where_the_scene_has_them(robot: Robot) -> None
 def test_names_cannot_break_the_page(robot: Robot, name: str) -> None:
     scene = orchard(name=name, obstacles=(Sphere(name=name, center=(1.0, 0.0, 1.9), radius=0.15),))
     page = render_page(robot, scene, Playback(motion(robot)))
-    assert page.count("</script>") == 3
+    assert page.count("</script>") == 5
     (path,) = [path for path in objects(commands_of(page)) if path.startswith("/hplan/obstacles/")]
     assert path.count("/") == 3
     assert "<b>" not in page.split('<script type="application/json"')[0]
@@ -430,14 +430,16 @@ def test_the_page_in_a_browser(robot: Robot, tmp_path: Path) -> None:
 
 
 def _paused_at(page: str, time_s: float) -> str:
-    still = f"<script>viewer.animator.pause(); viewer.animator.seek({time_s});</script>"
+    still = f"<script>player.pause(); player.seek({time_s});</script>"
     return page.replace("</body>", f"{still}</body>")
 
 
 def _photograph(chromium: str, html: str, folder: Path) -> np.ndarray:
     folder.mkdir()
     page, picture = folder / "scene.html", folder / "scene.png"
-    page.write_text(html, encoding="utf-8")
+    # The picture alone, without the panel below it.
+    tall = "<style>body.motion #picture { height: 100vh; }</style>"
+    page.write_text(html.replace("</head>", f"{tall}</head>"), encoding="utf-8")
     result = subprocess.run(
         [chromium, *CHROMIUM_FLAGS, f"--user-data-dir={folder / 'profile'}", f"--screenshot={picture}", page.as_uri()],
         capture_output=True,

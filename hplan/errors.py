@@ -136,6 +136,21 @@ class SceneError(InputError, ValueError):
         self.value = value
 
 
+class MovingObstacleError(InputError):
+    """Something in a scene moves, and what was asked for takes scenes that stand still.
+
+    `obstacle` is the first obstacle that has a track; None where the base alone has one.
+    """
+
+    obstacle: str | None
+
+    def __init__(self, obstacle: str | None, reason: str = "") -> None:
+        """Name the obstacle, and say why it must not move."""
+        what = "the base has a track" if obstacle is None else f"obstacle {obstacle!r} has a track"
+        reason = reason or "this takes scenes in which nothing moves; `scene.at(time_s)` is one as it stands at a time"
+        super().__init__(f"{what}: {reason}", obstacle=obstacle)
+
+
 class JointLimitError(InputError):
     """A configuration outside the joint limits."""
 

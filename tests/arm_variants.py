@@ -130,7 +130,7 @@ def random_obstacles(rng: np.random.Generator, count: int = 6) -> list[Sphere | 
     return obstacles
 
 
-def _upright_capsule(start: np.ndarray, end: np.ndarray, radius: float) -> tuple[coal.Capsule, coal.Transform3s]:
+def upright_capsule(start: np.ndarray, end: np.ndarray, radius: float) -> tuple[coal.Capsule, coal.Transform3s]:
     length = float(np.linalg.norm(end - start))
     rotation = np.eye(3)
     if length > 0.0:
@@ -145,7 +145,7 @@ def _placed(obstacle: Sphere | Capsule | Box) -> tuple[coal.ShapeBase, coal.Tran
     if isinstance(obstacle, Sphere):
         return coal.Sphere(float(obstacle.radius)), coal.Transform3s(np.eye(3), np.array(obstacle.center))
     if isinstance(obstacle, Capsule):
-        return _upright_capsule(np.array(obstacle.start), np.array(obstacle.end), obstacle.radius)
+        return upright_capsule(np.array(obstacle.start), np.array(obstacle.end), obstacle.radius)
     turn = pin.rpy.rpyToMatrix(*np.radians(obstacle.rpy_deg))
     return coal.Box(*map(float, obstacle.size)), coal.Transform3s(turn, np.array(obstacle.center))
 
@@ -156,7 +156,7 @@ def coal_distances(robot: Robot, q: np.ndarray, obstacles: Sequence[Sphere | Cap
     solids = [_placed(obstacle) for obstacle in obstacles]
     table = np.empty((robot.arm.link_count, len(solids)))
     for k, half_width in enumerate(robot.arm.half_widths):
-        capsule, place = _upright_capsule(*points[k], half_width)
+        capsule, place = upright_capsule(*points[k], half_width)
         for s, (solid, at) in enumerate(solids):
             table[k, s] = coal.distance(capsule, place, solid, at, coal.DistanceRequest(), coal.DistanceResult())
     return table

@@ -32,6 +32,7 @@ from hplan.robot_family.members import HARVESTER, ArmSpec, cross_check, write_ro
 from hplan.scene.file import dump_scene, parse_scene
 from hplan.scene.model import Fruit, Goal, Scene, Start
 from hplan.scene.obstacles import Box, Capsule, Cylinder, Mesh, PointCloud, Sphere
+from hplan.scene.tracks import Sway, Track
 from hplan.search import dense_search, reachable, slices_with_path, two_level_search
 from hplan.search.grid import Grid, Occupancy
 from hplan.tour.tour import TourOptions
@@ -133,6 +134,29 @@ CASES: dict[str, Case] = {
             "radius": NO_LENGTH,
             "rpy_deg": NO_VECTOR[:-3],
         },
+    ),
+    "Track": (
+        Track,
+        {"times_s": (0.0, 1.0), "shifts_m": ((0.0, 0.0, 0.0), (0.0, 1.0, 0.0))},
+        {
+            "times_s": (*NO_VECTOR[:2], 1.0, (), (0.0,), (1.0, 0.0), (0.0, 0.0), (0.0, NAN), (0.0, "1"), (0.0, 1e9)),
+            "shifts_m": (
+                None,
+                "12",
+                (),
+                ((0.0, 0.0, 0.0),),
+                ((0.0, 0.0, 0.0), None),
+                ((0.0, 0.0, 0.0), (0.0, NAN, 0.0)),
+            ),
+            "rpy_deg": ("up", ((0.0, 0.0, 0.0),), ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))),
+            "about": NO_VECTOR[1:],
+            "speed": (1.0,),
+        },
+    ),
+    "Sway": (
+        Sway,
+        {"direction": (0.0, 1.0, 0.0), "amplitude_m": 0.1},
+        {"direction": (*NO_VECTOR, (0.0, 0.0, 0.0)), "amplitude_m": NO_LENGTH},
     ),
     "Fruit": (Fruit, BALL, {"name": NO_NAME, "center": NO_VECTOR, "radius": NO_LENGTH}),
     "Mesh.of": (

@@ -51,6 +51,8 @@ def parser(prog: str) -> CommandParser:
     add("--sigmas", type=float, metavar="K", help="an uncertain obstacle grows by K sigma (default: 3)")
     add("--goal-contact", choices=("approach", "motion"), help="when the last link may touch the fruit that is "
         "the goal: on a straight approach, or during the whole motion (default: approach)")  # fmt: skip
+    add("--begin", type=float, default=0.0, metavar="S", help="time at which the motion begins, as the tracks of what "
+        "moves count it (default: 0)")  # fmt: skip
     add("--any-ends", action="store_true", help="start, goal and locked joints of the scene are not compared")
     add("--moving-ends", action="store_true", help="the motion need not begin and end at rest")
     add("--report", type=Path, metavar="FILE", help="write what was shown as JSON")
@@ -88,6 +90,7 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int
         goal_contact=arguments.goal_contact,
         check_ends=not arguments.any_ends,
         rest_to_rest=not arguments.moving_ends,
+        begin_s=arguments.begin,
     )
     differs = [] if job is None else job.differing(certificate.digests)
     report = {
@@ -137,6 +140,11 @@ def _show(console: Console, report: dict[str, Any]) -> None:
     shown = " mm or more, shown for all times" if proof["verified"] else " mm, the smallest found"
     table.add_row("clearance", clearance + shown)
     table.add_row("limits used", ", ".join(f"{k} {percent(v)}" for k, v in proof["limit_use"].items()) + " %")
+    if "nearest_s" in proof:
+        table.add_row("nearest", f"{proof['nearest']['obstacle']!r} at {proof['nearest_s']:.3f} s")
+    if "clear_until_s" in proof:
+        until = proof["clear_until_s"]
+        table.add_row("at rest", "clear for ever" if until is None else f"clear until {until:.3f} s")
     error, delay = math.degrees(proof["tracking_error_rad"]), 1e3 * proof["tracking_delay_s"]
     table.add_row("covered", f"tracking error {error:g} deg, delay {delay:g} ms; {proof['sigmas']:g} sigma")
     if proof["contact_s"] is not None:

@@ -19,11 +19,13 @@ from hplan.collision.coal_accuracy import distance_errors
 from hplan.collision.coal_cloud import distance_from, obstacle_shape
 from hplan.collision.coal_shapes import LINK_SHAPES, LinkShapes, beyond_geometry, link_shapes, urdf_shapes
 from hplan.collision.geometry_pairs import GeometryPairs
-from hplan.errors import ConfigurationInCollisionError, OptionError
+from hplan.collision.moving_solids import MovingSolids
+from hplan.errors import ConfigurationInCollisionError, MovingObstacleError, OptionError
 from hplan.robot.base_shapes import TURRET, filled
 from hplan.robot.model import Robot
 from hplan.robot.self_contact import self_contact
 from hplan.scene.obstacles import Solid
+from hplan.scene.tracks import Movement
 
 
 @dataclass(frozen=True)
@@ -67,6 +69,8 @@ class CoalScene:
     link does not reach the points themselves the distance is right, and at most 2e-7 m too small; where it does,
     the depth is at least the radius, and may be less than the true one.
 
+    Obstacles that move are where their movement has them at the time that is asked for; `in_collision` takes none.
+
     Several threads may ask at once. A scene can be pickled; it is built anew from robot and obstacles.
 
     Attributes:
@@ -81,6 +85,7 @@ class CoalScene:
         own_others: The body from which the motion of each of the last of `pairs` is seen: a link, `TURRET` or `GROUND`.
         deviation: How far joints may be beyond their limits [rad]; parts of the arm that touch up to there are pairs.
         clearance: Distance that parts of the arm are to keep from each other [m]; those that come nearer are pairs.
+        moving: Those of the obstacles that move, and how; None where none does.
     """
 
     def __init__(
@@ -93,6 +98,7 @@ class CoalScene:
         deviation: float = 0.0,
         clearance: float = 0.0,
         single_joint_pairs: bool = True,
+        movements: Sequence[Movement | None] = (),
     ) -> None:
         """Build the geometry of a robot among obstacles.
 
@@ -105,6 +111,7 @@ class CoalScene:
             clearance: Distance to be kept [m]; parts of the arm that cannot come so near to each other are no pairs.
             single_joint_pairs: Whether pairs that depend on one joint alone, turret and folded neighbours, are among
                 the pairs: the C-space does not hold them, ranges of joints are narrowed instead.
+            movements: How each obstacle moves, None for one that stands still; empty where all do.
 
         Raises:
             OptionError: Unknown link shape.
@@ -120,7 +127,9 @@ class CoalScene:
             "deviation": deviation,
             "clearance": clearance,
             "single_joint_pairs": single_joint_pairs,
+            "movements": tuple(movements),
         }
+        self.moving = MovingSolids.of(obstacles, movements)
         self._touched: tuple[str, ...] = ()
         self.link_names = robot.arm.link_names
         self.deviation, self.clearance = float(deviation), float(clearance)
@@ -137,7 +146,10 @@ class CoalScene:
         beyond += np.asarray(growth, dtype=np.float64)
         self._beyond: FloatArray = np.tile(beyond, (len(self._mover_shapes), 1))
         for row, shape in enumerate(shape for of_body, _ in turret.values() for shape in of_body):
-            self._beyond[len(self.link_shapes) + row, below(robot, shape, obstacles)] = -np.inf
+            never = below(robot, shape, obstacles)
+            if self.moving is not None:
+                never = self.moving.keep_below(never, shape.bottom)
+            self._beyond[len(self.link_shapes) + row, never] = -np.inf
         mover_of = [mover for mover, of_mover in enumerate(movers) for _ in of_mover]
         self.pairs = [(mover, obstacle) for mover in mover_of for obstacle in range(len(obstacles))]
         contact = self_contact(robot, deviation=deviation, clearance=clearance)
@@ -200,12 +212,13 @@ class CoalScene:
         other._taken_off[: self._beyond.size] = other._beyond.ravel()
         return other
 
-    def distances(self, q: ArrayLike) -> FloatArray:
+    def distances(self, q: ArrayLike, time_s: float | None = None) -> FloatArray:
         """Signed distances at one configuration, (dof,) -> (movers, obstacle names) [m]; negative is the depth.
 
-        Infinite where a link, or the turret, cannot touch that part of the arm or obstacle.
+        Infinite where a link, or the turret, cannot touch that part of the arm or obstacle. As the other methods it
+        takes a time where obstacles move, and only there.
         """
-        found = self.pair_distances(q)
+        found = self.pair_distances(q, time_s)
         table = (found[: self._beyond.size] if self.own_others else found).reshape(self._beyond.shape)
         if len(self._mover_shapes) != len(self.mover_names):
             table = np.minimum.reduceat(table, self._first_shape)
@@ -217,13 +230,26 @@ class CoalScene:
         np.minimum.at(whole, (movers, columns), found[self._beyond.size :])
         return whole
 
-    def pair_distances(self, q: ArrayLike) -> FloatArray:
+    def pair_distances(self, q: ArrayLike, time_s: float | None = None) -> FloatArray:
         """Signed distances of all `pairs` at one configuration, (dof,) -> (pairs,) [m]."""
+        self._put(time_s)
         return self._geometry.distances(np.asarray(q, dtype=np.float64)) - self._taken_off
 
-    def place(self, q: FloatArray) -> None:
-        """Put the links where `distances_of` is to look at them, in this thread."""
+    def place(self, q: FloatArray, time_s: float | None = None) -> None:
+        """Put the links, and what moves, where `distances_of` is to look at them, in this thread.
+
+        Raises:
+            MovingObstacleError: Obstacles move, and no time is given.
+        """
+        self._put(time_s)
         self._geometry.place(q)
+
+    def _put(self, time_s: float | None) -> None:
+        """Have what moves placed, with the arm, where it is at a time."""
+        if self.moving is not None:
+            if time_s is None:
+                raise MovingObstacleError(self.obstacle_names[self.moving.numbers[0]])
+            self._geometry.put(self.moving.places(time_s))
 
     def distances_of(self, pairs: IntArray) -> FloatArray:
         """Signed distances of some of the `pairs` where the links were last placed, (k,) numbers -> (k,) [m]."""
@@ -234,9 +260,9 @@ class CoalScene:
         kind = Contact if obstacle < self.own_first else OwnContact
         return kind(self.mover_names[mover], self.obstacle_names[obstacle], distance)
 
-    def nearest(self, q: ArrayLike) -> Contact | None:
+    def nearest(self, q: ArrayLike, time_s: float | None = None) -> Contact | None:
         """The link and obstacle, or part of the arm, nearest to each other, or None where there is nothing to meet."""
-        distances = self.distances(q)
+        distances = self.distances(q, time_s)
         if distances.size == 0:
             return None
         link, obstacle = np.unravel_index(ties.argmin(distances), distances.shape)
@@ -249,7 +275,12 @@ class CoalScene:
             configurations: (n, dof) joint angles.
             margin: Distance up to which a pair counts as touching [m]; where it is negative, depth from which on (of a
                 cloud no more than its radius: the points themselves count always).
+
+        Raises:
+            MovingObstacleError: Obstacles move.
         """
+        if self.moving is not None:
+            raise MovingObstacleError(self.obstacle_names[self.moving.numbers[0]])
         q = np.asarray(configurations, dtype=np.float64)
         if not self.obstacle_names:
             return np.zeros(len(q), dtype=np.bool_)

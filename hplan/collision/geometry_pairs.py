@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 import threading
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Final
 
 import numpy as np
@@ -20,6 +20,9 @@ from hplan.collision.coal_cloud import PointBlocks, local_box
 
 #: Most obstacles in one geometry model.
 _CHUNK: Final = 128
+
+#: Stands for the clouds among the numbers of models.
+_CLOUDS: Final = -1
 
 
 class _PartData:
@@ -44,12 +47,16 @@ class _QueryData(threading.local):
         arm: Where the joints are.
         parts: The data of each geometry model.
         single: Arm and part where there is one model alone: looking up what belongs to a thread takes its time.
+        elsewhere: Obstacles that are not where they were built, by model: their number in it, and where they are.
+        clouds: Of clouds that are not, by number, the base as seen from them.
     """
 
     def __init__(self, model: pin.Model, geometries: Sequence[pin.GeometryModel], has_clouds: bool) -> None:
         self.arm = model.createData()
         self.parts = [_PartData(geometry) for geometry in geometries]
         self.single = (self.arm, self.parts[0]) if len(self.parts) == 1 and not has_clouds else None
+        self.elsewhere: dict[int, list[tuple[int, pin.SE3]]] = {}
+        self.clouds: dict[int, pin.SE3] = {}
 
 
 class GeometryPairs:
@@ -82,6 +89,10 @@ class GeometryPairs:
         self._movers = [(shape.geometry, local_box(shape.geometry)) for shape in movers]
         self._clouds = [(column, shape) for column, shape in enumerate(obstacles) if isinstance(shape, PointBlocks)]
         fixed = [(column, shape) for column, shape in enumerate(obstacles) if not isinstance(shape, PointBlocks)]
+        #: Of each obstacle the model and its number there.
+        self._where = {column: (_CLOUDS, cloud) for cloud, (column, _) in enumerate(self._clouds)}
+        for number, (column, _) in enumerate(fixed):
+            self._where[column] = number // _CHUNK, len(movers) + number % _CHUNK
         starts = range(0, max(len(fixed), 1), _CHUNK)
         for start in starts:
             look()
@@ -125,10 +136,24 @@ class GeometryPairs:
             arm, part = single
             pin.updateGeometryPlacements(self._model, arm, self._geometries[0], part.geometry, q)
             part.current = True
+            if query.elsewhere:
+                _put(part, query.elsewhere[0])
             return
         pin.forwardKinematics(self._model, query.arm, q)
         for data in query.parts:
             data.current = False
+
+    def put(self, places: Iterable[tuple[int, pin.SE3]]) -> None:
+        """Put obstacles, by number, elsewhere in this thread, until they are put again.
+
+        The arm is to be placed next.
+        """
+        elsewhere: dict[int, list[tuple[int, pin.SE3]]] = {}
+        for obstacle, place in places:
+            part, number = self._where[obstacle]
+            elsewhere.setdefault(part, []).append((number, place if part != _CLOUDS else place.inverse()))
+        self._query.elsewhere = elsewhere
+        self._query.clouds = dict(elsewhere.get(_CLOUDS, ()))
 
     def distances(self, q: FloatArray) -> FloatArray:
         """Signed distances of all pairs at one configuration, (dof,) -> (count,) [m]."""
@@ -182,7 +207,10 @@ class GeometryPairs:
         """Signed distance of a pair of a cloud where the arm was last placed [m]."""
         mover, cloud = divmod(local, len(self._clouds))
         geometry, box = self._movers[mover]
-        return self._clouds[cloud][1].distance(geometry, self._placed(query, 0).oMg[mover], box)
+        place = self._placed(query, 0).oMg[mover]
+        if cloud in query.clouds:
+            place = query.clouds[cloud] * place
+        return self._clouds[cloud][1].distance(geometry, place, box)
 
     def _placed(self, query: _QueryData, part: int) -> pin.GeometryData:
         """The data of a model, its shapes where the arm was last placed."""
@@ -190,4 +218,12 @@ class GeometryPairs:
         if not data.current:
             pin.updateGeometryPlacements(self._model, query.arm, self._geometries[part], data.geometry)
             data.current = True
+            if part in query.elsewhere:
+                _put(data, query.elsewhere[part])
         return data.geometry
+
+
+def _put(part: _PartData, places: Sequence[tuple[int, pin.SE3]]) -> None:
+    """Put shapes elsewhere, by number, after Pinocchio has put them where the model has them."""
+    for number, place in places:
+        part.geometry.oMg[number] = place

@@ -20,8 +20,9 @@ from hplan.planning.plan import PlanResult, check_task, plan_with
 from hplan.planning.task import PlanningCache
 from hplan.problem.options import PlanOptions
 from hplan.robot.model import Robot
+from hplan.scene.limits import Vector
 from hplan.scene.model import Goal, Scene, Start
-from hplan.scene.obstacles import Box, Capsule, Cylinder, Mesh, PointCloud, Sphere, Vector
+from hplan.scene.obstacles import Box, Capsule, Cylinder, Mesh, PointCloud, Sphere
 
 #: How often a plan that waits for another one looks whether it is still wanted [s].
 _WAIT_S = 0.01

@@ -14,7 +14,8 @@ from hplan.base.csv_file import CsvFile
 from hplan.errors import OptionError
 from hplan.orchard.options import FARTHEST
 from hplan.orchard.pieces import capsule
-from hplan.scene.obstacles import Capsule, Vector
+from hplan.scene.limits import Vector
+from hplan.scene.obstacles import Capsule
 
 _NUMBERS = ("x1", "y1", "z1", "x2", "y2", "z2", "radius")
 _COLUMNS = ("kind", *_NUMBERS)

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from hplan.scene.obstacles import Capsule, Vector
+from hplan.scene.limits import Vector
+from hplan.scene.obstacles import Capsule
 
 #: Decimals of a length in metres.
 DECIMALS = 4

@@ -82,7 +82,7 @@ def certificate_report(certificate: Certificate, options: PlanOptions) -> dict[s
         certificate: The certificate.
         options: How it was asked for: tracking error and standard deviations.
     """
-    nearest, digests = certificate.nearest, certificate.digests
+    nearest, digests, until = certificate.nearest, certificate.digests, certificate.clear_until_s
     return {
         "verified": certificate.verified,
         "min_clearance_m": certificate.min_clearance_m,
@@ -95,6 +95,8 @@ def certificate_report(certificate: Certificate, options: PlanOptions) -> dict[s
         "limit_use": vars(certificate.limit_use),
         "violations": list(certificate.violations),
         "digests": None if digests is None else vars(digests),
+        **({} if certificate.nearest_s is None else {"nearest_s": certificate.nearest_s}),
+        **({} if until is None else {"clear_until_s": until if math.isfinite(until) else None}),
     }
 
 

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from hplan.scene.file import default_scene_path, dump_scene, load_scene, parse_scene, save_scene
     from hplan.scene.model import FORMAT, Fruit, Goal, Scene, Start
     from hplan.scene.obstacles import Box, Capsule, Cylinder, Mesh, Obstacle, PointCloud, Sphere
+    from hplan.scene.tracks import Sway, Track
 
 __all__ = [
     "FORMAT",
@@ -27,6 +28,8 @@ __all__ = [
     "Scene",
     "Sphere",
     "Start",
+    "Sway",
+    "Track",
     "default_scene_path",
     "dump_scene",
     "load_scene",
@@ -41,5 +44,6 @@ __getattr__ = lazy_names(
     __name__,
     dict.fromkeys(__all__, "hplan.scene.model")
     | dict.fromkeys(_OBSTACLES, "hplan.scene.obstacles")
-    | dict.fromkeys(_FILES, "hplan.scene.file"),
+    | dict.fromkeys(_FILES, "hplan.scene.file")
+    | dict.fromkeys(("Sway", "Track"), "hplan.scene.tracks"),
 )

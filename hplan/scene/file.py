@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 
 from hplan.base.arguments import file_path, instance
 from hplan.base.data_files import shipped_scene, shipped_scenes
@@ -100,10 +100,20 @@ def dump_scene(scene: Scene) -> str:
     dumped = scene.model_dump(mode="json", by_alias=True, exclude_none=True)
     robot = {} if scene.robot is None else {"robot": scene.robot}
     content = {"format": dumped["format"], "name": dumped["name"], **robot, **dumped}
-    for item in (*content["obstacles"], *content["fruits"]):
+    for item, listed in zip(
+        (*content["obstacles"], *content["fruits"]), (*scene.obstacles, *scene.fruits), strict=True
+    ):
         if item["sigma"] == 0.0:
             del item["sigma"]
+        item |= _dumped(listed, ("track", "sway"))
+    content |= _dumped(scene, ("base_track",))
     return write_yaml(content)
+
+
+def _dumped(part: BaseModel, keys: Sequence[str]) -> dict[str, Any]:
+    """What a part of a scene holds of how things move, by key."""
+    values = {key: getattr(part, key) for key in keys}
+    return {k: value.model_dump(mode="json", exclude_none=True) for k, value in values.items() if value is not None}
 
 
 def save_scene(scene: Scene, path: Path | str) -> Path:

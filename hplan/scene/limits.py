@@ -6,10 +6,24 @@ Far above what any orchard needs; within these limits planning takes time about 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Final
+from typing import Annotated, Final, TypeAlias
+
+from pydantic import Field
 
 #: No coordinate, size, radius, clearance or standard deviation in a scene is larger than this [m].
 FARTHEST_M: Final = 1e4
+
+#: A coordinate, a point or vector, and a size [m]; roll, pitch and yaw [deg].
+Coordinate: TypeAlias = Annotated[float, Field(ge=-FARTHEST_M, le=FARTHEST_M)]
+Vector: TypeAlias = tuple[Coordinate, Coordinate, Coordinate]
+Size: TypeAlias = Annotated[float, Field(gt=0.0, le=FARTHEST_M)]
+Angles: TypeAlias = tuple[float, float, float]
+
+#: No time of a track is farther from the begin of the motion than this [s].
+LONGEST_S: Final = 1e6
+
+#: Most points of a track.
+MOST_TRACK_POINTS: Final = 1_000
 
 #: Most bytes of a scene file. (PyYAML reads about 0.3 MB a second.)
 MOST_SCENE_BYTES: Final = 8_000_000

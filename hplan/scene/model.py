@@ -11,13 +11,15 @@ from collections.abc import Sequence
 from typing import Annotated, ClassVar, Final, Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 from pydantic import Field, field_validator, model_validator
 
-from hplan.base.arrays import FloatArray
+from hplan.base.arrays import FloatArray, numbers
 from hplan.base.data_files import shipped_robots
-from hplan.errors import SceneError
+from hplan.errors import MovingObstacleError, SceneError
 from hplan.scene.fault import StrictModel, fault
-from hplan.scene.limits import FARTHEST_M, MOST_OBSTACLES
+from hplan.scene.limits import FARTHEST_M, MOST_OBSTACLES, Size, Vector
+from hplan.scene.moved_solids import moved
 from hplan.scene.obstacles import (
     Box,
     Capsule,
@@ -27,11 +29,12 @@ from hplan.scene.obstacles import (
     Obstacle,
     PointCloud,
     Sigma,
-    Size,
     Solid,
     Sphere,
-    Vector,
+    SwayField,
+    TrackField,
 )
+from hplan.scene.tracks import Movement
 
 FORMAT: Final = "hplan-scene/1"
 
@@ -43,6 +46,8 @@ class Fruit(StrictModel):
     center: Vector
     radius: Size
     sigma: Sigma = 0.0
+    track: TrackField = None
+    sway: SwayField = None
 
 
 class Start(StrictModel):
@@ -114,6 +119,8 @@ class Scene(StrictModel):
         clearance: Distance kept from every obstacle [m].
         obstacles: What must not be touched.
         fruits: Fruit; obstacles too, except the one reached for.
+        base_track: How the base moves, of a platform that creeps along the row; None for one that stands still.
+            Obstacles, and their tracks, are where the base is without a shift; start and goal are seen from the base.
     """
 
     format: Literal["hplan-scene/1"] = FORMAT
@@ -125,6 +132,7 @@ class Scene(StrictModel):
     clearance: Annotated[float, Field(ge=0.0, le=FARTHEST_M)] = 0.0
     obstacles: Annotated[tuple[Obstacle, ...], Field(max_length=MOST_OBSTACLES)] = ()
     fruits: Annotated[tuple[Fruit, ...], Field(max_length=MOST_OBSTACLES)] = ()
+    base_track: TrackField = None
 
     @field_validator("robot")
     @classmethod
@@ -146,18 +154,97 @@ class Scene(StrictModel):
         return self
 
     @property
+    def moves(self) -> bool:
+        """True if the base or an obstacle has a track."""
+        return self.base_track is not None or self.first_moving is not None
+
+    @property
+    def first_moving(self) -> str | None:
+        """Name of the first obstacle or fruit that has a track; None where there is none."""
+        return next((item.name for item in (*self.obstacles, *self.fruits) if item.track is not None), None)
+
+    @property
     def solids(self) -> tuple[Solid, ...]:
         """All that the arm must keep clear of: the obstacles' solids, and each fruit that is not the goal as a ball.
 
         Those of one obstacle have its name and stand together.
+
+        Raises:
+            MovingObstacleError: Something moves.
         """
         return tuple(solid for solid in self.solids_with_goal if solid.name != self.goal.fruit)
 
     @property
     def solids_with_goal(self) -> tuple[Solid, ...]:
-        """As `solids`, the fruit that is the goal among them."""
-        balls = (Sphere(name=f.name, center=f.center, radius=f.radius, sigma=f.sigma) for f in self.fruits)
+        """As `solids`, the fruit that is the goal among them.
+
+        Raises:
+            MovingObstacleError: Something moves.
+        """
+        if self.moves:
+            raise MovingObstacleError(self.first_moving)
+        return self.listed_solids
+
+    @property
+    def listed_solids(self) -> tuple[Solid, ...]:
+        """As `solids_with_goal`, each where it is listed, whether it moves from there or not (`movements`)."""
+        balls = (
+            Sphere(name=f.name, center=f.center, radius=f.radius, sigma=f.sigma, sway=f.sway).solids[0]
+            for f in self.fruits
+        )
         return (*(solid for obstacle in self.obstacles for solid in obstacle.solids), *balls)
+
+    @property
+    def movements(self) -> tuple[Movement | None, ...]:
+        """How each of `listed_solids` moves as seen from the base; None of what stands still."""
+        still = None if self.base_track is None else Movement.of(None, self.base_track)
+        found: list[Movement | None] = []
+        for item in (*self.obstacles, *self.fruits):
+            movement = still if item.track is None else Movement.of(item.track, self.base_track)
+            found += [movement] * (1 if isinstance(item, Fruit) else len(item.solids))
+        return tuple(found)
+
+    @property
+    def at_rest_s(self) -> float:
+        """Time from which on nothing moves [s]; 0 where nothing ever does."""
+        tracks = (self.base_track, *(item.track for item in (*self.obstacles, *self.fruits)))
+        return max((track.times_s[-1] for track in tracks if track is not None), default=0.0)
+
+    def poses_at(self, times_s: ArrayLike) -> dict[str, tuple[FloatArray, FloatArray]]:
+        """Where what moves is at times, as seen from the base.
+
+        Args:
+            times_s: (k,) times [s].
+
+        Returns:
+            For each obstacle and fruit that moves, by name, (k, 3, 3) rotations R and (k, 3) shifts s [m]: its point
+            that is listed at x is at R x + s.
+
+        Raises:
+            InputError: Times that are none.
+        """
+        clock = numbers("times_s", times_s, (None,))
+        moving = (
+            (item.name, Movement.of(item.track, self.base_track))
+            for item in (*self.obstacles, *self.fruits)
+            if item.track is not None or self.base_track is not None
+        )
+        return {name: movement.at(clock) for name, movement in moving}
+
+    def at(self, time_s: float) -> Scene:
+        """The scene as it stands at a time [s], without tracks.
+
+        Raises:
+            InputError: A time that is none.
+        """
+        poses = {name: (turns[0], shifts[0]) for name, (turns, shifts) in self.poses_at([time_s]).items()}
+        obstacles, fruits = (
+            tuple(
+                item.model_copy(update=moved(item, *poses[item.name])) if item.name in poses else item for item in items
+            )
+            for items in (self.obstacles, self.fruits)
+        )
+        return self.model_copy(update={"obstacles": obstacles, "fruits": fruits, "base_track": None})
 
     def with_obstacles(self, obstacles: Sequence[Sphere | Capsule | Cylinder | Box | Mesh | PointCloud]) -> Scene:
         """The same task among other obstacles."""

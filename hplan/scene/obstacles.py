@@ -18,19 +18,20 @@ from pydantic import Field, PositiveFloat, PrivateAttr, ValidationError, Validat
 from hplan.base.arrays import FloatArray, IntArray, readonly
 from hplan.errors import SceneError
 from hplan.scene.fault import StrictModel, fault, validated
-from hplan.scene.limits import FARTHEST_M, MOST_SHAPE_BYTES, ByteBudget
+from hplan.scene.limits import FARTHEST_M, MOST_SHAPE_BYTES, Angles, ByteBudget, Size, Vector
 from hplan.scene.prism import Prism, prism
 from hplan.scene.solids import CUBE_CORNERS, Cloud, Hull, rpy_rotation
+from hplan.scene.tracks import Sway, Track
 
 if TYPE_CHECKING:
     from hplan.scene.shape_data import PointSet, Surface
 
-Angles: TypeAlias = tuple[float, float, float]
-Coordinate: TypeAlias = Annotated[float, Field(ge=-FARTHEST_M, le=FARTHEST_M)]
-Vector: TypeAlias = tuple[Coordinate, Coordinate, Coordinate]
-Size: TypeAlias = Annotated[float, Field(gt=0.0, le=FARTHEST_M)]
 Name: TypeAlias = Annotated[str, Field(min_length=1)]
 Sigma: TypeAlias = Annotated[float, Field(ge=0.0, le=FARTHEST_M)]
+
+#: How an obstacle moves. In dumps these keys are added where there are any: a still scene has the digest it had.
+TrackField: TypeAlias = Annotated[Track | None, Field(exclude=True)]
+SwayField: TypeAlias = Annotated[Sway | None, Field(exclude=True)]
 
 _Data = TypeVar("_Data", "Mesh", "PointCloud")
 _Shape = TypeVar("_Shape", "Surface", "PointSet")
@@ -42,11 +43,16 @@ class _Obstacle(StrictModel):
     Attributes of every kind:
         name: Name of the obstacle.
         sigma: Standard deviation of its position [m].
+        track: How it moves; None for an obstacle that stands still.
+        sway: How far it may swing out of its place; None for not at all.
     """
 
 
 class _Convex(_Obstacle):
     """One convex solid: the hull of its core grown by its rounding."""
+
+    if TYPE_CHECKING:
+        sway: SwayField  # a field of all kinds below, where it stands in the order of the file's keys
 
     @property
     def is_point_set(self) -> Literal[False]:
@@ -55,8 +61,12 @@ class _Convex(_Obstacle):
 
     @property
     def solids(self) -> tuple[Solid, ...]:
-        """The obstacle itself: it is convex."""
-        return (self,)  # type: ignore[return-value]  # one of the four below
+        """The obstacle itself, for it is convex, or what it sweeps as it sways."""
+        if self.sway is None:
+            return (self,)  # type: ignore[return-value]  # one of the four below
+        from hplan.scene.moved_solids import swept_convex
+
+        return (swept_convex(self),)
 
 
 class Sphere(_Convex):
@@ -67,6 +77,8 @@ class Sphere(_Convex):
     center: Vector
     radius: Size
     sigma: Sigma = 0.0
+    track: TrackField = None
+    sway: SwayField = None
 
     @property
     def core(self) -> FloatArray:
@@ -88,6 +100,8 @@ class Capsule(_Convex):
     end: Vector = Field(alias="to")
     radius: Size
     sigma: Sigma = 0.0
+    track: TrackField = None
+    sway: SwayField = None
 
     @property
     def core(self) -> FloatArray:
@@ -113,6 +127,8 @@ class Cylinder(_Convex):
     radius: Size
     rpy_deg: Angles = (0.0, 0.0, 0.0)
     sigma: Sigma = 0.0
+    track: TrackField = None
+    sway: SwayField = None
 
     @property
     def rotation(self) -> FloatArray:
@@ -144,6 +160,8 @@ class Box(_Convex):
     size: tuple[Size, Size, Size]
     rpy_deg: Angles = (0.0, 0.0, 0.0)
     sigma: Sigma = 0.0
+    track: TrackField = None
+    sway: SwayField = None
 
     @property
     def rotation(self) -> FloatArray:
@@ -166,6 +184,7 @@ class _FromData(_Obstacle):
 
     if TYPE_CHECKING:
         rpy_deg: Angles  # a field of both kinds below, where it stands in the order of the file's keys
+        sway: SwayField  # the same
 
     _data: Any = PrivateAttr(None)
     _path: Path | None = PrivateAttr(None)
@@ -185,6 +204,14 @@ class _FromData(_Obstacle):
         """SHA-256 of its data before scale, turn and shift, in hexadecimal digits; made once."""
         digest: str = self._data.once("digest", lambda: _sha256(self._data.arrays))
         return digest
+
+    def _swept(self, solids: tuple[Solid, ...]) -> tuple[Solid, ...]:
+        """What its solids sweep as it sways."""
+        if self.sway is None:
+            return solids
+        from hplan.scene.moved_solids import swept
+
+        return tuple(swept(solid, self.sway.reach) for solid in solids)
 
     def write(self, path: Path) -> Path:
         """Write its data as a PLY file, before scale, turn and shift.
@@ -219,6 +246,8 @@ class Mesh(_FromData):
     rpy_deg: Angles = (0.0, 0.0, 0.0)
     scale: PositiveFloat = 1.0
     sigma: Sigma = 0.0
+    track: TrackField = None
+    sway: SwayField = None
 
     @classmethod
     def of(cls, name: str, vertices: ArrayLike, faces: ArrayLike, **placement: Any) -> Mesh:
@@ -267,12 +296,14 @@ class Mesh(_FromData):
     @property
     def solids(self) -> tuple[Solid, ...]:
         """Convex pieces whose union holds the mesh."""
-        key = (self.name, self.scale, self.position, self.rpy_deg, self.sigma)
-        placement = (self.name, self.rotation, np.array(self.position), self.sigma)
-        hulls: tuple[Hull, ...] = self._data.once(
-            key, lambda: tuple(hull.moved(*placement) for hull in self._data.pieces(self.scale).hulls)
-        )
+        key = (self.name, self.scale, self.position, self.rpy_deg, self.sigma, self.sway)
+        hulls: tuple[Solid, ...] = self._data.once(key, self._hulls)
         return hulls
+
+    def _hulls(self) -> tuple[Solid, ...]:
+        placement = (self.name, self.rotation, np.array(self.position), self.sigma)
+        hulls = tuple(hull.moved(*placement) for hull in self._data.pieces(self.scale).hulls)
+        return self._swept(hulls)
 
 
 class PointCloud(_FromData):
@@ -285,6 +316,8 @@ class PointCloud(_FromData):
     position: Vector = (0.0, 0.0, 0.0)
     rpy_deg: Angles = (0.0, 0.0, 0.0)
     sigma: Sigma = 0.0
+    track: TrackField = None
+    sway: SwayField = None
 
     @classmethod
     def of(cls, name: str, points: ArrayLike, radius: float, **placement: Any) -> PointCloud:
@@ -321,9 +354,13 @@ class PointCloud(_FromData):
     @property
     def solids(self) -> tuple[Solid, ...]:
         """One cloud of balls."""
-        key = (self.name, self.radius, self.position, self.rpy_deg, self.sigma)
-        cloud: Cloud = self._data.once(key, lambda: Cloud.of(self.name, self.points, self.radius, self.sigma))
+        key = (self.name, self.radius, self.position, self.rpy_deg, self.sigma, self.sway)
+        cloud: Solid = self._data.once(key, self._cloud)
         return (cloud,)
+
+    def _cloud(self) -> Solid:
+        cloud = Cloud.of(self.name, self.points, self.radius, self.sigma)
+        return self._swept((cloud,))[0]
 
 
 def _made_of(cls: type[_Data], name: str, make: Callable[[], Surface | PointSet], fields: dict[str, Any]) -> _Data:

@@ -13,12 +13,15 @@ Hermite`); a trajectory of hplan is exactly that curve. On it
 - the motion begins and ends at rest, and solves the scene's task (`hplan.verification.task_check`), unless that is
   not wanted.
 
+Where obstacles move, or the base does, this holds in space and time: at each time each obstacle is where its track has
+it then. Shown is the motion, from its begin to its end; how long the arm may rest where it ends, `clear_until_s` says.
+
 The work is bounded: in proportion to the number of rows, whatever stands in them. What cannot be shown with it is not
 verified.
 
-Assumed: rigid links inside their capsules, obstacles where the scene says, tracking within a model of its error
-(`hplan.robot.tracking`; it takes from the clearance; the limits are those of the commanded motion). Not covered:
-flexing, the base's own motion, contact forces, what is not in the scene.
+Assumed: rigid links inside their capsules, obstacles where the scene says, and when, tracking within a model of its
+error (`hplan.robot.tracking`; it takes from the clearance; the limits are those of the commanded motion). Not covered:
+flexing, the base's own motion but for its track, contact forces, what is not in the scene.
 """
 
 from __future__ import annotations
@@ -33,7 +36,7 @@ from hplan.base import ties
 from hplan.base.arguments import instance, number, one_of, truth
 from hplan.base.arrays import FloatArray
 from hplan.collision.coal_scene import CoalScene, Contact, base_contacts
-from hplan.errors import InputError
+from hplan.errors import InputError, MovingObstacleError
 from hplan.robot.base_shapes import BASE_DEPTH
 from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel
@@ -51,6 +54,7 @@ from hplan.verification.clearance_proof import Proof, prove_clearance
 from hplan.verification.digests import Digests
 from hplan.verification.goal_contact import contact_window
 from hplan.verification.limit_use import LimitUse, limit_use
+from hplan.verification.moving_obstacles import clear_until, moving_base_contacts
 from hplan.verification.task_check import task_violations
 
 #: Use of a limit up to which it counts as kept.
@@ -84,6 +88,9 @@ class Certificate:
         contact_s: The same as times, from and to [s]; None for never.
         digests: The robot, the scene and the trajectory that it is about; None for a part of a motion.
         subject: The motions that it is about, for `clearance_curve`; None where it was made by hand.
+        nearest_s: When `nearest` was seen, counted as the tracks' times are [s]; None where nothing moves but the arm.
+        clear_until_s: Time up to which the arm is shown to keep its distance if it rests where the motion ends, counted
+            as the tracks' times are; inf for ever [s]. None where nothing moves, or the motion is not verified.
     """
 
     verified: bool
@@ -95,6 +102,8 @@ class Certificate:
     goal_contact: GoalContact | None = None
     contact_s: tuple[float, float] | None = None
     digests: Digests | None = None
+    nearest_s: float | None = None
+    clear_until_s: float | None = None
     subject: Subject | None = field(default=None, compare=False, repr=False)
 
     @property
@@ -114,12 +123,18 @@ class Certificate:
 
     @property
     def reversed(self) -> Certificate:
-        """The certificate of the motion backwards: the same distances and torques; none of task or contact times."""
+        """The certificate of the motion backwards: the same distances and torques; none of task or contact times.
+
+        Raises:
+            MovingObstacleError: Obstacles move, and not backwards.
+        """
+        if self.nearest_s is not None:
+            raise MovingObstacleError(None if self.nearest is None else self.nearest.obstacle)
         subject = None if self.subject is None else self.subject.reversed
         return replace(self, subject=subject, contact_s=None, digests=None)
 
 
-# Ten parameters: three subjects, and options that callers name by keyword.
+# Eleven parameters: three subjects, and options that callers name by keyword.
 def certify(
     robot: Robot,
     scene: Scene,
@@ -132,6 +147,7 @@ def certify(
     check_ends: bool = True,
     rest_to_rest: bool = True,
     checker: CoalScene | None = None,
+    begin_s: float = 0.0,
 ) -> Certificate:
     """Certify a trajectory, wherever it comes from, as `plan` certifies its own.
 
@@ -150,14 +166,17 @@ def certify(
         rest_to_rest: Whether the motion has to begin and end at rest.
         checker: The arm among other solids than the scene's. They are taken as they are: `sigmas` and `goal_contact`
             are not looked at, nor what pedestal and turret stand in.
+        begin_s: Time at which the motion begins, as the tracks of the scene count it [s]: a motion that starts later,
+            or takes over from a running one, sees what moves from that time on.
 
     Returns:
         The certificate; read `verified`.
 
     Raises:
         InputError: The trajectory has other joints than the robot, or start or goal of the scene do not fit it.
-        OptionError: A tracking error or delay, or a number of standard deviations, that is negative or not finite;
-            another contact with the goal.
+        MovingObstacleError: The fruit that is the goal moves.
+        OptionError: A time that is not finite; a tracking error or delay, or a number of standard deviations, that is
+            negative or not finite; another contact with the goal.
     """
     instance("robot", robot, Robot, "load_robot")
     instance("scene", scene, Scene, "load_scene")
@@ -167,20 +186,28 @@ def certify(
     tracking = TrackingModel(tracking_error, tracking_delay_s)
     number("sigmas", sigmas, "a finite number >= 0", lambda value: value >= 0.0)
     one_of("goal_contact", goal_contact, GOAL_CONTACTS)
+    number("begin_s", begin_s, "a finite number of seconds")
     _check_joints(robot, trajectory)
     bezier, _ = cubic_pieces(trajectory)
     contact, violations, fruit = None, list[str](), None
     if checker is None:
-        solids = scene.solids_with_goal
-        checker = CoalScene(robot, solids, growth=np.array([sigmas * solid.sigma for solid in solids]))
+        solids = scene.listed_solids
+        growth = np.array([sigmas * solid.sigma for solid in solids])
+        checker = CoalScene(robot, solids, growth=growth, movements=scene.movements if scene.moves else ())
         fruit = next((fruit for fruit in scene.fruits if fruit.name == scene.goal.fruit), None)
         if fruit is not None:
+            if fruit.track is not None or scene.base_track is not None:
+                raise MovingObstacleError(None if fruit.track is None else fruit.name, "a fruit to pick must not move")
             whole = slice(0, len(bezier))
             contact = whole if goal_contact == "motion" else contact_window(robot, bezier, fruit.center)
+        yaw, still = robot.yaw_of(trajectory.position[0]), solids
+        if checker.moving is not None:
+            still = tuple(solid for number, solid in enumerate(solids) if number not in checker.moving.numbers)
+            violations += moving_base_contacts(robot, checker.moving, yaw, begin_s, begin_s + trajectory.duration)
         violations += [
             f"obstacle {found.obstacle!r} is {-1e3 * found.distance_m:.3g} mm deep in the robot's {found.link!r}, "
             "which does not move"
-            for found in base_contacts(robot, solids, robot.yaw_of(trajectory.position[0]), margin=-BASE_DEPTH)
+            for found in base_contacts(robot, still, yaw, margin=-BASE_DEPTH)
         ]
     if check_ends:
         violations += task_violations(robot, scene, bezier)
@@ -191,6 +218,7 @@ def certify(
         clearance=scene.clearance,
         tracking=tracking,
         rest_to_rest=rest_to_rest,
+        begin_s=begin_s,
     )
     return replace(
         certificate,
@@ -229,6 +257,7 @@ def certify_among(
     clearance: float,
     tracking: TrackingModel,
     rest_to_rest: bool = True,
+    begin_s: float = 0.0,
 ) -> Certificate:
     """Certify a trajectory, or part of one, with given collision checkers.
 
@@ -239,6 +268,7 @@ def certify_among(
         clearance: Clearance to keep [m].
         tracking: Deviation of the joints that is covered.
         rest_to_rest: Whether the motion has to begin and end at rest.
+        begin_s: Time at which it begins, as the movements of obstacles count it [s].
 
     Raises:
         InputError: The trajectory has other joints than the robot.
@@ -255,13 +285,18 @@ def certify_among(
     with np.errstate(over="ignore"):
         # Nothing is farther off than a joint that is off by a whole turn, or nobody knows how far.
         deviations = np.fmin(tracking.deviations(speeds), 2.0 * np.pi)
+    clock = begin_s + (trajectory.time if trajectory.samples > 1 else np.zeros(2))
+    seen_s: list[float | None] = []
     proved, wanted = [], f"more than {1e3 * clearance:.3g} mm at a tracking error of {tracking}"
     for part, checker in among:
         own = deviations if len(deviations) == 1 else deviations[part]
-        proof = prove_clearance(robot, bezier[part], checker, own, clearance)
-        proved.append(ProvedStretch(part, checker, own, proof))
-        violations += _not_shown(proof, trajectory, part.start, wanted)
+        times = clock[part.start : part.stop + 1]
+        proof = prove_clearance(robot, bezier[part], checker, own, clearance, times)
+        proved.append(ProvedStretch(part, checker, own, proof, times))
+        seen_s.append(None if checker.moving is None else _time_of(proof, times))
+        violations += _not_shown(proof, trajectory, part.start, wanted, seen_s[-1])
     proofs = [stretch.proof for stretch in proved]
+    last = among[-1][1]
     missing = [proof.clearance_m for proof in proofs if not proof.shown]
     return Certificate(
         verified=not violations,
@@ -271,6 +306,12 @@ def certify_among(
         checks=sum(proof.checks for proof in proofs),
         violations=tuple(violations),
         subject=Subject(((ProvedMotion(robot, trajectory, tuple(proved), clearance), False),)),
+        nearest_s=_nearest_s([proof.nearest for proof in proofs], seen_s),
+        clear_until_s=None
+        if last.moving is None or violations
+        else clear_until(
+            robot, bezier[-1, 3], last, tracking.deviations(np.zeros((1, robot.dof))), clearance, clock[-1]
+        ),
     )
 
 
@@ -306,8 +347,8 @@ def _check_joints(robot: Robot, trajectory: Trajectory) -> None:
         )
 
 
-def _not_shown(proof: Proof, trajectory: Trajectory, first: int, wanted: str) -> Iterator[str]:
-    """The clearance that a proof does not show, in words; the first of its pieces is given."""
+def _not_shown(proof: Proof, trajectory: Trajectory, first: int, wanted: str, seen_s: float | None) -> Iterator[str]:
+    """The clearance that a proof does not show, in words: its first piece, and when it saw the least, are given."""
     if proof.shown:
         return
     piece = first + int(proof.end)
@@ -319,8 +360,21 @@ def _not_shown(proof: Proof, trajectory: Trajectory, first: int, wanted: str) ->
         at = begin + (proof.end - int(proof.end)) * (end - begin)
         yield f"clearance is not shown beyond {at:.6g} s, where {proof.checks:,} checks are used up"
     if proof.nearest is not None:
-        near = proof.nearest
-        yield f"link {near.link!r} comes to {1e3 * near.distance_m:.3g} mm of {near.other}; to be shown: {wanted}"
+        near, when = proof.nearest, "" if seen_s is None else f" at {seen_s:.6g} s"
+        yield (
+            f"link {near.link!r} comes to {1e3 * near.distance_m:.3g} mm of {near.other}{when}; to be shown: {wanted}"
+        )
+
+
+def _nearest_s(contacts: Sequence[Contact | None], seen_s: Sequence[float | None]) -> float | None:
+    """When the contact at the smallest distance was seen."""
+    nearest = _nearest(contacts)
+    return next((at for contact, at in zip(contacts, seen_s, strict=True) if contact is nearest), None)
+
+
+def _time_of(proof: Proof, clock: FloatArray) -> float:
+    """When a proof saw its nearest pair [s]."""
+    return float(np.interp(proof.nearest_at, np.arange(len(clock)), clock))
 
 
 def _nearest(contacts: Iterable[Contact | None]) -> Contact | None:

@@ -106,12 +106,14 @@ class ProvedStretch(NamedTuple):
         checker: The arm among the obstacles there.
         deviations: (pieces, dof) largest deviation of each joint within each cubic, or (1, dof) for all [rad].
         proof: What was shown.
+        clock: Times of its rows, as movements of obstacles count them [s]; None where nothing moves.
     """
 
     part: slice
     checker: CoalScene
     deviations: FloatArray
     proof: Proof
+    clock: FloatArray | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,7 +217,7 @@ def _curve_over_places(robot: Robot, bezier: FloatArray, stretch: ProvedStretch,
     if not checker.pairs:
         nothing = np.full(2, np.inf)
         return ClearanceCurve(np.array([0.0, float(len(bezier))]), nothing, nothing, np.full(2, -1), ())
-    looks = list(_looks(Advancement(robot, bezier, checker, deviations, clearance), bezier, checker))
+    looks = list(_looks(Advancement(robot, bezier, checker, deviations, clearance, stretch.clock), bezier, checker))
     places, nearest = np.array([look.place for look in looks]), np.array([look.nearest for look in looks])
     bounds = _lower_of_both(np.array([look.bound_m for look in looks[1:]]))
     if proof.shown:
@@ -271,7 +273,7 @@ def _looks(search: Advancement, bezier: FloatArray, checker: CoalScene) -> Itera
     lower = np.full(len(mover_of), -np.inf)
     travelled, swayed = travel[:, 0], sway[:, 0]
     while True:
-        search.place(point_at(bezier, place))
+        search.place(point_at(bezier, place), place)
         nearest = float(checker.distances_of(np.array([pair]))[0])
         now, sways = _at(travel, place), _at(sway, place)
         forward = lower - (now - travelled)[mover_of]

@@ -29,6 +29,10 @@ later place
 
 so the advancement counts :math:`T + V` as travel and :math:`d(a) - \tilde m(a)`, less the distance to be kept, as
 spare clearance.
+
+**Obstacles that move.** Distances are those from where the obstacle is at that time. Where a link and such an obstacle
+are a pair, what the obstacle travels comes to what the link does: in each piece the largest speed that any point of it
+has there (`hplan.scene.tracks`), all the time that the piece takes.
 """
 
 from __future__ import annotations
@@ -46,7 +50,7 @@ from hplan.base.kernels import kernel
 from hplan.collision.coal_scene import CoalScene, Contact
 from hplan.robot.model import Robot
 from hplan.robot.self_contact import pair_rates
-from hplan.verification.sway import at_rows, movers, off_axis, sways
+from hplan.verification.sway import at_rows, movers, off_axis, sways, with_obstacles
 
 #: Spare clearance below which the proof gives up [m]: its steps, half of it, would become too small.
 SMALLEST_STEP = 1e-5
@@ -77,6 +81,7 @@ class Proof:
         nearest: The nearest pair that was seen, and its distance; None without pairs.
         checks: Configurations at which distances were evaluated.
         end: Place up to which it was shown, or from which on travel is not bounded, counted in pieces.
+        nearest_at: Where the nearest pair was seen, counted in pieces.
     """
 
     outcome: Outcome
@@ -84,6 +89,7 @@ class Proof:
     nearest: Contact | None
     checks: int
     end: float
+    nearest_at: float = 0.0
 
     @property
     def shown(self) -> bool:
@@ -92,7 +98,12 @@ class Proof:
 
 
 def prove_clearance(
-    robot: Robot, bezier: FloatArray, checker: CoalScene, deviations: FloatArray, needed: float
+    robot: Robot,
+    bezier: FloatArray,
+    checker: CoalScene,
+    deviations: FloatArray,
+    needed: float,
+    clock: FloatArray | None = None,
 ) -> Proof:
     """Show that every pair keeps its distance at all times, or find where it does not.
 
@@ -102,26 +113,28 @@ def prove_clearance(
         checker: The arm among the obstacles.
         deviations: (pieces, dof) largest deviation of each joint within each cubic, or (1, dof) for all of them [rad].
         needed: Distance to be kept [m].
+        clock: (pieces + 1,) times of the rows, as tracks count them [s]; needed where obstacles move.
     """
     # Pairs that touch only beyond the limits, where a deviation leads, are asked too.
     checker = checker.covering(float(deviations.max()), needed)
     if not checker.pairs:
         return Proof("shown", math.inf, None, 0, len(bezier))
-    search = Advancement(robot, bezier, checker, deviations, needed)
+    search = Advancement(robot, bezier, checker, deviations, needed, clock)
     if search.bounded < len(bezier):
         return search.worst("travel")
     budget = CHECKS + CHECKS_PER_PIECE * len(bezier)
     # At the start all pairs at once; those that cannot come near in the whole motion are not asked again.
-    distances = checker.pair_distances(bezier[0, 0])
+    distances = checker.pair_distances(bezier[0, 0], *search.when(0.0))
     going = search.take(np.arange(len(distances)), distances, 0.0)
     while going:
         look()
         pairs, at, q = _first(search.pairs[1], bezier)
         if at == math.inf:
-            return Proof("shown", needed + search.shown, search.contact(), search.checks, len(bezier))
+            end = float(len(bezier))
+            return Proof("shown", needed + search.shown, search.contact(), search.checks, end, search.nearest[2])
         if search.checks >= budget:
             return search.worst("checks")
-        search.place(q)
+        search.place(q, at)
         going = search.ask(pairs, at)
         # Together with the pair that is due, those that would be before it is due again.
         others = _due_before(search.pairs[1], pairs)
@@ -141,16 +154,23 @@ class Advancement:
             kernel 2 us more, and there are 200 calls.)
         mover_of: (pairs,) each pair's mover.
         shown: Clearance shown of every pair so far, beyond the one needed [m].
-        nearest: The smallest distance so far [m], and the pair.
+        nearest: The smallest distance so far [m], the pair, and where.
         checks: Configurations looked at.
         bounded: How many pieces from the first on have a bounded travel.
     """
 
     def __init__(
-        self, robot: Robot, bezier: FloatArray, checker: CoalScene, deviations: FloatArray, needed: float
+        self,
+        robot: Robot,
+        bezier: FloatArray,
+        checker: CoalScene,
+        deviations: FloatArray,
+        needed: float,
+        clock: FloatArray | None = None,
     ) -> None:
         """Bound what each mover travels; ask nothing yet."""
         self._bezier, self._checker = bezier, checker
+        self._clock = None if checker.moving is None else clock
         mover_of, others = movers(checker)
         with np.errstate(over="ignore", invalid="ignore"):
             rates = 3.0 * np.diff(bezier, axis=1)
@@ -160,6 +180,8 @@ class Advancement:
             if checker.links != "capsule":
                 moved = moved + off_axis(checker, others, np.abs(rates).max(axis=1))
                 nearer = nearer + off_axis(checker, others, deviations)
+            if checker.moving is not None and clock is not None:
+                mover_of, moved, nearer = with_obstacles(checker, mover_of, moved, nearer, clock)
             sway = at_rows(nearer, len(bezier))
             if len(deviations) > 1:
                 moved = moved + np.maximum(np.diff(sway, axis=1), 0.0)
@@ -175,13 +197,17 @@ class Advancement:
         self.mover_of = mover_of
         self._at = 0.0
         self.shown = math.inf
-        self.nearest = math.inf, 0
+        self.nearest = math.inf, 0, 0.0
         self.checks = 1
 
-    def place(self, q: FloatArray) -> None:
-        """Put the arm at a configuration."""
-        self._checker.place(q)
+    def place(self, q: FloatArray, at: float) -> None:
+        """Put the arm at a configuration, that of a place."""
+        self._checker.place(q, *self.when(at))
         self.checks += 1
+
+    def when(self, at: float) -> tuple[float, ...]:
+        """The time of a place, as the checker takes it: none where nothing moves but the arm."""
+        return () if self._clock is None else (_linear(self._clock, at),)
 
     def ask(self, pairs: IntArray, at: float) -> bool:
         """Ask coal about some pairs, the arm being there; True if the proof goes on."""
@@ -191,12 +217,12 @@ class Advancement:
         """Take distances of some pairs at a place; True if the proof goes on."""
         self._at = at
         least, self.shown = _put_off(pairs, distances, at, self.shown, self.mover_of, self.movers, self.pairs)
-        self.nearest = min(self.nearest, (float(distances[least]), int(pairs[least])))
+        self.nearest = min(self.nearest, (float(distances[least]), int(pairs[least]), at))
         return self.shown > 0.0
 
     def contact(self) -> Contact:
         """The nearest pair by name, and its distance."""
-        distance, pair = self.nearest
+        distance, pair, _ = self.nearest
         return self._checker.contact(*self._checker.pairs[pair], distance)
 
     def worst(self, outcome: Outcome) -> Proof:
@@ -213,20 +239,20 @@ class Advancement:
             look()
             row = due[0][0]
             # Points of Bezier between the rows may be no numbers.
-            self.place(self._bezier[row, 0] if row < rows else self._bezier[-1, 3])
+            self.place(self._bezier[row, 0] if row < rows else self._bezier[-1, 3], float(row))
             pairs = []
             while due and due[0][0] == row:
                 pairs.append(heapq.heappop(due)[1])
             for pair, distance in zip(pairs, self._checker.distances_of(np.array(pairs)).tolist(), strict=True):
                 sway = float(sway_at_rows[mover_of[pair], row])
-                self.nearest = min(self.nearest, (distance, pair))
+                self.nearest = min(self.nearest, (distance, pair, float(row)))
                 least = min(least, distance - sway)
                 farther = min(distance - self.nearest[0], distance - sway - least)
                 ahead = place_after(travel[mover_of[pair]], float(row), farther)
                 following = max(math.ceil(min(ahead, rows + 1.0)), row + 1)
                 if following <= rows:
                     heapq.heappush(due, (following, pair))
-        return Proof(outcome, min(least, self.nearest[0]), self.contact(), self.checks, end)
+        return Proof(outcome, min(least, self.nearest[0]), self.contact(), self.checks, end, self.nearest[2])
 
 
 @kernel

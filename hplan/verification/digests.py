@@ -12,6 +12,7 @@ every number that planning or proof uses does.
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,6 +25,7 @@ from hplan.base.arrays import FloatArray
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 from hplan.scene.obstacles import Mesh, PointCloud
+from hplan.scene.tracks import Sway, Track
 from hplan.timing.trajectory import Trajectory, as_table
 
 
@@ -63,7 +65,19 @@ def scene_digest(scene: Scene) -> str:
     found.add_text(scene.model_dump_json(exclude={"obstacles": {"__all__": {"file"}}} if read else None))
     for obstacle in read:
         found.add_text(obstacle.data_digest)
+    for name, key, value in _moving(scene):
+        found.add_text(name, key, value.model_dump_json())
     return found.word
+
+
+def _moving(scene: Scene) -> Iterator[tuple[str, str, Track | Sway]]:
+    """Tracks and sways, which a dump does not hold: whose, the key, and the value."""
+    for item in (*scene.obstacles, *scene.fruits):
+        for key, value in (("track", item.track), ("sway", item.sway)):
+            if value is not None:
+                yield item.name, key, value
+    if scene.base_track is not None:
+        yield "", "base_track", scene.base_track
 
 
 def robot_digest(robot: Robot) -> str:

@@ -63,3 +63,32 @@ def at_rows(sway: FloatArray, pieces: int) -> FloatArray:
     if sway.shape[1] == 1:
         return np.repeat(sway, pieces + 1, axis=1)
     return np.maximum(np.column_stack([sway[:, :1], sway]), np.column_stack([sway, sway[:, -1:]]))
+
+
+def with_obstacles(
+    checker: CoalScene, mover_of: IntArray, moved: FloatArray, nearer: FloatArray, clock: FloatArray
+) -> tuple[IntArray, FloatArray, FloatArray]:
+    """Movers where obstacles move too: a mover and what moves alike is another one, whose travel is the sum of both.
+
+    Args:
+        checker: The arm among obstacles that move.
+        mover_of: (pairs,) the mover of each pair.
+        moved: (movers, pieces) how far each travels in each piece [m].
+        nearer: (movers, k) how much nearer tracking errors may bring its pairs [m].
+        clock: (pieces + 1,) times of the rows [s].
+
+    Returns:
+        The same three with the movers added.
+    """
+    if checker.moving is None:
+        return mover_of, moved, nearer
+    travels, group_of = checker.moving.travels(clock)
+    first = len(checker.pairs) - len(checker.own_others)
+    obstacles = np.array([obstacle for _, obstacle in checker.pairs[:first]], dtype=np.int64)
+    groups = np.concatenate([group_of[obstacles], np.full(len(checker.own_others), -1)])
+    together = np.column_stack([mover_of, groups])
+    added, number = np.unique(together[groups >= 0], axis=0, return_inverse=True)
+    mover_of = mover_of.copy()
+    mover_of[groups >= 0] = len(moved) + number.ravel()
+    movers, parts = added.T
+    return mover_of, np.concatenate([moved, moved[movers] + travels[parts]]), np.concatenate([nearer, nearer[movers]])

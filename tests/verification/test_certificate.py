@@ -172,8 +172,8 @@ def test_random_motions_are_judged_as_dense_sampling_judges_them(robot, scene):
 class AskedJudge(CoalScene):
     """Writes down which pair is asked where, and what the answer is."""
 
-    def pair_distances(self, q):
-        distances = super().pair_distances(q)
+    def pair_distances(self, q, *when):
+        distances = super().pair_distances(q, *when)
         if not hasattr(self, "asked"):  # at the start all are asked at once
             self.asked = [(np.array(q), dict(enumerate(distances.tolist())))]
         return distances

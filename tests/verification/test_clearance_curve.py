@@ -63,7 +63,7 @@ def check_against_coal(certificate: Certificate, step: float = 2e-3) -> int:
     near = 0
     for motion in motions_of(certificate):
         curve, rows = motion.curve, motion.trajectory.time
-        for part, checker, deviations, _ in motion.stretches:
+        for part, checker, deviations, *_ in motion.stretches:
             last = rows[min(part.stop, len(rows) - 1)]
             clock = np.unique([*np.arange(rows[part.start], last, step), *rows[part.start : part.stop], last])
             covering = checker.covering(float(deviations.max()), motion.clearance)
@@ -97,7 +97,7 @@ def test_distances_and_names_at_the_stations_are_coals(robot: Robot, seed: int) 
     random = np.random.default_rng(100 + seed)
     certificate, curve = certified(robot, random_scene(random), random_motion(robot, random, 1.0))
     (motion,) = motions_of(certificate)
-    ((_, checker, _, _),) = motion.stretches
+    ((_, checker, *_),) = motion.stretches
     for q, distance, nearest in zip(
         on_cubics(motion.trajectory, curve.time), curve.distance_m, curve.nearest, strict=True
     ):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hplan.base.arrays import FloatArray
-from hplan.scene.obstacles import Vector
+from hplan.scene.limits import Vector
 
 
 def direction(random: np.random.Generator) -> FloatArray:

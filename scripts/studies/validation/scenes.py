@@ -22,8 +22,9 @@ from studies.validation.random_scenes import direction, vector
 from hplan.base.arrays import FloatArray, IntArray
 from hplan.errors import OptionError
 from hplan.robot.model import Robot
+from hplan.scene.limits import Vector
 from hplan.scene.model import Fruit, Goal, Scene, Start
-from hplan.scene.obstacles import Box, Capsule, Mesh, Obstacle, PointCloud, Sphere, Vector
+from hplan.scene.obstacles import Box, Capsule, Mesh, Obstacle, PointCloud, Sphere
 from hplan.scene.solids import hull_of
 
 #: What a scene may hold.

@@ -1,0 +1,102 @@
+"""What a certificate says of obstacles that move beyond the motion itself: the base, and the arm at rest afterwards."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+import pinocchio as pin
+
+from hplan.base.arrays import FloatArray
+from hplan.collision.coal_cloud import distance_from
+from hplan.collision.coal_scene import CoalScene
+from hplan.collision.moving_solids import MovingSolids
+from hplan.robot.base_shapes import BASE_DEPTH, filled
+from hplan.robot.model import Robot
+from hplan.scene.obstacles import Solid
+from hplan.scene.tracks import Movement
+from hplan.verification.clearance_proof import MOST_TRAVEL, SMALLEST_STEP, prove_clearance
+
+#: Most distances that are looked at for one obstacle and one shape of the base: what is nearer than `SMALLEST_STEP`
+#: to being too deep counts as that, so an obstacle that travels 100 m along the base may need more.
+MOST_LOOKS = 100_000
+
+
+def moving_base_contacts(robot: Robot, moving: MovingSolids, yaw: float, begin_s: float, end_s: float) -> Iterator[str]:
+    """Obstacles that come deeper than `BASE_DEPTH` into pedestal or turret, in words.
+
+    By conservative advancement in time. Shapes of the turret that are not round are taken as they stand at the yaw;
+    while it turns they are movers of the collision checker.
+
+    Args:
+        robot: The arm.
+        moving: The obstacles; those that stand still are not looked at.
+        yaw: Yaw of the turret.
+        begin_s: Time from which on [s].
+        end_s: Time up to which [s].
+    """
+    data = robot.model.createData()
+    q = np.zeros(robot.dof)
+    q[: robot.yaw_joints] = yaw
+    pin.forwardKinematics(robot.model, data, q)
+    shapes = [shape for shape in robot.collision_model.geometryObjects if shape.parentJoint <= robot.yaw_joints]
+    for number in moving.numbers:
+        solid, movement = moving.solids[number], moving.movements[number]
+        for shape in shapes:
+            at = None if movement is None else _too_deep(shape, data, solid, movement, (begin_s, end_s))
+            if at is not None:
+                name = robot.model.frames[shape.parentFrame].name
+                yield f"obstacle {solid.name!r} comes into the robot's {name!r}, which does not move, at {at:.6g} s"
+
+
+def _too_deep(
+    shape: pin.GeometryObject, data: pin.Data, solid: Solid, movement: Movement, span_s: tuple[float, float]
+) -> float | None:
+    """Time at which a solid is too deep in a shape of the base, or cannot be shown not to be; None for never."""
+    body, place = filled(shape), data.oMi[shape.parentJoint] * shape.placement
+    breaks = movement.breaks
+    steps = movement.rates(solid.core, solid.rounding) * np.diff(breaks)
+    travel = np.concatenate([[0.0], np.cumsum(steps)])
+    at, end_s = span_s
+    for _ in range(MOST_LOOKS):
+        rotation, shift = movement.at(np.array([at]))
+        # Seen from where the obstacle is listed.
+        spare = distance_from(solid, body, pin.SE3(rotation[0], shift[0]).inverse() * place) + BASE_DEPTH
+        if not spare > SMALLEST_STEP:
+            return at
+        upto = float(np.interp(at, breaks, travel)) + MOST_TRAVEL * spare
+        if upto >= travel[-1]:
+            return None
+        row = int(np.searchsorted(travel, upto, side="right")) - 1
+        at = float(breaks[row] + (upto - travel[row]) / steps[row] * (breaks[row + 1] - breaks[row]))
+        if at >= end_s:
+            return None
+    return at
+
+
+def clear_until(
+    robot: Robot, q: FloatArray, checker: CoalScene, deviations: FloatArray, needed: float, from_s: float
+) -> float:
+    """Time up to which the arm can rest at a configuration: it is shown to keep its distance until then [s].
+
+    Args:
+        robot: The arm.
+        q: (dof,) configuration.
+        checker: The arm among the obstacles.
+        deviations: (1, dof) largest deviation of each joint [rad].
+        needed: Distance to be kept [m].
+        from_s: Time from which on it rests [s].
+
+    Returns:
+        The time; infinite where nothing comes.
+    """
+    if checker.moving is None or from_s >= checker.moving.breaks[-1]:
+        return math.inf
+    breaks = checker.moving.breaks
+    clock = np.concatenate([[from_s], breaks[breaks > from_s]])
+    still = np.tile(q, (len(clock) - 1, 4, 1))
+    proof = prove_clearance(robot, still, checker, deviations, needed, clock)
+    if proof.shown:
+        return math.inf
+    return float(np.interp(proof.end, np.arange(len(clock)), clock))

@@ -19,7 +19,6 @@ from hplan.base.data_files import shipped_robots
 from hplan.errors import MovingObstacleError, SceneError
 from hplan.scene.fault import StrictModel, fault
 from hplan.scene.limits import FARTHEST_M, MOST_OBSTACLES, Size, Vector
-from hplan.scene.moved_solids import moved
 from hplan.scene.obstacles import (
     Box,
     Capsule,
@@ -34,6 +33,7 @@ from hplan.scene.obstacles import (
     SwayField,
     TrackField,
 )
+from hplan.scene.solids import moved
 from hplan.scene.tracks import Movement
 
 FORMAT: Final = "hplan-scene/1"

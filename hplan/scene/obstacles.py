@@ -64,7 +64,7 @@ class _Convex(_Obstacle):
         """The obstacle itself, for it is convex, or what it sweeps as it sways."""
         if self.sway is None:
             return (self,)  # type: ignore[return-value]  # one of the four below
-        from hplan.scene.moved_solids import swept_convex
+        from hplan.scene.solids import swept_convex
 
         return (swept_convex(self),)
 
@@ -209,7 +209,7 @@ class _FromData(_Obstacle):
         """What its solids sweep as it sways."""
         if self.sway is None:
             return solids
-        from hplan.scene.moved_solids import swept
+        from hplan.scene.solids import swept
 
         return tuple(swept(solid, self.sway.reach) for solid in solids)
 

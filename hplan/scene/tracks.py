@@ -214,16 +214,6 @@ def rotation_vectors(rotations: FloatArray) -> FloatArray:
     return between
 
 
-def rpy_of(rotation: FloatArray) -> Angles:
-    """Roll, pitch and yaw [deg] of a (3, 3) rotation, as `hplan.scene.solids.rpy_rotation` takes them in radians."""
-    pitch = math.atan2(-rotation[2, 0], math.hypot(rotation[0, 0], rotation[1, 0]))
-    if math.hypot(rotation[0, 0], rotation[1, 0]) > 1e-9:
-        roll, yaw = math.atan2(rotation[2, 1], rotation[2, 2]), math.atan2(rotation[1, 0], rotation[0, 0])
-    else:  # x points up or down: roll and yaw turn about the same line
-        roll, yaw = 0.0, math.atan2(-rotation[0, 1], rotation[1, 1])
-    return math.degrees(roll), math.degrees(pitch), math.degrees(yaw)
-
-
 def _rotations(vectors: FloatArray) -> FloatArray:
     """(k, 3, 3) rotations by (k, 3) rotation vectors."""
     angle = np.linalg.norm(vectors, axis=1)

@@ -15,10 +15,9 @@ from hplan.collision.coal_accuracy import ITERATION
 from hplan.errors import InputError, MovingObstacleError, SceneError
 from hplan.scene.file import dump_scene, load_scene, parse_scene, save_scene
 from hplan.scene.model import Fruit, Goal, Scene, Start
-from hplan.scene.moved_solids import SWEPT_ERROR, posed
 from hplan.scene.obstacles import Box, Capsule, Mesh, PointCloud, Solid, Sphere
-from hplan.scene.solids import THIN, Cloud
-from hplan.scene.tracks import Sway, Track, rpy_of
+from hplan.scene.solids import SWEPT_ERROR, THIN, Cloud, posed, rpy_of
+from hplan.scene.tracks import Sway, Track
 from hplan.verification.digests import scene_digest
 
 TURNING = Track(

@@ -1,0 +1,103 @@
+"""Shapes of MoveIt in their places as obstacles of a scene."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, Final, Literal, TypeAlias
+
+import numpy as np
+import pinocchio as pin
+
+from hplan.base.arguments import list_between
+from hplan.errors import OptionError, SceneError
+from hplan.scene.limits import FARTHEST_M
+from hplan.scene.obstacles import Box, Cylinder, Mesh, Obstacle, Sphere
+from hplan.scene.prism import prism
+from hplan.scene.solids import hull_of
+
+#: What becomes of a mesh that is not closed: it is refused, or its convex hull is taken.
+OpenMeshes: TypeAlias = Literal["refuse", "hull"]
+OPEN_MESHES: tuple[OpenMeshes, ...] = ("refuse", "hull")
+
+#: How many numbers give the size of each shape, in the order of a scene file of MoveIt's.
+SIZES: Final = {"sphere": 1, "box": 3, "cylinder": 2, "cone": 2}
+
+#: Quaternions are written with six digits or so; those farther than this from length 1 are none.
+_UNIT: Final = 1e-3
+
+
+def frame(position: Sequence[float], rpy_deg: Sequence[float]) -> pin.SE3:
+    """Where a frame is, by a position [m] and roll, pitch and yaw about fixed axes [deg].
+
+    Raises:
+        OptionError: Not three numbers each.
+    """
+    places = []
+    for option, values, most in (("position", position, FARTHEST_M), ("rpy_deg", rpy_deg, 360.0)):
+        places.append(list_between(option, values, -most, most))
+        if len(places[-1]) != 3:
+            raise OptionError(option, values, "three numbers")
+    return pin.SE3(pin.rpy.rpyToMatrix(*np.radians(places[1])), np.array(places[0]))
+
+
+def pose(position: Sequence[float], quaternion_xyzw: Sequence[float]) -> pin.SE3:
+    """A pose by a position [m] and a quaternion.
+
+    Raises:
+        ValueError: The quaternion is not of length 1.
+    """
+    length = math.hypot(*quaternion_xyzw)
+    if abs(length - 1.0) > _UNIT:
+        raise ValueError(f"the quaternion {list(quaternion_xyzw)} has the length {length:.4g}, expected 1")
+    turn = pin.Quaternion(np.array(quaternion_xyzw) / length)
+    return pin.SE3(turn.toRotationMatrix(), np.array(position))
+
+
+def shape(name: str, kind: str, sizes: Sequence[float], place: pin.SE3) -> Obstacle:
+    """A sphere (radius), box (three edges), cylinder or cone (radius, length along z; its tip is above) as an obstacle.
+
+    A cone becomes a pyramid about it, which stands out by as much as the prism about a cylinder of its radius.
+
+    Raises:
+        SceneError: A size that is not positive, or a place too far away.
+    """
+    center = tuple(place.translation.tolist())
+    if kind == "sphere":
+        return Sphere(name=name, center=center, radius=sizes[0])
+    if kind == "box":
+        return Box(name=name, center=center, size=tuple(sizes), rpy_deg=_rpy_deg(place))
+    can = Cylinder(name=name, center=center, radius=sizes[0], length=sizes[1], rpy_deg=_rpy_deg(place))
+    if kind == "cylinder":
+        return can
+    ring = prism((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), can.length, can.radius).corners
+    count = len(ring) // 2
+    tip = np.array([[0.0, 0.0, 0.5 * can.length]])
+    around = [(k, (k + 1) % count) for k in range(count)]
+    below = [(0, b, a) for a, b in around[1:-1]]
+    return mesh(name, np.vstack([ring[:count], tip]), [*((a, b, count) for a, b in around), *below], place)
+
+
+def mesh(name: str, vertices: Any, faces: Any, place: pin.SE3, open_meshes: OpenMeshes = "refuse") -> Mesh:
+    """A mesh in its place; of one that is not closed its convex hull, where that is wanted.
+
+    Raises:
+        SceneError: It is open, empty, flat or inside out.
+    """
+    placement = {"position": tuple(place.translation.tolist()), "rpy_deg": _rpy_deg(place)}
+    try:
+        return Mesh.of(name, vertices, faces, **placement)
+    except SceneError:
+        if open_meshes == "refuse" or np.max(faces, initial=len(vertices) * (not faces)) >= len(vertices):
+            raise
+    points = np.asarray(vertices)[np.unique(faces)]
+    try:
+        hull = hull_of(points, most=len(points) + 14)
+    except ValueError as error:
+        raise SceneError("the mesh lies in one plane: it has no hull", where=name) from error
+    return Mesh.of(name, hull.core, hull.faces, **placement)
+
+
+def _rpy_deg(place: pin.SE3) -> tuple[float, float, float]:
+    roll, pitch, yaw = np.degrees(pin.rpy.matrixToRpy(place.rotation)).tolist()
+    return roll, pitch, yaw

@@ -6,6 +6,7 @@ ends, by a fault, a full disk or a signal, no trajectory stands there without th
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import os
 import shutil
@@ -24,6 +25,9 @@ OUT = Path("out")
 TRAJECTORY, REPORT = "trajectory.csv", "report.json"
 TOUR, TOUR_REPORT = "tour.csv", "tour.json"
 PAGE = "scene.html"
+
+#: The motion as messages of ROS 2, where it is asked for.
+MCAP = "motion.mcap"
 
 #: Name of the folder in which a process makes its files.
 _STAGING = ".hplan-job-"
@@ -113,6 +117,18 @@ class JobFolder:
         if isinstance(error, HplanError):
             with contextlib.suppress(OutputError):
                 write_report(failure_report(error, scene=self.scene, robot=self.robot), self.path / self._report)
+
+
+def needs_rosbags(arguments: argparse.Namespace) -> None:
+    """Refuse `--mcap`, before any work, where its messages cannot be written.
+
+    Raises:
+        InputError: rosbags is not installed.
+    """
+    if arguments.mcap:
+        from hplan.ros.bag_writer import import_rosbags
+
+        import_rosbags()
 
 
 def prepare_folder(folder: Path) -> None:

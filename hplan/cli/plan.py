@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hplan.cli.job_folder import OUT, PAGE, REPORT, TRAJECTORY, JobFolder, fail_on_usage_errors
+from hplan.cli.job_folder import MCAP, OUT, PAGE, REPORT, TRAJECTORY, JobFolder, fail_on_usage_errors, needs_rosbags
 from hplan.cli.options import (
     CommandParser,
     add_deadline,
@@ -75,7 +75,7 @@ _STAGE_WORDS = {
 
 
 def _job_folder(path: Path) -> JobFolder:
-    return JobFolder(path, (TRAJECTORY, PAGE, CSPACE_PAGE, CSPACE_FIGURE), REPORT)
+    return JobFolder(path, (TRAJECTORY, PAGE, MCAP, CSPACE_PAGE, CSPACE_FIGURE), REPORT)
 
 
 def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int:
@@ -122,6 +122,7 @@ def parser(prog: str) -> CommandParser:
     add("--cspace", action="store_true", help="write cspace.html: the forbidden joint angles and the motion; "
         "cspace.png too where matplotlib is installed")  # fmt: skip
     add("--cspace-yaw", type=float, metavar="DEG", help="the same for a yaw of choice (default: the goal's)")
+    add("--mcap", action="store_true", help="write motion.mcap too, for Foxglove and RViz (needs the extra ros)")
     add("--quiet", action="store_true", help="no progress, no summary")
     fail_on_usage_errors(parser, OUT, _job_folder)
     return parser
@@ -154,6 +155,7 @@ def _made(arguments: argparse.Namespace, folder: JobFolder, errors: Console) -> 
             "certify",
             "bound",
         )
+        needs_rosbags(arguments)
         given = load_scene(arguments.scene)
         robot = robot_of(arguments, given)
         folder.robot = robot.name
@@ -175,6 +177,10 @@ def _made(arguments: argparse.Namespace, folder: JobFolder, errors: Console) -> 
         with folder.filling() as staging:
             write_csv(result.trajectory, staging / TRAJECTORY)
             write_page(robot, scene, _playback(result), staging / PAGE)
+            if arguments.mcap:
+                from hplan.ros.mcap_file import write_mcap
+
+                write_mcap(result, staging / MCAP)
             if wants_cspace:
                 _write_cspace(robot, scene, options, result, yaw, staging)
             result = with_export_time(result, time.perf_counter() - begin)
@@ -273,7 +279,7 @@ def _show_summary(console: Console, result: PlanResult, folder: Path) -> None:
     for violation in proof["violations"]:
         add("", escape(violation))
     add("time", _time_words(report["time_ms"]))
-    written = [name for name in (CSPACE_PAGE, CSPACE_FIGURE) if (folder / name).exists()]
+    written = [name for name in (MCAP, CSPACE_PAGE, CSPACE_FIGURE) if (folder / name).exists()]
     add("files", f"{escape(str(folder))}: {', '.join([TRAJECTORY, REPORT, PAGE, *written])}")
     show_title(console, report["scene"], report["robot"])
     console.print(table)

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hplan.cli.job_folder import OUT, PAGE, TOUR, TOUR_REPORT, JobFolder, fail_on_usage_errors
+from hplan.cli.job_folder import MCAP, OUT, PAGE, TOUR, TOUR_REPORT, JobFolder, fail_on_usage_errors, needs_rosbags
 from hplan.cli.options import (
     CommandParser,
     add_deadline,
@@ -56,7 +56,7 @@ exit status:
 
 
 def _job_folder(path: Path) -> JobFolder:
-    return JobFolder(path, (TOUR, "tour-[0-9]*-*.csv", PAGE), TOUR_REPORT)
+    return JobFolder(path, (TOUR, "tour-[0-9]*-*.csv", PAGE, MCAP), TOUR_REPORT)
 
 
 def parser(prog: str) -> CommandParser:
@@ -86,6 +86,7 @@ def parser(prog: str) -> CommandParser:
     add_pace(parser)
     add_tracking(parser)
     add_deadline(parser)
+    add("--mcap", action="store_true", help="write motion.mcap too, for Foxglove and RViz (needs the extra ros)")
     add("--quiet", action="store_true", help="no progress, no summary")
     fail_on_usage_errors(parser, OUT, _job_folder)
     return parser
@@ -117,6 +118,7 @@ def _made(
 
     options = plan_options(arguments, "standoff")
     tour = _tour_options(arguments)
+    needs_rosbags(arguments)
     given = load_scene(shipped_scene("tour") if arguments.scene is None else arguments.scene)
     robot = robot_of(arguments, given)
     folder.robot = robot.name
@@ -136,9 +138,13 @@ def _made(
             write_csv(motion, staging / name)
         playback = Playback(result.trajectory, result.picked, result.dropped, result.phases, result.certificate)
         write_page(robot, scene, playback, staging / PAGE)
+        if arguments.mcap:
+            from hplan.ros.mcap_file import write_mcap
+
+            write_mcap(result, staging / MCAP)
         told = curve_report(result.certificate) | ({"left_out": left_out} if left_out else {})
         write_report({**result.report, **told, "files": list(motions)}, staging / TOUR_REPORT)
-    return result, [*motions, TOUR_REPORT, PAGE]
+    return result, [*motions, TOUR_REPORT, PAGE, *([MCAP] if arguments.mcap else [])]
 
 
 def _tour_options(arguments: argparse.Namespace) -> TourOptions:

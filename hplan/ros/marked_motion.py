@@ -49,9 +49,9 @@ def path_marker(robot: Robot, positions: FloatArray, frame_id: str) -> Marker:
     }
 
 
-def words_marker(robot: Robot, certificate: Certificate, frame_id: str) -> Marker:
-    """What the certificate says, above the arm."""
-    place = [*robot.yaw_axis, robot.plane_origin[2] + robot.arm.lengths.sum() + _TEXT_M]
+def words_marker(robot: Robot, positions: FloatArray, certificate: Certificate, frame_id: str) -> Marker:
+    """What the certificate says, above the base and all places of the tool in (n, dof) configurations."""
+    place = [0.0, 0.0, float(robot.tool_positions(positions)[:, 2].max()) + 2.0 * _TEXT_M]
     return mark.head(frame_id=frame_id, ns=CERTIFICATE, number=_WORDS) | {
         "type": mark.TEXT,
         "pose": mark.pose(place),
@@ -83,7 +83,9 @@ class NearestPairs:
             self._pairs = self._curve.pairs
         elif certificate.nearest is not None:
             self._pairs = ((certificate.nearest.link, certificate.nearest.obstacle),)
-        self._links = dict(zip(robot.arm.link_names, link_shapes(robot, "capsule"), strict=True))
+        self._links: dict[str, pin.GeometryObject] = {}
+        if robot.planar is not None:
+            self._links = dict(zip(robot.arm.link_names, link_shapes(robot, "capsule"), strict=True))
         self._data = robot.model.createData()
         self._solids: dict[str, list[pin.GeometryObject | Cloud]] = {name: [] for _, name in self._pairs}
         for solid in scene.solids_with_goal:

@@ -92,8 +92,9 @@ class _Recording:
     def _at_first(self) -> Iterator[Message]:
         robot, frames, begin, trajectory = self.robot, self.frames, self.begin_ns, self.result.trajectory
         frames.place(trajectory.position[0])
-        shown = motion.path_marker(robot, trajectory.position[self.rows], frames.root)
-        words = motion.words_marker(robot, self.result.certificate, frames.root)
+        positions = trajectory.position[self.rows]
+        shown = motion.path_marker(robot, positions, frames.root)
+        words = motion.words_marker(robot, positions, self.result.certificate, frames.root)
         contents: dict[str, Any] = {
             "/robot_description": {"data": robot_description(robot)},
             "/tf_static": frames.message(frames.fixed, begin),

@@ -16,8 +16,8 @@ import pinocchio as pin
 from hplan.base.arguments import decimal, file_path, one_of
 from hplan.errors import OptionError, SceneError
 from hplan.ros.placed_shapes import OPEN_MESHES, SIZES, OpenMeshes, frame, mesh, pose, shape
-from hplan.scene.limits import MOST_SHAPE_BYTES, ByteBudget
-from hplan.scene.obstacles import Obstacle, Vector
+from hplan.scene.limits import MOST_SHAPE_BYTES, ByteBudget, Vector
+from hplan.scene.obstacles import Obstacle
 
 #: Kinds that MoveIt knows and that are no obstacles here, and why.
 _REFUSED: Final = {

@@ -102,9 +102,10 @@ def certificate_report(certificate: Certificate, options: PlanOptions) -> dict[s
 
 def curve_report(certificate: Certificate) -> dict[str, Any]:
     """The part of a report that has the clearance over time, as pages show it; null where it is not known."""
-    curve = certificate.shown_curve
+    curve = certificate.clearance_curve
     if curve is None:
         return {"clearance_curve": None}
+    curve = curve.shown
     return {
         "clearance_curve": {
             "time_s": curve.time.tolist(),

@@ -43,7 +43,6 @@ from hplan.robot.tracking import TrackingModel
 from hplan.scene.model import Scene
 from hplan.timing.trajectory import Trajectory, cubic_pieces
 from hplan.verification.clearance_curve import (
-    SHOWN_STATIONS,
     ClearanceCurve,
     ProvedMotion,
     ProvedStretch,
@@ -114,12 +113,6 @@ class Certificate:
         need not look how far.
         """
         return None if self.subject is None else self.subject.curve
-
-    @property
-    def shown_curve(self) -> ClearanceCurve | None:
-        """The same with fewer stations, for reports and pages; nowhere higher."""
-        curve = self.clearance_curve
-        return None if curve is None else curve.thinned(SHOWN_STATIONS)
 
     @property
     def reversed(self) -> Certificate:

@@ -40,8 +40,8 @@ STATION_FRACTION, STATION_M = 0.08, (1e-3, 0.05)
 #: Most stations of a stretch, about.
 STATIONS = 20_000
 
-#: Stations of a curve that is to be shown.
-SHOWN_STATIONS = 300
+#: Stations of a curve that is to be shown: so many, or for each second, up to so many.
+SHOWN_STATIONS, SHOWN_PER_S, MOST_SHOWN = 300, 40.0, 1200
 
 #: Part of a distance by which coal's may be too large far away.
 FAR_ERROR = 1e-3
@@ -68,6 +68,12 @@ class ClearanceCurve(Record):
     distance_m: FloatArray
     nearest: IntArray
     pairs: tuple[tuple[str, str], ...]
+
+    @property
+    def shown(self) -> ClearanceCurve:
+        """The same with as many stations as can be seen, for reports and pages; nowhere higher."""
+        wanted = max(SHOWN_STATIONS, round(SHOWN_PER_S * float(self.time[-1])))
+        return self.thinned(min(wanted, MOST_SHOWN))
 
     def thinned(self, count: int) -> ClearanceCurve:
         """The same at so many evenly spaced times, where it has more stations; nowhere higher.

@@ -53,10 +53,11 @@ class Playback:
 
     @property
     def curve(self) -> ClearanceCurve | None:
-        """Clearance over time; None where it is not known."""
-        if self.clearance_curve is None and self.certificate is not None:
-            return self.certificate.shown_curve
-        return self.clearance_curve
+        """Clearance over time as it is to be shown; None where it is not known."""
+        curve = self.clearance_curve
+        if curve is None and self.certificate is not None:
+            curve = self.certificate.clearance_curve
+        return None if curve is None else curve.shown
 
     def check(self, robot: Robot) -> None:
         """Check that the motion is one of a robot.

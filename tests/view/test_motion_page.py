@@ -189,8 +189,9 @@ def test_words_of_certificates() -> None:
 @pytest.mark.parametrize("name", ["</script><b>x", '"><img src=x onerror=alert(1)>', "${title}", "früh & spät"])
 def test_names_of_obstacles_and_fruits_cannot_break_the_panel(robot: Robot, result: PlanResult, name: str) -> None:
     certificate = replace(result.certificate, verified=False, nearest=Contact(name, name, 0.1), violations=(name,))
-    assert result.certificate.shown_curve is not None
-    curve = replace(result.certificate.shown_curve, pairs=((name, name),) * len(result.certificate.shown_curve.pairs))
+    assert result.certificate.clearance_curve is not None
+    curve = result.certificate.clearance_curve
+    curve = replace(curve, pairs=((name, name),) * len(curve.pairs))
     shown = Playback(
         result.trajectory, {}, phases=[Phase(name, 0.0, 1.0)], certificate=certificate, clearance_curve=curve
     )

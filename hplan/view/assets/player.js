@@ -183,8 +183,21 @@ function chart(title, note, yOf, draw, tell) {
     const left = plot.getBoundingClientRect().left + EDGE.left;
     player.scrub(motion.duration * (event.clientX - left) / (width - EDGE.left - EDGE.right));
   };
-  plot.addEventListener("pointerdown", event => { plot.setPointerCapture(event.pointerId); scrub(event); });
-  plot.addEventListener("pointermove", event => { if (event.buttons) scrub(event); });
+  // A finger that goes up or down scrolls the page; one that goes along, or taps, moves the time.
+  let down = null;
+  plot.addEventListener("pointerdown", event => {
+    down = [event.clientX, event.clientY, event.pointerType !== "touch"];
+    plot.setPointerCapture(event.pointerId);
+    if (down[2]) scrub(event);
+  });
+  plot.addEventListener("pointermove", event => {
+    if (down === null) return;
+    const along = Math.abs(event.clientX - down[0]);
+    down[2] = down[2] || (along > 5 && along > Math.abs(event.clientY - down[1]));
+    if (down[2]) scrub(event);
+  });
+  plot.addEventListener("pointerup", event => { if (down !== null) scrub(event); down = null; });
+  plot.addEventListener("pointercancel", () => { down = null; });
   new ResizeObserver(() => { if (plot.clientWidth !== width) redraw(); }).observe(plot);
   player.follow(move);
   return { now, redraw };

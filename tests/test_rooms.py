@@ -25,6 +25,7 @@ ROOMS = (
         "planar",
         "cspace",
         "collision",
+        "perception",
     ),
     *(
         "timing",

@@ -166,6 +166,10 @@ def link_clearances(q: FloatArray, field: FieldArrays, result: FloatArray) -> No
                     distance = 0.5 * apart + chain[k, 1]  # less the half-width, below
             elif point_segment((cx, cy, cz), (x, y, z), (ux, uy, uz)) > least + solids[s, row.BOUND]:
                 following = int(solids[s, row.NEXT])
+            elif kind == row.NODE:
+                if solids[s, row.IS_ROOT] > 0.0:
+                    # What is near at once lets most of the tree be skipped.
+                    distance = _descended(s, solids, data, (x, y, z), (ux, uy, uz))
             elif kind == row.LOT:
                 for p in range(int(solids[s, row.POINTS]), int(solids[s, row.POINTS_END]), 3):
                     point = point_segment((data[p], data[p + 1], data[p + 2]), (x, y, z), (ux, uy, uz))
@@ -173,6 +177,28 @@ def link_clearances(q: FloatArray, field: FieldArrays, result: FloatArray) -> No
             least = min(least, distance - solids[s, row.RADIUS])
         result[k] = least - chain[k, 1]
         px, py, pz = px + ux, py + uy, pz + uz
+
+
+@kernel
+def _descended(s: int, solids: FloatArray, data: FloatArray, start: Vector, u: Vector) -> float:
+    """Distance of a segment from the points of one lot below a node: down the nearer child each time."""
+    end = int(solids[s, row.NEXT])
+    while solids[s, row.KIND] == row.NODE:
+        s += 1
+        if s >= end:
+            return math.inf  # a field of some rows alone
+        other = int(solids[s, row.NEXT])
+        if other < end:
+            here = (solids[s, row.CENTRE], solids[s, row.CENTRE + 1], solids[s, row.CENTRE + 2])
+            there = (solids[other, row.CENTRE], solids[other, row.CENTRE + 1], solids[other, row.CENTRE + 2])
+            if point_segment(there, start, u) < point_segment(here, start, u):
+                s = other
+        end = int(solids[s, row.NEXT])
+    least = math.inf
+    for p in range(int(solids[s, row.POINTS]), int(solids[s, row.POINTS_END]), 3):
+        point = point_segment((data[p], data[p + 1], data[p + 2]), start, u)
+        least = min(least, point)
+    return least
 
 
 @kernel

@@ -36,8 +36,8 @@ _COLUMNS = 21
 
 #: Columns of one kind, from `SHAPE` on. Point: its place (3). Segment: its two ends (3 each). Box: its half sizes (3),
 #: then its axes (3 rows of 3). Hull: where its facets begin in the data, where its edges begin and end. Lot: where its
-#: points begin and end there.
-SHAPE, SECOND_END, AXES, FACETS, EDGES, EDGES_END, POINTS, POINTS_END = 6, 9, 9, 6, 7, 8, 6, 7
+#: points begin and end there. Node: 1 where it is a tree's first.
+SHAPE, SECOND_END, AXES, FACETS, EDGES, EDGES_END, POINTS, POINTS_END, IS_ROOT = 6, 9, 9, 6, 7, 8, 6, 7, 8
 
 #: Gate: the first and the last link that pass it, and 1 where the row below turns with them. Pair: its links, and the
 #: distance of their axes at which they touch.
@@ -88,6 +88,20 @@ def rows_of(
         blocks.append(_pair_rows(robot, contact.links, own, deviation, row_count))
         owner.append(np.full(len(contact.links), -1))
     return np.concatenate(blocks), np.concatenate(data), np.concatenate(owner)
+
+
+def solid_rows(obstacles: Sequence[Solid], clearance: float) -> tuple[FloatArray, FloatArray]:
+    """Rows of obstacles grown by a clearance [m], without those of the arm, and their data."""
+    blocks, data = [np.zeros((0, _COLUMNS))], [np.zeros(0)]
+    row_count = data_count = 0
+    for obstacle in obstacles:
+        rows, more = _rows(obstacle, clearance, data_count)
+        rows[:, NEXT] += row_count
+        blocks.append(rows)
+        data.append(more)
+        row_count += len(rows)
+        data_count += len(more)
+    return np.concatenate(blocks), np.concatenate(data)
 
 
 def _rows(obstacle: Solid, clearance: float, offset: int) -> tuple[FloatArray, FloatArray]:
@@ -147,19 +161,23 @@ def _base_rows(body: BaseBody, clearance: float, offset: int, axis: FloatArray) 
 @lru_cache(maxsize=64)
 def _base_solid(body: BaseBody) -> Solid:
     """A shape of turret or pedestal as a solid."""
-    core = body.core
+    return convex_solid(body.name, body.core, body.rounding)
+
+
+def convex_solid(name: str, core: FloatArray, rounding: float) -> Solid:
+    """The hull of (k, 3) points grown by a radius, as the simplest solid that it is; flat ones are made thicker."""
     _, spread, directions = np.linalg.svd(core - core.mean(axis=0), full_matrices=False)
     flat = np.count_nonzero(spread > 1e-9)
     if flat == 0:
-        return Sphere(name=body.name, center=tuple(core[0]), radius=body.rounding)
+        return Sphere(name=name, center=tuple(core[0].tolist()), radius=rounding)
     if flat == 1:
         a, b = core[np.argsort(core @ directions[0])][[0, -1]]
         return Capsule.model_validate(
-            {"name": body.name, "from": tuple(a.tolist()), "to": tuple(b.tolist()), "radius": body.rounding}
+            {"name": name, "from": tuple(a.tolist()), "to": tuple(b.tolist()), "radius": rounding}
         )
     if flat == 2:
         core = np.vstack([core - _THICKNESS * directions[2], core + _THICKNESS * directions[2]])
-    return replace(hull_of(core, body.name, most=len(core) + 14), rounding=body.rounding)
+    return replace(hull_of(core, name, most=len(core) + 14), rounding=rounding)
 
 
 def _pair_rows(
@@ -184,5 +202,6 @@ def _cloud_rows(cloud: Cloud, clearance: float, offset: int) -> FloatArray:
     rows[:, CENTRE:BOUND] = tree[:, 3:6]
     rows[:, BOUND] = tree[:, 6] * (1.0 + 1e-12) + rows[:, RADIUS]
     rows[:, POINTS : POINTS_END + 1] = offset + 3 * tree[:, :2]
+    rows[:1, IS_ROOT] = 1.0
     rows[:, NEXT] = tree[:, 2]
     return rows

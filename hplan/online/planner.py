@@ -7,15 +7,19 @@ handed out was certified among the obstacles as they are now.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import time
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from threading import RLock
 from typing import Any, TypeVar
 
+from numpy.typing import ArrayLike
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
 from hplan.base.deadline import Cancel, time_limit
 from hplan.errors import InputError, SceneError
+from hplan.perception.frame import CloudOptions, Frame, FrameReport, SeenPoints, filter_frame
+from hplan.perception.scene_cloud import check_cloud_name, solids_named, with_cloud
 from hplan.planning.plan import PlanResult, check_task, plan_with
 from hplan.planning.task import PlanningCache
 from hplan.problem.options import PlanOptions
@@ -59,6 +63,7 @@ class Planner:
         self.last: PlanResult | None = None
         self._cache = PlanningCache(robot)
         self._lock = RLock()
+        self._seen: dict[str, SeenPoints] = {}
 
     def __getstate__(self) -> dict[str, Any]:
         """The attributes that a user sees."""
@@ -66,7 +71,7 @@ class Planner:
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Go on from there."""
-        vars(self).update(state, _cache=PlanningCache(state["robot"]), _lock=RLock())
+        vars(self).update(state, _cache=PlanningCache(state["robot"]), _lock=RLock(), _seen={})
 
     def plan(self, *, cancel: Cancel | None = None) -> PlanResult:
         """Plan as `hplan.plan` does, whatever was planned before.
@@ -139,6 +144,7 @@ class Planner:
         with self._lock:
             index = self._index(name)
             self._change((*self.scene.obstacles[:index], *self.scene.obstacles[index + 1 :]))
+            self._seen.pop(name, None)
 
     def move(self, name: str, **changes: Any) -> None:
         """Give an obstacle other values, as `move("post", center=(1, 0, 1))`.
@@ -151,6 +157,59 @@ class Planner:
             moved = _changed(self.scene.obstacles[index], changes)
             self._change((*self.scene.obstacles[:index], moved, *self.scene.obstacles[index + 1 :]))
 
+    # Ten parameters: a frame has many sides, and callers name them by keyword.
+    def set_cloud(
+        self,
+        name: str,
+        points: ArrayLike,
+        *,
+        radius: float,
+        pose: ArrayLike | None = None,
+        joints: ArrayLike | None = None,
+        ignore: Sequence[str] = (),
+        keep_s: float = 0.0,
+        time_s: float | None = None,
+        options: CloudOptions | None = None,
+    ) -> FrameReport:
+        """Take a frame of a depth camera for the obstacle of a name, in place of the last one.
+
+        Left out are rows that are not finite, points that the arm cannot come near, its own, and those of what is to be
+        ignored; the others become balls, fewer than points (`hplan.perception.frame`). A frame of which nothing is left
+        takes the obstacle away.
+
+        Args:
+            name: Name of the cloud.
+            points: (n, 3) or (rows, columns, 3) points in the camera's frame [m]; best float32 or float64.
+            radius: Radius of the ball about each point [m].
+            pose: Camera to `base_link`: a (4, 4) matrix, or x, y, z [m], roll, pitch, yaw about fixed axes [deg]; None
+                where the points are in `base_link`, the camera then taken to be at its origin.
+            joints: (dof,) configuration of the arm when the frame was taken, so that its own points are left out [rad].
+            ignore: Names of fruits and other obstacles whose points are left out: the fruit to pick, what stands in the
+                scene already.
+            keep_s: How long points are kept that were seen and are hidden now (`hplan.perception.hidden_points`) [s].
+            time_s: When the frame was taken, on any clock that does not go back [s]; None for now.
+            options: Voxels, paddings, outliers.
+
+        Raises:
+            InputError: Points, a pose or joints that are none; a name of what is no cloud; nothing of a name to ignore.
+            OptionError: A radius, a time or options that cannot be.
+        """
+        taken_s = time.monotonic() if time_s is None else time_s
+        frame = Frame.of(self.robot, points, radius=radius, pose=pose, joints=joints, keep_s=keep_s, time_s=taken_s)
+        with self._lock:
+            check_cloud_name(self.scene, name)
+            found = filter_frame(
+                self.robot,
+                frame,
+                CloudOptions() if options is None else options,
+                ignored=solids_named(self.scene, ignore, name),
+                clearance_m=self.scene.clearance + self._largest_sway_m(),
+                before=self._seen.get(name),
+            )
+            self.scene = with_cloud(self.scene, name, found.points, found.report.radius_m)
+            self._seen[name] = found.seen
+        return found.report
+
     def aim(self, *, start: Start | None = None, goal: Goal | None = None) -> None:
         """Begin elsewhere, or go elsewhere.
 
@@ -160,6 +219,10 @@ class Planner:
         changes: dict[str, Any] = {key: value for key, value in (("start", start), ("goal", goal)) if value is not None}
         with self._lock:
             self.scene = _changed(self.scene, changes)
+
+    def _largest_sway_m(self) -> float:
+        """How far tracking errors may take the arm from where it is sent [m]."""
+        return float(self.robot.sway(self.options.tracking.deviations(self.robot.velocity_limit)).max())
 
     def _change(self, obstacles: tuple[Sphere | Capsule | Cylinder | Box | Mesh | PointCloud, ...]) -> None:
         # The names were looked at, and the obstacles are checked: no need to check the scene again.

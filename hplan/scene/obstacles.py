@@ -336,6 +336,22 @@ class PointCloud(_FromData):
 
         return _made_of(cls, name, lambda: PointSet.of(points), {"radius": radius, **placement})
 
+    @classmethod
+    def thinned(cls, name: str, points: ArrayLike, radius: float) -> PointCloud:
+        """A cloud of (n, 3) points of which none are merged, so that its balls are those given (`hplan.perception`).
+
+        Raises:
+            SceneError: The cloud is empty, too large or not finite.
+        """
+        from hplan.scene.shape_data import PointSet
+
+        return _made_of(cls, name, lambda: PointSet.of(points, may_merge=False), {"radius": radius})
+
+    @property
+    def left_out(self) -> int:
+        """How many rows of its file held a value that is not finite."""
+        return int(self._data.left_out)
+
     @model_validator(mode="after")
     def _read(self, info: ValidationInfo) -> PointCloud:
         from hplan.scene.shape_data import read_points
@@ -359,7 +375,8 @@ class PointCloud(_FromData):
         return (cloud,)
 
     def _cloud(self) -> Solid:
-        cloud = Cloud.of(self.name, self.points, self.radius, self.sigma)
+        make = Cloud.of if self._data.may_merge else Cloud.unmerged
+        cloud = make(self.name, self.points, self.radius, self.sigma)
         return self._swept((cloud,))[0]
 
 

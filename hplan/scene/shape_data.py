@@ -107,9 +107,13 @@ class PointSet(_Cached):
 
     Attributes:
         points: (n, 3) points [m].
+        left_out: Rows of the file that held a value that is not finite.
+        may_merge: Whether near points may become one; not where they were thinned before.
     """
 
     points: FloatArray
+    left_out: int = 0
+    may_merge: bool = True
     _made: dict[Any, Any] = field(default_factory=dict, repr=False)
 
     @property
@@ -118,8 +122,8 @@ class PointSet(_Cached):
         return (self.points,)
 
     @classmethod
-    def of(cls, points: ArrayLike) -> PointSet:
-        """A set of (n, 3) points.
+    def of(cls, points: ArrayLike, *, left_out: int = 0, may_merge: bool = True) -> PointSet:
+        """A set of (n, 3) points; arguments are the attributes.
 
         Raises:
             ValueError: There are none or too many, or not all are finite.
@@ -129,7 +133,7 @@ class PointSet(_Cached):
             raise ValueError(
                 f"the cloud has {len(found)} points; thin it to at most {MOST_POINTS}, by voxels of about its radius"
             )
-        return cls(readonly(found))
+        return cls(readonly(found), left_out, may_merge)
 
 
 def read_surface(path: Path, budget: ByteBudget) -> Surface:
@@ -150,18 +154,22 @@ def read_surface(path: Path, budget: ByteBudget) -> Surface:
 
 
 def read_points(path: Path, budget: ByteBudget) -> PointSet:
-    """Read a file of points; of a mesh, its vertices.
+    """Read a file of points; of a mesh, its vertices. Rows that are not finite are left out, as a camera writes them.
 
     Args:
         path: The file.
         budget: How large it may be.
 
     Raises:
-        ValueError: It cannot be read, is empty or too large, or not all of its points are finite.
+        ValueError: It cannot be read, is empty or too large, or none of its points is finite.
     """
     loaded = _load(path, budget, POINT_FORMATS, "point")
     vertices = getattr(loaded, "vertices", None)
-    return PointSet.of(np.zeros((0, 3)) if vertices is None else vertices)
+    points = np.zeros((0, 3)) if vertices is None else np.asarray(vertices, dtype=np.float64)
+    finite = np.isfinite(points).all(axis=-1)
+    if len(points) and not finite.any():
+        raise ValueError(f"none of {len(points)} points is finite")
+    return PointSet.of(points[finite], left_out=len(points) - int(finite.sum()))
 
 
 def write_shape(data: Surface | PointSet, path: Path) -> Path:

@@ -290,12 +290,20 @@ class Cloud(Record):
     @classmethod
     def of(cls, name: str, points: FloatArray, radius: float, sigma: float = 0.0) -> Cloud:
         """The balls about (n, 3) points, n > 0; near ones merged where that makes them notably fewer."""
-        from hplan.scene.cloud_tree import merged, tree_of  # compiled: nothing that needs no cloud loads numba
+        from hplan.scene.cloud_tree import merged  # compiled: nothing that needs no cloud loads numba
 
         # In a voxel of this edge no two points are farther apart than twice the error along its diagonal.
         core, growth = merged(np.array(points, dtype=np.float64, order="C"), 2.0 * MERGE_ERROR / math.sqrt(3.0))
+        return cls.unmerged(name, core, radius + growth, sigma)
+
+    @classmethod
+    def unmerged(cls, name: str, points: FloatArray, radius: float, sigma: float = 0.0) -> Cloud:
+        """The balls about (n, 3) points, n > 0, all of them."""
+        from hplan.scene.cloud_tree import tree_of
+
+        core = np.array(points, dtype=np.float64, order="C")
         tree = tree_of(core, LEAF)
-        return cls(name, frozen(core), radius + growth, frozen(tree), sigma)
+        return cls(name, frozen(core), radius, frozen(tree), sigma)
 
 
 @lru_cache(maxsize=_KEPT)

@@ -70,7 +70,7 @@ def test_xyz_and_placement(tmp_path):
         (b"", "radius: 1", "file", "is empty"),
         (b"ply\n\xff\xfe", "radius: 1", "file", "is no whole .ply file"),
         (ply(POINTS, "binary_little_endian")[:-5], "radius: 1", "file", "is no whole .ply file"),
-        (ply(np.array([[0, 0, np.inf], [0, 0, np.nan]]), "binary_little_endian"), "radius: 1", "file", "2 of 2 points"),
+        (ply(np.array([[0, 0, np.inf]] * 2), "binary_little_endian"), "radius: 1", "file", "none of 2 points"),
         (ply(POINTS * 1e8, "ascii"), "radius: 1", "file", "expected metres"),
         (ply(POINTS, "ascii"), "radius: 0", "radius", "greater than 0"),
         (ply(POINTS, "ascii"), "sigma: 0.1", "radius", "this key is missing"),
@@ -121,3 +121,23 @@ def test_a_large_cloud_is_no_burden(tmp_path):
     assert len(dump_scene(again)) < 400
     assert again.obstacles[0].solids[0].core.tolist() == cloud.solids[0].core.tolist()
     assert again == load_scene(tmp_path / "scene.yaml")
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "binary_little_endian"])
+def test_rows_of_a_file_that_are_not_finite_are_left_out_and_counted(encoding, tmp_path):
+    rows = np.vstack([POINTS, [[np.nan, 0.0, 0.0], [0.0, np.inf, 0.0]], POINTS + 1.0])
+    cloud = read(ply(rows, encoding), tmp_path)
+    assert cloud.left_out == 2
+    assert sorted(map(tuple, cloud.points)) == sorted(map(tuple, np.vstack([POINTS, POINTS + 1.0])))
+    (tmp_path / "c.xyz").write_text("1 2 3\nnan nan nan\n4 5 6\n", encoding="utf-8")
+    assert PointCloud(name="c", file=str(tmp_path / "c.xyz"), radius=0.1).left_out == 1
+    assert read(ply(POINTS, encoding), tmp_path).left_out == 0
+
+
+def test_points_that_were_thinned_before_stay_as_they_are():
+    close = np.random.default_rng(0).uniform(0.0, 1e-3, (50, 3))
+    cloud = PointCloud.thinned("c", close, 0.01)
+    (solid,) = cloud.solids
+    assert solid.rounding == 0.01
+    assert sorted(map(tuple, solid.core)) == sorted(map(tuple, close))
+    assert len(PointCloud.of("c", close, 0.01).solids[0].core) < 50

@@ -1,0 +1,305 @@
+"""Frames of a depth camera against NumPy and coal."""
+
+from __future__ import annotations
+
+import coal
+import numpy as np
+import pinocchio as pin
+import pytest
+from arm_variants import random_obstacles
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hplan.collision.coal_cloud import distance_from
+from hplan.collision.obstacle_rows import solid_rows
+from hplan.errors import InputError, OptionError
+from hplan.perception.arm_shape import arm_solids, reach_ball
+from hplan.perception.frame import CloudOptions, Frame, SeenPoints, filter_frame
+from hplan.perception.frame_kernels import distances_from_bodies
+from hplan.robot.base_shapes import base_shapes
+from hplan.scene.obstacles import Sphere
+from hplan.scene.solids import Cloud, rpy_rotation
+
+RADIUS = 0.005
+TUCKED = np.radians([20.0, 90.0, 90.0, 90.0])
+
+
+def cloud_about_the_arm(rng: np.random.Generator, count: int) -> np.ndarray:
+    """Points in and about the arm's reach, dense in places; some rows are not finite."""
+    blobs = rng.uniform(-1.5, 1.5, (8, 3)) + np.array([0.0, 0.0, 0.6])
+    points = blobs[rng.integers(0, 8, count)] + rng.normal(size=(count, 3)) * 0.02
+    points[::3] = rng.uniform(-3.0, 3.0, (len(points[::3]), 3))
+    points[1::9] = rng.uniform(-0.3, 0.3, (len(points[1::9]), 3)) + np.array([0.0, 0.0, 0.7])  # the tucked arm
+    points[5::50] = rng.choice([np.nan, np.inf, -np.inf], (len(points[5::50]), 3))
+    return points
+
+
+def apart(points: np.ndarray, solids) -> np.ndarray:
+    """(n,) distances of points from the nearest solid, by coal."""
+    bead, found = coal.Sphere(1e-3), np.full(len(points), np.inf)
+    for solid in solids:
+        away = [distance_from(solid, bead, pin.SE3(np.eye(3), point)) for point in points]
+        found = np.minimum(found, np.array(away) + 1e-3)
+    return found
+
+
+@settings(max_examples=15)
+@given(st.integers(0, 10_000), st.sampled_from([np.float32, np.float64]), st.sampled_from([2e-3, 5e-3, 0.03]))
+def test_every_point_is_accounted_for(robot, seed, kind, growth_m):
+    rng = np.random.default_rng(seed)
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = rpy_rotation(*rng.uniform(-2, 2, 3)), rng.uniform(-0.5, 0.5, 3)
+    wanted = cloud_about_the_arm(rng, 600)
+    with np.errstate(invalid="ignore"):
+        seen = ((wanted - pose[:3, 3]) @ pose[:3, :3]).astype(kind)
+        world = seen.astype(np.float64) @ pose[:3, :3].T + pose[:3, 3]
+    options = CloudOptions(growth_m=growth_m)
+    fruit = Sphere(name="fruit", center=(0.2, 0.1, 0.9), radius=0.1)
+    frame = Frame.of(robot, seen, radius=RADIUS, pose=pose, joints=TUCKED)
+    found = filter_frame(robot, frame, options, ignored=[fruit], clearance_m=0.01)
+    report = found.report
+
+    finite = np.isfinite(seen).all(axis=1)
+    x, y, z, radius = reach_ball(robot)
+    near = np.linalg.norm(world - [x, y, z], axis=1) <= radius + RADIUS + growth_m + 0.1 + 0.01
+    arm, ignored = (distances_from_bodies(np.nan_to_num(world, posinf=9.0, neginf=9.0), *solid_rows(s, p))
+                    for s, p in ((arm_solids(robot, TUCKED), 0.03), ([fruit], 0.02)))  # fmt: skip
+    in_arm, in_fruit = arm <= 0.0, ignored <= 0.0
+    assert report.given == 600
+    assert report.not_finite == (~finite).sum()
+    assert report.out_of_reach == (finite & ~near).sum()
+    assert report.of_arm == (finite & near & in_arm).sum() > 0
+    assert report.ignored == (finite & near & ~in_arm & in_fruit).sum()
+    stays = world[finite & near & ~in_arm & ~in_fruit]
+    gaps = np.linalg.norm(stays[:, None] - found.points, axis=2)
+    # Every point that stays is in a ball, and the growth is the largest that is needed.
+    cells = np.floor(stays / (2.0 * growth_m / np.sqrt(3.0)))
+    _, first, cell = np.unique(cells, axis=0, return_index=True, return_inverse=True)
+    boxes = [stays[cell.ravel() == number] for number in range(len(first))]
+    middles = np.array([0.5 * (box.min(axis=0) + box.max(axis=0)) for box in boxes])
+    assert sorted(map(tuple, found.points.round(9))) == sorted(map(tuple, middles.round(9)))
+    needed = max(np.linalg.norm(box - middle, axis=1).max() for box, middle in zip(boxes, middles, strict=True))
+    assert report.growth_m == pytest.approx(needed, abs=1e-12)
+    assert report.growth_m <= growth_m + 1e-12
+    assert gaps.min(axis=1).max() <= report.growth_m + 1e-12
+    assert report.kept == len(found.points) == len(first)
+    assert report.radius_m == RADIUS + report.growth_m
+
+
+def test_nothing_farther_from_the_arm_than_the_padding_is_taken_away(robot):
+    rng = np.random.default_rng(4)
+    for _ in range(4):
+        q = rng.uniform(robot.lower, robot.upper)
+        solids = arm_solids(robot, q)
+        on = np.concatenate([solid.core[rng.integers(0, len(solid.core), 60)] for solid in solids])
+        points = on + rng.normal(size=on.shape) * 0.06
+        options = CloudOptions(growth_m=1e-3, arm_padding_m=0.03)
+        found = filter_frame(robot, Frame.of(robot, points, radius=RADIUS, joints=q), options)
+        away = apart(points, solids)
+        assert found.report.of_arm <= (away <= 0.03 + 1e-6).sum()
+        assert found.report.of_arm >= (away <= 0.03 - 1e-6).sum() > 50
+        assert found.report.of_arm + found.report.kept <= len(points)
+        assert apart(found.points, solids).min() > 0.03 - 2e-3
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_distances_of_points_from_solids_of_all_kinds(seed):
+    rng = np.random.default_rng(seed)
+    cloud = Cloud.of("cloud", rng.uniform([0.4, -0.6, 0.5], [1.8, 0.6, 1.7], (90, 3)), 0.02)
+    points = rng.uniform([-0.2, -1.2, 0.0], [2.2, 1.2, 2.2], (150, 3))
+    for solids in ([cloud], random_obstacles(rng, 6), [*random_obstacles(rng, 6), cloud]):
+        expected, found = apart(points, solids), distances_from_bodies(points, *solid_rows(solids, 0.0))
+        outside = expected > 1e-5
+        np.testing.assert_allclose(found[outside], expected[outside], atol=3e-6)
+        assert (found[~outside] <= 2e-5).all()
+    assert (distances_from_bodies(points, *solid_rows([], 0.0)) == np.inf).all()
+
+
+def test_the_arm_is_in_its_reach_ball_and_its_capsules(robot):
+    rng = np.random.default_rng(1)
+    *centre, radius = reach_ball(robot)
+    for q in rng.uniform(robot.lower, robot.upper, (50, robot.dof)):
+        solids = arm_solids(robot, q)
+        assert len(solids) == robot.arm.link_count + len(base_shapes(robot))
+        far = max(np.linalg.norm(solid.core - centre, axis=1).max() + solid.rounding for solid in solids)
+        assert far <= radius + 1e-9
+        np.testing.assert_allclose(solids[robot.arm.link_count - 1].core[1], robot.tool_positions(q), atol=1e-9)
+    assert radius < 2.3
+
+
+def test_few_points_far_from_all_others_are_outliers_where_that_is_asked_for(robot):
+    rng = np.random.default_rng(2)
+    patch = np.array([1.2, 0.0, 1.0]) + rng.uniform(-0.02, 0.02, (200, 3)) * [0, 1, 1]
+    strays = np.array([[0.9, 0.5, 1.0], [0.9, -0.5, 1.0], [0.9, -0.5, 1.001]])
+    frame = Frame.of(robot, np.concatenate([patch, strays]), radius=RADIUS)
+    for least, left_out in ((1, 0), (2, 1), (3, 3)):
+        report = filter_frame(robot, frame, CloudOptions(least_points=least)).report
+        assert report.isolated == left_out
+    everything = filter_frame(robot, frame, CloudOptions(least_points=1000)).report
+    assert (everything.isolated, everything.kept, everything.growth_m) == (203, 0, 0.0)
+
+
+@pytest.mark.parametrize("count", [20_000, 150_000])
+def test_many_voxels(robot, count):
+    points = np.random.default_rng(0).uniform([0.5, -1, 0.2], [1.5, 1, 1.2], (count, 3))
+    found = filter_frame(robot, Frame.of(robot, points, radius=RADIUS), CloudOptions())
+    cells = np.unique(np.floor(points / (2.0 * 5e-3 / np.sqrt(3.0))), axis=0)
+    assert found.report.kept == len(cells) > 16_384
+
+
+# What may be given
+
+
+@pytest.mark.parametrize(
+    "points",
+    [
+        [],
+        np.zeros((0, 3)),
+        np.zeros((0, 3), np.float32),
+        np.full((5, 3), np.nan),
+        np.full((4, 3), 1e308),
+        [[-1e300] * 3],
+    ],
+)
+def test_frames_without_anything(robot, points):
+    found = filter_frame(robot, Frame.of(robot, points, radius=RADIUS, joints=TUCKED), CloudOptions())
+    assert found.points.shape == (0, 3)
+    assert found.report.kept == found.report.growth_m == 0.0
+    assert found.report.not_finite + found.report.out_of_reach == found.report.given == np.size(points) // 3
+
+
+def test_arrays_of_all_kinds(robot):
+    points = np.round(np.random.default_rng(0).uniform(0.5, 1.5, (60, 3)) * 8.0) / 8.0
+    options = CloudOptions()
+    expected = filter_frame(robot, Frame.of(robot, points, radius=RADIUS), options).points
+    for given_ in (
+        points.tolist(),
+        points.astype(np.float16),
+        points.astype(np.longdouble),
+        np.asfortranarray(points),
+        points.reshape(6, 10, 3),
+        np.column_stack([points, points])[:, :3],
+        points.astype(">f4"),
+    ):
+        found = filter_frame(robot, Frame.of(robot, given_, radius=RADIUS), options).points
+        np.testing.assert_array_equal(found, expected)
+    whole = filter_frame(robot, Frame.of(robot, np.ones((2, 3), dtype=int), radius=RADIUS), options)
+    assert whole.points.tolist() == [[1.0, 1.0, 1.0]]
+
+
+@pytest.mark.parametrize(
+    "points",
+    [np.zeros(3), np.zeros((4, 2)), np.zeros((2, 2, 2, 3)), [[1, 2, 3], [1, 2]], "points", [["a", "b", "c"]],
+     np.zeros((2, 3), dtype=complex), None, np.zeros((3, 0))],
+)  # fmt: skip
+def test_what_is_no_array_of_points(robot, points):
+    with pytest.raises(InputError, match="points"):
+        Frame.of(robot, points, radius=RADIUS)
+
+
+def test_a_pose_is_a_matrix_or_six_numbers(robot):
+    turn, shift = rpy_rotation(0.1, -0.2, 0.3), [0.4, 0.5, 0.6]
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = turn, shift
+    frames = [
+        Frame.of(robot, np.zeros((1, 3)), radius=RADIUS, pose=pose)
+        for pose in (matrix, matrix.astype(np.float32), [*shift, *np.degrees([0.1, -0.2, 0.3])])
+    ]
+    for frame in frames:
+        np.testing.assert_allclose(frame.rotation, turn, atol=1e-6)
+        np.testing.assert_allclose(frame.position, shift, atol=1e-6)
+    mirrored, scaled, projective = matrix * [-1, 1, 1, 1], 2.0 * matrix, matrix.copy()
+    projective[3, 0] = 0.1
+    for pose in (mirrored, scaled, projective, np.zeros((4, 4)), matrix.T):
+        with pytest.raises(InputError, match="no rigid motion"):
+            Frame.of(robot, np.zeros((1, 3)), radius=RADIUS, pose=pose)
+    for pose in (np.full((4, 4), np.nan), np.eye(3), [1, 2, 3], "pose"):
+        with pytest.raises(InputError, match="pose"):
+            Frame.of(robot, np.zeros((1, 3)), radius=RADIUS, pose=pose)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"radius": 0.0}, {"radius": -1.0}, {"radius": np.nan}, {"radius": "1"}, {"radius": 1e5}, {"keep_s": -1.0},
+     {"keep_s": np.inf}, {"time_s": np.nan}, {"joints": [0.0]}, {"joints": [np.nan] * 4}, {"joints": "q"}],
+)  # fmt: skip
+def test_frames_that_cannot_be(robot, wrong):
+    with pytest.raises((InputError, OptionError), match=next(iter(wrong))):
+        Frame.of(robot, np.zeros((1, 3)), **{"radius": RADIUS, **wrong})
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"growth_m": 0.0}, {"growth_m": 2.0}, {"arm_padding_m": -1.0}, {"ignore_padding_m": np.inf},
+     {"reach_margin_m": "1"}, {"least_points": 0}, {"least_points": 1.5}, {"most_remembered": -1}],
+)  # fmt: skip
+def test_options_that_cannot_be(wrong):
+    with pytest.raises(OptionError, match=next(iter(wrong))):
+        CloudOptions(**wrong)
+
+
+# Memory
+
+CAMERA = (0.0, 0.0, 1.0)
+
+
+def wall(x: float, step: float = 0.004, half: float = 0.2) -> np.ndarray:
+    """Points of a square across the camera's axis, which is x here, on rays of the camera."""
+    side = np.arange(-half, half, step)
+    return np.stack(np.broadcast_arrays(x, *(x * s for s in np.meshgrid(side, side))), axis=-1).reshape(-1, 3)
+
+
+def take(robot, points, time_s, before=None, **values):
+    options = values.pop("options", CloudOptions())
+    frame = Frame.of(robot, points, radius=RADIUS, pose=[*CAMERA, 0, 0, 0], keep_s=1.0, time_s=time_s, **values)
+    return filter_frame(robot, frame, options, before=before)
+
+
+def test_what_is_hidden_is_remembered_for_its_time(robot):
+    post = wall(1.4, half=0.05)
+    first = take(robot, post, 0.0)
+    hidden = take(robot, wall(0.8, half=0.15), 0.5, first.seen)
+    assert hidden.report.remembered == first.report.kept
+    assert hidden.report.radius_m >= RADIUS + first.report.growth_m
+    later = take(robot, wall(0.8, half=0.15), 1.0, hidden.seen)
+    assert later.report.remembered == first.report.kept  # when it was seen counts, not when it was kept
+    assert later.report.kept == hidden.report.kept
+    too_late = take(robot, wall(0.8, half=0.15), 1.01, later.seen)
+    assert too_late.report.remembered == 0
+
+
+def test_what_the_camera_looks_through_is_forgotten(robot):
+    first = take(robot, wall(0.8, half=0.1), 0.0)
+    assert take(robot, wall(1.4), 0.1, first.seen).report.remembered == 0  # it looks past where that was
+    assert take(robot, wall(0.79), 0.1, first.seen).report.remembered == 0  # and sees it again, but for noise
+    unseen = take(robot, wall(1.4, half=0.02), 0.1, first.seen).report.remembered
+    assert 0.8 * first.report.kept < unseen < first.report.kept  # at the rim nothing was measured
+    assert take(robot, [], 0.1, first.seen).report.remembered == first.report.kept
+
+
+def test_where_the_arm_is_nothing_is_remembered(robot):
+    reaching = np.zeros(robot.dof)
+    first = take(
+        robot, robot.tool_positions(reaching) - CAMERA + np.random.default_rng(0).normal(size=(99, 3)) * 5e-3, 0.0
+    )
+    assert first.report.kept > 10
+    there = take(robot, [], 0.1, first.seen, joints=reaching)
+    assert there.report.remembered == 0
+    assert take(robot, [], 0.1, first.seen, joints=TUCKED).report.remembered == first.report.kept
+
+
+def test_memory_is_bounded_and_the_oldest_go_first(robot):
+    few = CloudOptions(most_remembered=50)
+    first = take(robot, wall(0.8, half=0.03), 0.0)
+    second = take(robot, wall(0.8, half=0.03) + np.array([0.0, 0.5, 0.0]), 0.2, first.seen)
+    assert second.report.remembered == first.report.kept > 50
+    third = take(robot, [], 0.3, second.seen, options=few)
+    assert (third.report.remembered, third.report.forgotten) == (50, len(second.points) - 50)
+    assert (third.seen.seen_s == 0.2).all()
+
+
+def test_time_does_not_go_back(robot):
+    first = take(robot, wall(0.8), 5.0)
+    with pytest.raises(OptionError, match="time_s"):
+        take(robot, wall(0.8), 4.0, first.seen)
+    assert take(robot, wall(0.8), 5.0, SeenPoints()).report.remembered == 0

@@ -16,7 +16,7 @@ from hplan.base.arrays import BoolArray, FloatArray, IntArray, ShortArray
 from hplan.base.kernels import inlined, kernel
 from hplan.collision import obstacle_rows as row
 from hplan.collision.distances import Vector, point_segment, segment_box, segment_hull
-from hplan.scene.cell_table import cell_place, larger_table
+from hplan.scene.cloud_tree import cell_place, larger_table
 
 #: Places in a tally: rows that are not finite, points out of reach, of the arm, of what is ignored.
 NOT_FINITE, OUT_OF_REACH, OF_ARM, IGNORED = 0, 1, 2, 3

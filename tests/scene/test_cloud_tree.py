@@ -7,8 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hplan.scene.cell_table import cell_place, larger_table, number_cells
-from hplan.scene.cloud_tree import box_centres, halves, merged, tree_of
+from hplan.scene.cloud_tree import box_centres, cell_place, halves, larger_table, merged, number_cells, tree_of
 from hplan.scene.solids import LEAF
 
 

@@ -164,6 +164,21 @@ class JointLimitError(InputError):
         self.value, self.lower, self.upper = value, lower, upper
 
 
+class StartStateError(InputError):
+    """A start that moves as the arm cannot: beyond a joint's limit, or a joint that is locked."""
+
+    joint: str
+    quantity: str
+
+    def __init__(self, joint: str, quantity: str, value: float, limit: float, *, locked: bool = False) -> None:
+        """Name the joint, the quantity (`velocity` in rad/s, `acceleration` in rad/s^2), its value and its limit."""
+        unit = {"velocity": "rad/s", "acceleration": "rad/s^2"}[quantity]
+        why = "it is locked" if locked else f"its limit is {limit:.6g} {unit}"
+        message = f"start: joint {joint!r} has the {quantity} {value:.6g} {unit}; {why}"
+        super().__init__(message, joint=joint, quantity=quantity, limit=limit, locked=locked)
+        self.data["value"] = self.value = value
+
+
 class ConfigurationInCollisionError(InputError):
     """Start or goal touches an obstacle or the arm itself, or comes closer than the clearance to keep."""
 
@@ -365,6 +380,50 @@ class CertificationError(HplanError):
     """A motion whose safety could not be proved; `data` says where and by how much."""
 
     exit_status = 5
+
+
+class UnavoidableContactError(HplanError):
+    """A start in motion that was not left without contact, neither by a stop nor by a motion on.
+
+    `reasons` says what is in the way of the best stop, `stop` is that stop: the trajectory by which the arm comes to
+    rest with the most clearance, not certified.
+    """
+
+    exit_status = 5
+    reasons: list[str]
+    tried: int
+    clearance_m: float | None
+    stop: Any
+
+    def __init__(self, reasons: Sequence[str], tried: int, clearance_m: float | None, stop: Any) -> None:
+        """Say what is in the way of the best of so many stops, and how near it comes [m]."""
+        super().__init__(
+            f"the start's state of motion cannot be left without contact, as far as {tried} stops show; of the best: "
+            f"{'; '.join(reasons)}",
+            reasons=list(reasons),
+            tried=tried,
+            clearance_m=clearance_m,
+        )
+        self.stop = stop
+
+
+class RunningMotionBlockedError(HplanError):
+    """A running motion is no longer clear before a new one could take over, or cannot be left without contact.
+
+    `stop` is the certified stop on the path of the running motion, a trajectory from now on; None where there is none.
+    """
+
+    exit_status = 5
+    reasons: list[str]
+    stop: Any
+    certificate: Any
+
+    def __init__(self, reasons: Sequence[str], stop: Any, certificate: Any) -> None:
+        """Say what is in the way, and how the arm can stop."""
+        how = "no stop on its path is certified" if stop is None else "it can stop on its path"
+        super().__init__(f"the running motion cannot be taken over: {'; '.join(reasons)}; {how}", reasons=list(reasons))
+        self.data["can_stop"] = stop is not None
+        self.stop, self.certificate = stop, certificate
 
 
 class BoundError(HplanError):

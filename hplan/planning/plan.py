@@ -12,13 +12,13 @@ import numpy as np
 from hplan.base.arguments import instance
 from hplan.base.arrays import FloatArray, Record
 from hplan.base.deadline import Cancel, TimeIsUpError, time_limit
-from hplan.base.polyline import path_length
-from hplan.errors import CertificationError, HplanError, NoPathError, TimingError
+from hplan.errors import CertificationError, HplanError, NoPathError, OptionError, TimingError
 from hplan.planning.certified_motion import Part, PlannedMotion, motion_limits
 from hplan.planning.find_motion import find_motion, reuse_motion
 from hplan.planning.grasp_motion import Pick, approach_and_retreat, flowing, motion_to_grasp
 from hplan.planning.grasps import Grasp, Target, grasps
-from hplan.planning.report import StageClock, bound_report, motion_report
+from hplan.planning.report import StageClock, bound_report, motion_report, plan_report
+from hplan.planning.start_in_motion import Parts, leaving
 from hplan.planning.task import PlanningCache, PlanningContext, Progress, no_progress
 from hplan.problem.definition import Problem
 from hplan.problem.options import PlanOptions
@@ -28,13 +28,13 @@ from hplan.robot.tracking import TrackingModel, largest_fraction, name_margin
 from hplan.scene.model import Scene
 from hplan.search import SearchResult
 from hplan.search.grid import Occupancy
-from hplan.search.result import Expansions
 from hplan.smoothing.spline import SplinePath
 from hplan.timing.time_scaling import Profile, Retimed, scaled, stopped
 from hplan.timing.trajectory import Trajectory, joined
 from hplan.verification.certificate import REST, Certificate, all_of, certify
 from hplan.verification.digests import Digests
 from hplan.verification.retimed_certificate import CertifiedMotion, certified_retiming
+from hplan.verification.start_state import start_state
 
 if TYPE_CHECKING:
     from hplan.lower_bound.duration_bound import DurationBound
@@ -164,6 +164,7 @@ def plan(
         NotFoundError: None was found within memory and effort, and it was not shown that there is none.
         NotInTimeError: None was found before the deadline.
         PlanCancelledError: Nobody wants the plan any more.
+        UnavoidableContactError: The start is in motion, and no way on and no stop without contact was found.
         BoundError: The bound, where it is asked for, contradicts the motion.
     """
     check_task(robot, scene, options)
@@ -191,6 +192,7 @@ def plan_with(
     *,
     progress: Progress = no_progress,
     before: PlannedMotion | None = None,
+    stop: Trajectory | None = None,
 ) -> PlanResult:
     """As `plan`, with what earlier plans of the same robot have left.
 
@@ -202,6 +204,7 @@ def plan_with(
         options: How to plan.
         progress: Called with the name of each stage as it begins.
         before: An earlier motion, to be kept or repaired where that can be (`hplan.planning.find_motion.reuse_motion`).
+        stop: How a start in motion might be brought to rest, beside what is tried anyway.
 
     Raises:
         HplanError: As `plan`.
@@ -210,7 +213,7 @@ def plan_with(
     try:
         with time_limit(options.deadline_s) as limit:
             try:
-                return _planned(cache.context(scene, options, progress, clock), before)
+                return _planned(cache.context(scene, options, progress, clock), before, stop)
             except TimeIsUpError:
                 raise limit.error(clock.told()) from None
     except (NoPathError, TimingError, CertificationError) as error:
@@ -242,18 +245,29 @@ def _fraction_with_room(cache: PlanningCache, scene: Scene, options: PlanOptions
     return largest_fraction(is_certified)
 
 
-def _planned(context: PlanningContext, before: PlannedMotion | None) -> PlanResult:
+def _planned(context: PlanningContext, before: PlannedMotion | None, stop: Trajectory | None) -> PlanResult:
     """The plan: to joints a motion, to a fruit or a point motion, approach and, from a fruit, retreat."""
-    robot, scene, options = context.robot, context.scene, context.options
-    goal = scene.goal.joints()
+    robot, scene = context.robot, context.scene
     start = robot.check_configuration(scene.start.configuration, "start")
     context.world.check_base(robot.yaw_of(start))
+    state = start_state(robot, scene)
+    if state is None:
+        return _result(context, *_parts(context, start, before))
+    if context.options.bound:
+        raise OptionError("bound", True, "False where the start is in motion")
+    return _result(context, *leaving(context, state, lambda start: _parts(context, start, None), stop))
+
+
+def _parts(context: PlanningContext, start: FloatArray, before: PlannedMotion | None) -> Parts:
+    """The motions of a plan that begins at rest."""
+    robot, scene, options = context.robot, context.scene, context.options
+    goal = scene.goal.joints()
     if goal is not None:
         task = context.task(start, robot.turned_near(goal, start))
         motion = None if before is None else reuse_motion(task, before)
         if motion is None:
             motion = find_motion([task])[1]
-        return _result(context, None, motion, [motion.transit])
+        return Parts(None, motion, [motion.transit])
     target = _target(context.world, scene)
     with context.stage("grasps"):
         found = grasps(target, start, standoff=options.standoff, locked=scene.locked_joints)
@@ -270,7 +284,7 @@ def _planned(context: PlanningContext, before: PlannedMotion | None) -> PlanResu
             _, trajectory, certificate = flow.transit
             motion = replace(motion, path=flow.path, trajectory=trajectory, certificate=certificate)
             last[0] = flow.approach
-    return _result(context, grasp, motion, [motion.transit, *last])
+    return Parts(grasp, motion, [motion.transit, *last])
 
 
 def _target(world: World, scene: Scene) -> Target:
@@ -312,7 +326,7 @@ def _result(context: PlanningContext, grasp: Grasp | None, motion: PlannedMotion
         grasp=grasp,
         phases=phases,
         motion=motion,
-        report=_report(context, grasp, motion, phases)
+        report=plan_report(context, grasp, motion, phases)
         | (bound_report(bound, [part.name for part in bounded]) if context.options.bound else {})
         | motion_report(trajectory, certificate, context.options),
         bound=bound,
@@ -345,49 +359,6 @@ def _bound(
         world = world if fruit is None else world.touching(fruit)
     with context.stage("bound"):
         return duration_bound(world, problem, motion_limits(context), sum(part.trajectory.duration for part in parts))
-
-
-def _report(
-    context: PlanningContext, grasp: Grasp | None, motion: PlannedMotion, phases: Sequence[Phase]
-) -> dict[str, Any]:
-    """The first part of the report of a plan, in the shape of `report.json`."""
-    scene, options, route, path = context.scene, context.options, motion.route, motion.path
-    search = None if route is None else route.search
-    spent = Expansions() if search is None else search.expansions
-    return {
-        "status": "ok",
-        "scene": scene.name,
-        "robot": context.robot.name,
-        "planner": {
-            "method": options.method if motion.origin in ("none", "search") else motion.origin,
-            "link_model": options.link_model,
-            "step_deg": options.step_deg if route is None else route.step_deg,
-            "cost_deg": 0.0 if search is None else float(np.degrees(search.cost)),
-            "points": len(motion.waypoints) if search is None or search.path is None else len(search.path),
-            "fallback": "none" if search is None else search.fallback,
-            "expansions": {
-                "layers": spent.layers,
-                "sparse": spent.sparse,
-                "fallback": spent.fallback,
-                "total": spent.total,
-                "flooded_cells": spent.flooded,
-            },
-        },
-        "time_ms": context.clock.as_ms(),
-        "path": {
-            "length_deg_grid": float(np.degrees(path_length(motion.waypoints))),
-            "length_deg": 0.0 if path is None else float(np.degrees(path.length)),
-        },
-        "phases": [vars(phase) for phase in phases],
-        "grasp": None
-        if grasp is None
-        else {
-            "fruit": scene.goal.fruit,
-            "approach_deg": float(np.degrees(grasp.approach)),
-            "standoff_m": grasp.distance,
-            "joints_rad": grasp.goal.tolist(),
-        },
-    }
 
 
 def with_export_time(result: PlanResult, seconds: float) -> PlanResult:

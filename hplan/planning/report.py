@@ -13,10 +13,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hplan.base.files import write_text
+from hplan.base.polyline import path_length
 from hplan.errors import HplanError
+from hplan.search.result import Expansions
 
 if TYPE_CHECKING:
     from hplan.lower_bound.duration_bound import DurationBound
+    from hplan.planning.certified_motion import PlannedMotion
+    from hplan.planning.grasps import Grasp
+    from hplan.planning.plan import Phase
+    from hplan.planning.task import PlanningContext
     from hplan.problem.options import PlanOptions
     from hplan.timing.trajectory import Trajectory
     from hplan.verification.certificate import Certificate
@@ -131,6 +137,49 @@ def bound_report(bound: DurationBound | None, phases: Sequence[str]) -> dict[str
             "joint": bound.joint,
             "joints_s": bound.joints_s,
         }
+    }
+
+
+def plan_report(
+    context: PlanningContext, grasp: Grasp | None, motion: PlannedMotion, phases: Sequence[Phase]
+) -> dict[str, Any]:
+    """The first part of the report of a plan, in the shape of `report.json`."""
+    scene, options, route, path = context.scene, context.options, motion.route, motion.path
+    search = None if route is None else route.search
+    spent = Expansions() if search is None else search.expansions
+    return {
+        "status": "ok",
+        "scene": scene.name,
+        "robot": context.robot.name,
+        "planner": {
+            "method": options.method if motion.origin in ("none", "search") else motion.origin,
+            "link_model": options.link_model,
+            "step_deg": options.step_deg if route is None else route.step_deg,
+            "cost_deg": 0.0 if search is None else math.degrees(search.cost),
+            "points": len(motion.waypoints) if search is None or search.path is None else len(search.path),
+            "fallback": "none" if search is None else search.fallback,
+            "expansions": {
+                "layers": spent.layers,
+                "sparse": spent.sparse,
+                "fallback": spent.fallback,
+                "total": spent.total,
+                "flooded_cells": spent.flooded,
+            },
+        },
+        "time_ms": context.clock.as_ms(),
+        "path": {
+            "length_deg_grid": math.degrees(path_length(motion.waypoints)),
+            "length_deg": 0.0 if path is None else math.degrees(path.length),
+        },
+        "phases": [vars(phase) for phase in phases],
+        "grasp": None
+        if grasp is None
+        else {
+            "fruit": scene.goal.fruit,
+            "approach_deg": math.degrees(grasp.approach),
+            "standoff_m": grasp.distance,
+            "joints_rad": grasp.goal.tolist(),
+        },
     }
 
 

@@ -100,6 +100,7 @@ def dump_scene(scene: Scene) -> str:
     dumped = scene.model_dump(mode="json", by_alias=True, exclude_none=True)
     robot = {} if scene.robot is None else {"robot": scene.robot}
     content = {"format": dumped["format"], "name": dumped["name"], **robot, **dumped}
+    content["start"] |= {key: list(values) for key, values in scene.start.rates.items()}
     for item, listed in zip(
         (*content["obstacles"], *content["fruits"]), (*scene.obstacles, *scene.fruits), strict=True
     ):

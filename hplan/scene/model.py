@@ -8,7 +8,7 @@ becomes (`hplan.scene.solids`).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated, ClassVar, Final, Literal
+from typing import Annotated, ClassVar, Final, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -50,8 +50,8 @@ class Fruit(StrictModel):
     sway: SwayField = None
 
 
-class Start(StrictModel):
-    """The start of the motion: one of `joints_deg`, `joints_rad`."""
+class JointValues(StrictModel):
+    """A configuration: one of `joints_deg`, `joints_rad`."""
 
     joints_deg: tuple[float, ...] | None = None
     joints_rad: tuple[float, ...] | None = None
@@ -60,7 +60,7 @@ class Start(StrictModel):
     _choices: ClassVar[tuple[str, ...]] = ("joints_deg", "joints_rad")
 
     @model_validator(mode="after")
-    def _one_of(self) -> Start:
+    def _one_of(self) -> Self:
         given = [key for key in self._choices if getattr(self, key) is not None]
         if len(given) != 1:
             keys = ", ".join(self._choices)
@@ -86,7 +86,39 @@ class Start(StrictModel):
         return joints
 
 
-class Goal(Start):
+class Start(JointValues):
+    """The start of the motion: one of `joints_deg`, `joints_rad`; at rest unless velocity or acceleration is given.
+
+    A motion that starts in motion leaves this state as it is: position, velocity and acceleration go on without a jump.
+    """
+
+    velocity_rad_s: Annotated[tuple[float, ...] | None, Field(exclude=True)] = None
+    acceleration_rad_s2: Annotated[tuple[float, ...] | None, Field(exclude=True)] = None
+
+    @model_validator(mode="after")
+    def _lengths_agree(self) -> Self:
+        joints = self.joints_deg if self.joints_deg is not None else self.joints_rad or ()
+        for key, values in self.rates.items():
+            if len(values) != len(joints):
+                raise fault(f"expected a value for each of {len(joints)} joints, got {len(values)}", key)
+        return self
+
+    @property
+    def rates(self) -> dict[str, tuple[float, ...]]:
+        """Velocity and acceleration, as far as they are given, by their keys. They are no part of a dump of the scene.
+
+        So a start at rest is what it was before there were others, in digests too.
+        """
+        given = {"velocity_rad_s": self.velocity_rad_s, "acceleration_rad_s2": self.acceleration_rad_s2}
+        return {key: values for key, values in given.items() if values is not None}
+
+    @property
+    def is_moving(self) -> bool:
+        """True if a velocity or an acceleration is not zero."""
+        return any(any(values) for values in self.rates.values())
+
+
+class Goal(JointValues):
     """The goal of the motion: joints, a `tool0` position, or the name of a fruit.
 
     To a position or a fruit, `approach_deg` fixes or bounds the angle of the last link in the arm plane (0: outward,
@@ -113,7 +145,7 @@ class Scene(StrictModel):
         name: Name of the scene.
         robot: Name of the shipped robot that it is meant for; None for the default one. Commands take it unless they
             are told another, as `load_robot(scene.robot)` does; it is no part of what is planned or certified.
-        start: Configuration at which the motion begins.
+        start: Configuration at which the motion begins, and how it moves there.
         goal: Configuration, tool position or fruit to reach.
         locked_joints: Joints that keep their start value.
         clearance: Distance kept from every obstacle [m].

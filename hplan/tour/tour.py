@@ -20,7 +20,7 @@ from hplan.base import ties
 from hplan.base.arguments import instance, keep_checked, list_of, one_of, truth, whole
 from hplan.base.arrays import Record
 from hplan.base.deadline import Cancel, TimeIsUpError, time_limit
-from hplan.errors import CertificationError, HplanError, OptionError, TourError, UnreachableError
+from hplan.errors import CertificationError, HplanError, OptionError, SceneError, TourError, UnreachableError
 from hplan.planning.certified_motion import Part, certificate_of, required
 from hplan.planning.grasps import Grasp
 from hplan.planning.plan import Phase, check_task, in_sequence
@@ -245,6 +245,8 @@ class _TourPlanner:
         self._begin = time.perf_counter()
         self.robot, self.scene, self.options, self.tour, self.progress = robot, scene, options, tour, progress
         self.cache = PlanningCache(robot)
+        if scene.start.is_moving:
+            raise SceneError("tours begin at rest; the start has a velocity or an acceleration", where="start")
         self.start = robot.check_configuration(scene.start.configuration, "start")
         self.context = self.cache.context(scene, options)
         self.context.world.check_base(robot.yaw_of(self.start))

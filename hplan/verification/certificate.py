@@ -11,7 +11,7 @@ Hermite`); a trajectory of hplan is exactly that curve. On it
   `hplan.verification.torque_bound`);
 - the acceleration and torque columns, which a controller may feed forward, must keep the limits too;
 - the motion begins and ends at rest, and solves the scene's task (`hplan.verification.task_check`), unless that is
-  not wanted.
+  not wanted; where the scene's start is in motion, it begins in that state (`hplan.verification.start_state`).
 
 Where obstacles move, or the base does, this holds in space and time: at each time each obstacle is where its track has
 it then. Shown is the motion, from its begin to its end; how long the arm may rest where it ends, `clear_until_s` says.
@@ -26,7 +26,7 @@ flexing, the base's own motion but for its track, contact forces, what is not in
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal, TypeAlias
 
@@ -54,6 +54,7 @@ from hplan.verification.digests import Digests
 from hplan.verification.goal_contact import contact_window
 from hplan.verification.limit_use import LimitUse, limit_use
 from hplan.verification.moving_obstacles import clear_until, moving_base_contacts
+from hplan.verification.start_state import start_violations
 from hplan.verification.task_check import task_violations
 
 #: Use of a limit up to which it counts as kept.
@@ -156,7 +157,7 @@ def certify(
             straight approach is clear.
         check_ends: Whether the motion has to solve the scene's task: begin at its start, reach its goal, leave its
             locked joints where they are.
-        rest_to_rest: Whether the motion has to begin and end at rest.
+        rest_to_rest: Whether the motion has to begin and end at rest; where the scene's start is in motion, to end.
         checker: The arm among other solids than the scene's. They are taken as they are: `sigmas` and `goal_contact`
             are not looked at, nor what pedestal and turret stand in.
         begin_s: Time at which the motion begins, as the tracks of the scene count it [s]: a motion that starts later,
@@ -203,14 +204,16 @@ def certify(
             for found in base_contacts(robot, still, yaw, margin=-BASE_DEPTH)
         ]
     if check_ends:
-        violations += task_violations(robot, scene, bezier)
+        violations += [*task_violations(robot, scene, bezier), *start_violations(robot, scene, trajectory)]
+    if rest_to_rest and scene.start.is_moving:
+        violations += _in_motion(trajectory, {"ends": -1})
     certificate = certify_among(
         robot,
         trajectory,
         stretches(checker, len(bezier), contact, scene.goal.fruit),
         clearance=scene.clearance,
         tracking=tracking,
-        rest_to_rest=rest_to_rest,
+        rest_to_rest=rest_to_rest and not scene.start.is_moving,
         begin_s=begin_s,
     )
     return replace(
@@ -271,9 +274,7 @@ def certify_among(
     use = limit_use(robot, trajectory, bezier, duration)
     violations = list(limit_violations(use))
     if rest_to_rest:
-        for where, velocity in (("begins", trajectory.velocity[0]), ("ends", trajectory.velocity[-1])):
-            if np.abs(velocity).max() > REST:
-                violations.append(f"the motion {where} at {np.abs(velocity).max():.4g} rad/s, not at rest")
+        violations += _in_motion(trajectory, {"begins": 0, "ends": -1})
     speeds = _fastest(bezier, duration) if tracking.delay_s > 0.0 else np.zeros((1, robot.dof))
     with np.errstate(over="ignore"):
         # Nothing is farther off than a joint that is off by a whole turn, or nobody knows how far.
@@ -306,6 +307,14 @@ def certify_among(
             robot, bezier[-1, 3], last, tracking.deviations(np.zeros((1, robot.dof))), clearance, clock[-1]
         ),
     )
+
+
+def _in_motion(trajectory: Trajectory, ends: Mapping[str, int]) -> Iterator[str]:
+    """Rows of a motion at which it is not at rest, in words."""
+    for where, row in ends.items():
+        speed = np.abs(trajectory.velocity[row]).max()
+        if speed > REST:
+            yield f"the motion {where} at {speed:.4g} rad/s, not at rest"
 
 
 def limit_violations(use: LimitUse) -> Iterator[str]:

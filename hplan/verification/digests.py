@@ -67,6 +67,10 @@ def scene_digest(scene: Scene) -> str:
         found.add_text(obstacle.data_digest)
     for name, key, value in _moving(scene):
         found.add_text(name, key, value.model_dump_json())
+    if scene.start.is_moving:
+        for key, values in scene.start.rates.items():
+            found.add_text(key)
+            found.add_exactly(np.array(values))
     return found.word
 
 

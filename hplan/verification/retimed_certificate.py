@@ -25,6 +25,7 @@ from hplan.verification.certificate import (
     Certificate,
     Stretch,
     all_of,
+    certify,
     certify_among,
     limit_violations,
     stretches,
@@ -76,6 +77,8 @@ def certified_retiming(
         anew: Whether to show the clearance anew, even where that of the path suffices.
     """
     whole, row = retimed.trajectory, retimed.row
+    if scene.moves:
+        return _among_moving(robot, scene, running, retimed, tracking, sigmas)
     contact_s = None if running.contact_s is None else _later(retimed, running.contact_s)
     nearer = _nearer(robot, retimed.off_path)
     slower = bool(np.diff(retimed.clock).max(initial=0.0) <= np.diff(whole.time).max(initial=1.0) * (1.0 + 1e-9))
@@ -90,7 +93,7 @@ def certified_retiming(
         part = certify_among(
             robot, whole.since(first), among, clearance=scene.clearance, tracking=tracking, rest_to_rest=False
         )
-        certificate = all_of([running, part]) if running.verified else part
+        certificate = replace(all_of([running, part]), subject=None) if running.verified else part
     ends = np.abs(whole.velocity[-1]).max()
     still = () if ends <= REST else (f"the motion ends at {ends:.4g} rad/s, not at rest",)
     violations = (*certificate.violations, *still)
@@ -103,6 +106,18 @@ def certified_retiming(
         digests=Digests.of(robot, scene, whole),
     )
     return CertifiedMotion(whole, certificate, float(whole.time[row]), retimed.off_path_m)
+
+
+def _among_moving(
+    robot: Robot, scene: Scene, running: Certificate, retimed: Retimed, tracking: TrackingModel, sigmas: float
+) -> CertifiedMotion:
+    """The same where things move: the path was clear at other times."""
+    whole = retimed.trajectory
+    certificate = certify(
+        robot, scene, whole, tracking_error=tracking.still_rad, tracking_delay_s=tracking.delay_s, sigmas=sigmas,
+        check_ends=False, goal_contact=running.goal_contact or "approach",
+    )  # fmt: skip
+    return CertifiedMotion(whole, certificate, float(whole.time[retimed.row]), retimed.off_path_m)
 
 
 def _by_path(robot: Robot, running: Certificate, motion: Trajectory, left: float) -> Certificate:

@@ -1,0 +1,221 @@
+"""Motions that begin in motion: led over into one that is planned from rest, or brought to rest first.
+
+A motion from where the arm is, planned as if it were at rest, is led over into the state of motion and optimised with
+its timing (`hplan.optimization.minimize_time`). Where that is not to be had, or not asked for, the arm stops as quickly
+as is clear, each joint on its own or on the path of the running motion, and a motion goes on from there. Both go on
+from the state without a jump of position, velocity or acceleration.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from hplan.base.arrays import FloatArray, frozen
+from hplan.errors import (
+    ConfigurationInCollisionError,
+    HplanError,
+    UnavoidableContactError,
+)
+from hplan.optimization.minimize_time import Effort, Level, TimedMotion, TimeProblem, minimize_time
+from hplan.optimization.several_starts import NEAR
+from hplan.optimization.timed_spline import RESTING, BoundaryState, TimedSpline, even_breaks
+from hplan.planning.certified_motion import (
+    Part,
+    PlannedMotion,
+    certificate_of,
+    effort_of,
+    motion_limits,
+    smoothing_options,
+)
+from hplan.planning.grasps import Grasp
+from hplan.planning.task import PlanningContext
+from hplan.smoothing.smooth_path import near_field
+from hplan.timing.braking import braking
+from hplan.timing.trajectory import Trajectory, joined
+from hplan.verification.certificate import REST, Certificate, all_of
+
+#: What may be spent on leading a motion over, by the effort.
+LED_OVER: dict[str, Effort] = {
+    "default": Effort((Level(piece_s=0.03, pieces=(50, 120), steps=12, gain=0.02, trust=0.2),)),
+    "best": Effort((Level(piece_s=0.012, pieces=(60, 300), steps=20, gain=1e-4, trust=0.2),)),
+}
+
+#: Parts of the acceleration limits with which stops are tried in turn.
+PUSHES = (1.0, 0.7, 0.4, 0.2)
+
+#: Configurations of a motion between which obstacles are looked for that are near it.
+ALONG = 33
+
+#: A joint that is to stop with the slowest one gets so much more acceleration than its part [rad/s^2].
+TOGETHER = 1e-3
+
+
+class Parts(NamedTuple):
+    """The motions of a plan.
+
+    Attributes:
+        grasp: Where they lead to; None for joints.
+        motion: The first one, the transit, with all that it was made from.
+        parts: All of them.
+    """
+
+    grasp: Grasp | None
+    motion: PlannedMotion
+    parts: Sequence[Part]
+
+
+class Stop(NamedTuple):
+    """A motion to rest, and what was shown of it."""
+
+    trajectory: Trajectory
+    certificate: Certificate
+
+
+def leaving(
+    context: PlanningContext,
+    state: BoundaryState,
+    parts_from: Callable[[FloatArray], Parts],
+    stop: Trajectory | None = None,
+) -> Parts:
+    """The motions of a plan that begins in motion.
+
+    Args:
+        context: Arm, obstacles and options.
+        state: How it begins.
+        parts_from: The motions of a plan that begins at rest at a configuration; raises where there is none.
+        stop: A motion from the state to rest to be tried before others; None for none.
+
+    Raises:
+        UnavoidableContactError: Neither a motion nor a stop was found that is certified.
+        HplanError: No motion was found; what `parts_from` raises where the arm would begin at rest.
+    """
+    led: Parts | None = None
+    refused: HplanError | None = None
+    may_be_led = effort_of(context) is not None and _is_within(context, state)
+    if may_be_led:
+        try:
+            led = _led_over(parts_from(state.position), state)
+        except HplanError as error:
+            if isinstance(error, ConfigurationInCollisionError) and error.which == "start":
+                raise
+            refused = error.with_traceback(None)
+        if led is not None and context.options.effort != "best":
+            return led
+    try:
+        rested = _after_stop(context, state, parts_from, stop)
+    except UnavoidableContactError:
+        if led is None:
+            raise
+        return led
+    except HplanError as error:
+        if led is None:
+            raise (refused or error) from None
+        return led
+    if may_be_led:
+        smooth = _led_over(rested, state)
+        rested = smooth if smooth is not None and _duration(smooth) < _duration(rested) else rested
+    return led if led is not None and _duration(led) <= _duration(rested) else rested
+
+
+def _duration(planned: Parts) -> float:
+    """How long all motions take together [s]."""
+    return sum(part.trajectory.duration for part in planned.parts)
+
+
+def _is_within(context: PlanningContext, state: BoundaryState) -> bool:
+    """True if motions of the context may be as fast as a state."""
+    limits = motion_limits(context)
+    fast = np.abs(state.velocity) > limits.velocity
+    return not (fast | (np.abs(state.acceleration) > limits.acceleration)).any()
+
+
+def _led_over(planned: Parts, state: BoundaryState) -> Parts | None:
+    """A plan whose first motion is led over into a state, or optimised if it begins so; None if none is certified."""
+    motion, transit = planned.motion, planned.parts[0].trajectory
+    task = motion.task
+    if transit.samples == 1:
+        return None
+    ends = state, BoundaryState.of_row(transit, -1)
+    along = transit.position[np.linspace(0, transit.samples - 1, ALONG).astype(int)]
+    with task.stage("timing"):
+        problem = TimeProblem(
+            task.field, near_field(along, task.field, NEAR), smoothing_options(task, task.margin()),
+            motion_limits(task), task.robot.dynamics, task.options.rate_hz, ends,
+        )  # fmt: skip
+        effort = LED_OVER[task.options.effort]
+        start: TimedMotion = transit
+        if np.abs(transit.velocity[0]).max() > REST:
+            pieces = effort.levels[0].pieces_of(transit.duration, task.options.rate_hz)
+            if pieces < 2 * RESTING:
+                return None
+            start = TimedSpline.near(transit.positions, even_breaks(transit.duration, pieces), ends)
+        spline = minimize_time(start, problem, effort)
+    if spline is None:
+        return None
+    trajectory = spline.trajectory(task.robot.dynamics, task.options.rate_hz)
+    certificate = certificate_of(task, trajectory, rest_to_rest=False)
+    if not certificate.verified:
+        return None
+    led = replace(motion, path=spline.path, trajectory=trajectory, certificate=certificate)
+    return Parts(planned.grasp, led, [Part(planned.parts[0].name, trajectory, certificate), *planned.parts[1:]])
+
+
+def _after_stop(
+    context: PlanningContext,
+    state: BoundaryState,
+    parts_from: Callable[[FloatArray], Parts],
+    stop: Trajectory | None,
+) -> Parts:
+    """A plan whose first motion comes to rest and goes on from there.
+
+    Raises:
+        UnavoidableContactError: No stop is certified.
+        HplanError: As `parts_from`.
+    """
+    refused: HplanError | None = None
+    tried: list[Stop] = []
+    for trajectory in _stops(context, state, stop):
+        certificate = certificate_of(context, trajectory, rest_to_rest=False)
+        tried.append(Stop(trajectory, certificate))
+        if not certificate.verified and context.options.certify:
+            continue
+        try:
+            return _one_after_the_other(tried[-1], parts_from(trajectory.position[-1]))
+        except HplanError as error:
+            refused = refused or error.with_traceback(None)
+    if refused is not None:
+        raise refused
+    best = max(tried, key=lambda stop: stop.certificate.min_clearance_m)
+    clearance = best.certificate.min_clearance_m
+    reasons, stopping = best.certificate.violations, best.trajectory
+    raise UnavoidableContactError(reasons, len(tried), clearance if np.isfinite(clearance) else None, stopping)
+
+
+def _one_after_the_other(stop: Stop, planned: Parts) -> Parts:
+    """A stop and a plan from there as one."""
+    first, motion = planned.parts[0], planned.motion
+    trajectory = joined([stop.trajectory, first.trajectory])
+    certificate = all_of([stop.certificate, first.certificate])
+    waypoints = frozen(np.vstack([stop.trajectory.position[:1], motion.waypoints]))
+    whole = replace(motion, waypoints=waypoints, trajectory=trajectory, certificate=certificate)
+    return Parts(planned.grasp, whole, [Part(first.name, trajectory, certificate), *planned.parts[1:]])
+
+
+def _stops(context: PlanningContext, state: BoundaryState, given: Trajectory | None) -> Iterator[Trajectory]:
+    """Motions from a state to rest: the given one, each joint as quickly as it can, all joints at once; then slower."""
+    if given is not None:
+        yield given
+    robot, period = context.robot, 1.0 / context.options.rate_hz
+    for part in PUSHES:
+        push = part * robot.acceleration_limit
+        with np.errstate(divide="ignore", invalid="ignore"):
+            slowest = float(np.nan_to_num(np.abs(state.velocity) / push, posinf=0.0).max())
+        together = push if slowest == 0.0 else np.minimum(push, np.abs(state.velocity) / slowest + TOGETHER)
+        for pushes in (push, together):
+            found = braking(robot, state.position, state.velocity, state.acceleration, period, pushes)
+            if found is not None:
+                yield found

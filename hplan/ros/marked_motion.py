@@ -88,9 +88,10 @@ class NearestPairs:
             self._links = dict(zip(robot.arm.link_names, link_shapes(robot, "capsule"), strict=True))
         self._data = robot.model.createData()
         self._solids: dict[str, list[pin.GeometryObject | Cloud]] = {name: [] for _, name in self._pairs}
-        for solid in scene.solids_with_goal:
+        for solid in scene.listed_solids:
             if solid.name in self._solids:
                 self._solids[solid.name].append(solid if isinstance(solid, Cloud) else solid_shape(solid))
+        self._scene = scene
 
     def clearance_m(self, time_s: float) -> float | None:
         """Certain clearance at a time [m]; None where nothing is there to meet, or it is not known."""
@@ -109,7 +110,10 @@ class NearestPairs:
         shape = self._links[link]
         pin.forwardKinematics(self._robot.model, self._data, q)
         place = self._data.oMi[shape.parentJoint] * shape.placement
-        ends = min((_nearest_points(shape, place, solid) for solid in shapes), key=lambda found: found[0])[1]
+        moved = self._moved(name, time_s)
+        seen = moved.actInv(place)
+        ends = min((_nearest_points(shape, seen, solid) for solid in shapes), key=lambda found: found[0])[1]
+        ends = ends @ moved.rotation.T + moved.translation
         return head | {
             "type": mark.LINE_LIST,
             "pose": mark.pose(),
@@ -117,6 +121,14 @@ class NearestPairs:
             "color": mark.color(_PAIR_COLOR),
             "points": mark.points(ends),
         }
+
+    def _moved(self, name: str, time_s: float) -> pin.SE3:
+        """How an obstacle stands to where the scene lists it."""
+        poses = self._scene.poses_at([time_s]) if self._scene.moves else {}
+        if name not in poses:
+            return pin.SE3.Identity()
+        turns, shifts = poses[name]
+        return pin.SE3(turns[0], shifts[0])
 
     def _pair(self, time_s: float) -> tuple[str, str]:
         """Names of the nearest pair; empty where there is none."""

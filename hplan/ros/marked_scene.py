@@ -30,6 +30,9 @@ OBSTACLES, FRUITS = "obstacles", "fruits"
 def scene_markers(scene: Scene, frame_id: str = "base_link") -> list[Marker]:
     """Markers of a scene, for the `markers` of a `visualization_msgs/msg/MarkerArray`.
 
+    What moves is in a frame of its own, `obstacle/NAME`, and stands in it where the scene lists it; `scene.poses_at`
+    gives the frame's place in the scene's over time.
+
     Args:
         scene: The scene.
         frame_id: Frame of its coordinates.
@@ -43,10 +46,21 @@ def scene_markers(scene: Scene, frame_id: str = "base_link") -> list[Marker]:
     for obstacle in scene.obstacles:
         look = look_of(obstacle.name)
         for marker in _parts(obstacle):
-            head = mark.head(frame_id=frame_id, ns=OBSTACLES, number=len(markers))
+            head = mark.head(frame_id=frame_of(scene, obstacle, frame_id), ns=OBSTACLES, number=len(markers))
             markers.append(head | marker | {"color": mark.color(look.color, look.opacity)})
     goal = scene.goal.fruit
-    return [*markers, *(fruit_marker(scene, fruit, frame_id, is_goal=fruit.name == goal) for fruit in scene.fruits)]
+    hanging = [(fruit, frame_of(scene, fruit, frame_id)) for fruit in scene.fruits]
+    return [*markers, *(fruit_marker(scene, fruit, frame, is_goal=fruit.name == goal) for fruit, frame in hanging)]
+
+
+def frame_of(scene: Scene, item: Obstacle | Fruit, frame_id: str) -> str:
+    """The frame of an obstacle or fruit: its own where it, or the base, moves, else the scene's."""
+    return frame_id if item.track is None and scene.base_track is None else moving_frame(item.name)
+
+
+def moving_frame(name: str) -> str:
+    """The frame of an obstacle or fruit that moves."""
+    return f"obstacle/{name}"
 
 
 def fruit_marker(scene: Scene, fruit: Fruit, frame_id: str, *, is_goal: bool) -> Marker:

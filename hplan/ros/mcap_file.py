@@ -30,10 +30,10 @@ from hplan.planning.plan import PlanResult
 from hplan.ros import marked_motion as motion
 from hplan.ros.bag_writer import Message, write_bag
 from hplan.ros.joint_messages import to_joint_state, to_joint_trajectory
-from hplan.ros.marked_scene import scene_markers
+from hplan.ros.marked_scene import moving_frame, scene_markers
 from hplan.ros.marker_parts import Marker
 from hplan.ros.message_times import SECOND_NS, message_time, time_ns
-from hplan.ros.transforms import LinkFrames, robot_description
+from hplan.ros.transforms import LinkFrames, robot_description, transform
 from hplan.tour.tour import TourResult
 from hplan.view.playback import Playback
 from hplan.view.scenery import picks
@@ -107,13 +107,19 @@ class _Recording:
     def _samples(self) -> Iterator[Message]:
         trajectory, frames = self.result.trajectory, self.frames
         pairs = motion.NearestPairs(self.robot, self.scene, self.result.certificate, frames.root)
-        for row in self.rows.tolist():
+        moving = self.scene.poses_at(trajectory.time[self.rows])
+        for index, row in enumerate(self.rows.tolist()):
             clock, q = float(trajectory.time[row]), trajectory.position[row]
             now = self.begin_ns + time_ns("time", clock)
             state = to_joint_state(trajectory, row, frame_id=frames.root, stamp_s=self.begin_ns / SECOND_NS)
             yield Message("/joint_states", now, state)
             frames.place(q)
-            yield Message("/tf", now, frames.message(frames.moving, now))
+            links = frames.message(frames.moving, now)["transforms"]
+            others = [
+                transform(frames.root, moving_frame(name), turns[index], shifts[index], now)
+                for name, (turns, shifts) in moving.items()
+            ]
+            yield Message("/tf", now, {"transforms": [*links, *others]})
             yield Message("/nearest", now, self._markers([pairs.marker(clock, q)], now))
             clearance = pairs.clearance_m(clock)
             if clearance is not None:

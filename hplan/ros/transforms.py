@@ -72,17 +72,21 @@ class LinkFrames:
 
     def message(self, pairs: tuple[tuple[str, str], ...], stamp_ns: int) -> dict[str, Any]:
         """A `tf2_msgs/msg/TFMessage` of some links in their parents' frames, as the robot was last placed."""
-        transforms = []
-        for link, parent in pairs:
-            pose = self.pose(parent).actInv(self.pose(link))
-            transforms.append(
-                {
-                    "header": {"stamp": message_time(stamp_ns), "frame_id": parent},
-                    "child_frame_id": link,
-                    "transform": {"translation": xyz(pose.translation), "rotation": quaternion(pose.rotation)},
-                }
-            )
-        return {"transforms": transforms}
+        places = [(link, parent, self.pose(parent).actInv(self.pose(link))) for link, parent in pairs]
+        return {
+            "transforms": [
+                transform(parent, link, place.rotation, place.translation, stamp_ns) for link, parent, place in places
+            ]
+        }
+
+
+def transform(parent: str, child: str, rotation: ArrayLike, translation: ArrayLike, stamp_ns: int) -> dict[str, Any]:
+    """A `geometry_msgs/msg/TransformStamped`."""
+    return {
+        "header": {"stamp": message_time(stamp_ns), "frame_id": parent},
+        "child_frame_id": child,
+        "transform": {"translation": xyz(translation), "rotation": quaternion(rotation)},
+    }
 
 
 def xyz(point: ArrayLike) -> dict[str, float]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import sys
 from collections import defaultdict
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,7 @@ from hplan.ros.mcap_file import TOPICS
 from hplan.ros.transforms import LinkFrames
 from hplan.scene.model import Fruit, Goal, Scene, Start
 from hplan.scene.obstacles import Box, Capsule, Cylinder, Mesh, PointCloud, Sphere
+from hplan.scene.tracks import Track
 from hplan.tour.tour import TourOptions, plan_tour
 from hplan.verification.certificate import certify
 
@@ -254,6 +256,41 @@ def test_nearest_points_of_a_cloud(picked: PlanResult) -> None:
         assert np.abs(checker.distances(q) - np.linalg.norm(ends[1] - ends[0])).min() < 1e-5
         leaves = CORNERS + np.array([1.0, 1.2, 1.6])
         assert np.linalg.norm(leaves - ends[1], axis=1).min() == pytest.approx(0.02, abs=1e-9)
+
+
+def test_obstacles_that_move(picked: PlanResult, tmp_path: Path) -> None:
+    """In frames of their own; where they are, and their nearest points, by the scene as it stands at each time."""
+    times, up = (0.0, 0.5, 1.5), (0.0, 0.0, 0.6)
+    turns = ((0.0, 0.0, 0.0), (0.0, 0.0, 40.0), (0.0, 30.0, 40.0))
+    gate = {"rpy_deg": turns, "about": (1.0, -1.0, 1.0), "shifts_m": ((0.0, 0.0, 0.0), up, (0.1, 0.0, 0.6))}
+    box = Box(name="gate", center=(1.2, -1.0, 1.2), size=(0.1, 0.5, 0.1), track=Track(times_s=times, **gate))
+    creep = Track(times_s=(0.0, 4.0), shifts_m=((0.0, 0.0, 0.0), (-0.2, 0.0, 0.0)))
+    changes = {"obstacles": (box,), "fruits": (), "goal": Goal(joints_deg=(0.0,) * 4), "base_track": creep}
+    scene = picked.scene.model_copy(update=changes)
+    proof = certify(picked.robot, scene, picked.trajectory, check_ends=False)
+    assert proof.nearest is not None
+    task = replace(picked.motion.task, scene=scene)
+    moving = replace(picked, motion=replace(picked.motion, task=task), certificate=proof, phases=())
+    found = Recorded(write_mcap(moving, tmp_path / "moving.mcap", rate_hz=20.0))
+    (_, markers), *_ = found.messages["/scene"]
+    (marker,) = markers.markers
+    assert (marker.header.frame_id, xyz(marker.pose.position)) == ("obstacle/gate", list(box.center))
+    lines = dict(found.messages["/nearest"])
+    for time, message in found.messages["/tf"]:
+        (place,) = [item for item in message.transforms if item.child_frame_id == "obstacle/gate"]
+        assert place.header.frame_id == "base_link"
+        standing = scene.at(1e-9 * time - 1.0)
+        (expected,) = standing.obstacles
+        assert isinstance(expected, Box)
+        frame = transform_of(place.transform)
+        np.testing.assert_allclose(frame.act(np.array(box.center)), expected.center, atol=1e-9)
+        np.testing.assert_allclose(frame.rotation @ box.rotation, expected.rotation, atol=1e-9)
+        (line,) = lines[time].markers
+        if line.action == 0:
+            ends = np.array([xyz(point) for point in line.points])
+            row = np.abs(picked.trajectory.time - (1e-9 * time - 1.0)).argmin()
+            table = CoalScene(picked.robot, standing.solids).distances(picked.trajectory.position[row])
+            assert np.abs(table - np.linalg.norm(ends[1] - ends[0])).min() < 1e-5
 
 
 def test_the_words_of_the_certificate(recorded: Recorded, picked: PlanResult) -> None:

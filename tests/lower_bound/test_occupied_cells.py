@@ -63,3 +63,14 @@ def test_excluded_cells_are_in_contact_whole_and_most_others_are_not(robot: Robo
     middles = configurations(search, order.tolist(), others[random.integers(len(others), size=300)] + 0.5)
     in_contact = [checker.distances(one).min() < scene.clearance for one in middles]
     assert np.mean(in_contact) < 0.25  # those at the surface
+
+
+def test_no_obstacle_is_taken_for_larger_than_it_is(robot: Robot) -> None:
+    """A cylinder least of all, of which kernels see the prism about it."""
+    random = np.random.default_rng(9)
+    for solid in OBSTACLES.values():
+        scene = task([0, 5, 0, 0], [0, 80, 5, 5], [solid], clearance=0.01)
+        field, checker = _obstacles(PlanningCache(robot).world(scene, PlanOptions())), CoalScene(robot, scene.solids)
+        for q in random.uniform(robot.lower, robot.upper, (200, 4)) * [0.05, 1.0, 1.0, 1.0]:
+            apart = checker.distances(q)[:, 0]
+            assert (field.link_clearances(q) >= np.minimum(apart - 0.01, 0.1) - 1e-9 - 2e-6)[apart > 0.0].all()

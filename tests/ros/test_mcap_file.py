@@ -20,7 +20,7 @@ from hplan.planning.plan import PlanResult, plan
 from hplan.problem.options import PlanOptions
 from hplan.robot.model import Robot
 from hplan.ros import robot_description, scene_markers, to_joint_trajectory, write_mcap
-from hplan.ros.marked_motion import NearestPairs
+from hplan.ros.marked_motion import NearestPairs, fruit_events
 from hplan.ros.mcap_file import TOPICS
 from hplan.ros.transforms import LinkFrames
 from hplan.scene.model import Fruit, Goal, Scene, Start
@@ -28,6 +28,7 @@ from hplan.scene.obstacles import Box, Capsule, Cylinder, Mesh, PointCloud, Sphe
 from hplan.scene.tracks import Track
 from hplan.tour.tour import TourOptions, plan_tour
 from hplan.verification.certificate import certify
+from hplan.view.scenery import Pick
 
 reader = pytest.importorskip("mcap.reader")
 decoder = pytest.importorskip("mcap_ros2.decoder")
@@ -218,6 +219,16 @@ def test_the_fruit_goes_with_the_tool(recorded: Recorded, picked: PlanResult, ro
     place = frames.pose("tool0").act(np.array(xyz(marker.pose.position)))
     np.testing.assert_allclose(place, FRUITS[0].center, atol=1e-9)
     assert gone == []  # the tool has it still when the motion ends
+
+
+def test_fruit_keeps_its_place_in_the_tool(picked: PlanResult) -> None:
+    pick, robot, trajectory = Pick(FRUITS[1], since=0.3, until=0.5), picked.robot, picked.trajectory
+    (since, held), (until, gone) = fruit_events(robot, picked.scene, trajectory, [pick])
+    assert (since, until, gone["action"], gone["id"]) == (0.3, 0.5, 2, 1)
+    frames = LinkFrames(robot)
+    frames.place(trajectory.positions(np.array([0.3]))[0])
+    place = frames.pose("tool0").act(np.array(list(held["pose"]["position"].values())))
+    np.testing.assert_allclose(place, FRUITS[1].center, atol=1e-12)
 
 
 def test_nearest_pairs_are_as_far_apart_as_coal_says(recorded: Recorded, picked: PlanResult) -> None:

@@ -160,6 +160,8 @@ def certificate_words(certificate: Certificate | None) -> tuple[str, str, list[s
         return "none", "It does not come with this motion.", []
     nearest, clearance = certificate.nearest, 1e3 * certificate.min_clearance_m
     pair = "" if nearest is None else f"{nearest.link} – {nearest.obstacle}, {1e3 * nearest.distance_m:.2f} mm"  # noqa: RUF001
+    if certificate.nearest_s is not None:
+        pair += f" at {certificate.nearest_s:.2f} s"
     if not np.isfinite(clearance):
         words = "nothing to meet"
     elif certificate.verified:

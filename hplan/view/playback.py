@@ -42,6 +42,7 @@ class Playback:
         phases: Parts of the motion; `approach` is drawn in a colour of its own, `retreat` is its path backwards.
         certificate: What was shown of it; None where that is not known.
         clearance_curve: Its clearance over time; the certificate's own where this is None.
+        begin_s: Time at which it begins, as the tracks of the scene count it [s].
     """
 
     trajectory: Trajectory
@@ -50,6 +51,7 @@ class Playback:
     phases: Sequence[NamedPhase] = ()
     certificate: Certificate | None = None
     clearance_curve: ClearanceCurve | None = None
+    begin_s: float = 0.0
 
     @property
     def curve(self) -> ClearanceCurve | None:

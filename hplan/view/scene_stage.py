@@ -62,7 +62,7 @@ def stage(robot: Robot, scene: Scene, playback: Playback) -> list[Json]:
     """
     playback.check(robot)
     trajectory, picks = playback.trajectory, scenery.picks(scene, playback)
-    view = _frame(robot, scene, trajectory, [_row_at(trajectory, pick.since) for pick in picks])
+    view = _frame(robot, _stands(scene, playback), trajectory, [_row_at(trajectory, pick.since) for pick in picks])
     commands = [
         *framing.lights(view),
         *framing.camera(view),
@@ -71,6 +71,7 @@ def stage(robot: Robot, scene: Scene, playback: Playback) -> list[Json]:
         set_object(f"{ROOT}/ground", _ground(view)),
         *scenery.obstacles(scene),
         *scenery.fruits(scene, goal=scene.goal.fruit if len(picks) < 2 else None),
+        *scenery.placed_movers(scene, playback.begin_s),
         *_arm(robot, trajectory.position[0]),
     ]
     if trajectory.samples > 1:
@@ -81,7 +82,7 @@ def stage(robot: Robot, scene: Scene, playback: Playback) -> list[Json]:
             commands.extend(_ghost(robot, trajectory.position[last], "goal", GOAL_COLOR, 2))
         commands.append(set_object(f"{ROOT}/tool path", _tool_path(robot, playback)))
         commands.extend(scenery.picked_fruits(picks))
-        commands.append(_animation(robot, trajectory, picks))
+        commands.append(_animation(robot, scene, playback, picks))
     return commands
 
 
@@ -138,9 +139,9 @@ def _posed(robot: Robot, q: FloatArray, top: str, bodies: dict[int, Body]) -> li
     return commands
 
 
-def _animation(robot: Robot, trajectory: Trajectory, picks: Sequence[scenery.Pick]) -> Json:
-    """Every joint's turn over time and the paths of picked fruits, in seconds of the motion, again and again."""
-    model, data = robot.model, robot.model.createData()
+def _animation(robot: Robot, scene: Scene, playback: Playback, picks: Sequence[scenery.Pick]) -> Json:
+    """Every joint's turn over time, what has a track, and picked fruits, in seconds of the motion, again and again."""
+    model, data, trajectory = robot.model, robot.model.createData(), playback.trajectory
     times = keyframe_times(trajectory)
     configurations = np.column_stack([np.interp(times, trajectory.time, column) for column in trajectory.position.T])
     turns = np.empty((model.njoints, len(times) + 1, 4))
@@ -157,6 +158,7 @@ def _animation(robot: Robot, trajectory: Trajectory, picks: Sequence[scenery.Pic
         for joint, path in enumerate(_joint_paths(model, "arm"))
         if joint > 0
     ]
+    clips += scenery.moving_clips(scene, times, playback.begin_s, end)
     return animation([*clips, *scenery.picked_clips(picks, times, robot.tool_positions(configurations), end)])
 
 
@@ -201,7 +203,14 @@ def _tool_path(robot: Robot, playback: Playback) -> Body:
 # Ground and camera.
 
 
-def _frame(robot: Robot, scene: Scene, trajectory: Trajectory, picks: Sequence[int]) -> Frame:
+def _stands(scene: Scene, playback: Playback) -> list[Scene]:
+    """The scene as it stands at times of a motion, for the picture to hold: once where nothing moves but the arm."""
+    if not scene.moves:
+        return [scene]
+    return [scene.at(playback.begin_s + part * playback.trajectory.duration) for part in (0.0, 0.25, 0.5, 0.75, 1.0)]
+
+
+def _frame(robot: Robot, stands: Sequence[Scene], trajectory: Trajectory, picks: Sequence[int]) -> Frame:
     """Place the camera so that arm and scene fill the picture and the arm plane is seen from the side.
 
     Where several fruits are picked, it is the plane in the middle of those picks. Of the four sides, before and behind
@@ -214,10 +223,11 @@ def _frame(robot: Robot, scene: Scene, trajectory: Trajectory, picks: Sequence[i
     yaw = 0.5 * (min(yaws) + max(yaws))
     elevation = np.radians(_ELEVATION_DEG)
     arm = _arm_points(robot, configurations)
-    before, widths = _blocking_points(scene)
+    blocking = [_blocking_points(scene) for scene in stands]
+    before, widths = (np.concatenate(values) for values in zip(*blocking, strict=True))
     sides = yaw + np.radians([turn for side in (-90.0, 90.0) for turn in (side + _AZIMUTH_DEG, side - _AZIMUTH_DEG)])
     hidden = [framing.covered(arm, before, widths, azimuth, elevation) for azimuth in sides]
-    return framing.frame(_visible_points(robot, scene, arm), float(sides[int(np.argmin(hidden))]), elevation)
+    return framing.frame(_visible_points(robot, stands, arm), float(sides[int(np.argmin(hidden))]), elevation)
 
 
 def _arm_points(robot: Robot, configurations: FloatArray) -> FloatArray:
@@ -245,7 +255,7 @@ def _blocking_points(scene: Scene) -> tuple[FloatArray, FloatArray]:
     return np.vstack(points), np.concatenate(widths)
 
 
-def _visible_points(robot: Robot, scene: Scene, arm: FloatArray) -> FloatArray:
+def _visible_points(robot: Robot, stands: Sequence[Scene], arm: FloatArray) -> FloatArray:
     """Points that the picture must hold, (n, 3) [m]: the moving arm, its foot, obstacles near the arm, fruits."""
     width = float(robot.arm.half_widths.max())
     points = [arm - width, arm + width, _footprint(robot)]
@@ -254,8 +264,8 @@ def _visible_points(robot: Robot, scene: Scene, arm: FloatArray) -> FloatArray:
         reach += math.hypot(*robot.shoulder_from_axis)
         middle = np.append(robot.yaw_axis, robot.plane_origin[2])
     for core, rounding in (
-        *((_outline(solid), solid.rounding) for item in scene.obstacles for solid in item.solids),
-        *((np.array([fruit.center]), fruit.radius) for fruit in scene.fruits),
+        *((_outline(solid), solid.rounding) for scene in stands for item in scene.obstacles for solid in item.solids),
+        *((np.array([fruit.center]), fruit.radius) for scene in stands for fruit in scene.fruits),
     ):
         corners = np.vstack([core - rounding, core + rounding])
         if corners[:, 2].max() <= 0.0:

@@ -1,4 +1,4 @@
-"""Obstacles and fruits of the page: their looks, and the motion of fruits that are picked.
+"""Obstacles and fruits of the page: their looks, the motion of what has a track, and of fruits that are picked.
 
 What an obstacle is made of is told by the words of its name. All capsules of one look are drawn as copies of one
 shape: a tree of hundreds of pieces costs the viewer no more than one piece.
@@ -19,8 +19,9 @@ from hplan.base.arrays import FloatArray
 from hplan.errors import InputError
 from hplan.scene.model import Fruit, Scene
 from hplan.scene.obstacles import Box, Capsule, Cylinder, Mesh, PointCloud, Sphere
+from hplan.scene.tracks import Track
 from hplan.view import three_js as three
-from hplan.view.commands import ROOT, clip, moving, node, set_object, set_property, set_transform, showing
+from hplan.view.commands import ROOT, clip, moving, node, set_object, set_property, set_transform, showing, turning
 from hplan.view.framing import FIELD_OF_VIEW_DEG
 from hplan.view.playback import Playback
 from hplan.view.three_js import Body, Json
@@ -80,23 +81,61 @@ def looks(scene: Scene) -> list[Look]:
 
 
 def obstacles(scene: Scene) -> list[Json]:
-    """Commands that draw the obstacles: capsules by their looks, others one by one."""
-    commands, capsules = [], defaultdict(list)
+    """Commands that draw the obstacles where they are listed: capsules by their looks, others one by one."""
+    commands, capsules, movers = [], defaultdict(list), moving_nodes(scene)
     for item in scene.obstacles:
-        look = look_of(item.name)
+        look, top = look_of(item.name), movers.get(item.name, f"{ROOT}/obstacles")
         if isinstance(item, Capsule):
-            capsules[look].append(item)
+            capsules[top, look].append(item)
         else:
             body = Body()
             _add(body, item, look)
-            commands.append(set_object(f"{ROOT}/obstacles/{node(item.kind, item.name)}", body))
-    for look, items in capsules.items():
+            commands.append(set_object(f"{top}/{node(item.kind, item.name)}", body))
+    for (top, look), items in capsules.items():
         body = Body()
         starts, ends = (np.array([getattr(item, end) for item in items]) for end in ("start", "end"))
         radii = np.array([item.radius for item in items])
         three.add_capsules(body, starts, ends, radii, _surface(look), name=look.label)
-        commands.append(set_object(f"{ROOT}/obstacles/{look.label}", body))
+        commands.append(set_object(f"{top}/{look.label}", body))
     return commands
+
+
+def moving_nodes(scene: Scene) -> dict[str, str]:
+    """The node of the viewer that each obstacle or fruit which moves stands in; those of one track share it."""
+    items = [item for item in (*scene.obstacles, *scene.fruits) if scene.base_track is not None or item.track]
+    tracks: list[Track | None] = []
+    for item in items:
+        if item.track not in tracks:
+            tracks.append(item.track)
+    return {item.name: f"{ROOT}/moving {tracks.index(item.track)}" for item in items}
+
+
+def placed_movers(scene: Scene, time_s: float) -> list[Json]:
+    """Commands that put what moves where it is at a time, as tracks count it [s]."""
+    poses = scene.poses_at([time_s])
+    named = {path: name for name, path in moving_nodes(scene).items()}
+    return [set_transform(path, three.transform(poses[name][0][0], poses[name][1][0])) for path, name in named.items()]
+
+
+def moving_clips(scene: Scene, times: FloatArray, begin_s: float, end: float) -> list[Json]:
+    """Animation of what has a track.
+
+    Args:
+        scene: The scene.
+        times: (k,) times of the motion at which poses are given; between them the viewer turns and shifts evenly [s].
+        begin_s: Time at which the motion begins, as tracks count it [s].
+        end: End of the animation; after the motion everything rests [s].
+    """
+    from scipy.spatial.transform import Rotation
+
+    poses = scene.poses_at(begin_s + np.append(times, times[-1]))
+    clock = [*times.tolist(), end]
+    clips = []
+    for path, name in {path: name for name, path in moving_nodes(scene).items()}.items():
+        turns, shifts = poses[name]
+        quaternions = Rotation.from_matrix(turns).as_quat()
+        clips.append(clip(path, turning(clock, quaternions), moving(clock, shifts)))
+    return clips
 
 
 def _surface(look: Look) -> Json:
@@ -128,9 +167,9 @@ def _add(body: Body, item: Sphere | Cylinder | Box | Mesh | PointCloud, look: Lo
 
 def fruits(scene: Scene, goal: str | None) -> list[Json]:
     """Commands that draw the fruits as they hang, that of one name so that it stands out."""
-    commands = []
+    commands, movers = [], moving_nodes(scene)
     for fruit in scene.fruits:
-        path = _fruit_path(fruit)
+        path = f"{movers[fruit.name]}/{node('fruit', fruit.name)}" if fruit.name in movers else _fruit_path(fruit)
         commands.append(set_object(path, _fruit(fruit, is_goal=fruit.name == goal)))
         commands.append(set_transform(path, three.transform(position=fruit.center)))
     return commands

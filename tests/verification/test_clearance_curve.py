@@ -9,12 +9,14 @@ import numpy as np
 import pytest
 from planned import on_cubics
 
+from hplan.collision.coal_scene import CoalScene
 from hplan.errors import OptionError
 from hplan.planning.plan import plan
 from hplan.robot.model import Robot
 from hplan.scene.file import load_scene
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Box, Capsule, Obstacle, Sphere
+from hplan.scene.tracks import Track
 from hplan.timing.trajectory import Trajectory
 from hplan.verification.certificate import Certificate, all_of, certify
 from hplan.verification.clearance_curve import ClearanceCurve, ProvedMotion
@@ -174,6 +176,23 @@ def test_the_same_again_and_read_only(robot: Robot, picked: Any) -> None:
     travelled = pickle.loads(pickle.dumps(picked.certificate))
     assert travelled == picked.certificate
     np.testing.assert_array_equal(travelled.clearance_curve.clearance_m, first.clearance_m)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_where_obstacles_move_it_is_nowhere_above_their_distances_at_that_time(robot: Robot, seed: int) -> None:
+    random = np.random.default_rng(300 + seed)
+    motion, scene = random_motion(robot, random, 1.5), random_scene(random)
+    turns = {"rpy_deg": tuple(map(tuple, random.uniform(-80.0, 80.0, (3, 3)))), "about": (0.5, 0.0, 0.5)}
+    track = Track(times_s=(0.2, 0.9, 1.8), shifts_m=tuple(map(tuple, random.uniform(-0.5, 0.5, (3, 3)))), **turns)
+    items = [item.model_copy(update={"track": track}) if k % 2 else item for k, item in enumerate(scene.obstacles)]
+    _, curve = certified(robot, scene.with_obstacles(items), motion, begin_s=0.1)
+    clock = np.linspace(0.0, 1.5, 301)
+    bound = np.interp(clock, curve.time, curve.clearance_m)
+    moved = scene.with_obstacles(items)
+    for at, q, certain in zip(clock, on_cubics(motion, clock), bound, strict=True):
+        there = CoalScene(robot, moved.at(0.1 + at).solids, single_joint_pairs=False)
+        assert certain <= there.distances(q)[:, : there.own_first].min()
+    np.testing.assert_array_less(curve.clearance_m, curve.distance_m)
 
 
 def test_nothing_to_meet_is_infinitely_clear(robot: Robot) -> None:

@@ -6,18 +6,20 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from hplan.errors import InputError
 from hplan.robot.model import Robot
 from hplan.scene.model import Fruit, Goal, Scene, Start
 from hplan.scene.obstacles import Box, Capsule, Cylinder
+from hplan.scene.tracks import Track
 from hplan.timing.trajectory import Trajectory
 from hplan.view import framing
 from hplan.view import three_js as three
 from hplan.view.page import render_page
 from hplan.view.playback import Playback
-from hplan.view.scene_stage import REST_S, stage
-from hplan.view.scenery import BULK, LEAVES, METAL, OTHER, WOOD, Look, look_of, obstacles, picks
+from hplan.view.scene_stage import REST_S, keyframe_times, stage
+from hplan.view.scenery import BULK, LEAVES, METAL, OTHER, WOOD, Look, look_of, moving_nodes, obstacles, picks
 
 CAPSULES = (
     Capsule(name="tree 1 branch 1", start=(1.6, 0.5, 0.0), end=(1.2, 0.1, 1.4), radius=0.03),
@@ -253,3 +255,57 @@ def test_a_cylinder_lies_where_it_is() -> None:
     matrix = np.reshape(mesh["matrix"], (4, 4)).T
     np.testing.assert_allclose(matrix[:3, 1], [math.cos(math.radians(30)), 0.5, 0.0], atol=1e-6)
     np.testing.assert_allclose(matrix[:3, 3], can.center, atol=1e-6)
+
+
+# What moves.
+
+TURNING = Track(
+    times_s=(0.0, 1.0, 3.0),
+    shifts_m=((0.0, 0.0, 0.0), (0.5, 0.0, 0.2), (0.0, 0.5, 0.0)),
+    rpy_deg=((0.0, 0.0, 0.0), (30.0, 20.0, 10.0), (0.0, 0.0, 90.0)),
+    about=(1.4, 0.0, 0.5),
+)
+
+
+def tracks_of(commands: list[dict[str, Any]]) -> dict[str, dict[str, np.ndarray]]:
+    (animation,) = [c for c in commands if c["type"] == "set_animation"]
+    return {
+        item["path"]: {t["name"]: np.array(t["values"]).reshape(len(t["times"]), -1) for t in item["clip"]["tracks"]}
+        for item in animation["animations"]
+    }
+
+
+@pytest.mark.parametrize("creeping", [False, True])
+def test_what_has_a_track_is_where_the_scene_has_it(robot: Robot, creeping: bool) -> None:
+    box = Box(name="cart", center=(1.6, 0.2, 0.4), size=(0.2, 0.3, 0.4), track=TURNING)
+    branch = CAPSULES[0].model_copy(update={"track": TURNING})
+    base = Track(times_s=(0.0, 2.0), shifts_m=((0.0, 0.0, 0.0), (0.4, 0.0, 0.0))) if creeping else None
+    scene = orchard(goal=Goal(joints_deg=(0, 9, 9, 9)), obstacles=(*CAPSULES[1:], branch, box), base_track=base)
+    playback = Playback(motion(robot), begin_s=0.25)
+    commands = stage(robot, scene, playback)
+    nodes = moving_nodes(scene)
+    assert nodes["cart"] == nodes[branch.name]
+    assert ("ripe" in nodes) == creeping
+    paths = drawn(commands)
+    assert f"{nodes['cart']}/box cart" in paths
+    assert f"{nodes['cart']}/Wood" in paths
+    # The rest stands still, or moves with the base alone.
+    rest = nodes[CAPSULES[1].name] if creeping else "/hplan/obstacles"
+    assert f"{rest}/Wood" in paths
+    clips = tracks_of(commands)
+    assert {path for path in clips if "moving" in path} == set(nodes.values())
+    times = keyframe_times(playback.trajectory)
+    for name in ("cart", *(["ripe"] if creeping else [])):
+        turns, shifts = scene.poses_at(0.25 + times)[name]
+        found = clips[nodes[name]]
+        np.testing.assert_allclose(found[".position"][:-1], shifts, atol=1e-5)
+        quaternions = Rotation.from_quat(found[".quaternion"][:-1])
+        np.testing.assert_allclose(quaternions.as_matrix(), turns, atol=1e-5)
+        np.testing.assert_array_equal(found[".position"][-1], found[".position"][-2])
+        (at_first,) = [c["matrix"] for c in commands if c["type"] == "set_transform" and c["path"] == nodes[name]]
+        np.testing.assert_allclose(np.reshape(at_first, (4, 4)).T[:3, 3], shifts[0], atol=1e-5)
+
+
+def test_a_scene_that_moves_makes_a_page(robot: Robot) -> None:
+    scene = orchard(goal=Goal(joints_deg=(0, 9, 9, 9)), base_track=TURNING)
+    assert '"/hplan/moving 0"' in render_page(robot, scene, Playback(motion(robot)))

@@ -86,7 +86,8 @@ if (viewer) {
   });
   window.addEventListener("resize", trim);
   trim();
-  new Set(motion.phases.map(phase => phase.name)).forEach(name => {
+  const kinds = new Set(motion.phases.map(phase => phase.name));
+  if (kinds.size > 1) kinds.forEach(name => {
     const key = made("span", element("key"));
     made("i", key).style.background = PHASES[name] || PHASES.return;
     made("span", key, name);

@@ -21,7 +21,7 @@ import hplan
 from hplan import errors
 from hplan.collision.coal_scene import CoalScene
 from hplan.errors import HplanError
-from hplan.planning.enclosure import EnclosedError
+from hplan.planning.refusals import EnclosedError
 from hplan.robot.model import Robot
 from hplan.scene.model import Goal, Scene
 from hplan.scene.obstacles import Mesh, PointCloud

@@ -6,7 +6,7 @@ once time is up. Kernels that may take longer than a millisecond take the array 
 often; where it is, they return whatever they have, and **their caller calls `look` before it uses that**. `is_up` stays
 true as long as the limit lasts, so nothing that was cut short is ever taken for a result.
 
-Deadlines are looked at on the monotonic clock, by kernels too: nobody has to tell them. A wish to cancel is polled by a
+Deadlines are looked at on the clock, by kernels too: nobody has to tell them. A wish to cancel is polled by a
 thread of its own, as kernels release Python's lock while they run.
 """
 
@@ -35,8 +35,11 @@ POLL_S = 1e-3
 #: Later than any time on the clock, yet finite, so that kernels look at the wish to cancel [s].
 _LATE = 1e300
 
-#: What kernels take where there is no limit: the time on the monotonic clock [s], and 1 once nobody wants an answer.
-NEVER: FloatArray = frozen(np.array([np.inf, 0.0]))
+#: The clock that deadlines are on. (Studies on a machine that others use too take that of the process's own work.)
+CLOCK = time.CLOCK_MONOTONIC
+
+#: What kernels take where there is no limit: the time on the clock [s], 1 once nobody wants an answer, and the clock.
+NEVER: FloatArray = frozen(np.array([np.inf, 0.0, float(CLOCK)]))
 
 _CURRENT: ContextVar[TimeLimit | None] = ContextVar("time_limit", default=None)
 
@@ -50,7 +53,7 @@ class TimeLimit:
 
     Attributes:
         deadline_s: How long there is in all; None for as long as it takes [s].
-        until: (2,) what kernels take.
+        until: (3,) what kernels take, as `NEVER`.
     """
 
     def __init__(self, deadline_s: float | None = None, *, until_cancelled: bool = False) -> None:
@@ -63,7 +66,7 @@ class TimeLimit:
         self._begin = clock_s()
         self.deadline_s = deadline_s
         late = _LATE if until_cancelled else np.inf
-        self._values = np.array([late if deadline_s is None else self._begin + deadline_s, 0.0])
+        self._values = np.array([late if deadline_s is None else self._begin + deadline_s, 0.0, float(CLOCK)])
         self.until = frozen(self._values[:])
         self._failure: BaseException | None = None
 
@@ -114,15 +117,10 @@ class TimeLimit:
         self.check_cancelled()
         return NotInTimeError(self.deadline_s or 0.0, self.elapsed_s, tried)
 
-    @contextmanager
-    def sooner(self, keep_s: float) -> Iterator[None]:
-        """Time is up for what runs inside as much sooner [s]; afterwards there is as much as there was before."""
-        before = float(self._values[0])
-        self._values[0] = before - keep_s
-        try:
-            yield
-        finally:
-            self._values[0] = before
+    def keep(self, seconds: float) -> None:
+        """Time is up as much sooner from now on, to have that long afterwards [s]."""
+        if self.deadline_s is not None:
+            self._values[0] = self._begin + self.deadline_s - seconds
 
 
 @contextmanager
@@ -184,7 +182,7 @@ def current() -> TimeLimit | None:
 
 
 def until() -> FloatArray:
-    """(2,) what kernels take, for the limit of the call that this belongs to."""
+    """(3,) what kernels take, for the limit of the call that this belongs to."""
     limit = _CURRENT.get()
     return NEVER if limit is None else limit.until
 
@@ -202,32 +200,31 @@ def look() -> None:
 
 def clock_s() -> float:
     """Time on the clock that deadlines are on [s]."""
-    return time.clock_gettime(time.CLOCK_MONOTONIC)
+    return time.clock_gettime(CLOCK)
 
 
 if nb.config.DISABLE_JIT:
 
-    def _clock_s() -> float:
-        return clock_s()
+    def _seconds(clock: int) -> float:
+        return time.clock_gettime(clock)
 
 else:
     # By its name, not its address, so that kernels which ask it can be kept on disk.
     _clock_gettime = nb.types.ExternalFunction("clock_gettime", nb.int32(nb.int32, nb.types.voidptr))
-    _MONOTONIC = time.CLOCK_MONOTONIC
 
     @kernel
-    def _clock_s() -> float:
-        """The same for kernels."""
+    def _seconds(clock: int) -> float:
+        """Time on a clock [s]."""
         parts = np.empty(2, dtype=np.int64)
-        _clock_gettime(_MONOTONIC, parts.ctypes)
+        _clock_gettime(clock, parts.ctypes)
         seconds: float = parts[0] + 1e-9 * parts[1]
         return seconds
 
 
 @kernel
 def _is_up(until: FloatArray) -> bool:
-    """The same where there is a limit; takes 0.2 us."""
-    up: bool = until[1] > 0.0 or _clock_s() >= until[0]
+    """As `is_up` where there is a limit; takes 0.2 us."""
+    up: bool = until[1] > 0.0 or _seconds(int(until[2])) >= until[0]
     return up
 
 

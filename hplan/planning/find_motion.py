@@ -20,9 +20,8 @@ import numpy as np
 from hplan.base.arrays import FloatArray, frozen
 from hplan.errors import CertificationError, HplanError, NoPathError, NotFoundError, TimingError
 from hplan.planning.certified_motion import PlannedMotion, certificate_of, required, smooth_and_certify
-from hplan.planning.enclosure import EnclosedError, enclosed_goals
 from hplan.planning.grid_route import find_route
-from hplan.planning.refusals import Refusals
+from hplan.planning.refusals import EnclosedError, Refusals, enclosed_goals
 from hplan.planning.sampled_motion import (
     by_sampling,
     by_trees_to_any,

@@ -15,8 +15,8 @@ import numpy as np
 
 from hplan.base.arrays import BoolArray, FloatArray, IntArray, Record, WordArray, frozen
 from hplan.errors import CertificationError
-from hplan.planning.enclosure import EnclosedError, Region, open_ended
 from hplan.planning.grid_entry import GridEntry, grid_entry
+from hplan.planning.refusals import EnclosedError, Region, open_ended
 from hplan.planning.task import GridAttempt, PlanningTask
 from hplan.search import SearchResult, dense_search, reachable, two_level_search
 from hplan.search.flood import has_bit

@@ -11,18 +11,15 @@ import numpy as np
 
 from hplan.base.arguments import instance
 from hplan.base.arrays import FloatArray, Record
-from hplan.base.deadline import Cancel, TimeIsUpError, time_limit
+from hplan.base.deadline import Cancel, TimeIsUpError, TimeLimit, time_limit
 from hplan.errors import CertificationError, HplanError, NoPathError, OptionError, TimingError
 from hplan.planning.certified_motion import Part, PlannedMotion, motion_limits
-from hplan.planning.find_motion import find_motion, reuse_motion
-from hplan.planning.grasp_motion import Pick, approach_and_retreat, flowing, motion_to_grasp
-from hplan.planning.grasps import Grasp, Target, grasps
-from hplan.planning.report import StageClock, bound_report, motion_report, plan_report
-from hplan.planning.start_in_motion import Parts, leaving
+from hplan.planning.grasps import Grasp
+from hplan.planning.report import StageClock, bound_report, deadline_report, motion_report, plan_report
 from hplan.planning.task import PlanningCache, PlanningContext, Progress, no_progress
+from hplan.planning.whole_motion import Beginning, all_parts, parts_in_time
 from hplan.problem.definition import Problem
 from hplan.problem.options import PlanOptions
-from hplan.problem.world import World
 from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel, largest_fraction, name_margin
 from hplan.scene.model import Scene
@@ -213,7 +210,7 @@ def plan_with(
     try:
         with time_limit(options.deadline_s) as limit:
             try:
-                return _planned(cache.context(scene, options, progress, clock), before, stop)
+                return _planned(cache.context(scene, options, progress, clock), before, stop, limit)
             except TimeIsUpError:
                 raise limit.error(clock.told()) from None
     except (NoPathError, TimingError, CertificationError) as error:
@@ -245,55 +242,32 @@ def _fraction_with_room(cache: PlanningCache, scene: Scene, options: PlanOptions
     return largest_fraction(is_certified)
 
 
-def _planned(context: PlanningContext, before: PlannedMotion | None, stop: Trajectory | None) -> PlanResult:
-    """The plan: to joints a motion, to a fruit or a point motion, approach and, from a fruit, retreat."""
+def _planned(
+    context: PlanningContext, before: PlannedMotion | None, stop: Trajectory | None, limit: TimeLimit
+) -> PlanResult:
+    """The plan that the options ask for; with a deadline the best of those found before it."""
     robot, scene = context.robot, context.scene
     start = robot.check_configuration(scene.start.configuration, "start")
     context.world.check_base(robot.yaw_of(start))
-    state = start_state(robot, scene)
-    if state is None:
-        return _result(context, *_parts(context, start, before))
-    if context.options.bound:
+    begin = Beginning(start, start_state(robot, scene), before, stop)
+    if begin.state is not None and context.options.bound:
         raise OptionError("bound", True, "False where the start is in motion")
-    return _result(context, *leaving(context, state, lambda start: _parts(context, start, None), stop))
-
-
-def _parts(context: PlanningContext, start: FloatArray, before: PlannedMotion | None) -> Parts:
-    """The motions of a plan that begins at rest."""
-    robot, scene, options = context.robot, context.scene, context.options
-    goal = scene.goal.joints()
-    if goal is not None:
-        task = context.task(start, robot.turned_near(goal, start))
-        motion = None if before is None else reuse_motion(task, before)
-        if motion is None:
-            motion = find_motion([task])[1]
-        return Parts(None, motion, [motion.transit])
-    target = _target(context.world, scene)
-    with context.stage("grasps"):
-        found = grasps(target, start, standoff=options.standoff, locked=scene.locked_joints)
-    grasp, motion, last = motion_to_grasp(
-        target,
-        found,
-        start,
-        lambda grasp: context.among(target.transit_world(grasp)).task(start, grasp.standoff),
-        lambda grasp: approach_and_retreat(context, target, grasp),
-    )
-    if last:
-        flow = flowing(motion.task, motion.transit, None, Pick(context, target, grasp, last[0]))
-        if flow is not None and flow.approach is not None:
-            _, trajectory, certificate = flow.transit
-            motion = replace(motion, path=flow.path, trajectory=trajectory, certificate=certificate)
-            last[0] = flow.approach
-    return Parts(grasp, motion, [motion.transit, *last])
-
-
-def _target(world: World, scene: Scene) -> Target:
-    """The fruit or the point of the scene's goal."""
-    approach_deg = scene.goal.approach_deg
-    for fruit in scene.fruits:
-        if fruit.name == scene.goal.fruit:
-            return Target.of_fruit(world, fruit, approach_deg)
-    return Target("the point", np.array(scene.goal.position), world, world, approach_deg)
+    if context.options.deadline_s is None:
+        return _result(context, *all_parts(context, begin))
+    best: PlanResult | None = None
+    count, first_s, cut_short = 0, 0.0, False
+    try:
+        for parts in parts_in_time(context, begin):
+            since_s = limit.elapsed_s
+            best = _result(context, *parts)
+            count, first_s = count + 1, first_s or limit.elapsed_s
+            limit.keep(limit.elapsed_s - since_s)  # for the report of the next one
+    except TimeIsUpError:
+        limit.check_cancelled()
+        cut_short = True
+    if best is None:
+        raise TimeIsUpError
+    return replace(best, report=best.report | deadline_report(limit, count, first_s, cut_short=cut_short))
 
 
 def in_sequence(parts: Sequence[Part], begin_s: float = 0.0) -> tuple[tuple[Phase, ...], Trajectory, Certificate]:

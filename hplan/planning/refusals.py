@@ -1,15 +1,170 @@
-"""Why no motion leads to any of several goals, put into one error."""
+"""Why no motion leads to goals: regions of a grid that no path leaves and what bounds them, and one error for all.
+
+Many goals are decided at once; why no motion leads to any of several is put into one error.
+"""
 
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from hplan.base.arrays import IntArray, Record, WordArray
+from hplan.cspace.blockers import blockers
 from hplan.errors import CertificationError, HplanError, NoPathError, NotFoundError, TimingError
-from hplan.planning.enclosure import EnclosedError
+from hplan.planning.grid_entry import grid_entry
+from hplan.planning.task import GridAttempt, PlanningTask
+from hplan.problem.definition import Problem
+from hplan.search.flood import flood_from, has_bit, slice_sizes
+from hplan.search.grid import Grid
+from hplan.search.lattice import Lattice
 
 #: So many reasons stand in the sentence; `data` has all of them.
 TOLD = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Region(Record):
+    """A region of a grid.
+
+    Attributes:
+        what: Which end is enclosed, in words.
+        task: The motion that was to be planned.
+        growth_m: By how much obstacles were grown [m].
+        grid: Planar joints, then yaw where the base may turn.
+        reached: Nodes of the region: a mask of the grid's shape or, where the base may turn, (rows, words) bits as in
+            `Occupancy`.
+    """
+
+    what: str
+    task: PlanningTask
+    growth_m: float
+    grid: Grid
+    reached: NDArray[Any]
+
+    def explained(self) -> NoPathError:
+        """The error that says what bounds the region; over yaws, at the yaw at which it is largest."""
+        grid, reached, arm = self.grid, self.reached, self.task.robot.arm
+        yaw = self.task.robot.yaw_of(self.task.problem.start)
+        if self.task.problem.turns:
+            layer = int(slice_sizes(reached).argmax())
+            yaw = float(grid.lower[-1] + layer * grid.step[-1])
+            grid = Grid(grid.lower[:-1], grid.step[:-1], grid.shape[:-1])
+            inside = (reached[:, layer >> 6] >> np.uint64(layer & 63)) & np.uint64(1) > 0
+            reached = inside.reshape(grid.shape)
+        walls = blockers(arm, self.task.sections(yaw, self.growth_m), grid, reached)
+        message = f"no path exists on the grid: {self.what}"
+        if walls:
+            first = walls[0]
+            low, high = first["slices_deg"]
+            message += (
+                f"; most of their border is held by obstacle {first['obstacle']!r} against link {first['link']!r}"
+                f" ({arm.joint_names[-1]} from {low:g} to {high:g} deg)"
+            )
+        return NoPathError(message, reached_cells=int(reached.sum()), blockers=walls)
+
+
+class EnclosedError(NoPathError):
+    """One end is enclosed on a grid; `explained` finds out by what."""
+
+    def __init__(self, region: Region | None, reached_cells: int, *, open_ended: bool) -> None:
+        """Store what is known at once; without the region it is not known what bounds it.
+
+        Args:
+            region: Where the end is enclosed.
+            reached_cells: Number of its nodes; of several goals' regions that of all together.
+            open_ended: True if it ends at the edge of the yaws that were looked at, so that more might open it.
+        """
+        where = "" if region is None else f": {region.what}"
+        super().__init__(f"no path exists on the grid{where}", reached_cells=reached_cells)
+        self.open_ended = open_ended
+        self.coarse_step_deg: float | None = None  # of the grid, where a finer one did not fit
+        self._region = region
+
+    def forget_region(self) -> None:
+        """Forget the region, which keeps the grid in memory."""
+        self._region = None
+
+    def explained(self) -> NoPathError:
+        """The same with what bounds the region, which takes longer to find than whether another grid is open."""
+        known = NoPathError(self.message, reached_cells=self.reached_cells)
+        error = known if self._region is None else self._region.explained()
+        if self.coarse_step_deg is not None:
+            remark = (
+                f"the grid's step is {self.coarse_step_deg:g} deg, as a finer one over all joint ranges is too large"
+            )
+            error.add(remark, step_deg=self.coarse_step_deg)
+        return error
+
+
+def open_ended(problem: Problem, grid: Grid, reached: WordArray) -> bool:
+    """Return True if a region over yaws ends at the edge of the grid's yaws, and more yaws are within the limits.
+
+    Args:
+        problem: The limits.
+        grid: Planar joints and yaw.
+        reached: (rows, words) the region, without border.
+    """
+    ever = np.bitwise_or.reduce(reached)
+    last = grid.shape[-1] - 1
+    below, above = int(ever[0]) & 1, int(ever[last >> 6]) >> (last & 63) & 1
+    first, step = grid.lower[-1], grid.step[-1]
+    return bool(
+        (below and first - step >= problem.lower[0] - 1e-9)
+        or (above and first + (last + 1) * step <= problem.upper[0] + 1e-9)
+    )
+
+
+def enclosed_goals(
+    tasks: Sequence[PlanningTask], attempt: GridAttempt, margins: Sequence[float]
+) -> list[EnclosedError | None]:
+    """Goals that the start is not connected to on one grid, that of the first, shown by flooding it.
+
+    The goals' regions are flooded first: most often they are small pockets, and the start is in none of them.
+
+    Args:
+        tasks: One for each goal, from the same start among the same obstacles.
+        attempt: The grid.
+        margins: For each goal the clearance asked of the motions that join it to the grid [m].
+
+    Returns:
+        For each goal the error that says that no path leads to it; None where one does, or an end cannot be joined to
+        the grid.
+
+    Raises:
+        OptionError: A step that gives no grid.
+    """
+    if not tasks:
+        return []
+    first = tasks[0]
+    space = first.occupancy(attempt)
+    lattice = Lattice.of(space.grid.shape, space.grid.step)
+    free = lattice.bordered(space.free_words)
+    goals: dict[int, IntArray] = {}
+    with suppress(CertificationError):
+        start = np.array(grid_entry(first, space, "start", min(margins)).all())
+        for number, (task, margin) in enumerate(zip(tasks, margins, strict=True)):
+            with suppress(CertificationError):
+                goals[number] = np.array(grid_entry(task, space, "goal", margin).all())
+    if not goals:
+        return [None] * len(tasks)
+
+    def holds(region: WordArray, nodes: IntArray) -> bool:
+        return any(has_bit(region, lattice.row_of(node), int(node[-1])) for node in nodes)
+
+    with first.stage("fallback"):
+        region, cells = flood_from(lattice, free, np.concatenate(list(goals.values())))
+        apart = set(goals)
+        if holds(region, start):
+            region, cells = flood_from(lattice, free, start)
+            apart = {number for number, nodes in goals.items() if not holds(region, nodes)}
+    more = first.problem.turns and open_ended(first.problem, space.grid, lattice.unbordered(region))
+    return [EnclosedError(None, cells, open_ended=more) if number in apart else None for number in range(len(tasks))]
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,6 +18,7 @@ from hplan.errors import HplanError
 from hplan.search.result import Expansions
 
 if TYPE_CHECKING:
+    from hplan.base.deadline import TimeLimit
     from hplan.lower_bound.duration_bound import DurationBound
     from hplan.planning.certified_motion import PlannedMotion
     from hplan.planning.grasps import Grasp
@@ -180,6 +181,26 @@ def plan_report(
             "standoff_m": grasp.distance,
             "joints_rad": grasp.goal.tolist(),
         },
+    }
+
+
+def deadline_report(limit: TimeLimit, count: int, first_s: float, *, cut_short: bool) -> dict[str, Any]:
+    """The part of a plan's report that says what there was time for.
+
+    Args:
+        limit: The deadline.
+        count: How many motions were certified, each quicker than the one before.
+        first_s: When there was the first one [s].
+        cut_short: Whether the deadline came before all that the options ask for was done.
+    """
+    return {
+        "deadline": {
+            "deadline_s": limit.deadline_s,
+            "elapsed_s": limit.elapsed_s,
+            "cut_short": cut_short,
+            "motions": count,
+            "first_s": first_s,
+        }
     }
 
 

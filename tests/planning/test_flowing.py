@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hplan.planning import plan as planning
+from hplan.planning import whole_motion as planning
 from hplan.planning.grasp_motion import LEADS, Flow, Pick, flowing
 from hplan.planning.plan import PlanResult, plan
 from hplan.problem.options import PlanOptions

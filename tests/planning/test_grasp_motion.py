@@ -18,13 +18,12 @@ from hplan.collision.coal_scene import CoalScene
 from hplan.errors import BlockedError, CertificationError, NoPathError, NotFoundError, TimingError
 from hplan.planar.finer_angles import FINEST, Refined, refined
 from hplan.planar.inverse_kinematics import Candidates, reach
-from hplan.planning.enclosure import EnclosedError, enclosed_goals
 from hplan.planning.find_motion import find_motion, without_path
 from hplan.planning.grasp_motion import approach_and_retreat
 from hplan.planning.grasps import SPARE, Grasp, Target, grasps, promising
 from hplan.planning.grid_route import find_route
 from hplan.planning.plan import plan
-from hplan.planning.refusals import Refusals
+from hplan.planning.refusals import EnclosedError, Refusals, enclosed_goals
 from hplan.planning.task import GridAttempt, PlanningCache, PlanningContext
 from hplan.problem.options import PlanOptions
 from hplan.robot.model import Robot
@@ -92,7 +91,7 @@ def test_all_grasps_are_tried(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> 
     assert_sound(robot, BRANCH, result)
     assert result.grasp is not None
     assert not any(np.array_equal(result.grasp.goal, grasp.goal) for grasp in likely)
-    monkeypatch.setattr("hplan.planning.plan.grasps", lambda *_, **__: tuple(likely))
+    monkeypatch.setattr("hplan.planning.whole_motion.grasps", lambda *_, **__: tuple(likely))
     monkeypatch.setattr(hplan.planning.grasp_motion, "promising", lambda found, *_: found)
     with pytest.raises(NoPathError):
         plan(robot, BRANCH, COARSE)
@@ -228,7 +227,7 @@ def test_a_grasp_whose_approach_fails_is_left_for_another(robot: Robot, monkeypa
             raise CertificationError("the approach is not certified")
         return approach_and_retreat(context, target, grasp)
 
-    monkeypatch.setattr("hplan.planning.plan.approach_and_retreat", fails_at_first)
+    monkeypatch.setattr("hplan.planning.whole_motion.approach_and_retreat", fails_at_first)
     other = plan(robot, scene, COARSE)
     assert_sound(robot, scene, other)
     assert other.grasp is asked[1] is not asked[0]

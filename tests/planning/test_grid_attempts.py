@@ -15,8 +15,8 @@ import hplan.planning.find_motion
 import hplan.planning.sampled_motion
 from hplan.errors import CertificationError, HplanError, NoPathError, NotFoundError, TimingError
 from hplan.planning.certified_motion import PlannedMotion
-from hplan.planning.enclosure import EnclosedError
 from hplan.planning.find_motion import GROWTH, SLUGGISH, YAW_GRID_ATTEMPTS, find_motion, least_duration
+from hplan.planning.refusals import EnclosedError
 from hplan.planning.task import GridAttempt, PlanningTask
 from hplan.problem.options import PlanOptions
 from hplan.robot.model import Robot

@@ -13,8 +13,8 @@ from planned import assert_clear, frame_about_upper_arm, post, random_scene, tas
 
 from hplan.cspace.yaw_layers import turning_occupancy, yaw_axis
 from hplan.errors import CertificationError, HplanError, NoPathError, OptionError
-from hplan.planning.enclosure import EnclosedError
 from hplan.planning.grid_route import Route, find_route
+from hplan.planning.refusals import EnclosedError
 from hplan.planning.task import GridAttempt, PlanningCache, PlanningTask
 from hplan.problem.options import PlanOptions
 from hplan.robot.model import Robot

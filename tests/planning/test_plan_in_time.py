@@ -13,11 +13,13 @@ import pytest
 from planned import post, task
 
 import hplan
-from hplan.base.deadline import current
+from hplan.base.deadline import current, look
 from hplan.cli.main import main
-from hplan.errors import NotFoundError, NotInTimeError, OptionError, PlanCancelledError
+from hplan.errors import NotFoundError, NotInTimeError, OptionError, PlanCancelledError, UnreachableError
+from hplan.planning.task import PlanningCache
+from hplan.planning.whole_motion import Beginning, parts_in_time
 from hplan.robot.model import Robot
-from hplan.scene.model import Scene
+from hplan.scene.model import Goal, Scene
 
 #: Long for what is to come back at once; only what does not come back takes so long [s].
 SOON = 10.0
@@ -140,3 +142,54 @@ def test_the_command_says_that_time_is_up(tmp_path: Path) -> None:
 
 def test_the_command_refuses_a_deadline_that_is_none(tmp_path: Path) -> None:
     assert main(["plan", "--deadline", "-5", "--quiet", "--out", str(tmp_path)]) == 2
+
+
+@pytest.mark.parametrize("name", ["table-1", "orchard-row"])
+def test_what_is_found_in_time_comes_to_what_is_found_without_a_deadline(robot: Robot, name: str) -> None:
+    scene = hplan.load_scene(name)
+    alone, in_time = hplan.plan(robot, scene), hplan.plan(robot, scene, hplan.PlanOptions(deadline_s=60.0))
+    assert in_time.certificate.verified
+    assert [phase.name for phase in in_time.phases] == [phase.name for phase in alone.phases]
+    assert in_time.trajectory.duration <= alone.trajectory.duration + 1e-9
+    told = in_time.report["deadline"]
+    assert (told["deadline_s"], told["cut_short"]) == (60.0, False)
+    assert told["motions"] >= 1
+    assert 0.0 < told["first_s"] <= told["elapsed_s"] < 60.0
+
+
+def test_the_best_so_far_is_handed_out_at_the_deadline(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The clock is stopped at the second motion."""
+    scene = hplan.load_scene("orchard-row")
+    found = []
+
+    def first_then_wait(*arguments: Any) -> Any:
+        for parts in parts_in_time(*arguments):
+            found.append(sum(part.trajectory.duration for part in parts.parts))
+            yield parts
+            while True:
+                time.sleep(0.01)
+                look()
+
+    monkeypatch.setattr("hplan.planning.plan.parts_in_time", first_then_wait)
+    result = hplan.plan(robot, scene, hplan.PlanOptions(deadline_s=3.0))
+    assert result.certificate.verified
+    assert len(found) == 1
+    assert result.trajectory.duration == pytest.approx(found[0])
+    told = result.report["deadline"]
+    assert (told["cut_short"], told["motions"]) == (True, 1)
+    assert told["first_s"] < 3.0 <= told["elapsed_s"] + 0.5
+
+
+def test_each_motion_in_time_is_certified_and_quicker_than_the_one_before(robot: Robot) -> None:
+
+    context = PlanningCache(robot).context(hplan.load_scene("tour"), hplan.PlanOptions())
+    motions = list(parts_in_time(context, Beginning(context.scene.start.configuration, None)))
+    assert all(part.certificate.verified for found in motions for part in found.parts)
+    durations = [sum(part.trajectory.duration for part in found.parts) for found in motions]
+    assert durations == sorted(durations, reverse=True)
+
+
+def test_what_is_refused_without_a_deadline_is_refused_with_one(robot: Robot) -> None:
+    scene = hplan.load_scene("orchard-row").model_copy(update={"goal": Goal(position=(9.0, 0.0, 1.0))})
+    with pytest.raises(UnreachableError):
+        hplan.plan(robot, scene, hplan.PlanOptions(deadline_s=60.0))

@@ -1,0 +1,315 @@
+"""All parts of a plan: a motion to joints, or transit and approach to a fruit or a point and, from a fruit, a retreat.
+
+Without a deadline they are what the options ask for. With one the first certified motion comes as soon as can be, by
+what finds most motions in a few milliseconds, without regard to how quick it is; then come quicker ones near it, each
+certified, as often as there is time; and last what the options ask for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hplan.base.arrays import FloatArray, Record, frozen
+from hplan.errors import CertificationError, HplanError, TimingError
+from hplan.optimization.minimize_time import Effort, TimeProblem, minimize_time
+from hplan.optimization.several_starts import NEAR
+from hplan.optimization.timed_spline import BoundaryState
+from hplan.planning.certified_motion import (
+    Origin,
+    PlannedMotion,
+    certificate_of,
+    certified_trajectory,
+    effort_of,
+    motion_limits,
+    smoothing_options,
+)
+from hplan.planning.find_motion import find_motion, first_motion, reuse_motion
+from hplan.planning.grasp_motion import (
+    ALONG,
+    FindMotion,
+    Pick,
+    approach_and_retreat,
+    flowing,
+    motion_to_grasp,
+)
+from hplan.planning.grasps import Target, grasps
+from hplan.planning.refusals import Refusals
+from hplan.planning.start_in_motion import Parts, leaving
+from hplan.planning.task import PlanningContext, PlanningTask
+from hplan.sampling.roadmap import Effort as RoadmapEffort
+from hplan.sampling.roadmap import quick_path
+from hplan.sampling.rrt_connect import TreeEffort, tree_path
+from hplan.smoothing.round_corners import smooth
+from hplan.smoothing.shortcut import shorten
+from hplan.smoothing.smooth_path import SMALLEST_FRACTION, clear_start, is_straight, near_field
+from hplan.smoothing.spline import SplinePath
+from hplan.timing.trajectory import Trajectory
+
+#: Where the first motion is looked for: a roadmap that finds easy paths, then pairs of trees, the evaluations of each.
+FIRST_ROADMAP = RoadmapEffort(128, 60, 0.175)
+FIRST_TREES = (3_000, 3_000, 3_000, 3_000, 12_000, 12_000, 12_000, 12_000)
+
+#: Pairs of trees where the base is locked: grids find narrow ways there.
+PLANAR_TREES = 2
+
+#: Steps of the linear programs by which a motion is made quicker, in turn.
+STEPS = (3, 6, 12, 20)
+
+
+@dataclass(frozen=True, eq=False)
+class Beginning(Record):
+    """What a plan begins with.
+
+    Attributes:
+        start: (dof,) configuration.
+        state: The state of motion there; None at rest.
+        before: An earlier motion, to be kept or repaired where that can be; None for none.
+        stop: How a start in motion might be brought to rest, beside what is tried anyway; None for none.
+    """
+
+    start: FloatArray
+    state: BoundaryState | None
+    before: PlannedMotion | None = None
+    stop: Trajectory | None = None
+
+
+def all_parts(context: PlanningContext, begin: Beginning) -> Parts:
+    """What the options ask for.
+
+    Args:
+        context: Arm, scene and options.
+        begin: What the plan begins with.
+
+    Raises:
+        HplanError: As `hplan.planning.plan.plan`.
+    """
+    if begin.state is None:
+        return _asked_for(context, begin.start, begin.before)
+    return leaving(context, begin.state, lambda start: _asked_for(context, start, None), begin.stop)
+
+
+def parts_in_time(context: PlanningContext, begin: Beginning) -> Iterator[Parts]:
+    """One plan after the other, each quicker than the one before, the last one what the options ask for.
+
+    Args:
+        context: Arm, scene and options.
+        begin: What the plan begins with.
+
+    Raises:
+        TimeIsUpError: The deadline came before the last one.
+        HplanError: As `hplan.planning.plan.plan`, before the first one.
+    """
+    kept = None if begin.before is None or begin.state is not None else _kept(context, begin)
+    if kept is not None:
+        yield kept
+        return
+    quick = replace(context, options=replace(context.options, effort="quick"))
+    if begin.state is None:
+        first = _first(context, begin.start)
+    else:
+        first = leaving(quick, begin.state, lambda start: _first(context, start), begin.stop)
+    yield first
+    best, by_duration = first, context.options.objective == "duration"
+    for better in _better(context, begin, first) if by_duration else ():
+        if _duration(better) < _duration(best):
+            best = better
+            yield best
+    with suppress(HplanError):  # what finds most motions at once may find one where more effort finds none
+        asked = all_parts(context, replace(begin, before=None))
+        if not by_duration or _duration(asked) < _duration(best):
+            yield asked
+
+
+def _better(context: PlanningContext, begin: Beginning, first: Parts) -> Iterator[Parts]:
+    """Plans that may be quicker than the first one, which they begin with."""
+    if begin.state is not None:
+        with suppress(HplanError):
+            yield leaving(context, begin.state, lambda start: _first(context, start), begin.stop)
+        return
+    best = first
+    for motion in _optimized(first.motion):
+        best = Parts(best.grasp, motion, [motion.transit, *best.parts[1:]])
+        yield best
+    yield _flowing(context, best)
+
+
+def _duration(parts: Parts) -> float:
+    """Of all parts [s]."""
+    return sum(part.trajectory.duration for part in parts.parts)
+
+
+def _asked_for(context: PlanningContext, start: FloatArray, before: PlannedMotion | None) -> Parts:
+    """What the options ask for, from rest."""
+    goal = _goal(context, start)
+    if isinstance(goal, PlanningTask):
+        motion = None if before is None else reuse_motion(goal, before)
+        return _alone(find_motion([goal])[1] if motion is None else motion)
+    return _flowing(context, _to_grasp(context, goal, start, None))
+
+
+def _first(context: PlanningContext, start: FloatArray) -> Parts:
+    """The first parts that are found, from rest."""
+    goal = _goal(context, start)
+    if isinstance(goal, PlanningTask):
+        found = first_in_time([goal])
+        if isinstance(found, Refusals):
+            raise found.error()
+        return _alone(found[1])
+    return _to_grasp(context, goal, start, first_in_time)
+
+
+def _kept(context: PlanningContext, begin: Beginning) -> Parts | None:
+    """The earlier motion, kept or repaired; None where it cannot be."""
+    goal = _goal(context, begin.start)
+    if begin.before is None or not isinstance(goal, PlanningTask):
+        return None
+    motion = reuse_motion(goal, begin.before)
+    return None if motion is None else _alone(motion)
+
+
+def first_in_time(tasks: Sequence[PlanningTask]) -> tuple[int, PlannedMotion] | Refusals:
+    """A certified motion to one of several goals as soon as can be; where there is none, why not to each of them."""
+    if any(task.problem.is_empty for task in tasks):
+        return first_motion(tasks)
+    quick = [replace(task, options=replace(task.options, effort="quick")) for task in tasks]
+    for find in (_straight, _by_roadmap):
+        for number, task in enumerate(tasks):
+            motion = find(task)
+            if motion is not None:
+                return number, motion
+    return _by_trees(tasks) or first_motion(quick)
+
+
+def _straight(task: PlanningTask) -> PlannedMotion | None:
+    """The straight motion; None where it is not clear."""
+    ends = frozen(np.stack([task.problem.start, task.problem.goal]))
+    if not task.field.is_clear(ends, task.margin()):
+        return None
+    return _certified(task, ends, "direct", lambda: SplinePath.through(np.linspace(ends[0], ends[1], 4)))
+
+
+def _by_roadmap(task: PlanningTask) -> PlannedMotion | None:
+    """The motion along a quick path of a few straight motions; None where none is found."""
+    with task.stage("roadmap"):
+        margin, velocity = 0.1 * task.margin(), task.robot.velocity_limit
+        path = quick_path(task.problem, task.field, velocity, margin, FIRST_ROADMAP)
+    return None if path is None else _smoothed(task, path, "roadmap")
+
+
+def _by_trees(tasks: Sequence[PlanningTask]) -> tuple[int, PlannedMotion] | None:
+    """The motion along the first path of trees to whichever goal; None where none is found."""
+    goals, first = np.array([task.problem.goal for task in tasks]), tasks[0]
+    margin = 0.1 * min(task.margin() for task in tasks)
+    velocity = first.robot.velocity_limit
+    for seed, evaluations in enumerate(FIRST_TREES if first.problem.turns else FIRST_TREES[:PLANAR_TREES]):
+        effort = TreeEffort(evaluations, seed)
+        with first.stage("roadmap"):
+            path, _ = tree_path(first.problem, first.field, velocity, margin, effort, goals=goals)
+        if path is None:
+            continue
+        number = int((goals == path[-1]).all(axis=1).argmax())
+        motion = _smoothed(tasks[number], path, "trees")
+        if motion is not None:
+            return number, motion
+    return None
+
+
+def _smoothed(task: PlanningTask, path: FloatArray, origin: Origin) -> PlannedMotion | None:
+    """The motion along the first spline near a path that is shown clear; None where none is."""
+    options = smoothing_options(task, task.margin())
+
+    def spline() -> SplinePath:
+        near, smallest = near_field(path, task.field), SMALLEST_FRACTION * options.margin
+        found = clear_start(path, near, options)
+        if found is not None and (near is task.field or found.is_clear(task.field, 0.5 * smallest)):
+            return found
+        return smooth(shorten(path, task.field, margin=smallest), task.field, margin=smallest)
+
+    return _certified(task, path, origin, spline)
+
+
+def _certified(
+    task: PlanningTask, waypoints: FloatArray, origin: Origin, path_of: Callable[[], SplinePath]
+) -> PlannedMotion | None:
+    """The certified motion along a path; None where there is none."""
+    with suppress(CertificationError, TimingError):
+        with task.stage("postprocess"):
+            path = path_of()
+        return PlannedMotion(task, None, waypoints, path, *certified_trajectory(task, path), origin)
+    return None
+
+
+def _optimized(motion: PlannedMotion) -> Iterator[PlannedMotion]:
+    """Quicker and quicker motions near one, certified."""
+    task, effort = motion.task, effort_of(motion.task)
+    options = smoothing_options(task, task.margin())
+    start = motion.trajectory
+    if effort is None or start.samples == 1 or is_straight(motion.waypoints, task.field, options):
+        return
+    along = start.position[np.linspace(0, start.samples - 1, ALONG).astype(int)]
+    level = effort.optimization.levels[0]
+    with task.stage("timing"):
+        near = near_field(along, task.field, NEAR)
+        limits, dynamics, rate_hz = motion_limits(task), task.robot.dynamics, task.options.rate_hz
+        problem = TimeProblem(task.field, near, options, limits, dynamics, rate_hz)
+    best_s = start.duration
+    for steps in STEPS:
+        with task.stage("timing"):
+            spline = minimize_time(start, problem, Effort((replace(level, steps=steps),)))
+        if spline is None or spline.duration >= (1.0 - level.gain) * best_s:
+            return
+        trajectory = spline.trajectory(dynamics, rate_hz)
+        certificate = certificate_of(task, trajectory)
+        if not certificate.verified:
+            return
+        start, best_s = trajectory, trajectory.duration
+        yield replace(motion, path=spline.path, trajectory=trajectory, certificate=certificate)
+
+
+def _goal(context: PlanningContext, start: FloatArray) -> PlanningTask | Target:
+    """What is asked: a motion to joints, or a point to reach: the fruit or the place of the scene's goal."""
+    scene, world = context.scene, context.world
+    goal, approach_deg = scene.goal.joints(), scene.goal.approach_deg
+    if goal is not None:
+        return context.task(start, context.robot.turned_near(goal, start))
+    for fruit in scene.fruits:
+        if fruit.name == scene.goal.fruit:
+            return Target.of_fruit(world, fruit, approach_deg)
+    return Target("the point", np.array(scene.goal.position), world, world, approach_deg)
+
+
+def _to_grasp(context: PlanningContext, target: Target, start: FloatArray, find: FindMotion | None) -> Parts:
+    """The motion to a grasp of a target, its approach from rest and the retreat."""
+    with context.stage("grasps"):
+        found = grasps(target, start, standoff=context.options.standoff, locked=context.scene.locked_joints)
+    grasp, motion, last = motion_to_grasp(
+        target,
+        found,
+        start,
+        lambda grasp: context.among(target.transit_world(grasp)).task(start, grasp.standoff),
+        lambda grasp: approach_and_retreat(context, target, grasp),
+        find,
+    )
+    return Parts(grasp, motion, [motion.transit, *last])
+
+
+def _flowing(context: PlanningContext, stopping: Parts) -> Parts:
+    """The same without a stop before the approach, where that is quicker."""
+    grasp, motion, parts = stopping
+    target = _goal(context, motion.task.problem.start)
+    if grasp is None or len(parts) == 1 or isinstance(target, PlanningTask):
+        return stopping
+    flow = flowing(motion.task, motion.transit, None, Pick(context, target, grasp, parts[1]))
+    if flow is None or flow.approach is None:
+        return stopping
+    _, trajectory, certificate = flow.transit
+    motion = replace(motion, path=flow.path, trajectory=trajectory, certificate=certificate)
+    return Parts(grasp, motion, [motion.transit, flow.approach, *parts[2:]])
+
+
+def _alone(motion: PlannedMotion) -> Parts:
+    return Parts(None, motion, [motion.transit])

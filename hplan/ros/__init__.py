@@ -15,11 +15,13 @@ if TYPE_CHECKING:
     from hplan.ros.marked_scene import scene_markers
     from hplan.ros.mcap_file import write_mcap
     from hplan.ros.moveit_scene import read_moveit_scene
+    from hplan.ros.planning_scene import read_planning_scene
     from hplan.ros.transforms import robot_description
 
 _HOMES = {
     "from_joint_trajectory": "hplan.ros.joint_messages",
     "read_moveit_scene": "hplan.ros.moveit_scene",
+    "read_planning_scene": "hplan.ros.planning_scene",
     "robot_description": "hplan.ros.transforms",
     "scene_markers": "hplan.ros.marked_scene",
     "to_joint_state": "hplan.ros.joint_messages",
@@ -30,6 +32,7 @@ _HOMES = {
 __all__ = [
     "from_joint_trajectory",
     "read_moveit_scene",
+    "read_planning_scene",
     "robot_description",
     "scene_markers",
     "to_joint_state",

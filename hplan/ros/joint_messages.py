@@ -6,7 +6,7 @@ A message is a plain dict with the fields of its definition, lists and numbers i
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Sized
 from itertools import pairwise
 from typing import Any
 
@@ -112,8 +112,9 @@ def from_joint_trajectory(message: Mapping[str, Any], *, prefix: str = "", robot
             for index, point in enumerate(points)
         ]
     )
+    efforts = [point.get("effort", ()) for point in points]
     arrays = {name: _array(points, field, len(names))[:, order] for field, name in _FIELDS.items() if field != "effort"}
-    if robot is not None and all(len(point.get("effort", ())) == 0 for point in points):
+    if robot is not None and all(isinstance(effort, Sized) and len(effort) == 0 for effort in efforts):
         arrays["torque"] = robot.dynamics.torques(*arrays.values())
     else:
         arrays["torque"] = _array(points, "effort", len(names))[:, order]
@@ -163,9 +164,10 @@ def _array(points: Sequence[Mapping[str, Any]], field: str, joints: int) -> Floa
     rows = []
     for index, point in enumerate(points):
         row = point.get(field, ())
-        if len(row) != joints:
+        if not isinstance(row, (list, tuple, np.ndarray)) or len(row) != joints:
+            count = f"{len(row)} numbers" if isinstance(row, (list, tuple, np.ndarray)) else repr(row)
             raise InputError(
-                f"points[{index}].{field} has {len(row)} numbers, expected one for each of {joints} joints",
+                f"points[{index}].{field} has {count}, expected one for each of {joints} joints",
                 point=index,
                 field=field,
             )

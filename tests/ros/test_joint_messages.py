@@ -150,3 +150,18 @@ def test_wrong_options(swing: Trajectory) -> None:
     near = Trajectory(swing.joint_names, [0.0, 1.0, 1.0 + 2e-10], *([np.zeros((3, 4))] * 4))
     with pytest.raises(InputError, match="row 2 of the trajectory comes within a nanosecond"):
         to_joint_trajectory(near)
+
+
+def test_anything_in_place_of_a_value_is_an_error_of_our_own(swing: Trajectory) -> None:
+    good = to_joint_trajectory(swing)
+    junk = (None, "text", 1.0, True, [None], [[1.0] * 4], {"sec": 1}, float("nan"), [1j] * 4, object())
+    for value in junk:
+        for key in ("joint_names", "points"):
+            with pytest.raises(InputError):
+                from_joint_trajectory({**good, key: value})
+        for key in good["points"][0]:
+            with pytest.raises(InputError):
+                from_joint_trajectory(broken(good, **{key: value}))
+        if not isinstance(value, dict):
+            with pytest.raises(OptionError):
+                from_joint_trajectory(value)  # type: ignore[arg-type]

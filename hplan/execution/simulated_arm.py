@@ -132,6 +132,16 @@ class SimulatedArm:
                 raise InputError(f"the simulated scene has no obstacle {name!r}", name=name)
             self._model.geom_conaffinity[geoms] = 0
 
+    def take_away(self, names: Sequence[str]) -> None:
+        """Take obstacles or fruits of some names away: nothing touches them any more, and no ray meets them.
+
+        Raises:
+            InputError: There is none of that name.
+        """
+        self.pass_through(names)
+        gone = [geom for geom, obstacle in self._obstacle_of.items() if obstacle in names]
+        self._model.geom_rgba[gone, 3] = 0.0  # rays go through what cannot be seen
+
     def advance(self, torque: FloatArray) -> None:
         """Go on for one control period with (dof,) torques, as far as the motors give them [N m]."""
         limit = self.robot.torque_limit

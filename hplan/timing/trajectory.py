@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hplan.base.arguments import instance, list_of
+from hplan.base.arguments import instance, list_of, number
 from hplan.base.arrays import FloatArray, Record, numbers
 from hplan.base.csv_file import CsvFile
 from hplan.base.files import write_text
@@ -138,6 +138,33 @@ class Trajectory(Record):
         from hplan.timing.time_scaling import scaled
 
         return scaled(self, profile, robot).trajectory
+
+    def state_at(self, t: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Position, velocity and acceleration that a controller is to follow at a time, each (dof,).
+
+        On the cubics of `cubic_pieces`; before the motion and after it, at rest where it begins and where it ends.
+
+        Args:
+            t: The time [s].
+
+        Raises:
+            OptionError: No finite number.
+        """
+        number("t", t, "a time in seconds")
+        if not 0.0 <= t < self.duration:
+            still = np.zeros(len(self.joint_names))
+            return self.position[0 if t < 0.0 else -1], still, still
+        row = int(np.searchsorted(self.time, t, side="right")) - 1
+        h = float(self.time[row + 1] - self.time[row])
+        u = (t - float(self.time[row])) / h
+        p0, m0, m1 = self.position[row], h * self.velocity[row], h * self.velocity[row + 1]
+        step = self.position[row + 1] - p0
+        c2, c3 = 3.0 * step - 2.0 * m0 - m1, m0 + m1 - 2.0 * step
+        return (
+            p0 + u * (m0 + u * (c2 + u * c3)),
+            (m0 + u * (2.0 * c2 + 3.0 * u * c3)) / h,
+            (2.0 * c2 + 6.0 * u * c3) / h**2,
+        )
 
     def positions(self, clock: FloatArray) -> FloatArray:
         """(k, dof) configurations at (k,) times, on the cubics of `cubic_pieces`."""

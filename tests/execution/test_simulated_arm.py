@@ -66,3 +66,17 @@ def test_rays_meet_obstacles_fruit_and_the_arm_itself(robot: Robot) -> None:
         arm.cast_rays(origin, np.zeros((2, 2)))
     with pytest.raises(InputError, match="origin"):
         arm.cast_rays((np.nan, 0.0, 0.0), rays)
+
+
+def test_what_is_taken_away_is_neither_touched_nor_seen(robot: Robot) -> None:
+    q = np.radians(STRETCHED)
+    tip = robot.tool_positions(q)
+    scene = task((0.0, 60.0, 20.0, 20.0), STRETCHED, [Sphere(name="ball", center=tuple(tip.tolist()), radius=0.05)])
+    arm = SimulatedArm(robot, scene)
+    ray = np.array([[0.0, 0.0, -1.0]])
+    arm.place(np.radians((0.0, 90.0, 90.0, 90.0)))
+    assert arm.cast_rays([*tip, 0.0, 0.0, 0.5], ray)[0] == pytest.approx(0.45)
+    arm.take_away(["ball"])
+    assert arm.cast_rays([*tip, 0.0, 0.0, 0.5], ray)[0] > 0.45
+    arm.place(q)
+    assert arm.contacts == ()

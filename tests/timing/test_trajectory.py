@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from hplan.errors import InputError, OutputError
+from hplan.errors import InputError, OptionError, OutputError
 from hplan.timing.trajectory import JOINED, Trajectory, csv_header, joined, read_csv, write_csv
 
 HEADER = "time_s,a_pos_rad,a_vel_rad_s,a_acc_rad_s2,a_torque_nm"
@@ -60,6 +60,23 @@ def test_positions_between_rows_are_on_the_cubics():
     outside = trajectory.positions(np.array([-1.0, trajectory.duration + 1.0]))
     np.testing.assert_allclose(outside, trajectory.position[[0, -1]], rtol=0, atol=1e-12)
     np.testing.assert_array_equal(some_trajectory(1).positions(np.zeros(2)), some_trajectory(1).position[[0, 0]])
+
+
+def test_states_are_those_of_the_cubics():
+    from scipy.interpolate import CubicHermiteSpline
+
+    trajectory = some_trajectory(5)
+    curve = CubicHermiteSpline(trajectory.time, trajectory.position, trajectory.velocity)
+    for t in (0.0, 0.3 * trajectory.duration, 0.71 * trajectory.duration):
+        for order, values in enumerate(trajectory.state_at(t)):
+            np.testing.assert_allclose(values, curve(t, order), rtol=1e-9, atol=1e-9)
+    for t, row in ((-1.0, 0), (trajectory.duration, -1), (trajectory.duration + 1.0, -1)):
+        q, v, a = trajectory.state_at(t)
+        np.testing.assert_array_equal(q, trajectory.position[row])
+        assert not v.any()
+        assert not a.any()
+    with pytest.raises(OptionError, match="t"):
+        trajectory.state_at(float("nan"))
 
 
 def test_arrays_are_its_own_and_read_only():

@@ -204,17 +204,17 @@ def joined(parts: Sequence[Trajectory]) -> Trajectory:
         raise InputError("joined: there is no motion to join")
     if len(parts) == 1:
         return parts[0]
-    for number, (first, second) in enumerate(itertools.pairwise(parts)):
+    for place, (first, second) in enumerate(itertools.pairwise(parts)):
         if second.joint_names != first.joint_names:
-            raise InputError(f"joined: motion {number + 1} moves other joints than the one before it")
+            raise InputError(f"joined: motion {place + 1} moves other joints than the one before it")
         gap = max(
             float(np.abs(second.position[0] - first.position[-1]).max()),
             float(np.abs(second.velocity[0] - first.velocity[-1]).max()),
         )
         if gap > JOINED:
             raise InputError(
-                f"joined: motion {number + 1} does not go on where the one before it ends (off by {gap:.4g})",
-                motion=number + 1,
+                f"joined: motion {place + 1} does not go on where the one before it ends (off by {gap:.4g})",
+                motion=place + 1,
             )
     begins = np.concatenate([[0.0], np.cumsum([part.duration for part in parts])])
     times = [part.time[1:] + begin for part, begin in zip(parts, begins, strict=False)]

@@ -73,10 +73,10 @@ def test_what_is_taken_away_is_neither_touched_nor_seen(robot: Robot) -> None:
     tip = robot.tool_positions(q)
     scene = task((0.0, 60.0, 20.0, 20.0), STRETCHED, [Sphere(name="ball", center=tuple(tip.tolist()), radius=0.05)])
     arm = SimulatedArm(robot, scene)
-    ray = np.array([[0.0, 0.0, -1.0]])
+    above, ray = np.add(tip, (0.0, 0.0, 0.5)), np.array([[0.0, 0.0, -1.0]])
     arm.place(np.radians((0.0, 90.0, 90.0, 90.0)))
-    assert arm.cast_rays([*tip, 0.0, 0.0, 0.5], ray)[0] == pytest.approx(0.45)
+    assert arm.cast_rays(above, ray)[0] == pytest.approx(0.45)
     arm.take_away(["ball"])
-    assert arm.cast_rays([*tip, 0.0, 0.0, 0.5], ray)[0] > 0.45
+    assert arm.cast_rays(above, ray)[0] > 0.45
     arm.place(q)
     assert arm.contacts == ()

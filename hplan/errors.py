@@ -450,6 +450,22 @@ class NotFoundError(HplanError):
         super().__init__(message, tried=list(tried), **data)
 
 
+class ObstacleInTimeError(NotFoundError):
+    """No motion was found past something that moves: `obstacle` is in the way, at `at_s`, of the best that was found.
+
+    Both are None where the base alone moves and nothing was found to be timed.
+    """
+
+    obstacle: str | None
+    at_s: float | None
+
+    def __init__(self, obstacle: str | None, at_s: float | None, tried: Sequence[str]) -> None:
+        """Name the obstacle and the time, and say what was tried."""
+        super().__init__(tried, obstacle=obstacle, at_s=at_s)
+        if obstacle is not None and at_s is not None:
+            self.add(f"obstacle {obstacle!r} is in the way at {at_s:.4g} s")
+
+
 class NotInTimeError(NotFoundError):
     """No motion was certified before the deadline; `tried` says what was looked at, and for how long."""
 

@@ -34,6 +34,7 @@ SAMPLES = [
     errors.RobotFamilyError("robot", "elbow", "why"),
     errors.SceneError("why", path="scene.yaml", where="obstacles[0].radius", line=3, value=-1.0),
     errors.MovingObstacleError("crate"),
+    errors.ObstacleInTimeError("crate", 1.5, ["the straight motion"]),
     errors.JointLimitError("start", "elbow", 2.0, 0.0, 1.0),
     errors.ConfigurationInCollisionError("start", "forearm", "post", 0.1, 0.01),
     errors.OptionError("speed", 2.0, "at most 1"),

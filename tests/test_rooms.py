@@ -37,6 +37,7 @@ ROOMS = (
         "problem",
         "lower_bound",
         "sampling",
+        "moving",
         "planning",
         "online",
         "tour",

@@ -13,6 +13,7 @@ from hplan.base.arguments import instance
 from hplan.base.arrays import FloatArray, Record
 from hplan.base.deadline import Cancel, TimeIsUpError, TimeLimit, time_limit
 from hplan.errors import CertificationError, HplanError, NoPathError, OptionError, TimingError
+from hplan.moving.search import quickest_in_time
 from hplan.planning.certified_motion import Part, PlannedMotion, motion_limits
 from hplan.planning.grasps import Grasp
 from hplan.planning.report import StageClock, bound_report, deadline_report, motion_report, plan_report
@@ -210,6 +211,8 @@ def plan_with(
     try:
         with time_limit(options.deadline_s) as limit:
             try:
+                if scene.moves:
+                    return _among_moving(cache, scene, options, progress)
                 return _planned(cache.context(scene, options, progress, clock), before, stop, limit)
             except TimeIsUpError:
                 raise limit.error(clock.told()) from None
@@ -218,6 +221,25 @@ def plan_with(
             fraction = _fraction_with_room(cache, scene, options)
             name_margin(error, options.tracking, fraction, "the motion found without one has room for")
         raise
+
+
+def _among_moving(cache: PlanningCache, scene: Scene, options: PlanOptions, progress: Progress) -> PlanResult:
+    """The plan where obstacles move: one as if they did not, in a timing that keeps clear of them."""
+    found = quickest_in_time(
+        cache.robot, scene, options, lambda still: plan_with(cache, still, options, progress=progress)
+    )
+    still, phases = found.still, tuple(Phase(*span) for span in found.phases)
+    task = replace(still.motion.task, scene=scene)
+    return replace(
+        still,
+        trajectory=found.trajectory,
+        certificate=found.certificate,
+        phases=phases,
+        motion=replace(still.motion, task=task),
+        report=still.report
+        | {"scene": scene.name, "phases": [vars(phase) for phase in phases], "in_time": found.report}
+        | motion_report(found.trajectory, found.certificate, options),
+    )
 
 
 def _fraction_with_room(cache: PlanningCache, scene: Scene, options: PlanOptions) -> float:

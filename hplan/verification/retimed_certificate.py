@@ -83,17 +83,20 @@ def certified_retiming(
     nearer = _nearer(robot, retimed.off_path)
     slower = bool(np.diff(retimed.clock).max(initial=0.0) <= np.diff(whole.time).max(initial=1.0) * (1.0 + 1e-9))
     left = running.min_clearance_m - nearer
-    if running.verified and left > scene.clearance and (slower or tracking.delay_s == 0.0) and not anew:
+    # Where obstacles move another timing meets others.
+    known = running.verified and not scene.moves
+    if known and left > scene.clearance and (slower or tracking.delay_s == 0.0) and not anew:
         certificate = _by_path(robot, running, whole, left)
     else:
-        first = row if running.verified else 0
-        solids = scene.solids_with_goal
-        checker = CoalScene(robot, solids, growth=np.array([sigmas * solid.sigma for solid in solids]))
+        first = row if known else 0
+        solids = scene.listed_solids
+        growth = np.array([sigmas * solid.sigma for solid in solids])
+        checker = CoalScene(robot, solids, growth=growth, movements=scene.movements if scene.moves else ())
         among = _among(checker, retimed, running.contact_s, scene.goal.fruit, first)
         part = certify_among(
             robot, whole.since(first), among, clearance=scene.clearance, tracking=tracking, rest_to_rest=False
         )
-        certificate = replace(all_of([running, part]), subject=None) if running.verified else part
+        certificate = replace(all_of([running, part]), subject=None) if known else part
     ends = np.abs(whole.velocity[-1]).max()
     still = () if ends <= REST else (f"the motion ends at {ends:.4g} rad/s, not at rest",)
     violations = (*certificate.violations, *still)

@@ -1,0 +1,81 @@
+"""Scenes in which nothing moves that stand for one in which something does."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Final
+
+import numpy as np
+
+from hplan.base.arrays import FloatArray
+from hplan.scene.model import Fruit, Scene
+from hplan.scene.obstacles import Box, Capsule, Cylinder, Mesh, PointCloud, Sphere
+from hplan.scene.solids import moved
+
+#: Poses of one obstacle are so far apart, at most, unless there would be more of them than this [m].
+APART_M: Final = 0.03
+MOST_POSES: Final = 24
+
+Obstacle = Sphere | Capsule | Cylinder | Box | Mesh | PointCloud
+
+
+def without_moving(scene: Scene) -> Scene:
+    """The scene without what moves; where the base moves, as it stands at the begin, without what moves besides."""
+    at_first = scene.at(0.0)
+    kept = {item.name for item in (*scene.obstacles, *scene.fruits) if item.track is None}
+    return at_first.model_copy(
+        update={
+            "obstacles": tuple(item for item in at_first.obstacles if item.name in kept),
+            "fruits": tuple(item for item in at_first.fruits if item.name in kept),
+        }
+    )
+
+
+def among_poses(scene: Scene, from_s: float, to_s: float) -> Scene:
+    """The scene with what moves at all places where it is within an interval of time, one close to the next.
+
+    Args:
+        scene: The scene.
+        from_s: Begin of the interval [s].
+        to_s: End of it [s].
+    """
+    moving = set(scene.poses_at([from_s]))
+    still_fruits = tuple(fruit for fruit in scene.fruits if fruit.name not in moving)
+    fruits = tuple(fruit for fruit in scene.fruits if fruit.name in moving)
+    obstacles: list[Obstacle] = [item for item in scene.obstacles if item.name not in moving]
+    items = [*(item for item in scene.obstacles if item.name in moving), *(_ball(fruit) for fruit in fruits)]
+    clock = np.linspace(from_s, to_s, MOST_POSES)
+    poses = scene.poses_at(clock)
+    for item in items:
+        rotations, shifts = poses[item.name]
+        points = _points(item)
+        places = points @ np.swapaxes(rotations, 1, 2) + shifts[:, None]
+        steps = np.linalg.norm(np.diff(places, axis=0), axis=2).max(axis=1)
+        for number in _apart(steps):
+            name = f"{item.name} at {clock[number]:.3f} s"
+            update = moved(item, rotations[number], shifts[number])
+            obstacles.append(item.model_copy(update=update | {"name": name}))
+    return scene.model_copy(update={"obstacles": tuple(obstacles), "fruits": still_fruits, "base_track": None})
+
+
+def _apart(steps: FloatArray) -> Iterator[int]:
+    """Which of poses to take: the first, the last, and of those between as few as are close to one another."""
+    gone = math.inf
+    for number, step in enumerate([0.0, *steps.tolist()]):
+        following = float(steps[number]) if number < len(steps) else math.inf
+        gone += step
+        if gone + following > APART_M and (gone > 0.0 or number == 0):
+            gone = 0.0
+            yield number
+
+
+def _ball(fruit: Fruit) -> Sphere:
+    """A fruit as an obstacle."""
+    keys = ("name", "center", "radius", "sigma", "track", "sway")
+    return Sphere(**{key: getattr(fruit, key) for key in keys})
+
+
+def _points(item: Obstacle) -> FloatArray:
+    """(k, 3) points of an obstacle whose travel is looked at."""
+    return np.concatenate([solid.core for solid in item.solids])

@@ -167,9 +167,10 @@ def certificate_words(certificate: Certificate | None) -> tuple[str, str, list[s
     elif certificate.verified:
         words = f"clearance {np.floor(100.0 * clearance) / 100.0:.2f} mm or more at all times"
     else:
-        words = f"smallest clearance found {clearance:.2f} mm"
+        errors = nearest is not None and clearance < 1e3 * nearest.distance_m - 0.01
+        words = f"smallest clearance found {clearance:.2f} mm{', tracking errors taken off' if errors else ''}"
     return (
         "ok" if certificate.verified else "bad",
         f"{words}; nearest: {pair}" if pair else words,
-        list(certificate.violations),
+        list(dict.fromkeys(certificate.violations)),
     )

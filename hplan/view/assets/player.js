@@ -244,12 +244,14 @@ function clearanceChart(data) {
     }
     const { time, certain, distance } = data;
     // Where less is certain than is to be kept.
+    const tooNear = k => distance[k] !== null && (certain[k] ?? -1) <= data.keep;
     pen.fillStyle = "#f6c4ad";
     for (let k = 0; k + 1 < time.length; k++) {
-      if (certain[k] === null && distance[k] === null) continue;
-      if (Math.min(certain[k] ?? -1, certain[k + 1] ?? -1) <= data.keep) {
-        pen.fillRect(xOf(time[k]), EDGE.top, Math.max(xOf(time[k + 1]) - xOf(time[k]), 0.75), area.bottom - EDGE.top);
-      }
+      if (!tooNear(k) && !tooNear(k + 1)) continue;
+      let end = k + 1;
+      while (end + 1 < time.length && (tooNear(end) || tooNear(end + 1))) end++;
+      pen.fillRect(xOf(time[k]), EDGE.top, Math.max(xOf(time[end]) - xOf(time[k]), 1), area.bottom - EDGE.top);
+      k = end - 1;
     }
     const path = values => {
       let drawing = false;

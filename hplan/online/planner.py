@@ -18,6 +18,7 @@ from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
 from hplan.base.deadline import Cancel, time_limit
 from hplan.errors import InputError, SceneError
+from hplan.online.splice import RunningMotion, SplicedResult
 from hplan.perception.frame import CloudOptions, Frame, FrameReport, SeenPoints, filter_frame
 from hplan.perception.scene_cloud import check_cloud_name, solids_named, with_cloud
 from hplan.planning.plan import PlanResult, check_task, plan_with
@@ -27,6 +28,7 @@ from hplan.robot.model import Robot
 from hplan.scene.limits import Vector
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Box, Capsule, Cylinder, Mesh, PointCloud, Sphere
+from hplan.verification.retimed_certificate import CertifiedMotion
 
 #: How often a plan that waits for another one looks whether it is still wanted [s].
 _WAIT_S = 0.01
@@ -86,24 +88,62 @@ class Planner:
             self.last = plan_with(self._cache, self.scene, self.options)
             return self.last
 
-    def replan(self, *, cancel: Cancel | None = None) -> PlanResult:
-        """Plan again after a change.
+    def replan(
+        self, *, at: float | None = None, now: float = 0.0, cancel: Cancel | None = None
+    ) -> PlanResult | SplicedResult:
+        """Plan again after a change, before the motion is begun or while it runs.
 
         The last motion stays if it can be certified among the obstacles as they are now, and is repaired if it cannot.
         A new one is searched for where that fails too, where a straight motion has become possible, where start or goal
         has changed, and to a fruit or a point. So the result depends on what was planned before; `plan` gives the one
         that does not.
 
+        With `at`, the last motion is taken to run. It stays as it is up to the first row at or after that time, and up
+        to its end where it still solves the task and is certified from now on among the obstacles as they are now; a
+        new motion takes over else, without a jump of position, velocity or acceleration. What is returned is a
+        `SplicedResult`: its trajectory is the running one from now on and, from `seam_s`, the new one, certified as a
+        whole; on the running motion's clock it begins at `begins_s`, the last row up to now. It runs from then on.
+
         Args:
+            at: When the new motion may take over, on the clock of the running one [s]; None before the motion is begun.
+            now: The time on that clock [s]; without it the whole motion up to `at` has to be clear.
             cancel: As for `hplan.plan`.
 
         Raises:
+            InputError: There is no motion that could run.
+            OptionError: A time before the motion or after it, or before now.
+            RunningMotionBlockedError: The running motion is not clear until then, or cannot be left without contact; it
+                carries the stop on its path, where one is certified.
             HplanError: As `hplan.plan`.
         """
         with self._turn(cancel):
+            if at is not None:
+                self.last = self._running(now).spliced(at)
+                return self.last
             before = None if self.last is None else self.last.motion
             self.last = plan_with(self._cache, self.scene, self.options, before=before)
             return self.last
+
+    def stop_at(self, t: float, *, now: float = 0.0) -> CertifiedMotion:
+        """The last motion with the quickest stop on its path from the first row at or after a time on.
+
+        It is certified from now on among the obstacles as they are now; read `certificate.verified`.
+
+        Args:
+            t: The time, on the motion's clock [s].
+            now: The time on that clock from which on it has to be clear [s].
+
+        Raises:
+            InputError: There is no motion that could run.
+            OptionError: A time before the motion or after it.
+        """
+        with self._lock:
+            return self._running(now).stop_at(t)
+
+    def _running(self, now: float) -> RunningMotion:
+        if self.last is None:
+            raise InputError("there is no motion that could run: plan one first")
+        return RunningMotion(self.last, self._cache, self.scene, self.options, now)
 
     @contextmanager
     def _turn(self, cancel: Cancel | None) -> Iterator[None]:

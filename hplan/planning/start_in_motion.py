@@ -27,7 +27,6 @@ from hplan.planning.certified_motion import (
     Part,
     PlannedMotion,
     certificate_of,
-    effort_of,
     motion_limits,
     smoothing_options,
 )
@@ -40,6 +39,7 @@ from hplan.verification.certificate import REST, Certificate, all_of
 
 #: What may be spent on leading a motion over, by the effort.
 LED_OVER: dict[str, Effort] = {
+    "quick": Effort((Level(piece_s=0.05, pieces=(24, 60), steps=8, gain=0.05, trust=0.2),)),
     "default": Effort((Level(piece_s=0.03, pieces=(50, 120), steps=12, gain=0.02, trust=0.2),)),
     "best": Effort((Level(piece_s=0.012, pieces=(60, 300), steps=20, gain=1e-4, trust=0.2),)),
 }
@@ -95,7 +95,8 @@ def leaving(
     """
     led: Parts | None = None
     refused: HplanError | None = None
-    may_be_led = effort_of(context) is not None and _is_within(context, state)
+    options = context.options
+    may_be_led = options.objective == "duration" and options.tracking.delay_s == 0.0 and _is_within(context, state)
     if may_be_led:
         try:
             led = _led_over(parts_from(state.position), state)
@@ -103,7 +104,7 @@ def leaving(
             if isinstance(error, ConfigurationInCollisionError) and error.which == "start":
                 raise
             refused = error.with_traceback(None)
-        if led is not None and context.options.effort != "best":
+        if led is not None and options.effort != "best":
             return led
     try:
         rested = _after_stop(context, state, parts_from, stop)

@@ -25,7 +25,6 @@ from hplan.verification.certificate import (
     Certificate,
     Stretch,
     all_of,
-    certify,
     certify_among,
     limit_violations,
     stretches,
@@ -77,8 +76,6 @@ def certified_retiming(
         anew: Whether to show the clearance anew, even where that of the path suffices.
     """
     whole, row = retimed.trajectory, retimed.row
-    if scene.moves:
-        return _among_moving(robot, scene, running, retimed, tracking, sigmas)
     contact_s = None if running.contact_s is None else _later(retimed, running.contact_s)
     nearer = _nearer(robot, retimed.off_path)
     slower = bool(np.diff(retimed.clock).max(initial=0.0) <= np.diff(whole.time).max(initial=1.0) * (1.0 + 1e-9))
@@ -92,7 +89,7 @@ def certified_retiming(
         solids = scene.listed_solids
         growth = np.array([sigmas * solid.sigma for solid in solids])
         checker = CoalScene(robot, solids, growth=growth, movements=scene.movements if scene.moves else ())
-        among = _among(checker, retimed, running.contact_s, scene.goal.fruit, first)
+        among = stretches_of(checker, retimed, running.contact_s, scene.goal.fruit, first)
         part = certify_among(
             robot, whole.since(first), among, clearance=scene.clearance, tracking=tracking, rest_to_rest=False
         )
@@ -109,18 +106,6 @@ def certified_retiming(
         digests=Digests.of(robot, scene, whole),
     )
     return CertifiedMotion(whole, certificate, float(whole.time[row]), retimed.off_path_m)
-
-
-def _among_moving(
-    robot: Robot, scene: Scene, running: Certificate, retimed: Retimed, tracking: TrackingModel, sigmas: float
-) -> CertifiedMotion:
-    """The same where things move: the path was clear at other times."""
-    whole = retimed.trajectory
-    certificate = certify(
-        robot, scene, whole, tracking_error=tracking.still_rad, tracking_delay_s=tracking.delay_s, sigmas=sigmas,
-        check_ends=False, goal_contact=running.goal_contact or "approach",
-    )  # fmt: skip
-    return CertifiedMotion(whole, certificate, float(whole.time[retimed.row]), retimed.off_path_m)
 
 
 def _by_path(robot: Robot, running: Certificate, motion: Trajectory, left: float) -> Certificate:
@@ -148,7 +133,7 @@ def _later(retimed: Retimed, times: tuple[float, float]) -> tuple[float, float] 
     return float(time[inside[0]]), float(time[inside[-1]])
 
 
-def _among(
+def stretches_of(
     checker: CoalScene, retimed: Retimed, contact_s: tuple[float, float] | None, fruit: str | None, first: int
 ) -> Sequence[Stretch]:
     """What the motion is certified among from a row on: the last link may touch the fruit where it could."""

@@ -1,0 +1,217 @@
+"""A new motion spliced into a running one, at a time in the near future.
+
+What runs until then stays as it is, and is certified again among the obstacles as they are now. From the state of
+motion at the seam a new motion goes on (`hplan.planning.start_in_motion`): position, velocity and acceleration have no
+jump there, as both motions have that very row.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hplan.base.arguments import number
+from hplan.errors import HplanError, RunningMotionBlockedError, UnavoidableContactError
+from hplan.planning.plan import Phase, PlanResult, plan_with
+from hplan.planning.report import motion_report
+from hplan.planning.task import PlanningCache, PlanningContext
+from hplan.problem.options import PlanOptions
+from hplan.robot.tracking import TrackingModel
+from hplan.scene.model import Scene, Start
+from hplan.timing.time_scaling import Retimed, stopped
+from hplan.timing.trajectory import Trajectory, joined
+from hplan.verification.certificate import Certificate, all_of, certify_among
+from hplan.verification.digests import Digests
+from hplan.verification.retimed_certificate import CertifiedMotion, stretches_of
+
+#: Times that differ by less are one [s].
+SAME_TIME = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class SplicedResult(PlanResult):
+    """A plan whose motion begins as the one before it runs.
+
+    Attributes:
+        begins_s: When the trajectory begins, on the clock of the motion before it [s]: at the last row up to now.
+        seam_s: When the new motion takes over, on the trajectory's own clock [s]; its end where nothing is new.
+        is_kept: True where nothing is new: the motion before it goes on.
+    """
+
+    begins_s: float = 0.0
+    seam_s: float = 0.0
+    is_kept: bool = False
+
+
+def _check_time(option: str, value: float, low: float, high: float) -> None:
+    """Refuse a time that is not within a motion, or before now."""
+    number(option, value, f"a time from {low:.6g} s to {high:.6g} s", lambda time: low <= time <= high)
+
+
+def _state_at(trajectory: Trajectory, row: int) -> Start:
+    """The state at a row as the start of a scene."""
+    return Start(
+        joints_rad=tuple(trajectory.position[row].tolist()),
+        velocity_rad_s=tuple(trajectory.velocity[row].tolist()),
+        acceleration_rad_s2=tuple(trajectory.acceleration[row].tolist()),
+    )
+
+
+def _as_it_is(trajectory: Trajectory) -> Retimed:
+    """A motion as a timing of its own path."""
+    still = np.zeros(trajectory.position.shape[1])
+    return Retimed(trajectory, trajectory.samples - 1, trajectory.time, still, 0.0)
+
+
+class RunningMotion:
+    """A motion that runs, among obstacles as they are now.
+
+    Attributes:
+        plan: What runs.
+        context: The arm among the obstacles as they are now, and options.
+        row: The last row up to now.
+    """
+
+    def __init__(self, plan: PlanResult, cache: PlanningCache, scene: Scene, options: PlanOptions, now: float) -> None:
+        """Take it up now.
+
+        Args:
+            plan: What runs.
+            cache: What earlier plans have left.
+            scene: Obstacles and task as they are now.
+            options: How to plan.
+            now: The time on the motion's clock [s].
+
+        Raises:
+            OptionError: A time before the motion or after it.
+        """
+        time = plan.trajectory.time
+        _check_time("now", now, 0.0, plan.trajectory.duration)
+        self.plan, self._cache, self._scene, self._options, self._now = plan, cache, scene, options, now
+        self.context: PlanningContext = cache.context(scene, options)
+        self.row = int(np.searchsorted(time, now + SAME_TIME, side="right")) - 1
+
+    def spliced(self, at: float) -> SplicedResult:
+        """The running motion with a new one from the first row at or after a time on, or as it is where it may stay.
+
+        Raises:
+            OptionError: A time before now or after the motion's end.
+            RunningMotionBlockedError: The running motion is not clear until then, or cannot be left without contact.
+            HplanError: As `hplan.plan`.
+        """
+        time = self.plan.trajectory.time
+        _check_time("at", at, self._now, self.plan.trajectory.duration)
+        seam = int(np.searchsorted(time, at - SAME_TIME))
+        self.context.world.check_base(self.plan.robot.yaw_of(self.plan.trajectory.position[seam]))
+        if self._may_stay():
+            certificate = self._certificate(_as_it_is(self.plan.trajectory), self.row, rest=True)
+            if certificate.verified:
+                return self._kept(certificate)
+        until = self._certificate(_as_it_is(self.plan.trajectory.until(seam)), self.row)
+        if not until.verified:
+            raise self._blocked(until.violations)
+        scene = self._scene.model_copy(update={"start": _state_at(self.plan.trajectory, seam)})
+        stop = stopped(self.plan.trajectory, float(time[seam]), self.plan.robot).trajectory
+        try:
+            new = plan_with(self._cache, scene, self._options, stop=stop.since(seam))
+        except UnavoidableContactError as error:
+            raise self._blocked(error.reasons) from error
+        return self._joined(seam, until, new)
+
+    def stop_at(self, t: float) -> CertifiedMotion:
+        """The quickest stop on the motion's path from the first row at or after a time on; certified from now on."""
+        retimed = stopped(self.plan.trajectory, t, self.plan.robot)
+        certificate = self._certificate(retimed, min(self.row, retimed.trajectory.samples - 1), rest=True)
+        digests = Digests.of(self.plan.robot, self._scene, retimed.trajectory)
+        parts_s = float(retimed.trajectory.time[retimed.row])
+        return CertifiedMotion(retimed.trajectory, replace(certificate, digests=digests), parts_s, retimed.off_path_m)
+
+    def _may_stay(self) -> bool:
+        """True if the motion solves the task as it is now."""
+        before, now = self.plan.scene, self._scene
+        if before.goal != now.goal or before.locked_joints != now.locked_joints:
+            return False
+        fruits = [[fruit for fruit in scene.fruits if fruit.name == now.goal.fruit] for scene in (before, now)]
+        return fruits[0] == fruits[1]
+
+    def _certificate(self, retimed: Retimed, row: int, *, rest: bool = False) -> Certificate:
+        """What is shown of a motion along the running one's path from a row on, among the obstacles as they are now."""
+        running, options = self.plan.certificate, self._options
+        among = stretches_of(self.context.world.checker, retimed, running.contact_s, self.plan.scene.goal.fruit, row)
+        motion = retimed.trajectory.since(row)
+        found = certify_among(
+            self.plan.robot, motion, among, clearance=self._scene.clearance, rest_to_rest=False,
+            tracking=TrackingModel(options.tracking_error, options.tracking_delay_s),
+        )  # fmt: skip
+        if rest and motion.velocity[-1].any():
+            violations = (*found.violations, "the motion does not end at rest")
+            return replace(found, verified=False, violations=violations)
+        return found
+
+    def _blocked(self, reasons: Sequence[str]) -> HplanError:
+        """The error that the running motion cannot be taken over, with the stop from now on where it is certified."""
+        found = self.stop_at(float(self.plan.trajectory.time[self.row]))
+        if not found.certificate.verified:
+            return RunningMotionBlockedError(reasons, None, found.certificate)
+        return RunningMotionBlockedError(reasons, found.trajectory.since(self.row), found.certificate)
+
+    def _kept(self, certificate: Certificate) -> SplicedResult:
+        """The running motion from now on."""
+        begins_s = float(self.plan.trajectory.time[self.row])
+        phases = [
+            Phase(phase.name, max(phase.start_s - begins_s, 0.0), max(phase.end_s - begins_s, 0.0))
+            for phase in self.plan.phases
+        ]
+        left = self.plan.trajectory.since(self.row)
+        running = self.plan.certificate
+        contact = running.contact_s
+        if contact is not None:
+            contact = (max(contact[0] - begins_s, 0.0), max(contact[1] - begins_s, 0.0))
+        certificate = replace(certificate, goal_contact=running.goal_contact, contact_s=contact)
+        return self._result(self.plan, phases, left, certificate, (begins_s, left.duration, True))
+
+    def _joined(self, seam: int, until: Certificate, new: PlanResult) -> SplicedResult:
+        """The running motion until the seam and the new one as one."""
+        before = self.plan.trajectory.until(seam).since(self.row)
+        seam_s = before.duration
+        whole = joined([before, new.trajectory]) if before.samples > 1 else new.trajectory
+        contact = new.certificate.contact_s
+        certificate = replace(
+            all_of([until, new.certificate]),
+            goal_contact=new.certificate.goal_contact,
+            contact_s=None if contact is None else (contact[0] + seam_s, contact[1] + seam_s),
+        )
+        phases = [Phase(phase.name, phase.start_s + seam_s, phase.end_s + seam_s) for phase in new.phases]
+        phases[0] = replace(phases[0], start_s=0.0)
+        begins_s = float(self.plan.trajectory.time[self.row])
+        return self._result(new, phases, whole, certificate, (begins_s, seam_s, False))
+
+    def _result(
+        self,
+        made: PlanResult,
+        phases: Sequence[Phase],
+        trajectory: Trajectory,
+        certificate: Certificate,
+        splice: tuple[float, float, bool],
+    ) -> SplicedResult:
+        """A plan with another trajectory, which begins in the state of the running motion now."""
+        scene = self._scene.model_copy(update={"start": _state_at(self.plan.trajectory, self.row)})
+        certificate = replace(certificate, digests=Digests.of(self.plan.robot, scene, trajectory))
+        transit = made.motion
+        task = replace(transit.task, scene=scene, options=self._options)
+        first = trajectory.until(int(np.searchsorted(trajectory.time, phases[0].end_s - SAME_TIME)))
+        motion = replace(transit, task=task, trajectory=first, certificate=certificate)
+        values = {name: getattr(made, name) for name in PlanResult.__dataclass_fields__}
+        report = made.report | {"phases": [vars(phase) for phase in phases]}
+        values |= {
+            "trajectory": trajectory,
+            "certificate": certificate,
+            "phases": tuple(phases),
+            "motion": motion,
+            "report": report | motion_report(trajectory, certificate, self._options),
+            "bound": None,
+        }
+        begins_s, seam_s, is_kept = splice
+        return SplicedResult(**values, begins_s=begins_s, seam_s=seam_s, is_kept=is_kept)

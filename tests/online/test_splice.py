@@ -1,0 +1,211 @@
+"""A new motion spliced into a running one: what stays, the seam, the whole; and what is said where none is found."""
+
+from __future__ import annotations
+
+import math
+import pickle
+
+import numpy as np
+import pytest
+from planned import assert_clear, at, between_rows, fruit, post, task
+
+from hplan.errors import InputError, OptionError, RunningMotionBlockedError
+from hplan.online.planner import Planner
+from hplan.online.splice import SplicedResult
+from hplan.planning.plan import PlanResult
+from hplan.problem.options import PlanOptions
+from hplan.robot.model import Robot
+from hplan.scene.model import Goal, Scene
+from hplan.scene.obstacles import Sphere
+from hplan.timing.trajectory import Trajectory, cubic_pieces
+from hplan.verification.certificate import certify
+
+FIELDS = ("position", "velocity", "acceleration")
+POST = post("post", 0.0, 1.1, 0.0, 1.5)
+BALL = Sphere(name="ball", center=at(90.0, 2.0, 1.0), radius=0.05)
+BACK = Goal(joints_deg=(-30.0, 60.0, 40.0, 30.0))
+
+
+def a_planner(robot: Robot, **options: object) -> tuple[Planner, PlanResult]:
+    """A planner whose motion leads about a post."""
+    scene = task((-40.0, 45.0, 40.0, 30.0), (40.0, 45.0, 40.0, 30.0), [POST, BALL])
+    planner = Planner(robot, scene, PlanOptions(**options))
+    return planner, planner.plan()
+
+
+def on_the_way(robot: Robot, trajectory: Trajectory, part: float) -> tuple[float, float, float]:
+    """Where the tool is at a part of a motion."""
+    x, y, z = robot.tool_positions(trajectory.position[[int(part * (trajectory.samples - 1))]])[0].tolist()
+    return x, y, z
+
+
+def assert_spliced(robot: Robot, scene: Scene, before: Trajectory, result: SplicedResult) -> None:
+    """The running motion up to the seam row for row, continuous cubics there, the whole certified and clear."""
+    trajectory = result.trajectory
+    first = int(np.searchsorted(before.time, result.begins_s - 1e-9))
+    seam = int(np.searchsorted(trajectory.time, result.seam_s - 1e-9))
+    for field in FIELDS:
+        kept, ran = getattr(trajectory, field)[: seam + 1], getattr(before, field)[first : first + seam + 1]
+        np.testing.assert_array_equal(kept, ran)
+    if 0 < seam < trajectory.samples - 1:
+        bezier, duration = cubic_pieces(trajectory)
+        bent = 6.0 * np.diff(bezier, n=2, axis=1) / duration[:, None, None] ** 2
+        speed = 3.0 * np.diff(bezier, axis=1) / duration[:, None, None]
+        np.testing.assert_allclose(speed[seam, 0], speed[seam - 1, 2], rtol=0, atol=1e-9)
+        np.testing.assert_allclose(bent[seam, 0], bent[seam - 1, 1], rtol=0, atol=1e-6)
+    now = result.scene
+    assert now.obstacles == scene.obstacles
+    assert now.goal == scene.goal
+    assert result.certificate.verified
+    assert certify(robot, now, trajectory).verified
+    assert_clear(robot, now, between_rows(trajectory, np.arange(trajectory.samples), 1), touched=scene.goal.fruit)
+    assert not trajectory.velocity[-1].any()
+    assert result.phases[0].start_s == 0.0
+    assert result.phases[-1].end_s == pytest.approx(trajectory.duration)
+    assert result.motion.task.scene is now
+
+
+@pytest.mark.parametrize("effort", ["quick", "default"])
+@pytest.mark.parametrize(("now", "ahead"), [(0.0, 0.0), (0.0, 0.3), (0.3, 0.1), (0.45, 0.0012)])
+def test_to_another_goal(robot, effort, now, ahead):
+    planner, before = a_planner(robot, effort=effort)
+    planner.aim(goal=BACK)
+    result = planner.replan(at=now + ahead, now=now)
+    assert not result.is_kept
+    assert result is planner.last
+    assert_spliced(robot, planner.scene, before.trajectory, result)
+    assert 0.0 <= now - result.begins_s < 4e-3
+    assert 0.0 <= result.begins_s + result.seam_s - (now + ahead) < 4e-3
+
+
+def test_what_is_still_certified_stays(robot):
+    planner, before = a_planner(robot)
+    planner.move("ball", center=at(100.0, 2.0, 1.0))
+    result = planner.replan(at=0.5, now=0.4)
+    assert result.is_kept
+    assert result.seam_s == result.trajectory.duration
+    np.testing.assert_array_equal(result.trajectory.position, before.trajectory.position[100:])
+    assert_spliced(robot, planner.scene, before.trajectory, result)
+
+
+def test_around_an_obstacle_that_has_come_in_the_way(robot):
+    planner, before = a_planner(robot)
+    planner.move("ball", center=on_the_way(robot, before.trajectory, 0.75))
+    result = planner.replan(at=0.25, now=0.2)
+    assert not result.is_kept
+    assert_spliced(robot, planner.scene, before.trajectory, result)
+    # And on: what was spliced runs.
+    planner.aim(goal=BACK)
+    again = planner.replan(at=0.3, now=0.2)
+    assert_spliced(robot, planner.scene, result.trajectory, again)
+
+
+def test_with_tracking_errors_the_arm_stops_on_its_path_first(robot):
+    planner, before = a_planner(robot, tracking_error=1e-4, tracking_delay_s=1e-3)
+    planner.aim(goal=BACK)
+    result = planner.replan(at=0.4, now=0.3)
+    assert_spliced(robot, planner.scene, before.trajectory, result)
+    stop = before.trajectory.stop_at(0.4, robot)
+    seam = int(np.searchsorted(result.trajectory.time, result.seam_s - 1e-9))
+    rows = stop.samples - 101
+    np.testing.assert_allclose(
+        result.trajectory.position[seam : seam + rows], stop.position[100 : 100 + rows], rtol=0, atol=1e-12
+    )
+
+
+def test_to_a_fruit_and_on(robot):
+    scene = task(
+        (-40.0, 45.0, 40.0, 30.0), Goal(fruit="apple"), [POST, BALL],
+        fruits=(fruit("apple", 20.0, 1.5, 1.4), fruit("pear", -20.0, 1.5, 1.4)),
+    )  # fmt: skip
+    planner = Planner(robot, scene)
+    before = planner.plan()
+    kept = planner.replan(at=0.4, now=0.3)
+    assert kept.is_kept
+    assert kept.picked == pytest.approx({"apple": before.picked["apple"] - kept.begins_s})
+    assert_spliced(robot, planner.scene, before.trajectory, kept)
+    planner.aim(goal=Goal(fruit="pear"))
+    result = planner.replan(at=0.2, now=0.1)
+    assert_spliced(robot, planner.scene, kept.trajectory, result)
+    assert list(result.picked) == ["pear"]
+
+
+def test_while_the_arm_goes_back_from_a_fruit(robot):
+    scene = task((-40.0, 45.0, 40.0, 30.0), Goal(fruit="apple"), fruits=(fruit("apple", 20.0, 1.5, 1.4),))
+    planner = Planner(robot, scene)
+    before = planner.plan()
+    late = before.trajectory.duration - 0.02
+    result = planner.replan(at=late, now=late)
+    assert result.is_kept
+    assert result.picked == {"apple": 0.0}
+
+
+def test_at_the_end_it_begins_at_rest(robot):
+    planner, before = a_planner(robot)
+    planner.aim(goal=BACK)
+    end = before.trajectory.duration
+    result = planner.replan(at=end, now=end - 0.1)
+    assert_spliced(robot, planner.scene, before.trajectory, result)
+
+
+def test_what_is_in_the_way_at_once(robot):
+    """The running motion is not clear up to the seam: the stop before it, if there is one."""
+    planner, before = a_planner(robot)
+    last = planner.last
+    ball = on_the_way(robot, before.trajectory, 0.6)
+    planner.move("ball", center=ball)
+    hit = 0.6 * before.trajectory.duration
+    with pytest.raises(RunningMotionBlockedError, match=r"ball.*it can stop on its path") as caught:
+        planner.replan(at=hit, now=0.1)
+    error = caught.value
+    assert error.certificate.verified
+    np.testing.assert_array_equal(error.stop.position[0], before.trajectory.position[25])
+    assert not error.stop.velocity[-1].any()
+    assert_clear(robot, planner.scene, error.stop.position)
+    assert error.data["can_stop"]
+    assert pickle.loads(pickle.dumps(error)).stop.samples == error.stop.samples
+    with pytest.raises(RunningMotionBlockedError, match=r"no stop on its path") as caught:
+        planner.replan(at=hit, now=hit - 0.05)
+    assert caught.value.stop is None
+    assert not caught.value.certificate.verified
+    assert planner.last is last
+
+
+def test_stops_of_the_running_motion(robot):
+    """Certified among the obstacles as they are now, from now on."""
+    planner, before = a_planner(robot)
+    found = planner.stop_at(0.3)
+    assert found.certificate.verified
+    assert found.certificate.digests is not None
+    assert found.trajectory.duration < before.trajectory.duration
+    assert planner.last is before
+    planner.move("ball", center=on_the_way(robot, before.trajectory, 0.3))
+    assert not planner.stop_at(0.6).certificate.verified
+    late = 0.6 * before.trajectory.duration
+    assert planner.stop_at(late, now=late).certificate.verified
+
+
+def test_before_anything_runs(robot, scene):
+    planner = Planner(robot, scene)
+    with pytest.raises(InputError, match="plan one first"):
+        planner.replan(at=0.1)
+    with pytest.raises(InputError, match="plan one first"):
+        planner.stop_at(0.1)
+
+
+@pytest.mark.parametrize(
+    ("at_s", "now"),
+    [(-0.1, 0.0), (99.0, 0.0), (math.nan, 0.0), (0.1, math.nan), (0.1, 0.2), ("1", 0.0), (0.1, None), (0.1, -1.0)],
+)
+def test_times_that_are_none(robot, at_s, now):
+    planner, before = a_planner(robot, effort="quick")
+    with pytest.raises(OptionError):
+        planner.replan(at=at_s, now=now)
+    assert planner.last is before
+
+
+def test_the_start_of_a_later_scene_is_left_alone(robot):
+    planner, _ = a_planner(robot, effort="quick")
+    start = planner.scene.start
+    planner.replan(at=0.3, now=0.2)
+    assert planner.scene.start == start

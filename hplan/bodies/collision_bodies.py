@@ -1,27 +1,31 @@
 r"""The collision geometry of a robot as convex bodies: the hull of a few points, grown by a radius, on a joint each.
 
 Every body holds the URDF's shape that it stands for. Spheres, capsules and boxes are what they are. A cylinder is the
-prism of `_SIDES` sides about it. Of a mesh it is the convex hull, which of a mesh that is not convex is larger than it;
-a hull of more than `MOST_POINTS` vertices keeps some of them, and grows by the distance of the farthest of the others.
+prism of `_SIDES` sides about it. Of a mesh it is the convex hull; a closed mesh that fills less than `_FILLED` of its
+hull is cut into `_PIECES` convex pieces, whose union holds it (`hplan.scene.convex_decomposition`). A hull of more than
+`MOST_POINTS` vertices keeps some of them, and grows by the distance of the farthest of the others.
 
-Where such a body is larger than the shape that coal judges by (`body_shapes`: the true cylinder, the hull with all of
-its vertices), `CollisionBody.growth` says by how much at most.
+Where a body is larger than the shape that coal judges by (`body_shapes`: the true cylinder, the hull with all of its
+vertices), `CollisionBody.growth` says by how much at most.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import coal
 import numpy as np
 import pinocchio as pin
 
-from hplan.base.arrays import FloatArray, Record, readonly
+from hplan.base.arrays import FloatArray, IntArray, Record, readonly
 from hplan.errors import RobotFileError
 from hplan.robot.model import Robot
-from hplan.scene.convex_shape import convex_hull_shape
+from hplan.scene.convex_decomposition import convex_pieces
+from hplan.scene.convex_shape import convex_hull_shape, convex_shape
 from hplan.scene.solids import CUBE_CORNERS, hull_of, thickening
 
 #: Joint of a body that no joint moves.
@@ -36,6 +40,10 @@ _SIDES: Final = 24
 #: A mesh whose hull has this much more volume is not convex.
 _CONVEX: Final = 1e-3
 
+#: A mesh that fills less of its hull is cut, into so many pieces at most.
+_FILLED: Final = 0.8
+_PIECES: Final = 4
+
 
 @dataclass(frozen=True, eq=False)
 class CollisionBody(Record):
@@ -48,10 +56,10 @@ class CollisionBody(Record):
             one of a sphere, two of a capsule, eight of a box, with which (-1, -1, -1) ... (1, 1, 1) are meant in the
             order of `hplan.scene.solids.CUBE_CORNERS`; vertices of the hull of all others [m].
         rounding: Radius about the core [m].
-        kind: `sphere`, `capsule`, `box`, `cylinder`, `mesh` (one that is convex) or `mesh hull`.
+        kind: `sphere`, `capsule`, `box`, `cylinder`, `mesh` (one that is convex), `mesh hull` or `mesh piece`.
         exact: True where it is the URDF's shape itself, up to rounding errors.
         growth: By how much it may stand out beyond the shape that coal judges by [m]; see `body_shapes`.
-        shape: Place of the URDF's shape among the geometry objects of `Robot.collision_model`.
+        shape: Place of the URDF's shape among the geometry objects of `Robot.collision_model`; pieces share one.
     """
 
     name: str
@@ -89,38 +97,80 @@ def body_shapes(robot: Robot) -> tuple[pin.GeometryObject, ...]:
 def _made(robot: Robot) -> list[tuple[CollisionBody, pin.GeometryObject]]:
     def make() -> list[tuple[CollisionBody, pin.GeometryObject]]:
         objects = robot.collision_model.geometryObjects
-        return [_body(robot, number, shape) for number, shape in enumerate(objects)]
+        found = (_bodies(robot, number, shape) for number, shape in enumerate(objects))
+        return list(itertools.chain.from_iterable(found))
 
     return robot.once("collision_bodies", make)
 
 
-def _body(robot: Robot, number: int, shape: pin.GeometryObject) -> tuple[CollisionBody, pin.GeometryObject]:
-    """A body, and its shape for coal."""
-    geometry, name = shape.geometry, str(robot.model.frames[shape.parentFrame].name)
-    rounding = growth = 0.0
-    exact, judged = True, geometry
+class _Solid(NamedTuple):
+    """A convex solid: kind, core, rounding, exactness and growth of a body, and the shape for coal."""
+
+    kind: str
+    core: FloatArray
+    rounding: float
+    exact: bool
+    growth: float
+    judged: coal.CollisionGeometry
+
+
+def _bodies(robot: Robot, number: int, shape: pin.GeometryObject) -> Iterator[tuple[CollisionBody, pin.GeometryObject]]:
+    """The bodies of a shape of the URDF, each with its shape for coal."""
+    name, joint, place = str(robot.model.frames[shape.parentFrame].name), int(shape.parentJoint), shape.placement
+    solids = _mesh(shape.geometry) if isinstance(shape.geometry, coal.BVHModelBase) else [_primitive(shape.geometry)]
+    for piece, solid in enumerate(solids):
+        if solid is None:
+            kind = type(shape.geometry).__name__
+            raise RobotFileError(robot.urdf_path, f"link {name!r}: shape {kind} is not supported")
+        core = readonly(solid.core @ place.rotation.T + place.translation)
+        body = CollisionBody(name, joint - 1, core, solid.rounding, solid.kind, solid.exact, solid.growth, number)
+        yield body, pin.GeometryObject(f"{name}:{number}:{piece}", joint, place, solid.judged)
+
+
+def _primitive(geometry: coal.CollisionGeometry) -> _Solid | None:
+    """A shape that is no mesh; None for one that URDF does not know."""
     if isinstance(geometry, coal.Sphere):
-        kind, core, rounding = "sphere", np.zeros((1, 3)), float(geometry.radius)
-    elif isinstance(geometry, coal.Capsule):
-        kind, core, rounding = "capsule", np.array([[0, 0, -1.0], [0, 0, 1.0]]), float(geometry.radius)
-        core = core * float(geometry.halfLength)
-    elif isinstance(geometry, coal.Box):
-        kind, core = "box", CUBE_CORNERS * np.asarray(geometry.halfSide)
-    elif isinstance(geometry, coal.Cylinder):
-        kind, core, exact = "cylinder", _prism(float(geometry.radius), float(geometry.halfLength)), False
-        growth = float(geometry.radius) * (1.0 / math.cos(math.pi / _SIDES) - 1.0)
-    elif isinstance(geometry, coal.BVHModelBase):
-        vertices = np.asarray(geometry.vertices(), dtype=np.float64)
-        judged = convex_hull_shape(vertices)
-        hull = hull_of((vertices[:, None] + thickening(vertices)).reshape(-1, 3), most=MOST_POINTS)
-        core, rounding = hull.core, hull.rounding
-        convex = _is_convex(geometry, judged)
-        kind, exact, growth = "mesh" if convex else "mesh hull", convex and rounding == 0.0, rounding
-    else:
-        raise RobotFileError(robot.urdf_path, f"link {name!r}: shape {type(geometry).__name__} is not supported")
-    placed = readonly(core @ shape.placement.rotation.T + shape.placement.translation)
-    body = CollisionBody(name, int(shape.parentJoint) - 1, placed, rounding, kind, exact, growth, number)
-    return body, pin.GeometryObject(f"{name}:{number}", shape.parentJoint, shape.placement, judged)
+        return _Solid("sphere", np.zeros((1, 3)), float(geometry.radius), True, 0.0, geometry)
+    if isinstance(geometry, coal.Capsule):
+        core = np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]]) * float(geometry.halfLength)
+        return _Solid("capsule", core, float(geometry.radius), True, 0.0, geometry)
+    if isinstance(geometry, coal.Box):
+        return _Solid("box", CUBE_CORNERS * np.asarray(geometry.halfSide), 0.0, True, 0.0, geometry)
+    if isinstance(geometry, coal.Cylinder):
+        radius = float(geometry.radius)
+        growth = radius * (1.0 / math.cos(math.pi / _SIDES) - 1.0)
+        return _Solid("cylinder", _prism(radius, float(geometry.halfLength)), 0.0, False, growth, geometry)
+    return None
+
+
+def _mesh(mesh: coal.BVHModelBase) -> list[_Solid]:
+    """The hull of a mesh, or of its pieces."""
+    vertices = np.asarray(mesh.vertices(), dtype=np.float64)
+    corners = (mesh.tri_indices(number) for number in range(mesh.num_tris))
+    faces = np.array([[three[0], three[1], three[2]] for three in corners], dtype=np.int64)
+    thicker = (vertices[:, None] + thickening(vertices)).reshape(-1, 3)
+    judged = convex_hull_shape(vertices)
+    a, b, c = (vertices[faces[:, corner]] - vertices[0] for corner in range(3))
+    filled = float((a * np.cross(b, c)).sum()) / 6.0 / float(judged.computeVolume())
+    if filled < _FILLED and _is_closed(faces):
+        pieces = convex_pieces(vertices, faces, most=_PIECES).hulls
+        return [_hull("mesh piece", piece.core, piece.rounding, convex_shape(piece)) for piece in pieces]
+    convex = filled >= 1.0 - _CONVEX
+    hull = _hull("mesh" if convex else "mesh hull", thicker, 0.0, judged)
+    return [hull._replace(exact=convex and hull.growth == 0.0)]
+
+
+def _hull(kind: str, points: FloatArray, rounding: float, judged: coal.CollisionGeometry) -> _Solid:
+    """The hull of (n, 3) points, grown by a radius."""
+    hull = hull_of(points, most=MOST_POINTS)
+    return _Solid(kind, hull.core, hull.rounding + rounding, False, hull.rounding, judged)
+
+
+def _is_closed(faces: IntArray) -> bool:
+    """True if each edge of a surface is one of two triangles, which go along it in opposite senses."""
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    there, back = ({tuple(edge) for edge in ways.tolist()} for ways in (edges, edges[:, ::-1]))
+    return len(there) == len(edges) and there == back
 
 
 def _prism(radius: float, half_length: float) -> FloatArray:
@@ -129,13 +179,3 @@ def _prism(radius: float, half_length: float) -> FloatArray:
     rim = radius / math.cos(math.pi / _SIDES) * np.stack([np.cos(angles), np.sin(angles)], axis=1)
     corners: FloatArray = np.vstack([np.c_[rim, np.full(_SIDES, end)] for end in (-half_length, half_length)])
     return corners
-
-
-def _is_convex(mesh: coal.BVHModelBase, hull: coal.Convex) -> bool:
-    """True if a mesh is as large as its hull."""
-    vertices = np.asarray(mesh.vertices(), dtype=np.float64)
-    corners = (mesh.tri_indices(number) for number in range(mesh.num_tris))
-    faces = np.array([[three[0], three[1], three[2]] for three in corners])
-    a, b, c = (vertices[faces[:, corner]] - vertices[0] for corner in range(3))
-    volume = float((a * np.cross(b, c)).sum()) / 6.0
-    return bool(volume >= (1.0 - _CONVEX) * float(hull.computeVolume()))

@@ -27,7 +27,7 @@ from hplan.bodies.reach import carriers, joint_axis, reach
 from hplan.robot.base_shapes import always, coal_distance, ever
 from hplan.robot.model import Robot
 
-#: Sides of a joint may be this far apart, and are still its own [m].
+#: Sides of a joint may be this far apart, and are still its own; so are bodies with one link between them [m].
 BEARING: Final = 0.02
 
 #: How far beyond the joint limits pairs are judged, as a tracking error may lead there [rad, m].
@@ -52,7 +52,7 @@ class SelfPairs(Record):
             later in the URDF, is not always j.)
         allowed: Pairs (i, j), i < j, that are not looked at, each with the reason in words.
         farthest: (checked,) how far apart each pair was seen [m], infinite from 0.25 m on. One that is never farther
-            apart than the clearance to keep is asked only whether it touches (`needed`).
+            apart than the clearance to keep, or than `BEARING`, is asked only whether it touches (`needed`).
         reach: (checked, dof) by how much a joint's motion can bring the two nearer: `reach @ abs(dq)` bounds by how
             much their distance changes [m/rad, m/m].
     """
@@ -64,7 +64,7 @@ class SelfPairs(Record):
 
     def needed(self, clearance: float) -> FloatArray:
         """(checked,) distance that each pair is to keep where a clearance is asked for [m]."""
-        return np.where(self.farthest > clearance, clearance, min(clearance, 0.0))
+        return np.where(self.farthest > max(clearance, BEARING), clearance, min(clearance, 0.0))
 
 
 def self_pairs(robot: Robot, beyond: float = BEYOND) -> SelfPairs:

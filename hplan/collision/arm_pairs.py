@@ -3,11 +3,14 @@
 The turret's shapes that are round about the yaw axis, and the pedestal, stand still: they are no part of any motion,
 and looked at once (`hplan.collision.coal_scene.base_contacts`). So is an obstacle that no point of a turning shape
 comes down to: a horizontal plane between the two stays between them, whatever the yaw.
+
+Of a robot that is no planar arm the parts are its collision bodies (`hplan.bodies`), each link's by the link's name.
 """
 
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -16,6 +19,9 @@ import numpy as np
 import pinocchio as pin
 
 from hplan.base.arrays import BoolArray
+from hplan.bodies.collision_bodies import body_shapes, collision_bodies
+from hplan.bodies.reach import carriers
+from hplan.bodies.touching_pairs import BEYOND, SelfPairs, self_pairs
 from hplan.collision.coal_cloud import distance_from
 from hplan.robot.base_shapes import BASE_DEPTH, GROUND, TURRET, BaseShape, always, filled, turning_shapes
 from hplan.robot.model import Robot
@@ -32,7 +38,8 @@ class ArmPair:
 
     Attributes:
         mover: The link, or `TURRET`.
-        other: The body from which the motion is seen: a link before it, `TURRET`, or `GROUND`.
+        other: The body from which the motion is seen: a link before it, `TURRET`, or `GROUND`; of a robot that is no
+            planar arm, the number of the other body.
         mover_name: Name of its body.
         other_name: Name of the other body.
         shapes: The two shapes.
@@ -97,6 +104,29 @@ def turret_shapes(robot: Robot) -> dict[str, tuple[list[BaseShape], list[pin.Geo
         shapes.append(shape)
         placed.append(_placed(robot, shape.number))
     return found
+
+
+def moving_bodies(robot: Robot) -> dict[str, list[int]]:
+    """By link, the numbers of the bodies that joints move."""
+    found: dict[str, list[int]] = {}
+    for number, body in enumerate(collision_bodies(robot)):
+        if body.joint >= 0:
+            found.setdefault(body.name, []).append(number)
+    return found
+
+
+def own_pairs(robot: Robot, deviation: float) -> SelfPairs:
+    """The pairs of a robot's bodies where joints are beyond their limits by a deviation at most [rad]."""
+    return self_pairs(robot, BEYOND * max(1, math.ceil(deviation / BEYOND - 1e-9)))
+
+
+def body_pairs(robot: Robot, pairs: SelfPairs) -> Iterator[ArmPair]:
+    """Pairs of a robot's bodies, in their order; the one that more joints carry is the mover."""
+    bodies, shapes, links = collision_bodies(robot), body_shapes(robot), list(moving_bodies(robot))
+    for pair in pairs.checked:
+        still, moved = sorted(pair, key=lambda body: len(carriers(robot, bodies[body].joint)))
+        names = bodies[moved].name, bodies[still].name
+        yield ArmPair(links.index(names[0]), still, *names, (shapes[moved], shapes[still]))
 
 
 def below(robot: Robot, shape: BaseShape, obstacles: Sequence[Solid]) -> BoolArray:

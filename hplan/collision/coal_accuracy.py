@@ -53,12 +53,15 @@ def distance_errors(
     Returns:
         (movers * solids + pairs,) of each mover with each obstacle, mover by mover, then of the pairs.
     """
-    curved = [isinstance(solid, Cylinder) for solid in solids]
+    curved = np.array([isinstance(solid, Cylinder) for solid in solids], dtype=np.bool_)
+    round_movers = np.array([isinstance(shape.geometry, coal.Cylinder) for shape in movers], dtype=np.bool_)
+    round_pairs = [any(isinstance(shape.geometry, coal.Cylinder) for shape in pair) for pair in pairs]
     first = np.array([_extent(shape) for shape in movers]).reshape(-1, 2)
     second = np.array([_solid_extent(solid) for solid in solids]).reshape(-1, 2)
     both = np.array([[_extent(shape) for shape in pair] for pair in pairs]).reshape(-1, 2, 2)
-    among = _errors(first[:, None], second[None]) + np.where(curved, CURVED - ITERATION, 0.0)
-    return np.append(among, _errors(both[:, 0], both[:, 1]))
+    among = _errors(first[:, None], second[None])
+    among += np.where(round_movers[:, None] | curved, CURVED - ITERATION, 0.0)
+    return np.append(among, _errors(both[:, 0], both[:, 1]) + np.where(round_pairs, CURVED - ITERATION, 0.0))
 
 
 def _errors(first: FloatArray, second: FloatArray) -> FloatArray:

@@ -14,14 +14,24 @@ from numpy.typing import ArrayLike
 from hplan.base import ties
 from hplan.base.arrays import BoolArray, FloatArray, IntArray
 from hplan.base.deadline import look
-from hplan.collision.arm_pairs import below, fold_pairs, link_pairs, turret_pairs, turret_shapes
+from hplan.bodies.collision_bodies import body_shapes
+from hplan.collision.arm_pairs import (
+    below,
+    body_pairs,
+    fold_pairs,
+    link_pairs,
+    moving_bodies,
+    own_pairs,
+    turret_pairs,
+    turret_shapes,
+)
 from hplan.collision.coal_accuracy import distance_errors
 from hplan.collision.coal_cloud import distance_from, obstacle_shape
 from hplan.collision.coal_shapes import LINK_SHAPES, LinkShapes, beyond_geometry, link_shapes, urdf_shapes
 from hplan.collision.geometry_pairs import GeometryPairs
 from hplan.collision.moving_solids import MovingSolids
 from hplan.errors import ConfigurationInCollisionError, MovingObstacleError, OptionError
-from hplan.robot.base_shapes import TURRET, filled
+from hplan.robot.base_shapes import TURRET, base_joints, filled
 from hplan.robot.model import Robot
 from hplan.robot.self_contact import self_contact
 from hplan.scene.obstacles import Solid
@@ -63,7 +73,9 @@ class CoalScene:
     - `box`: square beams from joint to joint, of the capsules' half-widths (in the arm plane: the paper's rectangle);
     - `urdf`: the URDF's collision geometry itself, meshes by their convex hulls (as surfaces they are hollow to coal).
 
-    Neighbours that fold into one another are asked as capsules always.
+    Neighbours that fold into one another are asked as capsules always. Of a robot that is no planar arm the links are
+    those of the URDF that move, as `hplan.bodies.collision_bodies.body_shapes` has them, and the pairs of its own those
+    of `hplan.bodies.touching_pairs`; `links` is `urdf` then.
 
     A cloud is its points in trees of bounding volumes, asked with its radius taken off the distance. Wherever a
     link does not reach the points themselves the distance is right, and at most 2e-7 m too small; where it does,
@@ -86,6 +98,7 @@ class CoalScene:
         deviation: How far joints may be beyond their limits [rad]; parts of the arm that touch up to there are pairs.
         clearance: Distance that parts of the arm are to keep from each other [m]; those that come nearer are pairs.
         moving: Those of the obstacles that move, and how; None where none does.
+        own_bodies: The pairs of its own of a robot that is no planar arm, the last of `pairs`; None of a planar arm.
     """
 
     def __init__(
@@ -118,7 +131,7 @@ class CoalScene:
         """
         if links not in LINK_SHAPES:
             raise OptionError("links", links, f"one of {', '.join(LINK_SHAPES)}")
-        self.robot, self.links = robot, links
+        self.robot, self.links = robot, links if robot.planar is not None else "urdf"
         self._built: dict[str, Any] = {
             "robot": robot,
             "obstacles": tuple(obstacles),
@@ -131,11 +144,20 @@ class CoalScene:
         }
         self.moving = MovingSolids.of(obstacles, movements)
         self._touched: tuple[str, ...] = ()
-        self.link_names = robot.arm.link_names
         self.deviation, self.clearance = float(deviation), float(clearance)
-        shapes = urdf_shapes(robot) if links == "urdf" else [[shape] for shape in link_shapes(robot, links)]
-        turret = turret_shapes(robot) if single_joint_pairs else {}
+        self.own_bodies = own_pairs(robot, self.deviation) if robot.planar is None else None
+        if robot.planar is None:
+            named, turret = moving_bodies(robot), {}
+            self.link_names = tuple(named)
+            shapes = [[body_shapes(robot)[body] for body in bodies] for bodies in named.values()]
+            last = [shape.parentJoint == robot.tool_joint for of_link in shapes for shape in of_link]
+        else:
+            self.link_names = robot.arm.link_names
+            shapes = urdf_shapes(robot) if links == "urdf" else [[shape] for shape in link_shapes(robot, links)]
+            turret = turret_shapes(robot) if single_joint_pairs else {}
+            last = [of_link is shapes[-1] for of_link in shapes for _ in of_link]
         movers = [*shapes, *(placed for _, placed in turret.values())]
+        self._last = np.flatnonzero(last)
         self.mover_names = (*self.link_names, *turret)
         # The shapes of mover k are the rows from `_first_shape[k]` on.
         self._first_shape = np.cumsum([0, *(len(of_mover) for of_mover in movers[:-1])])
@@ -152,10 +174,13 @@ class CoalScene:
             self._beyond[len(self.link_shapes) + row, never] = -np.inf
         mover_of = [mover for mover, of_mover in enumerate(movers) for _ in of_mover]
         self.pairs = [(mover, obstacle) for mover in mover_of for obstacle in range(len(obstacles))]
-        contact = self_contact(robot, deviation=deviation, clearance=clearance)
-        own = list(link_pairs(robot, contact, shapes))
-        if single_joint_pairs:
-            own += [*fold_pairs(robot, contact, link_shapes(robot, "capsule")), *turret_pairs(robot, contact)]
+        if self.own_bodies is not None:
+            own = list(body_pairs(robot, self.own_bodies))
+        else:
+            contact = self_contact(robot, deviation=deviation, clearance=clearance)
+            own = list(link_pairs(robot, contact, shapes))
+            if single_joint_pairs:
+                own += [*fold_pairs(robot, contact, link_shapes(robot, "capsule")), *turret_pairs(robot, contact)]
         self.own_others = [pair.other for pair in own]
         self._own_shapes = [pair.shapes for pair in own]
         self.own_first = len(obstacles)
@@ -191,7 +216,10 @@ class CoalScene:
         """The same scene with the pairs that a tracking error [rad] and a clearance [m] require."""
         if deviation <= self.deviation and clearance == self.clearance:
             return self
-        if not any(
+        if self.own_bodies is not None:
+            if own_pairs(self.robot, max(deviation, self.deviation)) is self.own_bodies:
+                return self
+        elif not any(
             self_contact(self.robot, deviation=more, clearance=keep).possible
             for more, keep in ((deviation, clearance), (self.deviation, self.clearance))
         ):
@@ -205,12 +233,20 @@ class CoalScene:
         vars(other).update(vars(self))
         other._touched = (*self._touched, name)
         other._beyond = self._beyond.copy()
-        named = [obstacle == name for obstacle in self.obstacle_names[: self.own_first]]
-        last = slice(self._first_shape[len(self.link_names) - 1], len(self.link_shapes))
-        other._beyond[last, named] = -np.inf
+        named = np.flatnonzero([obstacle == name for obstacle in self.obstacle_names[: self.own_first]])
+        other._beyond[np.ix_(self._last, named)] = -np.inf
         other._taken_off = self._taken_off.copy()
         other._taken_off[: self._beyond.size] = other._beyond.ravel()
         return other
+
+    def kept(self, clearance: float) -> float | FloatArray:
+        """The distance that each of `pairs` is to keep where a clearance is asked for, for all or (pairs,) [m].
+
+        Bodies of a robot that is no planar arm may be nearer to each other where they can never be as far apart.
+        """
+        if self.own_bodies is None:
+            return clearance
+        return np.append(np.full(self._beyond.size, clearance), self.own_bodies.needed(clearance))
 
     def distances(self, q: ArrayLike, time_s: float | None = None) -> FloatArray:
         """Signed distances at one configuration, (dof,) -> (movers, obstacle names) [m]; negative is the depth.
@@ -284,7 +320,7 @@ class CoalScene:
         q = np.asarray(configurations, dtype=np.float64)
         if not self.obstacle_names:
             return np.zeros(len(q), dtype=np.bool_)
-        margins = margin + self._taken_off
+        margins = (self.kept(margin) if margin > 0.0 else margin) + self._taken_off
         # Of trees coal knows no negative margin.
         margins[self._taken_off > 0.0] = np.maximum(0.0, margins[self._taken_off > 0.0])
         return self._geometry.in_collision(q, margins)
@@ -303,7 +339,8 @@ def base_contacts(
 ) -> tuple[Contact, ...]:
     """Obstacles that touch what the planar joints do not move: pedestal and turret, as the URDF gives them.
 
-    They are no part of the C-space, since no motion of the arm at this yaw changes them.
+    They are no part of the C-space, since no motion of the arm at this yaw changes them. Of a robot that is no planar
+    arm it is what no joint moves.
 
     Args:
         robot: The arm.
@@ -313,13 +350,13 @@ def base_contacts(
     """
     if not obstacles:
         return ()
-    q = np.zeros(robot.dof)
-    q[: robot.yaw_joints] = yaw
+    q, joints = np.zeros(robot.dof), base_joints(robot)
+    q[:joints] = yaw
     data = robot.model.createData()
     pin.forwardKinematics(robot.model, data, q)
     found = []
     for shape in robot.collision_model.geometryObjects:
-        if shape.parentJoint > robot.yaw_joints:
+        if shape.parentJoint > joints:
             continue
         body = filled(shape)
         place = data.oMi[shape.parentJoint] * shape.placement
@@ -329,24 +366,6 @@ def base_contacts(
             if distance <= margin:
                 found.append(Contact(name, obstacle.name, distance))
     return tuple(found)
-
-
-def base_radius(robot: Robot) -> float:
-    """Radius of a ball about `base_link`'s origin that holds pedestal and turret, whatever the yaw [m]."""
-    return robot.once("base_radius", lambda: _base_radius(robot))
-
-
-def _base_radius(robot: Robot) -> float:
-    radius, axis = 0.0, np.append(robot.yaw_axis, 0.0)
-    for shape in robot.collision_model.geometryObjects:
-        if shape.parentJoint <= robot.yaw_joints:
-            shape.geometry.computeLocalAABB()
-            # Joint 0 turns about a vertical: distances from a point of that stay.
-            about = axis if shape.parentJoint else np.zeros(3)
-            centre = robot.model.jointPlacements[shape.parentJoint] * shape.placement * shape.geometry.aabb_center
-            far = float(np.linalg.norm(centre - about)) + shape.geometry.aabb_radius
-            radius = max(radius, float(np.linalg.norm(about)) + far)
-    return radius
 
 
 def check_clear(checker: CoalScene, q: FloatArray, clearance: float, which: str, *, sway: ArrayLike = 0.0) -> float:
@@ -367,11 +386,12 @@ def check_clear(checker: CoalScene, q: FloatArray, clearance: float, which: str,
     if distances.size == 0:
         return float("inf")
     sways = np.broadcast_to(np.asarray(sway, dtype=np.float64), distances.shape)
-    worst = int((distances - sways).argmin())
-    beyond = float(distances[worst] - sways[worst]) - clearance
+    kept = np.broadcast_to(np.asarray(checker.kept(clearance)), distances.shape)
+    worst = int((distances - sways - (kept - clearance)).argmin())
+    beyond = float(distances[worst] - sways[worst]) - float(kept[worst])
     if beyond <= 0.0:
         nearest = checker.contact(*checker.pairs[worst], float(distances[worst]))
         raise ConfigurationInCollisionError(
-            which, nearest.link, nearest.obstacle, -beyond, clearance + float(sways[worst]), other=nearest.other
+            which, nearest.link, nearest.obstacle, -beyond, float(kept[worst] + sways[worst]), other=nearest.other
         )
     return beyond

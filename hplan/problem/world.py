@@ -16,10 +16,10 @@ import numpy as np
 from hplan.base import ties
 from hplan.base.arrays import FloatArray, Record, frozen
 from hplan.collision.clearance_field import ClearanceField
-from hplan.collision.coal_scene import CoalScene, base_contacts, base_radius, check_clear
+from hplan.collision.coal_scene import CoalScene, base_contacts, check_clear
 from hplan.cspace.prepared_obstacles import PreparedObstacles, prepare_obstacles
 from hplan.errors import ConfigurationInCollisionError, InputError
-from hplan.robot.base_shapes import BASE_DEPTH, turning_shapes
+from hplan.robot.base_shapes import BASE_DEPTH, base_radius, turning_shapes
 from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel, largest_fraction, name_margin
 from hplan.scene.model import Scene

@@ -118,6 +118,30 @@ def turret_radius(robot: Robot) -> float:
     return max((shape.radius for shape in turning_shapes(robot)), default=0.0)
 
 
+def base_joints(robot: Robot) -> int:
+    """Number of joints that carry a turret: 1 of a planar arm with a yaw, else 0."""
+    return 0 if robot.planar is None else robot.planar.yaw_joints
+
+
+def base_radius(robot: Robot) -> float:
+    """Radius of a ball about `base_link`'s origin that holds pedestal and turret, whatever the yaw [m]."""
+    return robot.once("base_radius", lambda: _base_radius(robot))
+
+
+def _base_radius(robot: Robot) -> float:
+    radius, joints = 0.0, base_joints(robot)
+    axis = np.zeros(3) if robot.planar is None else np.append(robot.planar.yaw_axis, 0.0)
+    for shape in robot.collision_model.geometryObjects:
+        if shape.parentJoint <= joints:
+            shape.geometry.computeLocalAABB()
+            # Joint 0 turns about a vertical: distances from a point of that stay.
+            about = axis if shape.parentJoint else np.zeros(3)
+            centre = robot.model.jointPlacements[shape.parentJoint] * shape.placement * shape.geometry.aabb_center
+            far = float(np.linalg.norm(centre - about)) + shape.geometry.aabb_radius
+            radius = max(radius, float(np.linalg.norm(about)) + far)
+    return radius
+
+
 def filled(shape: pin.GeometryObject) -> coal.CollisionGeometry:
     """A shape's geometry; of a mesh, the convex hull."""
     geometry = shape.geometry

@@ -50,9 +50,9 @@ class InverseDynamics(Record):
         model: Pinocchio's model.
         bodies: (nv, 18, 3) each joint and its body; None where the model has joints other than of one fixed axis, for
             which Pinocchio is asked.
-        sizes: (nv, 5) of each body the distance of its joint from its parent's and of its centre from its joint, its
-            mass, the largest eigenvalue of its inertia about the centre, and its parent's row (nv for the base); None
-            where not all joints turn about a fixed axis.
+        sizes: (nv, 6) of each body the distance of its joint from its parent's (of one that slides, at 0) and of its
+            centre from its joint, its mass, the largest eigenvalue of its inertia about the centre, its parent's row
+            (nv for the base), and 1 where its joint slides, else 0; None where `bodies` is.
     """
 
     model: pin.Model
@@ -105,10 +105,8 @@ def _body(model: pin.Model, number: int, joint: pin.JointModel) -> FloatArray:
     return rows
 
 
-def _sizes(bodies: FloatArray) -> FloatArray | None:
+def _sizes(bodies: FloatArray) -> FloatArray:
     """`InverseDynamics.sizes` of its `bodies`."""
-    if bodies[:, _SLIDE].any():
-        return None
     parent = bodies[:, _NUMBERS, 2]
     columns = (
         np.linalg.norm(bodies[:, _PLACE], axis=1),
@@ -116,6 +114,7 @@ def _sizes(bodies: FloatArray) -> FloatArray | None:
         bodies[:, _NUMBERS, 0],
         np.linalg.norm(bodies[:, _INERTIA : _INERTIA + 3], ord=2, axis=(1, 2)),
         np.where(parent < 0.0, len(bodies), parent),
+        bodies[:, _SLIDE].any(axis=1),
     )
     return readonly(np.column_stack(columns))
 

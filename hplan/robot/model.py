@@ -106,6 +106,11 @@ class Robot(PlanarNames, Record):
         return len(self.joint_names)
 
     @cached_property
+    def tool_joint(self) -> int:
+        """Number in the model of the joint that carries the tool frame; 0 where none does."""
+        return int(self.model.frames[self.model.getFrameId(self.tool_frame)].parentJoint)
+
+    @cached_property
     def _made(self) -> dict[Hashable, Any]:
         return {}
 

@@ -72,12 +72,13 @@ class Pieces:
     excess: float
 
 
-def convex_pieces(vertices: FloatArray, faces: IntArray) -> Pieces:
+def convex_pieces(vertices: FloatArray, faces: IntArray, *, most: int = PIECES) -> Pieces:
     """Convex pieces of the solid inside a closed surface.
 
     Args:
         vertices: (n, 3) vertices [m].
         faces: (m, 3) triangles, counter-clockwise as seen from outside; closed.
+        most: Most pieces.
 
     Raises:
         ValueError: The vertices lie in one plane.
@@ -93,7 +94,7 @@ def convex_pieces(vertices: FloatArray, faces: IntArray) -> Pieces:
     first = _part(low, high, triangles, triangles)
     waiting = [] if first is None else [(-voxels.excess(first.hull), 0, first)]
     number = 0
-    while waiting and max(len(waiting) + len(ready), number // 8) < PIECES and -waiting[0][0] > voxels.tolerance:
+    while waiting and max(len(waiting) + len(ready), number // 8) < most and -waiting[0][0] > voxels.tolerance:
         excess, _, part = heapq.heappop(waiting)
         halves = _halves(part, places, triangles)
         if halves is None:

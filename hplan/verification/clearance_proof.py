@@ -13,9 +13,11 @@ the motion no farther than
 
 .. math:: \sum_{i \le k} L_i \max |\varphi_i'| + r_k \max |\psi'|,
 
-by the hulls of the derivatives' Bezier points (`_link_bounds`; of a motion seen from another part of the arm
+by the hulls of the derivatives' Bezier points (`hplan.verification.sway`; of a motion seen from another part of the arm
 `hplan.robot.self_contact.pair_rates`). The same sum of the joints' deviations bounds the sway (`Robot.sway`,
-`pair_sway`).
+`pair_sway`). Of a robot that is no planar arm the bound of each of its bodies, and of each pair of them, is in
+`hplan.verification.body_travel`; such a pair that can never be as far apart as is asked for must not touch
+(`hplan.bodies.touching_pairs`).
 
 **Tracking.** Joints that are off by their deviations bring a pair nearer by its sway, at most :math:`m_r` in piece
 :math:`r` of the motion. It is replaced by the piecewise linear :math:`\tilde m` with the values
@@ -49,8 +51,7 @@ from hplan.base.deadline import look
 from hplan.base.kernels import kernel
 from hplan.collision.coal_scene import CoalScene, Contact
 from hplan.robot.model import Robot
-from hplan.robot.self_contact import pair_rates
-from hplan.verification.sway import at_rows, movers, off_axis, sways, with_obstacles
+from hplan.verification.sway import at_rows, motion_of_movers, with_obstacles
 
 #: Spare clearance below which the proof gives up [m]: its steps, half of it, would become too small.
 SMALLEST_STEP = 1e-5
@@ -171,15 +172,8 @@ class Advancement:
         """Bound what each mover travels; ask nothing yet."""
         self._bezier, self._checker = bezier, checker
         self._clock = None if checker.moving is None else clock
-        mover_of, others = movers(checker)
         with np.errstate(over="ignore", invalid="ignore"):
-            rates = 3.0 * np.diff(bezier, axis=1)
-            bounds = [_link_bounds(robot, rates), *(pair_rates(robot, part, other, rates) for part, other in others)]
-            moved = np.column_stack(bounds).T
-            nearer = sways(robot, others, deviations)
-            if checker.links != "capsule":
-                moved = moved + off_axis(checker, others, np.abs(rates).max(axis=1))
-                nearer = nearer + off_axis(checker, others, deviations)
+            mover_of, moved, nearer = motion_of_movers(robot, bezier, checker, deviations)
             if checker.moving is not None and clock is not None:
                 mover_of, moved, nearer = with_obstacles(checker, mover_of, moved, nearer, clock)
             sway = at_rows(nearer, len(bezier))
@@ -193,7 +187,8 @@ class Advancement:
             moved = np.where(moved <= LONGEST_TRAVEL, moved, LONGEST_TRAVEL)
             travel[:, 1:] = np.cumsum(moved, axis=1)
         self.movers = np.stack([sway, travel])
-        self.pairs = np.stack([needed + checker.distance_errors, np.full(len(checker.pairs), math.inf)])
+        self._may_lack = needed - checker.kept(needed)
+        self.pairs = np.stack([checker.kept(needed) + checker.distance_errors, np.full(len(checker.pairs), math.inf)])
         self.mover_of = mover_of
         self._at = 0.0
         self.shown = math.inf
@@ -217,12 +212,22 @@ class Advancement:
         """Take distances of some pairs at a place; True if the proof goes on."""
         self._at = at
         least, self.shown = _put_off(pairs, distances, at, self.shown, self.mover_of, self.movers, self.pairs)
-        self.nearest = min(self.nearest, (float(distances[least]), int(pairs[least]), at))
+        if isinstance(self._may_lack, np.ndarray):
+            least = int((distances + self._may_lack[pairs]).argmin())
+        self._see(float(distances[least]), int(pairs[least]), at)
         return self.shown > 0.0
 
+    def _see(self, distance: float, pair: int, at: float) -> float:
+        """Take down a distance if it is the smallest; returns it as if the pair had to keep what is needed."""
+        lacks = float(self._may_lack[pair]) if isinstance(self._may_lack, np.ndarray) else 0.0
+        self.nearest = min(self.nearest, (distance + lacks, pair, at))
+        return distance + lacks
+
     def contact(self) -> Contact:
-        """The nearest pair by name, and its distance."""
+        """The nearest pair by name, and its distance; one that may be nearer than others counts as farther away."""
         distance, pair, _ = self.nearest
+        if isinstance(self._may_lack, np.ndarray):
+            distance -= float(self._may_lack[pair])
         return self._checker.contact(*self._checker.pairs[pair], distance)
 
     def worst(self, outcome: Outcome) -> Proof:
@@ -245,7 +250,7 @@ class Advancement:
                 pairs.append(heapq.heappop(due)[1])
             for pair, distance in zip(pairs, self._checker.distances_of(np.array(pairs)).tolist(), strict=True):
                 sway = float(sway_at_rows[mover_of[pair], row])
-                self.nearest = min(self.nearest, (distance, pair, float(row)))
+                distance = self._see(distance, pair, float(row))
                 least = min(least, distance - sway)
                 farther = min(distance - self.nearest[0], distance - sway - least)
                 ahead = place_after(travel[mover_of[pair]], float(row), farther)
@@ -345,41 +350,3 @@ def place_after(travel: FloatArray, at: float, part: float) -> float:
         return math.inf
     place: float = row + (limit - travel[row]) / (travel[row + 1] - travel[row])
     return place
-
-
-def _link_bounds(robot: Robot, rates: FloatArray) -> FloatArray:
-    """(pieces, links) largest distance that any axis point of a link can travel within each cubic [m].
-
-    The bound of the module's text; `rates` are the (pieces, 3, dof) Bezier points of the derivative.
-    """
-    arm = robot.arm
-    return _travels(rates, robot.yaw_joints, arm.signs, arm.lengths, robot.yaw_radius)
-
-
-@kernel
-def _travels(
-    rates: FloatArray, first: int, signs: FloatArray, lengths: FloatArray, yaw_radius: FloatArray
-) -> FloatArray:
-    """The compiled part of `_link_bounds`; what is no number stays none."""
-    result, turned = np.empty((rates.shape[0], len(lengths))), np.empty(rates.shape[1])
-    for piece in range(rates.shape[0]):
-        swing = 0.0
-        for i in range(len(turned)):
-            turned[i] = 0.0
-            if first:
-                swing = _larger(swing, abs(rates[piece, i, 0]))
-        bound = 0.0
-        for k in range(len(lengths)):
-            turn = 0.0
-            for i in range(len(turned)):
-                turned[i] += signs[k] * rates[piece, i, first + k]
-                turn = _larger(turn, abs(turned[i]))
-            bound += lengths[k] * turn
-            result[piece, k] = bound + swing * yaw_radius[k] if first else bound
-    return result
-
-
-@kernel
-def _larger(first: float, second: float) -> float:
-    """The larger of two numbers; none where one of them is none."""
-    return second if second > first or second != second else first

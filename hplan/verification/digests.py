@@ -3,8 +3,9 @@
 They are taken of what was read, not of files: comments, units of angles in a URDF, or where a mesh lies do not count,
 every number that planning or proof uses does.
 
-- **Robot**: names, joint frames and axes, masses, inertias, limits, links, and all collision shapes with the vertices
-  of their meshes; numbers rounded to 12 decimals, since sines differ in the last bit from machine to machine.
+- **Robot**: names, joint frames and axes, masses, inertias, limits, links, what may touch, and all collision shapes
+  with the vertices of their meshes; numbers rounded to 12 decimals, since sines differ in the last bit from machine to
+  machine.
 - **Scene**: its keys and values as in a scene file, and for each mesh or cloud the data instead of the file's name.
 - **Trajectory**: the joint names and the numbers of the CSV, bit by bit.
 """
@@ -12,6 +13,7 @@ every number that planning or proof uses does.
 from __future__ import annotations
 
 import hashlib
+import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -90,11 +92,19 @@ def robot_digest(robot: Robot) -> str:
 
 
 def _robot_digest(robot: Robot) -> str:
-    found, arm, model = _Digest("hplan-robot/1"), robot.arm, robot.model
-    found.add_text(robot.name, robot.tool_frame, str(robot.has_yaw), *robot.joint_names, *arm.link_names)
+    found, model = _Digest("hplan-robot/1"), robot.model
+    family: tuple[FloatArray, ...] = ()
+    if robot.planar is None:
+        found.add_text(robot.name, robot.tool_frame, *robot.joint_names, *itertools.chain(*robot.may_touch))
+        frame = model.frames[model.getFrameId(robot.tool_frame)]
+        found.add_text(str(frame.parentJoint))
+        family = _place(frame.placement)
+    else:
+        arm = robot.arm
+        found.add_text(robot.name, robot.tool_frame, str(robot.has_yaw), *robot.joint_names, *arm.link_names)
+        family = arm.lengths, arm.half_widths, arm.signs, arm.offsets, robot.plane_origin, robot.plane_axes
     for values in (
-        *(arm.lengths, arm.half_widths, arm.signs, arm.offsets),
-        *(robot.plane_origin, robot.plane_axes, robot.lower, robot.upper),
+        *(*family, robot.lower, robot.upper),
         *(robot.velocity_limit, robot.acceleration_limit, robot.torque_limit),
         *(np.zeros(0) if robot.jerk_limit is None else robot.jerk_limit, model.gravity.linear, model.armature),
     ):

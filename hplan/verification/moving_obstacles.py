@@ -12,7 +12,7 @@ from hplan.base.arrays import FloatArray
 from hplan.collision.coal_cloud import distance_from
 from hplan.collision.coal_scene import CoalScene
 from hplan.collision.moving_solids import MovingSolids
-from hplan.robot.base_shapes import BASE_DEPTH, filled
+from hplan.robot.base_shapes import BASE_DEPTH, base_joints, filled
 from hplan.robot.model import Robot
 from hplan.scene.obstacles import Solid
 from hplan.scene.tracks import Movement
@@ -37,10 +37,10 @@ def moving_base_contacts(robot: Robot, moving: MovingSolids, yaw: float, begin_s
         end_s: Time up to which [s].
     """
     data = robot.model.createData()
-    q = np.zeros(robot.dof)
-    q[: robot.yaw_joints] = yaw
+    q, joints = np.zeros(robot.dof), base_joints(robot)
+    q[:joints] = yaw
     pin.forwardKinematics(robot.model, data, q)
-    shapes = [shape for shape in robot.collision_model.geometryObjects if shape.parentJoint <= robot.yaw_joints]
+    shapes = [shape for shape in robot.collision_model.geometryObjects if shape.parentJoint <= joints]
     for number in moving.numbers:
         solid, movement = moving.solids[number], moving.movements[number]
         for shape in shapes:

@@ -20,6 +20,7 @@ from hplan.robot.tracking import TrackingModel
 from hplan.scene.model import Scene
 from hplan.timing.time_scaling import Retimed
 from hplan.timing.trajectory import Trajectory, cubic_pieces
+from hplan.verification.body_travel import largest_body_sway
 from hplan.verification.certificate import (
     REST,
     Certificate,
@@ -119,6 +120,8 @@ def _nearer(robot: Robot, off_path: FloatArray) -> float:
     """By how much any part of the arm may come nearer to anything with joints off by (dof,) [m]."""
     if not off_path.any():
         return 0.0
+    if robot.planar is None:
+        return largest_body_sway(robot, off_path)
     own = robot.once("movers of its own", lambda: movers(CoalScene(robot, ()))[1])
     turning = [(TURRET, GROUND)] if robot.has_yaw else []
     return float(sways(robot, [*own, *turning], off_path[None]).max())

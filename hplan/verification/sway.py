@@ -1,4 +1,4 @@
-"""The movers of a checker's pairs, and how much nearer tracking errors may bring each pair: its sway."""
+"""The movers of a checker's pairs: how far each travels, and how much nearer tracking errors may bring a pair."""
 
 from __future__ import annotations
 
@@ -8,14 +8,18 @@ from collections.abc import Sequence
 import numpy as np
 
 from hplan.base.arrays import FloatArray, IntArray
+from hplan.base.kernels import kernel
 from hplan.collision.coal_scene import CoalScene
 from hplan.robot.base_shapes import GROUND, TURRET
 from hplan.robot.model import Robot
-from hplan.robot.self_contact import pair_sway
+from hplan.robot.self_contact import pair_rates, pair_sway
+from hplan.verification.body_travel import body_motion, body_sways
 
 
 def pair_sways(checker: CoalScene, deviations: FloatArray) -> FloatArray:
     """By how much each pair may come nearer when joints are off by deviations, (k, dof) [rad] -> (pairs, k) [m]."""
+    if checker.own_bodies is not None:
+        return body_sways(checker, checker.own_bodies, deviations)
     mover_of, others = movers(checker)
     return sways(checker.robot, others, deviations)[mover_of]
 
@@ -92,3 +96,68 @@ def with_obstacles(
     mover_of[groups >= 0] = len(moved) + number.ravel()
     movers, parts = added.T
     return mover_of, np.concatenate([moved, moved[movers] + travels[parts]]), np.concatenate([nearer, nearer[movers]])
+
+
+def motion_of_movers(
+    robot: Robot, bezier: FloatArray, checker: CoalScene, deviations: FloatArray
+) -> tuple[IntArray, FloatArray, FloatArray]:
+    """The movers of a checker's pairs along a motion, and what tracking errors do.
+
+    Args:
+        robot: The arm.
+        bezier: (pieces, 4, dof) Bezier points of the motion's cubics.
+        checker: The arm among the obstacles.
+        deviations: (k, dof) largest deviations of the joints [rad].
+
+    Returns:
+        (pairs,) the mover of each pair; (movers, pieces) how far each travels in each piece; (movers, k) by how much
+        deviations may bring its pairs nearer [m].
+    """
+    if checker.own_bodies is not None:
+        return body_motion(checker, checker.own_bodies, bezier, deviations)
+    mover_of, others = movers(checker)
+    rates = 3.0 * np.diff(bezier, axis=1)
+    bounds = [link_bounds(robot, rates), *(pair_rates(robot, part, other, rates) for part, other in others)]
+    moved, nearer = np.column_stack(bounds).T, sways(robot, others, deviations)
+    if checker.links != "capsule":
+        moved = moved + off_axis(checker, others, np.abs(rates).max(axis=1))
+        nearer = nearer + off_axis(checker, others, deviations)
+    return mover_of, moved, nearer
+
+
+def link_bounds(robot: Robot, rates: FloatArray) -> FloatArray:
+    """(pieces, links) largest distance that any axis point of a link can travel within each cubic [m].
+
+    The bound of `hplan.verification.clearance_proof`; `rates` are the (pieces, 3, dof) Bezier points of the derivative.
+    """
+    arm = robot.arm
+    return _travels(rates, robot.yaw_joints, arm.signs, arm.lengths, robot.yaw_radius)
+
+
+@kernel
+def _travels(
+    rates: FloatArray, first: int, signs: FloatArray, lengths: FloatArray, yaw_radius: FloatArray
+) -> FloatArray:
+    """The compiled part of `link_bounds`; what is no number stays none."""
+    result, turned = np.empty((rates.shape[0], len(lengths))), np.empty(rates.shape[1])
+    for piece in range(rates.shape[0]):
+        swing = 0.0
+        for i in range(len(turned)):
+            turned[i] = 0.0
+            if first:
+                swing = _larger(swing, abs(rates[piece, i, 0]))
+        bound = 0.0
+        for k in range(len(lengths)):
+            turn = 0.0
+            for i in range(len(turned)):
+                turned[i] += signs[k] * rates[piece, i, first + k]
+                turn = _larger(turn, abs(turned[i]))
+            bound += lengths[k] * turn
+            result[piece, k] = bound + swing * yaw_radius[k] if first else bound
+    return result
+
+
+@kernel
+def _larger(first: float, second: float) -> float:
+    """The larger of two numbers; none where one of them is none."""
+    return second if second > first or second != second else first

@@ -18,7 +18,10 @@ by bounding the norm of each vector and of its time derivatives, from the base o
 - a vector fixed in a body turns with it, :math:`\dot x = \omega \times x`; an inertia obeys
   :math:`|\dot I| \le 2 |\omega| |I|`;
 - :math:`\omega_i = \omega_{i - 1} + z_i \dot q_i`, with :math:`|\dot q|, |\ddot q|, |\dddot q|` at most what the
-  Bezier points of the piece's derivatives say, and no fourth derivative.
+  Bezier points of the piece's derivatives say, and no fourth derivative;
+- a joint that slides turns with its parent, :math:`\omega_i = \omega_{i - 1}`, and stands at
+  :math:`s_i + q_i z_i` from the parent's, both vectors fixed in the parent and :math:`|q|` at most what the Bezier
+  points say; its force is :math:`z_i \cdot f_i`, with :math:`f_i = \sum_{j \ge i} m_j (\ddot c_j - g)`.
 
 The rotor's part is linear in time and adds nothing. Pieces on which the bound could exceed the largest sample by more
 than a given fraction of the limit are halved, each time with a quarter of the remainder, up to a stated number of
@@ -43,7 +46,15 @@ SAMPLES, SAMPLES_PER_PIECE = 20_000, 16
 #: Derivatives that are needed: of axes and inertias, and of vectors in bodies.
 _OF_AXES, _OF_VECTORS = any_int(3), any_int(4)
 
-_CHOOSE = np.array([[1.0, 0.0, 0.0, 0.0], [1.0, 1.0, 0.0, 0.0], [1.0, 2.0, 1.0, 0.0], [1.0, 3.0, 3.0, 1.0]])
+_CHOOSE = np.array(
+    [
+        [1.0, 0.0, 0.0, 0.0, 0.0],
+        [1.0, 1.0, 0.0, 0.0, 0.0],
+        [1.0, 2.0, 1.0, 0.0, 0.0],
+        [1.0, 3.0, 3.0, 1.0, 0.0],
+        [1.0, 4.0, 6.0, 4.0, 1.0],
+    ]
+)
 
 
 def largest_torques(
@@ -53,19 +64,20 @@ def largest_torques(
 
     Args:
         dynamics: The arm's inverse dynamics.
-        bezier: (pieces, 4, dof) Bezier points [rad].
+        bezier: (pieces, 4, dof) Bezier points [rad, m].
         duration: (pieces,) durations [s].
-        limit: (dof,) torque limits, which say how close the bound has to be [N m].
+        limit: (dof,) torque limits, of joints that slide force limits, which say how close the bound has to be [N m,
+            N].
 
     Returns:
-        (dof,) bounds [N m]; the one nearest to its limit is at most `GAP` of the limit above the truth, unless the
+        (dof,) bounds [N m, N]; the one nearest to its limit is at most `GAP` of the limit above the truth, unless the
         motion is so fast, or its pieces so long, that the samples do not suffice. Infinite where numbers overflow.
 
     Raises:
-        InputError: The model has joints that do not turn about fixed axes.
+        InputError: The model has joints that neither turn about fixed axes nor slide along them.
     """
     if dynamics.bodies is None or dynamics.sizes is None:
-        raise InputError("torques are bounded for joints that turn about fixed axes only")
+        raise InputError("torques are bounded for joints that turn about fixed axes, or slide along them, only")
     most = SAMPLES + SAMPLES_PER_PIECE * len(bezier)
     gravity = np.array(dynamics.model.gravity.linear)
     scale = np.where(limit > 0.0, limit, 1.0)
@@ -168,14 +180,15 @@ def _remainders(bezier: FloatArray, duration: FloatArray, sizes: FloatArray, gra
 
     Rows of `w`, `z`, `s`, `d`, `tensor`, `acc`, `force`, `moment` are norms: of a body's angular velocity, of its
     joint's axis, of the vectors from the parent's joint to its own and on to its centre of mass, of its inertia, of the
-    acceleration of its joint, of force and of moment there; column n is the n-th time derivative.
+    acceleration of its joint, of force and of moment there; column n is the n-th time derivative. Column n of `slide`
+    is that of the distance by which a joint slides, or 0.
     """
     count, bodies = bezier.shape[0], sizes.shape[0]
     w, acc = np.zeros((bodies + 1, 4)), np.zeros((bodies + 1, 3))  # the last row is the base's
     acc[bodies, 0] = gravity
-    z, s, d = np.zeros((bodies, 4)), np.zeros((bodies, 5)), np.zeros((bodies, 5))
+    z, s, d = np.zeros((bodies, 5)), np.zeros((bodies, 5)), np.zeros((bodies, 5))
     tensor, force, moment = np.zeros((bodies, 4)), np.zeros((bodies, 3)), np.zeros((bodies, 3))
-    rate = np.zeros(5)
+    rate, slide = np.zeros(5), np.zeros(5)
     slack = np.zeros((count, bodies))
     for i in range(count):
         h = duration[i]
@@ -186,11 +199,17 @@ def _remainders(bezier: FloatArray, duration: FloatArray, sizes: FloatArray, gra
             rate[3] = 6.0 * abs((p3 - p2) - 2.0 * (p2 - p1) + (p1 - p0)) / (h * h * h)
             above = int(sizes[k, 4])
             z[k, 0], s[k, 0], d[k, 0], tensor[k, 0] = 1.0, sizes[k, 0], sizes[k, 1], sizes[k, 3]
-            _turned(w[above], z[k], _OF_AXES, 1.0)
+            _turned(w[above], z[k], _OF_VECTORS, 1.0)
             _turned(w[above], s[k], _OF_VECTORS, 1.0)
+            slides = sizes[k, 5] > 0.0
+            if slides:
+                for n in range(5):
+                    slide[n] = rate[n] if n > 0 else max(abs(p0), abs(p1), abs(p2), abs(p3))
+                    for m in range(n + 1):
+                        s[k, n] += _CHOOSE[n, m] * z[k, n - m] * slide[m]
             for n in range(4):
                 w[k, n] = w[above, n]
-                for m in range(n + 1):
+                for m in range(n + 1 if not slides else 0):
                     w[k, n] += _CHOOSE[n, m] * z[k, m] * rate[n - m + 1]
             _turned(w[k], d[k], _OF_VECTORS, 1.0)
             _turned(w[k], tensor[k], _OF_AXES, 2.0)
@@ -206,7 +225,7 @@ def _remainders(bezier: FloatArray, duration: FloatArray, sizes: FloatArray, gra
             above = int(sizes[k, 4])
             bend = 0.0
             for m in range(3):
-                bend += _CHOOSE[2, m] * z[k, m] * moment[k, 2 - m]
+                bend += _CHOOSE[2, m] * z[k, m] * (force[k, 2 - m] if sizes[k, 5] > 0.0 else moment[k, 2 - m])
             if bend > 0.0:  # else it may be zero by infinity, in a long pause
                 bend *= 0.125 * h * h
             slack[i, k] = bend if bend < np.inf else np.inf

@@ -16,7 +16,7 @@ from hplan.timing.trajectory import Trajectory, cubic_pieces, read_csv, write_cs
 from hplan.verification import certificate as certificates
 from hplan.verification import clearance_proof
 from hplan.verification.clearance_proof import place_after
-from hplan.verification.sway import off_axis
+from hplan.verification.sway import link_bounds, off_axis
 
 FINE = 1e-4
 
@@ -269,7 +269,7 @@ def test_links_that_are_no_capsules_are_bounded_off_their_axes(robot, scene):
     for joint in range(4):
         turn = step * np.eye(4)[joint]
         rates = np.tile(turn, (1, 3, 1))
-        axes = clearance_proof._link_bounds(robot, rates)[0]
+        axes = link_bounds(robot, rates)[0]
         off = off_axis(beams, [], turn[None])[:, 0]
         for link, shape in enumerate(beams.link_shapes):
             moved = np.linalg.norm(corners(start + turn, shape) - corners(start, shape), axis=1).max()
@@ -565,4 +565,4 @@ def test_travel_of_links_is_that_of_plain_numpy(robot, spoilt):
         rates[5, 1, 2] = rates[9, 0, 0] = spoilt
     turns = np.abs(np.cumsum(robot.arm.signs * rates[..., robot.arm_slice], axis=2)).max(axis=1)
     expected = np.cumsum(robot.arm.lengths * turns, axis=1) + np.abs(rates[..., :1]).max(axis=1) * robot.yaw_radius
-    np.testing.assert_array_equal(clearance_proof._link_bounds(robot, rates), expected)
+    np.testing.assert_array_equal(link_bounds(robot, rates), expected)

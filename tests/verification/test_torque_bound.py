@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
+from any_arms import loaded_arm
 from arm_variants import VARIANTS, load_variant
 
 from hplan.robot.model import load_robot
@@ -41,10 +42,11 @@ def joint_share(robot, torque):
     return (np.abs(torque).reshape(-1, robot.dof).max(axis=0) / robot.torque_limit).max()
 
 
-@pytest.mark.parametrize("name", list(VARIANTS))
-def test_bound_holds_and_is_close_for_random_rows(name, tmp_path):
-    """Rows 1 ms to 1 s apart, slow and fast, accelerations that jump at them."""
-    robot, rng = load_variant(name, tmp_path), np.random.default_rng(1)
+@pytest.mark.parametrize("name", [*VARIANTS, "lift"])
+def test_bound_holds_and_is_close_for_random_rows(name, tmp_path, tmp_path_factory):
+    """Rows 1 ms to 1 s apart, slow and fast, accelerations that jump at them; joints that slide too."""
+    robot = loaded_arm(name, tmp_path_factory) if name == "lift" else load_variant(name, tmp_path)
+    rng = np.random.default_rng(1)
     for apart in (1e-3, 4e-3, 0.03, 0.2, 1.0):
         time = np.concatenate([[0.0], np.cumsum(rng.uniform(0.5, 1.5, 6) * apart)])
         speed = rng.uniform(-2.0, 2.0, (7, robot.dof))
@@ -59,11 +61,11 @@ def test_bound_holds_and_is_close_for_random_rows(name, tmp_path):
         assert share <= joint_share(robot, true) + GAP + 2.0 * between
 
 
-def test_second_derivative_is_bounded(tmp_path):
+def test_second_derivative_is_bounded(tmp_path, tmp_path_factory):
     """The remainder of each piece against the curvature of densely sampled torques."""
     rng = np.random.default_rng(2)
-    for name in ("upright on a yaw", "five links on a yaw", "tilted plane"):
-        robot = load_variant(name, tmp_path)
+    for name in ("upright on a yaw", "five links on a yaw", "tilted plane", "lift"):
+        robot = loaded_arm(name, tmp_path_factory) if name == "lift" else load_variant(name, tmp_path)
         gravity = np.linalg.norm(robot.model.gravity.linear)
         for apart, swing in ((0.01, 2.0), (0.3, 2.0), (0.3, 0.01)):
             time = np.arange(6) * apart

@@ -1,0 +1,59 @@
+"""Robots that are no planar arms, and one that is, by name; those of example-robot-data where it is installed."""
+
+from __future__ import annotations
+
+import pytest
+from toy_urdf import SIX_AXIS_LIMITS, six_axis_arm
+
+from hplan.errors import InputError
+from hplan.robot.model import Robot, load_robot
+
+#: Six axes of simple shapes; joints that slide and turn; two of example-robot-data.
+ARMS = ("toy", "lift", "panda", "ur5")
+
+_KNOWN: dict[str, Robot] = {}
+
+
+def limb(name: str, parent: str, kind: str, axis: str, xyz: str, shape: str, limit: str = "-2 2") -> str:
+    low, high = limit.split()
+    return (
+        f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{name}_link"/><origin xyz="{xyz}" '
+        f'rpy="0.3 -0.2 0.5"/><axis xyz="{axis}"/><limit lower="{low}" upper="{high}" velocity="1" effort="50" '
+        f'acceleration="3"/></joint><link name="{name}_link"><inertial><origin xyz="0.05 0.02 0.1"/><mass value="1.5"/>'
+        '<inertia ixx="0.02" iyy="0.02" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial>'
+        '<collision><origin xyz="0.05 0.02 0.1" rpy="0.1 0.4 0"/>'
+        f"<geometry>{shape}</geometry></collision></link>"
+    )
+
+
+#: A lift that slides, a yaw on it, an arm that slides out, and a wrist.
+LIFT = (
+    '<robot name="lift"><link name="base_link"><collision><geometry><box size="0.3 0.3 0.1"/></geometry></collision>'
+    "</link>"
+    + limb("column", "base_link", "prismatic", "0 0 1", "0 0 0.1", '<box size="0.1 0.1 0.4"/>', "0 0.6")
+    + limb("turn", "column_link", "revolute", "0 1 1", "0.1 0 0.2", '<sphere radius="0.08"/>')
+    + limb("out", "turn_link", "prismatic", "1 0 0.2", "0.1 0 0", '<cylinder radius="0.04" length="0.3"/>', "-0.1 0.4")
+    + limb("wrist", "out_link", "revolute", "0 1 0", "0.2 0.1 0", '<box size="0.05 0.1 0.2"/>')
+    + '<joint name="flange" type="fixed"><parent link="wrist_link"/><child link="tool0"/></joint><link name="tool0"/>'
+    "</robot>"
+)
+
+
+def loaded_arm(name: str, folders: pytest.TempPathFactory) -> Robot:
+    """A robot by name, read once."""
+    if name not in _KNOWN:
+        if name == "toy":
+            path = folders.mktemp("toy") / "six.urdf"
+            path.write_text(six_axis_arm())
+            path.with_suffix(".limits.yaml").write_text(SIX_AXIS_LIMITS)
+            _KNOWN[name] = load_robot(path)
+        elif name == "lift":
+            _KNOWN[name] = load_robot(LIFT)
+        else:
+            try:
+                _KNOWN[name] = load_robot(name)
+            except InputError as error:
+                if error.data.get("extra") != "robots":
+                    raise
+                pytest.skip("example-robot-data is not installed (extra `robots`)")
+    return _KNOWN[name]

@@ -1,0 +1,273 @@
+"""Certificates of robots that are no planar arms, against coal at close times and brute force."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from any_arms import ARMS, loaded_arm
+
+from hplan.bodies.collision_bodies import body_shapes, collision_bodies
+from hplan.bodies.touching_pairs import self_pairs
+from hplan.collision.coal_scene import CoalScene, check_clear
+from hplan.collision.coal_shapes import solid_shape
+from hplan.errors import ConfigurationInCollisionError, InputError, RobotFamilyError
+from hplan.robot.model import Robot
+from hplan.scene.model import Goal, Scene, Start
+from hplan.scene.obstacles import Box, Capsule, Sphere
+from hplan.scene.solids import Cloud
+from hplan.timing.trajectory import Trajectory, cubic_pieces
+from hplan.verification.body_travel import body_motion
+from hplan.verification.certificate import certify
+from hplan.verification.clearance_proof import point_at, prove_clearance
+from hplan.verification.digests import robot_digest
+
+
+@pytest.fixture(scope="module")
+def load(tmp_path_factory):
+    return lambda name: loaded_arm(name, tmp_path_factory)
+
+
+def free_configurations(robot: Robot, count: int, seed: int, clearance: float = 0.01) -> np.ndarray:
+    """Random configurations at which the robot keeps clear of itself."""
+    rng, checker = np.random.default_rng(seed), CoalScene(robot, ())
+    found: list[np.ndarray] = []
+    low, high = np.maximum(robot.lower, -2.5), np.minimum(robot.upper, 2.5)
+    while len(found) < count:
+        q = rng.uniform(low, high)
+        if (checker.pair_distances(q) - checker.kept(clearance) > 1e-3).all():
+            found.append(q)
+    return np.array(found)
+
+
+def motion_between(robot: Robot, start: np.ndarray, end: np.ndarray, samples: int = 40) -> Trajectory:
+    """From rest to rest, straight in joint space, within the limits but for torque."""
+    u = np.linspace(0.0, 1.0, samples)
+    way = end - start
+    fastest = max(
+        (1.875 * np.abs(way) / robot.velocity_limit).max(),
+        np.sqrt((5.8 * np.abs(way) / robot.acceleration_limit).max()),
+        1e-2,
+    )
+    duration = 1.1 * float(fastest)
+    s = u**3 * (10.0 - 15.0 * u + 6.0 * u * u)
+    v = 30.0 * u * u * (1.0 - u) ** 2 / duration
+    a = (60.0 * u - 180.0 * u * u + 120.0 * u**3) / duration**2
+    columns = [start + s[:, None] * way, v[:, None] * way, a[:, None] * way]
+    return Trajectory(robot.joint_names, duration * u, *columns, np.zeros((samples, robot.dof)))
+
+
+def scene_of(robot: Robot, trajectory: Trajectory, obstacles, clearance: float) -> Scene:
+    first, last = trajectory.position[0], trajectory.position[-1]
+    return Scene(name="any", start=Start(joints_rad=tuple(first)), goal=Goal(joints_rad=tuple(last)),
+                 obstacles=tuple(obstacles), clearance=clearance)  # fmt: skip
+
+
+def random_obstacles(rng: np.random.Generator, count: int) -> list:
+    """Obstacles about the arm, some of which it may meet."""
+    found = []
+    for number in range(count):
+        direction = rng.normal(size=3)
+        centre = direction / np.linalg.norm(direction) * rng.uniform(0.4, 1.2)
+        kind = number % 3
+        if kind == 0:
+            found.append(Sphere(name=f"ball {number}", center=tuple(centre), radius=rng.uniform(0.03, 0.2)))
+        elif kind == 1:
+            size = tuple(rng.uniform(0.05, 0.4, 3))
+            found.append(
+                Box(name=f"box {number}", center=tuple(centre), size=size, rpy_deg=tuple(rng.uniform(-90, 90, 3)))
+            )
+        else:
+            end = centre + rng.normal(size=3) * 0.2
+            found.append(
+                Capsule(name=f"stick {number}", start=tuple(centre), end=tuple(end), radius=rng.uniform(0.01, 0.06))
+            )
+    return found
+
+
+def least_distances(robot: Robot, obstacles, bezier: np.ndarray, looks: int) -> tuple[float, float]:
+    """Least distance from obstacles, and of checked pairs of the robot, at many places of a motion, by coal alone.
+
+    Of pairs that are asked only whether they touch, one that does not counts for nothing.
+    """
+    shapes, pairs = body_shapes(robot), self_pairs(robot)
+    geometry = pin.GeometryModel()
+    for shape in (*shapes, *map(solid_shape, obstacles)):
+        geometry.addGeometryObject(shape)
+    moving = [number for number, shape in enumerate(shapes) if shape.parentJoint > 0]
+    for pair in (*itertools.product(moving, range(len(shapes), geometry.ngeoms)), *pairs.checked):
+        geometry.addCollisionPair(pin.CollisionPair(*pair))
+    arm, data = robot.model.createData(), geometry.createData()
+    first, only_touch = len(moving) * len(obstacles), pairs.needed(1e-3) == 0.0
+    from_obstacles = own = np.inf
+    for place in np.linspace(0.0, len(bezier), looks):
+        pin.computeDistances(robot.model, arm, geometry, data, point_at(bezier, place))
+        found = np.array([result.min_distance for result in data.distanceResults])
+        from_obstacles = min(from_obstacles, found[:first].min())
+        of_own = found[first:]
+        own = min(own, np.where(only_touch & (of_own > 0.0), np.inf, of_own).min())
+    return from_obstacles, own
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_verified_motions_are_clear_at_close_times(load, name):
+    """Some random motions are verified, some meet something; the shown clearance is below what brute force finds."""
+    robot, rng = load(name), np.random.default_rng(8)
+    ends = free_configurations(robot, 8, seed=9)
+    outcomes = set()
+    for start, end in itertools.pairwise(ends):
+        trajectory = motion_between(robot, start, end)
+        obstacles = random_obstacles(rng, 5)
+        certificate = certify(robot, scene_of(robot, trajectory, obstacles, 0.005), trajectory)
+        bezier, _ = cubic_pieces(trajectory)
+        around, own = least_distances(robot, obstacles, bezier, 200)
+        clear = not [line for line in certificate.violations if "limit" not in line and "deep" not in line]
+        if clear:
+            assert min(around, own) >= certificate.min_clearance_m - 1e-9
+            assert certificate.min_clearance_m > 0.005
+        else:
+            assert certificate.min_clearance_m <= min(around, own) + 2e-2
+        if min(around, own) <= 0.005:
+            assert not clear
+        outcomes.add(clear)
+    assert outcomes == {True, False}
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_grazing_motions_are_never_verified(load, name):
+    """A ball stands so that the arm comes 0.1 to 5 mm nearer than the clearance, between rows."""
+    robot, rng = load(name), np.random.default_rng(10)
+    ends = free_configurations(robot, 7, seed=11)
+    refused = 0
+    for start, end in itertools.pairwise(ends):
+        trajectory = motion_between(robot, start, end, samples=12)
+        bezier, _ = cubic_pieces(trajectory)
+        place = rng.uniform(4.2, 6.8)
+        tip = robot.tool_positions(point_at(bezier, place))
+        free = scene_of(robot, trajectory, [], 0.0)
+        if [line for line in certify(robot, free, trajectory).violations if "comes to" in line]:
+            continue
+        for nearer in (1e-4, 1e-3, 5e-3):
+            direction = rng.normal(size=3)
+            radius = 0.05
+            centre = tip + direction / np.linalg.norm(direction) * 0.3
+            ball = Sphere(name="ball", center=tuple(centre), radius=radius)
+            looks = np.linspace(0.0, len(bezier), 1500)
+            checker = CoalScene(robot, [ball])
+            first = len(checker.pairs) - len(checker.own_others)
+            least = min(float(checker.pair_distances(point_at(bezier, at))[:first].min()) for at in looks)
+            if not 1e-3 < least < 0.3:
+                continue
+            scene = scene_of(robot, trajectory, [ball], least + nearer)
+            certificate = certify(robot, scene, trajectory)
+            assert any("comes to" in line for line in certificate.violations)
+            refused += 1
+    assert refused >= 6
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_no_body_travels_farther_than_its_bound(load, name):
+    """Points of the bodies, and those of one seen from another, along random cubics."""
+    robot, rng = load(name), np.random.default_rng(12)
+    checker = CoalScene(robot, [Sphere(name="far", center=(9.0, 0.0, 0.0), radius=0.1)])
+    bodies, pairs = collision_bodies(robot), checker.own_bodies
+    bezier = rng.uniform(robot.lower, robot.upper)[None, None] + rng.normal(size=(12, 4, robot.dof)) * 0.3
+    bezier[::2] = bezier[::2, :1] + np.linspace(0.0, 1.0, 4)[:, None] * (bezier[::2, -1:] - bezier[::2, :1])
+    bezier = np.clip(bezier, robot.lower, robot.upper)
+    mover_of, moved, _ = body_motion(checker, pairs, bezier, np.zeros((1, robot.dof)))
+    first, second = robot.model.createData(), robot.model.createData()
+    moving = [number for number, body in enumerate(bodies) if body.joint >= 0]
+    used = np.zeros(len(moving))
+    for piece in range(len(bezier)):
+        at = np.sort(rng.uniform(0.0, 1.0, 2)) if piece % 2 else np.array([0.0, 1.0])
+        for data, place in zip((first, second), at, strict=True):
+            pin.forwardKinematics(robot.model, data, point_at(bezier[piece : piece + 1], float(place)))
+        for row, number in enumerate(moving):
+            body = bodies[number]
+            places = [data.oMi[body.joint + 1] for data in (first, second)]
+            a, b = (body.core @ place.rotation.T + place.translation for place in places)
+            went = np.linalg.norm(b - a, axis=1).max()
+            assert went <= moved[mover_of[row], piece] + 1e-9
+            used[row] = max(used[row], went / moved[mover_of[row], piece])
+        for row, (i, j) in enumerate(pairs.checked):
+            seen = []
+            for data in (first, second):
+                relative = data.oMi[bodies[i].joint + 1].inverse() * data.oMi[bodies[j].joint + 1]
+                seen.append(bodies[j].core @ relative.rotation.T + relative.translation)
+            went = np.linalg.norm(seen[1] - seen[0], axis=1).max()
+            serial = bodies[i].joint < bodies[j].joint
+            assert not serial or went <= moved[mover_of[len(moving) + row], piece] + 1e-9
+    assert used.max() > 0.4
+
+
+@pytest.mark.parametrize("name", ["toy", "lift"])
+def test_tracking_errors_take_from_the_clearance(load, name):
+    robot = load(name)
+    start, end = free_configurations(robot, 2, seed=13)
+    trajectory = motion_between(robot, start, end)
+    tip = robot.tool_positions(trajectory.position).mean(axis=0)
+    ball = Sphere(name="ball", center=tuple(tip + np.array([0.0, 0.0, 1.0])), radius=0.1)
+    scene = scene_of(robot, trajectory, [ball], 0.0)
+    exact = certify(robot, scene, trajectory, tracking_error=0.0)
+    loose = certify(robot, scene, trajectory, tracking_error=0.01, tracking_delay_s=0.01)
+    assert loose.min_clearance_m < exact.min_clearance_m
+    # Configurations that are off by as much keep the clearance that was shown.
+    if not [line for line in loose.violations if "comes to" in line]:
+        bezier, _ = cubic_pieces(trajectory)
+        checker, rng = CoalScene(robot, [ball]), np.random.default_rng(14)
+        for place in np.linspace(0.0, len(bezier), 50):
+            off = rng.choice([-1.0, 1.0], robot.dof) * 0.01
+            distances = checker.pair_distances(point_at(bezier, float(place)) + off)
+            assert (distances - (checker.kept(1.0) == 0.0) * -1.0).min() >= loose.min_clearance_m - 1e-9
+
+
+def test_clouds_and_what_stands_still(load):
+    robot = load("toy")
+    start, end = free_configurations(robot, 2, seed=15)
+    trajectory = motion_between(robot, start, end)
+    points = np.random.default_rng(16).normal(size=(500, 3))
+    cloud = Cloud("leaves", 1.5 * points / np.linalg.norm(points, axis=1)[:, None], 0.02, np.zeros((0, 7)))
+    bezier, _ = cubic_pieces(trajectory)
+    checker = CoalScene(robot, [cloud])
+    proof = prove_clearance(robot, bezier, checker, np.zeros((1, robot.dof)), 0.0)
+    first = len(checker.pairs) - len(checker.own_others)
+    seen = min(checker.pair_distances(point_at(bezier, at))[:first].min() for at in np.linspace(0.0, len(bezier), 100))
+    assert proof.shown == (seen > 0.0)
+    pole = Sphere(name="pole", center=(0.0, 0.0, -0.1), radius=0.05)
+    certificate = certify(robot, scene_of(robot, trajectory, [pole], 0.0), trajectory)
+    assert any("'pole'" in line and "'base_link', which does not move" in line for line in certificate.violations)
+
+
+def test_start_in_contact_with_itself_is_named(load):
+    robot = load("toy")
+    rng, checker = np.random.default_rng(17), CoalScene(robot, ())
+    touching = next(
+        q for q in rng.uniform(robot.lower, robot.upper, (500, robot.dof)) if checker.in_collision(q[None])[0]
+    )
+    with pytest.raises(ConfigurationInCollisionError) as caught:
+        check_clear(checker, touching, 0.0, "start")
+    assert caught.value.data["link"] in checker.link_names
+
+
+def test_what_needs_the_planar_family_says_so(load):
+    robot = load("toy")
+    with pytest.raises(RobotFamilyError, match="'wrist_2'"):
+        assert robot.has_yaw
+
+
+def test_digest_says_what_may_touch_and_how_joints_are(load):
+    robot = load("toy")
+    assert robot_digest(robot) == robot_digest(replace(robot))
+    assert robot_digest(robot) != robot_digest(replace(robot, may_touch=(("a", "b", "Default"),)))
+    assert robot_digest(robot) != robot_digest(replace(robot, upper=robot.upper + 1e-6))
+
+
+def test_other_joints_are_refused(load):
+    robot = load("toy")
+    start, end = free_configurations(robot, 2, seed=18)
+    trajectory = motion_between(robot, start, end)
+    with pytest.raises(InputError, match="the trajectory moves"):
+        certify(load("lift"), scene_of(robot, trajectory, [], 0.0), trajectory)

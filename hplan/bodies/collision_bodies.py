@@ -32,7 +32,7 @@ from hplan.scene.solids import CUBE_CORNERS, hull_of, thickening
 GROUND: Final = -1
 
 #: Most points of a body.
-MOST_POINTS: Final = 64
+MOST_POINTS: Final = 256
 
 #: Sides of the prism about a cylinder.
 _SIDES: Final = 24

@@ -16,8 +16,26 @@ from numpy.typing import ArrayLike
 
 from hplan.base.arrays import BoolArray, FloatArray, IntArray, Record, frozen, readonly
 from hplan.base.deadline import look, until
-from hplan.collision.clearance_kernels import FieldArrays, clearances_along, link_clearances, mark_near, path_is_clear
-from hplan.collision.obstacle_rows import FIRST_LINK, GATE, KIND, LAST_LINK, NEXT, TURNS, rows_of
+from hplan.bodies.flat_bodies import DOF, FlatBodies
+from hplan.collision.clearance_kernels import (
+    LINK,
+    FieldArrays,
+    clearances_along,
+    link_clearances,
+    mark_near,
+    path_is_clear,
+)
+from hplan.collision.obstacle_rows import (
+    FIRST_LINK,
+    GATE,
+    KIND,
+    LAST_LINK,
+    NEXT,
+    TURNS,
+    core_rows,
+    own_clearance_of,
+    rows_of,
+)
 from hplan.errors import OptionError
 from hplan.robot.model import Robot
 from hplan.scene.obstacles import Solid
@@ -32,7 +50,8 @@ class ClearanceField(Record):
 
     Attributes:
         chain: (links, 6) rows: length, half-width with the link's sway [m], sign, zero offset, distance from the arm
-            plane and largest distance from the yaw axis [m].
+            plane and largest distance from the yaw axis [m]; of an arm that is not of the planar family the `movers` of
+            `hplan.bodies.flat_bodies`, and in `base` its `numbers`.
         base: (12,) shoulder position, from the foot of the yaw axis, the plane's horizontal and upward axes, all at
             yaw 0; 1 where joint 0 is a yaw; where its axis stands.
         solids: (rows, 21) balls, capsules, boxes, hulls and nodes of clouds, grown by the clearance to keep; columns as
@@ -72,6 +91,10 @@ class ClearanceField(Record):
                 the others.
             deviation: By how much every joint may be off [rad]; each link is as much thicker as it may then sway.
         """
+        if robot.planar is None:
+            flat = FlatBodies.of(robot, own_clearance_of(clearance, own_clearance), deviation)
+            solids, data, owner = core_rows(obstacles, clearance)
+            return cls(flat.movers, flat.numbers, readonly(solids), readonly(data), readonly(owner, np.int64))
         arm = robot.arm
         widths = arm.half_widths + robot.sway(deviation)
         shoulder = robot.plane_origin - np.append(robot.yaw_axis, 0.0)
@@ -101,7 +124,9 @@ class ClearanceField(Record):
         Args:
             touched: (solids,) which of them.
         """
-        if len(self.chain) < 2:
+        # The link, or of other arms than planar ones the joint, before the last.
+        last_gated = (len(self.chain) if self.chain.shape[1] == LINK else int(self.base[DOF])) - 2
+        if last_gated < 0:
             return self.only(~touched)
         rows = np.append(touched, False)[self.owner]
         first = rows & (np.concatenate([[-2], self.owner[:-1]]) != self.owner)  # where a gate comes before the row
@@ -114,7 +139,7 @@ class ClearanceField(Record):
             last = start + int(np.count_nonzero(self.owner[start:end] == self.owner[start]))
             gate = solids[start + before[start]]
             gate[:] = self.solids[start]
-            gate[KIND], gate[FIRST_LINK], gate[LAST_LINK], gate[TURNS] = GATE, 0, len(self.chain) - 2, 0.0
+            gate[KIND], gate[FIRST_LINK], gate[LAST_LINK], gate[TURNS] = GATE, 0, last_gated, 0.0
             gate[NEXT] = last + before[last]
         owner = np.insert(self.owner, np.flatnonzero(first), self.owner[first])
         return replace(self, solids=frozen(solids), owner=frozen(owner))

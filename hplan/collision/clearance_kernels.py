@@ -16,7 +16,6 @@ neither moves farther than the bound of the outer one, so together they use up n
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
@@ -24,22 +23,14 @@ from hplan.base.arrays import BoolArray, FloatArray
 from hplan.base.deadline import is_up
 from hplan.base.kernels import any_int, inlined, kernel
 from hplan.collision import obstacle_rows as row
+from hplan.collision.body_kernels import body_bounds, body_clearances, body_segment_is_clear, mark_near_bodies
 from hplan.collision.distances import Vector, point_segment, segment_box, segment_hull, segment_segment
+from hplan.collision.obstacle_rows import FieldArrays as FieldArrays
 
 _FIRST_ROW = any_int(0)
 
-
-class FieldArrays(NamedTuple):
-    """The arrays of a `hplan.collision.clearance_field.ClearanceField` that kernels read.
-
-    And how long they may take (`hplan.base.deadline`): what is shown clear by then is; after it nothing is.
-    """
-
-    chain: FloatArray
-    base: FloatArray
-    solids: FloatArray
-    data: FloatArray
-    until: FloatArray
+#: Numbers of a link of a planar arm; other arms have other rows (`hplan.bodies.flat_bodies`).
+LINK = any_int(6)
 
 
 @kernel
@@ -109,7 +100,10 @@ def _arm_plane(q: FloatArray, base: FloatArray) -> tuple[int, float, float, Vect
 
 @kernel
 def link_clearances(q: FloatArray, field: FieldArrays, result: FloatArray) -> None:
-    """Clearance of each link at one configuration."""
+    """Clearance of each link at one configuration; of an arm that is no planar chain, of each mover."""
+    if field.chain.shape[1] != LINK:
+        body_clearances(q, field, result)
+        return
     chain, base, solids, data = field.chain, field.base, field.solids, field.data
     first, cos, sin, shoulder, (fx, fy, fz), (gx, gy, gz) = _arm_plane(q, base)
     nx, ny, nz = fy * gz - fz * gy, fz * gx - fx * gz, fx * gy - fy * gx
@@ -214,6 +208,9 @@ def clearances_along(points: FloatArray, field: FieldArrays, result: FloatArray)
 def mark_near(path: FloatArray, field: FieldArrays, distance: float, near: BoolArray) -> None:
     """Mark the rows whose bounding ball comes within a distance of a link at some configuration."""
     chain, base, solids = field.chain, field.base, field.solids
+    if chain.shape[1] != LINK:
+        mark_near_bodies(path, field, distance, near)
+        return
     for i in range(path.shape[0]):
         if is_up(field.until):
             break
@@ -265,6 +262,9 @@ def motion_bounds(turns: FloatArray, chain: FloatArray, base: FloatArray, result
         base: As in `ClearanceField`.
         result: (links,) bounds, written [m].
     """
+    if chain.shape[1] != LINK:
+        body_bounds(turns, chain, base, result)
+        return
     first = 1 if base[9] > 0.0 else 0
     swing = abs(turns[0]) if first else 0.0
     absolute, bound = 0.0, 0.0
@@ -287,6 +287,8 @@ def path_is_clear(path: FloatArray, field: FieldArrays, margin: float) -> bool:
 @kernel
 def segment_is_clear(start: FloatArray, end: FloatArray, field: FieldArrays, margin: float) -> bool:
     """True if the straight joint-space motion is shown clear; `margin` is asked for wherever it is evaluated."""
+    if field.chain.shape[1] != LINK:
+        return body_segment_is_clear(start, end, field, margin)
     links, dof = field.chain.shape[0], start.shape[0]
     bounds, clear, q, turns = np.empty(links), np.empty(links), np.empty(dof), np.empty(dof)
     for i in range(dof):

@@ -15,17 +15,19 @@ is in the other says `hplan.collision.penetration`.
 from __future__ import annotations
 
 import math
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 from hplan.base.arrays import FloatArray
-from hplan.base.kernels import any_int, inlined, kernel
+from hplan.base.kernels import any_int, kernel
 from hplan.collision.distances import Vector
+from hplan.scene.corner_table import OCTANTS
 
 #: A turn, three rows of three numbers, and a shift [m].
 Pose: TypeAlias = tuple[float, float, float, float, float, float, float, float, float, float, float, float]
 
-#: First and last place of the coordinates of some points in an array of numbers; last is one past.
-Span: TypeAlias = tuple[int, int]
+#: First and last place of the coordinates of some points in an array of numbers, last is one past; and the place of
+#: their table (`hplan.scene.corner_table`) there, 0 for none.
+Span: TypeAlias = tuple[int, int, int]
 
 #: Numbers of `work`: the simplex (four points of A - B), the points of A behind them, the places of both their corners,
 #: weights; then what is left behind: how many corners there are, the nearest point of A - B and that of A.
@@ -37,38 +39,69 @@ WORK = 43
 _MOST, _NONE = any_int(128), 1e-13
 
 
+class Wanted(NamedTuple):
+    """What a distance is asked for.
+
+    Attributes:
+        enough: A number no smaller than this is returned as soon as one is shown [m].
+        too_little: Where the distance is shown to be less than this, so may be what is returned [m].
+        fraction: By which fraction of what is left of it beyond `radii` a distance may be returned too small.
+        radii: What will be taken off it [m].
+    """
+
+    enough: float
+    too_little: float
+    fraction: float
+    radii: float
+
+
 @kernel
 def farthest_corner(points: FloatArray, span: Span, direction: Vector) -> int:
-    """The place of the point that lies farthest in a direction; the first of several."""
-    (x, y, z), (first, last) = direction, span
-    best = first
-    most = points[first] * x + points[first + 1] * y + points[first + 2] * z
-    for p in range(first + 3, last, 3):
-        height = points[p] * x + points[p + 1] * y + points[p + 2] * z
-        if height > most:
-            most, best = height, p
-    return best
+    """The place of the point that lies farthest in a direction."""
+    (x, y, z), (first, last, table) = direction, span
+    if table == 0:
+        best = first
+        most = points[first] * x + points[first + 1] * y + points[first + 2] * z
+        for p in range(first + 3, last, 3):
+            height = points[p] * x + points[p + 1] * y + points[p + 2] * z
+            if height > most:
+                most, best = height, p
+        return best
+    octant = (1 if x > 0.0 else 0) + (2 if y > 0.0 else 0) + (4 if z > 0.0 else 0)
+    best = int(points[table + octant])
+    most = points[best] * x + points[best + 1] * y + points[best + 2] * z
+    lists = table + OCTANTS
+    while True:
+        here = lists + (best - first) // 3
+        before = best
+        for n in range(int(points[here]), int(points[here + 1])):
+            p = int(points[n])
+            height = points[p] * x + points[p + 1] * y + points[p + 2] * z
+            if height > most:
+                most, best = height, p
+        if best == before:
+            return best
 
 
-@inlined
+@kernel
 def dot(a: Vector, b: Vector) -> float:
     """Scalar product."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@inlined
+@kernel
 def cross(a: Vector, b: Vector) -> Vector:
     """Vector product."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-@inlined
+@kernel
 def less(a: Vector, b: Vector) -> Vector:
     """The vector from b to a."""
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
-@inlined
+@kernel
 def turned_back(pose: Pose, d: Vector) -> Vector:
     """A direction as seen from what the pose places."""
     return (
@@ -78,7 +111,7 @@ def turned_back(pose: Pose, d: Vector) -> Vector:
     )
 
 
-@inlined
+@kernel
 def placed_point(pose: Pose, points: FloatArray, p: int) -> Vector:
     """A point where the pose puts it."""
     x, y, z = points[p], points[p + 1], points[p + 2]
@@ -96,7 +129,7 @@ def core_distance(
     pose: Pose,
     other: FloatArray,
     other_span: Span,
-    wanted: tuple[float, float],
+    wanted: Wanted,
     work: FloatArray,
 ) -> float:
     """Distance between two hulls; 0 where they share a point.
@@ -107,14 +140,14 @@ def core_distance(
         pose: Where it is, in the frame of the other.
         other: Coordinates of points.
         other_span: Which of them are of the other hull.
-        wanted: A distance that is enough: a number no smaller than it is returned as soon as one is shown; and by which
-            fraction of itself a distance may be returned too small.
-        work: (WORK,) numbers. Where no distance was enough, `work` then holds the nearest points.
+        wanted: How exact it is to be.
+        work: (WORK,) numbers. At `NEAREST` a direction from the other hull to the first to begin with, or zeros. Where
+            no distance was enough, `work` then holds the nearest points.
     """
-    enough, fraction = wanted
-    direction = less(
-        placed_point(pose, shape, span[0]), (other[other_span[0]], other[other_span[0] + 1], other[other_span[0] + 2])
-    )
+    direction = (work[NEAREST], work[NEAREST + 1], work[NEAREST + 2])
+    if direction[0] == 0.0 and direction[1] == 0.0 and direction[2] == 0.0:
+        o = other_span[0]
+        direction = less(placed_point(pose, shape, span[0]), (other[o], other[o + 1], other[o + 2]))
     size, square, lower, scale = 0, math.inf, 0.0, 0.0
     for _ in range(_MOST):
         x, y, z = direction
@@ -126,10 +159,14 @@ def core_distance(
         along = dot(direction, w)
         if along > lower * length:
             lower = along / length
-            if lower >= enough:
+            if lower >= wanted.enough:
                 return lower
-        if size > 0 and (square - along <= fraction * square or _is_known(work, size, p, o)):
-            break
+        if size > 0:
+            # The distance lies between `lower` and `length`.
+            if length - lower <= wanted.fraction * abs(length - wanted.radii) or length < wanted.too_little:
+                break
+            if _is_known(work, size, p, o):
+                break
         at, number = _CORNERS + 3 * size, _NUMBERS + 2 * size
         work[at], work[at + 1], work[at + 2] = w
         work[at + 12], work[at + 13], work[at + 14] = a
@@ -148,7 +185,7 @@ def core_distance(
     return lower
 
 
-@inlined
+@kernel
 def _is_known(work: FloatArray, size: int, p: int, o: int) -> bool:
     """True if a corner of A - B is in the simplex."""
     known = False
@@ -158,7 +195,7 @@ def _is_known(work: FloatArray, size: int, p: int, o: int) -> bool:
     return known
 
 
-@inlined
+@kernel
 def _find_point_of_first(work: FloatArray, size: int) -> None:
     """Write the nearest point of the first hull."""
     for c in range(3):
@@ -168,7 +205,7 @@ def _find_point_of_first(work: FloatArray, size: int) -> None:
         work[ON_FIRST + c] = value
 
 
-@inlined
+@kernel
 def _corner(work: FloatArray, k: int) -> Vector:
     return work[_CORNERS + 3 * k], work[_CORNERS + 3 * k + 1], work[_CORNERS + 3 * k + 2]
 
@@ -205,7 +242,7 @@ def _reduced(work: FloatArray, size: int) -> int:
     return left
 
 
-@inlined
+@kernel
 def _nearest_point(work: FloatArray, size: int) -> Vector:
     """The point of a simplex nearest to the origin.
 
@@ -229,7 +266,7 @@ def _nearest_point(work: FloatArray, size: int) -> Vector:
     return x, y, z
 
 
-@inlined
+@kernel
 def _on_line(a: Vector, b: Vector) -> tuple[float, float]:
     """Weights of the point of a segment that is nearest to the origin."""
     along = less(b, a)
@@ -238,7 +275,7 @@ def _on_line(a: Vector, b: Vector) -> tuple[float, float]:
     return 1.0 - t, t
 
 
-@inlined
+@kernel
 def _square_at(a: Vector, b: Vector, t: float) -> float:
     """Squared distance from the origin of a point between two others."""
     x, y, z = a[0] + t * (b[0] - a[0]), a[1] + t * (b[1] - a[1]), a[2] + t * (b[2] - a[2])
@@ -302,7 +339,7 @@ def _on_triangle(a: Vector, b: Vector, c: Vector) -> tuple[float, float, float]:
     return weights
 
 
-@inlined
+@kernel
 def _square_of(a: Vector, b: Vector, c: Vector, weights: Vector) -> float:
     """Squared distance from the origin of a point of a triangle."""
     x = weights[0] * a[0] + weights[1] * b[0] + weights[2] * c[0]

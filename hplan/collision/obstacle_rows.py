@@ -12,7 +12,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
-from typing import assert_never
+from typing import NamedTuple, assert_never
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,6 +22,7 @@ from hplan.base.deadline import look
 from hplan.robot.base_shapes import TURRET
 from hplan.robot.model import Robot
 from hplan.robot.self_contact import BaseBody, pair_sway, self_contact
+from hplan.scene.corner_table import corner_table
 from hplan.scene.obstacles import Box, Capsule, Cylinder, Solid, Sphere
 from hplan.scene.solids import Cloud, Hull, hull_of
 
@@ -39,12 +40,29 @@ _COLUMNS = 21
 #: points begin and end there. Node: 1 where it is a tree's first.
 SHAPE, SECOND_END, AXES, FACETS, EDGES, EDGES_END, POINTS, POINTS_END, IS_ROOT = 6, 9, 9, 6, 7, 8, 6, 7, 8
 
+#: In place of these, for arms that are no planar chain, every kind that is one hull has: where its corners begin and
+#: end in the data, and the place of their table (`hplan.scene.corner_table`) behind them, 0 for none.
+CORNERS, CORNERS_END, TABLE = 6, 7, 8
+
 #: Gate: the first and the last link that pass it, and 1 where the row below turns with them. Pair: its links, and the
 #: distance of their axes at which they touch.
 FIRST_LINK, LAST_LINK, TURNS, INNER, OUTER, TOUCHING = 6, 7, 8, 6, 7, 8
 
 #: A hull whose points lie in one plane is made so thick [m].
 _THICKNESS = 1e-5
+
+
+class FieldArrays(NamedTuple):
+    """The arrays of a `hplan.collision.clearance_field.ClearanceField` that kernels read.
+
+    And how long they may take (`hplan.base.deadline`): what is shown clear by then is; after it nothing is.
+    """
+
+    chain: FloatArray
+    base: FloatArray
+    solids: FloatArray
+    data: FloatArray
+    until: FloatArray
 
 
 def rows_of(
@@ -70,7 +88,7 @@ def rows_of(
     row_count = data_count = 0
     growth = np.asarray(clearance, dtype=np.float64)
     grown = np.broadcast_to(growth, (len(obstacles),)).tolist()
-    own = float(growth.min()) if own_clearance is None and growth.size else own_clearance or 0.0
+    own = own_clearance_of(clearance, own_clearance)
     contact = self_contact(robot, deviation=deviation, clearance=own)
     for index, part in [*enumerate(obstacles), *((-1, body) for body in contact.bodies)]:
         look()
@@ -102,6 +120,38 @@ def solid_rows(obstacles: Sequence[Solid], clearance: float) -> tuple[FloatArray
         row_count += len(rows)
         data_count += len(more)
     return np.concatenate(blocks), np.concatenate(data)
+
+
+def own_clearance_of(clearance: ArrayLike, own_clearance: float | None) -> float:
+    """Clearance that parts of the arm are to keep from one another [m], as for `rows_of`."""
+    growth = np.asarray(clearance, dtype=np.float64)
+    return float(growth.min()) if own_clearance is None and growth.size else own_clearance or 0.0
+
+
+def core_rows(obstacles: Sequence[Solid], clearance: ArrayLike) -> tuple[FloatArray, FloatArray, IntArray]:
+    """As `rows_of`, for arms that are no planar chain: obstacles alone, with the corners of each.
+
+    Args:
+        obstacles: Obstacles.
+        clearance: By how much each of them is grown [m], one number or one for each.
+    """
+    blocks, data, owner = [np.zeros((0, _COLUMNS))], [np.zeros(0)], [np.zeros(0, dtype=np.int64)]
+    row_count = data_count = 0
+    grown = np.broadcast_to(np.asarray(clearance, dtype=np.float64), (len(obstacles),)).tolist()
+    for index, (solid, growth) in enumerate(zip(obstacles, grown, strict=True)):
+        rows, more = _rows(solid, growth, data_count)
+        if not solid.is_point_set:
+            end = data_count + solid.core.size
+            table = corner_table(solid.core, data_count, end)
+            more = np.concatenate([solid.core.ravel(), table])
+            rows[0, CORNERS], rows[0, CORNERS_END], rows[0, TABLE] = data_count, end, end if len(table) else 0
+        rows[:, NEXT] += row_count
+        blocks.append(rows)
+        data.append(more)
+        owner.append(np.full(len(rows), index))
+        row_count += len(rows)
+        data_count += len(more)
+    return np.concatenate(blocks), np.concatenate(data), np.concatenate(owner)
 
 
 def _rows(obstacle: Solid, clearance: float, offset: int) -> tuple[FloatArray, FloatArray]:

@@ -16,7 +16,7 @@ from typing import TypeAlias
 import numpy as np
 
 from hplan.base.arrays import FloatArray, IntArray
-from hplan.base.kernels import any_int, inlined, kernel
+from hplan.base.kernels import any_int, kernel
 from hplan.collision.convex_distance import (
     NEAREST,
     ON_FIRST,
@@ -81,7 +81,7 @@ def penetration(hulls: Hulls, work: FloatArray) -> float:
     return max(0.0, depth) if depth < math.inf else 0.0
 
 
-@inlined
+@kernel
 def _corner_of(corners: FloatArray, i: int) -> Vector:
     return corners[i, 0], corners[i, 1], corners[i, 2]
 
@@ -161,7 +161,7 @@ def _add_face(
     return made + 1
 
 
-@inlined
+@kernel
 def _nearest_face(planes: FloatArray, faces: IntArray, made: int) -> int:
     """The face whose plane has the least offset; -1 without any."""
     nearest, least = -1, math.inf

@@ -17,9 +17,10 @@ import numpy as np
 
 from hplan.base.arrays import FloatArray, IntArray, frozen
 from hplan.base.deadline import is_up, look
-from hplan.base.kernels import kernel
+from hplan.base.kernels import any_int, kernel
+from hplan.collision.body_kernels import body_shown_part
 from hplan.collision.clearance_field import ClearanceField
-from hplan.collision.clearance_kernels import FieldArrays, link_clearances, motion_bounds, proven_advance
+from hplan.collision.clearance_kernels import LINK, FieldArrays, link_clearances, motion_bounds, proven_advance
 from hplan.problem.definition import Problem
 from hplan.sampling.time_shortcut import motion_time
 
@@ -33,7 +34,7 @@ EDGE_S = 0.25
 LEAST_S = 0.002
 
 #: Looks at the clearance along one edge before the rest of it is given up.
-LOOKS = 64
+LOOKS = any_int(64)
 
 #: Samples are drawn from the box of start and goal, this much larger on all sides [rad], and about either of them
 #: within 1 rad, half of that, and so on.
@@ -186,20 +187,50 @@ def _extend(tree: Tree, node: int, target: FloatArray, arm: Surroundings, looks:
     """Add a node on the way from a node to a target, as far as an edge goes and is shown clear; -1 without progress."""
     if tree.size[0] >= tree.points.shape[0]:
         return -1
-    dof, links = len(target), arm.field.chain.shape[0]
+    dof = len(target)
     start = tree.points[node]
-    q, turns = np.empty(dof), np.empty(dof)
-    bounds, clear = np.empty(links), np.empty(links)
+    turns = np.empty(dof)
     time = motion_time(start, target, arm.slowness)
     part = min(1.0, EDGE_S / time) if time > 0.0 else 1.0
     for i in range(dof):
         turns[i] = part * (target[i] - start[i])
+    if arm.field.chain.shape[1] == LINK:
+        shown = _shown_part(start, turns, target, part == 1.0, arm, looks)
+    else:
+        shown, used = body_shown_part(start, turns, arm.field, arm.margin, LOOKS)
+        looks[0] -= used
+    if shown * part * time < LEAST_S and not (shown == 1.0 and part == 1.0):
+        return -1
+    new = int(tree.size[0])
+    for i in range(dof):
+        tree.points[new, i] = target[i] if shown == 1.0 and part == 1.0 else start[i] + shown * turns[i]
+    tree.parents[new] = node
+    tree.size[0] = new + 1
+    return new
+
+
+@kernel
+def _shown_part(
+    start: FloatArray, turns: FloatArray, target: FloatArray, reaches: bool, arm: Surroundings, looks: IntArray
+) -> float:
+    """The part of an edge that is shown clear.
+
+    Args:
+        start: (dof,) where it begins.
+        turns: (dof,) how far joints turn along it.
+        target: (dof,) where it leads.
+        reaches: Whether it ends there.
+        arm: Arm and obstacles.
+        looks: Evaluations that are left.
+    """
+    dof, links = len(start), arm.field.chain.shape[0]
+    q, bounds, clear = np.empty(dof), np.empty(links), np.empty(links)
     motion_bounds(turns, arm.field.chain, arm.field.base, bounds)
     shown, at = 0.0, 0.0
     for _ in range(LOOKS):
         for i in range(dof):
             q[i] = start[i] + at * turns[i]
-        if at == 1.0 and part == 1.0:
+        if at == 1.0 and reaches:
             for i in range(dof):
                 q[i] = target[i]
         looks[0] -= 1
@@ -211,11 +242,4 @@ def _extend(tree: Tree, node: int, target: FloatArray, arm: Surroundings, looks:
         if at >= 1.0:
             break
         at = min(1.0, at + advance)
-    if shown * part * time < LEAST_S and not (shown == 1.0 and part == 1.0):
-        return -1
-    new = int(tree.size[0])
-    for i in range(dof):
-        tree.points[new, i] = target[i] if shown == 1.0 and part == 1.0 else start[i] + shown * turns[i]
-    tree.parents[new] = node
-    tree.size[0] = new + 1
-    return new
+    return shown

@@ -18,8 +18,9 @@ from hplan.base.arrays import BoolArray, FloatArray, Record, frozen, readonly
 from hplan.base.deadline import is_up, look
 from hplan.base.kernels import any_int, kernel
 from hplan.base.polyline import curve_length, stations
+from hplan.collision.body_kernels import body_piece_is_clear
 from hplan.collision.clearance_field import ClearanceField
-from hplan.collision.clearance_kernels import FieldArrays, link_clearances, proven_advance
+from hplan.collision.clearance_kernels import LINK, FieldArrays, link_clearances, proven_advance
 from hplan.errors import InputError
 
 #: Longest step along a piece with which an optimiser looks for contact before the proof.
@@ -223,6 +224,8 @@ def piece_is_clear(piece: FloatArray, field: FieldArrays, margin: float, stride:
 
     With a `stride` above 0 no step is shorter than that: no proof then near contact, but cheap, for optimisers.
     """
+    if field.chain.shape[1] != LINK:
+        return body_piece_is_clear(piece, field, margin, stride)
     links, dof = field.chain.shape[0], piece.shape[1]
     bounds, clear, q = np.empty(links), np.empty(links), np.empty(dof)
     piece_bounds(piece, field.chain, field.base, bounds)

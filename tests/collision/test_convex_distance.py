@@ -11,11 +11,12 @@ from scipy.optimize import nnls
 from scipy.spatial import ConvexHull
 
 from hplan.base.arrays import FloatArray
-from hplan.collision.convex_distance import NEAREST, ON_FIRST, WORK, core_distance
+from hplan.collision.convex_distance import NEAREST, ON_FIRST, WORK, Wanted, core_distance
 from hplan.collision.penetration import penetration
+from hplan.scene.corner_table import corner_table
 from hplan.scene.solids import CUBE_CORNERS, rpy_rotation
 
-EXACT = (np.inf, 1e-12)
+EXACT = Wanted(np.inf, 0.0, 1e-12, 0.0)
 
 #: Whole numbers: most of what is drawn is flat, doubled, touching or symmetric in some way.
 SHAPES = st.lists(st.tuples(*[st.integers(-2, 2)] * 3), min_size=1, max_size=10).map(
@@ -26,13 +27,21 @@ SHIFTS = st.tuples(*[st.integers(-4, 4)] * 3).map(lambda shift: np.array(shift, 
 SEEDS = st.integers(0, 2**32 - 1)
 
 
+def with_table(points: FloatArray) -> tuple[FloatArray, int]:
+    """Coordinates and, after them, the table of the corners; and where it is."""
+    table = corner_table(points, 0, points.size)
+    return np.concatenate([points.ravel(), table]), points.size if len(table) else 0
+
+
 def measured(
-    first: FloatArray, rotation: FloatArray, shift: FloatArray, second: FloatArray, wanted: tuple[float, float] = EXACT
+    first: FloatArray, rotation: FloatArray, shift: FloatArray, second: FloatArray, wanted: Wanted = EXACT
 ) -> tuple[float, FloatArray]:
     """Distance, less the depth where there is none, and what the kernels leave behind."""
     work = np.zeros(WORK)
     pose = (*rotation.ravel().tolist(), *shift.tolist())
-    hulls = first.ravel(), (0, first.size), pose, second.ravel(), (0, second.size)
+    shape, table = with_table(first)
+    other, other_table = with_table(second)
+    hulls = shape, (0, first.size, table), pose, other, (0, second.size, other_table)
     distance = core_distance(*hulls, wanted, work)
     return (distance, work) if distance > 0.0 else (-penetration(hulls, work), work)
 
@@ -146,7 +155,7 @@ def test_points_and_segments_have_no_depth() -> None:
 def test_what_is_enough_is_shown_and_fractions_are_kept(seed: int, enough: float) -> None:
     hulls = random_hulls(seed)
     exact, _ = measured(*hulls)
-    shown, _ = measured(*hulls, wanted=(enough, 1e-3))
+    shown, _ = measured(*hulls, wanted=Wanted(enough, 0.0, 1e-3, 0.0))
     if exact > 0.0 and enough > 0.0:
         assert shown <= exact * (1.0 + 1e-9)
         assert shown >= min(enough, exact * (1.0 - 1e-3))

@@ -1,0 +1,204 @@
+"""Clearances of arms of any kind, against coal at sampled configurations, and what motions they show clear."""
+
+from __future__ import annotations
+
+import coal
+import numpy as np
+import pinocchio as pin
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from toy_urdf import SIX_AXIS_LIMITS, six_axis_arm
+
+from hplan.base.arrays import FloatArray
+from hplan.bodies.collision_bodies import GROUND, body_shapes, collision_bodies
+from hplan.bodies.flat_bodies import AXIS, AXIS_RADIUS, BALL, BALL_RADIUS
+from hplan.bodies.placed_bodies import ALONG, CENTRE, PLACED, START, place_bodies
+from hplan.bodies.touching_pairs import self_pairs
+from hplan.collision.body_kernels import FAR, body_advance, body_bounds
+from hplan.collision.clearance_field import ClearanceField
+from hplan.collision.clearance_kernels import segment_is_clear
+from hplan.collision.coal_shapes import beyond_geometry, solid_shape
+from hplan.robot.model import Robot, load_robot
+from hplan.scene.obstacles import Box, Capsule, Cylinder, Solid, Sphere
+from hplan.scene.solids import Cloud, hull_of
+from hplan.smoothing.spline import piece_is_clear
+
+SEEDS = st.integers(0, 2**32 - 1)
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory: pytest.TempPathFactory) -> Robot:
+    path = tmp_path_factory.mktemp("arm") / "six.urdf"
+    path.write_text(six_axis_arm())
+    path.with_suffix(".limits.yaml").write_text(SIX_AXIS_LIMITS)
+    return load_robot(path)
+
+
+@pytest.fixture(scope="module")
+def solids() -> list[Solid]:
+    """One of every kind."""
+    generator = np.random.default_rng(3)
+    points = generator.normal(size=(40, 3))
+    return [
+        Sphere(name="ball", center=(0.5, 0.1, 0.6), radius=0.12),
+        Capsule.model_validate({"name": "branch", "from": (0.2, -0.5, 0.2), "to": (0.7, -0.2, 0.9), "radius": 0.03}),
+        Box(name="crate", center=(-0.4, 0.4, 0.5), size=(0.3, 0.2, 0.5), rpy_deg=(20.0, -30.0, 50.0)),
+        Box(name="shelf", center=(0.0, 0.0, -0.3), size=(2.0, 2.0, 0.02)),
+        Cylinder(name="post", center=(-0.5, -0.4, 0.4), length=0.8, radius=0.1, rpy_deg=(10.0, 20.0, 0.0)),
+        hull_of(np.array([0.1, -0.6, 0.9]) + 0.12 * points / np.linalg.norm(points, axis=1)[:, None], "stone"),
+        Cloud.of("leaves", np.array([0.3, 0.6, 0.7]) + 0.1 * generator.normal(size=(300, 3)), 0.01),
+    ]
+
+
+def by_coal(robot: Robot, solids: list[Solid], q: FloatArray) -> FloatArray:
+    """(movers,) clearances of bodies and pairs by coal, cylinders as the prisms that kernels know."""
+    bodies, shapes, checked = collision_bodies(robot), body_shapes(robot), self_pairs(robot).checked
+    data = robot.model.createData()
+    pin.forwardKinematics(robot.model, data, q)
+    exact = [coal.Convex if body.kind == "cylinder" else None for body in bodies]
+    placed = [(shape.geometry, data.oMi[shape.parentJoint] * shape.placement) for shape in shapes]
+    for number, body in enumerate(bodies):
+        if exact[number] is not None:
+            hull = solid_shape(hull_of(body.core, most=len(body.core) + 14))
+            placed[number] = (hull.geometry, data.oMi[shapes[number].parentJoint] * hull.placement)
+    others = []
+    for solid in solids:
+        hulls: list[Solid] = [solid]
+        if isinstance(solid, Cylinder):
+            hulls = [hull_of(solid.core, most=len(solid.core) + 14)]
+        elif isinstance(solid, Cloud):
+            hulls = [Sphere(name="leaf", center=tuple(point), radius=solid.rounding) for point in solid.core]
+        others += [(solid_shape(hull), beyond_geometry(hull)) for hull in hulls]
+
+    def distance(
+        first: tuple[coal.CollisionGeometry, pin.SE3], second: tuple[coal.CollisionGeometry, pin.SE3]
+    ) -> float:
+        places = [coal.Transform3s(place.rotation, place.translation) for _, place in (first, second)]
+        request = coal.DistanceRequest()
+        request.gjk_tolerance = 1e-9
+        return float(coal.distance(first[0], places[0], second[0], places[1], request, coal.DistanceResult()))
+
+    found = [
+        np.inf
+        if body.joint == GROUND
+        else min(distance(place, (shape.geometry, shape.placement)) - beyond for shape, beyond in others)
+        for body, place in zip(bodies, placed, strict=True)
+    ]
+    return np.array([*found, *(distance(placed[i], placed[j]) for i, j in checked)])
+
+
+def test_bodies_are_where_pinocchio_has_them(arm: Robot) -> None:
+    field = ClearanceField.of(arm, [])
+    bodies = collision_bodies(arm)
+    placed = np.empty((len(bodies), PLACED))
+    for q in np.random.default_rng(0).uniform(arm.lower, arm.upper, (20, arm.dof)):
+        place_bodies(q, field.chain, field.base, placed)
+        data = arm.model.createData()
+        pin.forwardKinematics(arm.model, data, q)
+        for body, row, mover in zip(bodies, placed, field.chain, strict=False):
+            place = data.oMi[body.joint + 1]
+            assert row[:9].reshape(3, 3) == pytest.approx(place.rotation, abs=1e-12)
+            assert row[9:12] == pytest.approx(place.translation, abs=1e-12)
+            corners = body.core @ place.rotation.T + place.translation
+            away = np.linalg.norm(corners - row[CENTRE:START], axis=1).max() + body.rounding
+            assert away - 1e-12 <= mover[BALL_RADIUS] <= 1.3 * away
+            along = row[ALONG:PLACED]
+            at = np.clip((corners - row[START:ALONG]) @ along / max(along @ along, 1e-30), 0.0, 1.0)
+            beside = np.linalg.norm(corners - row[START:ALONG] - np.outer(at, along), axis=1).max() + body.rounding
+            assert beside - 1e-12 <= mover[AXIS_RADIUS]
+            assert mover[BALL:BALL_RADIUS] @ place.rotation.T + place.translation == pytest.approx(row[CENTRE:START])
+            assert mover[AXIS : AXIS + 3] @ place.rotation.T + place.translation == pytest.approx(row[START:ALONG])
+
+
+@given(SEEDS)
+@settings(max_examples=25)
+def test_clearances_are_those_of_coal(arm: Robot, solids: list[Solid], seed: int) -> None:
+    field = ClearanceField.of(arm, solids)
+    q = np.random.default_rng(seed).uniform(arm.lower, arm.upper)
+    found, expected = field.link_clearances(q), by_coal(arm, solids, q)
+    apart = (expected > 0.0) & (expected < FAR)
+    assert found[apart] == pytest.approx(expected[apart], rel=1e-6, abs=1e-7)
+    assert (found[expected >= FAR] == FAR).all()
+    assert (found[expected <= 0.0] <= 1e-9).all()
+
+
+def test_grown_obstacles_and_deviations_leave_less(arm: Robot, solids: list[Solid]) -> None:
+    q = np.array([0.3, 0.5, 0.4, -0.3, 0.5, 0.2])
+    plain = ClearanceField.of(arm, solids).link_clearances(q)
+    bodies = len(collision_bodies(arm))
+    near = plain < FAR - 0.05
+    grown = ClearanceField.of(arm, solids, clearance=0.01, own_clearance=0.0).link_clearances(q)
+    moving = near & (np.arange(len(near)) < bodies)
+    assert grown[moving] == pytest.approx(plain[moving] - 0.01, abs=1e-9)
+    assert grown[bodies:] == pytest.approx(plain[bodies:])
+    swaying = ClearanceField.of(arm, solids, deviation=0.01).link_clearances(q)
+    bounds = np.empty(len(near))
+    field = ClearanceField.of(arm, solids)
+    body_bounds(np.full(arm.dof, 0.01), field.chain, field.base, bounds)
+    assert swaying[near] == pytest.approx((plain - bounds)[near], abs=1e-9)
+
+
+@given(SEEDS)
+@settings(max_examples=25)
+def test_what_an_advance_leaves_is_clear(arm: Robot, solids: list[Solid], seed: int) -> None:
+    field = ClearanceField.of(arm, solids)
+    generator = np.random.default_rng(seed)
+    start, turns = generator.uniform(arm.lower, arm.upper), generator.uniform(-1.0, 1.0, arm.dof)
+    bounds = np.empty(len(field.chain))
+    body_bounds(turns, field.chain, field.base, bounds)
+    part = body_advance(start, field.arrays, bounds, 1e-3, 1.0)
+    clear = field.link_clearances(start)
+    if part < 0.0:
+        assert clear.min() < 1e-3 * 1.03
+    else:
+        assert clear.min() >= 1e-3
+        assert (part * bounds <= clear + 1e-12)[clear < FAR].all()
+        along = start + np.linspace(0.0, part, 9)[:, None] * turns
+        assert field.along(along).min() > -1e-9
+
+
+@given(SEEDS)
+@settings(max_examples=40)
+def test_motions_shown_clear_are_clear(arm: Robot, solids: list[Solid], seed: int) -> None:
+    field = ClearanceField.of(arm, solids)
+    generator = np.random.default_rng(seed)
+    start = generator.uniform(arm.lower, arm.upper)
+    ends = start + generator.uniform(-0.4, 0.4, (3, arm.dof))
+    along = start + np.linspace(0.0, 1.0, 40)[:, None] * (ends[2] - start)
+    least = field.along(along).min()
+    shown = bool(segment_is_clear(start, ends[2], field.arrays, 1e-3))
+    assert shown == field.is_clear([start, ends[2]], 1e-3)
+    assert not shown or least > 5e-4
+    assert shown or least < 2e-3
+    piece = np.stack([start, *ends])
+    t = np.linspace(0.0, 1.0, 40)[:, None]
+    curve = (1 - t) ** 3 * piece[0] + 3 * (1 - t) ** 2 * t * piece[1] + 3 * (1 - t) * t**2 * piece[2] + t**3 * piece[3]
+    assert not piece_is_clear(piece, field.arrays, 1e-3, 0.0) or field.along(curve).min() > 5e-4
+
+
+def test_what_is_far_is_left_out(arm: Robot, solids: list[Solid]) -> None:
+    whole = ClearanceField.of(arm, solids)
+    path = np.array([[0.3, 0.5, 0.4, -0.3, 0.5, 0.2], [0.5, 0.6, 0.4, -0.3, 0.5, 0.2]])
+    near = whole.near(path, 0.1)
+    assert 0 < len(near.solids) < len(whole.solids)
+    clear, all_clear = near.along(path), whole.along(path)
+    assert clear[all_clear < 0.1] == pytest.approx(all_clear[all_clear < 0.1])
+    assert (clear >= all_clear - 1e-12).all()
+
+
+def test_the_last_joint_may_touch_what_is_spared(arm: Robot) -> None:
+    fruit = Sphere(name="fruit", center=(0.0, 0.0, 0.0), radius=0.05)
+    q = np.array([0.3, 0.5, 0.4, -0.3, 0.5, 0.2])
+    bodies = collision_bodies(arm)
+    data = arm.model.createData()
+    pin.forwardKinematics(arm.model, data, q)
+    last = next(body for body in bodies if body.joint == arm.dof - 1)
+    centre = data.oMi[arm.dof] * last.core.mean(axis=0)
+    field = ClearanceField.of(arm, [fruit.model_copy(update={"center": tuple(centre)})])
+    assert field.clearance(q) < -0.05
+    spared = field.sparing(np.array([True]))
+    found, before = spared.link_clearances(q), field.link_clearances(q)
+    carried = np.array([body.joint == arm.dof - 1 for body in bodies])
+    assert (found[: len(bodies)][carried] == FAR).all()
+    assert found[: len(bodies)][~carried] == pytest.approx(before[: len(bodies)][~carried])

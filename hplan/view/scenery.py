@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from typing import assert_never
 
 import numpy as np
+import pinocchio as pin
 
 from hplan.base.arrays import FloatArray
 from hplan.errors import InputError
@@ -126,14 +127,12 @@ def moving_clips(scene: Scene, times: FloatArray, begin_s: float, end: float) ->
         begin_s: Time at which the motion begins, as tracks count it [s].
         end: End of the animation; after the motion everything rests [s].
     """
-    from scipy.spatial.transform import Rotation
-
     poses = scene.poses_at(begin_s + np.append(times, times[-1]))
     clock = [*times.tolist(), end]
     clips = []
     for path, name in {path: name for name, path in moving_nodes(scene).items()}.items():
         turns, shifts = poses[name]
-        quaternions = Rotation.from_matrix(turns).as_quat()
+        quaternions = np.array([pin.Quaternion(turn).coeffs() for turn in turns])
         clips.append(clip(path, turning(clock, quaternions), moving(clock, shifts)))
     return clips
 

@@ -17,14 +17,14 @@ from hplan.planning.task import PlanningCache
 from hplan.problem.options import PlanOptions
 from hplan.robot.model import Robot
 from hplan.scene.model import Fruit, Goal, Scene, Start
-from hplan.scene.obstacles import Box, Capsule, Sphere
+from hplan.scene.obstacles import Box, Capsule, Cylinder, Sphere
 from hplan.search.grid import Grid
 from hplan.verification.certificate import certify
 
 START, GOAL = (0.0, 0.0, 0.0, 0.0), (0.0, 45.0, 60.0, 70.0)
 SHOULDER = np.array([0.0, 0.0, 0.6])
 
-Obstacles = Sequence[Sphere | Capsule | Box]
+Obstacles = Sequence[Sphere | Capsule | Cylinder | Box]
 
 
 def task(obstacles: Obstacles = (), start: Sequence[float] = START, goal: Sequence[float] = GOAL, **more: Any) -> Scene:
@@ -124,12 +124,16 @@ def test_options_are_checked_for_an_empty_motion_too(robot: Robot, field: str, v
             Box(name="post", center=(1.0, 0.0, 2.0), size=(0.1, 0.1, 0.2), rpy_deg=(10.0, 20.0, 30.0)),
         ],
         [
+            Cylinder(name="can", center=(1.0, 0.0, 1.95), length=0.3, radius=0.12, rpy_deg=(20.0, 30.0, 0.0)),
+            Cylinder(name="ground", center=(0.0, 0.0, -0.05), length=0.1, radius=3.0),
+        ],
+        [
             disc("ball", 0.1, 60.0, 1.7),
             Capsule(name="wire", start=(1.3, -2.0, 1.9), end=(1.3, 2.0, 1.9), radius=0.005),
             Box(name="ground", center=(0.0, 0.0, -0.05), size=(6.0, 6.0, 0.1)),
         ],
     ],
-    ids=["spheres", "capsules", "boxes", "mixed"],
+    ids=["spheres", "capsules", "boxes", "cylinders", "mixed"],
 )
 def test_several_obstacles_of_each_kind(robot: Robot, obstacles: Obstacles) -> None:
     scene = task(obstacles)

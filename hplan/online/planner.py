@@ -20,6 +20,7 @@ from hplan.base.deadline import Cancel, time_limit
 from hplan.errors import InputError, SceneError
 from hplan.online.splice import RunningMotion, SplicedResult
 from hplan.perception.frame import CloudOptions, Frame, FrameReport, SeenPoints, filter_frame
+from hplan.perception.frame_kernels import Scratch
 from hplan.perception.scene_cloud import check_cloud_name, solids_named, with_cloud
 from hplan.planning.plan import PlanResult, check_task, plan_with
 from hplan.planning.task import PlanningCache
@@ -66,6 +67,7 @@ class Planner:
         self._cache = PlanningCache(robot)
         self._lock = RLock()
         self._seen: dict[str, SeenPoints] = {}
+        self._scratch = Scratch()
 
     def __getstate__(self) -> dict[str, Any]:
         """The attributes that a user sees."""
@@ -73,7 +75,7 @@ class Planner:
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Go on from there."""
-        vars(self).update(state, _cache=PlanningCache(state["robot"]), _lock=RLock(), _seen={})
+        vars(self).update(state, _cache=PlanningCache(state["robot"]), _lock=RLock(), _seen={}, _scratch=Scratch())
 
     def plan(self, *, cancel: Cancel | None = None) -> PlanResult:
         """Plan as `hplan.plan` does, whatever was planned before.
@@ -245,6 +247,7 @@ class Planner:
                 ignored=solids_named(self.scene, ignore, name),
                 clearance_m=self.scene.clearance + self._largest_sway_m(),
                 before=self._seen.get(name),
+                scratch=self._scratch,
             )
             self.scene = with_cloud(self.scene, name, found.points, found.report.radius_m)
             self._seen[name] = found.seen

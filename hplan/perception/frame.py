@@ -24,15 +24,16 @@ from hplan.errors import InputError, OptionError
 from hplan.perception.arm_shape import arm_solids, reach_ball
 from hplan.perception.frame_kernels import (
     IGNORED,
+    MIDDLE,
     NOT_FINITE,
     OF_ARM,
     OUT_OF_REACH,
     Bodies,
     Placement,
+    Scratch,
     distances_from_bodies,
     mark_isolated,
     middles,
-    put_into_voxels,
 )
 from hplan.perception.hidden_points import hidden
 from hplan.robot.model import Robot
@@ -216,6 +217,7 @@ def filter_frame(
     ignored: Sequence[Solid] = (),
     clearance_m: float = 0.0,
     before: SeenPoints | None = None,
+    scratch: Scratch | None = None,
 ) -> FilteredFrame:
     """Make a frame's points few, and leave out what is no obstacle.
 
@@ -226,9 +228,10 @@ def filter_frame(
         ignored: Solids whose points are left out.
         clearance_m: Clearance that the arm will keep: so much farther points matter [m].
         before: What the frames before it have seen; None for nothing.
+        scratch: Memory of the frames before it; None for new one.
 
     Raises:
-        OptionError: The frame is older than the one before it, and points are to be kept.
+        OptionError: The frame is older than the one before it, and points are to be kept; voxels far too small.
     """
     instance("options", options, CloudOptions)
     before = SeenPoints() if before is None else before
@@ -237,8 +240,8 @@ def filter_frame(
     placement = _placement(robot, frame, options, clearance_m)
     arm = Bodies(*solid_rows([] if frame.joints is None else arm_solids(robot, frame.joints), options.arm_padding_m))
     left_out = Bodies(*solid_rows(ignored, options.ignore_padding_m))
-    in_voxel, tally = np.empty(len(frame.points), dtype=np.int32), np.zeros(4, dtype=np.int64)
-    voxels = put_into_voxels(frame.points, placement, arm, left_out, in_voxel, tally)
+    scratch = Scratch() if scratch is None else scratch
+    voxels, in_voxel, tally = scratch.put_into_voxels(frame.points, placement, arm, left_out)
     isolated = np.zeros(len(voxels.counts), dtype=np.bool_)
     if options.least_points > 1:
         mark_isolated(voxels, options.least_points, isolated)
@@ -288,6 +291,9 @@ def _placement(robot: Robot, frame: Frame, options: CloudOptions, clearance_m: f
     reach[3] += frame.radius + options.growth_m + options.reach_margin_m + clearance_m
     # Of a voxel of this edge half the diagonal is the growth allowed.
     edge = np.array([2.0 * options.growth_m / math.sqrt(3.0)])
+    if not reach[3] < (MIDDLE - 2) * edge[0]:
+        least = 0.5 * math.sqrt(3.0) * float(reach[3]) / (MIDDLE - 2)
+        raise OptionError("growth_m", options.growth_m, f"more than {least:.3g} m for a reach of {reach[3]:.3g} m")
     return Placement(frame.rotation, frame.position, reach, edge)
 
 

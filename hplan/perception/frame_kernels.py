@@ -15,8 +15,7 @@ import numpy as np
 from hplan.base.arrays import BoolArray, FloatArray, IntArray, ShortArray
 from hplan.base.kernels import inlined, kernel
 from hplan.collision import obstacle_rows as row
-from hplan.collision.distances import Vector, point_segment, segment_box, segment_hull
-from hplan.scene.cloud_tree import cell_place, larger_table
+from hplan.collision.distances import Vector, point_segment, segment_hull
 
 #: Places in a tally: rows that are not finite, points out of reach, of the arm, of what is ignored.
 NOT_FINITE, OUT_OF_REACH, OF_ARM, IGNORED = 0, 1, 2, 3
@@ -24,8 +23,14 @@ NOT_FINITE, OUT_OF_REACH, OF_ARM, IGNORED = 0, 1, 2, 3
 #: How much of a voxel is in a body.
 _NONE, _ALL, _SOME = 0, 1, 2
 
-_FIRST_CELLS = 16_384
-_UNUSED = -(2**62)
+#: In place of the number of a voxel: all of it is of the arm, or of what is ignored.
+_ARM_ALONE, _IGNORED_ALONE = -2, -3
+
+_FIRST_VOXELS = 16_384
+
+#: Places along an axis are counted from the middle of reach, this much added; so three fit one number.
+BITS, MIDDLE = 21, 2**20
+_MASK = 2**BITS - 1
 
 
 class Bodies(NamedTuple):
@@ -52,19 +57,31 @@ class Placement(NamedTuple):
 
 
 class Voxels(NamedTuple):
-    """Voxels with points in them, numbered as they first appear.
+    """Voxels that may hold points which stay, numbered as they first appear.
 
     Attributes:
-        cells: (m, 3) place in the grid.
+        keys: (m,) place in the grid, packed.
         boxes: (m, 6) least and largest coordinates of its points [m].
         counts: (m,) how many points it has.
         parts: (m,) how much of it is in the arm, and four times how much is in what is ignored.
     """
 
-    cells: IntArray
+    keys: IntArray
     boxes: FloatArray
     counts: ShortArray
     parts: ShortArray
+
+
+class VoxelTable(NamedTuple):
+    """A hash table with open addressing, its size a power of two.
+
+    Attributes:
+        keys: (size,) packed places; -1 where there is none.
+        numbers: (size,) number of the voxel; `_ARM_ALONE` or `_IGNORED_ALONE` where no point of it stays.
+    """
+
+    keys: IntArray
+    numbers: ShortArray
 
 
 @kernel
@@ -93,7 +110,7 @@ def distance_from_bodies(point: Vector, rows: FloatArray, data: FloatArray, enou
             bx, by, bz = rows[s, row.SECOND_END], rows[s, row.SECOND_END + 1], rows[s, row.SECOND_END + 2]
             apart = point_segment(point, (ax, ay, az), (bx - ax, by - ay, bz - az))
         elif kind == row.BOX:
-            apart = _box_distance((-dx, -dy, -dz), rows[s], still)
+            apart = _box_distance((-dx, -dy, -dz), rows[s])
         elif kind == row.HULL:
             apart = segment_hull(point, still, data, int(ax), int(ay), int(az), limit + rows[s, row.RADIUS])
         elif kind == row.LOT:
@@ -105,16 +122,15 @@ def distance_from_bodies(point: Vector, rows: FloatArray, data: FloatArray, enou
 
 
 @kernel
-def _box_distance(offset: Vector, solid: FloatArray, still: Vector) -> float:
+def _box_distance(offset: Vector, solid: FloatArray) -> float:
     """Distance of a point, seen from the box's middle, from a row that is a box."""
-    a, (x, y, z) = row.AXES, offset
-    local = (
-        x * solid[a] + y * solid[a + 1] + z * solid[a + 2],
-        x * solid[a + 3] + y * solid[a + 4] + z * solid[a + 5],
-        x * solid[a + 6] + y * solid[a + 7] + z * solid[a + 8],
-    )
-    apart: float = segment_box(local, still, (solid[row.SHAPE], solid[row.SHAPE + 1], solid[row.SHAPE + 2]))
-    return apart
+    square, (x, y, z) = 0.0, offset
+    for axis in range(3):
+        a = row.AXES + 3 * axis
+        along = x * solid[a] + y * solid[a + 1] + z * solid[a + 2]
+        beyond = max(0.0, abs(along) - solid[row.SHAPE + axis])
+        square += beyond * beyond
+    return math.sqrt(square)
 
 
 @kernel
@@ -145,60 +161,97 @@ def _transformed(x: float, y: float, z: float, rotation: FloatArray, position: F
     )
 
 
-def put_into_voxels(
-    points: FloatArray, placement: Placement, arm: Bodies, ignored: Bodies, numbers: ShortArray, tally: IntArray
-) -> Voxels:
-    """Put the points of a frame that stay into voxels.
+class Scratch:
+    """Arrays that one frame leaves for the next: fresh memory costs as much time as the points.
 
-    Args:
-        points: (n, 3) points in the camera's frame, float32 or float64 [m].
-        placement: Where the camera is, and what is within reach.
-        arm: The arm, grown by its padding.
-        ignored: What is to be left out, grown by its padding.
-        numbers: (n,) the voxel of each point, written; -1 where it does not stay.
-        tally: (4,) how many do not stay, by the reason, written.
-
-    Returns:
-        The voxels; some may hold no point.
+    They are as large as the largest frame has needed. One frame at a time may use them.
     """
-    room, done, count = _FIRST_CELLS, 0, 0
-    voxels, table = _room_for(room), np.full(2 * room, -1, dtype=np.int32)
-    while True:
-        done, count = _fill(points, placement, arm, ignored, voxels, table, (done, count), numbers, tally)
-        if done == len(points):
-            cells, boxes, counts, parts = voxels
-            return Voxels(cells[:count], boxes[:count], counts[:count], parts[:count])
-        room *= 4
-        more = _room_for(room)
-        more.cells[:count], more.boxes[:count], more.counts[:count], more.parts[:count] = voxels
-        voxels, table = more, larger_table(more.cells, count, 2 * room)
+
+    def __init__(self) -> None:
+        """Begin with room for a small frame."""
+        self._numbers: ShortArray = np.empty(0, dtype=np.int32)
+        self._voxels, self._table = _room_for(_FIRST_VOXELS)
+
+    def put_into_voxels(
+        self, points: FloatArray, placement: Placement, arm: Bodies, ignored: Bodies
+    ) -> tuple[Voxels, ShortArray, IntArray]:
+        """Put the points of a frame that stay into voxels.
+
+        Args:
+            points: (n, 3) points in the camera's frame, float32 or float64 [m].
+            placement: Where the camera is, and what is within reach: fewer than `MIDDLE` voxels to either side.
+            arm: The arm, grown by its padding.
+            ignored: What is to be left out, grown by its padding.
+
+        Returns:
+            The voxels, of which some may hold no point; (n,) the voxel of each point, -1 where it does not stay; (4,)
+            how many do not stay, by the reason. All but the last until the next frame is put.
+        """
+        if len(self._numbers) < len(points):
+            self._numbers = np.empty(len(points), dtype=np.int32)
+        numbers, tally = self._numbers[: len(points)], np.zeros(4, dtype=np.int64)
+        done = np.zeros(3, dtype=np.int64)
+        self._table.keys.fill(-1)
+        while True:
+            _fill(points, placement, arm, ignored, self._voxels, self._table, done, numbers, tally)
+            count = int(done[1])
+            if done[0] == len(points):
+                keys, boxes, counts, parts = self._voxels
+                return Voxels(keys[:count], boxes[:count], counts[:count], parts[:count]), numbers, tally
+            more, table = _room_for(4 * len(self._voxels.counts))
+            more.keys[:count], more.boxes[:count] = self._voxels.keys[:count], self._voxels.boxes[:count]
+            more.counts[:count], more.parts[:count] = self._voxels.counts[:count], self._voxels.parts[:count]
+            _copy_table(self._table, table)
+            self._voxels, self._table = more, table
 
 
-def _room_for(count: int) -> Voxels:
-    return Voxels(
-        np.empty((count, 3), dtype=np.int64),
-        np.empty((count, 6)),
-        np.zeros(count, dtype=np.int32),
-        np.zeros(count, dtype=np.int32),
-    )
+def _room_for(count: int) -> tuple[Voxels, VoxelTable]:
+    """Arrays for so many voxels, and a table with none in it."""
+    counts, parts = np.empty(count, dtype=np.int32), np.empty(count, dtype=np.int32)
+    voxels = Voxels(np.empty(count, dtype=np.int64), np.empty((count, 6)), counts, parts)
+    return voxels, VoxelTable(np.full(2 * count, -1, dtype=np.int64), np.empty(2 * count, dtype=np.int32))
+
+
+@inlined
+def _packed(i: int, j: int, k: int) -> int:
+    return ((i + MIDDLE) << (2 * BITS)) | ((j + MIDDLE) << BITS) | (k + MIDDLE)
+
+
+@kernel
+def _place(key: int, keys: IntArray) -> int:
+    """Where a key stands in a table, or where it belongs: there stands -1."""
+    mask = len(keys) - 1
+    place: int = np.int64((np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)) >> np.uint64(38)) & mask  # type: ignore[assignment]
+    while keys[place] >= 0 and keys[place] != key:
+        place = (place + 1) & mask
+    return place
+
+
+@kernel
+def _copy_table(smaller: VoxelTable, table: VoxelTable) -> None:
+    keys, numbers = table
+    for key, number in zip(smaller.keys, smaller.numbers):  # noqa: B905  # numba knows no `strict`
+        if key >= 0:
+            place = _place(key, keys)
+            keys[place], numbers[place] = key, number
 
 
 # The arrays stay the same in here: where a loop makes larger ones, numba counts all of them at every turn, 200 ns.
 @kernel
 def _fill(
-    points: FloatArray, placement: Placement, arm: Bodies, ignored: Bodies, voxels: Voxels, table: ShortArray,
-    begin: tuple[int, int], numbers: ShortArray, tally: IntArray,
-) -> tuple[int, int]:  # fmt: skip
-    """Put points into voxels until there is no room for another voxel.
+    points: FloatArray, placement: Placement, arm: Bodies, ignored: Bodies, voxels: Voxels, table: VoxelTable,
+    done: IntArray, numbers: ShortArray, tally: IntArray,
+) -> None:  # fmt: skip
+    """Put points into voxels until all are, or there is no room for another voxel.
 
-    Returns:
-        How many points are done, and how many voxels there are.
+    `done` has how many points were put before, how many voxels there are, and how many places of the table are used.
     """
     rotation, position, reach, edge = placement.rotation, placement.position, placement.reach, placement.edge[0]
-    cells, boxes, counts, parts = voxels
-    half, per_metre, square = 0.5 * math.sqrt(3.0) * edge, 1.0 / edge, reach[3] * reach[3]
-    first, count = begin
-    i, j, k, number = _UNUSED, 0, 0, 0
+    keys, boxes, counts, parts = voxels
+    table_keys, table_numbers = table
+    per_metre, square = 1.0 / edge, reach[3] * reach[3]
+    last, number = -1, 0
+    first, count, used = done[0], done[1], done[2]
     for n in range(first, points.shape[0]):
         numbers[n] = -1
         if not (math.isfinite(points[n, 0]) and math.isfinite(points[n, 1]) and math.isfinite(points[n, 2])):
@@ -211,21 +264,27 @@ def _fill(
         if not dx * dx + dy * dy + dz * dz <= square:  # sums of what is huge may be no number
             tally[OUT_OF_REACH] += 1
             continue
-        a, b, c = math.floor(x * per_metre), math.floor(y * per_metre), math.floor(z * per_metre)
-        if a != i or b != j or c != k:  # neighbours in a frame are often in one voxel
-            place = cell_place(a, b, c, cells, table)
-            if table[place] < 0:
-                if count == len(counts):
-                    return n, count
-                middle = ((a + 0.5) * edge, (b + 0.5) * edge, (c + 0.5) * edge)
-                parts[count] = _part_inside(middle, arm.rows, arm.data, half)
-                parts[count] += 4 * _part_inside(middle, ignored.rows, ignored.data, half)
-                cells[count, 0], cells[count, 1], cells[count, 2] = a, b, c
-                for axis in range(3):
-                    boxes[count, axis], boxes[count, 3 + axis] = math.inf, -math.inf
-                table[place] = count
-                count += 1
-            i, j, k, number = a, b, c, table[place]
+        i, j, k = math.floor(dx * per_metre), math.floor(dy * per_metre), math.floor(dz * per_metre)
+        key = _packed(i, j, k)
+        if key != last:  # neighbours in a frame are often in one voxel
+            place = _place(key, table_keys)
+            if table_keys[place] < 0:
+                if count == len(counts) or 2 * used >= len(table_keys):
+                    done[0], done[1], done[2] = n, count, used
+                    return
+                middle = (reach[0] + (i + 0.5) * edge, reach[1] + (j + 0.5) * edge, reach[2] + (k + 0.5) * edge)
+                part = _parts_inside(middle, arm, ignored, edge)
+                table_keys[place], table_numbers[place] = key, part
+                used += 1
+                if part >= 0:
+                    table_numbers[place], keys[count], parts[count], counts[count] = count, key, part, 0
+                    for axis in range(3):
+                        boxes[count, axis], boxes[count, 3 + axis] = math.inf, -math.inf
+                    count += 1
+            last, number = key, table_numbers[place]
+        if number < 0:
+            tally[OF_ARM if number == _ARM_ALONE else IGNORED] += 1
+            continue
         if parts[number] != 0:
             if _is_inside(parts[number] % 4, (x, y, z), arm.rows, arm.data):
                 tally[OF_ARM] += 1
@@ -238,28 +297,48 @@ def _fill(
         boxes[number, 0], boxes[number, 3] = min(boxes[number, 0], x), max(boxes[number, 3], x)
         boxes[number, 1], boxes[number, 4] = min(boxes[number, 1], y), max(boxes[number, 4], y)
         boxes[number, 2], boxes[number, 5] = min(boxes[number, 2], z), max(boxes[number, 5], z)
-    return points.shape[0], count
+    done[0], done[1], done[2] = points.shape[0], count, used
+
+
+@kernel
+def _parts_inside(middle: Vector, arm: Bodies, ignored: Bodies, edge: float) -> int:
+    """How much of a voxel is in the arm, and four times how much in what is ignored; less than 0 where none stays."""
+    half = 0.5 * math.sqrt(3.0) * edge
+    of_arm = _part_inside(middle, arm.rows, arm.data, half)
+    if of_arm == _ALL:
+        return _ARM_ALONE
+    of_ignored = _part_inside(middle, ignored.rows, ignored.data, half)
+    return _IGNORED_ALONE if of_arm == _NONE and of_ignored == _ALL else of_arm + 4 * of_ignored
 
 
 @kernel
 def mark_isolated(voxels: Voxels, least: int, isolated: BoolArray) -> None:
     """Mark voxels that hold, with the 26 about them, fewer points than `least`."""
-    cells, _, counts, _ = voxels
+    keys, counts = voxels.keys, voxels.counts
+    filled = 0
+    for number in range(len(counts)):
+        filled += counts[number] > 0
     size = 64
-    while size < 2 * len(counts):
+    while size < 2 * filled:
         size *= 2
-    table = larger_table(cells, len(counts), size)
+    table_keys, numbers = np.full(size, -1, dtype=np.int64), np.empty(size, dtype=np.int32)
+    for number in range(len(counts)):
+        if counts[number] > 0:
+            place = _place(keys[number], table_keys)
+            table_keys[place], numbers[place] = keys[number], number
     for number in range(len(counts)):
         found = counts[number]
+        if found == 0:
+            continue
         for step in range(27):
             if found >= least:
                 break
             if step == 13:
-                continue
-            i, j, k = step // 9 - 1, step // 3 % 3 - 1, step % 3 - 1
-            other = table[cell_place(cells[number, 0] + i, cells[number, 1] + j, cells[number, 2] + k, cells, table)]
-            if other >= 0:
-                found += counts[other]
+                continue  # itself
+            beside = ((step // 9 - 1) << (2 * BITS)) + ((step // 3 % 3 - 1) << BITS) + step % 3 - 1
+            place = _place(keys[number] + beside, table_keys)
+            if table_keys[place] >= 0:
+                found += counts[numbers[place]]
         isolated[number] = found < least
 
 

@@ -47,15 +47,6 @@ def cell_place(i: int, j: int, k: int, cells: IntArray, table: ShortArray) -> in
 
 
 @kernel
-def larger_table(cells: IntArray, count: int, size: int) -> ShortArray:
-    """A table of a size, more than `count`, that holds the first `count` cells."""
-    table = np.full(size, -1, dtype=np.int32)
-    for number in range(count):
-        table[cell_place(cells[number, 0], cells[number, 1], cells[number, 2], cells, table)] = number
-    return table
-
-
-@kernel
 def number_cells(rows: IntArray) -> tuple[ShortArray, int]:
     """Number equal rows alike, in the order in which they first appear.
 

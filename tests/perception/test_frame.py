@@ -15,7 +15,7 @@ from hplan.collision.obstacle_rows import solid_rows
 from hplan.errors import InputError, OptionError
 from hplan.perception.arm_shape import arm_solids, reach_ball
 from hplan.perception.frame import CloudOptions, Frame, SeenPoints, filter_frame
-from hplan.perception.frame_kernels import distances_from_bodies
+from hplan.perception.frame_kernels import Scratch, distances_from_bodies
 from hplan.robot.base_shapes import base_shapes
 from hplan.scene.obstacles import Sphere
 from hplan.scene.solids import Cloud, rpy_rotation
@@ -73,7 +73,7 @@ def test_every_point_is_accounted_for(robot, seed, kind, growth_m):
     stays = world[finite & near & ~in_arm & ~in_fruit]
     gaps = np.linalg.norm(stays[:, None] - found.points, axis=2)
     # Every point that stays is in a ball, and the growth is the largest that is needed.
-    cells = np.floor(stays / (2.0 * growth_m / np.sqrt(3.0)))
+    cells = np.floor((stays - [x, y, z]) / (2.0 * growth_m / np.sqrt(3.0)))
     _, first, cell = np.unique(cells, axis=0, return_index=True, return_inverse=True)
     boxes = [stays[cell.ravel() == number] for number in range(len(first))]
     middles = np.array([0.5 * (box.min(axis=0) + box.max(axis=0)) for box in boxes])
@@ -140,10 +140,15 @@ def test_few_points_far_from_all_others_are_outliers_where_that_is_asked_for(rob
 
 
 @pytest.mark.parametrize("count", [20_000, 150_000])
-def test_many_voxels(robot, count):
+def test_many_voxels_and_the_memory_of_frames_before(robot, count):
     points = np.random.default_rng(0).uniform([0.5, -1, 0.2], [1.5, 1, 1.2], (count, 3))
-    found = filter_frame(robot, Frame.of(robot, points, radius=RADIUS), CloudOptions())
-    cells = np.unique(np.floor(points / (2.0 * 5e-3 / np.sqrt(3.0))), axis=0)
+    frame, scratch = Frame.of(robot, points, radius=RADIUS), Scratch()
+    found = filter_frame(robot, frame, CloudOptions(), scratch=scratch)
+    filter_frame(robot, Frame.of(robot, points[:99] + 0.1, radius=RADIUS), CloudOptions(), scratch=scratch)
+    again = filter_frame(robot, frame, CloudOptions(), scratch=scratch)
+    np.testing.assert_array_equal(again.points, found.points)
+    assert again.report == found.report
+    cells = np.unique(np.floor((points - reach_ball(robot)[:3]) / (2.0 * 5e-3 / np.sqrt(3.0))), axis=0)
     assert found.report.kept == len(cells) > 16_384
 
 
@@ -226,6 +231,13 @@ def test_a_pose_is_a_matrix_or_six_numbers(robot):
 def test_frames_that_cannot_be(robot, wrong):
     with pytest.raises((InputError, OptionError), match=next(iter(wrong))):
         Frame.of(robot, np.zeros((1, 3)), **{"radius": RADIUS, **wrong})
+
+
+def test_voxels_that_are_far_too_small_are_refused(robot):
+    frame = Frame.of(robot, np.ones((1, 3)), radius=RADIUS)
+    with pytest.raises(OptionError, match="growth_m"):
+        filter_frame(robot, frame, CloudOptions(growth_m=1e-4, reach_margin_m=1000.0))
+    assert filter_frame(robot, frame, CloudOptions(growth_m=1e-4)).report.kept == 1
 
 
 @pytest.mark.parametrize(

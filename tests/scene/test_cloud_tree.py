@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hplan.scene.cloud_tree import box_centres, cell_place, halves, larger_table, merged, number_cells, tree_of
+from hplan.scene.cloud_tree import box_centres, halves, merged, number_cells, tree_of
 from hplan.scene.solids import LEAF
 
 
@@ -20,13 +20,6 @@ def test_cells_are_numbered_as_they_first_appear(seed, count, span):
     expected = [seen.setdefault(tuple(row), len(seen)) for row in rows.tolist()]
     assert numbers.tolist() == expected
     assert cells == len(seen)
-
-
-def test_a_larger_table_holds_the_same_cells():
-    cells = np.array([(i, j, k) for i in range(-3, 4) for j in range(5) for k in range(5)], dtype=np.int64)
-    table = larger_table(cells, len(cells), 256)
-    assert [table[cell_place(*cell, cells, table)] for cell in cells.tolist()] == list(range(len(cells)))
-    assert table[cell_place(99, 0, 0, cells, table)] == -1
 
 
 @settings(max_examples=30)

@@ -83,7 +83,8 @@ class TimeLimit:
     @property
     def is_up(self) -> bool:
         """True once there is no time left, or it was cancelled."""
-        return self.is_cancelled or self.left_s <= 0.0
+        deadline, cancelled, _ = self._values.tolist()
+        return bool(cancelled > 0.0 or clock_s() >= deadline)
 
     @property
     def is_cancelled(self) -> bool:

@@ -154,23 +154,39 @@ def core_rows(obstacles: Sequence[Solid], clearance: ArrayLike) -> tuple[FloatAr
     return np.concatenate(blocks), np.concatenate(data), np.concatenate(owner)
 
 
+def _round_row(obstacle: Sphere | Capsule, clearance: float) -> FloatArray:
+    """The (1, columns) row of a ball or a capsule; a scene has hundreds of them."""
+    row: list[float] = [0.0] * _COLUMNS
+    radius = obstacle.rounding + clearance
+    if isinstance(obstacle, Sphere):
+        row[KIND], row[SHAPE : SHAPE + 3] = POINT, obstacle.center
+        centre, reach = obstacle.center, 0.0
+    else:
+        row[KIND], row[SHAPE : SHAPE + 6] = SEGMENT, (*obstacle.start, *obstacle.end)
+        (ax, ay, az), (bx, by, bz) = obstacle.start, obstacle.end
+        centre = 0.5 * (ax + bx), 0.5 * (ay + by), 0.5 * (az + bz)
+        reach = 0.5 * math.dist(obstacle.start, obstacle.end)
+    row[RADIUS], row[CENTRE:BOUND], row[BOUND] = radius, centre, _bounding(reach, radius)
+    row[NEXT] = 1.0
+    return np.array([row])
+
+
+def _bounding(reach: float, radius: float) -> float:
+    """Radius of a bounding ball, never too small by rounding errors [m]."""
+    return (reach + radius) * (1.0 + 1e-12)
+
+
 def _rows(obstacle: Solid, clearance: float, offset: int) -> tuple[FloatArray, FloatArray]:
     """Rows of an obstacle, its first one number 0, and the data that they point to from `offset` on."""
     if isinstance(obstacle, Cloud):
         return _cloud_rows(obstacle, clearance, offset), obstacle.core.ravel()
+    if isinstance(obstacle, Sphere | Capsule):
+        return _round_row(obstacle, clearance), np.zeros(0)
     data = np.zeros(0)
     row = np.zeros((1, _COLUMNS))
     first = row[0]
     radius = obstacle.rounding + clearance
-    if isinstance(obstacle, Sphere):
-        first[KIND], first[SHAPE : SHAPE + 3] = POINT, obstacle.center
-        centre, reach = obstacle.center, 0.0
-    elif isinstance(obstacle, Capsule):
-        first[KIND], first[SHAPE : SHAPE + 6] = SEGMENT, (*obstacle.start, *obstacle.end)
-        (ax, ay, az), (bx, by, bz) = obstacle.start, obstacle.end
-        centre = 0.5 * (ax + bx), 0.5 * (ay + by), 0.5 * (az + bz)
-        reach = 0.5 * math.dist(obstacle.start, obstacle.end)
-    elif isinstance(obstacle, Box):
+    if isinstance(obstacle, Box):
         first[KIND], first[SHAPE : SHAPE + 3] = BOX, 0.5 * np.array(obstacle.size)
         first[AXES : AXES + 9] = obstacle.rotation.T.ravel()  # rows: the box's axes in base_link
         centre, reach = obstacle.center, 0.5 * math.hypot(*obstacle.size)
@@ -185,8 +201,7 @@ def _rows(obstacle: Solid, clearance: float, offset: int) -> tuple[FloatArray, F
         reach = float(np.linalg.norm(obstacle.core - centre, axis=1).max())
     else:
         assert_never(obstacle)
-    # Rounding errors never make the bounding ball too small.
-    first[RADIUS], first[CENTRE:BOUND], first[BOUND] = radius, centre, (reach + radius) * (1.0 + 1e-12)
+    first[RADIUS], first[CENTRE:BOUND], first[BOUND] = radius, centre, _bounding(reach, radius)
     first[NEXT] = 1
     return row, data
 

@@ -131,7 +131,9 @@ class Target(Record):
         return self.world_touching if grasp.distance == 0.0 else self.world
 
 
-def grasps(target: Target, start: FloatArray, *, standoff: float, locked: Sequence[str] = ()) -> tuple[Grasp, ...]:
+def grasps(
+    target: Target, start: FloatArray, *, standoff: float, locked: Sequence[str] = (), count: int = COUNT
+) -> tuple[Grasp, ...]:
     """All grasps found of a target, by the least duration that any motion there can have.
 
     Args:
@@ -139,6 +141,7 @@ def grasps(target: Target, start: FloatArray, *, standoff: float, locked: Sequen
         start: (dof,) configuration from which the arm comes.
         standoff: Length of the straight approach asked for [m]; where it cannot be had, shorter ones are tried.
         locked: Names of joints that keep their start values.
+        count: How many configurations are looked at, about, as far as approach angles are free.
 
     Raises:
         UnreachableError: No configuration reaches the point, whatever is in the way.
@@ -150,7 +153,7 @@ def grasps(target: Target, start: FloatArray, *, standoff: float, locked: Sequen
     ranges = joint_ranges(target.world.checker, start, LEAST_MARGIN)
     if ranges.walls:
         target.world.check_clear(start, "start")
-    found, room = _clear_candidates(target, ranges, start, locked)
+    found, room = _clear_candidates(target, ranges, start, locked, count)
     goals = frozen(found.configurations)
     # A straight approach takes three joints in the arm plane.
     straight = sum(name not in locked for name in target.world.robot.arm.joint_names) >= 3
@@ -197,7 +200,7 @@ def promising(found: Sequence[Grasp], target: Target, start: FloatArray) -> list
 
 
 def _clear_candidates(
-    target: Target, ranges: JointRanges, start: FloatArray, locked: Sequence[str]
+    target: Target, ranges: JointRanges, start: FloatArray, locked: Sequence[str], count: int
 ) -> tuple[Candidates, float]:
     """Configurations with the tool at the point that are clear: at evenly spaced approach angles, else at finer ones.
 
@@ -216,8 +219,11 @@ def _clear_candidates(
     def clearance(q: FloatArray) -> float:
         return world.field.clearance(q) if ranges.wall_before(q) is None else BEYOND
 
-    found = within(target.approach_deg, COUNT)
+    found = within(target.approach_deg, count)
     rooms = np.array([clearance(q) for q in found.configurations])
+    if count < COUNT and not (rooms > SPARE).any():
+        found = within(target.approach_deg, COUNT)
+        rooms = np.array([clearance(q) for q in found.configurations])
     tried = 0
     for room in ROOMS:
         clear = rooms > room

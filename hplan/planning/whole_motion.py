@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hplan.base.arrays import FloatArray, Record, frozen
-from hplan.errors import CertificationError, HplanError, TimingError
+from hplan.errors import CertificationError, HplanError, NotFoundError, TimingError
 from hplan.optimization.minimize_time import Effort, TimeProblem, minimize_time
 from hplan.optimization.several_starts import NEAR
 from hplan.optimization.timed_spline import BoundaryState
@@ -36,7 +36,7 @@ from hplan.planning.grasp_motion import (
     flowing,
     motion_to_grasp,
 )
-from hplan.planning.grasps import Target, grasps
+from hplan.planning.grasps import COUNT, Target, grasps, promising
 from hplan.planning.refusals import Refusals
 from hplan.planning.start_in_motion import Parts, leaving
 from hplan.planning.task import PlanningContext, PlanningTask
@@ -55,6 +55,9 @@ FIRST_TREES = (3_000, 3_000, 3_000, 3_000, 12_000, 12_000, 12_000, 12_000)
 
 #: Pairs of trees where the base is locked: grids find narrow ways there.
 PLANAR_TREES = 2
+
+#: Configurations at a fruit that the first motion is looked for to.
+FEW_GRASPS = 24
 
 #: Steps of the linear programs by which a motion is made quicker, in turn.
 STEPS = (3, 6, 12, 20)
@@ -148,7 +151,7 @@ def _asked_for(context: PlanningContext, start: FloatArray, before: PlannedMotio
     if isinstance(goal, PlanningTask):
         motion = None if before is None else reuse_motion(goal, before)
         return _alone(find_motion([goal])[1] if motion is None else motion)
-    return _flowing(context, _to_grasp(context, goal, start, None))
+    return _flowing(context, _to_grasp(context, goal, start))
 
 
 def _first(context: PlanningContext, start: FloatArray) -> Parts:
@@ -159,6 +162,8 @@ def _first(context: PlanningContext, start: FloatArray) -> Parts:
         if isinstance(found, Refusals):
             raise found.error()
         return _alone(found[1])
+    with suppress(HplanError):  # some grasps, the promising ones of them, and nothing that takes long
+        return _to_grasp(context, goal, start, _at_once, FEW_GRASPS)
     return _to_grasp(context, goal, start, first_in_time)
 
 
@@ -175,13 +180,20 @@ def first_in_time(tasks: Sequence[PlanningTask]) -> tuple[int, PlannedMotion] | 
     """A certified motion to one of several goals as soon as can be; where there is none, why not to each of them."""
     if any(task.problem.is_empty for task in tasks):
         return first_motion(tasks)
-    quick = [replace(task, options=replace(task.options, effort="quick")) for task in tasks]
+    found = _at_once(tasks)
+    if not isinstance(found, Refusals):
+        return found
+    return first_motion([replace(task, options=replace(task.options, effort="quick")) for task in tasks])
+
+
+def _at_once(tasks: Sequence[PlanningTask]) -> tuple[int, PlannedMotion] | Refusals:
+    """The same without what takes long and would show that there is none."""
     for find in (_straight, _by_roadmap):
         for number, task in enumerate(tasks):
             motion = find(task)
             if motion is not None:
                 return number, motion
-    return _by_trees(tasks) or first_motion(quick)
+    return _by_trees(tasks) or Refusals(tuple(NotFoundError(["straight motion", "roadmap", "trees"]) for _ in tasks))
 
 
 def _straight(task: PlanningTask) -> PlannedMotion | None:
@@ -282,10 +294,15 @@ def _goal(context: PlanningContext, start: FloatArray) -> PlanningTask | Target:
     return Target("the point", np.array(scene.goal.position), world, world, approach_deg)
 
 
-def _to_grasp(context: PlanningContext, target: Target, start: FloatArray, find: FindMotion | None) -> Parts:
+def _to_grasp(
+    context: PlanningContext, target: Target, start: FloatArray, find: FindMotion | None = None, count: int = COUNT
+) -> Parts:
     """The motion to a grasp of a target, its approach from rest and the retreat."""
+    standoff, locked = context.options.standoff, context.scene.locked_joints
     with context.stage("grasps"):
-        found = grasps(target, start, standoff=context.options.standoff, locked=context.scene.locked_joints)
+        found = grasps(target, start, standoff=standoff, locked=locked, count=count)
+        if count < COUNT:
+            found = tuple(promising(found, target, start))
     grasp, motion, last = motion_to_grasp(
         target,
         found,

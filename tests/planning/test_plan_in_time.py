@@ -13,7 +13,7 @@ import pytest
 from planned import post, task
 
 import hplan
-from hplan.base.deadline import current, look
+from hplan.base.deadline import current
 from hplan.cli.main import main
 from hplan.errors import NotFoundError, NotInTimeError, OptionError, PlanCancelledError, UnreachableError
 from hplan.planning.task import PlanningCache
@@ -23,6 +23,9 @@ from hplan.scene.model import Goal, Scene
 
 #: Long for what is to come back at once; only what does not come back takes so long [s].
 SOON = 10.0
+
+#: Time for everything, kernels to be compiled among it [s].
+ENOUGH_S = 1e6
 
 
 def blocked() -> Scene:
@@ -52,17 +55,23 @@ def test_nothing_is_found_in_no_time(robot: Robot) -> None:
     assert current() is None
 
 
-def test_an_error_says_what_was_tried(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whatever the machine: the clock is stopped in the first stage until the deadline is over."""
-    scene = hplan.load_scene("orchard-row")
+def time_is_up(*_: object) -> None:
+    limit = current()
+    assert limit is not None
+    limit.keep(2.0 * ENOUGH_S)
+
+
+def test_an_error_says_what_was_tried(robot: Robot) -> None:
+    """Time is up in the first stage."""
+    options = hplan.PlanOptions(deadline_s=ENOUGH_S)
     with pytest.raises(NotInTimeError) as error:
-        hplan.plan(robot, scene, hplan.PlanOptions(deadline_s=1.0), progress=lambda _: time.sleep(1.01))
+        hplan.plan(robot, hplan.load_scene("orchard-row"), options, progress=time_is_up)
     assert [words.split(" for ")[0] for words in error.value.tried] == ["grasps"]
-    assert "1000 ms are over; tried: grasps for" in error.value.message
+    assert "1e+09 ms are over; tried: grasps for" in error.value.message
 
 
 def test_with_time_enough_there_is_a_certified_motion(robot: Robot) -> None:
-    result = hplan.plan(robot, blocked(), hplan.PlanOptions(deadline_s=60.0))
+    result = hplan.plan(robot, blocked(), hplan.PlanOptions(deadline_s=ENOUGH_S))
     assert result.certificate.verified
 
 
@@ -88,6 +97,7 @@ def test_a_plan_is_cancelled_from_another_thread(robot: Robot) -> None:
 def test_a_plan_that_is_cancelled_in_a_long_flood_comes_back(robot: Robot) -> None:
     """Nothing but grids of 3e7 nodes, searched by brute force: several seconds."""
     event = threading.Event()
+    hplan.plan(robot, blocked(), hplan.PlanOptions(method="dense", step_deg=3.0))  # loads the kernels
     options = hplan.PlanOptions(method="dense", step_deg=0.5)
     threading.Timer(0.2, event.set).start()
     begin = time.monotonic()
@@ -147,37 +157,34 @@ def test_the_command_refuses_a_deadline_that_is_none(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["table-1", "orchard-row"])
 def test_what_is_found_in_time_comes_to_what_is_found_without_a_deadline(robot: Robot, name: str) -> None:
     scene = hplan.load_scene(name)
-    alone, in_time = hplan.plan(robot, scene), hplan.plan(robot, scene, hplan.PlanOptions(deadline_s=60.0))
+    alone, in_time = hplan.plan(robot, scene), hplan.plan(robot, scene, hplan.PlanOptions(deadline_s=ENOUGH_S))
     assert in_time.certificate.verified
     assert [phase.name for phase in in_time.phases] == [phase.name for phase in alone.phases]
     assert in_time.trajectory.duration <= alone.trajectory.duration + 1e-9
     told = in_time.report["deadline"]
-    assert (told["deadline_s"], told["cut_short"]) == (60.0, False)
+    assert (told["deadline_s"], told["cut_short"]) == (ENOUGH_S, False)
     assert told["motions"] >= 1
-    assert 0.0 < told["first_s"] <= told["elapsed_s"] < 60.0
+    assert 0.0 < told["first_s"] <= told["elapsed_s"] < ENOUGH_S
 
 
 def test_the_best_so_far_is_handed_out_at_the_deadline(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The clock is stopped at the second motion."""
-    scene = hplan.load_scene("orchard-row")
+    """Time is up after the first motion."""
     found = []
 
-    def first_then_wait(*arguments: Any) -> Any:
+    def one(*arguments: Any) -> Any:
         for parts in parts_in_time(*arguments):
             found.append(sum(part.trajectory.duration for part in parts.parts))
             yield parts
-            while True:
-                time.sleep(0.01)
-                look()
+            time_is_up()
 
-    monkeypatch.setattr("hplan.planning.plan.parts_in_time", first_then_wait)
-    result = hplan.plan(robot, scene, hplan.PlanOptions(deadline_s=3.0))
+    monkeypatch.setattr("hplan.planning.plan.parts_in_time", one)
+    result = hplan.plan(robot, hplan.load_scene("orchard-row"), hplan.PlanOptions(deadline_s=ENOUGH_S))
     assert result.certificate.verified
     assert len(found) == 1
     assert result.trajectory.duration == pytest.approx(found[0])
     told = result.report["deadline"]
     assert (told["cut_short"], told["motions"]) == (True, 1)
-    assert told["first_s"] < 3.0 <= told["elapsed_s"] + 0.5
+    assert told["first_s"] <= told["elapsed_s"]
 
 
 def test_each_motion_in_time_is_certified_and_quicker_than_the_one_before(robot: Robot) -> None:
@@ -192,4 +199,4 @@ def test_each_motion_in_time_is_certified_and_quicker_than_the_one_before(robot:
 def test_what_is_refused_without_a_deadline_is_refused_with_one(robot: Robot) -> None:
     scene = hplan.load_scene("orchard-row").model_copy(update={"goal": Goal(position=(9.0, 0.0, 1.0))})
     with pytest.raises(UnreachableError):
-        hplan.plan(robot, scene, hplan.PlanOptions(deadline_s=60.0))
+        hplan.plan(robot, scene, hplan.PlanOptions(deadline_s=ENOUGH_S))

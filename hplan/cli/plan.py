@@ -56,7 +56,7 @@ exit status:
   3  no path exists (shown on the grid)
   4  the motion cannot be timed
   5  the motion is not certified
-  6  no motion was found, or none in time, and it was not shown that there is none
+  6  no motion was found, or none in time; that there is none was not shown
 
 hplan --help lists the other commands.
 """

@@ -17,7 +17,10 @@ from hplan.errors import InputError, OutputError
 if TYPE_CHECKING:
     from rich.console import Console
 
-SETS = ("reference", "clutter", "orchards", "replanning", "narrow", "fastest", "bound", "growth", "recheck")
+SETS = (
+    *("reference", "clutter", "orchards", "replanning", "in_motion"),
+    *("narrow", "fastest", "bound", "growth", "recheck"),
+)
 
 #: Random scenes: planned, replanned, and rechecked; windows and traps.
 CLUTTER_SCENES, REPLANNING_SCENES, RECHECK_SCENES, NARROW_PLACES, BOUND_SCENES = 200, 20, 1000, 200, 500
@@ -41,6 +44,7 @@ sets:
   clutter     random planar scenes: success, time, length, duration, planners
   orchards    all joints among trees: success, time, duration, planners
   replanning  an obstacle of 40 moves: time, duration, beside plans from nothing
+  in_motion   the same while the arm moves: splices and stops, looked at by coal alone
   narrow      windows, traps and pinches for three kinds of arm: success, time, duration, RRTConnect
   fastest     blocked scenes and trees: duration with each effort to the best known, time
   bound       planar problems: lower bound of the duration beside the certified motion, time
@@ -77,7 +81,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             console.print(f"written: {path}", markup=False, soft_wrap=True)
         faults = (
             *(("recheck", "violations"), ("bound", "violations")),
-            *(("orchards", "at_fault"), ("replanning", "at_fault")),
+            *(("orchards", "at_fault"), ("replanning", "at_fault"), ("in_motion", "at_fault")),
         )
         return FAULT if any(results.get(name, {}).get(key) for name, key in faults) else 0
 
@@ -95,9 +99,9 @@ def _parser() -> argparse.ArgumentParser:
         "--scenes",
         type=int,
         metavar="N",
-        help=f"random scenes of each set (default: {CLUTTER_SCENES} in clutter, {REPLANNING_SCENES} in replanning, "
-        f"{RECHECK_SCENES} in recheck, {NARROW_PLACES} in narrow, {BOUND_SCENES} in bound); problems of each kind of "
-        "orchard and in fastest (default: all)",
+        help=f"random scenes of each set (default: {CLUTTER_SCENES} in clutter, {REPLANNING_SCENES} in replanning and "
+        f"in_motion, {RECHECK_SCENES} in recheck, {NARROW_PLACES} in narrow, {BOUND_SCENES} in bound); problems of "
+        "each kind of orchard and in fastest (default: all)",
     )
     trees = "folder of measured trees, a CSV of capsules each, for orchards and fastest"
     add("--trees", type=Path, metavar="DIR", help=trees)
@@ -127,7 +131,7 @@ def run(arguments: argparse.Namespace, errors: Console) -> dict[str, Any]:
 
 
 def _measure(arguments: argparse.Namespace, progress: Callable[[str, int, int], None]) -> dict[str, Any]:
-    from studies.benchmark import clutter, growth, orchards, recheck, reference, replanning
+    from studies.benchmark import clutter, growth, in_motion, orchards, recheck, reference, replanning
     from studies.benchmark.fastest import bound
     from studies.benchmark.fastest import measure as fastest
     from studies.benchmark.measure import environment
@@ -152,6 +156,7 @@ def _measure(arguments: argparse.Namespace, progress: Callable[[str, int, int], 
         "clutter": lambda: clutter.measure(robot, seed=seed, scenes=many, ompl=ompl, progress=progress),
         "orchards": lambda: orchards.measure(robot, trees=arguments.trees, most=each, ompl=ompl, progress=progress),
         "replanning": lambda: replanning.measure(robot, seed=seed, scenes=walks, quick=quick, progress=progress),
+        "in_motion": lambda: in_motion.measure(robot, seed=seed, scenes=walks, quick=quick, progress=progress),
         "narrow": lambda: narrow.measure(seed=seed, problems=places, ompl=ompl, progress=progress),
         "fastest": lambda: fastest.measure(
             trees=arguments.trees, most=each, improve=arguments.improve, progress=progress

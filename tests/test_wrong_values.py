@@ -84,6 +84,12 @@ def a_planner() -> hplan.Planner:
     return hplan.Planner(hplan.load_robot(), a_scene(obstacles=obstacles))
 
 
+def a_running_planner() -> hplan.Planner:
+    planner = hplan.Planner(hplan.load_robot(), a_scene(), hplan.PlanOptions(effort="quick"))
+    planner.plan()
+    return planner
+
+
 def a_trajectory(**changes: Any) -> hplan.Trajectory:
     rows = np.zeros((2, 4))
     fields = {"joint_names": hplan.load_robot().joint_names, "time": [0.0, 1.0],
@@ -299,6 +305,26 @@ CASES: dict[str, Case] = {
             "start": ("start", 1.0, GOAL.model_copy(update={"joints_deg": None}), (0.0,) * 4),
             "goal": ("goal", 1.0, (0.0,) * 4),
         },
+    ),
+    "Planner.replan": (
+        a_running_planner().replan,
+        {"at": 0.1},
+        {"at": (*NO_NUMBER[1:], -1.0, 99.0), "now": (*NO_NUMBER, -1.0, 0.2), "cancel": (1.0, "stop")},
+    ),
+    "Planner.stop_at": (
+        a_running_planner().stop_at,
+        {"t": 0.1},
+        {"t": (*NO_NUMBER, -1.0, 99.0), "now": (*NO_NUMBER, -1.0, 99.0)},
+    ),
+    "Trajectory.stop_at": (
+        a_trajectory().stop_at,
+        {"t": 0.5, "robot": hplan.load_robot()},
+        {"t": (*NO_NUMBER, -1.0, 1.1), "robot": NO_OBJECT},
+    ),
+    "Trajectory.scaled": (
+        a_trajectory().scaled,
+        {"profile": 0.5, "robot": hplan.load_robot()},
+        {"profile": (*NO_POSITIVE, [(0.0, -1.0)], [(0.0, NAN)], [(1.0, 1.0), (0.5, 1.0)]), "robot": NO_OBJECT},
     ),
     "certify": (
         lambda **given: hplan.certify(**given),

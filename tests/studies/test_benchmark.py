@@ -13,7 +13,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from PIL import Image
-from studies.benchmark import growth, orchard_scenes, orchards, recheck, replanning
+from studies.benchmark import growth, in_motion, orchard_scenes, orchards, recheck, replanning
 from studies.benchmark.figures import figures
 from studies.benchmark.measure import evenly_chosen, fitted_slope, peak_memory_mb, spread
 from studies.benchmark.motions import Findings, of_rows, row_cubics, stopping_duration, toppra_motion
@@ -84,7 +84,7 @@ def test_writes_everything(out: Path, results: Any) -> None:
             assert min(image.size) > 500
     assert results["format"] == "hplan-benchmark/1"
     assert results["settings"] == {
-        "sets": ["reference", "clutter", "orchards", "replanning", "narrow", "fastest", "bound", "growth", "recheck"],
+        "sets": list(script.SETS),
         "quick": True,
         "seed": 4,
     }
@@ -164,6 +164,19 @@ def test_replanning_numbers(results: Any) -> None:
     for before, row in pairwise(r["rows"]):
         if row["outcome"] == "kept" and row["step"] and "duration_s" in before:
             assert row["duration_s"] == before["duration_s"]
+
+
+def test_in_motion_numbers(results: Any) -> None:
+    r = results["in_motion"]
+    assert r["scenes"] == 3 <= r["drawn"]
+    assert r["steps"] == len(r["rows"]) == sum(r["outcomes"].values()) == 3 * in_motion.QUICK_STEPS
+    assert r["splices"] == r["certified"] > 0
+    assert r["colliding"] == 0 < r["least_clearance_mm"]
+    assert all(jump <= most for jump, most in zip(r["largest_jumps"], (1e-9, 1e-9, 1e-6), strict=True))
+    stops = r["stops"]
+    assert stops["count"] == stops["certified"] > 0
+    assert stops["largest_off_path_mm"] <= stops["largest_bound_mm"] <= 0.1
+    assert r["at_fault"] == r["failed"] == []
 
 
 def test_growth_numbers(results: Any) -> None:

@@ -9,7 +9,18 @@ from rich import box
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table as RichTable
-from studies.benchmark.tables import bound, clutter, fastest, growth, narrow, orchards, recheck, reference, replanning
+from studies.benchmark.tables import (
+    bound,
+    clutter,
+    fastest,
+    growth,
+    in_motion,
+    narrow,
+    orchards,
+    recheck,
+    reference,
+    replanning,
+)
 from studies.benchmark.tables.table import Table
 
 #: Makers of the tables of each set, in the order in which they are shown.
@@ -18,6 +29,7 @@ _MAKERS = {
     "clutter": clutter.tables,
     "orchards": orchards.tables,
     "replanning": replanning.tables,
+    "in_motion": in_motion.tables,
     "narrow": narrow.tables,
     "fastest": fastest.tables,
     "bound": bound.tables,

@@ -18,6 +18,11 @@ def shipped_robots() -> list[str]:
     return sorted(path.stem for path in urdf_dir().glob("*.urdf"))
 
 
+def robot_names() -> list[str]:
+    """Names of all robots that have one: those that ship, and those of example-robot-data, of which limits ship."""
+    return sorted(path.name.removesuffix(".limits.yaml") for path in urdf_dir().glob("*.limits.yaml"))
+
+
 def scenes_dir() -> Path:
     """Folder of the shipped scenes."""
     return _PACKAGE / "scenes"

@@ -94,11 +94,13 @@ def scene_among(arguments: argparse.Namespace, robot: Robot, scene: Scene, error
 
 
 def add_robot(parser: argparse.ArgumentParser) -> None:
-    """Add the options `--robot`, `--limits`, `--hold` and `--package-dir`."""
+    """Add the options `--robot`, `--limits`, `--tool-frame`, `--srdf`, `--hold` and `--package-dir`."""
     add = parser.add_argument
-    add("--robot", type=Path, metavar="URDF", help="robot, or name of a shipped one (default: the scene's, else "
-        "harvester)")  # fmt: skip
+    add("--robot", type=Path, metavar="URDF", help="robot, or name of one: a shipped one, panda, ur5 ... (default: "
+        "the scene's, else harvester)")  # fmt: skip
     add("--limits", type=Path, metavar="YAML", help="acceleration limits (default: NAME.limits.yaml beside the URDF)")
+    add("--tool-frame", metavar="NAME", help="frame at the end of the arm (default: tool0, or the named robot's)")
+    add("--srdf", type=Path, metavar="FILE", help="which links may touch, for robots beyond the planar family")
     add_hold(parser)
     add("--package-dir", action="append", type=Path, default=[], metavar="DIR", help="where package:// meshes are "
         "looked for first")  # fmt: skip
@@ -144,7 +146,14 @@ def robot_of(arguments: argparse.Namespace, scene: Scene | None = None) -> Robot
 
     hold = held_joints(arguments)
     path = scene.robot if arguments.robot is None and scene is not None else arguments.robot
-    return load_robot(path, limits=arguments.limits, hold=hold, package_dirs=arguments.package_dir)
+    return load_robot(
+        path,
+        limits=arguments.limits,
+        tool_frame=arguments.tool_frame,
+        hold=hold,
+        package_dirs=arguments.package_dir,
+        srdf=arguments.srdf,
+    )
 
 
 def add_pace(parser: argparse.ArgumentParser) -> None:

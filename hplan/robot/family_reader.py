@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 
 from hplan.base import ties
 from hplan.base.arrays import FloatArray, readonly
-from hplan.errors import RobotFamilyError
+from hplan.errors import RobotFamilyError, RobotFileError
 from hplan.robot.planar_family import PlanarArm, PlanarFamily
 from hplan.scene.solids import CUBE_CORNERS
 
@@ -36,7 +37,7 @@ def read_family(model: pin.Model, collision_model: pin.GeometryModel, tool_frame
         RobotFamilyError: Not of the family; says which element and why.
     """
     found = FamilyReader(model, collision_model, tool_frame)
-    lower, upper = joint_range(model)
+    lower, upper = np.array(model.lowerPositionLimit), np.array(model.upperPositionLimit)
     joints = slice(1 if found.has_yaw else 0, None)
     arm = PlanarArm(
         joint_names=tuple(model.names)[1:][joints],
@@ -52,26 +53,31 @@ def read_family(model: pin.Model, collision_model: pin.GeometryModel, tool_frame
     return PlanarFamily(found.has_yaw, readonly(found.yaw_axis), arm, readonly(found.origin), readonly(found.axes))
 
 
-def check_joints(model: pin.Model, tool_frame: str) -> None:
+def check_joints(path: Path, model: pin.Model, tool_frame: str) -> None:
     """Refuse joints that no robot here has, of the family or not, and a tool frame that there is none of.
 
     Raises:
-        RobotFamilyError: There is one; says which element and why.
+        RobotFileError: There is one; says which element and why.
     """
     if model.njoints < 2:
-        raise RobotFamilyError(model.name, "joints", "it has no moving joint")
+        raise RobotFileError(path, "it has no moving joint")
     for index in range(1, model.njoints):
         name, kind = model.names[index], model.joints[index].shortname()
         if kind not in _REVOLUTE + _PRISMATIC:
             advice = hold_advice(name) if model.joints[index].nq == 1 else "make it fixed where it stands"
             reason = f"it is a {kind}; only revolute and prismatic joints move; {advice}"
-            raise RobotFamilyError(model.name, f"joint {name!r}", reason)
+            raise RobotFileError(path, f"joint {name!r}: {reason}")
         axis = model.joints[index].createData()
         model.joints[index].calc(axis, np.zeros(1))
-        if abs(np.linalg.norm(axis.S) - 1.0) > 1e-9:
-            raise RobotFamilyError(model.name, f"joint {name!r}", "its axis has no direction")
+        if not abs(np.linalg.norm(axis.S) - 1.0) <= 1e-9:
+            raise RobotFileError(path, f"joint {name!r}: its axis has no direction")
+        low, high = model.lowerPositionLimit[index - 1], model.upperPositionLimit[index - 1]
+        if not low < high:
+            unit = "rad" if kind in _REVOLUTE else "m"
+            reason = f"its lower limit {low:g} {unit} is not below its upper limit {high:g} {unit}"
+            raise RobotFileError(path, f"joint {name!r}: {reason}")
     if not model.existFrame(tool_frame):
-        raise RobotFamilyError(model.name, f"frame {tool_frame!r}", "it marks the end of the arm and is missing")
+        raise RobotFileError(path, f"frame {tool_frame!r}: it marks the end of the arm and is missing")
 
 
 class FamilyReader:
@@ -236,21 +242,6 @@ def _nearly(angle: float) -> str:
         f", by {angle:.3g} rad, of which {AXIS_TOLERANCE:g} is taken: write angles in full, a right one as "
         "1.5707963267948966, or turn the <axis> instead of the <origin>"
     )
-
-
-def joint_range(model: pin.Model) -> tuple[FloatArray, FloatArray]:
-    """Lower and upper joint limits, (joints,) each [rad].
-
-    Raises:
-        RobotFamilyError: A lower limit that is not below the upper one.
-    """
-    lower = np.array(model.lowerPositionLimit, dtype=np.float64)
-    upper = np.array(model.upperPositionLimit, dtype=np.float64)
-    for name, low, high in zip(tuple(model.names)[1:], lower, upper, strict=True):
-        if not low < high:
-            reason = f"its lower limit {low:g} rad is not below its upper limit {high:g} rad"
-            raise RobotFamilyError(model.name, f"joint {name!r}", reason)
-    return lower, upper
 
 
 def _enclosing_radius(shape: pin.GeometryObject, joint_placement: pin.SE3, start: FloatArray, end: FloatArray) -> float:

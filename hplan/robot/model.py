@@ -23,7 +23,7 @@ from hplan.base.arrays import BoolArray, FloatArray, Record, readonly
 from hplan.base.data_files import shipped_robots, urdf_dir
 from hplan.errors import InputError, JointLimitError, RobotFamilyError
 from hplan.robot.dynamics import InverseDynamics
-from hplan.robot.family_reader import check_joints, joint_range, read_family
+from hplan.robot.family_reader import check_joints, read_family
 from hplan.robot.files import NAMED_ROBOTS, RobotFiles, build_models, find_limits, named_robot, read_srdf
 from hplan.robot.planar_family import PlanarArm, PlanarFamily, PlanarNames
 from hplan.robot.urdf_adaptation import RobotChoice, adapt_urdf
@@ -231,8 +231,8 @@ def load_robot(
         limits: Limits YAML; None for the file in the folder of the URDF, `NAME.limits.yaml`, and without one for
             acceleration and jerk in the URDF (1.2).
         tool_frame: Frame at the end of the arm; None for that of a robot by name, and of another for `tool0`.
-        joints: Names of the joints that move, from the base on; None for all revolute, continuous and prismatic ones
-            up to the tool frame that are not held.
+        joints: Names of the joints that move, in the order of the robot's, from the base on; None for all revolute,
+            continuous and prismatic ones up to the tool frame that are not held.
         hold: Values of joints that stand still [rad, m]. All that do not move do: without a value at 0, or at the limit
             nearest to it, or as they mimic another.
         package_dirs: Folders in which `package://` meshes are looked for, before those around the URDF.
@@ -240,8 +240,9 @@ def load_robot(
             the same, and so are all pairs of an arm of the planar family, whose geometry says which can touch.
 
     Raises:
-        RobotFileError: The URDF, the limits file or the SRDF is missing, malformed or incomplete; a mesh is missing.
-        RobotFamilyError: The URDF is well-formed but holds no arm that can move; says which element and why.
+        RobotFileError: The URDF, the limits file or the SRDF is missing, malformed or incomplete; a mesh is missing;
+            the URDF is well-formed but holds no robot that can move, no tool frame, or a joint of the wrong kind; says
+            which element and why.
         InputError: A joint to move or to hold that does not exist or cannot; xacro without `xacrodoc`; a robot by name
             without example-robot-data.
         JointLimitError: A joint held outside its limits.
@@ -258,12 +259,15 @@ def load_robot(
     urdf_path = files.urdf
     adapted = adapt_urdf(urdf_path, read_urdf_xml(urdf_path, text, choice.package_dirs), choice)
     model, collision_model, visual_model = build_models(urdf_path, adapted.urdf, adapted.text)
-    check_joints(model, frame)
+    check_joints(urdf_path, model, frame)
     joint_names = tuple(model.names)[1:]
+    if choice.joints is not None and choice.joints != joint_names:
+        expected = f"joints: {', '.join(choice.joints)}; expected in the robot's order: {', '.join(joint_names)}"
+        raise InputError(expected, joints=list(choice.joints), expected=list(joint_names))
     given = files.limits if limits is None else file_path("limits", limits)
     allowed = files.srdf if srdf is None else file_path("srdf", srdf)
     acceleration, jerk = find_limits(urdf_path, adapted.urdf, joint_names, given, adapted.held)
-    lower, upper = joint_range(model)
+    lower, upper = np.array(model.lowerPositionLimit), np.array(model.upperPositionLimit)
     planar, beyond_family = None, None
     try:
         planar = read_family(model, collision_model, frame)

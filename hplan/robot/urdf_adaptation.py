@@ -1,4 +1,4 @@
-"""URDFs as they come, adapted to what the family's reader and Pinocchio take.
+"""URDFs as they come, adapted to what Pinocchio and a robot here take.
 
 A URDF of a real robot has more joints than the arm's: fingers, joints that mimic, a lift, a camera's pan. Those stand
 still: each becomes a fixed joint at the value at which it is held, so that mass and shapes of its links stay where they
@@ -21,7 +21,7 @@ import numpy as np
 import pinocchio as pin
 
 from hplan.base.arrays import Record
-from hplan.errors import InputError, JointLimitError, RobotFamilyError, RobotFileError
+from hplan.errors import InputError, JointLimitError, RobotFileError
 from hplan.robot.family_reader import hold_advice
 from hplan.robot.urdf_file import Joint, Urdf, read_urdf
 from hplan.robot.urdf_xml import URDF_TEXT, line_of
@@ -47,8 +47,8 @@ class RobotChoice(Record):
 
     Attributes:
         tool_frame: Frame at the end of the arm.
-        joints: Names of the joints that move, from the base on; None: all revolute and continuous ones up to the tool
-            frame that are not held.
+        joints: Names of the joints that move, from the base on; None: all of those up to the tool frame that are not
+            held.
         hold: Values of joints that stand still, by name [rad, m].
         package_dirs: Folders in which `package://` meshes are looked for first.
     """
@@ -77,7 +77,7 @@ class AdaptedUrdf(Record):
 
 
 def adapt_urdf(path: Path, root: ET.Element, choice: RobotChoice) -> AdaptedUrdf:
-    """Adapt a URDF to the family's reader.
+    """Adapt a URDF: what is not to move stands still.
 
     Args:
         path: The file, for messages and for what is looked for around it.
@@ -86,9 +86,8 @@ def adapt_urdf(path: Path, root: ET.Element, choice: RobotChoice) -> AdaptedUrdf
 
     Raises:
         RobotFileError: What `read_urdf` refuses; a mesh that is not found; a joint that mimics one that does not exist,
-            or itself.
-        RobotFamilyError: A joint between base and tool frame that is of the wrong kind; a base that is tilted, or not
-            fixed, on what carries it.
+            or itself; one that moves, and mimics or is mimicked, or is continuous and without velocity or effort limit;
+            a base that is tilted, or not fixed, on what carries it.
         InputError: A joint to move or to hold that does not exist or cannot.
         JointLimitError: A joint held outside its limits.
     """
@@ -138,11 +137,8 @@ class _Adaptation:
                 changed = True
         return changed
 
-    def _family_fault(self, joint: Joint, reason: str) -> RobotFamilyError:
-        return RobotFamilyError(self._robot, f"joint {joint.name!r}", reason)
-
-    def _file_fault(self, joint: Joint, reason: str) -> RobotFileError:
-        return RobotFileError(self._path, f"{line_of(joint.element)}joint {joint.name!r} {reason}")
+    def _fault(self, joint: Joint, reason: str) -> RobotFileError:
+        return RobotFileError(self._path, f"{line_of(joint.element)}joint {joint.name!r}{reason}")
 
     def _check_names(self) -> None:
         joints = self._choice.joints or ()
@@ -183,7 +179,7 @@ class _Adaptation:
         Nothing that carries shapes is lost; gravity and the vertical stay as they are.
 
         Raises:
-            RobotFamilyError: A joint that is not fixed, or a tilt.
+            RobotFileError: A joint that is not fixed, or a tilt.
         """
         for joint in mount:
             if joint.kind != "fixed" and joint.name not in self._hold:
@@ -191,7 +187,7 @@ class _Adaptation:
                     f"it is {joint.kind} and carries {BASE_LINK!r}, in which scenes are; only fixed joints may; "
                     f"{hold_advice(joint.name)}"
                 )
-                raise self._family_fault(joint, reason)
+                raise self._fault(joint, ": " + reason)
         tilt = np.eye(3)
         values = self._values() if mount else {}
         for joint in mount:
@@ -202,7 +198,7 @@ class _Adaptation:
                 f"it tilts {BASE_LINK!r} by {angle:.4g} deg, and gravity would pull along another axis than -z; mount "
                 f'{BASE_LINK!r} upright (rpy="0 0 YAW"), or give the upright link that name'
             )
-            raise self._family_fault(mount[0], reason)
+            raise self._fault(mount[0], ": " + reason)
         for joint in mount:
             if joint.kind != "fixed":
                 self._fix(joint, values[joint.name])
@@ -219,29 +215,23 @@ class _Adaptation:
         """Names of the joints that move.
 
         Raises:
-            RobotFileError: One that mimics.
-            RobotFamilyError: One that is mimicked, or continuous and without velocity or effort limit.
-            InputError: Joints to move that are not in the chain, or in another order.
+            RobotFileError: One that mimics or is mimicked, or that is continuous and without velocity or effort limit.
         """
         joints = self._choice.joints
         on_chain = [joint.name for joint in chain if joint.kind != "fixed"]
-        if joints is not None and [name for name in on_chain if name in joints] != list(joints):
-            frame = self._choice.tool_frame
-            reason = f"joints: {', '.join(joints)}; expected some of those up to {frame!r}, in their order: "
-            raise InputError(reason + ", ".join(on_chain), joints=list(joints))
         moving = {
             name
             for name in (on_chain if joints is None else joints)
             if name not in self._hold and (joints is not None or self._leader(name) not in self._hold)
         }
-        for name in on_chain:
-            if name in moving:
-                self._check_moving(self._urdf.joints[name])
+        for joint in self._urdf.joints.values():
+            if joint.name in moving:
+                self._check_moving(joint)
         for follower in self._urdf.joints.values():
             leader = self._leader(follower.name)
             if leader in moving and leader != follower.name:
                 reason = f"joint {follower.name!r} mimics it and would have to move along; {hold_advice(leader)}"
-                raise self._family_fault(self._urdf.joints[leader], reason)
+                raise self._fault(self._urdf.joints[leader], ": " + reason)
         return moving
 
     def _leader(self, name: str) -> str:
@@ -253,11 +243,11 @@ class _Adaptation:
         if joint.element.find("mimic") is not None:
             leader = self._leader(joint.name)
             reason = f"mimics another; every joint must move by itself, but {hold_advice(leader)}, and this one with it"
-            raise self._file_fault(joint, reason)
+            raise self._fault(joint, " " + reason)
         missing = [key for key in ("velocity", "effort") if key not in joint.limits]
         if joint.kind == "continuous" and missing:
             reason = f"it is continuous, and its <limit> gives no {' and no '.join(missing)}; a motion needs both: "
-            raise self._family_fault(joint, f"{reason}write them there, or {hold_advice(joint.name)}")
+            raise self._fault(joint, ": " + f"{reason}write them there, or {hold_advice(joint.name)}")
 
     def _fix(self, joint: Joint, value: float | None) -> None:
         """Make a joint fixed where it stands."""

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Final
 from xml.parsers import expat
 
-from hplan.base.data_files import shipped_robots
+from hplan.base.data_files import robot_names, shipped_robots
 from hplan.errors import InputError, RobotFileError
 
 #: Most bytes of a URDF.
@@ -63,7 +63,9 @@ def _content(path: Path, package_dirs: Sequence[Path]) -> bytes:
     except OSError as error:
         reason = error.strerror or str(error)
         if isinstance(error, FileNotFoundError) and str(path) == path.name and not path.suffix:
-            reason += f"; robots that ship with hplan: {', '.join(shipped_robots())}"
+            ship = shipped_robots()
+            more = [name for name in robot_names() if name not in ship]
+            reason += f"; robots that ship with hplan: {', '.join(ship)}; with the extra `robots`: {', '.join(more)}"
         raise RobotFileError(path, reason) from error
     except ValueError as error:
         raise RobotFileError(path, f"its name cannot be that of a file: {error}") from error

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from pydantic import Field, field_validator, model_validator
 
 from hplan.base.arrays import FloatArray, numbers
-from hplan.base.data_files import shipped_robots
+from hplan.base.data_files import robot_names
 from hplan.errors import MovingObstacleError, SceneError
 from hplan.scene.fault import StrictModel, fault
 from hplan.scene.limits import FARTHEST_M, MOST_OBSTACLES, Size, Vector
@@ -143,8 +143,9 @@ class Scene(StrictModel):
 
     Attributes:
         name: Name of the scene.
-        robot: Name of the shipped robot that it is meant for; None for the default one. Commands take it unless they
-            are told another, as `load_robot(scene.robot)` does; it is no part of what is planned or certified.
+        robot: Name of the robot that it is meant for, as `load_robot` knows it; None for the default one. Commands take
+            it unless they are told another, as `load_robot(scene.robot)` does; it is no part of what is planned or
+            certified.
         start: Configuration at which the motion begins, and how it moves there.
         goal: Configuration, tool position or fruit to reach.
         locked_joints: Joints that keep their start value.
@@ -169,8 +170,8 @@ class Scene(StrictModel):
     @field_validator("robot")
     @classmethod
     def _robot_ships(cls, robot: str | None) -> str | None:
-        if robot is not None and robot not in shipped_robots():
-            raise ValueError(f"no robot of that name ships with hplan; there are {', '.join(shipped_robots())}")
+        if robot is not None and robot not in robot_names():
+            raise ValueError(f"no robot has that name in hplan; there are {', '.join(robot_names())}")
         return robot
 
     @model_validator(mode="after")

@@ -498,7 +498,7 @@ def test_robot_files_that_cannot_be_read(
             "RobotFamilyError",
             "only revolute and prismatic joints move; make it fixed",
         ),
-        ('"tool0"', '"tcp"', "RobotFamilyError", "tool0"),
+        ('"tool0"', '"tcp"', "RobotFileError", "tool0"),
         ('effort="250"', 'effort="0"', "RobotFileError", "shoulder"),
         ('velocity="1.2"', 'velocity="0"', "RobotFileError", "shoulder"),
         ('velocity="1.2"', 'velocity="nan"', "RobotFileError", "shoulder"),

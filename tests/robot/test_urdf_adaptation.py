@@ -206,14 +206,14 @@ REFUSED = {
     "held at nothing": (SHIPPED, {"hold": {"wrist": math.nan}}, OptionError, "hold['wrist']"),
     "hold is no dictionary": (SHIPPED, {"hold": ["wrist"]}, OptionError, "hold"),
     "joints is a text": (SHIPPED, {"joints": "wrist"}, OptionError, "joints"),
-    "another order": (SHIPPED, {"joints": ["elbow", "shoulder"]}, InputError, "in their order: base_yaw, shoulder"),
-    "a finger is to move": (edited(more=FINGERS), {"joints": ["grip"]}, InputError, "expected some of those up to"),
+    "another order": (SHIPPED, {"joints": ["elbow", "shoulder"]}, InputError, "the robot's order: shoulder, elbow"),
+    "a finger that leads": (edited(more=FINGERS), {"joints": ["grip"]}, RobotFileError, "mimics it and would"),
     "a follower held": (edited(more=FINGERS), {"hold": {"grip_too": 0.0}}, InputError, "mimics 'grip'; hold that"),
     "a follower in the chain": (edited(MIMIC), {}, RobotFileError,
         "joint 'wrist' mimics another; every joint must move by itself, but hold={'elbow': 0.0} (--hold elbow=0) lets "
         "it stand still, and this one with it"),
     "a leader in the chain": (
-        edited(more=FINGERS.replace('mimic joint="grip"', 'mimic joint="wrist"')), {}, RobotFamilyError,
+        edited(more=FINGERS.replace('mimic joint="grip"', 'mimic joint="wrist"')), {}, RobotFileError,
         "joint 'wrist': joint 'grip_too' mimics it and would have to move along; hold={'wrist': 0.0}",
     ),
     "mimics itself": (
@@ -237,20 +237,20 @@ REFUSED = {
         RobotFamilyError, "joint 'wrist': it is not parallel to joint 'shoulder'; hold={'wrist': 0.0}",
     ),
     "continuous, no velocity": (
-        edited(CONTINUOUS, ('velocity="1.5"', "")), {}, RobotFamilyError,
+        edited(CONTINUOUS, ('velocity="1.5"', "")), {}, RobotFileError,
         "joint 'base_yaw': it is continuous, and its <limit> gives no velocity; a motion needs both",
     ),
     "continuous, no limit": (
-        edited(CONTINUOUS, (re.search("<limit[^>]*>", SHIPPED).group(), "")), {}, RobotFamilyError,
+        edited(CONTINUOUS, (re.search("<limit[^>]*>", SHIPPED).group(), "")), {}, RobotFileError,
         "no velocity and no effort",
     ),
     "tilted base": (
-        edited(more=WORLD.replace("0 0 0.7", "0.1 0 0.7")), {}, RobotFamilyError,
+        edited(more=WORLD.replace("0 0 0.7", "0.1 0 0.7")), {}, RobotFileError,
         "joint 'mount': it tilts 'base_link' by 5.73 deg, and gravity would pull along another axis than -z; mount",
     ),
-    "base upside down": (edited(more=WORLD.replace("0 0 0.7", f"{math.pi!r} 0 0")), {}, RobotFamilyError, "by 180 deg"),
+    "base upside down": (edited(more=WORLD.replace("0 0 0.7", f"{math.pi!r} 0 0")), {}, RobotFileError, "by 180 deg"),
     "moving base": (
-        edited(more=LIFT), {}, RobotFamilyError,
+        edited(more=LIFT), {}, RobotFileError,
         "joint 'mount': it is prismatic and carries 'base_link', in which scenes are; only fixed joints may",
     ),
 }  # fmt: skip

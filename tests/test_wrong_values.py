@@ -346,7 +346,11 @@ CASES: dict[str, Case] = {
         {"robot": None, "scene": None, "motion": None},
         {"robot": NO_OBJECT, "scene": NO_OBJECT, "motion": NO_OBJECT},
     ),
-    "load_robot": (hplan.load_robot, {}, {"path": NO_FILE, "limits": NO_FILE, "tool_frame": (*NO_NAME, "nothing")}),
+    "load_robot": (
+        hplan.load_robot,
+        {},
+        {"path": NO_FILE, "limits": NO_FILE, "srdf": NO_FILE, "tool_frame": (*NO_NAME[1:], "nothing")},
+    ),
     "load_scene": (hplan.load_scene, {}, {"path": NO_FILE}),
     "parse_scene": (parse_scene, {"text": ""}, {"text": (None, b"", 1, "", "[]", "a: [", "\x00")}),
     "dump_scene": (dump_scene, {"scene": a_scene()}, {"scene": NO_OBJECT}),

@@ -495,7 +495,7 @@ def test_robot_files_that_cannot_be_read(
         (
             'type="revolute"',
             'type="floating"',
-            "RobotFamilyError",
+            "RobotFileError",
             "only revolute and prismatic joints move; make it fixed",
         ),
         ('"tool0"', '"tcp"', "RobotFileError", "tool0"),

@@ -76,7 +76,13 @@ def add_drop_inside(parser: argparse.ArgumentParser) -> None:
 
 def add_deadline(parser: argparse.ArgumentParser) -> None:
     """Add the option `--deadline`; loading does not count."""
-    parser.add_argument("--deadline", dest="deadline_ms", type=float, metavar="MS", help="time that planning may take")
+    parser.add_argument(
+        "--deadline",
+        dest="deadline_ms",
+        type=float,
+        metavar="MS",
+        help="time that planning may take, without what is loaded before",
+    )
 
 
 def scene_among(arguments: argparse.Namespace, robot: Robot, scene: Scene, errors: Console) -> tuple[Scene, list[str]]:

@@ -193,7 +193,7 @@ def _planned(
     robot: Robot, scene: Scene, options: PlanOptions, progress: Callable[[str], None], first_run: bool
 ) -> PlanResult:
     """Plan; on a first run another process compiles what comes last meanwhile."""
-    from hplan.planning.compile_ahead import compiling_ahead
+    from hplan.planning.compile_ahead import compiling_ahead, load_kernels
     from hplan.planning.plan import plan
 
     with compiling_ahead(first_run) as wait:
@@ -203,6 +203,8 @@ def _planned(
             if name == "postprocess":
                 wait()
 
+        if options.deadline_s is not None:
+            load_kernels()
         return plan(robot, scene, options, progress=stage)
 
 

@@ -26,6 +26,9 @@ PATIENCE_S = 120.0
 #: Elbow and wrist while the shoulder turns, on a path that avoids the ball of the reference scene [deg].
 _FOLDED_DEG = (80.0, 80.0)
 
+#: A shipped scene, and one of its fruits that only trees find a way to.
+_CROWDED, _BEHIND = "dense-canopy", "fruit 11"
+
 
 def is_first_run() -> bool:
     """True if a kernel that every plan needs is not on disk as its source stands."""
@@ -83,6 +86,17 @@ def compile_from_postprocessing_on() -> None:
     task = PlanningCache(load_robot()).context(scene, PlanOptions()).task(start, goal)
     motion = smooth_and_certify(task, waypoints, MARGIN, "search")
     timed(task, SplinePath.through(motion.trajectory.position[:: motion.trajectory.samples // 8]))
+
+
+def load_kernels() -> None:
+    """Load what plans call from disk, by one that needs most of it: where the time of the next plan is limited."""
+    from hplan.planning.plan import plan
+    from hplan.robot.model import load_robot
+    from hplan.scene.file import load_scene
+    from hplan.scene.model import Goal
+
+    scene = load_scene(_CROWDED)
+    plan(load_robot(), scene.model_copy(update={"goal": Goal(fruit=_BEHIND)}))
 
 
 if __name__ == "__main__":

@@ -53,6 +53,9 @@ from hplan.timing.trajectory import Trajectory
 FIRST_ROADMAP = RoadmapEffort(128, 60, 0.175)
 FIRST_TREES = (3_000, 3_000, 3_000, 3_000, 12_000, 12_000, 12_000, 12_000)
 
+#: To so many goals paths are looked for in roadmaps: trees grow from all goals at once.
+ROADMAPS = 2
+
 #: Pairs of trees where the base is locked: grids find narrow ways there.
 PLANAR_TREES = 2
 
@@ -188,8 +191,8 @@ def first_in_time(tasks: Sequence[PlanningTask]) -> tuple[int, PlannedMotion] | 
 
 def _at_once(tasks: Sequence[PlanningTask]) -> tuple[int, PlannedMotion] | Refusals:
     """The same without what takes long and would show that there is none."""
-    for find in (_straight, _by_roadmap):
-        for number, task in enumerate(tasks):
+    for find, most in ((_straight, len(tasks)), (_by_roadmap, ROADMAPS)):
+        for number, task in enumerate(tasks[:most]):
             motion = find(task)
             if motion is not None:
                 return number, motion

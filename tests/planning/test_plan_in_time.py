@@ -200,3 +200,11 @@ def test_what_is_refused_without_a_deadline_is_refused_with_one(robot: Robot) ->
     scene = hplan.load_scene("orchard-row").model_copy(update={"goal": Goal(position=(9.0, 0.0, 1.0))})
     with pytest.raises(UnreachableError):
         hplan.plan(robot, scene, hplan.PlanOptions(deadline_s=ENOUGH_S))
+
+
+def test_the_command_hands_out_what_it_found_in_time(tmp_path: Path) -> None:
+    assert main(["plan", "trellis", "--deadline", "1e9", "--quiet", "--out", str(tmp_path)]) == 0
+    report = json.loads((tmp_path / "report.json").read_text(encoding="utf-8"))
+    assert report["certificate"]["verified"]
+    assert (report["deadline"]["deadline_s"], report["deadline"]["cut_short"]) == (1e6, False)
+    assert (tmp_path / "trajectory.csv").exists()

@@ -276,7 +276,10 @@ def _planar(task: PlanningTask) -> PlannedMotion:
 
 def _sampled_or_grids(tasks: Sequence[PlanningTask]) -> tuple[int, PlannedMotion] | Refusals:
     """A motion along a sampled path and, where none is found, one found on grids."""
-    return _sampled(tasks) or by_trees_to_any(tasks) or _first_turning(tasks)
+    found = _sampled(tasks) or by_trees_to_any(tasks)
+    if found is None and tasks[0].robot.planar is None:  # no grids
+        return Refusals(tuple(NotFoundError([trees_tried(task)]) for task in tasks))
+    return found or _first_turning(tasks)
 
 
 def _first_planar(tasks: Sequence[PlanningTask]) -> tuple[int, PlannedMotion] | Refusals:

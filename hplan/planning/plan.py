@@ -270,7 +270,7 @@ def _planned(
     """The plan that the options ask for; with a deadline the best of those found before it."""
     robot, scene = context.robot, context.scene
     start = robot.check_configuration(scene.start.configuration, "start")
-    context.world.check_base(robot.yaw_of(start))
+    context.world.check_base(0.0 if robot.planar is None else robot.yaw_of(start))
     begin = Beginning(start, start_state(robot, scene), before, stop)
     if begin.state is not None and context.options.bound:
         raise OptionError("bound", True, "False where the start is in motion")

@@ -62,9 +62,21 @@ SAMPLING: dict[str, SamplingEffort] = {
     "best": SamplingEffort((WIDE,), _MANY, _MANY, _GRIDS, 1.005),
 }
 
+#: The same of robots that are no planar arms: a look at their clearance takes ten times as long.
+SAMPLING_OF_BODIES: dict[str, SamplingEffort] = {
+    "quick": SamplingEffort((), TreesEffort(6_000, (1, 6_000), (2, 1_000)), None, (), CLOSE),
+    "default": SamplingEffort((), TreesEffort(12_000, (2, 6_000), (2, 1_500)), None, (), CLOSE),
+    "best": SamplingEffort((WIDE,), TreesEffort(100_000, (8, 12_000), (20, 3_000)), None, (), 1.005),
+}
+
 #: Effort of trees of which the first path is taken, and before goals are refused, with so many seeds.
 ONE_PAIR = TreesEffort(12_000, (1, 12_000), (0, 0))
 LONG_TREES, LONG_SEEDS = 120_000, 2
+
+
+def sampling_effort(task: PlanningTask) -> SamplingEffort:
+    """What is looked for, by the option `effort` and the kind of robot."""
+    return (SAMPLING_OF_BODIES if task.robot.planar is None else SAMPLING)[task.options.effort]
 
 
 def by_roadmap(task: PlanningTask) -> PlannedMotion | None:
@@ -82,7 +94,7 @@ def by_trees(task: PlanningTask, effort: TreesEffort) -> PlannedMotion | None:
 
 def by_sampling(task: PlanningTask) -> PlannedMotion | None:
     """The motion along a quick path in a roadmap, or the quickest along many paths; None where there is none."""
-    effort = SAMPLING[task.options.effort]
+    effort = sampling_effort(task)
     quick = by_roadmap(task)
     if quick is not None and quick.trajectory.duration <= effort.close * least_duration(task):
         return quick
@@ -99,7 +111,7 @@ def by_sampling(task: PlanningTask) -> PlannedMotion | None:
 
 def rivals(task: PlanningTask) -> list[Polyline]:
     """Other paths, to be compared with one that was found on a planar grid."""
-    effort = SAMPLING[task.options.effort]
+    effort = sampling_effort(task)
     if effort.planar is None:
         return []
     return [*_of_roadmaps(task, effort.roadmaps), *_of_trees(task, effort.planar)]
@@ -107,7 +119,7 @@ def rivals(task: PlanningTask) -> list[Polyline]:
 
 def trees_tried(task: PlanningTask) -> str:
     """The trees, where it is told what was tried."""
-    return f"trees with {SAMPLING[task.options.effort].trees.evaluations} evaluations of the clearance"
+    return f"trees with {sampling_effort(task).trees.evaluations} evaluations of the clearance"
 
 
 def least_duration(task: PlanningTask) -> float:

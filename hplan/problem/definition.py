@@ -26,7 +26,7 @@ class Problem(Record):
             (`hplan.problem.joint_ranges`); a joint that may not move has its start value as both.
         upper: (dof,) the same.
         spare_clearance: Least clearance of start and goal beyond the one to keep [m]; inf without obstacles.
-        turns: True if the base may turn.
+        turns: True if the base may turn, or the robot is no planar arm.
     """
 
     start: FloatArray
@@ -80,5 +80,5 @@ def check_problem(world: World, start: ArrayLike, goal: ArrayLike, *, locked_joi
         lower=readonly(np.where(locked, first, ranges.lower)),
         upper=readonly(np.where(locked, first, ranges.upper)),
         spare_clearance=clearance,
-        turns=robot.has_yaw and not locked[0],
+        turns=robot.planar is None or (robot.has_yaw and not locked[0]),
     )

@@ -87,6 +87,8 @@ def joint_ranges(scene: CoalScene, q: FloatArray, margin: float = MARGIN) -> Joi
     robot = scene.robot
     lower, upper = robot.lower.copy(), robot.upper.copy()
     walls: list[Wall] = []
+    if robot.planar is None:
+        return JointRanges(frozen(lower), frozen(upper), ())
     pairs = _turret_pairs(scene)
     if len(pairs):
         for end in (lower, upper):

@@ -1,0 +1,81 @@
+"""Plans of robots that are no planar arms, from joints to joints."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from toy_urdf import SIX_AXIS_LIMITS, six_axis_arm
+
+from hplan.errors import ConfigurationInCollisionError, NotFoundError
+from hplan.planning import find_motion, sampled_motion
+from hplan.planning.plan import plan
+from hplan.planning.sampled_motion import SAMPLING_OF_BODIES, SamplingEffort
+from hplan.problem.options import PlanOptions
+from hplan.robot.model import Robot, load_robot
+from hplan.sampling.several_trees import TreesEffort
+from hplan.scene.model import Scene
+from hplan.scene.obstacles import Box, Obstacle, Sphere
+from hplan.verification.certificate import certify
+
+QUICK = PlanOptions(effort="quick")
+START, GOAL = (0.3, 0.8, 0.6, -0.4, 0.5, 0.2), (1.5, 0.9, 0.5, -0.2, -0.4, 0.6)
+POST = Box(name="post", center=(0.35, 0.55, 0.6), size=(0.06, 0.06, 1.2))
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory: pytest.TempPathFactory) -> Robot:
+    path = tmp_path_factory.mktemp("arm") / "six.urdf"
+    path.write_text(six_axis_arm())
+    path.with_suffix(".limits.yaml").write_text(SIX_AXIS_LIMITS)
+    return load_robot(path)
+
+
+def scene_of(*obstacles: Obstacle, locked: tuple[str, ...] = ()) -> Scene:
+    keys = {"start": {"joints_rad": START}, "goal": {"joints_rad": GOAL}, "locked_joints": locked}
+    return Scene.model_validate({"format": "hplan-scene/1", "name": "toy", "obstacles": obstacles, **keys})
+
+
+def test_a_straight_motion_where_nothing_is_in_the_way(arm: Robot) -> None:
+    found = plan(arm, scene_of(), QUICK)
+    assert found.motion.origin == "direct"
+    assert found.certificate.verified
+    assert found.trajectory.position[[0, -1]] == pytest.approx(np.array([START, GOAL]), abs=1e-9)
+
+
+@pytest.mark.parametrize("options", [QUICK, PlanOptions(effort="quick", tracking_error=0.005)])
+def test_around_a_post_and_certified_from_outside(arm: Robot, options: PlanOptions) -> None:
+    scene = scene_of(POST)
+    found = plan(arm, scene, options)
+    assert found.motion.origin != "direct"
+    assert found.certificate.verified
+    again = certify(arm, scene, found.trajectory, tracking_error=options.tracking_error)
+    assert again.verified
+    assert plan(arm, scene, options).trajectory.position == pytest.approx(found.trajectory.position, abs=0.0)
+
+
+def test_locked_joints_stay(arm: Robot) -> None:
+    goal = (*GOAL[:5], START[5])
+    scene = scene_of(POST, locked=("wrist_3",)).model_copy(update={"goal": scene_of().goal})
+    scene = Scene.model_validate({**{k: getattr(scene, k) for k in Scene.model_fields}, "goal": {"joints_rad": goal}})
+    found = plan(arm, scene, QUICK)
+    assert found.certificate.verified
+    assert np.ptp(found.trajectory.position[:, 5]) == 0.0
+
+
+def test_a_start_in_an_obstacle_is_refused(arm: Robot) -> None:
+    with pytest.raises(ConfigurationInCollisionError):
+        plan(arm, scene_of(Sphere(name="ball", center=(0.0, 0.1, 0.3), radius=0.1)), QUICK)
+
+
+def test_where_nothing_is_found_nothing_is_claimed(arm: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    few = SamplingEffort((), TreesEffort(20, (1, 20), (0, 0)), None, (), 1.0)
+    monkeypatch.setitem(SAMPLING_OF_BODIES, "quick", few)
+    monkeypatch.setattr(find_motion, "by_trees_to_any", lambda tasks: None)
+    monkeypatch.setattr(sampled_motion, "quick_path", lambda *_: None)
+    # From the pedestal outward, higher than the arm reaches, between start and goal.
+    along = np.array([np.cos(0.9), np.sin(0.9)])
+    centre = (*(1.4 * along).tolist(), 1.0)
+    wall = Box(name="wall", center=centre, size=(2.0, 0.02, 2.4), rpy_deg=(0.0, 0.0, np.degrees(0.9)))
+    with pytest.raises(NotFoundError) as refused:
+        plan(arm, scene_of(wall), QUICK)
+    assert "trees" in str(refused.value)

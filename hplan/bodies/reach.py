@@ -53,23 +53,35 @@ def reach(robot: Robot, beyond: float = 0.0) -> FloatArray:
 
 def _reach(robot: Robot, beyond: float) -> FloatArray:
     """`reach`, computed."""
-    bodies = collision_bodies(robot)
-    found = np.zeros((len(bodies), robot.dof))
-    for row, body in enumerate(bodies):
-        points, joint = body.core, body.joint
-        while joint >= 0:
-            axis, slides = joint_axis(robot, joint)
-            if slides:
-                found[row, joint] = 1.0
-                ends = np.array([robot.lower[joint] - beyond, robot.upper[joint] + beyond])
-                points = (points[:, None] + ends[:, None] * axis).reshape(-1, 3)
-            else:
-                points, radius = _swept(points, axis)
-                found[row, joint] = radius + body.rounding
-            placement = robot.model.jointPlacements[joint + 1]
-            points = points @ placement.rotation.T + placement.translation
-            joint = int(robot.model.parents[joint + 1]) - 1
-    return frozen(found)
+    rows = [points_reach(robot, body.core, body.joint, body.rounding, beyond) for body in collision_bodies(robot)]
+    return frozen(np.array(rows).reshape(-1, robot.dof))
+
+
+def points_reach(
+    robot: Robot, points: FloatArray, joint: int, rounding: float = 0.0, beyond: float = 0.0
+) -> FloatArray:
+    """A row of `reach`, of points that a joint carries.
+
+    Args:
+        robot: The robot.
+        points: (n, 3) points in the joint's frame [m].
+        joint: The joint; -1 for the ground.
+        rounding: Radius about the points [m].
+        beyond: How far joints that slide may be beyond their limits [m].
+    """
+    found = np.zeros(robot.dof)
+    for carrier in carriers(robot, joint):
+        axis, slides = joint_axis(robot, carrier)
+        if slides:
+            found[carrier] = 1.0
+            ends = np.array([robot.lower[carrier] - beyond, robot.upper[carrier] + beyond])
+            points = (points[:, None] + ends[:, None] * axis).reshape(-1, 3)
+        else:
+            points, radius = _swept(points, axis)
+            found[carrier] = radius + rounding
+        placement = robot.model.jointPlacements[carrier + 1]
+        points = points @ placement.rotation.T + placement.translation
+    return found
 
 
 def joint_axis(robot: Robot, joint: int) -> tuple[FloatArray, bool]:
@@ -95,7 +107,7 @@ def _swept(points: FloatArray, axis: FloatArray) -> tuple[FloatArray, float]:
     height = points @ axis
     radius = np.linalg.norm(points - height[:, None] * axis, axis=1)
     profile = np.column_stack([radius, height])
-    profile = convex_hull(np.vstack([profile, profile * [-1.0, 1.0]]))
+    profile = _outline(np.vstack([profile, profile * [-1.0, 1.0]]))
     radius, height = profile[profile[:, 0] >= 0.0].T
     across = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), axis).toRotationMatrix()
     angles = (np.arange(_CORNERS) + 0.5) * (2.0 * math.pi / _CORNERS)
@@ -103,3 +115,13 @@ def _swept(points: FloatArray, axis: FloatArray) -> tuple[FloatArray, float]:
     rings = [np.outer(np.cos(angles), ring), np.outer(np.sin(angles), ring), np.tile(height, (_CORNERS, 1))]
     swept: FloatArray = np.stack(rings, axis=-1).reshape(-1, 3) @ across.T
     return swept, float(radius.max()) * (1.0 + _ROUND_OFF)
+
+
+def _outline(points: FloatArray) -> FloatArray:
+    """The vertices of the convex hull of (n, 2) points, up to rounding errors."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    try:
+        return np.asarray(points[ConvexHull(points).vertices])
+    except QhullError:  # they are in line
+        return convex_hull(points)

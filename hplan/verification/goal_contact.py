@@ -19,6 +19,17 @@ absolute angle of link m in the arm plane, :math:`\psi` the yaw and r the tool's
 .. math::
     |\ddot p| \le \sum_m L_m (|\ddot \varphi_m| + \dot \varphi_m^2) + 2 |\dot \psi| \sum_m L_m |\dot \varphi_m|
         + r (|\ddot \psi| + \dot \psi^2).
+
+**Any robot.** Of one that is no planar arm, what the joint of the tool frame carries may touch the fruit, and the line
+is that of the frame's z axis :math:`u`, about which the tool may turn. With :math:`r_j` the tool's largest distance
+from the axis of joint j (`hplan.bodies.reach`; 1 where it slides), joints counted from the base,
+
+.. math::
+    |\ddot p| \le \sum_j r_j |\ddot q_j| + \sum_{j \text{ turns}} |\dot q_j| \Bigl(r_j |\dot q_j|
+        + 2 \sum_{k > j} r_k |\dot q_k|\Bigr), \quad
+    |\ddot u| \le \sum_{j \text{ turns}} |\ddot q_j| + \Bigl(\sum_{j \text{ turns}} |\dot q_j|\Bigr)^2,
+
+and the direction leaves the chord between two rows by at most :math:`h^2 / 8 \max |\ddot u|`.
 """
 
 from __future__ import annotations
@@ -27,6 +38,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hplan.base.arrays import BoolArray, FloatArray
+from hplan.bodies.reach import carriers, joint_axis, points_reach
 from hplan.robot.model import Robot
 
 #: Distance from the point to be reached at which the tool counts as there [m].
@@ -65,7 +77,8 @@ def contact_window(robot: Robot, bezier: FloatArray, point: ArrayLike) -> slice 
         row, away = instant_at(robot, rows, point)
         if not away <= THERE:
             return None
-        straight = _is_straight(robot, bezier, rows, row)
+        kept = _is_straight if robot.planar is not None else _is_straight_along_z
+        straight = kept(robot, bezier, rows, row)
     bent_before, bent_after = np.flatnonzero(~straight[:row]), np.flatnonzero(~straight[row:])
     first = int(bent_before[-1]) + 1 if len(bent_before) else 0
     last = row + int(bent_after[0]) if len(bent_after) else len(straight)
@@ -89,11 +102,45 @@ def _is_straight(robot: Robot, bezier: FloatArray, rows: FloatArray, row: int) -
         reach += robot.tool_radius * (yaw_push[:, 0] + yaw_rate[:, 0] ** 2)
     tool = robot.tool_positions(rows)
     direction = _last_direction(robot, rows[row])
-    from_there = tool - tool[row]
-    behind = np.maximum(-(from_there @ direction), 0.0)
-    off = np.linalg.norm(from_there + behind[:, None] * direction, axis=1)
+    off = _off_line(tool, row, direction)
     kept: BoolArray = (np.maximum(off[:-1], off[1:]) + reach / 8.0 <= OFFSET) & (turn <= TURN)
     return kept
+
+
+def _off_line(tool: FloatArray, row: int, direction: FloatArray) -> FloatArray:
+    """(n,) distances of (n, 3) tool positions from the half-line that runs backward from that at a row [m]."""
+    from_there = tool - tool[row]
+    behind = np.maximum(-(from_there @ direction), 0.0)
+    off: FloatArray = np.linalg.norm(from_there + behind[:, None] * direction, axis=1)
+    return off
+
+
+def _is_straight_along_z(robot: Robot, bezier: FloatArray, rows: FloatArray, row: int) -> BoolArray:
+    """`_is_straight` of a robot that is no planar arm: line and direction are those of the tool frame's z axis."""
+    poses = robot.tool_poses(rows)
+    tool, along = poses[:, :3, 3], poses[:, :3, 2]
+    rates, pushes = _largest_rates(bezier)
+    bent, turned = _bent_along_z(robot, rates, pushes)
+    off, lean = _off_line(tool, row, along[row]), np.linalg.norm(along - along[row], axis=1)
+    kept: BoolArray = np.maximum(off[:-1], off[1:]) + bent / 8.0 <= OFFSET
+    kept &= np.maximum(lean[:-1], lean[1:]) + turned / 8.0 <= 2.0 * np.sin(0.5 * TURN)
+    return kept
+
+
+def _bent_along_z(robot: Robot, rates: FloatArray, pushes: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(pieces,) bounds of the second derivatives of tool position and direction, from those of the joints."""
+    place = robot.model.frames[robot.model.getFrameId(robot.tool_frame)].placement.translation[None]
+    reach = points_reach(robot, place, robot.tool_joint - 1)
+    bent, turn, turn_push = (np.zeros(len(rates)) for _ in range(3))
+    beyond = np.zeros(len(rates))  # sum of r |q'| of the joints after
+    for joint in carriers(robot, robot.tool_joint - 1):
+        rate, push = rates[:, joint], pushes[:, joint]
+        bent += reach[joint] * push
+        if not joint_axis(robot, joint)[1]:
+            bent += rate * (reach[joint] * rate + 2.0 * beyond)
+            turn, turn_push = turn + rate, turn_push + push
+        beyond = beyond + reach[joint] * rate
+    return bent, turn_push + turn * turn
 
 
 def _largest_rates(bezier: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -16,14 +16,16 @@ from hplan.collision.coal_scene import CoalScene, check_clear
 from hplan.collision.coal_shapes import solid_shape
 from hplan.errors import ConfigurationInCollisionError, InputError, RobotFamilyError
 from hplan.robot.model import Robot
-from hplan.scene.model import Goal, Scene, Start
+from hplan.scene.model import Fruit, Goal, Scene, Start
 from hplan.scene.obstacles import Box, Capsule, Sphere
 from hplan.scene.solids import Cloud
 from hplan.timing.trajectory import Trajectory, cubic_pieces
+from hplan.verification import goal_contact
 from hplan.verification.body_travel import body_motion
 from hplan.verification.certificate import certify
 from hplan.verification.clearance_proof import point_at, prove_clearance
 from hplan.verification.digests import robot_digest
+from hplan.verification.goal_contact import OFFSET, TURN, contact_window, instant_at
 
 
 @pytest.fixture(scope="module")
@@ -271,3 +273,85 @@ def test_other_joints_are_refused(load):
     trajectory = motion_between(robot, start, end)
     with pytest.raises(InputError, match="the trajectory moves"):
         certify(load("lift"), scene_of(robot, trajectory, [], 0.0), trajectory)
+
+
+def straight_in(robot: Robot, grasp: np.ndarray, length: float, aside: float = 0.0) -> Trajectory:
+    """To a grasp along the tool's z axis, turning about it, and back; from a place `aside` of that line."""
+    data, frame = robot.model.createData(), robot.model.getFrameId(robot.tool_frame)
+    goal = robot.tool_poses(grasp)
+    q, rows, count = grasp.copy(), [grasp], 60
+    for number in range(1, count + 1):
+        part = (number / count) ** 2 * (3.0 - 2.0 * number / count)  # slow at both ends
+        target = pin.SE3(goal[:3, :3] @ pin.utils.rotate("z", 0.3 * part), goal[:3, 3] - part * length * goal[:3, 2])
+        target.translation += part * aside * goal[:3, 0]
+        for _ in range(8):
+            pin.framesForwardKinematics(robot.model, data, q)
+            error = pin.log(data.oMf[frame].inverse() * target).vector
+            jacobian = pin.computeFrameJacobian(robot.model, data, q, frame)
+            q = q + jacobian.T @ np.linalg.solve(jacobian @ jacobian.T + 1e-8 * np.eye(6), error)
+        rows.append(q)
+    position = np.array([*rows[::-1], *rows[1:]])
+    time = 0.05 * np.arange(len(position))
+    velocity = np.gradient(position, time, axis=0)
+    velocity[[0, count, -1]] = 0.0
+    zero = np.zeros_like(position)
+    return Trajectory(robot.joint_names, time, position, velocity, zero, zero)
+
+
+@pytest.mark.parametrize("name", ["toy", "panda", "ur5"])
+def test_fruit_may_be_touched_on_a_straight_approach_along_the_tools_axis(load, name):
+    """Everything within the window, between rows too, keeps to line and direction; what comes aside has none there."""
+    robot = load(name)
+    grasp = np.array([0.3, -0.6, 0.5, -1.6, 0.2, 1.2, 0.4] if name == "panda" else [0.3, -1.2, 1.4, -0.6, 1.1, 0.4])
+    length, found = 0.12, []
+    for aside in (0.0, 0.03):
+        motion = straight_in(robot, grasp, length, aside)
+        bezier, _ = cubic_pieces(motion)
+        goal = robot.tool_poses(grasp)
+        window = contact_window(robot, bezier, goal[:3, 3])
+        assert window is not None
+        assert window.start <= 60 <= window.stop
+        places = np.linspace(window.start, window.stop, 400)
+        poses = robot.tool_poses(np.array([point_at(bezier, float(place)) for place in places]))
+        row, _ = instant_at(robot, np.vstack([bezier[:, 0], bezier[-1:, 3]]), goal[:3, 3])
+        there = robot.tool_poses(bezier[row, 0])
+        away = poses[:, :3, 3] - there[:3, 3]
+        behind = np.maximum(-(away @ there[:3, 2]), 0.0)
+        assert np.linalg.norm(away + behind[:, None] * there[:3, 2], axis=1).max() <= OFFSET
+        assert np.arccos(np.clip(poses[:, :3, 2] @ there[:3, 2], -1.0, 1.0)).max() <= TURN + 1e-6
+        found.append(behind.max())
+    assert found[0] > 0.9 * length
+    assert found[1] < 0.03
+
+
+@pytest.mark.parametrize("name", ["toy", "panda", "ur5"])
+def test_bends_of_the_tool_are_bounded(load, name):
+    robot, rng = load(name), np.random.default_rng(19)
+    for scale in (0.02, 0.3):
+        bezier = rng.uniform(0.5 * robot.lower, 0.5 * robot.upper) + scale * rng.normal(size=(6, 4, robot.dof))
+        rates, pushes = goal_contact._largest_rates(bezier)
+        bent, turned = goal_contact._bent_along_z(robot, rates, pushes)
+        for piece in range(len(bezier)):
+            places = np.linspace(0.0, 1.0, 401)
+            poses = robot.tool_poses(np.array([point_at(bezier[piece : piece + 1], float(at)) for at in places]))
+            for values, bound in ((poses[:, :3, 3], bent[piece]), (poses[:, :3, 2], turned[piece])):
+                curved = np.linalg.norm(np.diff(values, 2, axis=0), axis=1).max() * 400.0**2
+                assert curved <= bound + 1e-6
+
+
+def test_a_fruit_is_a_goal_of_any_robot(load):
+    robot = load("toy")
+    grasp = np.array([0.3, -1.2, 1.4, -0.6, 1.1, 0.4])
+    motion = straight_in(robot, grasp, 0.12)
+    rows = motion.position[:61]
+    velocity = motion.velocity[:61].copy()
+    velocity[-1] = 0.0
+    zero = np.zeros_like(rows)
+    motion = Trajectory(robot.joint_names, 20.0 * motion.time[:61], rows, velocity / 20.0, zero, zero)
+    fruit = Fruit(name="apple", center=tuple(robot.tool_positions(grasp)), radius=0.03)
+    scene = Scene(name="apple", start=Start(joints_rad=tuple(rows[0])), goal=Goal(fruit="apple"), fruits=(fruit,))
+    certificate = certify(robot, scene, motion)
+    assert not [line for line in certificate.violations if "comes to" in line or "tool" in line]
+    assert certificate.contact_s is not None
+    whole = certify(robot, scene, motion, checker=CoalScene(robot, scene.solids_with_goal))
+    assert [line for line in whole.violations if "'apple'" in line]

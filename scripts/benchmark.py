@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 SETS = (
-    *("reference", "clutter", "orchards", "replanning", "in_motion"),
+    *("reference", "clutter", "orchards", "replanning", "in_motion", "camera"),
     *("narrow", "fastest", "bound", "growth", "recheck"),
 )
 
@@ -45,6 +45,7 @@ sets:
   orchards    all joints among trees: success, time, duration, planners
   replanning  an obstacle of 40 moves: time, duration, beside plans from nothing
   in_motion   the same while the arm moves: splices and stops, looked at by coal alone
+  camera      frames of a depth camera to certified motions: time, beside their size
   narrow      windows, traps and pinches for three kinds of arm: success, time, duration, RRTConnect
   fastest     blocked scenes and trees: duration with each effort to the best known, time
   bound       planar problems: lower bound of the duration beside the certified motion, time
@@ -101,9 +102,9 @@ def _parser() -> argparse.ArgumentParser:
         metavar="N",
         help=f"random scenes of each set (default: {CLUTTER_SCENES} in clutter, {REPLANNING_SCENES} in replanning and "
         f"in_motion, {RECHECK_SCENES} in recheck, {NARROW_PLACES} in narrow, {BOUND_SCENES} in bound); problems of "
-        "each kind of orchard and in fastest (default: all)",
+        "each kind of orchard and in fastest; orchards of the camera (default: all)",
     )
-    trees = "folder of measured trees, a CSV of capsules each, for orchards and fastest"
+    trees = "folder of measured trees, a CSV of capsules each, for orchards, camera and fastest"
     add("--trees", type=Path, metavar="DIR", help=trees)
     add(
         "--improve",
@@ -131,7 +132,7 @@ def run(arguments: argparse.Namespace, errors: Console) -> dict[str, Any]:
 
 
 def _measure(arguments: argparse.Namespace, progress: Callable[[str, int, int], None]) -> dict[str, Any]:
-    from studies.benchmark import clutter, growth, in_motion, orchards, recheck, reference, replanning
+    from studies.benchmark import camera, clutter, growth, in_motion, orchards, recheck, reference, replanning
     from studies.benchmark.fastest import bound
     from studies.benchmark.fastest import measure as fastest
     from studies.benchmark.measure import environment
@@ -157,6 +158,9 @@ def _measure(arguments: argparse.Namespace, progress: Callable[[str, int, int], 
         "orchards": lambda: orchards.measure(robot, trees=arguments.trees, most=each, ompl=ompl, progress=progress),
         "replanning": lambda: replanning.measure(robot, seed=seed, scenes=walks, quick=quick, progress=progress),
         "in_motion": lambda: in_motion.measure(robot, seed=seed, scenes=walks, quick=quick, progress=progress),
+        "camera": lambda: camera.measure(
+            robot, trees=arguments.trees, most=arguments.scenes, seed=seed, quick=quick, progress=progress
+        ),
         "narrow": lambda: narrow.measure(seed=seed, problems=places, ompl=ompl, progress=progress),
         "fastest": lambda: fastest.measure(
             trees=arguments.trees, most=each, improve=arguments.improve, progress=progress

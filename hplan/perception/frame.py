@@ -59,8 +59,10 @@ class CloudOptions:
         ignore_padding_m: Points so near to what is to be ignored are left out.
         reach_margin_m: Points are left out that nothing of the arm can come nearer to than this, beyond the clearance
             to keep. Distances shown are right up to there.
-        least_points: A voxel that holds fewer points than this together with the 26 about it is left out, as an
-            outlier; 1 leaves out none. What is thin and far away has few points too: compare the camera's resolution.
+        least_points: Points are left out, as outliers, that have fewer than this about them, themselves counted; 1
+            leaves out none. So is what is thin or far, where the camera's pixels are too far apart for it.
+        neighbour_m: How far about a point others count for that: whatever has `least_points` within it stays. Three
+            times the distance of two pixels on what is to be seen is a good choice.
         most_remembered: Most hidden points that are kept; the oldest go first.
     """
 
@@ -69,6 +71,7 @@ class CloudOptions:
     ignore_padding_m: float = 0.02
     reach_margin_m: float = 0.1
     least_points: int = 1
+    neighbour_m: float = 0.02
     most_remembered: int = 100_000
 
     def __post_init__(self) -> None:
@@ -78,7 +81,7 @@ class CloudOptions:
             OptionError: One that cannot be.
         """
         between("growth_m", self.growth_m, 1e-4, 1.0)
-        for name in ("arm_padding_m", "ignore_padding_m", "reach_margin_m"):
+        for name in ("arm_padding_m", "ignore_padding_m", "reach_margin_m", "neighbour_m"):
             between(name, getattr(self, name), 0.0, FARTHEST_M)
         whole("least_points", self.least_points, 1)
         whole("most_remembered", self.most_remembered, 0)
@@ -94,7 +97,7 @@ class FrameReport:
         out_of_reach: Points that the arm cannot come near.
         of_arm: Points of the arm itself.
         ignored: Points of what was to be ignored.
-        isolated: Points of voxels with too few about them.
+        isolated: Points with too few about them.
         kept: Balls that the others became.
         remembered: Balls of earlier frames that are hidden now and were kept.
         forgotten: Hidden points that were too many to be kept.
@@ -244,7 +247,7 @@ def filter_frame(
     voxels, in_voxel, tally = scratch.put_into_voxels(frame.points, placement, arm, left_out)
     isolated = np.zeros(len(voxels.counts), dtype=np.bool_)
     if options.least_points > 1:
-        mark_isolated(voxels, options.least_points, isolated)
+        mark_isolated(voxels, placement, options.least_points, options.neighbour_m, isolated)
     points, growth_m = middles(frame.points, placement, in_voxel, voxels, isolated)
     kept = len(points)
     old, forgotten = SeenPoints(), 0

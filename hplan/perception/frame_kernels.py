@@ -312,34 +312,52 @@ def _parts_inside(middle: Vector, arm: Bodies, ignored: Bodies, edge: float) -> 
 
 
 @kernel
-def mark_isolated(voxels: Voxels, least: int, isolated: BoolArray) -> None:
-    """Mark voxels that hold, with the 26 about them, fewer points than `least`."""
-    keys, counts = voxels.keys, voxels.counts
-    filled = 0
-    for number in range(len(counts)):
-        filled += counts[number] > 0
+def mark_isolated(voxels: Voxels, placement: Placement, least: int, distance: float, isolated: BoolArray) -> None:
+    """Mark voxels with few points about them: in a cell as large as the distance and a voxel, and the 26 about it.
+
+    First corners of voxels with points within the distance are in one cell, or in two that touch.
+
+    Args:
+        voxels: The voxels.
+        placement: What is within reach.
+        least: So many points are not few.
+        distance: A point with so many within this distance, itself among them, stays [m].
+        isolated: (m,) written.
+    """
+    boxes, counts, reach = voxels.boxes, voxels.counts, placement.reach
+    edge = max(distance, placement.edge[0]) + placement.edge[0]
     size = 64
-    while size < 2 * filled:
+    while size < 2 * len(counts):
         size *= 2
-    table_keys, numbers = np.full(size, -1, dtype=np.int64), np.empty(size, dtype=np.int32)
+    keys, sums = np.full(size, -1, dtype=np.int64), np.zeros(size, dtype=np.int64)
     for number in range(len(counts)):
         if counts[number] > 0:
-            place = _place(keys[number], table_keys)
-            table_keys[place], numbers[place] = keys[number], number
+            key = _cell_of(boxes[number], reach, edge)
+            place = _place(key, keys)
+            keys[place] = key
+            sums[place] += counts[number]
     for number in range(len(counts)):
-        found = counts[number]
-        if found == 0:
+        near = counts[number]
+        if near == 0 or near >= least:
             continue
+        key, near = _cell_of(boxes[number], reach, edge), 0
         for step in range(27):
-            if found >= least:
+            if near >= least:
                 break
-            if step == 13:
-                continue  # itself
             beside = ((step // 9 - 1) << (2 * BITS)) + ((step // 3 % 3 - 1) << BITS) + step % 3 - 1
-            place = _place(keys[number] + beside, table_keys)
-            if table_keys[place] >= 0:
-                found += counts[numbers[place]]
-        isolated[number] = found < least
+            place = _place(key + beside, keys)
+            if keys[place] >= 0:
+                near += sums[place]
+        isolated[number] = near < least
+
+
+@inlined
+def _cell_of(box: FloatArray, middle: FloatArray, edge: float) -> int:
+    return _packed(
+        math.floor((box[0] - middle[0]) / edge),
+        math.floor((box[1] - middle[1]) / edge),
+        math.floor((box[2] - middle[2]) / edge),
+    )
 
 
 @kernel

@@ -139,6 +139,20 @@ def test_few_points_far_from_all_others_are_outliers_where_that_is_asked_for(rob
     assert (everything.isolated, everything.kept, everything.growth_m) == (203, 0, 0.0)
 
 
+@settings(max_examples=15)
+@given(st.integers(0, 10_000), st.sampled_from([1e-3, 0.02, 0.1]), st.integers(2, 6))
+def test_what_has_enough_about_it_is_no_outlier(robot, seed, distance, least):
+    points = np.random.default_rng(seed).uniform([0.5, -0.3, 0.5], [1.0, 0.3, 1.0], (400, 3))
+    options = CloudOptions(growth_m=1e-3, least_points=least, neighbour_m=distance)
+    found = filter_frame(robot, Frame.of(robot, points, radius=RADIUS), options)
+    about = (np.linalg.norm(points[:, None] - points, axis=2) <= distance).sum(axis=1)
+    gaps = np.linalg.norm(points[:, None] - found.points, axis=2).min(axis=1, initial=9.0)
+    assert gaps[about >= least].max(initial=0.0) <= found.report.growth_m + 1e-12
+    alone = (np.linalg.norm(points[:, None] - points, axis=2) <= np.sqrt(12.0) * (distance + 3e-3)).sum(axis=1) < least
+    assert (gaps[alone] > 1e-9).all()
+    assert found.report.isolated <= (about < least).sum()
+
+
 @pytest.mark.parametrize("count", [20_000, 150_000])
 def test_many_voxels_and_the_memory_of_frames_before(robot, count):
     points = np.random.default_rng(0).uniform([0.5, -1, 0.2], [1.5, 1, 1.2], (count, 3))

@@ -84,7 +84,7 @@ def test_writes_everything(out: Path, results: Any) -> None:
             assert min(image.size) > 500
     assert results["format"] == "hplan-benchmark/1"
     assert results["settings"] == {
-        "sets": list(script.SETS),
+        "sets": [*script.SETS],
         "quick": True,
         "seed": 4,
     }

@@ -11,6 +11,7 @@ from rich.markup import escape
 from rich.table import Table as RichTable
 from studies.benchmark.tables import (
     bound,
+    camera,
     clutter,
     fastest,
     growth,
@@ -30,6 +31,7 @@ _MAKERS = {
     "orchards": orchards.tables,
     "replanning": replanning.tables,
     "in_motion": in_motion.tables,
+    "camera": camera.tables,
     "narrow": narrow.tables,
     "fastest": fastest.tables,
     "bound": bound.tables,

@@ -38,6 +38,7 @@ SIZES, QUICK_SIZES = (10_000, 100_000, 300_000, 1_000_000), (10_000,)
 
 #: Frames of each motion, the first one among them; and motions in each orchard.
 FRAMES, GOALS = 4, 4
+QUICK_FRAMES, QUICK_GOALS = 2, 1
 
 #: Least radius of the ball about each point, and least distance within which a point has others about it [m].
 RADIUS_M, NEAR_M = 5e-3, 0.02
@@ -73,14 +74,14 @@ def measure(
         orchards += [measured_orchard(robot, file, DISTANCES[0]) for file in sorted(trees.glob("*.csv"))]
     orchards = orchards[:most]
     rows: list[dict[str, Any]] = []
-    sizes = QUICK_SIZES if quick else SIZES
+    sizes, frames = (QUICK_SIZES, QUICK_FRAMES) if quick else (SIZES, FRAMES)
     for number, orchard in enumerate(orchards):
-        goals = list(crop_of(robot, orchard).goals.values())[:GOALS]
+        goals = list(crop_of(robot, orchard).goals.values())[: QUICK_GOALS if quick else GOALS]
         for place, size in enumerate(sizes):
             progress("camera", number * len(sizes) + place, len(orchards) * len(sizes))
             if not rows:
-                _walk(robot, orchard, goals[:1], (size, seed))  # what only this needs is loaded
-            rows += _walk(robot, orchard, goals, (size, seed))
+                _walk(robot, orchard, goals[:1], (size, seed, frames))  # what only this needs is loaded
+            rows += _walk(robot, orchard, goals, (size, seed, frames))
     progress("camera", len(orchards) * len(sizes), len(orchards) * len(sizes))
     return {
         "seed": seed,
@@ -117,10 +118,10 @@ def camera_with(returns: int, truth: Sequence[Solid]) -> DepthCamera:
 
 
 def _walk(
-    robot: Robot, orchard: Orchard, goals: Sequence[FloatArray], size_and_seed: tuple[int, int]
+    robot: Robot, orchard: Orchard, goals: Sequence[FloatArray], size_seed_frames: tuple[int, int, int]
 ) -> list[dict[str, Any]]:
     """All frames of one orchard."""
-    size, seed = size_and_seed
+    size, seed, frames = size_seed_frames
     q = orchard.scene.start.configuration
     truth = orchard.scene.solids_with_goal
     in_view = [*truth, ground(), *arm_in_view(robot, q)]
@@ -128,7 +129,7 @@ def _walk(
     field = ClearanceField.of(robot, truth)
     for goal in goals:
         watch = _Watch(robot, orchard.scene.start, goal, camera)
-        for number in range(FRAMES):
+        for number in range(frames):
             row = {"orchard": orchard.name, "size": size, "frame": number, **watch.take(camera.frame(in_view, random))}
             found = watch.planner.last if row["certified"] else None
             clearance = math.nan if found is None else float(field.along(found.trajectory.position).min())

@@ -7,8 +7,8 @@ from typing import Any
 from studies.benchmark.tables.table import Table, number, percent
 
 _NOTE = (
-    "Times [ms] from the array of points to the certified motion, the motion of the frame before being there; parts are "
-    "medians: frame to balls, tree, plan. Radius: of the balls, their growth in it. First: nothing was planned yet. "
+    "Times [ms] from the array of points to the certified motion, the motion of the frame before being there; parts "
+    "are medians: frame to balls, tree, plan. Radius: of the balls, their growth in it. First: nothing planned yet. "
     "Query: distances of all links from all balls at one configuration. Contacts: certified motions that touch true "
     "wood or fruit, of which a camera sees one side. VAMP's CAPT (Ramsey et al., RSS 2024) is published with less than "
     "10 ns for whether one ball touches a cloud of thousands of points, for radii in a range fixed when it is built; "

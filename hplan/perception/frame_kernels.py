@@ -313,9 +313,10 @@ def _parts_inside(middle: Vector, arm: Bodies, ignored: Bodies, edge: float) -> 
 
 @kernel
 def mark_isolated(voxels: Voxels, placement: Placement, least: int, distance: float, isolated: BoolArray) -> None:
-    """Mark voxels with few points about them: in a cell as large as the distance and a voxel, and the 26 about it.
+    """Mark voxels with few points about them: in voxels whose boxes are within a distance of theirs.
 
-    First corners of voxels with points within the distance are in one cell, or in two that touch.
+    Voxels stand in larger cells, by the first corners of their boxes: of two within the distance these are in one cell,
+    or in two that touch.
 
     Args:
         voxels: The voxels.
@@ -329,26 +330,36 @@ def mark_isolated(voxels: Voxels, placement: Placement, least: int, distance: fl
     size = 64
     while size < 2 * len(counts):
         size *= 2
-    keys, sums = np.full(size, -1, dtype=np.int64), np.zeros(size, dtype=np.int64)
+    # The last voxel of each cell, and of each voxel the one before it in its cell.
+    keys, last = np.full(size, -1, dtype=np.int64), np.empty(size, dtype=np.int32)
+    before = np.empty(len(counts), dtype=np.int32)
     for number in range(len(counts)):
         if counts[number] > 0:
             key = _cell_of(boxes[number], reach, edge)
             place = _place(key, keys)
-            keys[place] = key
-            sums[place] += counts[number]
+            before[number] = last[place] if keys[place] >= 0 else -1
+            keys[place], last[place] = key, number
     for number in range(len(counts)):
-        near = counts[number]
-        if near == 0 or near >= least:
-            continue
-        key, near = _cell_of(boxes[number], reach, edge), 0
-        for step in range(27):
-            if near >= least:
-                break
-            beside = ((step // 9 - 1) << (2 * BITS)) + ((step // 3 % 3 - 1) << BITS) + step % 3 - 1
-            place = _place(key + beside, keys)
-            if keys[place] >= 0:
-                near += sums[place]
-        isolated[number] = near < least
+        if 0 < counts[number] < least:
+            near, key = 0, _cell_of(boxes[number], reach, edge)
+            for step in range(27):
+                beside = ((step // 9 - 1) << (2 * BITS)) + ((step // 3 % 3 - 1) << BITS) + step % 3 - 1
+                place = _place(key + beside, keys)
+                other = last[place] if keys[place] >= 0 else -1
+                while other >= 0 and near < least:
+                    if _box_gap(boxes[number], boxes[other]) <= distance:
+                        near += counts[other]
+                    other = before[other]
+            isolated[number] = near < least
+
+
+@inlined
+def _box_gap(a: FloatArray, b: FloatArray) -> float:
+    """Distance between two boxes of least and largest coordinates."""
+    x = max(0.0, max(a[0] - b[3], b[0] - a[3]))
+    y = max(0.0, max(a[1] - b[4], b[1] - a[4]))
+    z = max(0.0, max(a[2] - b[5], b[2] - a[5]))
+    return math.sqrt(x * x + y * y + z * z)
 
 
 @inlined

@@ -148,7 +148,7 @@ def test_what_has_enough_about_it_is_no_outlier(robot, seed, distance, least):
     about = (np.linalg.norm(points[:, None] - points, axis=2) <= distance).sum(axis=1)
     gaps = np.linalg.norm(points[:, None] - found.points, axis=2).min(axis=1, initial=9.0)
     assert gaps[about >= least].max(initial=0.0) <= found.report.growth_m + 1e-12
-    alone = (np.linalg.norm(points[:, None] - points, axis=2) <= np.sqrt(12.0) * (distance + 3e-3)).sum(axis=1) < least
+    alone = (np.linalg.norm(points[:, None] - points, axis=2) <= distance + 5e-3).sum(axis=1) < least
     assert (gaps[alone] > 1e-9).all()
     assert found.report.isolated <= (about < least).sum()
 

@@ -2,9 +2,9 @@
 
 The shipped orchards, and measured trees where a folder of them is given, stand before a camera beside the arm
 (`studies.benchmark.depth_camera`), on a floor, the arm in the picture. The planner knows the floor and where the arm
-is; wood and fruit it knows from frames alone. To each of a few stand-offs of fruits it plans a motion with the first
-frame, and again with every frame that comes: the same picture with other noise. The clock begins with the array and
-ends with the certified motion, or with the answer that there is none within `DEADLINE_S`.
+is; wood and fruit it knows from frames alone. To each of a few stand-offs of fruits that have `ROOM_M` it plans a
+motion with the first frame, and again with every frame that comes: the same picture with other noise. The clock begins
+with the array and ends with the certified motion, or with the answer that there is none within `DEADLINE_S`.
 
 Balls are as large as the gaps between pixels, and outliers are looked for within three of these; but no smaller than
 `RADIUS_M` and `NEAR_M`.
@@ -41,10 +41,13 @@ FRAMES, GOALS = 4, 4
 QUICK_FRAMES, QUICK_GOALS = 2, 1
 
 #: Least radius of the ball about each point, and least distance within which a point has others about it [m].
-RADIUS_M, NEAR_M = 5e-3, 0.02
+RADIUS_M, NEAR_M = 5e-3, 8e-3
 
 #: A point with fewer about it, itself counted, is an outlier.
 LEAST_POINTS = 3
+
+#: Clearance of a goal from true wood and fruit [m]; balls and noise take up to half of it.
+ROOM_M = 0.03
 
 #: How long a plan may take [s].
 DEADLINE_S = 1.0
@@ -76,7 +79,7 @@ def measure(
     rows: list[dict[str, Any]] = []
     sizes, frames = (QUICK_SIZES, QUICK_FRAMES) if quick else (SIZES, FRAMES)
     for number, orchard in enumerate(orchards):
-        goals = list(crop_of(robot, orchard).goals.values())[: QUICK_GOALS if quick else GOALS]
+        goals = _goals(robot, orchard)[: QUICK_GOALS if quick else GOALS]
         for place, size in enumerate(sizes):
             progress("camera", number * len(sizes) + place, len(orchards) * len(sizes))
             if not rows:
@@ -115,6 +118,12 @@ def camera_with(returns: int, truth: Sequence[Solid]) -> DepthCamera:
     """A camera of as many pixels as it takes to see about so many points."""
     seen = float(np.isfinite(camera_of(10_000).depths(truth)).mean())
     return camera_of(math.ceil(returns / seen))
+
+
+def _goals(robot: Robot, orchard: Orchard) -> list[FloatArray]:
+    """Stand-offs of fruits with room."""
+    field = ClearanceField.of(robot, orchard.scene.solids_with_goal)
+    return [goal for goal in crop_of(robot, orchard).goals.values() if field.clearance(goal) > ROOM_M]
 
 
 def _walk(

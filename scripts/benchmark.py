@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 SETS = (
-    *("reference", "clutter", "orchards", "replanning", "in_motion", "camera"),
+    *("reference", "clutter", "orchards", "replanning", "in_motion", "moving", "camera"),
     *("narrow", "fastest", "bound", "growth", "recheck"),
 )
 
@@ -26,6 +26,9 @@ SETS = (
 CLUTTER_SCENES, REPLANNING_SCENES, RECHECK_SCENES, NARROW_PLACES, BOUND_SCENES = 200, 20, 1000, 200, 500
 QUICK_CLUTTER_SCENES, QUICK_REPLANNING_SCENES, QUICK_RECHECK_SCENES, QUICK_NARROW_PLACES = 20, 2, 25, 12
 QUICK_BOUND_SCENES = 10
+
+#: Scenes in which an obstacle moves while the arm does.
+MOVING_SCENES, QUICK_MOVING_SCENES = 500, 4
 
 #: Who else may look for faster motions than the best known (`studies.benchmark.fastest.peers`).
 PEERS = ("rrtconnect", "detours", "ipopt")
@@ -45,6 +48,7 @@ sets:
   orchards    all joints among trees: success, time, duration, planners
   replanning  an obstacle of 40 moves: time, duration, beside plans from nothing
   in_motion   the same while the arm moves: splices and stops, looked at by coal alone
+  moving      an obstacle that moves as the arm does: duration, waiting, safe intervals
   camera      frames of a depth camera to certified motions: time, beside their size
   narrow      windows, traps and pinches for three kinds of arm: success, time, duration, RRTConnect
   fastest     blocked scenes and trees: duration with each effort to the best known, time
@@ -83,6 +87,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         faults = (
             *(("recheck", "violations"), ("bound", "violations")),
             *(("orchards", "at_fault"), ("replanning", "at_fault"), ("in_motion", "at_fault")),
+            ("moving", "at_fault"),
         )
         return FAULT if any(results.get(name, {}).get(key) for name, key in faults) else 0
 
@@ -101,8 +106,9 @@ def _parser() -> argparse.ArgumentParser:
         type=int,
         metavar="N",
         help=f"random scenes of each set (default: {CLUTTER_SCENES} in clutter, {REPLANNING_SCENES} in replanning and "
-        f"in_motion, {RECHECK_SCENES} in recheck, {NARROW_PLACES} in narrow, {BOUND_SCENES} in bound); problems of "
-        "each kind of orchard and in fastest; orchards of the camera (default: all)",
+        f"in_motion, {RECHECK_SCENES} in recheck, {NARROW_PLACES} in narrow, {MOVING_SCENES} in moving, "
+        f"{BOUND_SCENES} in bound); problems of each kind of orchard and in fastest; orchards of the camera (default: "
+        "all)",
     )
     trees = "folder of measured trees, a CSV of capsules each, for orchards, camera and fastest"
     add("--trees", type=Path, metavar="DIR", help=trees)
@@ -136,6 +142,7 @@ def _measure(arguments: argparse.Namespace, progress: Callable[[str, int, int], 
     from studies.benchmark.fastest import bound
     from studies.benchmark.fastest import measure as fastest
     from studies.benchmark.measure import environment
+    from studies.benchmark.moving import measure as moving
     from studies.benchmark.narrow import measure as narrow
     from studies.benchmark.planners import Ompl
 
@@ -151,6 +158,7 @@ def _measure(arguments: argparse.Namespace, progress: Callable[[str, int, int], 
     walks = arguments.scenes or (QUICK_REPLANNING_SCENES if quick else REPLANNING_SCENES)
     most = arguments.scenes or (QUICK_RECHECK_SCENES if quick else RECHECK_SCENES)
     places = arguments.scenes or (QUICK_NARROW_PLACES if quick else NARROW_PLACES)
+    passing = arguments.scenes or (QUICK_MOVING_SCENES if quick else MOVING_SCENES)
     bounded = arguments.scenes or (QUICK_BOUND_SCENES if quick else BOUND_SCENES)
     sets: dict[str, Callable[[], dict[str, Any]]] = {
         "reference": lambda: reference.measure(robot, scene, seed=seed, quick=quick, ompl=ompl, progress=progress),
@@ -158,6 +166,7 @@ def _measure(arguments: argparse.Namespace, progress: Callable[[str, int, int], 
         "orchards": lambda: orchards.measure(robot, trees=arguments.trees, most=each, ompl=ompl, progress=progress),
         "replanning": lambda: replanning.measure(robot, seed=seed, scenes=walks, quick=quick, progress=progress),
         "in_motion": lambda: in_motion.measure(robot, seed=seed, scenes=walks, quick=quick, progress=progress),
+        "moving": lambda: moving.measure(robot, seed=seed, scenes=passing, progress=progress),
         "camera": lambda: camera.measure(
             robot, trees=arguments.trees, most=arguments.scenes, seed=seed, quick=quick, progress=progress
         ),

@@ -1,10 +1,10 @@
 """Paths past what moves, and the quickest motion along one of them that is certified in space and time.
 
 Paths are planned as if nothing moved that does (or, on a base that moves, among everything as it stands at first), and
-around what is in the way when such a motion would meet it: around all that it sweeps meanwhile, around where it is
-then, and around where it is at first. A motion along each of them is run as it is where that is certified, else in the
-earliest timing through its cells of path and time (`hplan.moving.schedule`): it waits at a clear place, slows down, or
-goes at once, before the obstacle comes. The quickest that is certified is taken.
+around what is in the way when such a motion would meet it: around all that it sweeps meanwhile, and around where it is
+then, at first and in the end. A motion along each of them is run as it is where that is certified, else in the earliest
+timing through its cells of path and time (`hplan.moving.schedule`): it waits at a clear place, slows down, or goes at
+once, before the obstacle comes. The quickest that is certified is taken.
 """
 
 from __future__ import annotations
@@ -196,6 +196,7 @@ class _Search(Generic[_Plan]):
             among_poses(scene, max(0.0, when - MEANWHILE_S), when + MEANWHILE_S),
         )
         yield "a path around where it is at first", among_poses(scene, 0.0, min(when, MEANWHILE_S))
+        yield "a path around where it is in the end", among_poses(scene, scene.at_rest_s, scene.at_rest_s)
 
     def look_along(self, path: str, among: Scene) -> None:
         """Take the quickest motion along a path, if it is quicker than the best."""

@@ -140,6 +140,8 @@ class Poses(Record):
         begin, span = self.times[piece], self.times[piece + 1] - self.times[piece]
         part = np.clip((clock - begin) / np.where(span > 0.0, span, 1.0), 0.0, 1.0)[:, None]
         places = self.about + self.shifts[piece] + part * (self.shifts[piece + 1] - self.shifts[piece])
+        if not self.turns.any():
+            return self.rotations[piece], places
         return self.rotations[piece] @ _rotations(part * self.turns[piece]), places
 
     def speeds(self, clock: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -188,14 +188,19 @@ def until() -> FloatArray:
     return NEVER if limit is None else limit.until
 
 
+def is_over() -> bool:
+    """True if there is no time left, or the answer is not wanted: for what may end with less."""
+    limit = _CURRENT.get()
+    return limit is not None and limit.is_up
+
+
 def look() -> None:
     """Return if there is time left, and the answer is wanted.
 
     Raises:
         TimeIsUpError: There is none, or it is not.
     """
-    limit = _CURRENT.get()
-    if limit is not None and limit.is_up:
+    if is_over():
         raise TimeIsUpError
 
 

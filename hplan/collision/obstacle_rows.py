@@ -12,7 +12,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
-from typing import NamedTuple, assert_never
+from itertools import groupby
+from typing import NamedTuple, assert_never, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -90,16 +91,30 @@ def rows_of(
     grown = np.broadcast_to(growth, (len(obstacles),)).tolist()
     own = own_clearance_of(clearance, own_clearance)
     contact = self_contact(robot, deviation=deviation, clearance=own)
-    for index, part in [*enumerate(obstacles), *((-1, body) for body in contact.bodies)]:
+    for is_round, run in groupby(enumerate(obstacles), lambda numbered: isinstance(numbered[1], Sphere | Capsule)):
         look()
-        if isinstance(part, BaseBody):
-            rows, more = _base_rows(part, own, data_count, robot.yaw_axis)
-        else:
-            rows, more = _rows(part, grown[index], data_count)
+        if is_round:  # hundreds of them: all at once
+            numbered = list(run)
+            rows = np.array([_round_row(cast(Sphere | Capsule, solid), grown[index]) for index, solid in numbered])
+            rows[:, NEXT] += row_count + np.arange(len(rows))
+            blocks.append(rows)
+            owner.append(np.array([index for index, _ in numbered], dtype=np.int64))
+            row_count += len(rows)
+            continue
+        for index, solid in run:
+            rows, more = _rows(solid, grown[index], data_count)
+            rows[:, NEXT] += row_count
+            blocks.append(rows)
+            data.append(more)
+            owner.append(np.full(len(rows), index))
+            row_count += len(rows)
+            data_count += len(more)
+    for body in contact.bodies:
+        rows, more = _base_rows(body, own, data_count, robot.yaw_axis)
         rows[:, NEXT] += row_count
         blocks.append(rows)
         data.append(more)
-        owner.append(np.full(len(rows), index))
+        owner.append(np.full(len(rows), -1))
         row_count += len(rows)
         data_count += len(more)
     if contact.links:
@@ -154,8 +169,8 @@ def core_rows(obstacles: Sequence[Solid], clearance: ArrayLike) -> tuple[FloatAr
     return np.concatenate(blocks), np.concatenate(data), np.concatenate(owner)
 
 
-def _round_row(obstacle: Sphere | Capsule, clearance: float) -> FloatArray:
-    """The (1, columns) row of a ball or a capsule; a scene has hundreds of them."""
+def _round_row(obstacle: Sphere | Capsule, clearance: float) -> list[float]:
+    """The row of a ball or a capsule, as if it were the first."""
     row: list[float] = [0.0] * _COLUMNS
     radius = obstacle.rounding + clearance
     if isinstance(obstacle, Sphere):
@@ -168,7 +183,7 @@ def _round_row(obstacle: Sphere | Capsule, clearance: float) -> FloatArray:
         reach = 0.5 * math.dist(obstacle.start, obstacle.end)
     row[RADIUS], row[CENTRE:BOUND], row[BOUND] = radius, centre, _bounding(reach, radius)
     row[NEXT] = 1.0
-    return np.array([row])
+    return row
 
 
 def _bounding(reach: float, radius: float) -> float:
@@ -181,7 +196,7 @@ def _rows(obstacle: Solid, clearance: float, offset: int) -> tuple[FloatArray, F
     if isinstance(obstacle, Cloud):
         return _cloud_rows(obstacle, clearance, offset), obstacle.core.ravel()
     if isinstance(obstacle, Sphere | Capsule):
-        return _round_row(obstacle, clearance), np.zeros(0)
+        return np.array([_round_row(obstacle, clearance)]), np.zeros(0)
     data = np.zeros(0)
     row = np.zeros((1, _COLUMNS))
     first = row[0]

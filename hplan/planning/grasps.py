@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike
 
 from hplan.base import ties
 from hplan.base.arrays import BoolArray, FloatArray, Record, frozen
+from hplan.base.deadline import is_over, look
 from hplan.errors import BlockedError
 from hplan.planar.finer_angles import refined
 from hplan.planar.inverse_kinematics import Candidates, reach
@@ -217,6 +218,7 @@ def _clear_candidates(
         return reach(world.robot, target.position, approach_deg=approach_deg, count=count, start=start, locked=locked)
 
     def clearance(q: FloatArray) -> float:
+        look()
         return world.field.clearance(q) if ranges.wall_before(q) is None else BEYOND
 
     found = within(target.approach_deg, count)
@@ -294,10 +296,11 @@ def _blocked(
     """
     tried, best_m = refined_to
     walls = [ranges.wall_before(q) for q in configurations]
-    nearest = [
-        target.world_touching.checker.nearest(q) if wall is None else wall.contact
-        for q, wall in zip(configurations, walls, strict=True)
-    ]
+    nearest = []
+    for q, wall in zip(configurations, walls, strict=True):
+        if is_over():
+            break  # that they are blocked is known; the first of them say by what
+        nearest.append(target.world_touching.checker.nearest(q) if wall is None else wall.contact)
     counts = Counter((contact.link, contact.obstacle) for contact in nearest if contact is not None)
     obstacles = [
         {"obstacle": obstacle, "link": link, "configurations": count}

@@ -14,7 +14,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hplan.base.arrays import FloatArray, Record, frozen
-from hplan.errors import CertificationError, HplanError, NotFoundError, TimingError
+from hplan.errors import (
+    BlockedError,
+    CertificationError,
+    HplanError,
+    InputError,
+    NotFoundError,
+    TimingError,
+    UnreachableError,
+)
 from hplan.optimization.minimize_time import Effort, TimeProblem, minimize_time
 from hplan.optimization.several_starts import NEAR
 from hplan.optimization.timed_spline import BoundaryState
@@ -59,8 +67,8 @@ ROADMAPS = 2
 #: Pairs of trees where the base is locked: grids find narrow ways there.
 PLANAR_TREES = 2
 
-#: Configurations at a fruit that the first motion is looked for to.
-FEW_GRASPS = 24
+#: Configurations at a fruit among which grasps are chosen for the first motion, and how many of them.
+FEW_GRASPS, FIRST_GRASPS = 24, 3
 
 #: Steps of the linear programs by which a motion is made quicker, in turn.
 STEPS = (3, 6, 12, 20)
@@ -165,9 +173,12 @@ def _first(context: PlanningContext, start: FloatArray) -> Parts:
         if isinstance(found, Refusals):
             raise found.error()
         return _alone(found[1])
-    with suppress(HplanError):  # some grasps, the promising ones of them, and nothing that takes long
+    try:  # some grasps, the promising ones of them, and nothing that takes long
         return _to_grasp(context, goal, start, _at_once, FEW_GRASPS)
-    return _to_grasp(context, goal, start, first_in_time)
+    except (BlockedError, UnreachableError, InputError):  # more grasps were looked at already
+        raise
+    except HplanError:
+        return _to_grasp(context, goal, start, first_in_time)
 
 
 def _kept(context: PlanningContext, begin: Beginning) -> Parts | None:
@@ -305,7 +316,8 @@ def _to_grasp(
     with context.stage("grasps"):
         found = grasps(target, start, standoff=standoff, locked=locked, count=count)
         if count < COUNT:
-            found = tuple(promising(found, target, start))
+            likely = promising(found, target, start)
+            found = (*likely[:FIRST_GRASPS], *likely[FIRST_GRASPS:][-1:])  # the last may be straight ahead
     grasp, motion, last = motion_to_grasp(
         target,
         found,

@@ -14,8 +14,8 @@ import hplan
 EXAMPLES = Path(__file__).resolve().parents[1] / "scripts" / "examples"
 
 
-def run(name: str, *arguments: Any) -> Any:
-    return runpy.run_path(str(EXAMPLES / f"{name}.py"))["main"](*arguments)
+def run(name: str, *arguments: Any, **options: Any) -> Any:
+    return runpy.run_path(str(EXAMPLES / f"{name}.py"))["main"](*arguments, **options)
 
 
 def test_plan_and_export(tmp_path: Path) -> None:
@@ -52,6 +52,16 @@ def test_time_ur5_path() -> None:
     trajectory = run("time_ur5_path")
     assert trajectory.joint_names[0] == "shoulder_pan_joint"
     assert 1.0 < trajectory.duration < 10.0
+
+
+def test_control_loop() -> None:
+    pytest.importorskip("mujoco", reason="the extra `execution` is not installed")
+    log = run("control_loop", 4.2, deadline_s=None)
+    assert log.picked[0] == "fruit 01"
+    assert log.frames == 42
+    assert log.stops >= 1
+    assert log.contacts == ()
+    assert log.farthest_off_rad < 0.01
 
 
 def test_every_example_is_run() -> None:

@@ -11,7 +11,7 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from threading import RLock
-from typing import Any, TypeVar
+from typing import Any, TypeVar, overload
 
 from numpy.typing import ArrayLike
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
@@ -89,6 +89,12 @@ class Planner:
         with self._turn(cancel):
             self.last = plan_with(self._cache, self.scene, self.options)
             return self.last
+
+    @overload
+    def replan(self, *, cancel: Cancel | None = None) -> PlanResult: ...
+
+    @overload
+    def replan(self, *, at: float, now: float = 0.0, cancel: Cancel | None = None) -> SplicedResult: ...
 
     def replan(
         self, *, at: float | None = None, now: float = 0.0, cancel: Cancel | None = None
@@ -178,12 +184,18 @@ class Planner:
             self._change((*self.scene.obstacles, obstacle))
 
     def remove(self, name: str) -> None:
-        """Take an obstacle away.
+        """Take an obstacle or a fruit away.
 
         Raises:
-            InputError: There is none of that name.
+            InputError: There is none of that name, or it is the fruit that is the goal.
         """
         with self._lock:
+            if any(fruit.name == name for fruit in self.scene.fruits):
+                if name == self.scene.goal.fruit:
+                    raise InputError(f"fruit {name!r} is the goal; aim elsewhere before it is removed", name=name)
+                left = tuple(fruit for fruit in self.scene.fruits if fruit.name != name)
+                self.scene = self.scene.model_copy(update={"fruits": left})
+                return
             index = self._index(name)
             self._change((*self.scene.obstacles[:index], *self.scene.obstacles[index + 1 :]))
             self._seen.pop(name, None)

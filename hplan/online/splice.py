@@ -47,7 +47,8 @@ class SplicedResult(PlanResult):
 
 def _check_time(option: str, value: float, low: float, high: float) -> None:
     """Refuse a time that is not within a motion, or before now."""
-    number(option, value, f"a time from {low:.6g} s to {high:.6g} s", lambda time: low <= time <= high)
+    within = low - SAME_TIME, high + SAME_TIME  # clocks of controllers are sums of small steps
+    number(option, value, f"a time from {low:.6g} s to {high:.6g} s", lambda time: within[0] <= time <= within[1])
 
 
 def _state_at(trajectory: Trajectory, row: int) -> Start:
@@ -91,7 +92,7 @@ class RunningMotion:
         _check_time("now", now, 0.0, plan.trajectory.duration)
         self.plan, self._cache, self._scene, self._options, self._now = plan, cache, scene, options, now
         self.context: PlanningContext = cache.context(scene, options)
-        self.row = int(np.searchsorted(time, now + SAME_TIME, side="right")) - 1
+        self.row = max(int(np.searchsorted(time, now + SAME_TIME, side="right")) - 1, 0)
 
     def spliced(self, at: float) -> SplicedResult:
         """The running motion with a new one from the first row at or after a time on, or as it is where it may stay.
@@ -122,7 +123,8 @@ class RunningMotion:
 
     def stop_at(self, t: float) -> CertifiedMotion:
         """The quickest stop on the motion's path from the first row at or after a time on; certified from now on."""
-        retimed = stopped(self.plan.trajectory, t, self.plan.robot)
+        _check_time("t", t, 0.0, self.plan.trajectory.duration)
+        retimed = stopped(self.plan.trajectory, min(max(t, 0.0), self.plan.trajectory.duration), self.plan.robot)
         certificate = self._certificate(retimed, min(self.row, retimed.trajectory.samples - 1), rest=True)
         digests = Digests.of(self.plan.robot, self._scene, retimed.trajectory)
         parts_s = float(retimed.trajectory.time[retimed.row])

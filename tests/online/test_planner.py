@@ -385,3 +385,15 @@ def test_unused_box(robot: Robot) -> None:
     planner.move("b1", rpy_deg=(0.0, 0.0, 45.0))
     assert planner.scene.obstacles[0] is boxes[0]
     assert planner.scene.obstacles[2] is boxes[2]
+
+
+def test_a_fruit_is_taken_away_once_it_is_not_the_goal(robot: Robot) -> None:
+    fruits = (fruit("low", 20.0, 1.4, 0.8), fruit("high", -20.0, 1.4, 1.6))
+    planner = Planner(robot, task(START, Goal(fruit="low"), fruits=fruits))
+    with pytest.raises(InputError, match="'low' is the goal"):
+        planner.remove("low")
+    planner.aim(goal=Goal(fruit="high"))
+    planner.remove("low")
+    assert planner.scene.fruits == fruits[1:]
+    with pytest.raises(InputError, match="no obstacle 'low'"):
+        planner.remove("low")

@@ -36,8 +36,9 @@ from hplan.timing.trajectory import Trajectory, cubic_pieces, joined
 #: How far the arm may leave the path [m], and how often rows may be made twice as dense for it.
 OFF_PATH, DENSER = 1e-4, 8
 
-#: By so much of a limit rows may pass it where the motion itself does not: acceleration and torque, jerk.
-SPARE, SPARE_JERK = 7e-4, 0.03
+#: By so much of a limit rows may pass it where the motion itself does not, and at most unless it does: of velocity,
+#: acceleration and torque; and of jerk.
+SPARE, MOST_SPARE, SPARE_JERK = 7e-4, 9.5e-4, 0.03
 
 #: Speed and acceleration at the last row of a motion that still count as rest [rad/s], [rad/s^2].
 REST = 1e-6
@@ -279,9 +280,9 @@ def _kept(rest: Trajectory, robot: Robot, period: float) -> Kept:
     bezier, duration = cubic_pieces(rest)
     bent = 6.0 * np.diff(bezier, n=2, axis=1) / duration[:, None, None] ** 2
     own = np.maximum(np.abs(bent).max(axis=(0, 1)), np.abs(rest.acceleration).max(axis=0))
-    acceleration = np.maximum(robot.acceleration_limit, own) * (1.0 + SPARE)
-    velocity = np.maximum(robot.velocity_limit, np.abs(rest.velocity).max(axis=0)) * (1.0 + SPARE)
-    torque = np.maximum(robot.torque_limit, np.abs(rest.torque).max(axis=0)) * (1.0 + SPARE)
+    acceleration = _allowed(robot.acceleration_limit, own)
+    velocity = _allowed(robot.velocity_limit, np.abs(rest.velocity).max(axis=0))
+    torque = _allowed(robot.torque_limit, np.abs(rest.torque).max(axis=0))
     jerk = np.full(robot.dof, np.inf)
     if robot.jerk_limit is not None:
         # Where the acceleration jumps from one cubic to the next it changes within a period.
@@ -292,6 +293,15 @@ def _kept(rest: Trajectory, robot: Robot, period: float) -> Kept:
     bodies = np.zeros((0, 1, 1)) if dynamics.bodies is None else dynamics.bodies
     steps = np.stack([velocity * period, acceleration * period**2, jerk * period**3])
     return Kept(steps, torque, bodies, np.array(dynamics.model.gravity.linear))
+
+
+def _allowed(limit: FloatArray, own: FloatArray) -> FloatArray:
+    """(dof,) what may be used of limits: a little more than the motion itself uses, if that stays within `MOST_SPARE`.
+
+    So a stop of a motion that is a stop already keeps its limits too.
+    """
+    most = np.maximum(own, limit * (1.0 + MOST_SPARE))
+    return np.maximum(limit * (1.0 + SPARE), np.minimum(own * (1.0 + SPARE), most))
 
 
 def _with_rows(rest: Trajectory, robot: Robot, period: float, clock: FloatArray, points: FloatArray) -> Retimed:

@@ -94,6 +94,20 @@ def test_a_stop_is_on_the_path_within_limits_and_ends_at_rest(robot, motion, par
 
 
 @settings(max_examples=20)
+@given(motion=with_motion(), part=st.floats(0.2, 0.8), later=st.floats(0.0, 1.0))
+def test_a_stop_of_a_stop_keeps_limits_too(robot, motion, part, later):
+    """What a limit is passed by does not add up."""
+    first = stopped(motion, part * motion.duration, robot)
+    begin = motion.time[min(first.row, motion.samples - 1)]
+    again = stopped(first.trajectory, begin + later * (first.trajectory.duration - begin), robot)
+    trajectory = again.trajectory
+    assert not trajectory.velocity[-1].any()
+    assert (np.abs(trajectory.acceleration) <= robot.acceleration_limit * 1.001).all()
+    slower = scaled(first.trajectory, [(0.0, 1.0), (begin + 0.04, 1.0), (begin + 0.04, 0.5)], robot)
+    assert (np.abs(slower.trajectory.acceleration) <= robot.acceleration_limit * 1.001).all()
+
+
+@settings(max_examples=20)
 @given(motion=with_motion(), part=st.floats(0.05, 0.6))
 def test_a_stop_is_about_as_quick_as_limits_allow(robot, motion, part):
     """Beside the least time that one joint alone needs, the jerk's ramps and what the other joints do come to it."""

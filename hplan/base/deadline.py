@@ -12,6 +12,7 @@ thread of its own, as kernels release Python's lock while they run.
 
 from __future__ import annotations
 
+import gc
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -31,6 +32,10 @@ Cancel: TypeAlias = Callable[[], object] | threading.Event
 
 #: How often a wish to cancel is asked for [s].
 POLL_S = 1e-3
+
+#: Within shorter deadlines Python's garbage is not collected, which takes tens of milliseconds where there are many
+#: objects: it waits until afterwards [s].
+UNCOLLECTED_S = 1.0
 
 #: Later than any time on the clock, yet finite, so that kernels look at the wish to cancel [s].
 _LATE = 1e300
@@ -150,6 +155,9 @@ def time_limit(deadline_s: float | None = None, cancel: Cancel | None = None) ->
         _ask(limit, cancel)
         threading.Thread(target=_watch, args=(limit, cancel, done), daemon=True, name="hplan-cancel").start()
     token = _CURRENT.set(limit)
+    collects = deadline_s is not None and deadline_s <= UNCOLLECTED_S and gc.isenabled()
+    if collects:
+        gc.disable()
     try:
         limit.check_cancelled()
         yield limit
@@ -158,6 +166,8 @@ def time_limit(deadline_s: float | None = None, cancel: Cancel | None = None) ->
         limit.check_cancelled()
         raise
     finally:
+        if collects:
+            gc.enable()
         _CURRENT.reset(token)
         done.set()
 

@@ -13,6 +13,7 @@ from typing import NamedTuple, TypeAlias, TypeVar
 import numpy as np
 
 from hplan.base.arrays import FloatArray
+from hplan.base.deadline import look
 from hplan.errors import CertificationError, ConfigurationInCollisionError, HplanError, TimingError
 from hplan.optimization.minimize_time import Effort, Level, TimeProblem, minimize_time
 from hplan.optimization.several_starts import NEAR
@@ -222,6 +223,7 @@ class Pick:
         possible = float(standoffs(context.robot, grasp.goal[None], longest, locked=locked).largest[0])
         if possible <= grasp.distance:
             return grasp.distance
+        look()
         path = ApproachPath(context.robot, grasp.goal, possible, locked)
         away = np.linspace(grasp.distance, possible, LOOKS)
         field = self.target.transit_world(grasp).field
@@ -261,6 +263,7 @@ class Pick:
             whole = timed(context, path)
         except TimingError:
             return None
+        look()
         tool = context.robot.tool_positions(whole.position)
         beyond = np.linalg.norm(tool - tool[-1], axis=1) >= grasp.distance - ROUNDING
         there = whole.since(int(np.flatnonzero(beyond)[-1]))
@@ -312,6 +315,7 @@ def flowing(task: PlanningTask, transit: Part, before: Pick | None, after: Pick 
     passing: list[Trajectory | None] = []
     tries, effort = TRIED[task.options.effort]
     for _ in range(tries):
+        look()
         known = passing
         passing = [None if pick is None else pick.passing(LEADS[number]) for pick in picks]
         if known and all(one is other for one, other in zip(known, passing, strict=True)):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import threading
 import time
 from collections.abc import Callable
@@ -152,3 +153,18 @@ def test_what_never_ends_is_read_only() -> None:
     with pytest.raises(ValueError, match="read-only"):
         NEVER[0] = 0.0
     np.testing.assert_array_equal(NEVER, [np.inf, 0.0, 1.0])
+
+
+def test_garbage_waits_until_a_short_deadline_is_over() -> None:
+    assert gc.isenabled()
+    with time_limit(0.5):
+        assert not gc.isenabled()
+        with time_limit(0.1):
+            pass
+        assert not gc.isenabled()
+    assert gc.isenabled()
+    with time_limit(1e3):
+        assert gc.isenabled()
+    with pytest.raises(ZeroDivisionError), time_limit(0.5):
+        raise ZeroDivisionError
+    assert gc.isenabled()

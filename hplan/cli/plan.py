@@ -273,6 +273,10 @@ def _show_summary(console: Console, result: PlanResult, folder: Path) -> None:
         add("bound", _bound_words(report["bound"], len(result.phases)))
     add("limits used", ", ".join(f"{name} {percent(used)}" for name, used in proof["limit_use"].items()) + " %")
     add("clearance", _clearance_words(proof))
+    if "in_time" in report:
+        told = report["in_time"]
+        slows = ", slows down" if told["slows_down"] else ""
+        add("what moves", f"{told['path']}, waits {told['waits_s']:.2f} s{slows}")
     if proof["nearest"] is not None:
         nearest = proof["nearest"]
         pair = f"{escape(nearest['link'])} to {escape(nearest['obstacle'])}"

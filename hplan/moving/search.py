@@ -141,10 +141,12 @@ def quickest_in_time(
         plan_still: Plans a scene in which nothing moves.
 
     Raises:
-        MovingObstacleError: The fruit that is the goal moves.
+        MovingObstacleError: The fruit that is the goal moves, or a bound is asked for.
         ObstacleInTimeError: No motion was certified; names an obstacle and the time at which it is in the way.
         HplanError: As `plan_still`, of the scene without what moves.
     """
+    if options.bound:
+        raise MovingObstacleError(scene.first_moving, "bounds of durations take scenes in which nothing moves")
     for fruit in scene.fruits:
         if fruit.name == scene.goal.fruit and (fruit.track is not None or scene.base_track is not None):
             moving = None if fruit.track is None else fruit.name

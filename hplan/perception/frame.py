@@ -55,7 +55,8 @@ class CloudOptions:
     Attributes:
         growth_m: Most by which a ball may grow where points become one; the voxels' edge is 1.15 times that.
         arm_padding_m: Points so near to the arm are taken for its own, where the joints are given: noise, calibration
-            and what the arm moved since. Nothing farther from it is taken away.
+            and what the arm moved since. Nothing farther from it is taken away. An obstacle as near as that is not
+            seen, and only kept if it was seen before (`keep_s`).
         ignore_padding_m: Points so near to what is to be ignored are left out.
         reach_margin_m: Points are left out that nothing of the arm can come nearer to than this, beyond the clearance
             to keep. Distances shown are right up to there.
@@ -252,7 +253,7 @@ def filter_frame(
     kept = len(points)
     old, forgotten = SeenPoints(), 0
     if frame.keep_s > 0.0 and len(before.points):
-        old, forgotten = _still_hidden(frame, before, (arm, left_out), options.most_remembered)
+        old, forgotten = _still_hidden(frame, before, (arm, left_out), options)
         growth_m = max(growth_m, old.growth_m)
         points = np.concatenate([points, old.points])
     points = frozen(points)
@@ -274,17 +275,24 @@ def filter_frame(
     return FilteredFrame(points, report, seen)
 
 
-def _still_hidden(frame: Frame, before: SeenPoints, taken_away: Sequence[Bodies], most: int) -> tuple[SeenPoints, int]:
-    """What was seen before and is hidden from this frame, where the arm is not; and how many points were too many."""
+def _still_hidden(
+    frame: Frame, before: SeenPoints, bodies: tuple[Bodies, Bodies], options: CloudOptions
+) -> tuple[SeenPoints, int]:
+    """What was seen before and cannot be seen in this frame, and how many points were too many.
+
+    So near to the arm that its padding hides it, a point stays, unless the arm stands in its ball: then it is gone.
+    """
+    arm, ignored = bodies
     young = frame.time_s - before.seen_s <= frame.keep_s
     points, seen_s = before.points[young], before.seen_s[young]
-    unseen = hidden((points - frame.position) @ frame.rotation, frame.points)
-    for bodies in taken_away:
-        unseen &= distances_from_bodies(points, bodies.rows, bodies.data) > 0.0
+    from_arm = distances_from_bodies(points, arm.rows, arm.data)
+    unseen = hidden((points - frame.position) @ frame.rotation, frame.points) | (from_arm <= 0.0)
+    unseen &= from_arm + options.arm_padding_m > frame.radius + before.growth_m
+    unseen &= distances_from_bodies(points, ignored.rows, ignored.data) > 0.0
     points, seen_s = points[unseen], seen_s[unseen]
-    forgotten = max(0, len(points) - most)
+    forgotten = max(0, len(points) - options.most_remembered)
     if forgotten:
-        latest = np.sort(np.argsort(-seen_s, kind="stable")[:most])
+        latest = np.sort(np.argsort(-seen_s, kind="stable")[: options.most_remembered])
         points, seen_s = points[latest], seen_s[latest]
     return SeenPoints(points, seen_s, before.growth_m, before.time_s), forgotten
 

@@ -7,8 +7,10 @@ cell the shortest range of a frame is noted, of the arm and of what is out of re
 - in which nothing was measured is out of view, or in a direction without a return: it stays;
 - in which everything that was measured is as far away as the point, or farther, is seen: the frame says what is there.
 
-So nothing is taken away that the camera does not see to be gone, but for its age. An outlier in front keeps what is
-behind it for as long. A point at the edge of something nearer counts as hidden with the whole of its cell.
+What is within the arm's padding cannot be told from the arm, and stays too, unless the arm stands in it
+(`hplan.perception.frame`). So nothing is taken away that the camera does not see to be gone, but for its age. An
+outlier in front keeps what is behind it for as long. A point at the edge of something nearer counts as hidden with the
+whole of its cell.
 """
 
 from __future__ import annotations

@@ -305,13 +305,25 @@ def test_what_the_camera_looks_through_is_forgotten(robot):
 
 def test_where_the_arm_is_nothing_is_remembered(robot):
     reaching = np.zeros(robot.dof)
-    first = take(
-        robot, robot.tool_positions(reaching) - CAMERA + np.random.default_rng(0).normal(size=(99, 3)) * 5e-3, 0.0
-    )
+    at_the_tool = robot.tool_positions(reaching) - CAMERA + np.random.default_rng(0).normal(size=(99, 3)) * 5e-3
+    first = take(robot, at_the_tool, 0.0)
     assert first.report.kept > 10
     there = take(robot, [], 0.1, first.seen, joints=reaching)
     assert there.report.remembered == 0
     assert take(robot, [], 0.1, first.seen, joints=TUCKED).report.remembered == first.report.kept
+
+
+def test_what_the_padding_hides_is_remembered(robot):
+    """A branch 25 mm beside the arm is taken for the arm in the next frame, but not forgotten."""
+    reaching = np.zeros(robot.dof)
+    x, y, z = robot.tool_positions(reaching) - CAMERA
+    beside = robot.arm.half_widths[-1] + 0.025
+    branch = np.column_stack([np.linspace(x - 0.3, x - 0.1, 50), np.full(50, y + beside), np.full(50, z)])
+    first = take(robot, branch, 0.0)
+    again = take(robot, branch, 0.1, first.seen, joints=reaching)
+    assert again.report.of_arm == 50
+    assert again.report.remembered == first.report.kept
+    assert (again.seen.seen_s == 0.0).all()
 
 
 def test_memory_is_bounded_and_the_oldest_go_first(robot):

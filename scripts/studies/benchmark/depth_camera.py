@@ -101,7 +101,7 @@ def ground(size_m: float = 12.0) -> Box:
 def camera_of(count: int, **values: object) -> DepthCamera:
     """A camera of about so many pixels, three wide to two high, beside the arm, above the shoulder."""
     width = round(math.sqrt(1.5 * count))
-    fields = {"position": (0.15, 0.35, 1.3), "target": (1.4, -0.1, 1.0), "width": width, "height": round(count / width)}
+    fields = {"position": (-0.35, 0.5, 1.7), "target": (1.4, 0.0, 0.9), "width": width, "height": round(count / width)}
     return DepthCamera(**{**fields, **values})  # type: ignore[arg-type]
 
 

@@ -37,6 +37,9 @@ from hplan.verification.start_state import start_state
 if TYPE_CHECKING:
     from hplan.lower_bound.duration_bound import DurationBound
 
+#: With a deadline this part of the time that the world took to make is kept: freeing it afterwards takes time too.
+FREED = 0.25
+
 
 @dataclass(frozen=True)
 class Phase:
@@ -278,12 +281,14 @@ def _planned(
         return _result(context, *all_parts(context, begin))
     best: PlanResult | None = None
     count, first_s, cut_short = 0, 0.0, False
+    freeing_s = FREED * limit.elapsed_s
+    limit.keep(freeing_s)
     try:
         for parts in parts_in_time(context, begin):
             since_s = limit.elapsed_s
             best = _result(context, *parts)
             count, first_s = count + 1, first_s or limit.elapsed_s
-            limit.keep(limit.elapsed_s - since_s)  # for the report of the next one
+            limit.keep(freeing_s + limit.elapsed_s - since_s)  # for the report of the next one
     except TimeIsUpError:
         limit.check_cancelled()
         cut_short = True

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import pytest
-from toy_urdf import SIX_AXIS_LIMITS, six_axis_arm
+from toy_urdf import SIX_AXIS_LIMITS, seven_axis_arm, six_axis_arm
 
 from hplan.errors import InputError
 from hplan.robot.model import Robot, load_robot
 
-#: Six axes of simple shapes; joints that slide and turn; two of example-robot-data.
-ARMS = ("toy", "lift", "panda", "ur5")
+#: Six and seven axes of simple shapes; joints that slide and turn; two of example-robot-data.
+ARMS = ("toy", "seven", "lift", "panda", "ur5")
 
 _KNOWN: dict[str, Robot] = {}
 
@@ -47,8 +47,8 @@ def loaded_arm(name: str, folders: pytest.TempPathFactory) -> Robot:
             path.write_text(six_axis_arm())
             path.with_suffix(".limits.yaml").write_text(SIX_AXIS_LIMITS)
             _KNOWN[name] = load_robot(path)
-        elif name == "lift":
-            _KNOWN[name] = load_robot(LIFT)
+        elif name in ("lift", "seven"):
+            _KNOWN[name] = load_robot(LIFT if name == "lift" else seven_axis_arm())
         else:
             try:
                 _KNOWN[name] = load_robot(name)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 LIMIT = '<limit lower="-3" upper="3" velocity="2" effort="60"/>'
 
 
@@ -61,5 +63,47 @@ def six_axis_arm() -> str:
     parts.append(
         f'<joint name="flange" type="fixed"><parent link="{parent}"/><child link="tool0"/>'
         '<origin xyz="0 0.08 0"/></joint><link name="tool0"/></robot>'
+    )
+    return "\n".join(parts)
+
+
+#: Joints in the manner of a KUKA LBR iiwa 14, which stands upright at 0: height above the joint before [m], axis, range
+#: [deg], speed [deg/s], torque [N m], acceleration [rad/s^2]; mass of the link [kg], radius and length of its cylinder
+#: and the height of its middle [m].
+_SEVEN_AXES = (
+    (0.1575, "0 0 1", 170, 85, 320, 8.57, 5.8, 0.09, 0.28, 0.12),
+    (0.2025, "0 1 0", 120, 85, 320, 8.57, 6.4, 0.09, 0.26, 0.10),
+    (0.2045, "0 0 1", 170, 100, 176, 8.74, 3.5, 0.08, 0.28, 0.12),
+    (0.2155, "0 -1 0", 120, 75, 176, 11.36, 3.5, 0.08, 0.24, 0.09),
+    (0.1845, "0 0 1", 170, 130, 110, 12.23, 3.5, 0.07, 0.26, 0.12),
+    (0.2155, "0 1 0", 120, 135, 40, 15.72, 1.8, 0.065, 0.12, 0.03),
+    (0.081, "0 0 1", 175, 135, 40, 15.72, 1.2, 0.045, 0.04, 0.025),
+)
+
+
+def seven_axis_arm() -> str:
+    """An arm of the kind of an iiwa, of cylinders; a URDF of version 1.2, with accelerations."""
+
+    def cylinder(radius: float, length: float, middle: float) -> str:
+        return (
+            f'<collision><origin xyz="0 0 {middle}"/><geometry><cylinder radius="{radius}" length="{length}"/>'
+            "</geometry></collision>"
+        )
+
+    parts = [f'<robot name="seven_axes"><link name="base_link">{cylinder(0.12, 0.15, 0.075)}</link>']
+    parent = "base_link"
+    for number, (height, axis, turn, speed, torque, push, mass, *shape) in enumerate(_SEVEN_AXES, start=1):
+        end, rate, inertia = math.radians(turn), math.radians(speed), 0.004 * mass
+        parts.append(
+            f'<joint name="joint_{number}" type="revolute"><parent link="{parent}"/><child link="link_{number}"/>'
+            f'<origin xyz="0 0 {height}"/><axis xyz="{axis}"/><limit lower="{-end}" upper="{end}" velocity="{rate}" '
+            f'effort="{torque}" acceleration="{push}"/></joint><link name="link_{number}"><inertial>'
+            f'<origin xyz="0 0 {shape[2]}"/><mass value="{mass}"/><inertia ixx="{inertia}" iyy="{inertia}" '
+            f'izz="{inertia}" ixy="0" ixz="0" iyz="0"/></inertial>{cylinder(*shape)}</link>'
+        )
+        parent = f"link_{number}"
+    parts.append(
+        f'<joint name="flange" type="fixed"><parent link="{parent}"/><child link="tool0"/><origin xyz="0 0 0.045"/>'
+        '</joint><link name="tool0"/></robot>'
     )
     return "\n".join(parts)

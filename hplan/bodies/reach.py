@@ -84,6 +84,25 @@ def points_reach(
     return found
 
 
+def largest_sway(robot: Robot, deviation: FloatArray) -> FloatArray:
+    """Largest distance of any part of a robot from its place when joints are off by `deviation` at most.
+
+    Of an arm of the planar family that of its links' axes (`PlanarFamily.sway`), of any other that of its bodies.
+
+    Args:
+        robot: The robot.
+        deviation: (..., dof) deviations [rad, m].
+
+    Returns:
+        (...) distances [m].
+    """
+    if robot.planar is not None:
+        found: FloatArray = robot.planar.sway(deviation).max(axis=-1)
+        return found
+    sways: FloatArray = (deviation @ reach(robot).T).max(axis=-1, initial=0.0)
+    return sways
+
+
 def joint_axis(robot: Robot, joint: int) -> tuple[FloatArray, bool]:
     """The (3,) unit axis of a joint in its own frame, and whether it slides along it; else it turns about it."""
     moved = robot.model.joints[joint + 1]

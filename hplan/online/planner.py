@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
 from hplan.base.deadline import Cancel, time_limit
+from hplan.bodies.reach import largest_sway
 from hplan.errors import InputError, SceneError
 from hplan.online.splice import RunningMotion, SplicedResult
 from hplan.perception.frame import CloudOptions, Frame, FrameReport, SeenPoints, filter_frame
@@ -277,7 +278,7 @@ class Planner:
 
     def _largest_sway_m(self) -> float:
         """How far tracking errors may take the arm from where it is sent [m]."""
-        return float(self.robot.sway(self.options.tracking.deviations(self.robot.velocity_limit)).max())
+        return float(largest_sway(self.robot, self.options.tracking.deviations(self.robot.velocity_limit)))
 
     def _change(self, obstacles: tuple[Sphere | Capsule | Cylinder | Box | Mesh | PointCloud, ...]) -> None:
         # The names were looked at, and the obstacles are checked: no need to check the scene again.

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hplan.base.arrays import FloatArray
+from hplan.bodies.reach import largest_sway
 from hplan.collision.clearance_field import ClearanceField
 from hplan.robot.limits import GeometricPath, Limits
 from hplan.robot.model import Robot
@@ -54,7 +55,11 @@ class SpeedCeiling:
         inner = np.arange(SAMPLES) / SAMPLES
         samples = np.append((grid[:-1, None] + np.diff(grid)[:, None] * inner).ravel(), grid[-1])
         clear = np.maximum(self.field.along(self.path.evaluate(samples)), LEAST)
-        sway = self.delay_s * self.robot.sway(np.abs(self.path.evaluate(samples, 1)))
+        rates = np.abs(self.path.evaluate(samples, 1))
+        if self.robot.planar is not None:
+            sway = self.delay_s * self.robot.planar.sway(rates)
+        else:  # of whatever moves most, against the least clearance
+            sway, clear = self.delay_s * largest_sway(self.robot, rates)[:, None], clear.min(axis=1, keepdims=True)
         with np.errstate(divide="ignore"):
             ceiling = (self.fraction * clear / sway).min(axis=1)
         tight = np.flatnonzero(ceiling < self._fastest(samples))

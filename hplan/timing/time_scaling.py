@@ -27,6 +27,7 @@ import numpy as np
 
 from hplan.base.arguments import instance, is_number, number
 from hplan.base.arrays import FloatArray, Record, numbers
+from hplan.bodies.reach import largest_sway
 from hplan.errors import InputError, OptionError, TimingError
 from hplan.robot.model import Robot
 from hplan.timing.speed_profile import MOST_ROWS
@@ -322,7 +323,7 @@ def _with_rows(rest: Trajectory, robot: Robot, period: float, clock: FloatArray,
     largest = np.abs(rest.acceleration).max(axis=0)
     step = float(np.diff(clock).max())
     off = np.abs(points - on_path)[1:].max(axis=0) + step**2 / 6.0 * largest
-    return Retimed(trajectory, 0, np.clip(clock[1:-1], 0.0, rest.duration), off, float(robot.sway(off).max()))
+    return Retimed(trajectory, 0, np.clip(clock[1:-1], 0.0, rest.duration), off, float(largest_sway(robot, off)))
 
 
 def _factors(profile: Profile) -> tuple[Callable[[FloatArray], FloatArray], float, float]:

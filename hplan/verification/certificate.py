@@ -19,9 +19,9 @@ it then. Shown is the motion, from its begin to its end; how long the arm may re
 The work is bounded: in proportion to the number of rows, whatever stands in them. What cannot be shown with it is not
 verified.
 
-Assumed: rigid links inside their capsules or collision bodies, obstacles where the scene says, and when, tracking within a model of its
-error (`hplan.robot.tracking`; it takes from the clearance; the limits are those of the commanded motion). Not covered:
-flexing, the base's own motion but for its track, contact forces, what is not in the scene.
+Assumed: rigid links inside their capsules or collision bodies, obstacles where the scene says, and when, tracking
+within a model of its error (`hplan.robot.tracking`; it takes from the clearance; the limits are those of the commanded
+motion). Not covered: flexing, the base's own motion but for its track, contact forces, what is not in the scene.
 """
 
 from __future__ import annotations

@@ -298,6 +298,21 @@ CASES: dict[str, Case] = {
         {"name": "ball"},
         {"name": (*NO_NAME, "nothing"), "center": NO_VECTOR, "radius": NO_LENGTH, "size": (1.0,), "kind": ("box",)},
     ),
+    "Planner.set_cloud": (
+        a_planner().set_cloud,
+        {"name": "seen", "points": [[1.0, 0.5, 1.0]], "radius": 0.01},
+        {
+            "name": (*NO_NAME, "ball"),
+            "points": ("points", 1.0, [1.0], [[1.0, 2.0]], [["a", "b", "c"]]),
+            "radius": NO_LENGTH,
+            "pose": ("pose", 1.0, [1.0] * 5, [[0.0] * 4] * 4),
+            "joints": ("joints", 1.0, [0.0], [float("nan")] * 4),
+            "ignore": ("ball", 1, [1], ["nothing"], ["seen"]),
+            "keep_s": (-1.0, float("nan"), "1"),
+            "time_s": (float("nan"), "1"),
+            "options": NO_OBJECT[1:],
+        },
+    ),
     "Planner.aim": (
         a_planner().aim,
         {},

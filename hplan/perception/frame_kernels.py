@@ -342,7 +342,10 @@ def mark_isolated(voxels: Voxels, placement: Placement, least: int, distance: fl
     for number in range(len(counts)):
         if 0 < counts[number] < least:
             near, key = 0, _cell_of(boxes[number], reach, edge)
-            for step in range(27):
+            for turn in range(27):
+                if near >= least:
+                    break
+                step = (turn + 13) % 27  # its own cell first
                 beside = ((step // 9 - 1) << (2 * BITS)) + ((step // 3 % 3 - 1) << BITS) + step % 3 - 1
                 place = _place(key + beside, keys)
                 other = last[place] if keys[place] >= 0 else -1

@@ -231,7 +231,7 @@ class Window:
     def clear(self, row: int) -> np.ndarray:
         clear = np.ones(len(self.configurations), dtype=np.bool_)
         middle = len(clear) // 2
-        clear[middle - 2 : middle + 3] = row >= self._opens
+        clear[middle - 1 : middle + 2] = row >= self._opens
         return clear
 
 

@@ -37,6 +37,9 @@ from hplan.timing.trajectory import Trajectory, cubic_pieces, joined
 #: How far the arm may leave the path [m], and how often rows may be made twice as dense for it.
 OFF_PATH, DENSER = 1e-4, 8
 
+#: By so little a joint that comes to its limit may pass it [rad].
+AT_LIMIT = 2e-7
+
 #: By so much of a limit rows may pass it where the motion itself does not, and at most unless it does: of velocity,
 #: acceleration and torque; and of jerk.
 SPARE, MOST_SPARE, SPARE_JERK = 7e-4, 9.5e-4, 0.03
@@ -201,7 +204,11 @@ def _retimed(
     period = _period(rest, 0)
     for halving in range(DENSER):
         found = _with_period(rest, robot, period * 0.5**halving, wanted, final_s)
-        if found is not None and found.off_path_m <= OFF_PATH:
+        q = rest.position if found is None else found.trajectory.position
+        within = (q >= np.minimum(robot.lower, rest.position.min(axis=0)) - AT_LIMIT).all() and (
+            q <= np.maximum(robot.upper, rest.position.max(axis=0)) + AT_LIMIT
+        ).all()
+        if found is not None and found.off_path_m <= OFF_PATH and within:
             before = trajectory.until(row)
             whole = joined([before, found.trajectory]) if row > 0 else found.trajectory
             clock = np.concatenate([before.time[:-1], trajectory.time[row] + found.clock])

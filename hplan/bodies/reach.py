@@ -69,6 +69,28 @@ def points_reach(
         rounding: Radius about the points [m].
         beyond: How far joints that slide may be beyond their limits [m].
     """
+    return _carried(robot, points, joint, rounding, beyond)[0]
+
+
+def reach_ball(robot: Robot) -> FloatArray:
+    """(4,) centre, in `base_link`, and radius of a ball that holds all bodies at all configurations [m]."""
+    return robot.once("ball of all bodies", lambda: _reach_ball(robot))
+
+
+def _reach_ball(robot: Robot) -> FloatArray:
+    bodies = collision_bodies(robot)
+    held = [_carried(robot, body.core, body.joint, body.rounding, 0.0)[1] for body in bodies]
+    # Distances from where the first joint is are kept as it turns.
+    centre = np.array(robot.model.jointPlacements[1].translation)
+    far = [np.linalg.norm(points - centre, axis=1).max() for points in held]
+    largest = max((float(away) + body.rounding for away, body in zip(far, bodies, strict=True)), default=0.0)
+    return frozen(np.append(centre, largest * (1.0 + _ROUND_OFF)))
+
+
+def _carried(
+    robot: Robot, points: FloatArray, joint: int, rounding: float, beyond: float
+) -> tuple[FloatArray, FloatArray]:
+    """A row of `reach`, and points in `base_link` whose hull holds the given ones at all configurations."""
     found = np.zeros(robot.dof)
     for carrier in carriers(robot, joint):
         axis, slides = joint_axis(robot, carrier)
@@ -81,7 +103,7 @@ def points_reach(
             found[carrier] = radius + rounding
         placement = robot.model.jointPlacements[carrier + 1]
         points = points @ placement.rotation.T + placement.translation
-    return found
+    return found, points
 
 
 def largest_sway(robot: Robot, deviation: FloatArray) -> FloatArray:

@@ -1,4 +1,7 @@
-"""The arm as solids that a camera sees, capsules of links and hulls of turret and pedestal, and how far it reaches."""
+"""The arm as solids that a camera sees, and how far it reaches.
+
+A planar arm is the capsules of its links and the hulls of turret and pedestal; any other robot is its collision bodies.
+"""
 
 from __future__ import annotations
 
@@ -6,8 +9,11 @@ import math
 from functools import partial
 
 import numpy as np
+import pinocchio as pin
 
 from hplan.base.arrays import FloatArray, frozen
+from hplan.bodies import reach
+from hplan.bodies.collision_bodies import collision_bodies
 from hplan.collision.obstacle_rows import convex_solid
 from hplan.robot.base_shapes import TURRET, base_shapes
 from hplan.robot.model import Robot
@@ -15,7 +21,9 @@ from hplan.scene.obstacles import Capsule, Solid
 
 
 def arm_solids(robot: Robot, q: FloatArray) -> tuple[Solid, ...]:
-    """The arm at a (dof,) configuration: its links as the planner's capsules, then turret and pedestal."""
+    """The arm at a (dof,) configuration: links as the planner's capsules, then turret and pedestal; or its bodies."""
+    if robot.planar is None:
+        return _bodies(robot, q)
     origin, (forward, upward, normal) = robot.plane_at(robot.yaw_of(q))
     arm = robot.arm
     points = origin + arm.joint_points(q[robot.arm_slice]) @ np.stack([forward, upward])
@@ -25,6 +33,21 @@ def arm_solids(robot: Robot, q: FloatArray) -> tuple[Solid, ...]:
         ends = {"from": tuple((points[k] + beside).tolist()), "to": tuple((points[k + 1] + beside).tolist())}
         links.append(Capsule.model_validate({"name": name, **ends, "radius": float(arm.half_widths[k])}))
     return (*links, *_base_solids(robot, robot.yaw_of(q)))
+
+
+def _bodies(robot: Robot, q: FloatArray) -> tuple[Solid, ...]:
+    """The collision bodies of a robot; what no joint moves is made once."""
+    data = robot.model.createData()
+    pin.forwardKinematics(robot.model, data, q)
+    found = []
+    for number, body in enumerate(collision_bodies(robot)):
+        if body.joint < 0:
+            make = partial(convex_solid, body.name, body.core, body.rounding)
+            found.append(robot.once(("ground_solid", number), make))
+        else:
+            place = data.oMi[body.joint + 1]
+            found.append(convex_solid(body.name, body.core @ place.rotation.T + place.translation, body.rounding))
+    return tuple(found)
 
 
 def _base_solids(robot: Robot, yaw: float) -> tuple[Solid, ...]:
@@ -48,6 +71,8 @@ def reach_ball(robot: Robot) -> FloatArray:
 
 
 def _reach_ball(robot: Robot) -> FloatArray:
+    if robot.planar is None:
+        return reach.reach_ball(robot)
     arm = robot.arm
     # About the yaw axis, at the height of the shoulder: turning keeps distances from there.
     ahead, across = robot.shoulder_from_axis if robot.has_yaw else (0.0, 0.0)

@@ -126,6 +126,10 @@ class Robot(PlanarNames, Record):
         """Inverse dynamics of the model."""
         return InverseDynamics.of(self.model)
 
+    def yaw_of(self, q: ArrayLike) -> float:
+        """Yaw of a configuration: 0 for a robot without one, and for any that is no planar arm."""
+        return 0.0 if self.planar is None else self.planar.yaw_of(q)
+
     def tool_positions(self, q: ArrayLike) -> FloatArray:
         """Tool positions of configurations, (..., dof) -> (..., 3), in `base_link` [m]."""
         if self.planar is not None:

@@ -204,10 +204,6 @@ class PlanarNames:
         """Places of the planar joints in a configuration."""
         return self.family.arm_slice
 
-    def yaw_of(self, q: ArrayLike) -> float:
-        """Yaw of a configuration (0 for a robot without one)."""
-        return self.family.yaw_of(q)
-
     def plane_at(self, yaw: float) -> tuple[FloatArray, FloatArray]:
         """The arm plane turned by `yaw` (`PlanarFamily.plane_at`)."""
         return self.family.plane_at(yaw)

@@ -194,7 +194,7 @@ def certify(
                 raise MovingObstacleError(None if fruit.track is None else fruit.name, "a fruit to pick must not move")
             whole = slice(0, len(bezier))
             contact = whole if goal_contact == "motion" else contact_window(robot, bezier, fruit.center)
-        yaw, still = 0.0 if robot.planar is None else robot.yaw_of(trajectory.position[0]), solids
+        yaw, still = robot.yaw_of(trajectory.position[0]), solids
         if checker.moving is not None:
             still = tuple(solid for number, solid in enumerate(solids) if number not in checker.moving.numbers)
             violations += moving_base_contacts(robot, checker.moving, yaw, begin_s, begin_s + trajectory.duration)

@@ -11,14 +11,17 @@ import pytest
 from any_arms import ARMS, loaded_arm
 
 from hplan.bodies.collision_bodies import body_shapes, collision_bodies
+from hplan.bodies.reach import largest_sway, reach, reach_ball
 from hplan.bodies.touching_pairs import self_pairs
 from hplan.collision.coal_scene import CoalScene, check_clear
 from hplan.collision.coal_shapes import solid_shape
 from hplan.errors import ConfigurationInCollisionError, InputError, RobotFamilyError
+from hplan.perception.arm_shape import arm_solids
 from hplan.robot.model import Robot
 from hplan.scene.model import Fruit, Goal, Scene, Start
 from hplan.scene.obstacles import Box, Capsule, Sphere
 from hplan.scene.solids import Cloud
+from hplan.scene.tracks import Track
 from hplan.timing.trajectory import Trajectory, cubic_pieces
 from hplan.verification import goal_contact
 from hplan.verification.body_travel import body_motion
@@ -355,3 +358,52 @@ def test_a_fruit_is_a_goal_of_any_robot(load):
     assert certificate.contact_s is not None
     whole = certify(robot, scene, motion, checker=CoalScene(robot, scene.solids_with_goal))
     assert [line for line in whole.violations if "'apple'" in line]
+
+
+@pytest.mark.parametrize("name", ["seven", "lift"])
+def test_obstacles_that_move(load, name):
+    """A ball flies past, or through, an arm that moves slowly; against coal at close times."""
+    robot, rng = load(name), np.random.default_rng(20)
+    start, end = free_configurations(robot, 2, seed=21)
+    trajectory = motion_between(robot, start, start + 0.1 * (end - start))
+    duration, bezier = trajectory.duration, cubic_pieces(trajectory)[0]
+    outcomes = set()
+    for _ in range(12):
+        middle = robot.tool_positions(trajectory.position[20]) + rng.normal(size=3) * 0.25
+        way = rng.normal(size=3) * 0.5
+        track = Track(times_s=(0.0, duration), shifts_m=(tuple(-way), tuple(way)))
+        ball = Sphere(name="ball", center=tuple(middle), radius=0.05, track=track)
+        certificate = certify(robot, scene_of(robot, trajectory, [ball], 0.002), trajectory)
+        least = np.inf
+        for part in np.linspace(0.0, 1.0, 200):
+            there = Sphere(name="ball", center=tuple(middle - way + 2.0 * part * way), radius=0.05)
+            checker = CoalScene(robot, [there])
+            of_ball = len(checker.pairs) - len(checker.own_others)
+            q = point_at(bezier, float(np.interp(part * duration, trajectory.time, np.arange(trajectory.samples))))
+            least = min(least, float(checker.pair_distances(q)[:of_ball].min()))
+        clear = not [line for line in certificate.violations if "comes" in line]
+        if clear:
+            assert least >= certificate.min_clearance_m - 1e-9
+        if least <= 0.002:
+            assert not clear
+        outcomes.add(clear)
+    assert outcomes == {True, False}
+
+
+@pytest.mark.parametrize("name", ["seven", "lift", "panda"])
+def test_ball_of_all_bodies_holds_them(load, name):
+    robot, rng = load(name), np.random.default_rng(22)
+    *centre, radius = reach_ball(robot)
+    for q in rng.uniform(robot.lower, robot.upper, (50, robot.dof)):
+        for solid in arm_solids(robot, q):
+            away = np.linalg.norm(solid.core - centre, axis=1).max() + solid.rounding
+            assert away <= radius + 1e-9
+    assert len(arm_solids(robot, q)) == len(collision_bodies(robot))
+
+
+def test_sway_of_any_robot(load, robot):
+    seven = load("seven")
+    off = np.full(seven.dof, 0.01)
+    assert largest_sway(seven, off) == (reach(seven) @ off).max()
+    assert largest_sway(robot, np.full(robot.dof, 0.01)) == robot.sway(0.01).max()
+    assert seven.yaw_of(np.ones(7)) == 0.0

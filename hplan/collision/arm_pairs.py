@@ -120,8 +120,12 @@ def own_pairs(robot: Robot, deviation: float) -> SelfPairs:
     return self_pairs(robot, BEYOND * max(1, math.ceil(deviation / BEYOND - 1e-9)))
 
 
-def body_pairs(robot: Robot, pairs: SelfPairs) -> Iterator[ArmPair]:
-    """Pairs of a robot's bodies, in their order; the one that more joints carry is the mover."""
+def body_pairs(robot: Robot, pairs: SelfPairs) -> tuple[ArmPair, ...]:
+    """Pairs of a robot's bodies, in their order; the one that more joints carry is the mover. Made once."""
+    return robot.once(("body_pairs", id(pairs)), lambda: tuple(_body_pairs(robot, pairs)))
+
+
+def _body_pairs(robot: Robot, pairs: SelfPairs) -> Iterator[ArmPair]:
     bodies, shapes, links = collision_bodies(robot), body_shapes(robot), list(moving_bodies(robot))
     for pair in pairs.checked:
         still, moved = sorted(pair, key=lambda body: len(carriers(robot, bodies[body].joint)))

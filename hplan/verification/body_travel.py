@@ -73,27 +73,24 @@ def body_motion(
     rates = 3.0 * np.abs(np.diff(bezier, axis=1)).max(axis=1)
     middles = 0.125 * (bezier[:, 0] + bezier[:, 3]) + 0.375 * (bezier[:, 1] + bezier[:, 2])
     bounds = reach(robot, _beyond(robot, deviations))
-    moved = _of_movers(_travels(np.ascontiguousarray(middles), rates, bounds, _arm(robot)), movers)
-    return _mover_of(checker, movers), moved.T, _of_movers(bounds[None], movers, deviations).T
+    travels = _travels(np.ascontiguousarray(middles), rates, bounds, _arm(robot))
+    moved = _sums(travels, movers.first, movers.second, movers.counts)
+    return _mover_of(checker, movers), moved, _of_movers(bounds, movers, deviations)
 
 
 def body_sways(checker: CoalScene, pairs: SelfPairs, deviations: FloatArray) -> FloatArray:
     """(pairs, k) by how much (k, dof) deviations of the joints may bring each pair nearer [m]."""
     robot, movers = checker.robot, _movers(checker.robot, pairs)
     bounds = reach(robot, _beyond(robot, deviations))
-    sways: FloatArray = _of_movers(bounds[None], movers, deviations).T[_mover_of(checker, movers)]
+    sways: FloatArray = _of_movers(bounds, movers, deviations)[_mover_of(checker, movers)]
     return sways
 
 
-def _of_movers(bounds: FloatArray, movers: _Movers, factors: FloatArray | None = None) -> FloatArray:
-    """(k, movers) sums over the joints that count of what (k, bodies, dof) says of the bodies of each mover.
-
-    Bounds of k = 1 are multiplied with (k, dof) factors.
-    """
-    second = np.where((movers.second >= 0)[:, None], bounds[:, movers.second], 0.0)
-    both = (bounds[:, movers.first] + second) * movers.counts
-    result: FloatArray = both.sum(axis=2) if factors is None else factors @ both[0].T
-    return result
+def _of_movers(bounds: FloatArray, movers: _Movers, deviations: FloatArray) -> FloatArray:
+    """(movers, k) how far (k, dof) deviations take each mover, by the (bodies, dof) bounds R [m]."""
+    second = np.where((movers.second >= 0)[:, None], bounds[movers.second], 0.0)
+    sways: FloatArray = ((bounds[movers.first] + second) * movers.counts) @ deviations.T
+    return sways
 
 
 def largest_body_sway(robot: Robot, deviation: FloatArray) -> float:
@@ -209,6 +206,24 @@ def _travels(middles: FloatArray, rates: FloatArray, reach: FloatArray, arm: _Ar
                     result[piece, b, j] = min(reach[b, j], radius) * rates[piece, j]
                 outer += reach[b, j] * rates[piece, j]
                 j = parents[j]
+    return result
+
+
+@kernel
+def _sums(travels: FloatArray, first: IntArray, second: IntArray, counts: FloatArray) -> FloatArray:
+    """(movers, pieces) what the joints that count move a mover's bodies by, of (pieces, bodies, dof) travels."""
+    pieces, _, dof = travels.shape
+    result = np.zeros((len(first), pieces))
+    for mover in range(len(first)):
+        a, b = first[mover], second[mover]
+        for piece in range(pieces):
+            total = 0.0
+            for j in range(dof):
+                if counts[mover, j] > 0.0:
+                    total += travels[piece, a, j]
+                    if b >= 0:
+                        total += travels[piece, b, j]
+            result[mover, piece] = total
     return result
 
 

@@ -29,8 +29,8 @@ BODIES, DOF, JOINTS, REACHES, HEAD = 0, 1, 2, 3, 4
 
 #: Numbers of a joint: with q its value, it is turned in its parent's frame by the first nine, the next nine by cos(q)
 #: and the next by sin(q), row by row; and stands at a place, shifted by q times a direction (3 each); its parent's
-#: number (`dof` for the base) comes last.
-PLACE, SHIFT, PARENT, JOINT_SIZE = 27, 30, 33, 34
+#: number (`dof` for the base) follows, and the axis that it turns about in its own frame (3), zeros if it slides.
+PLACE, SHIFT, PARENT, TURN, JOINT_SIZE = 27, 30, 33, 34, 37
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,14 +56,26 @@ class FlatBodies(Record):
             own_clearance: Clearance that pairs are to keep [m].
             deviation: By how much every joint may be off [rad, m]: bodies are as much thicker as they may then sway.
         """
+        still = robot.once("flat bodies", lambda: cls._still(robot))
+        bodies, pairs = collision_bodies(robot), self_pairs(robot)
+        rows, count = still.movers.copy(), len(bodies)
+        sway = deviation * still.numbers[int(still.numbers[REACHES]) :][: rows.shape[0] * robot.dof]
+        sway = sway.reshape(-1, robot.dof).sum(axis=1)
+        for column in (ROUNDING, BALL_RADIUS, AXIS_RADIUS):
+            rows[:count, column] += sway[:count]
+        for column in (TOUCHING, BALLS):
+            rows[count:, column] += sway[count:] + pairs.needed(own_clearance)
+        return cls(frozen(rows), still.numbers)
+
+    @classmethod
+    def _still(cls, robot: Robot) -> FlatBodies:
+        """The same without deviation, where pairs may touch."""
         bodies, pairs = collision_bodies(robot), self_pairs(robot)
         reaches = np.concatenate([reach(robot), pairs.reach])
-        sway = deviation * reaches.sum(axis=1)
         joints = np.array([_joint(robot, joint) for joint in range(robot.dof)]).reshape(-1, JOINT_SIZE)
         first = HEAD + joints.size + reaches.size
         head = [len(bodies), robot.dof, HEAD, HEAD + joints.size]
-        rows = np.zeros((len(reaches), COLUMNS))
-        points: list[FloatArray] = []
+        rows, points = np.zeros((len(reaches), COLUMNS)), list[FloatArray]()
         for row, body in enumerate(bodies):
             rows[row, JOINT] = robot.dof if body.joint == GROUND else body.joint
             end = first + body.core.size
@@ -71,20 +83,16 @@ class FlatBodies(Record):
             rows[row, FIRST], rows[row, LAST], rows[row, TABLE] = first, end, end if len(table) else 0
             points += [body.core.ravel(), table]
             first = end + len(table)
-            rows[row, ROUNDING] = body.rounding + sway[row]
+            rows[row, ROUNDING] = body.rounding
             rows[row, BALL:BALL_RADIUS], radius = _ball(body.core)
-            rows[row, BALL_RADIUS] = radius * (1.0 + 1e-12) + rows[row, ROUNDING]
+            rows[row, BALL_RADIUS] = radius * (1.0 + 1e-12) + body.rounding
             rows[row, AXIS:AXIS_RADIUS], radius = _axis(body.core)
-            rows[row, AXIS_RADIUS] = radius * (1.0 + 1e-12) + rows[row, ROUNDING]
+            rows[row, AXIS_RADIUS] = radius * (1.0 + 1e-12) + body.rounding
+        depth = [len(carriers(robot, body.joint)) for body in bodies]
         for row, (i, j) in enumerate(pairs.checked, start=len(bodies)):
-            outer, inner = (
-                (i, j) if len(carriers(robot, bodies[i].joint)) > len(carriers(robot, bodies[j].joint)) else (j, i)
-            )
-            needed = pairs.needed(own_clearance)[row - len(bodies)]
-            balls = sum(rows[body, BALL_RADIUS] - rows[body, ROUNDING] for body in (i, j))
-            touching = bodies[i].rounding + bodies[j].rounding + needed + sway[row]
-            rows[row, OUTER], rows[row, INNER] = outer, inner
-            rows[row, TOUCHING], rows[row, BALLS] = touching, balls + touching
+            rows[row, OUTER], rows[row, INNER] = (i, j) if depth[i] > depth[j] else (j, i)
+            rows[row, TOUCHING] = bodies[i].rounding + bodies[j].rounding
+            rows[row, BALLS] = rows[i, BALL_RADIUS] + rows[j, BALL_RADIUS]
         return cls(frozen(rows), frozen(np.concatenate([head, joints.ravel(), reaches.ravel(), *points])))
 
 
@@ -104,6 +112,7 @@ def _joint(robot: Robot, joint: int) -> FloatArray:
     numbers[SHIFT:PARENT] = place.rotation @ axis if slides else 0.0
     parent = int(model.parents[joint + 1]) - 1
     numbers[PARENT] = robot.dof if parent < 0 else parent
+    numbers[TURN:JOINT_SIZE] = 0.0 if slides else axis
     return numbers
 
 

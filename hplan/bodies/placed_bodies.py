@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from hplan.base.arrays import FloatArray
 from hplan.base.kernels import kernel
 from hplan.bodies import flat_bodies as flat
@@ -16,10 +14,11 @@ CENTRE, START, ALONG, PLACED = 12, 15, 18, 21
 
 
 @kernel
-def place_bodies(q: FloatArray, movers: FloatArray, numbers: FloatArray, placed: FloatArray) -> None:
-    """Write the frame, the centre and the axis of every body at a configuration."""
+def place_bodies(
+    q: FloatArray, movers: FloatArray, numbers: FloatArray, frames: FloatArray, placed: FloatArray
+) -> None:
+    """Write the (dof + 1, 12) frames of joints and base at a configuration, and where every body is."""
     dof, joints = int(numbers[flat.DOF]), int(numbers[flat.JOINTS])
-    frames = np.empty((dof + 1, 12))
     for c in range(12):
         frames[dof, c] = 1.0 if c == 0 or c == 4 or c == 8 else 0.0
     for j in range(dof):

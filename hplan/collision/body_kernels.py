@@ -9,7 +9,7 @@ convex_distance`) less both radii. Bounding balls come first, then whatever dire
 less. Where all that matters is how far a motion may go on, that saves most of the work.
 
 **Depth.** Two hulls that share points are as far inside of each other as the least shift that takes them apart
-(`hplan.collision.penetration`), and the radii come to that. Where no clearance is asked for beyond the sign (`Look`),
+(`hplan.bodies.penetration`), and the radii come to that. Where no clearance is asked for beyond the sign (`Look`),
 the depth of the hulls counts as 0.
 
 While joints turn in proportion by :math:`\Delta q` no point of a body moves farther than
@@ -23,24 +23,20 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hplan.base.arrays import BoolArray, FloatArray
-from hplan.base.deadline import is_up
+from hplan.base.arrays import FloatArray, IntArray
 from hplan.base.kernels import any_int, inlined, kernel
 from hplan.bodies import flat_bodies as flat
+from hplan.bodies.convex_distance import NEAREST, ON_FIRST, WORK, Pose, Span, Vector, Wanted, core_distance
+from hplan.bodies.penetration import penetration
 from hplan.bodies.placed_bodies import ALONG, CENTRE, PLACED, START, place_bodies
 from hplan.collision import obstacle_rows as row
-from hplan.collision.convex_distance import NEAREST, WORK, Pose, Span, Wanted, core_distance
 from hplan.collision.distances import point_segment
 from hplan.collision.obstacle_rows import FieldArrays
-from hplan.collision.penetration import penetration
 
 _FIRST_ROW, _FRAME = any_int(0), any_int(12)
 
 #: By which fraction of itself a clearance may be told too small: where it is to be known, and where a motion goes on.
 EXACT, ROUGH = 1e-10, 2e-2
-
-#: Most looks at the clearance along one motion.
-_MOST_LOOKS = any_int(1_000_000)
 
 #: Larger clearances are not looked for [m].
 FAR = 0.2
@@ -69,7 +65,9 @@ class BodyArrays(NamedTuple):
         solids: As `hplan.collision.clearance_field.ClearanceField`.
         data: The same.
         placed: (bodies, 21) each body where it is.
-        work: (WORK,) numbers.
+        frames: (dof + 1, 12) frames of joints and base.
+        work: (WORK + 6,) numbers, the last of them the direction in which what was found nearest to a body lies, and
+            the body's point nearest to that.
     """
 
     movers: FloatArray
@@ -77,6 +75,7 @@ class BodyArrays(NamedTuple):
     solids: FloatArray
     data: FloatArray
     placed: FloatArray
+    frames: FloatArray
     work: FloatArray
 
 
@@ -84,9 +83,9 @@ class BodyArrays(NamedTuple):
 def placed_arm(q: FloatArray, field: FieldArrays) -> BodyArrays:
     """The arm at a configuration among obstacles."""
     movers, numbers, solids, data = field.chain, field.base, field.solids, field.data
-    placed = np.empty((int(numbers[flat.BODIES]), PLACED))
-    place_bodies(q, movers, numbers, placed)
-    return BodyArrays(movers, numbers, solids, data, placed, np.empty(WORK))
+    placed, frames = np.empty((int(numbers[flat.BODIES]), PLACED)), np.empty((len(q) + 1, 12))
+    place_bodies(q, movers, numbers, frames, placed)
+    return BodyArrays(movers, numbers, solids, data, placed, frames, np.empty(WORK + 6))
 
 
 @inlined
@@ -126,7 +125,7 @@ def _difference(placed: FloatArray, j: int, i: int) -> Pose:
 @kernel
 def _body_clearance(arm: BodyArrays, b: int, enough: float, look: Look) -> float:
     """Clearance of a body from obstacles, or `enough` where it is no less [m]."""
-    movers, _, solids, _, placed, _ = arm
+    movers, solids, placed = arm.movers, arm.solids, arm.placed
     x, y, z = placed[b, CENTRE], placed[b, CENTRE + 1], placed[b, CENTRE + 2]
     ball, joint, least = movers[b, flat.BALL_RADIUS], movers[b, flat.JOINT], enough
     following = _FIRST_ROW
@@ -161,30 +160,55 @@ def _body_clearance(arm: BodyArrays, b: int, enough: float, look: Look) -> float
 def _hull_clearance(arm: BodyArrays, k: int, other: tuple[FloatArray, Span, float], least: float, look: Look) -> float:
     """Clearance of a body from a hull grown by a radius, or `least` where it is no less."""
     points, other_span, radius = other
-    movers, numbers, _, _, placed, work = arm
+    movers, numbers, placed, work = arm.movers, arm.numbers, arm.placed, arm.work
     radii = radius + movers[k, flat.ROUNDING]
     span, pose = _span_of(movers, k), _pose_of(placed, k)
     wanted = Wanted(least + radii, look.too_little + radii, look.fraction, radii)
     distance = core_distance(numbers, span, pose, points, other_span, wanted, work)
+    sign = 1.0
     if distance == 0.0 and look.depth and least + radii > 0.0:
-        distance = -penetration((numbers, span, pose, points, other_span), work)
-    return least if least <= distance - radii else distance - radii
+        distance, sign = -penetration((numbers, span, pose, points, other_span), work), -1.0
+    if least <= distance - radii:
+        return least
+    beyond: float = distance - radii
+    for c in range(3):
+        work[WORK + c], work[WORK + 3 + c] = sign * work[NEAREST + c], work[ON_FIRST + c]
+    return beyond
 
 
 @kernel
 def _row_clearance(arm: BodyArrays, k: int, s: int, least: float, look: Look) -> float:
     """Clearance of a body from the solid of a row, or `least` where it is no less."""
-    _, _, solids, _, placed, work = arm
-    for c in range(3):
-        work[NEAREST + c] = placed[k, CENTRE + c] - solids[s, row.CENTRE + c]
-    span = int(solids[s, row.CORNERS]), int(solids[s, row.CORNERS_END]), int(solids[s, row.TABLE])
-    return _hull_clearance(arm, k, (arm.data, span, solids[s, row.RADIUS]), least, look)
+    solids, data, placed, work = arm.solids, arm.data, arm.placed, arm.work
+    x = placed[k, CENTRE] - solids[s, row.CENTRE]
+    y = placed[k, CENTRE + 1] - solids[s, row.CENTRE + 1]
+    z = placed[k, CENTRE + 2] - solids[s, row.CENTRE + 2]
+    if solids[s, row.KIND] == row.BOX:
+        # From the box to the centre of the body's ball, seen along its edges.
+        away, square = (0.0, 0.0, 0.0), 0.0
+        for c in range(3):
+            a = row.AXES + 3 * c
+            ax, ay, az = solids[s, a], solids[s, a + 1], solids[s, a + 2]
+            beside = ax * x + ay * y + az * z
+            half = solids[s, row.SHAPE + c]
+            beside = beside - half if beside > half else (beside + half if beside < -half else 0.0)
+            away = (away[0] + beside * ax, away[1] + beside * ay, away[2] + beside * az)
+            square += beside * beside
+        within = least + arm.movers[k, flat.BALL_RADIUS] + solids[s, row.RADIUS]
+        if square > within * within and within > 0.0:
+            return least
+        if square > 0.0:
+            x, y, z = away
+    work[NEAREST], work[NEAREST + 1], work[NEAREST + 2] = x, y, z
+    first = int(solids[s, row.CORNERS])
+    span = first, int(data[first - 2]), int(data[first - 1])
+    return _hull_clearance(arm, k, (data, span, solids[s, row.RADIUS]), least, look)
 
 
 @kernel
 def _lot_clearance(arm: BodyArrays, k: int, s: int, least: float, look: Look) -> float:
     """Clearance of a body from the balls of a lot, or `least` where it is no less."""
-    movers, _, solids, data, placed, work = arm
+    movers, solids, data, placed, work = arm.movers, arm.solids, arm.data, arm.placed, arm.work
     radius, beside = solids[s, row.RADIUS], movers[k, flat.AXIS_RADIUS]
     start = (placed[k, START], placed[k, START + 1], placed[k, START + 2])
     along = (placed[k, ALONG], placed[k, ALONG + 1], placed[k, ALONG + 2])
@@ -211,7 +235,7 @@ def _apart(movers: FloatArray, placed: FloatArray, k: int, enough: float) -> boo
 @kernel
 def _pair_clearance(arm: BodyArrays, k: int, enough: float, look: Look) -> float:
     """Clearance of a pair of the arm's own bodies, or `enough` where it is no less."""
-    movers, numbers, _, _, placed, work = arm
+    movers, numbers, placed, work = arm.movers, arm.numbers, arm.placed, arm.work
     j, i, touching = int(movers[k, flat.OUTER]), int(movers[k, flat.INNER]), movers[k, flat.TOUCHING]
     dx = placed[j, CENTRE] - placed[i, CENTRE]
     dy = placed[j, CENTRE + 1] - placed[i, CENTRE + 1]
@@ -223,9 +247,19 @@ def _pair_clearance(arm: BodyArrays, k: int, enough: float, look: Look) -> float
     span, other = _span_of(movers, j), _span_of(movers, i)
     wanted = Wanted(enough + touching, look.too_little + touching, look.fraction, touching)
     distance = core_distance(numbers, span, pose, numbers, other, wanted, work)
+    sign = 1.0
     if distance == 0.0 and look.depth:
-        distance = -penetration((numbers, span, pose, numbers, other), work)
-    return enough if enough <= distance - touching else distance - touching
+        distance, sign = -penetration((numbers, span, pose, numbers, other), work), -1.0
+    if enough <= distance - touching:
+        return enough
+    # As seen from the ground.
+    for c in range(3):
+        work[WORK + c], work[WORK + 3 + c] = 0.0, placed[i, 9 + c]
+        for d in range(3):
+            work[WORK + c] += sign * placed[i, 3 * c + d] * work[NEAREST + d]
+            work[WORK + 3 + c] += placed[i, 3 * c + d] * work[ON_FIRST + d]
+    beyond: float = distance - touching
+    return beyond
 
 
 @kernel
@@ -277,93 +311,95 @@ def body_advance(q: FloatArray, field: FieldArrays, bounds: FloatArray, margin: 
 
 
 @kernel
-def body_bounds(turns: FloatArray, movers: FloatArray, numbers: FloatArray, result: FloatArray) -> None:
-    """Largest displacement of any point of each mover while joints move in proportion, by `turns` in all."""
-    dof = len(turns)
-    at = int(numbers[flat.REACHES])
-    for k in range(movers.shape[0]):
-        bound = 0.0
-        for j in range(dof):
-            bound += numbers[at + dof * k + j] * abs(turns[j])
-        result[k] = bound
+def body_slopes(
+    q: FloatArray, field: FieldArrays, joints: IntArray, enough: float, clear: FloatArray, gradient: FloatArray
+) -> None:
+    """Clearance of each mover at one configuration, `enough` where it is more, and its gradient.
+
+    Args:
+        q: (dof,) configuration.
+        field: Arm and obstacles.
+        joints: (k,) joints by which to differentiate.
+        enough: No more is looked for than this [m].
+        clear: (movers,) clearances, written [m].
+        gradient: (movers, k) how they change with the joints, written: the velocity of the nearest points along the
+            line between them [m/rad]; zeros where there is enough.
+    """
+    arm, look = placed_arm(q, field), Look(-math.inf, EXACT, True)
+    movers, numbers, placed, work = arm.movers, arm.numbers, arm.placed, arm.work
+    bodies, dof = placed.shape[0], int(numbers[flat.DOF])
+    for k in range(len(clear)):
+        clear[k] = enough
+        for m in range(len(joints)):
+            gradient[k, m] = 0.0
+        outer, inner = k, -1
+        if k >= bodies:
+            if _apart(movers, placed, k, enough):
+                continue
+            clear[k] = _pair_clearance(arm, k, enough, look)
+            outer, inner = int(movers[k, flat.OUTER]), int(movers[k, flat.INNER])
+        elif movers[k, flat.JOINT] < dof:
+            clear[k] = _body_clearance(arm, k, enough, look)
+        if not clear[k] < enough:
+            continue
+        n = (work[WORK], work[WORK + 1], work[WORK + 2])
+        length = math.sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2])
+        if not length > 0.0:
+            continue
+        n = (n[0] / length, n[1] / length, n[2] / length)
+        at = (work[WORK + 3], work[WORK + 4], work[WORK + 5])
+        for m in range(len(joints)):
+            gradient[k, m] = _rate(arm, outer, joints[m], n, at)
+        if inner >= 0:
+            # What carries both does not count, wherever the nearest point of the inner one is along the line.
+            for m in range(len(joints)):
+                if _carries(arm, inner, joints[m]):
+                    gradient[k, m] -= _rate(arm, inner, joints[m], n, at)
 
 
 @kernel
-def body_shown_part(
-    start: FloatArray, turns: FloatArray, field: FieldArrays, margin: float, looks: int
-) -> tuple[float, int]:
-    """The part of a straight joint-space motion that a few looks at the clearance show clear, and how many it took."""
-    dof = len(start)
-    bounds, q = np.empty(field.chain.shape[0]), np.empty(dof)
-    body_bounds(turns, field.chain, field.base, bounds)
-    shown, at = 0.0, 0.0
-    for used in range(looks):
-        for i in range(dof):
-            q[i] = start[i] + at * turns[i]
-        advance = body_advance(q, field, bounds, margin, 1.0 - at)
-        if advance < 0.0:
-            return shown, used + 1
-        shown = at
-        if at >= 1.0 or is_up(field.until):
-            return shown, used + 1
-        at = min(1.0, at + advance)
-    return shown, looks
+def _carries(arm: BodyArrays, b: int, joint: int) -> bool:
+    """True if a joint moves a body."""
+    numbers = arm.numbers
+    first, dof, j = int(numbers[flat.JOINTS]), int(numbers[flat.DOF]), int(arm.movers[b, flat.JOINT])
+    while j < dof and j != joint:
+        j = int(numbers[first + flat.JOINT_SIZE * j + flat.PARENT])
+    return j == joint and j < dof
 
 
 @kernel
-def body_segment_is_clear(start: FloatArray, end: FloatArray, field: FieldArrays, margin: float) -> bool:
-    """As `hplan.collision.clearance_kernels.segment_is_clear`."""
-    dof = len(start)
-    turns, middle, bounds = np.empty(dof), np.empty(dof), np.zeros(field.chain.shape[0])
-    for i in range(dof):
-        turns[i] = end[i] - start[i]
-        middle[i] = start[i] + 0.5 * turns[i]
-    # The middle first: where a motion fails it often fails there.
-    if body_advance(middle, field, bounds, margin, 0.0) < 0.0:
-        return False
-    shown, _ = body_shown_part(start, turns, field, margin, _MOST_LOOKS)
-    return shown == 1.0
+def _rate(arm: BodyArrays, b: int, joint: int, n: Vector, at: Vector) -> float:
+    """Velocity in a direction of a body's point while a joint alone moves at unit rate [m/rad, m/m]."""
+    if not _carries(arm, b, joint):
+        return 0.0
+    numbers, frames = arm.numbers, arm.frames
+    own = int(numbers[flat.JOINTS]) + flat.JOINT_SIZE * joint
+    tx, ty, tz = numbers[own + flat.TURN], numbers[own + flat.TURN + 1], numbers[own + flat.TURN + 2]
+    if tx == 0.0 and ty == 0.0 and tz == 0.0:
+        below, rate = int(numbers[own + flat.PARENT]), 0.0
+        for r in range(3):
+            for c in range(3):
+                rate += n[r] * frames[below, 3 * r + c] * numbers[own + flat.SHIFT + c]
+        return rate
+    x = frames[joint, 0] * tx + frames[joint, 1] * ty + frames[joint, 2] * tz
+    y = frames[joint, 3] * tx + frames[joint, 4] * ty + frames[joint, 5] * tz
+    z = frames[joint, 6] * tx + frames[joint, 7] * ty + frames[joint, 8] * tz
+    dx, dy, dz = at[0] - frames[joint, 9], at[1] - frames[joint, 10], at[2] - frames[joint, 11]
+    moved: float = n[0] * (y * dz - z * dy) + n[1] * (z * dx - x * dz) + n[2] * (x * dy - y * dx)
+    return moved
 
 
 @kernel
-def body_piece_is_clear(piece: FloatArray, field: FieldArrays, margin: float, stride: float) -> bool:
-    """As `hplan.smoothing.spline.piece_is_clear`."""
-    dof = piece.shape[1]
-    bounds, q, fastest = np.empty(field.chain.shape[0]), np.empty(dof), np.zeros(dof)
-    for j in range(dof):
-        for c in range(3):
-            fastest[j] = max(fastest[j], 3.0 * abs(piece[c + 1, j] - piece[c, j]))
-    body_bounds(fastest, field.chain, field.base, bounds)
-    t = 0.0
-    while True:
-        u = 1.0 - t
-        w0, w1, w2, w3 = u * u * u, 3.0 * u * u * t, 3.0 * u * t * t, t * t * t
-        for i in range(dof):
-            q[i] = w0 * piece[0, i] + w1 * piece[1, i] + w2 * piece[2, i] + w3 * piece[3, i]
-        advance = body_advance(q, field, bounds, margin, 1.0 - t)
-        if advance < 0.0:
-            return False
-        if t >= 1.0:
-            return True
-        if is_up(field.until):
-            return False
-        t = min(1.0, t + max(stride, advance))
-
-
-@kernel
-def mark_near_bodies(path: FloatArray, arrays: FieldArrays, distance: float, near: BoolArray) -> None:
-    """Mark the rows whose bounding ball comes within a distance of a body at some configuration."""
-    movers, numbers, solids = arrays.chain, arrays.base, arrays.solids
-    placed = np.empty((int(numbers[flat.BODIES]), PLACED))
-    for i in range(path.shape[0]):
-        place_bodies(path[i], movers, numbers, placed)
-        for b in range(placed.shape[0]):
-            start = (placed[b, START], placed[b, START + 1], placed[b, START + 2])
-            along = (placed[b, ALONG], placed[b, ALONG + 1], placed[b, ALONG + 2])
-            for s in range(solids.shape[0]):
-                if not near[s]:
-                    centre = (solids[s, row.CENTRE], solids[s, row.CENTRE + 1], solids[s, row.CENTRE + 2])
-                    beyond = distance + solids[s, row.BOUND] + movers[b, flat.AXIS_RADIUS]
-                    near[s] = (
-                        movers[b, flat.JOINT] < numbers[flat.DOF] and point_segment(centre, start, along) <= beyond
-                    )
+def least_body_clearance(q: FloatArray, field: FieldArrays, enough: float) -> float:
+    """The smallest clearance of all movers at one configuration, or `enough` where it is no less [m]."""
+    arm, look = placed_arm(q, field), Look(-math.inf, EXACT, True)
+    movers, numbers, placed = arm.movers, arm.numbers, arm.placed
+    bodies, dof, least = placed.shape[0], numbers[flat.DOF], enough
+    for turn in range(movers.shape[0]):
+        k = bodies - 1 - turn if turn < bodies else turn
+        if k >= bodies:
+            if not _apart(movers, placed, k, least):
+                least = _pair_clearance(arm, k, least, look)
+        elif movers[k, flat.JOINT] < dof:
+            least = _body_clearance(arm, k, least, look)
+    return least

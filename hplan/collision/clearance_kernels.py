@@ -23,7 +23,8 @@ from hplan.base.arrays import BoolArray, FloatArray
 from hplan.base.deadline import is_up
 from hplan.base.kernels import any_int, inlined, kernel
 from hplan.collision import obstacle_rows as row
-from hplan.collision.body_kernels import body_bounds, body_clearances, body_segment_is_clear, mark_near_bodies
+from hplan.collision.body_kernels import body_clearances
+from hplan.collision.body_motions import body_bounds, body_segment_is_clear, mark_near_bodies
 from hplan.collision.distances import Vector, point_segment, segment_box, segment_hull, segment_segment
 from hplan.collision.obstacle_rows import FieldArrays as FieldArrays
 

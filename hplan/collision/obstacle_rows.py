@@ -41,9 +41,10 @@ _COLUMNS = 21
 #: points begin and end there. Node: 1 where it is a tree's first.
 SHAPE, SECOND_END, AXES, FACETS, EDGES, EDGES_END, POINTS, POINTS_END, IS_ROOT = 6, 9, 9, 6, 7, 8, 6, 7, 8
 
-#: In place of these, for arms that are no planar chain, every kind that is one hull has: where its corners begin and
-#: end in the data, and the place of their table (`hplan.scene.corner_table`) behind them, 0 for none.
-CORNERS, CORNERS_END, TABLE = 6, 7, 8
+#: For arms that are no planar chain, every kind that is one hull also has the place of its corners in the data. Two
+#: numbers stand before them: the place of their end, and that of their table (`hplan.scene.corner_table`) behind them,
+#: 0 for none.
+CORNERS = 18
 
 #: Gate: the first and the last link that pass it, and 1 where the row below turns with them. Pair: its links, and the
 #: distance of their axes at which they touch.
@@ -156,10 +157,11 @@ def core_rows(obstacles: Sequence[Solid], clearance: ArrayLike) -> tuple[FloatAr
     for index, (solid, growth) in enumerate(zip(obstacles, grown, strict=True)):
         rows, more = _rows(solid, growth, data_count)
         if not solid.is_point_set:
-            end = data_count + solid.core.size
-            table = corner_table(solid.core, data_count, end)
-            more = np.concatenate([solid.core.ravel(), table])
-            rows[0, CORNERS], rows[0, CORNERS_END], rows[0, TABLE] = data_count, end, end if len(table) else 0
+            first = data_count + 2
+            end = first + solid.core.size
+            table = corner_table(solid.core, first, end)
+            more = np.concatenate([[end, end if len(table) else 0], solid.core.ravel(), table])
+            rows[0, CORNERS] = first
         rows[:, NEXT] += row_count
         blocks.append(rows)
         data.append(more)

@@ -22,7 +22,8 @@ import numpy as np
 from hplan.base.arrays import FloatArray, IntArray
 from hplan.base.deadline import is_up
 from hplan.base.kernels import any_int, inlined, kernel
-from hplan.collision.clearance_kernels import FieldArrays, link_clearances
+from hplan.collision.body_kernels import body_slopes
+from hplan.collision.clearance_kernels import LINK, FieldArrays, link_clearances
 from hplan.optimization.interior_point import ProgramRows
 
 #: Places in each piece where the clearance is kept.
@@ -141,7 +142,7 @@ def first_order(
     """
     control, knots, drift = motion
     n, joints = control.shape[0], len(limits.movable)
-    near = _places(control, knots, field)
+    near = _places(control, knots, limits.movable, field)
     links_near = int((near.clear < NEAR).sum())
     kinematic, free = joints * (3 * n - 6), joints * (n - 6)
     split = 2 * joints * DRIFTING
@@ -259,19 +260,24 @@ class _Places(NamedTuple):
         configuration: (places, dof) the configurations there.
         weight: (places, 4) weights of the control points, the first of which is that of the place's piece.
         clear: (places, links) clearances [m].
+        gradient: (places, links, joints) how they change with the joints that may move [m/rad], for arms that are no
+            planar chain; empty for others.
     """
 
     configuration: FloatArray
     weight: FloatArray
     clear: FloatArray
+    gradient: FloatArray
 
 
 @kernel
-def _places(control: FloatArray, knots: FloatArray, field: FieldArrays) -> _Places:
+def _places(control: FloatArray, knots: FloatArray, movable: IntArray, field: FieldArrays) -> _Places:
     """`PLACES` of each piece."""
     n, dof = control.shape
     count = (n - 3) * PLACES
     q, weight, clear = np.zeros((count, dof)), np.empty((count, 4)), np.full((count, field.chain.shape[0]), np.inf)
+    is_planar = field.chain.shape[1] == LINK
+    gradient = np.empty((0, 0, 0) if is_planar else (count, field.chain.shape[0], len(movable)))
     for place in range(count):
         piece = place // PLACES
         basis(knots, piece, (place % PLACES) / PLACES, weight[place])
@@ -280,8 +286,11 @@ def _places(control: FloatArray, knots: FloatArray, field: FieldArrays) -> _Plac
                 q[place, j] += weight[place, c] * control[piece + c, j]
         if is_up(field.until):
             break
-        link_clearances(q[place], field, clear[place])
-    return _Places(q, weight, clear)
+        if is_planar:
+            link_clearances(q[place], field, clear[place])
+        else:
+            body_slopes(q[place], field, movable, NEAR, clear[place], gradient[place])
+    return _Places(q, weight, clear, gradient)
 
 
 @kernel
@@ -303,7 +312,7 @@ def _add_clearances(
         field: Arm and obstacles.
         margin: Clearance asked for.
     """
-    (q, weight, clear), drift = places
+    (q, weight, clear, slopes), drift = places
     count, links = clear.shape
     joints, inner = len(limits.movable), count // PLACES - 3
     entry = rows.starts[row]
@@ -314,7 +323,9 @@ def _add_clearances(
             nearest = min(nearest, clear[place, link])
         if not nearest < NEAR or is_up(field.until):
             continue
-        for m in range(joints):
+        if slopes.shape[0] > 0:
+            gradient[:] = slopes[place]
+        for m in range(joints if slopes.shape[0] == 0 else 0):
             j = limits.movable[m]
             here = q[place, j]
             q[place, j] = here + _DIFFERENCE

@@ -18,7 +18,7 @@ import numpy as np
 from hplan.base.arrays import FloatArray, IntArray, frozen
 from hplan.base.deadline import is_up, look
 from hplan.base.kernels import any_int, kernel
-from hplan.collision.body_kernels import body_shown_part
+from hplan.collision.body_motions import body_shown_part
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.clearance_kernels import LINK, FieldArrays, link_clearances, motion_bounds, proven_advance
 from hplan.problem.definition import Problem

@@ -16,8 +16,9 @@ from hplan.base.arrays import FloatArray, IntArray, frozen
 from hplan.base.deadline import is_up, look
 from hplan.base.kernels import any_int, inlined, kernel
 from hplan.base.polyline import stations
+from hplan.collision.body_kernels import FAR, body_slopes, least_body_clearance
 from hplan.collision.clearance_field import ClearanceField
-from hplan.collision.clearance_kernels import FieldArrays, link_clearances, smallest
+from hplan.collision.clearance_kernels import LINK, FieldArrays, link_clearances, smallest
 from hplan.smoothing.options import JointArrays, PostprocessOptions
 from hplan.smoothing.spline import FIRST, STRIDE, MovableSpline, SplinePath, bezier_piece, copy_into, piece_is_clear
 
@@ -109,6 +110,33 @@ def _worst_point(piece: FloatArray, field: FieldArrays, movable: IntArray, gradi
 
 
 @kernel
+def _worst_of_bodies(
+    piece: FloatArray, field: FieldArrays, movable: IntArray, gradient: FloatArray
+) -> tuple[float, float]:
+    """As `_worst_point`, for arms that are no planar chain."""
+    dof, movers = piece.shape[1], field.chain.shape[0]
+    q, worst = np.empty(dof), piece[0].copy()
+    clear, slopes = np.empty(movers), np.empty((movers, len(movable)))
+    least, at = FAR, 0.0
+    for sample in range(17):
+        t = sample / 16.0
+        u = 1.0 - t
+        w0, w1, w2, w3 = u * u * u, 3.0 * u * u * t, 3.0 * u * t * t, t * t * t
+        for k in range(dof):
+            q[k] = w0 * piece[0, k] + w1 * piece[1, k] + w2 * piece[2, k] + w3 * piece[3, k]
+        here = least_body_clearance(q, field, least)
+        if here < least:
+            least, at = here, t
+            for k in range(dof):
+                worst[k] = q[k]
+    body_slopes(worst, field, movable, least + 1e-9, clear, slopes)
+    nearest = np.argmin(clear)
+    for m in range(len(movable)):
+        gradient[movable[m]] = slopes[nearest, m]
+    return least, at
+
+
+@kernel
 def push_out(
     spline: MovableSpline,
     first_piece: int,
@@ -133,7 +161,10 @@ def push_out(
             if is_up(field.until):
                 return False
             contact = True
-            least, at = _worst_point(piece, field, movable, gradient)
+            if field.chain.shape[1] == LINK:
+                least, at = _worst_point(piece, field, movable, gradient)
+            else:
+                least, at = _worst_of_bodies(piece, field, movable, gradient)
             square = 0.0
             for j in movable:
                 square += gradient[j] * gradient[j]

@@ -18,7 +18,7 @@ from hplan.base.arrays import BoolArray, FloatArray, Record, frozen, readonly
 from hplan.base.deadline import is_up, look
 from hplan.base.kernels import any_int, kernel
 from hplan.base.polyline import curve_length, stations
-from hplan.collision.body_kernels import body_piece_is_clear
+from hplan.collision.body_motions import body_piece_is_clear
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.clearance_kernels import LINK, FieldArrays, link_clearances, proven_advance
 from hplan.errors import InputError

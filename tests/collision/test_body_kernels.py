@@ -15,7 +15,8 @@ from hplan.bodies.collision_bodies import GROUND, body_shapes, collision_bodies
 from hplan.bodies.flat_bodies import AXIS, AXIS_RADIUS, BALL, BALL_RADIUS
 from hplan.bodies.placed_bodies import ALONG, CENTRE, PLACED, START, place_bodies
 from hplan.bodies.touching_pairs import self_pairs
-from hplan.collision.body_kernels import FAR, body_advance, body_bounds
+from hplan.collision.body_kernels import FAR, body_advance, body_slopes
+from hplan.collision.body_motions import body_bounds
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.clearance_kernels import segment_is_clear
 from hplan.collision.coal_shapes import beyond_geometry, solid_shape
@@ -93,7 +94,7 @@ def test_bodies_are_where_pinocchio_has_them(arm: Robot) -> None:
     bodies = collision_bodies(arm)
     placed = np.empty((len(bodies), PLACED))
     for q in np.random.default_rng(0).uniform(arm.lower, arm.upper, (20, arm.dof)):
-        place_bodies(q, field.chain, field.base, placed)
+        place_bodies(q, field.chain, field.base, np.empty((arm.dof + 1, 12)), placed)
         data = arm.model.createData()
         pin.forwardKinematics(arm.model, data, q)
         for body, row, mover in zip(bodies, placed, field.chain, strict=False):
@@ -202,3 +203,22 @@ def test_the_last_joint_may_touch_what_is_spared(arm: Robot) -> None:
     carried = np.array([body.joint == arm.dof - 1 for body in bodies])
     assert (found[: len(bodies)][carried] == FAR).all()
     assert found[: len(bodies)][~carried] == pytest.approx(before[: len(bodies)][~carried])
+
+
+@given(SEEDS)
+@settings(max_examples=25)
+def test_gradients_are_those_of_differences(arm: Robot, solids: list[Solid], seed: int) -> None:
+    field = ClearanceField.of(arm, solids)
+    q = np.random.default_rng(seed).uniform(arm.lower, arm.upper)
+    joints = np.array([0, 1, 2, 4, 5])
+    clear, gradient = np.empty(len(field.chain)), np.empty((len(field.chain), len(joints)))
+    body_slopes(q, field.arrays, joints, FAR, clear, gradient)
+    assert clear == pytest.approx(field.link_clearances(q), abs=1e-9)
+    step = 1e-6
+    for column, joint in enumerate(joints.tolist()):
+        off = step * (np.arange(arm.dof) == joint)
+        ahead, behind = field.link_clearances(q + off), field.link_clearances(q - off)
+        forward, backward = (ahead - clear) / step, (clear - behind) / step
+        # Where the two sides agree, the nearest points do not jump.
+        smooth = (np.abs(forward - backward) < 1e-3) & (clear < FAR - 1e-3)
+        assert gradient[smooth, column] == pytest.approx(0.5 * (forward + backward)[smooth], abs=2e-3)

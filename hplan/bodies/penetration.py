@@ -17,19 +17,20 @@ import numpy as np
 
 from hplan.base.arrays import FloatArray, IntArray
 from hplan.base.kernels import any_int, kernel
-from hplan.collision.convex_distance import (
+from hplan.bodies.convex_distance import (
     NEAREST,
     ON_FIRST,
     Pose,
     Span,
+    Vector,
     cross,
     dot,
     farthest_corner,
     less,
+    on_triangle,
     placed_point,
     turned_back,
 )
-from hplan.collision.distances import Vector
 
 #: Two hulls: the coordinates of points, which of them are of the first, where that is; and of the other.
 Hulls: TypeAlias = tuple[FloatArray, Span, Pose, FloatArray, Span]
@@ -49,15 +50,15 @@ def penetration(hulls: Hulls, work: FloatArray) -> float:
     """Depth of a hull in another that it shares points with; 0 where the differences of their points have no volume.
 
     Args:
-        hulls: The two, as for `hplan.collision.convex_distance.core_distance`.
+        hulls: The two, as for `hplan.bodies.convex_distance.core_distance`.
         work: (WORK,) numbers. Into those of the nearest points are written the shift of the other hull that takes the
             two apart soonest, and the point of the first one that is deepest in the other.
     """
-    corners, planes = np.empty((_MOST, 3)), np.empty((_FACES, 4))
+    corners, of_first, planes = np.empty((_MOST, 3)), np.empty((_MOST, 3)), np.empty((_FACES, 4))
     faces, edges = np.empty((_FACES, 4), dtype=np.int64), np.empty((_FACES, 2), dtype=np.int64)
     for c in range(3):
         work[NEAREST + c] = 0.0
-    scale = _tetrahedron(hulls, corners)
+    scale = _tetrahedron(hulls, corners, of_first)
     if scale == 0.0:
         return 0.0
     made, depth = 0, math.inf
@@ -73,12 +74,37 @@ def penetration(hulls: Hulls, work: FloatArray) -> float:
         if height < depth:
             depth = height
             for c in range(3):
-                work[NEAREST + c], work[ON_FIRST + c] = height * normal[c], a[c]
+                work[NEAREST + c] = height * normal[c]
         if height - planes[nearest, 3] <= _ON_FACE * scale or count == _MOST or made + 2 * count > _FACES:
             break
         corners[count, 0], corners[count, 1], corners[count, 2] = w
+        of_first[count, 0], of_first[count, 1], of_first[count, 2] = a
         made = _grow(corners, count, _ON_FACE * scale, planes, faces, edges, made)
+    _find_deepest(corners, of_first, planes, faces[:made], depth + 1e-9 * scale, work)
     return max(0.0, depth) if depth < math.inf else 0.0
+
+
+@kernel
+def _find_deepest(
+    corners: FloatArray, of_first: FloatArray, planes: FloatArray, faces: IntArray, depth: float, work: FloatArray
+) -> None:
+    """Write the point of the first hull that is deepest in the other: where the nearest face is nearest.
+
+    Several triangles may be that face.
+    """
+    least = math.inf
+    for f in range(faces.shape[0]):
+        if faces[f, _STANDS] == 0 or planes[f, 3] > depth:
+            continue
+        i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
+        u, v, w = on_triangle(_corner_of(corners, i), _corner_of(corners, j), _corner_of(corners, k))
+        square = 0.0
+        for c in range(3):
+            square += (u * corners[i, c] + v * corners[j, c] + w * corners[k, c]) ** 2
+        if square < least:
+            least = square
+            for c in range(3):
+                work[ON_FIRST + c] = u * of_first[i, c] + v * of_first[j, c] + w * of_first[k, c]
 
 
 @kernel
@@ -97,14 +123,15 @@ def _difference(hulls: Hulls, direction: Vector) -> tuple[Vector, Vector]:
 
 
 @kernel
-def _tetrahedron(hulls: Hulls, corners: FloatArray) -> float:
-    """Write four corners of A - B that span a volume; its size is returned, 0 where there are none."""
+def _tetrahedron(hulls: Hulls, corners: FloatArray, of_first: FloatArray) -> float:
+    """Write four corners of A - B that span a volume, and points of A; the size is returned, 0 where there are none."""
     size = 0.0
-    first, _ = _difference(hulls, (1.0, 0.0, 0.0))
+    first, point = _difference(hulls, (1.0, 0.0, 0.0))
     corners[0, 0], corners[0, 1], corners[0, 2] = first
+    of_first[0, 0], of_first[0, 1], of_first[0, 2] = point
     along, normal = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     for count in range(1, 4):
-        most, best = 0.0, first
+        most, best, best_point = 0.0, first, point
         for attempt in range(6):
             axis, sign = attempt // 2, 1.0 - 2.0 * (attempt % 2)
             unit = (sign if axis == 0 else 0.0, sign if axis == 1 else 0.0, sign if axis == 2 else 0.0)
@@ -115,7 +142,7 @@ def _tetrahedron(hulls: Hulls, corners: FloatArray) -> float:
                 direction = (sign * normal[0], sign * normal[1], sign * normal[2])
             if dot(direction, direction) <= 1e-4:
                 continue  # across what is along the axis
-            w, _ = _difference(hulls, direction)
+            w, a = _difference(hulls, direction)
             off = less(w, first)
             if count == 1:
                 away = math.sqrt(dot(off, off))
@@ -125,11 +152,12 @@ def _tetrahedron(hulls: Hulls, corners: FloatArray) -> float:
             else:
                 away = abs(dot(normal, off))
             if away > most:
-                most, best = away, w
+                most, best, best_point = away, w, a
         size = max(size, most)
         if most <= _FLAT * size:
             return 0.0
         corners[count, 0], corners[count, 1], corners[count, 2] = best
+        of_first[count, 0], of_first[count, 1], of_first[count, 2] = best_point
         off = less(best, first)
         if count == 1:
             along = (off[0] / most, off[1] / most, off[2] / most)

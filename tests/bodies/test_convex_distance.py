@@ -11,8 +11,8 @@ from scipy.optimize import nnls
 from scipy.spatial import ConvexHull
 
 from hplan.base.arrays import FloatArray
-from hplan.collision.convex_distance import NEAREST, ON_FIRST, WORK, Wanted, core_distance
-from hplan.collision.penetration import penetration
+from hplan.bodies.convex_distance import NEAREST, ON_FIRST, WORK, Wanted, core_distance
+from hplan.bodies.penetration import penetration
 from hplan.scene.corner_table import corner_table
 from hplan.scene.solids import CUBE_CORNERS, rpy_rotation
 

@@ -9,7 +9,7 @@ nearest: what is returned is the greatest of these lower bounds, so that roundin
 by more than their own size.
 
 Points, segments and flat polygons are hulls as any other. Where two hulls share a point the distance is 0; how deep one
-is in the other says `hplan.collision.penetration`.
+is in the other says `hplan.bodies.penetration`.
 """
 
 from __future__ import annotations
@@ -19,8 +19,10 @@ from typing import NamedTuple, TypeAlias
 
 from hplan.base.arrays import FloatArray
 from hplan.base.kernels import any_int, kernel
-from hplan.collision.distances import Vector
 from hplan.scene.corner_table import OCTANTS
+
+#: Three coordinates.
+Vector: TypeAlias = tuple[float, float, float]
 
 #: A turn, three rows of three numbers, and a shift [m].
 Pose: TypeAlias = tuple[float, float, float, float, float, float, float, float, float, float, float, float]
@@ -222,7 +224,7 @@ def _reduced(work: FloatArray, size: int) -> int:
         first, second = _on_line(a, _corner(work, 1))
         weights = (first, second, 0.0, 0.0)
     elif size == 3:
-        first, second, third = _on_triangle(a, _corner(work, 1), _corner(work, 2))
+        first, second, third = on_triangle(a, _corner(work, 1), _corner(work, 2))
         weights = (first, second, third, 0.0)
     elif size == 4:
         weights = _in_tetrahedron(a, _corner(work, 1), _corner(work, 2), _corner(work, 3))
@@ -283,7 +285,7 @@ def _square_at(a: Vector, b: Vector, t: float) -> float:
 
 
 @kernel
-def _on_triangle(a: Vector, b: Vector, c: Vector) -> tuple[float, float, float]:
+def on_triangle(a: Vector, b: Vector, c: Vector) -> tuple[float, float, float]:
     """Weights of the point of a triangle that is nearest to the origin.
 
     Areas are compared in the plane of two axes in which the triangle is largest. Where the foot of the origin is beyond
@@ -370,20 +372,20 @@ def _in_tetrahedron(a: Vector, b: Vector, c: Vector, d: Vector) -> tuple[float, 
         return at_a / whole, at_b / whole, at_c / whole, at_d / whole
     least, weights = math.inf, (1.0, 0.0, 0.0, 0.0)
     if at_d <= 0.0:
-        u, v, w = _on_triangle(a, b, c)
+        u, v, w = on_triangle(a, b, c)
         least, weights = _square_of(a, b, c, (u, v, w)), (u, v, w, 0.0)
     if at_c <= 0.0:
-        u, v, w = _on_triangle(a, b, d)
+        u, v, w = on_triangle(a, b, d)
         here = _square_of(a, b, d, (u, v, w))
         if here < least:
             least, weights = here, (u, v, 0.0, w)
     if at_b <= 0.0:
-        u, v, w = _on_triangle(a, c, d)
+        u, v, w = on_triangle(a, c, d)
         here = _square_of(a, c, d, (u, v, w))
         if here < least:
             least, weights = here, (u, 0.0, v, w)
     if at_a <= 0.0:
-        u, v, w = _on_triangle(b, c, d)
+        u, v, w = on_triangle(b, c, d)
         if _square_of(b, c, d, (u, v, w)) < least:
             weights = (0.0, u, v, w)
     return weights

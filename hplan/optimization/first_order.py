@@ -32,6 +32,9 @@ PLACES = any_int(3)
 #: Links farther than this from everything are left out of a program; rows are in multiples of it [m].
 NEAR = 0.15
 
+#: Of arms that are no planar chain, which have many more bodies, those farther than this.
+NEAR_OF_BODIES = 0.06
+
 #: By how much a step has to add to a clearance that is less than the margin, where all control points may move [m].
 RECOVERED = 5e-4
 
@@ -289,7 +292,10 @@ def _places(control: FloatArray, knots: FloatArray, movable: IntArray, field: Fi
         if is_planar:
             link_clearances(q[place], field, clear[place])
         else:
-            body_slopes(q[place], field, movable, NEAR, clear[place], gradient[place])
+            body_slopes(q[place], field, movable, NEAR_OF_BODIES, clear[place], gradient[place])
+            for link in range(clear.shape[1]):
+                if clear[place, link] >= NEAR_OF_BODIES:
+                    clear[place, link] = math.inf
     return _Places(q, weight, clear, gradient)
 
 

@@ -45,6 +45,17 @@ EFFORTS: dict[str, StartsEffort | None] = {
     ),
 }
 
+#: The same of robots that are no planar arms, whose clearances take longer.
+EFFORTS_OF_BODIES: dict[str, StartsEffort | None] = {
+    **EFFORTS,
+    "default": StartsEffort(
+        Effort((_COARSE, Level(piece_s=0.03, pieces=(50, 120), steps=2, gain=5e-3, trust=0.05))),
+        rough=2,
+        others=0,
+        finished=1,
+    ),
+}
+
 #: Where the base is locked a rough motion costs little: of more than so many polylines, so many and so many others are
 #: made at least (`StartsEffort`).
 MANY, PLANAR_ROUGH, PLANAR_OTHERS = 4, 6, 4
@@ -207,7 +218,8 @@ def effort_of(context: PlanningContext) -> StartsEffort | None:
     """What may be spent on the optimisation of a motion; None where motions are not optimised with their timing."""
     options = context.options
     optimized = options.objective == "duration" and options.tracking.delay_s == 0.0
-    return EFFORTS[options.effort] if optimized else None
+    efforts = EFFORTS_OF_BODIES if context.robot.planar is None else EFFORTS
+    return efforts[options.effort] if optimized else None
 
 
 def _optimized(

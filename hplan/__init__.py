@@ -12,6 +12,7 @@ from hplan.base.lazy_import import lazy_names
 
 if TYPE_CHECKING:
     from hplan.errors import HplanError
+    from hplan.finishing.finish import finish
     from hplan.online.planner import Planner
     from hplan.planning.plan import PlanResult, plan
     from hplan.problem.options import PlanOptions
@@ -36,6 +37,7 @@ __all__ = [
     "TourResult",
     "Trajectory",
     "certify",
+    "finish",
     "load_robot",
     "load_scene",
     "plan",
@@ -59,6 +61,7 @@ __getattr__ = lazy_names(
         "TourResult": "hplan.tour.tour",
         "Trajectory": "hplan.timing.trajectory",
         "certify": "hplan.verification.certificate",
+        "finish": "hplan.finishing.finish",
         "load_robot": "hplan.robot.model",
         "load_scene": "hplan.scene.file",
         "plan": "hplan.planning.plan",

@@ -382,6 +382,30 @@ class CertificationError(HplanError):
     exit_status = 5
 
 
+class PathInContactError(HplanError):
+    """A path of straight motions that touches something, or comes closer than the clearance to keep, by its own shape.
+
+    Of the first place along it: either `waypoint` or `segment` is its number, counted from 1, the other None (segment k
+    leads from waypoint k to the next); `fraction` is how far along the segment it is. Depth and clearance to keep are
+    those of `ConfigurationInCollisionError`. `places` lists all that were found, each a mapping with these facts.
+    """
+
+    exit_status = 5
+    waypoint: int | None
+    segment: int | None
+    fraction: float
+    link: str
+    obstacle: str
+    depth_m: float
+    clearance_m: float
+
+    def __init__(self, message: str, places: Sequence[Mapping[str, Any]]) -> None:
+        """Store the sentence and the places, the first along the path first."""
+        listed = [dict(place) for place in places]
+        super().__init__(message, **listed[0], places=listed)
+        self.places = tuple(dict(place) for place in listed)
+
+
 class UnavoidableContactError(HplanError):
     """A start in motion that was not left without contact, neither by a stop nor by a motion on.
 

@@ -39,6 +39,7 @@ ROOMS = (
         "sampling",
         "moving",
         "planning",
+        "finishing",
         "online",
         "tour",
     ),

@@ -67,8 +67,8 @@ SMOOTHED = 3
 CEILINGS = (0.75, 0.5, 0.2)
 
 #: A motion is empty, straight, along a path found in a roadmap, by trees or on a grid, along that of an earlier motion,
-#: or an earlier motion.
-Origin: TypeAlias = Literal["none", "direct", "roadmap", "trees", "search", "mended", "kept"]
+#: an earlier motion, or along a path that was given.
+Origin: TypeAlias = Literal["none", "direct", "roadmap", "trees", "search", "mended", "kept", "given"]
 
 
 class Polyline(NamedTuple):
@@ -254,7 +254,10 @@ def _optimized(
 
 
 def certified_trajectory(
-    context: PlanningContext, path: GeometricPath, among: Callable[[Trajectory], Sequence[Stretch]] | None = None
+    context: PlanningContext,
+    path: GeometricPath,
+    among: Callable[[Trajectory], Sequence[Stretch]] | None = None,
+    grid: FloatArray | None = None,
 ) -> tuple[Trajectory, Certificate]:
     """The fastest certified trajectory along a path.
 
@@ -264,13 +267,14 @@ def certified_trajectory(
         context: Arm, obstacles and options.
         path: The path.
         among: The obstacles that a trajectory along it is certified among; those of the context where this is None.
+        grid: Path parameters at which its speed is chosen, as `hplan.timing.retime.time_path` takes them.
 
     Raises:
         TimingError: There is none within the limits.
         CertificationError: It is asked for, and something was not shown.
     """
     for fraction in CEILINGS if context.options.tracking.delay_s > 0.0 else (0.0,):
-        trajectory = timed(context, path, fraction)
+        trajectory = timed(context, path, fraction, grid)
         certificate = certificate_of(context, trajectory, None if among is None else among(trajectory))
         if certificate.verified:
             break
@@ -284,13 +288,16 @@ def motion_limits(context: PlanningContext) -> Limits:
     return limits.scaled(context.options.speed)
 
 
-def timed(context: PlanningContext, path: GeometricPath, fraction: float = 0.0) -> Trajectory:
+def timed(
+    context: PlanningContext, path: GeometricPath, fraction: float = 0.0, grid: FloatArray | None = None
+) -> Trajectory:
     """The fastest trajectory along a path under the robot's limits.
 
     Args:
         context: Arm, obstacles and options.
         path: The path.
         fraction: Fraction of the clearance that the sway may take which comes with speed; 0 if speed is not to care.
+        grid: Path parameters at which the speed is chosen; None for those that suit any path.
 
     Raises:
         TimingError: There is none.
@@ -301,7 +308,7 @@ def timed(context: PlanningContext, path: GeometricPath, fraction: float = 0.0) 
         if fraction > 0.0:
             averaged_s = averaging_s(limits, options.rate_hz)
             limits = replace(limits, path_speed=SpeedCeiling(robot, path, context.field, delay_s, fraction, averaged_s))
-        return time_path(path, robot.dynamics, limits, rate_hz=options.rate_hz)
+        return time_path(path, robot.dynamics, limits, rate_hz=options.rate_hz, grid=grid)
 
 
 def certificate_of(

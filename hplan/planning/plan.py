@@ -278,7 +278,7 @@ def _planned(
     if begin.state is not None and context.options.bound:
         raise OptionError("bound", True, "False where the start is in motion")
     if context.options.deadline_s is None:
-        return _result(context, *all_parts(context, begin))
+        return plan_result(context, *all_parts(context, begin))
     best: PlanResult | None = None
     count, first_s, cut_short = 0, 0.0, False
     freeing_s = FREED * limit.elapsed_s
@@ -286,7 +286,7 @@ def _planned(
     try:
         for parts in parts_in_time(context, begin):
             since_s = limit.elapsed_s
-            best = _result(context, *parts)
+            best = plan_result(context, *parts)
             count, first_s = count + 1, first_s or limit.elapsed_s
             limit.keep(freeing_s + limit.elapsed_s - since_s)  # for the report of the next one
     except TimeIsUpError:
@@ -304,7 +304,9 @@ def in_sequence(parts: Sequence[Part], begin_s: float = 0.0) -> tuple[tuple[Phas
     return phases, joined([part.trajectory for part in parts]), all_of([part.certificate for part in parts])
 
 
-def _result(context: PlanningContext, grasp: Grasp | None, motion: PlannedMotion, parts: Sequence[Part]) -> PlanResult:
+def plan_result(
+    context: PlanningContext, grasp: Grasp | None, motion: PlannedMotion, parts: Sequence[Part]
+) -> PlanResult:
     """The plan that consists of a motion and, after it, approach and retreat."""
     phases, trajectory, certificate = in_sequence(parts)
     scene, route = context.scene, motion.route

@@ -67,6 +67,40 @@ def repaired(
     return frozen(np.concatenate(pieces)), contacts
 
 
+def pushed_clear(
+    path: FloatArray, field: ClearanceField, lower: FloatArray, upper: FloatArray, margin: float
+) -> tuple[FloatArray, list[int]]:
+    """A polyline near one that comes too near to something: waypoints and middles of motions are pushed away from it.
+
+    Args:
+        path: (m, dof) configurations; the first and the last stay.
+        field: Arm and obstacles.
+        lower: (dof,) joint limits.
+        upper: (dof,) joint limits; equal to `lower` for a joint that may not move.
+        margin: Clearance asked for wherever a motion is evaluated [m].
+
+    Returns:
+        The polyline, and the motions of the one given, by number, that it could not be found for.
+    """
+    points = path.copy()
+    for number in (np.flatnonzero(field.along(path[1:-1]).min(axis=1) < margin) + 1).tolist():
+        for wanted in (margin + _BEYOND, margin):
+            there = _out(path[number], field, lower, upper, wanted)
+            if there is not None:
+                points[number] = there
+                break
+    pieces, contacts = [points[:1]], []
+    for i, (first, last) in enumerate(itertools.pairwise(points)):
+        if not field.is_clear(np.stack([first, last]), margin):
+            inner = _pushed(first, last, field, lower, upper, margin, _HALVINGS)
+            if inner is None:
+                contacts.append(i)
+            else:
+                pieces.append(inner)
+        pieces.append(last[None])
+    return frozen(np.concatenate(pieces)), contacts
+
+
 def leave_contact(
     q: FloatArray, field: ClearanceField, lower: FloatArray, upper: FloatArray, margin: float
 ) -> Iterator[FloatArray]:

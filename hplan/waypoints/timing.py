@@ -153,11 +153,11 @@ def time_waypoints(
                 cause="torque limit of zero",
             )
     path = rounded_path(points, deviation_rad)
-    return timing.time_path(path, model, limits.scaled(speed), rate_hz=rate_hz, grid=_grid(path))
+    return timing.time_path(path, model, limits.scaled(speed), rate_hz=rate_hz, grid=corner_grid(path))
 
 
-def _grid(path: SplinePath) -> FloatArray:
-    """Path parameters that suit the corners: many in each, however short it is, and fewer in between.
+def corner_grid(path: SplinePath) -> FloatArray:
+    """Path parameters that suit the corners of a `rounded_path`: many in each, however short it is, few in between.
 
     In a corner the joints that turn back pass a point at which the path acceleration does not move them; on a coarse
     grid toppra lets it jump up and down there, and timing slows the whole motion to take that back.

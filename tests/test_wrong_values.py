@@ -271,6 +271,17 @@ CASES: dict[str, Case] = {
         {"robot": None, "scene": None},
         {"robot": NO_OBJECT, "scene": NO_OBJECT, "options": NO_OBJECT[1:]},
     ),
+    "finish": (
+        lambda **given: hplan.finish(**given),
+        {"robot": hplan.load_robot(), "scene": a_scene(), "waypoints": ([0.0] * 4, [0.1] * 4)},
+        {
+            "robot": NO_OBJECT,
+            "scene": NO_OBJECT,
+            "waypoints": (*NO_MATRIX, [[0.0] * 4], [[0.0] * 4] * 3, [[0.0] * 5] * 2, [[0.0] * 4, [9.0] * 4]),
+            "options": NO_OBJECT[1:],
+            "keep_within_rad": (*NO_POSITIVE[1:], 1e-5),
+        },
+    ),
     "plan_tour": (
         lambda **given: hplan.plan_tour(**given),
         {"robot": None, "scene": None},

@@ -61,7 +61,7 @@ exit status:
 hplan --help lists the other commands.
 """
 
-_STAGE_WORDS = {
+STAGE_WORDS = {
     "grasps": "finding grasps",
     "roadmap": "looking for a quick path",
     "cspace": "computing the C-space",
@@ -84,11 +84,11 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int
     with folder.job():
         robot, scene, result = _made(arguments, folder, errors)
     if not arguments.quiet:
-        _show_summary(console, result, folder.path)
+        show_summary(console, result, folder.path)
     if arguments.view:
         from hplan.cli.view import serve_page
 
-        serve_page(console, robot, scene, _playback(result))
+        serve_page(console, robot, scene, playback_of(result))
     return 0
 
 
@@ -169,14 +169,14 @@ def _made(arguments: argparse.Namespace, folder: JobFolder, errors: Console) -> 
         note = " (compiling, as on every first run)" if first_run else ""
 
         def progress(stage: str) -> None:
-            show(_STAGE_WORDS.get(stage, stage) + note)
+            show(STAGE_WORDS.get(stage, stage) + note)
 
         result = _planned(robot, scene, options, progress, first_run)
         progress("export")
         begin = time.perf_counter()
         with folder.filling() as staging:
             write_csv(result.trajectory, staging / TRAJECTORY)
-            write_page(robot, scene, _playback(result), staging / PAGE)
+            write_page(robot, scene, playback_of(result), staging / PAGE)
             if arguments.mcap:
                 from hplan.ros.mcap_file import write_mcap
 
@@ -208,7 +208,7 @@ def _planned(
         return plan(robot, scene, options, progress=stage)
 
 
-def _playback(result: PlanResult) -> Playback:
+def playback_of(result: PlanResult) -> Playback:
     """The motion as pages show it."""
     from hplan.view.playback import Playback
 
@@ -228,7 +228,7 @@ def _write_cspace(
     from hplan.view.figure_style import require_matplotlib, write_png
     from hplan.view.yaw_section import yaw_section
 
-    section = yaw_section(robot, scene, _playback(result), options, yaw=yaw)
+    section = yaw_section(robot, scene, playback_of(result), options, yaw=yaw)
     write_cspace_page(section, scene.name, folder / CSPACE_PAGE)
     try:
         require_matplotlib()
@@ -237,8 +237,8 @@ def _write_cspace(
     write_png(cspace_at_yaw(section, scene.name), folder / CSPACE_FIGURE)
 
 
-def _show_summary(console: Console, result: PlanResult, folder: Path) -> None:
-    """Rows that fit 80 columns, unless names are long."""
+def show_summary(console: Console, result: PlanResult, folder: Path) -> None:
+    """What came of a plan: rows that fit 80 columns, unless names are long."""
     from rich.markup import escape
 
     report = result.report
@@ -254,6 +254,12 @@ def _show_summary(console: Console, result: PlanResult, folder: Path) -> None:
         add("search", "none: start and goal are the same")
     elif planner["method"] == "direct":
         add("search", "none: the straight motion is clear")
+    elif planner["method"] == "given":
+        given = report["given"]
+        moved = len(given["moved_segments"])
+        words = f"; {moved} motion{'s' * (moved != 1)} moved to keep clear" if moved else ""
+        add("search", f"none: {given['waypoints']:,} waypoints were given{words}")
+        add("path", f"{path['length_deg']:.2f} deg, from {path['length_deg_grid']:.2f} deg")
     elif result.search is None:
         add("search", f"{planner['method']}: {len(result.grid_path) - 2} configurations between start and goal")
         add("path", f"{path['length_deg']:.2f} deg")

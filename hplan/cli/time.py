@@ -1,4 +1,7 @@
-"""The command `hplan time`: time a motion through waypoints for any robot that Pinocchio reads."""
+"""The command `hplan time`: time a motion through waypoints for any robot that Pinocchio reads.
+
+Without a scene it looks at no obstacles. With one the path is shown clear, finished, and certified: a job like a plan.
+"""
 
 from __future__ import annotations
 
@@ -9,22 +12,29 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from hplan.cli.job_folder import OUT as FOLDER
+from hplan.cli.job_folder import PAGE, REPORT, TRAJECTORY, JobFolder
 from hplan.cli.options import (
     CommandParser,
+    add_deadline,
     add_hold,
     add_pace,
+    add_tracking,
     check_output_file,
     command_parser,
     held_joints,
     named_output,
+    plan_options,
+    robot_of,
 )
-from hplan.cli.terminal import facts_table, number_table, show_title
-from hplan.errors import OptionError
+from hplan.cli.terminal import facts_table, loading, number_table, progress_line, show_title
+from hplan.errors import InputError, OptionError
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from hplan.base.arrays import FloatArray
+    from hplan.planning.plan import PlanResult
     from hplan.robot.limits import Limits
     from hplan.timing.trajectory import Trajectory
     from hplan.waypoints import Machine
@@ -32,9 +42,27 @@ if TYPE_CHECKING:
 #: Where the motion goes unless something else is said.
 OUT = Path("timed.csv")
 
+#: The scene of a path that was given, with its ends as start and goal: what is certified is about this one.
+SCENE = "scene.yaml"
+
+#: Options, with their defaults, that take a scene, and such that do not.
+WITH_SCENE: dict[str, object] = {
+    "keep_path": False,
+    "effort": "default",
+    "sigmas": 3.0,
+    "tracking_error": 0.0,
+    "tracking_delay": 0.0,
+    "deadline_ms": None,
+    "tool_frame": None,
+    "srdf": None,
+    "package_dir": [],
+}
+WITHOUT_SCENE: dict[str, object] = {"acceleration": None, "no_torque": False, "joints": None}
+
 _DESCRIPTION = """\
 Time the fastest motion through waypoints, from rest to rest, under the URDF's velocity and torque limits and given
-acceleration limits. Corners are rounded within a guaranteed deviation. Obstacles are not looked at.
+acceleration limits. Corners are rounded within a guaranteed deviation. Obstacles are looked at with --scene: the path
+is shown clear, shortened (or kept), smoothed, timed and certified, or refused with the place where it is in contact.
 """
 
 _EPILOG = """\
@@ -46,10 +74,16 @@ joints: revolute, prismatic and continuous ones move; by default all but those
 that mimic another or are mimicked. The others are held: at 0, at the limit
 nearest to it, or where --hold says.
 
+--scene: written are trajectory.csv, report.json, scene.html and scene.yaml, the
+scene with the path's ends as start and goal, into the folder --out (default:
+out). Start and goal of the scene do not matter; a fruit is an obstacle.
+
 exit status:
   0  done
   2  bad input
   4  the motion cannot be timed
+  5  with --scene: the path is in contact, or no motion along it is certified
+  6  with --scene: none was found in time
 """
 
 
@@ -57,7 +91,7 @@ def parser(prog: str) -> CommandParser:
     """The parser of the command's arguments."""
     parser = command_parser(_DESCRIPTION, _EPILOG, prog=prog)
     add = parser.add_argument
-    add("urdf", type=Path, metavar="URDF", help="the robot; its meshes are not needed")
+    add("urdf", type=Path, metavar="URDF", help="the robot; its meshes are needed with --scene only")
     add("waypoints", type=Path, metavar="WAYPOINTS.csv", help="the waypoints")
     limits = parser.add_mutually_exclusive_group()
     limits.add_argument(
@@ -69,10 +103,36 @@ def parser(prog: str) -> CommandParser:
     add_hold(parser)
     add("--deviation", type=float, default=1.0, metavar="DEG", help="largest distance from the polyline (default: 1)")
     add_pace(parser)
-    add("--out", type=Path, default=OUT, metavar="FILE.csv", help="file to write (default: timed.csv)")
+    add("--out", type=Path, metavar="FILE.csv", help="file to write (default: timed.csv); with --scene a folder")
     add("--quiet", action="store_true", help="no summary")
-    parser.on_usage_error = lambda _, words: _remove_earlier(words)
+    _add_scene(parser)
+    parser.on_usage_error = _refused
     return parser
+
+
+def _add_scene(parser: CommandParser) -> None:
+    """Add the options that take a scene."""
+    parser.add_argument("--scene", metavar="SCENE", help="obstacles: a scene file, or name of a shipped scene")
+    add = parser.add_argument
+    add("--keep-path", action="store_true", help="keep the path's shape within --deviation; else it is shortened")
+    add("--effort", choices=("quick", "default", "best"), default="default", help="what to spend on a faster motion")
+    add("--sigmas", type=float, default=3.0, metavar="K", help="an uncertain obstacle grows by K sigma (default: 3)")
+    add("--tool-frame", metavar="NAME", help="frame at the end of the arm (default: tool0, or the named robot's)")
+    add("--srdf", type=Path, metavar="FILE", help="which links may touch, for robots beyond the planar family")
+    add("--package-dir", action="append", type=Path, default=[], metavar="DIR", help="where package:// meshes are "
+        "looked for first")  # fmt: skip
+    add_tracking(parser)
+    add_deadline(parser)
+
+
+def _refused(message: str, words: Sequence[str]) -> None:
+    """Leave nothing of an earlier job where arguments cannot be understood."""
+    if any(word.split("=")[0] == "--scene" for word in words):
+        folder = named_output(words, FOLDER)
+        if folder is not None and folder.is_dir():
+            _job_folder(folder).fail(InputError(message))
+    else:
+        _remove_earlier(words)
 
 
 def _remove_earlier(words: Sequence[str]) -> None:
@@ -85,6 +145,24 @@ def _remove_earlier(words: Sequence[str]) -> None:
     if len(named) <= given:
         with contextlib.suppress(OSError):
             out.unlink()
+
+
+def _job_folder(path: Path) -> JobFolder:
+    return JobFolder(path, (TRAJECTORY, PAGE, SCENE, "scene-*.ply"), REPORT)
+
+
+def _check_options(arguments: argparse.Namespace) -> None:
+    """Refuse options that do nothing with a scene, or without one.
+
+    Raises:
+        OptionError: There is one.
+    """
+    out_of_place = WITHOUT_SCENE if arguments.scene is not None else WITH_SCENE
+    how = "left out with --scene: limits are the robot's, or of --limits" if arguments.scene else "left out, or --scene"
+    for name, default in out_of_place.items():
+        value = getattr(arguments, name)
+        if value != default:
+            raise OptionError(f"--{name.replace('_', '-').removesuffix('-ms')}", value, how)
 
 
 def _prepare(arguments: argparse.Namespace) -> None:
@@ -101,11 +179,64 @@ def _prepare(arguments: argparse.Namespace) -> None:
             out.unlink()
 
 
-def run(arguments: argparse.Namespace, console: Console, _: Console) -> int:
+def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int:
     """Read, time, write, and say how it went; returns the exit status."""
+    if arguments.scene is None:
+        arguments.out = OUT if arguments.out is None else arguments.out
+        return _timed(arguments, console)
+    folder = _job_folder(FOLDER if arguments.out is None else arguments.out)
+    with folder.job():
+        result = _finished(arguments, folder, errors)
+    if not arguments.quiet:
+        from hplan.cli.plan import show_summary
+
+        show_summary(console, result, folder.path)
+    return 0
+
+
+def _finished(arguments: argparse.Namespace, folder: JobFolder, errors: Console) -> PlanResult:
+    """Finish the path among the obstacles of the scene, and write what came of it."""
+    _check_options(arguments)
+    with progress_line(errors, quiet=arguments.quiet) as show:
+        show("reading robot and scene")
+        with loading():
+            from hplan.cli.plan import STAGE_WORDS, playback_of
+            from hplan.finishing.finish import finish
+            from hplan.planning.report import curve_report, write_report
+            from hplan.scene.file import load_scene, save_scene
+            from hplan.timing.trajectory import write_csv
+            from hplan.view.page import write_page
+            from hplan.waypoints import read_waypoints
+        options = plan_options(arguments, "effort", "sigmas")
+        scene = load_scene(arguments.scene)
+        arguments.robot = arguments.urdf
+        robot = robot_of(arguments, scene)
+        folder.robot, folder.scene = robot.name, scene.name
+        waypoints = read_waypoints(arguments.waypoints, robot.joint_names)
+        within_rad = math.radians(arguments.deviation) if arguments.keep_path else None
+        result = finish(
+            robot,
+            scene,
+            waypoints,
+            options,
+            keep_within_rad=within_rad,
+            progress=lambda stage: show(STAGE_WORDS.get(stage, stage)),
+        )
+        show("writing files")
+        with folder.filling() as staging:
+            write_csv(result.trajectory, staging / TRAJECTORY)
+            write_page(robot, result.scene, playback_of(result), staging / PAGE)
+            save_scene(result.scene, folder.path / SCENE)  # where it stands, for it may name files
+            write_report(result.report | curve_report(result.certificate), staging / REPORT)
+    return result
+
+
+def _timed(arguments: argparse.Namespace, console: Console) -> int:
+    """Time the path, whatever is in its way."""
     from hplan.timing.trajectory import write_csv
     from hplan.waypoints import read_machine, read_waypoints, time_waypoints
 
+    _check_options(arguments)
     _prepare(arguments)
     machine = read_machine(arguments.urdf, arguments.joints, hold=held_joints(arguments))
     waypoints = read_waypoints(arguments.waypoints, machine.joint_names)

@@ -172,14 +172,20 @@ def by_trees_to_any(tasks: Sequence[PlanningTask]) -> tuple[int, PlannedMotion] 
     goals = np.array([task.problem.goal for task in tasks])
     margin, first = min(task.margin() for task in tasks), tasks[0]
     found: dict[int, list[FloatArray]] = {}
-    for seed in range(LONG_SEEDS):
+    at_once = first.robot.planar is None  # another path takes as long again
+    for seed in range(LONG_SEEDS + at_once):
         effort = TreeEffort(LONG_TREES, seed)
         with first.stage("roadmap"):
             path, _ = tree_path(
                 first.problem, first.field, first.robot.velocity_limit, 0.1 * margin, effort, goals=goals
             )
-        if path is not None:
-            found.setdefault(int((goals == path[-1]).all(axis=1).argmax()), []).append(path)
+        if path is None:
+            continue
+        number = int((goals == path[-1]).all(axis=1).argmax())
+        found.setdefault(number, []).append(path)
+        motion = quickest_certified(tasks[number], [Polyline(path, "trees")], margin) if at_once else None
+        if motion is not None:
+            return number, motion
     for number, reached in found.items():
         motion = quickest_certified(tasks[number], [Polyline(path, "trees") for path in reached], margin)
         if motion is not None:

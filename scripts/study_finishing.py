@@ -1,0 +1,89 @@
+"""Finish OMPL's paths on MotionBenchMaker's problems and the reference scene, beside toppra on the same paths."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from hplan.base.files import write_text
+from hplan.cli.options import command_parser
+from hplan.cli.terminal import run_command
+from hplan.errors import InputError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+_DESCRIPTION = """\
+Let OMPL's RRTConnect (extra bench) find and simplify paths for MotionBenchMaker's problems of the Panda and for the
+reference scene, finish them, and compare the motions with splines through the same paths, timed by toppra.
+"""
+
+_EPILOG = """\
+exit status:
+  0  done
+  2  bad input, or OMPL is missing
+  5  a certified motion was found in contact
+"""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line; returns the exit status."""
+    parser = command_parser(_DESCRIPTION, _EPILOG)
+    add = parser.add_argument
+    add("--problems", type=Path, metavar="DIR", help="folder of the sets, panda_NAME.json each (default: none)")
+    add("--urdf", type=Path, metavar="FILE", help="panda.urdf of example-robot-data")
+    add("--limits", type=Path, metavar="FILE", help="its limits file")
+    add("--package-dir", type=Path, action="append", default=[], metavar="DIR", help="folder of its meshes; repeatable")
+    add("--effort", choices=("quick", "default", "best"), default="default", help="default: default")
+    add("--every", type=int, default=1, metavar="N", help="only every N-th problem of each set")
+    add("--repeat", type=int, default=10, metavar="N", help="paths in the reference scene (default: 10)")
+    add("--seed", type=int, default=1, metavar="N", help="seed of OMPL, positive (default: 1)")
+    add("--resolution", type=float, default=0.01, metavar="FRACTION", help="distance between configurations that OMPL "
+        "checks, as a fraction of the space's extent (default: 0.01, as OMPL has it)")  # fmt: skip
+    add("--out", type=Path, metavar="JSON", help="where rows are written to")
+    arguments = parser.parse_args(argv)
+
+    def command(console: Console, _: Console) -> int:
+        return _run(arguments, console)
+
+    return run_command(command)
+
+
+def _run(arguments: argparse.Namespace, console: Console) -> int:
+    """Plan, finish, tell, write."""
+    from studies.benchmark.finishing import finished, seed_ompl, table
+    from studies.benchmark.motionbenchmaker import SETS, panda, problems, scene_of
+
+    from hplan.planning.report import report_text
+    from hplan.problem.options import PlanOptions
+    from hplan.robot.model import load_robot
+    from hplan.scene.file import load_scene
+
+    try:
+        seed_ompl(arguments.seed)
+    except ImportError as error:
+        raise InputError("OMPL is not installed: pip install 'hplan[bench]'", extra="bench") from error
+    options = PlanOptions(effort=arguments.effort)
+    rows = list(finished(load_robot(), [("reference", load_scene())] * arguments.repeat, options, arguments.resolution))
+    if arguments.problems is not None:
+        if arguments.urdf is None or arguments.limits is None:
+            raise InputError("--problems: --urdf and --limits are needed too")
+        robot = panda(arguments.urdf, arguments.limits, tuple(arguments.package_dir))
+        scenes = [
+            (name, scene_of(robot, problem, name))
+            for name in SETS
+            for problem in problems(arguments.problems, name)[:: arguments.every]
+        ]
+        rows += finished(robot, scenes, options, arguments.resolution)
+    for line in table(rows):
+        console.print(line, markup=False, soft_wrap=True)
+    if arguments.out is not None:
+        write_text(arguments.out, report_text({"rows": [vars(row) for row in rows]}))
+    return 5 if any(row.finished_touches for row in rows) else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -46,7 +46,7 @@ def test_readme_scene_is_a_scene(tmp_path: Path) -> None:
     trimesh.Trimesh(corners).convex_hull.export(tmp_path / "crate.stl")
     PointCloud.of("canopy", corners + np.array([0.0, 0.0, 1.0]), 0.01).write(tmp_path / "canopy.ply")
     scene = hplan.load_scene(tmp_path / "scene.yaml")
-    assert {obstacle.kind for obstacle in scene.obstacles} == {"sphere", "capsule", "box", "mesh", "points"}
+    assert {obstacle.kind for obstacle in scene.obstacles} == {"sphere", "capsule", "box", "cylinder", "mesh", "points"}
     result = hplan.plan(hplan.load_robot(), scene)
     assert result.certificate.verified
     assert [phase.name for phase in result.phases] == ["transit", "approach", "retreat"]

@@ -120,8 +120,8 @@ class ApproachPath(Record):
         return q
 
     @cached_property
-    def _stretch(self) -> _Stretches:
-        return _Stretches.back_from(self.robot, self.goal[None], self.locked)
+    def _stretch(self) -> Stretches:
+        return Stretches.back_from(self.robot, self.goal[None], self.locked)
 
 
 def standoffs(robot: Robot, candidates: ArrayLike, distance: float, *, locked: Sequence[str] = ()) -> Standoffs:
@@ -143,16 +143,14 @@ def standoffs(robot: Robot, candidates: ArrayLike, distance: float, *, locked: S
         raise InputError(f"candidates: expected {robot.dof} joint values in each row, got the shape {q.shape}")
     if not (np.isfinite(distance) and distance > 0.0):
         raise OptionError("standoff", distance, "a positive number of metres")
-    stretch = _Stretches.back_from(robot, q, locked, standoff=distance)
+    stretch = Stretches.back_from(robot, q, locked, standoff=distance)
     largest = stretch.largest(distance)
-    configurations = q.copy()
-    configurations[:, list(stretch.index)] += stretch.joints(largest[:, None], 0)[:, 0]
-    configurations = np.minimum(np.maximum(configurations, robot.lower), robot.upper)
+    configurations = stretch.configurations(q, largest[:, None])[:, 0]
     return Standoffs(frozen(configurations), frozen(largest >= distance), frozen(largest))
 
 
 @dataclass(frozen=True, eq=False)
-class _Stretches:
+class Stretches:
     """Straight stretches back from k goals; distances from the goals are (k, m) arrays.
 
     Attributes:
@@ -182,7 +180,7 @@ class _Stretches:
     side: FloatArray
 
     @classmethod
-    def back_from(cls, robot: Robot, q: FloatArray, locked: Sequence[str], *, standoff: float = 0.0) -> _Stretches:
+    def back_from(cls, robot: Robot, q: FloatArray, locked: Sequence[str], *, standoff: float = 0.0) -> Stretches:
         """Stretches from (k, dof) configurations; `standoff` is for the error.
 
         Raises:
@@ -228,9 +226,16 @@ class _Stretches:
         first = bearing - self.side * half
         return first, first + self.side * bend
 
+    def configurations(self, goals: FloatArray, distance: FloatArray) -> FloatArray:
+        """(k, m, dof) configurations at (k, m) distances from the (k, dof) goals, where these are possible [m]."""
+        q = np.repeat(goals[:, None], distance.shape[1], axis=1)
+        q[..., list(self.index)] += self.joints(distance, 0)
+        within: FloatArray = np.minimum(np.maximum(q, self.robot.lower), self.robot.upper)
+        return within
+
     def joints(self, distance: FloatArray, derivative: int) -> FloatArray:
         """(k, m, 3) the three joints' change from the goal, or their derivatives by distance; see the module's text."""
-        first, second = self._turns(distance)
+        first, second, _ = self._turns(distance)
         if derivative > 0:
             l1, l2, back = self.l1, self.l2, argument(self.back)
             a1, a2 = self._angles_at_goal[0] + first, self._angles_at_goal[1] + second
@@ -241,36 +246,40 @@ class _Stretches:
                     (l1 * first**2 * cos + l2 * second**2) / (l1 * sin),
                     -(l1 * first**2 + l2 * second**2 * cos) / (l2 * sin),
                 )
+        return self._changes(first, second)
+
+    def _changes(self, first: FloatArray, second: FloatArray) -> FloatArray:
+        """(k, m, 3) of the three joints, from those of the two links' absolute angles."""
         return np.stack([first, second - first, -second], axis=-1) * self.signs
 
-    def _turns(self, distance: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(k, m) by how much the two links have turned since the goal."""
+    def _turns(self, distance: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
+        """(k, m) by how much the two links have turned since the goal, and whether the elbow keeps its bounds.
+
+        It does where the wrist is in reach and the elbow keeps away from straight and folded.
+        """
         wrist, (_, half_at_goal, bend_at_goal) = self.wrist + distance * self.back, self._at_goal
-        _, half, bend, _ = two_links(self.l1, self.l2, wrist)
+        _, half, bend, in_reach = two_links(self.l1, self.l2, wrist)
         # Seen from a point that is not on it, a straight line turns by less than half a turn.
         first = argument(product(wrist, np.conj(self.wrist))) - self.side * (half - half_at_goal)
-        return first, first + self.side * (bend - bend_at_goal)
-
-    def keeps_elbow(self, distance: FloatArray) -> BoolArray:
-        """(k, m) True where the wrist is in reach and the elbow keeps away from straight and folded."""
-        _, _, bend, ok = two_links(self.l1, self.l2, self.wrist + distance * self.back)
-        kept: BoolArray = ok & (bend >= STRAIGHT) & (bend <= np.pi - STRAIGHT)
-        return kept
+        kept: BoolArray = in_reach & (bend >= STRAIGHT) & (bend <= np.pi - STRAIGHT)
+        return first, first + self.side * (bend - bend_at_goal), kept
 
     def largest(self, distance: float) -> FloatArray:
         """(k,) the largest stand-offs possible, at most the given one."""
-        cuts = np.sort(np.clip(self._crossings(), 0.0, distance), axis=1)
-        cuts = np.pad(cuts, ((0, 0), (1, 1)), constant_values=((0.0, 0.0), (0.0, distance)))
+        cuts = np.empty((len(self.goal), self._crossings.shape[1] + 2))
+        cuts[:, 0], cuts[:, -1] = 0.0, distance
+        cuts[:, 1:-1] = np.sort(np.minimum(np.maximum(self._crossings, 0.0), distance), axis=1)
         middle = 0.5 * (cuts[:, :-1] + cuts[:, 1:])
-        q = self.goal[:, None] + self.joints(middle, 0)
-        kept = ((q >= self.lower - ROUNDING) & (q <= self.upper + ROUNDING)).all(axis=-1)
-        kept &= self.keeps_elbow(middle)
+        first, second, kept = self._turns(middle)
+        q = self.goal[:, None] + self._changes(first, second)
+        kept &= ((q >= self.lower - ROUNDING) & (q <= self.upper + ROUNDING)).all(axis=-1)
         broken = ~kept & (np.diff(cuts, axis=1) > 0.0)
         reached: FloatArray = np.where(
             broken.any(axis=1), np.take_along_axis(cuts, broken.argmax(axis=1)[:, None], axis=1)[:, 0], distance
         )
         return reached
 
+    @cached_property
     def _crossings(self) -> FloatArray:
         """(k, 16) distances at which some joint may come to a limit or the elbow to its bounds; 0 where never."""
         l1, l2, goal = self.l1, self.l2, self.goal[:, :, None]

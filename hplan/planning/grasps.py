@@ -24,7 +24,7 @@ from hplan.base.deadline import is_over, look
 from hplan.errors import BlockedError
 from hplan.planar.finer_angles import refined
 from hplan.planar.inverse_kinematics import Candidates, reach
-from hplan.planar.straight_approach import ApproachPath, standoffs
+from hplan.planar.straight_approach import ApproachPath, Stretches
 from hplan.problem.joint_ranges import LEAST_MARGIN, JointRanges, joint_ranges
 from hplan.problem.world import World
 from hplan.robot.limits import least_duration
@@ -91,10 +91,11 @@ class Approaches(NamedTuple):
     polylines: FloatArray
 
     @classmethod
-    def of(cls, robot: Robot, goals: FloatArray, length: float, locked: Sequence[str]) -> Approaches:
-        """The approaches of a length [m] to (k, dof) goals."""
-        stages = [standoffs(robot, goals, length * look, locked=locked) for look in _LOOKS]
-        return cls(stages[-1].feasible, np.stack([goals, *(stage.configurations for stage in stages)], axis=1))
+    def of(cls, back: Stretches, goals: FloatArray, length: float) -> Approaches:
+        """The approaches of a length [m] to (k, dof) goals, from where the straight stretches lead back to."""
+        looks = np.broadcast_to(length * np.array(_LOOKS), (len(goals), len(_LOOKS)))
+        approached = np.concatenate([goals[:, None], back.configurations(goals, looks)], axis=1)
+        return cls(back.largest(length) >= length, approached)
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,10 +160,11 @@ def grasps(
     # A straight approach takes three joints in the arm plane.
     straight = sum(name not in locked for name in target.world.robot.arm.joint_names) >= 3
     lengths = _distances(standoff, target.least_standoff) if straight else []
+    back = cache(lambda: Stretches.back_from(target.world.robot, goals, locked))
 
     @cache
     def along(length: float) -> Approaches:
-        return Approaches.of(target.world.robot, goals, length, locked)
+        return Approaches.of(back(), goals, length)
 
     direct = {i: (0.0, goal) for i, goal in enumerate(goals)}
     for less in (room, *(less for less in ROOMS if less < room)):

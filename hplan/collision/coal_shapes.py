@@ -23,6 +23,9 @@ LINK_SHAPES: tuple[LinkShapes, ...] = ("capsule", "box", "urdf")
 #: The axis of coal's capsules.
 _UP = np.array([0.0, 0.0, 1.0])
 
+_UNTURNED = np.eye(3)
+_AT_ORIGIN = pin.SE3.Identity()
+
 
 def link_shapes(robot: Robot, links: LinkShapes) -> list[pin.GeometryObject]:
     """Each link's capsule or beam, in the frame of its joint; made once for each robot."""
@@ -71,9 +74,9 @@ def urdf_shapes(robot: Robot) -> list[list[pin.GeometryObject]]:
 
 def solid_shape(obstacle: Sphere | Capsule | Cylinder | Box | Hull) -> pin.GeometryObject:
     """A convex obstacle as a fixed geometry object."""
-    placement = pin.SE3.Identity()
+    placement = _AT_ORIGIN
     if isinstance(obstacle, Sphere):
-        placement, shape = pin.SE3(np.eye(3), np.array(obstacle.center)), coal.Sphere(float(obstacle.radius))
+        placement, shape = pin.SE3(_UNTURNED, np.array(obstacle.center)), coal.Sphere(float(obstacle.radius))
     elif isinstance(obstacle, Capsule):
         placement, length = _along(np.array(obstacle.start), np.array(obstacle.end))
         shape = coal.Capsule(float(obstacle.radius), length)
@@ -110,5 +113,5 @@ def _along(start: FloatArray, end: FloatArray) -> tuple[pin.SE3, float]:
     axis = end - start
     length = math.sqrt(axis @ axis)  # as `np.linalg.norm`, in a tenth of the time
     if length == 0.0:
-        return pin.SE3(np.eye(3), 0.5 * (start + end)), length
+        return pin.SE3(_UNTURNED, 0.5 * (start + end)), length
     return pin.SE3(pin.Quaternion.FromTwoVectors(_UP, axis / length), 0.5 * (start + end)), length

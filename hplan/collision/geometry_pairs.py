@@ -174,14 +174,17 @@ class GeometryPairs:
         if single is not None:  # as almost always: no look-up of where a pair is
             geometry, data = geometries[0], single[1].geometry
             return np.array([pin.computeDistance(geometry, data, pair).min_distance for pair in pairs.tolist()])
-        found = np.empty(len(pairs))
-        where = zip(self._part_of[pairs].tolist(), self._local[pairs].tolist(), strict=True)
-        for number, (part, local) in enumerate(where):
-            if part < 0:
-                found[number] = self._cloud_distance(query, local)
-            else:
-                found[number] = pin.computeDistance(geometries[part], self._placed(query, part), local).min_distance
-        return found
+        parts = self._part_of[pairs].tolist()
+        placed = {part: self._placed(query, part) for part in set(parts) if part >= 0}
+        return np.array(
+            [
+                pin.computeDistance(geometries[part], placed[part], local).min_distance
+                if part >= 0
+                else self._cloud_distance(query, local)
+                for part, local in zip(parts, self._local[pairs].tolist(), strict=True)
+            ],
+            dtype=np.float64,
+        )
 
     def in_collision(self, configurations: FloatArray, margins: FloatArray) -> BoolArray:
         """True where any pair is nearer than its margin, (n, dof) configurations, (count,) margins [m] -> (n,)."""

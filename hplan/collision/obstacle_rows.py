@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
 from itertools import groupby
-from typing import NamedTuple, assert_never, cast
+from typing import NamedTuple, TypeVar, assert_never, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -49,6 +49,8 @@ CORNERS = 18
 #: Gate: the first and the last link that pass it, and 1 where the row below turns with them. Pair: its links, and the
 #: distance of their axes at which they touch.
 FIRST_LINK, LAST_LINK, TURNS, INNER, OUTER, TOUCHING = 6, 7, 8, 6, 7, 8
+
+_Lengths = TypeVar("_Lengths", float, FloatArray)
 
 #: A hull whose points lie in one plane is made so thick [m].
 _THICKNESS = 1e-5
@@ -95,11 +97,11 @@ def rows_of(
     for is_round, run in groupby(enumerate(obstacles), lambda numbered: isinstance(numbered[1], Sphere | Capsule)):
         look()
         if is_round:  # hundreds of them: all at once
-            numbered = list(run)
-            rows = np.array([_round_row(cast(Sphere | Capsule, solid), grown[index]) for index, solid in numbered])
+            numbers, solids = zip(*run, strict=True)
+            rows = _round_rows(cast(Sequence[Sphere | Capsule], solids), grown[numbers[0] : numbers[-1] + 1])
             rows[:, NEXT] += row_count + np.arange(len(rows))
             blocks.append(rows)
-            owner.append(np.array([index for index, _ in numbered], dtype=np.int64))
+            owner.append(np.array(numbers, dtype=np.int64))
             row_count += len(rows)
             continue
         for index, solid in run:
@@ -171,25 +173,26 @@ def core_rows(obstacles: Sequence[Solid], clearance: ArrayLike) -> tuple[FloatAr
     return np.concatenate(blocks), np.concatenate(data), np.concatenate(owner)
 
 
-def _round_row(obstacle: Sphere | Capsule, clearance: float) -> list[float]:
-    """The row of a ball or a capsule, as if it were the first."""
-    row: list[float] = [0.0] * _COLUMNS
-    radius = obstacle.rounding + clearance
-    if isinstance(obstacle, Sphere):
-        row[KIND], row[SHAPE : SHAPE + 3] = POINT, obstacle.center
-        centre, reach = obstacle.center, 0.0
-    else:
-        row[KIND], row[SHAPE : SHAPE + 6] = SEGMENT, (*obstacle.start, *obstacle.end)
-        (ax, ay, az), (bx, by, bz) = obstacle.start, obstacle.end
-        centre = 0.5 * (ax + bx), 0.5 * (ay + by), 0.5 * (az + bz)
-        reach = 0.5 * math.dist(obstacle.start, obstacle.end)
-    row[RADIUS], row[CENTRE:BOUND], row[BOUND] = radius, centre, _bounding(reach, radius)
-    row[NEXT] = 1.0
-    return row
+def _round_rows(obstacles: Sequence[Sphere | Capsule], clearances: Sequence[float]) -> FloatArray:
+    """The rows of balls and capsules grown by clearances [m], each as if it were the first."""
+    rows = np.zeros((len(obstacles), _COLUMNS))
+    radius = np.array([obstacle.radius for obstacle in obstacles]) + clearances
+    # A ball is read as a segment without a length, of which its row has the first end.
+    is_ball = np.array([isinstance(obstacle, Sphere) for obstacle in obstacles], dtype=np.bool_)
+    ends = [(o.center, o.center) if isinstance(o, Sphere) else (o.start, o.end) for o in obstacles]
+    start, end = np.array(ends).transpose(1, 0, 2)
+    reach = 0.5 * np.array([math.dist(*both) for both in ends])
+    rows[:, KIND] = np.where(is_ball, POINT, SEGMENT)
+    rows[:, SHAPE : SHAPE + 3] = start
+    rows[:, SECOND_END : SECOND_END + 3] = np.where(is_ball[:, None], 0.0, end)
+    rows[:, CENTRE:BOUND] = np.where(is_ball[:, None], start, 0.5 * (start + end))
+    rows[:, RADIUS], rows[:, BOUND] = radius, _bounding(reach, radius)
+    rows[:, NEXT] = 1.0
+    return rows
 
 
-def _bounding(reach: float, radius: float) -> float:
-    """Radius of a bounding ball, never too small by rounding errors [m]."""
+def _bounding(reach: _Lengths, radius: _Lengths) -> _Lengths:
+    """Radius of a bounding ball, or of several, never too small by rounding errors [m]."""
     return (reach + radius) * (1.0 + 1e-12)
 
 
@@ -198,7 +201,7 @@ def _rows(obstacle: Solid, clearance: float, offset: int) -> tuple[FloatArray, F
     if isinstance(obstacle, Cloud):
         return _cloud_rows(obstacle, clearance, offset), obstacle.core.ravel()
     if isinstance(obstacle, Sphere | Capsule):
-        return np.array([_round_row(obstacle, clearance)]), np.zeros(0)
+        return _round_rows([obstacle], [clearance]), np.zeros(0)
     data = np.zeros(0)
     row = np.zeros((1, _COLUMNS))
     first = row[0]

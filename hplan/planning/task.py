@@ -206,26 +206,43 @@ class PlanningTask(PlanningContext):
             return turning_occupancy(robot, bodies, planar, yaws, thick=attempt.thick, layers=self.layers)
 
 
-class PlanningCache:
-    """Results that one plan leaves for the next: the robot's planar layers, and the last world."""
+class LastWorld:
+    """The last world that was made, and what of: another one takes its place."""
 
-    def __init__(self, robot: Robot) -> None:
-        """Begin with nothing."""
-        self.robot = robot
-        self.layers = LayerCache()
-        self._last: tuple[tuple[tuple[Solid, ...], float, float, float], World] | None = None
+    def __init__(self) -> None:
+        """Begin with none."""
+        self._kept: tuple[tuple[tuple[Solid, ...], float, float, float], World] | None = None
 
-    def world(self, scene: Scene, options: PlanOptions) -> World:
+    @classmethod
+    def of(cls, robot: Robot) -> LastWorld:
+        """The one that a robot keeps, from one plan to the next."""
+        return robot.once("last world", cls)
+
+    def world(self, robot: Robot, scene: Scene, options: PlanOptions) -> World:
         """The robot among the scene's solids, all fruits among them; the same as before where these are the same."""
         # What need not be certified need not make room for the tracking error either; it is certified all the same.
         tracking_error = options.tracking.still_rad
         solids, clearance, sigmas = scene.solids_with_goal, scene.clearance, options.sigmas
         asked = solids, clearance, tracking_error, sigmas
-        last = self._last
-        if last is None or last[0] != asked:
-            world = World.of(self.robot, solids, clearance=clearance, tracking_error=tracking_error, sigmas=sigmas)
-            self._last = last = asked, world
-        return last[1]
+        kept = self._kept
+        if kept is None or kept[0] != asked:
+            world = World.of(robot, solids, clearance=clearance, tracking_error=tracking_error, sigmas=sigmas)
+            self._kept = kept = asked, world
+        return kept[1]
+
+
+class PlanningCache:
+    """Results that one plan leaves for the next: the robot's planar layers, and the last world."""
+
+    def __init__(self, robot: Robot, last: LastWorld | None = None) -> None:
+        """Begin with nothing, or with the last world of others."""
+        self.robot = robot
+        self.layers = LayerCache()
+        self._last = LastWorld() if last is None else last
+
+    def world(self, scene: Scene, options: PlanOptions) -> World:
+        """The robot among the scene's solids (`LastWorld.world`)."""
+        return self._last.world(self.robot, scene, options)
 
     def context(
         self, scene: Scene, options: PlanOptions, progress: Progress = no_progress, clock: StageClock | None = None

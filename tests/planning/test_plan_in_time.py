@@ -16,8 +16,9 @@ import hplan
 from hplan.base.deadline import current
 from hplan.cli.main import main
 from hplan.errors import NotFoundError, NotInTimeError, OptionError, PlanCancelledError, UnreachableError
-from hplan.planning.task import PlanningCache
+from hplan.planning.task import LastWorld, PlanningCache
 from hplan.planning.whole_motion import Beginning, parts_in_time
+from hplan.problem.world import World
 from hplan.robot.model import Robot
 from hplan.scene.model import Goal, Scene
 
@@ -208,3 +209,27 @@ def test_the_command_hands_out_what_it_found_in_time(tmp_path: Path) -> None:
     assert report["certificate"]["verified"]
     assert (report["deadline"]["deadline_s"], report["deadline"]["cut_short"]) == (1e6, False)
     assert (tmp_path / "trajectory.csv").exists()
+
+
+def test_the_robot_keeps_the_last_world_that_was_planned_in() -> None:
+    robot, scene, asked = hplan.load_robot(), hplan.load_scene("tour"), hplan.PlanOptions()
+
+    def world(scene: Scene, options: hplan.PlanOptions = asked) -> World:
+        return LastWorld.of(robot).world(robot, scene, options)
+
+    kept = world(scene)
+    assert world(scene.model_copy(update={"goal": Goal(fruit=scene.fruits[1].name)})) is kept
+    assert world(hplan.load_scene("tour")) is kept  # the same solids, read again
+    for changed in (
+        {"obstacles": scene.obstacles[1:]},
+        {"fruits": scene.fruits[:-1]},
+        {"clearance": scene.clearance + 1e-3},
+    ):
+        other = scene.model_copy(update=changed)
+        found = world(other)
+        assert found is not kept
+        assert (found.solids, found.clearance) == (other.solids_with_goal, other.clearance)
+        kept = world(scene)
+    for options in (hplan.PlanOptions(tracking_error=1e-3), hplan.PlanOptions(sigmas=1.0)):
+        assert world(scene, options) is not kept
+        kept = world(scene)

@@ -153,6 +153,16 @@ def test_grazing_contact_is_found(arm: tuple[Robot, FloatArray], depth: float) -
     assert refused.value.depth_m >= 0.5 * depth
 
 
+def test_a_near_miss_does_not_hide_a_contact(harvester: tuple[Robot, FloatArray]) -> None:
+    robot, middle = harvester
+    start, goal = middle - 0.4 * np.eye(4)[0], middle + 0.3 * np.eye(4)[0]
+    near = ball_at(robot, start, 5e-4, 0.05).model_copy(update={"name": "near"})
+    with pytest.raises(PathInContactError) as refused:
+        finish(robot, scene_of(robot, near, ball_at(robot, middle, -1e-3, 0.05)), [start, goal], QUICK)
+    assert refused.value.obstacle == "ball"
+    assert refused.value.fraction == pytest.approx(4.0 / 7.0, abs=0.01)
+
+
 @pytest.mark.parametrize("keep", [None, 0.02])
 def test_what_comes_too_close_is_moved_away(arm: tuple[Robot, FloatArray], keep: float | None) -> None:
     robot, middle = arm

@@ -45,7 +45,7 @@ class Planner:
     Attributes:
         robot: The arm.
         options: How to plan.
-        scene: The scene as it is now.
+        scene: The scene as it is now; its tracks count by the clock of the last motion.
         last: The last plan; None before the first.
     """
 
@@ -113,6 +113,10 @@ class Planner:
         `SplicedResult`: its trajectory is the running one from now on and, from `seam_s`, the new one, certified as a
         whole; on the running motion's clock it begins at `begins_s`, the last row up to now. It runs from then on.
 
+        Tracks of the planner's scene count by the clock of the last motion. So what moves is seen where it is when the
+        running motion gets there, and after a splice the scene is shifted to the new motion's clock: it becomes
+        `scene.since(begins_s)`. To plan a motion from rest that begins at a time on the old clock, shift it likewise.
+
         Args:
             at: When the new motion may take over, on the clock of the running one [s]; None before the motion is begun.
             now: The time on that clock [s]; without it the whole motion up to `at` has to be clear.
@@ -127,8 +131,9 @@ class Planner:
         """
         with self._turn(cancel):
             if at is not None:
-                self.last = self._running(now).spliced(at)
-                return self.last
+                spliced = self._running(now).spliced(at)
+                self.last, self.scene = spliced, self.scene.since(spliced.begins_s)
+                return spliced
             before = None if self.last is None else self.last.motion
             self.last = plan_with(self._cache, self.scene, self.options, before=before)
             return self.last
@@ -136,7 +141,8 @@ class Planner:
     def stop_at(self, t: float, *, now: float = 0.0) -> CertifiedMotion:
         """The last motion with the quickest stop on its path from the first row at or after a time on.
 
-        It is certified from now on among the obstacles as they are now; read `certificate.verified`.
+        It is certified from now on among the obstacles as they are now; read `certificate.verified`. Among what moves
+        `certificate.clear_until_s` says how long the arm may rest where it stops, on the motion's clock.
 
         Args:
             t: The time, on the motion's clock [s].

@@ -3,6 +3,9 @@
 What runs until then stays as it is, and is certified again among the obstacles as they are now. From the state of
 motion at the seam a new motion goes on (`hplan.planning.start_in_motion`): position, velocity and acceleration have no
 jump there, as both motions have that very row.
+
+Where obstacles move, their tracks count by the clock of the running motion. The new motion is planned in the scene with
+times since the seam, and what is handed out is certified in the scene with times since its own begin (`Scene.since`).
 """
 
 from __future__ import annotations
@@ -14,9 +17,10 @@ import numpy as np
 
 from hplan.base.arguments import number
 from hplan.errors import HplanError, RunningMotionBlockedError, UnavoidableContactError
+from hplan.moving.obstacles_at import without_moving
 from hplan.planning.plan import Phase, PlanResult, plan_with
 from hplan.planning.report import motion_report
-from hplan.planning.task import PlanningCache, PlanningContext
+from hplan.planning.task import PlanningCache
 from hplan.problem.options import PlanOptions
 from hplan.robot.tracking import TrackingModel
 from hplan.scene.model import Scene, Start
@@ -24,6 +28,7 @@ from hplan.timing.time_scaling import Retimed, stopped
 from hplan.timing.trajectory import Trajectory, joined
 from hplan.verification.certificate import Certificate, all_of, certify_among
 from hplan.verification.digests import Digests
+from hplan.verification.moving_obstacles import checker_in_time, moving_base_contacts
 from hplan.verification.retimed_certificate import CertifiedMotion, stretches_of
 
 #: Times that differ by less are one [s].
@@ -60,6 +65,14 @@ def _state_at(trajectory: Trajectory, row: int) -> Start:
     )
 
 
+def _since(certificate: Certificate, time_s: float) -> Certificate:
+    """The same certificate with the times of what moves counted from a time on."""
+    nearest_s, clear_until_s = (
+        None if when is None else when - time_s for when in (certificate.nearest_s, certificate.clear_until_s)
+    )
+    return replace(certificate, nearest_s=nearest_s, clear_until_s=clear_until_s)
+
+
 def _as_it_is(trajectory: Trajectory) -> Retimed:
     """A motion as a timing of its own path."""
     still = np.zeros(trajectory.position.shape[1])
@@ -71,7 +84,6 @@ class RunningMotion:
 
     Attributes:
         plan: What runs.
-        context: The arm among the obstacles as they are now, and options.
         row: The last row up to now.
     """
 
@@ -91,8 +103,10 @@ class RunningMotion:
         time = plan.trajectory.time
         _check_time("now", now, 0.0, plan.trajectory.duration)
         self.plan, self._cache, self._scene, self._options, self._now = plan, cache, scene, options, now
-        self.context: PlanningContext = cache.context(scene, options)
         self.row = max(int(np.searchsorted(time, now + SAME_TIME, side="right")) - 1, 0)
+        still = without_moving(scene.since(float(time[self.row]))) if scene.moves else scene
+        self._world = cache.world(still, options)
+        self._checker = checker_in_time(plan.robot, scene, options.sigmas) if scene.moves else self._world.checker
 
     def spliced(self, at: float) -> SplicedResult:
         """The running motion with a new one from the first row at or after a time on, or as it is where it may stay.
@@ -105,7 +119,7 @@ class RunningMotion:
         time = self.plan.trajectory.time
         _check_time("at", at, self._now, self.plan.trajectory.duration)
         seam = int(np.searchsorted(time, at - SAME_TIME))
-        self.context.world.check_base(self.plan.robot.yaw_of(self.plan.trajectory.position[seam]))
+        self._world.check_base(self.plan.robot.yaw_of(self.plan.trajectory.position[seam]))
         if self._may_stay():
             certificate = self._certificate(_as_it_is(self.plan.trajectory), self.row, rest=True)
             if certificate.verified:
@@ -113,7 +127,7 @@ class RunningMotion:
         until = self._certificate(_as_it_is(self.plan.trajectory.until(seam)), self.row)
         if not until.verified:
             raise self._blocked(until.violations)
-        scene = self._scene.model_copy(update={"start": _state_at(self.plan.trajectory, seam)})
+        scene = self._scene.since(float(time[seam])).model_copy(update={"start": _state_at(self.plan.trajectory, seam)})
         stop = stopped(self.plan.trajectory, float(time[seam]), self.plan.robot).trajectory
         try:
             new = plan_with(self._cache, scene, self._options, stop=stop.since(seam))
@@ -141,16 +155,19 @@ class RunningMotion:
     def _certificate(self, retimed: Retimed, row: int, *, rest: bool = False) -> Certificate:
         """What is shown of a motion along the running one's path from a row on, among the obstacles as they are now."""
         running, options = self.plan.certificate, self._options
-        among = stretches_of(self.context.world.checker, retimed, running.contact_s, self.plan.scene.goal.fruit, row)
-        motion = retimed.trajectory.since(row)
+        among = stretches_of(self._checker, retimed, running.contact_s, self.plan.scene.goal.fruit, row)
+        robot, motion, begin_s = self.plan.robot, retimed.trajectory.since(row), float(retimed.trajectory.time[row])
         found = certify_among(
-            self.plan.robot, motion, among, clearance=self._scene.clearance, rest_to_rest=False,
+            robot, motion, among, clearance=self._scene.clearance, rest_to_rest=False, begin_s=begin_s,
             tracking=TrackingModel(options.tracking_error, options.tracking_delay_s),
         )  # fmt: skip
-        if rest and motion.velocity[-1].any():
-            violations = (*found.violations, "the motion does not end at rest")
-            return replace(found, verified=False, violations=violations)
-        return found
+        more = ["the motion does not end at rest"] if rest and motion.velocity[-1].any() else []
+        if self._checker.moving is not None:
+            yaw, end_s = robot.yaw_of(motion.position[0]), begin_s + motion.duration
+            more += moving_base_contacts(robot, self._checker.moving, yaw, begin_s, end_s)
+        if not more:
+            return found
+        return replace(found, verified=False, violations=(*found.violations, *more), clear_until_s=None)
 
     def _blocked(self, reasons: Sequence[str]) -> HplanError:
         """The error that the running motion cannot be taken over, with the stop from now on where it is certified."""
@@ -171,7 +188,7 @@ class RunningMotion:
         contact = running.contact_s
         if contact is not None:
             contact = (max(contact[0] - begins_s, 0.0), max(contact[1] - begins_s, 0.0))
-        certificate = replace(certificate, goal_contact=running.goal_contact, contact_s=contact)
+        certificate = replace(_since(certificate, begins_s), goal_contact=running.goal_contact, contact_s=contact)
         return self._result(self.plan, phases, left, certificate, (begins_s, left.duration, True))
 
     def _joined(self, seam: int, until: Certificate, new: PlanResult) -> SplicedResult:
@@ -179,15 +196,14 @@ class RunningMotion:
         before = self.plan.trajectory.until(seam).since(self.row)
         seam_s = before.duration
         whole = joined([before, new.trajectory]) if before.samples > 1 else new.trajectory
-        contact = new.certificate.contact_s
+        begins_s, contact = float(self.plan.trajectory.time[self.row]), new.certificate.contact_s
         certificate = replace(
-            all_of([until, new.certificate]),
+            all_of([_since(until, begins_s), _since(new.certificate, -seam_s)]),
             goal_contact=new.certificate.goal_contact,
             contact_s=None if contact is None else (contact[0] + seam_s, contact[1] + seam_s),
         )
         phases = [Phase(phase.name, phase.start_s + seam_s, phase.end_s + seam_s) for phase in new.phases]
         phases[0] = replace(phases[0], start_s=0.0)
-        begins_s = float(self.plan.trajectory.time[self.row])
         return self._result(new, phases, whole, certificate, (begins_s, seam_s, False))
 
     def _result(
@@ -199,7 +215,9 @@ class RunningMotion:
         splice: tuple[float, float, bool],
     ) -> SplicedResult:
         """A plan with another trajectory, which begins in the state of the running motion now."""
-        scene = self._scene.model_copy(update={"start": _state_at(self.plan.trajectory, self.row)})
+        begins_s, seam_s, is_kept = splice
+        state = _state_at(self.plan.trajectory, self.row)
+        scene = self._scene.since(begins_s).model_copy(update={"start": state})
         certificate = replace(certificate, digests=Digests.of(self.plan.robot, scene, trajectory))
         transit = made.motion
         task = replace(transit.task, scene=scene, options=self._options)
@@ -215,5 +233,4 @@ class RunningMotion:
             "report": report | motion_report(trajectory, certificate, self._options),
             "bound": None,
         }
-        begins_s, seam_s, is_kept = splice
         return SplicedResult(**values, begins_s=begins_s, seam_s=seam_s, is_kept=is_kept)

@@ -12,11 +12,13 @@ import numpy as np
 from hplan.base.arguments import instance
 from hplan.base.arrays import FloatArray, Record
 from hplan.base.deadline import Cancel, TimeIsUpError, TimeLimit, time_limit
-from hplan.errors import CertificationError, HplanError, NoPathError, OptionError, TimingError
-from hplan.moving.search import quickest_in_time
+from hplan.errors import CertificationError, HplanError, NoPathError, ObstacleInTimeError, OptionError, TimingError
+from hplan.moving.search import InTime, quickest_in_time
+from hplan.moving.stop_first import StoppedFirst, stopped_first
 from hplan.planning.certified_motion import Part, PlannedMotion, motion_limits
 from hplan.planning.grasps import Grasp
 from hplan.planning.report import StageClock, bound_report, deadline_report, motion_report, plan_report
+from hplan.planning.start_in_motion import stops
 from hplan.planning.task import LastWorld, PlanningCache, PlanningContext, Progress, no_progress
 from hplan.planning.whole_motion import Beginning, all_parts, parts_in_time
 from hplan.problem.definition import Problem
@@ -218,7 +220,7 @@ def plan_with(
         with time_limit(options.deadline_s) as limit:
             try:
                 if scene.moves:
-                    return _among_moving(cache, scene, options, progress)
+                    return _among_moving(cache, scene, options, progress, stop)
                 return _planned(cache.context(scene, options, progress, clock), before, stop, limit)
             except TimeIsUpError:
                 raise limit.error(clock.told()) from None
@@ -229,22 +231,49 @@ def plan_with(
         raise
 
 
-def _among_moving(cache: PlanningCache, scene: Scene, options: PlanOptions, progress: Progress) -> PlanResult:
-    """The plan where obstacles move: one as if they did not, in a timing that keeps clear of them."""
-    found = quickest_in_time(
-        cache.robot, scene, options, lambda still: plan_with(cache, still, options, progress=progress)
-    )
-    still, phases = found.still, tuple(Phase(*span) for span in found.phases)
-    task = replace(still.motion.task, scene=scene)
+def _among_moving(
+    cache: PlanningCache, scene: Scene, options: PlanOptions, progress: Progress, stop: Trajectory | None
+) -> PlanResult:
+    """The plan where obstacles move: one as if they did not, in a timing that keeps clear of them.
+
+    A start in motion is brought to rest first where there is none.
+    """
+    robot = cache.robot
+    try:
+        found = quickest_in_time(
+            robot, scene, options, lambda still: plan_with(cache, still, options, progress=progress, stop=stop)
+        )
+    except ObstacleInTimeError:
+        state = start_state(robot, scene)
+        if state is None:
+            raise
+        rested = stopped_first(
+            robot, scene, options, stops(robot, state, 1.0 / options.rate_hz, stop),
+            lambda later: plan_with(cache, later, options, progress=progress),
+        )  # fmt: skip
+        return _in_time(rested.plan, (scene, options), rested, {"stops_until_s": rested.stop_s})
+    return _in_time(found.still, (scene, options), found, found.report)
+
+
+def _in_time(
+    plan: PlanResult,
+    asked: tuple[Scene, PlanOptions],
+    found: InTime[PlanResult] | StoppedFirst[PlanResult],
+    told: dict[str, Any],
+) -> PlanResult:
+    """A plan whose motion is run, or begins, as one found among what moves; `told` of that in its report."""
+    (scene, options), phases = asked, tuple(Phase(*span) for span in found.phases)
+    task, certificate = replace(plan.motion.task, scene=scene), found.certificate
+    in_time = plan.report.get("in_time", {}) | told | {"clear_until_s": certificate.clear_until_s}
     return replace(
-        still,
+        plan,
         trajectory=found.trajectory,
-        certificate=found.certificate,
+        certificate=certificate,
         phases=phases,
-        motion=replace(still.motion, task=task),
-        report=still.report
-        | {"scene": scene.name, "phases": [vars(phase) for phase in phases], "in_time": found.report}
-        | motion_report(found.trajectory, found.certificate, options),
+        motion=replace(plan.motion, task=task),
+        report=plan.report
+        | {"scene": scene.name, "phases": [vars(phase) for phase in phases], "in_time": in_time}
+        | motion_report(found.trajectory, certificate, options),
     )
 
 
@@ -258,14 +287,10 @@ def _fraction_with_room(cache: PlanningCache, scene: Scene, options: PlanOptions
     def is_certified(fraction: float) -> bool:
         tracking = options.tracking.scaled(fraction)
         return certify(
-            cache.robot,
-            scene,
-            found.trajectory,
-            tracking_error=tracking.still_rad,
-            tracking_delay_s=tracking.delay_s,
-            sigmas=options.sigmas,
+            cache.robot, scene, found.trajectory, sigmas=options.sigmas,
+            tracking_error=tracking.still_rad, tracking_delay_s=tracking.delay_s,
             goal_contact="approach" if len(found.phases) > 1 else "motion",
-        ).verified
+        ).verified  # fmt: skip
 
     return largest_fraction(is_certified)
 

@@ -32,6 +32,7 @@ from hplan.planning.certified_motion import (
 )
 from hplan.planning.grasps import Grasp
 from hplan.planning.task import PlanningContext
+from hplan.robot.model import Robot
 from hplan.smoothing.smooth_path import near_field
 from hplan.timing.braking import braking
 from hplan.timing.trajectory import Trajectory, joined
@@ -179,7 +180,7 @@ def _after_stop(
     """
     refused: HplanError | None = None
     tried: list[Stop] = []
-    for trajectory in _stops(context, state, stop):
+    for trajectory in stops(context.robot, state, 1.0 / context.options.rate_hz, stop):
         certificate = certificate_of(context, trajectory, rest_to_rest=False)
         tried.append(Stop(trajectory, certificate))
         if not certificate.verified and context.options.certify:
@@ -206,11 +207,17 @@ def _one_after_the_other(stop: Stop, planned: Parts) -> Parts:
     return Parts(planned.grasp, whole, [Part(first.name, trajectory, certificate), *planned.parts[1:]])
 
 
-def _stops(context: PlanningContext, state: BoundaryState, given: Trajectory | None) -> Iterator[Trajectory]:
-    """Motions from a state to rest: the given one, each joint as quickly as it can, all joints at once; then slower."""
+def stops(robot: Robot, state: BoundaryState, period: float, given: Trajectory | None) -> Iterator[Trajectory]:
+    """Motions from a state to rest: the given one, each joint as quickly as it can, all joints at once; then slower.
+
+    Args:
+        robot: The arm.
+        state: How they begin.
+        period: Time between their rows [s].
+        given: The one to be tried before others; None for none.
+    """
     if given is not None:
         yield given
-    robot, period = context.robot, 1.0 / context.options.rate_hz
     for part in PUSHES:
         push = part * robot.acceleration_limit
         with np.errstate(divide="ignore", invalid="ignore"):

@@ -8,12 +8,13 @@ becomes (`hplan.scene.solids`).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated, ClassVar, Final, Literal, Self
+from typing import Annotated, Any, ClassVar, Final, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field, field_validator, model_validator
 
+from hplan.base.arguments import number
 from hplan.base.arrays import FloatArray, numbers
 from hplan.base.data_files import robot_names
 from hplan.errors import MovingObstacleError, SceneError
@@ -278,6 +279,28 @@ class Scene(StrictModel):
             for items in (self.obstacles, self.fruits)
         )
         return self.model_copy(update={"obstacles": obstacles, "fruits": fruits, "base_track": None})
+
+    def since(self, time_s: float) -> Scene:
+        """The same scene with the times of all tracks counted from a time on [s].
+
+        What the scene has at a time t, the new one has at `t - time_s`, of times before its zero too. So a motion that
+        begins at that time is to the new scene what it is to this one with `certify(..., begin_s=time_s)`.
+
+        Raises:
+            OptionError: A time that is not finite, or so large that times of tracks are no longer told apart.
+        """
+        number("time_s", time_s, "a finite number of seconds")
+        if time_s == 0.0 or not self.moves:
+            return self
+        items: dict[str, Any] = {
+            key: tuple(
+                item if item.track is None else item.model_copy(update={"track": item.track.since(time_s)})
+                for item in getattr(self, key)
+            )
+            for key in ("obstacles", "fruits")
+        }
+        base_track = None if self.base_track is None else self.base_track.since(time_s)
+        return self.model_copy(update=items | {"base_track": base_track})
 
     def with_obstacles(self, obstacles: Sequence[Sphere | Capsule | Cylinder | Box | Mesh | PointCloud]) -> Scene:
         """The same task among other obstacles."""

@@ -20,12 +20,14 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import Annotated, Final, TypeAlias
 
 import numpy as np
 from pydantic import Field, model_validator
 
 from hplan.base.arrays import FloatArray, Record, frozen, readonly
+from hplan.errors import OptionError
 from hplan.scene.fault import StrictModel, fault
 from hplan.scene.limits import LONGEST_S, MOST_TRACK_POINTS, Angles, Size, Vector
 from hplan.scene.solids import rpy_rotation
@@ -78,6 +80,18 @@ class Track(StrictModel):
         if self.rpy_deg is None:
             return np.tile(np.eye(3), (len(self.times_s), 1, 1))
         return np.array([rpy_rotation(*map(math.radians, angles)) for angles in self.rpy_deg])
+
+    def since(self, time_s: float) -> Track:
+        """The same track with its times counted from a time on [s].
+
+        Raises:
+            OptionError: Times would be too far off, or two of them the same number.
+        """
+        times = tuple(time - time_s for time in self.times_s)
+        if not (all(abs(time) <= LONGEST_S for time in times) and all(a < b for a, b in pairwise(times))):
+            expected = f"a time from which the times of tracks are within {LONGEST_S:g} s, and apart as numbers"
+            raise OptionError("time_s", time_s, expected)
+        return self.model_copy(update={"times_s": times})
 
 
 class Sway(StrictModel):

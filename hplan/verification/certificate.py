@@ -53,7 +53,7 @@ from hplan.verification.clearance_proof import Proof, prove_clearance
 from hplan.verification.digests import Digests
 from hplan.verification.goal_contact import contact_window
 from hplan.verification.limit_use import LimitUse, limit_use
-from hplan.verification.moving_obstacles import clear_until, moving_base_contacts
+from hplan.verification.moving_obstacles import checker_in_time, clear_until, moving_base_contacts
 from hplan.verification.start_state import start_violations
 from hplan.verification.task_check import task_violations
 
@@ -185,9 +185,7 @@ def certify(
     bezier, _ = cubic_pieces(trajectory)
     contact, violations, fruit = None, list[str](), None
     if checker is None:
-        solids = scene.listed_solids
-        growth = np.array([sigmas * solid.sigma for solid in solids])
-        checker = CoalScene(robot, solids, growth=growth, movements=scene.movements if scene.moves else ())
+        solids, checker = scene.listed_solids, checker_in_time(robot, scene, sigmas)
         fruit = next((fruit for fruit in scene.fruits if fruit.name == scene.goal.fruit), None)
         if fruit is not None:
             if fruit.track is not None or scene.base_track is not None:
@@ -325,7 +323,7 @@ def limit_violations(use: LimitUse) -> Iterator[str]:
 
 
 def all_of(parts: Sequence[Certificate]) -> Certificate:
-    """The certificate of motions one after the other."""
+    """The certificate of motions one after the other; where obstacles move, all by the same clock."""
     if len(parts) == 1:
         return parts[0]
     return Certificate(
@@ -338,6 +336,8 @@ def all_of(parts: Sequence[Certificate]) -> Certificate:
         checks=sum(part.checks for part in parts),
         violations=tuple(violation for part in parts for violation in part.violations),
         subject=joined_subjects(part.subject for part in parts),
+        nearest_s=_nearest_s([part.nearest for part in parts], [part.nearest_s for part in parts]),
+        clear_until_s=parts[-1].clear_until_s if all(part.verified for part in parts) else None,
     )
 
 

@@ -14,6 +14,7 @@ from hplan.collision.coal_scene import CoalScene
 from hplan.collision.moving_solids import MovingSolids
 from hplan.robot.base_shapes import BASE_DEPTH, base_joints, filled
 from hplan.robot.model import Robot
+from hplan.scene.model import Scene
 from hplan.scene.obstacles import Solid
 from hplan.scene.tracks import Movement
 from hplan.verification.clearance_proof import MOST_TRAVEL, SMALLEST_STEP, prove_clearance
@@ -21,6 +22,13 @@ from hplan.verification.clearance_proof import MOST_TRAVEL, SMALLEST_STEP, prove
 #: Most distances that are looked at for one obstacle and one shape of the base: what is nearer than `SMALLEST_STEP`
 #: to being too deep counts as that, so an obstacle that travels 100 m along the base may need more.
 MOST_LOOKS = 100_000
+
+
+def checker_in_time(robot: Robot, scene: Scene, sigmas: float) -> CoalScene:
+    """The arm among all solids of a scene, fruit too, each grown for its uncertainty; over time where some move."""
+    solids = scene.listed_solids
+    growth = np.array([sigmas * solid.sigma for solid in solids])
+    return CoalScene(robot, solids, growth=growth, movements=scene.movements if scene.moves else ())
 
 
 def moving_base_contacts(robot: Robot, moving: MovingSolids, yaw: float, begin_s: float, end_s: float) -> Iterator[str]:

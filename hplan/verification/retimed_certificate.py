@@ -32,6 +32,7 @@ from hplan.verification.certificate import (
 )
 from hplan.verification.digests import Digests
 from hplan.verification.limit_use import limit_use
+from hplan.verification.moving_obstacles import checker_in_time
 from hplan.verification.sway import movers, sways
 
 #: Times that differ by less are one [s].
@@ -87,9 +88,7 @@ def certified_retiming(
         certificate = _by_path(robot, running, whole, left)
     else:
         first = row if known else 0
-        solids = scene.listed_solids
-        growth = np.array([sigmas * solid.sigma for solid in solids])
-        checker = CoalScene(robot, solids, growth=growth, movements=scene.movements if scene.moves else ())
+        checker = checker_in_time(robot, scene, sigmas)
         among = stretches_of(checker, retimed, running.contact_s, scene.goal.fruit, first)
         part = certify_among(
             robot, whole.since(first), among, clearance=scene.clearance, tracking=tracking, rest_to_rest=False

@@ -43,12 +43,10 @@ def test_tours_bounds_worlds_and_execution(robot):
     refused(lambda: execute(robot, SCENE, result.trajectory))
 
 
-def test_a_planner_plans_among_what_moves_but_does_not_splice_there(robot):
+def test_a_planner_plans_among_what_moves_until_it_stands_still(robot):
     planner = hplan.Planner(robot, SCENE)
     assert planner.plan().certificate.verified
     assert planner.replan().certificate.nearest_s is not None
-    refused(lambda: planner.replan(at=0.2))
-    refused(lambda: planner.stop_at(0.2))
     planner.move("bird", track=None)
     assert not planner.scene.moves
     assert planner.plan().certificate.nearest_s is None

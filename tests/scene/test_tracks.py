@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from shapes import crate, distances, uncovered
 
 from hplan.collision.coal_accuracy import ITERATION
-from hplan.errors import InputError, MovingObstacleError, SceneError
+from hplan.errors import InputError, MovingObstacleError, OptionError, SceneError
 from hplan.scene.file import dump_scene, load_scene, parse_scene, save_scene
 from hplan.scene.model import Fruit, Goal, Scene, Start
 from hplan.scene.obstacles import Box, Capsule, Mesh, PointCloud, Solid, Sphere
@@ -277,3 +277,42 @@ def test_no_point_is_faster_than_the_bound(own, base):
     moved = np.linalg.norm(np.diff(points, axis=0), axis=2).max(axis=1)
     travel = np.interp(clock, movement.breaks, np.concatenate([[0.0], np.cumsum(rates * np.diff(movement.breaks))]))
     assert (moved <= np.diff(travel) + 1e-9).all()
+
+
+@given(st.floats(-50.0, 50.0), st.lists(st.floats(-60.0, 60.0), min_size=1, max_size=4))
+def test_a_scene_by_another_clock_is_where_it_was(zero, clock):
+    """Before, within and after the tracks, of either sign."""
+    scene = all_kinds()
+    later = scene.since(zero)
+    before, after = scene.poses_at(np.array(clock)), later.poses_at(np.array(clock) - zero)
+    assert before.keys() == after.keys()
+    for name, poses in before.items():
+        for one, other in zip(poses, after[name], strict=True):
+            np.testing.assert_allclose(one, other, rtol=0, atol=1e-12)
+    assert later.at_rest_s == pytest.approx(scene.at_rest_s - zero, abs=1e-12)
+    back = later.since(-zero)
+    for one, other in zip(back.obstacles, scene.obstacles, strict=True):
+        np.testing.assert_allclose(one.track.times_s, other.track.times_s, rtol=0, atol=1e-12)
+        assert one.track.shifts_m == other.track.shifts_m
+    assert [solid.name for solid in later.listed_solids] == [solid.name for solid in scene.listed_solids]
+
+
+def test_a_clock_that_nothing_goes_by_is_any():
+    scene = all_kinds(track=None)
+    assert scene.since(3.0) is scene
+    moving = all_kinds()
+    assert moving.since(0.0) is moving
+
+
+@pytest.mark.parametrize("zero", [float("nan"), float("inf"), "1", None, 2e6, -2e6])
+def test_zeros_of_time_that_are_none(zero):
+    with pytest.raises(OptionError) as caught:
+        all_kinds().since(zero)
+    assert caught.value.option == "time_s"
+
+
+def test_times_that_are_no_longer_told_apart_are_refused():
+    close = Track(times_s=(0.0, 1e-12), shifts_m=((0.0, 0.0, 0.0), (0.0, 0.0, 1.0)))
+    assert close.since(1e-4).times_s[0] == -1e-4
+    with pytest.raises(OptionError, match="apart as numbers"):
+        a_scene(Sphere(name="ball", center=(1.0, 0.0, 1.0), radius=0.1, track=close)).since(1e5)

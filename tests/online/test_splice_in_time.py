@@ -1,0 +1,254 @@
+"""Splices and stops among what moves: certified in time, clear by coal alone, and by which clock all this is told."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from planned import assert_clear, between_rows, task
+from studies.benchmark.moving.judge import least_distance
+
+from hplan.errors import ObstacleInTimeError, RunningMotionBlockedError
+from hplan.online.planner import Planner
+from hplan.online.splice import SplicedResult
+from hplan.planning.plan import plan
+from hplan.problem.options import PlanOptions
+from hplan.robot.model import Robot
+from hplan.scene.model import Goal, Scene, Start
+from hplan.scene.obstacles import Sphere
+from hplan.scene.tracks import Track
+from hplan.timing.trajectory import Trajectory, cubic_pieces
+from hplan.verification.certificate import certify
+
+START, GOAL, BACK = (0.0, 0.0, 0.0, 0.0), (0.0, 45.0, 60.0, 70.0), (0.0, 20.0, 0.0, 10.0)
+PLANAR = {"locked_joints": ("base_yaw",)}
+FIELDS = ("position", "velocity", "acceleration")
+
+
+def tool_at(robot: Robot, trajectory: Trajectory, part: float) -> np.ndarray:
+    """Where the tool is at a part of a motion."""
+    return robot.tool_positions(trajectory.positions(np.array([part * trajectory.duration])))[0]
+
+
+def crossing(center: np.ndarray, at_s: float, *, speed: float = 1.0, far: float = 1.5, radius: float = 0.1) -> Sphere:
+    """A ball that crosses the arm's plane at a time."""
+    away = far / speed
+    track = Track(times_s=(at_s - away, at_s + away), shifts_m=((0.0, -far, 0.0), (0.0, far, 0.0)))
+    return Sphere(name="ball", center=tuple(center.tolist()), radius=radius, track=track)
+
+
+def coming(center: np.ndarray, at_s: float, *, speed: float = 1.0, radius: float = 0.1) -> Sphere:
+    """A ball that comes into the arm's plane and stays."""
+    track = Track(times_s=(at_s - 1.5 / speed, at_s), shifts_m=((0.0, -1.5, 0.0), (0.0, 0.0, 0.0)))
+    return Sphere(name="ball", center=tuple(center.tolist()), radius=radius, track=track)
+
+
+def a_planner(robot: Robot, *obstacles: Sphere, **options: object) -> Planner:
+    """A planner whose motion runs where nothing is in the way yet."""
+    planner = Planner(robot, task(START, GOAL, obstacles, **PLANAR), PlanOptions(**options))
+    assert planner.plan().certificate.verified
+    return planner
+
+
+def assert_spliced(robot: Robot, before: Trajectory, scene: Scene, planner: Planner, result: SplicedResult) -> None:
+    """As it ran up to the seam, continuous there; certified in time and clear by coal; scene and clock shifted.
+
+    Args:
+        robot: The arm.
+        before: What ran.
+        scene: The planner's scene then.
+        planner: The planner.
+        result: What runs now.
+    """
+    motion = result.trajectory
+    first = int(np.searchsorted(before.time, result.begins_s - 1e-9))
+    seam = int(np.searchsorted(motion.time, result.seam_s - 1e-9))
+    for field in FIELDS:
+        kept, ran = getattr(motion, field)[: seam + 1], getattr(before, field)[first : first + seam + 1]
+        np.testing.assert_array_equal(kept, ran)
+    if 0 < seam < motion.samples - 1:
+        bezier, duration = cubic_pieces(motion)
+        bent = 6.0 * np.diff(bezier, n=2, axis=1) / duration[:, None, None] ** 2
+        np.testing.assert_allclose(bent[seam, 0], bent[seam - 1, 1], rtol=0, atol=1e-6)
+    assert result.certificate.verified
+    assert certify(robot, result.scene, motion).verified
+    # By the old clock and the old scene it is the same.
+    started = scene.model_copy(update={"start": result.scene.start})
+    assert certify(robot, started, motion, begin_s=result.begins_s).verified
+    assert least_distance(robot, result.scene, motion.positions, motion.duration) > 0.0
+    assert not motion.velocity[-1].any()
+    assert planner.last is result
+    assert planner.scene.start == scene.start
+    clock = np.linspace(-1.0, 3.0, 9)
+    for now in (planner.scene, result.scene):
+        seen = now.poses_at(clock)
+        for name, poses in scene.poses_at(clock + result.begins_s).items():
+            for one, other in zip(poses, seen[name], strict=True):
+                np.testing.assert_allclose(one, other, atol=1e-9)
+
+
+@pytest.mark.parametrize("effort", ["quick", "default"])
+def test_around_or_behind_a_ball_that_crosses(robot, effort):
+    planner = a_planner(robot, effort=effort)
+    running = planner.last.trajectory
+    planner.add(crossing(tool_at(robot, running, 0.6), 0.6 * running.duration))
+    scene = planner.scene
+    assert not certify(robot, scene, running).verified
+    result = planner.replan(at=0.15, now=0.1)
+    assert not result.is_kept
+    assert_spliced(robot, running, scene, planner, result)
+    # And on, by the new clock.
+    planner.aim(goal=Goal(joints_deg=BACK))
+    again_in = planner.scene
+    again = planner.replan(at=0.2, now=0.1)
+    assert_spliced(robot, result.trajectory, again_in, planner, again)
+    assert again.certificate.nearest_s is None or -1e-9 <= again.certificate.nearest_s <= again.trajectory.duration
+
+
+def test_what_is_certified_in_time_stays(robot):
+    """The ball crosses the path, and not when the arm is there."""
+    planner = a_planner(robot)
+    running = planner.last.trajectory
+    planner.add(crossing(tool_at(robot, running, 0.8), -0.3, speed=1.0))
+    scene = planner.scene
+    result = planner.replan(at=0.3, now=0.2)
+    assert result.is_kept
+    assert_spliced(robot, running, scene, planner, result)
+    whole = certify(robot, scene, running)
+    assert result.certificate.clear_until_s == whole.clear_until_s == math.inf
+
+
+def test_how_long_it_may_rest_is_told_by_the_clock_of_what_runs(robot):
+    planner = a_planner(robot)
+    running = planner.last.trajectory
+    planner.add(coming(tool_at(robot, running, 1.0), running.duration + 1.0))
+    until = certify(robot, planner.scene, running).clear_until_s
+    assert running.duration < until < running.duration + 1.0
+    kept = planner.replan(at=0.3, now=0.2)
+    assert kept.is_kept
+    assert kept.certificate.clear_until_s == pytest.approx(until - kept.begins_s, abs=1e-9)
+    stop = planner.stop_at(kept.trajectory.duration)
+    assert stop.certificate.clear_until_s == pytest.approx(until - kept.begins_s, abs=1e-9)
+
+
+def test_stops_of_the_running_motion_are_certified_in_time(robot):
+    planner = a_planner(robot)
+    running = planner.last.trajectory
+    at_s, middle = 0.5 * running.duration, tool_at(robot, running, 0.5)
+    planner.add(crossing(middle, at_s))
+    found = planner.stop_at(0.05)
+    assert found.certificate.verified
+    assert found.certificate.nearest_s is not None
+    assert least_distance(robot, planner.scene, found.trajectory.positions, found.trajectory.duration) > 0.0
+    # Too late it is hit, though from then on the place itself is clear.
+    late = planner.stop_at(at_s)
+    assert not late.certificate.verified
+    assert late.certificate.clear_until_s is None
+    # Where the ball has gone already the arm may stop.
+    planner.move("ball", track=crossing(middle, -0.5).track)
+    assert planner.stop_at(at_s).certificate.verified
+
+
+def test_a_stop_that_is_hit_later_says_when(robot):
+    planner = a_planner(robot)
+    running = planner.last.trajectory
+    stop = planner.stop_at(0.1)
+    comes_s = stop.trajectory.duration + 1.5
+    planner.add(coming(tool_at(robot, stop.trajectory, 1.0), comes_s))
+    found = planner.stop_at(0.1)
+    assert found.certificate.verified
+    assert running.duration < comes_s
+    assert found.trajectory.duration < found.certificate.clear_until_s < comes_s
+
+
+def test_what_is_in_the_way_before_the_seam_gives_the_stop(robot):
+    planner = a_planner(robot)
+    running = planner.last.trajectory
+    hit_s = 0.5 * running.duration
+    planner.add(crossing(tool_at(robot, running, 0.5), hit_s, speed=2.0))
+    last, scene = planner.last, planner.scene
+    with pytest.raises(RunningMotionBlockedError, match=r"ball.*it can stop on its path") as caught:
+        planner.replan(at=hit_s + 0.1, now=0.05)
+    stop, begins_s = caught.value.stop, 0.048
+    assert caught.value.certificate.verified
+    np.testing.assert_array_equal(stop.position[0], running.position[12])
+    assert least_distance(robot, scene.since(begins_s), stop.positions, stop.duration) > 0.0
+    assert planner.last is last
+    assert planner.scene is scene
+    with pytest.raises(RunningMotionBlockedError, match="no stop on its path") as caught:
+        planner.replan(at=hit_s, now=hit_s - 0.03)
+    assert caught.value.stop is None
+
+
+def test_a_state_of_motion_that_cannot_be_left_is_said(robot):
+    """It is clear up to the seam, and hit right after it whatever it does."""
+    planner = a_planner(robot)
+    running = planner.last.trajectory
+    q = running.positions(np.array([0.5 * running.duration]))[0]
+    elbow = robot.arm.joint_points(q[robot.arm_slice])[1] @ robot.plane_at(0.0)[1][:2] + robot.plane_at(0.0)[0]
+    planner.add(crossing(elbow, 0.5 * running.duration, speed=20.0, radius=0.5))
+    seam_s = 0.5 * running.duration - 0.06
+    with pytest.raises(RunningMotionBlockedError) as caught:
+        planner.replan(at=seam_s, now=seam_s - 0.004)
+    assert not caught.value.certificate.verified
+
+
+def test_it_stops_first_and_waits_for_what_blocks_the_way(robot):
+    """A start in motion before a gap that opens later: no motion goes on, a stop does, and then the way."""
+    start = a_planner(robot).last.trajectory
+    row = start.samples // 5
+    state = Start(
+        joints_rad=tuple(start.position[row].tolist()),
+        velocity_rad_s=tuple(start.velocity[row].tolist()),
+        acceleration_rad_s2=tuple(start.acceleration[row].tolist()),
+    )
+    q = np.radians(GOAL)
+    balls = [
+        Sphere(
+            name=f"ball {i}",
+            center=tuple(robot.tool_positions(part * q).tolist()),
+            radius=0.25,
+            track=Track(times_s=(2.0, 2.5), shifts_m=((0.0, 0.0, 0.0), (0.0, 4.0, 0.0))),
+        )
+        for i, part in enumerate((0.65, 0.8, 0.95))
+    ]
+    scene = task(START, GOAL, balls, **PLANAR).model_copy(update={"start": state})
+    result = plan(robot, scene)
+    assert result.certificate.verified
+    assert certify(robot, scene, result.trajectory).verified
+    assert least_distance(robot, scene, result.trajectory.positions, result.trajectory.duration) > 0.0
+    np.testing.assert_array_equal(result.trajectory.velocity[0], start.velocity[row])
+    assert result.trajectory.duration > 2.0
+    assert result.phases[0].start_s == 0.0
+    assert result.phases[-1].end_s == pytest.approx(result.trajectory.duration)
+    assert result.report["in_time"]["clear_until_s"] == result.certificate.clear_until_s
+
+
+def test_what_never_goes_is_named(robot):
+    planner = a_planner(robot)
+    running = planner.last.trajectory
+    planner.add(coming(tool_at(robot, running, 1.0), 0.5 * running.duration, speed=4.0, radius=0.3))
+    with pytest.raises(ObstacleInTimeError) as caught:
+        planner.replan(at=0.1, now=0.05)
+    assert caught.value.obstacle == "ball"
+    assert planner.stop_at(0.1, now=0.05).certificate.verified
+
+
+def test_the_base_creeps_on_while_a_new_goal_comes(robot):
+    creep = Track(times_s=(0.0, 10.0), shifts_m=((0.0, 0.0, 0.0), (0.0, 2.0, 0.0)))
+    away = Sphere(name="away", center=(1.2, 1.2, 1.5), radius=0.2)
+    planner = Planner(robot, task(START, GOAL, [away], base_track=creep, **PLANAR))
+    running = planner.plan().trajectory
+    planner.aim(goal=Goal(joints_deg=BACK))
+    scene = planner.scene
+    result = planner.replan(at=0.3, now=0.2)
+    assert result.scene.base_track.times_s[0] == pytest.approx(-result.begins_s)
+    assert certify(
+        robot, scene.model_copy(update={"start": result.scene.start}), result.trajectory, begin_s=0.2
+    ).verified
+    assert result.certificate.verified
+    for field in FIELDS:
+        np.testing.assert_array_equal(getattr(result.trajectory, field)[:25], getattr(running, field)[50:75])
+    still = result.scene.at(result.trajectory.duration)
+    assert_clear(robot, still, between_rows(result.trajectory, np.array([result.trajectory.samples - 1]), 0))

@@ -314,16 +314,9 @@ def body_advance(q: FloatArray, field: FieldArrays, bounds: FloatArray, margin: 
 def body_slopes(
     q: FloatArray, field: FieldArrays, joints: IntArray, enough: float, clear: FloatArray, gradient: FloatArray
 ) -> None:
-    """Clearance of each mover at one configuration, `enough` where it is more, and its gradient.
+    """Write the (movers,) clearances, `enough` where there is more, and their (movers, k) gradients by k joints.
 
-    Args:
-        q: (dof,) configuration.
-        field: Arm and obstacles.
-        joints: (k,) joints by which to differentiate.
-        enough: No more is looked for than this [m].
-        clear: (movers,) clearances, written [m].
-        gradient: (movers, k) how they change with the joints, written: the velocity of the nearest points along the
-            line between them [m/rad]; zeros where there is enough.
+    A gradient is the velocity of the nearest points along the line between them; zeros where there is enough.
     """
     arm, look = placed_arm(q, field), Look(-math.inf, EXACT, True)
     movers, numbers, placed, work = arm.movers, arm.numbers, arm.placed, arm.work

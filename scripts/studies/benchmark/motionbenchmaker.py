@@ -36,7 +36,7 @@ SETS = ("bookshelf_small", "bookshelf_tall", "bookshelf_thin", "box", "cage", "t
 
 #: Where the fingers stand [m], and limits of the URDF that give way.
 FINGERS = 0.065
-WIDENED = (('lower="0.0" upper="0.04"', 'lower="0.0" upper="0.08"'), ('upper="-0.0698"', 'upper="0.0"'))
+WIDENED = (('lower="0.0" upper="0.04"', 'lower="0.0" upper="0.08"'), ('upper="-0.0698"', 'upper="0.0873"'))
 
 #: The outside check looks at the motion so often [s].
 EVERY_S = 1e-3

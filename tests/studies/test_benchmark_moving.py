@@ -8,6 +8,7 @@ import math
 import numpy as np
 import pytest
 from arm_variants import coal_distances
+from studies.benchmark.moving import splices
 from studies.benchmark.moving.judge import least_distance
 from studies.benchmark.moving.measure import measure
 from studies.benchmark.moving.safe_intervals import _search, safe_interval_motion
@@ -79,3 +80,12 @@ def test_the_table_of_a_small_run(robot):
     found = tables.tables(results)
     assert {len(row) for row in found[0].rows} == {len(found[0].columns)}
     assert found[0].rows[0][0] == "all"
+
+
+def test_splices_among_what_crosses_are_looked_at(robot):
+    rows = splices.walk(robot, 0, 0, steps=3)
+    told = splices.numbers(rows)
+    assert told["steps"] == len(rows) == 3
+    assert told["certified"] == sum("certified" in row for row in rows)
+    assert told["contacts"] == told["stops_contacts"] == told["told_stops_contacts"] == 0
+    assert told["largest_jumps"][0] < 1e-9

@@ -154,13 +154,13 @@ def _judged(robot: Robot, scene: Scene, before: Trajectory, found: SplicedResult
         "outcome": "kept" if found.is_kept else "by a stop" if paused else "led over",
         "certified": found.certificate.verified and certify(robot, found.scene, motion).verified,
         "clearance_mm": 1e3 * least_distance(CoalScene(robot, scene.solids), motion.positions(clock)),
-        "jumps": [max(own, ran) for own, ran in zip(_jumps(motion, seam), jumps, strict=True)],
+        "jumps": [max(own, ran) for own, ran in zip(motion_jumps(motion, seam), jumps, strict=True)],
         "duration_s": motion.duration,
         "left_s": before.duration - found.begins_s,
     }
 
 
-def _jumps(motion: Trajectory, row: int) -> list[float]:
+def motion_jumps(motion: Trajectory, row: int) -> list[float]:
     """Jumps of position, velocity and acceleration from the cubic before a row to the one after it."""
     if not 0 < row < motion.samples - 1:
         return [0.0, 0.0, 0.0]

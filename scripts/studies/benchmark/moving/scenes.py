@@ -62,6 +62,11 @@ def kind_of(number: int) -> str:
     return KINDS[number % len(KINDS)]
 
 
+def passing_near(robot: Robot, kind: str, q: FloatArray, moment_s: float, random: np.random.Generator) -> Piece:
+    """An obstacle of a kind that passes close to a link of the arm at (dof,) `q` at a moment [s]."""
+    return _passing(kind, _beside(robot, q, random), moment_s, random)
+
+
 def _drawn(robot: Robot, seed: int, number: int, random: np.random.Generator) -> Scene | None:
     turns = number // len(KINDS) % 2 == 1
     joints = random.uniform(*JOINTS_DEG, (2, robot.arm.link_count))
@@ -76,7 +81,7 @@ def _drawn(robot: Robot, seed: int, number: int, random: np.random.Generator) ->
     duration = LONGER * least_duration(start, goal, robot.velocity_limit, robot.acceleration_limit)
     moment = random.uniform(*MOMENT)
     q = start + moment * (goal - start)
-    piece = _passing(kind_of(number), _beside(robot, q, random), moment * duration, random)
+    piece = passing_near(robot, kind_of(number), q, moment * duration, random)
     scene = empty.with_obstacles([*(_standing(index, random) for index in range(STANDING)), piece])
     moving = MovingSolids.of(scene.listed_solids, scene.movements)
     if moving is None or next(moving_base_contacts(robot, moving, 0.0, 0.0, 30.0), None) is not None:

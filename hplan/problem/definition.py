@@ -71,6 +71,10 @@ def check_problem(world: World, start: ArrayLike, goal: ArrayLike, *, locked_joi
             joint=name,
         )
     clearance = min(world.check_clear(first, "start"), world.check_clear(last, "goal"))
+    if robot.planar is None:
+        # Of hulls, coal's distances are good to its tolerance, and the last digits depend on what it was asked before.
+        in_kernels = float(world.field.along([first, last]).min())
+        clearance = in_kernels if in_kernels > 0.0 else clearance
     last = readonly(np.where(locked, first, last))
     ranges = narrowed(world.checker, first, last, clearance)
     return Problem(

@@ -52,14 +52,16 @@ def movers(checker: CoalScene) -> tuple[IntArray, list[tuple[int, int]]]:
 
     The links as seen from the ground are the first movers.
     """
-    first, links = len(checker.pairs) - len(checker.own_others), len(checker.link_names)
-    seen_from = [GROUND] * first + checker.own_others
-    parts = [
-        (mover if mover < links else TURRET, other) for (mover, _), other in zip(checker.pairs, seen_from, strict=True)
-    ]
+    first, links, obstacles = len(checker.pairs) - len(checker.own_others), len(checker.link_names), checker.own_first
+    # Each shape meets all obstacles, one after the other: the first pair of each says what the mover is.
+    shapes = [checker.pairs[pair][0] for pair in range(0, first, max(obstacles, 1))]
+    own = zip((mover for mover, _ in checker.pairs[first:]), checker.own_others, strict=True)
+    parts = [(mover if mover < links else TURRET, other) for mover, other in (*((m, GROUND) for m in shapes), *own)]
     movers = list(dict.fromkeys([*((link, GROUND) for link in range(links)), *parts]))
     numbers = {mover: number for number, mover in enumerate(movers)}
-    return np.array([numbers[part] for part in parts], dtype=np.int64), movers[links:]
+    mover_of = np.array([numbers[part] for part in parts], dtype=np.int64)
+    counts = np.repeat([obstacles, 1], [len(shapes), len(checker.own_others)])
+    return np.repeat(mover_of, counts), movers[links:]
 
 
 def at_rows(sway: FloatArray, pieces: int) -> FloatArray:

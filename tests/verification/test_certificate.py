@@ -11,12 +11,14 @@ from planned import on_cubics
 
 from hplan.collision.coal_scene import CoalScene
 from hplan.errors import InputError, OptionError
+from hplan.robot.base_shapes import GROUND, TURRET
+from hplan.scene.file import load_scene
 from hplan.scene.obstacles import Box, Capsule, Sphere
 from hplan.timing.trajectory import Trajectory, cubic_pieces, read_csv, write_csv
 from hplan.verification import certificate as certificates
 from hplan.verification import clearance_proof
 from hplan.verification.clearance_proof import place_after
-from hplan.verification.sway import link_bounds, off_axis
+from hplan.verification.sway import link_bounds, movers, off_axis
 
 FINE = 1e-4
 
@@ -566,3 +568,18 @@ def test_travel_of_links_is_that_of_plain_numpy(robot, spoilt):
     turns = np.abs(np.cumsum(robot.arm.signs * rates[..., robot.arm_slice], axis=2)).max(axis=1)
     expected = np.cumsum(robot.arm.lengths * turns, axis=1) + np.abs(rates[..., :1]).max(axis=1) * robot.yaw_radius
     np.testing.assert_array_equal(link_bounds(robot, rates), expected)
+
+
+@pytest.mark.parametrize("links", ["capsule", "urdf"])
+@pytest.mark.parametrize("count", [0, 1, 5])
+def test_each_pair_has_the_mover_that_its_bodies_say(robot, links, count):
+    solids = load_scene("orchard-row").solids_with_goal[:count]
+    checker = CoalScene(robot, solids, links=links, clearance=0.01)
+    mover_of, others = movers(checker)
+    all_movers = [*((link, GROUND) for link in range(len(checker.link_names))), *others]
+    seen_from = [GROUND] * (len(checker.pairs) - len(checker.own_others)) + checker.own_others
+    assert len(mover_of) == len(checker.pairs)
+    assert len(set(all_movers)) == len(all_movers)
+    for mover, (body, _), other in zip(mover_of, checker.pairs, seen_from, strict=True):
+        part = body if body < len(checker.link_names) else TURRET
+        assert all_movers[mover] == (part, other)

@@ -170,6 +170,7 @@ def _judged(robot: Robot, scene: Scene, before: Trajectory, found: SplicedResult
         and certify(robot, found.scene, motion).verified
         and certify(robot, by_old_clock, motion, begin_s=found.begins_s).verified,
         "clearance_mm": 1e3 * least_distance(robot, found.scene, motion.positions, motion.duration),
+        "seam_rad_s": float(np.abs(motion.velocity[seam]).max()),
         "jumps": [max(*each) for each in zip(motion_jumps(motion, seam), ran, strict=True)],
     }
 
@@ -193,6 +194,7 @@ def numbers(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
         "steps": len(rows),
         "outcomes": dict(Counter(row["outcome"] for row in rows)),
         "splices": len(spliced),
+        "splices_in_motion": sum(row["seam_rad_s"] > REST for row in spliced),
         "certified": sum(row["certified"] for row in found),
         "contacts": sum(row["clearance_mm"] <= 0.0 for row in found),
         "least_clearance_mm": min((row["clearance_mm"] for row in found), default=float("nan")),

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import functools
 import math
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from planned import assert_clear, between_rows, task
 from studies.benchmark.moving.judge import least_distance
 
@@ -86,6 +89,30 @@ def assert_spliced(robot: Robot, before: Trajectory, scene: Scene, planner: Plan
         for name, poses in scene.poses_at(clock + result.begins_s).items():
             for one, other in zip(poses, seen[name], strict=True):
                 np.testing.assert_allclose(one, other, atol=1e-9)
+
+
+@functools.cache
+def among_a_ball(robot: Robot) -> tuple[Scene, Trajectory]:
+    """A motion past a ball that crosses."""
+    running = a_planner(robot).last.trajectory
+    scene = task(START, GOAL, [crossing(tool_at(robot, running, 0.6), 0.4 * running.duration)], **PLANAR)
+    return scene, plan(robot, scene).trajectory
+
+
+@given(st.floats(0.0, 1.0))
+def test_what_is_left_of_a_motion_has_one_certificate_by_either_clock(robot, part):
+    scene, motion = among_a_ball(robot)
+    row = round(part * (motion.samples - 1))
+    begin_s, left = float(motion.time[row]), motion.since(row)
+    how = {"check_ends": False, "rest_to_rest": False}
+    by_old = certify(robot, scene, left, begin_s=begin_s, **how)
+    by_new = certify(robot, scene.since(begin_s), left, **how)
+    assert by_old.verified
+    assert by_new.verified
+    assert by_new.min_clearance_m == pytest.approx(by_old.min_clearance_m, abs=1e-9)
+    assert by_new.clear_until_s == by_old.clear_until_s == math.inf
+    if by_old.nearest_s is not None:
+        assert by_new.nearest_s == pytest.approx(by_old.nearest_s - begin_s, abs=1e-9)
 
 
 @pytest.mark.parametrize("effort", ["quick", "default"])

@@ -15,9 +15,10 @@ import numpy as np
 from studies.benchmark.in_motion import AHEAD_S, PAUSE_S, motion_jumps
 from studies.benchmark.measure import Progress, spread, timed
 from studies.benchmark.moving.judge import least_distance
-from studies.benchmark.moving.scenes import MOMENT, kind_of, moving_scene, passing_near
+from studies.benchmark.moving.scenes import MOMENT, ROOM, kind_of, moving_scene, passing_near
 
 from hplan.base.arrays import FloatArray
+from hplan.collision.coal_scene import CoalScene
 from hplan.collision.moving_solids import MovingSolids
 from hplan.errors import HplanError, ObstacleInTimeError, RunningMotionBlockedError
 from hplan.online.planner import Planner
@@ -96,7 +97,7 @@ def _step(
     (now, ends, number), motion, before = state, running.trajectory, planner.scene
     now = min(now + float(random.uniform(*PAUSE_S)), motion.duration)
     at = min(now + AHEAD_S, motion.duration)
-    planner.scene = _crossed(robot, before, motion, (now, number), random)
+    planner.scene = _crossed(robot, before, motion, (now, at, number), random)
     turns = bool(random.random() < TURNING)
     if turns:
         planner.aim(goal=Goal(joints_rad=_farther(ends, before.goal.configuration)))
@@ -113,17 +114,29 @@ def _step(
 
 
 def _crossed(
-    robot: Robot, scene: Scene, motion: Trajectory, state: tuple[float, int], random: np.random.Generator
+    robot: Robot, scene: Scene, motion: Trajectory, state: tuple[float, float, int], random: np.random.Generator
 ) -> Scene:
-    """The scene with another track, drawn until the base is clear of it; as it was where none is."""
-    now, number = state
+    """The scene with another track, drawn until it is clear of the base, and of the arm now; as it was where none is.
+
+    Args:
+        robot: The arm.
+        scene: The scene.
+        motion: What runs.
+        state: The time, when a new motion may take over, and the number of the scene.
+        random: The generator.
+    """
+    now, at, number = state
     for _ in range(20):
-        moment_s = now + float(random.uniform(*MOMENT)) * (motion.duration - now)
+        moment_s = at + float(random.uniform(*MOMENT)) * (motion.duration - at)
         q = motion.positions(np.array([moment_s]))[0]
         piece = passing_near(robot, kind_of(number), q, moment_s, random)
         other = scene.with_obstacles([*(item for item in scene.obstacles if item.track is None), piece])
         moving = MovingSolids.of(other.listed_solids, other.movements)
-        if moving is not None and next(moving_base_contacts(robot, moving, 0.0, now, now + 30.0), None) is None:
+        if moving is None or next(moving_base_contacts(robot, moving, 0.0, now, now + 30.0), None) is not None:
+            continue
+        # Nothing comes from nowhere: it is clear of the arm as it is now.
+        checker = CoalScene(robot, other.listed_solids, movements=other.movements)
+        if checker.distances(motion.positions(np.array([now]))[0], now).min() > ROOM:
             return other
     return scene
 

@@ -21,6 +21,7 @@ ROOMS = (
         "search",
         "robot",
         "bodies",
+        "kinematics",
         "robot_family",
         "planar",
         "cspace",

@@ -162,7 +162,7 @@ def plan(
 
     Raises:
         InputError: The scene does not fit the robot, or start or goal cannot be taken (see `check_problem`).
-        UnreachableError: No configuration has the tool at the point.
+        UnreachableError: No configuration has the tool at the point, or none at the pose was found.
         BlockedError: Obstacles are in the way of all that do; names them.
         NoPathError: No path exists on the grid; names what blocks it.
         TimingError: The path cannot be timed.

@@ -48,6 +48,7 @@ from hplan.planning.grasps import COUNT, Target, grasps, promising
 from hplan.planning.refusals import Refusals
 from hplan.planning.start_in_motion import Parts, leaving
 from hplan.planning.task import PlanningContext, PlanningTask
+from hplan.problem.pose_goal import configurations_at
 from hplan.sampling.roadmap import Effort as RoadmapEffort
 from hplan.sampling.roadmap import quick_path
 from hplan.sampling.rrt_connect import TreeEffort, tree_path
@@ -69,6 +70,9 @@ PLANAR_TREES = 2
 
 #: Configurations at a fruit among which grasps are chosen for the first motion, and how many of them.
 FEW_GRASPS, FIRST_GRASPS = 24, 3
+
+#: To so many of the configurations with a frame at a pose motions are looked for, those nearest to the start.
+POSE_GOALS = {"quick": 4, "default": 8, "best": 16}
 
 #: Steps of the linear programs by which a motion is made quicker, in turn.
 STEPS = (3, 6, 12, 20)
@@ -159,17 +163,17 @@ def _duration(parts: Parts) -> float:
 def _asked_for(context: PlanningContext, start: FloatArray, before: PlannedMotion | None) -> Parts:
     """What the options ask for, from rest."""
     goal = _goal(context, start)
-    if isinstance(goal, PlanningTask):
-        motion = None if before is None else reuse_motion(goal, before)
-        return _alone(find_motion([goal])[1] if motion is None else motion)
+    if isinstance(goal, list):
+        motion = None if before is None else _reused(goal, before)
+        return _alone(find_motion(goal)[1] if motion is None else motion)
     return _flowing(context, _to_grasp(context, goal, start))
 
 
 def _first(context: PlanningContext, start: FloatArray) -> Parts:
     """The first parts that are found, from rest."""
     goal = _goal(context, start)
-    if isinstance(goal, PlanningTask):
-        found = first_in_time([goal])
+    if isinstance(goal, list):
+        found = first_in_time(goal)
         if isinstance(found, Refusals):
             raise found.error()
         return _alone(found[1])
@@ -184,10 +188,16 @@ def _first(context: PlanningContext, start: FloatArray) -> Parts:
 def _kept(context: PlanningContext, begin: Beginning) -> Parts | None:
     """The earlier motion, kept or repaired; None where it cannot be."""
     goal = _goal(context, begin.start)
-    if begin.before is None or not isinstance(goal, PlanningTask):
+    if begin.before is None or not isinstance(goal, list):
         return None
-    motion = reuse_motion(goal, begin.before)
+    motion = _reused(goal, begin.before)
     return None if motion is None else _alone(motion)
+
+
+def _reused(tasks: Sequence[PlanningTask], before: PlannedMotion) -> PlannedMotion | None:
+    """An earlier motion, kept or repaired for that of some tasks that has its goal; None where it cannot be."""
+    motions = (reuse_motion(task, before) for task in tasks)
+    return next((motion for motion in motions if motion is not None), None)
 
 
 def first_in_time(tasks: Sequence[PlanningTask]) -> tuple[int, PlannedMotion] | Refusals:
@@ -296,12 +306,19 @@ def _optimized(motion: PlannedMotion) -> Iterator[PlannedMotion]:
         yield replace(motion, path=spline.path, trajectory=trajectory, certificate=certificate)
 
 
-def _goal(context: PlanningContext, start: FloatArray) -> PlanningTask | Target:
-    """What is asked: a motion to joints, or a point to reach: the fruit or the place of the scene's goal."""
+def _goal(context: PlanningContext, start: FloatArray) -> list[PlanningTask] | Target:
+    """What is asked: a motion to joints, or to some of those with a frame at a pose; or a point to reach.
+
+    That is the fruit or the place of the scene's goal.
+    """
     scene, world = context.scene, context.world
     goal, approach_deg = scene.goal.joints(), scene.goal.approach_deg
     if goal is not None:
-        return context.task(start, context.robot.turned_near(goal, start))
+        return [context.task(start, context.robot.turned_near(goal, start))]
+    if scene.goal.pose is not None:
+        with context.stage("grasps"):
+            ends = configurations_at(world, scene.goal, start, scene.locked_joints)
+            return [context.task(start, end) for end in ends[: POSE_GOALS[context.options.effort]]]
     for fruit in scene.fruits:
         if fruit.name == scene.goal.fruit:
             return Target.of_fruit(world, fruit, approach_deg)
@@ -333,7 +350,7 @@ def _flowing(context: PlanningContext, stopping: Parts) -> Parts:
     """The same without a stop before the approach, where that is quicker."""
     grasp, motion, parts = stopping
     target = _goal(context, motion.task.problem.start)
-    if grasp is None or len(parts) == 1 or isinstance(target, PlanningTask):
+    if grasp is None or len(parts) == 1 or isinstance(target, list):
         return stopping
     flow = flowing(motion.task, motion.transit, None, Pick(context, target, grasp, parts[1]))
     if flow is None or flow.approach is None:

@@ -137,15 +137,34 @@ class Robot(PlanarNames, Record):
         poses = self.tool_poses(q)
         return poses[..., :3, 3]
 
-    def tool_poses(self, q: ArrayLike) -> FloatArray:
-        """Tool frames of configurations, (..., dof) -> (..., 4, 4) homogeneous matrices in `base_link`."""
+    def tool_poses(self, q: ArrayLike, frame: str | None = None) -> FloatArray:
+        """Tool frames of configurations, (..., dof) -> (..., 4, 4) homogeneous matrices in `base_link`.
+
+        Args:
+            q: (..., dof) configurations.
+            frame: Another frame by its name; None for the tool frame.
+
+        Raises:
+            InputError: The robot has no frame of that name.
+        """
         q = np.asarray(q, dtype=np.float64)
-        data, frame = self.model.createData(), self.model.getFrameId(self.tool_frame)
+        data, number = self.model.createData(), self.frame_number(self.tool_frame if frame is None else frame)
         poses = np.empty((*q.shape[:-1], 4, 4))
         for place in np.ndindex(q.shape[:-1]):
             pin.framesForwardKinematics(self.model, data, q[place])
-            poses[place] = data.oMf[frame].homogeneous
+            poses[place] = data.oMf[number].homogeneous
         return poses
+
+    def frame_number(self, name: str) -> int:
+        """Number in the model of the frame of a name.
+
+        Raises:
+            InputError: The robot has no frame of that name.
+        """
+        if not (isinstance(name, str) and self.model.existFrame(name)):
+            names = ", ".join(frame.name for frame in self.model.frames if frame.type == pin.FrameType.BODY)
+            raise InputError(f"frame {name!r} is not of the robot; it has {names}", frame=name)
+        return int(self.model.getFrameId(name))
 
     def locked_mask(self, names: Sequence[str]) -> BoolArray:
         """(dof,) mask of the locked joints.

@@ -101,6 +101,8 @@ def dump_scene(scene: Scene) -> str:
     robot = {} if scene.robot is None else {"robot": scene.robot}
     content = {"format": dumped["format"], "name": dumped["name"], **robot, **dumped}
     content["start"] |= {key: list(values) for key, values in scene.start.rates.items()}
+    oriented = scene.goal.orientation
+    content["goal"] |= {key: list(value) if key == "quaternion_xyzw" else value for key, value in oriented.items()}
     for item, listed in zip(
         (*content["obstacles"], *content["fruits"]), (*scene.obstacles, *scene.fruits), strict=True
     ):

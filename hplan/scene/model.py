@@ -7,6 +7,7 @@ becomes (`hplan.scene.solids`).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Annotated, Any, ClassVar, Final, Literal, Self
 
@@ -34,10 +35,13 @@ from hplan.scene.obstacles import (
     SwayField,
     TrackField,
 )
-from hplan.scene.solids import moved
+from hplan.scene.solids import moved, quaternion_rotation
 from hplan.scene.tracks import Movement
 
 FORMAT: Final = "hplan-scene/1"
+
+#: How far the length of a quaternion may be from 1; it is taken as if it were 1.
+QUATERNION_LENGTH: Final = 1e-3
 
 
 class Fruit(StrictModel):
@@ -120,15 +124,17 @@ class Start(JointValues):
 
 
 class Goal(JointValues):
-    """The goal of the motion: joints, a `tool0` position, or the name of a fruit.
+    """The goal of the motion: joints, a `tool0` position, the name of a fruit, or a pose of the tool frame.
 
     To a position or a fruit, `approach_deg` fixes or bounds the angle of the last link in the arm plane (0: outward,
-    90: up).
+    90: up). A position with `quaternion_xyzw` is a pose, for robots of any kind: of the tool frame, or of `frame`.
     """
 
     position: Vector | None = None
     fruit: str | None = None
     approach_deg: float | tuple[float, float] | None = None
+    quaternion_xyzw: Annotated[tuple[float, float, float, float] | None, Field(exclude=True)] = None
+    frame: Annotated[Name | None, Field(exclude=True)] = None
 
     _choices: ClassVar[tuple[str, ...]] = ("joints_deg", "joints_rad", "position", "fruit")
 
@@ -137,6 +143,39 @@ class Goal(JointValues):
         if self.approach_deg is not None and self.joints() is not None:
             raise ValueError("approach_deg belongs to a position or a fruit; joints leave nothing to choose")
         return self
+
+    @model_validator(mode="after")
+    def _pose_is_whole(self) -> Goal:
+        if self.quaternion_xyzw is None:
+            if self.frame is not None:
+                raise fault("frame belongs to a pose: give position and quaternion_xyzw too", "frame")
+            return self
+        if self.position is None:
+            raise fault("quaternion_xyzw belongs to a position", "quaternion_xyzw")
+        if self.approach_deg is not None:
+            raise fault("approach_deg and quaternion_xyzw exclude one another", "approach_deg")
+        length = math.hypot(*self.quaternion_xyzw)
+        if not abs(length - 1.0) <= QUATERNION_LENGTH:
+            raise fault(f"expected a quaternion (x, y, z, w) of length 1, got length {length:.6g}", "quaternion_xyzw")
+        return self
+
+    @property
+    def orientation(self) -> dict[str, Any]:
+        """Quaternion and frame, as far as they are given, by their keys. They are no part of a dump of the scene.
+
+        So a goal without them is what it was before there were any, in digests too.
+        """
+        given = {"quaternion_xyzw": self.quaternion_xyzw, "frame": self.frame}
+        return {key: value for key, value in given.items() if value is not None}
+
+    @property
+    def pose(self) -> FloatArray | None:
+        """The (4, 4) homogeneous matrix of the pose in `base_link`; None for a goal given otherwise."""
+        if self.quaternion_xyzw is None or self.position is None:
+            return None
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = quaternion_rotation(self.quaternion_xyzw), self.position
+        return pose
 
 
 class Scene(StrictModel):
@@ -148,7 +187,7 @@ class Scene(StrictModel):
             it unless they are told another, as `load_robot(scene.robot)` does; it is no part of what is planned or
             certified.
         start: Configuration at which the motion begins, and how it moves there.
-        goal: Configuration, tool position or fruit to reach.
+        goal: Configuration, tool position, fruit or pose to reach.
         locked_joints: Joints that keep their start value.
         clearance: Distance kept from every obstacle [m].
         obstacles: What must not be touched.

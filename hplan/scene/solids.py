@@ -21,7 +21,7 @@ simplified as a mesh is. A cloud becomes one of copies along the segment, so clo
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any, Final, Literal
@@ -73,6 +73,15 @@ def rpy_rotation(roll: float, pitch: float, yaw: float) -> FloatArray:
             [-sp, cp * sr, cp * cr],
         ]
     )
+
+
+def quaternion_rotation(quaternion_xyzw: Sequence[float]) -> FloatArray:
+    """The (3, 3) rotation of a quaternion (x, y, z, w), which is made one of length 1."""
+    q = np.asarray(quaternion_xyzw, dtype=np.float64)
+    x, y, z, w = q / np.linalg.norm(q)
+    across = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    rotation: FloatArray = np.eye(3) + 2.0 * w * across + 2.0 * across @ across
+    return rotation
 
 
 def rpy_of(rotation: FloatArray) -> tuple[float, float, float]:

@@ -36,6 +36,7 @@ from hplan.planning.find_motion import find_motion
 from hplan.planning.grasp_motion import Flow, Pick, approach_and_retreat, flowing, motion_to_grasp
 from hplan.planning.grasps import Grasp, Target, grasps
 from hplan.planning.task import PlanningContext, PlanningTask
+from hplan.problem.pose_goal import configurations_at
 from hplan.robot.limits import rest_to_rest
 from hplan.robot.model import Robot
 from hplan.scene.model import Fruit, Goal
@@ -368,7 +369,7 @@ def drop_off(goal: Goal, empty: PlanningContext, loaded: PlanningContext, start:
     """The drop-off: clear also as the arm carries, and reached from the start.
 
     Args:
-        goal: Joints or a position.
+        goal: Joints, a position or a pose.
         empty: The arm as it is.
         loaded: The arm as it carries.
         start: (dof,) configuration from which it comes.
@@ -384,6 +385,10 @@ def drop_off(goal: Goal, empty: PlanningContext, loaded: PlanningContext, start:
         world.check_clear(q, "drop_off")
         _, motion = find_motion([empty.task(start, q)])
         return DropOff(q, motion.transit)
+    if goal.pose is not None:
+        ends = configurations_at(world, goal, start, empty.scene.locked_joints)
+        number, motion = find_motion([empty.task(start, q) for q in ends])
+        return DropOff(ends[number], motion.transit)
     target = Target("the drop-off", np.array(goal.position), world, world, goal.approach_deg)
     found = grasps(target, start, standoff=0.0, locked=empty.scene.locked_joints)
 

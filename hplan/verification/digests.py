@@ -69,6 +69,9 @@ def scene_digest(scene: Scene) -> str:
         found.add_text(obstacle.data_digest)
     for name, key, value in _moving(scene):
         found.add_text(name, key, value.model_dump_json())
+    if scene.goal.quaternion_xyzw is not None:
+        found.add_text("goal", scene.goal.frame or "")
+        found.add_exactly(np.array(scene.goal.quaternion_xyzw))
     if scene.start.is_moving:
         for key, values in scene.start.rates.items():
             found.add_text(key)

@@ -14,13 +14,16 @@ from hplan.verification.goal_contact import THERE, instant_at
 #: Difference between joint values that counts as none [rad]; of an approach angle too.
 SAME = 1e-5
 
+#: Turn between the tool frame and a pose that it is to reach that counts as none [rad].
+TURNED = 1e-3
+
 
 def task_violations(robot: Robot, scene: Scene, bezier: FloatArray) -> Iterator[str]:
     """The parts of the scene's task that a motion does not solve, in words.
 
-    It begins at the start. It ends at the goal: at its joints, or with the tool at its position; at the fruit the tool
-    is at some row, since a motion that picks it goes back. There the last link has the approach angle that is asked
-    for. Locked joints stand still.
+    It begins at the start. It ends at the goal: at its joints, with the tool at its position, or with the frame at its
+    pose, to a millimetre and a thousandth of a radian; at the fruit the tool is at some row, since a motion that picks
+    it goes back. There the last link has the approach angle that is asked for. Locked joints stand still.
 
     Args:
         robot: The arm.
@@ -43,6 +46,10 @@ def task_violations(robot: Robot, scene: Scene, bezier: FloatArray) -> Iterator[
         asked = robot.check_configuration(robot.turned_near(goal, rows[-1]), "goal")
         yield from _apart(robot, "ends", rows[-1], asked, "goal")
         return
+    pose = scene.goal.pose
+    if pose is not None:
+        yield from _beside(robot, pose, scene.goal.frame, rows[-1])
+        return
     fruit = next((fruit for fruit in scene.fruits if fruit.name == scene.goal.fruit), None)
     if fruit is None:
         row, what = len(rows) - 1, "position"
@@ -63,6 +70,17 @@ def _apart(robot: Robot, what: str, q: FloatArray, asked: FloatArray, which: str
     joint = int(off.argmax())
     if not off[joint] <= SAME:
         yield f"the motion {what} with joint {robot.joint_names[joint]!r} {off[joint]:.4g} rad from the scene's {which}"
+
+
+def _beside(robot: Robot, pose: FloatArray, frame: str | None, q: FloatArray) -> Iterator[str]:
+    """Fault of a frame that is not at the pose of the goal."""
+    off = robot.tool_poses(q, frame) - pose
+    away, turn = float(np.linalg.norm(off[:3, 3])), off[:3, :3]
+    # Frames that are turned by an angle from one another differ by sqrt(8) sin(angle / 2).
+    turned = 2.0 * float(np.arcsin(min(np.linalg.norm(turn) / np.sqrt(8.0), 1.0)))
+    if not (away <= THERE and turned <= TURNED):
+        off_by = f"{1e3 * away:.4g} mm and {turned:.4g} rad"
+        yield f"the motion ends with {frame or robot.tool_frame!r} {off_by} from the pose of the goal"
 
 
 def _approach(robot: Robot, scene: Scene, q: FloatArray) -> Iterator[str]:

@@ -1,0 +1,226 @@
+"""Configurations with a frame at a pose by damped least squares, from many starts in one compiled call.
+
+The error is that of the place and the vector of the turn that is left, both in `base_link`; of a free turn only what
+brings the frame's z axis to that of the pose. A step solves the normal equations with damping after Levenberg and
+Marquardt, which grows where a step makes the error larger; joints at a limit that would be passed keep still in it.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from hplan.base.arrays import BoolArray, FloatArray
+from hplan.base.kernels import kernel
+from hplan.bodies import flat_bodies as flat
+from hplan.bodies.placed_bodies import PLACED, place_bodies
+
+#: Errors at which a pose counts as reached [m, rad].
+PLACE_M, TURN_RAD = 1e-7, 1e-7
+
+#: Most steps from one start.
+_STEPS = 100
+
+#: Damping at first, and its factors after a step that helps and one that does not; beyond the last there is no more.
+_DAMPING, _LESS, _MORE, _MOST = 1e-3, 0.2, 8.0, 1e9
+
+#: The least damping, against a singular matrix.
+_LEAST = 1e-12
+
+
+class Chain(NamedTuple):
+    """A robot and what is asked of it, as arrays.
+
+    Attributes:
+        numbers: Flat: head and joints as in `hplan.bodies.flat_bodies`.
+        moves: (dof,) 1 for joints that may move and carry the frame, else 0.
+        lower: (dof,) lower limits.
+        upper: (dof,) upper limits.
+        carrier: (1,) the joint that carries the frame; `dof` for the base.
+        placement: (12,) the frame on its joint: a turn, row by row, and a place.
+        pose: (12,) where the frame is to be in `base_link`.
+        free_turn: (1,) 1 if it may turn about its z axis, else 0.
+    """
+
+    numbers: FloatArray
+    moves: FloatArray
+    lower: FloatArray
+    upper: FloatArray
+    carrier: FloatArray
+    placement: FloatArray
+    pose: FloatArray
+    free_turn: FloatArray
+
+
+@kernel
+def solve_all(starts: FloatArray, chain: Chain, solutions: FloatArray, found: BoolArray) -> None:
+    """Write for each of (k, dof) starts where it leads, and whether the pose is reached there."""
+    for row in range(starts.shape[0]):
+        solutions[row] = starts[row]
+        found[row] = solve(chain, solutions[row])
+
+
+@kernel
+def solve(chain: Chain, q: FloatArray) -> bool:
+    """Move a (dof,) configuration until the frame is at the pose; whether that was done."""
+    dof = q.shape[0]
+    lower, upper = chain.lower, chain.upper
+    frames, error, jacobian = np.empty((dof + 1, 12)), np.empty(6), np.empty((6, dof))
+    tried, tried_error, tried_jacobian = np.empty(dof), np.empty(6), np.empty((6, dof))
+    matrix, step, pull = np.empty((dof, dof)), np.empty(dof), np.empty(dof)
+    damping = _DAMPING
+    linearise(chain, q, frames, error, jacobian)
+    for _ in range(_STEPS):
+        if is_there(error):
+            return True
+        for j in range(dof):
+            pull[j] = 0.0
+            for r in range(6):
+                pull[j] += jacobian[r, j] * error[r]
+        for j in range(dof):
+            at_limit = (q[j] >= upper[j] and pull[j] > 0.0) or (q[j] <= lower[j] and pull[j] < 0.0)
+            if at_limit:
+                pull[j] = 0.0
+                for r in range(6):
+                    jacobian[r, j] = 0.0
+        normal_matrix(jacobian, damping, matrix)
+        cholesky_solve(matrix, pull, step)
+        for j in range(dof):
+            tried[j] = min(max(q[j] + step[j], lower[j]), upper[j])
+        linearise(chain, tried, frames, tried_error, tried_jacobian)
+        if squared(tried_error) < squared(error):
+            q[:], error[:], jacobian[:] = tried, tried_error, tried_jacobian
+            damping = max(damping * _LESS, _LEAST)
+        else:
+            damping *= _MORE
+            if damping > _MOST:
+                return False
+    return is_there(error)
+
+
+@kernel
+def is_there(error: FloatArray) -> bool:
+    """Whether the (6,) error is none."""
+    place = error[0] * error[0] + error[1] * error[1] + error[2] * error[2]
+    turn = error[3] * error[3] + error[4] * error[4] + error[5] * error[5]
+    return bool(place <= PLACE_M * PLACE_M and turn <= TURN_RAD * TURN_RAD)
+
+
+@kernel
+def squared(error: FloatArray) -> float:
+    """The sum of the squares of (6,) numbers."""
+    total = 0.0
+    for r in range(6):
+        total += error[r] * error[r]
+    return total
+
+
+@kernel
+def normal_matrix(jacobian: FloatArray, damping: float, matrix: FloatArray) -> None:
+    """Write the (dof, dof) matrix of the damped normal equations."""
+    dof = matrix.shape[0]
+    for i in range(dof):
+        for j in range(dof):
+            total = 0.0
+            for r in range(6):
+                total += jacobian[r, i] * jacobian[r, j]
+            matrix[i, j] = total
+        matrix[i, i] += damping
+
+
+@kernel
+def cholesky_solve(matrix: FloatArray, right: FloatArray, solution: FloatArray) -> None:
+    """Solve a symmetric positive definite system; the matrix is overwritten by its Cholesky factor."""
+    count = matrix.shape[0]
+    for i in range(count):
+        for j in range(i + 1):
+            total = matrix[i, j]
+            for k in range(j):
+                total -= matrix[i, k] * matrix[j, k]
+            matrix[i, j] = math.sqrt(max(total, 1e-300)) if i == j else total / matrix[j, j]
+    for i in range(count):
+        total = right[i]
+        for k in range(i):
+            total -= matrix[i, k] * solution[k]
+        solution[i] = total / matrix[i, i]
+    for i in range(count - 1, -1, -1):
+        total = solution[i]
+        for k in range(i + 1, count):
+            total -= matrix[k, i] * solution[k]
+        solution[i] = total / matrix[i, i]
+
+
+@kernel
+def linearise(chain: Chain, q: FloatArray, frames: FloatArray, error: FloatArray, jacobian: FloatArray) -> None:
+    """Write the frames of all joints, the (6,) error of the pose and how joints change the frame, (6, dof)."""
+    numbers, moves, placement, pose = chain.numbers, chain.moves, chain.placement, chain.pose
+    free, joints = chain.free_turn[0] > 0.0, int(chain.numbers[flat.JOINTS])
+    place_bodies(q, np.empty((0, flat.COLUMNS)), numbers, frames, np.empty((0, PLACED)))
+    carrier = frames[int(chain.carrier[0])]
+    tool = np.empty(12)
+    for r in range(3):
+        for c in range(3):
+            tool[3 * r + c] = (
+                carrier[3 * r] * placement[c]
+                + carrier[3 * r + 1] * placement[3 + c]
+                + carrier[3 * r + 2] * placement[6 + c]
+            )
+        tool[9 + r] = carrier[9 + r] + (
+            carrier[3 * r] * placement[9] + carrier[3 * r + 1] * placement[10] + carrier[3 * r + 2] * placement[11]
+        )
+        error[r] = pose[9 + r] - tool[9 + r]
+    turn_left(tool, pose, free, error)
+    zx, zy, zz = tool[2], tool[5], tool[8]
+    for j in range(q.shape[0]):
+        for r in range(6):
+            jacobian[r, j] = 0.0
+        if moves[j] == 0.0:
+            continue
+        at, frame = joints + flat.JOINT_SIZE * j, frames[j]
+        below = frames[int(numbers[at + flat.PARENT])]
+        ax, ay, az = numbers[at + flat.TURN], numbers[at + flat.TURN + 1], numbers[at + flat.TURN + 2]
+        if ax == 0.0 and ay == 0.0 and az == 0.0:
+            ax, ay, az = numbers[at + flat.SHIFT], numbers[at + flat.SHIFT + 1], numbers[at + flat.SHIFT + 2]
+            for r in range(3):
+                jacobian[r, j] = below[3 * r] * ax + below[3 * r + 1] * ay + below[3 * r + 2] * az
+            continue
+        x = frame[0] * ax + frame[1] * ay + frame[2] * az
+        y = frame[3] * ax + frame[4] * ay + frame[5] * az
+        z = frame[6] * ax + frame[7] * ay + frame[8] * az
+        px, py, pz = tool[9] - frame[9], tool[10] - frame[10], tool[11] - frame[11]
+        jacobian[0, j], jacobian[1, j], jacobian[2, j] = y * pz - z * py, z * px - x * pz, x * py - y * px
+        along = zx * x + zy * y + zz * z if free else 0.0
+        jacobian[3, j], jacobian[4, j], jacobian[5, j] = x - along * zx, y - along * zy, z - along * zz
+
+
+@kernel
+def turn_left(tool: FloatArray, pose: FloatArray, free: bool, error: FloatArray) -> None:
+    """Write to the last three of (6,) numbers the vector of the turn, in `base_link`, from one frame to another."""
+    if free:
+        # The shortest turn of one z axis to the other.
+        x = tool[5] * pose[8] - tool[8] * pose[5]
+        y = tool[8] * pose[2] - tool[2] * pose[8]
+        z = tool[2] * pose[5] - tool[5] * pose[2]
+        cosine = tool[2] * pose[2] + tool[5] * pose[5] + tool[8] * pose[8]
+        sine = math.sqrt(x * x + y * y + z * z)
+        if sine < 1e-12 and cosine < 0.0:  # opposite: about any axis across
+            error[3], error[4], error[5] = math.pi * tool[0], math.pi * tool[3], math.pi * tool[6]
+            return
+        angle = math.atan2(sine, cosine)
+    else:
+        # The rotation pose tool^T; twice the sine times its axis is its skew part.
+        x, y, z, trace = 0.0, 0.0, 0.0, 0.0
+        for c in range(3):
+            x += 0.5 * (pose[6 + c] * tool[3 + c] - pose[3 + c] * tool[6 + c])
+            y += 0.5 * (pose[c] * tool[6 + c] - pose[6 + c] * tool[c])
+            z += 0.5 * (pose[3 + c] * tool[c] - pose[c] * tool[3 + c])
+            trace += pose[c] * tool[c] + pose[3 + c] * tool[3 + c] + pose[6 + c] * tool[6 + c]
+        sine = math.sqrt(x * x + y * y + z * z)
+        angle = math.atan2(sine, 0.5 * (trace - 1.0))
+        if sine < 1e-12 and trace < 0.0:  # half a turn: about any of the axes, to be nearer next time
+            error[3], error[4], error[5] = math.pi * tool[0], math.pi * tool[3], math.pi * tool[6]
+            return
+    scale = angle / sine if sine > 1e-12 else 1.0
+    error[3], error[4], error[5] = scale * x, scale * y, scale * z

@@ -1,0 +1,141 @@
+"""Configurations of any robot with a frame at a pose.
+
+They are sought by damped least squares (`hplan.kinematics.damped_steps`) from several starts: the configuration that
+the arm comes from, the middle of the joint ranges, and others spread over them, always the same. So what is found is
+reached, but what is not found need not be out of reach; and of an arm with more joints than the pose has conditions
+there are more than those found.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hplan.base import ties
+from hplan.base.arguments import list_of, truth, whole
+from hplan.base.arrays import FloatArray, frozen, numbers
+from hplan.bodies import flat_bodies as flat
+from hplan.bodies.reach import carriers, joint_axis
+from hplan.errors import InputError, UnreachableError
+from hplan.kinematics.damped_steps import Chain, solve_all
+from hplan.robot.model import Robot
+
+#: Starts, and the most that may be asked for.
+SEEDS, MOST_SEEDS = 64, 100_000
+
+#: Solutions that differ by less in every joint are one [rad, m].
+SAME = 1e-3
+
+#: How far the columns of a rotation may be from orthonormal.
+ROTATION = 1e-6
+
+
+def inverse_kinematics(
+    robot: Robot,
+    pose: ArrayLike,
+    *,
+    start: ArrayLike | None = None,
+    frame: str | None = None,
+    seeds: int = SEEDS,
+    free_turn: bool = False,
+    locked: Sequence[str] = (),
+) -> FloatArray:
+    """Configurations with a frame at a pose, each within the joint limits and to 1e-6 m and 1e-6 rad at least.
+
+    Args:
+        robot: The robot.
+        pose: (4, 4) homogeneous matrix in `base_link` [m].
+        start: (dof,) configuration from which the arm comes; None for the middle of the joint ranges. Joints that do
+            not carry the frame keep its values.
+        frame: Name of the frame; None for the tool frame.
+        seeds: How many starts are tried.
+        free_turn: Whether the frame may be turned about its z axis.
+        locked: Names of joints that keep their start values.
+
+    Returns:
+        (k, dof) configurations, k >= 1, each with turning joints at the whole turn nearest to the start; those that
+        differ by 1e-3 at least in some joint, the one first that is reached from the start in the shortest time at the
+        largest speeds.
+
+    Raises:
+        UnreachableError: None was found from any start; that does not show that there is none.
+        InputError: A pose, start, frame or joint that is none.
+        JointLimitError: The start is outside the joint limits.
+        OptionError: An option that is none.
+    """
+    middle = 0.5 * (robot.lower + robot.upper)
+    begin = robot.check_configuration(middle if start is None else start, "start")
+    count = whole("seeds", seeds, 1, MOST_SEEDS)
+    free = truth("free_turn", free_turn)
+    keeps = robot.locked_mask(list_of("locked", locked, str, "names"))
+    chain = _chain(robot, _checked_pose(pose), frame, free)
+    for joint in np.flatnonzero(keeps).tolist():
+        chain.moves[joint] = 0.0
+    spread = np.random.default_rng(0).random((max(0, count - 2), robot.dof))
+    starts = np.concatenate([begin[None], middle[None], robot.lower + spread * (robot.upper - robot.lower)])[:count]
+    starts = np.where(chain.moves > 0.0, starts, begin)
+    solutions, found = np.empty(starts.shape), np.zeros(len(starts), dtype=np.bool_)
+    solve_all(starts, chain, solutions, found)
+    if not found.any():
+        asked = "this pose" if not free else "this pose, however it is turned about its z axis"
+        held = f", with {', '.join(locked)} locked" if keeps.any() else ""
+        detail = f"{asked} was not reached from any of {count} starts{held}; that is no proof that it cannot be"
+        raise UnreachableError(chain.pose[9:].tolist(), "not_found", detail, joints=list(robot.joint_names))
+    return _distinct(robot, solutions[found], begin, chain)
+
+
+def _checked_pose(pose: ArrayLike) -> FloatArray:
+    """The pose as an array.
+
+    Raises:
+        InputError: It is no homogeneous matrix of a rotation and a place.
+    """
+    matrix = numbers("pose", pose, (4, 4))
+    turn = matrix[:3, :3]
+    with np.errstate(over="ignore", invalid="ignore"):
+        off = float(np.abs(turn.T @ turn - np.eye(3)).max())
+        right_handed = off <= ROTATION and float(np.linalg.det(turn)) > 0.0
+    if not right_handed or np.abs(matrix[3] - [0.0, 0.0, 0.0, 1.0]).max() > 0.0:
+        raise InputError("pose: expected a (4, 4) homogeneous matrix of a rotation and a place", option="pose")
+    return matrix
+
+
+def _chain(robot: Robot, pose: FloatArray, name: str | None, free_turn: bool) -> Chain:
+    """The arrays of the kernels."""
+    frame = robot.model.frames[robot.frame_number(robot.tool_frame if name is None else name)]
+    carrier = int(frame.parentJoint) - 1
+    moves = np.zeros(robot.dof)
+    moves[list(carriers(robot, carrier))] = 1.0
+    head = [0.0, robot.dof, flat.HEAD, 0.0]
+    joints = [flat.joint_numbers(robot, joint) for joint in range(robot.dof)]
+    return Chain(
+        numbers=np.concatenate([head, *joints]),
+        moves=moves,
+        lower=np.array(robot.lower),
+        upper=np.array(robot.upper),
+        carrier=np.array([float(robot.dof if carrier < 0 else carrier)]),
+        placement=np.concatenate([np.array(frame.placement.rotation).ravel(), frame.placement.translation]),
+        pose=np.concatenate([pose[:3, :3].ravel(), pose[:3, 3]]),
+        free_turn=np.array([float(free_turn)]),
+    )
+
+
+def _distinct(robot: Robot, solutions: FloatArray, start: FloatArray, chain: Chain) -> FloatArray:
+    """Those that differ, the one nearest to the start first, each as few whole turns from it as limits allow."""
+    near = solutions.copy()
+    for joint in np.flatnonzero(chain.moves).tolist():
+        if not joint_axis(robot, joint)[1]:
+            first = np.ceil((robot.lower[joint] - near[:, joint]) / math.tau)
+            last = np.floor((robot.upper[joint] - near[:, joint]) / math.tau)
+            turns = np.clip(np.round((start[joint] - near[:, joint]) / math.tau), first, last)
+            near[:, joint] += math.tau * turns
+    near = np.clip(near, robot.lower, robot.upper)
+    times = (np.abs(near - start) / robot.velocity_limit).max(axis=1)
+    kept: list[FloatArray] = []
+    for row in ties.argsort(times.tolist()).tolist():
+        if all(np.abs(near[row] - other).max() >= SAME for other in kept):
+            kept.append(near[row])
+    return frozen(np.array(kept))

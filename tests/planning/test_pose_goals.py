@@ -1,0 +1,170 @@
+"""A goal given as a pose of a frame: scenes, plans of any robot, and the certificate."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from any_arms import loaded_arm
+
+import hplan.errors as errors
+from hplan.base.arrays import FloatArray
+from hplan.planning.plan import plan
+from hplan.problem.options import PlanOptions
+from hplan.robot.model import Robot, load_robot
+from hplan.scene.file import dump_scene, load_scene, parse_scene, save_scene
+from hplan.scene.model import Goal, Scene
+from hplan.scene.obstacles import Box, Obstacle, Sphere
+from hplan.scene.solids import quaternion_rotation
+from hplan.verification.certificate import certify
+from hplan.verification.digests import scene_digest
+
+QUICK = PlanOptions(effort="quick")
+START, END = (0.3, 0.8, 0.6, -0.4, 0.5, 0.2), (1.5, 0.9, 0.5, -0.2, -0.4, 0.6)
+POST = Box(name="post", center=(0.35, 0.55, 0.6), size=(0.06, 0.06, 1.2))
+HALF = math.sqrt(0.5)
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory: pytest.TempPathFactory) -> Robot:
+    return loaded_arm("toy", tmp_path_factory)
+
+
+def pose_at(arm: Robot, q: Any, frame: str | None = None) -> dict[str, Any]:
+    """The goal that a configuration reaches."""
+    pose = arm.tool_poses(np.array(q), frame)
+    turn = tuple(pin.Quaternion(pose[:3, :3]).coeffs().tolist())
+    return {"position": tuple(pose[:3, 3].tolist()), "quaternion_xyzw": turn} | ({"frame": frame} if frame else {})
+
+
+def scene_of(goal: dict[str, Any], *obstacles: Obstacle, start: tuple[float, ...] = START) -> Scene:
+    return Scene.model_validate(
+        {"format": "hplan-scene/1", "name": "x", "start": {"joints_rad": start}, "goal": goal, "obstacles": obstacles}
+    )
+
+
+def reached(arm: Robot, scene: Scene, q: FloatArray) -> bool:
+    asked, there = scene.goal.pose, arm.tool_poses(q, scene.goal.frame)
+    return asked is not None and bool(np.abs(there - asked).max() < 1e-6)
+
+
+@pytest.mark.parametrize("frame", [None, "wrist_2_link"])
+@pytest.mark.parametrize("obstacles", [(), (POST,)])
+def test_a_plan_ends_at_the_pose(arm: Robot, frame: str | None, obstacles: tuple[Obstacle, ...]) -> None:
+    scene = scene_of(pose_at(arm, END, frame), *obstacles)
+    found = plan(arm, scene, QUICK)
+    assert found.certificate.verified
+    assert reached(arm, scene, found.trajectory.position[-1])
+    assert certify(arm, scene, found.trajectory).verified
+    assert (plan(arm, scene, QUICK).trajectory.position == found.trajectory.position).all()
+
+
+def test_the_certificate_refuses_another_pose(arm: Robot) -> None:
+    goal = pose_at(arm, END)
+    found = plan(arm, scene_of(goal), QUICK).trajectory
+    x, y, z = goal["position"]
+    beside = scene_of(goal | {"position": (x + 2e-3, y, z)})
+    turned = pin.Quaternion(pin.rpy.rpyToMatrix(0.0, 0.0, 2e-3) @ quaternion_rotation(goal["quaternion_xyzw"]))
+    for other in (beside, scene_of(goal | {"quaternion_xyzw": tuple(turned.coeffs().tolist())})):
+        refused = certify(arm, other, found)
+        assert not refused.verified
+        assert any("pose of the goal" in text for text in refused.violations)
+
+
+def test_a_pose_in_an_obstacle_is_blocked_and_says_by_what(arm: Robot) -> None:
+    goal = pose_at(arm, END)
+    with pytest.raises(errors.BlockedError) as refused:
+        plan(arm, scene_of(goal, Sphere(name="ball", center=goal["position"], radius=0.05)), QUICK)
+    assert refused.value.obstacles[0]["obstacle"] == "ball"
+
+
+def test_a_pose_out_of_reach(arm: Robot) -> None:
+    with pytest.raises(errors.UnreachableError):
+        plan(arm, scene_of({"position": (9.0, 0.0, 0.0), "quaternion_xyzw": (0.0, 0.0, 0.0, 1.0)}), QUICK)
+
+
+def test_a_frame_that_is_none(arm: Robot) -> None:
+    with pytest.raises(errors.InputError, match="nowhere"):
+        plan(arm, scene_of(pose_at(arm, END) | {"frame": "nowhere"}), QUICK)
+
+
+def test_the_planar_family_says_what_to_use() -> None:
+    harvester = load_robot()
+    goal = Goal(position=(1.0, 0.2, 1.9), quaternion_xyzw=(0.0, 0.0, 0.0, 1.0))
+    with pytest.raises(errors.InputError, match="approach_deg"):
+        plan(harvester, load_scene().model_copy(update={"goal": goal}), QUICK)
+
+
+@pytest.mark.parametrize("deadline_s", [5.0])
+def test_with_a_deadline(arm: Robot, deadline_s: float) -> None:
+    scene = scene_of(pose_at(arm, END), POST)
+    found = plan(arm, scene, PlanOptions(effort="quick", deadline_s=deadline_s))
+    assert found.certificate.verified
+    assert reached(arm, scene, found.trajectory.position[-1])
+
+
+@pytest.mark.parametrize("name", ["seven", "panda", "ur5"])
+def test_other_arms(name: str, tmp_path_factory: pytest.TempPathFactory) -> None:
+    robot = loaded_arm(name, tmp_path_factory)
+    middle = 0.5 * (robot.lower + robot.upper)
+    bent = middle + 0.25 * np.minimum(robot.upper - middle, 2.0) * np.array([1, -1, 1, -1, 1, -1, 1][: robot.dof])
+    start = middle + 0.4 * (bent - middle)
+    scene = scene_of(pose_at(robot, bent), start=tuple(start.tolist()))
+    found = plan(robot, scene, QUICK)
+    assert found.certificate.verified
+    assert reached(robot, scene, found.trajectory.position[-1])
+
+
+def test_scenes_keep_the_pose(tmp_path: Path) -> None:
+    goal = {"position": (0.5, 0.1, 0.4), "quaternion_xyzw": (0.0, HALF, 0.0, HALF), "frame": "wrist"}
+    scene = scene_of(goal)
+    assert parse_scene(dump_scene(scene)) == scene
+    path = save_scene(scene, tmp_path / "scene.yaml")
+    assert load_scene(path) == scene
+    assert scene.goal.pose is not None
+    assert scene.goal.pose[:3, :3] == pytest.approx(np.array([[0, 0, 1], [0, 1, 0], [-1, 0, 0.0]]), abs=1e-12)
+
+
+def test_digests_tell_poses_apart() -> None:
+    goal = {"position": (0.5, 0.1, 0.4), "quaternion_xyzw": (0.0, HALF, 0.0, HALF)}
+    goals = [
+        goal,
+        goal | {"quaternion_xyzw": (HALF, 0.0, 0.0, HALF)},
+        goal | {"frame": "a"},
+        {"position": (0.5, 0.1, 0.4)},
+    ]
+    assert len({scene_digest(scene_of(each)) for each in goals}) == len(goals)
+
+
+@pytest.mark.parametrize(
+    ("goal", "where"),
+    [
+        ({"quaternion_xyzw": (0.0, 0.0, 0.0, 1.0)}, "goal"),
+        ({"fruit": "a", "quaternion_xyzw": (0.0, 0.0, 0.0, 1.0)}, "goal.quaternion_xyzw"),
+        ({"joints_rad": START, "quaternion_xyzw": (0.0, 0.0, 0.0, 1.0)}, "goal.quaternion_xyzw"),
+        ({"position": (1.0, 0.0, 1.0), "frame": "a"}, "goal.frame"),
+        ({"position": (1.0, 0.0, 1.0), "quaternion_xyzw": (0.0, 0.0, 0.0, 1.002)}, "goal.quaternion_xyzw"),
+        ({"position": (1.0, 0.0, 1.0), "quaternion_xyzw": (0.0, 0.0, 0.0, 0.0)}, "goal.quaternion_xyzw"),
+        ({"position": (1.0, 0.0, 1.0), "quaternion_xyzw": (0.0, 0.0, 0.0, math.nan)}, "goal.quaternion_xyzw"),
+        ({"position": (1.0, 0.0, 1.0), "quaternion_xyzw": (0.0, 0.0, 1.0)}, "goal.quaternion_xyzw"),
+        (
+            {"position": (1.0, 0.0, 1.0), "quaternion_xyzw": (0.0, 0.0, 0.0, 1.0), "approach_deg": 10.0},
+            "goal.approach_deg",
+        ),
+    ],
+)
+def test_goals_that_are_none(goal: dict[str, Any], where: str) -> None:
+    with pytest.raises(errors.SceneError) as refused:
+        scene_of(goal)
+    assert where in str(refused.value)
+
+
+def test_a_quaternion_is_a_rotation() -> None:
+    assert quaternion_rotation([0.0, 0.0, HALF, HALF]) == pytest.approx(np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1.0]]))
+    drawn = np.random.default_rng(1).normal(size=(20, 4))
+    for q in drawn / np.linalg.norm(drawn, axis=1)[:, None]:
+        assert quaternion_rotation(q) == pytest.approx(pin.Quaternion(*q[[3, 0, 1, 2]]).toRotationMatrix())

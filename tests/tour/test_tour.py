@@ -613,3 +613,9 @@ def test_command_lists_what_is_not_picked(
 def test_command_refuses(script: ModuleType, scene_path: Path, tmp_path: Path, options: list[str], status: int) -> None:
     assert script.main([str(scene_path), "--out", str(tmp_path), *options]) == status
     assert [path.name for path in tmp_path.iterdir()] == ["tour.json"]
+
+
+def test_a_drop_off_at_a_pose_says_what_to_use(robot: Robot, scene: Scene) -> None:
+    pose = Goal(position=(1.0, 0.0, 1.0), quaternion_xyzw=(0.0, 0.0, 0.0, 1.0))
+    with pytest.raises(InputError, match="approach_deg"):
+        plan_tour(robot, scene, OPTIONS, fruits=["a"], tour=TourOptions(drop_off=pose))

@@ -44,11 +44,15 @@ def test_picking_tour() -> None:
     assert result.certificate.verified
 
 
-def test_time_ur5_path() -> None:
+def needs_robot_data() -> None:
     try:
         importlib.metadata.version("example-robot-data")
     except importlib.metadata.PackageNotFoundError:
         pytest.skip("example-robot-data is not installed (extra `robots`)")
+
+
+def test_time_ur5_path() -> None:
+    needs_robot_data()
     trajectory = run("time_ur5_path")
     assert trajectory.joint_names[0] == "shoulder_pan_joint"
     assert 1.0 < trajectory.duration < 10.0
@@ -62,6 +66,14 @@ def test_control_loop() -> None:
     assert log.stops >= 1
     assert log.contacts == ()
     assert log.farthest_off_rad < 0.01
+
+
+def test_panda_shelf(capsys: pytest.CaptureFixture[str]) -> None:
+    needs_robot_data()
+    result = run("panda_shelf")
+    assert result.certificate.verified
+    assert result.trajectory.duration < 2.0
+    assert "is 20.8 mm deep in obstacle 'upper board'" in capsys.readouterr().out
 
 
 def test_every_example_is_run() -> None:

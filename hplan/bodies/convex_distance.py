@@ -18,7 +18,7 @@ import math
 from typing import NamedTuple, TypeAlias
 
 from hplan.base.arrays import FloatArray
-from hplan.base.kernels import any_int, kernel
+from hplan.base.kernels import any_int, inlined, kernel
 from hplan.scene.corner_table import OCTANTS
 
 #: Three coordinates.
@@ -39,6 +39,9 @@ WORK = 43
 
 #: Most corners that are looked at, and the fraction of the simplex's size below which a distance is none.
 _MOST, _NONE = any_int(128), 1e-13
+
+#: No corners so far.
+_NONE_YET = any_int(0)
 
 
 class Wanted(NamedTuple):
@@ -187,7 +190,7 @@ def core_distance(
     return lower
 
 
-@kernel
+@inlined
 def _is_known(work: FloatArray, size: int, p: int, o: int) -> bool:
     """True if a corner of A - B is in the simplex."""
     known = False
@@ -207,7 +210,7 @@ def _find_point_of_first(work: FloatArray, size: int) -> None:
         work[ON_FIRST + c] = value
 
 
-@kernel
+@inlined
 def _corner(work: FloatArray, k: int) -> Vector:
     return work[_CORNERS + 3 * k], work[_CORNERS + 3 * k + 1], work[_CORNERS + 3 * k + 2]
 
@@ -228,7 +231,7 @@ def _reduced(work: FloatArray, size: int) -> int:
         weights = (first, second, third, 0.0)
     elif size == 4:
         weights = _in_tetrahedron(a, _corner(work, 1), _corner(work, 2), _corner(work, 3))
-    left = 0
+    left = _NONE_YET
     for k in range(size):
         weight = weights[k]
         if weight > 0.0:

@@ -36,7 +36,7 @@ from hplan.bodies.convex_distance import (
 Hulls: TypeAlias = tuple[FloatArray, Span, Pose, FloatArray, Span]
 
 #: Most corners of the polytope, and faces that are ever made.
-_MOST, _FACES = any_int(64), any_int(1024)
+_MOST, _FACES, _NONE_YET = any_int(64), any_int(1024), any_int(0)
 
 #: What is no farther off than this fraction of the polytope's size is on a face, on a line, in a place.
 _ON_FACE, _FLAT = 1e-12, 1e-9
@@ -61,7 +61,7 @@ def penetration(hulls: Hulls, work: FloatArray) -> float:
     scale = _tetrahedron(hulls, corners, of_first)
     if scale == 0.0:
         return 0.0
-    made, depth = 0, math.inf
+    made, depth = _NONE_YET, math.inf
     for i in range(4):
         made = _add_face(corners, ((i + 1) % 4, (i + 2) % 4, (i + 3) % 4), planes, faces, made)
     for count in range(4, _MOST + 1):

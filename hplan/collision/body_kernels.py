@@ -35,6 +35,9 @@ from hplan.collision.obstacle_rows import FieldArrays
 
 _FIRST_ROW, _FRAME = any_int(0), any_int(12)
 
+#: In place of where the table of a hull's corners is: a single point has none.
+NO_TABLE = any_int(0)
+
 #: By which fraction of itself a clearance may be told too small: where it is to be known, and where a motion goes on.
 EXACT, ROUGH = 1e-10, 2e-2
 
@@ -216,7 +219,7 @@ def _lot_clearance(arm: BodyArrays, k: int, s: int, least: float, look: Look) ->
         if point_segment((data[p], data[p + 1], data[p + 2]), start, along) < least + beside + radius:
             for c in range(3):
                 work[NEAREST + c] = placed[k, CENTRE + c] - data[p + c]
-            least = _hull_clearance(arm, k, (data, (p, p + 3, 0), radius), least, look)
+            least = _hull_clearance(arm, k, (data, (p, p + 3, NO_TABLE), radius), least, look)
     return least
 
 

@@ -37,6 +37,20 @@ SAMPLES = [
     errors.ObstacleInTimeError("crate", 1.5, ["the straight motion"]),
     errors.JointLimitError("start", "elbow", 2.0, 0.0, 1.0),
     errors.ConfigurationInCollisionError("start", "forearm", "post", 0.1, 0.01),
+    errors.PathInContactError(
+        "in contact",
+        [
+            {
+                "waypoint": None,
+                "segment": 2,
+                "fraction": 0.4,
+                "link": "hand",
+                "obstacle": "post",
+                "depth_m": 0.01,
+                "clearance_m": 0.0,
+            }
+        ],
+    ),
     errors.OptionError("speed", 2.0, "at most 1"),
     errors.OutputError("out/motion.csv", "why"),
     errors.NotFoundError(["straight motion", "roadmap"], goals=2),

@@ -29,6 +29,9 @@ from hplan.view.three_js import Body, Json
 #: Joints that move by more than this in their parent's frame slide, others turn [m].
 SLID = 1e-9
 
+#: Visual meshes with more triangles than this are not drawn: those of a Panda would make a page of 68 MB.
+MOST_TRIANGLES = 20_000
+
 #: For the picture: how thick an arm of any kind is taken to be about its joints [m].
 THICKNESS = 0.08
 
@@ -113,9 +116,16 @@ def _joint_paths(model: pin.Model, top: str) -> list[str]:
     return paths
 
 
+def _looks(robot: Robot) -> Sequence[pin.GeometryObject]:
+    """What is drawn of a robot: its visual geometry or, where that is too fine for a page, its collision geometry."""
+    shown: Sequence[pin.GeometryObject] = robot.visual_model.geometryObjects
+    triangles = sum(getattr(item.geometry, "num_tris", 0) for item in shown)
+    return shown if triangles <= MOST_TRIANGLES else robot.collision_model.geometryObjects
+
+
 def _arm(robot: Robot, q: FloatArray) -> list[Json]:
     bodies: dict[int, Body] = defaultdict(Body)
-    for item in robot.visual_model.geometryObjects:
+    for item in _looks(robot):
         surface = three.material(three.color_of(item.meshColor), opacity=float(item.meshColor[3]))
         shape, pose = item.geometry, item.placement.homogeneous
         three.add_shape(bodies[item.parentJoint], shape, surface, pose, name=item.name)
@@ -127,7 +137,7 @@ def _ghost(robot: Robot, q: FloatArray, name: str, color: int, layer: int) -> li
     bodies: dict[int, Body] = defaultdict(Body)
     # What stands below the shoulder is left out: at most it turns in place.
     first = 1 if robot.planar is None else robot.model.getJointId(robot.arm.joint_names[0])
-    for item in robot.visual_model.geometryObjects:
+    for item in _looks(robot):
         if item.parentJoint >= first:
             shape, pose = item.geometry, item.placement.homogeneous
             three.add_shape(bodies[item.parentJoint], shape, surface, pose, name=item.name, shadow=False, order=2)

@@ -229,8 +229,8 @@ def test_approach_that_is_not_straight_is_not_certified(robot, picked, monkeypat
     scene, _ = picked
     timed = certified_motion.timed
 
-    def bent(task, path, share=0.0):
-        motion = timed(task, path, share)
+    def bent(task, path, *more):
+        motion = timed(task, path, *more)
         if not isinstance(path, ApproachPath):
             return motion
         s = np.sin(np.linspace(0.0, np.pi, motion.samples))[:, None] ** 2

@@ -2,10 +2,9 @@
 
     python scripts/examples/control_loop.py [SECONDS]
 
-What the planner knows of the trees is what a depth camera sees of the simulated ones, ten times a second, with noise.
-Each frame takes the place of the last one. The running motion goes on while it is certified among what is seen now;
-where it is not, a new one takes over from where the arm will be in a moment. After a while somebody steps in, and the
-arm stops on its path. Time in the simulation stands still while hplan plans; how long that took is printed.
+What the planner knows of the trees is what two depth cameras see of the simulated ones, with noise; what is within 2 cm
+of a fruit to pick counts as fruit. The running motion goes on while it is certified among what is seen now; else a new
+one takes over from where the arm will be. Time in the simulation stands still while hplan plans.
 """
 
 from __future__ import annotations
@@ -18,6 +17,7 @@ import numpy as np
 
 import hplan
 from hplan.errors import ConfigurationInCollisionError, HplanError, NotInTimeError
+from hplan.execution.plant import Plant
 from hplan.execution.simulated_arm import CONTROL_PERIOD, SimulatedArm, Touch
 from hplan.scene import Goal, Scene, Start
 from hplan.timing.trajectory import Trajectory
@@ -78,14 +78,14 @@ class Log:
 
 
 class ControlLoop:
-    """A planner, a controller and a simulated arm that know nothing of each other but messages."""
+    """A planner, a controller and a simulated arm."""
 
     def __init__(self, scene: Scene, options: hplan.PlanOptions) -> None:
         """Begin at the start of a scene; its obstacles are the simulation's alone, its fruits have been detected."""
         robot = hplan.load_robot(scene.robot)
         home = np.array(scene.start.configuration)
         there = scene.model_copy(update={"goal": Goal(joints_rad=tuple(home.tolist()))})
-        self.machine = SimulatedArm(robot, there)
+        self.machine = SimulatedArm(robot, there, Plant(bandwidth=200.0))
         self.machine.place(home)
         self.cameras = [Camera((0.2, side, 2.2), (1.3, 0.3 * side, 1.4)) for side in (-0.7, 0.7)]
         self.planner = hplan.Planner(robot, there.with_obstacles(()), options)

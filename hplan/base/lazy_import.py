@@ -58,3 +58,24 @@ def lazy_names(package: str, homes: Mapping[str, str]) -> Callable[[str], Any]:
         return value
 
     return load
+
+
+@contextmanager
+def extra(name: str, needs: str, **data: str) -> Iterator[None]:
+    """Import what an extra brings inside the block; what is not installed is an error that says how to get it.
+
+    Args:
+        name: Name of the extra.
+        needs: What needs which module, for the error: `an MCAP file needs rosbags`.
+        data: Further facts of the error.
+
+    Raises:
+        InputError: Something imported in the block is not installed.
+    """
+    try:
+        yield
+    except ImportError as error:
+        from hplan.errors import InputError  # `import hplan` is to cost next to nothing
+
+        message = f"{needs}, which is not installed: pip install 'hplan[{name}]'"
+        raise InputError(message, **data, extra=name) from error

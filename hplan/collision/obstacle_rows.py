@@ -69,6 +69,34 @@ class FieldArrays(NamedTuple):
     until: FloatArray
 
 
+class _Stack:
+    """Blocks of rows, one below the other, and their data.
+
+    Attributes:
+        numbers: How many numbers of data there are so far.
+    """
+
+    def __init__(self) -> None:
+        self._rows, self._data = [np.zeros((0, _COLUMNS))], [np.zeros(0)]
+        self._owner = [np.zeros(0, dtype=np.int64)]
+        self._count = self.numbers = 0
+
+    def add(self, rows: FloatArray, owner: int | Sequence[int], data: FloatArray | None = None) -> None:
+        """Add rows that were made as if they were the first, who owns them all, or each, and their data."""
+        rows[:, NEXT] += self._count
+        self._rows.append(rows)
+        self._owner.append(np.full(len(rows), owner, dtype=np.int64))
+        self._count += len(rows)
+        if data is not None:
+            self._data.append(data)
+            self.numbers += len(data)
+
+    @property
+    def arrays(self) -> tuple[FloatArray, FloatArray, IntArray]:
+        """All rows, their data, and the owner of each row."""
+        return np.concatenate(self._rows), np.concatenate(self._data), np.concatenate(self._owner)
+
+
 def rows_of(
     robot: Robot,
     obstacles: Sequence[Solid],
@@ -88,8 +116,7 @@ def rows_of(
     Returns:
         `solids`, `data` and `owner` of `hplan.collision.clearance_field.ClearanceField`.
     """
-    blocks, data, owner = [np.zeros((0, _COLUMNS))], [np.zeros(0)], [np.zeros(0, dtype=np.int64)]
-    row_count = data_count = 0
+    stack = _Stack()
     growth = np.asarray(clearance, dtype=np.float64)
     grown = np.broadcast_to(growth, (len(obstacles),)).tolist()
     own = own_clearance_of(clearance, own_clearance)
@@ -99,45 +126,27 @@ def rows_of(
         if is_round:  # hundreds of them: all at once
             numbers, solids = zip(*run, strict=True)
             rows = _round_rows(cast(Sequence[Sphere | Capsule], solids), grown[numbers[0] : numbers[-1] + 1])
-            rows[:, NEXT] += row_count + np.arange(len(rows))
-            blocks.append(rows)
-            owner.append(np.array(numbers, dtype=np.int64))
-            row_count += len(rows)
+            rows[:, NEXT] += np.arange(len(rows))
+            stack.add(rows, numbers)
             continue
         for index, solid in run:
-            rows, more = _rows(solid, grown[index], data_count)
-            rows[:, NEXT] += row_count
-            blocks.append(rows)
-            data.append(more)
-            owner.append(np.full(len(rows), index))
-            row_count += len(rows)
-            data_count += len(more)
+            rows, more = _rows(solid, grown[index], stack.numbers)
+            stack.add(rows, index, more)
     for body in contact.bodies:
-        rows, more = _base_rows(body, own, data_count, robot.yaw_axis)
-        rows[:, NEXT] += row_count
-        blocks.append(rows)
-        data.append(more)
-        owner.append(np.full(len(rows), -1))
-        row_count += len(rows)
-        data_count += len(more)
+        rows, more = _base_rows(body, own, stack.numbers, robot.yaw_axis)
+        stack.add(rows, -1, more)
     if contact.links:
-        blocks.append(_pair_rows(robot, contact.links, own, deviation, row_count))
-        owner.append(np.full(len(contact.links), -1))
-    return np.concatenate(blocks), np.concatenate(data), np.concatenate(owner)
+        stack.add(_pair_rows(robot, contact.links, own, deviation), -1)
+    return stack.arrays
 
 
 def solid_rows(obstacles: Sequence[Solid], clearance: float) -> tuple[FloatArray, FloatArray]:
     """Rows of obstacles grown by a clearance [m], without those of the arm, and their data."""
-    blocks, data = [np.zeros((0, _COLUMNS))], [np.zeros(0)]
-    row_count = data_count = 0
-    for obstacle in obstacles:
-        rows, more = _rows(obstacle, clearance, data_count)
-        rows[:, NEXT] += row_count
-        blocks.append(rows)
-        data.append(more)
-        row_count += len(rows)
-        data_count += len(more)
-    return np.concatenate(blocks), np.concatenate(data)
+    stack = _Stack()
+    for index, obstacle in enumerate(obstacles):
+        rows, more = _rows(obstacle, clearance, stack.numbers)
+        stack.add(rows, index, more)
+    return stack.arrays[:2]
 
 
 def own_clearance_of(clearance: ArrayLike, own_clearance: float | None) -> float:
@@ -153,24 +162,18 @@ def core_rows(obstacles: Sequence[Solid], clearance: ArrayLike) -> tuple[FloatAr
         obstacles: Obstacles.
         clearance: By how much each of them is grown [m], one number or one for each.
     """
-    blocks, data, owner = [np.zeros((0, _COLUMNS))], [np.zeros(0)], [np.zeros(0, dtype=np.int64)]
-    row_count = data_count = 0
+    stack = _Stack()
     grown = np.broadcast_to(np.asarray(clearance, dtype=np.float64), (len(obstacles),)).tolist()
     for index, (solid, growth) in enumerate(zip(obstacles, grown, strict=True)):
-        rows, more = _rows(solid, growth, data_count)
+        rows, more = _rows(solid, growth, stack.numbers)
         if not solid.is_point_set:
-            first = data_count + 2
+            first = stack.numbers + 2
             end = first + solid.core.size
             table = corner_table(solid.core, first, end)
             more = np.concatenate([[end, end if len(table) else 0], solid.core.ravel(), table])
             rows[0, CORNERS] = first
-        rows[:, NEXT] += row_count
-        blocks.append(rows)
-        data.append(more)
-        owner.append(np.full(len(rows), index))
-        row_count += len(rows)
-        data_count += len(more)
-    return np.concatenate(blocks), np.concatenate(data), np.concatenate(owner)
+        stack.add(rows, index, more)
+    return stack.arrays
 
 
 def _round_rows(obstacles: Sequence[Sphere | Capsule], clearances: Sequence[float]) -> FloatArray:
@@ -265,16 +268,14 @@ def convex_solid(name: str, core: FloatArray, rounding: float) -> Solid:
     return replace(hull_of(core, name, most=len(core) + 14), rounding=rounding)
 
 
-def _pair_rows(
-    robot: Robot, pairs: Sequence[tuple[int, int]], clearance: float, deviation: float, first: int
-) -> FloatArray:
-    """The rows of pairs of links, from number `first` on; they have no place, and are near to everything."""
+def _pair_rows(robot: Robot, pairs: Sequence[tuple[int, int]], clearance: float, deviation: float) -> FloatArray:
+    """The rows of pairs of links, as if they were the first; they have no place, and are near to everything."""
     rows, widths = np.zeros((len(pairs), _COLUMNS)), robot.arm.half_widths
     inner, outer = np.array(pairs).T
     rows[:, KIND], rows[:, BOUND] = PAIR, np.inf
     sway = np.array([pair_sway(robot, j, i, deviation) for i, j in pairs])
     rows[:, INNER], rows[:, OUTER], rows[:, TOUCHING] = inner, outer, widths[inner] + widths[outer] + clearance + sway
-    rows[:, NEXT] = first + 1 + np.arange(len(pairs))
+    rows[:, NEXT] = 1 + np.arange(len(pairs))
     return rows
 
 

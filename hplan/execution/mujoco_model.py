@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from hplan.base.arrays import FloatArray
+from hplan.base.lazy_import import extra
 from hplan.errors import InputError, RobotFileError
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
@@ -26,12 +27,8 @@ def import_mujoco() -> ModuleType:
     Raises:
         InputError: It is not installed.
     """
-    try:
+    with extra("execution", "executing a motion needs MuJoCo"):
         import mujoco
-    except ImportError as error:
-        raise InputError(
-            "executing a motion needs MuJoCo, which is not installed: pip install 'hplan[execution]'", extra="execution"
-        ) from error
     module: ModuleType = mujoco
     return module
 

@@ -39,6 +39,7 @@ from hplan.execution.simulated_arm import CONTROL_PERIOD, SimulatedArm, Touch
 from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel
 from hplan.scene.model import Scene
+from hplan.timing.trajectory import cubic_states
 
 #: How long the last row is held [s].
 HOLD = 0.25
@@ -171,15 +172,7 @@ class _Reference:
         if len(self.time) == 1:
             q = np.repeat(self.position, len(clock), axis=0)
             return q, np.zeros_like(q), np.zeros_like(q)
-        piece = np.clip(np.searchsorted(self.time, clock, side="right") - 1, 0, len(self.time) - 2)
-        h = (self.time[piece + 1] - self.time[piece])[:, None]
-        t = np.minimum((clock - self.time[piece])[:, None] / h, 1.0)
-        p0, p1 = self.position[piece], self.position[piece + 1]
-        m0, m1 = h * self.velocity[piece], h * self.velocity[piece + 1]
-        c2, c3 = 3.0 * (p1 - p0) - 2.0 * m0 - m1, 2.0 * (p0 - p1) + m0 + m1
-        q = p0 + t * (m0 + t * (c2 + t * c3))
-        v = (m0 + t * (2.0 * c2 + 3.0 * t * c3)) / h
-        a = (2.0 * c2 + 6.0 * t * c3) / h**2
+        q, v, a = cubic_states(self.time, self.position, self.velocity, clock)
         over = (clock > self.time[-1])[:, None]
         return np.where(over, self.position[-1], q), np.where(over, 0.0, v), np.where(over, 0.0, a)
 

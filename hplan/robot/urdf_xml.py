@@ -9,7 +9,8 @@ from typing import Any, Final
 from xml.parsers import expat
 
 from hplan.base.data_files import robot_names, shipped_robots
-from hplan.errors import InputError, RobotFileError
+from hplan.base.lazy_import import extra
+from hplan.errors import RobotFileError
 
 #: Most bytes of a URDF.
 MOST_BYTES: Final = 16_000_000
@@ -73,14 +74,8 @@ def _content(path: Path, package_dirs: Sequence[Path]) -> bytes:
 
 def _expanded(path: Path, package_dirs: Sequence[Path]) -> str:
     """The URDF that a xacro file stands for; its packages are looked for later, with those of any URDF."""
-    try:
+    with extra("xacro", f"robot file {path}: xacro needs xacrodoc", path=str(path)):
         import xacrodoc
-    except ImportError as error:
-        raise InputError(
-            f"robot file {path}: xacro needs xacrodoc, which is not installed: pip install 'hplan[xacro]'",
-            path=str(path),
-            extra="xacro",
-        ) from error
     try:
         xacrodoc.packages.look_in([str(folder) for folder in package_dirs])
         text: str = xacrodoc.XacroDoc.from_file(str(path), resolve_packages=False).to_urdf_string()

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hplan.base.files import check_replaceable
+from hplan.base.lazy_import import extra
 from hplan.errors import InputError, OutputError
 
 
@@ -35,14 +36,10 @@ def import_rosbags() -> tuple[ModuleType, ModuleType, ModuleType]:
     Raises:
         InputError: They are not installed.
     """
-    try:
+    with extra("ros", "an MCAP file needs rosbags"):
         import rosbags.interfaces
         import rosbags.rosbag2
         import rosbags.typesys
-    except ImportError as error:
-        raise InputError(
-            "an MCAP file needs rosbags, which is not installed: pip install 'hplan[ros]'", extra="ros"
-        ) from error
     return rosbags.interfaces, rosbags.rosbag2, rosbags.typesys
 
 

@@ -48,6 +48,18 @@ class _Obstacle(StrictModel):
     """
 
 
+class _Turned(_Obstacle):
+    """An obstacle that is turned by roll, pitch and yaw (fixed axes x, y, z)."""
+
+    if TYPE_CHECKING:
+        rpy_deg: Angles  # a field of all kinds below, where it stands in the order of the file's keys
+
+    @property
+    def rotation(self) -> FloatArray:
+        """(3, 3) rotation from the obstacle's own frame to `base_link`."""
+        return rpy_rotation(*map(math.radians, self.rpy_deg))
+
+
 class _Convex(_Obstacle):
     """One convex solid: the hull of its core grown by its rounding."""
 
@@ -114,7 +126,7 @@ class Capsule(_Convex):
         return self.radius
 
 
-class Cylinder(_Convex):
+class Cylinder(_Turned, _Convex):
     """A cylinder, flat at both ends, turned by roll, pitch and yaw (fixed axes x, y, z); unturned it stands on z.
 
     The certificate and MuJoCo take it as it is, kernels and sections the prism about it (`hplan.scene.prism`).
@@ -129,11 +141,6 @@ class Cylinder(_Convex):
     sigma: Sigma = 0.0
     track: TrackField = None
     sway: SwayField = None
-
-    @property
-    def rotation(self) -> FloatArray:
-        """(3, 3) rotation from the cylinder's frame to `base_link`."""
-        return rpy_rotation(*map(math.radians, self.rpy_deg))
 
     @property
     def prism(self) -> Prism:
@@ -151,7 +158,7 @@ class Cylinder(_Convex):
         return 0.0
 
 
-class Box(_Convex):
+class Box(_Turned, _Convex):
     """A block of the given full edge lengths, turned by roll, pitch and yaw (fixed axes x, y, z)."""
 
     kind: Literal["box"] = "box"
@@ -164,11 +171,6 @@ class Box(_Convex):
     sway: SwayField = None
 
     @property
-    def rotation(self) -> FloatArray:
-        """(3, 3) rotation from the box's frame to `base_link`."""
-        return rpy_rotation(*map(math.radians, self.rpy_deg))
-
-    @property
     def core(self) -> FloatArray:
         """(8, 3) corners; the obstacle is their hull."""
         return readonly(np.array(self.center) + (0.5 * CUBE_CORNERS * np.array(self.size)) @ self.rotation.T)
@@ -179,20 +181,14 @@ class Box(_Convex):
         return 0.0
 
 
-class _FromData(_Obstacle):
+class _FromData(_Turned):
     """An obstacle whose shape is in a file or in arrays, placed by a rotation and a shift."""
 
     if TYPE_CHECKING:
-        rpy_deg: Angles  # a field of both kinds below, where it stands in the order of the file's keys
-        sway: SwayField  # the same
+        sway: SwayField  # a field of both kinds below, where it stands in the order of the file's keys
 
     _data: Any = PrivateAttr(None)
     _path: Path | None = PrivateAttr(None)
-
-    @property
-    def rotation(self) -> FloatArray:
-        """(3, 3) rotation from the data's frame to `base_link`."""
-        return rpy_rotation(*map(math.radians, self.rpy_deg))
 
     @property
     def path(self) -> Path | None:

@@ -154,17 +154,8 @@ class Trajectory(Record):
         if not 0.0 <= t < self.duration:
             still = np.zeros(len(self.joint_names))
             return self.position[0 if t < 0.0 else -1], still, still
-        row = int(np.searchsorted(self.time, t, side="right")) - 1
-        h = float(self.time[row + 1] - self.time[row])
-        u = (t - float(self.time[row])) / h
-        p0, m0, m1 = self.position[row], h * self.velocity[row], h * self.velocity[row + 1]
-        step = self.position[row + 1] - p0
-        c2, c3 = 3.0 * step - 2.0 * m0 - m1, m0 + m1 - 2.0 * step
-        return (
-            p0 + u * (m0 + u * (c2 + u * c3)),
-            (m0 + u * (2.0 * c2 + 3.0 * u * c3)) / h,
-            (2.0 * c2 + 6.0 * u * c3) / h**2,
-        )
+        q, v, a = cubic_states(self.time, self.position, self.velocity, np.array([t]))
+        return q[0], v[0], a[0]
 
     def positions(self, clock: FloatArray) -> FloatArray:
         """(k, dof) configurations at (k,) times, on the cubics of `cubic_pieces`."""
@@ -191,6 +182,29 @@ def cubic_pieces(trajectory: Trajectory) -> tuple[FloatArray, FloatArray]:
     third = duration[:, None] / 3.0
     with np.errstate(over="ignore", invalid="ignore"):
         return np.stack([q[:-1], q[:-1] + third * v[:-1], q[1:] - third * v[1:], q[1:]], axis=1), duration
+
+
+def cubic_states(
+    time: FloatArray, position: FloatArray, velocity: FloatArray, clock: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Position, velocity and acceleration on the cubics between rows, those of `cubic_pieces`; after the end, there.
+
+    Args:
+        time: (n,) times of the rows, n > 1 [s].
+        position: (n, dof).
+        velocity: (n, dof) [rad/s].
+        clock: (k,) times, none before the first row [s].
+
+    Returns:
+        Three of (k, dof).
+    """
+    piece = np.clip(np.searchsorted(time, clock, side="right") - 1, 0, len(time) - 2)
+    h = (time[piece + 1] - time[piece])[:, None]
+    t = np.minimum((clock - time[piece])[:, None] / h, 1.0)
+    p0, p1 = position[piece], position[piece + 1]
+    m0, m1 = h * velocity[piece], h * velocity[piece + 1]
+    c2, c3 = 3.0 * (p1 - p0) - 2.0 * m0 - m1, 2.0 * (p0 - p1) + m0 + m1
+    return p0 + t * (m0 + t * (c2 + t * c3)), (m0 + t * (2.0 * c2 + 3.0 * t * c3)) / h, (2.0 * c2 + 6.0 * t * c3) / h**2
 
 
 def joined(parts: Sequence[Trajectory]) -> Trajectory:

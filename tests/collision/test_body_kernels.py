@@ -6,9 +6,9 @@ import coal
 import numpy as np
 import pinocchio as pin
 import pytest
+from any_arms import loaded_arm
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from toy_urdf import SIX_AXIS_LIMITS, six_axis_arm
 
 from hplan.base.arrays import FloatArray
 from hplan.bodies.collision_bodies import GROUND, body_shapes, collision_bodies
@@ -20,7 +20,7 @@ from hplan.collision.body_motions import body_bounds
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.clearance_kernels import segment_is_clear
 from hplan.collision.coal_shapes import beyond_geometry, solid_shape
-from hplan.robot.model import Robot, load_robot
+from hplan.robot.model import Robot
 from hplan.scene.obstacles import Box, Capsule, Cylinder, Solid, Sphere
 from hplan.scene.solids import Cloud, hull_of
 from hplan.smoothing.spline import piece_is_clear
@@ -30,10 +30,7 @@ SEEDS = st.integers(0, 2**32 - 1)
 
 @pytest.fixture(scope="module")
 def arm(tmp_path_factory: pytest.TempPathFactory) -> Robot:
-    path = tmp_path_factory.mktemp("arm") / "six.urdf"
-    path.write_text(six_axis_arm())
-    path.with_suffix(".limits.yaml").write_text(SIX_AXIS_LIMITS)
-    return load_robot(path)
+    return loaded_arm("toy", tmp_path_factory)
 
 
 @pytest.fixture(scope="module")

@@ -8,6 +8,7 @@ import pickle
 import numpy as np
 import pytest
 from planned import assert_clear, at, between_rows, fruit, post, task
+from spliced import assert_goes_on
 
 from hplan.errors import InputError, OptionError, RunningMotionBlockedError
 from hplan.online.planner import Planner
@@ -17,10 +18,9 @@ from hplan.problem.options import PlanOptions
 from hplan.robot.model import Robot
 from hplan.scene.model import Goal, Scene
 from hplan.scene.obstacles import Sphere
-from hplan.timing.trajectory import Trajectory, cubic_pieces
+from hplan.timing.trajectory import Trajectory
 from hplan.verification.certificate import certify
 
-FIELDS = ("position", "velocity", "acceleration")
 POST = post("post", 0.0, 1.1, 0.0, 1.5)
 BALL = Sphere(name="ball", center=at(90.0, 2.0, 1.0), radius=0.05)
 BACK = Goal(joints_deg=(-30.0, 60.0, 40.0, 30.0))
@@ -42,17 +42,7 @@ def on_the_way(robot: Robot, trajectory: Trajectory, part: float) -> tuple[float
 def assert_spliced(robot: Robot, scene: Scene, before: Trajectory, result: SplicedResult) -> None:
     """The running motion up to the seam row for row, continuous cubics there, the whole certified and clear."""
     trajectory = result.trajectory
-    first = int(np.searchsorted(before.time, result.begins_s - 1e-9))
-    seam = int(np.searchsorted(trajectory.time, result.seam_s - 1e-9))
-    for field in FIELDS:
-        kept, ran = getattr(trajectory, field)[: seam + 1], getattr(before, field)[first : first + seam + 1]
-        np.testing.assert_array_equal(kept, ran)
-    if 0 < seam < trajectory.samples - 1:
-        bezier, duration = cubic_pieces(trajectory)
-        bent = 6.0 * np.diff(bezier, n=2, axis=1) / duration[:, None, None] ** 2
-        speed = 3.0 * np.diff(bezier, axis=1) / duration[:, None, None]
-        np.testing.assert_allclose(speed[seam, 0], speed[seam - 1, 2], rtol=0, atol=1e-9)
-        np.testing.assert_allclose(bent[seam, 0], bent[seam - 1, 1], rtol=0, atol=1e-6)
+    assert_goes_on(before, result)
     now = result.scene
     assert now.obstacles == scene.obstacles
     assert now.goal == scene.goal

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from planned import assert_clear, between_rows, task
+from spliced import FIELDS, assert_goes_on
 from studies.benchmark.moving.judge import least_distance
 
 from hplan.errors import ObstacleInTimeError, RunningMotionBlockedError
@@ -21,12 +22,11 @@ from hplan.robot.model import Robot
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Sphere
 from hplan.scene.tracks import Track
-from hplan.timing.trajectory import Trajectory, cubic_pieces
+from hplan.timing.trajectory import Trajectory
 from hplan.verification.certificate import certify
 
 START, GOAL, BACK = (0.0, 0.0, 0.0, 0.0), (0.0, 45.0, 60.0, 70.0), (0.0, 20.0, 0.0, 10.0)
 PLANAR = {"locked_joints": ("base_yaw",)}
-FIELDS = ("position", "velocity", "acceleration")
 
 
 def tool_at(robot: Robot, trajectory: Trajectory, part: float) -> np.ndarray:
@@ -65,15 +65,7 @@ def assert_spliced(robot: Robot, before: Trajectory, scene: Scene, planner: Plan
         result: What runs now.
     """
     motion = result.trajectory
-    first = int(np.searchsorted(before.time, result.begins_s - 1e-9))
-    seam = int(np.searchsorted(motion.time, result.seam_s - 1e-9))
-    for field in FIELDS:
-        kept, ran = getattr(motion, field)[: seam + 1], getattr(before, field)[first : first + seam + 1]
-        np.testing.assert_array_equal(kept, ran)
-    if 0 < seam < motion.samples - 1:
-        bezier, duration = cubic_pieces(motion)
-        bent = 6.0 * np.diff(bezier, n=2, axis=1) / duration[:, None, None] ** 2
-        np.testing.assert_allclose(bent[seam, 0], bent[seam - 1, 1], rtol=0, atol=1e-6)
+    assert_goes_on(before, result)
     assert result.certificate.verified
     assert certify(robot, result.scene, motion).verified
     # By the old clock and the old scene it is the same.

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from toy_urdf import SIX_AXIS_LIMITS, six_axis_arm
+from any_arms import loaded_arm
 
 from hplan.errors import ConfigurationInCollisionError, NotFoundError
 from hplan.planning import find_motion, sampled_motion
 from hplan.planning.plan import plan
 from hplan.planning.sampled_motion import SAMPLING_OF_BODIES, SamplingEffort
 from hplan.problem.options import PlanOptions
-from hplan.robot.model import Robot, load_robot
+from hplan.robot.model import Robot
 from hplan.sampling.several_trees import TreesEffort
 from hplan.scene.model import Scene
 from hplan.scene.obstacles import Box, Obstacle, Sphere
@@ -24,10 +24,7 @@ POST = Box(name="post", center=(0.35, 0.55, 0.6), size=(0.06, 0.06, 1.2))
 
 @pytest.fixture(scope="module")
 def arm(tmp_path_factory: pytest.TempPathFactory) -> Robot:
-    path = tmp_path_factory.mktemp("arm") / "six.urdf"
-    path.write_text(six_axis_arm())
-    path.with_suffix(".limits.yaml").write_text(SIX_AXIS_LIMITS)
-    return load_robot(path)
+    return loaded_arm("toy", tmp_path_factory)
 
 
 def scene_of(*obstacles: Obstacle, locked: tuple[str, ...] = ()) -> Scene:

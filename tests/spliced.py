@@ -1,0 +1,26 @@
+"""What holds of every splice: the running motion goes on up to the seam, and the motion is continuous there."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hplan.online.splice import SplicedResult
+from hplan.timing.trajectory import Trajectory, cubic_pieces
+
+FIELDS = ("position", "velocity", "acceleration")
+
+
+def assert_goes_on(before: Trajectory, result: SplicedResult) -> None:
+    """The running motion up to the seam row for row, and cubics whose velocity and acceleration do not jump there."""
+    motion = result.trajectory
+    first = int(np.searchsorted(before.time, result.begins_s - 1e-9))
+    seam = int(np.searchsorted(motion.time, result.seam_s - 1e-9))
+    for field in FIELDS:
+        kept, ran = getattr(motion, field)[: seam + 1], getattr(before, field)[first : first + seam + 1]
+        np.testing.assert_array_equal(kept, ran)
+    if 0 < seam < motion.samples - 1:
+        bezier, duration = cubic_pieces(motion)
+        bent = 6.0 * np.diff(bezier, n=2, axis=1) / duration[:, None, None] ** 2
+        speed = 3.0 * np.diff(bezier, axis=1) / duration[:, None, None]
+        np.testing.assert_allclose(speed[seam, 0], speed[seam - 1, 2], rtol=0, atol=1e-9)
+        np.testing.assert_allclose(bent[seam, 0], bent[seam - 1, 1], rtol=0, atol=1e-6)

@@ -61,7 +61,7 @@ def segment_segment(a: Vector, u: Vector, b: Vector, v: Vector) -> float:
 
 
 @inlined
-def _beyond(x: float, half: float) -> float:
+def signed_excess(x: float, half: float) -> float:
     """Signed distance of a coordinate from [-half, half]."""
     return x - half if x > half else (x + half if x < -half else 0.0)
 
@@ -75,8 +75,10 @@ def segment_box(a: Vector, u: Vector, half: Vector) -> float:
     """
     (ax, ay, az), (ux, uy, uz), (hx, hy, hz) = a, u, half
     low, high = 0.0, 1.0
-    slope_low = 2.0 * (_beyond(ax, hx) * ux + _beyond(ay, hy) * uy + _beyond(az, hz) * uz)
-    slope_high = 2.0 * (_beyond(ax + ux, hx) * ux + _beyond(ay + uy, hy) * uy + _beyond(az + uz, hz) * uz)
+    slope_low = 2.0 * (signed_excess(ax, hx) * ux + signed_excess(ay, hy) * uy + signed_excess(az, hz) * uz)
+    slope_high = 2.0 * (
+        signed_excess(ax + ux, hx) * ux + signed_excess(ay + uy, hy) * uy + signed_excess(az + uz, hz) * uz
+    )
     t = 0.0
     if slope_low >= 0.0:
         t = 0.0
@@ -90,13 +92,13 @@ def segment_box(a: Vector, u: Vector, half: Vector) -> float:
                 x = (side * half[axis] - a[axis]) / u[axis]
                 if low < x < high:
                     px, py, pz = ax + x * ux, ay + x * uy, az + x * uz
-                    slope = 2.0 * (_beyond(px, hx) * ux + _beyond(py, hy) * uy + _beyond(pz, hz) * uz)
+                    slope = 2.0 * (signed_excess(px, hx) * ux + signed_excess(py, hy) * uy + signed_excess(pz, hz) * uz)
                     if slope >= 0.0:
                         high, slope_high = x, slope
                     else:
                         low, slope_low = x, slope
         t = low - slope_low * (high - low) / (slope_high - slope_low)
-    dx, dy, dz = _beyond(ax + t * ux, hx), _beyond(ay + t * uy, hy), _beyond(az + t * uz, hz)
+    dx, dy, dz = signed_excess(ax + t * ux, hx), signed_excess(ay + t * uy, hy), signed_excess(az + t * uz, hz)
     return math.sqrt(dx * dx + dy * dy + dz * dz)
 
 

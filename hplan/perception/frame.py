@@ -22,16 +22,15 @@ from hplan.base.arrays import FloatArray, Record, frozen, numbers, readonly
 from hplan.collision.obstacle_rows import solid_rows
 from hplan.errors import InputError, OptionError
 from hplan.perception.arm_shape import arm_solids, reach_ball
+from hplan.perception.body_distances import Bodies, distances_from_bodies
 from hplan.perception.frame_kernels import (
     IGNORED,
     MIDDLE,
     NOT_FINITE,
     OF_ARM,
     OUT_OF_REACH,
-    Bodies,
     Placement,
     Scratch,
-    distances_from_bodies,
     mark_isolated,
     middles,
 )

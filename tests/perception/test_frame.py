@@ -14,8 +14,9 @@ from hplan.collision.coal_cloud import distance_from
 from hplan.collision.obstacle_rows import solid_rows
 from hplan.errors import InputError, OptionError
 from hplan.perception.arm_shape import arm_solids, reach_ball
+from hplan.perception.body_distances import distances_from_bodies
 from hplan.perception.frame import CloudOptions, Frame, SeenPoints, filter_frame
-from hplan.perception.frame_kernels import Scratch, distances_from_bodies
+from hplan.perception.frame_kernels import Scratch
 from hplan.robot.base_shapes import base_shapes
 from hplan.scene.obstacles import Sphere
 from hplan.scene.solids import Cloud, rpy_rotation

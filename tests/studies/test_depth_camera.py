@@ -12,7 +12,7 @@ from studies.benchmark import orchard_scenes
 from studies.benchmark.depth_camera import NEAREST_M, DepthCamera, arm_in_view, camera_of, ground
 
 from hplan.collision.obstacle_rows import solid_rows
-from hplan.perception.frame_kernels import distances_from_bodies
+from hplan.perception.body_distances import distances_from_bodies
 from hplan.scene.obstacles import Box, Capsule, Sphere
 
 SOLIDS = (

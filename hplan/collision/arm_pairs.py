@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import coal
@@ -23,7 +23,7 @@ from hplan.bodies.collision_bodies import body_shapes, collision_bodies
 from hplan.bodies.reach import carriers
 from hplan.bodies.touching_pairs import BEYOND, SelfPairs, self_pairs
 from hplan.collision.coal_cloud import distance_from
-from hplan.robot.base_shapes import BASE_DEPTH, GROUND, TURRET, BaseShape, always, filled, turning_shapes
+from hplan.robot.base_shapes import BASE_DEPTH, GROUND, TURRET, BaseShape, always, filled_shape, turning_shapes
 from hplan.robot.model import Robot
 from hplan.robot.self_contact import SelfContact
 from hplan.scene.obstacles import Solid
@@ -122,7 +122,7 @@ def own_pairs(robot: Robot, deviation: float) -> SelfPairs:
 
 def body_pairs(robot: Robot, pairs: SelfPairs) -> tuple[ArmPair, ...]:
     """Pairs of a robot's bodies, in their order; the one that more joints carry is the mover. Made once."""
-    return robot.once(("body_pairs", id(pairs)), lambda: tuple(_body_pairs(robot, pairs)))
+    return robot.once(("body_pairs", pairs), lambda: tuple(_body_pairs(robot, pairs)))
 
 
 def _body_pairs(robot: Robot, pairs: SelfPairs) -> Iterator[ArmPair]:
@@ -143,9 +143,10 @@ def below(robot: Robot, shape: BaseShape, obstacles: Sequence[Solid]) -> BoolArr
     tops = np.array([float(obstacle.core[:, 2].max()) + obstacle.rounding for obstacle in obstacles])
     never: BoolArray = tops <= shape.bottom + _ROUNDING
     for number in np.flatnonzero(~never & (tops <= shape.bottom + BASE_DEPTH)).tolist():
+        asked = distance_from(obstacles[number])
 
-        def distance(yaw: float, obstacle: Solid = obstacles[number]) -> float:
-            return distance_from(obstacle, shape.geometry, shape.placed_at(yaw))
+        def distance(yaw: float, asked: Callable[[coal.CollisionGeometry, pin.SE3], float] = asked) -> float:
+            return asked(shape.geometry, shape.placed_at(yaw))
 
         low, high = float(robot.lower[0]), float(robot.upper[0])
         never[number] = always(distance, low, high, shape.radius, BASE_DEPTH)
@@ -155,7 +156,7 @@ def below(robot: Robot, shape: BaseShape, obstacles: Sequence[Solid]) -> BoolArr
 def _placed(robot: Robot, number: int) -> pin.GeometryObject:
     """A shape of pedestal or turret, filled."""
     shape = robot.collision_model.geometryObjects[number]
-    return pin.GeometryObject(f"body:{number}", shape.parentJoint, shape.placement, filled(shape))
+    return pin.GeometryObject(f"body:{number}", shape.parentJoint, shape.placement, filled_shape(robot, number))
 
 
 def _beyond_joint(capsule: pin.GeometryObject, reach: float, along: float) -> pin.GeometryObject:

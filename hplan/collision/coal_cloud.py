@@ -9,6 +9,7 @@ passed over, and the least distance over all blocks is exact.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Final
 from weakref import WeakKeyDictionary
 
@@ -120,12 +121,13 @@ def obstacle_shape(obstacle: Solid) -> pin.GeometryObject | PointBlocks:
     return PointBlocks.of(obstacle) if isinstance(obstacle, Cloud) else solid_shape(obstacle)
 
 
-def distance_from(obstacle: Solid, shape: coal.CollisionGeometry, placement: pin.SE3) -> float:
-    """Signed distance of a shape in its place from an obstacle [m]."""
+def distance_from(obstacle: Solid) -> Callable[[coal.CollisionGeometry, pin.SE3], float]:
+    """The signed distance of a shape in its place from an obstacle [m]; the obstacle's own shape is made once."""
     solid = obstacle_shape(obstacle)
     if isinstance(solid, PointBlocks):
-        return solid.distance(shape, placement) - beyond_geometry(obstacle)
-    return coal_distance(shape, placement, solid.geometry, solid.placement)
+        beyond = beyond_geometry(obstacle)
+        return lambda shape, placement: solid.distance(shape, placement) - beyond
+    return lambda shape, placement: coal_distance(shape, placement, solid.geometry, solid.placement)
 
 
 @kernel

@@ -31,7 +31,7 @@ from hplan.collision.coal_shapes import LINK_SHAPES, LinkShapes, beyond_geometry
 from hplan.collision.geometry_pairs import GeometryPairs
 from hplan.collision.moving_solids import MovingSolids
 from hplan.errors import ConfigurationInCollisionError, MovingObstacleError, OptionError
-from hplan.robot.base_shapes import TURRET, base_joints, filled
+from hplan.robot.base_shapes import TURRET, base_joints, filled_shape
 from hplan.robot.model import Robot
 from hplan.robot.self_contact import self_contact
 from hplan.scene.obstacles import Solid
@@ -355,14 +355,15 @@ def base_contacts(
     data = robot.model.createData()
     pin.forwardKinematics(robot.model, data, q)
     found = []
-    for shape in robot.collision_model.geometryObjects:
+    distances = [(obstacle, distance_from(obstacle)) for obstacle in obstacles]
+    for number, shape in enumerate(robot.collision_model.geometryObjects):
         if shape.parentJoint > joints:
             continue
-        body = filled(shape)
+        body = filled_shape(robot, number)
         place = data.oMi[shape.parentJoint] * shape.placement
         name = str(robot.model.frames[shape.parentFrame].name)
-        for obstacle in obstacles:
-            distance = distance_from(obstacle, body, place)
+        for obstacle, distance_of in distances:
+            distance = distance_of(body, place)
             if distance <= margin:
                 found.append(Contact(name, obstacle.name, distance))
     return tuple(found)

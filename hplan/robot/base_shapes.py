@@ -142,6 +142,11 @@ def _base_radius(robot: Robot) -> float:
     return radius
 
 
+def filled_shape(robot: Robot, number: int) -> coal.CollisionGeometry:
+    """`filled`, of the shape of a number in `Robot.collision_model`; made once."""
+    return robot.once(("filled", number), lambda: filled(robot.collision_model.geometryObjects[number]))
+
+
 def filled(shape: pin.GeometryObject) -> coal.CollisionGeometry:
     """A shape's geometry; of a mesh, the convex hull."""
     geometry = shape.geometry
@@ -191,7 +196,7 @@ def _base_shape(robot: Robot, number: int) -> BaseShape:
         number=number,
         name=str(robot.model.frames[shape.parentFrame].name),
         carrier=GROUND if shape.parentJoint == 0 else TURRET,
-        geometry=filled(shape),
+        geometry=filled_shape(robot, number),
         placement=placement,
         points=frozen(points @ placement.rotation.T + placement.translation),
         rounding=float(rounding),

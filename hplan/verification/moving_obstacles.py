@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
+import coal
 import numpy as np
 import pinocchio as pin
 
@@ -12,7 +13,7 @@ from hplan.base.arrays import FloatArray
 from hplan.collision.coal_cloud import distance_from
 from hplan.collision.coal_scene import CoalScene
 from hplan.collision.moving_solids import MovingSolids
-from hplan.robot.base_shapes import BASE_DEPTH, base_joints, filled
+from hplan.robot.base_shapes import BASE_DEPTH, base_joints, filled_shape
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 from hplan.scene.obstacles import Solid
@@ -48,29 +49,35 @@ def moving_base_contacts(robot: Robot, moving: MovingSolids, yaw: float, begin_s
     q, joints = np.zeros(robot.dof), base_joints(robot)
     q[:joints] = yaw
     pin.forwardKinematics(robot.model, data, q)
-    shapes = [shape for shape in robot.collision_model.geometryObjects if shape.parentJoint <= joints]
+    shapes = [
+        (
+            str(robot.model.frames[shape.parentFrame].name),
+            filled_shape(robot, number),
+            data.oMi[shape.parentJoint] * shape.placement,
+        )
+        for number, shape in enumerate(robot.collision_model.geometryObjects)
+        if shape.parentJoint <= joints
+    ]
     for number in moving.numbers:
         solid, movement = moving.solids[number], moving.movements[number]
-        for shape in shapes:
-            at = None if movement is None else _too_deep(shape, data, solid, movement, (begin_s, end_s))
+        for name, body, place in shapes:
+            at = None if movement is None else _too_deep(body, place, solid, movement, (begin_s, end_s))
             if at is not None:
-                name = robot.model.frames[shape.parentFrame].name
                 yield f"obstacle {solid.name!r} comes into the robot's {name!r}, which does not move, at {at:.6g} s"
 
 
 def _too_deep(
-    shape: pin.GeometryObject, data: pin.Data, solid: Solid, movement: Movement, span_s: tuple[float, float]
+    body: coal.CollisionGeometry, place: pin.SE3, solid: Solid, movement: Movement, span_s: tuple[float, float]
 ) -> float | None:
     """Time at which a solid is too deep in a shape of the base, or cannot be shown not to be; None for never."""
-    body, place = filled(shape), data.oMi[shape.parentJoint] * shape.placement
-    breaks = movement.breaks
+    breaks, distance = movement.breaks, distance_from(solid)
     steps = movement.rates(solid.core, solid.rounding) * np.diff(breaks)
     travel = np.concatenate([[0.0], np.cumsum(steps)])
     at, end_s = span_s
     for _ in range(MOST_LOOKS):
         rotation, shift = movement.at(np.array([at]))
         # Seen from where the obstacle is listed.
-        spare = distance_from(solid, body, pin.SE3(rotation[0], shift[0]).inverse() * place) + BASE_DEPTH
+        spare = distance(body, pin.SE3(rotation[0], shift[0]).inverse() * place) + BASE_DEPTH
         if not spare > SMALLEST_STEP:
             return at
         upto = float(np.interp(at, breaks, travel)) + MOST_TRAVEL * spare

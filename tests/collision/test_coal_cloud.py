@@ -40,7 +40,7 @@ def test_blocks_are_their_points(seed, kind, count):
     found, expected = PointBlocks.of(cloud).distance(shape, place), brute_force(cloud.core, shape, place)
     if expected > 1e-5:
         assert found == pytest.approx(expected, abs=3e-6)
-        assert distance_from(cloud, shape, place) == pytest.approx(expected - 0.02, abs=3e-6)
+        assert distance_from(cloud)(shape, place) == pytest.approx(expected - 0.02, abs=3e-6)
     else:
         assert found <= 2e-5
 

@@ -39,7 +39,8 @@ def apart(points: np.ndarray, solids) -> np.ndarray:
     """(n,) distances of points from the nearest solid, by coal."""
     bead, found = coal.Sphere(1e-3), np.full(len(points), np.inf)
     for solid in solids:
-        away = [distance_from(solid, bead, pin.SE3(np.eye(3), point)) for point in points]
+        distance = distance_from(solid)
+        away = [distance(bead, pin.SE3(np.eye(3), point)) for point in points]
         found = np.minimum(found, np.array(away) + 1e-3)
     return found
 

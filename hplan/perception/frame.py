@@ -346,11 +346,12 @@ def _rigid(pose: ArrayLike | None) -> tuple[FloatArray, FloatArray]:
         return readonly(rpy_rotation(*map(math.radians, angles))), readonly([x, y, z])
     matrix = numbers("pose", pose, (4, 4))
     rotation = matrix[:3, :3]
-    off = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
-    if off > _RIGID or np.linalg.det(rotation) < 0.0 or np.abs(matrix[3] - (0.0, 0.0, 0.0, 1.0)).max() > _RIGID:
+    with np.errstate(over="ignore", invalid="ignore"):  # of huge numbers the products are inf or NaN
+        off, volume = float(np.abs(rotation @ rotation.T - np.eye(3)).max()), float(np.linalg.det(rotation))
+    if not (off <= _RIGID and volume > 0.0) or np.abs(matrix[3] - (0.0, 0.0, 0.0, 1.0)).max() > _RIGID:
         raise InputError(
             "pose is no rigid motion: expected a rotation and a shift, [[R, p], [0, 0, 0, 1]], or x, y, z, roll, "
-            f"pitch, yaw; R R^T differs from the identity by {off:.3g}, det R is {float(np.linalg.det(rotation)):.3g}",
+            f"pitch, yaw; R R^T differs from the identity by {off:.3g}, det R is {volume:.3g}",
             option="pose",
         )
     return readonly(rotation), readonly(matrix[:3, 3])

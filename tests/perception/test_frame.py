@@ -231,7 +231,9 @@ def test_a_pose_is_a_matrix_or_six_numbers(robot):
         np.testing.assert_allclose(frame.position, shift, atol=1e-6)
     mirrored, scaled, projective = matrix * [-1, 1, 1, 1], 2.0 * matrix, matrix.copy()
     projective[3, 0] = 0.1
-    for pose in (mirrored, scaled, projective, np.zeros((4, 4)), matrix.T):
+    huge = np.diag([1e200, 1e200, 1.0, 1.0])  # its products are no numbers
+    huge[0, 1], huge[1, 0] = -1e200, 1e200
+    for pose in (mirrored, scaled, projective, huge, np.zeros((4, 4)), matrix.T):
         with pytest.raises(InputError, match="no rigid motion"):
             Frame.of(robot, np.zeros((1, 3)), radius=RADIUS, pose=pose)
     for pose in (np.full((4, 4), np.nan), np.eye(3), [1, 2, 3], "pose"):

@@ -72,7 +72,7 @@ class FlatBodies(Record):
         """The same without deviation, where pairs may touch."""
         bodies, pairs = collision_bodies(robot), self_pairs(robot)
         reaches = np.concatenate([reach(robot), pairs.reach])
-        joints = np.array([joint_numbers(robot, joint) for joint in range(robot.dof)]).reshape(-1, JOINT_SIZE)
+        joints = joint_numbers(robot)
         first = HEAD + joints.size + reaches.size
         head = [len(bodies), robot.dof, HEAD, HEAD + joints.size]
         rows, points = np.zeros((len(reaches), COLUMNS)), list[FloatArray]()
@@ -96,7 +96,12 @@ class FlatBodies(Record):
         return cls(frozen(rows), frozen(np.concatenate([head, joints.ravel(), reaches.ravel(), *points])))
 
 
-def joint_numbers(robot: Robot, joint: int) -> FloatArray:
+def joint_numbers(robot: Robot) -> FloatArray:
+    """(dof, JOINT_SIZE) numbers of the joints; found once."""
+    return robot.once("joint numbers", lambda: frozen(np.array([_of_joint(robot, j) for j in range(robot.dof)])))
+
+
+def _of_joint(robot: Robot, joint: int) -> FloatArray:
     """(JOINT_SIZE,) numbers of a joint."""
     model = robot.model
     axis, slides = joint_axis(robot, joint)

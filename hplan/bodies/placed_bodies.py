@@ -14,10 +14,8 @@ CENTRE, START, ALONG, PLACED = 12, 15, 18, 21
 
 
 @kernel
-def place_bodies(
-    q: FloatArray, movers: FloatArray, numbers: FloatArray, frames: FloatArray, placed: FloatArray
-) -> None:
-    """Write the (dof + 1, 12) frames of joints and base at a configuration, and where every body is."""
+def place_joints(q: FloatArray, numbers: FloatArray, frames: FloatArray) -> None:
+    """Write the (dof + 1, 12) frames of joints and base at a configuration."""
     dof, joints = int(numbers[flat.DOF]), int(numbers[flat.JOINTS])
     for c in range(12):
         frames[dof, c] = 1.0 if c == 0 or c == 4 or c == 8 else 0.0
@@ -39,6 +37,14 @@ def place_bodies(
         z = numbers[at + flat.PLACE + 2] + value * numbers[at + flat.SHIFT + 2]
         for r in range(3):
             here[9 + r] = below[9 + r] + below[3 * r] * x + below[3 * r + 1] * y + below[3 * r + 2] * z
+
+
+@kernel
+def place_bodies(
+    q: FloatArray, movers: FloatArray, numbers: FloatArray, frames: FloatArray, placed: FloatArray
+) -> None:
+    """Write the (dof + 1, 12) frames of joints and base at a configuration, and where every body is."""
+    place_joints(q, numbers, frames)
     for b in range(placed.shape[0]):
         frame, body = frames[int(movers[b, flat.JOINT])], movers[b]
         for c in range(12):

@@ -107,14 +107,16 @@ def mark_near_bodies(path: FloatArray, arrays: FieldArrays, distance: float, nea
     movers, numbers, solids = arrays.chain, arrays.base, arrays.solids
     placed, frames = np.empty((int(numbers[flat.BODIES]), PLACED)), np.empty((path.shape[1] + 1, 12))
     for i in range(path.shape[0]):
+        if is_up(arrays.until):
+            break
         place_bodies(path[i], movers, numbers, frames, placed)
         for b in range(placed.shape[0]):
+            if movers[b, flat.JOINT] >= numbers[flat.DOF]:
+                continue
             start = (placed[b, START], placed[b, START + 1], placed[b, START + 2])
             along = (placed[b, ALONG], placed[b, ALONG + 1], placed[b, ALONG + 2])
             for s in range(solids.shape[0]):
                 if not near[s]:
                     centre = (solids[s, row.CENTRE], solids[s, row.CENTRE + 1], solids[s, row.CENTRE + 2])
                     beyond = distance + solids[s, row.BOUND] + movers[b, flat.AXIS_RADIUS]
-                    near[s] = (
-                        movers[b, flat.JOINT] < numbers[flat.DOF] and point_segment(centre, start, along) <= beyond
-                    )
+                    near[s] = point_segment(centre, start, along) <= beyond

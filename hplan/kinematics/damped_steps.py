@@ -15,7 +15,7 @@ import numpy as np
 from hplan.base.arrays import BoolArray, FloatArray
 from hplan.base.kernels import kernel
 from hplan.bodies import flat_bodies as flat
-from hplan.bodies.placed_bodies import PLACED, place_bodies
+from hplan.bodies.placed_bodies import place_joints
 
 #: Errors at which a pose counts as reached [m, rad].
 PLACE_M, TURN_RAD = 1e-7, 1e-7
@@ -157,7 +157,7 @@ def linearise(chain: Chain, q: FloatArray, frames: FloatArray, error: FloatArray
     """Write the frames of all joints, the (6,) error of the pose and how joints change the frame, (6, dof)."""
     numbers, moves, placement, pose = chain.numbers, chain.moves, chain.placement, chain.pose
     free, joints = chain.free_turn[0] > 0.0, int(chain.numbers[flat.JOINTS])
-    place_bodies(q, np.empty((0, flat.COLUMNS)), numbers, frames, np.empty((0, PLACED)))
+    place_joints(q, numbers, frames)
     carrier = frames[int(chain.carrier[0])]
     tool = np.empty(12)
     for r in range(3):

@@ -110,9 +110,8 @@ def _chain(robot: Robot, pose: FloatArray, name: str | None, free_turn: bool) ->
     moves = np.zeros(robot.dof)
     moves[list(carriers(robot, carrier))] = 1.0
     head = [0.0, robot.dof, flat.HEAD, 0.0]
-    joints = [flat.joint_numbers(robot, joint) for joint in range(robot.dof)]
     return Chain(
-        numbers=np.concatenate([head, *joints]),
+        numbers=np.concatenate([head, flat.joint_numbers(robot).ravel()]),
         moves=moves,
         lower=np.array(robot.lower),
         upper=np.array(robot.upper),

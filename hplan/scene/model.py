@@ -8,7 +8,7 @@ becomes (`hplan.scene.solids`).
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Annotated, Any, ClassVar, Final, Literal, Self
 
 import numpy as np
@@ -270,12 +270,16 @@ class Scene(StrictModel):
     @property
     def movements(self) -> tuple[Movement | None, ...]:
         """How each of `listed_solids` moves as seen from the base; None of what stands still."""
-        still = None if self.base_track is None else Movement.of(None, self.base_track)
         found: list[Movement | None] = []
-        for item in (*self.obstacles, *self.fruits):
-            movement = still if item.track is None else Movement.of(item.track, self.base_track)
+        for item, movement in self._listed_movements():
             found += [movement] * (1 if isinstance(item, Fruit) else len(item.solids))
         return tuple(found)
+
+    def _listed_movements(self) -> Iterator[tuple[Obstacle | Fruit, Movement | None]]:
+        """Each obstacle and fruit, and how it moves as seen from the base; one movement of all that have no track."""
+        still = None if self.base_track is None else Movement.of(None, self.base_track)
+        for item in (*self.obstacles, *self.fruits):
+            yield item, still if item.track is None else Movement.of(item.track, self.base_track)
 
     @property
     def at_rest_s(self) -> float:
@@ -297,12 +301,8 @@ class Scene(StrictModel):
             InputError: Times that are none.
         """
         clock = numbers("times_s", times_s, (None,))
-        moving = (
-            (item.name, Movement.of(item.track, self.base_track))
-            for item in (*self.obstacles, *self.fruits)
-            if item.track is not None or self.base_track is not None
-        )
-        return {name: movement.at(clock) for name, movement in moving}
+        listed = self._listed_movements()
+        return {item.name: movement.at(clock) for item, movement in listed if movement is not None}
 
     def at(self, time_s: float) -> Scene:
         """The scene as it stands at a time [s], without tracks.

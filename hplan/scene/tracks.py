@@ -34,8 +34,7 @@ from hplan.scene.solids import rpy_rotation
 
 Time: TypeAlias = Annotated[float, Field(ge=-LONGEST_S, le=LONGEST_S)]
 
-#: Between two poses an obstacle turns the shorter way round; of a larger turn it would not be clear which way that is
-#: [deg].
+#: Between two poses an obstacle turns by the smaller angle; of a larger turn the sense would not be clear [deg].
 LARGEST_TURN_DEG: Final = 179.0
 
 
@@ -43,7 +42,7 @@ class Track(StrictModel):
     """A pose over time: a shift, and a turn about a point, from where the obstacle is listed.
 
     A point x of the obstacle is at `about + shift + R (x - about)`. Between two times the shift is linear, and the turn
-    is about one axis at constant speed, the shorter way round.
+    is about one axis at constant speed, by the smaller angle.
 
     Attributes:
         times_s: Two or more times from the begin of the motion, increasing [s].
@@ -59,7 +58,7 @@ class Track(StrictModel):
 
     @model_validator(mode="after")
     def _is_a_track(self) -> Track:
-        for number, (first, second) in enumerate(zip(self.times_s, self.times_s[1:], strict=False), start=1):
+        for number, (first, second) in enumerate(pairwise(self.times_s), start=1):
             if not second > first:
                 raise fault(f"times must increase: {second:g} s follows {first:g} s", "times_s", number)
         for key in ("shifts_m", "rpy_deg"):

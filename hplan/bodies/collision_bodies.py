@@ -169,7 +169,7 @@ def _hull(kind: str, points: FloatArray, rounding: float, judged: coal.Collision
 def _is_closed(faces: IntArray) -> bool:
     """True if each edge of a surface is one of two triangles, which go along it in opposite senses."""
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    there, back = ({tuple(edge) for edge in ways.tolist()} for ways in (edges, edges[:, ::-1]))
+    there, back = ({tuple(edge) for edge in directed.tolist()} for directed in (edges, edges[:, ::-1]))
     return len(there) == len(edges) and there == back
 
 

@@ -9,7 +9,7 @@ Looked at are all pairs but
 - bodies of links that the robot's SRDF lets touch, for another reason than that they were never seen to.
 
 What a range of one joint shows is certain, by bisection (`hplan.robot.base_shapes.ever`); what samples show is taken
-for the robot's way to be built, and is listed. A pair that no sample saw touch is looked at all the same.
+for how the robot is built, and is listed. A pair that no sample saw touch is looked at all the same.
 """
 
 from __future__ import annotations

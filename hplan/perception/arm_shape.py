@@ -29,8 +29,8 @@ def arm_solids(robot: Robot, q: FloatArray) -> tuple[Solid, ...]:
     points = origin + arm.joint_points(q[robot.arm_slice]) @ np.stack([forward, upward])
     links: list[Solid] = []
     for k, name in enumerate(arm.link_names):
-        beside = arm.lateral[k] * normal
-        ends = {"from": tuple((points[k] + beside).tolist()), "to": tuple((points[k + 1] + beside).tolist())}
+        offset = arm.lateral[k] * normal
+        ends = {"from": tuple((points[k] + offset).tolist()), "to": tuple((points[k + 1] + offset).tolist())}
         links.append(Capsule.model_validate({"name": name, **ends, "radius": float(arm.half_widths[k])}))
     return (*links, *_base_solids(robot, robot.yaw_of(q)))
 

@@ -64,7 +64,7 @@ class RobotFiles:
         urdf: The URDF.
         tool_frame: Frame at the end of the arm.
         srdf: The SRDF, if there is one.
-        limits: The limits file, where it is not the one beside the URDF.
+        limits: The limits file, where it is not the one in the folder of the URDF.
         package_dirs: Folders of its meshes.
     """
 

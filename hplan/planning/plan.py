@@ -29,7 +29,8 @@ from hplan.scene.model import Scene
 from hplan.search import SearchResult
 from hplan.search.grid import Occupancy
 from hplan.smoothing.spline import SplinePath
-from hplan.timing.time_scaling import Profile, Retimed, scaled, stopped
+from hplan.timing.speed_factors import Profile
+from hplan.timing.time_scaling import Retimed, scaled, stopped
 from hplan.timing.trajectory import Trajectory, joined
 from hplan.verification.certificate import REST, Certificate, all_of, certify
 from hplan.verification.digests import Digests

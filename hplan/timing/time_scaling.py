@@ -19,20 +19,21 @@ times. Rows are made as dense as brings the arm to within `OFF_PATH`.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 
-from hplan.base.arguments import instance, is_number, number
-from hplan.base.arrays import FloatArray, Record, numbers
+from hplan.base.arguments import instance, number
+from hplan.base.arrays import FloatArray, Record
 from hplan.bodies.reach import largest_sway
-from hplan.errors import InputError, OptionError, TimingError
+from hplan.errors import OptionError, TimingError
 from hplan.robot.model import Robot
+from hplan.timing.speed_factors import Profile, check_factors, speed_factors
 from hplan.timing.speed_profile import MOST_ROWS
 from hplan.timing.time_steps import FADED, Clocks, Kept, run_clock
-from hplan.timing.trajectory import Trajectory, cubic_pieces, joined
+from hplan.timing.trajectory import Trajectory, check_joints, cubic_pieces, joined
 
 #: How far the arm may leave the path [m], and how often rows may be made twice as dense for it.
 OFF_PATH, DENSER = 1e-4, 8
@@ -55,9 +56,6 @@ SAME_TIME = 1e-9
 
 #: Longest motion that a profile may lead to [s].
 LONGEST_S = 3600.0
-
-#: Speed factors over time: a number, (n, 2) rows of time and factor, or a function of the time.
-Profile: TypeAlias = "float | Sequence[tuple[float, float]] | FloatArray | Callable[[float], float]"
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +130,7 @@ def scaled(trajectory: Trajectory, profile: Profile, robot: Robot) -> Retimed:
         TimingError: No motion within the limits was found.
     """
     _check_kinds(trajectory, robot)
-    factors, last_s, last = _factors(profile)
+    factors, last_s, last = speed_factors(profile)
     if trajectory.samples == 1:
         return _cut(trajectory, 0, robot)
     own = factors(trajectory.time)
@@ -140,13 +138,13 @@ def scaled(trajectory: Trajectory, profile: Profile, robot: Robot) -> Retimed:
     if len(differs) == 0:
         return _cut(trajectory, trajectory.samples - 1, robot)
     row = int(differs[0])
-    _check_factors(trajectory, robot, float(own.max()))
+    check_factors(trajectory, robot, float(own.max()))
     begin = float(trajectory.time[row])
 
     def wanted(clock: FloatArray) -> FloatArray:
         values = factors(begin + clock)
         if values.max(initial=0.0) > 1.0:
-            _check_factors(trajectory, robot, float(values.max()))
+            check_factors(trajectory, robot, float(values.max()))
         return values
 
     final = last_s - begin if last == 0.0 else math.inf
@@ -160,10 +158,7 @@ def _check_kinds(trajectory: Trajectory, robot: Robot) -> None:
     """Refuse what is no trajectory of a robot."""
     instance("trajectory", trajectory, Trajectory, "plan or read_csv")
     instance("robot", robot, Robot, "load_robot")
-    if trajectory.joint_names != robot.joint_names:
-        raise InputError(
-            f"the trajectory moves {', '.join(trajectory.joint_names)}; the robot has {', '.join(robot.joint_names)}"
-        )
+    check_joints(trajectory, robot)
 
 
 def _cut(trajectory: Trajectory, row: int, robot: Robot) -> Retimed:
@@ -331,77 +326,3 @@ def _with_rows(rest: Trajectory, robot: Robot, period: float, clock: FloatArray,
     step = float(np.diff(clock).max())
     off = np.abs(points - on_path)[1:].max(axis=0) + step**2 / 6.0 * largest
     return Retimed(trajectory, 0, np.clip(clock[1:-1], 0.0, rest.duration), off, float(largest_sway(robot, off)))
-
-
-def _factors(profile: Profile) -> tuple[Callable[[FloatArray], FloatArray], float, float]:
-    """A profile as a function of (n,) times, and the time and the factor of its last row, infinite and NaN if none.
-
-    Raises:
-        OptionError: It is none.
-    """
-    expected = "a factor >= 0, (n, 2) rows of time and factor >= 0, or a function of the time that gives one"
-    if is_number(profile):
-        factor = number("profile", profile, "a factor > 0", lambda value: value > 0.0)
-        return lambda clock: np.full(len(clock), factor), math.inf, math.nan
-    if callable(profile):
-        given = profile
-
-        def called(clock: FloatArray) -> FloatArray:
-            values = [given(time) for time in clock.tolist()]
-            for time, value in zip(clock.tolist(), values, strict=True):
-                if not (is_number(value) and value >= 0.0):
-                    raise OptionError(f"profile({time:g})", value, "a finite factor >= 0")
-            return np.array(values, dtype=np.float64)
-
-        return called, math.inf, math.nan
-    try:
-        rows = numbers("profile", profile, (None, 2))
-    except InputError as error:
-        raise OptionError("profile", profile, expected) from error
-    if len(rows) == 0 or not (np.diff(rows[:, 0]) >= 0.0).all() or (rows < 0.0).any():
-        raise OptionError("profile", profile, f"{expected}; times must not decrease")
-    return lambda clock: _between_rows(rows, clock), float(rows[-1, 0]), float(rows[-1, 1])
-
-
-def _between_rows(rows: FloatArray, clock: FloatArray) -> FloatArray:
-    """Factors at times, linear between rows; at a time given twice the later row counts."""
-    at = np.searchsorted(rows[:, 0], clock, side="right")
-    before, after = rows[np.maximum(at - 1, 0)], rows[np.minimum(at, len(rows) - 1)]
-    width = after[:, 0] - before[:, 0]
-    part = np.where(width > 0.0, (clock - before[:, 0]) / np.where(width > 0.0, width, 1.0), 0.0)
-    values: FloatArray = before[:, 1] + np.clip(part, 0.0, 1.0) * (after[:, 1] - before[:, 1])
-    return values
-
-
-def _check_factors(trajectory: Trajectory, robot: Robot, factor: float) -> None:
-    """Refuse a factor above 1 that the motion as a whole has no room for.
-
-    Raises:
-        OptionError: It has none; names the joint and its limit.
-    """
-    if factor <= 1.0:
-        return
-    gravity = robot.dynamics.gravity(trajectory.position)
-    moved = trajectory.torque - gravity
-    with np.errstate(divide="ignore", invalid="ignore"):
-        most = {
-            "velocity": robot.velocity_limit / np.abs(trajectory.velocity).max(axis=0),
-            "acceleration": np.sqrt(robot.acceleration_limit / np.abs(trajectory.acceleration).max(axis=0)),
-            "torque": np.sqrt(
-                np.where(moved != 0.0, (robot.torque_limit - np.sign(moved) * gravity) / np.abs(moved), np.inf)
-                .clip(min=0.0)
-                .min(axis=0)
-            ),
-        }
-    if robot.jerk_limit is not None:
-        jerk = np.abs(np.diff(trajectory.acceleration, axis=0) / np.diff(trajectory.time)[:, None]).max(axis=0)
-        with np.errstate(divide="ignore"):
-            most["jerk"] = np.cbrt(robot.jerk_limit / jerk)
-    what = min(most, key=lambda name: float(most[name].min()))
-    joint = int(most[what].argmin())
-    allowed = max(1.0, float(most[what][joint]))
-    if factor > allowed * (1.0 + 1e-9):
-        raise OptionError(
-            "profile", factor,
-            f"factors up to {allowed:.4g}: joint {robot.joint_names[joint]!r} is at its {what} limit then",
-        )  # fmt: skip

@@ -20,7 +20,7 @@ from hplan.errors import InputError
 
 if TYPE_CHECKING:
     from hplan.robot.model import Robot
-    from hplan.timing.time_scaling import Profile
+    from hplan.timing.speed_factors import Profile
 
 #: Columns of the CSV for each joint, after `time_s`.
 QUANTITIES = ("pos_rad", "vel_rad_s", "acc_rad_s2", "torque_nm")
@@ -205,6 +205,18 @@ def cubic_states(
     m0, m1 = h * velocity[piece], h * velocity[piece + 1]
     c2, c3 = 3.0 * (p1 - p0) - 2.0 * m0 - m1, 2.0 * (p0 - p1) + m0 + m1
     return p0 + t * (m0 + t * (c2 + t * c3)), (m0 + t * (2.0 * c2 + 3.0 * t * c3)) / h, (2.0 * c2 + 6.0 * t * c3) / h**2
+
+
+def check_joints(trajectory: Trajectory, robot: Robot) -> None:
+    """Refuse a trajectory of other joints than a robot's.
+
+    Raises:
+        InputError: It is one; names the joints of both.
+    """
+    if trajectory.joint_names != robot.joint_names:
+        raise InputError(
+            f"the trajectory moves {', '.join(trajectory.joint_names)}; the robot has {', '.join(robot.joint_names)}"
+        )
 
 
 def joined(parts: Sequence[Trajectory]) -> Trajectory:

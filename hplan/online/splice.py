@@ -26,10 +26,10 @@ from hplan.robot.tracking import TrackingModel
 from hplan.scene.model import Scene, Start
 from hplan.timing.time_scaling import Retimed, stopped
 from hplan.timing.trajectory import Trajectory, joined
-from hplan.verification.certificate import Certificate, all_of, certify_among
+from hplan.verification.certificate import Certificate, all_of, with_violations
 from hplan.verification.digests import Digests
-from hplan.verification.moving_obstacles import checker_in_time, moving_base_contacts
-from hplan.verification.retimed_certificate import CertifiedMotion, stretches_of
+from hplan.verification.moving_obstacles import checker_in_time
+from hplan.verification.retimed_certificate import CertifiedMotion, certified_from, stretches_of
 
 #: Times that differ by less are one [s].
 SAME_TIME = 1e-9
@@ -156,18 +156,10 @@ class RunningMotion:
         """What is shown of a motion along the running one's path from a row on, among the obstacles as they are now."""
         running, options = self.plan.certificate, self._options
         among = stretches_of(self._checker, retimed, running.contact_s, self.plan.scene.goal.fruit, row)
-        robot, motion, begin_s = self.plan.robot, retimed.trajectory.since(row), float(retimed.trajectory.time[row])
-        found = certify_among(
-            robot, motion, among, clearance=self._scene.clearance, rest_to_rest=False, begin_s=begin_s,
-            tracking=TrackingModel(options.tracking_error, options.tracking_delay_s),
-        )  # fmt: skip
-        more = ["the motion does not end at rest"] if rest and motion.velocity[-1].any() else []
-        if self._checker.moving is not None:
-            yaw, end_s = robot.yaw_of(motion.position[0]), begin_s + motion.duration
-            more += moving_base_contacts(robot, self._checker.moving, yaw, begin_s, end_s)
-        if not more:
-            return found
-        return replace(found, verified=False, violations=(*found.violations, *more), clear_until_s=None)
+        tracking = TrackingModel(options.tracking_error, options.tracking_delay_s)
+        found = certified_from(self.plan.robot, retimed, row, among, clearance=self._scene.clearance, tracking=tracking)
+        ends_in_motion = rest and retimed.trajectory.velocity[-1].any()
+        return with_violations(found, ["the motion does not end at rest"] if ends_in_motion else [])
 
     def _blocked(self, reasons: Sequence[str]) -> HplanError:
         """The error that the running motion cannot be taken over, with the stop from now on where it is certified."""

@@ -36,12 +36,12 @@ from hplan.base import ties
 from hplan.base.arguments import instance, number, one_of, truth
 from hplan.base.arrays import FloatArray
 from hplan.collision.coal_scene import CoalScene, Contact, base_contacts
-from hplan.errors import InputError, MovingObstacleError
+from hplan.errors import MovingObstacleError
 from hplan.robot.base_shapes import BASE_DEPTH
 from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel
 from hplan.scene.model import Scene
-from hplan.timing.trajectory import Trajectory, cubic_pieces
+from hplan.timing.trajectory import Trajectory, check_joints, cubic_pieces
 from hplan.verification.clearance_curve import (
     ClearanceCurve,
     ProvedMotion,
@@ -181,7 +181,7 @@ def certify(
     number("sigmas", sigmas, "a finite number >= 0", lambda value: value >= 0.0)
     one_of("goal_contact", goal_contact, GOAL_CONTACTS)
     number("begin_s", begin_s, "a finite number of seconds")
-    _check_joints(robot, trajectory)
+    check_joints(trajectory, robot)
     bezier, _ = cubic_pieces(trajectory)
     contact, violations, fruit = None, list[str](), None
     if checker is None:
@@ -204,7 +204,7 @@ def certify(
     if check_ends:
         violations += [*task_violations(robot, scene, bezier), *start_violations(robot, scene, trajectory)]
     if rest_to_rest and scene.start.is_moving:
-        violations += _in_motion(trajectory, {"ends": -1})
+        violations += rest_violations(trajectory, {"ends": -1})
     certificate = certify_among(
         robot,
         trajectory,
@@ -220,6 +220,7 @@ def certify(
         violations=(*violations, *certificate.violations),
         goal_contact=None if fruit is None else goal_contact,
         contact_s=None if contact is None else _times(trajectory, contact),
+        clear_until_s=None if violations else certificate.clear_until_s,
         digests=Digests.of(robot, scene, trajectory),
     )
 
@@ -267,12 +268,12 @@ def certify_among(
     Raises:
         InputError: The trajectory has other joints than the robot.
     """
-    _check_joints(robot, trajectory)
+    check_joints(trajectory, robot)
     bezier, duration = cubic_pieces(trajectory)
     use = limit_use(robot, trajectory, bezier, duration)
     violations = list(limit_violations(use))
     if rest_to_rest:
-        violations += _in_motion(trajectory, {"begins": 0, "ends": -1})
+        violations += rest_violations(trajectory, {"begins": 0, "ends": -1})
     speeds = _fastest(bezier, duration) if tracking.delay_s > 0.0 else np.zeros((1, robot.dof))
     with np.errstate(over="ignore"):
         # Nothing is farther off than a joint that is off by a whole turn, or nobody knows how far.
@@ -307,12 +308,20 @@ def certify_among(
     )
 
 
-def _in_motion(trajectory: Trajectory, ends: Mapping[str, int]) -> Iterator[str]:
+def rest_violations(trajectory: Trajectory, ends: Mapping[str, int]) -> Iterator[str]:
     """Rows of a motion at which it is not at rest, in words."""
     for where, row in ends.items():
         speed = np.abs(trajectory.velocity[row]).max()
         if speed > REST:
             yield f"the motion {where} at {speed:.4g} rad/s, not at rest"
+
+
+def with_violations(certificate: Certificate, more: Iterable[str]) -> Certificate:
+    """The certificate with what else is found against the motion, in words."""
+    found = tuple(more)
+    if not found:
+        return certificate
+    return replace(certificate, verified=False, violations=(*certificate.violations, *found), clear_until_s=None)
 
 
 def limit_violations(use: LimitUse) -> Iterator[str]:
@@ -339,14 +348,6 @@ def all_of(parts: Sequence[Certificate]) -> Certificate:
         nearest_s=_nearest_s([part.nearest for part in parts], [part.nearest_s for part in parts]),
         clear_until_s=parts[-1].clear_until_s if all(part.verified for part in parts) else None,
     )
-
-
-def _check_joints(robot: Robot, trajectory: Trajectory) -> None:
-    """Refuse a trajectory of other joints."""
-    if trajectory.joint_names != robot.joint_names:
-        raise InputError(
-            f"the trajectory moves {', '.join(trajectory.joint_names)}; the robot has {', '.join(robot.joint_names)}"
-        )
 
 
 def _not_shown(proof: Proof, trajectory: Trajectory, first: int, wanted: str, seen_s: float | None) -> Iterator[str]:

@@ -1,8 +1,9 @@
 """The certificate of a motion that runs along another one's path: the clearance is the path's, the limits are its own.
 
 What is certified clear stays so on its path. A new timing (`hplan.timing.time_scaling`) leaves the path by a bounded
-part of a millimetre; by as much the clearance is less, and where it does not suffice, it is shown anew. Velocity,
-acceleration and torque are always looked at anew.
+part of a millimetre; by as much the clearance is less, and where it does not suffice, it is shown anew. It is shown
+anew as well where another timing changes what it depends on: where obstacles move, and where tracking errors grow with
+velocity. Velocity, acceleration and torque are always looked at anew.
 """
 
 from __future__ import annotations
@@ -18,25 +19,23 @@ from hplan.robot.base_shapes import GROUND, TURRET
 from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel
 from hplan.scene.model import Scene
-from hplan.timing.time_scaling import Retimed
+from hplan.timing.time_scaling import SAME_TIME, Retimed
 from hplan.timing.trajectory import Trajectory, cubic_pieces
 from hplan.verification.body_travel import largest_body_sway
 from hplan.verification.certificate import (
-    REST,
     Certificate,
     Stretch,
     all_of,
     certify_among,
     limit_violations,
+    rest_violations,
     stretches,
+    with_violations,
 )
 from hplan.verification.digests import Digests
 from hplan.verification.limit_use import limit_use
-from hplan.verification.moving_obstacles import checker_in_time
+from hplan.verification.moving_obstacles import checker_in_time, moving_base_contacts
 from hplan.verification.sway import movers, sways
-
-#: Times that differ by less are one [s].
-SAME_TIME = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,32 +79,54 @@ def certified_retiming(
     whole, row = retimed.trajectory, retimed.row
     contact_s = None if running.contact_s is None else _later(retimed, running.contact_s)
     nearer = _nearer(robot, retimed.off_path)
-    slower = bool(np.diff(retimed.clock).max(initial=0.0) <= np.diff(whole.time).max(initial=1.0) * (1.0 + 1e-9))
     left = running.min_clearance_m - nearer
     # Where obstacles move another timing meets others.
     known = running.verified and not scene.moves
-    if known and left > scene.clearance and (slower or tracking.delay_s == 0.0) and not anew:
+    if known and left > scene.clearance and tracking.delay_s == 0.0 and not anew:
         certificate = _by_path(robot, running, whole, left)
     else:
         first = row if known else 0
         checker = checker_in_time(robot, scene, sigmas)
         among = stretches_of(checker, retimed, running.contact_s, scene.goal.fruit, first)
-        part = certify_among(
-            robot, whole.since(first), among, clearance=scene.clearance, tracking=tracking, rest_to_rest=False
-        )
+        part = certified_from(robot, retimed, first, among, clearance=scene.clearance, tracking=tracking)
         certificate = replace(all_of([running, part]), subject=None) if known else part
-    ends = np.abs(whole.velocity[-1]).max()
-    still = () if ends <= REST else (f"the motion ends at {ends:.4g} rad/s, not at rest",)
-    violations = (*certificate.violations, *still)
     certificate = replace(
-        certificate,
-        verified=certificate.verified and not violations,
-        violations=violations,
+        with_violations(certificate, rest_violations(whole, {"ends": -1})),
         goal_contact=running.goal_contact,
         contact_s=contact_s,
         digests=Digests.of(robot, scene, whole),
     )
     return CertifiedMotion(whole, certificate, float(whole.time[row]), retimed.off_path_m)
+
+
+def certified_from(
+    robot: Robot,
+    retimed: Retimed,
+    row: int,
+    among: Sequence[Stretch],
+    *,
+    clearance: float,
+    tracking: TrackingModel,
+) -> Certificate:
+    """What is shown of a motion along another one's path from a row on, whether it ends at rest or not.
+
+    Args:
+        robot: The arm.
+        retimed: The motion.
+        row: Where it begins.
+        among: The collision checker of each stretch from there on (`stretches_of`).
+        clearance: Clearance to keep [m].
+        tracking: Deviation of the joints that is covered.
+    """
+    motion, begin_s = retimed.trajectory.since(row), float(retimed.trajectory.time[row])
+    found = certify_among(
+        robot, motion, among, clearance=clearance, tracking=tracking, rest_to_rest=False, begin_s=begin_s
+    )
+    moving = among[0][1].moving
+    if moving is None:
+        return found
+    yaw, end_s = robot.yaw_of(motion.position[0]), begin_s + motion.duration
+    return with_violations(found, moving_base_contacts(robot, moving, yaw, begin_s, end_s))
 
 
 def _by_path(robot: Robot, running: Certificate, motion: Trajectory, left: float) -> Certificate:

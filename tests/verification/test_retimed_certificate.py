@@ -7,6 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from fitted_arms import quintic, scene_of
 from planned import assert_clear, between_rows, fruit, post, task
 
 from hplan.planning.plan import PlanResult, plan
@@ -15,8 +16,9 @@ from hplan.robot.model import load_robot
 from hplan.robot.tracking import TrackingModel
 from hplan.scene.file import load_scene
 from hplan.scene.model import Goal
-from hplan.scene.obstacles import Sphere
-from hplan.timing.time_scaling import stopped
+from hplan.scene.obstacles import Box, Sphere
+from hplan.scene.tracks import Track
+from hplan.timing.time_scaling import scaled, stopped
 from hplan.verification.certificate import certify
 from hplan.verification.digests import trajectory_digest
 from hplan.verification.retimed_certificate import certified_retiming
@@ -103,6 +105,32 @@ def test_other_speeds_are_certified(robot):
     assert found.parts_s == pytest.approx(0.396)
     scene = result.motion.task.scene
     assert certify(robot, scene, found.trajectory).verified
+
+
+def test_faster_with_tracking_errors_that_grow_with_speed(robot):
+    """At another speed the arm may be farther from the path than the path's certificate allows for."""
+    scene, tracking = load_scene(), TrackingModel(1e-3, 0.02)
+    options = PlanOptions(speed=0.5, tracking_error=tracking.still_rad, tracking_delay_s=tracking.delay_s)
+    result = plan(robot, scene, options)
+    faster = scaled(result.trajectory, [(0.0, 1.0), (0.008, 1.0), (0.008, 1.5)], robot)
+    found = certified_retiming(robot, scene, result.certificate, faster, tracking=tracking, sigmas=3.0)
+    anew = certify(robot, scene, faster.trajectory, tracking_error=1e-3, tracking_delay_s=0.02)
+    assert not anew.verified
+    assert not found.certificate.verified
+    assert found.certificate.min_clearance_m <= anew.min_clearance_m + 1e-4
+
+
+def test_an_obstacle_that_comes_into_the_base_only_while_the_slower_motion_runs(robot):
+    start, goal = (0.0, 45.0, 45.0, 45.0), (60.0, 30.0, 50.0, 40.0)
+    comes = Track(times_s=(0.0, 8.0), shifts_m=((0.0, 0.0, 0.0), (3.0, 0.0, 0.0)))
+    crate = Box(name="crate", center=(-3.0, 0.0, 0.1), size=(0.2, 0.2, 0.2), track=comes)
+    scene, motion = scene_of(start, goal, [crate]), quintic(robot, start, goal, duration=3.0)
+    running = certify(robot, scene, motion)
+    assert running.verified
+    found = certified_retiming(robot, scene, running, scaled(motion, 0.35, robot), tracking=STILL, sigmas=3.0)
+    assert not found.certificate.verified
+    assert found.certificate.clear_until_s is None
+    assert any("'crate' comes into the robot's" in violation for violation in found.certificate.violations)
 
 
 def test_with_tracking_errors_that_grow_with_speed(robot):

@@ -71,11 +71,6 @@ class CollisionBody(Record):
     growth: float
     shape: int
 
-    @property
-    def is_point_set(self) -> bool:
-        """False: it is the hull of its core grown by its rounding."""
-        return False
-
 
 def collision_bodies(robot: Robot) -> tuple[CollisionBody, ...]:
     """The bodies of a robot, those of the ground too, in the order of its geometry objects; made once.

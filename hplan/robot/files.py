@@ -147,7 +147,7 @@ def build_models(
     Raises:
         RobotFileError: Content that Pinocchio refuses, or reads otherwise.
     """
-    _check_family(urdf_path, urdf)
+    _check_moving_joints(urdf_path, urdf)
     models: tuple[pin.Model, pin.GeometryModel, pin.GeometryModel]
     folders = [str(urdf_path.parent)]
     try:
@@ -165,8 +165,8 @@ def build_models(
     return models
 
 
-def _check_family(path: Path, urdf: Urdf) -> None:
-    """Refuse what a file may say but no arm of the family can have: joints that mimic, limits of zero.
+def _check_moving_joints(path: Path, urdf: Urdf) -> None:
+    """Refuse what a file may say but no robot here can have: joints that mimic, limits of zero.
 
     Raises:
         RobotFileError: There is one; names line and element.

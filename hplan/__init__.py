@@ -20,7 +20,8 @@ if TYPE_CHECKING:
     from hplan.scene.file import load_scene, save_scene
     from hplan.scene.model import Scene
     from hplan.timing.trajectory import Trajectory, read_csv, write_csv
-    from hplan.tour.tour import TourOptions, TourResult, plan_tour
+    from hplan.tour.result import TourResult
+    from hplan.tour.tour import TourOptions, plan_tour
     from hplan.verification.certificate import Certificate, certify
 
 __version__ = "0.1.0"
@@ -58,7 +59,7 @@ __getattr__ = lazy_names(
         "Robot": "hplan.robot.model",
         "Scene": "hplan.scene.model",
         "TourOptions": "hplan.tour.tour",
-        "TourResult": "hplan.tour.tour",
+        "TourResult": "hplan.tour.result",
         "Trajectory": "hplan.timing.trajectory",
         "certify": "hplan.verification.certificate",
         "finish": "hplan.finishing.finish",

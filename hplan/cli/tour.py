@@ -28,7 +28,8 @@ from hplan.errors import OptionError
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from hplan.tour.tour import Leg, TourOptions, TourResult
+    from hplan.tour.result import Leg, TourResult
+    from hplan.tour.tour import TourOptions
 
 _DESCRIPTION = """\
 Plan a picking tour through the fruits of a scene, from its start, in the order in which the certified motions take the

@@ -34,7 +34,7 @@ from hplan.ros.marked_scene import moving_frame, scene_markers
 from hplan.ros.marker_parts import Marker
 from hplan.ros.message_times import SECOND_NS, message_time, time_ns
 from hplan.ros.transforms import LinkFrames, robot_description, transform
-from hplan.tour.tour import TourResult
+from hplan.tour.result import TourResult
 from hplan.view.playback import Playback
 from hplan.view.scenery import picks
 

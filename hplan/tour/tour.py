@@ -18,23 +18,22 @@ import numpy as np
 
 from hplan.base import ties
 from hplan.base.arguments import instance, keep_checked, list_of, one_of, truth, whole
-from hplan.base.arrays import Record
 from hplan.base.deadline import Cancel, TimeIsUpError, time_limit
-from hplan.errors import CertificationError, HplanError, OptionError, SceneError, TourError, UnreachableError
+from hplan.errors import CertificationError, OptionError, SceneError, TourError, UnreachableError
 from hplan.planning.certified_motion import Part, certificate_of, required
-from hplan.planning.grasps import Grasp
-from hplan.planning.plan import Phase, check_task, in_sequence
+from hplan.planning.plan import check_task, in_sequence
 from hplan.planning.report import motion_report
 from hplan.planning.task import PlanningCache, Progress, no_progress
 from hplan.problem.options import PlanOptions
 from hplan.robot.model import Robot
 from hplan.scene.model import Fruit, Goal, Scene
 from hplan.timing.retime import resting
-from hplan.timing.trajectory import Trajectory, joined
+from hplan.timing.trajectory import joined
 from hplan.tour.motions import LegParts, Motions, carrying, drop_off
 from hplan.tour.moves import NO_MOTION, Stop
 from hplan.tour.ordering import Visits, along, best, nearest
-from hplan.verification.certificate import Certificate, all_of
+from hplan.tour.result import Leg, TourResult, Unreached
+from hplan.verification.certificate import all_of
 from hplan.verification.digests import Digests
 
 Order = Literal["best", "nearest", "given"]
@@ -81,86 +80,6 @@ class TourOptions:
             self,
             {"order": (one_of, ORDERS), "grasps": (whole, 1), "back": (truth,), "stops": (truth,), "compare": (truth,)},
         )
-
-
-@dataclass(frozen=True, eq=False)
-class Leg(Record):
-    """A part of a tour: to a fruit and, where it is next, to the drop-off; or back to the start.
-
-    It is at rest at both ends but where the retreat from a fruit flows into the next leg.
-
-    Attributes:
-        fruit: Name of the fruit; None for the leg back.
-        grasp: How it is taken; None for the leg back.
-        begin_s: When it begins, in the tour [s].
-        phases: Its parts, by their times in the tour: `transit`, `approach`, `retreat`, `drop`, `return`.
-        trajectory: Its motion, from time 0 on.
-        certificate: What was shown of it.
-    """
-
-    fruit: str | None
-    grasp: Grasp | None
-    begin_s: float
-    phases: tuple[Phase, ...]
-    trajectory: Trajectory
-    certificate: Certificate
-
-    @property
-    def name(self) -> str:
-        """The fruit, or `return`."""
-        return "return" if self.fruit is None else self.fruit
-
-
-@dataclass(frozen=True, eq=False)
-class Unreached:
-    """A fruit that is not picked.
-
-    Attributes:
-        fruit: Its name.
-        error: Why.
-    """
-
-    fruit: str
-    error: HplanError
-
-
-@dataclass(frozen=True, eq=False)
-class TourResult(Record):
-    """A tour.
-
-    Attributes:
-        order: The fruits that are picked, in their order.
-        legs: One for each, and the leg back where there is one.
-        trajectory: The whole motion; the arm rests at the fruits, and wherever a stop is quicker.
-        certificate: What was shown of it.
-        picked: When the tool is at each fruit [s].
-        dropped: When each fruit is let go at the drop-off [s]; empty where there is none.
-        unreached: The fruits that are not picked.
-        report: The numbers of `tour.json`.
-        robot: The arm.
-        scene: Obstacles and fruits, as they were given.
-    """
-
-    order: tuple[str, ...]
-    legs: tuple[Leg, ...]
-    trajectory: Trajectory
-    certificate: Certificate
-    picked: Mapping[str, float]
-    dropped: Mapping[str, float]
-    unreached: tuple[Unreached, ...]
-    report: dict[str, Any]
-    robot: Robot
-    scene: Scene
-
-    @property
-    def phases(self) -> tuple[Phase, ...]:
-        """The parts of all legs."""
-        return tuple(phase for leg in self.legs for phase in leg.phases)
-
-    @property
-    def duration(self) -> float:
-        """Of the whole tour [s]."""
-        return self.trajectory.duration
 
 
 def plan_tour(

@@ -37,7 +37,8 @@ from hplan.timing.trajectory import Trajectory, read_csv
 from hplan.tour.motions import carrying
 from hplan.tour.moves import Moves, Stop
 from hplan.tour.ordering import Costs, nearest
-from hplan.tour.tour import TourOptions, TourResult, plan_tour
+from hplan.tour.result import TourResult
+from hplan.tour.tour import TourOptions, plan_tour
 from hplan.verification.certificate import Certificate
 from hplan.verification.limit_use import LimitUse
 

@@ -16,7 +16,7 @@ from typing import Any, TypeVar, overload
 from numpy.typing import ArrayLike
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
-from hplan.base.deadline import Cancel, time_limit
+from hplan.base.deadline import Cancel, TimeIsUpError, time_limit
 from hplan.bodies.reach import largest_sway
 from hplan.errors import InputError, SceneError
 from hplan.online.splice import RunningMotion, SplicedResult
@@ -165,7 +165,7 @@ class Planner:
         """Wait for the turn of a plan, whose time counts from now.
 
         Raises:
-            NotInTimeError: Time is up before.
+            NotInTimeError: Time is up before, or before the plan is begun.
             PlanCancelledError: Nobody wants the plan any more.
         """
         with time_limit(self.options.deadline_s, cancel) as limit:
@@ -174,6 +174,8 @@ class Planner:
                     raise limit.error(["another plan of the same planner is under way"])
             try:
                 yield
+            except TimeIsUpError:  # before the plan itself, which says what it tried
+                raise limit.error(["the running motion up to where a new one may take over"]) from None
             finally:
                 self._lock.release()
 

@@ -224,7 +224,7 @@ def plan_with(
                     return _among_moving(cache, scene, options, progress, stop)
                 return _planned(cache.context(scene, options, progress, clock), before, stop, limit)
             except TimeIsUpError:
-                raise limit.error(clock.told()) from None
+                raise limit.error(["motions past what moves"] if scene.moves else clock.told()) from None
     except (NoPathError, TimingError, CertificationError) as error:
         if not options.tracking.is_exact and options.deadline_s is None:
             fraction = _fraction_with_room(cache, scene, options)

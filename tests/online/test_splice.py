@@ -10,7 +10,7 @@ import pytest
 from planned import assert_clear, at, between_rows, fruit, post, task
 from spliced import assert_goes_on
 
-from hplan.errors import InputError, OptionError, RunningMotionBlockedError
+from hplan.errors import InputError, NotInTimeError, OptionError, RunningMotionBlockedError
 from hplan.online.planner import Planner
 from hplan.online.splice import SplicedResult
 from hplan.planning.plan import PlanResult
@@ -66,6 +66,15 @@ def test_to_another_goal(robot, effort, now, ahead):
     assert_spliced(robot, planner.scene, before.trajectory, result)
     assert 0.0 <= now - result.begins_s < 4e-3
     assert 0.0 <= result.begins_s + result.seam_s - (now + ahead) < 4e-3
+
+
+def test_time_may_be_up_before_a_new_motion_is_looked_for(robot):
+    planner, before = a_planner(robot)
+    planner.aim(goal=BACK)
+    planner.options = PlanOptions(deadline_s=1e-9)
+    with pytest.raises(NotInTimeError, match="the running motion up to where a new one may take over"):
+        planner.replan(at=0.3)
+    assert planner.last is before
 
 
 def test_what_is_still_certified_stays(robot):

@@ -5,7 +5,7 @@ Where no motion on from a state of motion is certified in time, a stop may be; o
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
@@ -87,9 +87,14 @@ def stopped_first(
             return StoppedFirst(plan, whole, certificate, stop.duration)
     if refused is not None:
         raise refused
+    raise unavoidable_contact(tried)
+
+
+def unavoidable_contact(tried: Sequence[tuple[Trajectory, Certificate]]) -> UnavoidableContactError:
+    """The error that names the best of some stops of which none is certified: the one with the most clearance."""
     stop, certificate = max(tried, key=lambda each: each[1].min_clearance_m)
     clearance = certificate.min_clearance_m
-    raise UnavoidableContactError(
+    return UnavoidableContactError(
         certificate.violations, len(tried), clearance if np.isfinite(clearance) else None, stop
     )
 

@@ -8,18 +8,20 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple, TypeAlias
 
+import numpy as np
+
 from hplan.base import ties
 from hplan.base.arrays import FloatArray, Record
 from hplan.errors import CertificationError, TimingError
 from hplan.optimization.minimize_time import Effort, Level, TimeProblem
-from hplan.optimization.several_starts import StartsEffort, fastest_motions, optimization_starts
+from hplan.optimization.several_starts import NEAR, StartsEffort, fastest_motions, optimization_starts
+from hplan.optimization.timed_spline import BoundaryState
 from hplan.planning.grid_route import Route
 from hplan.planning.task import PlanningContext, PlanningTask
 from hplan.robot.limits import GeometricPath, Limits
-from hplan.robot.tracking import TrackingModel
 from hplan.smoothing.minimize_duration import estimated_duration
 from hplan.smoothing.options import PostprocessOptions
-from hplan.smoothing.smooth_path import fast_path, is_straight
+from hplan.smoothing.smooth_path import fast_path, is_straight, near_field
 from hplan.smoothing.spline import SplinePath
 from hplan.timing.retime import time_path
 from hplan.timing.speed_ceiling import SpeedCeiling, averaging_s
@@ -65,6 +67,9 @@ SMOOTHED = 3
 
 #: Fractions of the clearance that sway may take which comes with speed, tried in turn until a motion is certified.
 CEILINGS = (0.75, 0.5, 0.2)
+
+#: Configurations of a motion between which obstacles are looked for that are near it.
+ALONG = 33
 
 #: A motion is empty, straight, along a path found in a roadmap, by trees or on a grid, along that of an earlier motion,
 #: an earlier motion, or along a path that was given.
@@ -222,6 +227,23 @@ def effort_of(context: PlanningContext) -> StartsEffort | None:
     return efforts[options.effort] if optimized else None
 
 
+def time_problem(
+    task: PlanningTask, motion: Trajectory, ends: tuple[BoundaryState, BoundaryState] | None = None
+) -> TimeProblem:
+    """What the fastest motion near a given one has to keep.
+
+    Args:
+        task: What is asked.
+        motion: The motion to begin with.
+        ends: The states in which the fastest one begins and ends; None where both are at rest.
+    """
+    along = motion.position[np.linspace(0, motion.samples - 1, ALONG).astype(int)]
+    return TimeProblem(
+        task.field, near_field(along, task.field, NEAR), smoothing_options(task, task.margin()),
+        motion_limits(task), task.robot.dynamics, task.options.rate_hz, ends,
+    )  # fmt: skip
+
+
 def _optimized(
     task: PlanningTask, polylines: Sequence[Polyline], margin: float, quicker_than_s: float = math.inf
 ) -> PlannedMotion | None:
@@ -333,7 +355,7 @@ def certificate_of(
             trajectory,
             [(slice(0, max(1, trajectory.samples - 1)), context.world.checker)] if among is None else among,
             clearance=context.scene.clearance,
-            tracking=TrackingModel(options.tracking_error, options.tracking_delay_s),
+            tracking=options.certified_tracking,
             rest_to_rest=rest_to_rest,
         )
 

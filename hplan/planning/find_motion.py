@@ -132,7 +132,7 @@ def _first_motion(tasks: Sequence[PlanningTask]) -> tuple[int, PlannedMotion] | 
 
 def _first_over_yaws(tasks: Sequence[PlanningTask]) -> tuple[int, PlannedMotion] | Refusals:
     """The first goal that is reached while the base turns: straight, or the quicker of other motions."""
-    straight = _first(tasks, _straight)
+    straight = first_found(tasks, _straight)
     if straight is None:
         return _sampled_or_grids(tasks)
     number, motion = straight
@@ -203,7 +203,7 @@ def _at_rest(task: PlanningTask) -> PlannedMotion:
     return PlannedMotion(task, None, frozen(np.array(start[None])), None, rest, certificate, "none")
 
 
-def _first(
+def first_found(
     tasks: Sequence[PlanningTask], find: Callable[[PlanningTask], PlannedMotion | None]
 ) -> tuple[int, PlannedMotion] | None:
     """The first goal to which a motion is found, and the motion."""
@@ -214,7 +214,7 @@ def _first(
 def _sampled(tasks: Sequence[PlanningTask]) -> tuple[int, PlannedMotion] | None:
     """The motion by sampling to the first goal that has one; with the effort `best`, to that which is reached first."""
     if tasks[0].options.effort != "best":
-        return _first(tasks[:SAMPLED], by_sampling)
+        return first_found(tasks[:SAMPLED], by_sampling)
     best: tuple[int, PlannedMotion] | None = None
     for number, task in enumerate(tasks[:COMPARED]):
         if best is None or least_duration(task) < best[1].trajectory.duration:

@@ -15,8 +15,7 @@ import numpy as np
 from hplan.base.arrays import FloatArray
 from hplan.base.deadline import look
 from hplan.errors import CertificationError, ConfigurationInCollisionError, HplanError, TimingError
-from hplan.optimization.minimize_time import Effort, Level, TimeProblem, minimize_time
-from hplan.optimization.several_starts import NEAR
+from hplan.optimization.minimize_time import Effort, Level, minimize_time
 from hplan.optimization.timed_spline import BoundaryState, TimedSpline
 from hplan.planar.straight_approach import ApproachPath, standoffs
 from hplan.planning.certified_motion import (
@@ -25,8 +24,7 @@ from hplan.planning.certified_motion import (
     certificate_of,
     certified_trajectory,
     effort_of,
-    motion_limits,
-    smoothing_options,
+    time_problem,
     timed,
 )
 from hplan.planning.find_motion import first_motion, without_path
@@ -34,7 +32,6 @@ from hplan.planning.grasps import SPARE, Grasp, Target, promising
 from hplan.planning.refusals import Refusals
 from hplan.planning.task import PlanningContext, PlanningTask
 from hplan.robot.model import Robot
-from hplan.smoothing.smooth_path import near_field
 from hplan.smoothing.spline import SplinePath
 from hplan.timing.trajectory import Trajectory, cubic_pieces
 from hplan.verification.certificate import Stretch, stretches
@@ -67,9 +64,6 @@ ROUNDING = 1e-9
 
 #: By less than this no motion is quicker than another [s].
 LEAST_GAIN_S = 1e-6
-
-#: Configurations of a transit between which obstacles are looked for that are near it.
-ALONG = 33
 
 #: Finds a motion to one of several goals, or says why there is none to each.
 FindMotion: TypeAlias = Callable[[Sequence[PlanningTask]], tuple[int, PlannedMotion] | Refusals]
@@ -377,11 +371,6 @@ def _draft(
         first = BoundaryState.of_row(leaving.reversed, -1)
     if coming is not None:
         last = BoundaryState.of_row(coming, 0)
-    along = transit.position[np.linspace(0, transit.samples - 1, ALONG).astype(int)]
     with task.stage("timing"):
-        processing = smoothing_options(task, task.margin())
-        near = near_field(along, task.field, NEAR)
-        limits, rate_hz = motion_limits(task), task.options.rate_hz
-        problem = TimeProblem(task.field, near, processing, limits, task.robot.dynamics, rate_hz, (first, last))
-        spline = minimize_time(transit, problem, effort)
+        spline = minimize_time(transit, time_problem(task, transit, (first, last)), effort)
     return None if spline is None else _Draft(spline, passing)

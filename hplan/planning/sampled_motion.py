@@ -169,25 +169,29 @@ def by_trees_to_any(tasks: Sequence[PlanningTask]) -> tuple[int, PlannedMotion] 
     """A motion to whichever goal trees with more effort reach; None where they reach none."""
     if tasks[0].options.method != "two-level":
         return None  # a certain search is wanted
-    goals = np.array([task.problem.goal for task in tasks])
-    margin, first = min(task.margin() for task in tasks), tasks[0]
+    margin = min(task.margin() for task in tasks)
     found: dict[int, list[FloatArray]] = {}
-    at_once = first.robot.planar is None  # another path takes as long again
+    at_once = tasks[0].robot.planar is None  # another path takes as long again
     for seed in range(LONG_SEEDS + at_once):
-        effort = TreeEffort(LONG_TREES, seed)
-        with first.stage("roadmap"):
-            path, _ = tree_path(
-                first.problem, first.field, first.robot.velocity_limit, 0.1 * margin, effort, goals=goals
-            )
-        if path is None:
+        reached = tree_path_to_any(tasks, TreeEffort(LONG_TREES, seed))
+        if reached is None:
             continue
-        number = int((goals == path[-1]).all(axis=1).argmax())
+        number, path = reached
         found.setdefault(number, []).append(path)
         motion = quickest_certified(tasks[number], [Polyline(path, "trees")], margin) if at_once else None
         if motion is not None:
             return number, motion
-    for number, reached in found.items():
-        motion = quickest_certified(tasks[number], [Polyline(path, "trees") for path in reached], margin)
+    for number, paths in found.items():
+        motion = quickest_certified(tasks[number], [Polyline(path, "trees") for path in paths], margin)
         if motion is not None:
             return number, motion
     return None
+
+
+def tree_path_to_any(tasks: Sequence[PlanningTask], effort: TreeEffort) -> tuple[int, FloatArray] | None:
+    """The number of whichever goal a pair of trees reaches, and the path as found; None where they reach none."""
+    goals, first = np.array([task.problem.goal for task in tasks]), tasks[0]
+    margin = 0.1 * min(task.margin() for task in tasks)
+    with first.stage("roadmap"):
+        path, _ = tree_path(first.problem, first.field, first.robot.velocity_limit, margin, effort, goals=goals)
+    return None if path is None else (int((goals == path[-1]).all(axis=1).argmax()), path)

@@ -20,20 +20,19 @@ from hplan.errors import (
     HplanError,
     UnavoidableContactError,
 )
-from hplan.optimization.minimize_time import Effort, Level, TimedMotion, TimeProblem, minimize_time
-from hplan.optimization.several_starts import NEAR
+from hplan.moving.stop_first import unavoidable_contact
+from hplan.optimization.minimize_time import Effort, Level, TimedMotion, minimize_time
 from hplan.optimization.timed_spline import RESTING, BoundaryState, TimedSpline, even_breaks
 from hplan.planning.certified_motion import (
     Part,
     PlannedMotion,
     certificate_of,
     motion_limits,
-    smoothing_options,
+    time_problem,
 )
 from hplan.planning.grasps import Grasp
 from hplan.planning.task import PlanningContext
 from hplan.robot.model import Robot
-from hplan.smoothing.smooth_path import near_field
 from hplan.timing.braking import braking
 from hplan.timing.trajectory import Trajectory, joined
 from hplan.verification.certificate import REST, Certificate, all_of
@@ -47,9 +46,6 @@ LED_OVER: dict[str, Effort] = {
 
 #: Parts of the acceleration limits with which stops are tried in turn.
 PUSHES = (1.0, 0.7, 0.4, 0.2)
-
-#: Configurations of a motion between which obstacles are looked for that are near it.
-ALONG = 33
 
 #: A joint that is to stop with the slowest one gets so much more acceleration than its part [rad/s^2].
 TOGETHER = 1e-3
@@ -67,6 +63,11 @@ class Parts(NamedTuple):
     grasp: Grasp | None
     motion: PlannedMotion
     parts: Sequence[Part]
+
+    @property
+    def duration(self) -> float:
+        """How long all motions take together [s]."""
+        return sum(part.trajectory.duration for part in self.parts)
 
 
 class Stop(NamedTuple):
@@ -119,13 +120,8 @@ def leaving(
         return led
     if may_be_led:
         smooth = _led_over(rested, state)
-        rested = smooth if smooth is not None and _duration(smooth) < _duration(rested) else rested
-    return led if led is not None and _duration(led) <= _duration(rested) else rested
-
-
-def _duration(planned: Parts) -> float:
-    """How long all motions take together [s]."""
-    return sum(part.trajectory.duration for part in planned.parts)
+        rested = smooth if smooth is not None and smooth.duration < rested.duration else rested
+    return led if led is not None and led.duration <= rested.duration else rested
 
 
 def _is_within(context: PlanningContext, state: BoundaryState) -> bool:
@@ -142,12 +138,8 @@ def _led_over(planned: Parts, state: BoundaryState) -> Parts | None:
     if transit.samples == 1:
         return None
     ends = state, BoundaryState.of_row(transit, -1)
-    along = transit.position[np.linspace(0, transit.samples - 1, ALONG).astype(int)]
     with task.stage("timing"):
-        problem = TimeProblem(
-            task.field, near_field(along, task.field, NEAR), smoothing_options(task, task.margin()),
-            motion_limits(task), task.robot.dynamics, task.options.rate_hz, ends,
-        )  # fmt: skip
+        problem = time_problem(task, transit, ends)
         effort = LED_OVER[task.options.effort]
         start: TimedMotion = transit
         if np.abs(transit.velocity[0]).max() > REST:
@@ -191,10 +183,7 @@ def _after_stop(
             refused = refused or error.with_traceback(None)
     if refused is not None:
         raise refused
-    best = max(tried, key=lambda stop: stop.certificate.min_clearance_m)
-    clearance = best.certificate.min_clearance_m
-    reasons, stopping = best.certificate.violations, best.trajectory
-    raise UnavoidableContactError(reasons, len(tried), clearance if np.isfinite(clearance) else None, stopping)
+    raise unavoidable_contact(tried)
 
 
 def _one_after_the_other(stop: Stop, planned: Parts) -> Parts:

@@ -23,8 +23,7 @@ from hplan.errors import (
     TimingError,
     UnreachableError,
 )
-from hplan.optimization.minimize_time import Effort, TimeProblem, minimize_time
-from hplan.optimization.several_starts import NEAR
+from hplan.optimization.minimize_time import Effort, minimize_time
 from hplan.optimization.timed_spline import BoundaryState
 from hplan.planning.certified_motion import (
     Origin,
@@ -32,12 +31,11 @@ from hplan.planning.certified_motion import (
     certificate_of,
     certified_trajectory,
     effort_of,
-    motion_limits,
     smoothing_options,
+    time_problem,
 )
-from hplan.planning.find_motion import find_motion, first_motion, reuse_motion
+from hplan.planning.find_motion import find_motion, first_found, first_motion, reuse_motion
 from hplan.planning.grasp_motion import (
-    ALONG,
     FindMotion,
     Pick,
     approach_and_retreat,
@@ -46,12 +44,13 @@ from hplan.planning.grasp_motion import (
 )
 from hplan.planning.grasps import COUNT, Target, grasps, promising
 from hplan.planning.refusals import Refusals
+from hplan.planning.sampled_motion import tree_path_to_any
 from hplan.planning.start_in_motion import Parts, leaving
 from hplan.planning.task import PlanningContext, PlanningTask
 from hplan.problem.pose_goal import configurations_at
 from hplan.sampling.roadmap import Effort as RoadmapEffort
 from hplan.sampling.roadmap import quick_path
-from hplan.sampling.rrt_connect import TreeEffort, tree_path
+from hplan.sampling.rrt_connect import TreeEffort
 from hplan.smoothing.round_corners import smooth
 from hplan.smoothing.shortcut import shorten
 from hplan.smoothing.smooth_path import SMALLEST_FRACTION, clear_start, is_straight, near_field
@@ -65,7 +64,7 @@ FIRST_TREES = (3_000, 3_000, 3_000, 3_000, 12_000, 12_000, 12_000, 12_000)
 #: To so many goals paths are looked for in roadmaps: trees grow from all goals at once.
 ROADMAPS = 2
 
-#: Pairs of trees where the base is locked: grids find narrow ways there.
+#: Pairs of trees where the base is locked: grids find narrow passages there.
 PLANAR_TREES = 2
 
 #: Configurations at a fruit among which grasps are chosen for the first motion, and how many of them.
@@ -86,7 +85,7 @@ class Beginning(Record):
         start: (dof,) configuration.
         state: The state of motion there; None at rest.
         before: An earlier motion, to be kept or repaired where that can be; None for none.
-        stop: How a start in motion might be brought to rest, beside what is tried anyway; None for none.
+        stop: How a start in motion might be brought to rest, in addition to what is tried anyway; None for none.
     """
 
     start: FloatArray
@@ -133,12 +132,12 @@ def parts_in_time(context: PlanningContext, begin: Beginning) -> Iterator[Parts]
     yield first
     best, by_duration = first, context.options.objective == "duration"
     for better in _better(context, begin, first) if by_duration else ():
-        if _duration(better) < _duration(best):
+        if better.duration < best.duration:
             best = better
             yield best
     with suppress(HplanError):  # what finds most motions at once may find one where more effort finds none
         asked = all_parts(context, replace(begin, before=None))
-        if not by_duration or _duration(asked) < _duration(best):
+        if not by_duration or asked.duration < best.duration:
             yield asked
 
 
@@ -153,11 +152,6 @@ def _better(context: PlanningContext, begin: Beginning, first: Parts) -> Iterato
         best = Parts(best.grasp, motion, [motion.transit, *best.parts[1:]])
         yield best
     yield _flowing(context, best)
-
-
-def _duration(parts: Parts) -> float:
-    """Of all parts [s]."""
-    return sum(part.trajectory.duration for part in parts.parts)
 
 
 def _asked_for(context: PlanningContext, start: FloatArray, before: PlannedMotion | None) -> Parts:
@@ -213,10 +207,9 @@ def first_in_time(tasks: Sequence[PlanningTask]) -> tuple[int, PlannedMotion] | 
 def _at_once(tasks: Sequence[PlanningTask]) -> tuple[int, PlannedMotion] | Refusals:
     """The same without what takes long and would show that there is none."""
     for find, most in ((_straight, len(tasks)), (_by_roadmap, ROADMAPS)):
-        for number, task in enumerate(tasks[:most]):
-            motion = find(task)
-            if motion is not None:
-                return number, motion
+        found = first_found(tasks[:most], find)
+        if found is not None:
+            return found
     return _by_trees(tasks) or Refusals(tuple(NotFoundError(["straight motion", "roadmap", "trees"]) for _ in tasks))
 
 
@@ -238,16 +231,11 @@ def _by_roadmap(task: PlanningTask) -> PlannedMotion | None:
 
 def _by_trees(tasks: Sequence[PlanningTask]) -> tuple[int, PlannedMotion] | None:
     """The motion along the first path of trees to whichever goal; None where none is found."""
-    goals, first = np.array([task.problem.goal for task in tasks]), tasks[0]
-    margin = 0.1 * min(task.margin() for task in tasks)
-    velocity = first.robot.velocity_limit
-    for seed, evaluations in enumerate(FIRST_TREES if first.problem.turns else FIRST_TREES[:PLANAR_TREES]):
-        effort = TreeEffort(evaluations, seed)
-        with first.stage("roadmap"):
-            path, _ = tree_path(first.problem, first.field, velocity, margin, effort, goals=goals)
-        if path is None:
+    for seed, evaluations in enumerate(FIRST_TREES if tasks[0].problem.turns else FIRST_TREES[:PLANAR_TREES]):
+        reached = tree_path_to_any(tasks, TreeEffort(evaluations, seed))
+        if reached is None:
             continue
-        number = int((goals == path[-1]).all(axis=1).argmax())
+        number, path = reached
         motion = _smoothed(tasks[number], path, "trees")
         if motion is not None:
             return number, motion
@@ -286,19 +274,16 @@ def _optimized(motion: PlannedMotion) -> Iterator[PlannedMotion]:
     start = motion.trajectory
     if effort is None or start.samples == 1 or is_straight(motion.waypoints, task.field, options):
         return
-    along = start.position[np.linspace(0, start.samples - 1, ALONG).astype(int)]
     level = effort.optimization.levels[0]
     with task.stage("timing"):
-        near = near_field(along, task.field, NEAR)
-        limits, dynamics, rate_hz = motion_limits(task), task.robot.dynamics, task.options.rate_hz
-        problem = TimeProblem(task.field, near, options, limits, dynamics, rate_hz)
+        problem = time_problem(task, start)
     best_s = start.duration
     for steps in STEPS:
         with task.stage("timing"):
             spline = minimize_time(start, problem, Effort((replace(level, steps=steps),)))
         if spline is None or spline.duration >= (1.0 - level.gain) * best_s:
             return
-        trajectory = spline.trajectory(dynamics, rate_hz)
+        trajectory = spline.trajectory(problem.dynamics, problem.rate_hz)
         certificate = certificate_of(task, trajectory)
         if not certificate.verified:
             return
@@ -307,22 +292,24 @@ def _optimized(motion: PlannedMotion) -> Iterator[PlannedMotion]:
 
 
 def _goal(context: PlanningContext, start: FloatArray) -> list[PlanningTask] | Target:
-    """What is asked: a motion to joints, or to some of those with a frame at a pose; or a point to reach.
-
-    That is the fruit or the place of the scene's goal.
-    """
-    scene, world = context.scene, context.world
-    goal, approach_deg = scene.goal.joints(), scene.goal.approach_deg
+    """What is asked: a motion to joints, or to some of those with a frame at a pose; or a point to reach."""
+    scene, goal = context.scene, context.scene.goal.joints()
     if goal is not None:
         return [context.task(start, context.robot.turned_near(goal, start))]
     if scene.goal.pose is not None:
         with context.stage("grasps"):
-            ends = configurations_at(world, scene.goal, start, scene.locked_joints)
+            ends = configurations_at(context.world, scene.goal, start, scene.locked_joints)
             return [context.task(start, end) for end in ends[: POSE_GOALS[context.options.effort]]]
-    for fruit in scene.fruits:
-        if fruit.name == scene.goal.fruit:
-            return Target.of_fruit(world, fruit, approach_deg)
-    return Target("the point", np.array(scene.goal.position), world, world, approach_deg)
+    return _target(context)
+
+
+def _target(context: PlanningContext) -> Target:
+    """The fruit or the place of the scene's goal."""
+    goal, world = context.scene.goal, context.world
+    for fruit in context.scene.fruits:
+        if fruit.name == goal.fruit:
+            return Target.of_fruit(world, fruit, goal.approach_deg)
+    return Target("the point", np.array(goal.position), world, world, goal.approach_deg)
 
 
 def _to_grasp(
@@ -349,10 +336,9 @@ def _to_grasp(
 def _flowing(context: PlanningContext, stopping: Parts) -> Parts:
     """The same without a stop before the approach, where that is quicker."""
     grasp, motion, parts = stopping
-    target = _goal(context, motion.task.problem.start)
-    if grasp is None or len(parts) == 1 or isinstance(target, list):
+    if grasp is None or len(parts) == 1:
         return stopping
-    flow = flowing(motion.task, motion.transit, None, Pick(context, target, grasp, parts[1]))
+    flow = flowing(motion.task, motion.transit, None, Pick(context, _target(context), grasp, parts[1]))
     if flow is None or flow.approach is None:
         return stopping
     _, trajectory, certificate = flow.transit

@@ -77,7 +77,12 @@ class PlanOptions:
     @property
     def tracking(self) -> TrackingModel:
         """The deviation that motions make room for: none where they need not be certified."""
-        return TrackingModel(self.tracking_error, self.tracking_delay_s) if self.certify else TrackingModel()
+        return self.certified_tracking if self.certify else TrackingModel()
+
+    @property
+    def certified_tracking(self) -> TrackingModel:
+        """The deviation that certificates cover, whether motions need to be certified or not."""
+        return TrackingModel(self.tracking_error, self.tracking_delay_s)
 
 
 _CHECKS = {

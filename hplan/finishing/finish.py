@@ -111,7 +111,7 @@ def finish(
 def _finished(context: PlanningContext, path: GivenPath, keep_within_rad: float | None, limit: TimeLimit) -> PlanResult:
     """The motion; with a deadline the quick one where there is no time for what the options ask for."""
     robot, points = context.robot, path.points
-    context.world.check_base(0.0 if robot.planar is None else robot.yaw_of(points[0]))
+    context.world.check_base(robot.yaw_of(points[0]))
     clear = _shown_clear(context, path)
     task = context.task(points[0], points[-1])
     if keep_within_rad is not None:

@@ -29,7 +29,7 @@ from hplan.problem.options import PlanOptions
 from hplan.robot.model import Robot
 from hplan.scene.limits import Vector
 from hplan.scene.model import Goal, Scene, Start
-from hplan.scene.obstacles import Box, Capsule, Cylinder, Mesh, PointCloud, Sphere
+from hplan.scene.obstacles import Box, Capsule, Cylinder, Mesh, Obstacle, PointCloud, Sphere
 from hplan.verification.retimed_certificate import CertifiedMotion
 
 #: How often a plan that waits for another one looks whether it is still wanted [s].
@@ -179,7 +179,7 @@ class Planner:
             finally:
                 self._lock.release()
 
-    def add(self, obstacle: Sphere | Capsule | Cylinder | Box | Mesh | PointCloud) -> None:
+    def add(self, obstacle: Obstacle) -> None:
         """Add an obstacle.
 
         Raises:
@@ -288,7 +288,7 @@ class Planner:
         """How far tracking errors may take the arm from where it is sent [m]."""
         return float(largest_sway(self.robot, self.options.tracking.deviations(self.robot.velocity_limit)))
 
-    def _change(self, obstacles: tuple[Sphere | Capsule | Cylinder | Box | Mesh | PointCloud, ...]) -> None:
+    def _change(self, obstacles: tuple[Obstacle, ...]) -> None:
         # The names were looked at, and the obstacles are checked: no need to check the scene again.
         self.scene = self.scene.model_copy(update={"obstacles": obstacles})
 

@@ -22,17 +22,13 @@ from hplan.planning.plan import Phase, PlanResult, plan_with
 from hplan.planning.report import motion_report
 from hplan.planning.task import PlanningCache
 from hplan.problem.options import PlanOptions
-from hplan.robot.tracking import TrackingModel
 from hplan.scene.model import Scene, Start
-from hplan.timing.time_scaling import Retimed, stopped
+from hplan.timing.time_scaling import SAME_TIME, Retimed, stopped
 from hplan.timing.trajectory import Trajectory, joined
 from hplan.verification.certificate import Certificate, all_of, with_violations
 from hplan.verification.digests import Digests
 from hplan.verification.moving_obstacles import checker_in_time
 from hplan.verification.retimed_certificate import CertifiedMotion, certified_from, stretches_of
-
-#: Times that differ by less are one [s].
-SAME_TIME = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,6 +81,7 @@ class RunningMotion:
     Attributes:
         plan: What runs.
         row: The last row up to now.
+        begins_s: When that row is, on the motion's clock [s].
     """
 
     def __init__(self, plan: PlanResult, cache: PlanningCache, scene: Scene, options: PlanOptions, now: float) -> None:
@@ -104,7 +101,8 @@ class RunningMotion:
         _check_time("now", now, 0.0, plan.trajectory.duration)
         self.plan, self._cache, self._scene, self._options, self._now = plan, cache, scene, options, now
         self.row = max(int(np.searchsorted(time, now + SAME_TIME, side="right")) - 1, 0)
-        still = without_moving(scene.since(float(time[self.row]))) if scene.moves else scene
+        self.begins_s = float(time[self.row])
+        still = without_moving(scene.since(self.begins_s)) if scene.moves else scene
         self._world = cache.world(still, options)
         self._checker = checker_in_time(plan.robot, scene, options.sigmas) if scene.moves else self._world.checker
 
@@ -156,21 +154,22 @@ class RunningMotion:
         """What is shown of a motion along the running one's path from a row on, among the obstacles as they are now."""
         running, options = self.plan.certificate, self._options
         among = stretches_of(self._checker, retimed, running.contact_s, self.plan.scene.goal.fruit, row)
-        tracking = TrackingModel(options.tracking_error, options.tracking_delay_s)
-        found = certified_from(self.plan.robot, retimed, row, among, clearance=self._scene.clearance, tracking=tracking)
+        found = certified_from(
+            self.plan.robot, retimed, row, among, clearance=self._scene.clearance, tracking=options.certified_tracking
+        )
         ends_in_motion = rest and retimed.trajectory.velocity[-1].any()
         return with_violations(found, ["the motion does not end at rest"] if ends_in_motion else [])
 
     def _blocked(self, reasons: Sequence[str]) -> HplanError:
         """The error that the running motion cannot be taken over, with the stop from now on where it is certified."""
-        found = self.stop_at(float(self.plan.trajectory.time[self.row]))
+        found = self.stop_at(self.begins_s)
         if not found.certificate.verified:
             return RunningMotionBlockedError(reasons, None, found.certificate)
         return RunningMotionBlockedError(reasons, found.trajectory.since(self.row), found.certificate)
 
     def _kept(self, certificate: Certificate) -> SplicedResult:
         """The running motion from now on."""
-        begins_s = float(self.plan.trajectory.time[self.row])
+        begins_s = self.begins_s
         phases = [
             Phase(phase.name, max(phase.start_s - begins_s, 0.0), max(phase.end_s - begins_s, 0.0))
             for phase in self.plan.phases
@@ -181,22 +180,22 @@ class RunningMotion:
         if contact is not None:
             contact = (max(contact[0] - begins_s, 0.0), max(contact[1] - begins_s, 0.0))
         certificate = replace(_since(certificate, begins_s), goal_contact=running.goal_contact, contact_s=contact)
-        return self._result(self.plan, phases, left, certificate, (begins_s, left.duration, True))
+        return self._result(self.plan, phases, left, certificate, left.duration, is_kept=True)
 
     def _joined(self, seam: int, until: Certificate, new: PlanResult) -> SplicedResult:
         """The running motion until the seam and the new one as one."""
         before = self.plan.trajectory.until(seam).since(self.row)
         seam_s = before.duration
         whole = joined([before, new.trajectory]) if before.samples > 1 else new.trajectory
-        begins_s, contact = float(self.plan.trajectory.time[self.row]), new.certificate.contact_s
+        contact = new.certificate.contact_s
         certificate = replace(
-            all_of([_since(until, begins_s), _since(new.certificate, -seam_s)]),
+            all_of([_since(until, self.begins_s), _since(new.certificate, -seam_s)]),
             goal_contact=new.certificate.goal_contact,
             contact_s=None if contact is None else (contact[0] + seam_s, contact[1] + seam_s),
         )
         phases = [Phase(phase.name, phase.start_s + seam_s, phase.end_s + seam_s) for phase in new.phases]
         phases[0] = replace(phases[0], start_s=0.0)
-        return self._result(new, phases, whole, certificate, (begins_s, seam_s, False))
+        return self._result(new, phases, whole, certificate, seam_s, is_kept=False)
 
     def _result(
         self,
@@ -204,10 +203,12 @@ class RunningMotion:
         phases: Sequence[Phase],
         trajectory: Trajectory,
         certificate: Certificate,
-        splice: tuple[float, float, bool],
+        seam_s: float,
+        *,
+        is_kept: bool,
     ) -> SplicedResult:
         """A plan with another trajectory, which begins in the state of the running motion now."""
-        begins_s, seam_s, is_kept = splice
+        begins_s = self.begins_s
         state = _state_at(self.plan.trajectory, self.row)
         scene = self._scene.since(begins_s).model_copy(update={"start": state})
         certificate = replace(certificate, digests=Digests.of(self.plan.robot, scene, trajectory))

@@ -26,7 +26,7 @@ PATIENCE_S = 120.0
 #: Elbow and wrist while the shoulder turns, on a path that avoids the ball of the reference scene [deg].
 _FOLDED_DEG = (80.0, 80.0)
 
-#: A shipped scene, and one of its fruits that only trees find a way to.
+#: A shipped scene, and one of its fruits that only trees find a path to.
 _CROWDED, _BEHIND = "dense-canopy", "fruit 11"
 
 

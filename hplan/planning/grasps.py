@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike
 from hplan.base import ties
 from hplan.base.arrays import BoolArray, FloatArray, Record, frozen
 from hplan.base.deadline import is_over, look
+from hplan.collision.coal_scene import Contact
 from hplan.errors import BlockedError
 from hplan.planar.finer_angles import refined
 from hplan.planar.inverse_kinematics import Candidates, reach
@@ -298,9 +299,9 @@ def _blocked(
     """
     tried, best_m = refined_to
     walls = [ranges.wall_before(q) for q in configurations]
-    nearest = []
+    nearest: list[Contact | None] = []
     for q, wall in zip(configurations, walls, strict=True):
-        if is_over():
+        if nearest and is_over():
             break  # that they are blocked is known; the first of them say by what
         nearest.append(target.world_touching.checker.nearest(q) if wall is None else wall.contact)
     counts = Counter((contact.link, contact.obstacle) for contact in nearest if contact is not None)

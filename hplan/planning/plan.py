@@ -24,7 +24,7 @@ from hplan.planning.whole_motion import Beginning, all_parts, parts_in_time
 from hplan.problem.definition import Problem
 from hplan.problem.options import PlanOptions
 from hplan.robot.model import Robot
-from hplan.robot.tracking import TrackingModel, largest_fraction, name_margin
+from hplan.robot.tracking import largest_fraction, name_margin
 from hplan.scene.model import Scene
 from hplan.search import SearchResult
 from hplan.search.grid import Occupancy
@@ -105,7 +105,7 @@ class PlanResult(Record):
     @property
     def picked(self) -> dict[str, float]:
         """The fruit that is picked, if any, and when the tool is at it [s]."""
-        fruit = self.motion.task.scene.goal.fruit
+        fruit = self.scene.goal.fruit
         reached = [phase.end_s for phase in self.phases if phase.name != "retreat"]
         return {} if fruit is None else {fruit: reached[-1]}
 
@@ -115,7 +115,7 @@ class PlanResult(Record):
         Raises:
             OptionError: A time before the trajectory or after it.
         """
-        return self._retimed(stopped(self.trajectory, t, self.motion.task.robot))
+        return self._retimed(stopped(self.trajectory, t, self.robot))
 
     def scaled(self, profile: Profile) -> CertifiedMotion:
         """The trajectory at other speeds, on its path.
@@ -127,14 +127,12 @@ class PlanResult(Record):
             OptionError: Factors that are none, beyond what limits allow, or with which the motion does not end.
             TimingError: No motion within the limits was found.
         """
-        return self._retimed(scaled(self.trajectory, profile, self.motion.task.robot))
+        return self._retimed(scaled(self.trajectory, profile, self.robot))
 
     def _retimed(self, retimed: Retimed) -> CertifiedMotion:
         task = self.motion.task
-        tracking = TrackingModel(task.options.tracking_error, task.options.tracking_delay_s)
-        return certified_retiming(
-            task.robot, task.scene, self.certificate, retimed, tracking=tracking, sigmas=task.options.sigmas
-        )
+        tracking, sigmas = task.options.certified_tracking, task.options.sigmas
+        return certified_retiming(task.robot, task.scene, self.certificate, retimed, tracking=tracking, sigmas=sigmas)
 
 
 def plan(
@@ -171,7 +169,7 @@ def plan(
         NotFoundError: None was found within memory and effort, and it was not shown that there is none.
         NotInTimeError: None was found before the deadline.
         PlanCancelledError: Nobody wants the plan any more.
-        UnavoidableContactError: The start is in motion, and no way on and no stop without contact was found.
+        UnavoidableContactError: The start is in motion, and no motion onward or stop without contact was found.
         BoundError: The bound, where it is asked for, contradicts the motion.
     """
     check_task(robot, scene, options)
@@ -211,7 +209,7 @@ def plan_with(
         options: How to plan.
         progress: Called with the name of each stage as it begins.
         before: An earlier motion, to be kept or repaired where that can be (`hplan.planning.find_motion.reuse_motion`).
-        stop: How a start in motion might be brought to rest, beside what is tried anyway.
+        stop: How a start in motion might be brought to rest, in addition to what is tried anyway.
 
     Raises:
         HplanError: As `plan`.
@@ -302,7 +300,7 @@ def _planned(
     """The plan that the options ask for; with a deadline the best of those found before it."""
     robot, scene = context.robot, context.scene
     start = robot.check_configuration(scene.start.configuration, "start")
-    context.world.check_base(0.0 if robot.planar is None else robot.yaw_of(start))
+    context.world.check_base(robot.yaw_of(start))
     begin = Beginning(start, start_state(robot, scene), before, stop)
     if begin.state is not None and context.options.bound:
         raise OptionError("bound", True, "False where the start is in motion")

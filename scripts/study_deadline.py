@@ -11,7 +11,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hplan.base.files import write_text
+from studies.benchmark.study_command import add_rows, tell
+
 from hplan.cli.options import command_parser
 from hplan.cli.terminal import run_command
 
@@ -56,17 +57,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     add("--deadlines", type=float, nargs="+", default=[20.0, 50.0, 100.0], metavar="MS", help="default: 20 50 100")
     add("--part", type=int, nargs=2, default=(1, 1), metavar=("K", "N"), help="the K-th of N parts of the problems")
     add("--cpu", action="store_true", help="CPU time instead of the wall's")
-    add("--out", type=Path, metavar="JSON", help="where rows are written to")
+    add_rows(parser)
     arguments = parser.parse_args(argv)
 
     def command(console: Console, _: Console) -> int:
         rows = measure(arguments)
-        for line in summary(rows, arguments.deadlines):
-            console.print(line, markup=False, soft_wrap=True)
-        if arguments.out is not None:
-            from hplan.planning.report import report_text
-
-            write_text(arguments.out, report_text({"rows": rows}))
+        tell(console, summary(rows, arguments.deadlines), rows, arguments.out)
         return 5 if any(run["found"] and not run["certified"] for row in rows for run in row["runs"].values()) else 0
 
     return run_command(command)

@@ -8,7 +8,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hplan.base.files import write_text
+from studies.benchmark.study_command import add_panda, add_rows, tell
+
 from hplan.cli.options import command_parser
 from hplan.cli.terminal import run_command
 from hplan.errors import InputError
@@ -34,22 +35,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = command_parser(_DESCRIPTION, _EPILOG)
     add = parser.add_argument
     add("--problems", type=Path, metavar="DIR", help="folder of the sets, panda_NAME.json each (default: none)")
-    add("--urdf", type=Path, metavar="FILE", help="panda.urdf of example-robot-data")
-    add("--limits", type=Path, metavar="FILE", help="its limits file")
-    add("--package-dir", type=Path, action="append", default=[], metavar="DIR", help="folder of its meshes; repeatable")
-    add("--effort", choices=("quick", "default", "best"), default="default", help="default: default")
-    add("--every", type=int, default=1, metavar="N", help="only every N-th problem of each set")
+    add_panda(parser, required=False)
     add("--repeat", type=int, default=10, metavar="N", help="paths in the reference scene (default: 10)")
     add("--seed", type=int, default=1, metavar="N", help="seed of OMPL, positive (default: 1)")
     add("--resolution", type=float, default=0.01, metavar="FRACTION", help="distance between configurations that OMPL "
         "checks, as a fraction of the space's extent (default: 0.01, as OMPL has it)")  # fmt: skip
-    add("--out", type=Path, metavar="JSON", help="where rows are written to")
+    add_rows(parser)
     arguments = parser.parse_args(argv)
-
-    def command(console: Console, _: Console) -> int:
-        return _run(arguments, console)
-
-    return run_command(command)
+    return run_command(lambda console, _: _run(arguments, console))
 
 
 def _run(arguments: argparse.Namespace, console: Console) -> int:
@@ -57,7 +50,6 @@ def _run(arguments: argparse.Namespace, console: Console) -> int:
     from studies.benchmark.finishing import finished, seed_ompl, table
     from studies.benchmark.motionbenchmaker import SETS, panda, problems, scene_of
 
-    from hplan.planning.report import report_text
     from hplan.problem.options import PlanOptions
     from hplan.robot.model import load_robot
     from hplan.scene.file import load_scene
@@ -78,10 +70,7 @@ def _run(arguments: argparse.Namespace, console: Console) -> int:
             for problem in problems(arguments.problems, name)[:: arguments.every]
         ]
         rows += finished(robot, scenes, options, arguments.resolution)
-    for line in table(rows):
-        console.print(line, markup=False, soft_wrap=True)
-    if arguments.out is not None:
-        write_text(arguments.out, report_text({"rows": [vars(row) for row in rows]}))
+    tell(console, table(rows), [vars(row) for row in rows], arguments.out)
     return 5 if any(row.finished_touches for row in rows) else 0
 
 

@@ -8,7 +8,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hplan.base.files import write_text
+from studies.benchmark.study_command import add_panda, add_rows, tell
+
 from hplan.cli.options import command_parser
 from hplan.cli.terminal import run_command
 
@@ -33,35 +34,23 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = command_parser(_DESCRIPTION, _EPILOG)
     add = parser.add_argument
     add("problems", type=Path, metavar="DIR", help="folder of the sets, panda_NAME.json each")
-    add("--urdf", type=Path, required=True, metavar="FILE", help="panda.urdf of example-robot-data")
-    add("--limits", type=Path, required=True, metavar="FILE", help="its limits file")
-    add("--package-dir", type=Path, action="append", default=[], metavar="DIR", help="folder of its meshes; repeatable")
-    add("--effort", choices=("quick", "default", "best"), default="default", help="default: default")
-    add("--every", type=int, default=1, metavar="N", help="only every N-th problem of each set")
+    add_panda(parser, required=True)
     add("--cpu", action="store_true", help="CPU time instead of the wall's")
-    add("--out", type=Path, metavar="JSON", help="where rows are written to")
+    add_rows(parser)
     arguments = parser.parse_args(argv)
-
-    def command(console: Console, _: Console) -> int:
-        return _run(arguments, console)
-
-    return run_command(command)
+    return run_command(lambda console, _: _run(arguments, console))
 
 
 def _run(arguments: argparse.Namespace, console: Console) -> int:
     """Plan, tell, write."""
     from studies.benchmark.motionbenchmaker import panda, solved, table
 
-    from hplan.planning.report import report_text
     from hplan.problem.options import PlanOptions
 
     robot = panda(arguments.urdf, arguments.limits, tuple(arguments.package_dir))
     options = PlanOptions(effort=arguments.effort)
     rows = list(solved(robot, arguments.problems, options, every=arguments.every, cpu=arguments.cpu))
-    for line in table(rows):
-        console.print(line, markup=False, soft_wrap=True)
-    if arguments.out is not None:
-        write_text(arguments.out, report_text({"rows": [vars(row) for row in rows]}))
+    tell(console, table(rows), [vars(row) for row in rows], arguments.out)
     return 5 if any(row.verified and any(row.contacts) for row in rows) else 0
 
 

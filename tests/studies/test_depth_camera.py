@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from script_loader import load_script
 from studies.benchmark import orchard_scenes
-from studies.benchmark.depth_camera import NEAREST_M, DepthCamera, arm_in_view, camera_of, ground
+from studies.benchmark.depth_camera import NEAREST_M, DepthCamera, camera_of, ground
 
 from hplan.collision.obstacle_rows import solid_rows
+from hplan.perception.arm_shape import arm_solids
 from hplan.perception.body_distances import distances_from_bodies
 from hplan.scene.obstacles import Box, Capsule, Sphere
 
@@ -61,7 +62,7 @@ def test_noise_grows_with_the_square_of_depth_and_some_returns_are_strays(robot)
     assert np.std(depth) == pytest.approx(2e-3 * 4.0, rel=0.05)
     strays = camera_of(20_000, outliers=0.02, **values).frame([wall], np.random.default_rng(1))[:, 2]
     assert np.mean(np.abs(strays - 2.0) > 0.1) == pytest.approx(0.02, rel=0.15)
-    assert len(arm_in_view(robot, np.zeros(robot.dof))) > robot.arm.link_count
+    assert len(arm_solids(robot, np.zeros(robot.dof))) > robot.arm.link_count
     with pytest.raises(TypeError, match="sees no"):
         CAMERA.depths([object()])
 

@@ -18,14 +18,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from studies.benchmark.depth_camera import DepthCamera, arm_in_view, camera_of, ground
-from studies.benchmark.measure import Progress, median, spread, timed
+from studies.benchmark.depth_camera import DepthCamera, camera_of, ground
+from studies.benchmark.measure import Progress, median, or_error, spread, timed
 from studies.benchmark.orchard_scenes import DISTANCES, Orchard, crop_of, measured_orchard, shipped_orchards
 
 from hplan.base.arrays import FloatArray
 from hplan.collision.clearance_field import ClearanceField
-from hplan.errors import HplanError
 from hplan.online.planner import Planner
+from hplan.perception.arm_shape import arm_solids
 from hplan.perception.frame import CloudOptions, FrameReport
 from hplan.planning.plan import PlanResult
 from hplan.problem.options import PlanOptions
@@ -83,8 +83,8 @@ def measure(
         for place, size in enumerate(sizes):
             progress("camera", number * len(sizes) + place, len(orchards) * len(sizes))
             if not rows:
-                _walk(robot, orchard, goals[:1], (size, seed, frames))  # what only this needs is loaded
-            rows += _walk(robot, orchard, goals, (size, seed, frames))
+                _walk(robot, orchard, goals[:1], size, seed, frames)  # what only this needs is loaded
+            rows += _walk(robot, orchard, goals, size, seed, frames)
     progress("camera", len(orchards) * len(sizes), len(orchards) * len(sizes))
     return {
         "seed": seed,
@@ -127,13 +127,12 @@ def _goals(robot: Robot, orchard: Orchard) -> list[FloatArray]:
 
 
 def _walk(
-    robot: Robot, orchard: Orchard, goals: Sequence[FloatArray], size_seed_frames: tuple[int, int, int]
+    robot: Robot, orchard: Orchard, goals: Sequence[FloatArray], size: int, seed: int, frames: int
 ) -> list[dict[str, Any]]:
     """All frames of one orchard."""
-    size, seed, frames = size_seed_frames
     q = orchard.scene.start.configuration
     truth = orchard.scene.solids_with_goal
-    in_view = [*truth, ground(), *arm_in_view(robot, q)]
+    in_view = [*truth, ground(), *arm_solids(robot, q)]
     camera, random, rows = camera_with(size, in_view), np.random.default_rng([seed, size]), []
     field = ClearanceField.of(robot, truth)
     for goal in goals:
@@ -163,7 +162,7 @@ class _Watch:
         """Numbers of one frame."""
         report, filter_ms = timed(lambda: self._filter(points))
         _, structure_ms = timed(lambda: self.planner.scene.solids)
-        found, plan_ms = timed(self._plan)
+        found, plan_ms = timed(lambda: or_error(self.planner.replan))
         return {
             "rows": report.given,
             "returns": report.given - report.not_finite,
@@ -183,12 +182,6 @@ class _Watch:
             "seen", points, radius=self._radius, pose=self._camera.pose, joints=self._q, ignore=("ground",),
             options=self._options,
         )  # fmt: skip
-
-    def _plan(self) -> PlanResult | HplanError:
-        try:
-            return self.planner.replan()
-        except HplanError as error:
-            return error
 
 
 def _query_us(robot: Robot, scene: Scene, random: np.random.Generator) -> float:

@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 
 from hplan.base.arrays import FloatArray
 from hplan.base.kernels import kernel
-from hplan.robot.model import Robot
 from hplan.scene.obstacles import Box, Capsule, Solid, Sphere
 from hplan.scene.solids import Hull
 
@@ -69,13 +68,17 @@ class DepthCamera:
         pose[:3, 3] = self.position
         return pose
 
+    @property
+    def focal(self) -> float:
+        """Focal length [pixels]."""
+        return 0.5 * self.width / math.tan(math.radians(0.5 * self.view_deg))
+
     def depths(self, solids: Sequence[Solid]) -> FloatArray:
         """(height, width) true depths of solids [m]; infinite where there is none within range."""
         pose = self.pose
         primitives, facets = _primitives(solids, pose)
         depth = np.full((self.height, self.width), np.inf)
-        focal = 0.5 * self.width / math.tan(math.radians(0.5 * self.view_deg))
-        _draw(primitives, facets, focal, depth)
+        _draw(primitives, facets, self.focal, depth)
         depth[depth > self.range_m] = np.inf
         return depth
 
@@ -86,9 +89,8 @@ class DepthCamera:
         strays = np.isfinite(depth) & (random.random(depth.shape) < self.outliers)
         depth[strays] = random.uniform(NEAREST_M, self.range_m, int(strays.sum()))
         depth[~np.isfinite(depth)] = np.nan
-        focal = 0.5 * self.width / math.tan(math.radians(0.5 * self.view_deg))
-        across = (np.arange(self.width) + 0.5 - 0.5 * self.width) / focal
-        down = (np.arange(self.height) + 0.5 - 0.5 * self.height) / focal
+        across = (np.arange(self.width) + 0.5 - 0.5 * self.width) / self.focal
+        down = (np.arange(self.height) + 0.5 - 0.5 * self.height) / self.focal
         points = np.stack([depth * across, depth * down[:, None], depth], axis=-1)
         return points.reshape(-1, 3).astype(np.float32)
 
@@ -223,10 +225,3 @@ def _hull_depth(x: float, y: float, facets: FloatArray, first: int, last: int) -
         elif facets[f, 3] < 0.0:
             return math.inf
     return enter if 0.0 < enter <= leave else math.inf
-
-
-def arm_in_view(robot: Robot, q: FloatArray) -> tuple[Solid, ...]:
-    """What a camera sees of the arm at a (dof,) configuration."""
-    from hplan.perception.arm_shape import arm_solids
-
-    return arm_solids(robot, q)

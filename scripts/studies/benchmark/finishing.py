@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from studies.benchmark.measure import median, times_until
 from studies.benchmark.motions import toppra_motion
 
 from hplan.base.arrays import FloatArray
@@ -108,6 +109,7 @@ def ompl_path(world: World, scene: Scene, goal: FloatArray, resolution: float) -
         ends.append(state)
     setup.setStartAndGoalStates(*ends)
     setup.setPlanner(geometric.RRTConnect(setup.getSpaceInformation()))
+    world.field.clearance(q)  # compiling it must not take of OMPL's time
     until_s = time.thread_time() + FIND_S
     setup.solve(base.PlannerTerminationCondition(lambda: time.thread_time() >= until_s))
     if not setup.haveExactSolutionPath():
@@ -144,7 +146,7 @@ def _finished(
     robot: Robot, scene: Scene, group: str, path: FloatArray, options: PlanOptions, checker: CoalScene
 ) -> Finished:
     spline = toppra_motion(robot, path)
-    touches = spline is not None and _touches(checker, spline.positions(_clock(spline.duration)))
+    touches = spline is not None and _touches(checker, spline.positions(times_until(spline.duration, EVERY_S)))
     found: dict[str, Any] = {"spline_s": None if spline is None else spline.duration, "spline_touches": touches}
     began = time.process_time()
     try:
@@ -155,16 +157,12 @@ def _finished(
             "moved": len(result.report["given"]["moved_segments"]),
             "finished_s": motion.duration,
             "finish_ms": 1e3 * (time.process_time() - began),
-            "finished_touches": _touches(checker, motion.positions(_clock(motion.duration))),
+            "finished_touches": _touches(checker, motion.positions(times_until(motion.duration, EVERY_S))),
         }
         found["kept_s"] = finish(robot, scene, path, options, keep_within_rad=WITHIN_RAD).trajectory.duration
     except HplanError as error:
         found = {"outcome": type(error).__name__, "finish_ms": 1e3 * (time.process_time() - began)} | found
     return Finished(group, len(path), **found)
-
-
-def _clock(duration: float) -> FloatArray:
-    return np.append(np.arange(0.0, duration, EVERY_S), duration)
 
 
 def _touches(checker: CoalScene, positions: FloatArray) -> bool:
@@ -203,5 +201,5 @@ def _ratio(value: float | None, other: float | None) -> float | None:
 
 
 def _median(values: Sequence[float | None]) -> float:
-    known = [value for value in values if value is not None]
-    return float(np.median(known)) if known else float("nan")
+    """The median of what there is."""
+    return median([value for value in values if value is not None])

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from typing import Any, TypeAlias
 
 import numpy as np
-from studies.benchmark.measure import Progress, spread, timed
+from studies.benchmark.measure import Progress, or_error, spread, timed
 from studies.benchmark.moving_scenes import moving_scene, next_move
 
 from hplan.base.arrays import FloatArray
@@ -73,7 +73,7 @@ def _walk(robot: Robot, seed: int, number: int, steps: int) -> list[dict[str, An
     rows: list[dict[str, Any]] = []
     now = _begun(planner, ends)
     while now is not None and len(rows) < steps:
-        rows.append({"scene": number, "step": len(rows), **_step(robot, planner, (now, ends), random)})
+        rows.append({"scene": number, "step": len(rows), **_step(robot, planner, now, ends, random)})
         begun = rows[-1].pop("now")
         now = _begun(planner, ends) if begun is None else begun
     return rows
@@ -97,9 +97,9 @@ def _begun(planner: Planner, ends: Ends) -> float | None:
     return 0.0
 
 
-def _step(robot: Robot, planner: Planner, state: tuple[float, Ends], random: np.random.Generator) -> dict[str, Any]:
+def _step(robot: Robot, planner: Planner, now: float, ends: Ends, random: np.random.Generator) -> dict[str, Any]:
     """Something has moved, and a motion goes on; `now` of the row is the time then, None where it is at its end."""
-    (now, ends), running, before = state, planner.last, planner.scene
+    running, before = planner.last, planner.scene
     if running is None:
         raise ValueError("nothing runs")
     motion = running.trajectory
@@ -111,7 +111,7 @@ def _step(robot: Robot, planner: Planner, state: tuple[float, Ends], random: np.
     planner.move(move.piece.name, **move.changes)
     if turns:
         planner.aim(goal=_other(ends, before.goal.configuration))
-    found, ms = timed(lambda: _outcome(planner, at, now))
+    found, ms = timed(lambda: or_error(lambda: replanned(planner, at, now)))
     row: dict[str, Any] = {"close": move.close, "turns": turns, "ms": ms, "at_rest": at == motion.duration}
     if isinstance(found, HplanError):
         planner.scene = before
@@ -122,11 +122,9 @@ def _step(robot: Robot, planner: Planner, state: tuple[float, Ends], random: np.
     return {**row, "now": later if later < found.trajectory.duration - PAUSE_S[0] else None}
 
 
-def _outcome(planner: Planner, at: float, now: float) -> SplicedResult | HplanError:
-    try:
-        found = planner.replan(at=at, now=now)
-    except HplanError as error:
-        return error
+def replanned(planner: Planner, at: float, now: float) -> SplicedResult:
+    """What comes next from the time `at` on, asked for at the time `now` of the running motion."""
+    found = planner.replan(at=at, now=now)
     if not isinstance(found, SplicedResult):
         raise TypeError("a splice was asked for")
     return found
@@ -141,23 +139,39 @@ def _name(error: HplanError) -> str:
 def _judged(robot: Robot, scene: Scene, before: Trajectory, found: SplicedResult) -> dict[str, Any]:
     """What is found of a splice without the planner's own word for it."""
     motion = found.trajectory
-    seam = int(np.searchsorted(motion.time, found.seam_s - 1e-9))
-    first = int(np.searchsorted(before.time, found.begins_s - 1e-9))
-    paused = bool((np.abs(motion.velocity[seam + 1 : -1]).max(axis=1, initial=0.0) <= REST).any())
     # What is kept was looked at when it was made; it is certified again.
     clock = np.arange(0.0, motion.duration + EVERY_S, EVERY_S if not found.is_kept else motion.duration + EVERY_S)
-    jumps = [
-        float(np.abs(getattr(motion, name)[: seam + 1] - getattr(before, name)[first : first + seam + 1]).max())
-        for name in ("position", "velocity", "acceleration")
-    ]
     return {
-        "outcome": "kept" if found.is_kept else "by a stop" if paused else "led over",
+        "outcome": splice_outcome(found),
         "certified": found.certificate.verified and certify(robot, found.scene, motion).verified,
         "clearance_mm": 1e3 * least_distance(CoalScene(robot, scene.solids), motion.positions(clock)),
-        "jumps": [max(own, ran) for own, ran in zip(motion_jumps(motion, seam), jumps, strict=True)],
+        "jumps": splice_jumps(before, found),
         "duration_s": motion.duration,
         "left_s": before.duration - found.begins_s,
     }
+
+
+def seam_row(found: SplicedResult) -> int:
+    """The row of a splice at which the new motion takes over."""
+    return int(np.searchsorted(found.trajectory.time, found.seam_s - 1e-9))
+
+
+def splice_outcome(found: SplicedResult) -> str:
+    """What has become of the running motion."""
+    after = found.trajectory.velocity[seam_row(found) + 1 : -1]
+    paused = bool((np.abs(after).max(axis=1, initial=0.0) <= REST).any())
+    return "kept" if found.is_kept else "by a stop" if paused else "led over"
+
+
+def splice_jumps(before: Trajectory, found: SplicedResult) -> list[float]:
+    """Largest differences of position, velocity and acceleration at the seam, and from what ran until then."""
+    motion, seam = found.trajectory, seam_row(found)
+    first = int(np.searchsorted(before.time, found.begins_s - 1e-9))
+    ran = [
+        float(np.abs(getattr(motion, name)[: seam + 1] - getattr(before, name)[first : first + seam + 1]).max())
+        for name in ("position", "velocity", "acceleration")
+    ]
+    return [max(each) for each in zip(motion_jumps(motion, seam), ran, strict=True)]
 
 
 def motion_jumps(motion: Trajectory, row: int) -> list[float]:

@@ -19,6 +19,8 @@ from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
+from hplan.base.arrays import FloatArray
+from hplan.errors import HplanError
 from hplan.planning.report import versions
 
 _T = TypeVar("_T")
@@ -48,6 +50,14 @@ def timed(run: Callable[[], _T]) -> tuple[_T, float]:
     return value, 1e3 * (time.thread_time() - begin)
 
 
+def or_error(run: Callable[[], _T]) -> _T | HplanError:
+    """What a function returns, or hplan's error that it raises."""
+    try:
+        return run()
+    except HplanError as error:
+        return error
+
+
 def times_ms(run: Callable[[], object], repetitions: int, *, warm: int = 2) -> list[float]:
     """CPU times of repeated calls, after some that do not count [ms]."""
     for _ in range(warm):
@@ -68,6 +78,11 @@ def evenly_chosen(problems: Sequence[_Grouped], most: int | None) -> list[_Group
 def median(values: Sequence[float]) -> float:
     """The median; NaN of nothing."""
     return float(np.median(values)) if len(values) else float("nan")
+
+
+def times_until(end_s: float, step_s: float) -> FloatArray:
+    """Times from 0 on, so far apart, and the end [s]."""
+    return np.append(np.arange(0.0, end_s, step_s), end_s)
 
 
 def spread(values: Sequence[float]) -> dict[str, float]:

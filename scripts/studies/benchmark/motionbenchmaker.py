@@ -21,6 +21,7 @@ from typing import Any
 import coal
 import numpy as np
 import pinocchio as pin
+from studies.benchmark.measure import times_until
 
 from hplan.base.arrays import FloatArray
 from hplan.bodies.collision_bodies import body_shapes, collision_bodies
@@ -156,8 +157,7 @@ def solved(robot: Robot, folder: Path, options: PlanOptions, *, every: int = 1, 
                 yield Solved(set_name, number, type(error).__name__, now() - began, None, False, (0, 0))
                 continue
             seconds, duration = now() - began, found.trajectory.duration
-            clock = np.append(np.arange(0.0, duration, EVERY_S), duration)
-            touched = contacts(robot, problem, found.trajectory.positions(clock))
+            touched = contacts(robot, problem, found.trajectory.positions(times_until(duration, EVERY_S)))
             verified = found.certificate.verified
             yield Solved(set_name, number, found.motion.origin, seconds, duration, verified, touched)
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from studies.benchmark.measure import Progress, evenly_chosen, median, spread, stages_in_cpu_time, timed
+from studies.benchmark.measure import Progress, evenly_chosen, median, or_error, spread, stages_in_cpu_time, timed
 from studies.benchmark.motions import look_at, of_rows
 from studies.benchmark.orchard_scenes import CropProblems, OrchardProblem, crop_of, measured_orchards, shipped_orchards
 from studies.benchmark.paths import PathMotions, PeerTask, motions_of, summary
@@ -125,11 +125,8 @@ def _absent(trees: Path | None) -> str | None:
 
 
 def _planned(robot: Robot, problem: OrchardProblem) -> PlanResult | HplanError:
-    try:
-        with stages_in_cpu_time():
-            return plan(robot, problem.scene)
-    except HplanError as error:
-        return error
+    with stages_in_cpu_time():
+        return or_error(lambda: plan(robot, problem.scene))
 
 
 def _solve(

@@ -11,11 +11,11 @@ them, and whatever plans first gets from the system the memory that the next one
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, get_args
 
 import numpy as np
-from studies.benchmark.measure import Progress, spread, timed
+from studies.benchmark.measure import Progress, or_error, spread, timed
 from studies.benchmark.motions import look_at, of_rows
 from studies.benchmark.moving_scenes import CLOSE_SHARE, OBSTACLES, ROOM, SHIFT, ObstacleMove, moving_scene, next_move
 
@@ -95,11 +95,11 @@ def _step(robot: Robot, planner: Planner, move: ObstacleMove) -> dict[str, Any]:
     """One obstacle moves, and both ways of planning answer."""
 
     def from_nothing() -> PlanResult | HplanError:
-        return _outcome(lambda: plan(robot, planner.scene))
+        return or_error(lambda: plan(robot, planner.scene))
 
     _, moving_ms = timed(lambda: planner.move(move.piece.name, **move.changes))
     from_nothing()
-    again, again_ms = timed(lambda: _outcome(planner.replan))
+    again, again_ms = timed(lambda: or_error(planner.replan))
     anew, anew_ms = timed(from_nothing)
     ms = moving_ms + again_ms
     row: dict[str, Any] = {
@@ -123,13 +123,6 @@ def _step(robot: Robot, planner: Planner, move: ObstacleMove) -> dict[str, Any]:
     if not isinstance(anew, HplanError):
         row["to_from_nothing"] = again.trajectory.duration / anew.trajectory.duration
     return row
-
-
-def _outcome(run: Callable[[], PlanResult]) -> PlanResult | HplanError:
-    try:
-        return run()
-    except HplanError as error:
-        return error
 
 
 def _name(found: PlanResult | HplanError) -> str:

@@ -8,6 +8,7 @@ from collections.abc import Callable
 import coal
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
+from studies.benchmark.measure import times_until
 
 from hplan.base.arrays import FloatArray
 from hplan.errors import InputError
@@ -32,7 +33,7 @@ def least_distance(
         end_s: When the motion ends [s].
         step_s: Spacing of the times [s].
     """
-    clock = np.append(np.arange(0.0, end_s, step_s), end_s)
+    clock = times_until(end_s, step_s)
     configurations = positions(clock)
     shapes, places = [], []
     for item in scene.obstacles:
@@ -44,7 +45,8 @@ def least_distance(
         listed = _along(core[0], core[-1])
         places.append([listed] * len(clock) if item.track is None else _placed(item.track, clock, listed))
     request, least = coal.DistanceRequest(), math.inf
-    links = [coal.Capsule(float(half), float(length)) for half, length in zip(*_sizes(robot), strict=True)]
+    sizes = zip(robot.arm.half_widths, robot.arm.lengths, strict=True)
+    links = [coal.Capsule(float(half), float(length)) for half, length in sizes]
     starts, ends = _axes(robot, configurations)
     rotations, middles = _frames(ends - starts), 0.5 * (starts + ends)
     for link, shape in enumerate(links):
@@ -61,13 +63,7 @@ def _axes(robot: Robot, configurations: FloatArray) -> tuple[FloatArray, FloatAr
     for number, q in enumerate(configurations):
         base, axes = robot.plane_at(robot.yaw_of(q))
         joints = base + robot.arm.joint_points(q[robot.arm_slice]) @ axes[:2]
-        offset = robot.arm.lateral[:, None] * np.array(
-            [
-                axes[0][1] * axes[1][2] - axes[0][2] * axes[1][1],
-                axes[0][2] * axes[1][0] - axes[0][0] * axes[1][2],
-                axes[0][0] * axes[1][1] - axes[0][1] * axes[1][0],
-            ]
-        )
+        offset = robot.arm.lateral[:, None] * np.cross(axes[0], axes[1])
         ends[0, number], ends[1, number] = joints[:-1] + offset, joints[1:] + offset
     return ends[0], ends[1]
 
@@ -78,10 +74,6 @@ def _frames(axes: FloatArray) -> FloatArray:
     x = np.cross(z, np.eye(3)[np.abs(z).argmin(axis=-1)])
     x /= np.linalg.norm(x, axis=-1, keepdims=True)
     return np.stack([x, np.cross(z, x), z], axis=-1)
-
-
-def _sizes(robot: Robot) -> tuple[FloatArray, FloatArray]:
-    return robot.arm.half_widths, robot.arm.lengths
 
 
 def _placed(track: Track, clock: FloatArray, listed: coal.Transform3s) -> list[coal.Transform3s]:

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from studies.benchmark.measure import Progress, spread, timed
+from studies.benchmark.measure import Progress, or_error, spread, timed
 from studies.benchmark.moving.judge import least_distance
 from studies.benchmark.moving.safe_intervals import STEP_DEG, GridMotion, safe_interval_motion
 from studies.benchmark.moving.scenes import KINDS, kind_of, moving_scene
@@ -23,7 +23,7 @@ from hplan.errors import HplanError
 from hplan.moving.obstacles_at import without_moving
 from hplan.moving.path_in_time import MovingField, PathInTime
 from hplan.moving.schedule import STEP_S
-from hplan.planning.plan import PlanResult, plan
+from hplan.planning.plan import plan
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 from hplan.timing.trajectory import Trajectory
@@ -95,7 +95,7 @@ def _row(robot: Robot, scene: Scene, number: int) -> dict[str, Any] | None:
         alone = plan(robot, still)
     except HplanError:
         return None
-    found, ms = timed(lambda: _outcome(robot, scene))
+    found, ms = timed(lambda: or_error(lambda: plan(robot, scene)))
     planar = bool(scene.locked_joints)
     grid = safe_interval_motion(robot, scene, ClearanceField.of(robot, still.solids)) if planar else None
     row: dict[str, Any] = {
@@ -126,13 +126,6 @@ def _row(robot: Robot, scene: Scene, number: int) -> dict[str, Any] | None:
         "certified_mm": 1e3 * found.certificate.min_clearance_m,
         "clearance_mm": 1e3 * least,
     }
-
-
-def _outcome(robot: Robot, scene: Scene) -> PlanResult | HplanError:
-    try:
-        return plan(robot, scene)
-    except HplanError as error:
-        return error
 
 
 def _waiting_s(robot: Robot, scene: Scene, motion: Trajectory) -> float:

@@ -12,8 +12,8 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from studies.benchmark.in_motion import AHEAD_S, PAUSE_S, motion_jumps
-from studies.benchmark.measure import Progress, spread, timed
+from studies.benchmark.in_motion import AHEAD_S, PAUSE_S, replanned, seam_row, splice_jumps, splice_outcome
+from studies.benchmark.measure import Progress, or_error, spread, timed
 from studies.benchmark.moving.judge import least_distance
 from studies.benchmark.moving.scenes import MOMENT, ROOM, kind_of, moving_scene, passing_near
 
@@ -103,7 +103,7 @@ def _step(
         planner.aim(goal=Goal(joints_rad=_farther(ends, before.goal.configuration)))
     asked = planner.scene
     row: dict[str, Any] = {"turns": turns}
-    found, ms = timed(lambda: _outcome(planner, at, now))
+    found, ms = timed(lambda: or_error(lambda: replanned(planner, at, now)))
     row["ms"] = ms
     if isinstance(found, HplanError):
         planner.scene = before
@@ -141,13 +141,6 @@ def _crossed(
     return scene
 
 
-def _outcome(planner: Planner, at: float, now: float) -> SplicedResult | HplanError:
-    try:
-        return planner.replan(at=at, now=now)
-    except HplanError as error:
-        return error
-
-
 def _name(error: HplanError) -> str:
     if isinstance(error, RunningMotionBlockedError):
         return "blocked" if error.stop is None else "blocked, with a stop"
@@ -168,23 +161,15 @@ def _told_stop(robot: Robot, scene: Scene, error: HplanError) -> dict[str, Any]:
 def _judged(robot: Robot, scene: Scene, before: Trajectory, found: SplicedResult) -> dict[str, Any]:
     """What is found of a splice without the planner's own word for it."""
     motion = found.trajectory
-    seam = int(np.searchsorted(motion.time, found.seam_s - 1e-9))
-    first = int(np.searchsorted(before.time, found.begins_s - 1e-9))
-    names = ("position", "velocity", "acceleration")
-    ran = [
-        float(np.abs(getattr(motion, name)[: seam + 1] - getattr(before, name)[first : first + seam + 1]).max())
-        for name in names
-    ]
-    paused = bool((np.abs(motion.velocity[seam + 1 : -1]).max(axis=1, initial=0.0) <= REST).any())
     by_old_clock = scene.model_copy(update={"start": found.scene.start})
     return {
-        "outcome": "kept" if found.is_kept else "by a stop" if paused else "led over",
+        "outcome": splice_outcome(found),
         "certified": found.certificate.verified
         and certify(robot, found.scene, motion).verified
         and certify(robot, by_old_clock, motion, begin_s=found.begins_s).verified,
         "clearance_mm": 1e3 * least_distance(robot, found.scene, motion.positions, motion.duration),
-        "seam_rad_s": float(np.abs(motion.velocity[seam]).max()),
-        "jumps": [max(*each) for each in zip(motion_jumps(motion, seam), ran, strict=True)],
+        "seam_rad_s": float(np.abs(motion.velocity[seam_row(found)]).max()),
+        "jumps": splice_jumps(before, found),
     }
 
 

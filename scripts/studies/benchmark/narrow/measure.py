@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from studies.benchmark.measure import Progress, median, spread, stages_in_cpu_time, timed
+from studies.benchmark.measure import Progress, median, or_error, spread, stages_in_cpu_time, timed
 from studies.benchmark.narrow.scenes import ARMS, GAPS, KINDS, ROOMS, NarrowProblem, narrow_problems
 from studies.benchmark.paths import PeerTask, motions_of
 from studies.benchmark.planners import Ompl
@@ -71,11 +71,8 @@ def measure(
 
 
 def _planned(problem: NarrowProblem) -> PlanResult | HplanError:
-    try:
-        with stages_in_cpu_time():
-            return plan(problem.robot, problem.scene)
-    except HplanError as error:
-        return error
+    with stages_in_cpu_time():
+        return or_error(lambda: plan(problem.robot, problem.scene))
 
 
 def _solve(problem: NarrowProblem, ompl: Ompl | None, seconds: float) -> dict[str, Any]:

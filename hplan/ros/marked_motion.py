@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Final
 
 import coal
@@ -36,7 +36,7 @@ _LINE_M, _PAIR_M, _TEXT_M = 0.004, 0.008, 0.08
 
 
 def path_marker(robot: Robot, positions: FloatArray, frame_id: str) -> Marker:
-    """The way of the tool through (n, dof) configurations, as a line."""
+    """The path of the tool through (n, dof) configurations, as a line."""
     line = mark.points(robot.tool_positions(positions))
     if len(line) == 1:
         line *= 2
@@ -91,7 +91,6 @@ class NearestPairs:
         for solid in scene.listed_solids:
             if solid.name in self._solids:
                 self._solids[solid.name].append(solid if isinstance(solid, Cloud) else solid_shape(solid))
-        self._scene = scene
 
     def clearance_m(self, time_s: float) -> float | None:
         """Certain clearance at a time [m]; None where nothing is there to meet, or it is not known."""
@@ -100,8 +99,14 @@ class NearestPairs:
         found = float(np.interp(time_s, self._curve.time, self._curve.clearance_m))
         return found if np.isfinite(found) else None
 
-    def marker(self, time_s: float, q: FloatArray) -> Marker:
-        """The line at a time, in a configuration; of a pair within the arm, or none, no line."""
+    def marker(self, time_s: float, q: FloatArray, moved: Mapping[str, pin.SE3]) -> Marker:
+        """The line at a time, in a configuration; of a pair within the arm, or none, no line.
+
+        Args:
+            time_s: Time of the motion [s].
+            q: (dof,) configuration.
+            moved: How obstacles that move stand then to where the scene lists them.
+        """
         head = mark.head(frame_id=self._frame_id, ns=CERTIFICATE, number=_NEAREST)
         link, name = self._pair(time_s)
         shapes = self._solids.get(name, [])
@@ -110,10 +115,10 @@ class NearestPairs:
         shape = self._links[link]
         pin.forwardKinematics(self._robot.model, self._data, q)
         place = self._data.oMi[shape.parentJoint] * shape.placement
-        moved = self._moved(name, time_s)
-        seen = moved.actInv(place)
+        stands = moved.get(name, pin.SE3.Identity())
+        seen = stands.actInv(place)
         ends = min((_nearest_points(shape, seen, solid) for solid in shapes), key=lambda found: found[0])[1]
-        ends = ends @ moved.rotation.T + moved.translation
+        ends = ends @ stands.rotation.T + stands.translation
         return head | {
             "type": mark.LINE_LIST,
             "pose": mark.pose(),
@@ -121,14 +126,6 @@ class NearestPairs:
             "color": mark.color(_PAIR_COLOR),
             "points": mark.points(ends),
         }
-
-    def _moved(self, name: str, time_s: float) -> pin.SE3:
-        """How an obstacle stands to where the scene lists it."""
-        poses = self._scene.poses_at([time_s]) if self._scene.moves else {}
-        if name not in poses:
-            return pin.SE3.Identity()
-        turns, shifts = poses[name]
-        return pin.SE3(turns[0], shifts[0])
 
     def _pair(self, time_s: float) -> tuple[str, str]:
         """Names of the nearest pair; empty where there is none."""
@@ -165,9 +162,9 @@ def _nearest_points(
         apart = np.linalg.norm(from_middle - along[:, None] * half, axis=1)
         nearest = int(apart.argmin())
         ends = np.array([place.translation + along[nearest] * half, solid.core[nearest]])
-        way = (ends[1] - ends[0]) / max(float(apart[nearest]), 1e-300)
+        direction = (ends[1] - ends[0]) / max(float(apart[nearest]), 1e-300)
         between = float(apart[nearest]) - radius - solid.rounding
-        return between, ends + np.outer([radius, -solid.rounding], way)
+        return between, ends + np.outer([radius, -solid.rounding], direction)
     result = coal.DistanceResult()
     at, other = (coal.Transform3s(each.rotation, each.translation) for each in (place, solid.placement))
     distance = coal.distance(link.geometry, at, solid.geometry, other, coal.DistanceRequest(), result)

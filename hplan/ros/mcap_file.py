@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 
 from hplan.base.arguments import file_path, number
 from hplan.base.arrays import FloatArray, IntArray
@@ -115,21 +116,20 @@ class _Recording:
             yield Message("/joint_states", now, state)
             frames.place(q)
             links = frames.message(frames.moving, now)["transforms"]
+            moved = {name: pin.SE3(turns[index], shifts[index]) for name, (turns, shifts) in moving.items()}
             others = [
-                transform(frames.root, moving_frame(name), turns[index], shifts[index], now)
-                for name, (turns, shifts) in moving.items()
+                transform(frames.root, moving_frame(name), place.rotation, place.translation, now)
+                for name, place in moved.items()
             ]
             yield Message("/tf", now, {"transforms": [*links, *others]})
-            yield Message("/nearest", now, self._markers([pairs.marker(clock, q)], now))
+            yield Message("/nearest", now, self._markers([pairs.marker(clock, q, moved)], now))
             clearance = pairs.clearance_m(clock)
             if clearance is not None:
                 yield Message("/clearance", now, {"data": clearance})
 
     def _fruits(self) -> Iterator[Message]:
-        result = self.result
-        dropped = result.dropped if isinstance(result, TourResult) else {}
-        playback = Playback(result.trajectory, result.picked, dropped, result.phases)
-        events = motion.fruit_events(self.robot, self.scene, result.trajectory, picks(self.scene, playback))
+        taken = picks(self.scene, Playback.of(self.result))
+        events = motion.fruit_events(self.robot, self.scene, self.result.trajectory, taken)
         for clock, marker in events:
             now = self.begin_ns + time_ns("time", clock)
             yield Message("/scene", now, self._markers([marker], now))

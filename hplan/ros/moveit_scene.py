@@ -13,17 +13,17 @@ from typing import Final
 
 import pinocchio as pin
 
-from hplan.base.arguments import decimal, file_path, one_of
-from hplan.errors import OptionError, SceneError
-from hplan.ros.placed_shapes import OPEN_MESHES, SIZES, OpenMeshes, frame, mesh, pose, shape
+from hplan.base.arguments import decimal, file_path
+from hplan.errors import SceneError
+from hplan.ros.placed_shapes import NO_OCTOMAP, NO_PLANE, SIZES, OpenMeshes, mesh, planning_frame, pose, shape
 from hplan.scene.limits import MOST_SHAPE_BYTES, ByteBudget, Vector
 from hplan.scene.obstacles import Obstacle
 
 #: Kinds that MoveIt knows and that are no obstacles here, and why.
 _REFUSED: Final = {
-    "plane": "a plane has no end; put a box in its place",
-    "octree": "an octomap cannot be read; give its points as a point cloud",
-    "<octomap>": "an octomap cannot be read; give its points as a point cloud",
+    "plane": NO_PLANE,
+    "octree": NO_OCTOMAP,
+    "<octomap>": NO_OCTOMAP,
 }
 
 
@@ -56,10 +56,7 @@ def read_moveit_scene(
         OptionError: An option of the wrong kind.
     """
     path = file_path("path", path)
-    if not isinstance(prefix, str):
-        raise OptionError("prefix", prefix, "text")
-    one_of("open_meshes", open_meshes, OPEN_MESHES)
-    base = frame(position, rpy_deg)
+    base = planning_frame(position, rpy_deg, prefix, open_meshes)
     try:
         text = ByteBudget(MOST_SHAPE_BYTES).read(path).decode("utf-8")
     except OSError as error:

@@ -9,7 +9,7 @@ from typing import Any, Final, Literal, TypeAlias
 import numpy as np
 import pinocchio as pin
 
-from hplan.base.arguments import list_between
+from hplan.base.arguments import list_between, one_of
 from hplan.errors import OptionError, SceneError
 from hplan.scene.limits import FARTHEST_M
 from hplan.scene.obstacles import Box, Cylinder, Mesh, Obstacle, Sphere
@@ -23,16 +23,32 @@ OPEN_MESHES: tuple[OpenMeshes, ...] = ("refuse", "hull")
 #: How many numbers give the size of each shape, in the order of a scene file of MoveIt's.
 SIZES: Final = {"sphere": 1, "box": 3, "cylinder": 2, "cone": 2}
 
+#: Why some of MoveIt's objects are no obstacles.
+NO_PLANE: Final = "a plane has no end; put a box in its place"
+NO_OCTOMAP: Final = "an octomap cannot be read; give its points as a point cloud"
+
 #: Quaternions are written with six digits or so; those farther than this from length 1 are none.
 _UNIT: Final = 1e-3
 
 
-def frame(position: Sequence[float], rpy_deg: Sequence[float]) -> pin.SE3:
-    """Where a frame is, by a position [m] and roll, pitch and yaw about fixed axes [deg].
+def planning_frame(position: Sequence[float], rpy_deg: Sequence[float], prefix: str, open_meshes: str) -> pin.SE3:
+    """Check the options of readers.
+
+    Args:
+        position: Where the origin of the objects' frame is in `base_link` [m].
+        rpy_deg: How that frame is turned: roll, pitch and yaw about fixed axes [deg].
+        prefix: What is put before every name.
+        open_meshes: What becomes of meshes that are not closed.
+
+    Returns:
+        Where the frame is.
 
     Raises:
-        OptionError: Not three numbers each.
+        OptionError: Not three numbers each, no text, or no word of `OPEN_MESHES`.
     """
+    if not isinstance(prefix, str):
+        raise OptionError("prefix", prefix, "text")
+    one_of("open_meshes", open_meshes, OPEN_MESHES)
     places = []
     for option, values, most in (("position", position, FARTHEST_M), ("rpy_deg", rpy_deg, 360.0)):
         places.append(list_between(option, values, -most, most))

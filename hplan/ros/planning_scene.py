@@ -13,10 +13,10 @@ from typing import Any, Final
 import pinocchio as pin
 import yaml
 
-from hplan.base.arguments import file_path, is_number, one_of
+from hplan.base.arguments import file_path, is_number
 from hplan.base.yaml_text import read_yaml
-from hplan.errors import OptionError, SceneError
-from hplan.ros.placed_shapes import OPEN_MESHES, SIZES, OpenMeshes, frame, mesh, pose, shape
+from hplan.errors import SceneError
+from hplan.ros.placed_shapes import NO_OCTOMAP, NO_PLANE, SIZES, OpenMeshes, mesh, planning_frame, pose, shape
 from hplan.scene.limits import MOST_SCENE_BYTES, ByteBudget, Vector
 from hplan.scene.obstacles import Obstacle
 
@@ -54,12 +54,13 @@ def read_planning_scene(
         SceneError: Missing or malformed file, something that cannot be an obstacle; names the key.
         OptionError: An option of the wrong kind.
     """
-    if not isinstance(prefix, str):
-        raise OptionError("prefix", prefix, "text")
-    one_of("open_meshes", open_meshes, OPEN_MESHES)
-    base = frame(position, rpy_deg)
-    path = None if isinstance(source, Mapping) else file_path("source", source)
-    message = source if isinstance(source, Mapping) else _read(file_path("source", source))
+    base = planning_frame(position, rpy_deg, prefix, open_meshes)
+    path = None
+    if isinstance(source, Mapping):
+        message = source
+    else:
+        path = file_path("source", source)
+        message = _read(path)
     try:
         return tuple(_obstacles(_World(message), base, prefix, open_meshes))
     except SceneError as error:
@@ -93,9 +94,7 @@ class _World:
         octomap = _mapping(_or(world.get("octomap"), {}), _below(self.where, "octomap"))
         inner = _mapping(_or(octomap.get("octomap"), {}), _below(self.where, "octomap.octomap"))
         if inner.get("data"):
-            raise SceneError(
-                "an octomap cannot be read; give its points as a point cloud", where=_below(self.where, "octomap")
-            )
+            raise SceneError(NO_OCTOMAP, where=_below(self.where, "octomap"))
         self.objects = _list(world["collision_objects"], _below(self.where, "collision_objects"))
 
 
@@ -113,7 +112,7 @@ def _obstacles(world: _World, base: pin.SE3, prefix: str, open_meshes: OpenMeshe
         if item.get("operation", 0) not in _ADDED:
             raise SceneError("only objects that are added are read", where=f"{where}.operation")
         if item.get("planes"):
-            raise SceneError("a plane has no end; put a box in its place", where=f"{where}.planes")
+            raise SceneError(NO_PLANE, where=f"{where}.planes")
         frames.setdefault(str(_mapping(_or(item.get("header"), {}), f"{where}.header").get("frame_id", "")), name)
         if len(frames) > 1:
             (first, one), (second, other) = frames.items()

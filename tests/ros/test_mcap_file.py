@@ -262,7 +262,7 @@ def test_nearest_points_of_a_cloud(picked: PlanResult) -> None:
     pairs, checker = NearestPairs(robot, scene, proof, "base_link"), CoalScene(robot, scene.solids)
     for row in range(0, trajectory.samples, 100):
         q = trajectory.position[row]
-        marker = pairs.marker(float(trajectory.time[row]), q)
+        marker = pairs.marker(float(trajectory.time[row]), q, {})
         ends = np.array([list(point.values()) for point in marker["points"]])
         assert np.abs(checker.distances(q) - np.linalg.norm(ends[1] - ends[0])).min() < 1e-5
         leaves = CORNERS + np.array([1.0, 1.2, 1.6])

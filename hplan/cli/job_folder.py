@@ -29,6 +29,12 @@ PAGE = "scene.html"
 #: The motion as messages of ROS 2, where it is asked for.
 MCAP = "motion.mcap"
 
+#: Files of the joint space, where they are asked for.
+CSPACE_PAGE, CSPACE_FIGURE = "cspace.html", "cspace.png"
+
+#: Files that go with the report of one motion.
+PLAN_FILES = (TRAJECTORY, PAGE, MCAP, CSPACE_PAGE, CSPACE_FIGURE)
+
 #: Name of the folder in which a process makes its files.
 _STAGING = ".hplan-job-"
 
@@ -93,6 +99,11 @@ class JobFolder:
                 raise OutputError(self.path / name, error.strerror or str(error)) from error
         finally:
             shutil.rmtree(staging, ignore_errors=True)
+
+    def holds(self, file: Path) -> bool:
+        """True if a file is in the folder and has the name of one of a job's."""
+        place = file.resolve()
+        return place.parent == self.path.resolve() and any(place.match(pattern) for pattern in self._files)
 
     def clear(self) -> None:
         """Remove the files of a job; an earlier job's trajectory must not be taken for the result of this one.

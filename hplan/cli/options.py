@@ -100,14 +100,20 @@ def scene_among(arguments: argparse.Namespace, robot: Robot, scene: Scene, error
 
 
 def add_robot(parser: argparse.ArgumentParser) -> None:
-    """Add the options `--robot`, `--limits`, `--tool-frame`, `--srdf`, `--hold` and `--package-dir`."""
+    """Add the options `--robot`, `--limits`, `--hold`, and those of `add_robot_parts`."""
     add = parser.add_argument
     add("--robot", type=Path, metavar="URDF", help="robot, or name of one: a shipped one, panda, ur5 ... (default: "
         "the scene's, else harvester)")  # fmt: skip
     add("--limits", type=Path, metavar="YAML", help="acceleration limits (default: NAME.limits.yaml beside the URDF)")
+    add_hold(parser)
+    add_robot_parts(parser)
+
+
+def add_robot_parts(parser: argparse.ArgumentParser) -> None:
+    """Add the options `--tool-frame`, `--srdf` and `--package-dir`."""
+    add = parser.add_argument
     add("--tool-frame", metavar="NAME", help="frame at the end of the arm (default: tool0, or the named robot's)")
     add("--srdf", type=Path, metavar="FILE", help="which links may touch, for robots beyond the planar family")
-    add_hold(parser)
     add("--package-dir", action="append", type=Path, default=[], metavar="DIR", help="where package:// meshes are "
         "looked for first")  # fmt: skip
 
@@ -174,6 +180,19 @@ def add_pace(parser: argparse.ArgumentParser) -> None:
         help="rows per second in the CSV (default: 250)",
     )
     add("--speed", type=float, default=1.0, metavar="FRACTION", help="fraction of full speed, in (0, 1] (default: 1)")
+
+
+def add_effort(parser: argparse.ArgumentParser) -> None:
+    """Add the option `--effort`."""
+    parser.add_argument("--effort", choices=("quick", "default", "best"), default="default", help="what to spend on a "
+        "faster motion; quick: the first that is certified (default: default)")  # fmt: skip
+
+
+def add_sigmas(parser: argparse.ArgumentParser) -> None:
+    """Add the option `--sigmas`."""
+    parser.add_argument(
+        "--sigmas", type=float, default=3.0, metavar="K", help="an uncertain obstacle grows by K sigma (default: 3)"
+    )
 
 
 def add_tracking(parser: argparse.ArgumentParser) -> None:

@@ -4,18 +4,32 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hplan.cli.job_folder import MCAP, OUT, PAGE, REPORT, TRAJECTORY, JobFolder, fail_on_usage_errors, needs_rosbags
+from hplan.cli.job_folder import (
+    CSPACE_FIGURE,
+    CSPACE_PAGE,
+    MCAP,
+    OUT,
+    PAGE,
+    PLAN_FILES,
+    REPORT,
+    TRAJECTORY,
+    JobFolder,
+    fail_on_usage_errors,
+    needs_rosbags,
+)
 from hplan.cli.options import (
     CommandParser,
     add_deadline,
     add_drop_inside,
+    add_effort,
     add_pace,
     add_robot,
     add_scene,
+    add_sigmas,
     add_tracking,
     command_parser,
     plan_options,
@@ -39,10 +53,6 @@ if TYPE_CHECKING:
     from hplan.problem.options import PlanOptions
     from hplan.robot.model import Robot
     from hplan.scene.model import Scene
-    from hplan.view.playback import Playback
-
-#: Files of the C-space view, where it is asked for.
-CSPACE_PAGE, CSPACE_FIGURE = "cspace.html", "cspace.png"
 
 _DESCRIPTION = """\
 Plan a collision-free motion of a harvesting arm, time it, certify it, and write it for the controller:
@@ -75,7 +85,7 @@ STAGE_WORDS = {
 
 
 def _job_folder(path: Path) -> JobFolder:
-    return JobFolder(path, (TRAJECTORY, PAGE, MCAP, CSPACE_PAGE, CSPACE_FIGURE), REPORT)
+    return JobFolder(path, PLAN_FILES, REPORT)
 
 
 def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int:
@@ -87,8 +97,9 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int
         show_summary(console, result, folder.path)
     if arguments.view:
         from hplan.cli.view import serve_page
+        from hplan.view.playback import Playback
 
-        serve_page(console, robot, scene, playback_of(result))
+        serve_page(console, robot, scene, Playback.of(result))
     return 0
 
 
@@ -104,15 +115,14 @@ def parser(prog: str) -> CommandParser:
     add(
         "--objective", choices=("duration", "length"), default="duration", help="what to make small (default: duration)"
     )
-    add("--effort", choices=("quick", "default", "best"), default="default", help="what to spend on a faster motion; "
-        "quick: the first that is certified (default: default)")  # fmt: skip
+    add_effort(parser)
     add("--link-model", choices=("capsule", "paper", "rectangle"), default="capsule", help="default: capsule")
     add(
         "--step", dest="step_deg", type=float, default=1.0, metavar="DEG", help="spacing of the joint grid (default: 1)"
     )
     add_pace(parser)
     add_tracking(parser)
-    add("--sigmas", type=float, default=3.0, metavar="K", help="an uncertain obstacle grows by K sigma (default: 3)")
+    add_sigmas(parser)
     add("--standoff", type=float, default=0.1, metavar="M", help="straight approach to a fruit (default: 0.1)")
     add("--uncertified", dest="certify", action="store_false", help="write the motion even if it is not certified; "
         "the report says so")  # fmt: skip
@@ -141,6 +151,7 @@ def _made(arguments: argparse.Namespace, folder: JobFolder, errors: Console) -> 
             from hplan.scene.file import load_scene
             from hplan.timing.trajectory import write_csv
             from hplan.view.page import write_page
+            from hplan.view.playback import Playback
             from hplan.view.yaw_section import check_yaw
 
         options = plan_options(
@@ -176,7 +187,7 @@ def _made(arguments: argparse.Namespace, folder: JobFolder, errors: Console) -> 
         begin = time.perf_counter()
         with folder.filling() as staging:
             write_csv(result.trajectory, staging / TRAJECTORY)
-            write_page(robot, scene, playback_of(result), staging / PAGE)
+            write_page(robot, scene, Playback.of(result), staging / PAGE)
             if arguments.mcap:
                 from hplan.ros.mcap_file import write_mcap
 
@@ -208,13 +219,6 @@ def _planned(
         return plan(robot, scene, options, progress=stage)
 
 
-def playback_of(result: PlanResult) -> Playback:
-    """The motion as pages show it."""
-    from hplan.view.playback import Playback
-
-    return Playback(result.trajectory, result.picked, phases=result.phases, certificate=result.certificate)
-
-
 def _write_cspace(
     robot: Robot, scene: Scene, options: PlanOptions, result: PlanResult, yaw: float | None, folder: Path
 ) -> None:
@@ -226,9 +230,10 @@ def _write_cspace(
     from hplan.view.cspace_figure import cspace_at_yaw
     from hplan.view.cspace_page import write_cspace_page
     from hplan.view.figure_style import require_matplotlib, write_png
+    from hplan.view.playback import Playback
     from hplan.view.yaw_section import yaw_section
 
-    section = yaw_section(robot, scene, playback_of(result), options, yaw=yaw)
+    section = yaw_section(robot, scene, Playback.of(result), options, yaw=yaw)
     write_cspace_page(section, scene.name, folder / CSPACE_PAGE)
     try:
         require_matplotlib()
@@ -237,8 +242,8 @@ def _write_cspace(
     write_png(cspace_at_yaw(section, scene.name), folder / CSPACE_FIGURE)
 
 
-def show_summary(console: Console, result: PlanResult, folder: Path) -> None:
-    """What came of a plan: rows that fit 80 columns, unless names are long."""
+def show_summary(console: Console, result: PlanResult, folder: Path, more: Sequence[str] = ()) -> None:
+    """What came of a plan, with names of more files: rows that fit 80 columns, unless names are long."""
     from rich.markup import escape
 
     report = result.report
@@ -292,7 +297,7 @@ def show_summary(console: Console, result: PlanResult, folder: Path) -> None:
         add("", escape(violation))
     add("time", _time_words(report["time_ms"]))
     written = [name for name in (MCAP, CSPACE_PAGE, CSPACE_FIGURE) if (folder / name).exists()]
-    add("files", f"{escape(str(folder))}: {', '.join([TRAJECTORY, REPORT, PAGE, *written])}")
+    add("files", f"{escape(str(folder))}: {', '.join([TRAJECTORY, REPORT, PAGE, *written, *more])}")
     show_title(console, report["scene"], report["robot"])
     console.print(table)
     console.print()

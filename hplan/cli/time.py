@@ -13,12 +13,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hplan.cli.job_folder import OUT as FOLDER
-from hplan.cli.job_folder import PAGE, REPORT, TRAJECTORY, JobFolder
+from hplan.cli.job_folder import PAGE, PLAN_FILES, REPORT, TRAJECTORY, JobFolder
 from hplan.cli.options import (
     CommandParser,
     add_deadline,
+    add_effort,
     add_hold,
     add_pace,
+    add_robot_parts,
+    add_sigmas,
     add_tracking,
     check_output_file,
     command_parser,
@@ -115,22 +118,21 @@ def _add_scene(parser: CommandParser) -> None:
     parser.add_argument("--scene", metavar="SCENE", help="obstacles: a scene file, or name of a shipped scene")
     add = parser.add_argument
     add("--keep-path", action="store_true", help="keep the path's shape within --deviation; else it is shortened")
-    add("--effort", choices=("quick", "default", "best"), default="default", help="what to spend on a faster motion")
-    add("--sigmas", type=float, default=3.0, metavar="K", help="an uncertain obstacle grows by K sigma (default: 3)")
-    add("--tool-frame", metavar="NAME", help="frame at the end of the arm (default: tool0, or the named robot's)")
-    add("--srdf", type=Path, metavar="FILE", help="which links may touch, for robots beyond the planar family")
-    add("--package-dir", action="append", type=Path, default=[], metavar="DIR", help="where package:// meshes are "
-        "looked for first")  # fmt: skip
+    add_effort(parser)
+    add_sigmas(parser)
+    add_robot_parts(parser)
     add_tracking(parser)
     add_deadline(parser)
 
 
 def _refused(message: str, words: Sequence[str]) -> None:
-    """Leave nothing of an earlier job where arguments cannot be understood."""
+    """Leave nothing of an earlier job where arguments cannot be understood, unless they name some of it to be read."""
     if any(word.split("=")[0] == "--scene" for word in words):
         folder = named_output(words, FOLDER)
         if folder is not None and folder.is_dir():
-            _job_folder(folder).fail(InputError(message))
+            job = _job_folder(folder)
+            if not any(job.holds(Path(word.removeprefix("--scene="))) for word in words):
+                job.fail(InputError(message))
     else:
         _remove_earlier(words)
 
@@ -148,7 +150,7 @@ def _remove_earlier(words: Sequence[str]) -> None:
 
 
 def _job_folder(path: Path) -> JobFolder:
-    return JobFolder(path, (TRAJECTORY, PAGE, SCENE, "scene-*.ply"), REPORT)
+    return JobFolder(path, (*PLAN_FILES, SCENE, "scene-*.ply"), REPORT)
 
 
 def _check_options(arguments: argparse.Namespace) -> None:
@@ -157,8 +159,9 @@ def _check_options(arguments: argparse.Namespace) -> None:
     Raises:
         OptionError: There is one.
     """
-    out_of_place = WITHOUT_SCENE if arguments.scene is not None else WITH_SCENE
-    how = "left out with --scene: limits are the robot's, or of --limits" if arguments.scene else "left out, or --scene"
+    with_scene = arguments.scene is not None
+    out_of_place = WITHOUT_SCENE if with_scene else WITH_SCENE
+    how = "left out with --scene: limits are the robot's, or of --limits" if with_scene else "left out, or --scene"
     for name, default in out_of_place.items():
         value = getattr(arguments, name)
         if value != default:
@@ -185,13 +188,26 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int
         arguments.out = OUT if arguments.out is None else arguments.out
         return _timed(arguments, console)
     folder = _job_folder(FOLDER if arguments.out is None else arguments.out)
+    _check_read(arguments, folder)
     with folder.job():
         result = _finished(arguments, folder, errors)
     if not arguments.quiet:
         from hplan.cli.plan import show_summary
 
-        show_summary(console, result, folder.path)
+        show_summary(console, result, folder.path, [SCENE])
     return 0
+
+
+def _check_read(arguments: argparse.Namespace, folder: JobFolder) -> None:
+    """Refuse a folder in which files that are read stand under names of a job's own, which are removed first.
+
+    Raises:
+        OptionError: There is one.
+    """
+    read = (arguments.scene, arguments.waypoints, arguments.urdf, arguments.limits, arguments.srdf)
+    for path in (Path(path) for path in read if path is not None):
+        if folder.holds(path):
+            raise OptionError("--out", str(folder.path), f"another folder than that of {path}, which is read")
 
 
 def _finished(arguments: argparse.Namespace, folder: JobFolder, errors: Console) -> PlanResult:
@@ -200,12 +216,13 @@ def _finished(arguments: argparse.Namespace, folder: JobFolder, errors: Console)
     with progress_line(errors, quiet=arguments.quiet) as show:
         show("reading robot and scene")
         with loading():
-            from hplan.cli.plan import STAGE_WORDS, playback_of
+            from hplan.cli.plan import STAGE_WORDS
             from hplan.finishing.finish import finish
             from hplan.planning.report import curve_report, write_report
             from hplan.scene.file import load_scene, save_scene
             from hplan.timing.trajectory import write_csv
             from hplan.view.page import write_page
+            from hplan.view.playback import Playback
             from hplan.waypoints import read_waypoints
         options = plan_options(arguments, "effort", "sigmas")
         scene = load_scene(arguments.scene)
@@ -225,7 +242,7 @@ def _finished(arguments: argparse.Namespace, folder: JobFolder, errors: Console)
         show("writing files")
         with folder.filling() as staging:
             write_csv(result.trajectory, staging / TRAJECTORY)
-            write_page(robot, result.scene, playback_of(result), staging / PAGE)
+            write_page(robot, result.scene, Playback.of(result), staging / PAGE)
             save_scene(result.scene, folder.path / SCENE)  # where it stands, for it may name files
             write_report(result.report | curve_report(result.certificate), staging / REPORT)
     return result

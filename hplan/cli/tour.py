@@ -137,8 +137,7 @@ def _made(
     with folder.filling() as staging:
         for name, motion in motions.items():
             write_csv(motion, staging / name)
-        playback = Playback(result.trajectory, result.picked, result.dropped, result.phases, result.certificate)
-        write_page(robot, scene, playback, staging / PAGE)
+        write_page(robot, scene, Playback.of(result), staging / PAGE)
         if arguments.mcap:
             from hplan.ros.mcap_file import write_mcap
 

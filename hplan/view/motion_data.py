@@ -42,13 +42,13 @@ def motion_data(robot: Robot, scene: Scene, playback: Playback) -> Json:
         scene: Its clearance is the one to keep.
         playback: The motion.
     """
-    trajectory = playback.trajectory
+    trajectory, phases = playback.trajectory, _phases(playback)
     return {
         "duration": round(trajectory.duration, 6),
         "rest": REST_S,
         "joints": list(robot.joint_names),
-        "phases": _phases(playback),
-        "fruits": _fruits(playback) if len(playback.picked) > 1 else [],
+        "phases": phases,
+        "fruits": _fruits(phases) if len(playback.picked) > 1 else [],
         "charts": _charts(robot, trajectory),
         "clearance": None if playback.curve is None else _clearance(playback.curve, scene.clearance),
     }
@@ -75,10 +75,10 @@ def _fruit_of_each(phases: Sequence[NamedPhase], picked: Mapping[str, float]) ->
     return found
 
 
-def _fruits(playback: Playback) -> list[Json]:
+def _fruits(phases: Sequence[Json]) -> list[Json]:
     """From when to when a tour is about each of its fruits, in order."""
     spans: list[Json] = []
-    for phase in _phases(playback):
+    for phase in phases:
         name = phase["fruit"]
         if spans and spans[-1]["name"] == name:
             spans[-1]["end"] = phase["end"]

@@ -11,6 +11,8 @@ from hplan.robot.model import Robot
 from hplan.timing.trajectory import Trajectory
 
 if TYPE_CHECKING:
+    from hplan.planning.plan import PlanResult
+    from hplan.tour.tour import TourResult
     from hplan.verification.certificate import Certificate
     from hplan.verification.clearance_curve import ClearanceCurve
 
@@ -52,6 +54,12 @@ class Playback:
     certificate: Certificate | None = None
     clearance_curve: ClearanceCurve | None = None
     begin_s: float = 0.0
+
+    @classmethod
+    def of(cls, result: PlanResult | TourResult) -> Playback:
+        """The motion of a plan or a tour."""
+        dropped: Mapping[str, float] = getattr(result, "dropped", {})
+        return cls(result.trajectory, result.picked, dropped, result.phases, result.certificate)
 
     @property
     def curve(self) -> ClearanceCurve | None:

@@ -15,6 +15,7 @@ from typing import assert_never
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import ArrayLike
 
 from hplan.base.arrays import FloatArray
 from hplan.errors import InputError
@@ -104,18 +105,22 @@ def obstacles(scene: Scene) -> list[Json]:
 def moving_nodes(scene: Scene) -> dict[str, str]:
     """The node of the viewer that each obstacle or fruit which moves stands in; those of one track share it."""
     items = [item for item in (*scene.obstacles, *scene.fruits) if scene.base_track is not None or item.track]
-    tracks: list[Track | None] = []
-    for item in items:
-        if item.track not in tracks:
-            tracks.append(item.track)
-    return {item.name: f"{ROOT}/moving {tracks.index(item.track)}" for item in items}
+    numbers: dict[Track | None, int] = {}
+    return {item.name: f"{ROOT}/moving {numbers.setdefault(item.track, len(numbers))}" for item in items}
+
+
+def _node_poses(scene: Scene, times: ArrayLike) -> dict[str, tuple[FloatArray, FloatArray]]:
+    """(k, 3, 3) rotations and (k, 3) shifts of each of these nodes at (k,) times, as tracks count them."""
+    poses = scene.poses_at(times)
+    return {path: poses[name] for name, path in moving_nodes(scene).items()}
 
 
 def placed_movers(scene: Scene, time_s: float) -> list[Json]:
     """Commands that put what moves where it is at a time, as tracks count it [s]."""
-    poses = scene.poses_at([time_s])
-    named = {path: name for name, path in moving_nodes(scene).items()}
-    return [set_transform(path, three.transform(poses[name][0][0], poses[name][1][0])) for path, name in named.items()]
+    return [
+        set_transform(path, three.transform(turns[0], shifts[0]))
+        for path, (turns, shifts) in _node_poses(scene, [time_s]).items()
+    ]
 
 
 def moving_clips(scene: Scene, times: FloatArray, begin_s: float, end: float) -> list[Json]:
@@ -127,11 +132,9 @@ def moving_clips(scene: Scene, times: FloatArray, begin_s: float, end: float) ->
         begin_s: Time at which the motion begins, as tracks count it [s].
         end: End of the animation; after the motion everything rests [s].
     """
-    poses = scene.poses_at(begin_s + np.append(times, times[-1]))
     clock = [*times.tolist(), end]
     clips = []
-    for path, name in {path: name for name, path in moving_nodes(scene).items()}.items():
-        turns, shifts = poses[name]
+    for path, (turns, shifts) in _node_poses(scene, begin_s + np.append(times, times[-1])).items():
         quaternions = np.array([pin.Quaternion(turn).coeffs() for turn in turns])
         clips.append(clip(path, turning(clock, quaternions), moving(clock, shifts)))
     return clips

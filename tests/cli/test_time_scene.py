@@ -40,7 +40,9 @@ def test_a_path_becomes_a_job(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     out = tmp_path / "job"
     words = ["time", "harvester", str(way), "--scene", str(given), "--out", str(out), "--effort", "quick"]
     assert main(words) == 0
-    assert "4 waypoints were given" in capsys.readouterr().out
+    out_words = capsys.readouterr().out
+    assert "4 waypoints were given" in out_words
+    assert "scene.yaml" in out_words
     assert {path.name for path in out.iterdir()} == FILES
     report = json.loads((out / "report.json").read_text(encoding="utf-8"))
     assert report["certificate"]["verified"]
@@ -91,3 +93,32 @@ def test_usage_errors_leave_the_report_of_a_failed_job(tmp_path: Path) -> None:
     with pytest.raises(SystemExit):
         main(["time", "harvester", "way.csv", "--scene", "table-1", "--out", str(out), "--effort", "huge"])
     assert [path.name for path in out.iterdir()] == ["report.json"]
+
+
+@pytest.mark.parametrize("name", ["scene.yaml", "trajectory.csv"])
+@pytest.mark.parametrize("usage", [False, True])
+def test_files_that_are_read_are_not_removed(tmp_path: Path, name: str, usage: bool) -> None:
+    out = tmp_path / "job"
+    out.mkdir()
+    way, given = waypoints(out / "trajectory.csv", [START, (0.4, *START[1:])]), scene(out / "scene.yaml", 0.05)
+    before = {file: file.read_bytes() for file in (way, given)}
+    read = {"trajectory.csv": [str(way), "--scene", "table-1"], "scene.yaml": ["way.csv", f"--scene={given}"]}[name]
+    words = ["time", "harvester", *read, "--out", str(out), "--quiet"]
+    if usage:
+        with pytest.raises(SystemExit):
+            main([*words, "--effort", "huge"])
+    else:
+        assert main(words) == 2
+    assert {file: file.read_bytes() for file in out.iterdir()} == before
+
+
+def test_nothing_of_an_earlier_plan_stays(tmp_path: Path) -> None:
+    way = waypoints(tmp_path / "way.csv", [START, (0.4, *START[1:])])
+    given = scene(tmp_path / "ball.yaml", 0.05)
+    out = tmp_path / "job"
+    out.mkdir()
+    for name in ("motion.mcap", "cspace.html", "cspace.png"):
+        (out / name).write_text("of an earlier job", encoding="utf-8")
+    words = ["--scene", str(given), "--out", str(out), "--effort", "quick", "--quiet"]
+    assert main(["time", "harvester", str(way), *words]) == 0
+    assert {path.name for path in out.iterdir()} == FILES

@@ -88,3 +88,9 @@ def test_a_room_has_few_files_and_says_what_it_is_for(room: str) -> None:
 
 def test_no_study_is_imported() -> None:
     assert [path.name for path in chain(PACKAGE.rglob("*.py")) if "studies" in path.read_text(encoding="utf-8")] == []
+
+
+def test_files_of_tests_have_different_names() -> None:
+    """Pytest imports them by name alone: the second of a name is an error, and its tests do not run."""
+    names = [path.name for path in Path(__file__).parent.rglob("*.py") if path.name != "__init__.py"]
+    assert sorted(names) == sorted(set(names))

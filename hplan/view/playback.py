@@ -12,7 +12,7 @@ from hplan.timing.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from hplan.planning.plan import PlanResult
-    from hplan.tour.tour import TourResult
+    from hplan.tour.result import TourResult
     from hplan.verification.certificate import Certificate
     from hplan.verification.clearance_curve import ClearanceCurve
 

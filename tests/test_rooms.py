@@ -68,8 +68,8 @@ def imported(path: Path) -> Iterator[str]:
 
 
 def test_rooms_are_those_listed() -> None:
-    assert set(rooms()) | {"errors"} == set(ROOMS)
-    assert {path.name for path in PACKAGE.glob("*.py")} == {"__init__.py", "errors.py"}
+    assert set(rooms()) == set(ROOMS)
+    assert {path.name for path in PACKAGE.glob("*.py")} == {"__init__.py"}
 
 
 @pytest.mark.parametrize("room", rooms())

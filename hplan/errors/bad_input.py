@@ -1,0 +1,174 @@
+"""Errors of what is handed in: files, scenes, options, configurations; exit status 2."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from hplan.errors.root import HplanError
+
+
+class InputError(HplanError):
+    """Something handed in cannot be used: a file, a value, an option."""
+
+    exit_status = 2
+
+
+class RobotFileError(InputError):
+    """A robot file (URDF or limits YAML) is missing, unreadable or malformed."""
+
+    path: Path
+    reason: str
+
+    def __init__(self, path: Path | str, reason: str) -> None:
+        """Name the file and what is wrong with it."""
+        place = path if str(path) == "URDF text" else f"robot file {path}"
+        super().__init__(f"{place}: {reason}", path=str(path), reason=reason)
+        self.path = Path(path)
+
+
+class RobotFamilyError(InputError):
+    """A well-formed URDF that is not of the family: optional yaw, then parallel revolute joints.
+
+    `element` names the joint, link or frame at fault.
+    """
+
+    robot: str
+    element: str
+    reason: str
+
+    def __init__(self, robot: str, element: str, reason: str) -> None:
+        """Name the robot, the element of it and what the family asks for."""
+        message = f"robot {robot!r} is not a planar arm on an optional yaw: {element}: {reason}"
+        super().__init__(message, robot=robot, element=element, reason=reason)
+
+
+class SceneError(InputError, ValueError):
+    """A scene, or a scene file, that does not say what it should.
+
+    It is a `ValueError` too, as what pydantic raises of its own is.
+
+    `where` is the key path (`obstacles[0].radius`), `line` its 1-based line in the file where that is known.
+    """
+
+    path: Path | None
+    where: str | None
+    line: int | None
+    value: Any
+    reason: str
+
+    def __init__(
+        self,
+        reason: str,
+        *,
+        path: Path | str | None = None,
+        where: str | None = None,
+        line: int | None = None,
+        value: Any = None,
+    ) -> None:
+        """Name the file, the key, its line and the value."""
+        place = "scene" if path is None else f"scene file {path}"
+        place += "" if line is None else f", line {line}"
+        place += f", {where}" if where else ""
+        file, shown = None if path is None else str(path), None if value is None else repr(value)
+        super().__init__(f"{place}: {reason}", path=file, where=where, line=line, value=shown, reason=reason)
+        self.path = None if path is None else Path(path)
+        self.value = value
+
+
+class MovingObstacleError(InputError):
+    """Something in a scene moves, and what was asked for takes scenes that stand still.
+
+    `obstacle` is the first obstacle that has a track; None where the base alone has one.
+    """
+
+    obstacle: str | None
+
+    def __init__(self, obstacle: str | None, reason: str = "") -> None:
+        """Name the obstacle, and say why it must not move."""
+        what = "the base has a track" if obstacle is None else f"obstacle {obstacle!r} has a track"
+        reason = reason or "this takes scenes in which nothing moves; `scene.at(time_s)` is one as it stands at a time"
+        super().__init__(f"{what}: {reason}", obstacle=obstacle)
+
+
+class JointLimitError(InputError):
+    """A configuration outside the joint limits."""
+
+    which: str
+    joint: str
+
+    def __init__(self, which: str, joint: str, value: float, lower: float, upper: float) -> None:
+        """Name the configuration (`start`, `goal`, `waypoint 3`), the joint, its value and its limits [rad]."""
+        message = f"{which}: joint {joint!r} is at {value:.6g} rad, outside its limits [{lower:.6g}, {upper:.6g}] rad"
+        super().__init__(message, which=which, joint=joint, value_rad=value, lower_rad=lower, upper_rad=upper)
+        self.value, self.lower, self.upper = value, lower, upper
+
+
+class StartStateError(InputError):
+    """A start that moves as the arm cannot: beyond a joint's limit, or a joint that is locked."""
+
+    joint: str
+    quantity: str
+
+    def __init__(self, joint: str, quantity: str, value: float, limit: float, *, locked: bool = False) -> None:
+        """Name the joint, the quantity (`velocity` in rad/s, `acceleration` in rad/s^2), its value and its limit."""
+        unit = {"velocity": "rad/s", "acceleration": "rad/s^2"}[quantity]
+        why = "it is locked" if locked else f"its limit is {limit:.6g} {unit}"
+        message = f"start: joint {joint!r} has the {quantity} {value:.6g} {unit}; {why}"
+        super().__init__(message, joint=joint, quantity=quantity, limit=limit, locked=locked)
+        self.data["value"] = self.value = value
+
+
+class ConfigurationInCollisionError(InputError):
+    """Start or goal touches an obstacle or the arm itself, or comes closer than the clearance to keep."""
+
+    which: str
+    link: str
+    obstacle: str
+    depth_m: float
+    clearance_m: float
+
+    def __init__(
+        self, which: str, link: str, obstacle: str, depth_m: float, clearance_m: float = 0.0, *, other: str = ""
+    ) -> None:
+        """Name the configuration, link, obstacle, by how much too deep it is and the clearance to keep [m].
+
+        `other` is the obstacle in words where it is none but a part of the arm.
+        """
+        other = other or f"obstacle {obstacle!r}"
+        if depth_m >= clearance_m:
+            depth = depth_m - clearance_m
+            message = f"{which} is in collision: link {link!r} is {1e3 * depth:.3g} mm deep in {other}"
+        else:
+            message = (
+                f"{which} is too close: link {link!r} is {1e3 * (clearance_m - depth_m):.3g} mm from "
+                f"{other}, {1e3 * depth_m:.3g} mm less than the {1e3 * clearance_m:.3g} mm to keep"
+            )
+        super().__init__(message, which=which, link=link, obstacle=obstacle, depth_m=depth_m, clearance_m=clearance_m)
+
+
+class OptionError(InputError):
+    """An option or argument outside its range."""
+
+    option: str
+    value: Any
+    expected: str
+
+    def __init__(self, option: str, value: Any, expected: str) -> None:
+        """Name the option, the value given and what would be right."""
+        shown = repr(value)
+        shown = shown if len(shown) <= 200 else f"{shown[:197]}..."
+        super().__init__(f"{option} = {shown}: expected {expected}", option=option, value=shown, expected=expected)
+        self.value = value
+
+
+class OutputError(InputError):
+    """A result cannot be written where it was asked for."""
+
+    path: Path
+    reason: str
+
+    def __init__(self, path: Path | str, reason: str) -> None:
+        """Name the path and the system's reason."""
+        super().__init__(f"cannot write {path}: {reason}", path=str(path), reason=reason)
+        self.path = Path(path)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import fields
+from pathlib import PurePath
 from types import MappingProxyType
 from typing import Any, TypeAlias, TypeVar
 
@@ -19,6 +21,9 @@ WordArray: TypeAlias = NDArray[np.uint64]
 ComplexArray: TypeAlias = NDArray[np.complex128]
 
 _T = TypeVar("_T", bound=np.generic)
+
+#: Arrays and lists of more items are shown by their sizes in a `repr`.
+MOST_SHOWN = 8
 
 
 def readonly(values: ArrayLike, dtype: Any = np.float64) -> NDArray[Any]:
@@ -68,11 +73,51 @@ def _short(value: object) -> str:
     return text if len(text) <= 80 else f"{text[:77]}..."
 
 
+class Unquoted(str):
+    """A text that `repr` gives without quotes: what stands for a value too long to be shown."""
+
+    __slots__ = ()
+
+    def __repr__(self) -> str:
+        """The text itself."""
+        return str(self)
+
+
+def _brief(value: object) -> str:
+    """A value in a few words: small ones as Python writes them, of others kind and size."""
+    if isinstance(value, np.ndarray):
+        if value.ndim == 1 and value.size <= MOST_SHOWN:
+            return np.array2string(value, precision=6, separator=", ", max_line_width=10_000)
+        return f"<{value.dtype} {value.shape}>"
+    if isinstance(value, str | bool | int | float | complex | PurePath | type(None)):
+        return _short(value)
+    if isinstance(value, tuple | list) and not hasattr(value, "_fields"):
+        if len(value) > MOST_SHOWN:
+            return f"<{len(value)} items>"
+        opening, closing = ("(", ",)" if len(value) == 1 else ")") if isinstance(value, tuple) else "[]"
+        return f"{opening}{', '.join(map(_brief, value))}{closing}"
+    if isinstance(value, Mapping):
+        return f"<{len(value)} keys>" if value else "{}"
+    return f"{type(value).__name__}(...)"
+
+
 class Record:
     """Base of frozen dataclasses: pickled and copied by their fields, what was read-only is so again.
 
-    NumPy forgets in a pickle that an array was read-only. Cached properties stay behind.
+    NumPy forgets in a pickle that an array was read-only. Cached properties stay behind. `repr` is short, whatever the
+    fields hold: of arrays their shapes, of other objects their classes.
     """
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        """Give the class its inherited `__repr__` as its own, where `@dataclass` would else write one of everything."""
+        super().__init_subclass__(**options)
+        if "__repr__" not in vars(cls):
+            cls.__repr__ = cls.__repr__  # type: ignore[method-assign]
+
+    def __repr__(self) -> str:
+        """Class and fields, each in a few words."""
+        shown = (field.name for field in fields(self) if field.repr)  # type: ignore[arg-type]
+        return f"{type(self).__name__}({', '.join(f'{name}={_brief(getattr(self, name))}' for name in shown)})"
 
     def __getstate__(self) -> dict[str, tuple[Any, bool]]:
         """The value of each field, and whether it is to be made read-only again."""

@@ -81,6 +81,11 @@ class Robot(PlanarNames, Record):
     beyond_family: tuple[str, str] | None = None
     may_touch: tuple[tuple[str, str, str], ...] = ()
 
+    def __repr__(self) -> str:
+        """Name, joints and tool frame."""
+        joints = ", ".join(self.joint_names)
+        return f"<Robot {self.name!r}: {self.dof} joints ({joints}), tool frame {self.tool_frame!r}>"
+
     @property
     def family(self) -> PlanarFamily:
         """The planar family's part of the robot, as `planar`.

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic_core import PydanticCustomError
 
+from hplan.base.arrays import MOST_SHOWN, Unquoted
 from hplan.errors import SceneError
 
 if TYPE_CHECKING:
@@ -53,6 +54,14 @@ class StrictModel(BaseModel, metaclass=_SceneErrors):
                 return super().model_validate(*arguments, **options)
             except ValidationError as error:
                 raise scene_error(error) from error
+
+        def __repr_args__(self):
+            """Names and values for `repr`, of what is given; of long lists the number of items."""
+            for name, value in super().__repr_args__():
+                if value is None:
+                    continue
+                long = isinstance(value, tuple) and len(value) > MOST_SHOWN
+                yield name, Unquoted(f"<{len(value)} items>") if long else value
 
 
 def validated(kind: type[_Part], content: Any, context: dict[str, Any]) -> _Part:

@@ -5,9 +5,8 @@ Positions are in `base_link`, z up, in metres. The classes are the scene file's 
 
 from __future__ import annotations
 
-import hashlib
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, TypeVar
 
@@ -17,7 +16,7 @@ from pydantic import Field, PositiveFloat, PrivateAttr, ValidationError, Validat
 
 from hplan.base.arrays import FloatArray, IntArray, readonly
 from hplan.errors import SceneError
-from hplan.scene.fault import StrictModel, fault, validated
+from hplan.scene.fault import StrictModel, fault, scene_error, validated
 from hplan.scene.limits import FARTHEST_M, MOST_SHAPE_BYTES, Angles, ByteBudget, Size, Vector
 from hplan.scene.prism import Prism, prism
 from hplan.scene.solids import CUBE_CORNERS, Cloud, Hull, rpy_rotation
@@ -198,8 +197,7 @@ class _FromData(_Turned):
     @property
     def data_digest(self) -> str:
         """SHA-256 of its data before scale, turn and shift, in hexadecimal digits; made once."""
-        digest: str = self._data.once("digest", lambda: _sha256(self._data.arrays))
-        return digest
+        return str(self._data.digest)
 
     def _swept(self, solids: tuple[Solid, ...]) -> tuple[Solid, ...]:
         """What its solids sweep as it sways."""
@@ -218,14 +216,6 @@ class _FromData(_Turned):
         from hplan.scene.shape_data import write_shape
 
         return write_shape(self._data, path)
-
-
-def _sha256(arrays: Sequence[FloatArray | IntArray]) -> str:
-    found = hashlib.sha256()
-    for array in arrays:
-        found.update(f"{array.dtype.kind}{array.shape}".encode())
-        found.update(np.ascontiguousarray(array, dtype=array.dtype.newbyteorder("<")).tobytes())
-    return found.hexdigest()
 
 
 class Mesh(_FromData):
@@ -286,8 +276,7 @@ class Mesh(_FromData):
     @property
     def excess(self) -> float:
         """The solids hold the mesh, and stand out of it by no more than this [m] (`convex_decomposition`)."""
-        excess: float = self._data.pieces(self.scale).excess
-        return excess
+        return float(self._data.pieces(self.scale).excess)
 
     @property
     def solids(self) -> tuple[Solid, ...]:
@@ -382,9 +371,7 @@ def _made_of(cls: type[_Data], name: str, make: Callable[[], Surface | PointSet]
         data = make()
         return validated(cls, {"name": name, **fields}, {"data": data})
     except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(step) for step in first["loc"]) or name
-        raise SceneError(first["msg"], where=where, value=first["input"]) from error
+        raise scene_error(error) from error
     except ValueError as error:
         raise SceneError(str(error), where=name) from error
 

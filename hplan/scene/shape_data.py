@@ -6,6 +6,7 @@ what would be right; the scene adds where.
 
 from __future__ import annotations
 
+import hashlib
 import io
 import os
 from collections.abc import Callable
@@ -47,6 +48,18 @@ class _Cached:
             self._made[key] = make()
         found: _T = self._made[key]
         return found
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of the arrays, in hexadecimal digits; made once."""
+        return self.once("digest", self._sha256)
+
+    def _sha256(self) -> str:
+        found = hashlib.sha256()
+        for array in self.arrays:
+            found.update(f"{array.dtype.kind}{array.shape}".encode())
+            found.update(np.ascontiguousarray(array, dtype=array.dtype.newbyteorder("<")).tobytes())
+        return found.hexdigest()
 
 
 @dataclass(frozen=True, eq=False)

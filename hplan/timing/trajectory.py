@@ -62,6 +62,10 @@ class Trajectory(Record):
         for name in ("position", "velocity", "acceleration", "torque"):
             object.__setattr__(self, name, numbers(f"trajectory: {name}", getattr(self, name), shape))
 
+    def __repr__(self) -> str:
+        """Duration, number of rows and joints."""
+        return f"<Trajectory: {self.duration:.6g} s, {self.samples} rows, joints {', '.join(self.joint_names)}>"
+
     @property
     def duration(self) -> float:
         """Time of the last sample [s]."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Final
+from typing import Final, NamedTuple
 from weakref import WeakKeyDictionary
 
 import coal
@@ -38,6 +38,29 @@ _KNOWN: WeakKeyDictionary[Cloud, PointBlocks] = WeakKeyDictionary()
 
 _PLACE: Final = coal.Transform3s()
 _REQUEST: Final = coal.DistanceRequest()
+
+
+class BareShape(NamedTuple):
+    """A shape without the radius that is swept about it: coal knows none where it is asked about triangles.
+
+    Attributes:
+        geometry: The shape.
+        box: Its `local_box`.
+        radius: What was swept about it [m].
+    """
+
+    geometry: coal.CollisionGeometry
+    box: FloatArray
+    radius: float
+
+    @classmethod
+    def of(cls, shape: coal.CollisionGeometry) -> BareShape:
+        """A shape of the arm; one that nothing is swept about is itself."""
+        radius = float(shape.getSweptSphereRadius())
+        if radius > 0.0:
+            shape = shape.clone()
+            shape.setSweptSphereRadius(0.0)
+        return cls(shape, local_box(shape), radius)
 
 
 class PointBlocks:
@@ -78,26 +101,24 @@ class PointBlocks:
             found = _KNOWN[cloud] = cls(points)
         return found
 
-    def distance(self, shape: coal.CollisionGeometry, placement: pin.SE3, box: FloatArray | None = None) -> float:
+    def distance(self, shape: BareShape, placement: pin.SE3) -> float:
         """Signed distance of a shape from the nearest point [m]; in contact that of one of those that it touches.
 
         Args:
             shape: The shape.
             placement: Where it is.
-            box: Its `local_box`; found where it is not given.
         """
-        box = local_box(shape) if box is None else box
         rotation, translation = placement.rotation, placement.translation
-        bounds = _lower_bounds(rotation, translation, box, self.balls)
+        bounds = _lower_bounds(rotation, translation, shape.box, self.balls)
         place, result = coal.Transform3s(rotation, translation), coal.DistanceResult()
         least = math.inf
         while True:
             block = int(bounds.argmin())
             if bounds[block] >= least or least <= 0.0:
-                return least
+                return least - shape.radius
             bounds[block] = math.inf
             # coal goes on from the least distance in its result, and passes over what is farther.
-            least = min(least, coal.distance(shape, place, self._tree(block), _PLACE, _REQUEST, result))
+            least = min(least, coal.distance(shape.geometry, place, self._tree(block), _PLACE, _REQUEST, result))
 
     def _tree(self, block: int) -> coal.BVHModelOBBRSS:
         """The points of a block as tiny triangles about them, built once."""
@@ -126,7 +147,7 @@ def distance_from(obstacle: Solid) -> Callable[[coal.CollisionGeometry, pin.SE3]
     solid = obstacle_shape(obstacle)
     if isinstance(solid, PointBlocks):
         beyond = beyond_geometry(obstacle)
-        return lambda shape, placement: solid.distance(shape, placement) - beyond
+        return lambda shape, placement: solid.distance(BareShape.of(shape), placement) - beyond
     return lambda shape, placement: coal_distance(shape, placement, solid.geometry, solid.placement)
 
 

@@ -16,7 +16,7 @@ import pinocchio as pin
 
 from hplan.base.arrays import BoolArray, FloatArray, IntArray
 from hplan.base.deadline import look
-from hplan.collision.coal_cloud import PointBlocks, local_box
+from hplan.collision.coal_cloud import BareShape, PointBlocks
 
 #: Most obstacles in one geometry model.
 _CHUNK: Final = 128
@@ -86,7 +86,7 @@ class GeometryPairs:
         #: Numbers of each model's pairs among all.
         self._numbers: list[IntArray] = []
         self.count = len(movers) * len(obstacles) + len(chosen)
-        self._movers = [(shape.geometry, local_box(shape.geometry)) for shape in movers]
+        self._movers = [BareShape.of(shape.geometry) for shape in movers]
         self._clouds = [(column, shape) for column, shape in enumerate(obstacles) if isinstance(shape, PointBlocks)]
         fixed = [(column, shape) for column, shape in enumerate(obstacles) if not isinstance(shape, PointBlocks)]
         #: Of each obstacle the model and its number there.
@@ -209,11 +209,10 @@ class GeometryPairs:
     def _cloud_distance(self, query: _QueryData, local: int) -> float:
         """Signed distance of a pair of a cloud where the arm was last placed [m]."""
         mover, cloud = divmod(local, len(self._clouds))
-        geometry, box = self._movers[mover]
         place = self._placed(query, 0).oMg[mover]
         if cloud in query.clouds:
             place = query.clouds[cloud] * place
-        return self._clouds[cloud][1].distance(geometry, place, box)
+        return self._clouds[cloud][1].distance(self._movers[mover], place)
 
     def _placed(self, query: _QueryData, part: int) -> pin.GeometryData:
         """The data of a model, its shapes where the arm was last placed."""

@@ -9,15 +9,26 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hplan.collision.coal_cloud import PointBlocks, _lower_bounds, distance_from, local_box, obstacle_shape
+from hplan.collision.coal_cloud import BareShape, PointBlocks, _lower_bounds, distance_from, local_box, obstacle_shape
 from hplan.robot.base_shapes import coal_distance
-from hplan.scene.solids import Cloud
+from hplan.scene.convex_shape import convex_hull_shape
+from hplan.scene.solids import CUBE_CORNERS, Cloud
+
+
+def swept_block() -> coal.Convex:
+    """A block with a radius about it, as bodies of meshes have."""
+    points = CUBE_CORNERS * np.array([0.15, 0.05, 0.25])
+    shape = convex_hull_shape(points)
+    shape.setSweptSphereRadius(0.03)
+    return shape
+
 
 SHAPES = {
     "capsule": coal.Capsule(0.04, 0.7),
     "box": coal.Box(0.3, 0.1, 0.5),
     "cylinder": coal.Cylinder(0.1, 0.4),
     "sphere": coal.Sphere(0.2),
+    "swept": swept_block(),
 }
 
 
@@ -37,7 +48,7 @@ def test_blocks_are_their_points(seed, kind, count):
     rng = np.random.default_rng(seed)
     cloud = Cloud.of("cloud", rng.uniform(-1.0, 1.0, (count, 3)) * [1.0, 1.0, rng.choice([0.0, 1.0])], 0.02)
     shape, place = SHAPES[kind], placed(rng)
-    found, expected = PointBlocks.of(cloud).distance(shape, place), brute_force(cloud.core, shape, place)
+    found, expected = PointBlocks.of(cloud).distance(BareShape.of(shape), place), brute_force(cloud.core, shape, place)
     if expected > 1e-5:
         assert found == pytest.approx(expected, abs=3e-6)
         assert distance_from(cloud)(shape, place) == pytest.approx(expected - 0.02, abs=3e-6)
@@ -69,7 +80,7 @@ def test_only_blocks_that_are_near_are_built():
     assert PointBlocks.of(cloud) is blocks is obstacle_shape(cloud)
     assert not blocks._trees
     for shift in np.linspace(0.0, 0.2, 20):
-        blocks.distance(SHAPES["capsule"], pin.SE3(np.eye(3), np.array([2.0, shift, 0.0])))
+        blocks.distance(BareShape.of(SHAPES["capsule"]), pin.SE3(np.eye(3), np.array([2.0, shift, 0.0])))
     assert 0 < len(blocks._trees) < 0.2 * len(blocks.balls)
 
 
@@ -77,8 +88,8 @@ def test_points_in_no_order_are_put_into_one():
     points = np.random.default_rng(5).uniform(-1.0, 1.0, (600, 3))
     bare, cloud = Cloud("bare", points, 0.02, np.zeros((0, 7))), Cloud.of("cloud", points, 0.02)
     place = pin.SE3(np.eye(3), np.array([0.0, 1.4, 0.0]))
-    found = PointBlocks.of(bare).distance(SHAPES["box"], place)
-    assert found == pytest.approx(PointBlocks.of(cloud).distance(SHAPES["box"], place), abs=1e-6)
+    found = PointBlocks.of(bare).distance(BareShape.of(SHAPES["box"]), place)
+    assert found == pytest.approx(PointBlocks.of(cloud).distance(BareShape.of(SHAPES["box"]), place), abs=1e-6)
     np.testing.assert_allclose(
         PointBlocks.of(bare).balls[:, 3].max(), PointBlocks.of(cloud).balls[:, 3].max(), rtol=0.5
     )

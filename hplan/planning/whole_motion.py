@@ -53,12 +53,19 @@ from hplan.sampling.roadmap import quick_path
 from hplan.sampling.rrt_connect import TreeEffort
 from hplan.smoothing.round_corners import smooth
 from hplan.smoothing.shortcut import shorten
-from hplan.smoothing.smooth_path import SMALLEST_FRACTION, clear_start, is_straight, near_field
+from hplan.smoothing.smooth_path import (
+    ANY_CONTROL_POINTS,
+    SMALLEST_FRACTION,
+    clear_start,
+    is_straight,
+    near_field,
+)
 from hplan.smoothing.spline import SplinePath
 from hplan.timing.trajectory import Trajectory
 
-#: Where the first motion is looked for: a roadmap that finds easy paths, then pairs of trees, the evaluations of each.
-FIRST_ROADMAP = RoadmapEffort(128, 60, 0.175)
+#: Where the first motion is looked for: a roadmap that finds easy paths at once or not at all (of those that 60 checks
+#: find nearly all take fewer than 15), then pairs of trees, the evaluations of each.
+FIRST_ROADMAP = RoadmapEffort(64, 15, 0.175)
 FIRST_TREES = (3_000, 3_000, 3_000, 3_000, 12_000, 12_000, 12_000, 12_000)
 
 #: To so many goals paths are looked for in roadmaps: trees grow from all goals at once.
@@ -248,7 +255,7 @@ def _smoothed(task: PlanningTask, path: FloatArray, origin: Origin) -> PlannedMo
 
     def spline() -> SplinePath:
         near, smallest = near_field(path, task.field), SMALLEST_FRACTION * options.margin
-        found = clear_start(path, near, options)
+        found = clear_start(path, near, options, ANY_CONTROL_POINTS)
         if found is not None and (near is task.field or found.is_clear(task.field, 0.5 * smallest)):
             return found
         return smooth(shorten(path, task.field, margin=smallest), task.field, margin=smallest)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from hplan.base import ties
@@ -19,6 +21,9 @@ from hplan.smoothing.spline import SplinePath
 #: Numbers of control points tried in turn: for the fastest motion as few as will do, for the shortest path many.
 FAST_CONTROL_POINTS = (6, 8, 7, 9, 10, 12, 14, 17, 20, 25, 30, 44)
 SHORT_CONTROL_POINTS = (44, 64)
+
+#: Where any clear spline will do: a number that fails takes milliseconds, and more points succeed more often.
+ANY_CONTROL_POINTS = (6, 10, 14, 20, 30, 44, 8, 12)
 
 #: Shortcuts tried before an optimiser begins: what is less taut has more room.
 START_SHORTCUTS = 25
@@ -80,19 +85,25 @@ def near_field(path: FloatArray, field: ClearanceField, distance: float = NEAR) 
     return field.near(path, distance) if len(field.solids) > FEW else field
 
 
-def clear_start(path: FloatArray, field: ClearanceField, options: PostprocessOptions) -> SplinePath | None:
+def clear_start(
+    path: FloatArray,
+    field: ClearanceField,
+    options: PostprocessOptions,
+    counts: Sequence[int] = FAST_CONTROL_POINTS,
+) -> SplinePath | None:
     """A spline along a clear path for an optimiser to begin with, shown clear; None where none is found at once.
 
     Args:
         path: (m, dof) waypoints, clear, m >= 2.
         field: Arm and obstacles.
         options: Limits, margin and effort.
+        counts: Numbers of control points tried in turn.
     """
     if np.linalg.norm(path[-1] - path[0]) < NO_MOTION or not field.is_clear(path, SMALLEST_FRACTION * options.margin):
         return None
     for margin in (options.margin, 0.25 * options.margin):
         taut = shorten(path, field, margin=margin, rounds=START_SHORTCUTS)
-        for count in FAST_CONTROL_POINTS:
+        for count in counts:
             spline = clear_spline(taut, field, options, count=count, margin=margin)
             if spline is not None:
                 return spline

@@ -77,8 +77,8 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int
     _fill_in(arguments, job)
     tracking = tracking_of(arguments)
     options = PlanOptions(tracking_error=tracking.still_rad, tracking_delay_s=tracking.delay_s, sigmas=arguments.sigmas)
-    given = load_scene(arguments.scene)
-    robot = robot_of(arguments, given)
+    given = load_scene(job.scene if arguments.scene is None and job is not None else arguments.scene)
+    robot = robot_of(arguments, given, job)
     scene, _left_out = scene_among(arguments, robot, given, errors)
     certificate = certify(
         robot,
@@ -116,7 +116,6 @@ def _fill_in(arguments: argparse.Namespace, job: FinishedJob | None) -> None:
     if job is not None:
         told = job.report["certificate"]
     defaults = {
-        "scene": None if job is None else job.shipped_scene,
         "tracking_error": math.degrees(told["tracking_error_rad"]),
         "tracking_delay": 1e3 * told["tracking_delay_s"],
         "sigmas": told["sigmas"],

@@ -6,8 +6,8 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hplan.base.data_files import shipped_scenes
-from hplan.cli.job_folder import REPORT, TOUR_REPORT, TRAJECTORY
+from hplan.base.data_files import robot_names, shipped_scenes
+from hplan.cli.job_folder import REPORT, SCENE, TOUR_REPORT, TRAJECTORY
 from hplan.errors import InputError
 
 if TYPE_CHECKING:
@@ -59,10 +59,32 @@ class FinishedJob:
         return InputError(f"report file {self.path}: {reason}", path=str(self.path))
 
     @property
-    def shipped_scene(self) -> str | None:
-        """Name of the job's scene if one that ships with hplan has it; the digest tells whether it is the same."""
+    def scene(self) -> str:
+        """The job's scene: of a given path the file that the job has left, else one that ships, by its name.
+
+        The digest tells whether it is the same.
+
+        Raises:
+            InputError: It does not ship.
+        """
         name = self.report.get("scene")
-        return name if name in shipped_scenes() else None
+        if "given" in self.report:
+            return str(self.path.parent / SCENE)
+        if name in shipped_scenes():
+            return str(name)
+        raise self._fault(f"it is about the scene {name!r}, which does not ship with hplan: give its file")
+
+    @property
+    def robot(self) -> str:
+        """Name of the job's robot; the digest tells whether it is the same.
+
+        Raises:
+            InputError: `load_robot` knows none of that name.
+        """
+        name = self.report.get("robot")
+        if name not in robot_names():
+            raise self._fault(f"it is about the robot {name!r}, which has no name in hplan: give its URDF by --robot")
+        return str(name)
 
     def trajectory(self) -> Trajectory:
         """The job's motion; that of a tour is joined where there is a file for each leg.

@@ -26,6 +26,9 @@ TRAJECTORY, REPORT = "trajectory.csv", "report.json"
 TOUR, TOUR_REPORT = "tour.csv", "tour.json"
 PAGE = "scene.html"
 
+#: The scene of a path that was given, with its ends as start and goal: what is certified is about this one.
+SCENE = "scene.yaml"
+
 #: The motion as messages of ROS 2, where it is asked for.
 MCAP = "motion.mcap"
 

@@ -15,6 +15,7 @@ from hplan.errors import OptionError, OutputError
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from hplan.cli.finished_job import FinishedJob
     from hplan.problem.options import PlanOptions
     from hplan.robot.model import Robot
     from hplan.robot.tracking import TrackingModel
@@ -148,16 +149,18 @@ def held_joints(arguments: argparse.Namespace) -> dict[str, float]:
     return held
 
 
-def robot_of(arguments: argparse.Namespace, scene: Scene | None = None) -> Robot:
-    """The robot that the options of `add_robot` name, else the one that the scene is meant for.
+def robot_of(arguments: argparse.Namespace, scene: Scene | None = None, job: FinishedJob | None = None) -> Robot:
+    """The robot that the options of `add_robot` name, else the one that the scene is meant for, else the job's.
 
     Raises:
-        HplanError: As `hplan.robot.model.load_robot`.
+        HplanError: As `hplan.robot.model.load_robot` and `FinishedJob.robot`.
     """
     from hplan.robot.model import load_robot
 
     hold = held_joints(arguments)
     path = scene.robot if arguments.robot is None and scene is not None else arguments.robot
+    if path is None and job is not None:
+        path = job.robot
     return load_robot(
         path,
         limits=arguments.limits,

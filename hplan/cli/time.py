@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hplan.cli.job_folder import OUT as FOLDER
-from hplan.cli.job_folder import PAGE, PLAN_FILES, REPORT, TRAJECTORY, JobFolder
+from hplan.cli.job_folder import PAGE, PLAN_FILES, REPORT, SCENE, TRAJECTORY, JobFolder
 from hplan.cli.options import (
     CommandParser,
     add_deadline,
@@ -44,9 +44,6 @@ if TYPE_CHECKING:
 
 #: Where the motion goes unless something else is said.
 OUT = Path("timed.csv")
-
-#: The scene of a path that was given, with its ends as start and goal: what is certified is about this one.
-SCENE = "scene.yaml"
 
 #: Options, with their defaults, that take a scene, and such that do not.
 WITH_SCENE: dict[str, object] = {

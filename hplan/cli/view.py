@@ -65,8 +65,8 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int
     motion = [path] if job is None else [*job.trajectory_paths, job.path]
     check_output_file(out, (*motion, scene_path, arguments.robot, arguments.limits))
     trajectory = read_csv(path) if job is None else job.trajectory()
-    scene = load_scene(job.shipped_scene if arguments.scene is None and job is not None else arguments.scene)
-    robot = robot_of(arguments, scene)
+    scene = load_scene(job.scene if arguments.scene is None and job is not None else arguments.scene)
+    robot = robot_of(arguments, scene, job)
     playback = Playback(trajectory)
     if job is not None:
         differs = job.differing(Digests.of(robot, scene, trajectory))

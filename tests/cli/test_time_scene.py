@@ -51,6 +51,8 @@ def test_a_path_becomes_a_job(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert load_scene(out / "scene.yaml").goal.joints() == pytest.approx(rows[-1])
     # What was written is certified again as it stands.
     assert main(["certify", str(out), str(out / "scene.yaml")]) == 0
+    assert main(["certify", str(out), "--quiet"]) == 0  # its report names the robot, and the scene is in the folder
+    assert main(["view", str(out), "--no-serve", "--quiet"]) == 0
     kept_s = report["trajectory"]["duration_s"]
     assert main([*words, "--keep-path", "--quiet"]) == 0
     report = json.loads((out / "report.json").read_text(encoding="utf-8"))

@@ -110,13 +110,31 @@ def test_another_scene_robot_or_trajectory_is_not_shown(
     assert served == []
 
 
-def test_a_scene_of_ones_own_is_given_again(tmp_path: Path, served: list[str]) -> None:
+def test_a_scene_of_ones_own_is_given_again(
+    tmp_path: Path, served: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
     own = tmp_path / "own.yaml"
     own.write_text(shipped_scene("table-1").read_text().replace("name: table-1", "name: own"))
     assert main(["plan", str(own), "--out", str(tmp_path), "--quiet"]) == 0
-    assert main(["view", str(tmp_path), "--quiet"]) == 5  # the reference scene
+    capsys.readouterr()
+    assert main(["view", str(tmp_path), "--quiet"]) == 2
+    assert "it is about the scene 'own', which does not ship with hplan: give its file" in capsys.readouterr().err
     assert main(["view", str(tmp_path), str(own), "--quiet"]) == 0
     assert served == ["own"]
+
+
+def test_the_robot_of_a_job_is_that_of_its_report(
+    job: Path, served: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    report = json.loads((job / "report.json").read_text())
+    (job / "report.json").write_text(json.dumps({**report, "robot": "orchard_harvester"}))
+    assert main(["view", str(job), "--quiet"]) == 5  # the digest is another robot's
+    (job / "report.json").write_text(json.dumps({**report, "robot": "my arm"}))
+    assert main(["view", str(job), "--quiet"]) == 2
+    says = "it is about the robot 'my arm', which has no name in hplan: give its URDF by --robot"
+    assert says in capsys.readouterr().err
+    assert main(["view", str(job), "--robot", "harvester", "--quiet"]) == 0
+    assert len(served) == 1
 
 
 @pytest.mark.parametrize(

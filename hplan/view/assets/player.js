@@ -271,6 +271,7 @@ function clearanceChart(data) {
     if (data.keep > 0) {
       rule(pen, area, y(data.keep), LIMIT, [5, 3]);
       pen.textAlign = "left";
+      pen.fillStyle = LIMIT;
       pen.fillText(`to keep: ${Number(data.keep.toPrecision(3))} mm`, area.left + 5, y(data.keep) - 4);
     }
   };

@@ -27,15 +27,25 @@ from hplan.collision.arm_pairs import (
 )
 from hplan.collision.coal_accuracy import distance_errors
 from hplan.collision.coal_cloud import distance_from, obstacle_shape
-from hplan.collision.coal_shapes import LINK_SHAPES, LinkShapes, beyond_geometry, link_shapes, urdf_shapes
+from hplan.collision.coal_shapes import (
+    LINK_SHAPES,
+    LinkShapes,
+    beyond_geometry,
+    bounding_balls,
+    link_shapes,
+    urdf_shapes,
+)
 from hplan.collision.geometry_pairs import GeometryPairs
 from hplan.collision.moving_solids import MovingSolids
-from hplan.errors import ConfigurationInCollisionError, MovingObstacleError, OptionError
+from hplan.errors import MovingObstacleError, OptionError
 from hplan.robot.base_shapes import TURRET, base_joints, filled_shape
 from hplan.robot.model import Robot
 from hplan.robot.self_contact import self_contact
 from hplan.scene.obstacles import Solid
 from hplan.scene.tracks import Movement
+
+#: So many pairs are asked before the others, where bounds tell which are near.
+_FIRST_ASKED = 16
 
 
 @dataclass(frozen=True)
@@ -197,7 +207,8 @@ class CoalScene:
         self._taken_off: FloatArray = np.append(self._beyond, np.zeros(len(own)))
         solids = [obstacle_shape(obstacle) for obstacle in obstacles]
         look()
-        self._geometry = GeometryPairs(robot.model, self._mover_shapes, solids, self._own_shapes)
+        balls = bounding_balls(obstacles)
+        self._geometry = GeometryPairs(robot.model, self._mover_shapes, solids, self._own_shapes, balls)
 
     def __getstate__(self) -> dict[str, Any]:
         """The arguments that it is built from: Pinocchio's data cannot be pickled."""
@@ -291,6 +302,25 @@ class CoalScene:
         """Signed distances of some of the `pairs` where the links were last placed, (k,) numbers -> (k,) [m]."""
         return self._geometry.distances_of(pairs) - self._taken_off[pairs]
 
+    def lower_bounds(self, pairs: IntArray) -> FloatArray:
+        """Lower bounds of `distances_of`, at hand sooner where there are many; huge negative numbers for none."""
+        return self._geometry.lower_bounds(pairs) - self._taken_off[pairs]
+
+    def nearest_pair(self, q: FloatArray, kept: FloatArray) -> tuple[int, float]:
+        """The pair with the least distance beyond what each of (pairs,) is to keep, and its distance [m]."""
+        if self.moving is not None or len(kept) <= 2 * _FIRST_ASKED:
+            found = self.pair_distances(q)
+            pair = int((found - kept).argmin())
+            return pair, float(found[pair])
+        self.place(q)
+        bounds = self.lower_bounds(np.arange(len(kept))) - kept
+        first = np.sort(np.argpartition(bounds, _FIRST_ASKED)[:_FIRST_ASKED])
+        least = (self.distances_of(first) - kept[first]).min()
+        asked = np.flatnonzero(bounds <= least)
+        found = self.distances_of(asked)
+        place = int((found - kept[asked]).argmin())
+        return int(asked[place]), float(found[place])
+
     def contact(self, mover: int, obstacle: int, distance: float) -> Contact:
         """A distance between what has a place in `mover_names` and what has one in `obstacle_names`, by name."""
         kind = Contact if obstacle < self.own_first else OwnContact
@@ -367,32 +397,3 @@ def base_contacts(
             if distance <= margin:
                 found.append(Contact(name, obstacle.name, distance))
     return tuple(found)
-
-
-def check_clear(checker: CoalScene, q: FloatArray, clearance: float, which: str, *, sway: ArrayLike = 0.0) -> float:
-    """Distance of a configuration beyond the clearance to keep [m], inf without obstacles.
-
-    Args:
-        checker: The arm among the obstacles.
-        q: (dof,) configuration.
-        clearance: Clearance to keep [m].
-        which: Name of the configuration, for the error.
-        sway: By how much each of the checker's pairs may come nearer than at this configuration [m].
-
-    Raises:
-        ConfigurationInCollisionError: It touches an obstacle or itself, or comes closer than `clearance` and sway;
-            names link, obstacle or other part of the arm, and depth.
-    """
-    distances = checker.pair_distances(q)
-    if distances.size == 0:
-        return float("inf")
-    sways = np.broadcast_to(np.asarray(sway, dtype=np.float64), distances.shape)
-    kept = np.broadcast_to(np.asarray(checker.kept(clearance)), distances.shape)
-    worst = int((distances - sways - (kept - clearance)).argmin())
-    beyond = float(distances[worst] - sways[worst]) - float(kept[worst])
-    if beyond <= 0.0:
-        nearest = checker.contact(*checker.pairs[worst], float(distances[worst]))
-        raise ConfigurationInCollisionError(
-            which, nearest.link, nearest.obstacle, -beyond, float(kept[worst] + sways[worst]), other=nearest.other
-        )
-    return beyond

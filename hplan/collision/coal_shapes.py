@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Literal, TypeAlias, assert_never
 
 import coal
@@ -96,6 +97,25 @@ def solid_shape(obstacle: Sphere | Capsule | Cylinder | Box | Hull) -> pin.Geome
 def beyond_geometry(obstacle: Solid) -> float:
     """Distance by which an obstacle reaches beyond its geometry in coal, where points have no radius [m]."""
     return obstacle.rounding if isinstance(obstacle, Cloud) else 0.0
+
+
+def bounding_balls(obstacles: Sequence[Solid]) -> FloatArray:
+    """(n, 4) centre and radius of a ball about each obstacle, never too small by rounding errors [m]."""
+    balls = np.empty((len(obstacles), 4))
+    for number, obstacle in enumerate(obstacles):
+        if isinstance(obstacle, Sphere):
+            balls[number] = *obstacle.center, 0.0
+        elif isinstance(obstacle, Capsule):
+            (x, y, z), (u, v, w) = obstacle.start, obstacle.end
+            balls[number] = 0.5 * (x + u), 0.5 * (y + v), 0.5 * (z + w), 0.5 * math.dist(obstacle.start, obstacle.end)
+        else:
+            core = obstacle.core
+            centre = 0.5 * (core.min(axis=0) + core.max(axis=0))
+            balls[number, :3] = centre
+            balls[number, 3] = math.sqrt(((core - centre) ** 2).sum(axis=1).max())
+        balls[number, 3] += obstacle.rounding
+    balls[:, 3] = balls[:, 3] * (1.0 + 1e-12) + 1e-12
+    return balls
 
 
 def triangle_tree(points: FloatArray, faces: IntArray) -> coal.BVHModelOBBRSS:

@@ -7,6 +7,7 @@ objects costs n^3. Obstacles are therefore spread over several models, each with
 from __future__ import annotations
 
 import itertools
+import math
 import threading
 from collections.abc import Iterable, Sequence
 from typing import Final
@@ -16,6 +17,7 @@ import pinocchio as pin
 
 from hplan.base.arrays import BoolArray, FloatArray, IntArray
 from hplan.base.deadline import look
+from hplan.base.kernels import kernel
 from hplan.collision.coal_cloud import BareShape, PointBlocks
 
 #: Most obstacles in one geometry model.
@@ -23,6 +25,9 @@ _CHUNK: Final = 128
 
 #: Stands for the clouds among the numbers of models.
 _CLOUDS: Final = -1
+
+#: In place of a lower bound where there is none; finite, so that an infinite distance may be taken off it [m].
+_UNBOUNDED: Final = -1e300
 
 
 class _PartData:
@@ -72,6 +77,7 @@ class GeometryPairs:
         movers: Sequence[pin.GeometryObject],
         obstacles: Sequence[pin.GeometryObject | PointBlocks],
         chosen: Sequence[tuple[pin.GeometryObject, pin.GeometryObject]] = (),
+        balls: FloatArray | None = None,
     ) -> None:
         """Build the geometry models.
 
@@ -80,6 +86,7 @@ class GeometryPairs:
             movers: Shapes that meet every obstacle.
             obstacles: Fixed shapes, and clouds.
             chosen: Further pairs, of movers or of shapes that meet no obstacle.
+            balls: (obstacles, 4) centre and radius of a ball about each obstacle, for `lower_bounds`; None for none.
         """
         self._model = model
         self._geometries: list[pin.GeometryModel] = []
@@ -87,6 +94,8 @@ class GeometryPairs:
         self._numbers: list[IntArray] = []
         self.count = len(movers) * len(obstacles) + len(chosen)
         self._movers = [BareShape.of(shape.geometry) for shape in movers]
+        self._boxes = np.array([[*shape.box.ravel(), shape.radius] for shape in self._movers]).reshape(-1, 7)
+        self._balls = np.zeros((0, 4)) if balls is None else balls
         self._clouds = [(column, shape) for column, shape in enumerate(obstacles) if isinstance(shape, PointBlocks)]
         fixed = [(column, shape) for column, shape in enumerate(obstacles) if not isinstance(shape, PointBlocks)]
         #: Of each obstacle the model and its number there.
@@ -174,17 +183,27 @@ class GeometryPairs:
         if single is not None:  # as almost always: no look-up of where a pair is
             geometry, data = geometries[0], single[1].geometry
             return np.array([pin.computeDistance(geometry, data, pair).min_distance for pair in pairs.tolist()])
-        parts = self._part_of[pairs].tolist()
-        placed = {part: self._placed(query, part) for part in set(parts) if part >= 0}
-        return np.array(
-            [
-                pin.computeDistance(geometries[part], placed[part], local).min_distance
-                if part >= 0
-                else self._cloud_distance(query, local)
-                for part, local in zip(parts, self._local[pairs].tolist(), strict=True)
-            ],
-            dtype=np.float64,
-        )
+        found = []
+        for part, local in zip(self._part_of[pairs].tolist(), self._local[pairs].tolist(), strict=True):
+            if part < 0:
+                found.append(self._cloud_distance(query, local))
+                continue
+            data = query.parts[part]
+            placed = data.geometry if data.current else self._placed(query, part)
+            found.append(pin.computeDistance(geometries[part], placed, local).min_distance)
+        return np.array(found, dtype=np.float64)
+
+    def lower_bounds(self, pairs: IntArray) -> FloatArray:
+        """Lower bounds of `distances_of`, (k,) numbers -> (k,) [m]; a huge negative number where none is at hand.
+
+        The distance of the box about the moving shape, in its own frame, from the ball about the obstacle.
+        """
+        query = self._query
+        if query.elsewhere:  # the balls are about the obstacles where they were built
+            return np.full(len(pairs), _UNBOUNDED)
+        placed = self._placed(query, 0).oMg
+        places = np.array([[*placed[k].rotation.ravel(), *placed[k].translation] for k in range(len(self._movers))])
+        return _lower_bounds(pairs, places.reshape(-1, 12), self._boxes, self._balls)
 
     def in_collision(self, configurations: FloatArray, margins: FloatArray) -> BoolArray:
         """True where any pair is nearer than its margin, (n, dof) configurations, (count,) margins [m] -> (n,)."""
@@ -223,6 +242,34 @@ class GeometryPairs:
             if part in query.elsewhere:
                 _put(data, query.elsewhere[part])
         return data.geometry
+
+
+@kernel
+def _lower_bounds(pairs: IntArray, places: FloatArray, boxes: FloatArray, balls: FloatArray) -> FloatArray:
+    """Lower bounds of distances of boxes, grown by radii, from balls.
+
+    Args:
+        pairs: (k,) numbers of pairs: each box with each ball, box by box, then others.
+        places: (boxes, 12) rotation, row by row, and translation of each box's frame.
+        boxes: (boxes, 7) centre and half sizes there, and radius.
+        balls: (balls, 4) centre and radius.
+    """
+    bounds, count = np.full(len(pairs), _UNBOUNDED), balls.shape[0]
+    for n in range(len(pairs)):
+        if pairs[n] >= places.shape[0] * count:
+            continue
+        k, ball = pairs[n] // count, pairs[n] % count
+        x, y, z = balls[ball, 0] - places[k, 9], balls[ball, 1] - places[k, 10], balls[ball, 2] - places[k, 11]
+        square = 0.0
+        for axis in range(3):
+            along = places[k, axis] * x + places[k, 3 + axis] * y + places[k, 6 + axis] * z
+            beyond = max(0.0, abs(along - boxes[k, axis]) - boxes[k, 3 + axis])
+            square += beyond * beyond
+        # Rounding errors never make it too large.
+        apart = math.sqrt(square) * (1.0 - 1e-12) - (balls[ball, 3] + boxes[k, 6])
+        if apart > 0.0:
+            bounds[n] = apart
+    return bounds
 
 
 def _put(part: _PartData, places: Sequence[tuple[int, pin.SE3]]) -> None:

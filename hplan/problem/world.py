@@ -12,11 +12,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from hplan.base import ties
 from hplan.base.arrays import FloatArray, Record, frozen
 from hplan.collision.clearance_field import ClearanceField
-from hplan.collision.coal_scene import CoalScene, base_contacts, check_clear
+from hplan.collision.coal_scene import CoalScene, base_contacts
 from hplan.cspace.prepared_obstacles import PreparedObstacles, prepare_obstacles
 from hplan.errors import ConfigurationInCollisionError, InputError
 from hplan.robot.base_shapes import BASE_DEPTH, base_radius, turning_shapes
@@ -165,6 +166,34 @@ class World(Record):
                 link=worst.link,
                 depth_m=-worst.distance_m,
             )
+
+
+def check_clear(checker: CoalScene, q: FloatArray, clearance: float, which: str, *, sway: ArrayLike = 0.0) -> float:
+    """Distance of a configuration beyond the clearance to keep [m], inf without obstacles.
+
+    Args:
+        checker: The arm among the obstacles.
+        q: (dof,) configuration.
+        clearance: Clearance to keep [m].
+        which: Name of the configuration, for the error.
+        sway: By how much each of the checker's pairs may come nearer than at this configuration [m].
+
+    Raises:
+        ConfigurationInCollisionError: It touches an obstacle or itself, or comes closer than `clearance` and sway;
+            names link, obstacle or other part of the arm, and depth.
+    """
+    if not checker.pairs:
+        return float("inf")
+    kept = np.broadcast_to(np.asarray(checker.kept(clearance)), (len(checker.pairs),))
+    sways = np.broadcast_to(np.asarray(sway, dtype=np.float64), kept.shape)
+    worst, distance = checker.nearest_pair(q, kept + sways)
+    beyond = (distance - float(sways[worst])) - float(kept[worst])
+    if beyond <= 0.0:
+        nearest = checker.contact(*checker.pairs[worst], distance)
+        raise ConfigurationInCollisionError(
+            which, nearest.link, nearest.obstacle, -beyond, float(kept[worst] + sways[worst]), other=nearest.other
+        )
+    return beyond
 
 
 def without_inside(robot: Robot, scene: Scene) -> tuple[Scene, tuple[str, ...]]:

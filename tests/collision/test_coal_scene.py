@@ -16,9 +16,10 @@ from studies.planar_cspace import arm_sections, joint_grid
 from studies.validation.cspace import sampled_occupancy
 
 from hplan.base.data_files import urdf_dir
-from hplan.collision.coal_scene import CoalScene, base_contacts, check_clear
+from hplan.collision.coal_scene import CoalScene, base_contacts
 from hplan.cspace.occupancy import occupancy
 from hplan.errors import ConfigurationInCollisionError, OptionError
+from hplan.problem.world import check_clear
 from hplan.robot.base_shapes import base_radius
 from hplan.robot.model import load_robot
 from hplan.robot_family import HARVESTER, write_robot

@@ -181,6 +181,8 @@ class AskedJudge(CoalScene):
         return distances
 
     def place(self, q):
+        if not hasattr(self, "asked"):
+            self.asked = []
         self.asked.append((np.array(q), {}))
         super().place(q)
 

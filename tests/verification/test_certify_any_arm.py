@@ -13,10 +13,11 @@ from any_arms import ARMS, loaded_arm
 from hplan.bodies.collision_bodies import body_shapes, collision_bodies
 from hplan.bodies.reach import largest_sway, reach, reach_ball
 from hplan.bodies.touching_pairs import self_pairs
-from hplan.collision.coal_scene import CoalScene, check_clear
+from hplan.collision.coal_scene import CoalScene
 from hplan.collision.coal_shapes import solid_shape
 from hplan.errors import ConfigurationInCollisionError, InputError, RobotFamilyError
 from hplan.perception.arm_shape import arm_solids
+from hplan.problem.world import check_clear
 from hplan.robot.model import Robot
 from hplan.scene.model import Fruit, Goal, Scene, Start
 from hplan.scene.obstacles import Box, Capsule, Sphere

@@ -21,6 +21,9 @@ from hplan.collision.obstacle_rows import FieldArrays
 #: Most looks at the clearance along one motion.
 _MOST_LOOKS = any_int(1_000_000)
 
+#: Places of a motion that are looked at before it is proved are about so far apart, as its farthest point goes [m].
+_APART = 0.4
+
 #: The first part of a motion that is asked for, and a later one in multiples of the one before.
 _FIRST_STEP, _LONGER = 0.25, 2.0
 
@@ -61,16 +64,40 @@ def body_shown_part(
 
 
 @kernel
-def body_segment_is_clear(start: FloatArray, end: FloatArray, field: FieldArrays, margin: float) -> bool:
-    """As `hplan.collision.clearance_kernels.segment_is_clear`."""
+def body_segment_is_refused(start: FloatArray, end: FloatArray, field: FieldArrays, margin: float) -> bool:
+    """True if a straight joint-space motion does not keep a margin at one of some places, which are looked at first.
+
+    Most motions that are looked at fail, and places far apart tell so at once.
+    """
     dof = len(start)
-    turns, middle, bounds = np.empty(dof), np.empty(dof), np.zeros(field.chain.shape[0])
+    turns, q, bounds = np.empty(dof), np.empty(dof), np.empty(field.chain.shape[0])
     for i in range(dof):
         turns[i] = end[i] - start[i]
-        middle[i] = start[i] + 0.5 * turns[i]
-    # The middle first: where a motion fails it often fails there.
-    if body_advance(middle, field, bounds, margin, 0.0) < 0.0:
+    body_bounds(turns, field.chain, field.base, bounds)
+    farthest = 0.0
+    for bound in bounds:
+        farthest = max(farthest, bound)
+    bounds[:] = 0.0
+    parts = 2
+    while True:
+        for part in range(1, parts, 2):
+            for i in range(dof):
+                q[i] = start[i] + part / parts * turns[i]
+            if body_advance(q, field, bounds, margin, 0.0) < 0.0:
+                return True
+        if farthest <= parts * _APART or is_up(field.until):
+            return False
+        parts *= 2
+
+
+@kernel
+def body_segment_is_clear(start: FloatArray, end: FloatArray, field: FieldArrays, margin: float) -> bool:
+    """As `hplan.collision.clearance_kernels.segment_is_clear`."""
+    if body_segment_is_refused(start, end, field, margin):
         return False
+    turns = np.empty(len(start))
+    for i in range(len(start)):
+        turns[i] = end[i] - start[i]
     shown, _ = body_shown_part(start, turns, field, margin, _MOST_LOOKS)
     return shown == 1.0
 

@@ -23,8 +23,8 @@ from hplan.base.arrays import BoolArray, FloatArray
 from hplan.base.deadline import is_up
 from hplan.base.kernels import any_int, inlined, kernel
 from hplan.collision import obstacle_rows as row
-from hplan.collision.body_kernels import body_clearances
-from hplan.collision.body_motions import body_bounds, body_segment_is_clear, mark_near_bodies
+from hplan.collision.body_kernels import body_advance, body_clearances
+from hplan.collision.body_motions import body_bounds, body_segment_is_clear, body_segment_is_refused, mark_near_bodies
 from hplan.collision.distances import Vector, point_segment, segment_box, segment_hull, segment_segment
 from hplan.collision.obstacle_rows import FieldArrays as FieldArrays
 
@@ -240,6 +240,18 @@ def smallest(values: FloatArray) -> float:
     return least
 
 
+@kernel
+def keeps_margin(q: FloatArray, field: FieldArrays, margin: float) -> bool:
+    """True if no clearance at a configuration is below a margin; how large they are is not looked for."""
+    clear = np.zeros(field.chain.shape[0])
+    if field.chain.shape[1] != LINK:
+        advance: float = body_advance(q, field, clear, margin, 0.0)  # no mover moves
+        return advance >= 0.0
+    link_clearances(q, field, clear)
+    least: float = smallest(clear)
+    return least >= margin
+
+
 @inlined
 def proven_advance(clear: FloatArray, bounds: FloatArray, margin: float) -> float:
     """The part of a motion, at most 1, that cannot use up any link's clearance; -1 where the margin is not kept."""
@@ -283,6 +295,12 @@ def path_is_clear(path: FloatArray, field: FieldArrays, margin: float) -> bool:
         clear = segment_is_clear(path[i], path[i + 1], field, margin)
         i += 1
     return clear
+
+
+@kernel
+def segment_is_refused(start: FloatArray, end: FloatArray, field: FieldArrays, margin: float) -> bool:
+    """True if a few looks show that a motion is not clear; none are taken at planar arms, whose proofs are quick."""
+    return field.chain.shape[1] != LINK and body_segment_is_refused(start, end, field, margin)
 
 
 @kernel

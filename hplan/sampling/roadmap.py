@@ -2,9 +2,10 @@
 
 The configurations are start, goal and points of a low-discrepancy sequence around the two; any two may be joined by a
 straight motion. A path's duration is that of its motions' slowest joints, and a little more for each motion. The
-quickest path is found as though all motions were clear, its motions are checked one by one, and where one is not clear
-the quickest path without it comes next (lazy PRM, Bohlin and Kavraki 2000; with deterministic points, Janson et al.
-2018). So only what could be part of a quick path is checked, and nearly nothing else.
+quickest path is found as though all points and motions were clear, these are checked one by one, what costs least to
+check first, and where one is not clear the quickest path without it comes next (lazy PRM, Bohlin and Kavraki 2000; with
+deterministic points, Janson et al. 2018). So only what could be part of a quick path is checked, and nearly nothing
+else.
 
 That no path is found shows nothing: that is what grids are for.
 """
@@ -16,11 +17,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hplan.base.arrays import FloatArray, IntArray, frozen
+from hplan.base.arrays import BoolArray, FloatArray, IntArray, frozen
 from hplan.base.deadline import is_up, look
 from hplan.base.kernels import kernel
 from hplan.collision.clearance_field import ClearanceField
-from hplan.collision.clearance_kernels import FieldArrays, link_clearances, segment_is_clear, smallest
+from hplan.collision.clearance_kernels import FieldArrays, keeps_margin, segment_is_clear, segment_is_refused
 from hplan.problem.definition import Problem
 
 
@@ -115,52 +116,103 @@ def _quickest(
             for k in range(dof):
                 time = max(time, CORNER_S + abs(points[i, k] - points[j, k]) / velocity[k])
             duration[i, j], duration[j, i] = time, time
-    clear = np.empty(field.chain.shape[0])
+    least = duration[0].copy()  # of what is left from a point to the start, whatever is clear
     used = np.empty(count, dtype=np.int64)
     used[0], used[1], size = 0, 1, 2
     for i in range(2, count):
-        if is_up(field.until):
-            break
-        if duration[0, i] + duration[i, 1] <= longest:
-            link_clearances(points[i], field, clear)
-            if smallest(clear) >= margin:
-                used[size] = i
-                size += 1
-    checked = np.zeros((count, count), dtype=np.bool_)
+        if least[i] + duration[i, 1] <= longest:
+            used[size] = i
+            size += 1
+    checked, likely = np.zeros((count, count), dtype=np.bool_), np.zeros((count, count), dtype=np.bool_)
     left, following, done = np.empty(count), np.empty(count, dtype=np.int64), np.empty(count, dtype=np.bool_)
     while checks > 0 and not is_up(field.until):
-        # Dijkstra's algorithm from the goal, on a graph in which nearly all are joined.
-        for a in range(size):
-            left[used[a]], done[used[a]] = math.inf, False
-        left[1] = 0.0
-        here = 1
-        while here > 0:
-            done[here] = True
-            nearest, least = -1, longest
-            for a in range(size):
-                i = used[a]
-                if not done[i]:
-                    if left[here] + duration[here, i] < left[i]:
-                        left[i], following[i] = left[here] + duration[here, i], here
-                    if left[i] < least:
-                        nearest, least = i, left[i]
-            here = nearest
-        if here < 0:
+        if not _joined(used[:size], duration, least, longest, (left, following, done)):
             break  # no path is left that is not too long
-        motions = 0
-        while here != 1:
+        here, motions, refused = 0, 0, -1
+        while here != 1 and refused < 0:
+            here = following[here]
+            motions += 1
+            if here != 1 and not checked[here, here]:
+                checked[here, here] = True
+                if not keeps_margin(points[here], field, margin):
+                    refused = here
+        if refused >= 0:
+            size = _without(used, size, refused)
+            continue
+        here, clear = 0, True
+        while here != 1 and clear:  # what a few looks refuse lets all the path's proofs be spared
+            after = following[here]
+            if not likely[here, after]:
+                likely[here, after] = likely[after, here] = True
+                clear = not segment_is_refused(points[here], points[after], field, margin)
+            if clear:
+                here = after
+            else:
+                checks -= 1
+        if clear:
+            here = 0
+        while here != 1 and clear:
             after = following[here]
             if not checked[here, after]:
                 checks -= 1
                 checked[here, after] = checked[after, here] = True
-                if not segment_is_clear(points[here], points[after], field, margin):
-                    duration[here, after] = duration[after, here] = math.inf
-                    break
-            here = after
-            motions += 1
-        if here == 1:
+                clear = segment_is_clear(points[here], points[after], field, margin)
+            if clear:
+                here = after
+        if not clear:
+            duration[here, after] = duration[after, here] = math.inf
+        else:
             path = np.zeros(motions + 1, dtype=np.int64)
             for a in range(motions):
                 path[a + 1] = following[path[a]]
             return path
     return np.empty(0, dtype=np.int64)
+
+
+@kernel
+def _joined(
+    used: IntArray,
+    duration: FloatArray,
+    least: FloatArray,
+    longest: float,
+    work: tuple[FloatArray, IntArray, BoolArray],
+) -> bool:
+    """True if a path joins start and goal; written are, from the start on, the points that follow one another.
+
+    A* from the goal, on a graph in which nearly all are joined.
+
+    Args:
+        used: Numbers of the points.
+        duration: (count, count) of the motions between points; infinite for what is not clear.
+        least: (count,) at least so long from each point to the start.
+        longest: Longest duration of a path.
+        work: (count,) durations from each point to the goal, the points that follow, and whether these are known.
+    """
+    left, following, done = work
+    for i in used:
+        left[i], done[i] = math.inf, False
+    left[1] = 0.0
+    here = 1
+    while here > 0:
+        done[here] = True
+        nearest, soonest = -1, longest
+        for i in used:
+            if not done[i]:
+                if left[here] + duration[here, i] < left[i]:
+                    left[i], following[i] = left[here] + duration[here, i], here
+                through = left[i] if i == 0 else left[i] + least[i]
+                if through < soonest:
+                    nearest, soonest = i, through
+        here = nearest
+    return here == 0
+
+
+@kernel
+def _without(used: IntArray, size: int, point: int) -> int:
+    """Take a point out of the first ones of a list; how many are left is returned."""
+    kept = 0
+    for a in range(size):
+        if used[a] != point:
+            used[kept] = used[a]
+            kept += 1
+    return kept

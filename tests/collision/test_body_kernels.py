@@ -18,7 +18,7 @@ from hplan.bodies.touching_pairs import self_pairs
 from hplan.collision.body_kernels import FAR, body_advance, body_slopes
 from hplan.collision.body_motions import body_bounds
 from hplan.collision.clearance_field import ClearanceField
-from hplan.collision.clearance_kernels import segment_is_clear
+from hplan.collision.clearance_kernels import keeps_margin, segment_is_clear, segment_is_refused
 from hplan.collision.coal_shapes import beyond_geometry, solid_shape
 from hplan.robot.model import Robot
 from hplan.scene.obstacles import Box, Capsule, Cylinder, Solid, Sphere
@@ -169,6 +169,12 @@ def test_motions_shown_clear_are_clear(arm: Robot, solids: list[Solid], seed: in
     assert shown == field.is_clear([start, ends[2]], 1e-3)
     assert not shown or least > 5e-4
     assert shown or least < 2e-3
+    for margin in (1e-3, 0.05):
+        clear = field.clearance(start)
+        assert keeps_margin(start, field.arrays, margin) == (clear >= margin) or abs(clear - margin) < 0.03 * margin
+        assert not (
+            segment_is_refused(start, ends[2], field.arrays, margin) and field.along(along).min() > 1.5 * margin
+        )
     piece = np.stack([start, *ends])
     t = np.linspace(0.0, 1.0, 40)[:, None]
     curve = (1 - t) ** 3 * piece[0] + 3 * (1 - t) ** 2 * t * piece[1] + 3 * (1 - t) * t**2 * piece[2] + t**3 * piece[3]

@@ -7,6 +7,7 @@ import math
 
 import numpy as np
 import pytest
+from any_arms import loaded_arm
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -81,6 +82,31 @@ def test_clear_and_no_slower_than_by_one_configuration(robot: Robot, seed: int, 
     np.testing.assert_array_equal(way[[0, -1]], [START, GOAL])
     assert ((way >= problem.lower - 1e-12) & (way <= problem.upper + 1e-12)).all()
     assert lasting(robot, way) <= min(clear, default=math.inf) + 1e-9
+
+
+@settings(max_examples=12)
+@given(seed=st.integers(0, 10**6))
+def test_the_same_of_an_arm_that_is_no_planar_one(tmp_path_factory: pytest.TempPathFactory, seed: int) -> None:
+    arm = loaded_arm("toy", tmp_path_factory)
+    generator = np.random.default_rng(seed)
+    world = World.of(arm, balls(generator, 12))
+    start = 0.6 * generator.uniform(arm.lower, arm.upper)
+    goal = np.clip(start + generator.uniform(-1.0, 1.0, arm.dof), arm.lower, arm.upper)
+    if min(world.field.clearance(q) for q in (start, goal)) < 0.01:
+        return
+    problem = check_problem(world, start, goal)
+    way = quick_path(problem, world.field, arm.velocity_limit, MARGIN)
+    span = float((np.abs(goal - start) / arm.velocity_limit).max())
+    beyond = np.minimum(arm.velocity_limit * max(BRIEF.beyond * span, BEYOND_S), FARTHEST)
+    lower = np.maximum(np.minimum(start, goal) - beyond, problem.lower)
+    upper = np.minimum(np.maximum(start, goal) + beyond, problem.upper)
+    points = lower + low_discrepancy(BRIEF.points, arm.dof) * (upper - lower)
+    single = [np.stack([start, point, goal]) for point in points] + [np.stack([start, goal])]
+    clear = [lasting(arm, one) for one in single if world.field.is_clear(one, MARGIN)]
+    assert way is not None or not clear
+    assert way is None or (
+        world.field.is_clear(way, MARGIN) and lasting(arm, way) <= min(clear, default=math.inf) + 1e-9
+    )
 
 
 def test_around_a_wall(robot: Robot) -> None:

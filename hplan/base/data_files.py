@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+#: What stands in a limits file's name in place of `.urdf`.
+LIMITS_SUFFIX = ".limits.yaml"
+
 _PACKAGE = Path(__file__).resolve().parents[1]
 
 
@@ -20,7 +23,12 @@ def shipped_robots() -> list[str]:
 
 def robot_names() -> list[str]:
     """Names of all robots that have one: those that ship, and those of example-robot-data, of which limits ship."""
-    return sorted(path.name.removesuffix(".limits.yaml") for path in urdf_dir().glob("*.limits.yaml"))
+    return sorted(path.name.removesuffix(LIMITS_SUFFIX) for path in urdf_dir().glob(f"*{LIMITS_SUFFIX}"))
+
+
+def shipped_limits(name: str) -> Path:
+    """Limits file of a robot that has a name."""
+    return urdf_dir() / f"{name}{LIMITS_SUFFIX}"
 
 
 def scenes_dir() -> Path:

@@ -105,7 +105,8 @@ def add_robot(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("--robot", type=Path, metavar="URDF", help="robot, or name of one: a shipped one, panda, ur5 ... (default: "
         "the scene's, else harvester)")  # fmt: skip
-    add("--limits", type=Path, metavar="YAML", help="acceleration limits (default: NAME.limits.yaml beside the URDF)")
+    add("--limits", type=Path, metavar="YAML", help="acceleration limits, or name of a robot whose ship, as ur5 "
+        "(default: NAME.limits.yaml in the URDF's folder)")  # fmt: skip
     add_hold(parser)
     add_robot_parts(parser)
 

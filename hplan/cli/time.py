@@ -271,7 +271,7 @@ def _timed(arguments: argparse.Namespace, console: Console) -> int:
 
 def _limits(arguments: argparse.Namespace, machine: Machine) -> Limits:
     """The URDF's limits, with acceleration (and jerk) from the YAML or the number given."""
-    from hplan.robot.files import read_limits
+    from hplan.robot.files import limits_file, read_limits
     from hplan.waypoints import limits_of
 
     torque = not arguments.no_torque
@@ -279,7 +279,7 @@ def _limits(arguments: argparse.Namespace, machine: Machine) -> Limits:
         if not (math.isfinite(arguments.acceleration) and arguments.acceleration >= 0.0):
             raise OptionError("--acceleration", arguments.acceleration, "a finite number >= 0")
         return limits_of(machine.model, arguments.acceleration, torque=torque)
-    path = arguments.urdf.with_suffix(".limits.yaml") if arguments.limits is None else arguments.limits
+    path = arguments.urdf.with_suffix(".limits.yaml") if arguments.limits is None else limits_file(arguments.limits)
     if arguments.limits is None and not path.exists():
         raise OptionError(
             "--acceleration",

@@ -53,7 +53,7 @@ def read_family(model: pin.Model, collision_model: pin.GeometryModel, tool_frame
     return PlanarFamily(found.has_yaw, readonly(found.yaw_axis), arm, readonly(found.origin), readonly(found.axes))
 
 
-def check_joints(path: Path, model: pin.Model, tool_frame: str) -> None:
+def check_joints(path: Path, model: pin.Model) -> None:
     """Refuse joints that no robot here has, of the family or not, and a tool frame that there is none of.
 
     Raises:
@@ -76,8 +76,6 @@ def check_joints(path: Path, model: pin.Model, tool_frame: str) -> None:
             unit = "rad" if kind in _REVOLUTE else "m"
             reason = f"its lower limit {low:g} {unit} is not below its upper limit {high:g} {unit}"
             raise RobotFileError(path, f"joint {name!r}: {reason}")
-    if not model.existFrame(tool_frame):
-        raise RobotFileError(path, f"frame {tool_frame!r}: it marks the end of the arm and is missing")
 
 
 class FamilyReader:

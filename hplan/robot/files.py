@@ -5,7 +5,7 @@ Any robot's, and where the files of the robots are that have a name (extra `robo
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -18,7 +18,7 @@ import yaml
 from pydantic import BaseModel, ConfigDict, PositiveFloat, ValidationError
 
 from hplan.base.arrays import FloatArray
-from hplan.base.data_files import urdf_dir
+from hplan.base.data_files import LIMITS_SUFFIX, robot_names, shipped_limits
 from hplan.base.yaml_text import read_yaml
 from hplan.errors import InputError, RobotFileError
 from hplan.robot.urdf_check import check_models
@@ -27,9 +27,6 @@ from hplan.robot.urdf_xml import URDF_TEXT, line_of, read_urdf_xml
 
 #: Key `format` of a limits file.
 LIMITS_FORMAT = "hplan-limits/1"
-
-#: What stands in the limits file's name in place of `.urdf`.
-LIMITS_SUFFIX = ".limits.yaml"
 
 
 @dataclass(frozen=True)
@@ -88,8 +85,7 @@ def named_robot(name: str) -> RobotFiles:
         folder = share / "example-robot-data" / "robots"
         if (folder / robot.urdf).is_file():
             srdf = None if robot.srdf is None else folder / robot.srdf
-            limits = urdf_dir() / f"{name}{LIMITS_SUFFIX}"
-            return RobotFiles(folder / robot.urdf, robot.tool_frame, srdf, limits, (share, folder))
+            return RobotFiles(folder / robot.urdf, robot.tool_frame, srdf, shipped_limits(name), (share, folder))
     raise InputError(
         f"robot {name!r} is in the package example-robot-data, which is not installed: pip install 'hplan[robots]'",
         robot=name,
@@ -101,23 +97,34 @@ def named_robot(name: str) -> RobotFiles:
 _NEVER: Final = ("never", "notinsampling")
 
 
-def read_srdf(path: Path) -> tuple[tuple[str, str, str], ...]:
+def read_srdf(path: Path, links: Collection[str] | None = None) -> tuple[tuple[str, str, str], ...]:
     """Pairs of links that may touch by an SRDF, and its reason (`by the SRDF` where it gives none).
 
     Pairs that it leaves out because they were never seen to touch are not among them.
 
+    Args:
+        path: The file.
+        links: Names of the robot's links; None where it is not known whose file it is.
+
     Raises:
-        RobotFileError: Missing or malformed file, or a pair without two names.
+        RobotFileError: Missing or malformed file, a pair without two names, or no pair of the robot's links.
     """
     root = read_urdf_xml(path)
-    found = []
+    if root.find("link") is not None:
+        raise RobotFileError(path, "it is a URDF, for it has a <link>; expected an SRDF, with <disable_collisions>")
+    found, named = [], []
     for element in root.iter("disable_collisions"):
-        links = [element.get(key) for key in ("link1", "link2")]
-        if not all(links):
+        pair = [element.get(key) for key in ("link1", "link2")]
+        if not all(pair):
             raise RobotFileError(path, f"{line_of(element)}<disable_collisions> names no two links")
+        named.append(pair)
         reason = (element.get("reason") or "by the SRDF").strip()
         if reason.lower().replace(" ", "") not in _NEVER:
-            found.append((str(links[0]), str(links[1]), reason))
+            found.append((str(pair[0]), str(pair[1]), reason))
+    if links is not None and named and not any(set(pair) <= set(links) for pair in named):
+        first, second = named[0]
+        reason = f"it is another robot's: of its pairs, {first!r} and {second!r} first, none is of this one's links"
+        raise RobotFileError(path, f"{reason}: {', '.join(links)}")
     return tuple(found)
 
 
@@ -228,7 +235,15 @@ def find_limits(
 
 
 #: How limits are given.
-_LIMITS_ADVICE = "write acceleration (and jerk) into every <limit> (URDF 1.2), or give a limits file (limits, --limits)"
+_LIMITS_ADVICE = (
+    "write acceleration (and jerk) into every <limit> (URDF 1.2), or give a limits file (limits, --limits), or the "
+    f"name of a robot whose limits ship: {', '.join(robot_names())}"
+)
+
+
+def limits_file(given: Path) -> Path:
+    """The limits file of a path, or of the name of a robot whose limits ship."""
+    return shipped_limits(str(given)) if not given.is_file() and str(given) in robot_names() else given
 
 
 def read_limits(

@@ -24,7 +24,7 @@ from hplan.base.data_files import shipped_robots, urdf_dir
 from hplan.errors import InputError, JointLimitError, RobotFamilyError
 from hplan.robot.dynamics import InverseDynamics
 from hplan.robot.family_reader import check_joints, read_family
-from hplan.robot.files import NAMED_ROBOTS, RobotFiles, build_models, find_limits, named_robot, read_srdf
+from hplan.robot.files import NAMED_ROBOTS, RobotFiles, build_models, find_limits, limits_file, named_robot, read_srdf
 from hplan.robot.planar_family import PlanarArm, PlanarFamily, PlanarNames
 from hplan.robot.urdf_adaptation import RobotChoice, adapt_urdf
 from hplan.robot.urdf_xml import URDF_TEXT, is_urdf_text, read_urdf_xml
@@ -256,8 +256,8 @@ def load_robot(
             hplan. A text without suffix and folder that is no file names a robot that ships,
             `load_robot("orchard_harvester")`, or one of example-robot-data (extra `robots`): `panda`, `ur3`, `ur5`,
             `ur10`.
-        limits: Limits YAML; None for the file in the folder of the URDF, `NAME.limits.yaml`, and without one for
-            acceleration and jerk in the URDF (1.2).
+        limits: Limits YAML, or the name of a robot of which it ships, as `ur5`; None for the file in the folder of the
+            URDF, `NAME.limits.yaml`, and without one for acceleration and jerk in the URDF (1.2).
         tool_frame: Frame at the end of the arm; None for that of a robot by name, and of another for `tool0`.
         joints: Names of the joints that move, in the order of the robot's, from the base on; None for all revolute,
             continuous and prismatic ones up to the tool frame that are not held.
@@ -287,12 +287,12 @@ def load_robot(
     urdf_path = files.urdf
     adapted = adapt_urdf(urdf_path, read_urdf_xml(urdf_path, text, choice.package_dirs), choice)
     model, collision_model, visual_model = build_models(urdf_path, adapted.urdf, adapted.text)
-    check_joints(urdf_path, model, frame)
+    check_joints(urdf_path, model)
     joint_names = tuple(model.names)[1:]
     if choice.joints is not None and choice.joints != joint_names:
         expected = f"joints: {', '.join(choice.joints)}; expected in the robot's order: {', '.join(joint_names)}"
         raise InputError(expected, joints=list(choice.joints), expected=list(joint_names))
-    given = files.limits if limits is None else file_path("limits", limits)
+    given = files.limits if limits is None else limits_file(file_path("limits", limits))
     allowed = files.srdf if srdf is None else file_path("srdf", srdf)
     acceleration, jerk = find_limits(urdf_path, adapted.urdf, joint_names, given, adapted.held)
     lower, upper = np.array(model.lowerPositionLimit), np.array(model.upperPositionLimit)
@@ -320,7 +320,7 @@ def load_robot(
         urdf_text=adapted.text,
         planar=planar,
         beyond_family=beyond_family,
-        may_touch=() if allowed is None else read_srdf(allowed),
+        may_touch=() if allowed is None else read_srdf(allowed, adapted.urdf.links),
     )
 
 

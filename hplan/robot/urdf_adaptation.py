@@ -117,9 +117,9 @@ class _Adaptation:
     def apply(self) -> bool:
         """Change the elements; returns True if there was anything to change."""
         self._check_names()
+        if not self._is_tree() or all(joint.kind == "fixed" for joint in self._urdf.joints.values()):
+            return False  # what is wrong is said by Pinocchio and by who reads its model
         tip = self._tip()
-        if tip is None or not self._is_tree():
-            return False  # what is wrong is said by Pinocchio or the family's reader
         mount = self._up_from(BASE_LINK) if BASE_LINK in self._urdf.links else []
         changed = self._make_root(mount)
         above = {joint.name for joint in mount}
@@ -150,13 +150,20 @@ class _Adaptation:
             if name in joints and name in self._hold:
                 raise InputError(f"joint {name!r} cannot both move and be held", joint=name)
 
-    def _tip(self) -> str | None:
-        """The link that the tool frame is, or is on."""
+    def _tip(self) -> str:
+        """The link that the tool frame is, or is on.
+
+        Raises:
+            RobotFileError: There is none of that name.
+        """
         frame = self._choice.tool_frame
         if frame in self._urdf.links:
             return frame
-        joint = self._urdf.joints.get(frame)
-        return None if joint is None else joint.child
+        if frame not in self._urdf.joints:
+            reason = f"it marks the end of the arm and is missing; the links are {', '.join(self._urdf.links)}; "
+            advice = "tool_frame=NAME (--tool-frame NAME) takes another frame"
+            raise RobotFileError(self._path, f"frame {frame!r}: {reason}{advice}")
+        return self._urdf.joints[frame].child
 
     def _is_tree(self) -> bool:
         """True if each link but one hangs on one joint, and none on itself."""

@@ -21,9 +21,10 @@ import numpy as np
 import pinocchio as pin
 
 from hplan.base.arguments import file_path, instance, whole
+from hplan.base.data_files import LIMITS_SUFFIX
 from hplan.base.files import write_text
 from hplan.errors import OptionError, OutputError, RobotFileError
-from hplan.robot.files import LIMITS_SUFFIX, read_models
+from hplan.robot.files import read_models
 from hplan.robot_family.spec import HARVESTER, ArmSpec
 
 # The files that `write_robot` writes name this module as the place to find the first two.

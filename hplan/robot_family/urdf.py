@@ -18,7 +18,8 @@ import yaml
 import yourdfpy
 
 from hplan.base.arrays import FloatArray
-from hplan.robot.files import LIMITS_FORMAT, LIMITS_SUFFIX
+from hplan.base.data_files import LIMITS_SUFFIX
+from hplan.robot.files import LIMITS_FORMAT
 from hplan.robot_family.shapes import (
     PALETTE,
     PEDESTAL_TOP,

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 from any_arms import LIFT, limb, loaded_arm
+from toy_urdf import six_axis_arm
 
-from hplan.base.data_files import robot_names, shipped_robots
+from hplan.base.data_files import robot_names, shipped_limits, shipped_robots
+from hplan.base.yaml_text import read_yaml
 from hplan.errors import InputError, RobotFamilyError, RobotFileError
 from hplan.robot.files import NAMED_ROBOTS, named_robot, read_srdf
 from hplan.robot.model import load_robot
@@ -87,9 +91,38 @@ def test_srdf(tmp_path):
         '<disable_collisions link1="b" link2="e" reason="NotInSampling"/></robot>'
     )
     assert read_srdf(path) == (("a", "b", "Adjacent"), ("b", "d", "by the SRDF"))
+    with pytest.raises(RobotFileError, match="it is another robot's: of its pairs, 'a' and 'b' first, none is of this"):
+        load_robot(LIFT, srdf=path)
+    path.write_text(path.read_text().replace('"a"', '"turn_link"').replace('"b"', '"out_link"'))
     assert load_robot(LIFT, srdf=path).may_touch == read_srdf(path)
+    path.write_text('<robot name="x"><group name="arm"/></robot>')
+    assert load_robot(LIFT, srdf=path).may_touch == ()
+    path.write_text(LIFT)
+    with pytest.raises(RobotFileError, match="it is a URDF, for it has a <link>; expected an SRDF"):
+        read_srdf(path)
     path.write_text('<robot name="x"><disable_collisions link1="a"/></robot>')
     with pytest.raises(RobotFileError, match="line 1: <disable_collisions> names no two links"):
         read_srdf(path)
     with pytest.raises(RobotFileError, match="No such file"):
         load_robot(LIFT, srdf=tmp_path / "none.srdf")
+
+
+def test_a_tool_frame_that_is_missing_is_told_before_joints_that_only_it_lets_move():
+    """Without it no chain is known, and fingers that mimic one another would seem to be of the arm."""
+    finger = '<joint name="finger" type="revolute"><parent link="base_link"/><child link="finger_link"/>'
+    limit = '<axis xyz="0 0 1"/><limit lower="0" upper="1" velocity="1" effort="1"/>'
+    mimics = f'{finger}{limit}<mimic joint="wrist"/></joint><link name="finger_link"/></robot>'
+    with pytest.raises(RobotFileError, match=r"frame 'flange0': .* is missing; the links are base_link, .*--tool-f"):
+        load_robot(LIFT.replace("</robot>", mimics), tool_frame="flange0")
+
+
+def test_limits_that_ship_are_taken_by_the_name_of_their_robot():
+    text, limits = six_axis_arm(), shipped_limits("ur5")
+    with pytest.raises(RobotFileError, match=r"or the name of a robot whose limits ship: harvester, .*ur5"):
+        load_robot(text)
+    with pytest.raises(RobotFileError, match=r"ur5\.limits\.yaml: .*joints missing"):
+        load_robot(text, limits="ur5")
+    theirs = read_yaml(limits.read_text())[0]["acceleration_rad_s2"]
+    for ours, name in zip(re.findall(r'joint name="(\w+)" type="revolute"', text), theirs, strict=True):
+        text = text.replace(f'"{ours}"', f'"{name}"')
+    assert load_robot(text, limits="ur5").acceleration_limit.tolist() == list(theirs.values())

@@ -14,6 +14,7 @@ for how the robot is built, and is listed. A pair that no sample saw touch is lo
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import partial
 from typing import Final
@@ -142,6 +143,8 @@ def _by_one_joint(robot: Robot, pair: tuple[int, int], joint: int, beyond: float
             motion = pin.SE3(pin.AngleAxis(place, axis).toRotationMatrix(), np.zeros(3))
         return coal_distance(still.geometry, at, moved.geometry, motion * moved.placement)
 
+    # A whole turn farther on bodies are where they were.
+    beyond = beyond if slides else min(beyond, math.tau)
     low, high = float(robot.lower[joint]) - beyond, float(robot.upper[joint]) + beyond
     decided = partial(always, distance, low, high, rate)
     name = robot.joint_names[joint]

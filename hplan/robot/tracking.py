@@ -5,7 +5,8 @@ joint is taken to deviate from its commanded position :math:`q_j(t)` by no more 
 
 .. math:: e_j(t) = \text{still} + \text{delay} \cdot |\dot q_j(t)|.
 
-Configurations at rest need room for the first part alone.
+Configurations at rest need room for the first part alone. Of a joint that slides the same numbers count as metres, and
+metres per second.
 """
 
 from __future__ import annotations
@@ -30,8 +31,8 @@ class TrackingModel:
     """Largest deviation of each joint from the commanded motion.
 
     Attributes:
-        still_rad: Deviation at rest [rad].
-        delay_s: What comes to it for each rad/s of the joint's commanded velocity [s].
+        still_rad: Deviation at rest [rad; of joints that slide, m].
+        delay_s: What comes to it for each rad/s, or m/s, of the joint's commanded velocity [s].
     """
 
     still_rad: float = 0.0

@@ -55,6 +55,7 @@ from hplan.verification.goal_contact import contact_window
 from hplan.verification.limit_use import LimitUse, limit_use
 from hplan.verification.moving_obstacles import checker_in_time, clear_until, moving_base_contacts
 from hplan.verification.start_state import start_violations
+from hplan.verification.sway import largest_deviations
 from hplan.verification.task_check import task_violations
 
 #: Use of a limit up to which it counts as kept.
@@ -149,8 +150,8 @@ def certify(
         robot: The arm.
         scene: Obstacles, the clearance to keep, and the task.
         trajectory: The timed motion; its joints are the robot's.
-        tracking_error: Largest deviation of any joint from the trajectory at rest [rad].
-        tracking_delay_s: Addition to it for each rad/s of the joint's velocity [s].
+        tracking_error: Largest deviation of any joint from the trajectory at rest [rad; of joints that slide, m].
+        tracking_delay_s: Addition to it for each rad/s, or m/s, of the joint's velocity [s].
         sigmas: How many standard deviations of its place an obstacle is grown by, where the scene gives one.
         goal_contact: `approach`: the last link may touch the fruit that is the goal on a straight approach and on the
             retreat, found in the motion. `motion`: it may during the whole motion; so `plan` certifies where no
@@ -275,9 +276,7 @@ def certify_among(
     if rest_to_rest:
         violations += rest_violations(trajectory, {"begins": 0, "ends": -1})
     speeds = _fastest(bezier, duration) if tracking.delay_s > 0.0 else np.zeros((1, robot.dof))
-    with np.errstate(over="ignore"):
-        # Nothing is farther off than a joint that is off by a whole turn, or nobody knows how far.
-        deviations = np.fmin(tracking.deviations(speeds), 2.0 * np.pi)
+    deviations, at_rest = (largest_deviations(robot, tracking, at) for at in (speeds, np.zeros((1, robot.dof))))
     clock = begin_s + (trajectory.time if trajectory.samples > 1 else np.zeros(2))
     seen_s: list[float | None] = []
     proved, wanted = [], f"more than {1e3 * clearance:.3g} mm at a tracking error of {tracking}"
@@ -302,9 +301,7 @@ def certify_among(
         nearest_s=_nearest_s([proof.nearest for proof in proofs], seen_s),
         clear_until_s=None
         if last.moving is None or violations
-        else clear_until(
-            robot, bezier[-1, 3], last, tracking.deviations(np.zeros((1, robot.dof))), clearance, clock[-1]
-        ),
+        else clear_until(robot, bezier[-1, 3], last, at_rest, clearance, clock[-1]),
     )
 
 

@@ -4,16 +4,35 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Final
 
 import numpy as np
 
 from hplan.base.arrays import FloatArray, IntArray
 from hplan.base.kernels import kernel
+from hplan.bodies.reach import joint_axis
 from hplan.collision.coal_scene import CoalScene
 from hplan.robot.base_shapes import GROUND, TURRET
 from hplan.robot.model import Robot
 from hplan.robot.self_contact import pair_rates, pair_sway
+from hplan.robot.tracking import TrackingModel
+from hplan.scene.limits import FARTHEST_M
 from hplan.verification.body_travel import body_motion, body_sways
+
+#: Farther than anything of a robot and a scene is apart [m].
+_FARTHEST: Final = 100.0 * FARTHEST_M
+
+
+def largest_deviations(robot: Robot, tracking: TrackingModel, speeds: FloatArray) -> FloatArray:
+    """Largest deviations of the joints at (k, dof) speeds [rad/s, m/s], of the same shape [rad, m].
+
+    Of a joint that turns none is larger than a whole turn; one that slides may be off as far as the model says, up to
+    where it would meet anything. So it is where a speed is not known.
+    """
+    slides = [joint_axis(robot, joint)[1] for joint in range(robot.dof)]
+    with np.errstate(over="ignore"):
+        largest: FloatArray = np.fmin(tracking.deviations(speeds), np.where(slides, _FARTHEST, math.tau))
+    return largest
 
 
 def pair_sways(checker: CoalScene, deviations: FloatArray) -> FloatArray:

@@ -1,0 +1,75 @@
+"""Certificates of joints that slide: an error of theirs is in metres, and has no largest value as a turn has."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from hplan.robot.model import load_robot
+from hplan.robot.tracking import TrackingModel
+from hplan.scene.model import Goal, Scene, Start
+from hplan.scene.obstacles import Sphere
+from hplan.scene.tracks import Track
+from hplan.timing.trajectory import Trajectory
+from hplan.verification.certificate import certify
+from hplan.verification.sway import largest_deviations
+
+
+def link(name: str, parent: str, kind: str, axis: str, xyz: str, size: str) -> str:
+    return (
+        f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{name}_link"/><origin xyz="{xyz}"/>'
+        f'<axis xyz="{axis}"/><limit lower="-2" upper="2" velocity="2" effort="500" acceleration="5"/></joint>'
+        f'<link name="{name}_link"><inertial><mass value="1"/><inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" '
+        f'ixz="0" iyz="0"/></inertial><collision><geometry><box size="{size}"/></geometry></collision></link>'
+    )
+
+
+#: A trolley on a rail that lies along x, and a boom that turns on it; what no joint moves is nowhere near.
+GANTRY = (
+    '<robot name="gantry"><link name="base_link"/>'
+    + link("rail", "base_link", "prismatic", "1 0 0", "0 0 1", "0.1 0.1 0.1")
+    + link("boom", "rail_link", "revolute", "0 0 1", "0 0 0.2", "0.3 0.05 0.05")
+    + '<joint name="flange" type="fixed"><parent link="boom_link"/><child link="tool0"/></joint><link name="tool0"/>'
+    "</robot>"
+)
+ROBOT = load_robot(GANTRY)
+BEGIN, END = np.array([0.2, 0.3]), np.array([0.7, 0.5])
+
+
+def motion() -> Trajectory:
+    u, pace = np.linspace(0.0, 1.0, 20)[:, None], 0.25
+    q = BEGIN + (3.0 * u**2 - 2.0 * u**3) * (END - BEGIN)
+    v, a = 6.0 * u * (1.0 - u) * pace * (END - BEGIN), (6.0 - 12.0 * u) * pace**2 * (END - BEGIN)
+    return Trajectory(ROBOT.joint_names, u[:, 0] / pace, q, v, a, ROBOT.dynamics.torques(q, v, a))
+
+
+def scene(*obstacles: Sphere) -> Scene:
+    ends = Start(joints_rad=tuple(BEGIN.tolist())), Goal(joints_rad=tuple(END.tolist()))
+    return Scene(name="rail", start=ends[0], goal=ends[1], obstacles=obstacles)
+
+
+@pytest.mark.parametrize(("far", "clear"), [(0.05, True), (6.0, True), (8.0, False), (1e3, False), (1e300, False)])
+@pytest.mark.parametrize("kind", ["at rest", "of velocity"])
+def test_a_trolley_may_be_off_as_far_as_the_tracking_error_says(kind: str, far: float, clear: bool) -> None:
+    """Whatever it is: more than 2 pi is a whole turn of a joint that turns alone."""
+    ball = Sphere(name="ball", center=(9.0, 0.0, 1.0), radius=0.1)
+    # The fastest row is at 0.1875 m/s, and its cubic is bounded by a little more.
+    options = {"tracking_error": far} if kind == "at rest" else {"tracking_delay_s": far / 0.19}
+    assert certify(ROBOT, scene(ball), motion(), **options).verified == clear
+
+
+def test_a_turn_that_is_off_by_more_than_a_whole_one_is_where_it_is() -> None:
+    largest = largest_deviations(ROBOT, TrackingModel(1e9), np.zeros((1, 2)))
+    assert largest[0].tolist() == pytest.approx([1e6, math.tau])
+    assert (largest_deviations(ROBOT, TrackingModel(0.1, 2.0), np.full((1, 2), 0.5)) == 1.1).all()
+
+
+def test_an_arm_at_rest_may_be_off_as_far_too() -> None:
+    coming = Track(times_s=(0.0, 60.0), shifts_m=((0.0, 0.0, 0.0), (-5.0, 0.0, 0.0)))
+    ball = Sphere(name="ball", center=(15.0, 0.0, 1.0), radius=0.1, track=coming)
+    assert certify(ROBOT, scene(ball), motion(), tracking_error=6.0).clear_until_s == math.inf
+    found = certify(ROBOT, scene(ball), motion(), tracking_error=10.0)
+    assert found.verified
+    assert 4.0 < found.clear_until_s < 60.0

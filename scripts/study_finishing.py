@@ -47,17 +47,15 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _run(arguments: argparse.Namespace, console: Console) -> int:
     """Plan, finish, tell, write."""
-    from studies.benchmark.finishing import finished, seed_ompl, table
+    from studies.benchmark.finishing import finished, table
     from studies.benchmark.motionbenchmaker import SETS, panda, problems, scene_of
+    from studies.benchmark.ompl_paths import seed_ompl
 
     from hplan.problem.options import PlanOptions
     from hplan.robot.model import load_robot
     from hplan.scene.file import load_scene
 
-    try:
-        seed_ompl(arguments.seed)
-    except ImportError as error:
-        raise InputError("OMPL is not installed: pip install 'hplan[bench]'", extra="bench") from error
+    seed_ompl(arguments.seed)
     options = PlanOptions(effort=arguments.effort)
     rows = list(finished(load_robot(), [("reference", load_scene())] * arguments.repeat, options, arguments.resolution))
     if arguments.problems is not None:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import pytest
-from studies.benchmark.finishing import Finished, finished, seed_ompl, table
+from studies.benchmark.finishing import Finished, finished, table
+from studies.benchmark.ompl_paths import seed_ompl
 
 from hplan.problem.options import PlanOptions
 from hplan.robot.model import load_robot

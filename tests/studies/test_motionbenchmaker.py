@@ -7,7 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from studies.benchmark.motionbenchmaker import Solved, contacts, scene_of, table
+from studies.benchmark.motionbenchmaker import Solved, outside_check, peer_table, scene_of, table
+from studies.benchmark.ompl_paths import seed_ompl
+from studies.benchmark.peer_motions import PeerMotion, peer_motion
 from toy_urdf import SIX_AXIS_LIMITS, six_axis_arm
 
 from hplan.robot.model import Robot, load_robot
@@ -39,16 +41,29 @@ def test_problems_become_scenes(arm: Robot) -> None:
     assert scene.start.configuration == pytest.approx(START)
 
 
-def test_the_outside_check_sees_what_is_touched(arm: Robot) -> None:
+def problem_with_a_post(arm: Robot) -> dict[str, Any]:
     post = {"name": "post", "kind": "box", "size": [0.06, 0.06, 1.2], "position": [0.35, 0.55, 0.6]}
-    problem = problem_of(arm, {**post, "quaternion_xyzw": [0.0, 0.0, 0.0, 1.0]})
-    straight = np.linspace(START, GOAL, 100)
-    touched, own = contacts(arm, problem, straight)
-    assert touched > 0
-    assert own == 0
-    assert contacts(arm, problem, straight[[0, -1]]) == (0, 0)
-    anywhere = np.random.default_rng(0).uniform(arm.lower, arm.upper, (200, arm.dof))
-    assert 0 < contacts(arm, problem_of(arm), anywhere)[1] < 200
+    return problem_of(arm, {**post, "quaternion_xyzw": [0.0, 0.0, 0.0, 1.0]})
+
+
+def test_the_outside_check_has_the_obstacles_of_the_file(arm: Robot) -> None:
+    check = outside_check(arm, problem_with_a_post(arm))
+    touched, own = check.touched(np.linspace(START, GOAL, 100))
+    assert 0 < touched.sum() < 100
+    assert not own.any()
+    assert not check.touched(np.array([START, GOAL]))[0].any()
+
+
+def test_a_motion_of_a_peer(arm: Robot) -> None:
+    pytest.importorskip("ompl")
+    pytest.importorskip("toppra")
+    seed_ompl(1)
+    problem = problem_with_a_post(arm)
+    found = peer_motion(arm, scene_of(arm, problem, "post"), outside_check(arm, problem))
+    assert found.waypoints >= 3
+    assert found.length_rad > np.linalg.norm(np.subtract(GOAL, START))
+    assert found.duration_s is not None
+    assert found.duration_s > (np.abs(np.subtract(GOAL, START)) / arm.velocity_limit).max()
 
 
 def test_a_table_of_what_is_solved() -> None:
@@ -57,3 +72,13 @@ def test_a_table_of_what_is_solved() -> None:
         Solved("box", 2, "NotFoundError", 0.3, None, False, (0, 0)),
     ]
     assert table(rows)[2] == "| box | 1 of 2 | 200 | 290 | 300 | 1.50 | 0 | 0 |"
+
+
+def test_a_table_of_a_peers_motions() -> None:
+    rows = [
+        Solved("box", 1, "direct", 0.1, 1.5, True, (0, 0), PeerMotion(4, 0.1, 0.01, 3.0, 3.0, (7, 0))),
+        Solved("box", 2, "trees", 0.1, 2.0, True, (0, 0), PeerMotion(4, 0.1, 0.01, 3.0, 2.0, (0, 0))),
+        Solved("box", 3, "trees", 0.1, 2.0, True, (0, 0), PeerMotion(0, 5.0)),
+    ]
+    assert peer_table(rows)[2] == "| box | 3 | 2 | 110 | 4511 | 1 | 1 | 0 | 0.75 | 0.97 | 1.00 | 1.00 |"
+    assert rows[0].row["peer"]["contacts"] == (7, 0)

@@ -7,15 +7,14 @@ two configurations that were checked; `finish` then says where.
 
 from __future__ import annotations
 
-import importlib
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
 from studies.benchmark.measure import median, times_until
 from studies.benchmark.motions import toppra_motion
+from studies.benchmark.ompl_paths import ompl_path
 
 from hplan.base.arrays import FloatArray
 from hplan.collision.coal_scene import CoalScene
@@ -25,9 +24,6 @@ from hplan.problem.options import PlanOptions
 from hplan.problem.world import World
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
-
-#: What OMPL may take to find a path, and again to simplify it [s].
-FIND_S, SIMPLIFY_S = 5.0, 1.0
 
 #: Where the shape of a path is kept, so near to it [rad].
 WITHIN_RAD = 0.02
@@ -63,63 +59,6 @@ class Finished:
     finished_touches: bool = False
     kept_s: float | None = None
     finish_ms: float = 0.0
-
-
-def seed_ompl(seed: int) -> None:
-    """Seed OMPL's random numbers, once a process.
-
-    Raises:
-        ImportError: OMPL is not installed.
-    """
-    util = importlib.import_module("ompl.util")
-    util.setLogLevel(util.LOG_ERROR)
-    util.RNG.setSeed(seed)
-
-
-def ompl_path(world: World, scene: Scene, goal: FloatArray, resolution: float) -> FloatArray | None:
-    """(m, dof) the simplified path of RRTConnect from the scene's start; None where it found none in time.
-
-    Args:
-        world: Arm and obstacles.
-        scene: Start, and joints that are locked.
-        goal: (dof,) configuration.
-        resolution: Distance between configurations that are checked, as a fraction of the space's extent.
-    """
-    base, geometric = (importlib.import_module(f"ompl.{name}") for name in ("base", "geometric"))
-    robot, start = world.robot, scene.start.configuration
-    joints = np.flatnonzero(~robot.locked_mask(scene.locked_joints)).tolist()
-    space, bounds = base.RealVectorStateSpace(len(joints)), base.RealVectorBounds(len(joints))
-    for axis, joint in enumerate(joints):
-        bounds.setLow(axis, float(robot.lower[joint]))
-        bounds.setHigh(axis, float(robot.upper[joint]))
-    space.setBounds(bounds)
-    setup, q = geometric.SimpleSetup(space), np.array(start)
-
-    def is_free(state: Any) -> bool:
-        q[joints] = [state[axis] for axis in range(len(joints))]
-        return world.field.clearance(q) > 0.0
-
-    setup.setStateValidityChecker(is_free)
-    setup.getSpaceInformation().setStateValidityCheckingResolution(resolution)
-    ends = []
-    for end in (start, goal):
-        state = space.allocState()
-        for axis, joint in enumerate(joints):
-            state[axis] = float(end[joint])
-        ends.append(state)
-    setup.setStartAndGoalStates(*ends)
-    setup.setPlanner(geometric.RRTConnect(setup.getSpaceInformation()))
-    world.field.clearance(q)  # compiling it must not take of OMPL's time
-    until_s = time.thread_time() + FIND_S
-    setup.solve(base.PlannerTerminationCondition(lambda: time.thread_time() >= until_s))
-    if not setup.haveExactSolutionPath():
-        return None
-    setup.simplifySolution(SIMPLIFY_S)
-    states = setup.getSolutionPath().getStates()
-    path = np.repeat(start[None], len(states), axis=0)
-    path[:, joints] = [[state[axis] for axis in range(len(joints))] for state in states]
-    path[-1] = goal
-    return path
 
 
 def finished(

@@ -1,11 +1,11 @@
 """MotionBenchMaker's problems for the Panda: what is solved, in which time, and whether coal finds it clear every 1 ms.
 
+Where a peer is asked for, the same problems are solved by OMPL's RRTConnect, its paths simplified and timed by toppra
+(`studies.benchmark.peer_motions`), and these motions are looked at in the same manner.
+
 The problems are read as VAMP distributes them, one JSON list for each set. The robot is example-robot-data's Panda. Its
 fingers stand where the problems have them, which is farther apart than its URDF lets them go, and some goals have joint
 4 up to 0.07 rad beyond it: both limits are widened.
-
-The outside check places the URDF's shapes (meshes by their hulls) and the obstacles by Pinocchio and coal alone; of the
-robot's own pairs it asks those that planning looks at (`hplan.bodies.touching_pairs`).
 """
 
 from __future__ import annotations
@@ -14,18 +14,18 @@ import json
 import time
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import coal
 import numpy as np
 import pinocchio as pin
-from studies.benchmark.measure import times_until
+from studies.benchmark.measure import median
+from studies.benchmark.motions import TimedMotion
+from studies.benchmark.outside_check import OutsideCheck
+from studies.benchmark.peer_motions import PeerMotion, peer_motion
 
-from hplan.base.arrays import FloatArray
-from hplan.bodies.collision_bodies import body_shapes, collision_bodies
-from hplan.bodies.touching_pairs import self_pairs
 from hplan.errors import HplanError
 from hplan.planning.plan import plan
 from hplan.problem.options import PlanOptions
@@ -38,9 +38,6 @@ SETS = ("bookshelf_small", "bookshelf_tall", "bookshelf_thin", "box", "cage", "t
 #: Where the fingers stand [m], and limits of the URDF that give way.
 FINGERS = 0.065
 WIDENED = (('lower="0.0" upper="0.04"', 'lower="0.0" upper="0.08"'), ('upper="-0.0698"', 'upper="0.0873"'))
-
-#: The outside check looks at the motion so often [s].
-EVERY_S = 1e-3
 
 
 @dataclass(frozen=True)
@@ -55,6 +52,7 @@ class Solved:
         duration_s: Duration of the motion; None without one [s].
         verified: Whether the motion is certified.
         contacts: Configurations at which coal finds an obstacle touched, and the robot itself.
+        peer: The motion of RRTConnect and toppra; None where it was not asked for.
     """
 
     set_name: str
@@ -64,6 +62,12 @@ class Solved:
     duration_s: float | None
     verified: bool
     contacts: tuple[int, int]
+    peer: PeerMotion | None = None
+
+    @property
+    def row(self) -> dict[str, Any]:
+        """What is kept of it."""
+        return asdict(self)
 
 
 def panda(urdf: Path, limits: Path, package_dirs: tuple[Path, ...]) -> Robot:
@@ -106,34 +110,20 @@ def scene_of(robot: Robot, problem: dict[str, Any], name: str) -> Scene:
     return Scene.model_validate({"format": "hplan-scene/1", "name": name, "obstacles": tuple(obstacles), **ends})
 
 
-def contacts(robot: Robot, problem: dict[str, Any], configurations: FloatArray) -> tuple[int, int]:
-    """At how many configurations coal finds an obstacle touched, and the robot touching itself."""
-    geometry, count = pin.GeometryModel(), len(body_shapes(robot))
-    for shape in body_shapes(robot):
-        geometry.addGeometryObject(shape)
-    for number, part in enumerate(problem["obstacles"]):
+def outside_check(robot: Robot, problem: dict[str, Any]) -> OutsideCheck:
+    """The robot among the obstacles of a problem, as its file has them."""
+    obstacles = []
+    for part in problem["obstacles"]:
         x, y, z, w = part["quaternion_xyzw"]
         place = pin.SE3(pin.Quaternion(w, x, y, z).normalized().toRotationMatrix(), np.array(part["position"]))
         box = part["kind"] == "box"
-        body = coal.Box(*part["size"]) if box else coal.Cylinder(part["radius"], part["length"])
-        geometry.addGeometryObject(pin.GeometryObject(f"obstacle {number}", 0, place, body))
-    moving = [number for number, body in enumerate(collision_bodies(robot)) if body.joint >= 0]
-    pairs = [(body, count + number) for body in moving for number in range(len(problem["obstacles"]))]
-    for first, second in (*pairs, *self_pairs(robot).checked):
-        geometry.addCollisionPair(pin.CollisionPair(first, second))
-    data, arm = geometry.createData(), robot.model.createData()
-    for request in data.collisionRequests:
-        request.enable_contact = True  # asked for yes or no alone, coal misses some deep contacts
-    touched = [0, 0]
-    for q in configurations:
-        pin.updateGeometryPlacements(robot.model, arm, geometry, data, q)
-        found = [pin.computeCollision(geometry, data, pair) for pair in range(len(geometry.collisionPairs))]
-        touched[0] += any(found[: len(pairs)])
-        touched[1] += any(found[len(pairs) :])
-    return touched[0], touched[1]
+        obstacles.append((coal.Box(*part["size"]) if box else coal.Cylinder(part["radius"], part["length"]), place))
+    return OutsideCheck(robot, obstacles)
 
 
-def solved(robot: Robot, folder: Path, options: PlanOptions, *, every: int = 1, cpu: bool = False) -> Iterator[Solved]:
+def solved(
+    robot: Robot, folder: Path, options: PlanOptions, *, every: int = 1, cpu: bool = False, peer: bool = False
+) -> Iterator[Solved]:
     """Each problem planned, or every so many of each set, and looked at from outside; kernels are loaded before.
 
     Args:
@@ -142,6 +132,7 @@ def solved(robot: Robot, folder: Path, options: PlanOptions, *, every: int = 1, 
         options: How to plan.
         every: 1 for all problems, 2 for every other one of each set, and so on.
         cpu: True for CPU time, on a machine that others use.
+        peer: True for the motion of RRTConnect and toppra too; OMPL is seeded before.
     """
     now = time.process_time if cpu else time.perf_counter
     for set_name in SETS:
@@ -150,16 +141,20 @@ def solved(robot: Robot, folder: Path, options: PlanOptions, *, every: int = 1, 
     for set_name in SETS:
         for problem in problems(folder, set_name)[::every]:
             scene, number = scene_of(robot, problem, f"{set_name} {problem['number']}"), int(problem["number"])
-            began = now()
+            check, began, found = outside_check(robot, problem), now(), None
             try:
                 found = plan(robot, scene, options)
+                origin: str = found.motion.origin
             except HplanError as error:
-                yield Solved(set_name, number, type(error).__name__, now() - began, None, False, (0, 0))
+                origin = type(error).__name__
+            seconds = now() - began
+            theirs = peer_motion(robot, scene, check) if peer else None
+            if found is None:
+                yield Solved(set_name, number, origin, seconds, None, False, (0, 0), theirs)
                 continue
-            seconds, duration = now() - began, found.trajectory.duration
-            touched = contacts(robot, problem, found.trajectory.positions(times_until(duration, EVERY_S)))
-            verified = found.certificate.verified
-            yield Solved(set_name, number, found.motion.origin, seconds, duration, verified, touched)
+            motion = TimedMotion(found.trajectory.duration, found.trajectory.positions)
+            touched, verified = check.contacts(motion), found.certificate.verified
+            yield Solved(set_name, number, origin, seconds, motion.duration, verified, touched, theirs)
 
 
 def table(rows: list[Solved]) -> list[str]:
@@ -178,4 +173,32 @@ def table(rows: list[Solved]) -> list[str]:
             f"| {np.quantile(times, 0.95):.0f} | {times.max():.0f} | {np.median(durations or [np.nan]):.2f} "
             f"| {touched[0]} | {touched[1]} |"
         )
+    return lines
+
+
+def peer_table(rows: list[Solved]) -> list[str]:
+    """Lines: for each set, and for all, what RRTConnect and toppra made of it, and the ratios of durations."""
+    heads = (
+        *("problems", "paths", "path and timing: median ms", "95 % ms", "motions in contact", "with an obstacle"),
+        *("with the robot", "hplan's duration / theirs: median", "95 %", "max", "of those clear: median"),
+    )
+    lines = [f"| set | {' | '.join(heads)} |", f"|---|{'---:|' * len(heads)}"]
+    for name in (*dict.fromkeys(row.set_name for row in rows), "all"):
+        some = [(row, row.peer) for row in rows if name in (row.set_name, "all") and row.peer is not None]
+        timed = [peer for _, peer in some if peer.duration_s is not None]
+        ms = [1e3 * (peer.path_s + peer.timing_s) for _, peer in some]
+        both = [
+            (row.duration_s / peer.duration_s, any(peer.contacts))
+            for row, peer in some
+            if row.duration_s is not None and peer.duration_s is not None
+        ]
+        ratios = [ratio for ratio, _ in both] or [np.nan]
+        cells = (
+            *(len(some), len(timed), f"{median(ms):.0f}", f"{np.quantile(ms or [np.nan], 0.95):.0f}"),
+            *(sum(any(peer.contacts) for peer in timed), sum(peer.contacts[0] > 0 for peer in timed)),
+            *(sum(peer.contacts[1] > 0 for peer in timed), f"{np.median(ratios):.2f}"),
+            *(f"{np.quantile(ratios, 0.95):.2f}", f"{max(ratios):.2f}"),
+            f"{median([ratio for ratio, touches in both if not touches]):.2f}",
+        )
+        lines.append(f"| {name} | {' | '.join(map(str, cells))} |")
     return lines

@@ -1,4 +1,4 @@
-"""Camera and lights: all points are in the picture, and little stands before the arm."""
+"""Camera, lights and ground: all points are in the picture, and little stands before the arm."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from hplan.base.arrays import FloatArray
 from hplan.view import three_js as three
 from hplan.view.commands import set_object, set_property
-from hplan.view.three_js import Json
+from hplan.view.three_js import Body, Json
 
 #: The picture is composed for windows at least this wide (width / height).
 ASPECT = 1.3
@@ -20,6 +20,7 @@ _MARGIN = 1.1
 #: What is this much nearer to the camera than a point, and this near to it in the picture, covers it [m].
 _BEFORE, _BESIDE = 0.08, 0.03
 
+_GRID_COLOR = (0.35, 0.42, 0.50)
 _SKY_TOP = (0.80, 0.86, 0.92)
 _SKY_BOTTOM = (0.97, 0.97, 0.96)
 
@@ -160,3 +161,40 @@ def lights(view: Frame) -> list[Json]:
         commands.append(set_object(f"/Lights/{name}", data))
         commands.append(set_property(f"/Lights/{name}/<object>", "castShadow", throws))
     return commands
+
+
+def ground(view: Frame, floor: float) -> Body:
+    """Faint lines 0.5 m apart on the ground that fade with distance, and the shadows between them."""
+    body = Body()
+    spacing = 0.5
+    extent = spacing * np.ceil((2.2 * view.radius + 1.0) / spacing)
+    middle = spacing * np.round(view.ground / spacing)
+    ticks = np.arange(-extent, extent + 0.5 * spacing, spacing)
+    n = len(ticks)
+    x, y = (grid.ravel() for grid in np.meshgrid(ticks, ticks, indexing="ij"))
+    fade = np.clip(1.0 - np.hypot(x, y) / extent, 0.0, 1.0)
+    colors = np.column_stack([np.tile(_GRID_COLOR, (n * n, 1)), 0.55 * fade * fade * (3.0 - 2.0 * fade)])
+    index = np.arange(n * n).reshape(n, n)
+    pairs = np.vstack(
+        [
+            np.column_stack([index[:-1].ravel(), index[1:].ravel()]),
+            np.column_stack([index[:, :-1].ravel(), index[:, 1:].ravel()]),
+        ]
+    )
+    seen = (colors[pairs, 3] > 0.0).any(axis=1)
+    points = np.column_stack([x + middle[0], y + middle[1], np.full(n * n, floor)])
+    lines = three.material(0xFFFFFF, opacity=0.999, kind="LineBasicMaterial", vertexColors=True, depthWrite=False)
+    body.add(
+        three.line_segments(points, pairs[seen], colors),
+        lines,
+        name="grid",
+        kind="LineSegments",
+        shadow=False,
+        order=-1,
+    )
+    # Only the shadows of this plane are drawn.
+    catcher = three.material(0x1F2A3A, opacity=0.22, kind="ShadowMaterial", depthWrite=False)
+    plane = {"type": "PlaneGeometry", "width": float(2.0 * extent), "height": float(2.0 * extent)}
+    pose = three.transform(position=[*middle, floor])
+    body.add(plane, catcher, pose, name="shadows", shadow=False, order=-2)
+    return body

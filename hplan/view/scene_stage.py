@@ -14,10 +14,12 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from hplan.base.arrays import FloatArray
+from hplan.bodies.collision_bodies import collision_bodies
 from hplan.bodies.reach import reach_ball
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 from hplan.scene.obstacles import Solid
+from hplan.scene.solids import CUBE_CORNERS
 from hplan.timing.trajectory import Trajectory
 from hplan.view import framing, scenery
 from hplan.view import three_js as three
@@ -45,8 +47,6 @@ START_COLOR = 0x3D7EFF
 GOAL_COLOR = 0x12A150
 APPROACH_COLOR = 0xF08A1D
 
-_GRID_COLOR = (0.35, 0.42, 0.50)
-
 #: The camera stands to the side of the arm plane, turned forwards, or backwards, by this and raised by this [deg].
 _AZIMUTH_DEG = 32.0
 _ELEVATION_DEG = 17.0
@@ -72,13 +72,15 @@ def stage(robot: Robot, scene: Scene, playback: Playback) -> list[Json]:
     """
     playback.check(robot)
     trajectory, picks = playback.trajectory, scenery.picks(scene, playback)
-    view = _frame(robot, _stands(scene, playback), trajectory, [_row_at(trajectory, pick.since) for pick in picks])
+    stands = _stands(scene, playback)
+    floor = _floor(robot, stands)
+    view = _frame(robot, stands, trajectory, [_row_at(trajectory, pick.since) for pick in picks], floor)
     commands = [
         *framing.lights(view),
         *framing.camera(view),
         # The viewer's camera can only circle the world's origin, so the world is moved there.
         set_transform(ROOT, three.transform(position=-view.target)),
-        set_object(f"{ROOT}/ground", _ground(view)),
+        set_object(f"{ROOT}/ground", framing.ground(view, floor)),
         *scenery.obstacles(scene),
         *scenery.fruits(scene, goal=scene.goal.fruit if len(picks) < 2 else None),
         *scenery.placed_movers(scene, playback.begin_s),
@@ -232,7 +234,20 @@ def _stands(scene: Scene, playback: Playback) -> list[Scene]:
     return [scene.at(playback.begin_s + part * playback.trajectory.duration) for part in (0.0, 0.25, 0.5, 0.75, 1.0)]
 
 
-def _frame(robot: Robot, stands: Sequence[Scene], trajectory: Trajectory, picks: Sequence[int]) -> Frame:
+def _floor(robot: Robot, stands: Sequence[Scene]) -> float:
+    """Height of the ground [m]: 0, or that at which a table or shelf stands that goes below the foot of the arm.
+
+    Arms of the planar family stand on the ground themselves.
+    """
+    solids = [solid for scene in stands for item in scene.obstacles for solid in item.solids]
+    if robot.planar is not None or not solids:
+        return 0.0
+    heights = [(float(core[:, 2].min()), float(core[:, 2].max())) for core in map(_outline, solids)]
+    lowest = min((low for low, high in heights if high > 0.0), default=0.0)  # what does not reach up is the ground
+    return min(0.0, max(lowest, -_reach(robot)[0]))
+
+
+def _frame(robot: Robot, stands: Sequence[Scene], trajectory: Trajectory, picks: Sequence[int], floor: float) -> Frame:
     """Place the camera so that arm and scene fill the picture and the arm plane is seen from the side.
 
     Where several fruits are picked, it is the plane in the middle of those picks. Of the four sides, before and behind
@@ -249,7 +264,10 @@ def _frame(robot: Robot, stands: Sequence[Scene], trajectory: Trajectory, picks:
     before, widths = (np.concatenate(values) for values in zip(*blocking, strict=True))
     sides = yaw + np.radians([turn for side in (-90.0, 90.0) for turn in (side + _AZIMUTH_DEG, side - _AZIMUTH_DEG)])
     hidden = [framing.covered(arm, before, widths, azimuth, elevation) for azimuth in sides]
-    return framing.frame(_visible_points(robot, stands, arm), float(sides[int(np.argmin(hidden))]), elevation)
+    width = _reach(robot)[2]
+    moving = [arm - width, arm + width] if robot.planar is not None else [arm, _corners(robot, configurations)]
+    visible = _visible_points(robot, stands, np.vstack(moving), floor)
+    return framing.frame(visible, float(sides[int(np.argmin(hidden))]), elevation)
 
 
 def _arm_points(robot: Robot, configurations: FloatArray) -> FloatArray:
@@ -270,6 +288,20 @@ def _arm_points(robot: Robot, configurations: FloatArray) -> FloatArray:
     return np.vstack(points)
 
 
+def _corners(robot: Robot, configurations: FloatArray) -> FloatArray:
+    """Corners of boxes about the bodies of an arm of any kind at each configuration, (n, 3) [m]."""
+    bodies = [body for body in collision_bodies(robot) if body.joint >= 0]
+    ends = [(body.core.min(axis=0) - body.rounding, body.core.max(axis=0) + body.rounding) for body in bodies]
+    boxes = [np.where(CUBE_CORNERS < 0.0, low, high) for low, high in ends]
+    points, data = [np.zeros((0, 3))], robot.model.createData()
+    for q in configurations:
+        pin.forwardKinematics(robot.model, data, q)
+        for body, box in zip(bodies, boxes, strict=True):
+            place = data.oMi[body.joint + 1]
+            points.append(box @ place.rotation.T + place.translation)
+    return np.vstack(points)
+
+
 def _blocking_points(scene: Scene) -> tuple[FloatArray, FloatArray]:
     """Points of solids, (n, 3) [m], and how far each one's solid reaches about it, (n,) [m]."""
     points, widths = [np.zeros((0, 3))], [np.zeros(0)]
@@ -285,10 +317,10 @@ def _blocking_points(scene: Scene) -> tuple[FloatArray, FloatArray]:
     return np.vstack(points), np.concatenate(widths)
 
 
-def _visible_points(robot: Robot, stands: Sequence[Scene], arm: FloatArray) -> FloatArray:
+def _visible_points(robot: Robot, stands: Sequence[Scene], arm: FloatArray, floor: float) -> FloatArray:
     """Points that the picture must hold, (n, 3) [m]: the moving arm, its foot, obstacles near the arm, fruits."""
-    reach, middle, width = _reach(robot)
-    points = [arm - width, arm + width, _footprint(robot)]
+    reach, middle, _width = _reach(robot)
+    points = [arm, _footprint(robot)]
     for core, rounding in (
         *((_outline(solid), solid.rounding) for scene in stands for item in scene.obstacles for solid in item.solids),
         *((np.array([fruit.center]), fruit.radius) for scene in stands for fruit in scene.fruits),
@@ -299,7 +331,7 @@ def _visible_points(robot: Robot, stands: Sequence[Scene], arm: FloatArray) -> F
         # A long wire or a distant wall may leave the picture; what the arm can touch may not.
         points.append(np.clip(corners, middle - reach, middle + reach))
     result = np.vstack(points)
-    result[:, 2] = np.maximum(result[:, 2], 0.0)
+    result[:, 2] = np.maximum(result[:, 2], floor)
     return result
 
 
@@ -327,43 +359,6 @@ def _footprint(robot: Robot) -> FloatArray:
         return side
     square: FloatArray = side * max(1.0, float(robot.arm.lengths[0])) + np.append(robot.yaw_axis, 0.0)
     return square
-
-
-def _ground(view: Frame) -> Body:
-    """Faint lines 0.5 m apart on the ground z = 0 that fade with distance, and the shadows between them."""
-    body = Body()
-    spacing = 0.5
-    extent = spacing * np.ceil((2.2 * view.radius + 1.0) / spacing)
-    middle = spacing * np.round(view.ground / spacing)
-    ticks = np.arange(-extent, extent + 0.5 * spacing, spacing)
-    n = len(ticks)
-    x, y = (grid.ravel() for grid in np.meshgrid(ticks, ticks, indexing="ij"))
-    fade = np.clip(1.0 - np.hypot(x, y) / extent, 0.0, 1.0)
-    colors = np.column_stack([np.tile(_GRID_COLOR, (n * n, 1)), 0.55 * fade * fade * (3.0 - 2.0 * fade)])
-    index = np.arange(n * n).reshape(n, n)
-    pairs = np.vstack(
-        [
-            np.column_stack([index[:-1].ravel(), index[1:].ravel()]),
-            np.column_stack([index[:, :-1].ravel(), index[:, 1:].ravel()]),
-        ]
-    )
-    seen = (colors[pairs, 3] > 0.0).any(axis=1)
-    points = np.column_stack([x + middle[0], y + middle[1], np.zeros(n * n)])
-    lines = three.material(0xFFFFFF, opacity=0.999, kind="LineBasicMaterial", vertexColors=True, depthWrite=False)
-    body.add(
-        three.line_segments(points, pairs[seen], colors),
-        lines,
-        name="grid",
-        kind="LineSegments",
-        shadow=False,
-        order=-1,
-    )
-    # Only the shadows of this plane are drawn.
-    catcher = three.material(0x1F2A3A, opacity=0.22, kind="ShadowMaterial", depthWrite=False)
-    plane = {"type": "PlaneGeometry", "width": float(2.0 * extent), "height": float(2.0 * extent)}
-    pose = three.transform(position=[*middle, 0.0])
-    body.add(plane, catcher, pose, name="shadows", shadow=False, order=-2)
-    return body
 
 
 def _rgb(color: int) -> FloatArray:

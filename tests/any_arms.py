@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from toy_urdf import SIX_AXIS_LIMITS, seven_axis_arm, six_axis_arm
+from toy_urdf import SIX_AXIS_LIMITS, seven_axis_arm, six_axis_arm, six_axis_picker
 
 from hplan.errors import InputError
 from hplan.robot.model import Robot, load_robot
@@ -40,11 +40,11 @@ LIFT = (
 
 
 def loaded_arm(name: str, folders: pytest.TempPathFactory) -> Robot:
-    """A robot by name, read once."""
+    """A robot by name, read once: one of `ARMS`, or `picker`, six axes with a tool of some length."""
     if name not in _KNOWN:
-        if name == "toy":
-            path = folders.mktemp("toy") / "six.urdf"
-            path.write_text(six_axis_arm())
+        if name in ("toy", "picker"):
+            path = folders.mktemp(name) / "six.urdf"
+            path.write_text(six_axis_arm() if name == "toy" else six_axis_picker())
             path.with_suffix(".limits.yaml").write_text(SIX_AXIS_LIMITS)
             _KNOWN[name] = load_robot(path)
         elif name in ("lift", "seven"):

@@ -67,6 +67,18 @@ def six_axis_arm() -> str:
     return "\n".join(parts)
 
 
+def six_axis_picker() -> str:
+    """The same with a tube of 15 cm at its flange, the tool frame at its end, along the last joint's axis."""
+    tube = (
+        '<link name="picker"><collision><origin xyz="0 0 0.075"/><geometry><cylinder radius="0.015" length="0.15"/>'
+        '</geometry></collision></link><joint name="flange" type="fixed"><parent link="wrist_3_link"/><child '
+        'link="picker"/><origin xyz="0 0.08 0" rpy="-1.5707963267948966 0 0"/></joint><joint name="tip" type="fixed">'
+        '<parent link="picker"/><child link="tool0"/><origin xyz="0 0 0.15"/></joint><link name="tool0"/></robot>'
+    )
+    whole = six_axis_arm()
+    return whole[: whole.index('<joint name="flange"')] + tube
+
+
 #: Joints in the manner of a KUKA LBR iiwa 14, which stands upright at 0: height above the joint before [m], axis, range
 #: [deg], speed [deg/s], torque [N m], acceleration [rad/s^2]; mass of the link [kg], radius and length of its cylinder
 #: and the height of its middle [m].

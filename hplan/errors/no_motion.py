@@ -55,8 +55,8 @@ class UnreachableError(HplanError):
 class ApproachError(HplanError):
     """No straight approach as long as asked for.
 
-    `reason` is `joint_limit` (`joint`), `elbow` (it would come too near to straight or folded), or `joints` (fewer
-    than three that may move).
+    `reason` is `joint_limit` (`joint`), `elbow` (it would come too near to straight or folded), `joints` (fewer than
+    three that may move) or, of a robot that is no planar arm, `line` (the tool cannot be drawn back so far).
     """
 
     exit_status = 3

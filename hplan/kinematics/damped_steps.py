@@ -3,6 +3,10 @@
 The error is that of the place and the vector of the turn that is left, both in `base_link`; of a free turn only what
 brings the frame's z axis to that of the pose. A step solves the normal equations with damping after Levenberg and
 Marquardt, which grows where a step makes the error larger; joints at a limit that would be passed keep still in it.
+
+Where there is more than one configuration, the one that is found is near the start: steps lie in the space of the rows
+of the Jacobian, but for the damping. So a frame that is drawn along a line by short steps takes the joints with it
+without a jump (`draw_back`).
 """
 
 from __future__ import annotations
@@ -12,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hplan.base.arrays import BoolArray, FloatArray
+from hplan.base.arrays import BoolArray, FloatArray, IntArray
 from hplan.base.kernels import kernel
 from hplan.bodies import flat_bodies as flat
 from hplan.bodies.placed_bodies import place_joints
@@ -29,6 +33,9 @@ _DAMPING, _LESS, _MORE, _MOST = 1e-3, 0.2, 8.0, 1e9
 #: The least damping, against a singular matrix.
 _LEAST = 1e-12
 
+#: What of a frame's orientation is given: all of it, the direction of its z axis, or nothing.
+KEPT, ABOUT_Z, ANY_TURN = 0.0, 1.0, 2.0
+
 
 class Chain(NamedTuple):
     """A robot and what is asked of it, as arrays.
@@ -41,7 +48,7 @@ class Chain(NamedTuple):
         carrier: (1,) the joint that carries the frame; `dof` for the base.
         placement: (12,) the frame on its joint: a turn, row by row, and a place.
         pose: (12,) where the frame is to be in `base_link`.
-        free_turn: (1,) 1 if it may turn about its z axis, else 0.
+        free_turn: (1,) `KEPT`, or `ABOUT_Z` if it may turn about its z axis, or `ANY_TURN`.
     """
 
     numbers: FloatArray
@@ -60,6 +67,53 @@ def solve_all(starts: FloatArray, chain: Chain, solutions: FloatArray, found: Bo
     for row in range(starts.shape[0]):
         solutions[row] = starts[row]
         found[row] = solve(chain, solutions[row])
+
+
+@kernel
+def solve_each(starts: FloatArray, poses: FloatArray, chain: Chain, solutions: FloatArray, found: BoolArray) -> None:
+    """As `solve_all`, with a pose for each start, (k, 12); the chain's pose is overwritten."""
+    for row in range(starts.shape[0]):
+        chain.pose[:] = poses[row]
+        solutions[row] = starts[row]
+        found[row] = solve(chain, solutions[row])
+
+
+@kernel
+def draw_back(
+    goals: FloatArray, distances: FloatArray, most: FloatArray, chain: Chain, rows: FloatArray, reached: IntArray
+) -> None:
+    """Draw the frame from (k, dof) configurations straight back along its z axis there, by short steps.
+
+    The frame keeps its turn about the axis or not, as the chain has it, whose pose is overwritten.
+
+    Args:
+        goals: (k, dof) configurations.
+        distances: (m,) how far the frame is drawn back, increasing from 0 [m].
+        most: (m, dof) the most that each joint may change in the step up to each distance.
+        chain: The robot.
+        rows: (k, m, dof) the configurations; those beyond `reached` are as the last one.
+        reached: (k,) how many of the distances are reached.
+    """
+    frames, tool, back = np.empty((goals.shape[1] + 1, 12)), np.empty(12), np.empty(3)
+    for k in range(goals.shape[0]):
+        rows[k, 0] = goals[k]
+        place_frame(chain, goals[k], frames, tool)
+        chain.pose[:] = tool
+        for r in range(3):
+            back[r] = -tool[3 * r + 2]
+        reached[k] = distances.shape[0]
+        for i in range(1, distances.shape[0]):
+            rows[k, i] = rows[k, i - 1]
+            if i >= reached[k]:
+                continue
+            for r in range(3):
+                chain.pose[9 + r] = tool[9 + r] + distances[i] * back[r]
+            kept = solve(chain, rows[k, i])
+            for j in range(goals.shape[1]):
+                kept = kept and abs(rows[k, i, j] - rows[k, i - 1, j]) <= most[i, j]
+            if not kept:
+                reached[k] = i
+                rows[k, i] = rows[k, i - 1]
 
 
 @kernel
@@ -155,23 +209,14 @@ def cholesky_solve(matrix: FloatArray, right: FloatArray, solution: FloatArray) 
 @kernel
 def linearise(chain: Chain, q: FloatArray, frames: FloatArray, error: FloatArray, jacobian: FloatArray) -> None:
     """Write the frames of all joints, the (6,) error of the pose and how joints change the frame, (6, dof)."""
-    numbers, moves, placement, pose = chain.numbers, chain.moves, chain.placement, chain.pose
-    free, joints = chain.free_turn[0] > 0.0, int(chain.numbers[flat.JOINTS])
-    place_joints(q, numbers, frames)
-    carrier = frames[int(chain.carrier[0])]
+    numbers, moves, pose = chain.numbers, chain.moves, chain.pose
+    free, turned, joints = chain.free_turn[0] == ABOUT_Z, chain.free_turn[0] != ANY_TURN, int(numbers[flat.JOINTS])
     tool = np.empty(12)
+    place_frame(chain, q, frames, tool)
     for r in range(3):
-        for c in range(3):
-            tool[3 * r + c] = (
-                carrier[3 * r] * placement[c]
-                + carrier[3 * r + 1] * placement[3 + c]
-                + carrier[3 * r + 2] * placement[6 + c]
-            )
-        tool[9 + r] = carrier[9 + r] + (
-            carrier[3 * r] * placement[9] + carrier[3 * r + 1] * placement[10] + carrier[3 * r + 2] * placement[11]
-        )
-        error[r] = pose[9 + r] - tool[9 + r]
-    turn_left(tool, pose, free, error)
+        error[r], error[3 + r] = pose[9 + r] - tool[9 + r], 0.0
+    if turned:
+        turn_left(tool, pose, free, error)
     zx, zy, zz = tool[2], tool[5], tool[8]
     for j in range(q.shape[0]):
         for r in range(6):
@@ -191,8 +236,28 @@ def linearise(chain: Chain, q: FloatArray, frames: FloatArray, error: FloatArray
         z = frame[6] * ax + frame[7] * ay + frame[8] * az
         px, py, pz = tool[9] - frame[9], tool[10] - frame[10], tool[11] - frame[11]
         jacobian[0, j], jacobian[1, j], jacobian[2, j] = y * pz - z * py, z * px - x * pz, x * py - y * px
+        if not turned:
+            continue
         along = zx * x + zy * y + zz * z if free else 0.0
         jacobian[3, j], jacobian[4, j], jacobian[5, j] = x - along * zx, y - along * zy, z - along * zz
+
+
+@kernel
+def place_frame(chain: Chain, q: FloatArray, frames: FloatArray, tool: FloatArray) -> None:
+    """Write the frames of all joints and, (12,), where the chain's frame is."""
+    placement = chain.placement
+    place_joints(q, chain.numbers, frames)
+    carrier = frames[int(chain.carrier[0])]
+    for r in range(3):
+        for c in range(3):
+            tool[3 * r + c] = (
+                carrier[3 * r] * placement[c]
+                + carrier[3 * r + 1] * placement[3 + c]
+                + carrier[3 * r + 2] * placement[6 + c]
+            )
+        tool[9 + r] = carrier[9 + r] + (
+            carrier[3 * r] * placement[9] + carrier[3 * r + 1] * placement[10] + carrier[3 * r + 2] * placement[11]
+        )
 
 
 @kernel

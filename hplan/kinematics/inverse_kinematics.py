@@ -20,7 +20,7 @@ from hplan.base.arrays import FloatArray, frozen, numbers
 from hplan.bodies import flat_bodies as flat
 from hplan.bodies.reach import carriers, joint_axis
 from hplan.errors import InputError, UnreachableError
-from hplan.kinematics.damped_steps import Chain, solve_all
+from hplan.kinematics.damped_steps import ABOUT_Z, KEPT, Chain, solve_all
 from hplan.robot.model import Robot
 
 #: Starts, and the most that may be asked for.
@@ -71,12 +71,9 @@ def inverse_kinematics(
     count = whole("seeds", seeds, 1, MOST_SEEDS)
     free = truth("free_turn", free_turn)
     keeps = robot.locked_mask(list_of("locked", locked, str, "names"))
-    chain = _chain(robot, _checked_pose(pose), frame, free)
-    for joint in np.flatnonzero(keeps).tolist():
-        chain.moves[joint] = 0.0
-    spread = np.random.default_rng(0).random((max(0, count - 2), robot.dof))
-    starts = np.concatenate([begin[None], middle[None], robot.lower + spread * (robot.upper - robot.lower)])[:count]
-    starts = np.where(chain.moves > 0.0, starts, begin)
+    chain = chain_of(robot, _checked_pose(pose), ABOUT_Z if free else KEPT, frame)
+    chain.moves[keeps] = 0.0
+    starts = spread_starts(robot, begin, chain, count)
     solutions, found = np.empty(starts.shape), np.zeros(len(starts), dtype=np.bool_)
     solve_all(starts, chain, solutions, found)
     if not found.any():
@@ -84,7 +81,18 @@ def inverse_kinematics(
         held = f", with {', '.join(locked)} locked" if keeps.any() else ""
         detail = f"{asked} was not reached from any of {count} starts{held}; that is no proof that it cannot be"
         raise UnreachableError(chain.pose[9:].tolist(), "not_found", detail, joints=list(robot.joint_names))
-    return _distinct(robot, solutions[found], begin, chain)
+    return distinct(robot, solutions[found], begin, chain)
+
+
+def spread_starts(robot: Robot, begin: FloatArray, chain: Chain, count: int) -> FloatArray:
+    """(count, dof) the configuration that the arm comes from, the middle of the ranges, others; always the same.
+
+    Joints that do not move, or do not move the frame, keep the values of the first.
+    """
+    spread = np.random.default_rng(0).random((max(0, count - 2), robot.dof))
+    middle = 0.5 * (robot.lower + robot.upper)
+    starts = np.concatenate([begin[None], middle[None], robot.lower + spread * (robot.upper - robot.lower)])[:count]
+    return np.where(chain.moves > 0.0, starts, begin)
 
 
 def _checked_pose(pose: ArrayLike) -> FloatArray:
@@ -103,8 +111,15 @@ def _checked_pose(pose: ArrayLike) -> FloatArray:
     return matrix
 
 
-def _chain(robot: Robot, pose: FloatArray, name: str | None, free_turn: bool) -> Chain:
-    """The arrays of the kernels."""
+def chain_of(robot: Robot, pose: FloatArray, turn: float, name: str | None = None) -> Chain:
+    """The arrays of the kernels.
+
+    Args:
+        robot: The robot.
+        pose: (4, 4) homogeneous matrix in `base_link`.
+        turn: What of its rotation counts: `KEPT`, `ABOUT_Z` or `ANY_TURN`.
+        name: Name of the frame; None for the tool frame.
+    """
     frame = robot.model.frames[robot.frame_number(robot.tool_frame if name is None else name)]
     carrier = int(frame.parentJoint) - 1
     moves = np.zeros(robot.dof)
@@ -118,12 +133,12 @@ def _chain(robot: Robot, pose: FloatArray, name: str | None, free_turn: bool) ->
         carrier=np.array([float(robot.dof if carrier < 0 else carrier)]),
         placement=np.concatenate([np.array(frame.placement.rotation).ravel(), frame.placement.translation]),
         pose=np.concatenate([pose[:3, :3].ravel(), pose[:3, 3]]),
-        free_turn=np.array([float(free_turn)]),
+        free_turn=np.array([turn]),
     )
 
 
-def _distinct(robot: Robot, solutions: FloatArray, start: FloatArray, chain: Chain) -> FloatArray:
-    """Those that differ, the one nearest to the start first, each as few whole turns from it as limits allow."""
+def distinct(robot: Robot, solutions: FloatArray, start: FloatArray, chain: Chain) -> FloatArray:
+    """Those of (k, dof) solutions that differ, the one nearest to the start first, as few turns from it as can be."""
     near = solutions.copy()
     for joint in np.flatnonzero(chain.moves).tolist():
         if not joint_axis(robot, joint)[1]:
@@ -133,8 +148,9 @@ def _distinct(robot: Robot, solutions: FloatArray, start: FloatArray, chain: Cha
             near[:, joint] += math.tau * turns
     near = np.clip(near, robot.lower, robot.upper)
     times = (np.abs(near - start) / robot.velocity_limit).max(axis=1)
-    kept: list[FloatArray] = []
-    for row in ties.argsort(times.tolist()).tolist():
-        if all(np.abs(near[row] - other).max() >= SAME for other in kept):
-            kept.append(near[row])
-    return frozen(np.array(kept))
+    near = near[ties.argsort(times.tolist())]
+    left = np.ones(len(near), dtype=np.bool_)
+    for row in range(len(near)):
+        if left[row]:
+            left[row + 1 :] &= np.abs(near[row + 1 :] - near[row]).max(axis=1) >= SAME
+    return frozen(near[left])

@@ -9,7 +9,7 @@ import numpy as np
 
 from hplan.base.arrays import FloatArray
 from hplan.errors import UnreachableError
-from hplan.planar.inverse_kinematics import Candidates
+from hplan.kinematics.approach_angles import Candidates
 
 #: Angles are refined by this factor at a time until they are this near to one another [rad].
 FACTOR, FINEST = 4, np.radians(0.05)

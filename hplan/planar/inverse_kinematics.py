@@ -23,10 +23,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hplan.base import ties
-from hplan.base.arrays import BoolArray, ComplexArray, FloatArray, IntArray, Record, frozen
+from hplan.base.arrays import BoolArray, ComplexArray, FloatArray, IntArray, frozen
 from hplan.base.elementary import arctan2, modulus, product
 from hplan.errors import InputError, OptionError, UnreachableError
-from hplan.planar.planar_chain import ANGLE_TOLERANCE, MATCH_TOLERANCE, FreeChain, Reached, Window, locked_mask
+from hplan.kinematics.approach_angles import Candidates, Window
+from hplan.planar.planar_chain import ANGLE_TOLERANCE, MATCH_TOLERANCE, FreeChain, Reached, locked_mask
 from hplan.robot.model import Robot
 
 #: Configurations between the ends of continua, where no number is given.
@@ -45,19 +46,6 @@ ROUNDING = 1e-8
 GRID_VALUES, MOST_COMBINATIONS = (5, 9, 17, 33), 1500
 
 _TURN = 2.0 * np.pi
-
-
-@dataclass(frozen=True, eq=False)
-class Candidates(Record):
-    """Configurations that put the tool at a point.
-
-    Attributes:
-        configurations: (k, dof), k >= 1, within the limits; in the order of their joint values.
-        approach: (k,) absolute angle of the last link in the arm plane, in (-pi, pi].
-    """
-
-    configurations: FloatArray
-    approach: FloatArray
 
 
 def reach(
@@ -92,27 +80,12 @@ def reach(
     """
     if count < 1:
         raise OptionError("count", count, "a number of configurations >= 1")
-    task = _ReachTask.of(robot, position, _window(approach_deg), start, locked)
+    task = _ReachTask.of(robot, position, Window.of(approach_deg), start, locked)
     configurations, direction = task.solve(count)
     if not len(configurations):
         raise _reason(task)
     approach = np.pi - (np.pi - direction) % _TURN
     return Candidates(frozen(configurations), frozen(approach))
-
-
-def _window(approach_deg: float | tuple[float, float] | None) -> Window | None:
-    """The interval of approach angles asked for; None for all of them."""
-    if approach_deg is None:
-        return None
-    expected = "an angle or an interval (low, high), low <= high, in degrees"
-    try:
-        ends = np.atleast_1d(np.array(approach_deg, dtype=np.float64))
-    except (TypeError, ValueError) as error:
-        raise OptionError("approach_deg", approach_deg, expected) from error
-    if ends.shape not in ((1,), (2,)) or not np.isfinite(ends).all() or ends[0] > ends[-1]:
-        raise OptionError("approach_deg", approach_deg, expected)
-    low, high = np.radians(ends[[0, -1]])
-    return None if high - low >= _TURN else Window(float(low), float(high - low))
 
 
 @dataclass(frozen=True, eq=False)

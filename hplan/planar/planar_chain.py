@@ -28,6 +28,7 @@ from hplan.base import ties
 from hplan.base.arrays import BoolArray, ComplexArray, FloatArray, IntArray, Record
 from hplan.base.elementary import arccos, arctan2, argument, modulus
 from hplan.errors import InputError
+from hplan.kinematics.approach_angles import WINDOW_TOLERANCE, Window, above
 from hplan.robot.model import Robot
 from hplan.robot.planar_family import PlanarArm
 
@@ -40,33 +41,12 @@ ANGLE_TOLERANCE = 1e-10
 #: Arms with no joint left to adjust reach a point from which they are this far away [m].
 MATCH_TOLERANCE = 1e-6
 
-#: A direction of the last link this far outside the interval asked for is in it [rad].
-WINDOW_TOLERANCE = 1e-7
-
 _TURN = 2.0 * np.pi
 _LAST_DIGITS = 1e-15
 _SIDES = np.array([1.0, -1.0])
 
 #: Directions of the last link tried where limits are set aside, and how often the best is looked at more closely.
 _TRIED, _CLOSER = 720, 3
-
-
-@dataclass(frozen=True)
-class Window(Record):
-    """An interval of absolute angles of the last link.
-
-    Attributes:
-        low: Where it begins.
-        width: How wide it is, in [0, 2 pi]; 0 for one angle.
-    """
-
-    low: float
-    width: float
-
-    def holds(self, angle: FloatArray) -> BoolArray:
-        """True for angles in it, whole turns aside."""
-        inside: BoolArray = _above(angle, self.low - WINDOW_TOLERANCE) <= self.width + 2.0 * WINDOW_TOLERANCE
-        return inside
 
 
 @dataclass(frozen=True, eq=False)
@@ -298,7 +278,7 @@ class FreeChain(Record):
         absolute, ok = self._with_last(points[:, None], middle)
         feasible = (self.keeps_limits(self.joints(absolute)) & ok[..., :1]).transpose(0, 2, 1)
         if low is not None:
-            feasible &= (_above(middle, low[:, None]) <= width)[:, None]
+            feasible &= (above(middle, low[:, None]) <= width)[:, None]
         return cuts, widths, feasible
 
 
@@ -351,12 +331,6 @@ def _both_elbows(
     bearing, half, bend, ok = two_links(l1, l2, points)
     first = bearing[..., None] - _SIDES * half[..., None]
     return first, first + _SIDES * bend[..., None], np.stack([ok, ok & (bend > 0.0) & (bend < np.pi)], axis=-1)
-
-
-def _above(angle: FloatArray, low: FloatArray | float) -> FloatArray:
-    """Differences of angles from another, in [0, 2 pi)."""
-    above: FloatArray = (angle - low) % _TURN
-    return above
 
 
 def _merged(spans: list[tuple[float, float]]) -> list[tuple[float, float]]:

@@ -17,7 +17,6 @@ from hplan.base.deadline import look
 from hplan.errors import CertificationError, ConfigurationInCollisionError, HplanError, TimingError
 from hplan.optimization.minimize_time import Effort, Level, minimize_time
 from hplan.optimization.timed_spline import BoundaryState, TimedSpline
-from hplan.planar.straight_approach import ApproachPath, standoffs
 from hplan.planning.certified_motion import (
     Part,
     PlannedMotion,
@@ -31,6 +30,7 @@ from hplan.planning.find_motion import first_motion, without_path
 from hplan.planning.grasps import SPARE, Grasp, Target, promising
 from hplan.planning.refusals import Refusals
 from hplan.planning.task import PlanningContext, PlanningTask
+from hplan.problem.tool_paths import largest_standoff, tool_path
 from hplan.robot.model import Robot
 from hplan.smoothing.spline import SplinePath
 from hplan.timing.trajectory import Trajectory, cubic_pieces
@@ -103,7 +103,7 @@ def motion_to_grasp(
         begin = len(ordered)
         ordered += batch
         tasks = _tasks(ordered, range(begin, len(ordered)), task_to, refused)
-        if not is_likely:
+        if not is_likely and target.world.robot.planar is not None:  # of others there are no grids
             for number, error in zip(list(tasks), without_path(list(tasks.values())), strict=True):
                 if error is not None:
                     refused[number] = error
@@ -214,11 +214,11 @@ class Pick:
         """From where the tool can come straight and clear, at most `LEADS` beyond the stand-off [m]."""
         grasp, context, locked = self.grasp, self.context, self.context.scene.locked_joints
         longest = (1.0 + LEADS[-1]) * grasp.distance
-        possible = float(standoffs(context.robot, grasp.goal[None], longest, locked=locked).largest[0])
+        possible = largest_standoff(context.robot, grasp.goal, longest, locked, grasp.keeps_turn)
         if possible <= grasp.distance:
             return grasp.distance
         look()
-        path = ApproachPath(context.robot, grasp.goal, possible, locked)
+        path = tool_path(context.robot, grasp.goal, possible, locked, grasp.keeps_turn)
         away = np.linspace(grasp.distance, possible, LOOKS)
         field = self.target.transit_world(grasp).field
         touching = np.flatnonzero(field.along(path.evaluate((1.0 - away / possible) * path.end)).min(axis=1) < 0.0)
@@ -252,7 +252,7 @@ class Pick:
         context, grasp = self.context.among(self.target.world_touching), self.grasp
         if longer < grasp.distance + LEAST_LEAD:
             return None
-        path = ApproachPath(context.robot, grasp.goal, longer, context.scene.locked_joints)
+        path = tool_path(context.robot, grasp.goal, longer, context.scene.locked_joints, grasp.keeps_turn)
         try:
             whole = timed(context, path)
         except TimingError:

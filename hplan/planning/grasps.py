@@ -1,9 +1,9 @@
 """Grasps of a fruit, or of a point: where the tool ends, where its straight approach begins.
 
-All configurations with the tool at the point come from closed-form inverse kinematics
-(`hplan.planar.inverse_kinematics`); each has an approach along the last link (`hplan.planar.straight_approach`), from a
-stand-off that is as long as asked for where that can be had, else shorter. Only the last link may touch the fruit that
-is reached for, and only on the approach; where no straight approach is clear, on the whole motion.
+Of the configurations with the tool at the point (`hplan.problem.tool_paths`) each has an approach along the last link
+or, of a robot that is no planar arm, along the z axis of the tool frame, from a stand-off that is as long as asked for
+where that can be had, else shorter. Only the last link may touch the fruit that is reached for, and only on the
+approach; where no straight approach is clear, on the whole motion.
 """
 
 from __future__ import annotations
@@ -13,20 +13,29 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from hplan.base import ties
-from hplan.base.arrays import BoolArray, FloatArray, Record, frozen
+from hplan.base.arrays import FloatArray, Record, frozen
 from hplan.base.deadline import is_over, look
 from hplan.collision.coal_scene import Contact
 from hplan.errors import BlockedError
-from hplan.planar.finer_angles import refined
-from hplan.planar.inverse_kinematics import Candidates, reach
-from hplan.planar.straight_approach import ApproachPath, Stretches
+from hplan.kinematics.approach_angles import Candidates
 from hplan.problem.joint_ranges import LEAST_MARGIN, JointRanges, joint_ranges
+from hplan.problem.tool_paths import (
+    Approaches,
+    ToolPath,
+    candidates_at,
+    candidates_at_pose,
+    finer_candidates,
+    may_be_straight,
+    soonest,
+    straight_approaches,
+    tool_path,
+    tool_thickness,
+)
 from hplan.problem.world import World
 from hplan.robot.limits import least_duration
 from hplan.robot.model import Robot
@@ -36,14 +45,14 @@ from hplan.scene.model import Fruit
 #: Configurations that are looked at, about.
 COUNT = 64
 
+#: Where so many grasps of a robot that is no planar arm have an approach, no shorter ones are looked for.
+ENOUGH = 8
+
 #: Stand-offs tried in turn, as fractions of the one asked for.
 FRACTIONS = (1.0, 0.5, 0.2)
 
 #: To how many grasps routes are searched where no straight motion leads to them.
 SEARCHED = 8
-
-#: Where an approach is looked at, as fractions of its length.
-_LOOKS = (0.25, 0.5, 0.75, 1.0)
 
 #: What counts as the clearance of a configuration that no motion leads to, as a joint is blocked before [m].
 BEYOND = -1.0
@@ -63,9 +72,11 @@ class Grasp(Record):
         goal: (dof,) configuration with the tool at the point.
         standoff: (dof,) configuration where the straight approach begins; the goal itself where there is none.
         distance: Length of the approach [m].
-        approach: Absolute angle of the last link in the arm plane [rad].
+        approach: Absolute angle of the last link in the arm plane; of a robot that is no planar arm the approach angle
+            of its tool (`hplan.kinematics.tool_at_point`) [rad].
         least_duration: Duration that no motion from the start by the stand-off to the goal can undercut [s].
         room: Clearance beyond the one to keep that grasp and stand-off have, `SPARE` where they have more [m].
+        keeps_turn: Whether the tool does not turn about its axis on the approach.
     """
 
     goal: FloatArray
@@ -74,34 +85,16 @@ class Grasp(Record):
     approach: float
     least_duration: float
     room: float = SPARE
+    keeps_turn: bool = False
 
-    def path(self, robot: Robot, locked: tuple[str, ...] = ()) -> ApproachPath | None:
+    def path(self, robot: Robot, locked: tuple[str, ...] = ()) -> ToolPath | None:
         """The approach, or None where there is none."""
-        return ApproachPath(robot, self.goal, self.distance, locked) if self.distance > 0.0 else None
-
-
-class Approaches(NamedTuple):
-    """Straight approaches of one length to several goals.
-
-    Attributes:
-        feasible: (k,) mask of the goals to which there is one.
-        polylines: (k, points, dof) configurations from the goals to the stand-offs.
-    """
-
-    feasible: BoolArray
-    polylines: FloatArray
-
-    @classmethod
-    def of(cls, back: Stretches, goals: FloatArray, length: float) -> Approaches:
-        """The approaches of a length [m] to (k, dof) goals, from where the straight stretches lead back to."""
-        looks = np.broadcast_to(length * np.array(_LOOKS), (len(goals), len(_LOOKS)))
-        approached = np.concatenate([goals[:, None], back.configurations(goals, looks)], axis=1)
-        return cls(back.largest(length) >= length, approached)
+        return tool_path(robot, self.goal, self.distance, locked, self.keeps_turn) if self.distance > 0.0 else None
 
 
 @dataclass(frozen=True, eq=False)
 class Target(Record):
-    """A point that the tool is to reach.
+    """A point that the tool is to reach, or a pose.
 
     Attributes:
         what: What is at the point, for errors.
@@ -111,6 +104,8 @@ class Target(Record):
         approach_deg: Approach angle or an interval of it; None for all [deg].
         fruit: The fruit at the point; None for none.
         least_standoff: Shortest approach [m].
+        pose: (4, 4) pose of the tool frame or of another one; None where any orientation will do.
+        frame: Name of that other frame; None for the tool frame.
     """
 
     what: str
@@ -120,12 +115,13 @@ class Target(Record):
     approach_deg: float | tuple[float, float] | None = None
     fruit: Fruit | None = None
     least_standoff: float = 0.0
+    pose: FloatArray | None = None
+    frame: str | None = None
 
     @classmethod
     def of_fruit(cls, world: World, fruit: Fruit, approach_deg: float | tuple[float, float] | None) -> Target:
         """The center of a fruit, one of a world's solids; the tool is clear of it where the approach begins."""
-        arm, sway = world.robot.arm, world.robot.sway(world.deviation)
-        least = fruit.radius + float(arm.half_widths[-1] + sway[-1]) + world.clearance + 2.0 * SPARE
+        least = fruit.radius + tool_thickness(world.robot, world.deviation) + world.clearance + 2.0 * SPARE
         touching = world.touching(fruit.name)
         return cls(f"fruit {fruit.name!r}", fruit.center, world, touching, approach_deg, fruit, least)
 
@@ -147,25 +143,25 @@ def grasps(
         count: How many configurations are looked at, about, as far as approach angles are free.
 
     Raises:
-        UnreachableError: No configuration reaches the point, whatever is in the way.
+        UnreachableError: No configuration reaches the point, whatever is in the way; of a robot that is no planar arm,
+            none was found.
         BlockedError: Obstacles are in the way of all that do, or block a joint on every path there; names them.
         ConfigurationInCollisionError: The start touches something that blocks a joint.
         InputError: A position or an approach that is none.
-        OptionError: As `reach`.
+        OptionError: As `hplan.problem.tool_paths.candidates_at`.
     """
     ranges = joint_ranges(target.world.checker, start, LEAST_MARGIN)
     if ranges.walls:
         target.world.check_clear(start, "start")
     found, room = _clear_candidates(target, ranges, start, locked, count)
+    found = soonest(target.world.robot, found, count)
     goals = frozen(found.configurations)
-    # A straight approach takes three joints in the arm plane.
-    straight = sum(name not in locked for name in target.world.robot.arm.joint_names) >= 3
-    lengths = _distances(standoff, target.least_standoff) if straight else []
-    back = cache(lambda: Stretches.back_from(target.world.robot, goals, locked))
+    lengths = _distances(standoff, target.least_standoff) if may_be_straight(target.world.robot, locked) else []
+    approaches = cache(lambda: straight_approaches(target.world.robot, goals, locked, target.pose is not None))
 
     @cache
     def along(length: float) -> Approaches:
-        return Approaches.of(back(), goals, length)
+        return approaches()(length)
 
     direct = {i: (0.0, goal) for i, goal in enumerate(goals)}
     for less in (room, *(less for less in ROOMS if less < room)):
@@ -188,7 +184,9 @@ def _sorted(
         if distance > 0.0:
             room = min(room, target.world.field.clearance(begin))
         least = _least_duration(robot, start, begin, goal)
-        unsorted.append(Grasp(goal, begin, distance, float(found.approach[i]), least, min(room, SPARE)))
+        unsorted.append(
+            Grasp(goal, begin, distance, float(found.approach[i]), least, min(room, SPARE), target.pose is not None)
+        )
     return tuple(unsorted[i] for i in ties.argsort([grasp.least_duration for grasp in unsorted]).tolist())
 
 
@@ -218,7 +216,11 @@ def _clear_candidates(
     world = target.world_touching
 
     def within(approach_deg: float | tuple[float, float] | None, count: int) -> Candidates:
-        return reach(world.robot, target.position, approach_deg=approach_deg, count=count, start=start, locked=locked)
+        if target.pose is not None:
+            return candidates_at_pose(world.robot, target.pose, target.frame, start, locked)
+        return candidates_at(
+            world.robot, target.position, approach_deg=approach_deg, count=count, start=start, locked=locked
+        )
 
     def clearance(q: FloatArray) -> float:
         look()
@@ -234,7 +236,7 @@ def _clear_candidates(
         clear = rooms > room
         if clear.any():
             return Candidates(found.configurations[clear], found.approach[clear]), room
-        finer = refined(found, within, clearance, room, target.approach_deg)
+        finer = finer_candidates(world.robot, found, within, clearance, room, target.approach_deg)
         tried += finer.tried
         if finer.candidates is not None:
             return finer.candidates, room
@@ -265,8 +267,9 @@ def _clear_approaches(
     about that.
     """
     chosen: dict[int, tuple[float, FloatArray]] = {}
+    enough = math.inf if target.world.robot.planar is not None else ENOUGH
     for length in lengths:
-        if chosen and len(chosen) == len(along(length).polylines):
+        if chosen and len(chosen) >= min(enough, len(along(length).polylines)):
             break
         for i in np.flatnonzero(along(length).feasible).tolist():
             approach = along(length).polylines[i]

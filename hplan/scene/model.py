@@ -126,8 +126,9 @@ class Start(JointValues):
 class Goal(JointValues):
     """The goal of the motion: joints, a `tool0` position, the name of a fruit, or a pose of the tool frame.
 
-    To a position or a fruit, `approach_deg` fixes or bounds the angle of the last link in the arm plane (0: outward,
-    90: up). A position with `quaternion_xyzw` is a pose, for robots of any kind: of the tool frame, or of `frame`.
+    To a position or a fruit, `approach_deg` fixes or bounds the angle of the last link in the arm plane or, of a robot
+    that is no planar arm, of its tool frame's z axis (0: outward, 90: up). A position with `quaternion_xyzw` is a pose,
+    for robots of any kind: of the tool frame, or of `frame`.
     """
 
     position: Vector | None = None

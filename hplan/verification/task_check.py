@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from hplan.base.arrays import FloatArray
+from hplan.kinematics.tool_at_point import approach_angles
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 from hplan.verification.goal_contact import THERE, instant_at
@@ -23,7 +24,8 @@ def task_violations(robot: Robot, scene: Scene, bezier: FloatArray) -> Iterator[
 
     It begins at the start. It ends at the goal: at its joints, with the tool at its position, or with the frame at its
     pose, to a millimetre and a thousandth of a radian; at the fruit the tool is at some row, since a motion that picks
-    it goes back. There the last link has the approach angle that is asked for. Locked joints stand still.
+    it goes back. There the last link, or the tool of a robot that is no planar arm, has the approach angle that
+    is asked for. Locked joints stand still.
 
     Args:
         robot: The arm.
@@ -84,14 +86,17 @@ def _beside(robot: Robot, pose: FloatArray, frame: str | None, q: FloatArray) ->
 
 
 def _approach(robot: Robot, scene: Scene, q: FloatArray) -> Iterator[str]:
-    """Fault of a last link that comes at another angle than the goal asks for."""
+    """Fault of a last link, or a tool, that comes at another angle than the goal asks for."""
     if scene.goal.approach_deg is None:
         return
     asked = np.radians(np.atleast_1d(scene.goal.approach_deg))
     low, width = asked[0], asked[-1] - asked[0]
-    direction = float((robot.arm.signs * q[robot.arm_slice] + robot.arm.offsets).sum())
+    if robot.planar is None:
+        what, direction = "tool's axis", float(approach_angles(robot, q[None], robot.tool_positions(q))[0])
+    else:
+        what, direction = "last link", float((robot.arm.signs * q[robot.arm_slice] + robot.arm.offsets).sum())
     beyond = (direction - low + SAME) % (2.0 * np.pi)
     if beyond > width + 2.0 * SAME:
         angle = np.degrees(np.pi - (np.pi - direction) % (2.0 * np.pi))
         wanted = " to ".join(f"{end:g}" for end in np.degrees(asked[[0, -1] if width > 0.0 else [0]]))
-        yield f"the last link is at {angle:.4g} deg at the goal; asked for: {wanted} deg"
+        yield f"the {what} is at {angle:.4g} deg at the goal; asked for: {wanted} deg"

@@ -13,11 +13,12 @@ from planned import assert_sound, between_rows, frame_about_upper_arm, post, tas
 from test_grid_route import posed
 
 import hplan.planning.grasp_motion
-import hplan.planning.grasps
+import hplan.problem.tool_paths
 from hplan.collision.coal_scene import CoalScene
 from hplan.errors import BlockedError, CertificationError, NoPathError, NotFoundError, TimingError
+from hplan.kinematics.approach_angles import Candidates
 from hplan.planar.finer_angles import FINEST, Refined, refined
-from hplan.planar.inverse_kinematics import Candidates, reach
+from hplan.planar.inverse_kinematics import reach
 from hplan.planning.find_motion import find_motion, without_path
 from hplan.planning.grasp_motion import approach_and_retreat
 from hplan.planning.grasps import SPARE, Grasp, Target, grasps, promising
@@ -107,7 +108,7 @@ def test_all_grasps_are_tried_in_a_tour(robot: Robot) -> None:
 def test_finer_angles_before_blocked(robot: Robot, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     scene = TIGHT[name]
     assert_sound(robot, scene, plan(robot, scene, COARSE))
-    monkeypatch.setattr(hplan.planning.grasps, "refined", lambda *_: Refined(None, 0, -1.0))
+    monkeypatch.setattr(hplan.problem.tool_paths, "refined", lambda *_: Refined(None, 0, -1.0))
     with pytest.raises(BlockedError):
         plan(robot, scene, COARSE)
 

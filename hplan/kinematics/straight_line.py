@@ -1,0 +1,154 @@
+"""The straight approach of any robot: the tool moves to its goal along the z axis of its frame, which does not turn.
+
+The tool is drawn back from the goal along the axis by short steps (`hplan.kinematics.damped_steps.draw_back`); about
+the axis it may turn, or keeps its turn. Cubic splines lead through the configurations, as functions of the distance,
+with continuous second derivatives. A step that changes a joint by too much is not made: the arm is near a singular
+configuration there, or would go on in another branch.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hplan.base.arrays import FloatArray, IntArray, Record, frozen
+from hplan.base.polyline import curve_length
+from hplan.bodies.reach import joint_axis
+from hplan.errors import ApproachError
+from hplan.kinematics.damped_steps import ABOUT_Z, KEPT, draw_back
+from hplan.kinematics.inverse_kinematics import chain_of
+from hplan.robot.model import Robot
+
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicSpline
+
+#: Longest step of the tool, and the least number of steps; it is a multiple of this, so that quarters are whole steps.
+STEP_M, STEPS = 5e-3, 4
+
+#: The most that a joint may change for each metre of the tool: turning [rad/m], sliding [m/m].
+TURNING, SLIDING = 25.0, 10.0
+
+
+class Lines(NamedTuple):
+    """Straight lines of the tool back from several goals.
+
+    Attributes:
+        distances: (m,) distances of the tool from the goals, from 0 to the one asked for [m].
+        rows: (k, m, dof) configurations there; beyond `reached` the last one that is.
+        reached: (k,) how many of the distances can be had.
+    """
+
+    distances: FloatArray
+    rows: FloatArray
+    reached: IntArray
+
+
+def lines_back(
+    robot: Robot, goals: FloatArray, distance: float, *, locked: Sequence[str] = (), keeps_turn: bool = False
+) -> Lines:
+    """Straight lines of the tool back from (k, dof) goals.
+
+    Args:
+        robot: The robot.
+        goals: (k, dof) configurations within the limits.
+        distance: How far back [m].
+        locked: Names of joints that stand still.
+        keeps_turn: Whether the tool may not turn about the axis.
+
+    Raises:
+        InputError: A joint that does not exist.
+    """
+    count = STEPS * math.ceil(distance / (STEP_M * STEPS))
+    distances: FloatArray = distance * np.arange(count + 1) / count
+    chain = chain_of(robot, np.eye(4), KEPT if keeps_turn else ABOUT_Z)
+    chain.moves[robot.locked_mask(locked)] = 0.0
+    slides = np.array([joint_axis(robot, joint)[1] for joint in range(robot.dof)])
+    most = np.diff(distances, prepend=0.0)[:, None] * np.where(slides, SLIDING, TURNING)
+    rows, reached = np.empty((len(goals), count + 1, robot.dof)), np.zeros(len(goals), dtype=np.int64)
+    draw_back(np.array(goals, dtype=np.float64), distances, most, chain, rows, reached)
+    return Lines(distances, rows, reached)
+
+
+@dataclass(frozen=True, eq=False)
+class StraightLine(Record):
+    """The straight path from the stand-off to the goal along the tool's axis.
+
+    Its parameter is the distance, scaled to the joint length.
+
+    Attributes:
+        robot: The robot.
+        goal: (dof,) configuration at the goal.
+        standoff: Distance of the tool from its goal where the path begins [m].
+        locked: Names of joints that stand still.
+        keeps_turn: Whether the tool may not turn about the axis.
+    """
+
+    robot: Robot
+    goal: FloatArray
+    standoff: float
+    locked: tuple[str, ...] = ()
+    keeps_turn: bool = False
+
+    @cached_property
+    def _lines(self) -> Lines:
+        """The line.
+
+        Raises:
+            ApproachError: It cannot be had.
+        """
+        back = lines_back(self.robot, self.goal[None], self.standoff, locked=self.locked, keeps_turn=self.keeps_turn)
+        if back.reached[0] < len(back.distances):
+            largest = float(back.distances[back.reached[0] - 1])
+            detail = f"the tool can be drawn back by {largest:.6g} m alone"
+            raise ApproachError(self.standoff, "line", detail, largest_standoff_m=largest)
+        return back
+
+    @cached_property
+    def _spline(self) -> CubicSpline:
+        """The joints over the distance from the goal."""
+        from scipy.interpolate import CubicSpline
+
+        return CubicSpline(self._lines.distances, self._lines.rows[0])
+
+    @cached_property
+    def length(self) -> float:
+        """Joint-space length, by Gauss-Legendre quadrature."""
+        return curve_length(lambda t: np.linalg.norm(self._spline(t, 1), axis=-1), self._lines.distances)
+
+    @property
+    def end(self) -> float:
+        """Last parameter; the first is 0."""
+        return self.length
+
+    @cached_property
+    def breaks(self) -> FloatArray:
+        """Increasing parameters where the spline's pieces meet, the ends among them."""
+        breaks = self.end * (1.0 - self._lines.distances[::-1] / self.standoff)
+        breaks[-1] = self.end
+        return frozen(breaks)
+
+    def evaluate(self, s: ArrayLike, derivative: int = 0) -> FloatArray:
+        """Points or derivatives with respect to the parameter.
+
+        Args:
+            s: (...) parameters in [0, end]; clipped to it.
+            derivative: 0, 1 or 2.
+
+        Returns:
+            (..., dof) values.
+        """
+        fraction = np.clip(np.asarray(s, dtype=np.float64) / self.end, 0.0, 1.0)
+        distance, rate = self.standoff * (1.0 - fraction), -self.standoff / self.end
+        q: FloatArray = self._spline(distance, derivative) * rate**derivative
+        if derivative == 0:
+            # Rounding, and what the spline leaves a limit by.
+            q = np.minimum(np.maximum(q, self.robot.lower), self.robot.upper)
+            q[distance == 0.0] = self.goal
+            q[distance == self.standoff] = self._lines.rows[0, -1]
+        return q

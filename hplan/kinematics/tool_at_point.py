@@ -1,0 +1,193 @@
+r"""Configurations of any robot with the tool at a point, whatever the direction that it comes from.
+
+The tool comes along the z axis of its frame, and may be turned about it. The *approach angle* is that of this axis
+against the horizontal, as a planar arm has it in its plane: 0 outward from the base, 90 degrees straight up, 180 back
+towards the base. With :math:`\hat\rho` the horizontal direction from the first joint to the point and :math:`\hat z`
+upward, the direction with the angle :math:`\alpha` and the heading :math:`\psi \in [-90, 90)` degrees is
+
+.. math:: \cos\alpha (\cos\psi \, \hat\rho + \sin\psi \, \hat z \times \hat\rho) + \sin\alpha \, \hat z.
+
+Directions are spread evenly over the sphere, or over that part of it that is asked for, always the same ones; for each
+the configurations are sought from several starts (`hplan.kinematics.damped_steps`). Others are sought without regard to
+the direction: an arm with fewer than five joints takes that which it has, and near the end of its reach any arm does.
+So what is found is reached, but what is not found need not be out of reach.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hplan.base.arguments import list_of, whole
+from hplan.base.arrays import FloatArray, frozen, numbers
+from hplan.bodies.reach import carriers, joint_axis
+from hplan.errors import UnreachableError
+from hplan.kinematics.approach_angles import Candidates, Window
+from hplan.kinematics.damped_steps import ABOUT_Z, ANY_TURN, Chain, solve_each
+from hplan.kinematics.inverse_kinematics import MOST_SEEDS, chain_of, distinct, spread_starts
+from hplan.robot.model import Robot
+
+#: Directions that are looked at, and from how many starts each.
+COUNT, STARTS = 64, 6
+
+#: So many joints take a tool to a point with a direction.
+DIRECTED = 5
+
+#: Of directions that are asked for, those near the vertical count as if they were so far from it: there are few.
+_LEAST_COSINE = 0.05
+
+#: Angles at which it is told how directions are spread.
+_ANGLES = 721
+
+#: Headings follow one another by this part of half a turn.
+_GOLDEN = 0.5 * (5.0**0.5 - 1.0)
+
+#: A tool this near to the axis of its joint is on it [m].
+_ON_AXIS = 1e-9
+
+
+def tool_at_point(
+    robot: Robot,
+    position: ArrayLike,
+    *,
+    approach_deg: float | tuple[float, float] | None = None,
+    count: int = COUNT,
+    start: ArrayLike | None = None,
+    locked: Sequence[str] = (),
+) -> Candidates:
+    """Configurations with the tool frame at a position, to 1e-6 m at least.
+
+    Args:
+        robot: The robot.
+        position: (3,) in `base_link` [m].
+        approach_deg: Approach angle, or an interval (low, high) of it; None for all [deg].
+        count: How many directions are looked at.
+        start: (dof,) configuration from which the arm comes; None for the middle of the joint ranges.
+        locked: Names of joints that keep their start values.
+
+    Raises:
+        UnreachableError: The position is beyond the reach of the stretched arm, or no configuration was found; only the
+            first is a proof.
+        InputError: A position, start or joint that is none.
+        JointLimitError: The start is outside the joint limits.
+        OptionError: An option that is none.
+    """
+    place, window = numbers("position", position, (3,)), Window.of(approach_deg)
+    directions = whole("count", count, 1, MOST_SEEDS)
+    middle = 0.5 * (robot.lower + robot.upper)
+    begin = robot.check_configuration(middle if start is None else start, "start")
+    keeps = robot.locked_mask(list_of("locked", locked, str, "names"))
+    _check_reach(robot, place)
+    pose = np.eye(4)
+    pose[:3, 3] = place
+    outward = _outward(robot, place)
+    found: list[FloatArray] = []
+    for turn, towards in ((ABOUT_Z, _directions(outward, window, directions)), (ANY_TURN, outward[None])):
+        chain = chain_of(robot, pose, turn)
+        chain.moves[keeps] = 0.0
+        if turn == ANY_TURN or np.count_nonzero(chain.moves) >= DIRECTED:
+            found.append(_solved(robot, begin, chain, towards, directions if turn == ANY_TURN else STARTS))
+    solutions = distinct(robot, np.concatenate(found), begin, chain)
+    approach = approach_angles(robot, solutions, place)
+    if window is not None:
+        inside = window.holds(approach)
+        solutions, approach = solutions[inside], approach[inside]
+    if len(solutions) == 0:
+        asked = "" if window is None else f" with an approach angle of {approach_deg} deg"
+        held = f", with {', '.join(locked)} locked" if keeps.any() else ""
+        detail = (
+            f"no configuration{asked} was found for any of {directions} directions of the tool{held}; that is no proof "
+            "that there is none"
+        )
+        raise UnreachableError(place.tolist(), "not_found", detail, joints=list(robot.joint_names))
+    return Candidates(frozen(solutions), frozen(approach))
+
+
+def approach_angles(robot: Robot, configurations: FloatArray, position: FloatArray) -> FloatArray:
+    """(k,) approach angles, in (-pi, pi], of (k, dof) configurations with the tool at a (3,) position."""
+    along = robot.tool_poses(configurations)[:, :3, 2]
+    outward = _outward(robot, np.array(position))
+    level = np.copysign(np.hypot(along[:, 0], along[:, 1]), along @ outward)
+    angles: FloatArray = np.arctan2(along[:, 2], level)
+    return angles
+
+
+def _check_reach(robot: Robot, place: FloatArray) -> None:
+    """Refuse a (3,) position that is farther from the first joint than the stretched arm is long.
+
+    Raises:
+        UnreachableError: It is; says by how much.
+    """
+    model = robot.model
+    chain = carriers(robot, robot.tool_joint - 1)
+    if not chain:
+        return
+    links = [model.frames[robot.frame_number(robot.tool_frame)].placement]
+    links += [model.jointPlacements[joint + 1] for joint in chain[:-1]]
+    longest = sum(float(np.linalg.norm(link.translation)) for link in links)
+    for joint in chain:
+        if joint_axis(robot, joint)[1]:
+            longest += float(np.abs([robot.lower[joint], robot.upper[joint]]).max())
+    excess = math.dist(place, model.jointPlacements[chain[-1] + 1].translation) - longest
+    if excess > 0.0:
+        detail = f"it is {excess:.4g} m beyond the stretched arm"
+        raise UnreachableError(place.tolist(), "too_far", detail, excess_m=excess)
+
+
+def _outward(robot: Robot, place: FloatArray) -> FloatArray:
+    """(3,) horizontal unit vector from the first joint to a (3,) position; x of the base where that is above it."""
+    away: FloatArray = place - robot.model.jointPlacements[1].translation
+    away[2] = 0.0
+    length = float(np.linalg.norm(away))
+    return away / length if length > _ON_AXIS else np.array([1.0, 0.0, 0.0])
+
+
+def _directions(outward: FloatArray, window: Window | None, count: int) -> FloatArray:
+    """(count, 3) unit vectors, spread evenly over those with an approach angle in a window; see the module's text."""
+    low, width = (-np.pi, 2.0 * np.pi) if window is None else (window.low, window.width)
+    angles = low + width * np.linspace(0.0, 1.0, _ANGLES)
+    density = np.maximum(np.abs(np.cos(angles)), _LEAST_COSINE)
+    share = np.concatenate([[0.0], np.cumsum(density[:-1] + density[1:])])
+    numbered = np.arange(count) + 0.5
+    angle = np.interp(numbered / count, share / share[-1], angles)
+    heading = np.pi * ((numbered * _GOLDEN) % 1.0 - 0.5)
+    across = np.array([-outward[1], outward[0], 0.0])
+    level = np.cos(heading)[:, None] * outward + np.sin(heading)[:, None] * across
+    found: FloatArray = np.cos(angle)[:, None] * level + np.sin(angle)[:, None] * [0.0, 0.0, 1.0]
+    return found
+
+
+def _solved(robot: Robot, begin: FloatArray, chain: Chain, directions: FloatArray, count: int) -> FloatArray:
+    """(k, dof) configurations with the frame at the chain's place and its z axis along one of (n, 3) directions.
+
+    Args:
+        robot: The robot.
+        begin: (dof,) configuration from which the arm comes.
+        chain: The robot as arrays, with the place.
+        directions: (n, 3) unit vectors.
+        count: From how many starts each is looked for.
+    """
+    starts = spread_starts(robot, begin, chain, 1 + len(directions) * (count - 1))
+    starts = np.concatenate([np.broadcast_to(begin, (len(directions), robot.dof)), starts[1:]])
+    spinning = _spinning(robot, chain)
+    starts[:, spinning] = begin[spinning]
+    poses = np.zeros((len(starts), 12))
+    poses[:, [2, 5, 8]] = directions[np.arange(len(starts)) % len(directions)]
+    poses[:, 9:] = chain.pose[9:]
+    solutions, found = np.empty(starts.shape), np.zeros(len(starts), dtype=np.bool_)
+    solve_each(np.ascontiguousarray(starts), poses, chain, solutions, found)
+    return solutions[found]
+
+
+def _spinning(robot: Robot, chain: Chain) -> list[int]:
+    """The joint that does nothing but turn the tool about its z axis, if there is one: it can stay as it is."""
+    carrier = int(chain.carrier[0])
+    if carrier == robot.dof:
+        return []
+    axis, slides = joint_axis(robot, carrier)
+    z, place = chain.placement[[2, 5, 8]], chain.placement[9:]
+    off = max(float(np.linalg.norm(np.cross(axis, vector))) for vector in (z, place))
+    return [carrier] if not slides and off <= _ON_AXIS else []

@@ -1,0 +1,175 @@
+"""Fruit and points as goals of robots that are no planar arms: certified, with a straight approach along the tool."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import coal
+import numpy as np
+import pinocchio as pin
+import pytest
+from any_arms import loaded_arm
+
+import hplan.errors as errors
+from hplan.base.arrays import FloatArray
+from hplan.bodies.collision_bodies import body_shapes
+from hplan.collision.coal_cloud import obstacle_shape
+from hplan.planning.grasps import Target
+from hplan.planning.plan import PlanResult, plan
+from hplan.problem.options import PlanOptions
+from hplan.problem.tool_paths import tool_thickness
+from hplan.problem.world import World
+from hplan.robot.model import Robot, load_robot
+from hplan.scene.model import Fruit, Goal, Scene, Start
+from hplan.scene.obstacles import Capsule, Sphere
+from hplan.verification.certificate import certify
+
+QUICK = PlanOptions(effort="quick")
+TRUNK = Capsule.model_validate(
+    {"name": "trunk", "kind": "capsule", "from": (0.75, 0.0, -0.3), "to": (0.75, 0.1, 1.2), "radius": 0.04}
+)
+STARTS = {
+    "picker": (0.0, 0.2, 1.2, -0.8, 0.0, 0.0),
+    "seven": (0.0, 0.3, 0.0, 1.4, 0.0, -1.0, 0.0),
+    "panda": (0.0, -0.5, 0.0, -2.2, 0.0, 1.9, 0.78),
+}
+FRUITS = tuple(
+    Fruit(name=f"apple {number}", center=center, radius=0.035)
+    for number, center in enumerate([(0.5, 0.15, 0.5), (0.55, -0.2, 0.6), (0.5, 0.0, 0.35)])
+)
+
+
+@pytest.fixture(params=["picker", "seven", "panda"])
+def arm(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Robot:
+    return loaded_arm(request.param, tmp_path_factory)
+
+
+@pytest.fixture
+def picker(tmp_path_factory: pytest.TempPathFactory) -> Robot:
+    return loaded_arm("picker", tmp_path_factory)
+
+
+def start_of(robot: Robot) -> tuple[float, ...]:
+    return STARTS[{"six_axes": "picker", "seven_axes": "seven"}.get(robot.name, "panda")]
+
+
+def scene_of(robot: Robot, goal: Goal, **more: Any) -> Scene:
+    parts = {"obstacles": (TRUNK,), "fruits": FRUITS, **more}
+    return Scene(name="x", start=Start(joints_rad=start_of(robot)), goal=goal, **parts)
+
+
+def touched(found: PlanResult) -> dict[tuple[str, str], FloatArray]:
+    """Pairs of bodies and solids that coal sees in contact at each millisecond, and when [s]."""
+    robot, seen = found.robot, dict[tuple[str, str], list[float]]()
+    shapes, data = body_shapes(robot), robot.model.createData()
+    solids = [(solid.name, obstacle_shape(solid)) for solid in found.scene.solids_with_goal]
+    for t in np.arange(0.0, found.trajectory.duration, 1e-3):
+        pin.forwardKinematics(robot.model, data, found.trajectory.positions(np.array([t]))[0])
+        for shape in shapes:
+            if shape.parentJoint == 0:
+                continue
+            place = data.oMi[shape.parentJoint] * shape.placement
+            at = coal.Transform3s(place.rotation, place.translation)
+            for name, solid in solids:
+                there = coal.Transform3s(solid.placement.rotation, solid.placement.translation)
+                request, result = coal.CollisionRequest(), coal.CollisionResult()
+                if coal.collide(shape.geometry, at, solid.geometry, there, request, result):
+                    seen.setdefault((shape.name.split(":")[0], name), []).append(float(t))
+    return {pair: np.array(times) for pair, times in seen.items()}
+
+
+def test_a_fruit_is_picked_along_the_tools_axis(arm: Robot) -> None:
+    scene = scene_of(arm, Goal(fruit="apple 0"))
+    found = plan(arm, scene, QUICK)
+    assert [phase.name for phase in found.phases] == ["transit", "approach", "retreat"]
+    assert found.certificate.verified
+    assert found.grasp is not None
+    assert found.grasp.distance == pytest.approx(0.1)
+    again = certify(arm, scene, found.trajectory)
+    assert again.verified
+    assert again.goal_contact == "approach"
+    begin, end = (found.phases[1].start_s, found.phases[1].end_s)
+    poses = arm.tool_poses(found.trajectory.positions(np.linspace(begin, end, 60)))
+    assert np.abs(poses[-1, :3, 3] - FRUITS[0].center).max() < 1e-6
+    axis, away = poses[-1, :3, 2], poses[:, :3, 3] - poses[-1, :3, 3]
+    assert np.linalg.norm(away - (away @ axis)[:, None] * axis, axis=1).max() < 5e-4
+    assert found.trajectory.position[0] == pytest.approx(start_of(arm), abs=1e-9)
+
+
+def test_only_the_tool_touches_the_fruit_and_only_on_the_approach(picker: Robot) -> None:
+    found = plan(picker, scene_of(picker, Goal(fruit="apple 1")), QUICK)
+    pairs = touched(found)
+    assert pairs.keys() <= {("wrist_3_link", "apple 1"), ("picker", "apple 1")}
+    assert ("picker", "apple 1") in pairs
+    assert found.certificate.contact_s is not None
+    begin, end = found.certificate.contact_s
+    assert all(begin <= times.min() and times.max() <= end for times in pairs.values())
+
+
+@pytest.mark.parametrize("asked", [None, (-20.0, 20.0), -90.0])
+def test_a_position_is_reached_with_any_orientation_or_the_angle_asked_for(picker: Robot, asked: Any) -> None:
+    scene = scene_of(picker, Goal(position=(0.45, -0.35, 0.4), approach_deg=asked))
+    found = plan(picker, scene, QUICK)
+    assert found.certificate.verified
+    assert certify(picker, scene, found.trajectory).verified
+    assert found.trajectory.position[-1] == pytest.approx(found.grasp.goal if found.grasp else 0.0, abs=1e-9)
+    assert picker.tool_positions(found.trajectory.position[-1]) == pytest.approx((0.45, -0.35, 0.4), abs=1e-6)
+    if asked is not None:
+        low, high = np.atleast_1d(asked)[[0, -1]]
+        assert low - 1e-3 <= found.report["grasp"]["approach_deg"] <= high + 1e-3
+
+
+def test_a_motion_at_another_angle_is_no_solution(picker: Robot) -> None:
+    found = plan(picker, scene_of(picker, Goal(position=(0.45, -0.35, 0.4), approach_deg=(-20.0, 20.0))), QUICK)
+    other = scene_of(picker, Goal(position=(0.45, -0.35, 0.4), approach_deg=(40.0, 60.0)))
+    certificate = certify(picker, other, found.trajectory)
+    assert not certificate.verified
+    assert any("tool's axis is at" in line for line in certificate.violations)
+
+
+def test_where_no_approach_is_clear_the_motion_itself_leads_to_the_fruit(picker: Robot) -> None:
+    found = plan(picker, scene_of(picker, Goal(fruit="apple 0")), PlanOptions(effort="quick", standoff=0.0))
+    assert found.certificate.verified
+    assert found.grasp is not None
+    least = 0.035 + tool_thickness(picker, 0.0)
+    assert least < found.grasp.distance < least + 3e-3
+
+
+def test_what_is_out_of_reach_and_what_is_blocked_are_told_apart(picker: Robot) -> None:
+    with pytest.raises(errors.UnreachableError, match="beyond the stretched arm"):
+        plan(picker, scene_of(picker, Goal(position=(5.0, 0.0, 0.5))))
+    crate = Sphere(name="crate", center=(0.45, -0.35, 0.4), radius=0.08)
+    with pytest.raises(errors.BlockedError, match="crate") as caught:
+        plan(picker, scene_of(picker, Goal(position=(0.45, -0.35, 0.4)), obstacles=(crate,)))
+    assert caught.value.best_clearance_m is not None
+    assert caught.value.best_clearance_m < 0.0
+
+
+def test_a_tracking_error_is_covered_and_locked_joints_stay(picker: Robot) -> None:
+    scene = scene_of(picker, Goal(fruit="apple 1"), locked_joints=("wrist_3",))
+    found = plan(picker, scene, PlanOptions(effort="quick", tracking_error=0.003))
+    assert found.certificate.verified
+    assert np.ptp(found.trajectory.position[:, 5]) < 1e-9
+    assert certify(picker, scene, found.trajectory, tracking_error=0.003).verified
+
+
+def test_the_same_plan_every_time_and_one_before_a_deadline(picker: Robot) -> None:
+    scene = scene_of(picker, Goal(fruit="apple 0"))
+    first, second = (plan(picker, scene, QUICK).trajectory.position for _ in range(2))
+    assert (first == second).all()
+    assert plan(picker, scene, PlanOptions(deadline_s=20.0)).certificate.verified
+
+
+def test_how_far_a_tool_stands_out(picker: Robot) -> None:
+    assert tool_thickness(picker, 0.0) == pytest.approx(0.0, abs=1e-9)
+    world = World.of(picker, [])
+    wide = Target.of_fruit(world, FRUITS[0], None).least_standoff
+    assert wide == pytest.approx(0.035 + 2e-3)
+    # A box on the flange that ends 2 cm beyond the tool frame.
+    text = picker.urdf_text or picker.urdf_path.read_text()
+    box = '<collision><origin xyz="0 0 0.165"/><geometry><box size="0.02 0.02 0.01"/></geometry></collision></link>'
+    name = '<link name="picker">'
+    longer = text.replace(name, name + box.replace("</link>", ""))
+    robot = load_robot(longer, limits=picker.urdf_path.with_suffix(".limits.yaml"))
+    assert tool_thickness(robot, 0.0) == pytest.approx(0.02, abs=1e-9)
+    assert tool_thickness(robot, 0.01) > 0.02

@@ -184,8 +184,9 @@ def _check_moving_joints(path: Path, urdf: Urdf) -> None:
             raise RobotFileError(path, f"{where} mimics another; every joint must move by itself")
         for key in ("velocity", "effort", "acceleration", "jerk") if joint.kind in ("revolute", "prismatic") else ():
             if key in joint.limits and not joint.limits[key] > 0.0:
-                text = joint.element.find("limit").get(key)  # type: ignore[union-attr]
-                reason = f"{where}: {key} of <limit> is {text!r}, expected a finite number that is positive"
+                reason = (
+                    f"{where}: {key} of <limit> is '{joint.limits[key]:g}', expected a finite number that is positive"
+                )
                 raise RobotFileError(path, reason)
 
 

@@ -29,7 +29,7 @@ from hplan.scene.solids import rpy_rotation
 _INERTIA_TOLERANCE: Final = 1e-3
 
 #: Elements and the attributes and elements that each may have; none means any. Those with a prefix (`drake:`) are
-#: extensions, and so are `_EXTENSIONS`.
+#: extensions, and so are `_EXTENSIONS`; of these `_ACCELERATION` alone is read.
 _ATTRIBUTES: Final[Mapping[str, frozenset[str]]] = {
     "origin": frozenset({"xyz", "rpy"}),
     "mass": frozenset({"value"}),
@@ -58,7 +58,12 @@ _CHILDREN: Final[Mapping[str, frozenset[str]]] = {
         {"origin", "parent", "child", "axis", "limit", "dynamics", "mimic", "safety_controller", "calibration"}
     ),
 }
-_EXTENSIONS: Final = frozenset({"contact", "contact_coefficients", "joint_properties", "sensor", "verbose"})
+_EXTENSIONS: Final = frozenset(
+    {"contact", "contact_coefficients", "joint_properties", "self_collision_checking", "sensor", "verbose"}
+)
+
+#: The limit that URDF has from 1.2 on, as files for Drake name it; where both are there, URDF's own counts.
+_ACCELERATION: Final = "drake:acceleration"
 
 #: Elements that no program adds attributes to.
 _CLOSED: Final = frozenset({"origin", "mass", "inertia", "axis", "parent", "child"})
@@ -271,6 +276,8 @@ class _Reader:
         for attribute in ("lower", "upper", "velocity", "effort", "acceleration", "jerk"):
             if attribute in limit.attrib or (bounded and attribute in ("velocity", "effort")):
                 (limits[attribute],) = self._numbers(limit, attribute, where, 1)
+        if _ACCELERATION in limit.attrib:
+            limits.setdefault("acceleration", *self._numbers(limit, _ACCELERATION, where, 1))
         return limits
 
     def _inertial(self, element: ET.Element, where: str) -> Inertial:

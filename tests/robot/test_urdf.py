@@ -13,6 +13,7 @@ import pytest
 from arm_variants import VARIANTS, load_variant
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from toy_urdf import seven_axis_arm
 
 from hplan.base.data_files import urdf_dir
 from hplan.errors import RobotFileError
@@ -189,7 +190,21 @@ def test_elements_of_others_may_stay(tmp_path):
     text = GRIPPER.replace("</robot>", more + "</robot>")
     text = text.replace("</inertial>", '</inertial><contact><stiffness value="1,0"/></contact>', 1)
     text = text.replace("<collision>", "<collision><drake:proximity_properties/>", 1)
+    sphere = "<self_collision_checking><geometry><sphere/></geometry></self_collision_checking>"
+    text = text.replace("</collision>", f"</collision>{sphere}", 1)
     load_robot(write(tmp_path, text))
+
+
+def test_accelerations_may_be_drakes():
+    """The URDF's own counts where both are there; one that cannot be read is refused."""
+    arm = seven_axis_arm().replace(' acceleration="', ' drake:acceleration="')
+    np.testing.assert_array_equal(load_robot(arm).acceleration_limit, load_robot(seven_axis_arm()).acceleration_limit)
+    both = arm.replace(' drake:acceleration="8.57"', ' drake:acceleration="8.57" acceleration="4"')
+    assert load_robot(both).acceleration_limit[:3].tolist() == [4.0, 4.0, 8.74]
+    with pytest.raises(RobotFileError, match="drake:acceleration of <limit> is '8,57'"):
+        load_robot(arm.replace('"8.57"', '"8,57"', 1))
+    with pytest.raises(RobotFileError, match="acceleration of <limit> is '-1', expected a finite number that is pos"):
+        load_robot(arm.replace('"8.57"', '"-1"', 1))
 
 
 @settings(deadline=None, max_examples=150, derandomize=True)

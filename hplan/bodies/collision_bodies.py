@@ -144,10 +144,11 @@ def _mesh(mesh: coal.BVHModelBase) -> list[_Solid]:
     corners = (mesh.tri_indices(number) for number in range(mesh.num_tris))
     faces = np.array([[three[0], three[1], three[2]] for three in corners], dtype=np.int64)
     thicker = (vertices[:, None] + thickening(vertices)).reshape(-1, 3)
-    judged = convex_hull_shape(vertices)
-    a, b, c = (vertices[faces[:, corner]] - vertices[0] for corner in range(3))
-    filled = float((a * np.cross(b, c)).sum()) / 6.0 / float(judged.computeVolume())
-    if filled < _FILLED and _is_closed(faces):
+    judged, is_closed = convex_hull_shape(vertices), _is_closed(faces)
+    if is_closed:
+        faces = _outward(vertices, faces)
+    filled = float(_volumes(vertices, faces).sum()) / float(judged.computeVolume())
+    if filled < _FILLED and is_closed:
         pieces = convex_pieces(vertices, faces, most=_PIECES).hulls
         return [_hull("mesh piece", piece.core, piece.rounding, convex_shape(piece)) for piece in pieces]
     convex = filled >= 1.0 - _CONVEX
@@ -166,6 +167,28 @@ def _is_closed(faces: IntArray) -> bool:
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     there, back = ({tuple(edge) for edge in directed.tolist()} for directed in (edges, edges[:, ::-1]))
     return len(there) == len(edges) and there == back
+
+
+def _volumes(vertices: FloatArray, faces: IntArray) -> FloatArray:
+    """(m,) volumes of the pyramids over the triangles of a surface; their sum is what it encloses, as seen outwards."""
+    a, b, c = (vertices[faces[:, corner]] - vertices[0] for corner in range(3))
+    volumes: FloatArray = (a * np.cross(b, c)).sum(axis=1) / 6.0
+    return volumes
+
+
+def _outward(vertices: FloatArray, faces: IntArray) -> IntArray:
+    """Triangles of a closed surface, those of parts that are inside out turned: mirrored by a scale, or hollows.
+
+    Hollows count as solid.
+    """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    rows, columns = faces[:, [0, 1]].ravel(), faces[:, [1, 2]].ravel()
+    linked = coo_array((np.ones(len(rows)), (rows, columns)), shape=(len(vertices), len(vertices)))
+    part = connected_components(linked, directed=False)[1][faces[:, 0]]
+    inside_out = np.bincount(part, weights=_volumes(vertices, faces)) < 0.0
+    return np.where(inside_out[part][:, None], faces[:, ::-1], faces)
 
 
 def _prism(radius: float, half_length: float) -> FloatArray:

@@ -107,8 +107,8 @@ def convex_pieces(vertices: FloatArray, faces: IntArray, *, most: int = PIECES) 
     hulls = tuple(part.hull for _, part in ready)
     # The hulls of the parts overlap nowhere, so volumes tell whether they are the solid itself; of sheets they do not.
     solid = [part.hull for _, part in ready if not part.is_thin]
-    surplus = sum(_volume(hull.core[hull.faces]) for hull in solid) / _volume(triangles) - 1.0
-    exact = abs(surplus) <= 1e-6 and all(hull.rounding == 0.0 for hull in solid)
+    volume, of_hulls = _volume(triangles), sum(_volume(hull.core[hull.faces]) for hull in solid)
+    exact = abs(of_hulls - volume) <= 1e-6 * volume and all(hull.rounding == 0.0 for hull in solid)
     inexact = [excess for excess, part in ready if part.is_thin or not exact]
     return Pieces(hulls, max(inexact) + voxels.blur + THIN if inexact else 0.0)
 

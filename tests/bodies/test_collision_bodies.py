@@ -103,6 +103,48 @@ def test_meshes_are_cut_or_made_hulls(tmp_path):
     assert (second.kind, second.exact, second.growth, len(second.core)) == ("mesh", True, 0.0, 8)
 
 
+@pytest.mark.parametrize("scale", ["1 1 1", "-1 1 1", "0.2 -0.5 -1"])
+@pytest.mark.parametrize("kind", ["ring", "one part inside out", "flat, with two faces"])
+def test_meshes_that_are_mirrored_or_inside_out_are_what_their_surface_holds(tmp_path, kind, scale):
+    """Mirrored by a scale, a mesh has its faces the other way round: cut as a hollow it would be its hull."""
+    mesh = trimesh.Trimesh(*torus(n=12))
+    if kind == "one part inside out":
+        mesh = trimesh.util.concatenate(
+            [mesh, trimesh.creation.box((0.1, 0.1, 0.1)).apply_translation((0.0, 0.0, 0.4))]
+        )
+        faces = mesh.faces.copy()
+        faces[-12:] = faces[-12:, ::-1]
+        mesh = trimesh.Trimesh(mesh.vertices, faces, process=False)
+    if kind == "flat, with two faces":
+        corners, faces = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0.5)], [(0, 1, 2), (0, 2, 3), (2, 1, 0), (3, 2, 0)]
+        mesh = trimesh.Trimesh(corners, faces, process=False)
+    mesh.export(tmp_path / "mesh.obj")
+    shape = f'<mesh filename="{tmp_path}/mesh.obj" scale="{scale}"/>'
+    link = limb("a", "base_link", "revolute", "0 0 1", "0 0 0", shape).replace("a_link", "tool0")
+    robot = load_robot(f'<robot name="one"><link name="base_link"/>{link}</robot>')
+    shapes, place = body_shapes(robot), robot.collision_model.geometryObjects[0].placement
+    sizes = np.array([float(number) for number in scale.split()])
+    on_surface = trimesh.sample.sample_surface(mesh, 200, seed=1)[0] * sizes
+    for point in np.vstack([mesh.vertices * sizes, on_surface]) @ place.rotation.T + place.translation:
+        at = coal.Transform3s(np.eye(3), point)
+        away = [
+            coal.distance(
+                shape.geometry,
+                coal.Transform3s(shape.placement.rotation, shape.placement.translation),
+                coal.Sphere(1e-5),
+                at,
+                coal.DistanceRequest(),
+                coal.DistanceResult(),
+            )
+            for shape in shapes
+        ]
+        assert min(away) <= 1e-6
+    assert len(shapes) == (4 if kind != "flat, with two faces" else 1)
+    hull = mesh.convex_hull.volume * abs(sizes.prod())
+    if kind == "ring":
+        assert sum(shape.geometry.computeVolume() for shape in shapes) < 0.8 * hull
+
+
 @pytest.mark.parametrize("name", [*ARMS, "harvester"])
 def test_reach_is_never_exceeded_and_nearly_attained(load, name):
     """Distances of the bodies' points from the joints' axes, at random configurations."""

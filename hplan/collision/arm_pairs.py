@@ -23,7 +23,16 @@ from hplan.bodies.collision_bodies import body_shapes, collision_bodies
 from hplan.bodies.reach import carriers
 from hplan.bodies.touching_pairs import BEYOND, SelfPairs, self_pairs
 from hplan.collision.coal_cloud import distance_from
-from hplan.robot.base_shapes import BASE_DEPTH, GROUND, TURRET, BaseShape, always, filled_shape, turning_shapes
+from hplan.robot.base_shapes import (
+    BASE_DEPTH,
+    GROUND,
+    TURRET,
+    BaseShape,
+    always,
+    base_joints,
+    filled_shape,
+    turning_shapes,
+)
 from hplan.robot.model import Robot
 from hplan.robot.self_contact import SelfContact
 from hplan.scene.obstacles import Solid
@@ -113,6 +122,19 @@ def moving_bodies(robot: Robot) -> dict[str, list[int]]:
         if body.joint >= 0:
             found.setdefault(body.name, []).append(number)
     return found
+
+
+def base_bodies(robot: Robot) -> Iterator[tuple[str, pin.GeometryObject]]:
+    """Names and shapes of what carries the arm: pedestal and turret; or what no joint moves, meshes in their pieces."""
+    if robot.planar is None:
+        for body, shape in zip(collision_bodies(robot), body_shapes(robot), strict=True):
+            if body.joint < 0:
+                yield body.name, shape
+        return
+    for number, shape in enumerate(robot.collision_model.geometryObjects):
+        if shape.parentJoint <= base_joints(robot):
+            name = str(robot.model.frames[shape.parentFrame].name)
+            yield name, pin.GeometryObject(name, shape.parentJoint, shape.placement, filled_shape(robot, number))
 
 
 def own_pairs(robot: Robot, deviation: float) -> SelfPairs:

@@ -16,6 +16,7 @@ from hplan.base.arrays import BoolArray, FloatArray, IntArray
 from hplan.base.deadline import look
 from hplan.bodies.collision_bodies import body_shapes
 from hplan.collision.arm_pairs import (
+    base_bodies,
     below,
     body_pairs,
     fold_pairs,
@@ -38,7 +39,7 @@ from hplan.collision.coal_shapes import (
 from hplan.collision.geometry_pairs import GeometryPairs
 from hplan.collision.moving_solids import MovingSolids
 from hplan.errors import MovingObstacleError, OptionError
-from hplan.robot.base_shapes import TURRET, base_joints, filled_shape
+from hplan.robot.base_shapes import TURRET, base_joints
 from hplan.robot.model import Robot
 from hplan.robot.self_contact import self_contact
 from hplan.scene.obstacles import Solid
@@ -386,14 +387,10 @@ def base_contacts(
     pin.forwardKinematics(robot.model, data, q)
     found = []
     distances = [(obstacle, distance_from(obstacle)) for obstacle in obstacles]
-    for number, shape in enumerate(robot.collision_model.geometryObjects):
-        if shape.parentJoint > joints:
-            continue
-        body = filled_shape(robot, number)
+    for name, shape in base_bodies(robot):
         place = data.oMi[shape.parentJoint] * shape.placement
-        name = str(robot.model.frames[shape.parentFrame].name)
         for obstacle, distance_of in distances:
-            distance = distance_of(body, place)
+            distance = distance_of(shape.geometry, place)
             if distance <= margin:
                 found.append(Contact(name, obstacle.name, distance))
     return tuple(found)

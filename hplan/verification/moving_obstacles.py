@@ -10,10 +10,11 @@ import numpy as np
 import pinocchio as pin
 
 from hplan.base.arrays import FloatArray
+from hplan.collision.arm_pairs import base_bodies
 from hplan.collision.coal_cloud import distance_from
 from hplan.collision.coal_scene import CoalScene
 from hplan.collision.moving_solids import MovingSolids
-from hplan.robot.base_shapes import BASE_DEPTH, base_joints, filled_shape
+from hplan.robot.base_shapes import BASE_DEPTH, base_joints
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 from hplan.scene.obstacles import Solid
@@ -50,13 +51,7 @@ def moving_base_contacts(robot: Robot, moving: MovingSolids, yaw: float, begin_s
     q[:joints] = yaw
     pin.forwardKinematics(robot.model, data, q)
     shapes = [
-        (
-            str(robot.model.frames[shape.parentFrame].name),
-            filled_shape(robot, number),
-            data.oMi[shape.parentJoint] * shape.placement,
-        )
-        for number, shape in enumerate(robot.collision_model.geometryObjects)
-        if shape.parentJoint <= joints
+        (name, shape.geometry, data.oMi[shape.parentJoint] * shape.placement) for name, shape in base_bodies(robot)
     ]
     for number in moving.numbers:
         solid, movement = moving.solids[number], moving.movements[number]

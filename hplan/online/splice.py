@@ -25,7 +25,7 @@ from hplan.problem.options import PlanOptions
 from hplan.scene.model import Scene, Start
 from hplan.timing.time_scaling import SAME_TIME, Retimed, stopped
 from hplan.timing.trajectory import Trajectory, joined
-from hplan.verification.certificate import Certificate, all_of, with_violations
+from hplan.verification.certificate import Certificate, all_of, on_track, with_violations
 from hplan.verification.digests import Digests
 from hplan.verification.moving_obstacles import checker_in_time
 from hplan.verification.retimed_certificate import CertifiedMotion, certified_from, stretches_of
@@ -156,6 +156,9 @@ class RunningMotion:
         among = stretches_of(self._checker, retimed, running.contact_s, self.plan.scene.goal.fruit, row)
         found = certified_from(
             self.plan.robot, retimed, row, among, clearance=self._scene.clearance, tracking=options.certified_tracking
+        )
+        found = on_track(
+            found, self.plan.robot, self._scene, self.begins_s, retimed.trajectory.duration - self.begins_s
         )
         ends_in_motion = rest and retimed.trajectory.velocity[-1].any()
         return with_violations(found, ["the motion does not end at rest"] if ends_in_motion else [])

@@ -21,7 +21,8 @@ verified.
 
 Assumed: rigid links inside their capsules or collision bodies, obstacles where the scene says, and when, tracking
 within a model of its error (`hplan.robot.tracking`; it takes from the clearance; the limits are those of the commanded
-motion). Not covered: flexing, the base's own motion but for its track, contact forces, what is not in the scene.
+motion). Not covered: flexing, the base's own motion but for its track, forces by which a base that turns or changes its
+pace acts on the arm (that it tilts counts), contact forces, what is not in the scene.
 """
 
 from __future__ import annotations
@@ -55,8 +56,9 @@ from hplan.verification.goal_contact import contact_window
 from hplan.verification.limit_use import LimitUse, limit_use
 from hplan.verification.moving_obstacles import checker_in_time, clear_until, moving_base_contacts
 from hplan.verification.start_state import start_violations
-from hplan.verification.sway import largest_deviations
+from hplan.verification.sway import fastest, largest_deviations
 from hplan.verification.task_check import task_violations
+from hplan.verification.tilted_base import use_on_track
 
 #: Use of a limit up to which it counts as kept.
 LIMIT_TOLERANCE = 1.001
@@ -215,6 +217,7 @@ def certify(
         rest_to_rest=rest_to_rest and not scene.start.is_moving,
         begin_s=begin_s,
     )
+    certificate = on_track(certificate, robot, scene, begin_s, trajectory.duration)
     return replace(
         certificate,
         verified=certificate.verified and not violations,
@@ -275,7 +278,7 @@ def certify_among(
     violations = list(limit_violations(use))
     if rest_to_rest:
         violations += rest_violations(trajectory, {"begins": 0, "ends": -1})
-    speeds = _fastest(bezier, duration) if tracking.delay_s > 0.0 else np.zeros((1, robot.dof))
+    speeds = fastest(bezier, duration) if tracking.delay_s > 0.0 else np.zeros((1, robot.dof))
     deviations, at_rest = (largest_deviations(robot, tracking, at) for at in (speeds, np.zeros((1, robot.dof))))
     clock = begin_s + (trajectory.time if trajectory.samples > 1 else np.zeros(2))
     seen_s: list[float | None] = []
@@ -319,6 +322,14 @@ def with_violations(certificate: Certificate, more: Iterable[str]) -> Certificat
     if not found:
         return certificate
     return replace(certificate, verified=False, violations=(*certificate.violations, *found), clear_until_s=None)
+
+
+def on_track(certificate: Certificate, robot: Robot, scene: Scene, begin_s: float, duration: float) -> Certificate:
+    """The certificate of a motion where the scene's base tilts on its track (`hplan.verification.tilted_base`)."""
+    use = use_on_track(certificate.limit_use, robot, scene, begin_s, duration)
+    known = set(limit_violations(certificate.limit_use))
+    more = (f"{broken}, as the base tilts" for broken in limit_violations(use) if broken not in known)
+    return with_violations(replace(certificate, limit_use=use), more)
 
 
 def limit_violations(use: LimitUse) -> Iterator[str]:
@@ -387,10 +398,3 @@ def _times(trajectory: Trajectory, pieces: slice) -> tuple[float, float]:
     """Begin and end of a range of a motion's cubics [s]."""
     last = trajectory.samples - 1
     return float(trajectory.time[min(pieces.start, last)]), float(trajectory.time[min(pieces.stop, last)])
-
-
-def _fastest(bezier: FloatArray, duration: FloatArray) -> FloatArray:
-    """(pieces, dof) bounds of |velocity| within each cubic: it lies in the hull of its Bezier points [rad/s]."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        fastest: FloatArray = 3.0 * np.abs(np.diff(bezier, axis=1)).max(axis=1) / duration[:, None]
-    return fastest

@@ -62,13 +62,13 @@ def limit_use(robot: Robot, trajectory: Trajectory, bezier: FloatArray, duration
     )
     return LimitUse(
         position=_finite_or_inf(position),
-        velocity=_fraction(peak_velocity, robot.velocity_limit),
-        acceleration=_fraction(peak_acceleration, robot.acceleration_limit),
-        torque=_fraction(peak_torque, robot.torque_limit),
+        velocity=fraction_of(peak_velocity, robot.velocity_limit),
+        acceleration=fraction_of(peak_acceleration, robot.acceleration_limit),
+        torque=fraction_of(peak_torque, robot.torque_limit),
     )
 
 
-def _fraction(peak: FloatArray, limit: FloatArray) -> float:
+def fraction_of(peak: FloatArray, limit: FloatArray) -> float:
     """Largest fraction of a limit; a joint that does not move may have a limit of zero."""
     idle = (peak <= 1e-9) & (limit <= 0.0)
     with np.errstate(over="ignore"):

@@ -28,6 +28,7 @@ from hplan.verification.certificate import (
     all_of,
     certify_among,
     limit_violations,
+    on_track,
     rest_violations,
     stretches,
     with_violations,
@@ -91,7 +92,7 @@ def certified_retiming(
         part = certified_from(robot, retimed, first, among, clearance=scene.clearance, tracking=tracking)
         certificate = replace(all_of([running, part]), subject=None) if known else part
     certificate = replace(
-        with_violations(certificate, rest_violations(whole, {"ends": -1})),
+        on_track(with_violations(certificate, rest_violations(whole, {"ends": -1})), robot, scene, 0.0, whole.duration),
         goal_contact=running.goal_contact,
         contact_s=contact_s,
         digests=Digests.of(robot, scene, whole),

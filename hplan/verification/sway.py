@@ -35,6 +35,13 @@ def largest_deviations(robot: Robot, tracking: TrackingModel, speeds: FloatArray
     return largest
 
 
+def fastest(bezier: FloatArray, duration: FloatArray) -> FloatArray:
+    """(pieces, dof) bounds of |velocity| within each cubic: it lies in the hull of its Bezier points [rad/s]."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        fastest: FloatArray = 3.0 * np.abs(np.diff(bezier, axis=1)).max(axis=1) / duration[:, None]
+    return fastest
+
+
 def pair_sways(checker: CoalScene, deviations: FloatArray) -> FloatArray:
     """By how much each pair may come nearer when joints are off by deviations, (k, dof) [rad] -> (pairs, k) [m]."""
     if checker.own_bodies is not None:

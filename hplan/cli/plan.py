@@ -254,7 +254,8 @@ def show_summary(console: Console, result: PlanResult, folder: Path, more: Seque
     if result.grasp is not None:
         grasp = report["grasp"]
         what = "the point" if grasp["fruit"] is None else escape(grasp["fruit"])
-        add("grasp", f"{what}, last link at {grasp['approach_deg']:.1f} deg, {_approach_words(grasp['standoff_m'])}")
+        along = "tool" if result.robot.planar is None else "last link"
+        add("grasp", f"{what}, {along} at {grasp['approach_deg']:.1f} deg, {_approach_words(grasp['standoff_m'])}")
     if result.path is None:
         add("search", "none: start and goal are the same")
     elif planner["method"] == "direct":

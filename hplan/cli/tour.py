@@ -38,7 +38,8 @@ least time in all. Writes tour.csv, tour.json and an animated scene.html.
 
 _EPILOG = """\
 Without a drop-off the arm takes fruit into itself; with one it carries fruit
-there, and its last link is as thick as the thickest of them on the way.
+there: its last link is as thick as the thickest of them on the way, and an
+arm that is no planar one has a ball of that size at its tool.
 Fruits that others are in the way of come last, once those are picked. What
 cannot be reached is listed with the reason. Times are those of motions; the
 time to grip or to let go comes on top.
@@ -71,6 +72,13 @@ def parser(prog: str) -> CommandParser:
     add("--fruits", nargs="+", metavar="NAME", help="fruits to pick (default: all)")
     drop = parser.add_mutually_exclusive_group()
     drop.add_argument("--drop-off", type=float, nargs=3, metavar=("X", "Y", "Z"), help="drop-off: a place of the tool")
+    drop.add_argument(
+        "--drop-off-pose",
+        type=float,
+        nargs=7,
+        metavar=("X", "Y", "Z", "QX", "QY", "QZ", "QW"),
+        help="drop-off: a pose of the tool frame, of a robot that is no planar arm",
+    )
     drop.add_argument("--drop-off-joints", type=float, nargs="+", metavar="DEG", help="drop-off: joints")
     add("--every", type=int, metavar="K", help="fruits carried to the drop-off at most (default: 1)")
     add("--back", action="store_true", help="go back to the start in the end")
@@ -153,16 +161,26 @@ def _tour_options(arguments: argparse.Namespace) -> TourOptions:
     from hplan.tour.tour import TourOptions
 
     drop = None
-    for option, key in (("drop_off", "position"), ("drop_off_joints", "joints_deg")):
+    for option, keys in _DROP_OFFS.items():
         values = getattr(arguments, option)
         if values is None:
             continue
+        parts = {keys[0]: values[:3], keys[1]: values[3:]} if len(keys) == 2 else {keys[0]: values}
+        expected = "three finite numbers and a quaternion of length 1" if len(keys) == 2 else "finite numbers"
         try:
-            drop = Goal.model_validate({key: values}, strict=False)
+            drop = Goal.model_validate(parts, strict=False)
         except ValueError as error:
-            raise OptionError(f"--{option.replace('_', '-')}", values, "finite numbers") from error
+            raise OptionError(f"--{option.replace('_', '-')}", values, expected) from error
     chosen = {option: getattr(arguments, option) for option in ("every", "back", "order", "compare", "grasps")}
     return TourOptions(drop_off=drop, stops=arguments.csv == "each", **chosen)
+
+
+#: The options of a drop-off, and what of a goal each gives.
+_DROP_OFFS = {
+    "drop_off": ("position",),
+    "drop_off_pose": ("position", "quaternion_xyzw"),
+    "drop_off_joints": ("joints_deg",),
+}
 
 
 def _file_word(name: str) -> str:

@@ -13,8 +13,8 @@ found between two places, the arm moves by others.
 Once the tour is found, motions flow: where that is quicker, the arm does not stop at stand-offs. The order is found by
 durations with stops.
 
-What is carried to a drop-off is as if within the last link, made as thick as the thickest fruit; the arm is as thick
-from the stand-off before a fruit to the drop-off. The motions of the empty arm are planned as it is.
+What is carried to a drop-off is in the arm's way from the stand-off before a fruit to the drop-off, with the thickness
+of the thickest fruit (`hplan.tour.carried`). The motions of the empty arm are planned as it is.
 """
 
 from __future__ import annotations
@@ -38,7 +38,6 @@ from hplan.planning.grasps import Grasp, Target, grasps
 from hplan.planning.task import PlanningContext, PlanningTask
 from hplan.problem.pose_goal import configurations_at
 from hplan.robot.limits import rest_to_rest
-from hplan.robot.model import Robot
 from hplan.scene.model import Fruit, Goal
 from hplan.tour.moves import NO_MOTION, NONE, Move, Moves, Stop, quick_or_any_motion
 from hplan.tour.ordering import Costs, Visits, along
@@ -52,13 +51,6 @@ LegParts: TypeAlias = tuple[str | None, Grasp | None, list[Part]]
 
 #: Other grasps are looked at so many times, as long as the tour becomes shorter by this fraction.
 WIDENINGS, LEAST_GAIN = 8, 5e-3
-
-
-def carrying(robot: Robot, radius: float) -> Robot:
-    """The arm with its last link as thick as a fruit that it carries at the tool."""
-    widths = np.array(robot.arm.half_widths)
-    widths[-1] = max(widths[-1], radius + abs(robot.arm.lateral[-1]))
-    return robot.with_arm(replace(robot.arm, half_widths=readonly(widths)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -29,7 +29,8 @@ from hplan.robot.model import Robot
 from hplan.scene.model import Fruit, Goal, Scene
 from hplan.timing.retime import resting
 from hplan.timing.trajectory import joined
-from hplan.tour.motions import LegParts, Motions, carrying, drop_off
+from hplan.tour.carried import carrying
+from hplan.tour.motions import LegParts, Motions, drop_off
 from hplan.tour.moves import NO_MOTION, Stop
 from hplan.tour.ordering import Visits, along, best, nearest
 from hplan.tour.result import Leg, TourResult, Unreached

@@ -34,7 +34,7 @@ from hplan.scene.file import load_scene, save_scene
 from hplan.scene.model import Fruit, Goal, Scene, Start
 from hplan.scene.obstacles import Box, Sphere
 from hplan.timing.trajectory import Trajectory, read_csv
-from hplan.tour.motions import carrying
+from hplan.tour.carried import carrying
 from hplan.tour.moves import Moves, Stop
 from hplan.tour.ordering import Costs, nearest
 from hplan.tour.result import TourResult

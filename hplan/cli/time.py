@@ -91,11 +91,15 @@ def parser(prog: str) -> CommandParser:
     """The parser of the command's arguments."""
     parser = command_parser(_DESCRIPTION, _EPILOG, prog=prog)
     add = parser.add_argument
-    add("urdf", type=Path, metavar="URDF", help="the robot; its meshes are needed with --scene only")
+    add("urdf", type=Path, metavar="ROBOT", help="a URDF, or the name of a robot (panda, ur5 ...); meshes are "
+        "needed with --scene only")  # fmt: skip
     add("waypoints", type=Path, metavar="WAYPOINTS.csv", help="the waypoints")
     limits = parser.add_mutually_exclusive_group()
     limits.add_argument(
-        "--limits", type=Path, metavar="YAML", help="acceleration limits (default: NAME.limits.yaml beside the URDF)"
+        "--limits",
+        type=Path,
+        metavar="YAML",
+        help="acceleration limits, or name of a robot whose ship (default: NAME.limits.yaml in the URDF's folder)",
     )
     limits.add_argument("--acceleration", type=float, metavar="RAD_S2", help="one acceleration limit for all joints")
     add("--no-torque", action="store_true", help="do not limit the torque")
@@ -271,7 +275,8 @@ def _timed(arguments: argparse.Namespace, console: Console) -> int:
 
 def _limits(arguments: argparse.Namespace, machine: Machine) -> Limits:
     """The URDF's limits, with acceleration (and jerk) from the YAML or the number given."""
-    from hplan.robot.files import limits_file, read_limits
+    from hplan.base.data_files import LIMITS_SUFFIX
+    from hplan.robot.files import limits_file, read_limits, robot_files
     from hplan.waypoints import limits_of
 
     torque = not arguments.no_torque
@@ -279,7 +284,9 @@ def _limits(arguments: argparse.Namespace, machine: Machine) -> Limits:
         if not (math.isfinite(arguments.acceleration) and arguments.acceleration >= 0.0):
             raise OptionError("--acceleration", arguments.acceleration, "a finite number >= 0")
         return limits_of(machine.model, arguments.acceleration, torque=torque)
-    path = arguments.urdf.with_suffix(".limits.yaml") if arguments.limits is None else limits_file(arguments.limits)
+    files = robot_files(arguments.urdf)
+    own = files.urdf.with_suffix(LIMITS_SUFFIX) if files.limits is None else files.limits
+    path = own if arguments.limits is None else limits_file(arguments.limits)
     if arguments.limits is None and not path.exists():
         raise OptionError(
             "--acceleration",

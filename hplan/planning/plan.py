@@ -182,12 +182,12 @@ def check_task(robot: Robot, scene: Scene, options: PlanOptions | None) -> None:
     """Refuse what is no robot, scene or options, such as the first two in the wrong order.
 
     Raises:
-        OptionError: It is none.
+        OptionError: It is none, or an option that the robot has no use for.
     """
     instance("robot", robot, Robot, "load_robot")
     instance("scene", scene, Scene, "load_scene")
     if options is not None:
-        instance("options", options, PlanOptions)
+        instance("options", options, PlanOptions).check_for(robot)
 
 
 def plan_with(

@@ -9,6 +9,7 @@ from hplan.base.arguments import keep_checked, number, one_of, truth
 from hplan.cspace.sections import LINK_MODELS, LinkModel
 from hplan.errors import OptionError
 from hplan.robot.limits import check_rate, check_speed
+from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel
 from hplan.smoothing.options import OBJECTIVES, Objective
 
@@ -73,6 +74,16 @@ class PlanOptions:
         check_rate(self.rate_hz)
         check_speed(self.speed)
         TrackingModel(self.tracking_error, self.tracking_delay_s)
+
+    def check_for(self, robot: Robot) -> None:
+        """Refuse the dense search for robots without a grid.
+
+        Raises:
+            OptionError: It is asked for.
+        """
+        if self.method == "dense" and robot.planar is None:
+            expected = f"'two-level' for {robot.name!r}, which is no planar arm: there is no grid to be searched"
+            raise OptionError("method", self.method, expected)
 
     @property
     def tracking(self) -> TrackingModel:

@@ -17,13 +17,14 @@ import pinocchio as pin
 import yaml
 from pydantic import BaseModel, ConfigDict, PositiveFloat, ValidationError
 
+from hplan.base.arguments import file_path
 from hplan.base.arrays import FloatArray
-from hplan.base.data_files import LIMITS_SUFFIX, robot_names, shipped_limits
+from hplan.base.data_files import LIMITS_SUFFIX, robot_names, shipped_limits, shipped_robots, urdf_dir
 from hplan.base.yaml_text import read_yaml
 from hplan.errors import InputError, RobotFileError
 from hplan.robot.urdf_check import check_models
 from hplan.robot.urdf_file import Urdf, read_urdf
-from hplan.robot.urdf_xml import URDF_TEXT, line_of, read_urdf_xml
+from hplan.robot.urdf_xml import URDF_TEXT, is_urdf_text, line_of, read_urdf_xml
 
 #: Key `format` of a limits file.
 LIMITS_FORMAT = "hplan-limits/1"
@@ -91,6 +92,23 @@ def named_robot(name: str) -> RobotFiles:
         robot=name,
         extra="robots",
     )
+
+
+def robot_files(path: Path | str | None) -> RobotFiles:
+    """The files of a URDF, of its text, or of a robot by its name, as far as that says where they are.
+
+    Raises:
+        InputError: The package that holds those of a robot by name is not installed.
+    """
+    if isinstance(path, str) and is_urdf_text(path):
+        return RobotFiles(URDF_TEXT)
+    found = urdf_dir() / "harvester.urdf" if path is None else file_path("path", path)
+    if not found.is_file():
+        if str(path) in shipped_robots():
+            return RobotFiles(urdf_dir() / f"{path}.urdf")
+        if str(path) in NAMED_ROBOTS:
+            return named_robot(str(path))
+    return RobotFiles(found)
 
 
 #: Reasons of an SRDF for which links that it lets touch were never seen to touch: those are looked at all the same.

@@ -20,14 +20,13 @@ from numpy.typing import ArrayLike
 
 from hplan.base.arguments import each, file_path, instance, list_of, number
 from hplan.base.arrays import BoolArray, FloatArray, Record, readonly
-from hplan.base.data_files import shipped_robots, urdf_dir
 from hplan.errors import InputError, JointLimitError, RobotFamilyError
 from hplan.robot.dynamics import InverseDynamics
 from hplan.robot.family_reader import check_joints, read_family
-from hplan.robot.files import NAMED_ROBOTS, RobotFiles, build_models, find_limits, limits_file, named_robot, read_srdf
+from hplan.robot.files import build_models, find_limits, limits_file, read_srdf, robot_files
 from hplan.robot.planar_family import PlanarArm, PlanarFamily, PlanarNames
 from hplan.robot.urdf_adaptation import RobotChoice, adapt_urdf
-from hplan.robot.urdf_xml import URDF_TEXT, is_urdf_text, read_urdf_xml
+from hplan.robot.urdf_xml import is_urdf_text, read_urdf_xml
 
 _T = TypeVar("_T")
 
@@ -224,7 +223,12 @@ class Robot(PlanarNames, Record):
             raise InputError(f"{expected}, got {q!r}", which=which, expected=self.dof) from error
         if values.shape != (self.dof,):
             got = str(values.size) if values.ndim == 1 else f"an array of shape {values.shape}"
-            raise InputError(f"{expected}, got {got}", which=which, expected=self.dof, shape=list(values.shape))
+            raise InputError(
+                f"{expected}, got {got}; the robot is {self.name!r}",
+                which=which,
+                expected=self.dof,
+                shape=list(values.shape),
+            )
         if values.dtype.kind not in "fiu":
             raise InputError(f"{expected}, got {q!r}", which=which, expected=self.dof)
         values = values.astype(np.float64)
@@ -275,7 +279,7 @@ def load_robot(
             without example-robot-data.
         JointLimitError: A joint held outside its limits.
     """
-    files = _files(path)
+    files = robot_files(path)
     frame = instance("tool_frame", files.tool_frame if tool_frame is None else tool_frame, str)
     choice = RobotChoice(
         frame,
@@ -326,16 +330,3 @@ def load_robot(
 
 def _mapping(hold: Mapping[str, float] | None) -> dict[str, float]:
     return {} if hold is None else dict(instance("hold", hold, Mapping, "{joint: value}"))  # type: ignore[type-abstract]
-
-
-def _files(path: Path | str | None) -> RobotFiles:
-    """The files of what `load_robot` is asked for, as far as that says where they are."""
-    if isinstance(path, str) and is_urdf_text(path):
-        return RobotFiles(URDF_TEXT)
-    found = urdf_dir() / "harvester.urdf" if path is None else file_path("path", path)
-    if not found.is_file():
-        if str(path) in shipped_robots():
-            return RobotFiles(urdf_dir() / f"{path}.urdf")
-        if str(path) in NAMED_ROBOTS:
-            return named_robot(str(path))
-    return RobotFiles(found)

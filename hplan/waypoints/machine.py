@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike
 from hplan.base.arguments import file_path, instance, list_of, number, truth
 from hplan.base.arrays import FloatArray, Record, readonly
 from hplan.errors import InputError, RobotFileError
+from hplan.robot.files import robot_files
 from hplan.robot.limits import Limits
 from hplan.robot.urdf_adaptation import fix_joint, standing_values
 from hplan.robot.urdf_check import check_models
@@ -58,7 +59,7 @@ def read_machine(
     """Read the kinematics and inertia of any robot from its URDF; geometry and meshes are not looked at.
 
     Args:
-        path: URDF file.
+        path: URDF file, or the name of a robot as `load_robot` takes it.
         joints: Names of the joints that move; None for all but those that mimic another or are mimicked.
         hold: Positions of joints that do not move [rad]. Without one a joint stands at 0, or at the limit nearest to
             it.
@@ -66,10 +67,11 @@ def read_machine(
     Raises:
         RobotFileError: Missing file, malformed XML, content that `hplan.robot.urdf_file` or Pinocchio refuses, or that
             Pinocchio reads otherwise.
-        InputError: A joint that does not exist, or that cannot move; no joint at all.
+        InputError: A joint that does not exist, or that cannot move; no joint at all; a robot by name without
+            example-robot-data.
         JointLimitError: A joint held outside its limits.
     """
-    path = file_path("path", path)
+    path = robot_files(file_path("path", path)).urdf
     if joints is not None:
         joints = list_of("joints", joints, str, "names")
     hold = {} if hold is None else dict(instance("hold", hold, dict))

@@ -1,13 +1,10 @@
 """Time a path of any robot that Pinocchio reads: a UR5's waypoints, corners rounded, at the joints' limits.
 
-pip install example-robot-data
+pip install 'hplan[robots]'
 python scripts/examples/time_ur5_path.py
 """
 
 from __future__ import annotations
-
-from importlib.metadata import files
-from pathlib import Path
 
 import numpy as np
 
@@ -17,14 +14,9 @@ from hplan.waypoints import limits_of, read_machine, time_waypoints
 WAYPOINTS_DEG = ((0, -90, 0, 0, 0, 0), (45, -60, 60, -90, 0, 0), (90, -90, 90, -90, -90, 0), (90, -120, 60, 0, -90, 90))
 
 
-def urdf(name: str) -> Path:
-    """The file of that name in the package example-robot-data."""
-    return next(Path(str(file.locate())) for file in files("example-robot-data") or () if file.name == name)
-
-
 def main() -> hplan.Trajectory:
     """Time the path and print what it takes."""
-    ur5 = read_machine(urdf("ur5_robot.urdf")).model
+    ur5 = read_machine("ur5").model
     trajectory = time_waypoints(ur5, np.radians(WAYPOINTS_DEG), limits_of(ur5, acceleration=8.0))
     print(f"{trajectory.duration:.3f} s, {trajectory.samples} rows at 250 Hz")
     return trajectory

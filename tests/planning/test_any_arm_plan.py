@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from any_arms import loaded_arm
 
-from hplan.errors import ConfigurationInCollisionError, NotFoundError
+from hplan.errors import ConfigurationInCollisionError, NotFoundError, OptionError
 from hplan.planning import find_motion, sampled_motion
 from hplan.planning.plan import plan
 from hplan.planning.sampled_motion import SAMPLING_OF_BODIES, SamplingEffort
@@ -76,3 +76,10 @@ def test_where_nothing_is_found_nothing_is_claimed(arm: Robot, monkeypatch: pyte
     with pytest.raises(NotFoundError) as refused:
         plan(arm, scene_of(wall), QUICK)
     assert "trees" in str(refused.value)
+
+
+def test_the_dense_search_is_refused_where_there_is_no_grid(arm: Robot) -> None:
+    with pytest.raises(
+        OptionError, match="method = 'dense': expected 'two-level' for 'six_axes', which is no planar arm"
+    ):
+        plan(arm, scene_of(), PlanOptions(method="dense"))

@@ -559,7 +559,10 @@ def test_configuration_a_rounding_error_outside_is_clipped(robot):
 @pytest.mark.parametrize(
     ("q", "message"),
     [
-        ([0, 0, 0], "goal: expected 4 joint values (base_yaw, shoulder, elbow, wrist), got 3"),
+        (
+            [0, 0, 0],
+            "goal: expected 4 joint values (base_yaw, shoulder, elbow, wrist), got 3; the robot is 'harvester'",
+        ),
         ([], "got 0"),
         (0.5, "got an array of shape ()"),
         ([[0, 0], [0, 0]], "got an array of shape (2, 2)"),

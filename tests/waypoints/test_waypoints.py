@@ -287,6 +287,18 @@ def test_script_does_not_overwrite_what_it_reads(script, capsys, files, tmp_path
     assert files[1].read_bytes() == before
 
 
+def test_a_robot_by_its_name_has_its_own_limits(script, capsys, write, tmp_path):
+    names = ("base_yaw", "shoulder", "elbow", "wrist")
+    rows = write("way.csv", f"{','.join(names)}\n0,0.3,0.3,0.3\n0.5,0.8,0.2,0.4\n")
+    assert run(script, capsys, "harvester", rows, "--out", tmp_path / "a.csv", "--quiet")[0] == 0
+    assert (
+        run(script, capsys, "harvester", rows, "--out", tmp_path / "b.csv", "--quiet", "--limits", "harvester")[0] == 0
+    )
+    assert (tmp_path / "a.csv").read_bytes() == (tmp_path / "b.csv").read_bytes()
+    assert run(script, capsys, "harvester", rows, "--out", tmp_path / "c.csv", "--quiet", "--limits", "ur5")[0] == 2
+    assert run(script, capsys, "harvestr", rows, "--out", tmp_path / "c.csv", "--quiet")[0] == 2
+
+
 def test_script_without_torque_limits(script, capsys, files, tmp_path):
     files[0].write_text(urdf().replace('effort="60"', 'effort="0"'))
     arguments = (*files, "--acceleration", 4, "--out", tmp_path / "o.csv")

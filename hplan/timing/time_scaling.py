@@ -322,7 +322,9 @@ def _with_rows(rest: Trajectory, robot: Robot, period: float, clock: FloatArray,
     trajectory = Trajectory(rest.joint_names, time, position, velocity, acceleration, torque)
     on_path = rest.positions(np.clip(clock, 0.0, None))
     on_path += np.minimum(clock, 0.0)[:, None] * rest.velocity[0]  # before the seam, where the path goes on backwards
-    largest = np.abs(rest.acceleration).max(axis=0)
+    # Of the path itself: the column of accelerations may say anything.
+    bezier, duration = cubic_pieces(rest)
+    largest = np.abs(6.0 * np.diff(bezier, n=2, axis=1) / duration[:, None, None] ** 2).max(axis=(0, 1))
     step = float(np.diff(clock).max())
     off = np.abs(points - on_path)[1:].max(axis=0) + step**2 / 6.0 * largest
     return Retimed(trajectory, 0, np.clip(clock[1:-1], 0.0, rest.duration), off, float(largest_sway(robot, off)))

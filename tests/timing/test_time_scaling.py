@@ -185,6 +185,19 @@ def test_rows_far_apart_get_denser_ones_for_the_stop(robot):
     assert not found.trajectory.velocity[-1].any()
 
 
+def test_how_far_it_is_off_the_path_whatever_the_accelerations_say(robot):
+    """A file of another program may have zeros there."""
+    motion = motions()[1]
+    rows = np.append(np.arange(0, motion.samples - 1, 10), motion.samples - 1)
+    names = ("time", "position", "velocity", "torque")
+    time, position, velocity, torque = (getattr(motion, name)[rows] for name in names)
+    untold = Trajectory(motion.joint_names, time, position, velocity, np.zeros_like(position), torque)
+    found = scaled(untold, 0.6, robot)
+    off = np.abs(found.trajectory.position - untold.positions(found.clock)).max(axis=0)
+    assert (off <= found.off_path).all()
+    assert off.max() > 1e-7
+
+
 def test_the_methods_of_a_trajectory(robot):
     motion = motions()[0]
     assert motion.stop_at(0.5, robot).duration < motion.duration

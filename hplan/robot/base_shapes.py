@@ -109,7 +109,9 @@ def base_shapes(robot: Robot) -> tuple[BaseShape, ...]:
 
 
 def turning_shapes(robot: Robot) -> tuple[BaseShape, ...]:
-    """The shapes that stand elsewhere at every yaw: of the turret, and not round about the yaw axis."""
+    """The shapes that stand elsewhere at every yaw: of the turret, and not round about the yaw axis; of others none."""
+    if robot.planar is None:
+        return ()
     return tuple(shape for shape in base_shapes(robot) if shape.carrier == TURRET and not shape.is_round)
 
 

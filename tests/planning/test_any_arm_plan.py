@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from any_arms import loaded_arm
 
-from hplan.errors import ConfigurationInCollisionError, NotFoundError, OptionError
+from hplan.errors import ConfigurationInCollisionError, InputError, NotFoundError, OptionError
 from hplan.planning import find_motion, sampled_motion
 from hplan.planning.plan import plan
 from hplan.planning.sampled_motion import SAMPLING_OF_BODIES, SamplingEffort
@@ -83,3 +83,12 @@ def test_the_dense_search_is_refused_where_there_is_no_grid(arm: Robot) -> None:
         OptionError, match="method = 'dense': expected 'two-level' for 'six_axes', which is no planar arm"
     ):
         plan(arm, scene_of(), PlanOptions(method="dense"))
+
+
+def test_a_table_in_which_the_foot_stands_is_refused(arm: Robot) -> None:
+    """The first thing that a newcomer plans among: it is told which obstacle, which link and how deep."""
+    table = Box(name="table", center=(0.0, 0.0, -0.1), size=(1.0, 1.0, 0.1))
+    with pytest.raises(
+        InputError, match=r"'table' is .* deep in the robot's 'base_link', which does not move: move the"
+    ):
+        plan(arm, scene_of(table), QUICK)

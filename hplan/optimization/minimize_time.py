@@ -8,35 +8,22 @@ clear; the last has its pieces meet at rows, so that the rows are the motion exa
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from hplan.base.arrays import FloatArray, Record, frozen
-from hplan.base.deadline import look, until
-from hplan.collision.clearance_field import ClearanceField
-from hplan.optimization.first_order import MotionArrays, MotionLimits, first_order, least_pace
-from hplan.optimization.interior_point import ProgramRows, solve
+from hplan.base.arrays import FloatArray, frozen
+from hplan.optimization.time_problem import TimeProblem
 from hplan.optimization.timed_spline import (
     RESTING,
-    BoundaryState,
     MotionBetween,
     TimedSpline,
     breaks_at_rows,
     even_breaks,
 )
-from hplan.optimization.torque_rows import ALLOWED, NEAR_LIMIT, TorqueUse, torque_rows, with_rows
-from hplan.robot.dynamics import InverseDynamics
-from hplan.robot.limits import Limits
-from hplan.smoothing.options import PostprocessOptions
-from hplan.smoothing.spline import FIRST, MovableSpline, pieces_are_clear
+from hplan.optimization.torque_rows import ALLOWED, TorqueUse
 from hplan.timing.retime import KEPT
-
-#: Fraction of the margin asked for wherever the proof of a step looks; the programs ask for all of it at their places.
-PROVED = 0.05
 
 #: A step is halved so often at most until it is clear.
 HALVINGS = 5
@@ -67,9 +54,6 @@ LEAST_PACE = 0.75
 #: Where an end is in motion, more than this much slower is no remedy for a step that passes limits: the next step is.
 REPAIRED = 1.02
 
-#: How often the pace of a motion is looked at anew whose ends do not slow down with it.
-PACES = 4
-
 
 @dataclass(frozen=True)
 class Level:
@@ -82,6 +66,8 @@ class Level:
         gain: The last step is the first one that makes the motion quicker by less than this part; in proportion where
             only a part of a step was clear.
         trust: Largest change of a control point in a joint in the first step [rad].
+        enough: The last step is one that leaves no more than this part to what pieces this long allow at best
+            (`TimeProblem.least_duration`); 0 where that is not looked at.
     """
 
     piece_s: float
@@ -89,6 +75,7 @@ class Level:
     steps: int
     gain: float
     trust: float
+    enough: float = 0.0
 
     def pieces_of(self, duration_s: float, rate_hz: float) -> int:
         """Number of pieces of a motion; no more than half as many as it has rows."""
@@ -98,109 +85,16 @@ class Level:
 
 @dataclass(frozen=True)
 class Effort:
-    """What may be spent on a motion: levels from coarse to fine, of which the last has its pieces meet at rows."""
-
-    levels: tuple[Level, ...]
-
-
-@dataclass(frozen=True, eq=False)
-class TimeProblem(Record):
-    """What a fastest motion has to keep.
+    """What may be spent on a motion.
 
     Attributes:
-        field: Arm and obstacles.
-        near: What is near the motion to begin with.
-        options: Joint limits, movable joints and margin.
-        limits: Velocity, acceleration, torque and jerk limits.
-        dynamics: Torques of the arm's motions.
-        rate_hz: Rows per second.
-        ends: The states in which it begins and ends; None where both are at rest.
+        levels: From coarse to fine; the last has its pieces meet at rows.
+        between_rows: Whether a motion may be taken whose pieces meet between rows, where there is none else. Between
+            two rows it is not one cubic then: what a certificate takes it for is another motion by a little.
     """
 
-    field: ClearanceField
-    near: ClearanceField
-    options: PostprocessOptions
-    limits: Limits
-    dynamics: InverseDynamics
-    rate_hz: float
-    ends: tuple[BoundaryState, BoundaryState] | None = None
-
-    @cached_property
-    def arrays(self) -> MotionLimits:
-        """The limits for kernels."""
-        limits, options = self.limits, self.options
-        jerk = np.full_like(limits.velocity, np.inf) if limits.jerk is None else limits.jerk
-        rates = np.stack([limits.velocity, limits.acceleration, jerk])
-        return MotionLimits(options.lower, options.upper, rates, options.movable)
-
-    def is_clear(self, spline: TimedSpline) -> bool:
-        """True if the whole motion is shown clear."""
-        moved, pieces = MovableSpline(np.array(spline.control), spline.knots), len(spline.control) - 3
-        clear = pieces_are_clear(moved, FIRST, pieces - 1, self.field.arrays, PROVED * self.options.margin, 0.0)
-        look()
-        return bool(clear)
-
-    def pace(self, spline: TimedSpline) -> float:
-        """By what the motion's times have to be multiplied to keep velocity, acceleration and jerk."""
-        pace = float(least_pace(np.array(spline.control), spline.knots, self.arrays))
-        if spline.ends is None:
-            return pace
-        # The states at the ends stay as they are: with the pace the pieces there change their shape. That may take more
-        # pace than it gives, so that only what has to be slower is slowed down.
-        total, more = 1.0, pace
-        for _ in range(PACES):
-            if more <= 1.0:
-                break
-            total *= more
-            slower = spline.at_pace(total)
-            more = float(least_pace(np.array(slower.control), slower.knots, self.arrays))
-        return total * max(1.0, more)
-
-    def torque_use(self, spline: TimedSpline) -> TorqueUse | None:
-        """The use of the torque limits; None without any."""
-        limit = self.limits.torque
-        return None if limit is None else TorqueUse.of(spline, self.dynamics, limit)
-
-    def keeps_torque(self, spline: TimedSpline) -> bool:
-        """True if the torques looked at are within their limits."""
-        use = self.torque_use(spline)
-        return use is None or use.largest <= 1.0
-
-    def step(
-        self, spline: TimedSpline, trust: float, gap: float, *, least: float | None = None
-    ) -> tuple[FloatArray, float] | None:
-        """The step that is best to first order; None where none is found.
-
-        Args:
-            spline: The motion.
-            trust: Largest change [rad].
-            gap: How near to the best pace.
-            least: Least pace; None where there is none.
-
-        Returns:
-            (inner, movable) changes of the inner control points, and the pace.
-        """
-        arrays, options = self.arrays, self.options
-        motion = MotionArrays(np.array(spline.control), spline.knots, spline.drift)
-        rows = first_order(motion, arrays, self.near.arrays, options.margin, trust)
-        look()
-        if least is not None:
-            rows = with_rows(rows, _at_least(least))
-        use = self.torque_use(spline)
-        if use is not None and use.largest > NEAR_LIMIT:
-            rows = with_rows(rows, torque_rows(use, spline, self.dynamics, arrays))
-        joints = len(options.movable)
-        inner = len(spline.control) - 2 * RESTING
-        found, unknowns = solve(rows, inner * joints, 4 * joints - 1, gap, until())
-        look()
-        return (unknowns[:-1].reshape(inner, joints), float(unknowns[-1])) if found else None
-
-
-def _at_least(pace: float) -> ProgramRows:
-    """The row of a program that asks for a pace."""
-    nothing = np.zeros(0, dtype=np.int32)
-    alone = np.array([-1.0])
-    return ProgramRows(np.zeros(2, dtype=np.int32), nothing, np.empty(0), alone, pace * alone, np.empty(0))
+    levels: tuple[Level, ...]
+    between_rows: bool = False
 
 
 class TimedMotion(Protocol):
@@ -240,23 +134,56 @@ def minimize_time(
         The motion, or None where none was found.
     """
     limit, free = problem.limits.torque, _without_torque(problem)
-    found = _minimized(start, free, effort.levels) if rough is None else _minimized(rough, free, effort.levels[1:])
+    finer = replace(effort, levels=effort.levels[1:])
+    found = _minimized(start, free, effort) if rough is None else _minimized(rough, free, finer)
     if found is None or limit is None or TorqueUse.of(found, problem.dynamics, limit).largest <= ALLOWED:
         return found
-    return _minimized(start, problem, effort.levels)
+    return _minimized(start, problem, effort)
 
 
 def _without_torque(problem: TimeProblem) -> TimeProblem:
     return replace(problem, limits=replace(problem.limits, torque=None))
 
 
-def _minimized(start: TimedMotion, problem: TimeProblem, levels: Sequence[Level]) -> TimedSpline | None:
+def _minimized(start: TimedMotion, problem: TimeProblem, effort: Effort) -> TimedSpline | None:
     """As `minimize_time`, with the limits of torque in the programs if the problem has any."""
-    found: TimedSpline | None = None
-    for level in levels:
+    found: TimedSpline | None = start if isinstance(start, TimedSpline) else None
+    quickest = found
+    for level in effort.levels:
         found = _of_level(found or start, problem, level) or found
-    found = found or (start if isinstance(start, TimedSpline) else None)
-    return None if found is None else _on_rows(found, problem, levels[-1])
+        if found is not None and (quickest is None or found.duration < quickest.duration):
+            quickest = found
+    on_rows = None if found is None else _on_rows(found, problem, effort.levels[-1])
+    return _between_rows(quickest, problem) if on_rows is None and effort.between_rows else on_rows
+
+
+def _between_rows(spline: TimedSpline | None, problem: TimeProblem) -> TimedSpline | None:
+    """The same motion in a whole number of rows, wherever its pieces meet; None where that passes limits."""
+    if spline is None:
+        return None
+    pace = 1.0 + KEPT
+    for _ in range(TRIES):
+        rows = math.ceil(pace * spline.duration * problem.rate_hz)
+        slower = spline.at_pace(rows / problem.rate_hz / spline.duration)
+        use = _use_between_rows(slower, problem)
+        if use <= 1.0 + KEPT:
+            return slower if problem.keeps_torque(slower) else None
+        pace *= use
+    return None
+
+
+def _use_between_rows(spline: TimedSpline, problem: TimeProblem) -> float:
+    """By what the times of the cubics between a spline's rows have to be multiplied to keep the limits there."""
+    step_s, (speed, push, jerk) = 1.0 / problem.rate_hz, problem.arrays.rates
+    clock = np.linspace(0.0, spline.duration, round(spline.duration * problem.rate_hz) + 1)
+    velocity = spline.path.evaluate(clock, 1)
+    gained = 6.0 * np.diff(spline.positions(clock), axis=0) / step_s
+    first = (gained - 4.0 * velocity[:-1] - 2.0 * velocity[1:]) / step_s
+    last = (2.0 * velocity[:-1] + 4.0 * velocity[1:] - gained) / step_s
+    moved = problem.options.movable
+    uses = (np.abs(velocity) / speed, np.abs(np.stack([first, last])) / push, np.abs(last - first) / step_s / jerk)
+    largest = (float(use[..., moved].max()) for use in uses)
+    return max(math.pow(use, 1.0 / order) for order, use in enumerate(largest, 1))
 
 
 def _of_level(start: TimedMotion, problem: TimeProblem, level: Level) -> TimedSpline | None:
@@ -267,6 +194,7 @@ def _of_level(start: TimedMotion, problem: TimeProblem, level: Level) -> TimedSp
     if pieces < 2 * RESTING:
         return None
     spline = _first(start, problem, even_breaks(start.duration, pieces))
+    enough_s = _enough(spline, problem, level)
     best, trust, stalled = None, level.trust, 0
     for _ in range(level.steps):
         step = _step(spline, problem, trust, COARSE)
@@ -282,11 +210,19 @@ def _of_level(start: TimedMotion, problem: TimeProblem, level: Level) -> TimedSp
             before = math.inf if best is None else best.duration
             if moved.duration < before:
                 best = spline = moved
-            if moved.duration > (1.0 - level.gain * step.part) * before:
+            if moved.duration > (1.0 - level.gain * step.part) * before or moved.duration <= enough_s:
                 break
         if stalled == STALLS:
             break
     return best
+
+
+def _enough(spline: TimedSpline, problem: TimeProblem, level: Level) -> float:
+    """The duration that leaves no more than a level's `enough` to be gained [s]; 0 where that is not looked at."""
+    if level.enough == 0.0 or spline.ends is not None:
+        return 0.0
+    turn = spline.control[-1] - spline.control[0]
+    return (1.0 + level.enough) * problem.least_duration(turn, len(spline.control) - 3)
 
 
 def _first(start: TimedMotion, problem: TimeProblem, breaks: FloatArray) -> TimedSpline:
@@ -308,7 +244,8 @@ def _on_rows(spline: TimedSpline, problem: TimeProblem, level: Level) -> TimedSp
         return None
     rows, trust = math.ceil(spline.duration * problem.rate_hz - 1e-6), SMALL_TRUST
     found: TimedSpline | None = None
-    most = math.inf
+    most, failed = math.inf, 0
+    enough_rows = math.ceil(_enough(spline, problem, level) * problem.rate_hz)
     for _ in range(TRIES):
         breaks = breaks_at_rows(rows, pieces, problem.rate_hz)
         slower = spline.at_pace(breaks[-1] / spline.duration)
@@ -320,12 +257,14 @@ def _on_rows(spline: TimedSpline, problem: TimeProblem, level: Level) -> TimedSp
         kept = 1e-6 if spline.ends is None else KEPT
         if pace <= 1.0 + kept and problem.keeps_torque(spline):
             found, most = spline, rows
+        elif pace > 1.0 + kept and level.enough > 0.0:
+            failed = max(failed, rows)
         if step.part < 1.0:
             trust *= SHRINK
         if spline.ends is not None and pace > 1.0 + kept:
             pace = max(step.pace, 1.0 + KEPT)
         rows = math.ceil(rows * pace - 1e-6)
-        if rows >= most:
+        if rows >= most or rows <= failed or most <= enough_rows:
             break
     return found
 

@@ -16,8 +16,9 @@ import numpy as np
 
 from hplan.base import ties
 from hplan.base.arrays import FloatArray, IntArray
-from hplan.optimization.minimize_time import LONGEST_S, Effort, TimeProblem, minimize_time, rough_motion
+from hplan.optimization.minimize_time import LONGEST_S, Effort, minimize_time, rough_motion
 from hplan.optimization.path_classes import PARTS, class_numbers
+from hplan.optimization.time_problem import TimeProblem
 from hplan.optimization.timed_spline import TimedSpline
 from hplan.smoothing.minimize_duration import coarse_profile
 from hplan.smoothing.smooth_path import clear_start, near_field

@@ -13,8 +13,9 @@ import numpy as np
 from hplan.base import ties
 from hplan.base.arrays import FloatArray, Record
 from hplan.errors import CertificationError, TimingError
-from hplan.optimization.minimize_time import Effort, Level, TimeProblem
+from hplan.optimization.minimize_time import Effort, Level
 from hplan.optimization.several_starts import NEAR, StartsEffort, fastest_motions, optimization_starts
+from hplan.optimization.time_problem import TimeProblem
 from hplan.optimization.timed_spline import BoundaryState
 from hplan.planning.grid_route import Route
 from hplan.planning.task import PlanningContext, PlanningTask
@@ -51,7 +52,13 @@ EFFORTS: dict[str, StartsEffort | None] = {
 EFFORTS_OF_BODIES: dict[str, StartsEffort | None] = {
     **EFFORTS,
     "default": StartsEffort(
-        Effort((_COARSE, Level(piece_s=0.03, pieces=(50, 120), steps=2, gain=5e-3, trust=0.05))),
+        Effort(
+            (
+                replace(_COARSE, enough=7e-3),
+                Level(piece_s=0.03, pieces=(50, 120), steps=2, gain=5e-3, trust=0.05, enough=2e-3),
+            ),
+            between_rows=True,
+        ),
         rough=2,
         others=0,
         finished=1,

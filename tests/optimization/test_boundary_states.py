@@ -10,7 +10,8 @@ from scipy.interpolate import BSpline
 
 from hplan.collision.clearance_field import ClearanceField
 from hplan.optimization.first_order import NEAR, PLACES, MotionArrays, MotionLimits, first_order
-from hplan.optimization.minimize_time import Effort, Level, TimeProblem, minimize_time
+from hplan.optimization.minimize_time import Effort, Level, minimize_time
+from hplan.optimization.time_problem import TimeProblem
 from hplan.optimization.timed_spline import BoundaryState, TimedSpline
 from hplan.optimization.torque_rows import TorqueUse, torque_rows
 from hplan.robot.limits import Limits

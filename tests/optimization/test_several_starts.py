@@ -10,8 +10,9 @@ import pytest
 
 from hplan.collision.clearance_field import ClearanceField
 from hplan.optimization import several_starts
-from hplan.optimization.minimize_time import Effort, Level, TimeProblem
+from hplan.optimization.minimize_time import Effort, Level
 from hplan.optimization.several_starts import StartsEffort, fastest_motions, optimization_starts
+from hplan.optimization.time_problem import TimeProblem
 from hplan.robot.limits import Limits
 from hplan.scene.obstacles import Sphere
 from hplan.smoothing.options import PostprocessOptions

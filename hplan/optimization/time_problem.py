@@ -1,0 +1,146 @@
+"""What a fastest motion has to keep: limits and clearance, the step that is best to first order, the least duration."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from hplan.base.arrays import FloatArray, Record
+from hplan.base.deadline import look, until
+from hplan.collision.clearance_field import ClearanceField
+from hplan.optimization.first_order import MotionArrays, MotionLimits, first_order, least_pace
+from hplan.optimization.interior_point import ProgramRows, solve
+from hplan.optimization.timed_spline import RESTING, BoundaryState, TimedSpline
+from hplan.optimization.torque_rows import NEAR_LIMIT, TorqueUse, torque_rows, with_rows
+from hplan.robot.dynamics import InverseDynamics
+from hplan.robot.limits import Limits, rest_to_rest
+from hplan.smoothing.options import PostprocessOptions
+from hplan.smoothing.spline import FIRST, MovableSpline, pieces_are_clear
+
+#: Fraction of the margin asked for wherever the proof of a step looks; the programs ask for all of it at their places.
+PROVED = 0.05
+
+#: How often the pace of a motion is looked at anew whose ends do not slow down with it.
+PACES = 4
+
+#: Rounds in which the least duration of a spline and its pieces' come to agree.
+_ROUNDS = 4
+
+
+@dataclass(frozen=True, eq=False)
+class TimeProblem(Record):
+    """What a fastest motion has to keep.
+
+    Attributes:
+        field: Arm and obstacles.
+        near: What is near the motion to begin with.
+        options: Joint limits, movable joints and margin.
+        limits: Velocity, acceleration, torque and jerk limits.
+        dynamics: Torques of the arm's motions.
+        rate_hz: Rows per second.
+        ends: The states in which it begins and ends; None where both are at rest.
+    """
+
+    field: ClearanceField
+    near: ClearanceField
+    options: PostprocessOptions
+    limits: Limits
+    dynamics: InverseDynamics
+    rate_hz: float
+    ends: tuple[BoundaryState, BoundaryState] | None = None
+
+    @cached_property
+    def arrays(self) -> MotionLimits:
+        """The limits for kernels."""
+        limits, options = self.limits, self.options
+        jerk = np.full_like(limits.velocity, np.inf) if limits.jerk is None else limits.jerk
+        rates = np.stack([limits.velocity, limits.acceleration, jerk])
+        return MotionLimits(options.lower, options.upper, rates, options.movable)
+
+    def is_clear(self, spline: TimedSpline) -> bool:
+        """True if the whole motion is shown clear."""
+        moved, pieces = MovableSpline(np.array(spline.control), spline.knots), len(spline.control) - 3
+        clear = pieces_are_clear(moved, FIRST, pieces - 1, self.field.arrays, PROVED * self.options.margin, 0.0)
+        look()
+        return bool(clear)
+
+    def pace(self, spline: TimedSpline) -> float:
+        """By what the motion's times have to be multiplied to keep velocity, acceleration and jerk."""
+        pace = float(least_pace(np.array(spline.control), spline.knots, self.arrays))
+        if spline.ends is None:
+            return pace
+        # The states at the ends stay as they are: with the pace the pieces there change their shape. That may take more
+        # pace than it gives, so that only what has to be slower is slowed down.
+        total, more = 1.0, pace
+        for _ in range(PACES):
+            if more <= 1.0:
+                break
+            total *= more
+            slower = spline.at_pace(total)
+            more = float(least_pace(np.array(slower.control), slower.knots, self.arrays))
+        return total * max(1.0, more)
+
+    def least_duration(self, turn: FloatArray, pieces: int) -> float:
+        """Duration that no spline of so many equal pieces can fall below, between ends at rest [s].
+
+        Its accelerations are linear within a piece and begin at 0, so that none grows to its limit in less than the
+        first piece: a motion of least duration with that jerk is no slower.
+
+        Args:
+            turn: (dof,) by how far joints turn.
+            pieces: Number of pieces.
+        """
+        limits, seconds = self.limits, 0.0
+        jerk = self.arrays.rates[2]
+        for _ in range(_ROUNDS):
+            growing = jerk if seconds == 0.0 else np.minimum(jerk, limits.acceleration * pieces / seconds)
+            seconds = float(rest_to_rest(np.abs(turn), limits.velocity, limits.acceleration, growing).max())
+        return seconds
+
+    def torque_use(self, spline: TimedSpline) -> TorqueUse | None:
+        """The use of the torque limits; None without any."""
+        limit = self.limits.torque
+        return None if limit is None else TorqueUse.of(spline, self.dynamics, limit)
+
+    def keeps_torque(self, spline: TimedSpline) -> bool:
+        """True if the torques looked at are within their limits."""
+        use = self.torque_use(spline)
+        return use is None or use.largest <= 1.0
+
+    def step(
+        self, spline: TimedSpline, trust: float, gap: float, *, least: float | None = None
+    ) -> tuple[FloatArray, float] | None:
+        """The step that is best to first order; None where none is found.
+
+        Args:
+            spline: The motion.
+            trust: Largest change [rad].
+            gap: How near to the best pace.
+            least: Least pace; None where there is none.
+
+        Returns:
+            (inner, movable) changes of the inner control points, and the pace.
+        """
+        arrays, options = self.arrays, self.options
+        motion = MotionArrays(np.array(spline.control), spline.knots, spline.drift)
+        rows = first_order(motion, arrays, self.near.arrays, options.margin, trust)
+        look()
+        if least is not None:
+            rows = with_rows(rows, _at_least(least))
+        use = self.torque_use(spline)
+        if use is not None and use.largest > NEAR_LIMIT:
+            rows = with_rows(rows, torque_rows(use, spline, self.dynamics, arrays))
+        joints = len(options.movable)
+        inner = len(spline.control) - 2 * RESTING
+        found, unknowns = solve(rows, inner * joints, 4 * joints - 1, gap, until())
+        look()
+        return (unknowns[:-1].reshape(inner, joints), float(unknowns[-1])) if found else None
+
+
+def _at_least(pace: float) -> ProgramRows:
+    """The row of a program that asks for a pace."""
+    nothing = np.zeros(0, dtype=np.int32)
+    alone = np.array([-1.0])
+    return ProgramRows(np.zeros(2, dtype=np.int32), nothing, np.empty(0), alone, pace * alone, np.empty(0))

@@ -1,0 +1,69 @@
+"""Where the optimisation of a motion ends: near what its pieces allow, and where none has its pieces meet at rows."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from any_arms import loaded_arm
+
+import hplan.optimization.minimize_time as optimization
+from hplan.base.arrays import FloatArray
+from hplan.optimization.minimize_time import minimize_time, rough_motion
+from hplan.optimization.time_problem import TimeProblem
+from hplan.planning.certified_motion import EFFORTS_OF_BODIES, certificate_of, motion_limits, smoothing_options
+from hplan.planning.task import PlanningCache, PlanningTask
+from hplan.problem.options import PlanOptions
+from hplan.scene.model import Scene
+from hplan.smoothing.minimize_duration import coarse_profile
+from hplan.smoothing.spline import SplinePath
+from hplan.timing.speed_profile import SpeedProfile
+
+DEFAULT = EFFORTS_OF_BODIES["default"]
+assert DEFAULT is not None
+EFFORT = DEFAULT.optimization
+
+
+@pytest.fixture(scope="module")
+def task(tmp_path_factory: pytest.TempPathFactory) -> PlanningTask:
+    arm = loaded_arm("toy", tmp_path_factory)
+    ends = {key: {"joints_rad": place} for key, place in (("start", (0.3,) * arm.dof), ("goal", (1.2,) * arm.dof))}
+    scene = Scene.model_validate({"format": "hplan-scene/1", "name": "nothing", "obstacles": (), **ends})
+    context = PlanningCache(arm).context(scene, PlanOptions())
+    return context.task(scene.start.configuration, scene.goal.configuration)
+
+
+def problem_of(task: PlanningTask) -> TimeProblem:
+    options, robot = smoothing_options(task, task.margin()), task.robot
+    return TimeProblem(task.field, task.field, options, motion_limits(task), robot.dynamics, task.options.rate_hz)
+
+
+def bent(task: PlanningTask, seed: int) -> SpeedProfile:
+    """A start that is a detour."""
+    ends: FloatArray = np.linspace(task.problem.start, task.problem.goal, 7)
+    ends[1:-1] += np.random.default_rng(seed).uniform(-0.3, 0.3, ends[1:-1].shape)
+    return coarse_profile(SplinePath.through(ends), smoothing_options(task, task.margin()))
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_no_motion_falls_below_what_its_pieces_allow(task: PlanningTask, seed: int) -> None:
+    problem, turn = problem_of(task), task.problem.goal - task.problem.start
+    rough = rough_motion(bent(task, seed), problem, EFFORT)
+    assert rough is not None
+    found = minimize_time(bent(task, seed), problem, EFFORT, rough=rough)
+    assert found is not None
+    for spline, level in zip((rough, found), EFFORT.levels, strict=True):
+        least = problem.least_duration(turn, len(spline.control) - 3)
+        assert least <= spline.duration * (1.0 + 1e-6)
+        assert spline.duration <= (1.0 + 2.0 * level.enough) * least + 1.0 / problem.rate_hz
+    assert problem.least_duration(turn, 20) > problem.least_duration(turn, 50) > 0.0
+
+
+def test_pieces_may_meet_between_rows(task: PlanningTask, monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = problem_of(task)
+    monkeypatch.setattr(optimization, "_on_rows", lambda *_: None)
+    found = minimize_time(bent(task, 3), problem, EFFORT)
+    assert found is not None
+    assert found.duration * problem.rate_hz == pytest.approx(round(found.duration * problem.rate_hz), abs=1e-6)
+    assert certificate_of(task, found.trajectory(problem.dynamics, problem.rate_hz)).verified
+    monkeypatch.setattr(optimization, "_of_level", lambda *_: None)
+    assert minimize_time(bent(task, 3), problem, EFFORT) is None

@@ -19,23 +19,21 @@ from typing import NamedTuple, TypeAlias
 
 from hplan.base.arrays import FloatArray
 from hplan.base.kernels import any_int, inlined, kernel
+from hplan.bodies.sweep import STILL, Sweep, used_up
+from hplan.bodies.vectors import Pose, Vector, cross, dot, less, placed_point, turned_back
 from hplan.scene.corner_table import OCTANTS
-
-#: Three coordinates.
-Vector: TypeAlias = tuple[float, float, float]
-
-#: A turn, three rows of three numbers, and a shift [m].
-Pose: TypeAlias = tuple[float, float, float, float, float, float, float, float, float, float, float, float]
 
 #: First and last place of the coordinates of some points in an array of numbers, last is one past; and the place of
 #: their table (`hplan.scene.corner_table`) there, 0 for none.
 Span: TypeAlias = tuple[int, int, int]
 
 #: Numbers of `work`: the simplex (four points of A - B), the points of A behind them, the places of both their corners,
-#: weights; then what is left behind: how many corners there are, the nearest point of A - B and that of A.
+#: weights; then what is left behind: how many corners there are, the nearest point of A - B and that of A, and the
+#: direction in which the two are as far apart as is returned, of any length.
 _CORNERS, _OF_FIRST, _NUMBERS, _WEIGHTS = any_int(0), any_int(12), any_int(24), any_int(32)
 SIZE, NEAREST, ON_FIRST = any_int(36), any_int(37), any_int(40)
-WORK = 43
+SEPARATING = any_int(43)
+WORK = 46
 
 #: Most corners that are looked at, and the fraction of the simplex's size below which a distance is none.
 _MOST, _NONE = any_int(128), 1e-13
@@ -52,12 +50,14 @@ class Wanted(NamedTuple):
         too_little: Where the distance is shown to be less than this, so may be what is returned [m].
         fraction: By which fraction of what is left of it beyond `radii` a distance may be returned too small.
         radii: What will be taken off it [m].
+        sweep: Infinity is returned as soon as a direction shows that this uses up no more than is left.
     """
 
     enough: float
     too_little: float
     fraction: float
     radii: float
+    sweep: Sweep = STILL
 
 
 @kernel
@@ -89,45 +89,6 @@ def farthest_corner(points: FloatArray, span: Span, direction: Vector) -> int:
 
 
 @kernel
-def dot(a: Vector, b: Vector) -> float:
-    """Scalar product."""
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-@kernel
-def cross(a: Vector, b: Vector) -> Vector:
-    """Vector product."""
-    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
-
-
-@kernel
-def less(a: Vector, b: Vector) -> Vector:
-    """The vector from b to a."""
-    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
-
-
-@kernel
-def turned_back(pose: Pose, d: Vector) -> Vector:
-    """A direction as seen from what the pose places."""
-    return (
-        pose[0] * d[0] + pose[3] * d[1] + pose[6] * d[2],
-        pose[1] * d[0] + pose[4] * d[1] + pose[7] * d[2],
-        pose[2] * d[0] + pose[5] * d[1] + pose[8] * d[2],
-    )
-
-
-@kernel
-def placed_point(pose: Pose, points: FloatArray, p: int) -> Vector:
-    """A point where the pose puts it."""
-    x, y, z = points[p], points[p + 1], points[p + 2]
-    return (
-        pose[0] * x + pose[1] * y + pose[2] * z + pose[9],
-        pose[3] * x + pose[4] * y + pose[5] * z + pose[10],
-        pose[6] * x + pose[7] * y + pose[8] * z + pose[11],
-    )
-
-
-@kernel
 def core_distance(
     shape: FloatArray,
     span: Span,
@@ -154,6 +115,7 @@ def core_distance(
         o = other_span[0]
         direction = less(placed_point(pose, shape, span[0]), (other[o], other[o + 1], other[o + 2]))
     size, square, lower, scale = 0, math.inf, 0.0, 0.0
+    work[SEPARATING], work[SEPARATING + 1], work[SEPARATING + 2] = 0.0, 0.0, 0.0
     for _ in range(_MOST):
         x, y, z = direction
         p = farthest_corner(shape, span, turned_back(pose, (-x, -y, -z)))
@@ -164,8 +126,11 @@ def core_distance(
         along = dot(direction, w)
         if along > lower * length:
             lower = along / length
+            work[SEPARATING], work[SEPARATING + 1], work[SEPARATING + 2] = direction
             if lower >= wanted.enough:
                 return lower
+            if lower - wanted.radii >= used_up(wanted.sweep, direction, length):
+                return math.inf
         if size > 0:
             # The distance lies between `lower` and `length`.
             if length - lower <= wanted.fraction * abs(length - wanted.radii) or length < wanted.too_little:

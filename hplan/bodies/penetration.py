@@ -17,20 +17,8 @@ import numpy as np
 
 from hplan.base.arrays import FloatArray, IntArray
 from hplan.base.kernels import any_int, kernel
-from hplan.bodies.convex_distance import (
-    NEAREST,
-    ON_FIRST,
-    Pose,
-    Span,
-    Vector,
-    cross,
-    dot,
-    farthest_corner,
-    less,
-    on_triangle,
-    placed_point,
-    turned_back,
-)
+from hplan.bodies.convex_distance import NEAREST, ON_FIRST, Span, farthest_corner, on_triangle
+from hplan.bodies.vectors import Pose, Vector, cross, dot, less, placed_point, turned_back
 
 #: Two hulls: the coordinates of points, which of them are of the first, where that is; and of the other.
 Hulls: TypeAlias = tuple[FloatArray, Span, Pose, FloatArray, Span]

@@ -1,10 +1,14 @@
 """Kernels for arms of any kind: how far bodies move, motions shown clear, and what is near to them.
 
-No more is looked for at a configuration than lets the motion go on by a part of it that is a little longer than the
-last one: looks that are nearer to each other but cheaper are the quicker proof.
+A look at a configuration shows a part of the motion clear, before it and after it (`hplan.collision.motion_cover`). The
+next one is far enough ahead that its part before is to meet what is shown; where it does not, one nearer comes in
+between. No more is asked for than lets the motion go on by a part that is a little longer than the last one: looks that
+are nearer to each other but cheaper are the quicker proof.
 """
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,9 +17,10 @@ from hplan.base.deadline import is_up
 from hplan.base.kernels import any_int, kernel
 from hplan.bodies import flat_bodies as flat
 from hplan.bodies.placed_bodies import ALONG, PLACED, START, place_bodies
+from hplan.bodies.twists import motion_bends
 from hplan.collision import obstacle_rows as row
-from hplan.collision.body_kernels import body_advance
 from hplan.collision.distances import point_segment
+from hplan.collision.motion_cover import Moving, Part, body_keeps_margin, moving_arm, part_shown_clear
 from hplan.collision.obstacle_rows import FieldArrays
 
 #: Most looks at the clearance along one motion.
@@ -26,6 +31,28 @@ _APART = 0.4
 
 #: The first part of a motion that is asked for, and a later one in multiples of the one before.
 _FIRST_STEP, _LONGER = 0.25, 2.0
+
+#: How far beyond what is shown clear the next look is, in multiples of what the last one showed; and, where that was
+#: too far, in multiples of that.
+_NEXT, _NEARER = 0.8, 0.5
+
+
+class Run(NamedTuple):
+    """A motion along a Bezier piece, and what it is looked at with.
+
+    Attributes:
+        piece: (4, dof) control points.
+        moving: The arm.
+        q: (dof,) room for a configuration.
+        rates: (dof,) and for the rates of its joints there.
+        until: As in `hplan.collision.obstacle_rows.FieldArrays`.
+    """
+
+    piece: FloatArray
+    moving: Moving
+    q: FloatArray
+    rates: FloatArray
+    until: FloatArray
 
 
 @kernel
@@ -41,26 +68,80 @@ def body_bounds(turns: FloatArray, movers: FloatArray, numbers: FloatArray, resu
 
 
 @kernel
+def _run(piece: FloatArray, field: FieldArrays, margin: float) -> Run:
+    """A motion, not looked at yet."""
+    dof = piece.shape[1]
+    fastest, changes, bends = np.empty(dof), np.empty(dof), np.empty((field.chain.shape[0], 2))
+    for j in range(dof):
+        first, second, third = piece[1, j] - piece[0, j], piece[2, j] - piece[1, j], piece[3, j] - piece[2, j]
+        fastest[j] = 3.0 * max(abs(first), max(abs(second), abs(third)))
+        changes[j] = 6.0 * max(abs(second - first), abs(third - second))
+    motion_bends(fastest, changes, field.chain, field.base, bends)
+    return Run(piece, moving_arm(field, dof, bends, margin), np.empty(dof), np.empty(dof), field.until)
+
+
+@kernel
+def _look(run: Run, t: float, back: float, forward: float) -> Part:
+    """How much of a motion about a place is shown clear, no more than is asked."""
+    piece, u = run.piece, 1.0 - t
+    w0, w1, w2, w3 = u * u * u, 3.0 * u * u * t, 3.0 * u * t * t, t * t * t
+    for i in range(len(run.q)):
+        run.q[i] = w0 * piece[0, i] + w1 * piece[1, i] + w2 * piece[2, i] + w3 * piece[3, i]
+        first, second, third = piece[1, i] - piece[0, i], piece[2, i] - piece[1, i], piece[3, i] - piece[2, i]
+        run.rates[i] = 3.0 * (u * u * first + 2.0 * u * t * second + t * t * third)
+    return part_shown_clear(run.q, run.rates, run.moving, back, forward)
+
+
+@kernel
+def _march(run: Run, looks: int, stride: float) -> tuple[float, int]:
+    """Show a motion clear, from its begin on.
+
+    Args:
+        run: The motion.
+        looks: How many are taken at most.
+        stride: No step from look to look is shorter than that.
+
+    Returns:
+        The last place that was looked at with all before it shown clear, 0 without any; and how many looks it took.
+    """
+    shown, covered, at, last, ask = 0.0, 0.0, 0.0, -1.0, _FIRST_STEP
+    for used in range(looks):
+        asked = at - covered
+        part = _look(run, at, asked, min(1.0 - at, ask))
+        if part.forward < 0.0:
+            return shown, used + 1
+        if part.back >= asked or at <= last + stride:
+            shown, last, covered = at, at, at + part.forward
+            if at >= 1.0:
+                return shown, used + 1
+            step = max(part.forward, stride)
+            ask, at = _LONGER * step, min(1.0, covered + _NEXT * step)
+        else:
+            at = max(covered + _NEARER * asked, last + stride)
+            ask = _LONGER * (at - covered)
+        if at == last or is_up(run.until):
+            return shown, used + 1  # a clearance of next to nothing leads nowhere
+    return shown, looks
+
+
+@kernel
+def _straight(start: FloatArray, turns: FloatArray) -> FloatArray:
+    """(4, dof) control points of a straight motion."""
+    piece = np.empty((4, len(start)))
+    for c in range(4):
+        for i in range(len(start)):
+            piece[c, i] = start[i] + c * turns[i] / 3.0
+    return piece
+
+
+@kernel
 def body_shown_part(
     start: FloatArray, turns: FloatArray, field: FieldArrays, margin: float, looks: int
 ) -> tuple[float, int]:
     """The part of a straight joint-space motion that a few looks at the clearance show clear, and how many it took."""
-    dof = len(start)
-    bounds, q = np.empty(field.chain.shape[0]), np.empty(dof)
-    body_bounds(turns, field.chain, field.base, bounds)
-    shown, at, most = 0.0, 0.0, _FIRST_STEP
-    for used in range(looks):
-        for i in range(dof):
-            q[i] = start[i] + at * turns[i]
-        advance = body_advance(q, field, bounds, margin, min(1.0 - at, most))
-        if advance < 0.0:
-            return shown, used + 1
-        shown = at
-        if at >= 1.0 or is_up(field.until):
-            return shown, used + 1
-        at = min(1.0, at + advance)
-        most = _LONGER * advance
-    return shown, looks
+    run = _run(_straight(start, turns), field, margin)
+    shown, used = _march(run, looks, 0.0)
+    return shown, used
 
 
 @kernel
@@ -77,13 +158,12 @@ def body_segment_is_refused(start: FloatArray, end: FloatArray, field: FieldArra
     farthest = 0.0
     for bound in bounds:
         farthest = max(farthest, bound)
-    bounds[:] = 0.0
     parts = 2
     while True:
         for part in range(1, parts, 2):
             for i in range(dof):
                 q[i] = start[i] + part / parts * turns[i]
-            if body_advance(q, field, bounds, margin, 0.0) < 0.0:
+            if not body_keeps_margin(q, field, margin):
                 return True
         if farthest <= parts * _APART or is_up(field.until):
             return False
@@ -105,27 +185,9 @@ def body_segment_is_clear(start: FloatArray, end: FloatArray, field: FieldArrays
 @kernel
 def body_piece_is_clear(piece: FloatArray, field: FieldArrays, margin: float, stride: float) -> bool:
     """As `hplan.smoothing.spline.piece_is_clear`."""
-    dof = piece.shape[1]
-    bounds, q, fastest = np.empty(field.chain.shape[0]), np.empty(dof), np.zeros(dof)
-    for j in range(dof):
-        for c in range(3):
-            fastest[j] = max(fastest[j], 3.0 * abs(piece[c + 1, j] - piece[c, j]))
-    body_bounds(fastest, field.chain, field.base, bounds)
-    t, most = 0.0, _FIRST_STEP
-    while True:
-        u = 1.0 - t
-        w0, w1, w2, w3 = u * u * u, 3.0 * u * u * t, 3.0 * u * t * t, t * t * t
-        for i in range(dof):
-            q[i] = w0 * piece[0, i] + w1 * piece[1, i] + w2 * piece[2, i] + w3 * piece[3, i]
-        advance = body_advance(q, field, bounds, margin, min(1.0 - t, most))
-        if advance < 0.0:
-            return False
-        if t >= 1.0:
-            return True
-        if is_up(field.until):
-            return False
-        t = min(1.0, t + max(stride, advance))
-        most = _LONGER * max(stride, advance)
+    run = _run(piece, field, margin)
+    shown, _ = _march(run, _MOST_LOOKS, stride)
+    return shown == 1.0
 
 
 @kernel

@@ -23,9 +23,10 @@ from hplan.base.arrays import BoolArray, FloatArray
 from hplan.base.deadline import is_up
 from hplan.base.kernels import any_int, inlined, kernel
 from hplan.collision import obstacle_rows as row
-from hplan.collision.body_kernels import body_advance, body_clearances
+from hplan.collision.body_kernels import body_clearances
 from hplan.collision.body_motions import body_bounds, body_segment_is_clear, body_segment_is_refused, mark_near_bodies
 from hplan.collision.distances import Vector, point_segment, segment_box, segment_hull, segment_segment
+from hplan.collision.motion_cover import body_keeps_margin
 from hplan.collision.obstacle_rows import FieldArrays as FieldArrays
 
 _FIRST_ROW = any_int(0)
@@ -243,10 +244,9 @@ def smallest(values: FloatArray) -> float:
 @kernel
 def keeps_margin(q: FloatArray, field: FieldArrays, margin: float) -> bool:
     """True if no clearance at a configuration is below a margin; how large they are is not looked for."""
-    clear = np.zeros(field.chain.shape[0])
     if field.chain.shape[1] != LINK:
-        advance: float = body_advance(q, field, clear, margin, 0.0)  # no mover moves
-        return advance >= 0.0
+        return body_keeps_margin(q, field, margin)
+    clear = np.empty(field.chain.shape[0])
     link_clearances(q, field, clear)
     least: float = smallest(clear)
     return least >= margin

@@ -15,7 +15,7 @@ from hplan.bodies.collision_bodies import GROUND, body_shapes, collision_bodies
 from hplan.bodies.flat_bodies import AXIS, AXIS_RADIUS, BALL, BALL_RADIUS
 from hplan.bodies.placed_bodies import ALONG, CENTRE, PLACED, START, place_bodies
 from hplan.bodies.touching_pairs import self_pairs
-from hplan.collision.body_kernels import FAR, body_advance, body_slopes
+from hplan.collision.body_kernels import FAR, body_slopes
 from hplan.collision.body_motions import body_bounds
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.clearance_kernels import keeps_margin, segment_is_clear, segment_is_refused
@@ -135,25 +135,6 @@ def test_grown_obstacles_and_deviations_leave_less(arm: Robot, solids: list[Soli
     field = ClearanceField.of(arm, solids)
     body_bounds(np.full(arm.dof, 0.01), field.chain, field.base, bounds)
     assert swaying[near] == pytest.approx((plain - bounds)[near], abs=1e-9)
-
-
-@given(SEEDS)
-@settings(max_examples=25)
-def test_what_an_advance_leaves_is_clear(arm: Robot, solids: list[Solid], seed: int) -> None:
-    field = ClearanceField.of(arm, solids)
-    generator = np.random.default_rng(seed)
-    start, turns = generator.uniform(arm.lower, arm.upper), generator.uniform(-1.0, 1.0, arm.dof)
-    bounds = np.empty(len(field.chain))
-    body_bounds(turns, field.chain, field.base, bounds)
-    part = body_advance(start, field.arrays, bounds, 1e-3, 1.0)
-    clear = field.link_clearances(start)
-    if part < 0.0:
-        assert clear.min() < 1e-3 * 1.03
-    else:
-        assert clear.min() >= 1e-3
-        assert (part * bounds <= clear + 1e-12)[clear < FAR].all()
-        along = start + np.linspace(0.0, part, 9)[:, None] * turns
-        assert field.along(along).min() > -1e-9
 
 
 @given(SEEDS)

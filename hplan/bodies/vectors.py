@@ -1,0 +1,53 @@
+"""Three coordinates as tuples, which stay in registers: products, and what a pose does to them."""
+
+from __future__ import annotations
+
+from typing import TypeAlias
+
+from hplan.base.arrays import FloatArray
+from hplan.base.kernels import kernel
+
+#: Three coordinates.
+Vector: TypeAlias = tuple[float, float, float]
+
+#: A turn, three rows of three numbers, and a shift [m].
+Pose: TypeAlias = tuple[float, float, float, float, float, float, float, float, float, float, float, float]
+
+
+@kernel
+def dot(a: Vector, b: Vector) -> float:
+    """Scalar product."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@kernel
+def cross(a: Vector, b: Vector) -> Vector:
+    """Vector product."""
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@kernel
+def less(a: Vector, b: Vector) -> Vector:
+    """The vector from b to a."""
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+
+@kernel
+def turned_back(pose: Pose, d: Vector) -> Vector:
+    """A direction as seen from what the pose places."""
+    return (
+        pose[0] * d[0] + pose[3] * d[1] + pose[6] * d[2],
+        pose[1] * d[0] + pose[4] * d[1] + pose[7] * d[2],
+        pose[2] * d[0] + pose[5] * d[1] + pose[8] * d[2],
+    )
+
+
+@kernel
+def placed_point(pose: Pose, points: FloatArray, p: int) -> Vector:
+    """A point where the pose puts it."""
+    x, y, z = points[p], points[p + 1], points[p + 2]
+    return (
+        pose[0] * x + pose[1] * y + pose[2] * z + pose[9],
+        pose[3] * x + pose[4] * y + pose[5] * z + pose[10],
+        pose[6] * x + pose[7] * y + pose[8] * z + pose[11],
+    )

@@ -1,0 +1,195 @@
+"""Parts of motions that a look shows clear, against samples of them, and the bounds of motion behind."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from any_arms import LIFT, limb, loaded_arm
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hplan.base.arrays import FloatArray
+from hplan.bodies.collision_bodies import collision_bodies
+from hplan.bodies.flat_bodies import INNER, OUTER
+from hplan.bodies.placed_bodies import place_joints
+from hplan.bodies.sweep import Sweep, used_up
+from hplan.bodies.touching_pairs import self_pairs
+from hplan.bodies.twists import find_twists, motion_bends
+from hplan.collision.body_kernels import FAR
+from hplan.collision.body_motions import body_bounds
+from hplan.collision.clearance_field import ClearanceField
+from hplan.collision.clearance_kernels import keeps_margin
+from hplan.collision.motion_cover import moving_arm, part_shown_clear
+from hplan.robot.model import Robot, load_robot
+from hplan.scene.obstacles import Box, Capsule, Cylinder, Solid, Sphere
+from hplan.scene.solids import Cloud
+
+SEEDS = st.integers(0, 2**32 - 1)
+
+#: Two arms on the column of `LIFT`: bodies of which neither carries the other.
+FORK = LIFT.replace(
+    "</robot>",
+    limb("left", "column_link", "revolute", "0 0 1", "0.2 0.3 0.3", '<box size="0.05 0.1 0.2"/>')
+    + limb("hand", "left_link", "revolute", "1 0 0", "0 0.2 0.1", '<box size="0.1 0.05 0.1"/>')
+    + "</robot>",
+)
+
+MARGIN = 1e-3
+
+
+@pytest.fixture(scope="module", params=["toy", "lift", "fork"])
+def arm(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Robot:
+    if request.param == "fork":
+        return load_robot(FORK, tool_frame="tool0")
+    return loaded_arm(request.param, tmp_path_factory)
+
+
+@pytest.fixture(scope="module")
+def field(arm: Robot) -> ClearanceField:
+    generator = np.random.default_rng(3)
+    solids: list[Solid] = [
+        Sphere(name="ball", center=(0.5, 0.1, 0.6), radius=0.12),
+        Capsule.model_validate({"name": "branch", "from": (0.2, -0.5, 0.2), "to": (0.7, -0.2, 0.9), "radius": 0.03}),
+        Box(name="crate", center=(-0.4, 0.4, 0.5), size=(0.3, 0.2, 0.5), rpy_deg=(20.0, -30.0, 50.0)),
+        Box(name="shelf", center=(0.0, 0.0, -0.3), size=(2.0, 2.0, 0.02)),
+        Cylinder(name="post", center=(-0.5, -0.4, 0.4), length=0.8, radius=0.1, rpy_deg=(10.0, 20.0, 0.0)),
+        Cloud.of("leaves", np.array([0.3, 0.6, 0.7]) + 0.1 * generator.normal(size=(200, 3)), 0.01),
+    ]
+    return ClearanceField.of(arm, solids)
+
+
+def points_of(arm: Robot, q: FloatArray) -> list[FloatArray]:
+    """The corners of each body, in `base_link`."""
+    data = arm.model.createData()
+    pin.forwardKinematics(arm.model, data, q)
+    places = [data.oMi[body.joint + 1] for body in collision_bodies(arm)]
+    cores = [body.core for body in collision_bodies(arm)]
+    return [core @ place.rotation.T + place.translation for core, place in zip(cores, places, strict=True)]
+
+
+def seen_from(arm: Robot, q: FloatArray, joint: int, points: FloatArray) -> FloatArray:
+    """Points in the frame of a joint, -1 for the base."""
+    data = arm.model.createData()
+    pin.forwardKinematics(arm.model, data, q)
+    place = data.oMi[joint + 1]
+    seen: FloatArray = (points - place.translation) @ place.rotation
+    return seen
+
+
+@given(SEEDS)
+@settings(max_examples=10)
+def test_twists_are_velocities(arm: Robot, field: ClearanceField, seed: int) -> None:
+    generator = np.random.default_rng(seed)
+    q, rates = generator.uniform(arm.lower, arm.upper), generator.uniform(-1.0, 1.0, arm.dof)
+    frames, twists = np.zeros((arm.dof + 1, 12)), np.zeros((arm.dof + 1, 6))
+    place_joints(q, field.base, frames)
+    find_twists(rates, field.base, frames, twists)
+    ahead, behind = points_of(arm, q + 1e-6 * rates), points_of(arm, q - 1e-6 * rates)
+    for body, here, after, before in zip(collision_bodies(arm), points_of(arm, q), ahead, behind, strict=True):
+        twist = twists[body.joint if body.joint >= 0 else arm.dof]
+        assert twist[3:] + np.cross(twist[:3], here) == pytest.approx((after - before) / 2e-6, abs=1e-7)
+
+
+@given(SEEDS)
+@settings(max_examples=30)
+def test_points_are_no_faster_and_bend_no_more_than_is_said(arm: Robot, field: ClearanceField, seed: int) -> None:
+    generator = np.random.default_rng(seed)
+    q, rates = generator.uniform(arm.lower, arm.upper), generator.uniform(-1.0, 1.0, arm.dof)
+    changes = generator.uniform(-1.0, 1.0, arm.dof)
+    bends = np.empty((len(field.chain), 2))
+    motion_bends(np.abs(rates), np.abs(changes), field.chain, field.base, bends)
+    bounds = np.empty(len(field.chain))
+    body_bounds(rates, field.chain, field.base, bounds)
+    assert bends[:, 0] == pytest.approx(bounds)
+    step = 1e-4
+    times = np.array([-step, 0.0, step])
+    along = q + np.outer(times, rates) + 0.5 * np.outer(times**2, changes)
+    placed = [points_of(arm, at) for at in along]
+    bodies = collision_bodies(arm)
+    told = 0
+    for k, (speed, bend) in enumerate(bends):
+        moved, seen = k, -1
+        if k >= len(bodies):
+            moved, seen = int(field.chain[k, OUTER]), bodies[int(field.chain[k, INNER])].joint
+        before, here, after = (
+            seen_from(arm, at, seen, points[moved]) for at, points in zip(along, placed, strict=True)
+        )
+        if bend < 1e299:
+            told += k >= len(bodies)
+            assert np.linalg.norm((after - before) / (2 * step), axis=1).max() <= speed + 1e-6
+            assert np.linalg.norm((after - 2 * here + before) / step**2, axis=1).max() <= bend + 1e-5
+    assert told == sum(
+        bodies[i].joint in (-1, *ancestors(arm, bodies[j].joint)) or bodies[j].joint in ancestors(arm, bodies[i].joint)
+        for i, j in self_pairs(arm).checked
+    )
+
+
+def ancestors(arm: Robot, joint: int) -> list[int]:
+    found = []
+    while joint >= 0:
+        found.append(joint)
+        joint = int(arm.model.parents[joint + 1]) - 1
+    return found
+
+
+@given(SEEDS, st.floats(0.01, 0.6), st.floats(0.01, 0.6))
+@settings(max_examples=150)
+def test_parts_shown_clear_are_clear(arm: Robot, field: ClearanceField, seed: int, back: float, forward: float) -> None:
+    generator = np.random.default_rng(seed)
+    q = generator.uniform(arm.lower, arm.upper)
+    rates = generator.uniform(-2.0, 2.0, arm.dof) * generator.choice([0.0, 1.0], arm.dof)
+    bends, bounds = np.empty((len(field.chain), 2)), np.empty(len(field.chain))
+    motion_bends(np.abs(rates), np.zeros(arm.dof), field.chain, field.base, bends)
+    body_bounds(rates, field.chain, field.base, bounds)
+    part = part_shown_clear(q, rates, moving_arm(field.arrays, arm.dof, bends, MARGIN), back, forward)
+    clear = field.link_clearances(q)
+    if part.forward < 0.0:
+        assert clear.min() < 1.03 * MARGIN
+        return
+    assert clear.min() >= MARGIN
+    assert keeps_margin(q, field.arrays, MARGIN)
+    assert 0.0 <= part.back <= back
+    assert 0.0 <= part.forward <= forward
+    along = field.along(q + np.linspace(-part.back, part.forward, 41)[:, None] * rates)
+    assert along.min() > -1e-9
+    # No less than the reaches alone show.
+    moving = (bounds > 0.0) & (clear < FAR)
+    least = float((clear / np.where(moving, bounds, np.inf))[moving].min(initial=np.inf)) if moving.any() else np.inf
+    for shown, asked in ((part.back, back), (part.forward, forward)):
+        assert shown >= min(asked, 0.97 * least, 0.97 * FAR / max(bounds.max(), 1e-9))
+
+
+def test_what_moves_along_a_wall_and_is_turned_to_it_meets_it() -> None:
+    urdf = '<robot name="crank"><link name="base_link"/>' + limb(
+        "crank", "base_link", "revolute", "0 0 1", "0 0 0", '<sphere radius="0.05"/>'
+    )
+    urdf = urdf.replace('xyz="0.05 0.02 0.1" rpy="0.1 0.4 0"', 'xyz="1 0 0"').replace('rpy="0.3 -0.2 0.5"', "")
+    arm = load_robot(urdf + "</robot>", tool_frame="crank_link")
+    # At 0 the ball moves along the wall's face, 20 mm from it.
+    wall = Box(name="wall", center=(0.43, 0.0, 0.0), size=(1.0, 4.0, 1.0))
+    field = ClearanceField.of(arm, [wall])
+    bends, q, rates = np.empty((len(field.chain), 2)), np.zeros(1), np.ones(1)
+    motion_bends(rates, np.zeros(1), field.chain, field.base, bends)
+    part = part_shown_clear(q, rates, moving_arm(field.arrays, 1, bends, 0.0), 1.0, 1.0)
+    meets = float(np.arccos(0.98))
+    assert 0.9 * meets < part.forward < meets
+    assert 0.9 * meets < part.back < meets
+    assert part_shown_clear(q, rates, moving_arm(field.arrays, 1, bends, 0.0), 0.15, 0.15) == (0.15, 0.15)
+
+
+@given(SEEDS)
+@settings(max_examples=100)
+def test_a_sweep_uses_up_what_the_worst_point_of_the_ball_does(seed: int) -> None:
+    generator = np.random.default_rng(seed)
+    velocity, spin, direction = generator.normal(size=(3, 3))
+    radius, back, forward = generator.uniform(0.0, 1.0, 3)
+    sweep = Sweep(tuple(velocity), tuple(spin), radius, back, forward, 0.01, 0.02, 1e9, 0.05)
+    normal = direction / np.linalg.norm(direction)
+    across = np.cross(spin, normal)
+    worst = radius * across / np.linalg.norm(across)  # x with the largest n . (w x x)
+    nearer = -normal @ (velocity + np.cross(spin, np.stack([worst, -worst]))).T
+    expected = max(0.05, forward * nearer.max() + 0.02, back * (-nearer).max() + 0.01)
+    assert used_up(sweep, tuple(direction), float(np.linalg.norm(direction))) == pytest.approx(expected)
+    capped = sweep._replace(speed=0.1)
+    assert used_up(capped, tuple(direction), float(np.linalg.norm(direction))) <= max(0.1 * max(back, forward), 0.05)

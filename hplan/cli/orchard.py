@@ -123,7 +123,7 @@ def _refuse(arguments: argparse.Namespace, source: str | None, options: Sequence
     for option in options:
         value = getattr(arguments, option)
         if value is not None:
-            expected = "measured trees, by --import" if source is None else f"nothing beside {source}"
+            expected = "measured trees, by --import" if source is None else f"nothing together with {source}"
             raise OptionError(f"--{option.replace('_', '-')}", value, expected)
 
 

@@ -44,7 +44,7 @@ def parser(prog: str) -> CommandParser:
     add_scene(parser, "the job's, or the paper's reference scene")
     add_robot(parser)
     add("--out", type=Path, metavar="FILE", help="write the page here and serve nothing (default: scene.html in the "
-        "folder; of a CSV, NAME.html beside it)")  # fmt: skip
+        "folder; of a CSV, NAME.html in its folder)")  # fmt: skip
     add("--no-serve", action="store_true", help="only write the page")
     add("--quiet", action="store_true", help="do not name the file that was written")
     return parser

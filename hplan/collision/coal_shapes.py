@@ -40,7 +40,7 @@ def _link_shapes(robot: Robot, links: LinkShapes) -> list[pin.GeometryObject]:
     pin.forwardKinematics(model, data, neutral)
     points = robot.plane_origin + arm.joint_points(neutral[robot.arm_slice]) @ robot.plane_axes
     normal = np.cross(robot.plane_axes[0], robot.plane_axes[1])
-    beside = arm.lateral[:, None] * normal
+    aside = arm.lateral[:, None] * normal
     first = 1 + robot.yaw_joints
     shapes = []
     for k, name in enumerate(arm.link_names):
@@ -48,10 +48,10 @@ def _link_shapes(robot: Robot, links: LinkShapes) -> list[pin.GeometryObject]:
         if links == "box":
             along = (points[k + 1] - points[k]) / length
             rotation = np.stack([np.cross(normal, along), normal, along], axis=1)
-            placement = pin.SE3(rotation, 0.5 * (points[k] + points[k + 1]) + beside[k])
+            placement = pin.SE3(rotation, 0.5 * (points[k] + points[k + 1]) + aside[k])
             shape = coal.Box(2.0 * half_width, 2.0 * half_width, length)
         else:
-            placement, _ = _along(points[k] + beside[k], points[k + 1] + beside[k])
+            placement, _ = _along(points[k] + aside[k], points[k + 1] + aside[k])
             shape = coal.Capsule(half_width, length)
         local = data.oMi[first + k].inverse() * placement
         shapes.append(pin.GeometryObject(f"link:{name}", first + k, local, shape))

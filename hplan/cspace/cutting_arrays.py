@@ -62,7 +62,7 @@ class LinkExtents(NamedTuple):
         growth: (links,) what each link adds to the radii [m].
         depths: (links,) how far each link extends to both sides of the plane, flat; balls alone are cut so [m].
         reaches: (links,) distance from the origin beyond which sections are left out [m], inf for none.
-        lateral: (links,) how far beside the plane each link moves, along the normal [m]: in a plane parallel to it.
+        lateral: (links,) how far off the plane each link moves, along the normal [m]: in a plane parallel to it.
     """
 
     growth: FloatArray

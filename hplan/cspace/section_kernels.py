@@ -5,7 +5,7 @@ At one yaw the section of a ball is a disc, and that of a hull is drawn by `hpla
 **A yaw interval.** Let :math:`R_\delta` turn about the yaw axis. The arm plane at yaw :math:`\psi + \delta` has its
 origin and axes turned by :math:`R_\delta`, so a point :math:`p` has there the plane coordinates that
 :math:`R_{-\delta}\,p` has in the plane at :math:`\psi`, wherever the origin stands. The sections over the interval
-are those of the plane at :math:`\psi` with the body turned by all :math:`|\delta| \le h`. A link beside the plane
+are those of the plane at :math:`\psi` with the body turned by all :math:`|\delta| \le h`. A link off the plane
 moves in a plane parallel to it; whichever it is, it may pass the axis at a distance.
 
 - Hull of points: a point at distance :math:`\rho` from the axis moves on an arc that lies between the distances
@@ -55,7 +55,7 @@ def _sweep(
     Args:
         points: Core points of a hull [m].
         plane: The plane.
-        lateral: How far beside it the link moves [m].
+        lateral: How far off it the link moves [m].
         radius: Radius about the hull, the link's growth included [m].
         reach: Largest reach of a link [m].
         turned: Takes the points, and needs room for the hull's own at its end.
@@ -157,11 +157,11 @@ def _ball(x: float, n: float, ox: float, on: float, cos: float, sin: float, nest
 @inlined
 def _largest(links: LinkExtents) -> tuple[float, float, float]:
     """The links' largest width, reach, and distance from the plane."""
-    widest, farthest, beside = 0.0, 0.0, 0.0
+    widest, farthest, aside = 0.0, 0.0, 0.0
     for k in range(len(links.growth)):
         widest, farthest = max(widest, links.growth[k] + links.depths[k]), max(farthest, links.reaches[k])
-        beside = max(beside, abs(links.lateral[k]))
-    return widest, farthest, beside
+        aside = max(aside, abs(links.lateral[k]))
+    return widest, farthest, aside
 
 
 @inlined
@@ -170,7 +170,7 @@ def _near_balls(balls: Balls, plane: ArmPlane, links: LinkExtents) -> tuple[int,
     (centres, radii, _), (origin, axes, half_angle, _) = balls, plane
     moved = 2.0 * math.sin(0.5 * half_angle)
     ox, on = _origin_from_axis(plane)
-    widest, farthest, beside = _largest(links)
+    widest, farthest, aside = _largest(links)
     near, places = np.empty(len(radii), dtype=np.int64), np.empty((len(radii), 3))
     found = 0
     for b in range(len(radii)):
@@ -179,7 +179,7 @@ def _near_balls(balls: Balls, plane: ArmPlane, links: LinkExtents) -> tuple[int,
         y = axes[1, 0] * dx + axes[1, 1] * dy + axes[1, 2] * dz
         n = axes[2, 0] * dx + axes[2, 1] * dy + axes[2, 2] * dz
         size = (radii[b] + widest + moved * math.sqrt((x + ox) ** 2 + (n + on) ** 2)) * (1.0 + 1e-9)
-        if abs(n) <= size + beside and x * x + y * y <= (farthest + size) ** 2:
+        if abs(n) <= size + aside and x * x + y * y <= (farthest + size) ** 2:
             near[found], places[found, 0], places[found, 1], places[found, 2] = b, x, y, n
             found += 1
     return found, near, places
@@ -244,7 +244,7 @@ def cut_balls(balls: Balls, plane: ArmPlane, links: LinkExtents, discs_only: boo
 def _near_hulls(hulls: Hulls, plane: ArmPlane, links: LinkExtents) -> tuple[int, IntArray, int, float]:
     """Number of hulls near enough for any link, which they are, most points of one, and the links' largest reach."""
     (_, starts, radii, _, bounds), (origin, axes, half_angle, yaw_axis) = hulls, plane
-    moved, (widest, farthest, beside) = 2.0 * math.sin(0.5 * half_angle), _largest(links)
+    moved, (widest, farthest, aside) = 2.0 * math.sin(0.5 * half_angle), _largest(links)
     near = np.empty(len(bounds), dtype=np.int64)
     found, most = 0, 0
     for b in range(len(bounds)):
@@ -252,7 +252,7 @@ def _near_hulls(hulls: Hulls, plane: ArmPlane, links: LinkExtents) -> tuple[int,
         n = axes[2, 0] * dx + axes[2, 1] * dy + axes[2, 2] * dz
         away = moved * math.sqrt((bounds[b, 0] - yaw_axis[0]) ** 2 + (bounds[b, 1] - yaw_axis[1]) ** 2)
         size = (radii[b] + widest + bounds[b, 3] + away) * (1.0 + 1e-9)
-        if abs(n) <= size + beside and dx * dx + dy * dy + dz * dz - n * n <= (farthest + size) ** 2:
+        if abs(n) <= size + aside and dx * dx + dy * dy + dz * dz - n * n <= (farthest + size) ** 2:
             near[found] = b
             found += 1
             most = max(most, starts[b + 1] - starts[b])

@@ -1,4 +1,4 @@
-r"""The earliest way through cells of path and time: how fast a motion is run, when.
+r"""The earliest schedule through cells of path and time: how fast a motion is run, when.
 
 A motion is run by a clock of its own, :math:`\sigma(t)`, whose speed :math:`r = \dot\sigma \in [0, 1]` is a multiple
 of :math:`1 / m` at times that are a step :math:`h` apart, and linear between them. Places :math:`\sigma` are then
@@ -9,7 +9,7 @@ have room: with :math:`q(\sigma)` the motion,
 
 :math:`\tau_1` the torque at full speed and :math:`g` that of gravity. From rest a motion may begin at any speed, for it
 is at rest there. Of all states that can be reached at a time all successors are looked at; the first time at which the
-end is among them is the earliest. Of the ways to it one with the fewest changes of speed is taken.
+end is among them is the earliest. Of the schedules to it one with the fewest changes of speed is taken.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class Cells(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Schedule(Record):
-    """A way through path and time.
+    """A schedule: places along a path over time.
 
     Attributes:
         time: (n,) times [s].
@@ -124,7 +124,7 @@ def earliest_schedule(
     at_rest: bool = True,
     quicker_than_s: float = math.inf,
 ) -> Schedule | None:
-    """The earliest way from the begin of a path to its end; None where there is none.
+    """The earliest schedule from the begin of a path to its end; None where there is none.
 
     Args:
         cells: Where the path is clear, in rows `STEP_S` apart; its stations are evenly spaced in the motion's own time.
@@ -179,7 +179,7 @@ def _advance(
         station_of: (places + 1,) station of each place.
 
     Returns:
-        The costs at the next row; for each state there the speed before it, -1 for none; and of the best way to the
+        The costs at the next row; for each state there the speed before it, -1 for none; and of the best one to the
         end cost, place and speed before, and speed.
     """
     places, levels = cost.shape[0] - 1, cost.shape[1] - 1
@@ -215,7 +215,7 @@ def _advance(
 
 
 def _traced(came: list[NDArray[np.int8]], end: IntArray, places: int, unit: float, duration_s: float) -> Schedule:
-    """The way back from the end."""
+    """The schedule, traced back from its end."""
     place, speed = int(end[1]), int(end[2])
     states = [(places, int(end[3])), (place, speed)]
     for back in reversed(came[:-1]):

@@ -82,7 +82,7 @@ class FamilyReader:
     """The planar chain in Pinocchio's models at q = 0; what is not of the family is refused.
 
     The arm plane is the one in which the tool frame moves. Where along its axis a joint's origin lies is of no
-    account, so the plane may pass the yaw axis at a distance, and links may lie beside the plane.
+    account, so the plane may pass the yaw axis at a distance, and links may lie off the plane.
 
     Attributes:
         has_yaw: True where joint 0 turns the arm plane about the vertical.
@@ -175,9 +175,9 @@ class FamilyReader:
         if lead < 0.0:
             forward = -forward
         normal = np.cross(forward, up)
-        beside = (points - points[-1]) @ normal
-        beside[np.abs(beside) <= GEOMETRY_TOLERANCE] = 0.0
-        points = points - beside[:, None] * normal
+        aside = (points - points[-1]) @ normal
+        aside[np.abs(aside) <= GEOMETRY_TOLERANCE] = 0.0
+        points = points - aside[:, None] * normal
         steps = np.diff(points, axis=0) @ np.stack([forward, up], axis=1)
         lengths = np.linalg.norm(steps, axis=1)
         self.link_names = tuple(self._link_name(model, index) for index in range(first + 1, model.njoints))
@@ -203,7 +203,7 @@ class FamilyReader:
     def _read_capsules(self, collision_model: pin.GeometryModel, first: int) -> None:
         """Radius of the smallest capsule along each link that holds its collision geometry, and where it lies.
 
-        Its axis is that of the link in the arm plane, or parallel to it beside the plane where that makes it thinner.
+        Its axis is that of the link in the arm plane, or parallel to it off the plane where that makes it thinner.
         """
         widths, lateral = [], []
         for index, name in enumerate(self.link_names):
@@ -213,12 +213,12 @@ class FamilyReader:
                 raise self._fault(f"link {name!r}", "it has no collision geometry")
             placement, ends = self.data.oMi[joint], self._points[index : index + 2]
             try:
-                beside = _thinnest([_outline_about(shape, placement, ends, self._normal) for shape in shapes])
-                start, end = ends + beside * self._normal
+                aside = _thinnest([_outline_about(shape, placement, ends, self._normal) for shape in shapes])
+                start, end = ends + aside * self._normal
                 widths.append(max(_enclosing_radius(shape, placement, start, end) for shape in shapes))
             except TypeError as error:
                 raise self._fault(f"link {name!r}", str(error)) from error
-            lateral.append(beside)
+            lateral.append(aside)
         self.half_widths, self.lateral = np.array(widths), np.array(lateral)
 
 
@@ -258,15 +258,15 @@ def _enclosing_radius(shape: pin.GeometryObject, joint_placement: pin.SE3, start
 def _outline_about(
     shape: pin.GeometryObject, joint_placement: pin.SE3, ends: FloatArray, normal: FloatArray
 ) -> tuple[FloatArray, FloatArray, float]:
-    """Points of a shape: how far beside the plane, and how far from a link's axis seen along the normal; rounding."""
+    """Points of a shape: how far off the plane, and how far from a link's axis seen along the normal; rounding."""
     placement = joint_placement * shape.placement
     corners, rounding = outline(shape, rim_from_outside=True)
     from_start = corners @ placement.rotation.T + placement.translation - ends[0]
     axis = ends[1] - ends[0]
-    beside = from_start @ normal
-    in_plane = from_start - beside[:, None] * normal
+    aside = from_start @ normal
+    in_plane = from_start - aside[:, None] * normal
     along = np.clip(in_plane @ axis / (axis @ axis), 0.0, 1.0)
-    return beside, np.linalg.norm(in_plane - along[:, None] * axis, axis=1), rounding
+    return aside, np.linalg.norm(in_plane - along[:, None] * axis, axis=1), rounding
 
 
 def _thinnest(outlines: Sequence[tuple[FloatArray, FloatArray, float]]) -> float:
@@ -276,9 +276,9 @@ def _thinnest(outlines: Sequence[tuple[FloatArray, FloatArray, float]]) -> float
     """
 
     def radius(at: float) -> float:
-        return max(float(np.hypot(beside - at, away).max()) + rounding for beside, away, rounding in outlines)
+        return max(float(np.hypot(aside - at, away).max()) + rounding for aside, away, rounding in outlines)
 
-    low, high = (float(end([end(beside) for beside, _, _ in outlines])) for end in (np.min, np.max))
+    low, high = (float(end([end(aside) for aside, _, _ in outlines])) for end in (np.min, np.max))
     while high - low > 1e-3 * GEOMETRY_TOLERANCE:
         left, right = high - _GOLDEN * (high - low), low + _GOLDEN * (high - low)
         if radius(left) <= radius(right):

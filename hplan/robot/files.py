@@ -224,7 +224,7 @@ def find_limits(
     """Acceleration and jerk limits as `read_limits`: from a file, else from the URDF (1.2).
 
     Args:
-        urdf_path: The URDF; the limits file is `NAME.limits.yaml` beside it, of `NAME.urdf.xacro` too.
+        urdf_path: The URDF; the limits file is `NAME.limits.yaml` in its folder, of `NAME.urdf.xacro` too.
         urdf: What it says.
         joint_names: The joints that move.
         given: The limits file, where it is another one.
@@ -235,13 +235,13 @@ def find_limits(
             no jerk as it has of others.
     """
     name = urdf_path.name.removesuffix(".xacro").removesuffix(".urdf") if urdf_path.suffix == ".xacro" else None
-    beside = urdf_path.with_suffix(LIMITS_SUFFIX) if name is None else urdf_path.with_name(name + LIMITS_SUFFIX)
+    default = urdf_path.with_suffix(LIMITS_SUFFIX) if name is None else urdf_path.with_name(name + LIMITS_SUFFIX)
     limits = [urdf.joints[name].limits for name in joint_names]
     is_text = urdf_path == URDF_TEXT
-    if given is not None or not any("acceleration" in limit for limit in limits) or (beside.is_file() and not is_text):
+    if given is not None or not any("acceleration" in limit for limit in limits) or (default.is_file() and not is_text):
         if given is None and is_text:
             raise RobotFileError(urdf_path, f"it has no acceleration limits: {_LIMITS_ADVICE}")
-        return read_limits(beside if given is None else given, joint_names, held)
+        return read_limits(default if given is None else given, joint_names, held)
 
     def listed(key: str) -> FloatArray:
         for name, limit in zip(joint_names, limits, strict=True):

@@ -19,7 +19,7 @@ class PlanarArm(Record):
     The plane's origin is the first planar joint (the shoulder); its first axis is horizontal, its second points
     up. Link `k` is the segment from its joint to the next one (the last ends at the tool frame). Relative link
     angles, counter-clockwise from the first axis, are `signs * q + offsets`. The tool moves in the plane; the body of
-    a link may lie beside it, in a plane of its own.
+    a link may lie off it, in a plane of its own.
 
     Attributes:
         joint_names: Names of the `n` planar joints.

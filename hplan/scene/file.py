@@ -95,7 +95,7 @@ def dump_scene(scene: Scene) -> str:
     instance("scene", scene, Scene, "load_scene")
     for index, obstacle in enumerate(scene.obstacles):
         if isinstance(obstacle, Mesh | PointCloud) and obstacle.file is None:
-            reason = f"{obstacle.name!r} was made of arrays and has no file; save_scene writes one beside the scene"
+            reason = f"{obstacle.name!r} was made of arrays and has no file; save_scene writes one"
             raise SceneError(reason, where=f"obstacles[{index}].file")
     dumped = scene.model_dump(mode="json", by_alias=True, exclude_none=True)
     robot = {} if scene.robot is None else {"robot": scene.robot}
@@ -122,8 +122,8 @@ def _dumped(part: BaseModel, keys: Sequence[str]) -> dict[str, Any]:
 def save_scene(scene: Scene, path: Path | str) -> Path:
     """Write a scene file; a file of that name is replaced whole or not at all.
 
-    Meshes and point clouds made of arrays are written beside it, as `STEM-NUMBER-NAME.ply`; files that were found from
-    another folder are named so that they are found from this one.
+    Meshes and point clouds made of arrays are written into its folder, as `STEM-NUMBER-NAME.ply`; files that were
+    found from another folder are named so that they are found from this one.
 
     Raises:
         OutputError: A file cannot be written.

@@ -224,11 +224,16 @@ def mark_near(path: FloatArray, field: FieldArrays, distance: float, near: BoolA
             along, up = chain[k, 0] * math.cos(angle), chain[k, 0] * math.sin(angle)
             u = (along * fx + up * gx, along * fy + up * gy, along * fz + up * gz)
             start = (x + chain[k, 4] * nx, y + chain[k, 4] * ny, z + chain[k, 4] * nz)
-            for s in range(solids.shape[0]):
+            following = _FIRST_ROW
+            while following < solids.shape[0]:
+                s = following
+                following = s + 1
                 if not near[s]:
                     centre = (solids[s, row.CENTRE], solids[s, row.CENTRE + 1], solids[s, row.CENTRE + 2])
                     apart = point_segment(centre, start, u)
                     near[s] = apart <= distance + solids[s, row.BOUND] + chain[k, 1]
+                    if not near[s] and solids[s, row.KIND] == row.NODE and solids[s, row.IS_ROOT] < 0.0:
+                        following = int(solids[s, row.NEXT])
             x, y, z = x + u[0], y + u[1], z + u[2]
 
 

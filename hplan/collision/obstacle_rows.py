@@ -1,9 +1,10 @@
 """Obstacles, and what the arm can touch of itself, as rows of numbers for the kernels of clearance.
 
 The rows of a cloud are the nodes of its tree: where a node's bounding ball is farther than the nearest solid so far,
-all rows below it are skipped. Turret and pedestal (`hplan.robot.self_contact`) stand below a gate that only the links
-pass that can touch them. A shape that turns with the arm plane is given as it stands at yaw 0, and links are then taken
-as they stand at yaw 0 too; its bounding ball is about the yaw axis, so that it holds the shape at every yaw.
+all rows below it are skipped. So are those of many balls and capsules, which stand below nodes by neighbourhood. Turret
+and pedestal (`hplan.robot.self_contact`) stand below a gate that only the links pass that can touch them. A shape that
+turns with the arm plane is given as it stands at yaw 0, and links are then taken as they stand at yaw 0 too; its
+bounding ball is about the yaw axis, so that it holds the shape at every yaw.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from typing import NamedTuple, TypeVar, assert_never, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hplan.base.arrays import FloatArray, IntArray
+from hplan.base.arrays import BoolArray, FloatArray, IntArray
 from hplan.base.deadline import look
 from hplan.robot.base_shapes import TURRET
 from hplan.robot.model import Robot
@@ -38,7 +39,7 @@ _COLUMNS = 21
 
 #: Columns of one kind, from `SHAPE` on. Point: its place (3). Segment: its two ends (3 each). Box: its half sizes (3),
 #: then its axes (3 rows of 3). Hull: where its facets begin in the data, where its edges begin and end. Lot: where its
-#: points begin and end there. Node: 1 where it is a tree's first.
+#: points begin and end there. Node: 1 where it is a tree's first, -1 where it is a group of solids.
 SHAPE, SECOND_END, AXES, FACETS, EDGES, EDGES_END, POINTS, POINTS_END, IS_ROOT = 6, 9, 9, 6, 7, 8, 6, 7, 8
 
 #: For arms that are no planar chain, every kind that is one hull also has the place of its corners in the data. Two
@@ -49,6 +50,10 @@ CORNERS = 18
 #: Gate: the first and the last link that pass it, and 1 where the row below turns with them. Pair: its links, and the
 #: distance of their axes at which they touch.
 FIRST_LINK, LAST_LINK, TURNS, INNER, OUTER, TOUCHING = 6, 7, 8, 6, 7, 8
+
+#: So many solids that are a row each are put into groups of neighbours, and these into larger ones, `_SIZE` at a time;
+#: not those whose balls are larger than so many times the median.
+_MANY, _SIZE, _LARGE = 32, 8, 4.0
 
 _Lengths = TypeVar("_Lengths", float, FloatArray)
 
@@ -81,7 +86,7 @@ class _Stack:
         self._owner = [np.zeros(0, dtype=np.int64)]
         self._count = self.numbers = 0
 
-    def add(self, rows: FloatArray, owner: int | Sequence[int], data: FloatArray | None = None) -> None:
+    def add(self, rows: FloatArray, owner: int | IntArray, data: FloatArray | None = None) -> None:
         """Add rows that were made as if they were the first, who owns them all, or each, and their data."""
         rows[:, NEXT] += self._count
         self._rows.append(rows)
@@ -126,8 +131,7 @@ def rows_of(
         if is_round:  # hundreds of them: all at once
             numbers, solids = zip(*run, strict=True)
             rows = _round_rows(cast(Sequence[Sphere | Capsule], solids), grown[numbers[0] : numbers[-1] + 1])
-            rows[:, NEXT] += np.arange(len(rows))
-            stack.add(rows, numbers)
+            stack.add(*grouped(rows, np.array(numbers)))
             continue
         for index, solid in run:
             rows, more = _rows(solid, grown[index], stack.numbers)
@@ -192,6 +196,64 @@ def _round_rows(obstacles: Sequence[Sphere | Capsule], clearances: Sequence[floa
     rows[:, RADIUS], rows[:, BOUND] = radius, _bounding(reach, radius)
     rows[:, NEXT] = 1.0
     return rows
+
+
+def grouped(rows: FloatArray, owner: IntArray) -> tuple[FloatArray, IntArray]:
+    """Rows of solids, one each, below nodes whose bounding balls hold those of neighbours.
+
+    Args:
+        rows: (n, columns) rows, each as if it were the first.
+        owner: (n,) whose they are.
+
+    Returns:
+        The rows in another order, those of the nodes among them, and whose they are: nodes are nobody's, -1.
+    """
+    if len(rows) < _MANY:
+        rows[:, NEXT] += np.arange(len(rows))
+        return rows, owner
+    is_large = rows[:, BOUND] > _LARGE * np.median(rows[:, BOUND])
+    alone, ordered = np.flatnonzero(is_large), _by_neighbourhood(rows[:, CENTRE:BOUND], ~is_large)
+    count = len(ordered)
+    small = np.arange(0, count, _SIZE)
+    large = small[::_SIZE]
+    firsts = np.concatenate([large, small, np.arange(count)])
+    ends = np.concatenate([*(np.append(starts[1:], count) for starts in (large, small)), np.arange(1, count + 1)])
+    nodes = np.zeros((len(large) + len(small), _COLUMNS))
+    nodes[:, KIND], nodes[:, IS_ROOT] = NODE, -1.0
+    balls = rows[ordered, CENTRE : BOUND + 1]
+    nodes[:, CENTRE : BOUND + 1] = np.concatenate([_around(balls, large), _around(balls, small)])
+    # Sorted by the first solid of each, the larger group before the smaller one before the solid.
+    order = np.argsort(firsts, kind="stable")
+    found = np.concatenate([rows[alone], np.concatenate([nodes, rows[ordered]])[order]])
+    found[: len(alone), NEXT] = np.arange(1, len(alone) + 1)
+    is_node = order < len(nodes)
+    following = np.where(is_node, np.searchsorted(firsts[order], ends[order]), np.arange(1, len(order) + 1))
+    found[len(alone) :, NEXT] = len(alone) + following
+    owners = np.concatenate([np.full(len(nodes), -1), owner[ordered]])[order]
+    return found, np.concatenate([owner[alone], owners])
+
+
+def _by_neighbourhood(centres: FloatArray, chosen: BoolArray) -> IntArray:
+    """Numbers of the chosen ones of (n, 3) points along a curve that stays long where it is: by bits of all axes."""
+    numbers = np.flatnonzero(chosen)
+    points = centres[numbers]
+    low, size = points.min(axis=0), float(np.ptp(points, axis=0).max())
+    cells = ((points - low) * (1023.0 / max(size, 1e-9))).astype(np.int64)
+    key = np.zeros(len(points), dtype=np.int64)
+    for bit in range(10):
+        for axis in range(3):
+            key |= ((cells[:, axis] >> bit) & 1) << (3 * bit + axis)
+    return numbers[np.argsort(key, kind="stable")]
+
+
+def _around(balls: FloatArray, firsts: IntArray) -> FloatArray:
+    """(k, 4) balls that hold (n, 4) others, from one of `firsts` to the next, never too small by rounding errors."""
+    low = np.minimum.reduceat(balls[:, :3] - balls[:, 3:], firsts)
+    high = np.maximum.reduceat(balls[:, :3] + balls[:, 3:], firsts)
+    centres = 0.5 * (low + high)
+    counts = np.diff(np.append(firsts, len(balls)))
+    away = np.linalg.norm(balls[:, :3] - np.repeat(centres, counts, axis=0), axis=1) + balls[:, 3]
+    return np.column_stack([centres, np.maximum.reduceat(away, firsts) * (1.0 + 1e-12)])
 
 
 def _bounding(reach: _Lengths, radius: _Lengths) -> _Lengths:

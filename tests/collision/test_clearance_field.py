@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import math
 
 import numpy as np
 import pytest
 from arm_variants import VARIANTS, axis_points, coal_distances, link_axes, load_variant, random_obstacles
 from shapes import torus
 
+from hplan.collision import obstacle_rows
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.clearance_kernels import motion_bounds, segment_is_clear
 from hplan.collision.coal_scene import CoalScene
@@ -470,3 +472,33 @@ def test_the_last_link_may_touch_some(robot):
             np.testing.assert_array_equal(spared.link_clearances(q), expected)
             np.testing.assert_array_equal(near.link_clearances(q), expected)
             np.testing.assert_array_equal(spared.only(~touched).link_clearances(q), without.link_clearances(q))
+
+
+def test_many_solids_in_groups_are_those_in_none(robot, monkeypatch):
+    """Groups change no distance, by a digit, whatever is left out; each holds what stands below it."""
+    rng = np.random.default_rng(23)
+    for count in (31, 32, 33, 300):
+        solids = random_obstacles(rng, 2 * count)
+        solids = [solid for solid in solids if not isinstance(solid, Box)]
+        solids = [*solids[:count], random_hull(rng, 7), *solids[count:]]
+        field = ClearanceField.of(robot, solids)
+        with monkeypatch.context() as patched:
+            patched.setattr(obstacle_rows, "_MANY", math.inf)
+            alone = ClearanceField.of(robot, solids)
+        assert (count < 32) == (len(field.solids) == len(alone.solids))
+        assert sorted(field.owner[field.owner >= 0].tolist()) == alone.owner.tolist()
+        for s in np.flatnonzero(field.solids[:, obstacle_rows.KIND] == obstacle_rows.NODE).tolist():
+            node, last = field.solids[s], int(field.solids[s, obstacle_rows.NEXT])
+            below = field.solids[s + 1 : last][field.owner[s + 1 : last] >= 0]
+            assert len(below)
+            assert (np.linalg.norm(below[:, 2:5] - node[2:5], axis=1) + below[:, 5] <= node[5]).all()
+        kept, q = rng.random(len(solids)) < 0.5, rng.uniform(robot.lower, robot.upper, (60, 4))
+        for one, other in (
+            (field, alone),
+            (field.only(kept), alone.only(kept)),
+            (field.sparing(kept), alone.sparing(kept)),
+            (field.only(kept, arm=False), alone.only(kept, arm=False)),
+            (field.near(q[:3], 0.2), alone.near(q[:3], 0.2)),
+        ):
+            np.testing.assert_array_equal(one.along(q), other.along(q))
+        assert set(field.near(q[:3], 0.2).owner.tolist()) - {-1} == set(alone.near(q[:3], 0.2).owner.tolist()) - {-1}

@@ -14,7 +14,9 @@ for how the robot is built, and is listed. A pair that no sample saw touch is lo
 
 from __future__ import annotations
 
+import itertools
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import partial
 from typing import Final
@@ -75,29 +77,30 @@ def self_pairs(robot: Robot, beyond: float = BEYOND) -> SelfPairs:
         robot: The robot.
         beyond: How far joints may be beyond their limits [rad, m].
     """
-    return robot.once(("self_pairs", beyond), lambda: _self_pairs(robot, beyond))
+    every = itertools.combinations(range(len(collision_bodies(robot))), 2)
+    return robot.once(("self_pairs", beyond), lambda: pairs_among(robot, every, beyond))
 
 
-def _self_pairs(robot: Robot, beyond: float) -> SelfPairs:
-    """`self_pairs`, found."""
+def pairs_among(robot: Robot, chosen: Iterable[tuple[int, int]], beyond: float) -> SelfPairs:
+    """As `self_pairs`, of some pairs (i, j), i < j, alone."""
     bodies = collision_bodies(robot)
     may_touch = {frozenset(pair[:2]): pair[2] for pair in robot.may_touch}
     allowed: list[tuple[int, int, str]] = []
     left: list[tuple[int, int]] = []
-    for i, first in enumerate(bodies):
-        for j, second in enumerate(bodies[i + 1 :], start=i + 1):
-            between = _between(robot, first.joint, second.joint)
-            reason: str | None = None
-            if not between:
-                reason = "they do not move to each other"
-            elif first.name != second.name and frozenset((first.name, second.name)) in may_touch:
-                reason = f"SRDF: {may_touch[frozenset((first.name, second.name))]}"
-            elif len(between) == 1:
-                reason = _by_one_joint(robot, (i, j), between[0], beyond)
-            if reason is None:
-                left.append((i, j))
-            else:
-                allowed.append((i, j, reason))
+    for i, j in chosen:
+        first, second = bodies[i], bodies[j]
+        between = _between(robot, first.joint, second.joint)
+        reason: str | None = None
+        if not between:
+            reason = "they do not move to each other"
+        elif first.name != second.name and frozenset((first.name, second.name)) in may_touch:
+            reason = f"SRDF: {may_touch[frozenset((first.name, second.name))]}"
+        elif len(between) == 1:
+            reason = _by_one_joint(robot, (i, j), between[0], beyond)
+        if reason is None:
+            left.append((i, j))
+        else:
+            allowed.append((i, j, reason))
     touching, farthest = _sampled(robot, left)
     allowed += [
         (*pair, f"they touch at each of {SAMPLES:,} random configurations")

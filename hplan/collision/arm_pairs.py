@@ -21,8 +21,9 @@ import pinocchio as pin
 from hplan.base.arrays import BoolArray
 from hplan.bodies.collision_bodies import body_shapes, collision_bodies
 from hplan.bodies.reach import carriers
-from hplan.bodies.touching_pairs import BEYOND, SelfPairs, self_pairs
+from hplan.bodies.touching_pairs import BEYOND, SelfPairs, pairs_among, self_pairs
 from hplan.collision.coal_cloud import distance_from
+from hplan.collision.coal_shapes import link_shapes
 from hplan.robot.base_shapes import (
     BASE_DEPTH,
     GROUND,
@@ -30,11 +31,12 @@ from hplan.robot.base_shapes import (
     BaseShape,
     always,
     base_joints,
+    base_shapes,
     filled_shape,
     turning_shapes,
 )
 from hplan.robot.model import Robot
-from hplan.robot.self_contact import SelfContact
+from hplan.robot.self_contact import SHAPED, SelfContact, held_apart, is_held, self_contact
 from hplan.scene.obstacles import Solid
 
 #: Heights that differ by less are the same [m].
@@ -47,8 +49,8 @@ class ArmPair:
 
     Attributes:
         mover: The link, or `TURRET`.
-        other: The body from which the motion is seen: a link before it, `TURRET`, or `GROUND`; of a robot that is no
-            planar arm, the number of the other body.
+        other: The body from which the motion is seen: a link before it, `TURRET`, or `GROUND`, with `SHAPED` added
+            where both are as the URDF has them; of a robot that is no planar arm, the number of the other body.
         mover_name: Name of its body.
         other_name: Name of the other body.
         shapes: The two shapes.
@@ -115,6 +117,73 @@ def turret_shapes(robot: Robot) -> dict[str, tuple[list[BaseShape], list[pin.Geo
     return found
 
 
+def planar_pairs(
+    robot: Robot,
+    shapes: Sequence[Sequence[pin.GeometryObject]],
+    deviation: float,
+    clearance: float,
+    *,
+    all_of_them: bool,
+) -> list[ArmPair]:
+    """The pairs of a planar arm's parts, the last of them its `shaped_pairs`.
+
+    Args:
+        robot: The arm.
+        shapes: Shapes of each link.
+        deviation: How far joints may be beyond their limits [rad].
+        clearance: Distance to be kept [m].
+        all_of_them: Whether those are among them that ranges of joints are narrowed for.
+    """
+    contact = self_contact(robot, deviation=deviation, clearance=clearance)
+    found = list(link_pairs(robot, contact, shapes))
+    if all_of_them:
+        found += [*fold_pairs(robot, contact, link_shapes(robot, "capsule")), *turret_pairs(robot, contact)]
+        found += _as_shaped(robot, shaped_pairs(robot, deviation))
+    return found
+
+
+def shaped_pairs(robot: Robot, deviation: float) -> SelfPairs:
+    """The pairs of a planar arm's bodies that its capsules say nothing of, and that can touch as the URDF has them.
+
+    Those are links that others between hold near together, and links that begin in a shape of turret or pedestal, or
+    near it: as capsules they always touch. What of neighbours is near their joint is their own
+    (`hplan.robot.folding`).
+
+    Args:
+        robot: The arm.
+        deviation: How far joints may be beyond their limits [rad].
+    """
+    beyond = _rounded_up(deviation)
+    return robot.once(("shaped_pairs", beyond), lambda: pairs_among(robot, _held_pairs(robot), beyond))
+
+
+def _held_pairs(robot: Robot) -> Iterator[tuple[int, int]]:
+    """Pairs (i, j), i < j, of bodies that are no neighbours, and whose capsules always touch."""
+    arm, bodies = robot.arm, collision_bodies(robot)
+    links = range(arm.link_count)
+    held = {(shape.number, link) for shape in base_shapes(robot) for link in links if is_held(robot, shape, 0.0, link)}
+    for i, j in itertools.combinations(range(len(bodies)), 2):
+        inner, outer = sorted((i, j), key=lambda body: bodies[body].joint)
+        first, last = (bodies[body].joint - robot.yaw_joints for body in (inner, outer))
+        if first < 0 <= last:
+            near = (bodies[inner].shape, last) in held
+        else:
+            near = 0 <= first < last - 1 and held_apart(arm, first, last) <= 0.0
+        if near:
+            yield i, j
+
+
+def _as_shaped(robot: Robot, pairs: SelfPairs) -> Iterator[ArmPair]:
+    bodies, shapes, names = collision_bodies(robot), body_shapes(robot), robot.arm.link_names
+    for pair in pairs.checked:
+        inner, outer = sorted(pair, key=lambda body: bodies[body].joint)
+        first, last = (bodies[body].joint - robot.yaw_joints for body in (inner, outer))
+        other, name = (first, names[first]) if first >= 0 else (GROUND, bodies[inner].name)
+        if first < 0 and bodies[inner].joint >= 0:
+            other = TURRET
+        yield ArmPair(last, SHAPED + other, names[last], name, (shapes[outer], shapes[inner]))
+
+
 def moving_bodies(robot: Robot) -> dict[str, list[int]]:
     """By link, the numbers of the bodies that joints move."""
     found: dict[str, list[int]] = {}
@@ -139,7 +208,12 @@ def base_bodies(robot: Robot) -> Iterator[tuple[str, pin.GeometryObject]]:
 
 def own_pairs(robot: Robot, deviation: float) -> SelfPairs:
     """The pairs of a robot's bodies where joints are beyond their limits by a deviation at most [rad]."""
-    return self_pairs(robot, BEYOND * max(1, math.ceil(deviation / BEYOND - 1e-9)))
+    return self_pairs(robot, _rounded_up(deviation))
+
+
+def _rounded_up(deviation: float) -> float:
+    """A deviation that is no less, one of few for which pairs are found."""
+    return BEYOND * max(1, math.ceil(deviation / BEYOND - 1e-9))
 
 
 def body_pairs(robot: Robot, pairs: SelfPairs) -> tuple[ArmPair, ...]:

@@ -19,11 +19,10 @@ from hplan.collision.arm_pairs import (
     base_bodies,
     below,
     body_pairs,
-    fold_pairs,
-    link_pairs,
     moving_bodies,
     own_pairs,
-    turret_pairs,
+    planar_pairs,
+    shaped_pairs,
     turret_shapes,
 )
 from hplan.collision.coal_accuracy import distance_errors
@@ -188,10 +187,7 @@ class CoalScene:
         if self.own_bodies is not None:
             own = list(body_pairs(robot, self.own_bodies))
         else:
-            contact = self_contact(robot, deviation=deviation, clearance=clearance)
-            own = list(link_pairs(robot, contact, shapes))
-            if single_joint_pairs:
-                own += [*fold_pairs(robot, contact, link_shapes(robot, "capsule")), *turret_pairs(robot, contact)]
+            own = planar_pairs(robot, shapes, self.deviation, self.clearance, all_of_them=single_joint_pairs)
         self.own_others = [pair.other for pair in own]
         self._own_shapes = [pair.shapes for pair in own]
         self.own_first = len(obstacles)
@@ -232,7 +228,7 @@ class CoalScene:
             if own_pairs(self.robot, max(deviation, self.deviation)) is self.own_bodies:
                 return self
         elif not any(
-            self_contact(self.robot, deviation=more, clearance=keep).possible
+            self_contact(self.robot, deviation=more, clearance=keep).possible or shaped_pairs(self.robot, more).checked
             for more, keep in ((deviation, clearance), (self.deviation, self.clearance))
         ):
             return self
@@ -254,11 +250,12 @@ class CoalScene:
     def kept(self, clearance: float) -> float | FloatArray:
         """The distance that each of `pairs` is to keep where a clearance is asked for, for all or (pairs,) [m].
 
-        Bodies of a robot that is no planar arm may be nearer to each other where they can never be as far apart.
+        Bodies as the URDF has them may be nearer to each other where they can never be as far apart.
         """
-        if self.own_bodies is None:
+        own = self.own_bodies or shaped_pairs(self.robot, self.deviation)
+        if len(own.checked) == 0 or (self.own_bodies is None and not self._built["single_joint_pairs"]):
             return clearance
-        return np.append(np.full(self._beyond.size, clearance), self.own_bodies.needed(clearance))
+        return np.append(np.full(len(self.pairs) - len(own.checked), clearance), own.needed(clearance))
 
     def distances(self, q: ArrayLike, time_s: float | None = None) -> FloatArray:
         """Signed distances at one configuration, (dof,) -> (movers, obstacle names) [m]; negative is the depth.

@@ -1,15 +1,17 @@
 """Ranges of joints that turret and neighbouring links leave free: intervals about the start.
 
 A contact of a turning shape of the turret with an obstacle, or with the pedestal, depends on the yaw alone; one of
-neighbours that fold into each other, on the joint between them. A motion is continuous, so each of these coordinates
-stays in the free interval in which it begins. The planner knows that as narrower joint limits. A goal in another
-interval cannot be reached by any motion: that is shown, not a matter of the grid.
+neighbours that fold into each other, or of the first link and what carries it, on the joint between them. A motion is
+continuous, so each of these coordinates stays in the free interval in which it begins. The planner knows that as
+narrower joint limits. A goal in another interval cannot be reached by any motion: that is shown, not a matter of the
+grid.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -18,9 +20,9 @@ from hplan.base import ties
 from hplan.base.arrays import FloatArray, IntArray, frozen
 from hplan.collision.coal_scene import CoalScene, Contact, OwnContact
 from hplan.errors import NoPathError
-from hplan.robot.base_shapes import turret_radius
+from hplan.robot.base_shapes import GROUND, TURRET, turret_radius
 from hplan.robot.folding import folded_angles
-from hplan.robot.self_contact import self_contact
+from hplan.robot.self_contact import SHAPED, self_contact
 
 #: Clearance that intervals leave beyond the one to keep, at most [m]; less where start or goal have less.
 MARGIN: Final = 1e-3
@@ -89,12 +91,12 @@ def joint_ranges(scene: CoalScene, q: FloatArray, margin: float = MARGIN) -> Joi
     walls: list[Wall] = []
     if robot.planar is None:
         return JointRanges(frozen(lower), frozen(upper), ())
-    pairs = _turret_pairs(scene)
-    if len(pairs):
+    for turn in _turns_that_decide(scene):
+        joint = turn.joint
         for end in (lower, upper):
-            end[0], contact = _known_free_yaw(scene, pairs, q, float(end[0]), margin)
+            end[joint], contact = _known_free(scene, turn, q, float(end[joint]), margin)
             if contact is not None:
-                walls.append(Wall(0, float(end[0]), end is upper, contact))
+                walls.append(Wall(joint, float(end[joint]), end is upper, contact))
     arm, first = robot.arm, robot.arm_slice.start
     for fold in self_contact(robot, deviation=scene.deviation, clearance=scene.clearance).folds:
         inner, outer = fold.inner, fold.inner + 1
@@ -152,53 +154,72 @@ def _no_path(scene: CoalScene, wall: Wall, other: float) -> NoPathError:
     return NoPathError(message, reached_cells=0, blockers=[blocker])
 
 
-def _turret_pairs(scene: CoalScene) -> IntArray:
-    """Numbers of the pairs of the turret."""
-    links = len(scene.link_names)
-    if len(scene.mover_names) == links:
-        return np.zeros(0, dtype=np.int64)
-    return np.array([number for number, (mover, _) in enumerate(scene.pairs) if mover >= links], dtype=np.int64)
+class _Turn(NamedTuple):
+    """A joint, the numbers of the pairs that it alone decides, and the largest distance from its axis of what turns."""
+
+    joint: int
+    pairs: IntArray
+    radius: float
 
 
-#: Ends of free intervals that were found before, by yaw, end of the range and margin: every grasp of a fruit asks.
-_KNOWN: WeakKeyDictionary[CoalScene, dict[tuple[float, float, float], tuple[float, Contact | None]]] = (
+def _turns_that_decide(scene: CoalScene) -> Iterator[_Turn]:
+    """The yaw, with the pairs of the turret; the first joint of the arm, with those of its link and what carries it."""
+    robot, arm = scene.robot, scene.robot.arm
+    turret = []
+    if len(scene.mover_names) > arm.link_count:
+        turret = [number for number, (mover, _) in enumerate(scene.pairs) if mover >= arm.link_count]
+    if turret:
+        yield _Turn(0, np.array(turret, dtype=np.int64), turret_radius(robot))
+    own, carrier = len(scene.pairs) - len(scene.own_others), SHAPED + (TURRET if robot.has_yaw else GROUND)
+    carried = [
+        own + number
+        for number, other in enumerate(scene.own_others)
+        if other == carrier and scene.pairs[own + number][0] == 0
+    ]
+    if carried:
+        radius = float(arm.lengths[0] + arm.half_widths[0])
+        yield _Turn(robot.arm_slice.start, np.array(carried, dtype=np.int64), radius)
+
+
+#: Ends of free intervals that were found before, by joint, its value, end of the range and margin: every grasp of a
+#: fruit asks.
+_KNOWN: WeakKeyDictionary[CoalScene, dict[tuple[int, float, float, float], tuple[float, Contact | None]]] = (
     WeakKeyDictionary()
 )
 
 
-def _known_free_yaw(
-    scene: CoalScene, pairs: IntArray, q: FloatArray, end: float, margin: float
+def _known_free(
+    scene: CoalScene, turn: _Turn, q: FloatArray, end: float, margin: float
 ) -> tuple[float, Contact | None]:
-    """As `_free_yaw`, which the yaw alone decides."""
-    known, key = _KNOWN.get(scene, {}), (float(q[0]), end, margin)
+    """As `_free`, which the joint alone decides."""
+    known, key = _KNOWN.get(scene, {}), (turn.joint, float(q[turn.joint]), end, margin)
     if key not in known:
         # Tables are replaced and never changed: another thread may read the one before.
-        known = _KNOWN[scene] = {**known, key: _free_yaw(scene, pairs, q, end, margin)}
+        known = _KNOWN[scene] = {**known, key: _free(scene, turn, q, end, margin)}
     return known[key]
 
 
-def _free_yaw(
-    scene: CoalScene, pairs: IntArray, q: FloatArray, end: float, margin: float
-) -> tuple[float, Contact | None]:
-    """The yaw up to which the base can turn towards an end of its range, and what stops it before, if anything.
+def _free(scene: CoalScene, turn: _Turn, q: FloatArray, end: float, margin: float) -> tuple[float, Contact | None]:
+    """The value up to which a joint can turn towards an end of its range, and what stops it before, if anything.
 
-    Conservative advancement, each pair at its own pace: no point of the turret moves farther than its turn times
-    `turret_radius`, so the base may turn by d / radius before a pair that is d apart, and more, is asked again.
+    Conservative advancement, each pair at its own pace: no point moves farther than the turn times its radius, so the
+    joint may turn by d / radius before a pair that is d apart, and more, is asked again.
     """
-    radius = turret_radius(scene.robot)
-    kept = scene.clearance + scene.deviation * radius + margin
-    at, length, direction = q.copy(), abs(end - float(q[0])), 1.0 if end >= q[0] else -1.0
+    pairs, joint = turn.pairs, turn.joint
+    kept = np.broadcast_to(scene.kept(scene.clearance), len(scene.pairs))[pairs]
+    kept = kept + scene.deviation * turn.radius + margin
+    at, length, direction = q.copy(), abs(end - float(q[joint])), 1.0 if end >= q[joint] else -1.0
     turned, due = 0.0, np.zeros(len(pairs))
     while True:
         asked = np.flatnonzero(due <= turned)
-        at[0] = q[0] + direction * turned
+        at[joint] = q[joint] + direction * turned
         scene.place(at)
-        left = scene.distances_of(pairs[asked]) - kept
+        left = scene.distances_of(pairs[asked]) - kept[asked]
         least = ties.argmin(left)
         if left[least] <= _ENOUGH * margin:
             mover, obstacle = scene.pairs[int(pairs[asked[least]])]
-            return float(at[0]), scene.contact(mover, obstacle, float(left[least]))
-        due[asked] = turned + left / radius
+            return float(at[joint]), scene.contact(mover, obstacle, float(left[least]))
+        due[asked] = turned + left / turn.radius
         turned = float(due.min())
         if turned >= length:
             return end, None

@@ -1,9 +1,10 @@
 r"""Pairs of parts of an arm that can touch: link and link, links or turret and the base that carries the arm.
 
-Two parts are left out where they *always* touch: neighbours about their joint, parts that what lies between holds so
-near together, and a link and the shape that carries the joint it turns about. Of all others those are pairs that can
-touch within the joint limits, beyond these by the tracking error, or come nearer than the clearance to keep. Where none
-can, as with the harvester, nothing is looked at anywhere.
+Two parts are left out where their capsules *always* touch: neighbours about their joint, parts that what lies between
+holds so near together, and a link and the shape that carries the joint it turns about. Of the last two kinds those are
+looked at as the URDF has them that then can touch and do not always (`hplan.collision.arm_pairs.shaped_pairs`). Of all
+others those are pairs that can touch within the joint limits, beyond these by the tracking error, or come nearer
+than the clearance to keep. Where none can, as with the harvester, nothing is looked at anywhere.
 
 **Links** :math:`i < j`: how they lie to each other depends on the joints :math:`i + 1 \ldots j` alone. Seen from link
 :math:`i` a point of link :math:`j` moves no farther than
@@ -48,6 +49,9 @@ from hplan.robot.base_shapes import (
 from hplan.robot.folding import Fold, folds
 from hplan.robot.model import Robot
 from hplan.robot.planar_family import PlanarArm
+
+#: Added to the body from which a part's motion is seen, where both are as the URDF has them and not as capsules.
+SHAPED: Final = -1000
 
 #: Parts are taken to be able to touch if they come this near [m]: positions are kept to 1e-6 rad, distances to 1e-5 m.
 SLACK: Final = 1e-4
@@ -157,7 +161,7 @@ def pair_sway(robot: Robot, link: int, other: int, deviation: ArrayLike) -> Floa
     Args:
         robot: The arm.
         link: The link, or `TURRET` for the turret against what stands still.
-        other: A link before it, `TURRET` or `GROUND`.
+        other: A link before it, `TURRET` or `GROUND`; with `SHAPED` added of the link's shapes, which turn as well.
         deviation: One number for all joints, or (..., dof) [rad].
 
     Returns:
@@ -168,12 +172,18 @@ def pair_sway(robot: Robot, link: int, other: int, deviation: ArrayLike) -> Floa
     if link == TURRET:
         turned: FloatArray = off[..., 0] * turret_radius(robot)
         return turned
+    other, radius = _seen_from(robot, link, other)
     after = max(other, TURRET) + 1
     turns = np.cumsum(off[..., robot.arm_slice][..., after : link + 1], axis=-1)
-    sway: FloatArray = turns @ robot.arm.lengths[after : link + 1]
+    sway: FloatArray = turns @ robot.arm.lengths[after : link + 1] + radius * turns[..., -1]
     if robot.has_yaw and other == GROUND:
-        sway = sway + off[..., 0] * robot.yaw_radius[link]
+        sway = sway + off[..., 0] * (robot.yaw_radius[link] + radius)
     return sway
+
+
+def _seen_from(robot: Robot, link: int, other: int) -> tuple[int, float]:
+    """The body without `SHAPED`, and how far points of the link may be from its axis that turn with it [m]."""
+    return (other - SHAPED, float(robot.arm.half_widths[link])) if other < GROUND else (other, 0.0)
 
 
 def pair_rates(robot: Robot, link: int, other: int, rates: FloatArray) -> FloatArray:
@@ -182,7 +192,7 @@ def pair_rates(robot: Robot, link: int, other: int, rates: FloatArray) -> FloatA
     Args:
         robot: The arm.
         link: The link, or `TURRET` for the turret against what stands still.
-        other: A link before it, `TURRET` or `GROUND`.
+        other: A link before it, `TURRET` or `GROUND`; with `SHAPED` added of the link's shapes, which turn as well.
         rates: (pieces, c, dof) joint rates of each piece of a motion; every rate within it lies in the hull of its c.
 
     Returns:
@@ -192,13 +202,15 @@ def pair_rates(robot: Robot, link: int, other: int, rates: FloatArray) -> FloatA
         # The yaw alone moves it, each point about the axis: at no more than the turn times its distance from there.
         turret: FloatArray = np.abs(rates[..., 0]).max(axis=1) * turret_radius(robot)
         return turret
+    other, radius = _seen_from(robot, link, other)
     arm, after = robot.arm, max(other, TURRET) + 1
     turns = np.cumsum(arm.signs * rates[..., robot.arm_slice], axis=2)
     if after > 0:
         turns = turns - turns[..., after - 1 : after]
-    speeds: FloatArray = np.abs(turns[..., after : link + 1]).max(axis=1) @ arm.lengths[after : link + 1]
+    turned = np.abs(turns[..., after : link + 1]).max(axis=1)
+    speeds: FloatArray = turned @ arm.lengths[after : link + 1] + radius * turned[:, -1]
     if robot.has_yaw and other == GROUND:
-        speeds = speeds + np.abs(rates[..., 0]).max(axis=1) * robot.yaw_radius[link]
+        speeds = speeds + np.abs(rates[..., 0]).max(axis=1) * (robot.yaw_radius[link] + radius)
     return speeds
 
 
@@ -213,14 +225,19 @@ def radius_in_plane(radius: float, aside: float) -> float:
     return math.sqrt(max(0.0, radius * radius - aside * aside)) if aside else radius
 
 
+def held_apart(arm: PlanarArm, i: int, j: int) -> float:
+    """The links between two hold the end of one at the beginning of the other: never farther apart than this [m]."""
+    aside = float(arm.lateral[j] - arm.lateral[i])
+    return math.hypot(float(arm.lengths[i + 1 : j].sum()), aside) - float(arm.half_widths[i] + arm.half_widths[j])
+
+
 def _link_pairs(arm: PlanarArm, clearance: float) -> tuple[tuple[int, int], ...]:
     pairs = []
     for i in range(arm.link_count):
         before = np.array([[-arm.lengths[i], 0.0], [0.0, 0.0]])  # link i, from where link i + 1 begins
         for j in range(i + 2, arm.link_count):
             radius, aside = float(arm.half_widths[i] + arm.half_widths[j]), float(arm.lateral[j] - arm.lateral[i])
-            # The links between hold the end of one at the beginning of the other: never farther apart than this.
-            held = math.hypot(float(arm.lengths[i + 1 : j].sum()), aside) - radius
+            held = held_apart(arm, i, j)
             reach = radius_in_plane(radius + SLACK + (clearance if held > clearance else 0.0), aside)
             if held > 0.0 and reach > 0.0 and _can_touch(part_of_arm(arm, i + 1, j), before, reach):
                 pairs.append((i, j))
@@ -240,7 +257,7 @@ def _bodies(robot: Robot, arm: PlanarArm, deviation: float, clearance: float) ->
         touching: list[int] = []
         for link in range(arm.link_count):
             radius = shape.rounding + float(arm.half_widths[link])
-            held = partial(_is_held, robot, shape, deviation, link)
+            held = partial(is_held, robot, shape, deviation, link)
             if held(0.0):
                 continue  # it carries the shoulder, or the links between are too short to leave it
             reach = SLACK + (0.0 if clearance > 0.0 and held(clearance) else clearance)
@@ -256,7 +273,7 @@ def _bodies(robot: Robot, arm: PlanarArm, deviation: float, clearance: float) ->
     return found
 
 
-def _is_held(robot: Robot, shape: BaseShape, deviation: float, link: int, clearance: float) -> bool:
+def is_held(robot: Robot, shape: BaseShape, deviation: float, link: int, clearance: float = 0.0) -> bool:
     """True if a link always touches a shape of the base, or is within the clearance of it, whatever the yaw.
 
     A link of half-width w begins no farther from the shoulder than the lengths before it, and so always touches what is

@@ -8,6 +8,8 @@ import trimesh
 from any_arms import limb
 
 from hplan.collision.coal_scene import base_contacts
+from hplan.errors import InputError
+from hplan.planning.plan import plan
 from hplan.robot.model import Robot, load_robot
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Sphere
@@ -47,6 +49,9 @@ def test_what_lies_under_the_table_is_not_in_it(robot):
     assert certified(robot, below).verified
     assert {(found.link, found.obstacle) for found in base_contacts(robot, [in_leg])} == {("base_link", "ball")}
     assert not certified(robot, in_leg).verified
+    scene = Scene(name="s", start=Start(joints_rad=(0.2,)), goal=Goal(joints_rad=(0.4,)), obstacles=(in_leg,))
+    with pytest.raises(InputError, match=r"'ball' is .* mm deep in the robot's 'base_link', which does not move"):
+        plan(robot, scene)
 
 
 @pytest.mark.parametrize(("to", "shown"), [(0.2, True), (0.35, False)])

@@ -231,7 +231,7 @@ CASES: dict[str, Case] = {
             "tracking_error": (*NO_NUMBER, -1.0),
             "tracking_delay_s": (*NO_NUMBER, -1.0),
             "sigmas": (*NO_NUMBER, -1.0),
-            "standoff": (*NO_NUMBER, -1.0),
+            "standoff": (*NO_NUMBER[1:], -1.0),
             "certify": (None, "no", 1.0, []),
         },
     ),

@@ -123,7 +123,12 @@ def parser(prog: str) -> CommandParser:
     add_pace(parser)
     add_tracking(parser)
     add_sigmas(parser)
-    add("--standoff", type=float, default=0.1, metavar="M", help="straight approach to a fruit (default: 0.1)")
+    add(
+        "--standoff",
+        type=float,
+        metavar="M",
+        help="straight approach to a fruit, a point (default: 0.1) or a pose (default: none)",
+    )
     add("--uncertified", dest="certify", action="store_false", help="write the motion even if it is not certified; "
         "the report says so")  # fmt: skip
     add("--bound", action="store_true", help="also show how much faster any motion could be at most")
@@ -253,7 +258,8 @@ def show_summary(console: Console, result: PlanResult, folder: Path, more: Seque
     add: Callable[[str, str], Any] = table.add_row
     if result.grasp is not None:
         grasp = report["grasp"]
-        what = "the point" if grasp["fruit"] is None else escape(grasp["fruit"])
+        point = "the point" if result.scene.goal.pose is None else "the pose"
+        what = point if grasp["fruit"] is None else escape(grasp["fruit"])
         along = "tool" if result.robot.planar is None else "last link"
         add("grasp", f"{what}, {along} at {grasp['approach_deg']:.1f} deg, {_approach_words(grasp['standoff_m'])}")
     if result.path is None:

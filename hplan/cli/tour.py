@@ -91,7 +91,7 @@ def parser(prog: str) -> CommandParser:
         default="one",
         help="one CSV, or one for each fruit, from rest to rest (default: one)",
     )
-    add("--standoff", type=float, default=0.1, metavar="M", help="length of straight approaches (default: 0.1)")
+    add("--standoff", type=float, metavar="M", help="length of straight approaches (default: 0.1)")
     add_pace(parser)
     add_tracking(parser)
     add_deadline(parser)

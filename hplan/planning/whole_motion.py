@@ -47,7 +47,7 @@ from hplan.planning.refusals import Refusals
 from hplan.planning.sampled_motion import tree_path_to_any
 from hplan.planning.start_in_motion import Parts, leaving
 from hplan.planning.task import PlanningContext, PlanningTask
-from hplan.problem.pose_goal import configurations_at
+from hplan.problem.pose_goal import configurations_at, pose_of
 from hplan.sampling.roadmap import Effort as RoadmapEffort
 from hplan.sampling.roadmap import quick_path
 from hplan.sampling.rrt_connect import TreeEffort
@@ -303,7 +303,7 @@ def _goal(context: PlanningContext, start: FloatArray) -> list[PlanningTask] | T
     scene, goal = context.scene, context.scene.goal.joints()
     if goal is not None:
         return [context.task(start, context.robot.turned_near(goal, start))]
-    if scene.goal.pose is not None:
+    if scene.goal.pose is not None and not context.options.standoff:
         with context.stage("grasps"):
             ends = configurations_at(context.world, scene.goal, start, scene.locked_joints)
             return [context.task(start, end) for end in ends[: POSE_GOALS[context.options.effort]]]
@@ -311,8 +311,11 @@ def _goal(context: PlanningContext, start: FloatArray) -> list[PlanningTask] | T
 
 
 def _target(context: PlanningContext) -> Target:
-    """The fruit or the place of the scene's goal."""
+    """The fruit, the place or the pose of the scene's goal."""
     goal, world = context.scene.goal, context.world
+    if goal.pose is not None:
+        pose = pose_of(world.robot, goal)
+        return Target("the pose", pose[:3, 3], world, world, pose=pose, frame=goal.frame)
     for fruit in context.scene.fruits:
         if fruit.name == goal.fruit:
             return Target.of_fruit(world, fruit, goal.approach_deg)
@@ -323,7 +326,7 @@ def _to_grasp(
     context: PlanningContext, target: Target, start: FloatArray, find: FindMotion | None = None, count: int = COUNT
 ) -> Parts:
     """The motion to a grasp of a target, its approach from rest and the retreat."""
-    standoff, locked = context.options.standoff, context.scene.locked_joints
+    standoff, locked = context.options.standoff_m, context.scene.locked_joints
     with context.stage("grasps"):
         found = grasps(target, start, standoff=standoff, locked=locked, count=count)
         if count < COUNT:

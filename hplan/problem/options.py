@@ -16,6 +16,9 @@ from hplan.smoothing.options import OBJECTIVES, Objective
 Method = Literal["two-level", "dense"]
 METHODS: tuple[Method, ...] = ("two-level", "dense")
 
+#: Length of the straight approach to a fruit or a point, where none is asked for [m].
+STANDOFF = 0.1
+
 #: How much is spent on a faster motion.
 EffortName = Literal["quick", "default", "best"]
 EFFORT_NAMES: tuple[EffortName, ...] = ("quick", "default", "best")
@@ -37,7 +40,8 @@ class PlanOptions:
         tracking_error: Deviation from the trajectory to be covered by the certificate, each joint, at rest [rad].
         tracking_delay_s: What comes to it for each rad/s of the joint's velocity [s].
         sigmas: How many standard deviations of its place an obstacle is grown by, where the scene gives one.
-        standoff: Length of the straight approach to a fruit or a point [m]; shorter where it cannot be had.
+        standoff: Length of the straight approach [m]; shorter where it cannot be had. None for `STANDOFF` to a fruit or
+            a point, and for no approach to a pose.
         certify: False exports what was not certified, and says so.
         bound: True also bounds the durations of all motions from below (`hplan.lower_bound`), which takes seconds where
             the base does not turn and something is in the way. Tours have no bound.
@@ -55,7 +59,7 @@ class PlanOptions:
     tracking_error: float = 0.0
     tracking_delay_s: float = 0.0
     sigmas: float = 3.0
-    standoff: float = 0.1
+    standoff: float | None = None
     certify: bool = True
     bound: bool = False
     deadline_s: float | None = None
@@ -67,6 +71,8 @@ class PlanOptions:
             OptionError: A value is of the wrong kind or out of its range.
         """
         keep_checked(self, _CHECKS)
+        if self.standoff is not None:
+            keep_checked(self, {"standoff": (number, "a finite number >= 0", lambda value: value >= 0.0)})
         if self.deadline_s is not None:
             keep_checked(self, {"deadline_s": (number, "a positive number of seconds", lambda value: value > 0.0)})
             if self.bound:
@@ -86,6 +92,11 @@ class PlanOptions:
             raise OptionError("method", self.method, expected)
 
     @property
+    def standoff_m(self) -> float:
+        """Length of the straight approach to a fruit or a point [m]."""
+        return STANDOFF if self.standoff is None else self.standoff
+
+    @property
     def tracking(self) -> TrackingModel:
         """The deviation that motions make room for: none where they need not be certified."""
         return self.certified_tracking if self.certify else TrackingModel()
@@ -102,6 +113,6 @@ _CHECKS = {
     "effort": (one_of, EFFORT_NAMES),
     "link_model": (one_of, LINK_MODELS),
     "step_deg": (number, "a positive number of degrees", lambda step: step > 0.0),
-    **dict.fromkeys(("sigmas", "standoff"), (number, "a finite number >= 0", lambda value: value >= 0.0)),
+    "sigmas": (number, "a finite number >= 0", lambda value: value >= 0.0),
     **dict.fromkeys(("certify", "bound"), (truth,)),
 }

@@ -12,6 +12,7 @@ from hplan.base.deadline import look
 from hplan.errors import BlockedError, ConfigurationInCollisionError, InputError
 from hplan.kinematics.inverse_kinematics import inverse_kinematics
 from hplan.problem.world import World
+from hplan.robot.model import Robot
 from hplan.scene.model import Goal
 
 
@@ -33,15 +34,7 @@ def configurations_at(world: World, goal: Goal, start: FloatArray, locked: Seque
         UnreachableError: No configuration was found, whatever is in the way.
         BlockedError: Obstacles, or parts of the arm, are in the way of all that were found; names them.
     """
-    robot, pose = world.robot, goal.pose
-    if pose is None:
-        raise InputError("expected a goal with position and quaternion_xyzw")
-    if robot.planar is not None:
-        raise InputError(
-            f"goal.quaternion_xyzw: robot {robot.name!r} is a planar arm, whose tool cannot be turned at will; "
-            "give position and, for the angle of the last link, approach_deg",
-            where="goal.quaternion_xyzw",
-        )
+    robot, pose = world.robot, pose_of(world.robot, goal)
     found = inverse_kinematics(robot, pose, start=start, frame=goal.frame, locked=locked)
     clear: list[FloatArray] = []
     blocked: Counter[tuple[str, str]] = Counter()
@@ -62,3 +55,20 @@ def configurations_at(world: World, goal: Goal, start: FloatArray, locked: Seque
         ]
         raise BlockedError("the pose", len(found), obstacles, best_clearance_m=float(largest))
     return frozen(np.array(clear))
+
+
+def pose_of(robot: Robot, goal: Goal) -> FloatArray:
+    """The (4, 4) pose of a goal.
+
+    Raises:
+        InputError: The goal has none; the robot is of the planar family, which has too few joints for most poses.
+    """
+    if goal.pose is None:
+        raise InputError("expected a goal with position and quaternion_xyzw")
+    if robot.planar is not None:
+        raise InputError(
+            f"goal.quaternion_xyzw: robot {robot.name!r} is a planar arm, whose tool cannot be turned at will; "
+            "give position and, for the angle of the last link, approach_deg",
+            where="goal.quaternion_xyzw",
+        )
+    return goal.pose

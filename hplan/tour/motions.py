@@ -142,7 +142,7 @@ class Motions:
         """
         context, hub = self._context, self._moves.stops[self._hub].configuration
         target = Target.of_fruit(context.world, fruit, context.scene.goal.approach_deg)
-        found = grasps(target, hub, standoff=context.options.standoff, locked=context.scene.locked_joints)
+        found = grasps(target, hub, standoff=context.options.standoff_m, locked=context.scene.locked_joints)
         self._sought += 1
         shown, motion, pick = motion_to_grasp(
             target,

@@ -173,3 +173,22 @@ def test_how_far_a_tool_stands_out(picker: Robot) -> None:
     robot = load_robot(longer, limits=picker.urdf_path.with_suffix(".limits.yaml"))
     assert tool_thickness(robot, 0.0) == pytest.approx(0.02, abs=1e-9)
     assert tool_thickness(robot, 0.01) > 0.02
+
+
+@pytest.mark.parametrize("frame", [None, "wrist_2_link"])
+def test_a_pose_has_an_approach_where_a_standoff_is_asked_for(picker: Robot, frame: str | None) -> None:
+    q = np.array([-0.5, 0.9, 0.9, 0.3, 0.4, 0.2])
+    pose = picker.tool_poses(q, frame)
+    turn = pin.Quaternion(pose[:3, :3]).coeffs().tolist()
+    goal = Goal(position=tuple(pose[:3, 3].tolist()), quaternion_xyzw=tuple(turn), frame=frame)
+    scene = scene_of(picker, goal, fruits=())
+    assert [phase.name for phase in plan(picker, scene, QUICK).phases] == ["transit"]
+    found = plan(picker, scene, PlanOptions(effort="quick", standoff=0.06))
+    assert [phase.name for phase in found.phases] == ["transit", "approach"]
+    assert certify(picker, scene, found.trajectory).verified
+    times = np.linspace(found.phases[1].start_s, found.phases[1].end_s, 40)
+    poses = picker.tool_poses(found.trajectory.positions(times))
+    away = poses[:, :3, 3] - poses[-1, :3, 3]
+    assert np.linalg.norm(away[0]) == pytest.approx(0.06, abs=2e-3)
+    assert np.abs(poses[:, :3, :3] - poses[-1, :3, :3]).max() < 2e-3
+    assert np.abs(away - (away @ poses[-1, :3, 2])[:, None] * poses[-1, :3, 2]).max() < 3e-4

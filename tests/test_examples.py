@@ -11,6 +11,7 @@ import pytest
 
 import hplan
 
+MEASURED = Path(__file__).resolve().parents[2] / "shared" / "data" / "measured_trees"
 EXAMPLES = Path(__file__).resolve().parents[1] / "scripts" / "examples"
 
 
@@ -74,6 +75,17 @@ def test_panda_shelf(capsys: pytest.CaptureFixture[str]) -> None:
     assert result.certificate.verified
     assert result.trajectory.duration < 2.0
     assert "is 20.8 mm deep in obstacle 'upper board'" in capsys.readouterr().out
+
+
+def test_ur5_picking(tmp_path: Path) -> None:
+    needs_robot_data()
+    measured = MEASURED / "p42.csv"
+    tree = str(measured) if measured.is_file() else None
+    result = run("ur5_picking", tree, str(tmp_path / "new"), 2)
+    assert len(result.order) == 2
+    assert set(result.dropped) == set(result.order)
+    assert result.certificate.verified
+    assert {path.name for path in (tmp_path / "new").iterdir()} == {"tour.csv", "tour.json", "scene.html"}
 
 
 def test_every_example_is_run() -> None:

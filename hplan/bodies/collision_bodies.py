@@ -89,6 +89,23 @@ def body_shapes(robot: Robot) -> tuple[pin.GeometryObject, ...]:
     return tuple(shape for _, shape in _made(robot))
 
 
+def reuse_bodies(robot: Robot, before: Robot) -> None:
+    """Take the bodies of a robot's first shapes from another one that has the same, as meshes take long to be cut.
+
+    Args:
+        robot: The robot, of which no bodies were made yet.
+        before: One with the same links and joints, and with the first of its shapes.
+    """
+    known, first = _made(before), len(before.collision_model.geometryObjects)
+
+    def make() -> list[tuple[CollisionBody, pin.GeometryObject]]:
+        more = list(enumerate(robot.collision_model.geometryObjects))[first:]
+        found = (_bodies(robot, number, shape) for number, shape in more)
+        return [*known, *itertools.chain.from_iterable(found)]
+
+    robot.once("collision_bodies", make)
+
+
 def _made(robot: Robot) -> list[tuple[CollisionBody, pin.GeometryObject]]:
     def make() -> list[tuple[CollisionBody, pin.GeometryObject]]:
         objects = robot.collision_model.geometryObjects

@@ -9,6 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 from hplan.base.arrays import readonly
+from hplan.bodies.collision_bodies import reuse_bodies
 from hplan.robot.model import Robot
 
 #: Name of the shape of what is carried.
@@ -33,4 +34,6 @@ def carrying(robot: Robot, radius: float) -> Robot:
     shapes = robot.collision_model.copy()
     placement = robot.model.frames[number].placement
     shapes.addGeometryObject(pin.GeometryObject(CARRIED, robot.tool_joint, number, placement, coal.Sphere(radius)))
-    return replace(robot, collision_model=shapes)
+    loaded = replace(robot, collision_model=shapes)
+    reuse_bodies(loaded, robot)
+    return loaded

@@ -14,6 +14,7 @@ import hplan.errors as errors
 from hplan.base.arrays import FloatArray
 from hplan.bodies.collision_bodies import body_shapes
 from hplan.collision.coal_cloud import obstacle_shape
+from hplan.online.planner import Planner
 from hplan.planning.grasps import Target
 from hplan.planning.plan import PlanResult, plan
 from hplan.problem.options import PlanOptions
@@ -192,3 +193,17 @@ def test_a_pose_has_an_approach_where_a_standoff_is_asked_for(picker: Robot, fra
     assert np.linalg.norm(away[0]) == pytest.approx(0.06, abs=2e-3)
     assert np.abs(poses[:, :3, :3] - poses[-1, :3, :3]).max() < 2e-3
     assert np.abs(away - (away @ poses[-1, :3, 2])[:, None] * poses[-1, :3, 2]).max() < 3e-4
+
+
+def test_a_planner_goes_to_another_fruit_while_the_arm_moves(picker: Robot) -> None:
+    planner = Planner(picker, scene_of(picker, Goal(fruit="apple 0")), QUICK)
+    first = planner.plan()
+    planner.add(Sphere(name="ball", center=(0.1, 0.5, 0.9), radius=0.05))
+    assert planner.replan().certificate.verified
+    planner.aim(goal=Goal(fruit="apple 1"))
+    at = 0.4 * first.phases[0].end_s
+    spliced = planner.replan(at=at)
+    assert spliced.certificate.verified
+    assert spliced.trajectory.position[-1] != pytest.approx(first.trajectory.position[-1])
+    tool = picker.tool_positions(spliced.trajectory.position)
+    assert np.linalg.norm(tool - FRUITS[1].center, axis=1).min() < 1e-3

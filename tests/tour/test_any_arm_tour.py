@@ -11,7 +11,7 @@ import pytest
 from any_arms import loaded_arm
 
 import hplan.errors as errors
-from hplan.bodies.collision_bodies import collision_bodies
+from hplan.bodies.collision_bodies import body_shapes, collision_bodies
 from hplan.cli.main import main
 from hplan.planning.plan import plan
 from hplan.problem.options import PlanOptions
@@ -93,7 +93,9 @@ def test_what_is_carried_is_a_ball_at_the_tool_that_keeps_clear(picker: Robot) -
     assert loaded.collision_model.geometryObjects[-1].name == CARRIED
     assert (ball.kind, ball.rounding, ball.joint) == ("sphere", 0.05, picker.dof - 1)
     assert isinstance(loaded.collision_model.geometryObjects[-1].geometry, coal.Sphere)
-    assert len(collision_bodies(picker)) == len(collision_bodies(loaded)) - 1
+    assert collision_bodies(loaded)[:-1] == collision_bodies(picker)
+    assert [shape.name for shape in body_shapes(loaded)[:-1]] == [shape.name for shape in body_shapes(picker)]
+    assert body_shapes(loaded)[-1].placement == picker.model.frames[picker.frame_number("tool0")].placement
     # The empty arm may come there; with the ball it would touch the rim.
     rim = Capsule.model_validate(
         {"name": "rim", "kind": "capsule", "from": (0.285, -0.55, 0.25), "to": (0.285, -0.35, 0.25), "radius": 0.005}

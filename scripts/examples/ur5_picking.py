@@ -1,0 +1,77 @@
+"""A UR5 with a picking tube on a platform picks the apples of a measured tree and drops each into a bin beside it.
+
+pip install 'hplan[robots]'
+python scripts/examples/ur5_picking.py [TREE.csv] [FOLDER]
+
+The tree is a list of capsules (kind,x1,y1,z1,x2,y2,z2,radius: `hplan.orchard.import_capsules`); one is grown without.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import hplan
+from hplan.orchard import FruitZone, MeasuredOptions, OrchardOptions, generate, measured_orchard
+from hplan.planning.report import write_report
+from hplan.robot.files import named_robot
+from hplan.scene import Box, Goal, Scene
+from hplan.view.page import write_page
+from hplan.view.playback import Playback
+
+#: A tube of 18 cm at the flange, along z of its frame; the tool frame at its mouth says where fruit is taken.
+SHAPE = '<origin xyz="0 0 0.09"/><geometry><cylinder radius="0.02" length="0.18"/></geometry>'
+TUBE = f"""
+<link name="tube"><visual>{SHAPE}</visual><collision>{SHAPE}</collision></link>
+<joint name="flange" type="fixed"><parent link="tool0"/><child link="tube"/></joint>
+<joint name="mouth" type="fixed"><origin xyz="0 0 0.18"/><parent link="tube"/><child link="tube_mouth"/></joint>
+<link name="tube_mouth"/></robot>"""
+
+#: Folded, its back to the tree; the bin is at the platform's side and filled from above.
+START_DEG = (180.0, -110.0, 140.0, -120.0, -90.0, 0.0)
+BIN = Goal(position=(-0.1, 0.55, 0.1), approach_deg=-90.0)
+
+
+def ur5() -> hplan.Robot:
+    """The UR5 of example-robot-data with the tube at its flange."""
+    files = named_robot("ur5")
+    urdf = files.urdf.read_text(encoding="utf-8").replace("</robot>", TUBE)
+    return hplan.load_robot(urdf, tool_frame="tube_mouth", limits=files.limits, package_dirs=files.package_dirs)
+
+
+def orchard(tree: str | None) -> Scene:
+    """The tree before the arm, which stands on a platform 70 cm above the ground, and its apples within reach."""
+    zone = FruitZone(low=-0.25, high=0.75, reach=0.95)
+    if tree is None:
+        grown = OrchardOptions(
+            name="grown tree", trees=1, distance=0.95, tree_height=1.8, first_branch=0.1, branches=16,
+            branch_length=0.45, wire_heights=(), posts=False, fruits=12, fruit_radius=0.035, fruit_zone=zone,
+        )  # fmt: skip
+        scene = generate(grown, start_deg=START_DEG)
+    else:
+        stands = MeasuredOptions(
+            name=Path(tree).stem, distance=0.95, height=-0.7, fruits=12, fruit_radius=0.035, fruit_zone=zone
+        )
+        scene = measured_orchard([tree], stands, start_deg=START_DEG)
+    platform = Box(name="platform", center=(-0.2, 0.0, -0.36), size=(0.9, 0.7, 0.7))
+    bin_wall = Box(name="bin", center=(-0.1, 0.55, -0.25), size=(0.35, 0.35, 0.4))
+    return scene.model_copy(update={"obstacles": (*scene.obstacles, platform, bin_wall)})
+
+
+def main(tree: str | None = None, folder: str = "out/ur5-picking", most: int | None = None) -> hplan.TourResult:
+    """Plan the tour over all apples, or the first so many, certified; write CSV, report and page."""
+    robot, scene, out = ur5(), orchard(tree), Path(folder)
+    names = [fruit.name for fruit in scene.fruits[:most]]
+    result = hplan.plan_tour(robot, scene, fruits=names, tour=hplan.TourOptions(drop_off=BIN, back=True))
+    out.mkdir(parents=True, exist_ok=True)
+    hplan.write_csv(result.trajectory, out / "tour.csv")
+    write_report(result.report, out / "tour.json")
+    write_page(robot, scene, Playback.of(result), out / "scene.html")
+    print(f"{len(result.order)} of {len(names)} apples in {result.trajectory.duration:.1f} s, certified")
+    for item in result.unreached:
+        print(f"left: {item.error}")
+    return result
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:3])

@@ -93,19 +93,28 @@ def part_shown_clear(q: FloatArray, rates: FloatArray, moving: Moving, back: flo
         back: No more is asked for of the motion before.
         forward: The same after.
     """
-    arm, twists = moving.arm, moving.twists
-    place_bodies(q, arm.movers, arm.numbers, arm.frames, arm.placed)
+    arm, twists, bends = moving.arm, moving.twists, moving.bends
+    movers, placed = arm.movers, arm.placed
+    place_bodies(q, movers, arm.numbers, arm.frames, placed)
     find_twists(rates, arm.numbers, arm.frames, twists)
-    bodies = arm.placed.shape[0]
+    bodies, dof = placed.shape[0], len(q)
     part = Part(back, forward)
     # From the tip on: what is carried by more joints moves farther, and is in contact more often.
-    for turn in range(arm.movers.shape[0]):
+    for turn in range(movers.shape[0]):
         k = bodies - 1 - turn if turn < bodies else turn
         if k < bodies:
-            if arm.movers[k, flat.JOINT] < arm.numbers[flat.DOF]:
+            if movers[k, flat.JOINT] < dof:
                 part = _of_body(moving, k, part)
         else:
-            part = _of_pair(moving, k, part)
+            i, j = int(movers[k, flat.INNER]), int(movers[k, flat.OUTER])
+            x, y, z = (
+                placed[j, CENTRE] - placed[i, CENTRE],
+                placed[j, CENTRE + 1] - placed[i, CENTRE + 1],
+                placed[j, CENTRE + 2] - placed[i, CENTRE + 2],
+            )
+            beyond = movers[k, flat.BALLS] + max(moving.margin, max(part.back, part.forward) * bends[k, 0])
+            if x * x + y * y + z * z < beyond * beyond:
+                part = _of_pair(moving, k, part)
         if part.forward < 0.0:
             break
     return part
@@ -129,22 +138,44 @@ def _drift(twists: FloatArray, joint: int) -> Vector:
     return twists[joint, 3], twists[joint, 4], twists[joint, 5]
 
 
-@inlined
-def _farthest(moving: Moving, k: int, speed: float, part: Part) -> float:
+class _Motion(NamedTuple):
+    """How a mover moves: numbers alone, as arrays taken out of tuples cost more than what is done with them.
+
+    Attributes:
+        velocity: Of the centre of the body's ball.
+        spin: Angular velocity.
+        core: Radius of the ball without the body's rounding [m].
+        speed: How fast points move now at most.
+        most: How fast they ever do.
+        bend: What their acceleration is at most.
+        margin: Clearance asked for [m].
+    """
+
+    velocity: Vector
+    spin: Vector
+    core: float
+    speed: float
+    most: float
+    bend: float
+    margin: float
+
+
+@kernel
+def _farthest(motion: _Motion, part: Part) -> float:
     """How far a mover's points move at most, or the margin."""
-    most, bend = moving.bends[k, 0], 0.5 * moving.bends[k, 1]
-    after = min(part.forward * most, part.forward * speed + part.forward * part.forward * bend)
-    before = min(part.back * most, part.back * speed + part.back * part.back * bend)
-    farthest: float = max(moving.margin, max(after, before))
+    back, forward, bend = part.back, part.forward, 0.5 * motion.bend
+    after = min(forward * motion.most, forward * motion.speed + forward * forward * bend)
+    before = min(back * motion.most, back * motion.speed + back * back * bend)
+    farthest: float = max(motion.margin, max(after, before))
     return farthest
 
 
-@inlined
-def _sweep(moving: Moving, k: int, motion: tuple[Vector, Vector, float], part: Part) -> Sweep:
-    bend = 0.5 * moving.bends[k, 1]
+@kernel
+def _sweep(motion: _Motion, part: Part) -> Sweep:
+    bend = 0.5 * motion.bend
     return Sweep(
-        motion[0], motion[1], motion[2], part.back, part.forward,
-        part.back * part.back * bend, part.forward * part.forward * bend, moving.bends[k, 0], moving.margin,
+        motion.velocity, motion.spin, motion.core, part.back, part.forward,
+        part.back * part.back * bend, part.forward * part.forward * bend, motion.most, motion.margin,
     )  # fmt: skip
 
 
@@ -164,21 +195,19 @@ def _lasting(clear: float, speed: float, most: float, bend: float, asked: float)
 
 
 @kernel
-def _left(moving: Moving, k: int, sweep: Sweep, distance: float, part: Part) -> Part:
-    """What is left of a part where two bodies are apart by a distance along the direction in `work`."""
-    if not distance >= moving.margin:
+def _left(motion: _Motion, direction: Vector, distance: float, part: Part) -> Part:
+    """What is left of a part where two bodies are apart by a distance along a direction."""
+    if not distance >= motion.margin:
         return Part(-1.0, -1.0)
-    work, most, bend = moving.arm.work, moving.bends[k, 0], moving.bends[k, 1]
-    direction = (work[SEPARATING], work[SEPARATING + 1], work[SEPARATING + 2])
     length = math.sqrt(dot(direction, direction))
-    along, turning = 0.0, most
+    along, turning = 0.0, motion.most
     if length > 0.0:
-        across = cross(direction, sweep.spin)
-        along = dot(direction, sweep.velocity) / length
-        turning = sweep.radius * math.sqrt(dot(across, across)) / length
+        across = cross(direction, motion.spin)
+        along = dot(direction, motion.velocity) / length
+        turning = motion.core * math.sqrt(dot(across, across)) / length
     return Part(
-        _lasting(distance, turning + along, most, bend, part.back),
-        _lasting(distance, turning - along, most, bend, part.forward),
+        _lasting(distance, turning + along, motion.most, motion.bend, part.back),
+        _lasting(distance, turning - along, motion.most, motion.bend, part.forward),
     )
 
 
@@ -194,110 +223,111 @@ def _of_body(moving: Moving, b: int, part: Part) -> Part:
     moved = cross(spin, centre)
     velocity = (at_origin[0] + moved[0], at_origin[1] + moved[1], at_origin[2] + moved[2])
     speed = math.sqrt(dot(velocity, velocity)) + core * math.sqrt(dot(spin, spin))
-    motion = (velocity, spin, core)
-    enough = _farthest(moving, b, speed, part)
+    motion = _Motion(velocity, spin, core, speed, moving.bends[b, 0], moving.bends[b, 1], moving.margin)
+    enough = _farthest(motion, part)
     following = _FIRST_ROW
     while following < solids.shape[0]:
         s = following
         solid = (solids[s, row.CENTRE], solids[s, row.CENTRE + 1], solids[s, row.CENTRE + 2])
-        apart = less(solid, centre)
+        away = less(centre, solid)
         within = enough + ball + solids[s, row.BOUND]
         kind = solids[s, row.KIND]
-        if dot(apart, apart) > within * within:
+        if dot(away, away) > within * within:
             following = int(solids[s, row.NEXT]) if kind >= row.NODE else s + 1
             continue
         following = s + 1
         before = part
-        if kind == row.GATE:
+        if kind < row.NODE:
+            if kind == row.BOX:
+                # From the box to the centre of the body's ball.
+                off = _off_box(solids, s, away)
+                square, within = dot(off, off), enough + ball + solids[s, row.RADIUS]
+                if square > within * within or _is_apart(motion, part, off, ball + solids[s, row.RADIUS]):
+                    continue
+                if square > 0.0:
+                    away = off
+            part = _of_row(moving, (b, s), away, motion, part)
+        elif kind == row.GATE:
             if not solids[s, row.FIRST_LINK] <= joint <= solids[s, row.LAST_LINK]:
                 following = int(solids[s, row.NEXT])
-        elif kind == row.NODE or kind == row.LOT:
-            sweep = _sweep(moving, b, motion, part)
-            if _is_beyond(moving, b, sweep, solid, solids[s, row.BOUND]):
-                following = int(solids[s, row.NEXT])
-            elif kind == row.LOT:
-                part = _of_lot(moving, b, s, motion, part)
-        else:
-            part = _of_row(moving, b, s, motion, part)
+        elif _is_apart(motion, part, _off_axis(placed, b, solid), solids[s, row.BOUND] + movers[b, flat.AXIS_RADIUS]):
+            following = int(solids[s, row.NEXT])
+        elif kind == row.LOT:
+            part = _of_lot(moving, (b, s), motion, part)
         if part.forward < 0.0:
             break
         if part.forward < before.forward or part.back < before.back:
-            enough = _farthest(moving, b, speed, part)
+            enough = _farthest(motion, part)
     return part
 
 
 @kernel
-def _is_beyond(moving: Moving, b: int, sweep: Sweep, centre: Vector, radius: float) -> bool:
-    """True if the segment about which a body is shows that it keeps clear of a ball."""
-    movers, placed = moving.arm.movers, moving.arm.placed
-    x, y, z = placed[b, START] - centre[0], placed[b, START + 1] - centre[1], placed[b, START + 2] - centre[2]
-    ux, uy, uz = placed[b, ALONG], placed[b, ALONG + 1], placed[b, ALONG + 2]
-    square, t = ux * ux + uy * uy + uz * uz, 0.0
-    if square > 0.0:
-        t = min(1.0, max(0.0, -(x * ux + y * uy + z * uz) / square))
-    direction = (x + t * ux, y + t * uy, z + t * uz)
-    length = math.sqrt(dot(direction, direction))
-    apart = length - radius - movers[b, flat.AXIS_RADIUS]
-    beyond: bool = apart > 0.0 and apart >= used_up(sweep, direction, length)
-    return beyond
+def _off_box(solids: FloatArray, s: int, away: Vector) -> Vector:
+    """From the nearest point of a row's box to a point, given from the box's centre."""
+    off = (0.0, 0.0, 0.0)
+    for c in range(3):
+        a = row.AXES + 3 * c
+        axis = (solids[s, a], solids[s, a + 1], solids[s, a + 2])
+        beyond = signed_excess(dot(axis, away), solids[s, row.SHAPE + c])
+        off = (off[0] + beyond * axis[0], off[1] + beyond * axis[1], off[2] + beyond * axis[2])
+    return off
 
 
 @kernel
-def _of_hull(
-    moving: Moving, k: int, other: tuple[FloatArray, Span, float], motion: tuple[Vector, Vector, float], part: Part
-) -> Part:
+def _off_axis(placed: FloatArray, b: int, point: Vector) -> Vector:
+    """From a point to the nearest one of the segment about which a body is."""
+    start = less((placed[b, START], placed[b, START + 1], placed[b, START + 2]), point)
+    along = (placed[b, ALONG], placed[b, ALONG + 1], placed[b, ALONG + 2])
+    square, t = dot(along, along), 0.0
+    if square > 0.0:
+        t = min(1.0, max(0.0, -dot(start, along) / square))
+    return start[0] + t * along[0], start[1] + t * along[1], start[2] + t * along[2]
+
+
+@kernel
+def _is_apart(motion: _Motion, part: Part, away: Vector, radii: float) -> bool:
+    """True if two balls, or what is about segments, keep clear for all of a part, by how far apart their cores are."""
+    length = math.sqrt(dot(away, away))
+    apart: bool = length > radii and length - radii >= used_up(_sweep(motion, part), away, length)
+    return apart
+
+
+@kernel
+def _of_hull(moving: Moving, k: int, other: tuple[FloatArray, Span, float], motion: _Motion, part: Part) -> Part:
     """As `_of_body`, of a hull grown by a radius."""
     arm = moving.arm
     points, other_span, radius = other
-    radii = radius + arm.movers[k, flat.ROUNDING]
-    sweep = _sweep(moving, k, motion, part)
-    wanted = Wanted(math.inf, moving.margin + radii, _ROUGH, radii, sweep)
+    work, radii = arm.work, radius + arm.movers[k, flat.ROUNDING]
+    wanted = Wanted(math.inf, motion.margin + radii, _ROUGH, radii, _sweep(motion, part))
     distance = core_distance(
-        arm.numbers, span_of(arm.movers, k), pose_of(arm.placed, k), points, other_span, wanted, arm.work
+        arm.numbers, span_of(arm.movers, k), pose_of(arm.placed, k), points, other_span, wanted, work
     )
     if distance == math.inf:
         return part
-    return _left(moving, k, sweep, distance - radii, part)
+    direction = (work[SEPARATING], work[SEPARATING + 1], work[SEPARATING + 2])
+    return _left(motion, direction, distance - radii, part)
 
 
 @kernel
-def _of_row(moving: Moving, k: int, s: int, motion: tuple[Vector, Vector, float], part: Part) -> Part:
-    """As `_of_body`, of the solid of a row."""
-    arm = moving.arm
-    solids, data, placed, work = arm.solids, arm.data, arm.placed, arm.work
-    x = placed[k, CENTRE] - solids[s, row.CENTRE]
-    y = placed[k, CENTRE + 1] - solids[s, row.CENTRE + 1]
-    z = placed[k, CENTRE + 2] - solids[s, row.CENTRE + 2]
-    if solids[s, row.KIND] == row.BOX:
-        # From the box to the centre of the body's ball, seen along its edges.
-        away, square = (0.0, 0.0, 0.0), 0.0
-        for c in range(3):
-            a = row.AXES + 3 * c
-            ax, ay, az = solids[s, a], solids[s, a + 1], solids[s, a + 2]
-            beyond = signed_excess(ax * x + ay * y + az * z, solids[s, row.SHAPE + c])
-            away = (away[0] + beyond * ax, away[1] + beyond * ay, away[2] + beyond * az)
-            square += beyond * beyond
-        if square > 0.0:
-            x, y, z = away
-            length = math.sqrt(square)
-            apart = length - arm.movers[k, flat.BALL_RADIUS] - solids[s, row.RADIUS]
-            if apart > 0.0 and apart >= used_up(_sweep(moving, k, motion, part), away, length):
-                return part
-    work[NEAREST], work[NEAREST + 1], work[NEAREST + 2] = x, y, z
+def _of_row(moving: Moving, place: tuple[int, int], away: Vector, motion: _Motion, part: Part) -> Part:
+    """As `_of_body`, of the solid of a row: places of both, and a direction from the solid to the body."""
+    (k, s), arm = place, moving.arm
+    solids, data, work = arm.solids, arm.data, arm.work
+    work[NEAREST], work[NEAREST + 1], work[NEAREST + 2] = away
     first = int(solids[s, row.CORNERS])
     span = first, int(data[first - 2]), int(data[first - 1])
     return _of_hull(moving, k, (data, span, solids[s, row.RADIUS]), motion, part)
 
 
 @kernel
-def _of_lot(moving: Moving, k: int, s: int, motion: tuple[Vector, Vector, float], part: Part) -> Part:
-    """As `_of_body`, of the balls of a lot."""
-    arm = moving.arm
+def _of_lot(moving: Moving, place: tuple[int, int], motion: _Motion, part: Part) -> Part:
+    """As `_of_body`, of the balls of a lot: places of both."""
+    (k, s), arm = place, moving.arm
     solids, data, placed, work = arm.solids, arm.data, arm.placed, arm.work
     radius = solids[s, row.RADIUS]
+    radii = radius + arm.movers[k, flat.AXIS_RADIUS]
     for p in range(int(solids[s, row.POINTS]), int(solids[s, row.POINTS_END]), 3):
-        sweep = _sweep(moving, k, motion, part)
-        if not _is_beyond(moving, k, sweep, (data[p], data[p + 1], data[p + 2]), radius):
+        if not _is_apart(motion, part, _off_axis(placed, k, (data[p], data[p + 1], data[p + 2])), radii):
             for c in range(3):
                 work[NEAREST + c] = placed[k, CENTRE + c] - data[p + c]
             part = _of_hull(moving, k, (data, (p, p + 3, NO_TABLE), radius), motion, part)
@@ -312,34 +342,26 @@ def _of_pair(moving: Moving, k: int, part: Part) -> Part:
     arm, twists = moving.arm, moving.twists
     movers, numbers, placed, work = arm.movers, arm.numbers, arm.placed, arm.work
     j, i, touching = int(movers[k, flat.OUTER]), int(movers[k, flat.INNER]), movers[k, flat.TOUCHING]
+    outer, inner = int(movers[j, flat.JOINT]), int(movers[i, flat.JOINT])
     centre = (placed[j, CENTRE], placed[j, CENTRE + 1], placed[j, CENTRE + 2])
-    d = less(centre, (placed[i, CENTRE], placed[i, CENTRE + 1], placed[i, CENTRE + 2]))
-    square, balls = dot(d, d), movers[k, flat.BALLS]
-    beyond = balls + _farthest(moving, k, moving.bends[k, 0], part)
-    if square >= beyond * beyond:
-        return part
-    core, outer, inner = (
-        movers[j, flat.BALL_RADIUS] - movers[j, flat.ROUNDING],
-        int(movers[j, flat.JOINT]),
-        int(movers[i, flat.JOINT]),
-    )
+    away = less(centre, (placed[i, CENTRE], placed[i, CENTRE + 1], placed[i, CENTRE + 2]))
     spin = less(_spin(twists, outer), _spin(twists, inner))
     at_origin = less(_drift(twists, outer), _drift(twists, inner))
     moved = cross(spin, centre)
     velocity = (at_origin[0] + moved[0], at_origin[1] + moved[1], at_origin[2] + moved[2])
-    length = math.sqrt(square)
-    sweep = _sweep(moving, k, (velocity, spin, core), part)
-    if length > balls and length - balls >= used_up(sweep, d, length):
+    core = movers[j, flat.BALL_RADIUS] - movers[j, flat.ROUNDING]
+    most, bend = moving.bends[k, 0], moving.bends[k, 1]
+    if _is_apart(_Motion(velocity, spin, core, most, most, bend, moving.margin), part, away, movers[k, flat.BALLS]):
         return part
-    pose = pose_of(placed, i)
     # As seen from the inner body.
-    seen = turned_back(pose, d)
-    work[NEAREST], work[NEAREST + 1], work[NEAREST + 2] = seen
-    sweep = _sweep(moving, k, (turned_back(pose, velocity), turned_back(pose, spin), core), part)
-    wanted = Wanted(math.inf, moving.margin + touching, _ROUGH, touching, sweep)
+    pose = pose_of(placed, i)
+    work[NEAREST], work[NEAREST + 1], work[NEAREST + 2] = turned_back(pose, away)
+    motion = _Motion(turned_back(pose, velocity), turned_back(pose, spin), core, most, most, bend, moving.margin)
+    wanted = Wanted(math.inf, moving.margin + touching, _ROUGH, touching, _sweep(motion, part))
     distance = core_distance(
         numbers, span_of(movers, j), difference(placed, j, i), numbers, span_of(movers, i), wanted, work
     )
     if distance == math.inf:
         return part
-    return _left(moving, k, sweep, distance - touching, part)
+    direction = (work[SEPARATING], work[SEPARATING + 1], work[SEPARATING + 2])
+    return _left(motion, direction, distance - touching, part)

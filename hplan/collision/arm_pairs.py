@@ -24,6 +24,7 @@ from hplan.bodies.reach import carriers
 from hplan.bodies.touching_pairs import BEYOND, SelfPairs, pairs_among, self_pairs
 from hplan.collision.coal_cloud import distance_from
 from hplan.collision.coal_shapes import link_shapes
+from hplan.errors import RobotFileError
 from hplan.robot.base_shapes import (
     BASE_DEPTH,
     GROUND,
@@ -185,11 +186,18 @@ def _as_shaped(robot: Robot, pairs: SelfPairs) -> Iterator[ArmPair]:
 
 
 def moving_bodies(robot: Robot) -> dict[str, list[int]]:
-    """By link, the numbers of the bodies that joints move."""
+    """By link, the numbers of the bodies that joints move.
+
+    Raises:
+        RobotFileError: There are none: whatever the motion, a certificate would say nothing.
+    """
     found: dict[str, list[int]] = {}
     for number, body in enumerate(collision_bodies(robot)):
         if body.joint >= 0:
             found.setdefault(body.name, []).append(number)
+    if not found:
+        reason = "no link that moves has a <collision>: it could touch nothing, and a certificate would say nothing"
+        raise RobotFileError(robot.urdf_path, reason)
     return found
 
 

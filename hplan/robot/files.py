@@ -184,7 +184,9 @@ def build_models(
                 file.write_text(text, encoding="utf-8")
                 models = pin.buildModelsFromUrdf(str(file), package_dirs=folders)
     except (ValueError, RuntimeError) as error:
-        reason = f"Pinocchio refuses it: {error} (its reader's own words, if any, are on the terminal)"
+        of_mesh = str(error).partition("message: ")[2].partition("\nHint:")[0].replace("\n", " ")
+        told = of_mesh or str(error)
+        reason = f"Pinocchio refuses it: {told} (its reader's own words, if any, are on the terminal)"
         raise RobotFileError(urdf_path, reason) from error
     check_models(urdf_path, urdf, models[0], models[1])
     return models
@@ -289,6 +291,8 @@ def read_limits(
     except ValidationError as error:
         first = error.errors()[0]
         where = "".join(f"{part}: " for part in first["loc"])
+        if first["loc"] == ("format",) and first["type"] == "missing":
+            raise RobotFileError(path, f"{where}this key is missing; expected {LIMITS_FORMAT!r}") from error
         raise RobotFileError(path, f"{where}{first['msg']} (got {first['input']!r})") from error
     if limits.format != LIMITS_FORMAT:
         raise RobotFileError(path, f"format is {limits.format!r}, expected {LIMITS_FORMAT!r}")

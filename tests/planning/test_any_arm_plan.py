@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
-from any_arms import loaded_arm
+from any_arms import LIFT, loaded_arm
 
-from hplan.errors import ConfigurationInCollisionError, InputError, NotFoundError, OptionError
+from hplan.errors import ConfigurationInCollisionError, InputError, NotFoundError, OptionError, RobotFileError
 from hplan.planning import find_motion, sampled_motion
 from hplan.planning.plan import plan
 from hplan.planning.sampled_motion import SAMPLING_OF_BODIES, SamplingEffort
 from hplan.problem.options import PlanOptions
-from hplan.robot.model import Robot
+from hplan.robot.limits import Limits
+from hplan.robot.model import Robot, load_robot
 from hplan.sampling.several_trees import TreesEffort
 from hplan.scene.model import Scene
 from hplan.scene.obstacles import Box, Obstacle, Sphere
+from hplan.smoothing.spline import SplinePath
+from hplan.timing.retime import time_path
 from hplan.verification.certificate import certify
 
 QUICK = PlanOptions(effort="quick")
@@ -92,3 +97,17 @@ def test_a_table_in_which_the_foot_stands_is_refused(arm: Robot) -> None:
         InputError, match=r"'table' is .* deep in the robot's 'base_link', which does not move: move the"
     ):
         plan(arm, scene_of(table), QUICK)
+
+
+def test_a_robot_without_shapes_is_neither_planned_for_nor_certified() -> None:
+    """Else every motion of it would be certified, for it touches nothing."""
+    bare = load_robot(re.sub(r"<collision>.*?</collision>", "", LIFT))
+    ends = {"start": {"joints_rad": bare.lower + 0.1}, "goal": {"joints_rad": bare.lower + 0.2}}
+    scene = Scene.model_validate({"format": "hplan-scene/1", "name": "bare", **ends}, strict=False)
+    for options in (QUICK, PlanOptions(effort="quick", certify=False)):
+        with pytest.raises(RobotFileError, match="no link that moves has a <collision>: it could touch nothing"):
+            plan(bare, scene, options)
+    limits = Limits(bare.velocity_limit, bare.acceleration_limit, None, None)
+    path = SplinePath.through(np.linspace(bare.lower + 0.1, bare.lower + 0.2, 5))
+    with pytest.raises(RobotFileError, match="no link that moves has a <collision>: it could touch nothing"):
+        certify(bare, scene, time_path(path, bare.dynamics, limits, rate_hz=100.0))

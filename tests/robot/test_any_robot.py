@@ -126,3 +126,10 @@ def test_limits_that_ship_are_taken_by_the_name_of_their_robot():
     for ours, name in zip(re.findall(r'joint name="(\w+)" type="revolute"', text), theirs, strict=True):
         text = text.replace(f'"{ours}"', f'"{name}"')
     assert load_robot(text, limits="ur5").acceleration_limit.tolist() == list(theirs.values())
+
+
+def test_a_mesh_that_cannot_be_read_is_named(tmp_path):
+    (tmp_path / "hand.stl").write_bytes(b"")
+    mesh = f'<mesh filename="{tmp_path}/hand.stl"/>'
+    with pytest.raises(RobotFileError, match=r"refuses it: Could not load resource \S+hand.stl File is empty \("):
+        load_robot(LIFT.replace('<box size="0.05 0.1 0.2"/>', mesh))

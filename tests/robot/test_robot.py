@@ -518,6 +518,7 @@ def test_limits_from_another_file(robot, tmp_path):
         ("{b: 20", "{c: 20", "jerk_rad_s3: joints missing ['b'], unknown ['c']"),
         ("{a: 1", "{a: 1, a: 9", "line 2: malformed YAML: key 'a' stands on line 2 already"),
         ("acceleration_rad_s2: {a: 1, b: 2.5}", "", "acceleration_rad_s2: Field required"),
+        ("format: hplan-limits/1", "", "format: this key is missing; expected 'hplan-limits/1'"),
         ("jerk_rad_s3", "snap", "snap: Extra inputs are not permitted"),
         ("hplan-limits/1", "hplan-limits/2", "format is 'hplan-limits/2', expected 'hplan-limits/1'"),
         ("{a: 1", "{a: [1", "line 2: malformed YAML"),

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from hplan.base.arrays import BoolArray, FloatArray, IntArray, Record, frozen, readonly
 from hplan.base.deadline import look, until
-from hplan.bodies.flat_bodies import DOF, FlatBodies
+from hplan.bodies.flat_bodies import BODIES, DOF, FlatBodies
 from hplan.collision.clearance_kernels import (
     LINK,
     FieldArrays,
@@ -116,7 +116,11 @@ class ClearanceField(Record):
             kept: (solids,) which of them.
             arm: False leaves the arm itself out.
         """
-        return self._of_rows(np.append(kept, arm)[self.owner])
+        found = self._of_rows(np.append(kept, arm)[self.owner])
+        if arm or self.chain.shape[1] == LINK:
+            return found
+        # Of other arms than planar ones their own pairs are movers after the bodies.
+        return replace(found, chain=readonly(self.chain[: int(self.base[BODIES])]))
 
     def sparing(self, touched: BoolArray) -> ClearanceField:
         """The field where the last link may touch some of the solids.

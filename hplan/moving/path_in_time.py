@@ -99,8 +99,8 @@ class PathInTime:
         self.step_s, self.at_rest_s = step_s, field.at_rest_s
         self._field, self._half = field, 0.5 * step_s + spare_s
         turns = np.diff(self.configurations, axis=0)
-        bounds = np.empty((count, robot.arm.link_count))
-        empty = ClearanceField.of(robot, [])
+        empty = ClearanceField.of(robot, []).only(np.zeros(0, dtype=np.bool_), arm=False)
+        bounds = np.empty((count, len(empty.chain)))
         for turn, bound in zip(turns, bounds, strict=True):
             motion_bounds(turn, empty.chain, empty.base, bound)
         self._travel = 0.5 * np.maximum(np.vstack([bounds[:1], bounds]), np.vstack([bounds, bounds[-1:]]))

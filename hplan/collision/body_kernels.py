@@ -26,7 +26,7 @@ from hplan.bodies.convex_distance import NEAREST, ON_FIRST, WORK, Span, Wanted, 
 from hplan.bodies.penetration import penetration
 from hplan.bodies.placed_bodies import ALONG, CENTRE, PLACED, START, place_bodies
 from hplan.bodies.sweep import STILL
-from hplan.bodies.vectors import Pose, Vector
+from hplan.bodies.vectors import Pose, Vector, dot
 from hplan.collision import obstacle_rows as row
 from hplan.collision.distances import point_segment, signed_excess
 from hplan.collision.obstacle_rows import FieldArrays
@@ -139,8 +139,29 @@ def _body_clearance(arm: BodyArrays, b: int, enough: float) -> float:
             elif kind == row.LOT:
                 least = _lot_clearance(arm, b, s, least)
         else:
-            least = _row_clearance(arm, b, s, least)
+            away = (-dx, -dy, -dz)
+            if kind == row.BOX:
+                # From the box to the centre of the body's ball.
+                off, within = off_box(solids, s, away), least + ball + solids[s, row.RADIUS]
+                square = dot(off, off)
+                if square > within * within and within > 0.0:
+                    continue
+                if square > 0.0:
+                    away = off
+            least = _row_clearance(arm, (b, s), away, least)
     return least
+
+
+@kernel
+def off_box(solids: FloatArray, s: int, away: Vector) -> Vector:
+    """From the nearest point of a row's box to a point, which is given from the box's centre."""
+    off = (0.0, 0.0, 0.0)
+    for c in range(3):
+        a = row.AXES + 3 * c
+        axis = (solids[s, a], solids[s, a + 1], solids[s, a + 2])
+        beyond = signed_excess(dot(axis, away), solids[s, row.SHAPE + c])
+        off = (off[0] + beyond * axis[0], off[1] + beyond * axis[1], off[2] + beyond * axis[2])
+    return off
 
 
 @kernel
@@ -164,27 +185,17 @@ def _hull_clearance(arm: BodyArrays, k: int, other: tuple[FloatArray, Span, floa
 
 
 @kernel
-def _row_clearance(arm: BodyArrays, k: int, s: int, least: float) -> float:
-    """Clearance of a body from the solid of a row, or `least` where it is no less."""
-    solids, data, placed, work = arm.solids, arm.data, arm.placed, arm.work
-    x = placed[k, CENTRE] - solids[s, row.CENTRE]
-    y = placed[k, CENTRE + 1] - solids[s, row.CENTRE + 1]
-    z = placed[k, CENTRE + 2] - solids[s, row.CENTRE + 2]
-    if solids[s, row.KIND] == row.BOX:
-        # From the box to the centre of the body's ball, seen along its edges.
-        away, square = (0.0, 0.0, 0.0), 0.0
-        for c in range(3):
-            a = row.AXES + 3 * c
-            ax, ay, az = solids[s, a], solids[s, a + 1], solids[s, a + 2]
-            beyond = signed_excess(ax * x + ay * y + az * z, solids[s, row.SHAPE + c])
-            away = (away[0] + beyond * ax, away[1] + beyond * ay, away[2] + beyond * az)
-            square += beyond * beyond
-        within = least + arm.movers[k, flat.BALL_RADIUS] + solids[s, row.RADIUS]
-        if square > within * within and within > 0.0:
-            return least
-        if square > 0.0:
-            x, y, z = away
-    work[NEAREST], work[NEAREST + 1], work[NEAREST + 2] = x, y, z
+def _row_clearance(arm: BodyArrays, place: tuple[int, int], away: Vector, least: float) -> float:
+    """Clearance of a body from the solid of a row, or `least` where it is no less.
+
+    Args:
+        arm: Where the arm is.
+        place: Numbers of the body and of the row.
+        away: A direction from the solid to the body.
+        least: What is enough [m].
+    """
+    (k, s), solids, data, work = place, arm.solids, arm.data, arm.work
+    work[NEAREST], work[NEAREST + 1], work[NEAREST + 2] = away
     first = int(solids[s, row.CORNERS])
     span = first, int(data[first - 2]), int(data[first - 1])
     return _hull_clearance(arm, k, (data, span, solids[s, row.RADIUS]), least)
@@ -248,14 +259,16 @@ def _pair_clearance(arm: BodyArrays, k: int, enough: float) -> float:
 
 
 @kernel
-def _mover_clearance(arm: BodyArrays, k: int, enough: float) -> float:
-    """Clearance of a mover, or `enough` where it is no less; of a body that no joint moves always [m]."""
-    bodies = arm.placed.shape[0]
-    if k >= bodies:
-        if _apart(arm.movers, arm.placed, k, enough):
+def _mover_clearance(arm: BodyArrays, movers: FloatArray, placed: FloatArray, k: int, enough: float) -> float:
+    """Clearance of a mover, or `enough` where it is no less; of a body that no joint moves always [m].
+
+    Arrays of the arm are given besides, as what is taken out of tuples is counted.
+    """
+    if k >= placed.shape[0]:
+        if _apart(movers, placed, k, enough):
             return enough
         return _pair_clearance(arm, k, enough)
-    if arm.movers[k, flat.JOINT] >= arm.numbers[flat.DOF]:
+    if movers[k, flat.JOINT] >= arm.frames.shape[0] - 1:
         return enough
     return _body_clearance(arm, k, enough)
 
@@ -264,8 +277,9 @@ def _mover_clearance(arm: BodyArrays, k: int, enough: float) -> float:
 def body_clearances(q: FloatArray, field: FieldArrays, result: FloatArray) -> None:
     """Clearance of each mover at one configuration, `FAR` where it is more; of bodies that no joint moves always."""
     arm = _placed_arm(q, field)
+    movers, placed = arm.movers, arm.placed
     for k in range(len(result)):
-        result[k] = _mover_clearance(arm, k, FAR)
+        result[k] = _mover_clearance(arm, movers, placed, k, FAR)
 
 
 @kernel
@@ -277,9 +291,10 @@ def body_slopes(
     A gradient is the velocity of the nearest points along the line between them; zeros where there is enough.
     """
     arm = _placed_arm(q, field)
-    movers, work, bodies = arm.movers, arm.work, arm.placed.shape[0]
+    movers, work, placed = arm.movers, arm.work, arm.placed
+    bodies = placed.shape[0]
     for k in range(len(clear)):
-        clear[k] = _mover_clearance(arm, k, enough)
+        clear[k] = _mover_clearance(arm, movers, placed, k, enough)
         for m in range(len(joints)):
             gradient[k, m] = 0.0
         if not clear[k] < enough:
@@ -338,8 +353,9 @@ def _rate(arm: BodyArrays, b: int, joint: int, n: Vector, at: Vector) -> float:
 def least_body_clearance(q: FloatArray, field: FieldArrays, enough: float) -> float:
     """The smallest clearance of all movers at one configuration, or `enough` where it is no less [m]."""
     arm = _placed_arm(q, field)
-    bodies, least = arm.placed.shape[0], enough
-    for turn in range(arm.movers.shape[0]):
+    movers, placed = arm.movers, arm.placed
+    bodies, least = placed.shape[0], enough
+    for turn in range(movers.shape[0]):
         k = bodies - 1 - turn if turn < bodies else turn
-        least = _mover_clearance(arm, k, least)
+        least = _mover_clearance(arm, movers, placed, k, least)
     return least

@@ -35,8 +35,7 @@ from hplan.bodies.sweep import Sweep, used_up
 from hplan.bodies.twists import find_twists
 from hplan.bodies.vectors import Vector, cross, dot, less, turned_back
 from hplan.collision import obstacle_rows as row
-from hplan.collision.body_kernels import NO_TABLE, BodyArrays, difference, pose_of, span_of
-from hplan.collision.distances import signed_excess
+from hplan.collision.body_kernels import NO_TABLE, BodyArrays, difference, off_box, pose_of, span_of
 from hplan.collision.obstacle_rows import FieldArrays
 
 _FIRST_ROW = any_int(0)
@@ -240,7 +239,7 @@ def _of_body(moving: Moving, b: int, part: Part) -> Part:
         if kind < row.NODE:
             if kind == row.BOX:
                 # From the box to the centre of the body's ball.
-                off = _off_box(solids, s, away)
+                off = off_box(solids, s, away)
                 square, within = dot(off, off), enough + ball + solids[s, row.RADIUS]
                 if square > within * within or _is_apart(motion, part, off, ball + solids[s, row.RADIUS]):
                     continue
@@ -259,18 +258,6 @@ def _of_body(moving: Moving, b: int, part: Part) -> Part:
         if part.forward < before.forward or part.back < before.back:
             enough = _farthest(motion, part)
     return part
-
-
-@kernel
-def _off_box(solids: FloatArray, s: int, away: Vector) -> Vector:
-    """From the nearest point of a row's box to a point, given from the box's centre."""
-    off = (0.0, 0.0, 0.0)
-    for c in range(3):
-        a = row.AXES + 3 * c
-        axis = (solids[s, a], solids[s, a + 1], solids[s, a + 2])
-        beyond = signed_excess(dot(axis, away), solids[s, row.SHAPE + c])
-        off = (off[0] + beyond * axis[0], off[1] + beyond * axis[1], off[2] + beyond * axis[2])
-    return off
 
 
 @kernel

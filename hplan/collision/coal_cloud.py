@@ -9,7 +9,7 @@ passed over, and the least distance over all blocks is exact.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Final, NamedTuple
 from weakref import WeakKeyDictionary
 
@@ -19,10 +19,10 @@ import pinocchio as pin
 
 from hplan.base.arrays import FloatArray, IntArray
 from hplan.base.kernels import kernel
-from hplan.collision.coal_shapes import beyond_geometry, solid_shape, triangle_tree
+from hplan.collision.coal_shapes import beyond_geometry, capsule_shapes, solid_shape, triangle_tree
 from hplan.robot.base_shapes import coal_distance
 from hplan.scene.cloud_tree import halves, tree_of
-from hplan.scene.obstacles import Solid
+from hplan.scene.obstacles import Capsule, Solid
 from hplan.scene.solids import Cloud
 
 #: Most points of a block.
@@ -140,6 +140,12 @@ def local_box(shape: coal.CollisionGeometry) -> FloatArray:
 def obstacle_shape(obstacle: Solid) -> pin.GeometryObject | PointBlocks:
     """An obstacle as coal is asked about it; a cloud without its radius (`beyond_geometry`)."""
     return PointBlocks.of(obstacle) if isinstance(obstacle, Cloud) else solid_shape(obstacle)
+
+
+def obstacle_shapes(obstacles: Sequence[Solid]) -> list[pin.GeometryObject | PointBlocks]:
+    """As `obstacle_shape`, of many."""
+    capsules = iter(capsule_shapes([obstacle for obstacle in obstacles if type(obstacle) is Capsule]))
+    return [next(capsules) if type(obstacle) is Capsule else obstacle_shape(obstacle) for obstacle in obstacles]
 
 
 def distance_from(obstacle: Solid) -> Callable[[coal.CollisionGeometry, pin.SE3], float]:

@@ -26,7 +26,7 @@ from hplan.collision.arm_pairs import (
     turret_shapes,
 )
 from hplan.collision.coal_accuracy import distance_errors
-from hplan.collision.coal_cloud import distance_from, obstacle_shape
+from hplan.collision.coal_cloud import distance_from, obstacle_shapes
 from hplan.collision.coal_shapes import (
     LINK_SHAPES,
     LinkShapes,
@@ -202,7 +202,7 @@ class CoalScene:
         ]
         # Parts of the arm do not grow.
         self._taken_off: FloatArray = np.append(self._beyond, np.zeros(len(own)))
-        solids = [obstacle_shape(obstacle) for obstacle in obstacles]
+        solids = obstacle_shapes(obstacles)
         look()
         balls = bounding_balls(obstacles)
         self._geometry = GeometryPairs(robot.model, self._mover_shapes, solids, self._own_shapes, balls)

@@ -73,6 +73,29 @@ def urdf_shapes(robot: Robot) -> list[list[pin.GeometryObject]]:
     return found
 
 
+def capsule_shapes(capsules: Sequence[Capsule]) -> list[pin.GeometryObject]:
+    """As `solid_shape`, of hundreds of capsules in less than half the time: their places are found all at once."""
+    if not capsules:
+        return []
+    start, end = np.array([(capsule.start, capsule.end) for capsule in capsules]).transpose(1, 0, 2)
+    axes, centres = end - start, 0.5 * (start + end)
+    lengths = np.sqrt((axes * axes).sum(axis=1))
+    x, y, z = (axes / np.maximum(lengths, 1e-300)[:, None]).T
+    upright = z > -0.5  # of those that point down the quaternion would be found from what is left of rounding
+    half = np.sqrt(np.where(upright, 2.0 * (1.0 + z), 1.0))
+    turns = np.column_stack([0.5 * half, -y / half, x / half]).tolist()
+    shapes = []
+    for number, (capsule, length) in enumerate(zip(capsules, lengths.tolist(), strict=True)):
+        if not (upright[number] and length > 0.0):
+            shapes.append(solid_shape(capsule))
+            continue
+        w, i, j = turns[number]
+        placement = pin.SE3(pin.Quaternion(w, i, j, 0.0), centres[number])
+        shape = coal.Capsule(float(capsule.radius), length)
+        shapes.append(pin.GeometryObject(f"obstacle:{capsule.name}", 0, placement, shape))
+    return shapes
+
+
 def solid_shape(obstacle: Sphere | Capsule | Cylinder | Box | Hull) -> pin.GeometryObject:
     """A convex obstacle as a fixed geometry object."""
     placement = _AT_ORIGIN
@@ -103,9 +126,9 @@ def bounding_balls(obstacles: Sequence[Solid]) -> FloatArray:
     """(n, 4) centre and radius of a ball about each obstacle, never too small by rounding errors [m]."""
     balls = np.empty((len(obstacles), 4))
     for number, obstacle in enumerate(obstacles):
-        if isinstance(obstacle, Sphere):
+        if type(obstacle) is Sphere:
             balls[number] = *obstacle.center, 0.0
-        elif isinstance(obstacle, Capsule):
+        elif type(obstacle) is Capsule:
             (x, y, z), (u, v, w) = obstacle.start, obstacle.end
             balls[number] = 0.5 * (x + u), 0.5 * (y + v), 0.5 * (z + w), 0.5 * math.dist(obstacle.start, obstacle.end)
         else:

@@ -10,7 +10,8 @@ import itertools
 import math
 import threading
 from collections.abc import Iterable, Sequence
-from typing import Final
+from functools import cached_property
+from typing import Any, Final
 
 import numpy as np
 import pinocchio as pin
@@ -35,14 +36,17 @@ class _PartData:
 
     Attributes:
         geometry: Pinocchio's data.
-        results: Results of its pairs; they stay where they are, and taking one out anew costs more than what it says.
         current: Whether its shapes stand where the arm was last placed.
     """
 
     def __init__(self, geometry: pin.GeometryModel) -> None:
         self.geometry = geometry.createData()
-        self.results = list(self.geometry.distanceResults)
         self.current = False
+
+    @cached_property
+    def results(self) -> list[Any]:
+        """Results of its pairs; they stay where they are, and taking one out anew costs more than what it says."""
+        return list(self.geometry.distanceResults)
 
 
 class _QueryData(threading.local):

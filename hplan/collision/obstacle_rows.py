@@ -51,6 +51,10 @@ CORNERS = 18
 #: distance of their axes at which they touch.
 FIRST_LINK, LAST_LINK, TURNS, INNER, OUTER, TOUCHING = 6, 7, 8, 6, 7, 8
 
+#: Balls and capsules. (Of hundreds of solids the very type is looked at here: `isinstance` of pydantic's models takes
+#: ten times as long, and longer for several types.)
+ROUND = (Sphere, Capsule)
+
 #: So many solids that are a row each are put into groups of neighbours, and these into larger ones, `_SIZE` at a time;
 #: not those whose balls are larger than so many times the median.
 _MANY, _SIZE, _LARGE = 32, 8, 4.0
@@ -126,7 +130,7 @@ def rows_of(
     grown = np.broadcast_to(growth, (len(obstacles),)).tolist()
     own = own_clearance_of(clearance, own_clearance)
     contact = self_contact(robot, deviation=deviation, clearance=own)
-    for is_round, run in groupby(enumerate(obstacles), lambda numbered: isinstance(numbered[1], Sphere | Capsule)):
+    for is_round, run in groupby(enumerate(obstacles), lambda numbered: type(numbered[1]) in ROUND):
         look()
         if is_round:  # hundreds of them: all at once
             numbers, solids = zip(*run, strict=True)
@@ -185,7 +189,7 @@ def _round_rows(obstacles: Sequence[Sphere | Capsule], clearances: Sequence[floa
     rows = np.zeros((len(obstacles), _COLUMNS))
     radius = np.array([obstacle.radius for obstacle in obstacles]) + clearances
     # A ball is read as a segment without a length, of which its row has the first end.
-    is_ball = np.array([isinstance(obstacle, Sphere) for obstacle in obstacles], dtype=np.bool_)
+    is_ball = np.array([type(obstacle) is Sphere for obstacle in obstacles], dtype=np.bool_)
     ends = [(o.center, o.center) if isinstance(o, Sphere) else (o.start, o.end) for o in obstacles]
     start, end = np.array(ends).transpose(1, 0, 2)
     reach = 0.5 * np.array([math.dist(*both) for both in ends])

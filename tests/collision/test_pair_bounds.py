@@ -8,7 +8,8 @@ from any_arms import loaded_arm
 from arm_variants import random_obstacles
 
 from hplan.collision.coal_scene import CoalScene
-from hplan.scene.obstacles import PointCloud
+from hplan.collision.coal_shapes import capsule_shapes, solid_shape
+from hplan.scene.obstacles import Capsule, PointCloud
 
 
 def many(rng, copies=40):
@@ -51,3 +52,20 @@ def test_what_may_be_touched_is_infinitely_far(robot):
     bounds = checker.lower_bounds(np.arange(len(checker.pairs)))
     assert np.isposinf(bounds[(len(checker.link_names) - 1) * len(obstacles)])
     assert np.isfinite(bounds[0])
+
+
+def test_capsules_placed_together_are_those_placed_alone():
+    rng = np.random.default_rng(5)
+    ends = rng.normal(size=(60, 2, 3))
+    ends[:6, 1] = ends[:6, 0] + [(0, 0, 1), (0, 0, -1), (1, 0, 0), (0, 0, 0), (1e-9, 0, -1), (0, -1e-200, 0)]
+    capsules = [
+        Capsule(name=f"c{k}", start=tuple(a), end=tuple(b), radius=0.1 + 0.01 * k)
+        for k, (a, b) in enumerate(ends.tolist())
+    ]
+    for found, capsule in zip(capsule_shapes(capsules), capsules, strict=True):
+        alone = solid_shape(capsule)
+        assert found.name == alone.name
+        assert found.placement.isApprox(alone.placement, 1e-12)
+        assert found.geometry.radius == alone.geometry.radius
+        assert found.geometry.halfLength == pytest.approx(alone.geometry.halfLength, rel=1e-15, abs=0.0)
+    assert capsule_shapes([]) == []

@@ -3,6 +3,8 @@
 A voxel of a regular grid in `base_link` is made when the first point falls into it. Then it is decided, by the distance
 of its middle from a body, whether all its points are in the body, none, or some: only of the last kind every point is
 asked. So a point costs what it takes to find its voxel, and the body costs what there are of voxels at its surface.
+Points of few bodies that are to be ignored, such as the ground, are known as such without a voxel: seen from afar there
+are as many voxels as points.
 """
 
 from __future__ import annotations
@@ -13,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hplan.base.arrays import BoolArray, FloatArray, IntArray, ShortArray
-from hplan.base.kernels import inlined, kernel
+from hplan.base.kernels import any_int, inlined, kernel
 from hplan.collision.distances import Vector
 from hplan.perception.body_distances import Bodies, distance_from_bodies
 
@@ -27,6 +29,9 @@ _NONE, _ALL, _SOME = 0, 1, 2
 _ARM_ALONE, _IGNORED_ALONE = -2, -3
 
 _FIRST_VOXELS = 16_384
+
+#: Of no more bodies than this to be ignored each point is asked that is not in the voxel of the one before.
+_FEW = any_int(4)
 
 #: Places along an axis are counted from the middle of reach, this much added; so three fit one number.
 BITS, MIDDLE = 21, 2**20
@@ -193,7 +198,7 @@ def _fill(
     keys, boxes, counts, parts = voxels
     table_keys, table_numbers = table
     per_metre, square = 1.0 / edge, reach[3] * reach[3]
-    last, number = -1, 0
+    last, number, few = -1, 0, ignored.rows.shape[0] <= _FEW
     first, count, used = done[0], done[1], done[2]
     for n in range(first, points.shape[0]):
         numbers[n] = -1
@@ -210,6 +215,9 @@ def _fill(
         i, j, k = math.floor(dx * per_metre), math.floor(dy * per_metre), math.floor(dz * per_metre)
         key = _packed(i, j, k)
         if key != last:  # neighbours in a frame are often in one voxel
+            if few and _is_ignored_alone((x, y, z), arm, ignored):
+                tally[IGNORED] += 1
+                continue
             place = _place(key, table_keys)
             if table_keys[place] < 0:
                 if count == len(counts) or 2 * used >= len(table_keys):
@@ -241,6 +249,15 @@ def _fill(
         boxes[number, 1], boxes[number, 4] = min(boxes[number, 1], y), max(boxes[number, 4], y)
         boxes[number, 2], boxes[number, 5] = min(boxes[number, 2], z), max(boxes[number, 5], z)
     done[0], done[1], done[2] = points.shape[0], count, used
+
+
+@kernel
+def _is_ignored_alone(point: Vector, arm: Bodies, ignored: Bodies) -> bool:
+    """Whether a point is in what is to be ignored, and not in the arm, which is told of it first."""
+    return (
+        distance_from_bodies(point, ignored.rows, ignored.data, 0.0) <= 0.0
+        and distance_from_bodies(point, arm.rows, arm.data, 0.0) > 0.0
+    )
 
 
 @kernel

@@ -32,8 +32,8 @@ class LimitUse:
 def limit_use(robot: Robot, trajectory: Trajectory, bezier: FloatArray, duration: FloatArray) -> LimitUse:
     """Bound the use of each limit over a motion's cubics, and by its columns for velocity, acceleration and torque.
 
-    Positions lie in the hull of the Bezier points, the acceleration is linear within a piece, and the velocity has its
-    extremes at rows or where the acceleration is zero; torques as in `hplan.verification.torque_bound`.
+    The acceleration is linear within a piece, velocity and position have their extremes at rows or where acceleration
+    and velocity are zero; torques as in `hplan.verification.torque_bound`.
 
     Args:
         robot: The arm.
@@ -44,7 +44,7 @@ def limit_use(robot: Robot, trajectory: Trajectory, bezier: FloatArray, duration
     middle, half = 0.5 * (robot.lower + robot.upper), 0.5 * (robot.upper - robot.lower)
     h = duration[:, None]
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        position = np.abs(bezier - middle).max(axis=(0, 1)) / half
+        position = np.abs(_extremes(bezier) - middle).max(axis=(0, 1)) / half
         # Derivatives of the cubic: velocity (quadratic, three Bezier points), acceleration (linear, its two ends).
         velocity = 3.0 * np.diff(bezier, axis=1) / h[:, None]
         acceleration = 2.0 * np.diff(velocity, axis=1) / h[:, None]
@@ -66,6 +66,29 @@ def limit_use(robot: Robot, trajectory: Trajectory, bezier: FloatArray, duration
         acceleration=fraction_of(peak_acceleration, robot.acceleration_limit),
         torque=fraction_of(peak_torque, robot.torque_limit),
     )
+
+
+def _extremes(bezier: FloatArray) -> FloatArray:
+    """(pieces, 4, dof) values of cubics of (pieces, 4, dof) Bezier points, the extremes among them.
+
+    At both ends, and where the derivative is zero; what is no number, or has none, stays none.
+    """
+    change = np.diff(bezier, axis=1)
+    # Of numbers of size one no square overflows.
+    change = change / np.maximum(np.abs(change).max(axis=1, keepdims=True), 1e-300)
+    bent, half_turn, first = change[:, 0] - 2.0 * change[:, 1] + change[:, 2], change[:, 1] - change[:, 0], change[:, 0]
+    # Of bent t^2 + 2 half_turn t + first, without a difference of numbers nearly the same.
+    root = np.sqrt(np.maximum(half_turn * half_turn - bent * first, 0.0))
+    sum_of_both = -(half_turn + np.copysign(root, half_turn))
+    found = [bezier[:, 0], bezier[:, 3]]
+    for zero in (sum_of_both / bent, first / sum_of_both):
+        t = np.where((zero > 0.0) & (zero < 1.0), zero, 0.0)[:, None]
+        points = bezier
+        for _ in range(3):  # de Casteljau
+            points = points[:, :-1] + t * (points[:, 1:] - points[:, :-1])
+        found.append(points[:, 0])
+    values: FloatArray = np.stack(found, axis=1)
+    return np.where(np.isfinite(bezier).all(axis=1, keepdims=True), values, np.nan)
 
 
 def fraction_of(peak: FloatArray, limit: FloatArray) -> float:

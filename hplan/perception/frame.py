@@ -189,12 +189,18 @@ class SeenPoints(Record):
         seen_s: (n,) when each was last seen [s].
         growth_m: What is to be added to their balls: the largest growth of the frames that they are from [m].
         time_s: When the last frame was taken [s].
+        radius: Radius of the last frame's balls, without growth [m].
     """
 
     points: FloatArray = field(default_factory=lambda: readonly(np.zeros((0, 3))))
     seen_s: FloatArray = field(default_factory=lambda: readonly(np.zeros(0)))
     growth_m: float = 0.0
     time_s: float = -math.inf
+    radius: float = 0.0
+
+    def growth_with(self, radius: float) -> float:
+        """What is to be added to balls of another radius, so that these points keep theirs [m]."""
+        return self.growth_m + max(0.0, self.radius - radius)
 
 
 @dataclass(frozen=True, eq=False)
@@ -270,7 +276,8 @@ def filter_frame(
         growth_m=growth_m,
         radius_m=frame.radius + growth_m,
     )
-    seen = SeenPoints(points, frozen(seen_s), growth_m, frame.time_s) if frame.keep_s > 0.0 else SeenPoints()
+    kept_seen = SeenPoints(points, frozen(seen_s), growth_m, frame.time_s, frame.radius)
+    seen = kept_seen if frame.keep_s > 0.0 else SeenPoints()
     return FilteredFrame(points, report, seen)
 
 
@@ -286,14 +293,15 @@ def _still_hidden(
     points, seen_s = before.points[young], before.seen_s[young]
     from_arm = distances_from_bodies(points, arm.rows, arm.data)
     unseen = hidden((points - frame.position) @ frame.rotation, frame.points) | (from_arm <= 0.0)
-    unseen &= from_arm + options.arm_padding_m > frame.radius + before.growth_m
+    growth_m = before.growth_with(frame.radius)
+    unseen &= from_arm + options.arm_padding_m > frame.radius + growth_m
     unseen &= distances_from_bodies(points, ignored.rows, ignored.data) > 0.0
     points, seen_s = points[unseen], seen_s[unseen]
     forgotten = max(0, len(points) - options.most_remembered)
     if forgotten:
         latest = np.sort(np.argsort(-seen_s, kind="stable")[: options.most_remembered])
         points, seen_s = points[latest], seen_s[latest]
-    return SeenPoints(points, seen_s, before.growth_m, before.time_s), forgotten
+    return SeenPoints(points, seen_s, growth_m, before.time_s), forgotten
 
 
 def _placement(robot: Robot, frame: Frame, options: CloudOptions, clearance_m: float) -> Placement:

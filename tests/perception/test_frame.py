@@ -298,6 +298,18 @@ def test_what_is_hidden_is_remembered_for_its_time(robot):
     assert too_late.report.remembered == 0
 
 
+def test_what_is_remembered_keeps_its_radius(robot):
+    """A wide ball is no smaller where the next frame's are, in that frame and in those after it."""
+    first = take(robot, wall(1.4, half=0.05), 0.0)
+    seen, kept = first.seen, first.report.kept
+    for time_s, radius in ((0.2, 0.3 * RADIUS), (0.4, 0.1 * RADIUS), (0.6, 0.5 * RADIUS)):
+        frame = Frame.of(robot, wall(0.8, half=0.15), radius=radius, pose=[*CAMERA, 0, 0, 0], keep_s=1.0, time_s=time_s)
+        found = filter_frame(robot, frame, CloudOptions(), before=seen)
+        assert found.report.remembered == kept
+        assert found.report.radius_m >= RADIUS + first.report.growth_m - 1e-12
+        seen = found.seen
+
+
 def test_what_the_camera_looks_through_is_forgotten(robot):
     first = take(robot, wall(0.8, half=0.1), 0.0)
     assert take(robot, wall(1.4), 0.1, first.seen).report.remembered == 0  # it looks past where that was

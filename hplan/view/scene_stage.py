@@ -51,6 +51,9 @@ APPROACH_COLOR = 0xF08A1D
 _AZIMUTH_DEG = 32.0
 _ELEVATION_DEG = 17.0
 
+#: What stands on the ground may be so deep in it [m].
+_SUNK = 0.05
+
 #: Rings of all tubes of the tool path together, about, and how far apart they are at least [m].
 _RINGS, _RING_SPACING = 900, 0.02
 
@@ -326,7 +329,9 @@ def _visible_points(robot: Robot, stands: Sequence[Scene], arm: FloatArray, floo
         *((np.array([fruit.center]), fruit.radius) for scene in stands for fruit in scene.fruits),
     ):
         corners = np.vstack([core - rounding, core + rounding])
-        if corners[:, 2].max() <= 0.0:
+        low, top = float(corners[:, 2].min()), float(corners[:, 2].max())
+        is_platform = low > floor - _SUNK and top > floor + _SUNK
+        if top <= 0.0 and not is_platform:
             continue  # the ground is as wide as it likes
         # A long wire or a distant wall may leave the picture; what the arm can touch may not.
         points.append(np.clip(corners, middle - reach, middle + reach))

@@ -51,9 +51,6 @@ APPROACH_COLOR = 0xF08A1D
 _AZIMUTH_DEG = 32.0
 _ELEVATION_DEG = 17.0
 
-#: What stands on the ground may be so deep in it [m].
-_SUNK = 0.05
-
 #: Rings of all tubes of the tool path together, about, and how far apart they are at least [m].
 _RINGS, _RING_SPACING = 900, 0.02
 
@@ -238,16 +235,23 @@ def _stands(scene: Scene, playback: Playback) -> list[Scene]:
 
 
 def _floor(robot: Robot, stands: Sequence[Scene]) -> float:
-    """Height of the ground [m]: 0, or that at which a table or shelf stands that goes below the foot of the arm.
+    """Height of the ground [m]: 0, or that at which tables, shelves and platforms stand that go below the arm's foot.
 
     Arms of the planar family stand on the ground themselves.
     """
-    solids = [solid for scene in stands for item in scene.obstacles for solid in item.solids]
-    if robot.planar is not None or not solids:
+    if robot.planar is not None:
         return 0.0
-    heights = [(float(core[:, 2].min()), float(core[:, 2].max())) for core in map(_outline, solids)]
-    lowest = min((low for low, high in heights if high > 0.0), default=0.0)  # what does not reach up is the ground
+    solids = [_outline(solid) for scene in stands for item in scene.obstacles for solid in item.solids]
+    lowest = min((float(core[:, 2].min()) for core in solids if not _is_ground(robot, core)), default=0.0)
     return min(0.0, max(lowest, -_reach(robot)[0]))
+
+
+def _is_ground(robot: Robot, corners: FloatArray) -> bool:
+    """True of what does not reach above the arm's foot; for arms of other kinds only where the arm cannot span it."""
+    if corners[:, 2].max() > 0.0:
+        return False
+    wide = np.ptp(corners[:, :2], axis=0).max() > 2.0 * _reach(robot)[0]
+    return robot.planar is not None or bool(wide)
 
 
 def _frame(robot: Robot, stands: Sequence[Scene], trajectory: Trajectory, picks: Sequence[int], floor: float) -> Frame:
@@ -329,10 +333,8 @@ def _visible_points(robot: Robot, stands: Sequence[Scene], arm: FloatArray, floo
         *((np.array([fruit.center]), fruit.radius) for scene in stands for fruit in scene.fruits),
     ):
         corners = np.vstack([core - rounding, core + rounding])
-        low, top = float(corners[:, 2].min()), float(corners[:, 2].max())
-        is_platform = low > floor - _SUNK and top > floor + _SUNK
-        if top <= 0.0 and not is_platform:
-            continue  # the ground is as wide as it likes
+        if _is_ground(robot, corners):
+            continue  # as wide as it likes
         # A long wire or a distant wall may leave the picture; what the arm can touch may not.
         points.append(np.clip(corners, middle - reach, middle + reach))
     result = np.vstack(points)

@@ -52,15 +52,14 @@ def test_the_picture_stands_on_the_ground_of_tables_and_holds_the_hand(
     robot, scene, playback = moved("toy", tmp_path_factory)
     slab = Box(name="slab", center=(0.0, 0.0, -0.3), size=(3.0, 3.0, 0.2))
     table = Box(name="table", center=(0.7, 0.0, -0.1), size=(0.4, 0.8, 0.9))
-    for obstacles, height in (((slab,), 0.0), ((table, slab), -0.55), ((), 0.0)):
+    platform = Box(name="platform", center=(0.0, 0.0, -0.35), size=(0.5, 0.5, 0.55))
+    for obstacles, height in (((slab,), 0.0), ((table, slab), -0.55), ((platform, slab), -0.625), ((), 0.0)):
         commands = scene_stage.stage(robot, scene.with_obstacles(obstacles), playback)
         (ground,) = [command for command in commands if command["path"].endswith("/ground")]
         matrices = [child["matrix"] for child in ground["object"]["object"]["children"] if child["name"] == "shadows"]
         assert [matrix[14] for matrix in matrices] == [pytest.approx(height, abs=1e-12)]
     # A platform that stands on that ground is in the picture, the ground is as wide as it likes.
-    soil = Box(name="soil", center=(0.0, 0.0, -0.6), size=(9.0, 9.0, 0.1))
-    platform = Box(name="platform", center=(0.0, 0.0, -0.3), size=(0.5, 0.5, 0.55))
-    stands = [scene.with_obstacles((table, *others)) for others in ((), (soil,), (platform,))]
+    stands = [scene.with_obstacles((table, *others)) for others in ((), (slab,), (platform,))]
     alone, among, above = (scene_stage._visible_points(robot, [one], np.zeros((1, 3)), -0.55) for one in stands)
     assert len(alone) == len(among) < len(above)
     corners = scene_stage._corners(robot, playback.trajectory.position[:1])

@@ -97,9 +97,14 @@ class JointLimitError(InputError):
     which: str
     joint: str
 
-    def __init__(self, which: str, joint: str, value: float, lower: float, upper: float) -> None:
-        """Name the configuration (`start`, `goal`, `waypoint 3`), the joint, its value and its limits [rad]."""
-        message = f"{which}: joint {joint!r} is at {value:.6g} rad, outside its limits [{lower:.6g}, {upper:.6g}] rad"
+    def __init__(
+        self, which: str, joint: str, value: float, lower: float, upper: float, *, slides: bool = False
+    ) -> None:
+        """Name the configuration (`start`, `goal`, `waypoint 3`), the joint, its value and its limits [rad, m]."""
+        unit = "m" if slides else "rad"
+        message = (
+            f"{which}: joint {joint!r} is at {value:.6g} {unit}, outside its limits [{lower:.6g}, {upper:.6g}] {unit}"
+        )
         super().__init__(message, which=which, joint=joint, value_rad=value, lower_rad=lower, upper_rad=upper)
         self.value, self.lower, self.upper = value, lower, upper
 

@@ -37,7 +37,8 @@ class PlanOptions:
         link_model: Link model of the C-space; motions are always certified for capsules.
         rate_hz: Rows of the trajectory per second.
         speed: Fraction of the velocity limits to use, in (0, 1].
-        tracking_error: Deviation from the trajectory to be covered by the certificate, each joint, at rest [rad].
+        tracking_error: Deviation from the trajectory to be covered by the certificate, each joint, at rest [rad; of
+            joints that slide, m].
         tracking_delay_s: What comes to it for each rad/s of the joint's velocity [s].
         sigmas: How many standard deviations of its place an obstacle is grown by, where the scene gives one.
         standoff: Length of the straight approach [m]; shorter where it cannot be had. None for `STANDOFF` to a fruit or

@@ -239,7 +239,8 @@ class Robot(PlanarNames, Record):
                 )
         for joint, value, lower, upper in zip(self.joint_names, values, self.lower, self.upper, strict=True):
             if not lower - 1e-9 <= value <= upper + 1e-9:
-                raise JointLimitError(which, joint, float(value), float(lower), float(upper))
+                slides = self.model.joints[self.model.getJointId(joint)].shortname().startswith("JointModelP")
+                raise JointLimitError(which, joint, float(value), float(lower), float(upper), slides=slides)
         return readonly(np.clip(values, self.lower, self.upper))
 
 

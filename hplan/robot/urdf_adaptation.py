@@ -320,7 +320,7 @@ def _standing(
         low, high = joint.limits.get("lower", 0.0), joint.limits.get("upper", 0.0)
     value = hold.get(joint.name, min(max(0.0, low), high))
     if joint.name in hold and not low - 1e-9 <= value <= high + 1e-9:
-        raise JointLimitError("hold", joint.name, value, low, high)
+        raise JointLimitError("hold", joint.name, value, low, high, slides=joint.kind == "prismatic")
     return value
 
 

@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 
+from hplan.errors import JointLimitError
 from hplan.robot.model import load_robot
 from hplan.robot.tracking import TrackingModel
 from hplan.scene.model import Goal, Scene, Start
@@ -73,3 +74,12 @@ def test_an_arm_at_rest_may_be_off_as_far_too() -> None:
     found = certify(ROBOT, scene(ball), motion(), tracking_error=10.0)
     assert found.verified
     assert 4.0 < found.clear_until_s < 60.0
+
+
+def test_a_place_beyond_the_rail_is_told_in_metres() -> None:
+    with pytest.raises(JointLimitError, match=r"'rail' is at 2.5 m, outside its limits \[-2, 2\] m"):
+        ROBOT.check_configuration([2.5, 0.0], "start")
+    with pytest.raises(JointLimitError, match=r"'boom' is at 2.5 rad, outside its limits \[-2, 2\] rad"):
+        ROBOT.check_configuration([0.0, 2.5], "start")
+    with pytest.raises(JointLimitError, match=r"hold: joint 'rail' is at 2.5 m"):
+        load_robot(GANTRY, hold={"rail": 2.5})

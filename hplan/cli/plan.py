@@ -261,7 +261,8 @@ def show_summary(console: Console, result: PlanResult, folder: Path, more: Seque
         point = "the point" if result.scene.goal.pose is None else "the pose"
         what = point if grasp["fruit"] is None else escape(grasp["fruit"])
         along = "tool" if result.robot.planar is None else "last link"
-        add("grasp", f"{what}, {along} at {grasp['approach_deg']:.1f} deg, {_approach_words(grasp['standoff_m'])}")
+        angle = round(grasp["approach_deg"], 1) + 0.0  # no -0.0
+        add("grasp", f"{what}, {along} at {angle:.1f} deg, {_approach_words(grasp['standoff_m'])}")
     if result.path is None:
         add("search", "none: start and goal are the same")
     elif planner["method"] == "direct":

@@ -145,7 +145,8 @@ def first_order(
     """
     control, knots, drift = motion
     n, joints = control.shape[0], len(limits.movable)
-    near = _places(control, knots, limits.movable, field)
+    matters = margin, trust if not drift.any() else math.inf
+    near = _places(control, knots, limits.movable, field, matters)
     links_near = int((near.clear < NEAR).sum())
     kinematic, free = joints * (3 * n - 6), joints * (n - 6)
     split = 2 * joints * DRIFTING
@@ -274,8 +275,22 @@ class _Places(NamedTuple):
 
 
 @kernel
-def _places(control: FloatArray, knots: FloatArray, movable: IntArray, field: FieldArrays) -> _Places:
-    """`PLACES` of each piece."""
+def _places(
+    control: FloatArray, knots: FloatArray, movable: IntArray, field: FieldArrays, matters: tuple[float, float]
+) -> _Places:
+    """`PLACES` of each piece.
+
+    Of arms that are no planar chain, what cannot come below a margin while no joint changes by more than a trust, as
+    the gradient tells, counts as far: its row would never be active.
+
+    Args:
+        control: (n, dof) control points.
+        knots: (n + 4,) knots.
+        movable: Joints that may move.
+        field: Arm and obstacles.
+        matters: The margin, and the trust.
+    """
+    margin, trust = matters
     n, dof = control.shape
     count = (n - 3) * PLACES
     q, weight, clear = np.zeros((count, dof)), np.empty((count, 4)), np.full((count, field.chain.shape[0]), np.inf)
@@ -294,7 +309,10 @@ def _places(control: FloatArray, knots: FloatArray, movable: IntArray, field: Fi
         else:
             body_slopes(q[place], field, movable, NEAR_OF_BODIES, clear[place], gradient[place])
             for link in range(clear.shape[1]):
-                if clear[place, link] >= NEAR_OF_BODIES:
+                change = 0.0
+                for m in range(len(movable)):
+                    change += abs(gradient[place, link, m])
+                if clear[place, link] >= NEAR_OF_BODIES or clear[place, link] - margin > trust * change:
                     clear[place, link] = math.inf
     return _Places(q, weight, clear, gradient)
 

@@ -28,8 +28,10 @@ class SamplingEffort(NamedTuple):
         trees: Effort of the trees where the base turns.
         planar: Effort of the trees where it is locked, and a grid has been searched; None for none.
         grids: Coarse grids where the base is locked and a fine one has too many nodes to be searched first.
-        close: With a motion in a roadmap that takes no more than so many times the least duration nothing else is
-            looked for.
+        close: With a motion in a roadmap, or of the first trees, that takes no more than so many times the least
+            duration nothing else is looked for.
+        first: Effort of trees whose motion is looked at before others grow, where there is none in a roadmap; None for
+            none.
     """
 
     roadmaps: tuple[Effort, ...]
@@ -37,6 +39,7 @@ class SamplingEffort(NamedTuple):
     planar: TreesEffort | None
     grids: tuple[GridAttempt, ...]
     close: float
+    first: TreesEffort | None = None
 
 
 #: A motion that takes no more than so many times the least duration is close to the fastest.
@@ -65,7 +68,9 @@ SAMPLING: dict[str, SamplingEffort] = {
 #: The same of robots that are no planar arms: a look at their clearance takes ten times as long.
 SAMPLING_OF_BODIES: dict[str, SamplingEffort] = {
     "quick": SamplingEffort((), TreesEffort(6_000, (1, 6_000), (2, 1_000)), None, (), CLOSE),
-    "default": SamplingEffort((), TreesEffort(12_000, (2, 6_000), (2, 1_500)), None, (), CLOSE),
+    "default": SamplingEffort(
+        (), TreesEffort(12_000, (2, 6_000), (2, 1_500)), None, (), CLOSE, TreesEffort(6_000, (1, 6_000), (0, 0))
+    ),
     "best": SamplingEffort((WIDE,), TreesEffort(100_000, (8, 12_000), (20, 3_000)), None, (), 1.005),
 }
 
@@ -96,6 +101,8 @@ def by_sampling(task: PlanningTask) -> PlannedMotion | None:
     """The motion along a quick path in a roadmap, or the quickest along many paths; None where there is none."""
     effort = sampling_effort(task)
     quick = by_roadmap(task)
+    if quick is None and effort.first is not None:
+        quick = by_trees(task, effort.first)
     if quick is not None and quick.trajectory.duration <= effort.close * least_duration(task):
         return quick
     polylines = [

@@ -1,4 +1,4 @@
-"""Where the optimisation of a motion ends: near what its pieces allow, and where none has its pieces meet at rows."""
+"""What an arm's optimisation leaves out: steps that gain nothing, rows that cannot matter, pieces that meet at rows."""
 
 from __future__ import annotations
 
@@ -8,12 +8,15 @@ from any_arms import loaded_arm
 
 import hplan.optimization.minimize_time as optimization
 from hplan.base.arrays import FloatArray
+from hplan.collision.clearance_field import ClearanceField
+from hplan.optimization.first_order import MotionArrays, MotionLimits, first_order
 from hplan.optimization.minimize_time import minimize_time, rough_motion
 from hplan.optimization.time_problem import TimeProblem
 from hplan.planning.certified_motion import EFFORTS_OF_BODIES, certificate_of, motion_limits, smoothing_options
 from hplan.planning.task import PlanningCache, PlanningTask
 from hplan.problem.options import PlanOptions
 from hplan.scene.model import Scene
+from hplan.scene.obstacles import Sphere
 from hplan.smoothing.minimize_duration import coarse_profile
 from hplan.smoothing.spline import SplinePath
 from hplan.timing.speed_profile import SpeedProfile
@@ -67,3 +70,30 @@ def test_pieces_may_meet_between_rows(task: PlanningTask, monkeypatch: pytest.Mo
     assert certificate_of(task, found.trajectory(problem.dynamics, problem.rate_hz)).verified
     monkeypatch.setattr(optimization, "_of_level", lambda *_: None)
     assert minimize_time(bent(task, 3), problem, EFFORT) is None
+
+
+def test_rows_that_cannot_be_active_are_left_out(tmp_path_factory: pytest.TempPathFactory) -> None:
+    arm = loaded_arm("toy", tmp_path_factory)
+    ball = Sphere(name="ball", center=(0.5, 0.1, 0.6), radius=0.1)
+    field = ClearanceField.of(arm, [ball])
+    generator = np.random.default_rng(5)
+    control = np.cumsum(generator.uniform(-0.02, 0.1, (17, arm.dof)), axis=0)
+    control[:3], control[-3:] = control[2], control[-3]
+    motion = MotionArrays(control, np.concatenate([np.zeros(3), np.linspace(0.0, 1.2, 15), [1.2] * 3]), 0.0 * control)
+    rates = np.stack([arm.velocity_limit, arm.acceleration_limit, np.full(arm.dof, 1e4)])
+    limits = MotionLimits(np.array(arm.lower), np.array(arm.upper), rates, np.arange(arm.dof))
+
+    def clearance_rows(trust: float) -> dict[tuple[float, ...], tuple[float, float]]:
+        rows = first_order(motion, limits, field.arrays, 2e-3, trust)
+        spans = [slice(*rows.starts[row : row + 2]) for row in range(len(rows.lower), len(rows.upper))]
+        sides = rows.upper[len(rows.lower) :].tolist()
+        keys = [(*rows.columns[span].tolist(), *rows.entries[span].tolist()) for span in spans]
+        largest = [float(np.abs(rows.entries[span]).sum()) for span in spans]
+        return dict(zip(keys, zip(sides, largest, strict=True), strict=True))
+
+    whole = clearance_rows(10.0)
+    for trust in (0.05, 0.2):
+        kept = clearance_rows(trust)
+        assert kept.items() <= whole.items()
+        assert 0 < len(kept) < len(whole)
+        assert all(largest * trust <= side for key, (side, largest) in whole.items() if key not in kept)

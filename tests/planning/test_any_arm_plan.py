@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -111,3 +112,18 @@ def test_a_robot_without_shapes_is_neither_planned_for_nor_certified() -> None:
     path = SplinePath.through(np.linspace(bare.lower + 0.1, bare.lower + 0.2, 5))
     with pytest.raises(RobotFileError, match="no link that moves has a <collision>: it could touch nothing"):
         certify(bare, scene, time_path(path, bare.dynamics, limits, rate_hz=100.0))
+
+
+def test_the_first_trees_do_where_their_motion_is_close_to_the_least_duration(monkeypatch: pytest.MonkeyPatch) -> None:
+    options, problem = SimpleNamespace(effort="default"), SimpleNamespace(turns=True)
+    task = SimpleNamespace(robot=SimpleNamespace(planar=None), options=options, problem=problem, margin=lambda: 2e-3)
+    grown: list[object] = []
+    for name, motion in (("close", 1.1), ("slow", 1.4)):
+        found = SimpleNamespace(trajectory=SimpleNamespace(duration=motion))
+        monkeypatch.setattr(sampled_motion, "by_roadmap", lambda _: None)
+        monkeypatch.setattr(sampled_motion, "least_duration", lambda _: 1.0)
+        monkeypatch.setattr(sampled_motion, "quickest_certified", lambda *_, **__: None)
+        monkeypatch.setattr(sampled_motion, "by_trees", lambda _, effort, found=found: found)
+        monkeypatch.setattr(sampled_motion, "_of_trees", lambda _, effort: grown.append(effort) or [])
+        assert sampled_motion.by_sampling(task) is found
+        assert len(grown) == (name == "slow")

@@ -120,8 +120,10 @@ def _between(robot: Robot, first: int, second: int) -> tuple[int, ...]:
 
 def _pair_reach(robot: Robot, pairs: tuple[tuple[int, int], ...], beyond: float) -> FloatArray:
     """`SelfPairs.reach`: joints that carry both bodies do not count."""
-    bodies, reaches = collision_bodies(robot), reach(robot, beyond)
     found = np.zeros((len(pairs), robot.dof))
+    if not pairs:  # as with the harvester, for which nothing is to take time
+        return found
+    bodies, reaches = collision_bodies(robot), reach(robot, beyond)
     for row, (i, j) in enumerate(pairs):
         between = list(_between(robot, bodies[i].joint, bodies[j].joint))
         found[row, between] = (reaches[i] + reaches[j])[between]

@@ -44,7 +44,7 @@ def limit_use(robot: Robot, trajectory: Trajectory, bezier: FloatArray, duration
     middle, half = 0.5 * (robot.lower + robot.upper), 0.5 * (robot.upper - robot.lower)
     h = duration[:, None]
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        position = np.abs(_extremes(bezier) - middle).max(axis=(0, 1)) / half
+        position = _largest_offset(bezier, middle) / half
         # Derivatives of the cubic: velocity (quadratic, three Bezier points), acceleration (linear, its two ends).
         velocity = 3.0 * np.diff(bezier, axis=1) / h[:, None]
         acceleration = 2.0 * np.diff(velocity, axis=1) / h[:, None]
@@ -66,6 +66,19 @@ def limit_use(robot: Robot, trajectory: Trajectory, bezier: FloatArray, duration
         acceleration=fraction_of(peak_acceleration, robot.acceleration_limit),
         torque=fraction_of(peak_torque, robot.torque_limit),
     )
+
+
+def _largest_offset(bezier: FloatArray, middle: FloatArray) -> FloatArray:
+    """(dof,) largest distance of cubics of (pieces, 4, dof) Bezier points from a (dof,) configuration."""
+    ends = bezier[:, ::3]
+    low, high = ends.min(axis=(0, 1)), ends.max(axis=(0, 1))
+    largest: FloatArray = np.maximum(high - middle, middle - low)
+    # Of most pieces all points lie between the extremes of the ends, and with them the cubic.
+    between = ((bezier >= low) & (bezier <= high)).all(axis=(1, 2))
+    if between.all():
+        return largest
+    inner: FloatArray = np.abs(_extremes(bezier[~between]) - middle).max(axis=(0, 1))
+    return np.maximum(largest, inner)
 
 
 def _extremes(bezier: FloatArray) -> FloatArray:

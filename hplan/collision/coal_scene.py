@@ -286,7 +286,8 @@ class CoalScene:
         Raises:
             MovingObstacleError: Obstacles move, and no time is given.
         """
-        self._put(time_s)
+        if self.moving is not None:
+            self._put(time_s)
         self._geometry.place(q)
 
     def _put(self, time_s: float | None) -> None:

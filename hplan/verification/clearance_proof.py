@@ -65,8 +65,8 @@ MOST_TRAVEL = 0.99
 MANY, FIRST, FAR = 8, 16, 0.05
 
 #: Configurations at which the proof may evaluate distances: some, and for each piece of the motion. A motion of 1.8 s
-#: that comes to 1.5 mm of an obstacle takes 155.
-CHECKS, CHECKS_PER_PIECE = 20_000, 50
+#: that comes to 1.5 mm of an obstacle takes 155. The clock is looked at after so many: a fraction of a millisecond.
+CHECKS, CHECKS_PER_PIECE, CHECKS_BETWEEN_LOOKS = 20_000, 50, 16
 
 #: Longest travel that is bounded [m]: beyond, its sum over the pieces would be good to less than a micrometre.
 LONGEST_TRAVEL = 1e5
@@ -131,7 +131,8 @@ def prove_clearance(
     # At the start all pairs at once; those that cannot come near in the whole motion are not asked again.
     going = search.begin()
     while going:
-        look()
+        if search.checks % CHECKS_BETWEEN_LOOKS == 0:
+            look()
         pairs, at, q = _first(search.pairs[1], bezier)
         if at == math.inf:
             end = float(len(bezier))
@@ -193,11 +194,9 @@ class Advancement:
         self._may_lack = needed - checker.kept(needed)
         self.pairs = np.stack([checker.kept(needed) + checker.distance_errors, np.full(len(checker.pairs), math.inf)])
         self.mover_of = mover_of
-        self._at = 0.0
         self._many = math.inf if checker.moving is not None else max(MANY * len(moved), 2 * FIRST)
-        self.shown = math.inf
+        self._at, self.shown, self.checks = 0.0, math.inf, 1
         self.nearest = math.inf, 0, 0.0
-        self.checks = 1
 
     def place(self, q: FloatArray, at: float) -> None:
         """Put the arm at a configuration, that of a place."""

@@ -70,16 +70,15 @@ def parser(prog: str) -> CommandParser:
     add_robot(parser)
     add_drop_inside(parser)
     add("--fruits", nargs="+", metavar="NAME", help="fruits to pick (default: all)")
-    drop = parser.add_mutually_exclusive_group()
-    drop.add_argument("--drop-off", type=float, nargs=3, metavar=("X", "Y", "Z"), help="drop-off: a place of the tool")
-    drop.add_argument(
+    add("--drop-off", type=float, nargs=3, metavar=("X", "Y", "Z"), help="drop-off: a place of the tool")
+    add(
         "--drop-off-pose",
         type=float,
         nargs=7,
         metavar=("X", "Y", "Z", "QX", "QY", "QZ", "QW"),
         help="drop-off: a pose of the tool frame, of a robot that is no planar arm",
     )
-    drop.add_argument("--drop-off-joints", type=float, nargs="+", metavar="DEG", help="drop-off: joints")
+    add("--drop-off-joints", type=float, nargs="+", metavar="DEG", help="drop-off: joints")
     add("--every", type=int, metavar="K", help="fruits carried to the drop-off at most (default: 1)")
     add("--back", action="store_true", help="go back to the start in the end")
     add("--order", choices=("best", "nearest", "given"), default="best", help="default: best")
@@ -160,11 +159,13 @@ def _tour_options(arguments: argparse.Namespace) -> TourOptions:
     from hplan.scene.model import Goal
     from hplan.tour.tour import TourOptions
 
+    given = [option for option in _DROP_OFFS if getattr(arguments, option) is not None]
+    if len(given) > 1:
+        first, second = (f"--{option.replace('_', '-')}" for option in given[:2])
+        raise OptionError(second, getattr(arguments, given[1]), f"none with {first}: a tour has one drop-off")
     drop = None
-    for option, keys in _DROP_OFFS.items():
-        values = getattr(arguments, option)
-        if values is None:
-            continue
+    for option in given:
+        keys, values = _DROP_OFFS[option], getattr(arguments, option)
         parts = {keys[0]: values[:3], keys[1]: values[3:]} if len(keys) == 2 else {keys[0]: values}
         expected = "three finite numbers and a quaternion of length 1" if len(keys) == 2 else "finite numbers"
         try:

@@ -17,7 +17,7 @@ from hplan.planning.task import GridAttempt, PlanningTask
 from hplan.robot.limits import least_duration as least_between
 from hplan.sampling.roadmap import BRIEF, WIDE, Effort, quick_path
 from hplan.sampling.rrt_connect import TreeEffort, tree_path
-from hplan.sampling.several_trees import TreesEffort, promising_paths
+from hplan.sampling.several_trees import PromisingPath, TreesEffort, promising_paths
 
 
 class SamplingEffort(NamedTuple):
@@ -94,22 +94,22 @@ def by_roadmap(task: PlanningTask) -> PlannedMotion | None:
 
 def by_trees(task: PlanningTask, effort: TreesEffort) -> PlannedMotion | None:
     """The quickest motion along paths of some trees; None where none is found and certified."""
-    return quickest_certified(task, _of_trees(task, effort), task.margin())
+    return quickest_certified(task, _polylines(_of_trees(task, effort)), task.margin())
 
 
 def by_sampling(task: PlanningTask) -> PlannedMotion | None:
     """The motion along a quick path in a roadmap, or the quickest along many paths; None where there is none."""
     effort = sampling_effort(task)
-    quick = by_roadmap(task)
+    quick, known, grown = by_roadmap(task), list[PromisingPath](), 0
     if quick is None and effort.first is not None:
-        quick = by_trees(task, effort.first)
+        known, grown = _of_trees(task, effort.first), effort.first.pairs
+        quick = quickest_certified(task, _polylines(known), task.margin())
     if quick is not None and quick.trajectory.duration <= effort.close * least_duration(task):
         return quick
-    polylines = [
-        *_of_grids(task, effort.grids),
-        *_of_roadmaps(task, effort.roadmaps),
-        *_of_trees(task, effort.trees),
-    ]
+    found = _of_trees(task, effort.trees, known, grown)
+    if quick is not None:  # along those that were known
+        found = [path for path in found if not any(path is other for other in known)]
+    polylines = [*_of_grids(task, effort.grids), *_of_roadmaps(task, effort.roadmaps), *_polylines(found)]
     if quick is None:
         return quickest_certified(task, polylines, task.margin())
     other = quickest_certified(task, polylines, task.margin(), quicker_than_s=quick.trajectory.duration)
@@ -121,7 +121,7 @@ def rivals(task: PlanningTask) -> list[Polyline]:
     effort = sampling_effort(task)
     if effort.planar is None:
         return []
-    return [*_of_roadmaps(task, effort.roadmaps), *_of_trees(task, effort.planar)]
+    return [*_of_roadmaps(task, effort.roadmaps), *_polylines(_of_trees(task, effort.planar))]
 
 
 def trees_tried(task: PlanningTask) -> str:
@@ -159,16 +159,19 @@ def _of_grids(task: PlanningTask, attempts: Sequence[GridAttempt]) -> list[Polyl
     return found
 
 
-def _of_trees(task: PlanningTask, effort: TreesEffort) -> list[Polyline]:
-    """The paths of several pairs of trees, the most promising first.
-
-    As they were found: shortened ones touch the margin, and leave smoothing no room.
-    """
+def _of_trees(
+    task: PlanningTask, effort: TreesEffort, known: Sequence[PromisingPath] = (), grown: int = 0
+) -> list[PromisingPath]:
+    """The paths of several pairs of trees, with those that so many of them have found already, the best first."""
     if task.options.method != "two-level":
         return []  # a certain search is wanted
     margin, velocity = 0.1 * task.margin(), task.robot.velocity_limit
     with task.stage("roadmap"):
-        paths = promising_paths(task.problem, task.field, velocity, margin, effort)
+        return promising_paths(task.problem, task.field, velocity, margin, effort, known, grown)
+
+
+def _polylines(paths: Sequence[PromisingPath]) -> list[Polyline]:
+    """The paths of trees as they were found: shortened ones touch the margin, and leave smoothing no room."""
     return [Polyline(path.waypoints, "trees") for path in paths]
 
 

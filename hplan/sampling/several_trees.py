@@ -7,6 +7,7 @@ what it can do in the time that is left: once there is a path, samples come from
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -38,6 +39,11 @@ class TreesEffort:
     anywhere: tuple[int, int]
     quicker: tuple[int, int]
 
+    @property
+    def pairs(self) -> int:
+        """Pairs of trees in all."""
+        return self.anywhere[0] + self.quicker[0]
+
 
 class PromisingPath(NamedTuple):
     """A clear path, and what it may come to.
@@ -54,7 +60,13 @@ class PromisingPath(NamedTuple):
 
 
 def promising_paths(
-    problem: Problem, field: ClearanceField, velocity: FloatArray, margin: float, effort: TreesEffort
+    problem: Problem,
+    field: ClearanceField,
+    velocity: FloatArray,
+    margin: float,
+    effort: TreesEffort,
+    known: Sequence[PromisingPath] = (),
+    grown: int = 0,
 ) -> list[PromisingPath]:
     """Clear paths of straight motions from start to goal, the most promising of every class.
 
@@ -64,13 +76,16 @@ def promising_paths(
         velocity: (dof,) velocity limits [rad/s].
         margin: Clearance asked for wherever a motion is evaluated [m].
         effort: How far to go.
+        known: Paths that are known already.
+        grown: How many of the pairs have grown already, and found these.
 
     Returns:
-        The paths, the quickest first; of each class (`hplan.optimization.path_classes`) `OF_A_CLASS` at most.
+        The paths, those that are known among them, the quickest first; of each class
+        (`hplan.optimization.path_classes`) `OF_A_CLASS` at most.
     """
-    found: list[PromisingPath] = []
+    found = list(known)
     left = effort.evaluations
-    for seed in range(effort.anywhere[0] + effort.quicker[0]):
+    for seed in range(grown, effort.pairs):
         each = effort.anywhere[1] if seed < effort.anywhere[0] else effort.quicker[1]
         if left <= 0 or (seed >= effort.anywhere[0] and not found):
             break

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from hplan.planning.sampled_motion import SAMPLING_OF_BODIES, SamplingEffort
 from hplan.problem.options import PlanOptions
 from hplan.robot.limits import Limits
 from hplan.robot.model import Robot, load_robot
-from hplan.sampling.several_trees import TreesEffort
+from hplan.sampling.several_trees import PromisingPath, TreesEffort
 from hplan.scene.model import Scene
 from hplan.scene.obstacles import Box, Obstacle, Sphere
 from hplan.smoothing.spline import SplinePath
@@ -117,13 +118,34 @@ def test_a_robot_without_shapes_is_neither_planned_for_nor_certified() -> None:
 def test_the_first_trees_do_where_their_motion_is_close_to_the_least_duration(monkeypatch: pytest.MonkeyPatch) -> None:
     options, problem = SimpleNamespace(effort="default"), SimpleNamespace(turns=True)
     task = SimpleNamespace(robot=SimpleNamespace(planar=None), options=options, problem=problem, margin=lambda: 2e-3)
-    grown: list[object] = []
+    paths = [
+        PromisingPath(1.0, np.zeros((2, 2)), np.zeros((2, 2))),
+        PromisingPath(2.0, np.ones((2, 2)), np.ones((2, 2))),
+    ]
     for name, motion in (("close", 1.1), ("slow", 1.4)):
         found = SimpleNamespace(trajectory=SimpleNamespace(duration=motion))
+        asked: list[object] = []
+        optimised: list[object] = []
+
+        def of_trees(_: object, effort: TreesEffort, known: object = (), grown: int = 0, asked: Any = asked) -> object:
+            asked.append((effort, known, grown))
+            return paths[: 1 + len(known)]  # type: ignore[arg-type]
+
+        def certified(
+            _: object, polylines: Any, *__: object, found: Any = found, optimised: Any = optimised, **___: object
+        ):
+            optimised.append([polyline.waypoints for polyline in polylines])
+            return found if len(optimised) == 1 else None
+
         monkeypatch.setattr(sampled_motion, "by_roadmap", lambda _: None)
         monkeypatch.setattr(sampled_motion, "least_duration", lambda _: 1.0)
-        monkeypatch.setattr(sampled_motion, "quickest_certified", lambda *_, **__: None)
-        monkeypatch.setattr(sampled_motion, "by_trees", lambda _, effort, found=found: found)
-        monkeypatch.setattr(sampled_motion, "_of_trees", lambda _, effort: grown.append(effort) or [])
+        monkeypatch.setattr(sampled_motion, "quickest_certified", certified)
+        monkeypatch.setattr(sampled_motion, "_of_trees", of_trees)
+        monkeypatch.setattr(sampled_motion, "_of_grids", lambda *_: [])
         assert sampled_motion.by_sampling(task) is found
-        assert len(grown) == (name == "slow")
+        effort = sampled_motion.SAMPLING_OF_BODIES["default"]
+        first = (effort.first, (), 0)
+        assert asked == ([first] if name == "close" else [first, (effort.trees, paths[:1], 1)])
+        assert [[id(path) for path in each] for each in optimised] == [
+            [id(path.waypoints)] for path in paths[: 1 + (name == "slow")]
+        ]

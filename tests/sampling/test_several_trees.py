@@ -41,6 +41,17 @@ def test_anywhere_each_pair_is_one_that_grows_alone(robot: Robot, blocked: tuple
     assert all(any(np.array_equal(path.waypoints, other) for other in alone) for path in paths)
 
 
+def test_pairs_that_have_grown_are_not_grown_again(robot: Robot, blocked: tuple[Problem, World]) -> None:
+    problem, field, velocity = blocked[0], blocked[1].field, robot.velocity_limit
+    effort = TreesEffort(10**6, (3, 50_000), (2, 50_000))
+    first = found(robot, blocked, TreesEffort(10**6, (1, 50_000), (0, 0)))
+    whole, rest = found(robot, blocked, effort), promising_paths(problem, field, velocity, MARGIN, effort, first, 1)
+    assert len(first) == 1
+    assert any(path is first[0] for path in rest)
+    for one, other in zip(whole, rest, strict=True):
+        np.testing.assert_array_equal(one.waypoints, other.waypoints)
+
+
 def test_later_pairs_stay_where_a_path_would_be_quicker(
     robot: Robot, blocked: tuple[Problem, World], monkeypatch: pytest.MonkeyPatch
 ) -> None:

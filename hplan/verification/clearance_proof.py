@@ -131,7 +131,7 @@ def prove_clearance(
     # At the start all pairs at once; those that cannot come near in the whole motion are not asked again.
     going = search.begin()
     while going:
-        if search.checks % CHECKS_BETWEEN_LOOKS == 0:
+        if search.checks % CHECKS_BETWEEN_LOOKS == 1:
             look()
         pairs, at, q = _first(search.pairs[1], bezier)
         if at == math.inf:

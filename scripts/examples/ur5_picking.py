@@ -15,7 +15,7 @@ import hplan
 from hplan.orchard import FruitZone, MeasuredOptions, OrchardOptions, generate, measured_orchard
 from hplan.planning.report import write_report
 from hplan.robot.files import named_robot
-from hplan.scene import Box, Goal, Scene
+from hplan.scene import Box, Capsule, Goal, Scene
 from hplan.view.page import write_page
 from hplan.view.playback import Playback
 
@@ -47,7 +47,9 @@ def orchard(tree: str | None) -> Scene:
             name="grown tree", trees=1, distance=0.95, tree_height=1.8, first_branch=0.1, branches=16,
             branch_length=0.45, wire_heights=(), posts=False, fruits=12, fruit_radius=0.035, fruit_zone=zone,
         )  # fmt: skip
+        stem = Capsule(name="stem", start=(0.95, 0.0, -0.7), end=(0.95, 0.0, 0.0), radius=0.03)  # down to the ground
         scene = generate(grown, start_deg=START_DEG)
+        scene = scene.with_obstacles([*scene.obstacles, stem])
     else:
         stands = MeasuredOptions(
             name=Path(tree).stem, distance=0.95, height=-0.7, fruits=12, fruit_radius=0.035, fruit_zone=zone

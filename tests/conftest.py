@@ -3,6 +3,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from any_arms import loaded_arm
 from hypothesis import settings
 from toy_urdf import urdf
 
@@ -20,6 +21,12 @@ settings.load_profile("hplan")
 def robot() -> Robot:
     """The harvester that ships with hplan."""
     return load_robot()
+
+
+@pytest.fixture
+def picker(tmp_path_factory: pytest.TempPathFactory) -> Robot:
+    """Six axes with a tool of some length."""
+    return loaded_arm("picker", tmp_path_factory)
 
 
 @pytest.fixture(scope="session")

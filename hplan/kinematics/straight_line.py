@@ -76,23 +76,63 @@ def lines_back(
 
 
 @dataclass(frozen=True, eq=False)
-class StraightLine(Record):
-    """The straight path from the stand-off to the goal along the tool's axis.
-
-    Its parameter is the distance, scaled to the joint length.
+class StraightApproach(Record):
+    """A straight path of the tool from the stand-off to the goal; its parameter is the distance, scaled to `length`.
 
     Attributes:
         robot: The robot.
         goal: (dof,) configuration at the goal.
         standoff: Distance of the tool from its goal where the path begins [m].
         locked: Names of joints that stand still.
-        keeps_turn: Whether the tool may not turn about the axis.
     """
 
     robot: Robot
     goal: FloatArray
     standoff: float
     locked: tuple[str, ...] = ()
+
+    @cached_property
+    def length(self) -> float:
+        """Joint-space length, by Gauss-Legendre quadrature."""
+        raise NotImplementedError
+
+    def joints_at(self, distance: FloatArray, derivative: int) -> FloatArray:
+        """(..., dof) configurations at (...) distances from the goal [m], or derivatives with respect to these."""
+        raise NotImplementedError
+
+    @property
+    def end(self) -> float:
+        """Last parameter; the first is 0."""
+        return self.length
+
+    def evaluate(self, s: ArrayLike, derivative: int = 0) -> FloatArray:
+        """Points or derivatives with respect to the parameter.
+
+        Args:
+            s: (...) parameters in [0, end]; clipped to it.
+            derivative: 0, 1 or 2.
+
+        Returns:
+            (..., dof) values.
+        """
+        fraction = np.clip(np.asarray(s, dtype=np.float64) / self.end, 0.0, 1.0)
+        distance, rate = self.standoff * (1.0 - fraction), -self.standoff / self.end
+        if derivative > 0:
+            return self.joints_at(distance, derivative) * rate**derivative + 0.0  # no zero has a sign
+        # Rounding, and what a spline leaves a limit by.
+        q = np.minimum(np.maximum(self.joints_at(distance, 0), self.robot.lower), self.robot.upper)
+        q[distance == 0.0] = self.goal
+        return q
+
+
+@dataclass(frozen=True, eq=False)
+class StraightLine(StraightApproach):
+    """The straight path from the stand-off to the goal along the tool's axis.
+
+    Attributes:
+        keeps_turn: Whether the tool may not turn about the axis.
+    """
+
     keeps_turn: bool = False
 
     @cached_property
@@ -121,11 +161,6 @@ class StraightLine(Record):
         """Joint-space length, by Gauss-Legendre quadrature."""
         return curve_length(lambda t: np.linalg.norm(self._spline(t, 1), axis=-1), self._lines.distances)
 
-    @property
-    def end(self) -> float:
-        """Last parameter; the first is 0."""
-        return self.length
-
     @cached_property
     def breaks(self) -> FloatArray:
         """Increasing parameters where the spline's pieces meet, the ends among them."""
@@ -133,22 +168,9 @@ class StraightLine(Record):
         breaks[-1] = self.end
         return frozen(breaks)
 
-    def evaluate(self, s: ArrayLike, derivative: int = 0) -> FloatArray:
-        """Points or derivatives with respect to the parameter.
-
-        Args:
-            s: (...) parameters in [0, end]; clipped to it.
-            derivative: 0, 1 or 2.
-
-        Returns:
-            (..., dof) values.
-        """
-        fraction = np.clip(np.asarray(s, dtype=np.float64) / self.end, 0.0, 1.0)
-        distance, rate = self.standoff * (1.0 - fraction), -self.standoff / self.end
-        q: FloatArray = self._spline(distance, derivative) * rate**derivative
+    def joints_at(self, distance: FloatArray, derivative: int) -> FloatArray:
+        """(..., dof) configurations at (...) distances from the goal [m], or derivatives with respect to these."""
+        q: FloatArray = self._spline(distance, derivative)
         if derivative == 0:
-            # Rounding, and what the spline leaves a limit by.
-            q = np.minimum(np.maximum(q, self.robot.lower), self.robot.upper)
-            q[distance == 0.0] = self.goal
             q[distance == self.standoff] = self._lines.rows[0, -1]
         return q

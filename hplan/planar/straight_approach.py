@@ -31,6 +31,7 @@ from hplan.base.arrays import BoolArray, ComplexArray, FloatArray, Record, froze
 from hplan.base.elementary import argument, modulus, product
 from hplan.base.polyline import curve_length
 from hplan.errors import ApproachError, InputError, OptionError
+from hplan.kinematics.straight_line import StraightApproach
 from hplan.planar.planar_chain import locked_mask, two_links
 from hplan.robot.model import Robot
 
@@ -56,24 +57,11 @@ class Standoffs(Record):
     largest: FloatArray
 
 
-@dataclass(frozen=True, eq=False)
-class ApproachPath(Record):
+class ApproachPath(StraightApproach):
     """The straight path from the stand-off to the goal along the last link's direction.
 
-    Its parameter is the distance, scaled to the joint length. Of the free joints in the plane the first two and the
-    last move.
-
-    Attributes:
-        robot: The arm.
-        goal: (dof,) configuration at the goal.
-        standoff: Distance of the tool from its goal where the path begins [m].
-        locked: Names of joints that stand still.
+    Of the free joints in the plane the first two and the last move.
     """
-
-    robot: Robot
-    goal: FloatArray
-    standoff: float
-    locked: tuple[str, ...] = ()
 
     @cached_property
     def length(self) -> float:
@@ -88,35 +76,16 @@ class ApproachPath(Record):
 
         return curve_length(speed, panels)
 
-    @property
-    def end(self) -> float:
-        """Last parameter; the first is 0."""
-        return self.length
-
     @cached_property
     def breaks(self) -> FloatArray:
         """(2,) the ends of the parameter; the path is one piece."""
         return frozen(np.array([0.0, self.end]))
 
-    def evaluate(self, s: ArrayLike, derivative: int = 0) -> FloatArray:
-        """Points or derivatives with respect to the parameter.
-
-        Args:
-            s: (...) parameters in [0, end]; clipped to it.
-            derivative: 0, 1 or 2.
-
-        Returns:
-            (..., dof) values.
-        """
-        fraction = np.clip(np.asarray(s, dtype=np.float64) / self.end, 0.0, 1.0)
-        distance, rate = self.standoff * (1.0 - fraction), -self.standoff / self.end
-        moved = self._stretch.joints(distance.reshape(1, -1), derivative)[0].reshape(*fraction.shape, -1)
-        q = np.broadcast_to(self.goal if derivative == 0 else 0.0, (*fraction.shape, self.robot.dof)).copy()
-        q[..., list(self._stretch.index)] += moved * rate**derivative
-        if derivative == 0:
-            # Rounding at a limit, and at the goal.
-            q = np.minimum(np.maximum(q, self.robot.lower), self.robot.upper)
-            q[distance == 0.0] = self.goal
+    def joints_at(self, distance: FloatArray, derivative: int) -> FloatArray:
+        """(..., dof) configurations at (...) distances from the goal [m], or derivatives with respect to these."""
+        moved = self._stretch.joints(distance.reshape(1, -1), derivative)[0].reshape(*distance.shape, -1)
+        q = np.broadcast_to(self.goal if derivative == 0 else 0.0, (*distance.shape, self.robot.dof)).copy()
+        q[..., list(self._stretch.index)] += moved
         return q
 
     @cached_property

@@ -19,11 +19,6 @@ def arm(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
     return loaded_arm(request.param, tmp_path_factory)
 
 
-@pytest.fixture
-def picker(tmp_path_factory: pytest.TempPathFactory) -> Robot:
-    return loaded_arm("picker", tmp_path_factory)
-
-
 @pytest.mark.parametrize("keeps_turn", [False, True])
 def test_the_tool_keeps_to_its_line(arm: Robot, keeps_turn: bool) -> None:
     goals = tool_at_point(arm, POINT, count=16).configurations

@@ -21,11 +21,6 @@ def arm(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
     return loaded_arm(request.param, tmp_path_factory)
 
 
-@pytest.fixture
-def picker(tmp_path_factory: pytest.TempPathFactory) -> Robot:
-    return loaded_arm("picker", tmp_path_factory)
-
-
 @settings(max_examples=6, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.integers(0, 10_000))
 def test_configurations_are_at_the_point_and_within_limits(arm: Robot, seed: int) -> None:

@@ -45,11 +45,6 @@ def arm(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
     return loaded_arm(request.param, tmp_path_factory)
 
 
-@pytest.fixture
-def picker(tmp_path_factory: pytest.TempPathFactory) -> Robot:
-    return loaded_arm("picker", tmp_path_factory)
-
-
 def start_of(robot: Robot) -> tuple[float, ...]:
     return STARTS[{"six_axes": "picker", "seven_axes": "seven"}.get(robot.name, "panda")]
 

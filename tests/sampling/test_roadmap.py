@@ -57,6 +57,18 @@ def test_straight_where_nothing_is_in_the_way(robot: Robot) -> None:
     np.testing.assert_array_equal(way, [START, GOAL])
 
 
+def clear_by_one_point(robot: Robot, world: World, problem: Problem) -> list[float]:
+    """Times of all clear ways by one of the roadmap's points, one after the other, and of the straight one."""
+    start, goal = problem.start, problem.goal
+    span = float((np.abs(goal - start) / robot.velocity_limit).max())
+    beyond = np.minimum(robot.velocity_limit * max(BRIEF.beyond * span, BEYOND_S), FARTHEST)
+    lower = np.maximum(np.minimum(start, goal) - beyond, problem.lower)
+    upper = np.minimum(np.maximum(start, goal) + beyond, problem.upper)
+    points = lower + low_discrepancy(BRIEF.points, robot.dof) * (upper - lower)
+    single = [np.stack([start, point, goal]) for point in points] + [np.stack([start, goal])]
+    return [lasting(robot, one) for one in single if world.field.is_clear(one, MARGIN)]
+
+
 @settings(max_examples=25)
 @given(seed=st.integers(0, 10**6), count=st.integers(1, 40))
 def test_clear_and_no_slower_than_by_one_configuration(robot: Robot, seed: int, count: int) -> None:
@@ -67,14 +79,7 @@ def test_clear_and_no_slower_than_by_one_configuration(robot: Robot, seed: int, 
         return
     problem = check_problem(world, START, GOAL)
     way = quick_path(problem, world.field, robot.velocity_limit, MARGIN)
-    # All ways by one of the points, one after the other.
-    span = float((np.abs(GOAL - START) / robot.velocity_limit).max())
-    beyond = np.minimum(robot.velocity_limit * max(BRIEF.beyond * span, BEYOND_S), FARTHEST)
-    lower = np.maximum(np.minimum(START, GOAL) - beyond, problem.lower)
-    upper = np.minimum(np.maximum(START, GOAL) + beyond, problem.upper)
-    points = lower + low_discrepancy(BRIEF.points, 4) * (upper - lower)
-    single = [np.stack([START, point, GOAL]) for point in points] + [np.stack([START, GOAL])]
-    clear = [lasting(robot, one) for one in single if world.field.is_clear(one, MARGIN)]
+    clear = clear_by_one_point(robot, world, problem)
     if way is None:
         assert not clear
         return
@@ -96,13 +101,7 @@ def test_the_same_of_an_arm_that_is_no_planar_one(tmp_path_factory: pytest.TempP
         return
     problem = check_problem(world, start, goal)
     way = quick_path(problem, world.field, arm.velocity_limit, MARGIN)
-    span = float((np.abs(goal - start) / arm.velocity_limit).max())
-    beyond = np.minimum(arm.velocity_limit * max(BRIEF.beyond * span, BEYOND_S), FARTHEST)
-    lower = np.maximum(np.minimum(start, goal) - beyond, problem.lower)
-    upper = np.minimum(np.maximum(start, goal) + beyond, problem.upper)
-    points = lower + low_discrepancy(BRIEF.points, arm.dof) * (upper - lower)
-    single = [np.stack([start, point, goal]) for point in points] + [np.stack([start, goal])]
-    clear = [lasting(arm, one) for one in single if world.field.is_clear(one, MARGIN)]
+    clear = clear_by_one_point(arm, world, problem)
     assert way is not None or not clear
     assert way is None or (
         world.field.is_clear(way, MARGIN) and lasting(arm, way) <= min(clear, default=math.inf) + 1e-9

@@ -2,27 +2,23 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from any_arms import loaded_arm
 from studies.benchmark.motionbenchmaker import Solved, outside_check, peer_table, scene_of, table
 from studies.benchmark.ompl_paths import seed_ompl
 from studies.benchmark.peer_motions import PeerMotion, peer_motion
-from toy_urdf import SIX_AXIS_LIMITS, six_axis_arm
 
-from hplan.robot.model import Robot, load_robot
+from hplan.robot.model import Robot
 
 START, GOAL = (0.3, 0.8, 0.6, -0.4, 0.5, 0.2), (1.5, 0.9, 0.5, -0.2, -0.4, 0.6)
 
 
 @pytest.fixture
-def arm(tmp_path: Path) -> Robot:
-    path = tmp_path / "six.urdf"
-    path.write_text(six_axis_arm())
-    path.with_suffix(".limits.yaml").write_text(SIX_AXIS_LIMITS)
-    return load_robot(path)
+def arm(tmp_path_factory: pytest.TempPathFactory) -> Robot:
+    return loaded_arm("toy", tmp_path_factory)
 
 
 def problem_of(arm: Robot, *obstacles: dict[str, Any]) -> dict[str, Any]:

@@ -2,27 +2,22 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import coal
 import numpy as np
 import pinocchio as pin
 import pytest
+from any_arms import loaded_arm
 from studies.benchmark.motions import TimedMotion
 from studies.benchmark.outside_check import OutsideCheck, of_scene
-from toy_urdf import SIX_AXIS_LIMITS, six_axis_arm
 
 from hplan.collision.coal_scene import CoalScene
-from hplan.robot.model import Robot, load_robot
+from hplan.robot.model import Robot
 from hplan.scene.obstacles import Box, Capsule, PointCloud, Sphere
 
 
 @pytest.fixture
-def arm(tmp_path: Path) -> Robot:
-    path = tmp_path / "six.urdf"
-    path.write_text(six_axis_arm())
-    path.with_suffix(".limits.yaml").write_text(SIX_AXIS_LIMITS)
-    return load_robot(path)
+def arm(tmp_path_factory: pytest.TempPathFactory) -> Robot:
+    return loaded_arm("toy", tmp_path_factory)
 
 
 def obstacles_of(kind: str) -> list[Box | Sphere | Capsule | PointCloud]:

@@ -8,7 +8,6 @@ from pathlib import Path
 import coal
 import numpy as np
 import pytest
-from any_arms import loaded_arm
 
 import hplan.errors as errors
 from hplan.bodies.collision_bodies import body_shapes, collision_bodies
@@ -38,11 +37,6 @@ SCENE = Scene(
 )
 #: Before the arm, the tool straight down.
 BIN = Goal(position=(0.25, -0.45, 0.25), quaternion_xyzw=(1.0, 0.0, 0.0, 0.0))
-
-
-@pytest.fixture
-def picker(tmp_path_factory: pytest.TempPathFactory) -> Robot:
-    return loaded_arm("picker", tmp_path_factory)
 
 
 def assert_sound(robot: Robot, tour: TourResult) -> None:

@@ -24,7 +24,6 @@ import numpy as np
 from hplan.base.arrays import FloatArray, IntArray, ShortArray, WordArray
 from hplan.base.deadline import is_up
 from hplan.base.kernels import inlined, kernel
-from hplan.search.direct_slices import PlaneEnds
 from hplan.search.heap import NEW, begin, pop, priority, push
 
 #: (8, 2) the directions in which an obstacle lets a path turn.
@@ -36,6 +35,20 @@ _STRAIGHTS = np.array([[0, 0], [1, 1], [2, 2], [3, 3], [0, 2], [1, 2], [0, 3], [
 #: For each direction the directions that go on from a jump point without a corner, one bit each.
 _ONWARD = np.array([0b1, 0b10, 0b100, 0b1000, 0b10101, 0b100110, 0b1001001, 0b10001010])
 _EVERY = 0b11111111
+
+
+class PlaneEnds(NamedTuple):
+    """Start and goal of searches on planar slices.
+
+    Attributes:
+        width: Bordered rows along axis j.
+        start: Bordered row in which every path starts.
+        goal: Bordered row in which every path ends.
+    """
+
+    width: int
+    start: int
+    goal: int
 
 
 class _SliceBlock(NamedTuple):

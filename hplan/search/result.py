@@ -25,8 +25,8 @@ class Expansions:
         layers: All slice searches together; where slices are searched by jump points, the jump points.
         sparse: Search on the union of the slice paths, and the rows that its bound settled beforehand.
         fallback: Dense search, and all else that came after the union had failed.
-        flooded: Nodes reached by bit-parallel steps: by flooding, which settles what is connected, and by the moves of
-            an empty plane's shortest path. They are not expansions.
+        flooded: Nodes reached by flooding, whole words of them at once, which settles what is connected. They are not
+            expansions.
     """
 
     layers: int = 0

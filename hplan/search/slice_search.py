@@ -1,9 +1,8 @@
 """First level: a search of its own on every slice of the last axis.
 
 A slice has a path exactly when flooding it from the start's row reaches the goal's row; only then is it searched.
-Planar slices in which the path of an empty plane is free, in some order of its moves, need neither. Slices of many
-axes take longer to search than to look at: a path found in one is taken over by all others in which it is free, and
-only the rest are searched.
+Slices of many axes take longer to search than to look at: a path found in one is taken over by all others in which it
+is free, and only the rest are searched.
 """
 
 from __future__ import annotations
@@ -17,10 +16,9 @@ import numpy as np
 from hplan.base.arrays import BoolArray, IntArray, Record, WordArray, frozen
 from hplan.base.deadline import look, until
 from hplan.base.kernels import kernel
-from hplan.search.direct_slices import PlaneEnds, direct_paths, with_others
 from hplan.search.flood import bits_of, flood_slices
 from hplan.search.grid import words_for
-from hplan.search.jump_point_search import jump_slices
+from hplan.search.jump_point_search import PlaneEnds, jump_slices
 from hplan.search.lattice import Lattice
 
 #: Searches one slice, given as a grid of its own, from a node to a node: the (m, d) path or None, expansions, nodes
@@ -38,7 +36,7 @@ class SlicePaths(Record):
         path_rows: (m,) bordered rows of all paths, slice after slice, each from the start's row to the goal's.
         begins: (searched slices + 1,) where each slice's path begins in `path_rows`; of length 0 where it has none.
         expansions: Expansions in all slices.
-        flooded: Nodes reached by flooding, and by the moves of an empty plane's shortest path.
+        flooded: Nodes reached by flooding.
     """
 
     lattice: Lattice
@@ -120,20 +118,12 @@ def search_slices(
 
 def _planar(lattice: Lattice, free: WordArray, start_row: int, goal_row: int, slices: range) -> SlicePaths:
     """Paths of planar slices, 64 at once."""
+    reached, flooded = flood_slices(lattice, free, start_row, lattice.mask(slices), goal_row)
     ends = PlaneEnds(lattice.padded[1], start_row, goal_row)
-    direct = direct_paths(free, ends, lattice.mask(slices), slices[0])
-    flooded, expansions = direct.reached, 0
-    path_rows, begins = np.empty(0, dtype=np.int64), np.zeros(len(slices) + 1, dtype=np.int64)
-    if direct.others.any():
-        reached, count = flood_slices(lattice, free, start_row, direct.others, goal_row)
-        flooded += count
-        feasible = reached[goal_row]
-        if feasible.any():
-            path_rows, begins, expansions = jump_slices(
-                free, feasible, slices[0], slices[-1], ends, lattice.step[:-1], until()
-            )
-            look()
-    path_rows, begins = with_others(direct, path_rows, begins)
+    path_rows, begins, expansions = jump_slices(
+        free, reached[goal_row], slices[0], slices[-1], ends, lattice.step[:-1], until()
+    )
+    look()
     return SlicePaths(lattice, slices[0], frozen(path_rows), frozen(begins), expansions, flooded)
 
 

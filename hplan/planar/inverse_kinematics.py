@@ -47,6 +47,9 @@ GRID_VALUES, MOST_COMBINATIONS = (5, 9, 17, 33), 1500
 
 _TURN = 2.0 * np.pi
 
+#: Where a joint may turn by many whole turns, values farther than this from its start are left out [rad].
+FARTHEST = 2.0 * _TURN
+
 
 def reach(
     robot: Robot,
@@ -61,7 +64,8 @@ def reach(
 
     Where they form continua, these are given by their ends, which are exact, and by about `count` samples spread
     evenly over the approach angles in between; every continuum shows at least in its ends. Where a joint may turn by
-    a whole turn or more, each of its values is given. The tool is within 1e-9 m of the position; where locked joints
+    a whole turn or more, each of its values within two turns of the start (without one, of the middle of its range) is
+    given. The tool is within 1e-9 m of the position; where locked joints
     leave no joint to adjust, or no yaw, within 1e-6 m.
 
     Args:
@@ -251,12 +255,14 @@ class _ReachTask:
         return q[other], direction[other]
 
     def _with_whole_turns(self, q: FloatArray, direction: FloatArray, joint: int) -> tuple[FloatArray, FloatArray]:
-        """The same with every value of a joint that may turn by a whole turn or more."""
-        upper = self.robot.upper[joint]
-        turns = np.arange(int((upper - self.robot.lower[joint] + ANGLE_TOLERANCE) / _TURN) + 1)
+        """The same with every value of a joint that may turn by a whole turn or more, `FARTHEST` from the start."""
+        lower, upper = self.robot.lower[joint], self.robot.upper[joint]
+        near = 0.5 * (lower + upper) if self.start is None else self.start[joint]
+        first = max(0, math.floor((near - FARTHEST - lower) / _TURN))
+        turns = np.arange(first, math.ceil((min(upper, near + FARTHEST) - lower + ANGLE_TOLERANCE) / _TURN))
         turned = np.repeat(q, len(turns), axis=0)
         turned[:, joint] += _TURN * np.tile(turns, len(q))
-        kept = turned[:, joint] <= upper + ANGLE_TOLERANCE
+        kept = (turned[:, joint] <= upper + ANGLE_TOLERANCE) & (np.abs(turned[:, joint] - near) <= FARTHEST)
         turned[:, joint] = np.minimum(turned[:, joint], upper)
         return turned[kept], np.repeat(direction, len(turns))[kept]
 

@@ -9,6 +9,7 @@ grid.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final, NamedTuple
@@ -106,13 +107,15 @@ def joint_ranges(scene: CoalScene, q: FloatArray, margin: float = MARGIN) -> Joi
         kept = scene.clearance + scene.deviation * float(arm.lengths[outer]) + margin
         radius = float(arm.half_widths[inner] + arm.half_widths[outer]) + kept
         folded = OwnContact(arm.link_names[outer], arm.link_names[inner], margin)
-        for low, high in folded_angles(arm, fold, radius):
-            if high <= q[joint] and high > lower[joint]:
-                lower[joint] = high
-                walls.append(Wall(joint, high, False, folded))
-            elif low >= q[joint] and low < upper[joint]:
-                upper[joint] = low
-                walls.append(Wall(joint, low, True, folded))
+        angles = folded_angles(arm, fold, radius)
+        below = max((high for _, high in angles if high <= q[joint]), default=-math.inf)
+        above = min((low for low, high in angles if low >= q[joint]), default=math.inf)
+        if below > lower[joint]:
+            lower[joint] = below
+            walls.append(Wall(joint, below, False, folded))
+        if above < upper[joint]:
+            upper[joint] = above
+            walls.append(Wall(joint, above, True, folded))
     return JointRanges(frozen(lower), frozen(upper), tuple(walls))
 
 

@@ -25,12 +25,16 @@ from hplan.errors import InputError, JointLimitError, RobotFileError
 from hplan.robot.family_reader import hold_advice
 from hplan.robot.urdf_file import Joint, Urdf, read_urdf
 from hplan.robot.urdf_xml import URDF_TEXT, line_of
+from hplan.scene.limits import FARTHEST_M
 
 #: Frame in which scenes are.
 BASE_LINK: Final = "base_link"
 
 #: A continuous joint turns by this, a whole turn, to either side [rad].
 CONTINUOUS_RANGE: Final = 2.0 * math.pi
+
+#: A limit of a revolute joint beyond this is none: exporters write 1e16 where a joint turns without end [rad].
+ENDLESS: Final = 1e3
 
 #: The vertical of `base_link` and that of what carries it may differ by this [rad].
 _TILT: Final = 1e-9
@@ -66,7 +70,7 @@ class AdaptedUrdf(Record):
     Attributes:
         urdf: Its content.
         text: Its XML; None where that is the file's.
-        continuous: Names of the joints that were continuous and move.
+        continuous: Names of the joints that turn without end, and move.
         held: Where joints stand that were made fixed, by name [rad, m]; of joints of several coordinates, None.
     """
 
@@ -132,9 +136,8 @@ class _Adaptation:
             if joint.name not in moving:
                 self._fix(joint, values[joint.name])
                 changed = True
-            elif joint.kind == "continuous":
-                self._bound(joint)
-                changed = True
+            else:
+                changed |= self._bound(joint)
         return changed
 
     def _fault(self, joint: Joint, reason: str) -> RobotFileError:
@@ -261,14 +264,38 @@ class _Adaptation:
         fix_joint(self._path, joint, value)
         self.held[joint.name] = value
 
-    def _bound(self, joint: Joint) -> None:
-        """Make a continuous joint revolute with limits."""
+    def _bound(self, joint: Joint) -> bool:
+        """Give a joint that turns without end, to one side or to both, limits there; returns True if it is one.
+
+        Raises:
+            RobotFileError: Its limits are beyond any arm's: it slides that far, or begins behind so many turns.
+        """
         limit = joint.element.find("limit")
-        assert limit is not None  # it has a velocity
-        joint.element.set("type", "revolute")
-        limit.set("lower", repr(-CONTINUOUS_RANGE))
-        limit.set("upper", repr(CONTINUOUS_RANGE))
-        self.continuous.append(joint.name)
+        if limit is None:
+            return False  # Pinocchio says that
+        ends = {key: joint.limits.get(key, 0.0) for key in ("lower", "upper")}
+        range_ = f"its range is {ends['lower']:.6g} to {ends['upper']:.6g}"
+        if joint.kind == "prismatic":
+            if max(map(abs, ends.values())) > FARTHEST_M:
+                raise self._fault(
+                    joint, f": {range_} m, expected at most {FARTHEST_M:g} m to either side: where the rail ends"
+                )
+            return False
+        endless = {
+            "lower": joint.kind == "continuous" or ends["lower"] < -ENDLESS,
+            "upper": joint.kind == "continuous" or ends["upper"] > ENDLESS,
+        }
+        for key, side in (("lower", -1.0), ("upper", 1.0)):
+            if endless[key]:
+                ends[key] = side * CONTINUOUS_RANGE
+                limit.set(key, repr(ends[key]))
+        if any(endless.values()) and not -ENDLESS <= ends["lower"] < ends["upper"] <= ENDLESS:
+            advice = f"a limit beyond {ENDLESS:g} rad is none, and the joint turns by a whole turn at most to that side"
+            raise self._fault(joint, f": {range_} rad; {advice}: write both as few turns from 0 as they are")
+        if all(endless.values()):
+            joint.element.set("type", "revolute")
+            self.continuous.append(joint.name)
+        return any(endless.values())
 
 
 def standing_values(path: Path, joints: Mapping[str, Joint], hold: Mapping[str, float]) -> dict[str, float | None]:

@@ -40,6 +40,9 @@ LOOKS = any_int(64)
 #: within 1 rad, half of that, and so on.
 ASIDE, SCALES = 0.6, 7
 
+#: No target is farther beyond start and goals than this in any joint [rad, m].
+FAR = 4.0 * np.pi
+
 
 @dataclass(frozen=True)
 class TreeEffort:
@@ -116,10 +119,10 @@ def tree_path(
 
 def _samples(generator: np.random.Generator, problem: Problem, goals: FloatArray) -> FloatArray:
     """(CHUNK, dof) targets in turn: anywhere; in the box of start and goals; about start, or a goal, at all scales."""
-    lower, upper = problem.lower, problem.upper
+    first, last = np.minimum(problem.start, goals.min(axis=0)), np.maximum(problem.start, goals.max(axis=0))
+    lower, upper = np.maximum(problem.lower, first - FAR), np.minimum(problem.upper, last + FAR)
     samples: FloatArray = generator.random((CHUNK, len(lower)))
-    low = np.maximum(np.minimum(problem.start, goals.min(axis=0)) - ASIDE, lower)
-    high = np.minimum(np.maximum(problem.start, goals.max(axis=0)) + ASIDE, upper)
+    low, high = np.maximum(first - ASIDE, lower), np.minimum(last + ASIDE, upper)
     samples[::3] = lower + samples[::3] * (upper - lower)
     samples[1::3] = low + samples[1::3] * (high - low)
     chosen = goals[generator.integers(0, len(goals), len(samples[2::3]))]

@@ -18,6 +18,7 @@ import hplan
 from hplan.base.data_files import urdf_dir
 from hplan.cli.main import main
 from hplan.errors import InputError, JointLimitError, OptionError, RobotFamilyError, RobotFileError
+from hplan.planar.inverse_kinematics import reach
 from hplan.robot.model import Robot, load_robot
 from hplan.robot.urdf_adaptation import CONTINUOUS_RANGE
 from hplan.scene.model import Goal, Scene, Start
@@ -291,6 +292,47 @@ def test_a_continuous_joint_has_a_turn_to_either_side(load, plain):
     wide = load(SHIPPED.replace("3.141592653589793", repr(TAU)))
     assert robot_digest(robot) == robot_digest(wide)
     assert not wide.continuous.any()
+
+
+@pytest.mark.parametrize(("lower", "upper"), [("-1e8", "1e8"), ("-1e16", "1.7976931348623157e308")])
+def test_a_range_that_no_joint_has_is_that_of_a_continuous_joint(load, plain, lower, upper):
+    one, other = 'lower="-3.141592653589793" upper="3.141592653589793"', f'lower="{lower}" upper="{upper}"'
+    robot = load(SHIPPED.replace(one, other))
+    like = load(edited(CONTINUOUS))
+    assert robot.continuous.tolist() == like.continuous.tolist() == [True, False, False, False]
+    assert robot_digest(robot) == robot_digest(like)
+    found = hplan.plan(robot, scene_of((0.0, 1.5, 1.5, 1.5), (6.0, 1.5, 1.5, 1.2)), hplan.PlanOptions(effort="quick"))
+    assert found.trajectory.position[-1, 0] == pytest.approx(6.0 - TAU)
+    with pytest.raises(JointLimitError, match="joint 'base_yaw' is at 40 rad"):
+        robot.check_configuration((40.0, 1.5, 1.5, 1.5), "start")
+
+
+def test_a_range_without_end_to_one_side_keeps_the_other(load, plain):
+    one = 'lower="-3.141592653589793" upper="3.141592653589793"'
+    robot = load(SHIPPED.replace(one, 'lower="-0.5" upper="1e16"'))
+    assert (robot.lower[0], robot.upper[0], robot.continuous[0]) == (-0.5, CONTINUOUS_RANGE, False)
+    with pytest.raises(RobotFileError, match=r"joint 'base_yaw': its range is 7 to 1e\+16 rad; a limit beyond 1000 rad"):
+        load(SHIPPED.replace(one, 'lower="7" upper="1e16"'))
+
+
+def test_a_rail_has_an_end(load, plain):
+    rail = SHIPPED.replace('name="base_yaw" type="revolute"', 'name="base_yaw" type="prismatic"')
+    one = 'lower="-3.141592653589793" upper="3.141592653589793"'
+    assert load(rail.replace(one, 'lower="-9000" upper="0"')).lower[0] == -9000.0
+    with pytest.raises(RobotFileError, match=r"joint 'base_yaw': its range is -1e\+16 to 1e\+16 m"):
+        load(rail.replace(one, 'lower="-1e16" upper="1e16"'))
+
+
+def test_many_turns_are_kept_as_they_are_and_planned_with(load, plain):
+    joint = 'lower="-3.141592653589793" upper="3.141592653589793"'
+    robot = load(SHIPPED.replace(joint, 'lower="-900" upper="900"'))
+    assert (robot.lower[0], robot.upper[0], robot.continuous[0]) == (-900.0, 900.0, False)
+    found = hplan.plan(robot, scene_of((800.0, 1.5, 1.5, 1.5), (801.0, 1.5, 1.5, 1.2)))
+    assert found.certificate.verified
+    tool = robot.tool_positions([800.3, 1.2, 1.2, 1.4])
+    near = reach(robot, tool, start=(800.0, 1.5, 1.5, 1.5)).configurations[:, 0]
+    assert len(near) < 2000
+    assert np.abs(near - 800.0).max() <= 2.0 * TAU
 
 
 @pytest.mark.parametrize(

@@ -181,7 +181,7 @@ class _Copy:
 
 
 class _Planted:
-    """A bug in a copy; kernels compiled from what it may change are set aside meanwhile."""
+    """A bug in a copy; compiled kernels are set aside meanwhile, as those with the bug take their place."""
 
     def __init__(self, root: Path, bug: Bug) -> None:
         """Nothing yet."""
@@ -193,40 +193,20 @@ class _Planted:
         self._text = file.read_text(encoding="utf-8")
         changed = self._bug.planted(self._root)
         self._aside = Path(tempfile.mkdtemp(dir=self._root.parent))
-        self._folders = {path.parent for path in (self._root / "hplan").rglob("*.nbi")}
+        self._folders = {path.parent for path in (self._root / "hplan").rglob("*.nbc")}
         for folder in self._folders:
             target = self._aside / folder.relative_to(self._root)
             shutil.copytree(folder, target)
-        # numba does not see that what a kernel has inlined from another file is another now.
-        for module in _dependents(self._root, self._bug.file):
-            for path in module.parent.glob(f"__pycache__/{module.stem}.*.nb[ic]"):
-                path.unlink()
         file.write_text(changed, encoding="utf-8")
 
     def __exit__(self, *_: object) -> None:
         """Put everything back as it was."""
         (self._root / self._bug.file).write_text(self._text, encoding="utf-8")
-        for folder in {path.parent for path in (self._root / "hplan").rglob("*.nb[ic]")}:
+        for folder in {path.parent for path in (self._root / "hplan").rglob("*.nbc")}:
             shutil.rmtree(folder)
         for folder in self._folders:
             shutil.copytree(self._aside / folder.relative_to(self._root), folder, dirs_exist_ok=True)
         shutil.rmtree(self._aside)
-
-
-def _dependents(root: Path, file: str) -> set[Path]:
-    """The modules whose kernels may hold code of a file: it and all that import it, if it has kernels or constants."""
-    modules = {path: path.read_text(encoding="utf-8") for path in (root / "hplan").rglob("*.py")}
-    compiled = {path for path, text in modules.items() if "@kernel" in text or "@inlined" in text}
-    found, new = set[Path](), {root / file}
-    while new:
-        found |= new
-        names = {".".join(path.relative_to(root).with_suffix("").parts) for path in new}
-        new = {
-            path
-            for path in compiled - found
-            if any(re.search(rf"^from {re.escape(name)} import", modules[path], re.MULTILINE) for name in names)
-        }
-    return found & compiled
 
 
 if __name__ == "__main__":

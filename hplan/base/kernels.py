@@ -1,21 +1,44 @@
 """Functions compiled by numba, once, and kept on disk next to their source.
 
-numba ends the program where neither the package's folder nor the user's cache can be written, and where a file of the
-cache is damaged. Neither keeps a kernel from being compiled, so it is, and a `KernelCacheWarning` says so once.
+What is on disk is found by what its machine code depends on (`hplan.base.kernel_digest`), the types of the arguments,
+the processor, and the versions of Python, NumPy and numba: files may be copied, moved, touched and shared by processes,
+and none is ever out of date. Each bears a checksum, which is looked at before anything else in it. Whatever is the
+matter with them or with the disk, kernels are compiled, and a `KernelCacheWarning` says so once.
 """
 
 from __future__ import annotations
 
+import hashlib
+import os
+import pickle
+import re
+import sys
+import tempfile
 import warnings
 from collections.abc import Callable
-from typing import Any, ParamSpec, TypeVar, cast
+from contextlib import suppress
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, NamedTuple, ParamSpec, TypeVar, cast
 
+import llvmlite
 import numba as nb
 import numpy as np
-from numba.core.caching import FunctionCache
+from numba.core.caching import NullCache, _CacheLocator
+from numba.core.compiler import CompileResult
+from numba.core.serialize import dumps
+from numba.misc.appdirs import AppDirs
+
+from hplan.base.kernel_digest import UnknownDependencyError, code_digest, forget, value_digest
 
 P = ParamSpec("P")
 R = TypeVar("R")
+
+#: Settings of numba that make other machine code of the same kernel.
+_SETTINGS = ("OPT", "LOOP_VECTORIZE", "SLP_VECTORIZE", "BOUNDSCHECK", "DEBUGINFO_DEFAULT")
+
+#: Length of a checksum [bytes].
+_CHECKSUM = 32
 
 #: Warnings given already.
 _GIVEN: set[str] = set()
@@ -37,10 +60,7 @@ def kernel(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def inlined(function: Callable[P, R]) -> Callable[P, R]:
-    """A function put into each kernel that calls it: for a few lines with many arguments, which cost more than they do.
-
-    Kernels on disk are not made anew when what they take from another file changes: inlined functions, constants.
-    """
+    """A function put into each kernel that calls it: for a few lines whose many arguments cost more than they do."""
     compiled: Callable[P, R] = nb.njit(inline="always")(function)
     _keep_on_disk(compiled)
     return compiled
@@ -56,82 +76,190 @@ class KernelCacheWarning(UserWarning):
 
 
 def _keep_on_disk(compiled: Any) -> None:
-    """Let a function that numba compiles be kept on disk, where there is a place for it.
+    """Let a function that numba compiles be kept on disk.
 
     Args:
         compiled: What `numba.njit` returns; a plain function where compiling is switched off.
     """
-    if not hasattr(compiled, "enable_caching"):
-        return
-    try:
-        compiled._cache = _DiskCache(compiled.py_func)
-    except (OSError, RuntimeError) as error:
-        _warn_once(
-            "kept",
-            "compiled kernels cannot be kept: neither the package's folder nor the user's cache folder can be written "
-            f"({error}). They are compiled in every run, which takes most of a minute; NUMBA_CACHE_DIR names another "
-            "folder",
-        )
+    if hasattr(compiled, "enable_caching"):
+        compiled._cache = _DiskCache(compiled)
 
 
 def can_be_kept(compiled: Any) -> bool:
     """True if there is a place on disk for what a function is compiled to."""
-    return isinstance(getattr(compiled, "_cache", None), _DiskCache)
-
-
-def is_kept(compiled: Callable[..., Any]) -> bool:
-    """True if a function, as it stands in its file, is on disk, compiled for this processor.
-
-    numba itself is asked, which knows the source by its content (older ones: by its time and size). The times of the
-    files on disk say nothing: a copy may keep them, an installer may set them.
-    """
     cache = getattr(compiled, "_cache", None)
-    return isinstance(cache, _DiskCache) and cache.holds_any(compiled.targetctx.codegen())  # type: ignore[attr-defined]
+    return isinstance(cache, _DiskCache) and any(map(_takes_files, cache.folders()))
 
 
-class _DiskCache(FunctionCache):  # type: ignore[misc]
-    """numba's cache of one function, no fault of which ends the program."""
+def is_kept(compiled: Any) -> bool:
+    """True if a function, as it stands with all that it calls, is on disk, compiled for this processor."""
+    cache = getattr(compiled, "_cache", None)
+    return isinstance(cache, _DiskCache) and cache.holds_any()
+
+
+class _Key(NamedTuple):
+    """What the machine code of a function for some types of arguments depends on: digests, and the function's name."""
+
+    function: str
+    code: str
+    machine: str
+    types: str
+
+    @property
+    def for_any_types(self) -> str:
+        """How names of files begin."""
+        return f"{self.function}-{self.code[:16]}-{self.machine[:8]}-"
+
+    @property
+    def file_name(self) -> str:
+        """Name of its file."""
+        return f"{self.for_any_types}{self.types[:16]}.nbc"
+
+    def checksum(self, data: bytes | memoryview) -> bytes:
+        """Of the data and of the key: data of another key are as good as damaged."""
+        whole = hashlib.sha256("-".join(self).encode())
+        whole.update(data)
+        return whole.digest()
+
+
+class _DiskCache(NullCache):  # type: ignore[misc]
+    """Where numba looks for a function before it compiles it, and what keeps it afterwards.
+
+    There is a file for each combination of types of arguments: a checksum, then what numba has pickled. Files are put
+    there as a whole, and are not changed any more.
+    """
+
+    def __init__(self, compiled: Any) -> None:
+        self._compiled = compiled
+
+    def folders(self) -> list[Path]:
+        """Where files may be: all are read from, the first that takes files is written to."""
+        source = self._compiled.py_func.__code__.co_filename
+        name = _CacheLocator.get_suitable_cache_subpath(source)
+        if nb.config.CACHE_DIR:
+            return [Path(nb.config.CACHE_DIR, name)]
+        of_user = Path(AppDirs(appname="numba", appauthor=False).user_cache_dir, name)
+        return [Path(source).parent / "__pycache__", of_user] if Path(source).exists() else [of_user]
+
+    def holds_any(self) -> bool:
+        """True if there is anything for this processor."""
+        key = self._key(())
+        return key is not None and any(_named(folder, key.for_any_types) for folder in self.folders())
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """The code compiled for these types; None where there is none, or none that can be read."""
-        try:
-            return super().load_overload(sig, target_context)
-        except Exception as error:  # whatever reading a damaged pickle raises
-            self._report("read", error)
-            self._forget()
+        """The code compiled for these types; None where there is none, or none that is whole."""
+        target_context.refresh()
+        key = self._key(sig)
+        if key is None:
             return None
+        for folder in self.folders():
+            try:
+                return CompileResult._rebuild(target_context, *pickle.loads(_read(folder, key)))
+            except (FileNotFoundError, NotADirectoryError):
+                continue
+            except Exception as error:  # whatever numba says of what it cannot take
+                reason = f"{type(error).__name__}: {error}"
+                _warn_once(f"compiled kernels in {folder} cannot be read ({reason}); they are compiled anew", "read")
+        return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Keep what was compiled for these types, if that can be done."""
-        try:
+        key = self._key(sig)
+        # Constants that were changed since they were first looked at are in the code, or are not: nobody knows.
+        if key is None or key != self._key(sig, afresh=True) or data.library.has_dynamic_globals:
+            return
+        kept = dumps(data._reduce())
+        errors = []
+        for folder in self.folders():
             try:
-                super().save_overload(sig, data)
-            except Exception:  # the index is damaged; with nothing in it, it is written anew
-                self.flush()
-                super().save_overload(sig, data)
-        except Exception as error:  # no room, no permission
-            self._report("written", error)
+                _write(folder / key.file_name, key.checksum(kept) + kept)
+            except OSError as error:
+                errors.append(error)
+                continue
+            if not self._compiled.py_func.__closure__:  # functions that differ by what they hold share a name
+                _remove_others(folder, key)
+            return
+        _warn_once(
+            "compiled kernels cannot be kept: neither the package's folder nor the user's cache folder can be written "
+            f"({errors[-1]}). They are compiled in every run, which takes most of a minute; NUMBA_CACHE_DIR names "
+            "another folder",
+            "kept",
+        )
 
-    def holds_any(self, codegen: Any) -> bool:
-        """True if there is anything for a processor."""
+    def flush(self) -> None:
+        """Look at everything again: numba is asked to compile anew."""
+        forget()
+
+    def _key(self, types: Any, *, afresh: bool = False) -> _Key | None:
+        function = self._compiled.py_func
+        name = f"{Path(function.__code__.co_filename).stem}.{function.__qualname__}"[:150]
+        machine = _machine(self._compiled.targetctx.codegen().magic_tuple())
         try:
-            overloads = self._cache_file._load_index()
-        except Exception:  # whatever reading a damaged pickle raises
-            return False
-        return any(target == codegen.magic_tuple() for _, target, _ in overloads)
-
-    def _forget(self) -> None:
-        try:
-            self.flush()
-        except OSError as error:
-            self._report("written", error)
-
-    def _report(self, how: str, error: Exception) -> None:
-        reason = f"{type(error).__name__}: {error}"
-        _warn_once(how, f"compiled kernels in {self.cache_path} cannot be {how} ({reason}); they are compiled anew")
+            code = code_digest(self._compiled, afresh=afresh)
+            return _Key(re.sub(r"[^\w.]", "_", name), code, machine, value_digest(tuple(types)))
+        except UnknownDependencyError as error:
+            _warn_once(f"a compiled kernel cannot be kept: {error}", "unknown")
+            return None
 
 
-def _warn_once(what: str, message: str) -> None:
+@lru_cache
+def _machine(target: tuple[Any, ...]) -> str:
+    """Digest of processor, versions and settings."""
+    versions = (sys.implementation.cache_tag, nb.__version__, llvmlite.__version__, np.__version__)
+    return value_digest((target, versions, tuple(str(getattr(nb.config, name, None)) for name in _SETTINGS)))
+
+
+def _named(folder: Path, beginning: str) -> list[str]:
+    """Names of files in a folder that begin so."""
+    with suppress(OSError):
+        names = [path.name for path in folder.iterdir() if path.suffix in (".nbc", ".nbi")]
+        return [name for name in names if name.startswith(beginning)]
+    return []
+
+
+def _takes_files(folder: Path) -> bool:
+    with suppress(OSError):
+        folder.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=folder).close()
+        return True
+    return False
+
+
+def _read(folder: Path, key: _Key) -> memoryview:
+    """What numba has pickled.
+
+    Raises:
+        OSError: It is not there, or cannot be read.
+        ValueError: It is not what was written.
+    """
+    data = memoryview((folder / key.file_name).read_bytes())
+    if data[:_CHECKSUM] != key.checksum(data[_CHECKSUM:]):
+        raise ValueError(f"{key.file_name} is damaged")
+    return data[_CHECKSUM:]
+
+
+def _write(path: Path, data: bytes) -> None:
+    """Put a file in its place, as a whole or not at all, whoever does the same."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f"{path.name}.{os.urandom(8).hex()}")
+    try:
+        temporary.write_bytes(data)
+        temporary.replace(path)
+    except BaseException:
+        with suppress(OSError):
+            temporary.unlink()
+        raise
+
+
+def _remove_others(folder: Path, key: _Key) -> None:
+    """Remove what the function was before."""
+    for name in _named(folder, f"{key.function}-"):
+        if not name.startswith(f"{key.function}-{key.code[:16]}-"):
+            with suppress(OSError):
+                (folder / name).unlink()
+
+
+def _warn_once(message: str, what: str) -> None:
     """Warn of what cannot be done with kernels on disk, for the first kernel alone."""
     if what not in _GIVEN:
         _GIVEN.add(what)

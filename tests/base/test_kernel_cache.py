@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+import enum
 import os
 import shutil
 import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
+import numba as nb
+import numpy as np
 import pytest
+
+from hplan.base import kernels
+from hplan.base.arrays import FloatArray
+from hplan.base.kernels import KernelCacheWarning, kernel
 
 ROOT = Path(__file__).parents[2]
 
@@ -100,18 +108,13 @@ def test_nowhere_to_keep_them(folder: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("suffix", "damage"),
-    [
-        (".nbi", lambda data: data[: len(data) // 2]),
-        (".nbi", lambda data: b""),
-        (".nbc", lambda data: data[:-1]),
-        (".nbc", lambda data: b"x" * len(data)),
-    ],
-    ids=["half an index", "an empty index", "code one byte short", "something else for code"],
+    "damage",
+    [lambda data: data[: len(data) // 2], lambda data: b"", lambda data: data[:-1], lambda data: b"x" * len(data)],
+    ids=["a half", "nothing", "one byte short", "something else"],
 )
-def test_damaged_files(folder: Path, suffix: str, damage: Callable[[bytes], bytes]) -> None:
+def test_damaged_files(folder: Path, damage: Callable[[bytes], bytes]) -> None:
     run(folder)
-    files = list(folder.rglob(f"*{suffix}"))
+    files = list(folder.rglob("*.nbc"))
     assert len(files) == 2
     for file in files:
         file.write_bytes(damage(file.read_bytes()))
@@ -122,16 +125,183 @@ def test_damaged_files(folder: Path, suffix: str, damage: Callable[[bytes], byte
     assert run(folder) == ("True True 4.0 6.0", "")  # and are whole again
 
 
+@kernel
+def _slope(values: FloatArray) -> float:
+    return float(values[-1] - values[0])
+
+
+def test_no_damage_goes_unnoticed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Bits, ends and pieces of a file, and the file of another kernel, or for other types, under its name."""
+    monkeypatch.setattr(nb.config, "CACHE_DIR", str(tmp_path))
+    compiled: Any = _slope
+    ones, whole = np.ones(3), np.ones(3, dtype=np.int64)
+    _slope(ones), _slope(whole)
+    cache, context = compiled._cache, compiled.targetctx
+    types = [(nb.typeof(ones),), (nb.typeof(whole),)]
+    file, other = (cache.folders()[0] / cache._key(each).file_name for each in types)
+    data = file.read_bytes()
+    assert cache.load_overload(types[0], context) is not None
+
+    random = np.random.default_rng(23)
+    damaged = [other.read_bytes(), b"", data[:31], data[:32], data + b"x"]
+    for _ in range(50):
+        at, until = sorted(random.integers(len(data), size=2))
+        flipped = bytearray(data)
+        flipped[at] ^= 1 << int(random.integers(8))
+        damaged += [bytes(flipped), data[:until], data[:at] + bytes(until + 1 - at) + data[until + 1 :] + b"."]
+    for each in damaged:
+        file.write_bytes(each)
+        monkeypatch.setattr(kernels, "_GIVEN", set())
+        with pytest.warns(KernelCacheWarning, match="damaged"):
+            assert cache.load_overload(types[0], context) is None
+    file.write_bytes(data)
+    assert cache.load_overload(types[0], context) is not None
+
+
+READ = """
+from typing import NamedTuple
+
+import numpy as np
+
+from hplan.base.kernels import inlined, kernel
+
+STEP = 1.0
+TABLE = np.array([1.0, 2.0])
+
+class Pair(NamedTuple):
+    first: float
+    second: float
+
+@inlined
+def half(x):
+    return 0.5 * x
+
+@kernel
+def deep(x):
+    return x + 1.0
+
+@kernel
+def called(x):
+    return deep(x)
+
+@kernel
+def same(x):
+    return x - 1.0
+"""
+
+READS = """
+import read
+from hplan.base.kernels import is_kept, kernel
+from read import STEP, TABLE, Pair, called, deep, half, same
+
+def kernels():
+    def constant(pair): return STEP
+    def array(pair): return TABLE[1]
+    def inlines(pair): return half(2.0)
+    def calls(pair): return deep(0.0)
+    def calls_what_calls(pair): return called(0.0)
+    def of_a_module(pair): return read.STEP + read.half(2.0)
+    def field(pair): return pair.first
+    def made(pair): return Pair(3.0, 4.0).first
+    def unchanged(): return same(0.0)
+    return [constant, array, inlines, calls, calls_what_calls, of_a_module, field, made, unchanged]
+
+for function in kernels():
+    compiled = kernel(function)
+    arguments = () if function.__name__ == "unchanged" else (Pair(first=1.0, second=2.0),)
+    print(function.__name__, is_kept(compiled), compiled(*arguments))
+"""
+
+
+def test_what_a_kernel_takes_from_elsewhere_was_changed(folder: Path) -> None:
+    """The file of the kernels stays as it is; each takes another thing from the file that is changed."""
+
+    def answers(text: str) -> dict[str, tuple[str, float]]:
+        (folder / "read.py").write_text(text)
+        lines = [line.split() for line in run(folder, "import reads")[0].splitlines()]
+        return {name: (kept, float(value)) for name, kept, value in lines}
+
+    (folder / "reads.py").write_text(READS)
+    right = {
+        "constant": (1.0, 7.0),
+        "array": (2.0, 5.0),
+        "inlines": (1.0, 0.5),
+        "calls": (1.0, 100.0),
+        "calls_what_calls": (1.0, 100.0),
+        "of_a_module": (2.0, 7.5),
+        "field": (1.0, 1.0),
+        "made": (3.0, 4.0),
+        "unchanged": (-1.0, -1.0),
+    }
+    assert answers(READ) == {name: ("False", values[0]) for name, values in right.items()}
+    changes = {
+        "STEP = 1.0": "STEP = 7.0",
+        "1.0, 2.0]": "1.0, 5.0]",
+        "0.5 * x": "0.25 * x",
+        "x + 1.0": "x + 100.0",
+        "    first: float\n    second: float": "    second: float\n    first: float",
+    }
+    text = "# A comment moves every line.\n" + READ
+    for old, new in changes.items():
+        assert text.count(old) == 1
+        text = text.replace(old, new)
+    after = answers(text)
+    assert {name: value for name, (_, value) in after.items()} == {name: values[1] for name, values in right.items()}
+    assert after["unchanged"][0] == "True"
+
+
+def test_a_constant_changed_while_the_program_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nobody knows whether it is in the code that numba makes from then on, so that is not kept."""
+    monkeypatch.setattr(nb.config, "CACHE_DIR", str(tmp_path))
+    assert _shifted(1) == 2
+    assert len(list(tmp_path.rglob("*.nbc"))) == 1
+    monkeypatch.setitem(globals(), "SHIFT", 5)
+    _shifted(1.0)
+    assert len(list(tmp_path.rglob("*.nbc"))) == 1
+
+
+SHIFT = 1
+
+
+@kernel
+def _shifted(x: float) -> float:
+    return x + SHIFT
+
+
+def test_what_is_not_known_is_not_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(nb.config, "CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr(kernels, "_GIVEN", set())
+    with pytest.warns(KernelCacheWarning, match=r"_coloured: nothing is known of <Colour.RED: 1>"):
+        assert _coloured() == 1
+    assert list(tmp_path.rglob("*.nbc")) == []
+
+
+class Colour(enum.Enum):
+    """What numba knows and digests do not."""
+
+    RED = 1
+
+
+RED = Colour.RED
+
+
+@kernel
+def _coloured() -> int:
+    value: int = RED.value
+    return value
+
+
 def test_no_room_to_keep_them(folder: Path) -> None:
     full = (
-        "import errno, os, numba.core.caching as caching\n"
+        "import errno, os, pathlib\n"
         "def full(*_): raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))\n"
-        "caching.IndexDataCacheFile._save_index = full\n"
+        "pathlib.Path.replace = full\n"
     )
     said, warned = run(folder, full + USE)
     assert said == "False True 4.0 6.0"
     assert warned.count("KernelCacheWarning") == 1
-    assert "cannot be written (OSError: [Errno 28] No space left on device)" in warned
+    assert "can be written ([Errno 28] No space left on device)" in warned
+    assert list(folder.rglob("*.nbc*")) == []
 
 
 def test_without_compiling_there_is_nothing_to_keep(folder: Path) -> None:

@@ -52,8 +52,8 @@ class Robot(PlanarNames, Record):
         acceleration_limit: (dof,) [rad/s^2].
         torque_limit: (dof,) [N m].
         jerk_limit: (dof,) [rad/s^3], or None where the limits file gives none.
-        continuous: (dof,) True where the URDF gives a joint no limits, or some beyond 1e3 rad to both sides; it turns by a
-            whole turn to either side.
+        continuous: (dof,) True where the URDF gives a joint no limits, or some beyond 1e3 rad to both sides; it turns
+            by a whole turn to either side.
         held: Where joints of the URDF stand that do not move, by name [rad, m]; None for those of several coordinates.
         urdf_text: The URDF that the models were built from, where it is not the file's content.
         planar: What it has as an arm of the planar family; None where it is not of it.

@@ -311,7 +311,7 @@ def test_a_range_without_end_to_one_side_keeps_the_other(load, plain):
     one = 'lower="-3.141592653589793" upper="3.141592653589793"'
     robot = load(SHIPPED.replace(one, 'lower="-0.5" upper="1e16"'))
     assert (robot.lower[0], robot.upper[0], robot.continuous[0]) == (-0.5, CONTINUOUS_RANGE, False)
-    with pytest.raises(RobotFileError, match=r"joint 'base_yaw': its range is 7 to 1e\+16 rad; a limit beyond 1000 rad"):
+    with pytest.raises(RobotFileError, match=r"'base_yaw': its range is 7 to 1e\+16 rad; a limit beyond 1000 rad"):
         load(SHIPPED.replace(one, 'lower="7" upper="1e16"'))
 
 

@@ -25,10 +25,10 @@ from hplan.problem.options import PlanOptions
 from hplan.scene.model import Scene, Start
 from hplan.timing.time_scaling import SAME_TIME, Retimed, stopped
 from hplan.timing.trajectory import Trajectory, joined
-from hplan.verification.certificate import Certificate, all_of, on_track, with_violations
+from hplan.verification.certificate import Certificate, all_of, rest_violations, with_violations
 from hplan.verification.digests import Digests
 from hplan.verification.moving_obstacles import checker_in_time
-from hplan.verification.retimed_certificate import CertifiedMotion, certified_from, stretches_of
+from hplan.verification.retimed_certificate import CertifiedMotion, certified_from, later
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,11 +62,14 @@ def _state_at(trajectory: Trajectory, row: int) -> Start:
 
 
 def _since(certificate: Certificate, time_s: float) -> Certificate:
-    """The same certificate with the times of what moves counted from a time on."""
+    """The same certificate with all times counted from a time on; of a contact that is over by then none is left."""
     nearest_s, clear_until_s = (
         None if when is None else when - time_s for when in (certificate.nearest_s, certificate.clear_until_s)
     )
-    return replace(certificate, nearest_s=nearest_s, clear_until_s=clear_until_s)
+    contact_s = certificate.contact_s
+    if contact_s is not None:
+        contact_s = (max(contact_s[0] - time_s, 0.0), contact_s[1] - time_s) if contact_s[1] >= time_s else None
+    return replace(certificate, nearest_s=nearest_s, clear_until_s=clear_until_s, contact_s=contact_s)
 
 
 def _as_it_is(trajectory: Trajectory) -> Retimed:
@@ -105,6 +108,8 @@ class RunningMotion:
         still = without_moving(scene.since(self.begins_s)) if scene.moves else scene
         self._world = cache.world(still, options)
         self._checker = checker_in_time(plan.robot, scene, options.sigmas) if scene.moves else self._world.checker
+        # What it may touch is the fruit that was there when it was planned, not another one of that name.
+        self._touched = plan.scene.goal.fruit if plan.scene.goal_fruit in scene.fruits else None
 
     def spliced(self, at: float) -> SplicedResult:
         """The running motion with a new one from the first row at or after a time on, or as it is where it may stay.
@@ -145,23 +150,17 @@ class RunningMotion:
     def _may_stay(self) -> bool:
         """True if the motion solves the task as it is now."""
         before, now = self.plan.scene, self._scene
-        if before.goal != now.goal or before.locked_joints != now.locked_joints:
-            return False
-        fruits = [[fruit for fruit in scene.fruits if fruit.name == now.goal.fruit] for scene in (before, now)]
-        return fruits[0] == fruits[1]
+        same = before.goal == now.goal and before.locked_joints == now.locked_joints
+        return same and before.goal_fruit == now.goal_fruit
 
     def _certificate(self, retimed: Retimed, row: int, *, rest: bool = False) -> Certificate:
         """What is shown of a motion along the running one's path from a row on, among the obstacles as they are now."""
-        running, options = self.plan.certificate, self._options
-        among = stretches_of(self._checker, retimed, running.contact_s, self.plan.scene.goal.fruit, row)
-        found = certified_from(
-            self.plan.robot, retimed, row, among, clearance=self._scene.clearance, tracking=options.certified_tracking
-        )
-        found = on_track(
-            found, self.plan.robot, self._scene, self.begins_s, retimed.trajectory.duration - self.begins_s
-        )
-        ends_in_motion = rest and retimed.trajectory.velocity[-1].any()
-        return with_violations(found, ["the motion does not end at rest"] if ends_in_motion else [])
+        robot, running, among = self.plan.robot, self.plan.certificate, (self._scene, self._checker)
+        tracking, fruit = self._options.certified_tracking, self._touched
+        found = certified_from(robot, among, running, retimed, row, fruit, tracking=tracking)
+        found = with_violations(found, rest_violations(retimed.trajectory, {"ends": -1}) if rest else ())
+        contact_s = None if fruit is None else later(retimed, running.contact_s)
+        return replace(found, goal_contact=None if fruit is None else running.goal_contact, contact_s=contact_s)
 
     def _blocked(self, reasons: Sequence[str]) -> HplanError:
         """The error that the running motion cannot be taken over, with the stop from now on where it is certified."""
@@ -178,11 +177,7 @@ class RunningMotion:
             for phase in self.plan.phases
         ]
         left = self.plan.trajectory.since(self.row)
-        running = self.plan.certificate
-        contact = running.contact_s
-        if contact is not None:
-            contact = (max(contact[0] - begins_s, 0.0), max(contact[1] - begins_s, 0.0))
-        certificate = replace(_since(certificate, begins_s), goal_contact=running.goal_contact, contact_s=contact)
+        certificate = _since(certificate, begins_s)
         return self._result(self.plan, phases, left, certificate, left.duration, is_kept=True)
 
     def _joined(self, seam: int, until: Certificate, new: PlanResult) -> SplicedResult:
@@ -190,11 +185,9 @@ class RunningMotion:
         before = self.plan.trajectory.until(seam).since(self.row)
         seam_s = before.duration
         whole = joined([before, new.trajectory]) if before.samples > 1 else new.trajectory
-        contact = new.certificate.contact_s
+        later = _since(new.certificate, -seam_s)
         certificate = replace(
-            all_of([_since(until, self.begins_s), _since(new.certificate, -seam_s)]),
-            goal_contact=new.certificate.goal_contact,
-            contact_s=None if contact is None else (contact[0] + seam_s, contact[1] + seam_s),
+            all_of([_since(until, self.begins_s), later]), goal_contact=later.goal_contact, contact_s=later.contact_s
         )
         phases = [Phase(phase.name, phase.start_s + seam_s, phase.end_s + seam_s) for phase in new.phases]
         phases[0] = replace(phases[0], start_s=0.0)

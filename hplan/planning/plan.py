@@ -32,7 +32,7 @@ from hplan.smoothing.spline import SplinePath
 from hplan.timing.speed_factors import Profile
 from hplan.timing.time_scaling import Retimed, scaled, stopped
 from hplan.timing.trajectory import Trajectory, joined
-from hplan.verification.certificate import REST, Certificate, all_of, certify
+from hplan.verification.certificate import REST, Certificate, GoalContact, all_of, certify, contact_times
 from hplan.verification.digests import Digests
 from hplan.verification.retimed_certificate import CertifiedMotion, certified_retiming
 from hplan.verification.start_state import start_state
@@ -337,11 +337,12 @@ def plan_result(
     """The plan that consists of a motion and, after it, approach and retreat."""
     phases, trajectory, certificate = in_sequence(parts)
     scene, route = context.scene, motion.route
-    if scene.goal.fruit is not None:
-        # The last link may touch the fruit from the stand-off on; without an approach, all the time.
-        direct = len(phases) == 1
-        contact_s = phases[0 if direct else 1].start_s, phases[-1].end_s
-        certificate = replace(certificate, goal_contact="motion" if direct else "approach", contact_s=contact_s)
+    fruit = scene.goal_fruit
+    if fruit is not None:
+        # Without an approach the last link may touch the fruit all the time.
+        goal_contact: GoalContact = "motion" if len(phases) == 1 else "approach"
+        contact_s = contact_times(context.robot, trajectory, fruit, goal_contact)
+        certificate = replace(certificate, goal_contact=goal_contact, contact_s=contact_s)
     certificate = replace(certificate, digests=Digests.of(context.robot, scene, trajectory))
     bounded = _bounded(parts)
     bound = _bound(context, grasp, motion, bounded) if context.options.bound else None

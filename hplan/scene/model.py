@@ -228,6 +228,11 @@ class Scene(StrictModel):
         return self
 
     @property
+    def goal_fruit(self) -> Fruit | None:
+        """The fruit that is the goal; None where the goal is given otherwise."""
+        return next((fruit for fruit in self.fruits if fruit.name == self.goal.fruit), None)
+
+    @property
     def moves(self) -> bool:
         """True if the base or an obstacle has a track."""
         return self.base_track is not None or self.first_moving is not None

@@ -41,7 +41,7 @@ from hplan.errors import MovingObstacleError
 from hplan.robot.base_shapes import BASE_DEPTH
 from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel
-from hplan.scene.model import Scene
+from hplan.scene.model import Fruit, Scene
 from hplan.timing.trajectory import Trajectory, check_joints, cubic_pieces
 from hplan.verification.clearance_curve import (
     ClearanceCurve,
@@ -188,22 +188,12 @@ def certify(
     bezier, _ = cubic_pieces(trajectory)
     contact, violations, fruit = None, list[str](), None
     if checker is None:
-        solids, checker = scene.listed_solids, checker_in_time(robot, scene, sigmas)
-        fruit = next((fruit for fruit in scene.fruits if fruit.name == scene.goal.fruit), None)
+        checker, fruit = checker_in_time(robot, scene, sigmas), scene.goal_fruit
         if fruit is not None:
             if fruit.track is not None or scene.base_track is not None:
                 raise MovingObstacleError(None if fruit.track is None else fruit.name, "a fruit to pick must not move")
-            whole = slice(0, len(bezier))
-            contact = whole if goal_contact == "motion" else contact_window(robot, bezier, fruit.center)
-        yaw, still = robot.yaw_of(trajectory.position[0]), solids
-        if checker.moving is not None:
-            still = tuple(solid for number, solid in enumerate(solids) if number not in checker.moving.numbers)
-            violations += moving_base_contacts(robot, checker.moving, yaw, begin_s, begin_s + trajectory.duration)
-        violations += [
-            f"obstacle {found.obstacle!r} is {-1e3 * found.distance_m:.3g} mm deep in the robot's {found.link!r}, "
-            "which does not move"
-            for found in base_contacts(robot, still, yaw, margin=-BASE_DEPTH)
-        ]
+            contact = _contact_pieces(robot, bezier, fruit, goal_contact)
+        violations += base_violations(robot, scene, checker, trajectory, begin_s)
     if check_ends:
         violations += [*task_violations(robot, scene, bezier), *start_violations(robot, scene, trajectory)]
     if rest_to_rest and scene.start.is_moving:
@@ -227,6 +217,40 @@ def certify(
         clear_until_s=None if violations else certificate.clear_until_s,
         digests=Digests.of(robot, scene, trajectory),
     )
+
+
+def _contact_pieces(robot: Robot, bezier: FloatArray, fruit: Fruit, goal_contact: GoalContact) -> slice | None:
+    """The cubics of a motion within which the last link may touch a fruit; None for none."""
+    return slice(0, len(bezier)) if goal_contact == "motion" else contact_window(robot, bezier, fruit.center)
+
+
+def contact_times(
+    robot: Robot, trajectory: Trajectory, fruit: Fruit, goal_contact: GoalContact
+) -> tuple[float, float] | None:
+    """When the last link may touch the fruit that is the goal, from and to [s]; None for never."""
+    pieces = _contact_pieces(robot, cubic_pieces(trajectory)[0], fruit, goal_contact)
+    return None if pieces is None else _times(trajectory, pieces)
+
+
+def base_violations(
+    robot: Robot, scene: Scene, checker: CoalScene, trajectory: Trajectory, begin_s: float
+) -> Iterator[str]:
+    """What pedestal and turret stand in, or what comes into them while a motion runs, in words.
+
+    Args:
+        robot: The arm.
+        scene: Obstacles.
+        checker: The arm among them, in the order of the scene.
+        trajectory: The motion; the turret is looked at as it stands where it begins.
+        begin_s: When it begins, as the tracks of the scene count it [s].
+    """
+    yaw, still = robot.yaw_of(trajectory.position[0]), scene.listed_solids
+    if checker.moving is not None:
+        still = tuple(solid for number, solid in enumerate(still) if number not in checker.moving.numbers)
+        yield from moving_base_contacts(robot, checker.moving, yaw, begin_s, begin_s + trajectory.duration)
+    for found in base_contacts(robot, still, yaw, margin=-BASE_DEPTH):
+        depth = f"{-1e3 * found.distance_m:.3g} mm deep in the robot's {found.link!r}, which does not move"
+        yield f"obstacle {found.obstacle!r} is {depth}"
 
 
 def stretches(checker: CoalScene, pieces: int, contact: slice | None, fruit: str | None) -> list[Stretch]:

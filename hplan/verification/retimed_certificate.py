@@ -26,6 +26,7 @@ from hplan.verification.certificate import (
     Certificate,
     Stretch,
     all_of,
+    base_violations,
     certify_among,
     limit_violations,
     on_track,
@@ -35,7 +36,7 @@ from hplan.verification.certificate import (
 )
 from hplan.verification.digests import Digests
 from hplan.verification.limit_use import limit_use
-from hplan.verification.moving_obstacles import checker_in_time, moving_base_contacts
+from hplan.verification.moving_obstacles import checker_in_time
 from hplan.verification.sway import movers, sways
 
 
@@ -78,7 +79,7 @@ def certified_retiming(
         anew: Whether to show the clearance anew, even where that of the path suffices.
     """
     whole, row = retimed.trajectory, retimed.row
-    contact_s = None if running.contact_s is None else _later(retimed, running.contact_s)
+    contact_s = later(retimed, running.contact_s)
     nearer = _nearer(robot, retimed.off_path)
     left = running.min_clearance_m - nearer
     # Where obstacles move another timing meets others.
@@ -88,11 +89,10 @@ def certified_retiming(
     else:
         first = row if known else 0
         checker = checker_in_time(robot, scene, sigmas)
-        among = stretches_of(checker, retimed, running.contact_s, scene.goal.fruit, first)
-        part = certified_from(robot, retimed, first, among, clearance=scene.clearance, tracking=tracking)
+        part = certified_from(robot, (scene, checker), running, retimed, first, scene.goal.fruit, tracking=tracking)
         certificate = replace(all_of([running, part]), subject=None) if known else part
     certificate = replace(
-        on_track(with_violations(certificate, rest_violations(whole, {"ends": -1})), robot, scene, 0.0, whole.duration),
+        with_violations(certificate, rest_violations(whole, {"ends": -1})),
         goal_contact=running.goal_contact,
         contact_s=contact_s,
         digests=Digests.of(robot, scene, whole),
@@ -102,32 +102,38 @@ def certified_retiming(
 
 def certified_from(
     robot: Robot,
+    among: tuple[Scene, CoalScene],
+    running: Certificate,
     retimed: Retimed,
     row: int,
-    among: Sequence[Stretch],
+    touched: str | None,
     *,
-    clearance: float,
     tracking: TrackingModel,
 ) -> Certificate:
-    """What is shown of a motion along another one's path from a row on, whether it ends at rest or not.
+    """What is shown of a motion along another one's path from a row on, by `certify`'s rule, at rest at its end or not.
 
     Args:
         robot: The arm.
+        among: Obstacles and the clearance to keep, and the arm among them.
+        running: The certificate of the other one.
         retimed: The motion.
         row: Where it begins.
-        among: The collision checker of each stretch from there on (`stretches_of`).
-        clearance: Clearance to keep [m].
+        touched: The fruit that the last link may touch where it could in the other motion; None for none.
         tracking: Deviation of the joints that is covered.
     """
+    scene, checker = among
     motion, begin_s = retimed.trajectory.since(row), float(retimed.trajectory.time[row])
     found = certify_among(
-        robot, motion, among, clearance=clearance, tracking=tracking, rest_to_rest=False, begin_s=begin_s
+        robot,
+        motion,
+        _stretches_of(checker, retimed, running.contact_s, touched, row),
+        clearance=scene.clearance,
+        tracking=tracking,
+        rest_to_rest=False,
+        begin_s=begin_s,
     )
-    moving = among[0][1].moving
-    if moving is None:
-        return found
-    yaw, end_s = robot.yaw_of(motion.position[0]), begin_s + motion.duration
-    return with_violations(found, moving_base_contacts(robot, moving, yaw, begin_s, end_s))
+    found = with_violations(found, base_violations(robot, scene, checker, motion, begin_s))
+    return on_track(found, robot, scene, begin_s, motion.duration)
 
 
 def _by_path(robot: Robot, running: Certificate, motion: Trajectory, left: float) -> Certificate:
@@ -148,8 +154,10 @@ def _nearer(robot: Robot, off_path: FloatArray) -> float:
     return float(sways(robot, [*own, *turning], off_path[None]).max())
 
 
-def _later(retimed: Retimed, times: tuple[float, float]) -> tuple[float, float] | None:
-    """When the motion is where the other one is between two times; None where it does not come there."""
+def later(retimed: Retimed, times: tuple[float, float] | None) -> tuple[float, float] | None:
+    """When the motion is where the other one is between two times; None where it does not come there, or for none."""
+    if times is None:
+        return None
     inside = np.flatnonzero((retimed.clock >= times[0] - SAME_TIME) & (retimed.clock <= times[1] + SAME_TIME))
     if len(inside) == 0:
         return None
@@ -157,7 +165,7 @@ def _later(retimed: Retimed, times: tuple[float, float]) -> tuple[float, float] 
     return float(time[inside[0]]), float(time[inside[-1]])
 
 
-def stretches_of(
+def _stretches_of(
     checker: CoalScene, retimed: Retimed, contact_s: tuple[float, float] | None, fruit: str | None, first: int
 ) -> Sequence[Stretch]:
     """What the motion is certified among from a row on: the last link may touch the fruit where it could."""

@@ -52,7 +52,7 @@ def task_violations(robot: Robot, scene: Scene, bezier: FloatArray) -> Iterator[
     if pose is not None:
         yield from _beside(robot, pose, scene.goal.frame, rows[-1])
         return
-    fruit = next((fruit for fruit in scene.fruits if fruit.name == scene.goal.fruit), None)
+    fruit = scene.goal_fruit
     if fruit is None:
         row, what = len(rows) - 1, "position"
         away = instant_at(robot, rows[-1:], np.array(scene.goal.position))[1]

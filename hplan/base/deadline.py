@@ -13,6 +13,7 @@ thread of its own, as kernels release Python's lock while they run.
 from __future__ import annotations
 
 import gc
+import os
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -45,6 +46,9 @@ CLOCK = time.CLOCK_MONOTONIC
 
 #: What kernels take where there is no limit: the time on the clock [s], 1 once nobody wants an answer, and the clock.
 NEVER: FloatArray = frozen(np.array([np.inf, 0.0, float(CLOCK)]))
+
+#: The limit, if any, for which Python's garbage is not collected.
+_UNCOLLECTED: list[TimeLimit] = []
 
 _CURRENT: ContextVar[TimeLimit | None] = ContextVar("time_limit", default=None)
 
@@ -157,6 +161,7 @@ def time_limit(deadline_s: float | None = None, cancel: Cancel | None = None) ->
     token = _CURRENT.set(limit)
     collects = deadline_s is not None and deadline_s <= UNCOLLECTED_S and gc.isenabled()
     if collects:
+        _UNCOLLECTED.append(limit)
         gc.disable()
     try:
         limit.check_cancelled()
@@ -168,8 +173,20 @@ def time_limit(deadline_s: float | None = None, cancel: Cancel | None = None) ->
     finally:
         if collects:
             gc.enable()
+            _UNCOLLECTED.clear()
         _CURRENT.reset(token)
         done.set()
+
+
+def _collect_in_child() -> None:
+    """Collect garbage in a forked child, unless the limit for which it waits is that of the thread that has forked."""
+    if _UNCOLLECTED and _UNCOLLECTED[0] is not _CURRENT.get():
+        _UNCOLLECTED.clear()
+        gc.enable()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_collect_in_child)
 
 
 def _ask(limit: TimeLimit, cancel: Cancel) -> None:

@@ -29,6 +29,7 @@ from numba.core.compiler import CompileResult
 from numba.core.serialize import dumps
 from numba.misc.appdirs import AppDirs
 
+from hplan.base import forking  # noqa: F401  # a fork waits for what compiles
 from hplan.base.kernel_digest import UnknownDependencyError, code_digest, forget, value_digest
 
 P = ParamSpec("P")

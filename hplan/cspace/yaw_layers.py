@@ -14,6 +14,7 @@ import numpy as np
 
 from hplan.base.arrays import FloatArray, WordArray, frozen
 from hplan.base.deadline import is_up, look, until
+from hplan.base.forking import renewed_in_children
 from hplan.base.kernels import kernel
 from hplan.cspace.occupancy import occupancy
 from hplan.cspace.prepared_obstacles import PreparedObstacles
@@ -72,7 +73,7 @@ class LayerCache:
         self._most_bytes = most_bytes
         self._bytes = 0
         self._held: dict[bytes, WordArray] = {}
-        self._lock = Lock()
+        self._lock = renewed_in_children(Lock())
 
     def __getstate__(self) -> int:
         """Only how many bytes may be held: a pickled plan need not carry them."""

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
 from hplan.base.deadline import Cancel, TimeIsUpError, time_limit
+from hplan.base.forking import renewed_in_children
 from hplan.bodies.reach import largest_sway
 from hplan.errors import InputError, SceneError
 from hplan.online.splice import RunningMotion, SplicedResult
@@ -39,7 +40,8 @@ _WAIT_S = 0.01
 class Planner:
     """Plans again and again for one robot.
 
-    Several threads may use one planner: a change and a plan wait for the plan that is under way. A planner can be
+    Several threads may use one planner: a change and a plan wait for the plan that is under way. So may a child forked
+    meanwhile, by itself. A planner can be
     pickled; its memory of layers stays behind.
 
     Attributes:
@@ -66,7 +68,7 @@ class Planner:
         self.scene = scene
         self.last: PlanResult | None = None
         self._cache = PlanningCache(robot)
-        self._lock = RLock()
+        self._lock = renewed_in_children(RLock())
         self._seen: dict[str, SeenPoints] = {}
         self._scratch = Scratch()
 
@@ -76,7 +78,8 @@ class Planner:
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Go on from there."""
-        vars(self).update(state, _cache=PlanningCache(state["robot"]), _lock=RLock(), _seen={}, _scratch=Scratch())
+        vars(self).update(state, _cache=PlanningCache(state["robot"]), _seen={}, _scratch=Scratch())
+        self._lock = renewed_in_children(RLock())
 
     def plan(self, *, cancel: Cancel | None = None) -> PlanResult:
         """Plan as `hplan.plan` does, whatever was planned before.

@@ -1,0 +1,50 @@
+"""Children forked while other threads of their parent work.
+
+A forked child has one thread, and every lock as it stood: what another thread held is never given back. LLVM must not
+be cut in two either. So a fork waits until nobody compiles or loads a kernel, and hplan's own locks are new in the
+child.
+"""
+
+from __future__ import annotations
+
+import gc
+import os
+from functools import cached_property
+from typing import Any, TypeVar
+from weakref import WeakSet
+
+from llvmlite.binding import ffi
+from numba.core.compiler_lock import global_compiler_lock
+
+L = TypeVar("L")
+
+_RENEWED: WeakSet[Any] = WeakSet()
+
+
+def renewed_in_children(lock: L) -> L:
+    """The lock (of `threading`), which nobody holds in a forked child."""
+    _RENEWED.add(lock)
+    return lock
+
+
+def _hold() -> None:
+    global_compiler_lock.acquire()
+    ffi.lib._lock.__enter__()
+
+
+def _release() -> None:
+    ffi.lib._lock.__exit__(None, None, None)
+    global_compiler_lock.release()
+
+
+def _renew() -> None:
+    _release()
+    # Before Python 3.12 a cached property is computed under a lock, one for all objects.
+    computing = [each.__dict__.get("lock") for each in gc.get_objects() if type(each) is cached_property]
+    for lock in (*_RENEWED, *computing):
+        if lock is not None:
+            lock._at_fork_reinit()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(before=_hold, after_in_parent=_release, after_in_child=_renew)

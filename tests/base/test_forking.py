@@ -1,0 +1,129 @@
+"""Children forked while other threads of their parent work: they plan."""
+
+from __future__ import annotations
+
+import gc
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from functools import cached_property
+
+import pytest
+from numba.core.compiler_lock import global_compiler_lock
+
+import hplan
+from hplan.base.deadline import time_limit
+from hplan.base.kernels import kernel
+
+#: A child that takes longer hangs [s].
+PATIENCE_S = 120.0
+
+
+def child_works(work: Callable[[], object]) -> bool:
+    """Whether a forked child gets through some work."""
+    child = os.fork()
+    if child == 0:
+        try:
+            work()
+            os._exit(0)
+        except BaseException:
+            os._exit(1)
+    begin = time.monotonic()
+    while time.monotonic() - begin < PATIENCE_S:
+        done, status = os.waitpid(child, os.WNOHANG)
+        if done:
+            return os.waitstatus_to_exitcode(status) == 0
+        time.sleep(0.01)
+    os.kill(child, signal.SIGKILL)
+    os.waitpid(child, 0)
+    return False
+
+
+@contextmanager
+def elsewhere(held: AbstractContextManager[object], seconds: float = PATIENCE_S) -> Iterator[None]:
+    """Another thread is inside something, so long or until the block ends."""
+    inside, done = threading.Event(), threading.Event()
+
+    def hold() -> None:
+        with held:
+            inside.set()
+            done.wait(seconds)
+
+    thread = threading.Thread(target=hold)
+    thread.start()
+    inside.wait()
+    try:
+        yield
+    finally:
+        done.set()
+        thread.join()
+
+
+@kernel
+def _plus_one(x: float) -> float:
+    return x + 1.0
+
+
+def test_while_another_thread_compiles() -> None:
+    """The fork waits: LLVM's own state could not be mended."""
+    begin = time.monotonic()
+    with elsewhere(global_compiler_lock, 0.3):
+        assert child_works(lambda: _plus_one(1.0))
+    assert time.monotonic() - begin >= 0.3
+
+
+class _Slow:
+    @cached_property
+    def value(self) -> int:
+        return 1
+
+    @cached_property
+    def slow(self) -> int:
+        return 2
+
+
+@pytest.mark.skipif(not hasattr(_Slow.__dict__["value"], "lock"), reason="cached properties have no locks any more")
+def test_while_another_thread_computes_a_cached_property() -> None:
+    with elsewhere(_Slow.__dict__["value"].lock):
+        assert child_works(lambda: _Slow().value)
+
+
+def test_garbage_is_collected_in_the_child() -> None:
+    def collected() -> None:
+        assert gc.isenabled()
+
+    def still_not() -> None:
+        assert not gc.isenabled()
+
+    with elsewhere(time_limit(0.5)):
+        assert not gc.isenabled()
+        assert child_works(collected)
+    with time_limit(0.5):
+        assert child_works(still_not)
+    assert gc.isenabled()
+
+
+def test_with_the_planner_that_another_thread_plans_with() -> None:
+    """At any moment of a plan; the child plans the same motion."""
+    planner = hplan.Planner(hplan.load_robot(), hplan.load_scene())
+    expected = planner.plan().motion.trajectory.position
+    done = threading.Event()
+
+    def plan() -> None:
+        while not done.is_set():
+            planner.plan()
+
+    def same() -> None:
+        with time_limit(PATIENCE_S):
+            assert (planner.plan().motion.trajectory.position == expected).all()
+
+    thread = threading.Thread(target=plan)
+    thread.start()
+    try:
+        assert all(child_works(same) for _ in range(5))
+    finally:
+        done.set()
+        thread.join()

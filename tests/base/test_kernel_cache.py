@@ -166,6 +166,7 @@ import numpy as np
 from hplan.base.kernels import inlined, kernel
 
 STEP = 1.0
+FAR = 2.0
 TABLE = np.array([1.0, 2.0])
 
 class Pair(NamedTuple):
@@ -200,7 +201,7 @@ def kernels():
     def inlines(): return half(2.0)
     def calls(): return deep(0.0)
     def calls_what_calls(): return called(0.0)
-    def of_a_module(): return read.STEP + read.half(2.0)
+    def of_a_module(): return read.FAR
     def field(pair): return pair.first
     def made(): return Pair(3.0, 4.0).first
     def unchanged(): return same(0.0)
@@ -228,7 +229,7 @@ def test_what_a_kernel_takes_from_elsewhere_was_changed(folder: Path) -> None:
         "inlines": (1.0, 0.5),
         "calls": (1.0, 100.0),
         "calls_what_calls": (1.0, 100.0),
-        "of_a_module": (2.0, 7.5),
+        "of_a_module": (2.0, 9.0),
         "field": (1.0, 1.0),
         "made": (3.0, 4.0),
         "unchanged": (-1.0, -1.0),
@@ -236,6 +237,7 @@ def test_what_a_kernel_takes_from_elsewhere_was_changed(folder: Path) -> None:
     assert answers(READ) == {name: ("False", values[0]) for name, values in right.items()}
     changes = {
         "STEP = 1.0": "STEP = 7.0",
+        "FAR = 2.0": "FAR = 9.0",
         "1.0, 2.0]": "1.0, 5.0]",
         "0.5 * x": "0.25 * x",
         "x + 1.0": "x + 100.0",

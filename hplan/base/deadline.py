@@ -34,9 +34,12 @@ Cancel: TypeAlias = Callable[[], object] | threading.Event
 #: How often a wish to cancel is asked for [s].
 POLL_S = 1e-3
 
-#: Within shorter deadlines Python's garbage is not collected, which takes tens of milliseconds where there are many
-#: objects: it waits until afterwards [s].
+#: Within shorter deadlines Python's garbage is not collected, which takes a tenth of a second where there are many
+#: objects (`_Garbage`) [s].
 UNCOLLECTED_S = 1.0
+
+#: A collection of all garbage that is due waits for a call with time left for it, for as many calls at most.
+POSTPONED = 1000
 
 #: Later than any time on the clock, yet finite, so that kernels look at the wish to cancel [s].
 _LATE = 1e300
@@ -46,9 +49,6 @@ CLOCK = time.CLOCK_MONOTONIC
 
 #: What kernels take where there is no limit: the time on the clock [s], 1 once nobody wants an answer, and the clock.
 NEVER: FloatArray = frozen(np.array([np.inf, 0.0, float(CLOCK)]))
-
-#: The limit, if any, for which Python's garbage is not collected.
-_UNCOLLECTED: list[TimeLimit] = []
 
 _CURRENT: ContextVar[TimeLimit | None] = ContextVar("time_limit", default=None)
 
@@ -133,6 +133,55 @@ class TimeLimit:
             self._values[0] = self._begin + self.deadline_s - seconds
 
 
+class _Garbage:
+    """Python's garbage, which is not collected while any thread is within a short deadline.
+
+    What is allocated within one makes a collection due, which would run in the last lines of the call. So the last one
+    to leave collects what is young itself (1 ms); everything only where the time left is enough for that.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.RLock()
+        self._inside: list[TimeLimit] = []
+        self._was_enabled = False
+        self._all_s = 0.1
+
+    def hold(self, limit: TimeLimit) -> None:
+        """A short deadline begins."""
+        with self._lock:
+            if not self._inside:
+                self._was_enabled = gc.isenabled()
+                gc.disable()
+            self._inside.append(limit)
+
+    def release(self, limit: TimeLimit) -> None:
+        """A short deadline is over."""
+        with self._lock:
+            self._inside.remove(limit)
+            if self._inside or not self._was_enabled:
+                return
+            calls, begin = gc.get_count()[2], clock_s()
+            if calls > POSTPONED or (calls > gc.get_threshold()[2] and limit.left_s > 2.0 * self._all_s):
+                gc.collect()
+                self._all_s = clock_s() - begin
+            else:
+                gc.collect(1)
+            gc.enable()
+
+    def begin_in_child(self) -> None:
+        """The process is a child: of the threads that were within a deadline only the one that forked is in it."""
+        was_held, self._lock = bool(self._inside), threading.RLock()
+        self._inside = [limit for limit in self._inside if limit is _CURRENT.get()]
+        if was_held and not self._inside and self._was_enabled:
+            gc.enable()
+
+
+_GARBAGE = _Garbage()
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_GARBAGE.begin_in_child)
+
+
 @contextmanager
 def time_limit(deadline_s: float | None = None, cancel: Cancel | None = None) -> Iterator[TimeLimit]:
     """Begin a limit, which lasts as long as what runs inside; within another one that one counts.
@@ -159,10 +208,9 @@ def time_limit(deadline_s: float | None = None, cancel: Cancel | None = None) ->
         _ask(limit, cancel)
         threading.Thread(target=_watch, args=(limit, cancel, done), daemon=True, name="hplan-cancel").start()
     token = _CURRENT.set(limit)
-    collects = deadline_s is not None and deadline_s <= UNCOLLECTED_S and gc.isenabled()
-    if collects:
-        _UNCOLLECTED.append(limit)
-        gc.disable()
+    is_short = deadline_s is not None and deadline_s <= UNCOLLECTED_S
+    if is_short:
+        _GARBAGE.hold(limit)
     try:
         limit.check_cancelled()
         yield limit
@@ -171,22 +219,10 @@ def time_limit(deadline_s: float | None = None, cancel: Cancel | None = None) ->
         limit.check_cancelled()
         raise
     finally:
-        if collects:
-            gc.enable()
-            _UNCOLLECTED.clear()
+        if is_short:
+            _GARBAGE.release(limit)
         _CURRENT.reset(token)
         done.set()
-
-
-def _collect_in_child() -> None:
-    """Collect garbage in a forked child, unless the limit for which it waits is that of the thread that has forked."""
-    if _UNCOLLECTED and _UNCOLLECTED[0] is not _CURRENT.get():
-        _UNCOLLECTED.clear()
-        gc.enable()
-
-
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_collect_in_child)
 
 
 def _ask(limit: TimeLimit, cancel: Cancel) -> None:

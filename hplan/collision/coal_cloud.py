@@ -18,6 +18,7 @@ import numpy as np
 import pinocchio as pin
 
 from hplan.base.arrays import FloatArray, IntArray
+from hplan.base.deadline import look
 from hplan.base.kernels import kernel
 from hplan.collision.coal_shapes import beyond_geometry, capsule_shapes, solid_shape, triangle_tree
 from hplan.robot.base_shapes import coal_distance
@@ -145,7 +146,11 @@ def obstacle_shape(obstacle: Solid) -> pin.GeometryObject | PointBlocks:
 def obstacle_shapes(obstacles: Sequence[Solid]) -> list[pin.GeometryObject | PointBlocks]:
     """As `obstacle_shape`, of many."""
     capsules = iter(capsule_shapes([obstacle for obstacle in obstacles if type(obstacle) is Capsule]))
-    return [next(capsules) if type(obstacle) is Capsule else obstacle_shape(obstacle) for obstacle in obstacles]
+    shapes: list[pin.GeometryObject | PointBlocks] = []
+    for obstacle in obstacles:
+        look()
+        shapes.append(next(capsules) if type(obstacle) is Capsule else obstacle_shape(obstacle))
+    return shapes
 
 
 def distance_from(obstacle: Solid) -> Callable[[coal.CollisionGeometry, pin.SE3], float]:

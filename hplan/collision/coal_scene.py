@@ -182,6 +182,7 @@ class CoalScene:
             if self.moving is not None:
                 never = self.moving.keep_below(never, shape.bottom)
             self._beyond[len(self.link_shapes) + row, never] = -np.inf
+        look()
         mover_of = [mover for mover, of_mover in enumerate(movers) for _ in of_mover]
         self.pairs = [(mover, obstacle) for mover in mover_of for obstacle in range(len(obstacles))]
         if self.own_bodies is not None:
@@ -203,8 +204,8 @@ class CoalScene:
         # Parts of the arm do not grow.
         self._taken_off: FloatArray = np.append(self._beyond, np.zeros(len(own)))
         solids = obstacle_shapes(obstacles)
-        look()
         balls = bounding_balls(obstacles)
+        look()
         self._geometry = GeometryPairs(robot.model, self._mover_shapes, solids, self._own_shapes, balls)
 
     def __getstate__(self) -> dict[str, Any]:

@@ -11,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 
 from hplan.base.arrays import FloatArray, IntArray
+from hplan.base.deadline import look
 from hplan.robot.base_shapes import filled
 from hplan.robot.model import Robot
 from hplan.scene.convex_shape import convex_shape
@@ -86,6 +87,7 @@ def capsule_shapes(capsules: Sequence[Capsule]) -> list[pin.GeometryObject]:
     turns = np.column_stack([0.5 * half, -y / half, x / half]).tolist()
     shapes = []
     for number, (capsule, length) in enumerate(zip(capsules, lengths.tolist(), strict=True)):
+        look()
         if not (upright[number] and length > 0.0):
             shapes.append(solid_shape(capsule))
             continue

@@ -135,6 +135,7 @@ def rows_of(
         if is_round:  # hundreds of them: all at once
             numbers, solids = zip(*run, strict=True)
             rows = _round_rows(cast(Sequence[Sphere | Capsule], solids), grown[numbers[0] : numbers[-1] + 1])
+            look()
             stack.add(*grouped(rows, np.array(numbers)))
             continue
         for index, solid in run:

@@ -223,6 +223,7 @@ class LastWorld:
         # What need not be certified need not make room for the tracking error either; it is certified all the same.
         tracking_error = options.tracking.still_rad
         solids, clearance, sigmas = scene.solids_with_goal, scene.clearance, options.sigmas
+        look()
         asked = solids, clearance, tracking_error, sigmas
         kept = self._kept
         if kept is None or kept[0] != asked:

@@ -6,10 +6,12 @@ import gc
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 
 import numpy as np
 import pytest
 
+from hplan.base import deadline
 from hplan.base.arrays import FloatArray
 from hplan.base.deadline import NEVER, TimeIsUpError, current, is_up, look, time_limit, until
 from hplan.base.kernels import kernel
@@ -168,3 +170,58 @@ def test_garbage_waits_until_a_short_deadline_is_over() -> None:
     with pytest.raises(ZeroDivisionError), time_limit(0.5):
         raise ZeroDivisionError
     assert gc.isenabled()
+
+
+def test_garbage_is_left_alone_until_the_last_thread_is_out() -> None:
+    entered, leave = threading.Event(), threading.Event()
+
+    def within() -> None:
+        with time_limit(0.9):
+            entered.set()
+            leave.wait(10.0)
+
+    with time_limit(0.9):
+        other = threading.Thread(target=within)
+        other.start()
+        assert entered.wait(10.0)
+    assert not gc.isenabled()  # the other one is within its own
+    leave.set()
+    other.join()
+    assert gc.isenabled()
+    gc.disable()
+    try:
+        with time_limit(0.9):
+            pass
+        assert not gc.isenabled()  # as the program wants it
+    finally:
+        gc.enable()
+
+
+def test_no_call_that_is_late_collects_everything(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A collection of everything is due: what is late leaves it to others, what is not takes it."""
+    collected: list[int] = []
+
+    def note(phase: str, info: dict[str, int]) -> None:
+        if phase == "start":
+            collected.append(info["generation"])
+
+    monkeypatch.setattr(deadline._GARBAGE, "_all_s", 0.0)
+    threshold = gc.get_threshold()
+    gc.collect()
+    gc.set_threshold(threshold[0], 2, 2)
+    for _ in range(4):
+        gc.collect(1)
+    gc.callbacks.append(note)
+    try:
+        with suppress(TimeIsUpError), time_limit(1e-3):
+            kept = [[number] for number in range(20_000)]
+            while True:
+                look()
+        assert collected == [1]
+        with time_limit(0.9):
+            pass
+        assert collected == [1, 2]
+    finally:
+        gc.callbacks.remove(note)
+        gc.set_threshold(*threshold)
+    assert len(kept) == 20_000

@@ -15,6 +15,7 @@ import pytest
 import hplan
 from hplan.base.arguments import decimal
 from hplan.base.files import write_text
+from hplan.cli.job_folder import read_report
 from hplan.errors import HplanError, InputError, SceneError
 from hplan.execution.recorded_motion import RecordedMotion, read_motion
 from hplan.execution.simulation import execute
@@ -29,6 +30,7 @@ from hplan.orchard import (
 )
 from hplan.robot.tracking import TrackingModel
 from hplan.robot_family.members import HARVESTER, ArmSpec, cross_check, write_robot
+from hplan.ros import read_moveit_scene, read_planning_scene
 from hplan.scene.file import dump_scene, parse_scene
 from hplan.scene.model import Fruit, Goal, Scene, Start
 from hplan.scene.obstacles import Box, Capsule, Cylinder, Mesh, PointCloud, Sphere
@@ -36,6 +38,8 @@ from hplan.scene.tracks import Sway, Track
 from hplan.search import dense_search, reachable, slices_with_path, two_level_search
 from hplan.search.grid import Grid, Occupancy
 from hplan.tour.tour import TourOptions
+from hplan.view.page import write_page
+from hplan.view.playback import Playback
 from hplan.waypoints import limit_shares, limits_of, read_machine, read_waypoints, time_waypoints
 from hplan.waypoints.corner_rounding import largest_deviation, rounded_path
 
@@ -70,6 +74,13 @@ NO_MATRIX: tuple[Any, ...] = (None, "12", 1.0, [], [[]], [1.0, 2.0], [[1.0], [1.
 NO_OBJECT: tuple[Any, ...] = (None, "scene", 1.0, [], {}, object(), Path("scene.yaml"))
 
 START, GOAL = Start(joints_deg=(0.0,) * 4), Goal(joints_deg=(0.0, 45.0, 60.0, 70.0))
+
+
+class NoArray:
+    """Says that it is an array, and is none."""
+
+    def __array__(self, *_: Any, **__: Any) -> Any:
+        raise RuntimeError("no array")
 
 
 def a_scene(**changes: Any) -> Scene:
@@ -215,7 +226,7 @@ CASES: dict[str, Case] = {
     "Scene.with_obstacles": (
         a_scene().with_obstacles,
         {"obstacles": ()},
-        {"obstacles": (("post",), (None,), (START,), (Sphere(**BALL),) * 2)},
+        {"obstacles": (("post",), (None,), (START,), (Sphere(**BALL),) * 2, None, "ball", 1.0, np.array(3.0))},
     ),
     "Scene.model_validate": (Scene.model_validate, {"obj": {}}, {"obj": ({}, None, "scene", [], {"name": 1})}),
     "PlanOptions": (
@@ -587,6 +598,38 @@ CASES: dict[str, Case] = {
         {"path": "w.csv", "joint_names": ["a"]},
         {"path": NO_FILE, "joint_names": (None, "a", [1], 1.0)},
     ),
+    "Trajectory.since": (a_trajectory().since, {"row": 1}, {"row": (*NO_WHOLE, 2, 10**30)}),
+    "Trajectory.until": (a_trajectory().until, {"row": 1}, {"row": (*NO_WHOLE, 2, 10**30)}),
+    "Trajectory.positions": (a_trajectory().positions, {"clock": [0.0]}, {"clock": (*NO_MATRIX[:3], [NAN], [[0.0]])}),
+    "Robot.tool_positions": (
+        hplan.load_robot().tool_positions,
+        {"q": [0.0] * 4},
+        {"q": (None, "1234", 1.0, [1.0, 2.0], [NAN] * 4, [INF] * 4, [[1.0], [1.0, 2.0]], object(), NoArray())},
+    ),
+    "Robot.tool_poses": (hplan.load_robot().tool_poses, {"q": [0.0] * 4}, {"q": (None, [1.0, 2.0], [NAN] * 4)}),
+    "plan progress": (hplan.plan, {"robot": None, "scene": None}, {"progress": (None, 5, "print", [])}),
+    "Playback.of": (Playback.of, {"result": None}, {"result": (*NO_OBJECT, a_trajectory())}),
+    "Playback": (
+        Playback,
+        {"trajectory": None},
+        {
+            "trajectory": NO_OBJECT,
+            "picked": (None, [], {1: 0.0}, {"a": "b"}, {"a": NAN}),
+            "phases": (None, 1.0, [None], ["approach"]),
+            "begin_s": NO_NUMBER,
+        },
+    ),
+    "write_page": (
+        write_page,
+        {"robot": None, "scene": None, "playback": Playback(a_trajectory()), "path": "a.html"},
+        {"robot": NO_OBJECT, "scene": NO_OBJECT, "playback": NO_OBJECT, "path": NO_PATH},
+    ),
+    "PlanOptions.step_deg": (hplan.PlanOptions, {}, {"step_deg": (*NO_POSITIVE, 1e-308)}),
+    "read_planning_scene": (
+        read_planning_scene,
+        {"source": {"world": {}}},
+        {"source": (*NO_FILE, {})},
+    ),
     "write_report": (
         lambda **given: importlib.import_module("hplan.planning.report").write_report(**given),
         {"report": {}, "path": "a.json"},
@@ -607,6 +650,7 @@ WORDS: dict[str, tuple[str, ...]] = {
     "hold": ("joint",),
     "paths": ("capsule file",),
     "q": ("start: ",),
+    "source": ("planning scene", "scene", "world", "collision_objects"),
 }
 
 
@@ -710,8 +754,55 @@ def test_csv_readers_take_plain_decimal_numbers_only(text: str, tmp_path: Path) 
     for content, read in readers:
         head, _, rest = content.partition("\n")
         path.write_text(f"{head}\n{rest.replace('0.0', text, 2)}", encoding="utf-8")
-        with pytest.raises(InputError, match=r"line 2: \w+ is '.*', expected a (finite )?number"):
+        with pytest.raises(InputError, match=r"line 2: \w+ is '.*', expected a finite number"):
             read()
+
+
+@pytest.mark.parametrize(
+    ("name", "read"),
+    [
+        ("a.csv", hplan.read_csv),
+        ("a.csv", read_motion),
+        ("a.csv", lambda path: read_waypoints(path, ["a"])),
+        ("a.csv", import_capsules),
+        ("a.yaml", lambda path: hplan.load_robot(limits=path)),
+        ("a.urdf", hplan.load_robot),
+        ("a.yaml", hplan.load_scene),
+        ("a.yaml", read_planning_scene),
+        ("a.scene", read_moveit_scene),
+        ("report.json", read_report),
+    ],
+)
+def test_files_are_read_up_to_a_size(name: str, read: Callable[[Path], object], tmp_path: Path) -> None:
+    """One of a terabyte, none of which is on the disk; and a name that no file can have."""
+    path = tmp_path / name
+    with path.open("wb") as file:
+        file.truncate(2**40)
+    with pytest.raises(HplanError, match=r"1,099,511,627,776 bytes or more; at most \d+,000,000 are read|more than 16"):
+        read(path)
+    with pytest.raises(HplanError):
+        read(tmp_path / ("n" * 300 + path.suffix))
+
+
+def test_a_row_of_a_csv_is_bounded_too(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    for text in ("a," * 600_000, '"a\n",' * 300_000):
+        path.write_text(text)
+        with pytest.raises(InputError, match="the row has more than 1,000,000 characters"):
+            hplan.read_csv(path)
+
+
+def test_names_longer_than_a_files(tmp_path: Path) -> None:
+    cloud = PointCloud.of("ö" * 300, [[1.0, 0.0, 2.0]], 0.01)
+    taken = PointCloud.of("b", [[1.0, 0.0, 2.0]], 0.01)
+    hplan.save_scene(a_scene(obstacles=(taken, cloud)), tmp_path / "s.yaml")
+    loaded = hplan.load_scene(tmp_path / "s.yaml")
+    assert [item.name for item in loaded.obstacles] == ["b", "ö" * 300]
+    # A new cloud does not take the file of one that has it.
+    new, old = PointCloud.of("b", [[1.5, 0.0, 2.0]], 0.01), loaded.obstacles[0].model_copy(update={"name": "c"})
+    hplan.save_scene(loaded.with_obstacles([new, old]), tmp_path / "s.yaml")
+    first, second = hplan.load_scene(tmp_path / "s.yaml").obstacles
+    assert (first.file, second.file) == ("s-0-b-2.ply", "s-0-b.ply")
 
 
 def test_csv_of_other_systems(tmp_path: Path) -> None:

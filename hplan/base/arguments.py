@@ -108,6 +108,17 @@ def instance(option: str, value: Any, kind: type[_T], where_from: str = "") -> _
     return value
 
 
+def function(option: str, value: Any) -> Any:
+    """Something that can be called.
+
+    Raises:
+        OptionError: It cannot.
+    """
+    if not callable(value):
+        raise OptionError(option, value, "a function")
+    return value
+
+
 def file_path(option: str, value: Any) -> Path:
     """A path.
 
@@ -127,15 +138,6 @@ def decimal(text: str) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def is_float(text: str) -> bool:
-    """True if Python reads a text as a number, as it does `nan` and `1_0`."""
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
-
-
 def each(option: str, values: Any, expected: str, check: Callable[[str, Any], _T]) -> tuple[_T, ...]:
     """A list of values that `check` lets pass, each by its place; a text is not taken letter by letter.
 
@@ -144,7 +146,11 @@ def each(option: str, values: Any, expected: str, check: Callable[[str, Any], _T
     """
     if isinstance(values, str | bytes) or not isinstance(values, Iterable):
         raise OptionError(option, values, expected)
-    return tuple(check(f"{option}[{index}]", value) for index, value in enumerate(values))
+    try:
+        listed = list(values)
+    except TypeError as error:  # an array of no axes
+        raise OptionError(option, values, expected) from error
+    return tuple(check(f"{option}[{index}]", value) for index, value in enumerate(listed))
 
 
 def list_between(option: str, values: Any, low: float, high: float) -> tuple[float, ...]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import fields
 from pathlib import PurePath
-from types import MappingProxyType
+from types import EllipsisType, MappingProxyType
 from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
@@ -39,22 +39,25 @@ def frozen(array: NDArray[_T]) -> NDArray[_T]:
     return array
 
 
-def numbers(option: str, values: Any, shape: tuple[int | None, ...]) -> FloatArray:
-    """A read-only array of finite numbers; None in the shape stands for any count.
+def numbers(option: str, values: Any, shape: tuple[int | EllipsisType | None, ...]) -> FloatArray:
+    """A read-only array of finite numbers; None in the shape stands for any count, a leading `...` for any axes.
 
     Raises:
         InputError: It is none.
     """
-    words = ", ".join("n" if count is None else str(count) for count in shape)
+    words = ", ".join("n" if count is None else "..." if count is ... else str(count) for count in shape)
     expected = f"({words},), a list of finite numbers" if len(shape) == 1 else f"({words}) finite numbers"
     try:
         array = np.asarray(values)
     except ValueError as error:  # rows of different lengths
         raise InputError(f"{option}: expected {expected}, got rows of different lengths", option=option) from error
+    except Exception as error:  # of what says that it is an array and is none
+        raise InputError(f"{option}: expected {expected}, got {_short(values)}: {error}", option=option) from error
     if array.size and array.dtype.kind not in "fiu":
         raise InputError(f"{option}: expected {expected}, got {_short(values)}", option=option)
-    fits = array.ndim == len(shape) and all(
-        wanted is None or wanted == count for wanted, count in zip(shape, array.shape, strict=True)
+    last = shape[1:] if shape[:1] == (...,) else shape
+    fits = (array.ndim == len(shape) or (last is not shape and array.ndim >= len(last))) and all(
+        wanted is None or wanted == count for wanted, count in zip(reversed(last), reversed(array.shape), strict=False)
     )
     if not fits:
         raise InputError(f"{option} has shape {array.shape}, expected {expected}", option=option)

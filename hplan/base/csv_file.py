@@ -3,52 +3,68 @@
 from __future__ import annotations
 
 import csv
+import io
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
-from hplan.base.arguments import decimal, file_path, is_float
+from hplan.base.arguments import decimal, file_path
+from hplan.base.files import ByteBudget
 from hplan.errors import InputError
+
+#: Most bytes of a CSV file (some fifteen minutes of seven joints at 250 Hz), and most characters of a row.
+MOST_CSV_BYTES: Final = 128_000_000
+MOST_ROW: Final = 1_000_000
 
 
 @dataclass(frozen=True)
 class CsvFile:
-    """A CSV, read whole.
+    """A CSV, whose rows are read one after the other.
 
     Attributes:
         path: The file.
         what: What it is, for messages: "motion".
         row_word: What one of its rows is, for messages: "row".
+        first: Line of the header.
         header: Its first row; empty where there is none.
-        rows: The others, each with the number of its (last) line.
+        rows: The others, each with the number of its (last) line; they can be read once.
     """
 
     path: Path
     what: str
     row_word: str
+    first: int
     header: list[str]
-    rows: list[tuple[int, list[str]]]
+    rows: Iterator[tuple[int, list[str]]]
 
     @classmethod
-    def read(cls, path: Path | str, what: str, row_word: str) -> CsvFile:
+    def read(cls, path: Path | str, what: str, row_word: str, *, blank: bool = False) -> CsvFile:
         """Read a file, with or without a byte order mark.
 
+        Args:
+            path: The file.
+            what: What it is, for messages.
+            row_word: What one of its rows is, for messages.
+            blank: True to leave out rows of nothing but blanks.
+
         Raises:
-            InputError: Missing or unreadable file, not UTF-8, or malformed.
+            InputError: Missing or unreadable file, too large, not UTF-8, or malformed.
         """
         path = file_path("path", path)
         try:
-            with path.open(encoding="utf-8-sig", newline="") as stream:
-                reader = csv.reader(stream, strict=True)
-                rows = [(reader.line_num, row) for row in reader]
+            text = ByteBudget(MOST_CSV_BYTES).read(path).decode("utf-8-sig")
         except OSError as error:
             raise InputError(f"{what} file {path}: {error.strerror}", path=str(path)) from error
-        except UnicodeDecodeError as error:
-            raise InputError(f"{what} file {path}: it is not UTF-8 text", path=str(path)) from error
-        except csv.Error as error:
-            raise _fault(path, what, reader.line_num, str(error)) from error
-        return cls(path, what, row_word, rows[0][1] if rows else [], rows[1:])
+        except ValueError as error:
+            reason = "it is not UTF-8 text" if isinstance(error, UnicodeDecodeError) else str(error)
+            raise InputError(f"{what} file {path}: {reason}", path=str(path)) from error
+        rows = _rows(path, what, text)
+        if blank:
+            rows = ((line, row) for line, row in rows if any(map(str.strip, row)))
+        first, header = next(rows, (1, []))
+        return cls(path, what, row_word, first, header, rows)
 
     def fault(self, line: int, reason: str) -> InputError:
         """The error that names the file, a line and what is wrong there."""
@@ -66,13 +82,14 @@ class CsvFile:
         Raises:
             InputError: No row, a row of another length than the header, a cell that is no finite number.
         """
-        if not self.rows:
-            raise self.fault(1, f"no {self.row_word}s follow the header")
         names = [self.header[column].strip() for column in columns]
+        line = None
         for line, row in self.rows:
             if len(row) != len(self.header):
                 raise self.fault(line, f"{len(row)} values, expected {len(self.header)}")
             yield line, row, [self._number(line, name, row[i]) for name, i in zip(names, columns, strict=True)]
+        if line is None:
+            raise self.fault(self.first, f"no {self.row_word}s follow the header")
 
     def timed_rows(self, columns: Sequence[int]) -> Iterator[tuple[int, list[str], list[float]]]:
         """The rows one after the other, each checked before it is handed out.
@@ -99,8 +116,29 @@ class CsvFile:
     def _number(self, line: int, name: str, text: str) -> float:
         value = decimal(text)
         if value is None:
-            raise self.fault(line, f"{name} is {text!r}, expected a {'finite ' if is_float(text) else ''}number")
+            raise self.fault(line, f"{name} is {text!r}, expected a finite number")
         return value
+
+
+def _rows(path: Path, what: str, text: str) -> Iterator[tuple[int, list[str]]]:
+    """The rows of a text, each with the number of its last line."""
+    length = 0
+
+    def lines() -> Iterator[str]:
+        nonlocal length
+        for line in io.StringIO(text, newline=""):
+            length += len(line)
+            if length > MOST_ROW:
+                raise csv.Error(f"the row has more than {MOST_ROW:,} characters")
+            yield line
+
+    reader = csv.reader(lines(), strict=True)
+    try:
+        for row in reader:
+            length = 0
+            yield reader.line_num, row
+    except csv.Error as error:
+        raise _fault(path, what, max(reader.line_num, 1), str(error)) from error
 
 
 def _fault(path: Path, what: str, line: int, reason: str) -> InputError:

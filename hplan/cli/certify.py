@@ -7,14 +7,15 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from hplan.base.files import is_folder
 from hplan.cli.finished_job import FinishedJob
 from hplan.cli.job_folder import REPORT
 from hplan.cli.options import (
-    CommandParser,
     add_drop_inside,
     add_robot,
     add_scene,
     add_tracking,
+    check_output_file,
     command_parser,
     robot_of,
     scene_among,
@@ -39,7 +40,7 @@ exit status:
 """
 
 
-def parser(prog: str) -> CommandParser:
+def parser(prog: str) -> argparse.ArgumentParser:
     """The parser of the command's arguments."""
     parser = command_parser(_DESCRIPTION, _EXIT_STATUS, prog=prog)
     add = parser.add_argument
@@ -73,17 +74,20 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int
         from hplan.verification.certificate import certify
 
     path: Path = arguments.trajectory
-    job = FinishedJob(path) if path.is_dir() else None
+    job = FinishedJob(path) if is_folder(path) else None
     _fill_in(arguments, job)
     tracking = tracking_of(arguments)
     options = PlanOptions(tracking_error=tracking.still_rad, tracking_delay_s=tracking.delay_s, sigmas=arguments.sigmas)
     given = load_scene(job.scene if arguments.scene is None and job is not None else arguments.scene)
     robot = robot_of(arguments, given, job)
     scene, _left_out = scene_among(arguments, robot, given, errors)
+    trajectory = read_csv(path) if job is None else job.trajectory()
+    if arguments.report is not None:
+        check_output_file(arguments.report, "--report")
     certificate = certify(
         robot,
         scene,
-        read_csv(path) if job is None else job.trajectory(),
+        trajectory,
         tracking_error=tracking.still_rad,
         tracking_delay_s=tracking.delay_s,
         sigmas=arguments.sigmas,

@@ -7,7 +7,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 from hplan.base.data_files import shipped_scenes
-from hplan.cli.options import CommandParser, command_parser
+from hplan.cli.options import command_parser
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -53,7 +53,7 @@ def _script() -> str:
     return _BASH.format(commands="|".join(COMMANDS), cases="\n".join(cases))
 
 
-def parser(prog: str) -> CommandParser:
+def parser(prog: str) -> argparse.ArgumentParser:
     """The parser of the command's arguments."""
     parser = command_parser(_DESCRIPTION, _EPILOG, prog=prog)
     parser.add_argument("shell", choices=("bash",), help="the shell")

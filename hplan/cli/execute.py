@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hplan.cli.options import CommandParser, add_robot, add_scene, add_tracking, command_parser, robot_of, tracking_of
+from hplan.cli.options import add_robot, add_scene, add_tracking, command_parser, robot_of, tracking_of
 from hplan.cli.terminal import FAILED, facts_table, number_table
 
 if TYPE_CHECKING:
@@ -57,7 +57,7 @@ def run(arguments: argparse.Namespace, console: Console, _: Console) -> int:
     return 0 if result.ok else FAILED
 
 
-def parser(prog: str) -> CommandParser:
+def parser(prog: str) -> argparse.ArgumentParser:
     """The parser of the command's arguments."""
     parser = command_parser(_DESCRIPTION, _EPILOG, prog=prog)
     parser.add_argument("trajectory", type=Path, metavar="TRAJECTORY.csv", help="the motion")

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from hplan.base.data_files import robot_names, shipped_scenes
-from hplan.cli.job_folder import REPORT, SCENE, TOUR_REPORT, TRAJECTORY
+from hplan.cli.job_folder import REPORT, SCENE, TOUR_REPORT, TRAJECTORY, read_report, written_s
 from hplan.errors import InputError
 
 if TYPE_CHECKING:
@@ -33,14 +32,9 @@ class FinishedJob:
         Raises:
             InputError: There is none, or it is no report of a finished job.
         """
-        self.path = max((folder / name for name in (REPORT, TOUR_REPORT)[: 1 + tours]), key=_time_of)
-        try:
-            report = json.loads(self.path.read_text(encoding="utf-8"))
-        except OSError as error:
-            raise self._fault(str(error.strerror)) from error
-        except ValueError as error:
-            raise self._fault(f"it is no JSON: {error}") from error
-        certificate = report.get("certificate") if isinstance(report, dict) else None
+        self.path = max((folder / name for name in (REPORT, TOUR_REPORT)[: 1 + tours]), key=written_s)
+        report = read_report(self.path)
+        certificate = report.get("certificate")
         numbers = ("tracking_error_rad", "tracking_delay_s", "sigmas")
         if (
             not isinstance(certificate, dict)
@@ -52,7 +46,7 @@ class FinishedJob:
         files = report.get("files", [TRAJECTORY])
         if not isinstance(files, list) or not all(isinstance(name, str) for name in files):
             raise self._fault("files: expected names")
-        self.report: dict[str, Any] = report
+        self.report = report
         self.trajectory_paths = [folder / name for name in files]
 
     def _fault(self, reason: str) -> InputError:
@@ -187,11 +181,3 @@ class FinishedJob:
 def _number(value: float | None) -> float:
     """A number of a report, where what was infinite is null."""
     return float("inf") if value is None else float(value)
-
-
-def _time_of(path: Path) -> float:
-    """When a file was written [s]; minus infinity if it is not there."""
-    try:
-        return path.stat().st_mtime
-    except OSError:
-        return float("-inf")

@@ -1,22 +1,24 @@
-"""The folder that a planning command writes into: free of an earlier job's files, and filled at once or not at all.
+"""The folder that a planning command writes into: filled at once or not at all.
 
-Files are made in a folder of their own inside it and then moved, the report before any trajectory. So wherever a job
-ends, by a fault, a full disk or a signal, no trajectory stands there without the report that belongs to it.
+A job begins when all that it reads has been read: before that no file is changed. Files are made in a folder of their
+own inside it and then moved, the report before any trajectory. So wherever a job ends, by a fault, a full disk or a
+signal, no trajectory stands there without the report that belongs to it.
 """
 
 from __future__ import annotations
 
 import argparse
 import contextlib
+import json
 import os
 import shutil
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any, Final
 
-from hplan.base.files import check_replaceable
-from hplan.cli.options import CommandParser, named_output
-from hplan.errors import HplanError, InputError, OutputError
+from hplan.base.files import ByteBudget, check_replaceable, inputs
+from hplan.errors import HplanError, InputError, OptionError, OutputError
 
 #: Where files go unless something else is said.
 OUT = Path("out")
@@ -35,8 +37,11 @@ MCAP = "motion.mcap"
 #: Files of the joint space, where they are asked for.
 CSPACE_PAGE, CSPACE_FIGURE = "cspace.html", "cspace.png"
 
-#: Files that go with the report of one motion.
+#: Files that go with the report of one motion, its trajectory first.
 PLAN_FILES = (TRAJECTORY, PAGE, MCAP, CSPACE_PAGE, CSPACE_FIGURE)
+
+#: Most bytes of a report.
+MOST_REPORT_BYTES: Final = 64_000_000
 
 #: Name of the folder in which a process makes its files.
 _STAGING = ".hplan-job-"
@@ -47,8 +52,6 @@ class JobFolder:
 
     Attributes:
         path: The folder.
-        robot: Name of the robot, once it is known; for the report of a failure.
-        scene: Name of the scene, likewise.
     """
 
     def __init__(self, path: Path, files: Sequence[str], report: str) -> None:
@@ -56,28 +59,41 @@ class JobFolder:
 
         Args:
             path: The folder.
-            files: Names of a job's files, or patterns of them.
+            files: Names of a job's files, or patterns of them; first its trajectory.
             report: Name of the report.
         """
         self.path = path
-        self.robot: str | None = None
-        self.scene: str | None = None
         self._files = (*files, report)
         self._report = report
 
     @contextmanager
-    def job(self) -> Iterator[None]:
-        """Make the folder ready; should the job inside fail, leave nothing of it but its report.
+    def job(self, scene: str, robot: str) -> Iterator[None]:
+        """Make the folder ready; should the job inside fail, leave nothing of it, or an earlier one, but its report.
+
+        An option that does not fit robot or scene is no failed job: what stands there stays.
+
+        Args:
+            scene: Name of the scene, for the report of a failure.
+            robot: Name of the robot.
 
         Raises:
+            OptionError: A file that the command has read would be replaced.
             OutputError: The folder cannot be made or written.
         """
+        for path in inputs():
+            if path.parent == self.path.resolve() and any(path.match(pattern) for pattern in self._files):
+                raise OptionError("--out", str(self.path), f"another folder than that of {path}, which is read")
         prepare_folder(self.path)
-        self.clear()
+        for staging in self.path.glob(f"{_STAGING}*"):  # of processes that were killed
+            number = staging.name.removeprefix(_STAGING)
+            if number.isdecimal() and not _runs(int(number)):
+                shutil.rmtree(staging, ignore_errors=True)
         try:
             yield
+        except OptionError:
+            raise
         except BaseException as error:
-            self.fail(error)
+            self._fail(error, scene, robot)
             raise
 
     @contextmanager
@@ -88,49 +104,82 @@ class JobFolder:
             OutputError: A file cannot be written, or moved to its place.
         """
         staging = self.path / f"{_STAGING}{os.getpid()}"
+        moved: list[Path] = []
         try:
             try:
+                self._clear()  # so that no trajectory is seen beside another's report
                 staging.mkdir()
                 yield staging
-                for file in sorted(staging.iterdir(), key=lambda file: (file.suffix == ".csv", file.name)):
+                made = sorted(staging.iterdir(), key=lambda file: (file.suffix == ".csv", file.name))
+                for file in made:
                     check_replaceable(self.path / file.name, self.path / file.name)
-                    file.replace(self.path / file.name)
+                moved.extend(file.replace(self.path / file.name) for file in made)
             except OutputError as error:
                 raise OutputError(self.path / error.path.name, error.reason) from error
             except OSError as error:
                 name = Path(error.filename or staging).name
                 raise OutputError(self.path / name, error.strerror or str(error)) from error
+        except BaseException:
+            for file in moved:
+                file.unlink(missing_ok=True)
+            raise
         finally:
             shutil.rmtree(staging, ignore_errors=True)
 
-    def holds(self, file: Path) -> bool:
-        """True if a file is in the folder and has the name of one of a job's."""
-        place = file.resolve()
-        return place.parent == self.path.resolve() and any(place.match(pattern) for pattern in self._files)
+    def _clear(self) -> None:
+        """Remove an earlier job's trajectory, report, and the files that came with it.
 
-    def clear(self) -> None:
-        """Remove the files of a job; an earlier job's trajectory must not be taken for the result of this one.
-
-        What cannot be removed (a folder of that name) cannot be written either, and is reported then. What processes
-        that were killed have left goes too.
+        Files that may be another kind of job's, or the user's own, stay: where the last report here is not of a
+        finished job of this kind, all but trajectory and report. What cannot be removed (a folder of that name) cannot
+        be written either, and is reported then.
         """
+        finished = []
+        for name in (REPORT, TOUR_REPORT):
+            with contextlib.suppress(InputError):
+                if read_report(self.path / name, is_input=False).get("status") == "ok":
+                    finished.append(name)
+        is_ours = bool(finished) and max(finished, key=lambda name: written_s(self.path / name)) == self._report
         for pattern in self._files:
-            for file in sorted(self.path.glob(pattern)):
-                with contextlib.suppress(OSError):
-                    file.unlink(missing_ok=True)
-        for staging in self.path.glob(f"{_STAGING}*"):
-            number = staging.name.removeprefix(_STAGING)
-            if number.isdecimal() and not _runs(int(number)):
-                shutil.rmtree(staging, ignore_errors=True)
+            if is_ours or pattern in (self._files[0], self._report):
+                for file in sorted(self.path.glob(pattern)):
+                    with contextlib.suppress(OSError):
+                        file.unlink(missing_ok=True)
 
-    def fail(self, error: BaseException) -> None:
+    def _fail(self, error: BaseException, scene: str, robot: str) -> None:
         """Leave the report of a failed job; after a signal or a fault of hplan's own, nothing at all."""
         from hplan.planning.report import failure_report, write_report
 
-        self.clear()
+        self._clear()
         if isinstance(error, HplanError):
             with contextlib.suppress(OutputError):
-                write_report(failure_report(error, scene=self.scene, robot=self.robot), self.path / self._report)
+                write_report(failure_report(error, scene=scene, robot=robot), self.path / self._report)
+
+
+def read_report(path: Path, *, is_input: bool = True) -> dict[str, Any]:
+    """What a report holds.
+
+    Raises:
+        InputError: It cannot be read.
+    """
+    try:
+        content = json.loads(ByteBudget(MOST_REPORT_BYTES).read(path, is_input=is_input))
+    except OSError as error:
+        reason = error.strerror or str(error)
+    except (ValueError, RecursionError) as error:
+        reason = f"it is no JSON: {error}"
+    else:
+        if isinstance(content, dict):
+            return content
+        reason = "it is no mapping of keys"
+    raise InputError(f"report file {path}: {reason}", path=str(path))
+
+
+def written_s(path: Path) -> float:
+    """When a file was written [s]; minus infinity if it is not there."""
+    try:
+        return path.stat().st_mtime
+    except OSError:
+        return float("-inf")
 
 
 def needs_rosbags(arguments: argparse.Namespace) -> None:
@@ -160,23 +209,6 @@ def prepare_folder(folder: Path) -> None:
         raise OutputError(folder, "it is a file, not a folder") from error
     except OSError as error:
         raise OutputError(folder, error.strerror or str(error)) from error
-
-
-def fail_on_usage_errors(parser: CommandParser, out: Path, folder_at: Callable[[Path], JobFolder]) -> None:
-    """Make arguments that cannot be understood a failed job as well, if the folder that they name is there.
-
-    Args:
-        parser: Of a command that writes into the folder `--out`.
-        out: Where files go unless something else is said.
-        folder_at: The job's folder at a path.
-    """
-
-    def refuse(message: str, words: Sequence[str]) -> None:
-        path = named_output(words, out)
-        if path is not None and path.is_dir():
-            folder_at(path).fail(InputError(message))
-
-    parser.on_usage_error = refuse
 
 
 def _runs(process: int) -> bool:

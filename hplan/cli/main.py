@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import difflib
+import os
 import sys
 from collections.abc import Sequence
 from importlib import import_module
 
-from hplan.cli.options import CommandParser, command_parser
+from hplan.base.data_files import shipped_scenes
+from hplan.cli.options import command_parser
 from hplan.cli.terminal import run_command
 
 #: What each subcommand does. A file of its name in this folder has its `parser(prog)`, and `run(arguments, console,
@@ -36,7 +39,18 @@ def main(argv: Sequence[str] | None = None) -> int:
         command_parser(_DESCRIPTION, epilog, prog="hplan", usage=_USAGE).parse_args(words[:1])
     if words and words[0] in COMMANDS:
         return run_subcommand(words[0], f"hplan {words[0]}", words[1:])
+    if words and (near := _near_command(words[0])):
+        command_parser(_DESCRIPTION, "", prog="hplan", usage=_USAGE).error(
+            f"{words[0]!r} is no command and no scene; did you mean {near!r}?"
+        )
     return run_subcommand("plan", "hplan", words)
+
+
+def _near_command(word: str) -> str | None:
+    """The command that a word is nearly, where it is no scene."""
+    if word in shipped_scenes() or os.path.lexists(word):
+        return None
+    return next(iter(difflib.get_close_matches(word, COMMANDS, 1)), None)
 
 
 def run_subcommand(name: str, prog: str, argv: Sequence[str] | None = None) -> int:
@@ -48,7 +62,5 @@ def run_subcommand(name: str, prog: str, argv: Sequence[str] | None = None) -> i
         argv: The arguments; None for the program's own.
     """
     command = import_module(f"hplan.cli.{name}")
-    parser: CommandParser = command.parser(prog)
-    parser.words = sys.argv[1:] if argv is None else argv
-    arguments = parser.parse_args(parser.words)
+    arguments = command.parser(prog).parse_args(argv)
     return run_command(lambda console, errors: command.run(arguments, console, errors))

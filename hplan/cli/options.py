@@ -5,11 +5,11 @@ from __future__ import annotations
 import argparse
 import math
 import textwrap
-from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING
 
 import hplan
+from hplan.base.files import inputs, is_folder
 from hplan.errors import OptionError, OutputError
 
 if TYPE_CHECKING:
@@ -22,26 +22,11 @@ if TYPE_CHECKING:
     from hplan.scene.model import Scene
 
 
-class CommandParser(argparse.ArgumentParser):
-    """A parser that lets a command know of arguments that cannot be understood, before it ends the program."""
-
-    #: What is to be understood.
-    words: Sequence[str] = ()
-    #: Called with what is wrong, and with the words.
-    on_usage_error: Callable[[str, Sequence[str]], None] | None = None
-
-    def error(self, message: str) -> NoReturn:
-        """Say what is wrong and end the program."""
-        if self.on_usage_error is not None:
-            self.on_usage_error(message, self.words)
-        super().error(message)
-
-
 def command_parser(
     description: str, epilog: str, *, prog: str | None = None, usage: str | None = None
-) -> CommandParser:
+) -> argparse.ArgumentParser:
     """A parser whose help gives the description in lines of 79 and the epilog as it stands."""
-    parser = CommandParser(
+    parser = argparse.ArgumentParser(
         prog=prog,
         usage=usage,
         description=textwrap.fill(description, 79),
@@ -51,17 +36,6 @@ def command_parser(
     if prog is not None and prog.startswith("hplan"):
         parser.add_argument("--version", action="version", version=f"hplan {hplan.__version__}")
     return parser
-
-
-def named_output(words: Sequence[str], default: Path) -> Path | None:
-    """The path that `--out` names in arguments that may not be understood otherwise; None where that cannot be told."""
-    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
-    parser.add_argument("--out", "--ou", type=Path, default=default)
-    try:
-        found: Path = parser.parse_known_args(words)[0].out
-    except argparse.ArgumentError:
-        return None
-    return found
 
 
 def add_scene(parser: argparse.ArgumentParser, default: str = "the paper's reference scene, Table 1") -> None:
@@ -240,14 +214,14 @@ def plan_options(arguments: argparse.Namespace, *options: str) -> PlanOptions:
     )
 
 
-def check_output_file(out: Path, read: Sequence[Path | None]) -> None:
-    """Refuse, before any work, a file to write that is one of those that are `read`, or has no folder.
+def check_output_file(out: Path, option: str = "--out") -> None:
+    """Refuse, before any work, a file to write that the command has read, or that has no folder.
 
     Raises:
         OptionError: It would replace something that is read.
         OutputError: There is no such folder.
     """
-    if any(path is not None and path.resolve() == out.resolve() for path in read):
-        raise OptionError("--out", str(out), "another file than those that are read")
-    if not out.resolve().parent.is_dir():
+    if out.resolve() in inputs():
+        raise OptionError(option, str(out), "another file than those that are read")
+    if not is_folder(out.resolve().parent):
         raise OutputError(out, "its folder does not exist")

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hplan.cli.options import CommandParser, check_output_file, command_parser
+from hplan.cli.options import check_output_file, command_parser
 from hplan.cli.terminal import facts_table
 from hplan.errors import OptionError
 
@@ -38,7 +38,7 @@ _GROWN = ("form", "trees", "branches", "shoots", "tree_height", "branch_length",
 _MEASURED = ("turn", "height")
 
 
-def parser(prog: str) -> CommandParser:
+def parser(prog: str) -> argparse.ArgumentParser:
     """The parser of the command's arguments."""
     parser = command_parser(_DESCRIPTION, _EPILOG, prog=prog)
     source = parser.add_mutually_exclusive_group()
@@ -81,8 +81,8 @@ def run(arguments: argparse.Namespace, console: Console, _: Console) -> int:
     from hplan.scene.file import save_scene
 
     out: Path = arguments.out
-    check_output_file(out, arguments.files or ())
     scene = _made(arguments)
+    check_output_file(out)
     save_scene(scene, out)
     if not arguments.quiet:
         _show(console, scene, out)

@@ -18,11 +18,9 @@ from hplan.cli.job_folder import (
     REPORT,
     TRAJECTORY,
     JobFolder,
-    fail_on_usage_errors,
     needs_rosbags,
 )
 from hplan.cli.options import (
-    CommandParser,
     add_deadline,
     add_drop_inside,
     add_effort,
@@ -84,15 +82,10 @@ STAGE_WORDS = {
 }
 
 
-def _job_folder(path: Path) -> JobFolder:
-    return JobFolder(path, PLAN_FILES, REPORT)
-
-
 def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int:
     """Plan, write, show what came of it; returns the exit status."""
-    folder = _job_folder(arguments.out)
-    with folder.job():
-        robot, scene, result = _made(arguments, folder, errors)
+    folder = JobFolder(arguments.out, PLAN_FILES, REPORT)
+    robot, scene, result = _made(arguments, folder, errors)
     if not arguments.quiet:
         show_summary(console, result, folder.path)
     if arguments.view:
@@ -103,7 +96,7 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int
     return 0
 
 
-def parser(prog: str) -> CommandParser:
+def parser(prog: str) -> argparse.ArgumentParser:
     """The parser of the command's arguments."""
     parser = command_parser(_DESCRIPTION, _EXIT_STATUS, prog=prog)
     add_scene(parser)
@@ -139,7 +132,6 @@ def parser(prog: str) -> CommandParser:
     add("--cspace-yaw", type=float, metavar="DEG", help="the same for a yaw of choice (default: the goal's)")
     add("--mcap", action="store_true", help="write motion.mcap too, for Foxglove and RViz (needs the extra ros)")
     add("--quiet", action="store_true", help="no progress, no summary")
-    fail_on_usage_errors(parser, OUT, _job_folder)
     return parser
 
 
@@ -174,34 +166,33 @@ def _made(arguments: argparse.Namespace, folder: JobFolder, errors: Console) -> 
         needs_rosbags(arguments)
         given = load_scene(arguments.scene)
         robot = robot_of(arguments, given)
-        folder.robot = robot.name
         yaw = None if arguments.cspace_yaw is None else math.radians(arguments.cspace_yaw)
         wants_cspace = arguments.cspace or yaw is not None
         if wants_cspace:
             check_yaw(robot, yaw)
         scene, left_out = scene_among(arguments, robot, given, errors)
-        folder.scene = scene.name
         first_run = is_first_run()
         note = " (compiling, as on every first run)" if first_run else ""
 
         def progress(stage: str) -> None:
             show(STAGE_WORDS.get(stage, stage) + note)
 
-        result = _planned(robot, scene, options, progress, first_run)
-        progress("export")
-        begin = time.perf_counter()
-        with folder.filling() as staging:
-            write_csv(result.trajectory, staging / TRAJECTORY)
-            write_page(robot, scene, Playback.of(result), staging / PAGE)
-            if arguments.mcap:
-                from hplan.ros.mcap_file import write_mcap
+        with folder.job(scene.name, robot.name):
+            result = _planned(robot, scene, options, progress, first_run)
+            progress("export")
+            begin = time.perf_counter()
+            with folder.filling() as staging:
+                write_csv(result.trajectory, staging / TRAJECTORY)
+                write_page(robot, scene, Playback.of(result), staging / PAGE)
+                if arguments.mcap:
+                    from hplan.ros.mcap_file import write_mcap
 
-                write_mcap(result, staging / MCAP)
-            if wants_cspace:
-                _write_cspace(robot, scene, options, result, yaw, staging)
-            result = with_export_time(result, time.perf_counter() - begin)
-            told = curve_report(result.certificate) | ({"left_out": left_out} if left_out else {})
-            write_report(result.report | told, staging / REPORT)
+                    write_mcap(result, staging / MCAP)
+                if wants_cspace:
+                    _write_cspace(robot, scene, options, result, yaw, staging)
+                result = with_export_time(result, time.perf_counter() - begin)
+                told = curve_report(result.certificate) | ({"left_out": left_out} if left_out else {})
+                write_report(result.report | told, staging / REPORT)
     return robot, scene, result
 
 

@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
+from hplan.base.files import protecting_inputs
 from hplan.errors import HplanError
 
 if TYPE_CHECKING:
@@ -94,7 +95,7 @@ def run_command(command: Callable[[Console, Console], int]) -> int:
     out, err = _Terminal(sys.stdout), _Terminal(sys.stderr)
     console, errors = Console(file=out, highlight=False), Console(file=err, highlight=False)  # type: ignore[arg-type]
     try:
-        with _ending_by_signal(), _warning_on(errors):
+        with _ending_by_signal(), _warning_on(errors), protecting_inputs():
             return command(console, errors)
     except HplanError as error:
         show_error(errors, error)

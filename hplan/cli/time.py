@@ -6,16 +6,14 @@ Without a scene it looks at no obstacles. With one the path is shown clear, fini
 from __future__ import annotations
 
 import argparse
-import contextlib
 import math
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from hplan.base.files import is_file
 from hplan.cli.job_folder import OUT as FOLDER
 from hplan.cli.job_folder import PAGE, PLAN_FILES, REPORT, SCENE, TRAJECTORY, JobFolder
 from hplan.cli.options import (
-    CommandParser,
     add_deadline,
     add_effort,
     add_hold,
@@ -26,12 +24,11 @@ from hplan.cli.options import (
     check_output_file,
     command_parser,
     held_joints,
-    named_output,
     plan_options,
     robot_of,
 )
 from hplan.cli.terminal import facts_table, loading, number_table, progress_line, show_title
-from hplan.errors import InputError, OptionError
+from hplan.errors import OptionError
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -87,7 +84,7 @@ exit status:
 """
 
 
-def parser(prog: str) -> CommandParser:
+def parser(prog: str) -> argparse.ArgumentParser:
     """The parser of the command's arguments."""
     parser = command_parser(_DESCRIPTION, _EPILOG, prog=prog)
     add = parser.add_argument
@@ -110,11 +107,10 @@ def parser(prog: str) -> CommandParser:
     add("--out", type=Path, metavar="FILE.csv", help="file to write (default: timed.csv); with --scene a folder")
     add("--quiet", action="store_true", help="no summary")
     _add_scene(parser)
-    parser.on_usage_error = _refused
     return parser
 
 
-def _add_scene(parser: CommandParser) -> None:
+def _add_scene(parser: argparse.ArgumentParser) -> None:
     """Add the options that take a scene."""
     parser.add_argument("--scene", metavar="SCENE", help="obstacles: a scene file, or name of a shipped scene")
     add = parser.add_argument
@@ -124,34 +120,6 @@ def _add_scene(parser: CommandParser) -> None:
     add_robot_parts(parser)
     add_tracking(parser)
     add_deadline(parser)
-
-
-def _refused(message: str, words: Sequence[str]) -> None:
-    """Leave nothing of an earlier job where arguments cannot be understood, unless they name some of it to be read."""
-    if any(word.split("=")[0] == "--scene" for word in words):
-        folder = named_output(words, FOLDER)
-        if folder is not None and folder.is_dir():
-            job = _job_folder(folder)
-            if not any(job.holds(Path(word.removeprefix("--scene="))) for word in words):
-                job.fail(InputError(message))
-    else:
-        _remove_earlier(words)
-
-
-def _remove_earlier(words: Sequence[str]) -> None:
-    """Remove an earlier result where arguments cannot be understood, unless they name it as something to read too."""
-    out = named_output(words, OUT)
-    if out is None or out.suffix != ".csv" or not out.is_file():
-        return
-    named = [Path(text) for text in words if Path(text).exists() and Path(text).samefile(out)]
-    given = sum(text == "--out" for text in words)
-    if len(named) <= given:
-        with contextlib.suppress(OSError):
-            out.unlink()
-
-
-def _job_folder(path: Path) -> JobFolder:
-    return JobFolder(path, (*PLAN_FILES, SCENE, "scene-*.ply"), REPORT)
 
 
 def _check_options(arguments: argparse.Namespace) -> None:
@@ -169,46 +137,18 @@ def _check_options(arguments: argparse.Namespace) -> None:
             raise OptionError(f"--{name.replace('_', '-').removesuffix('-ms')}", value, how)
 
 
-def _prepare(arguments: argparse.Namespace) -> None:
-    """Remove an earlier result, which must not be taken for this one's, before any work.
-
-    Raises:
-        OptionError: The result would replace something that is read.
-        OutputError: There is no such folder.
-    """
-    check_output_file(arguments.out, (arguments.urdf, arguments.waypoints, arguments.limits))
-    out = arguments.out.resolve()
-    if out.is_file() and out.suffix == ".csv":
-        with contextlib.suppress(OSError):  # what cannot be removed cannot be replaced either, and is reported then
-            out.unlink()
-
-
 def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int:
     """Read, time, write, and say how it went; returns the exit status."""
     if arguments.scene is None:
         arguments.out = OUT if arguments.out is None else arguments.out
         return _timed(arguments, console)
-    folder = _job_folder(FOLDER if arguments.out is None else arguments.out)
-    _check_read(arguments, folder)
-    with folder.job():
-        result = _finished(arguments, folder, errors)
+    folder = JobFolder(FOLDER if arguments.out is None else arguments.out, (*PLAN_FILES, SCENE), REPORT)
+    result = _finished(arguments, folder, errors)
     if not arguments.quiet:
         from hplan.cli.plan import show_summary
 
         show_summary(console, result, folder.path, [SCENE])
     return 0
-
-
-def _check_read(arguments: argparse.Namespace, folder: JobFolder) -> None:
-    """Refuse a folder in which files that are read stand under names of a job's own, which are removed first.
-
-    Raises:
-        OptionError: There is one.
-    """
-    read = (arguments.scene, arguments.waypoints, arguments.urdf, arguments.limits, arguments.srdf)
-    for path in (Path(path) for path in read if path is not None):
-        if folder.holds(path):
-            raise OptionError("--out", str(folder.path), f"another folder than that of {path}, which is read")
 
 
 def _finished(arguments: argparse.Namespace, folder: JobFolder, errors: Console) -> PlanResult:
@@ -229,23 +169,23 @@ def _finished(arguments: argparse.Namespace, folder: JobFolder, errors: Console)
         scene = load_scene(arguments.scene)
         arguments.robot = arguments.urdf
         robot = robot_of(arguments, scene)
-        folder.robot, folder.scene = robot.name, scene.name
         waypoints = read_waypoints(arguments.waypoints, robot.joint_names)
         within_rad = math.radians(arguments.deviation) if arguments.keep_path else None
-        result = finish(
-            robot,
-            scene,
-            waypoints,
-            options,
-            keep_within_rad=within_rad,
-            progress=lambda stage: show(STAGE_WORDS.get(stage, stage)),
-        )
-        show("writing files")
-        with folder.filling() as staging:
-            write_csv(result.trajectory, staging / TRAJECTORY)
-            write_page(robot, result.scene, Playback.of(result), staging / PAGE)
-            save_scene(result.scene, folder.path / SCENE)  # where it stands, for it may name files
-            write_report(result.report | curve_report(result.certificate), staging / REPORT)
+        with folder.job(scene.name, robot.name):
+            result = finish(
+                robot,
+                scene,
+                waypoints,
+                options,
+                keep_within_rad=within_rad,
+                progress=lambda stage: show(STAGE_WORDS.get(stage, stage)),
+            )
+            show("writing files")
+            with folder.filling() as staging:
+                write_csv(result.trajectory, staging / TRAJECTORY)
+                write_page(robot, result.scene, Playback.of(result), staging / PAGE)
+                save_scene(result.scene, folder.path / SCENE)  # where it stands, for it may name files
+                write_report(result.report | curve_report(result.certificate), staging / REPORT)
     return result
 
 
@@ -255,10 +195,10 @@ def _timed(arguments: argparse.Namespace, console: Console) -> int:
     from hplan.waypoints import read_machine, read_waypoints, time_waypoints
 
     _check_options(arguments)
-    _prepare(arguments)
     machine = read_machine(arguments.urdf, arguments.joints, hold=held_joints(arguments))
     waypoints = read_waypoints(arguments.waypoints, machine.joint_names)
     limits = _limits(arguments, machine)
+    check_output_file(arguments.out)
     trajectory = time_waypoints(
         machine.model,
         waypoints,
@@ -287,7 +227,7 @@ def _limits(arguments: argparse.Namespace, machine: Machine) -> Limits:
     files = robot_files(arguments.urdf)
     own = files.urdf.with_suffix(LIMITS_SUFFIX) if files.limits is None else files.limits
     path = own if arguments.limits is None else limits_file(arguments.limits)
-    if arguments.limits is None and not path.exists():
+    if arguments.limits is None and not is_file(path):
         raise OptionError(
             "--acceleration",
             None,

@@ -8,9 +8,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hplan.cli.job_folder import MCAP, OUT, PAGE, TOUR, TOUR_REPORT, JobFolder, fail_on_usage_errors, needs_rosbags
+from hplan.base.files import cut
+from hplan.cli.job_folder import MCAP, OUT, PAGE, TOUR, TOUR_REPORT, JobFolder, needs_rosbags
 from hplan.cli.options import (
-    CommandParser,
     add_deadline,
     add_drop_inside,
     add_pace,
@@ -57,11 +57,7 @@ exit status:
 """
 
 
-def _job_folder(path: Path) -> JobFolder:
-    return JobFolder(path, (TOUR, "tour-[0-9]*-*.csv", PAGE, MCAP), TOUR_REPORT)
-
-
-def parser(prog: str) -> CommandParser:
+def parser(prog: str) -> argparse.ArgumentParser:
     """The parser of the command's arguments."""
     parser = command_parser(_DESCRIPTION, _EPILOG, prog=prog)
     add_scene(parser, "tour")
@@ -96,14 +92,13 @@ def parser(prog: str) -> CommandParser:
     add_deadline(parser)
     add("--mcap", action="store_true", help="write motion.mcap too, for Foxglove and RViz (needs the extra ros)")
     add("--quiet", action="store_true", help="no progress, no summary")
-    fail_on_usage_errors(parser, OUT, _job_folder)
     return parser
 
 
 def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int:
     """Plan, write, show what came of it; returns the exit status."""
-    folder = _job_folder(arguments.out)
-    with folder.job(), progress_line(errors, quiet=arguments.quiet) as progress:
+    folder = JobFolder(arguments.out, (TOUR, "tour-[0-9]*-*.csv", PAGE, MCAP), TOUR_REPORT)
+    with progress_line(errors, quiet=arguments.quiet) as progress:
         result, files = _made(arguments, folder, errors, progress)
     if not arguments.quiet:
         _show(console, result, folder.path, files)
@@ -129,28 +124,27 @@ def _made(
     needs_rosbags(arguments)
     given = load_scene(shipped_scene("tour") if arguments.scene is None else arguments.scene)
     robot = robot_of(arguments, given)
-    folder.robot = robot.name
     scene, left_out = scene_among(arguments, robot, given, errors)
-    folder.scene = scene.name
-    result = plan_tour(robot, scene, options, fruits=arguments.fruits, tour=tour, progress=progress)
-    progress("writing files")
-    motions = {TOUR: result.trajectory}
-    if arguments.csv == "each":
-        digits = max(2, len(str(len(result.legs))))
-        motions = {
-            f"tour-{number:0{digits}}-{_file_word(leg.name)}.csv": leg.trajectory
-            for number, leg in enumerate(result.legs, start=1)
-        }
-    with folder.filling() as staging:
-        for name, motion in motions.items():
-            write_csv(motion, staging / name)
-        write_page(robot, scene, Playback.of(result), staging / PAGE)
-        if arguments.mcap:
-            from hplan.ros.mcap_file import write_mcap
+    with folder.job(scene.name, robot.name):
+        result = plan_tour(robot, scene, options, fruits=arguments.fruits, tour=tour, progress=progress)
+        progress("writing files")
+        motions = {TOUR: result.trajectory}
+        if arguments.csv == "each":
+            digits = max(2, len(str(len(result.legs))))
+            motions = {
+                f"tour-{number:0{digits}}-{_file_word(leg.name)}.csv": leg.trajectory
+                for number, leg in enumerate(result.legs, start=1)
+            }
+        with folder.filling() as staging:
+            for name, motion in motions.items():
+                write_csv(motion, staging / name)
+            write_page(robot, scene, Playback.of(result), staging / PAGE)
+            if arguments.mcap:
+                from hplan.ros.mcap_file import write_mcap
 
-            write_mcap(result, staging / MCAP)
-        told = curve_report(result.certificate) | ({"left_out": left_out} if left_out else {})
-        write_report({**result.report, **told, "files": list(motions)}, staging / TOUR_REPORT)
+                write_mcap(result, staging / MCAP)
+            told = curve_report(result.certificate) | ({"left_out": left_out} if left_out else {})
+            write_report({**result.report, **told, "files": list(motions)}, staging / TOUR_REPORT)
     return result, [*motions, TOUR_REPORT, PAGE, *([MCAP] if arguments.mcap else [])]
 
 
@@ -186,7 +180,7 @@ _DROP_OFFS = {
 
 def _file_word(name: str) -> str:
     """A name as part of a file's name."""
-    return re.sub(r"[^A-Za-z0-9]+", "-", name).strip("-") or "fruit"
+    return cut(re.sub(r"[^A-Za-z0-9]+", "-", name).strip("-")) or "fruit"
 
 
 def _show(console: Console, result: TourResult, folder: Path, files: Sequence[str]) -> None:

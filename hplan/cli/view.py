@@ -7,9 +7,10 @@ import contextlib
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from hplan.base.files import is_folder
 from hplan.cli.finished_job import FinishedJob
 from hplan.cli.job_folder import PAGE
-from hplan.cli.options import CommandParser, add_robot, add_scene, check_output_file, command_parser, robot_of
+from hplan.cli.options import add_robot, add_scene, check_output_file, command_parser, robot_of
 from hplan.cli.terminal import FAILED
 
 if TYPE_CHECKING:
@@ -36,7 +37,7 @@ exit status:
 """
 
 
-def parser(prog: str) -> CommandParser:
+def parser(prog: str) -> argparse.ArgumentParser:
     """The parser of the command's arguments."""
     parser = command_parser(_DESCRIPTION, _EPILOG, prog=prog)
     add = parser.add_argument
@@ -59,14 +60,12 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int
     from hplan.view.playback import Playback
 
     path: Path = arguments.motion
-    job = FinishedJob(path, tours=True) if path.is_dir() else None
+    job = FinishedJob(path, tours=True) if is_folder(path) else None
     out = arguments.out or (path.with_suffix(".html") if job is None else path / PAGE)
-    scene_path = None if arguments.scene is None else Path(arguments.scene)
-    motion = [path] if job is None else [*job.trajectory_paths, job.path]
-    check_output_file(out, (*motion, scene_path, arguments.robot, arguments.limits))
     trajectory = read_csv(path) if job is None else job.trajectory()
     scene = load_scene(job.scene if arguments.scene is None and job is not None else arguments.scene)
     robot = robot_of(arguments, scene, job)
+    check_output_file(out)
     playback = Playback(trajectory)
     if job is not None:
         differs = job.differing(Digests.of(robot, scene, trajectory))

@@ -90,7 +90,7 @@ def finish(
         NotInTimeError: None was found before the deadline.
         PlanCancelledError: Nobody wants the motion any more.
     """
-    check_task(robot, scene, options)
+    check_task(robot, scene, options, progress)
     options = PlanOptions() if options is None else options
     if keep_within_rad is not None:
         expected = f"None, or a finite number of radians >= {LEAST_DEVIATION:g}"

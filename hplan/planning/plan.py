@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hplan.base.arguments import instance
+from hplan.base.arguments import function, instance
 from hplan.base.arrays import FloatArray, Record
 from hplan.base.deadline import Cancel, TimeIsUpError, TimeLimit, time_limit
 from hplan.errors import CertificationError, HplanError, NoPathError, ObstacleInTimeError, OptionError, TimingError
@@ -172,20 +172,21 @@ def plan(
         UnavoidableContactError: The start is in motion, and no motion onward or stop without contact was found.
         BoundError: The bound, where it is asked for, contradicts the motion.
     """
-    check_task(robot, scene, options)
+    check_task(robot, scene, options, progress)
     options = PlanOptions() if options is None else options
     with time_limit(options.deadline_s, cancel):
         return plan_with(PlanningCache(robot, LastWorld.of(robot)), scene, options, progress=progress)
 
 
-def check_task(robot: Robot, scene: Scene, options: PlanOptions | None) -> None:
-    """Refuse what is no robot, scene or options, such as the first two in the wrong order.
+def check_task(robot: Robot, scene: Scene, options: PlanOptions | None, progress: Progress = no_progress) -> None:
+    """Refuse what is no robot, scene, options or function, such as the first two in the wrong order.
 
     Raises:
         OptionError: It is none, or an option that the robot has no use for.
     """
     instance("robot", robot, Robot, "load_robot")
     instance("scene", scene, Scene, "load_scene")
+    function("progress", progress)
     if options is not None:
         instance("options", options, PlanOptions).check_for(robot)
 

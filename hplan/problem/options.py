@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Final, Literal
 
 from hplan.base.arguments import keep_checked, number, one_of, truth
 from hplan.cspace.sections import LINK_MODELS, LinkModel
@@ -18,6 +18,9 @@ METHODS: tuple[Method, ...] = ("two-level", "dense")
 
 #: Length of the straight approach to a fruit or a point, where none is asked for [m].
 STANDOFF = 0.1
+
+#: Finest joint grid that can be asked for [deg]: of a single joint that turns once, more nodes than any grid may have.
+FINEST_DEG: Final = 1e-7
 
 #: How much is spent on a faster motion.
 EffortName = Literal["quick", "default", "best"]
@@ -113,7 +116,7 @@ _CHECKS = {
     "objective": (one_of, OBJECTIVES),
     "effort": (one_of, EFFORT_NAMES),
     "link_model": (one_of, LINK_MODELS),
-    "step_deg": (number, "a positive number of degrees", lambda step: step > 0.0),
+    "step_deg": (number, f"a number of degrees >= {FINEST_DEG:g}", lambda step: step >= FINEST_DEG),
     "sigmas": (number, "a finite number >= 0", lambda value: value >= 0.0),
     **dict.fromkeys(("certify", "bound"), (truth,)),
 }

@@ -20,6 +20,7 @@ from pydantic import BaseModel, ConfigDict, PositiveFloat, ValidationError
 from hplan.base.arguments import file_path
 from hplan.base.arrays import FloatArray
 from hplan.base.data_files import LIMITS_SUFFIX, robot_names, shipped_limits, shipped_robots, urdf_dir
+from hplan.base.files import ByteBudget, is_file
 from hplan.base.yaml_text import read_yaml
 from hplan.errors import InputError, RobotFileError
 from hplan.robot.urdf_check import check_models
@@ -28,6 +29,9 @@ from hplan.robot.urdf_xml import URDF_TEXT, is_urdf_text, line_of, read_urdf_xml
 
 #: Key `format` of a limits file.
 LIMITS_FORMAT = "hplan-limits/1"
+
+#: Most bytes of a limits file.
+MOST_LIMITS_BYTES: Final = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -103,7 +107,7 @@ def robot_files(path: Path | str | None) -> RobotFiles:
     if isinstance(path, str) and is_urdf_text(path):
         return RobotFiles(URDF_TEXT)
     found = urdf_dir() / "harvester.urdf" if path is None else file_path("path", path)
-    if not found.is_file():
+    if not is_file(found):
         if str(path) in shipped_robots():
             return RobotFiles(urdf_dir() / f"{path}.urdf")
         if str(path) in NAMED_ROBOTS:
@@ -240,7 +244,7 @@ def find_limits(
     default = urdf_path.with_suffix(LIMITS_SUFFIX) if name is None else urdf_path.with_name(name + LIMITS_SUFFIX)
     limits = [urdf.joints[name].limits for name in joint_names]
     is_text = urdf_path == URDF_TEXT
-    if given is not None or not any("acceleration" in limit for limit in limits) or (default.is_file() and not is_text):
+    if given is not None or not any("acceleration" in limit for limit in limits) or (is_file(default) and not is_text):
         if given is None and is_text:
             raise RobotFileError(urdf_path, f"it has no acceleration limits: {_LIMITS_ADVICE}")
         return read_limits(default if given is None else given, joint_names, held)
@@ -264,7 +268,7 @@ _LIMITS_ADVICE = (
 
 def limits_file(given: Path) -> Path:
     """The limits file of a path, or of the name of a robot whose limits ship."""
-    return shipped_limits(str(given)) if not given.is_file() and str(given) in robot_names() else given
+    return shipped_limits(str(given)) if not is_file(given) and str(given) in robot_names() else given
 
 
 def read_limits(
@@ -278,13 +282,11 @@ def read_limits(
         RobotFileError: Missing or malformed file, a joint missing or unknown, a limit that is not positive.
     """
     try:
-        content, _ = read_yaml(path.read_text(encoding="utf-8"))
+        content, _ = read_yaml(ByteBudget(MOST_LIMITS_BYTES).read(path).decode("utf-8"))
         limits = _LimitsFile.model_validate(content)
     except OSError as error:
         reason = f"{error.strerror}; it gives the acceleration limits, where the URDF does not: {_LIMITS_ADVICE}"
         raise RobotFileError(path, reason) from error
-    except UnicodeDecodeError as error:
-        raise RobotFileError(path, "it is not UTF-8 text") from error
     except yaml.MarkedYAMLError as error:
         line = "" if error.problem_mark is None else f"line {error.problem_mark.line + 1}: "
         raise RobotFileError(path, f"{line}malformed YAML: {error.problem}") from error
@@ -294,6 +296,9 @@ def read_limits(
         if first["loc"] == ("format",) and first["type"] == "missing":
             raise RobotFileError(path, f"{where}this key is missing; expected {LIMITS_FORMAT!r}") from error
         raise RobotFileError(path, f"{where}{first['msg']} (got {first['input']!r})") from error
+    except ValueError as error:
+        reason = "it is not UTF-8 text" if isinstance(error, UnicodeDecodeError) else str(error)
+        raise RobotFileError(path, reason) from error
     if limits.format != LIMITS_FORMAT:
         raise RobotFileError(path, f"format is {limits.format!r}, expected {LIMITS_FORMAT!r}")
 

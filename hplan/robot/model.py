@@ -19,7 +19,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from hplan.base.arguments import each, file_path, instance, list_of, number
-from hplan.base.arrays import BoolArray, FloatArray, Record, readonly
+from hplan.base.arrays import BoolArray, FloatArray, Record, numbers, readonly
 from hplan.errors import InputError, JointLimitError, RobotFamilyError
 from hplan.robot.dynamics import InverseDynamics
 from hplan.robot.family_reader import check_joints, read_family
@@ -136,11 +136,13 @@ class Robot(PlanarNames, Record):
         return 0.0 if self.planar is None else self.planar.yaw_of(q)
 
     def tool_positions(self, q: ArrayLike) -> FloatArray:
-        """Tool positions of configurations, (..., dof) -> (..., 3), in `base_link` [m]."""
-        if self.planar is not None:
-            return self.planar.tool_positions(q)
-        poses = self.tool_poses(q)
-        return poses[..., :3, 3]
+        """Tool positions of configurations, (..., dof) -> (..., 3), in `base_link` [m].
+
+        Raises:
+            InputError: No such array of finite numbers.
+        """
+        q = numbers("q", q, (..., self.dof))
+        return self.tool_poses(q)[..., :3, 3] if self.planar is None else self.planar.tool_positions(q)
 
     def tool_poses(self, q: ArrayLike, frame: str | None = None) -> FloatArray:
         """Tool frames of configurations, (..., dof) -> (..., 4, 4) homogeneous matrices in `base_link`.
@@ -150,9 +152,9 @@ class Robot(PlanarNames, Record):
             frame: Another frame by its name; None for the tool frame.
 
         Raises:
-            InputError: The robot has no frame of that name.
+            InputError: The robot has no frame of that name, or `q` is no such array of finite numbers.
         """
-        q = np.asarray(q, dtype=np.float64)
+        q = numbers("q", q, (..., self.dof))
         data, number = self.model.createData(), self.frame_number(self.tool_frame if frame is None else frame)
         poses = np.empty((*q.shape[:-1], 4, 4))
         for place in np.ndindex(q.shape[:-1]):
@@ -177,6 +179,7 @@ class Robot(PlanarNames, Record):
         Raises:
             InputError: A joint that the robot does not have.
         """
+        names = list_of("names", names, str, "names of joints")
         unknown = [name for name in names if name not in self.joint_names]
         if unknown:
             raise InputError(

@@ -21,6 +21,7 @@ import numpy as np
 import pinocchio as pin
 
 from hplan.base.arrays import Record
+from hplan.base.files import is_file, note_input
 from hplan.errors import InputError, JointLimitError, RobotFileError
 from hplan.robot.family_reader import hold_advice
 from hplan.robot.urdf_file import Joint, Urdf, read_urdf
@@ -402,7 +403,7 @@ def _find_meshes(path: Path, root: ET.Element, choice: RobotChoice) -> bool:
         name = mesh.get("filename", "")
         within = name.removeprefix(_PACKAGE).lstrip("/")
         candidates = [folder / part for part in (within, within.partition("/")[2]) for folder in folders]
-        found = next((file for file in candidates if file.is_file()), None)
+        found = next(filter(is_file, candidates), None)
         if found is None:
             looked = ", ".join(map(str, folders)) or "no folder, for it is a text"
             reason = (
@@ -410,5 +411,6 @@ def _find_meshes(path: Path, root: ET.Element, choice: RobotChoice) -> bool:
                 "name; package_dirs=[FOLDER] (--package-dir FOLDER) says where packages are"
             )
             raise RobotFileError(path, reason)
+        note_input(found)
         mesh.set("filename", str(found.resolve()))
     return bool(meshes)

@@ -9,6 +9,7 @@ from typing import Any, Final
 from xml.parsers import expat
 
 from hplan.base.data_files import robot_names, shipped_robots
+from hplan.base.files import ByteBudget
 from hplan.base.lazy_import import extra
 from hplan.errors import RobotFileError
 
@@ -56,11 +57,8 @@ def is_urdf_text(source: object) -> bool:
 
 
 def _content(path: Path, package_dirs: Sequence[Path]) -> bytes:
-    if path.suffix == ".xacro" and path.is_file():
-        return _expanded(path, package_dirs).encode("utf-8")
     try:
-        with path.open("rb") as file:
-            return file.read(MOST_BYTES + 1)
+        content = ByteBudget(MOST_BYTES).read(path)
     except OSError as error:
         reason = error.strerror or str(error)
         if isinstance(error, FileNotFoundError) and str(path) == path.name and not path.suffix:
@@ -69,7 +67,8 @@ def _content(path: Path, package_dirs: Sequence[Path]) -> bytes:
             reason += f"; robots that ship with hplan: {', '.join(ship)}; with the extra `robots`: {', '.join(more)}"
         raise RobotFileError(path, reason) from error
     except ValueError as error:
-        raise RobotFileError(path, f"its name cannot be that of a file: {error}") from error
+        raise RobotFileError(path, str(error)) from error
+    return _expanded(path, package_dirs).encode("utf-8") if path.suffix == ".xacro" else content
 
 
 def _expanded(path: Path, package_dirs: Sequence[Path]) -> str:

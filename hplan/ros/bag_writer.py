@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import tempfile
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -11,9 +10,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hplan.base.files import check_replaceable
+from hplan.base.files import replacing
 from hplan.base.lazy_import import extra
-from hplan.errors import InputError, OutputError
+from hplan.errors import InputError
 
 
 class Message(NamedTuple):
@@ -56,15 +55,11 @@ def write_bag(path: Path, topics: Mapping[str, tuple[str, int]], messages: Itera
         OutputError: The file cannot be written.
     """
     interfaces, bags, typesys = import_rosbags()
-    folder: Path | None = None
-    try:
-        target = path.resolve()
-        check_replaceable(target, path)
-        folder = Path(tempfile.mkdtemp(dir=target.parent, prefix=".hplan-"))
-        # rosbags writes a folder, and in it the file of the folder's name.
+    # rosbags writes a folder, and in it the file of the folder's name.
+    with replacing(path) as new, tempfile.TemporaryDirectory(dir=new.parent, prefix=".hplan-") as folder:
         store = typesys.get_typestore(typesys.Stores.ROS2_JAZZY)
         encoder = _Encoder(store)
-        bag = folder / (target.stem or "motion")
+        bag = Path(folder, "motion")
         with bags.Writer(bag, version=9, storage_plugin=bags.StoragePlugin.MCAP) as writer:
             open_topics = {
                 topic: (
@@ -81,13 +76,7 @@ def write_bag(path: Path, topics: Mapping[str, tuple[str, int]], messages: Itera
                     connection, message.time_ns, store.serialize_cdr(encoder.message(kind, message.content), kind)
                 )
         (written,) = bag.glob("*.mcap")
-        written.chmod(0o644)
-        written.replace(target)
-    except OSError as error:
-        raise OutputError(path, error.strerror or str(error)) from error
-    finally:
-        if folder is not None:
-            shutil.rmtree(folder, ignore_errors=True)
+        written.replace(new)
     return path
 
 

@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from hplan.base.arguments import file_path, number
+from hplan.base.arguments import between, file_path
 from hplan.base.arrays import FloatArray, IntArray
 from hplan.errors import OptionError
 from hplan.planning.plan import PlanResult
@@ -71,7 +71,7 @@ def write_mcap(
     """
     if not isinstance(result, (PlanResult, TourResult)):
         raise OptionError("result", result, "a PlanResult or a TourResult")
-    number("rate_hz", rate_hz, "a finite number > 0", lambda rate: rate > 0.0)
+    between("rate_hz", rate_hz, 1e-3, 1e5)
     begin = time_ns("stamp_s", stamp_s)
     recording = _Recording(result, rate_hz, begin)
     return write_bag(file_path("file", file), TOPICS, recording.messages())

@@ -14,9 +14,10 @@ from typing import Final
 import pinocchio as pin
 
 from hplan.base.arguments import decimal, file_path
+from hplan.base.files import ByteBudget
 from hplan.errors import SceneError
 from hplan.ros.placed_shapes import NO_OCTOMAP, NO_PLANE, SIZES, OpenMeshes, mesh, planning_frame, pose, shape
-from hplan.scene.limits import MOST_SHAPE_BYTES, ByteBudget, Vector
+from hplan.scene.limits import MOST_SHAPE_BYTES, Vector
 from hplan.scene.obstacles import Obstacle
 
 #: Kinds that MoveIt knows and that are no obstacles here, and why.

@@ -14,10 +14,11 @@ import pinocchio as pin
 import yaml
 
 from hplan.base.arguments import file_path, is_number
+from hplan.base.files import ByteBudget
 from hplan.base.yaml_text import read_yaml
 from hplan.errors import SceneError
 from hplan.ros.placed_shapes import NO_OCTOMAP, NO_PLANE, SIZES, OpenMeshes, mesh, planning_frame, pose, shape
-from hplan.scene.limits import MOST_SCENE_BYTES, ByteBudget, Vector
+from hplan.scene.limits import MOST_SCENE_BYTES, Vector
 from hplan.scene.obstacles import Obstacle
 
 #: Types of `shape_msgs/msg/SolidPrimitive`.

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import os
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +13,11 @@ from pydantic import BaseModel, ValidationError
 
 from hplan.base.arguments import file_path, instance
 from hplan.base.data_files import shipped_scene, shipped_scenes
-from hplan.base.files import write_text
+from hplan.base.files import ByteBudget, cut, is_file, write_text
 from hplan.base.yaml_text import read_yaml, write_yaml
 from hplan.errors import SceneError
 from hplan.scene.fault import dotted, plain_message, validated, worst_fault
-from hplan.scene.limits import MOST_SCENE_BYTES, MOST_SHAPE_BYTES, ByteBudget
+from hplan.scene.limits import MOST_SCENE_BYTES, MOST_SHAPE_BYTES
 from hplan.scene.model import Scene
 from hplan.scene.obstacles import Mesh, PointCloud
 
@@ -38,7 +39,7 @@ def load_scene(path: Path | str | None = None) -> Scene:
             point file that cannot be used; names the key and its line. More than `hplan.scene.limits` allow.
     """
     given, path = path, default_scene_path() if path is None else file_path("path", path)
-    if isinstance(given, str) and given in shipped_scenes() and not path.is_file():
+    if isinstance(given, str) and given in shipped_scenes() and not is_file(path):
         path = shipped_scene(given)
     try:
         text = ByteBudget(MOST_SCENE_BYTES).read(path).decode("utf-8")
@@ -61,6 +62,7 @@ def parse_scene(text: str, *, path: Path | str | None = None) -> Scene:
         SceneError: As `load_scene`.
     """
     instance("text", text, str)
+    path = None if path is None else file_path("path", path)
     if len(text) > MOST_SCENE_BYTES:
         raise SceneError(f"it has {len(text):,} characters; at most {MOST_SCENE_BYTES:,} are read", path=path)
     try:
@@ -71,7 +73,7 @@ def parse_scene(text: str, *, path: Path | str | None = None) -> Scene:
     if not isinstance(content, dict) or node is None:
         raise SceneError("expected a mapping of keys (format, name, start, goal, ...)", path=path)
     try:
-        folder = Path() if path is None else Path(path).parent
+        folder = Path() if path is None else path.parent
         return validated(Scene, content, {"folder": folder, "budget": ByteBudget(MOST_SHAPE_BYTES)})
     except ValidationError as error:
         first = worst_fault(error)
@@ -130,19 +132,25 @@ def save_scene(scene: Scene, path: Path | str) -> Path:
     """
     instance("scene", scene, Scene, "load_scene")
     path = file_path("path", path)
+    shapes = {index: found for index, found in enumerate(scene.obstacles) if isinstance(found, Mesh | PointCloud)}
+    taken = {shape.path for shape in shapes.values()}
     obstacles = [
-        _with_file(obstacle, path, index) if isinstance(obstacle, Mesh | PointCloud) else obstacle
+        _with_file(shapes[index], path, index, taken) if index in shapes else obstacle
         for index, obstacle in enumerate(scene.obstacles)
     ]
     return write_text(path, dump_scene(scene.model_copy(update={"obstacles": tuple(obstacles)})))
 
 
-def _with_file(obstacle: Mesh | PointCloud, scene_path: Path, index: int) -> Mesh | PointCloud:
-    """The obstacle with a file that a scene at `scene_path` finds."""
+def _with_file(
+    obstacle: Mesh | PointCloud, scene_path: Path, index: int, taken: Collection[Path | None]
+) -> Mesh | PointCloud:
+    """The obstacle with a file that a scene at `scene_path` finds; a new one takes no other obstacle's (`taken`)."""
     folder = scene_path.absolute().parent
     if obstacle.file is None:
         plain = "".join(sign if sign.isalnum() or sign in "-_." else "-" for sign in obstacle.name)
-        file = f"{scene_path.stem}-{index}-{plain}.ply"
+        stem = f"{cut(scene_path.stem)}-{index}-{cut(plain)}"
+        others = (f"{stem}-{number}.ply" for number in itertools.count(2))
+        file = next(name for name in itertools.chain([f"{stem}.ply"], others) if folder / name not in taken)
         obstacle.write(folder / file)
     else:
         file = obstacle.file

@@ -5,7 +5,6 @@ Far above what any orchard needs; within these limits planning takes time about 
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated, Final, TypeAlias
 
 from pydantic import Field
@@ -37,28 +36,3 @@ MOST_SHAPE_BYTES: Final = 256_000_000
 #: Most triangles of a mesh, and most points of a cloud.
 MOST_TRIANGLES: Final = 200_000
 MOST_POINTS: Final = 2_000_000
-
-
-class ByteBudget:
-    """Bytes that files may still have, one after the other."""
-
-    def __init__(self, most: int) -> None:
-        """Begin with `most` bytes."""
-        self.most = self._left = most
-
-    def read(self, path: Path) -> bytes:
-        """Read a file; of one that is too large, or a device without end, not more than is left.
-
-        Raises:
-            OSError: It cannot be read.
-            ValueError: It is too large, or its name cannot be that of a file; says the size and the limit.
-        """
-        with path.open("rb") as file:
-            content = file.read(self._left + 1)
-        if len(content) > self._left:
-            size = max(path.stat().st_size, len(content))
-            before = self.most - self._left
-            others = f", and the files before it {before:,}" if before else ""
-            raise ValueError(f"{path} has {size:,} bytes or more{others}; at most {self.most:,} are read")
-        self._left -= len(content)
-        return content

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field, field_validator, model_validator
 
-from hplan.base.arguments import number
+from hplan.base.arguments import list_of, number
 from hplan.base.arrays import FloatArray, numbers
 from hplan.base.data_files import robot_names
 from hplan.errors import MovingObstacleError, SceneError
@@ -348,7 +348,12 @@ class Scene(StrictModel):
         return self.model_copy(update=items | {"base_track": base_track})
 
     def with_obstacles(self, obstacles: Sequence[Sphere | Capsule | Cylinder | Box | Mesh | PointCloud]) -> Scene:
-        """The same task among other obstacles."""
+        """The same task among other obstacles.
+
+        Raises:
+            InputError: They are no list of obstacles, or two have one name.
+        """
+        obstacles = list_of("obstacles", obstacles, Sphere | Capsule | Cylinder | Box | Mesh | PointCloud, "obstacles")
         return Scene.model_validate(
-            {**{key: getattr(self, key) for key in type(self).model_fields}, "obstacles": tuple(obstacles)}
+            {**{key: getattr(self, key) for key in type(self).model_fields}, "obstacles": obstacles}
         )

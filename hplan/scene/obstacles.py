@@ -15,9 +15,10 @@ from numpy.typing import ArrayLike
 from pydantic import Field, PositiveFloat, PrivateAttr, ValidationError, ValidationInfo, model_validator
 
 from hplan.base.arrays import FloatArray, IntArray, readonly
+from hplan.base.files import ByteBudget
 from hplan.errors import SceneError
 from hplan.scene.fault import StrictModel, fault, scene_error, validated
-from hplan.scene.limits import FARTHEST_M, MOST_SHAPE_BYTES, Angles, ByteBudget, Size, Vector
+from hplan.scene.limits import FARTHEST_M, MOST_SHAPE_BYTES, Angles, Size, Vector
 from hplan.scene.prism import Prism, prism
 from hplan.scene.solids import CUBE_CORNERS, Cloud, Hull, rpy_rotation
 from hplan.scene.tracks import Sway, Track

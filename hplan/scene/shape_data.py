@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hplan.base.arrays import FloatArray, IntArray, readonly
-from hplan.base.files import write_text
+from hplan.base.files import ByteBudget, write_text
 from hplan.scene.convex_decomposition import Pieces, convex_pieces
-from hplan.scene.limits import FARTHEST_M, MOST_POINTS, MOST_TRIANGLES, ByteBudget
+from hplan.scene.limits import FARTHEST_M, MOST_POINTS, MOST_TRIANGLES
 
 #: Files that hold a surface, and files that hold points.
 MESH_FORMATS: Final = (".stl", ".ply", ".obj", ".off")

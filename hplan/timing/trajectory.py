@@ -11,8 +11,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from hplan.base.arguments import instance, list_of, number
+from hplan.base.arguments import instance, list_of, number, whole
 from hplan.base.arrays import FloatArray, Record, numbers
 from hplan.base.csv_file import CsvFile
 from hplan.base.files import write_text
@@ -89,7 +90,12 @@ class Trajectory(Record):
         return len(self.time)
 
     def since(self, row: int) -> Trajectory:
-        """The motion from a row on; it begins in motion if it is in motion there."""
+        """The motion from a row on; it begins in motion if it is in motion there.
+
+        Raises:
+            OptionError: It has no such row.
+        """
+        row = whole("row", row, 0, self.samples - 1)
         return Trajectory(
             self.joint_names,
             self.time[row:] - self.time[row],
@@ -100,7 +106,12 @@ class Trajectory(Record):
         )
 
     def until(self, row: int) -> Trajectory:
-        """The motion up to a row; it ends in motion if it is in motion there."""
+        """The motion up to a row; it ends in motion if it is in motion there.
+
+        Raises:
+            OptionError: It has no such row.
+        """
+        row = whole("row", row, 0, self.samples - 1)
         return Trajectory(
             self.joint_names,
             self.time[: row + 1],
@@ -161,8 +172,13 @@ class Trajectory(Record):
         q, v, a = cubic_states(self.time, self.position, self.velocity, np.array([t]))
         return q[0], v[0], a[0]
 
-    def positions(self, clock: FloatArray) -> FloatArray:
-        """(k, dof) configurations at (k,) times, on the cubics of `cubic_pieces`."""
+    def positions(self, clock: ArrayLike) -> FloatArray:
+        """(k, dof) configurations at (k,) times, on the cubics of `cubic_pieces`.
+
+        Raises:
+            InputError: No list of finite times.
+        """
+        clock = np.clip(numbers("clock", clock, (None,)), 0.0, self.duration)
         bezier, duration = cubic_pieces(self)
         piece = np.clip(np.searchsorted(self.time, clock, side="right") - 1, 0, len(bezier) - 1)
         t = np.clip((clock - self.time[piece]) / duration[piece], 0.0, 1.0)[:, None]
@@ -300,11 +316,11 @@ def read_csv(path: Path | str) -> Trajectory:
     if not joints or file.header != csv_header(joints):
         quantities = ", ".join("NAME_" + quantity for quantity in QUANTITIES)
         raise file.fault(1, f"expected the columns time_s and, for each joint, {quantities}")
-    rows: list[list[float]] = []
+    rows: list[FloatArray] = []
     for line, texts, values in file.timed_rows(range(len(file.header))):
         if not rows and values[0] != 0.0:
             raise file.fault(line, f"time_s is {texts[0]}, expected 0 in the first sample")
-        rows.append(values)
-    table = np.array(rows)
+        rows.append(np.array(values))
+    table = np.stack(rows)
     columns = table[:, 1:].reshape(len(table), len(joints), len(QUANTITIES))
     return Trajectory(joints, table[:, 0], *(columns[:, :, i] for i in range(len(QUANTITIES))))

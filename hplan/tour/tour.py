@@ -115,7 +115,7 @@ def plan_tour(
         NotInTimeError: The deadline came before the tour was complete: there is no part of one.
         PlanCancelledError: Nobody wants the tour any more.
     """
-    check_task(robot, scene, options)
+    check_task(robot, scene, options, progress)
     if tour is not None:
         instance("tour", tour, TourOptions)
     names = _names(scene, fruits)

@@ -12,7 +12,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
-from hplan.errors import InputError, OutputError
+from hplan.base.files import write_bytes
+from hplan.errors import InputError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -136,8 +137,4 @@ def write_png(figure: Figure, path: Path) -> Path:
     Raises:
         OutputError: The file cannot be written.
     """
-    try:
-        path.write_bytes(png_bytes(figure))
-    except OSError as error:
-        raise OutputError(path, error.strerror or str(error)) from error
-    return path
+    return write_bytes(path, png_bytes(figure))

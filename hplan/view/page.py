@@ -18,6 +18,7 @@ from string import Template
 from types import TracebackType
 from typing import Any
 
+from hplan.base.arguments import instance
 from hplan.base.child_process import import_environment, python_module
 from hplan.base.data_files import view_asset
 from hplan.base.files import write_text
@@ -51,7 +52,9 @@ def render_page(robot: Robot, scene: Scene, playback: Playback) -> str:
             have, or a time outside the motion.
         HplanError: meshcat, which brings the viewer, is not installed.
     """
-    trajectory = playback.trajectory
+    instance("robot", robot, Robot, "load_robot")
+    instance("scene", scene, Scene, "load_scene")
+    trajectory = instance("playback", playback, Playback, "Playback.of").trajectory
     moves = trajectory.samples > 1
     entries = [("Start", START_COLOR), ("Goal", GOAL_COLOR)] if moves else []
     if moves and any(phase.name == "approach" for phase in playback.phases):

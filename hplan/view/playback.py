@@ -6,7 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Protocol
 
-from hplan.errors import InputError
+from hplan.base.arguments import instance, list_of, number, text
+from hplan.base.arrays import numbers
+from hplan.errors import InputError, OptionError
 from hplan.robot.model import Robot
 from hplan.timing.trajectory import Trajectory
 
@@ -55,9 +57,33 @@ class Playback:
     clearance_curve: ClearanceCurve | None = None
     begin_s: float = 0.0
 
+    def __post_init__(self) -> None:
+        """Check what is to be shown.
+
+        Raises:
+            InputError: It is no motion, or no times of its fruits and phases.
+        """
+        instance("trajectory", self.trajectory, Trajectory, "plan or read_csv")
+        for option in ("picked", "dropped"):
+            times = getattr(self, option)
+            if not isinstance(times, Mapping):
+                raise OptionError(option, times, "times [s] by the names of fruits")
+            for name, time_s in times.items():
+                number(option, time_s, f"a time in seconds for {text(option, name)!r}")
+        for phase in list_of("phases", self.phases, object, "phases"):
+            text("phases", getattr(phase, "name", None), "phases with a name, a begin and an end")
+            numbers("phases", [getattr(phase, "start_s", None), getattr(phase, "end_s", None)], (2,))
+        number("begin_s", self.begin_s, "a time in seconds")
+
     @classmethod
     def of(cls, result: PlanResult | TourResult) -> Playback:
-        """The motion of a plan or a tour."""
+        """The motion of a plan or a tour.
+
+        Raises:
+            OptionError: It is neither.
+        """
+        if not isinstance(getattr(result, "trajectory", None), Trajectory) or not hasattr(result, "phases"):
+            raise OptionError("result", result, "the result of plan or plan_tour")
         dropped: Mapping[str, float] = getattr(result, "dropped", {})
         return cls(result.trajectory, result.picked, dropped, result.phases, result.certificate)
 

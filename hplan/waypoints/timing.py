@@ -6,7 +6,6 @@ read metres wherever radians are written, in column names too.
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,8 +16,9 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from hplan.base.arguments import decimal, file_path, instance, list_of
+from hplan.base.arguments import instance, list_of
 from hplan.base.arrays import FloatArray, Record, readonly
+from hplan.base.csv_file import CsvFile
 from hplan.errors import InputError, JointLimitError, TimingError
 from hplan.robot.limits import Limits
 from hplan.smoothing.spline import SplinePath
@@ -57,44 +57,20 @@ def read_waypoints(path: Path | str, joint_names: Sequence[str]) -> FloatArray:
         InputError: Missing or unreadable file, a joint without a column or with two, a line of another length, a value
             that is no finite number, no waypoint at all; names the line.
     """
-    path = file_path("path", path)
     joint_names = list_of("joint_names", joint_names, str, "names")
 
-    def fault(line: int, reason: str) -> InputError:
-        return InputError(f"waypoint file {path}, line {line}: {reason}", path=str(path), line=line, reason=reason)
-
-    try:
-        with path.open(encoding="utf-8-sig", newline="") as stream:
-            reader = csv.reader(stream, strict=True)
-            rows = [(reader.line_num, [cell.strip() for cell in row]) for row in reader if any(map(str.strip, row))]
-    except OSError as error:
-        raise InputError(f"waypoint file {path}: {error.strerror}", path=str(path)) from error
-    except UnicodeDecodeError as error:
-        raise InputError(f"waypoint file {path}: it is not UTF-8 text", path=str(path)) from error
-    except csv.Error as error:
-        raise fault(reader.line_num, str(error)) from error
-    if not rows:
-        raise fault(1, "expected a header with the names of the joints")
-    first, header = rows[0]
+    file = CsvFile.read(path, "waypoint", "waypoint", blank=True)
+    header = [name.strip() for name in file.header]
+    if not header:
+        raise file.fault(1, "expected a header with the names of the joints")
     columns = []
     for joint in joint_names:
         found = [index for index, name in enumerate(header) if name in (joint, f"{joint}_{QUANTITIES[0]}")]
         if len(found) != 1:
             how = "two columns" if found else f"no column; expected {joint}_{QUANTITIES[0]} or {joint}"
-            raise fault(first, f"joint {joint!r} has {how} (the columns are {', '.join(header)})")
+            raise file.fault(file.first, f"joint {joint!r} has {how} (the columns are {', '.join(header)})")
         columns.append(found[0])
-    if len(rows) == 1:
-        raise fault(first, "no waypoints follow the header")
-    waypoints = np.empty((len(rows) - 1, len(columns)))
-    for number, (line, row) in enumerate(rows[1:]):
-        if len(row) != len(header):
-            raise fault(line, f"{len(row)} values, expected {len(header)}")
-        for place, column in enumerate(columns):
-            value = decimal(row[column])
-            if value is None:
-                raise fault(line, f"{header[column]} is {row[column]!r}, expected a finite number in decimal digits")
-            waypoints[number, place] = value
-    return readonly(waypoints)
+    return readonly([values for _, _, values in file.number_rows(columns)])
 
 
 def time_waypoints(

@@ -20,7 +20,9 @@ import pinocchio as pin
 import pytest
 
 import hplan
+from hplan.cli import terminal
 from hplan.cli.main import main
+from hplan.planning.report import report_text
 from hplan.robot.model import Robot
 from hplan.robot_family.members import HARVESTER, write_robot
 
@@ -341,7 +343,7 @@ def test_options_out_of_range(run: Run, option: str, value: str, capsys: pytest.
     name = option.removeprefix("--").replace("-", "[-_]")
     assert status == 2
     assert re.search(rf"error \(OptionError\): (--)?{name}\w* = .*: expected ", capsys.readouterr().err)
-    assert {path.name for path in folder.iterdir()} == {"report.json"}
+    assert not folder.exists()
 
 
 @pytest.mark.parametrize("arguments", [("--rate", "fast"), ("--method", "magic"), ("--colour",), ("a", "b")])
@@ -355,23 +357,39 @@ def test_usage_errors(run: Run, arguments: tuple[str, ...], capsys: pytest.Captu
 # Failures: one message, one status, one report and no trajectory
 
 
+#: Errors of what is read, before a job begins.
+OF_READING = {"InputError", "OptionError", "RobotFamilyError", "RobotFileError", "SceneError"}
+
+
 @pytest.fixture
-def fails(run: Run, capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[dict[str, Any], str]]:
-    """Run a job that must fail in a folder with an earlier job's files; returns the report's error and the message."""
+def fails(
+    run: Run, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> Callable[..., tuple[dict[str, Any], str]]:
+    """Run a job that must fail in a folder with an earlier job's files; returns the error's facts and the message.
+
+    What cannot be read changes no file; a plan that fails leaves its report alone.
+    """
+    shown: list[hplan.HplanError] = []
+    show = terminal.show_error
+    monkeypatch.setattr(terminal, "show_error", lambda console, error: (shown.append(error), show(console, error)))
 
     def job(status: int, *arguments: object) -> tuple[dict[str, Any], str]:
         folder = run("--quiet")[1]
-        assert {path.name for path in folder.iterdir()} == FILES
+        before = {path.name: path.read_bytes() for path in folder.iterdir()}
+        assert set(before) == FILES
         capsys.readouterr()
         assert run(*arguments)[0] == status
         out, err = capsys.readouterr()
         assert out == ""
-        assert {path.name for path in folder.iterdir()} == {"report.json"}
-        report = report_of(folder)
-        assert report["status"] == "failed"
-        assert {"scene", "robot", "versions"} <= set(report)
-        error = report["error"]
+        error = json.loads(report_text(shown[-1].as_dict()))
         assert f"error ({error['kind']}): {error['message']}" in words(err)
+        if error["kind"] in OF_READING:
+            assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+        else:
+            assert {path.name for path in folder.iterdir()} == {"report.json"}
+            report = report_of(folder)
+            assert (report["status"], report["error"]) == ("failed", error)
+            assert {"scene", "robot", "versions"} <= set(report)
         return error, words(err)
 
     return job

@@ -231,7 +231,7 @@ def test_a_shipped_scene_by_name(command: str, folder: Path, monkeypatch: pytest
         opened.append(path)
         raise FileNotFoundError(2, "No such file or directory")
 
-    monkeypatch.setattr("hplan.scene.limits.ByteBudget.read", read)
+    monkeypatch.setattr("hplan.base.files.ByteBudget.read", read)
     assert main([*WITH_SCENE[command], "trellis"]) == 2
     assert opened == [shipped_scene("trellis")]
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -12,10 +13,12 @@ from pathlib import Path
 
 import pytest
 
+import hplan
 from hplan.cli.job_folder import JobFolder
 from hplan.cli.main import main
 from hplan.cli.terminal import run_command
 from hplan.errors import HplanError, OutputError
+from hplan.scene.obstacles import PointCloud
 
 ROOT = Path(__file__).parents[2]
 FILES = {"trajectory.csv", "report.json", "scene.html"}
@@ -31,6 +34,14 @@ def names(folder: Path) -> set[str]:
     return {path.name for path in folder.iterdir()}
 
 
+@pytest.fixture(scope="module")
+def done(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A finished plan's folder."""
+    path = tmp_path_factory.mktemp("done") / "out"
+    assert main(["--effort", "quick", "--quiet", "--out", str(path)]) == 0
+    return path
+
+
 @pytest.fixture
 def folder(tmp_path: Path) -> JobFolder:
     return JobFolder(tmp_path / "out", ("*.csv", "page.html"), "report.json")
@@ -38,7 +49,7 @@ def folder(tmp_path: Path) -> JobFolder:
 
 def fill(staging: Path, *more: str) -> None:
     for name in ("a.csv", "page.html", "report.json", *more):
-        (staging / name).write_text(name)
+        (staging / name).write_text('{"status": "ok"}')
 
 
 def test_all_files_come_to_stand_the_trajectory_last(folder: JobFolder, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -50,7 +61,7 @@ def test_all_files_come_to_stand_the_trajectory_last(folder: JobFolder, monkeypa
         return replace(self, target)
 
     monkeypatch.setattr(Path, "replace", noted)
-    with folder.job(), folder.filling() as staging:
+    with folder.job("scene", "robot"), folder.filling() as staging:
         fill(staging, "b.csv")
         assert not any(name.endswith(".csv") for name in names(folder.path))
     assert order == ["page.html", "report.json", "a.csv", "b.csv"]
@@ -72,7 +83,7 @@ def test_a_fault_at_any_move_leaves_no_trajectory(
         return replace(self, target)
 
     def job() -> None:
-        with folder.job(), folder.filling() as staging:
+        with folder.job("scene", "robot"), folder.filling() as staging:
             fill(staging)
 
     job()
@@ -88,7 +99,7 @@ def test_a_fault_at_any_move_leaves_no_trajectory(
 
 def test_a_fault_of_writing_names_the_files_place(folder: JobFolder) -> None:
     def job() -> None:
-        with folder.job(), folder.filling() as staging:
+        with folder.job("scene", "robot"), folder.filling() as staging:
             raise OutputError(staging / "a.csv", "No space left on device")
 
     with pytest.raises(OutputError, match=r"out/a\.csv: No space left") as caught:
@@ -102,7 +113,7 @@ def test_what_a_killed_job_has_left_goes_with_the_next(folder: JobFolder) -> Non
     for number in (ended.pid, os.getppid()):
         (folder.path / f".hplan-job-{number}").mkdir(parents=True)
         (folder.path / f".hplan-job-{number}" / "a.csv").touch()
-    with folder.job():
+    with folder.job("scene", "robot"):
         assert names(folder.path) == {f".hplan-job-{os.getppid()}"}  # that one is still at work
 
 
@@ -152,29 +163,93 @@ def test_signals_are_as_before_when_a_command_has_ended() -> None:
 
 @pytest.mark.parametrize(
     "arguments",
-    [["--rate", "fast"], ["--method", "fastest"], ["--nothing"], ["a", "b"], ["--speed"]],
-    ids=" ".join,
+    [
+        ["--rate", "fast"],
+        ["--nothing"],
+        ["a", "b"],
+        ["certfy"],
+        ["missing.yaml"],
+        ["broken.yaml"],
+        ["--limits", "broken.yaml"],
+        ["--step", "1e-308"],
+        ["--rate", "1e9"],
+        ["n" * 300],
+        ["--robot", "n" * 300],
+        ["tour", "--every", "x"],
+        ["tour", "--fruits", "no such"],
+        ["time", "harvester", "missing.csv", "--scene", "table-1"],
+        ["time", "harvester", "broken.yaml"],
+        ["certify", "out", "--report", "out/report.json"],
+        ["certify", "out", "--report", "out/trajectory.csv"],
+        ["view", "out", "--no-serve", "--out", "out/trajectory.csv"],
+        ["view", "n" * 300],
+        ["orchard", "--import", "broken.yaml"],
+    ],
+    ids=lambda words: " ".join(words)[:60],
 )
-@pytest.mark.parametrize("how", [["--out", "{}"], ["--out={}"], ["--ou", "{}"]], ids=["--out x", "--out=x", "--ou x"])
-def test_arguments_that_cannot_be_understood_leave_no_trajectory(
-    arguments: list[str], how: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_what_cannot_be_understood_or_read_changes_no_file(
+    arguments: list[str], done: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for name in FILES:
-        (tmp_path / name).write_text("an earlier job's")
-    with pytest.raises(SystemExit) as ended:
-        main([*(part.format(tmp_path) for part in how), *arguments])
-    assert ended.value.code == 2
-    assert "usage:" in capsys.readouterr().err
-    assert names(tmp_path) == {"report.json"}
-    assert '"status": "failed"' in (tmp_path / "report.json").read_text()
-
-
-def test_such_arguments_make_no_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    for arguments in (["--nothing"], ["--out", "new", "--nothing"], ["--o", "new", "--nothing"], ["--out"]):
-        with pytest.raises(SystemExit):
-            main(arguments)
-    assert names(tmp_path) == set()
+    shutil.copytree(done, "out")
+    for name in ("out/tour.csv", "out/tour-01-apple.csv", "out/tour.json", "broken.yaml", "timed.csv", "orchard.yaml"):
+        Path(name).write_text("{an earlier job's")
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    try:
+        status = main(arguments)
+    except SystemExit as ended:
+        status = ended.code
+    assert status == 2
+    assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
+
+
+def test_a_word_that_is_nearly_a_command(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["certfy", "out"])
+    assert "'certfy' is no command and no scene; did you mean 'certify'?" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("later", ["report.json", "tour.json"])
+def test_a_failed_job_takes_its_own_files_alone(later: str, tmp_path: Path) -> None:
+    """Those of the job before it, where that was a plan too; a tour's, or the user's, stay."""
+    (tmp_path / "scene.yaml").write_text(SCENE.replace("1.0, 0.0, 1.9", "1.0, 0.0, 0.6"), encoding="utf-8")
+    out = tmp_path / "out"
+    out.mkdir()
+    for name in ("trajectory.csv", "scene.html", "motion.mcap", "tour.csv", "tour-1-mine.csv", "scene.yaml", "a.csv"):
+        (out / name).write_text("an earlier job's")
+    for name in ("report.json", "tour.json"):
+        (out / name).write_text('{"status": "ok"}')
+        os.utime(out / name, (1e9 + (name == later), 1e9 + (name == later)))
+    kept = names(out) - {"trajectory.csv", "report.json"}
+    kept -= {"scene.html", "motion.mcap"} if later == "report.json" else set()
+    for _ in range(2):
+        assert main([str(tmp_path / "scene.yaml"), "--out", str(out)]) == 2
+        assert names(out) == kept | {"report.json"}
+        assert '"ConfigurationInCollisionError"' in (out / "report.json").read_text()
+
+
+def test_a_cloud_that_the_scene_names_stays(tmp_path: Path) -> None:
+    """It stands in the folder of the job, under a name that hplan writes itself."""
+    scene = hplan.load_scene()
+    cloud = PointCloud.of("cloud", [[0.9, 0.0, 2.5]], 0.01)
+    hplan.save_scene(scene.model_copy(update={"obstacles": (cloud,)}), tmp_path / "scene.yaml")
+    (ply,) = tmp_path.glob("*.ply")
+    before = ply.read_bytes()
+    (tmp_path / "scene.yaml").rename(tmp_path / "mine.yaml")
+    names_q = ("base_yaw", "shoulder", "elbow", "wrist")
+    (tmp_path / "way.csv").write_text(f"{','.join(names_q)}\n0,0.3,0.3,0.3\n0,0.4,0.3,0.3\n")
+    words = ["time", "harvester", str(tmp_path / "way.csv"), "--out", str(tmp_path), "--effort", "quick", "--quiet"]
+    assert main([*words, "--scene", str(tmp_path / "mine.yaml")]) == 0
+    assert ply.read_bytes() == before
+    assert hplan.load_scene(tmp_path / "scene.yaml").obstacles[0].kind == "points"
+
+
+def test_files_follow_the_umask(tmp_path: Path) -> None:
+    words = "hplan --quiet --effort quick --mcap --cspace --out out"
+    assert shell(f"umask 027; {words} && hplan certify out --quiet --report r.json", tmp_path).returncode == 0
+    made = [*(tmp_path / "out").iterdir(), tmp_path / "r.json"]
+    assert {path.stat().st_mode & 0o777 for path in made} == {0o640}
+    assert {"motion.mcap", "cspace.html"} < {path.name for path in made}
 
 
 def test_help_leaves_an_earlier_job_alone(tmp_path: Path) -> None:
@@ -183,22 +258,6 @@ def test_help_leaves_an_earlier_job_alone(tmp_path: Path) -> None:
         main(["--out", str(tmp_path), "--help"])
     assert not ended.value.code
     assert names(tmp_path) == {"trajectory.csv"}
-
-
-def test_the_other_commands_leave_no_trajectory_either(tmp_path: Path) -> None:
-    for name in ("tour.csv", "tour-01-apple.csv", "tour.json", "mine.csv", "timed.csv"):
-        (tmp_path / name).write_text("an earlier job's")
-    run = {"check": False, "stderr": subprocess.DEVNULL}
-    assert subprocess.run([*SCRIPTS["plan_tour"], "--out", tmp_path, "--every", "x"], **run).returncode == 2
-    assert names(tmp_path) == {"tour.json", "mine.csv", "timed.csv"}
-    # A file that is read is not removed.
-    for arguments in (["robot.urdf", "timed.csv", "--out", "timed.csv", "--rate", "x"], ["--out", "robot.urdf"]):
-        assert subprocess.run([*SCRIPTS["time_waypoints"], *arguments], cwd=tmp_path, **run).returncode == 2
-        assert names(tmp_path) == {"tour.json", "mine.csv", "timed.csv"}
-    assert (
-        subprocess.run([*SCRIPTS["time_waypoints"], "--out=timed.csv", "--rate=x"], cwd=tmp_path, **run).returncode == 2
-    )
-    assert names(tmp_path) == {"tour.json", "mine.csv"}
 
 
 # Terminals that cannot take it
@@ -248,9 +307,8 @@ def test_what_the_terminal_cannot_take_changes_nothing(command: str, said: str, 
 
 @pytest.mark.parametrize("command", ["hplan --step x >&-", "hplan missing.yaml > /dev/full", "hplan missing.yaml 2>&-"])
 def test_a_fault_is_one_whatever_the_terminal(command: str, tmp_path: Path) -> None:
-    (tmp_path / "out").mkdir()
     assert shell(command, tmp_path).returncode == 2
-    assert names(tmp_path / "out") == {"report.json"}
+    assert names(tmp_path) == set()
 
 
 @pytest.mark.parametrize(
@@ -279,17 +337,17 @@ def test_a_name_that_the_terminal_cannot_show(environment: dict[str, str], tmp_p
 def test_a_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     """What is written at first fits, the page does not."""
     assert main(["--out", str(tmp_path), "--quiet"]) == 0
-    fdopen: Callable[..., object] = os.fdopen
-    opened: list[int] = []
+    make: Callable[..., int] = os.open
+    made: list[object] = []
 
-    def full(handle: int, *more: object, **options: object) -> object:
-        opened.append(handle)
-        if len(opened) == 2:
-            os.close(handle)
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        return fdopen(handle, *more, **options)
+    def full(path: object, flags: int, *mode: int, **options: object) -> int:
+        if flags & os.O_EXCL:
+            made.append(path)
+            if len(made) == 2:
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return make(path, flags, *mode, **options)
 
-    monkeypatch.setattr(os, "fdopen", full)
+    monkeypatch.setattr(os, "open", full)
     assert main(["--out", str(tmp_path), "--quiet"]) == 2
     assert "scene.html: No space left on device" in capsys.readouterr().err.replace("\n", " ")
     assert names(tmp_path) == {"report.json"}

@@ -77,7 +77,7 @@ def test_columns_in_any_order_among_others(write):
         (TREE.replace("0.005", "nan"), 3, "radius is 'nan', expected a finite number"),
         (TREE.replace("0.005", "-0.005"), 3, "radius is -0.005, expected a positive number"),
         (TREE.replace("0.005", "0"), 3, "radius is 0, expected a positive number"),
-        (TREE.replace("0.005", ""), 3, "radius is '', expected a number"),
+        (TREE.replace("0.005", ""), 3, "radius is '', expected a finite number"),
         (TREE.replace("0.3", "inf"), 3, "x2 is 'inf', expected a finite number"),
         (TREE.replace("0.3", "1,5"), 3, "9 values, expected 8"),
         (TREE.replace("1.2,0.02", "1598,0.02"), 2, "z2 is 1598, expected metres, 1000 at most"),

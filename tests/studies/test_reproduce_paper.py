@@ -15,7 +15,7 @@ from paper_run import FIGURES, measured_paper
 from PIL import Image
 from rich.console import Console
 from script_loader import load_script
-from studies.paper import measure, output, random_scenes, tables
+from studies.paper import measure, random_scenes, tables
 from studies.paper.demonstration import DEMO_CENTRE
 from studies.paper.plain import carried_back
 from studies.paper.results import PAPER
@@ -314,14 +314,14 @@ def test_unwritable_output_is_refused_before_any_work(
 
 @pytest.mark.usefixtures("quick")
 def test_a_failure_while_writing_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    real = output.tempfile.mkstemp
-
-    def full(*, dir: Path, prefix: str) -> Any:  # noqa: A002
-        if "json" in prefix:
+    def full(self: Path, content: bytes) -> int:
+        with self.open("wb") as file:
+            file.write(content)
+        if content.startswith(b"{"):
             raise OSError(28, "No space left on device")
-        return real(dir=dir, prefix=prefix)
+        return len(content)
 
-    monkeypatch.setattr(output.tempfile, "mkstemp", full)
+    monkeypatch.setattr(Path, "write_bytes", full)
     assert script.main(["--out", str(tmp_path), "--no-figures"]) == 2
     assert list(tmp_path.iterdir()) == []
 

@@ -275,7 +275,7 @@ def test_script_failures(script, capsys, files, tmp_path, arguments, status, rea
     result, _, text = run(script, capsys, *files, *arguments, "--out", out)
     assert result == status
     assert reason in text
-    assert not out.exists()
+    assert out.read_text() == "an earlier result"
 
 
 def test_script_does_not_overwrite_what_it_reads(script, capsys, files, tmp_path):

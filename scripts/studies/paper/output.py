@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import os
 import tempfile
+from contextlib import ExitStack
 from pathlib import Path
 
+from hplan.base.files import replacing
 from hplan.errors import OutputError
 
 
@@ -24,23 +25,11 @@ def check_writable(directory: Path) -> None:
 
 
 def write_all(directory: Path, contents: dict[str, bytes]) -> None:
-    """Write all files or none: each first under a temporary name, then all renamed.
+    """Write all files or none: each first under a temporary name, then all moved.
 
     Raises:
         OutputError: They cannot be written.
     """
-    staged: list[tuple[Path, Path]] = []
-    try:
+    with ExitStack() as files:
         for name, content in contents.items():
-            handle, temporary = tempfile.mkstemp(dir=directory, prefix=f".{name}.")
-            staged.append((Path(temporary), directory / name))
-            with os.fdopen(handle, "wb") as stream:
-                stream.write(content)
-            Path(temporary).chmod(0o644)
-        for temporary_path, target in staged:
-            temporary_path.replace(target)
-    except OSError as error:
-        raise OutputError(directory, error.strerror or str(error)) from error
-    finally:
-        for temporary_path, _ in staged:
-            temporary_path.unlink(missing_ok=True)
+            files.enter_context(replacing(directory / name)).write_bytes(content)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -77,6 +78,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             console.width = WIDTH
         if arguments.scenes is not None and arguments.scenes < 1:
             raise InputError("--scenes: expected a number of at least 1", scenes=arguments.scenes)
+        arguments.out = arguments.out or Path(tempfile.mkdtemp(prefix="hplan-"))
         prepare_folder(arguments.out)
         results = run(arguments, errors)
         from studies.benchmark.tables import show
@@ -97,7 +99,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = command_parser(_DESCRIPTION, _EPILOG)
     add = parser.add_argument
-    add("--out", type=Path, default=Path("out"), metavar="DIR", help="folder to write into (default: out)")
+    add("--out", type=Path, metavar="DIR", help="folder to write into (default: a temporary one, named in the end)")
     add("--quick", action="store_true", help="few repetitions and scenes: a look, not a measurement")
     add("--sets", nargs="+", choices=SETS, default=list(SETS), help="what to measure (default: all)", metavar="SET")
     add("--seed", type=int, default=0, metavar="N", help="seed of scenes and planners (default: 0)")

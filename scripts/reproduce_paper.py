@@ -20,6 +20,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -57,7 +58,7 @@ def parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add = result.add_argument
-    add("--out", type=Path, default=Path("paper"), metavar="DIR", help="folder to write into (default: %(default)s)")
+    add("--out", type=Path, metavar="DIR", help="folder to write into (default: a temporary one, named in the end)")
     add("--no-figures", action="store_true", help="numbers only")
     add("--markdown", action="store_true", help="print the report as Markdown instead of tables")
     add(
@@ -121,6 +122,7 @@ def main(arguments: list[str] | None = None) -> int:
             require_matplotlib()
         from studies.paper.output import check_writable
 
+        options.out = options.out or Path(tempfile.mkdtemp(prefix="hplan-"))
         check_writable(options.out)
         numbers, scenes, files = run(options, errors)
     except HplanError as error:

@@ -46,7 +46,6 @@ ROOMS = (
     ),
     *("view", "ros", "cli"),
 )
-MOST_FILES = 15
 
 
 def rooms() -> list[str]:
@@ -81,8 +80,7 @@ def test_a_room_imports_only_what_is_below_it(room: str) -> None:
 
 
 @pytest.mark.parametrize("room", rooms())
-def test_a_room_has_few_files_and_says_what_it_is_for(room: str) -> None:
-    assert len(list((PACKAGE / room).glob("*.py"))) <= MOST_FILES
+def test_a_room_says_what_it_is_for(room: str) -> None:
     assert ast.get_docstring(ast.parse((PACKAGE / room / "__init__.py").read_text(encoding="utf-8")))
 
 

@@ -6,6 +6,7 @@ python scripts/examples/plan_and_export.py [FOLDER]
 from __future__ import annotations
 
 import sys
+import tempfile
 from pathlib import Path
 
 import hplan
@@ -13,9 +14,9 @@ from hplan.view.page import write_page
 from hplan.view.playback import Playback
 
 
-def main(folder: str = "out/example") -> hplan.PlanResult:
-    """Plan the shipped trellis scene and export the motion."""
-    out = Path(folder)
+def main(folder: str | None = None) -> hplan.PlanResult:
+    """Plan the shipped trellis scene and export the motion, into a temporary folder where none is named."""
+    out = Path(tempfile.mkdtemp(prefix="hplan-") if folder is None else folder)
     out.mkdir(parents=True, exist_ok=True)
     robot, scene = hplan.load_robot(), hplan.load_scene("trellis")
     result = hplan.plan(robot, scene)
@@ -25,6 +26,7 @@ def main(folder: str = "out/example") -> hplan.PlanResult:
     for phase in result.phases:
         print(f"{phase.name:10} {phase.start_s:6.3f} to {phase.end_s:6.3f} s")
     print(f"clearance at all times: {1e3 * result.certificate.min_clearance_m:.2f} mm or more")
+    print(f"written: {out}")
     return result
 
 

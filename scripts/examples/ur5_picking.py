@@ -9,6 +9,7 @@ The tree is a list of capsules (kind,x1,y1,z1,x2,y2,z2,radius: `hplan.orchard.im
 from __future__ import annotations
 
 import sys
+import tempfile
 from pathlib import Path
 
 import hplan
@@ -60,15 +61,16 @@ def orchard(tree: str | None) -> Scene:
     return scene.model_copy(update={"obstacles": (*scene.obstacles, platform, bin_wall)})
 
 
-def main(tree: str | None = None, folder: str = "out/ur5-picking", most: int | None = None) -> hplan.TourResult:
+def main(tree: str | None = None, folder: str | None = None, most: int | None = None) -> hplan.TourResult:
     """Plan the tour over all apples, or the first so many, certified; write CSV, report and page."""
-    robot, scene, out = ur5(), orchard(tree), Path(folder)
+    robot, scene, out = ur5(), orchard(tree), Path(tempfile.mkdtemp(prefix="hplan-") if folder is None else folder)
     names = [fruit.name for fruit in scene.fruits[:most]]
     result = hplan.plan_tour(robot, scene, fruits=names, tour=hplan.TourOptions(drop_off=BIN, back=True))
     out.mkdir(parents=True, exist_ok=True)
     hplan.write_csv(result.trajectory, out / "tour.csv")
     write_report(result.report, out / "tour.json")
     write_page(robot, scene, Playback.of(result), out / "scene.html")
+    print(f"written: {out}")
     print(f"{len(result.order)} of {len(names)} apples in {result.trajectory.duration:.1f} s, certified")
     for item in result.unreached:
         print(f"left: {item.error}")

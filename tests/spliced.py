@@ -5,18 +5,19 @@ from __future__ import annotations
 import numpy as np
 
 from hplan.online.splice import SplicedResult
-from hplan.timing.trajectory import Trajectory, cubic_pieces
+from hplan.planning.plan import PlanResult
+from hplan.timing.trajectory import cubic_pieces
 
 FIELDS = ("position", "velocity", "acceleration")
 
 
-def assert_goes_on(before: Trajectory, result: SplicedResult) -> None:
+def assert_goes_on(before: PlanResult, result: SplicedResult) -> None:
     """The running motion up to the seam row for row, and cubics whose velocity and acceleration do not jump there."""
-    motion = result.trajectory
-    first = int(np.searchsorted(before.time, result.begins_s - 1e-9))
+    ran_before, motion = before.trajectory, result.trajectory
+    first = int(np.searchsorted(ran_before.time, result.begins_s - before.begins_s - 1e-9))
     seam = int(np.searchsorted(motion.time, result.seam_s - 1e-9))
     for field in FIELDS:
-        kept, ran = getattr(motion, field)[: seam + 1], getattr(before, field)[first : first + seam + 1]
+        kept, ran = getattr(motion, field)[: seam + 1], getattr(ran_before, field)[first : first + seam + 1]
         np.testing.assert_array_equal(kept, ran)
     if 0 < seam < motion.samples - 1:
         bezier, duration = cubic_pieces(motion)

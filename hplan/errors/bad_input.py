@@ -124,6 +124,23 @@ class StartStateError(InputError):
         self.data["value"] = self.value = value
 
 
+class NotOnMotionError(InputError):
+    """An arm that is not where the running motion has it, by more than the tracking error that is covered."""
+
+    joint: str
+    off_by: float
+    covered: float
+    at_s: float
+
+    def __init__(self, joint: str, off_by: float, covered: float, at_s: float) -> None:
+        """Name the joint, its difference and the one that is covered [rad, m where it slides], and when it was seen."""
+        message = (
+            f"measured: joint {joint!r} is {off_by:.4g} from where the running motion has it at {at_s:.10g} s on the "
+            f"controller's clock; a tracking error of {covered:.4g} is covered"
+        )
+        super().__init__(message, joint=joint, off_by=off_by, covered=covered, at_s=at_s)
+
+
 class ConfigurationInCollisionError(InputError):
     """Start or goal touches an obstacle or the arm itself, or comes closer than the clearance to keep."""
 

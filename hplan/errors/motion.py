@@ -78,20 +78,22 @@ class UnavoidableContactError(HplanError):
 class RunningMotionBlockedError(HplanError):
     """A running motion is no longer clear before a new one could take over, or cannot be left without contact.
 
-    `stop` is the certified stop on the path of the running motion, a trajectory from now on; None where there is none.
+    `stop` is the certified stop on the path of the running motion, a trajectory from now on, whose first row is at
+    `begins_s` on the controller's clock [s]; None where there is none.
     """
 
     exit_status = 5
     reasons: list[str]
     stop: Any
     certificate: Any
+    begins_s: float
 
-    def __init__(self, reasons: Sequence[str], stop: Any, certificate: Any) -> None:
-        """Say what is in the way, and how the arm can stop."""
+    def __init__(self, reasons: Sequence[str], stop: Any, certificate: Any, begins_s: float = 0.0) -> None:
+        """Say what is in the way, and how the arm can stop, from when on."""
         how = "no stop on its path is certified" if stop is None else "it can stop on its path"
         super().__init__(f"the running motion cannot be taken over: {'; '.join(reasons)}; {how}", reasons=list(reasons))
         self.data["can_stop"] = stop is not None
-        self.stop, self.certificate = stop, certificate
+        self.stop, self.certificate, self.begins_s = stop, certificate, begins_s
 
 
 class BoundError(HplanError):

@@ -7,23 +7,27 @@ handed out was certified among the obstacles as they are now.
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from threading import RLock
-from typing import Any, TypeVar, overload
+from typing import Any, NamedTuple, TypeVar, overload
 
 from numpy.typing import ArrayLike
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
+from hplan.base.arguments import number
 from hplan.base.deadline import Cancel, TimeIsUpError, time_limit
 from hplan.base.forking import renewed_in_children
 from hplan.bodies.reach import largest_sway
-from hplan.errors import InputError, SceneError
+from hplan.errors import InputError, OptionError, SceneError
 from hplan.online.splice import RunningMotion, SplicedResult
 from hplan.perception.frame import CloudOptions, Frame, FrameReport, SeenPoints, filter_frame
 from hplan.perception.frame_kernels import Scratch
 from hplan.perception.scene_cloud import check_cloud_name, solids_named, with_cloud
+from hplan.planning.certified_motion import PlannedMotion
 from hplan.planning.plan import PlanResult, check_task, plan_with
 from hplan.planning.task import PlanningCache
 from hplan.problem.options import PlanOptions
@@ -31,6 +35,8 @@ from hplan.robot.model import Robot
 from hplan.scene.limits import Vector
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Box, Capsule, Cylinder, Mesh, Obstacle, PointCloud, Sphere
+from hplan.scene.tracks import Track
+from hplan.verification.certificate import with_violations
 from hplan.verification.retimed_certificate import CertifiedMotion
 
 #: How often a plan that waits for another one looks whether it is still wanted [s].
@@ -40,15 +46,22 @@ _WAIT_S = 0.01
 class Planner:
     """Plans again and again for one robot.
 
-    Several threads may use one planner: a change and a plan wait for the plan that is under way. So may a child forked
-    meanwhile, by itself. A planner can be
-    pickled; its memory of layers stays behind.
+    **One clock.** Times that a planner is told are on the controller's clock, any clock that does not go back: when a
+    motion begins (`begins_s`), what time it is (`now`), when a new motion may take over (`at`), when a frame was taken,
+    and the times of the scene's tracks. What it hands out counts from its own first row, which is at its `begins_s` on
+    the controller's clock; at a time t the controller follows `motion.trajectory.state_at(t - motion.begins_s)`. A
+    planner that was never told a time takes the clock to begin with its first motion. One that was told wants to know
+    when each motion begins that is planned from rest: `plan(begins_s=)`, or `began` once it has.
+
+    Several threads may use one planner. One plan at a time is made, and the next waits for it; changes, frames and
+    stops do not wait. A plan is of the scene, and the options, that there were when its turn came. A child that is
+    forked meanwhile may use it too, by itself. A planner can be pickled; its memory of layers and frames stays behind.
 
     Attributes:
         robot: The arm.
         options: How to plan.
-        scene: The scene as it is now; its tracks count by the clock of the last motion.
-        last: The last plan; None before the first.
+        scene: The scene as it is now; its tracks count on the controller's clock.
+        last: The last plan, taken to be what runs; None before the first.
     """
 
     def __init__(self, robot: Robot, scene: Scene, options: PlanOptions | None = None) -> None:
@@ -67,41 +80,62 @@ class Planner:
         self.options = PlanOptions() if options is None else options
         self.scene = scene
         self.last: PlanResult | None = None
-        self._cache = PlanningCache(robot)
-        self._lock = renewed_in_children(RLock())
+        self._is_told = False
+        self._cropped: dict[str, _Cropped] = {}
+        self._make_ready()
+
+    def _make_ready(self) -> None:
+        """Begin with no memory of earlier plans and frames."""
+        self._cache = PlanningCache(self.robot)
+        self._planning, self._changing, self._filtering = (renewed_in_children(RLock()) for _ in range(3))
         self._seen: dict[str, SeenPoints] = {}
         self._scratch = Scratch()
 
     def __getstate__(self) -> dict[str, Any]:
-        """The attributes that a user sees."""
-        return {"robot": self.robot, "scene": self.scene, "options": self.options, "last": self.last}
+        """The attributes that a user sees, whether a time was told, and how clouds were cropped."""
+        return {key: vars(self)[key] for key in ("robot", "scene", "options", "last", "_is_told", "_cropped")}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Go on from there."""
-        vars(self).update(state, _cache=PlanningCache(state["robot"]), _seen={}, _scratch=Scratch())
-        self._lock = renewed_in_children(RLock())
+        vars(self).update(state)
+        self._make_ready()
 
-    def plan(self, *, cancel: Cancel | None = None) -> PlanResult:
+    def plan(self, *, begins_s: float | None = None, cancel: Cancel | None = None) -> PlanResult:
         """Plan as `hplan.plan` does, whatever was planned before.
 
         Args:
+            begins_s: When the motion is to begin, on the controller's clock [s]; what moves is seen from then on. None
+                where no time was told yet: at 0; else it is not known, which only a scene where nothing moves allows.
             cancel: As for `hplan.plan`.
 
         Raises:
+            OptionError: A time that is none, or none where one is needed.
             HplanError: As `hplan.plan`.
         """
         with self._turn(cancel):
-            self.last = plan_with(self._cache, self.scene, self.options)
-            return self.last
+            return self._from_rest(begins_s, None)
 
     @overload
-    def replan(self, *, cancel: Cancel | None = None) -> PlanResult: ...
+    def replan(self, *, begins_s: float | None = None, cancel: Cancel | None = None) -> PlanResult: ...
 
     @overload
-    def replan(self, *, at: float, now: float = 0.0, cancel: Cancel | None = None) -> SplicedResult: ...
+    def replan(
+        self,
+        *,
+        at: float,
+        now: float | None = None,
+        measured: ArrayLike | None = None,
+        cancel: Cancel | None = None,
+    ) -> SplicedResult: ...
 
     def replan(
-        self, *, at: float | None = None, now: float = 0.0, cancel: Cancel | None = None
+        self,
+        *,
+        at: float | None = None,
+        now: float | None = None,
+        measured: ArrayLike | None = None,
+        begins_s: float | None = None,
+        cancel: Cancel | None = None,
     ) -> PlanResult | SplicedResult:
         """Plan again after a change, before the motion is begun or while it runs.
 
@@ -114,54 +148,123 @@ class Planner:
         to its end where it still solves the task and is certified from now on among the obstacles as they are now; a
         new motion takes over else, without a jump of position, velocity or acceleration. What is returned is a
         `SplicedResult`: its trajectory is the running one from now on and, from `seam_s`, the new one, certified as a
-        whole; on the running motion's clock it begins at `begins_s`, the last row up to now. It runs from then on.
-
-        Tracks of the planner's scene count by the clock of the last motion. So what moves is seen where it is when the
-        running motion gets there, and after a splice the scene is shifted to the new motion's clock: it becomes
-        `scene.since(begins_s)`. To plan a motion from rest that begins at a time on the old clock, shift it likewise.
+        whole; it begins at `begins_s`, where the last row up to now is, and runs from then on.
 
         Args:
-            at: When the new motion may take over, on the clock of the running one [s]; None before the motion is begun.
+            at: When the new motion may take over, on the controller's clock [s]; None before the motion is begun.
             now: The time on that clock [s]; without it the whole motion up to `at` has to be clear.
+            measured: (dof,) where the arm is now [rad, m where a joint slides]: a motion that it is not on, as far as
+                the tracking error covers that certificates are for, is not taken over. None to take it to be there.
+            begins_s: As for `plan`, without `at`.
             cancel: As for `hplan.plan`.
 
         Raises:
-            InputError: There is no motion that could run.
-            OptionError: A time before the motion or after it, or before now.
+            InputError: There is no motion that could run, or it was not told when it began.
+            NotOnMotionError: The arm is not where the running motion has it.
+            OptionError: A time before the motion or after it, or before now; `now` or `measured` without what they
+                belong to.
             RunningMotionBlockedError: The running motion is not clear until then, or cannot be left without contact; it
                 carries the stop on its path, where one is certified.
             HplanError: As `hplan.plan`.
         """
+        if at is None:
+            for option, value in (("now", now), ("measured", measured)):
+                if value is not None:
+                    raise OptionError(option, value, "None without `at`: of a motion that has not begun")
+        elif begins_s is not None:
+            raise OptionError("begins_s", begins_s, "None with `at`: a splice begins as the motion before it runs")
         with self._turn(cancel):
-            if at is not None:
-                spliced = self._running(now).spliced(at)
-                self.last, self.scene = spliced, self.scene.since(spliced.begins_s)
-                return spliced
-            before = None if self.last is None else self.last.motion
-            self.last = plan_with(self._cache, self.scene, self.options, before=before)
-            return self.last
+            if at is None:
+                return self._from_rest(begins_s, None if self.last is None else self.last.motion)
+            scene, options = self.scene, self.options
+            self._check_crops(scene, options)
+            spliced = self._running(scene, options, now, measured).spliced(at)
+            self.last = spliced
+            return spliced
 
-    def stop_at(self, t: float, *, now: float = 0.0) -> CertifiedMotion:
+    def stop_at(self, t: float, *, now: float | None = None, measured: ArrayLike | None = None) -> CertifiedMotion:
         """The last motion with the quickest stop on its path from the first row at or after a time on.
 
         It is certified from now on among the obstacles as they are now; read `certificate.verified`. Among what moves
-        `certificate.clear_until_s` says how long the arm may rest where it stops, on the motion's clock.
+        `certificate.clear_until_s` says how long the arm may rest where it stops. Its trajectory begins, as its
+        `begins_s` says, when the last motion did, and all its times count from there. The planner goes on to take the
+        last motion for what runs.
 
         Args:
-            t: The time, on the motion's clock [s].
-            now: The time on that clock from which on it has to be clear [s].
+            t: The time, on the controller's clock [s].
+            now: The time on that clock from which on it has to be clear [s]; None for when the motion began.
+            measured: As for `replan`.
 
         Raises:
-            InputError: There is no motion that could run.
-            OptionError: A time before the motion or after it.
+            InputError: There is no motion that could run, or it was not told when it began.
+            NotOnMotionError: The arm is not where the running motion has it.
+            OptionError: A time before the motion or after it, or before now; `measured` without `now`.
         """
-        with self._lock:
-            return self._running(now).stop_at(t)
+        scene, options = self.scene, self.options
+        found = self._running(scene, options, now, measured).stop_at(t)
+        return replace(found, certificate=with_violations(found.certificate, self._crop_faults(scene, options)))
 
-    def _running(self, now: float) -> RunningMotion:
+    def began(self, at_s: float) -> PlanResult:
+        """Say when the motion that was planned last, from rest and among what stands still, has begun.
+
+        Args:
+            at_s: The time, on the controller's clock [s].
+
+        Returns:
+            The plan, which begins there.
+
+        Raises:
+            InputError: There is no such motion: among what moves it begins when it was planned for, and a splice when
+                it says.
+            OptionError: No time.
+        """
+        number("at_s", at_s, "a time on the controller's clock in seconds")
+        with self._changing:
+            if self.last is None:
+                raise InputError("there is no motion that could begin: plan one first")
+            if (isinstance(self.last, SplicedResult) or self.last.scene.moves) and at_s != self.last.begins_s:
+                raise InputError(
+                    f"the motion begins at {self.last.begins_s:.10g} s on the controller's clock, and at no other "
+                    "time: it was planned for then"
+                )
+            self.last, self._is_told = replace(self.last, begins_s=float(at_s)), True
+            return self.last
+
+    def _from_rest(self, begins_s: float | None, before: PlannedMotion | None) -> PlanResult:
+        """A plan of a motion that has not begun."""
+        scene, options = self.scene, self.options
+        self._check_crops(scene, options)
+        begin = self._begin_of(begins_s, scene)
+        found = plan_with(self._cache, scene if math.isnan(begin) else scene.since(begin), options, before=before)
+        self.last = replace(found, begins_s=begin)
+        return self.last
+
+    def _begin_of(self, begins_s: float | None, scene: Scene) -> float:
+        """When a motion begins, on the controller's clock [s]; NaN where that is not known.
+
+        Raises:
+            OptionError: No time; or none where one is needed.
+        """
+        expected = "a time on the controller's clock in seconds"
+        if begins_s is not None:
+            number("begins_s", begins_s, expected)
+            self._is_told = True
+            return float(begins_s)
+        if not self._is_told:
+            return 0.0
+        if scene.moves:
+            raise OptionError("begins_s", None, f"{expected}: something moves, and the clock has not begun only now")
+        return math.nan
+
+    def _running(
+        self, scene: Scene, options: PlanOptions, now: float | None, measured: ArrayLike | None
+    ) -> RunningMotion:
+        if measured is not None and now is None:
+            raise OptionError("now", None, "the time when the joints were measured, on the controller's clock")
         if self.last is None:
             raise InputError("there is no motion that could run: plan one first")
-        return RunningMotion(self.last, self._cache, self.scene, self.options, now)
+        self._is_told = True
+        return RunningMotion(self.last, self._cache, scene, options, now, measured)
 
     @contextmanager
     def _turn(self, cancel: Cancel | None) -> Iterator[None]:
@@ -172,7 +275,7 @@ class Planner:
             PlanCancelledError: Nobody wants the plan any more.
         """
         with time_limit(self.options.deadline_s, cancel) as limit:
-            while not self._lock.acquire(timeout=min(_WAIT_S, max(limit.left_s, 0.0))):
+            while not self._planning.acquire(timeout=min(_WAIT_S, max(limit.left_s, 0.0))):
                 if limit.is_up:
                     raise limit.error(["another plan of the same planner is under way"])
             try:
@@ -180,7 +283,7 @@ class Planner:
             except TimeIsUpError:  # before the plan itself, which says what it tried
                 raise limit.error(["the running motion up to where a new one may take over"]) from None
             finally:
-                self._lock.release()
+                self._planning.release()
 
     def add(self, obstacle: Obstacle) -> None:
         """Add an obstacle.
@@ -189,7 +292,7 @@ class Planner:
             InputError: There is one of that name, or it is no obstacle.
         """
         _check_kind(obstacle)
-        with self._lock:
+        with self._changing:
             if obstacle.name in {item.name for item in (*self.scene.obstacles, *self.scene.fruits)}:
                 message = f"there is an obstacle {obstacle.name!r} already; names must differ"
                 raise InputError(message, name=obstacle.name)
@@ -201,7 +304,7 @@ class Planner:
         Raises:
             InputError: There is none of that name, or it is the fruit that is the goal.
         """
-        with self._lock:
+        with self._changing:
             if any(fruit.name == name for fruit in self.scene.fruits):
                 if name == self.scene.goal.fruit:
                     raise InputError(f"fruit {name!r} is the goal; aim elsewhere before it is removed", name=name)
@@ -211,15 +314,19 @@ class Planner:
             index = self._index(name)
             self._change((*self.scene.obstacles[:index], *self.scene.obstacles[index + 1 :]))
             self._seen.pop(name, None)
+            self._cropped.pop(name, None)
 
     def move(self, name: str, **changes: Any) -> None:
         """Give an obstacle other values, as `move("post", center=(1, 0, 1))`.
 
         Raises:
-            InputError: There is none of that name, or it has no such value, or cannot have it.
+            InputError: There is none of that name, or it has no such value, or cannot have it; it is a cloud that
+                `set_cloud` has cropped to what is within reach where it was seen.
         """
-        with self._lock:
-            index = self._index(name)
+        with self._changing:
+            index, cropped = self._index(name), self._cropped.get(name)
+            if cropped is not None and self.scene.obstacles[index] is cropped.cloud:
+                raise InputError(f"cloud {name!r} was cropped to the reach where it was seen: set it anew", name=name)
             moved = _changed(self.scene.obstacles[index], changes)
             self._change((*self.scene.obstacles[:index], moved, *self.scene.obstacles[index + 1 :]))
 
@@ -241,40 +348,54 @@ class Planner:
 
         Left out are rows that are not finite, points that the arm cannot come near, its own, and those of what is to be
         ignored; the others become balls, fewer than points (`hplan.perception.frame`). A frame of which nothing is left
-        takes the obstacle away.
+        takes the obstacle away. Where the base moves, the points stand where they were seen, from where it was then,
+        and those count that come within reach anywhere on its track. What is left out could matter for a larger
+        clearance, larger tracking errors or another track of the base: plans are refused then until the next frame.
 
         Args:
             name: Name of the cloud.
             points: (n, 3) or (rows, columns, 3) points in the camera's frame [m]; best float32 or float64.
             radius: Radius of the ball about each point [m].
             pose: Camera to `base_link`: a (4, 4) matrix, or x, y, z [m], roll, pitch, yaw about fixed axes [deg]; None
-                where the points are in `base_link`, the camera then taken to be at its origin.
+                where the points are in `base_link`, the camera then taken to be at its origin. Where the base moves,
+                it is `base_link` as it is when the frame is taken.
             joints: (dof,) configuration of the arm when the frame was taken, so that its own points are left out [rad].
             ignore: Names of fruits and other obstacles whose points are left out: the fruit to pick, what stands in the
                 scene already.
             keep_s: How long points are kept that were seen and are hidden now (`hplan.perception.hidden_points`) [s].
-            time_s: When the frame was taken, on any clock that does not go back [s]; None for now.
+            time_s: When the frame was taken, on the controller's clock [s]; it is needed where the base moves, or what
+                is to be ignored does. None, else, for now.
             options: Voxels, paddings, outliers.
 
         Raises:
             InputError: Points, a pose or joints that are none; a name of what is no cloud; nothing of a name to ignore.
             OptionError: A radius, a time or options that cannot be.
         """
-        taken_s = time.monotonic() if time_s is None else time_s
-        frame = Frame.of(self.robot, points, radius=radius, pose=pose, joints=joints, keep_s=keep_s, time_s=taken_s)
-        with self._lock:
-            check_cloud_name(self.scene, name)
+        with self._filtering:  # nothing else waits for it
+            scene, planning = self.scene, self.options
+            check_cloud_name(scene, name)
+            if scene.base_track is not None and time_s is None:
+                expected = "when the frame was taken, on the controller's clock: the base moves"
+                raise OptionError("time_s", None, expected)
+            frame = Frame.of(
+                self.robot, points, radius=radius, pose=pose, joints=joints, keep_s=keep_s,
+                time_s=time.monotonic() if time_s is None else time_s, base_track=scene.base_track,
+            )  # fmt: skip
             found = filter_frame(
                 self.robot,
                 frame,
                 CloudOptions() if options is None else options,
-                ignored=solids_named(self.scene, ignore, name),
-                clearance_m=self.scene.clearance + self._largest_sway_m(),
+                ignored=solids_named(scene, ignore, name, time_s),
+                clearance_m=self._room_m(scene, planning),
                 before=self._seen.get(name),
                 scratch=self._scratch,
             )
-            self.scene = with_cloud(self.scene, name, found.points, found.report.radius_m)
-            self._seen[name] = found.seen
+            cloud = PointCloud.thinned(name, found.points, found.report.radius_m) if len(found.points) else None
+            with self._changing:
+                check_cloud_name(self.scene, name)
+                self.scene = with_cloud(self.scene, name, cloud)
+                self._seen[name] = found.seen
+                self._cropped[name] = _Cropped(cloud, found.kept_m, scene.base_track)
         return found.report
 
     def aim(self, *, start: Start | None = None, goal: Goal | None = None) -> None:
@@ -284,12 +405,36 @@ class Planner:
             SceneError: A fruit that the scene does not have.
         """
         changes: dict[str, Any] = {key: value for key, value in (("start", start), ("goal", goal)) if value is not None}
-        with self._lock:
+        with self._changing:
             self.scene = _changed(self.scene, changes)
 
-    def _largest_sway_m(self) -> float:
-        """How far tracking errors may take the arm from where it is sent [m]."""
-        return float(largest_sway(self.robot, self.options.tracking.deviations(self.robot.velocity_limit)))
+    def _room_m(self, scene: Scene, options: PlanOptions) -> float:
+        """How near to where the arm is sent things matter: the clearance, and what tracking errors may take [m]."""
+        deviations = options.certified_tracking.deviations(self.robot.velocity_limit)
+        return scene.clearance + float(largest_sway(self.robot, deviations))
+
+    def _check_crops(self, scene: Scene, options: PlanOptions) -> None:
+        """Refuse clouds that lack points that matter now."""
+        for fault in self._crop_faults(scene, options):
+            raise InputError(fault)
+
+    def _crop_faults(self, scene: Scene, options: PlanOptions) -> list[str]:
+        """Clouds of the scene that lack points that matter now, in words."""
+        room_m, faults = self._room_m(scene, options), list[str]()
+        for obstacle in scene.obstacles:
+            cropped = self._cropped.get(obstacle.name)
+            if cropped is None or obstacle is not cropped.cloud:
+                continue
+            for lacks, what in (
+                (room_m > cropped.kept_m + _SAME_M, f"clearance and tracking errors of {cropped.kept_m:.4g} m in all"),
+                (_route(scene.base_track) != _route(cropped.base_track), "another track of the base"),
+            ):
+                if lacks:
+                    faults.append(
+                        f"cloud {obstacle.name!r} was cropped to the reach for {what}: set it anew, or, where it is "
+                        "remembered (keep_s), remove it before"
+                    )
+        return faults
 
     def _change(self, obstacles: tuple[Obstacle, ...]) -> None:
         # The names were looked at, and the obstacles are checked: no need to check the scene again.
@@ -301,6 +446,28 @@ class Planner:
                 return index
         raise InputError(f"there is no obstacle {name!r}", name=name)
 
+
+class _Cropped(NamedTuple):
+    """A cloud as `set_cloud` has left it.
+
+    Attributes:
+        cloud: The cloud; None where nothing was left of it.
+        kept_m: All is in it that the arm can come so near to [m].
+        base_track: On which track of the base.
+    """
+
+    cloud: PointCloud | None
+    kept_m: float
+    base_track: Track | None
+
+
+def _route(track: Track | None) -> tuple[Any, ...]:
+    """Where a track leads, whenever."""
+    return () if track is None else (track.shifts_m, track.rpy_deg, track.about)
+
+
+#: Differences of lengths that are none [m].
+_SAME_M = 1e-9
 
 _Model = TypeVar("_Model", bound=BaseModel)
 _KINDS = (Sphere, Capsule, Cylinder, Box, Mesh, PointCloud)

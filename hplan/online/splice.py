@@ -4,19 +4,23 @@ What runs until then stays as it is, and is certified again among the obstacles 
 motion at the seam a new motion goes on (`hplan.planning.start_in_motion`): position, velocity and acceleration have no
 jump there, as both motions have that very row.
 
-Where obstacles move, their tracks count by the clock of the running motion. The new motion is planned in the scene with
-times since the seam, and what is handed out is certified in the scene with times since its own begin (`Scene.since`).
+Times that are told are on the controller's clock, and so are tracks of the scene; within, all is counted from the begin
+of the running motion. The new motion is planned in the scene with times since the seam, and what is handed out is
+certified in the scene with times since its own begin (`Scene.since`), which it tells on the controller's clock.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from hplan.base.arguments import number
-from hplan.errors import HplanError, RunningMotionBlockedError, UnavoidableContactError
+from hplan.base.arrays import numbers
+from hplan.errors import HplanError, InputError, NotOnMotionError, RunningMotionBlockedError, UnavoidableContactError
 from hplan.moving.obstacles_at import without_moving
 from hplan.planning.plan import Phase, PlanResult, plan_with
 from hplan.planning.report import motion_report
@@ -29,6 +33,7 @@ from hplan.verification.certificate import Certificate, all_of, rest_violations,
 from hplan.verification.digests import Digests
 from hplan.verification.moving_obstacles import checker_in_time
 from hplan.verification.retimed_certificate import CertifiedMotion, certified_from, later
+from hplan.verification.task_check import SAME
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,20 +41,12 @@ class SplicedResult(PlanResult):
     """A plan whose motion begins as the one before it runs.
 
     Attributes:
-        begins_s: When the trajectory begins, on the clock of the motion before it [s]: at the last row up to now.
-        seam_s: When the new motion takes over, on the trajectory's own clock [s]; its end where nothing is new.
+        seam_s: When the new motion takes over, since the trajectory begins [s]; its end where nothing is new.
         is_kept: True where nothing is new: the motion before it goes on.
     """
 
-    begins_s: float = 0.0
     seam_s: float = 0.0
     is_kept: bool = False
-
-
-def _check_time(option: str, value: float, low: float, high: float) -> None:
-    """Refuse a time that is not within a motion, or before now."""
-    within = low - SAME_TIME, high + SAME_TIME  # clocks of controllers are sums of small steps
-    number(option, value, f"a time from {low:.6g} s to {high:.6g} s", lambda time: within[0] <= time <= within[1])
 
 
 def _state_at(trajectory: Trajectory, row: int) -> Start:
@@ -84,32 +81,71 @@ class RunningMotion:
     Attributes:
         plan: What runs.
         row: The last row up to now.
-        begins_s: When that row is, on the motion's clock [s].
+        begins_s: When that row is, since the motion began [s].
     """
 
-    def __init__(self, plan: PlanResult, cache: PlanningCache, scene: Scene, options: PlanOptions, now: float) -> None:
+    def __init__(
+        self,
+        plan: PlanResult,
+        cache: PlanningCache,
+        scene: Scene,
+        options: PlanOptions,
+        now: float | None,
+        measured: ArrayLike | None,
+    ) -> None:
         """Take it up now.
 
         Args:
             plan: What runs.
             cache: What earlier plans have left.
-            scene: Obstacles and task as they are now.
+            scene: Obstacles and task as they are now; its tracks count on the controller's clock.
             options: How to plan.
-            now: The time on the motion's clock [s].
+            now: The time on the controller's clock; None for when the motion began [s].
+            measured: (dof,) where the arm is then; None where it is taken to be on the motion.
 
         Raises:
+            InputError: It was not told when the motion began, or joints that are none.
+            NotOnMotionError: The arm is elsewhere.
             OptionError: A time before the motion or after it.
         """
-        time = plan.trajectory.time
-        _check_time("now", now, 0.0, plan.trajectory.duration)
-        self.plan, self._cache, self._scene, self._options, self._now = plan, cache, scene, options, now
-        self.row = max(int(np.searchsorted(time, now + SAME_TIME, side="right")) - 1, 0)
+        if math.isnan(plan.begins_s):
+            raise InputError("it was not told when the motion began: plan(begins_s=), or began(at_s) afterwards")
+        time, scene = plan.trajectory.time, scene.since(plan.begins_s)
+        self.plan, self._cache, self._scene, self._options = plan, cache, scene, options
+        # Clocks of controllers are sums of small steps, and may be large numbers.
+        self._same_s = SAME_TIME + 4.0 * math.ulp(plan.begins_s)
+        self._now = 0.0 if now is None else self._since_begin("now", now, 0.0)
+        if measured is not None:
+            self._check_measured(measured)
+        self.row = max(int(np.searchsorted(time, self._now + self._same_s, side="right")) - 1, 0)
         self.begins_s = float(time[self.row])
         still = without_moving(scene.since(self.begins_s)) if scene.moves else scene
         self._world = cache.world(still, options)
         self._checker = checker_in_time(plan.robot, scene, options.sigmas) if scene.moves else self._world.checker
         # What it may touch is the fruit that was there when it was planned, not another one of that name.
         self._touched = plan.scene.goal.fruit if plan.scene.goal_fruit in scene.fruits else None
+
+    def _since_begin(self, option: str, value: float, low: float) -> float:
+        """A time on the controller's clock as one since the motion began, refused before `low` of these [s]."""
+        began_s, end = self.plan.begins_s, self.plan.trajectory.duration
+        expected = (
+            f"a time from {began_s + low:.10g} s to {began_s + end:.10g} s on the controller's clock, on which the "
+            f"running motion began at {began_s:.10g} s"
+        )
+        within = low - self._same_s, end + self._same_s
+        number(option, value, expected, lambda time: within[0] <= time - began_s <= within[1])
+        return min(max(value - began_s, 0.0), end)
+
+    def _check_measured(self, measured: ArrayLike) -> None:
+        """Refuse an arm that is not on the motion, as far as certificates cover."""
+        robot = self.plan.robot
+        q, velocity, _ = self.plan.trajectory.state_at(self._now)
+        found = np.asarray(robot.turned_near(numbers("measured", measured, (robot.dof,)), q), dtype=np.float64)
+        off, covered = np.abs(found - q), self._options.certified_tracking.deviations(velocity)
+        joint = int((off - covered).argmax())
+        if off[joint] > covered[joint] + SAME:
+            at_s = self.plan.begins_s + self._now
+            raise NotOnMotionError(robot.joint_names[joint], float(off[joint]), float(covered[joint]), at_s)
 
     def spliced(self, at: float) -> SplicedResult:
         """The running motion with a new one from the first row at or after a time on, or as it is where it may stay.
@@ -120,8 +156,7 @@ class RunningMotion:
             HplanError: As `hplan.plan`.
         """
         time = self.plan.trajectory.time
-        _check_time("at", at, self._now, self.plan.trajectory.duration)
-        seam = int(np.searchsorted(time, at - SAME_TIME))
+        seam = int(np.searchsorted(time, self._since_begin("at", at, self._now) - self._same_s))
         self._world.check_base(self.plan.robot.yaw_of(self.plan.trajectory.position[seam]))
         if self._may_stay():
             certificate = self._certificate(_as_it_is(self.plan.trajectory), self.row, rest=True)
@@ -140,12 +175,16 @@ class RunningMotion:
 
     def stop_at(self, t: float) -> CertifiedMotion:
         """The quickest stop on the motion's path from the first row at or after a time on; certified from now on."""
-        _check_time("t", t, 0.0, self.plan.trajectory.duration)
-        retimed = stopped(self.plan.trajectory, min(max(t, 0.0), self.plan.trajectory.duration), self.plan.robot)
-        certificate = self._certificate(retimed, min(self.row, retimed.trajectory.samples - 1), rest=True)
-        digests = Digests.of(self.plan.robot, self._scene, retimed.trajectory)
-        parts_s = float(retimed.trajectory.time[retimed.row])
-        return CertifiedMotion(retimed.trajectory, replace(certificate, digests=digests), parts_s, retimed.off_path_m)
+        return self._stop_at(self._since_begin("t", t, self._now))
+
+    def _stop_at(self, t: float) -> CertifiedMotion:
+        """The stop from a time since the motion began."""
+        retimed = stopped(self.plan.trajectory, t, self.plan.robot)
+        motion = retimed.trajectory
+        certificate = self._certificate(retimed, min(self.row, motion.samples - 1), rest=True)
+        certificate = replace(certificate, digests=Digests.of(self.plan.robot, self._scene, motion))
+        parts_s = float(motion.time[retimed.row])
+        return CertifiedMotion(motion, certificate, parts_s, retimed.off_path_m, self.plan.begins_s)
 
     def _may_stay(self) -> bool:
         """True if the motion solves the task as it is now."""
@@ -164,10 +203,10 @@ class RunningMotion:
 
     def _blocked(self, reasons: Sequence[str]) -> HplanError:
         """The error that the running motion cannot be taken over, with the stop from now on where it is certified."""
-        found = self.stop_at(self.begins_s)
-        if not found.certificate.verified:
-            return RunningMotionBlockedError(reasons, None, found.certificate)
-        return RunningMotionBlockedError(reasons, found.trajectory.since(self.row), found.certificate)
+        found, begins_s = self._stop_at(self.begins_s), self.plan.begins_s + self.begins_s
+        certificate = _since(found.certificate, self.begins_s)
+        stop = found.trajectory.since(self.row) if certificate.verified else None
+        return RunningMotionBlockedError(reasons, stop, certificate, begins_s)
 
     def _kept(self, certificate: Certificate) -> SplicedResult:
         """The running motion from now on."""
@@ -221,5 +260,6 @@ class RunningMotion:
             "motion": motion,
             "report": report | motion_report(trajectory, certificate, self._options),
             "bound": None,
+            "begins_s": self.plan.begins_s + begins_s,
         }
-        return SplicedResult(**values, begins_s=begins_s, seam_s=seam_s, is_kept=is_kept)
+        return SplicedResult(**values, seam_s=seam_s, is_kept=is_kept)

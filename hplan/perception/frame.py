@@ -1,10 +1,11 @@
 """From the points of a depth camera to the balls that the arm keeps clear of.
 
-A frame's points are put into `base_link`. In turn those are left out that are not finite, that the arm cannot come near
-at any configuration, that are of the arm itself as it stood when the frame was taken, and that belong to what is to be
-ignored. What is left goes into voxels; each becomes one point, the middle of the box about its points, and all balls
-grow by the largest distance of a point from the one that stands for it. So every point that stays is inside its ball,
-grown by the radius asked for. All of it is counted.
+A frame's points are put into `base_link`, as it is when the frame is taken. In turn those are left out that are not
+finite, that the arm cannot come near at any configuration, wherever its base comes on its track, that are of the arm
+itself as it stood when the frame was taken, and that belong to what is to be ignored. What is left goes into voxels;
+each becomes one point, the middle of the box about its points, and all balls grow by the largest distance of a point
+from the one that stands for it. So every point that stays is inside its ball, grown by the radius asked for. All of it
+is counted.
 """
 
 from __future__ import annotations
@@ -35,10 +36,12 @@ from hplan.perception.frame_kernels import (
     middles,
 )
 from hplan.perception.hidden_points import hidden
+from hplan.perception.swept_reach import SweptReach
 from hplan.robot.model import Robot
 from hplan.scene.limits import FARTHEST_M
 from hplan.scene.obstacles import Solid
 from hplan.scene.solids import rpy_rotation
+from hplan.scene.tracks import Track
 
 #: Most points of a frame.
 MOST_FRAME_POINTS: Final = 20_000_000
@@ -130,6 +133,8 @@ class Frame(Record):
         joints: (dof,) configuration of the arm when the frame was taken; None where it is not to be looked for.
         keep_s: How long points are kept that were seen and are hidden [s].
         time_s: When the frame was taken [s].
+        base_track: How the base moves; None for one that stands still. The points are seen from where it is at
+            `time_s`, and listed where it has no shift, as obstacles of a scene are.
     """
 
     points: FloatArray
@@ -139,6 +144,7 @@ class Frame(Record):
     joints: FloatArray | None = None
     keep_s: float = 0.0
     time_s: float = 0.0
+    base_track: Track | None = None
 
     @classmethod
     def of(
@@ -151,6 +157,7 @@ class Frame(Record):
         joints: ArrayLike | None = None,
         keep_s: float = 0.0,
         time_s: float = 0.0,
+        base_track: Track | None = None,
     ) -> Frame:
         """Check what a frame is made of; arguments are the attributes.
 
@@ -163,6 +170,7 @@ class Frame(Record):
             joints: The same.
             keep_s: The same.
             time_s: The same.
+            base_track: The same.
 
         Raises:
             InputError: Points, a pose or joints that are none; a pose that is no rigid motion.
@@ -177,7 +185,24 @@ class Frame(Record):
             joints=None if joints is None else numbers("joints", joints, (robot.dof,)),
             keep_s=number("keep_s", keep_s, "a number of seconds >= 0", lambda value: value >= 0.0),
             time_s=number("time_s", time_s, "a number of seconds"),
+            base_track=base_track,
         )
+
+    def listed(self, points: FloatArray) -> FloatArray:
+        """(n, 3) points that the base sees, where they are listed [m]."""
+        if self.base_track is None:
+            return points
+        rotation, shift = self.base_track.pose_at(self.time_s)
+        found: FloatArray = points @ rotation.T + shift
+        return found
+
+    def seen(self, points: FloatArray) -> FloatArray:
+        """(n, 3) listed points, where the base sees them [m]."""
+        if self.base_track is None:
+            return points
+        rotation, shift = self.base_track.pose_at(self.time_s)
+        found: FloatArray = np.ascontiguousarray((points - shift) @ rotation)
+        return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,11 +210,12 @@ class SeenPoints(Record):
     """Points that some frame has seen.
 
     Attributes:
-        points: (n, 3) in `base_link` [m].
+        points: (n, 3) in `base_link`, where they are listed [m].
         seen_s: (n,) when each was last seen [s].
         growth_m: What is to be added to their balls: the largest growth of the frames that they are from [m].
         time_s: When the last frame was taken [s].
         radius: Radius of the last frame's balls, without growth [m].
+        kept_m: The least `FilteredFrame.kept_m` of the frames that they are from [m].
     """
 
     points: FloatArray = field(default_factory=lambda: readonly(np.zeros((0, 3))))
@@ -197,6 +223,7 @@ class SeenPoints(Record):
     growth_m: float = 0.0
     time_s: float = -math.inf
     radius: float = 0.0
+    kept_m: float = math.inf
 
     def growth_with(self, radius: float) -> float:
         """What is to be added to balls of another radius, so that these points keep theirs [m]."""
@@ -208,14 +235,16 @@ class FilteredFrame(Record):
     """What is left of a frame, and of those before it.
 
     Attributes:
-        points: (n, 3) centres of the balls, in `base_link` [m].
+        points: (n, 3) centres of the balls, in `base_link`, where they are listed [m].
         report: How many points became what.
         seen: What the next frame is to be told.
+        kept_m: All balls are there that the arm can come so near to [m].
     """
 
     points: FloatArray
     report: FrameReport
     seen: SeenPoints
+    kept_m: float
 
 
 def filter_frame(
@@ -246,7 +275,8 @@ def filter_frame(
     before = SeenPoints() if before is None else before
     if frame.keep_s > 0.0 and frame.time_s < before.time_s:
         raise OptionError("time_s", frame.time_s, f"a time not before that of the last frame, {before.time_s:.6g} s")
-    placement = _placement(robot, frame, options, clearance_m)
+    reach, swept = _reach(robot, frame, options, clearance_m)
+    placement = _placement(frame, options, reach)
     arm = Bodies(*solid_rows([] if frame.joints is None else arm_solids(robot, frame.joints), options.arm_padding_m))
     left_out = Bodies(*solid_rows(ignored, options.ignore_padding_m))
     scratch = Scratch() if scratch is None else scratch
@@ -255,13 +285,19 @@ def filter_frame(
     if options.least_points > 1:
         mark_isolated(voxels, placement, options.least_points, options.neighbour_m, isolated)
     points, growth_m = middles(frame.points, placement, in_voxel, voxels, isolated)
+    counts = voxels.counts[(voxels.counts > 0) & ~isolated]
+    if swept is not None:
+        # The ball about all that is swept holds more than that; a point is no farther from that of its voxel than this.
+        near = swept.comes_near(frame.listed(points), growth_m)
+        tally[OUT_OF_REACH] += int(counts[~near].sum())
+        points = points[near]
     kept = len(points)
     old, forgotten = SeenPoints(), 0
     if frame.keep_s > 0.0 and len(before.points):
         old, forgotten = _still_hidden(frame, before, (arm, left_out), options)
         growth_m = max(growth_m, old.growth_m)
         points = np.concatenate([points, old.points])
-    points = frozen(points)
+    points = frozen(frame.listed(points))
     seen_s = np.concatenate([np.full(kept, frame.time_s), old.seen_s])
     report = FrameReport(
         given=len(frame.points),
@@ -276,9 +312,12 @@ def filter_frame(
         growth_m=growth_m,
         radius_m=frame.radius + growth_m,
     )
-    kept_seen = SeenPoints(points, frozen(seen_s), growth_m, frame.time_s, frame.radius)
-    seen = kept_seen if frame.keep_s > 0.0 else SeenPoints()
-    return FilteredFrame(points, report, seen)
+    kept_m = clearance_m + options.reach_margin_m
+    if frame.keep_s == 0.0:
+        return FilteredFrame(points, report, SeenPoints(), kept_m)
+    kept_m = min(kept_m, before.kept_m)
+    seen = SeenPoints(points, frozen(seen_s), growth_m, frame.time_s, frame.radius, kept_m)
+    return FilteredFrame(points, report, seen, kept_m)
 
 
 def _still_hidden(
@@ -290,7 +329,7 @@ def _still_hidden(
     """
     arm, ignored = bodies
     young = frame.time_s - before.seen_s <= frame.keep_s
-    points, seen_s = before.points[young], before.seen_s[young]
+    points, seen_s = frame.seen(before.points[young]), before.seen_s[young]
     from_arm = distances_from_bodies(points, arm.rows, arm.data)
     unseen = hidden((points - frame.position) @ frame.rotation, frame.points) | (from_arm <= 0.0)
     growth_m = before.growth_with(frame.radius)
@@ -304,9 +343,19 @@ def _still_hidden(
     return SeenPoints(points, seen_s, growth_m, before.time_s), forgotten
 
 
-def _placement(robot: Robot, frame: Frame, options: CloudOptions, clearance_m: float) -> Placement:
+def _reach(
+    robot: Robot, frame: Frame, options: CloudOptions, clearance_m: float
+) -> tuple[FloatArray, SweptReach | None]:
+    """(4,) a ball about where points matter, as the base sees it [m]; and what is swept where it moves."""
     reach = reach_ball(robot).copy()
     reach[3] += frame.radius + options.growth_m + options.reach_margin_m + clearance_m
+    if frame.base_track is None:
+        return reach, None
+    swept = SweptReach.of(reach, frame.base_track)
+    return swept.ball_seen_from(*frame.base_track.pose_at(frame.time_s)), swept
+
+
+def _placement(frame: Frame, options: CloudOptions, reach: FloatArray) -> Placement:
     # Of a voxel of this edge half the diagonal is the growth allowed.
     edge = np.array([2.0 * options.growth_m / math.sqrt(3.0)])
     if not reach[3] < (MIDDLE - 2) * edge[0]:

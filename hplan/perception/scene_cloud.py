@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from hplan.base.arguments import list_of, text
-from hplan.base.arrays import FloatArray
-from hplan.errors import InputError
+from hplan.errors import InputError, OptionError
 from hplan.scene.model import Scene
 from hplan.scene.obstacles import PointCloud, Solid
+
+_LISTS = ("obstacles", "fruits")
 
 
 def check_cloud_name(scene: Scene, name: str) -> None:
@@ -25,45 +26,43 @@ def check_cloud_name(scene: Scene, name: str) -> None:
         raise InputError(f"{name!r} is a {what}; a cloud needs a name of its own", name=name)
 
 
-def solids_named(scene: Scene, names: Sequence[str], cloud: str) -> tuple[Solid, ...]:
-    """The solids of fruits and obstacles of some names.
+def solids_named(scene: Scene, names: Sequence[str], cloud: str, time_s: float | None) -> tuple[Solid, ...]:
+    """The solids of fruits and obstacles of some names, where they are at a time as the base sees them.
 
     Args:
         scene: The scene.
         names: The names.
         cloud: The name that stands for the cloud itself, which none of them may be.
+        time_s: The time, as the tracks of the scene count it [s]; None where none of them moves.
 
     Raises:
         InputError: There is nothing of that name, or it is the cloud.
-        OptionError: They are no names.
+        OptionError: They are no names; or they move, and no time is given.
     """
     wanted = list_of("ignore", names, str, "names of fruits and obstacles")
     if not wanted:
         return ()
-    solids = scene.solids_with_goal
-    known = {solid.name for solid in solids}
+    known = {item.name for item in (*scene.obstacles, *scene.fruits)}
     for name in wanted:
         if name == cloud:
             raise InputError(f"ignore: {name!r} is the cloud itself", name=name)
         if name not in known:
             raise InputError(f"ignore: there is no fruit or obstacle {name!r}", name=name)
-    return tuple(solid for solid in solids if solid.name in wanted)
+    named = scene.model_copy(
+        update={key: tuple(item for item in getattr(scene, key) if item.name in wanted) for key in _LISTS}
+    )
+    if named.moves:
+        if time_s is None:
+            expected = "when the frame was taken, on the clock of the scene's tracks: what is to be ignored moves"
+            raise OptionError("time_s", None, expected)
+        named = named.at(time_s)
+    return named.listed_solids
 
 
-def with_cloud(scene: Scene, name: str, points: FloatArray, radius: float) -> Scene:
-    """The scene with the cloud of a name replaced, added, or, without points, taken away.
-
-    Args:
-        scene: The scene.
-        name: Name of the cloud.
-        points: (n, 3) centres of its balls [m].
-        radius: Their radius [m].
-
-    Raises:
-        SceneError: There are too many points.
-    """
+def with_cloud(scene: Scene, name: str, cloud: PointCloud | None) -> Scene:
+    """The scene with the cloud of a name replaced or added; where there is none, taken away."""
     obstacles = list(scene.obstacles)
     place = next((number for number, obstacle in enumerate(obstacles) if obstacle.name == name), len(obstacles))
-    obstacles[place : place + 1] = [PointCloud.thinned(name, points, radius)] if len(points) else []
+    obstacles[place : place + 1] = [] if cloud is None else [cloud]
     # The name was looked at, and the obstacle is checked: no need to check the scene again.
     return scene.model_copy(update={"obstacles": tuple(obstacles)})

@@ -77,6 +77,8 @@ class PlanResult(Record):
         report: The numbers of `report.json`.
         bound: A lower bound of the durations of all transits between the same configurations, or of all motions to the
             grasp where transit and approach are one; None where it was not asked for, or nothing was certified.
+        begins_s: When the trajectory begins, on the controller's clock (`hplan.Planner`); NaN where that was not told
+            [s]. All else counts from there: rows, phases, and the tracks of `scene`.
     """
 
     problem: Problem
@@ -91,6 +93,7 @@ class PlanResult(Record):
     motion: PlannedMotion
     report: dict[str, Any]
     bound: DurationBound | None = None
+    begins_s: float = 0.0
 
     @property
     def robot(self) -> Robot:
@@ -112,6 +115,9 @@ class PlanResult(Record):
     def stop_at(self, t: float) -> CertifiedMotion:
         """The trajectory up to the first row at or after a time, and from there on the quickest stop on its path.
 
+        Args:
+            t: The time since the trajectory begins [s].
+
         Raises:
             OptionError: A time before the trajectory or after it.
         """
@@ -132,7 +138,8 @@ class PlanResult(Record):
     def _retimed(self, retimed: Retimed) -> CertifiedMotion:
         task = self.motion.task
         tracking, sigmas = task.options.certified_tracking, task.options.sigmas
-        return certified_retiming(task.robot, task.scene, self.certificate, retimed, tracking=tracking, sigmas=sigmas)
+        found = certified_retiming(task.robot, task.scene, self.certificate, retimed, tracking=tracking, sigmas=sigmas)
+        return replace(found, begins_s=self.begins_s)
 
 
 def plan(

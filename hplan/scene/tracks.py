@@ -80,6 +80,16 @@ class Track(StrictModel):
             return np.tile(np.eye(3), (len(self.times_s), 1, 1))
         return np.array([rpy_rotation(*map(math.radians, angles)) for angles in self.rpy_deg])
 
+    def pose_at(self, time_s: float) -> tuple[FloatArray, FloatArray]:
+        """(3, 3) rotation R and (3,) shift s at a time: a point that is listed at x is at R x + s [m].
+
+        Of the track of a base, a point that it sees at x is listed at R x + s.
+        """
+        poses = Poses.of(self)
+        rotations, places = poses.at(np.array([time_s]))
+        shift: FloatArray = places[0] - rotations[0] @ poses.about
+        return rotations[0], shift
+
     def since(self, time_s: float) -> Track:
         """The same track with its times counted from a time on [s].
 

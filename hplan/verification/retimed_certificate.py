@@ -49,12 +49,14 @@ class CertifiedMotion(Record):
         certificate: What was shown of it.
         parts_s: When the two part [s].
         off_path_m: Bound of how far the arm is off the other one's path [m].
+        begins_s: When the trajectory begins, on the controller's clock: as that of the other one [s].
     """
 
     trajectory: Trajectory
     certificate: Certificate
     parts_s: float
     off_path_m: float
+    begins_s: float = 0.0
 
 
 def certified_retiming(

@@ -21,6 +21,7 @@ from hplan.execution.plant import Plant
 from hplan.execution.simulated_arm import CONTROL_PERIOD, SimulatedArm, Touch
 from hplan.scene import Goal, Scene, Start
 from hplan.timing.trajectory import Trajectory
+from hplan.verification.retimed_certificate import CertifiedMotion
 
 #: Period of the loop, of the camera, and how far ahead a new motion takes over [s].
 TICK_S, FRAME_S, AHEAD_S = 0.01, 0.1, 0.2
@@ -90,18 +91,18 @@ class ControlLoop:
         self.cameras = [Camera((0.2, side, 2.2), (1.3, 0.3 * side, 1.4)) for side in (-0.7, 0.7)]
         self.planner = hplan.Planner(robot, there.with_obstacles(()), options)
         self.log, self.todo = Log(), [fruit.name for fruit in scene.fruits]
-        self.running: Trajectory | None = None
-        self.began_s, self.resting, self.waits_until_s, self.fruit = 0.0, home, 0.0, ""
+        self.running: hplan.PlanResult | CertifiedMotion | None = None
+        self.resting, self.waits_until_s, self.fruit = home, 0.0, ""
 
     @property
-    def now(self) -> float:
-        """The time on the running motion's clock [s]."""
-        return 0.0 if self.running is None else min(self.machine.time_s - self.began_s, self.running.duration)
+    def ends_s(self) -> float:
+        """When the running motion comes to its end [s]."""
+        return 0.0 if self.running is None else self.running.begins_s + self.running.trajectory.duration
 
     def tick(self, number: int) -> None:
         """One period of the loop."""
-        if self.running is not None and self.machine.time_s - self.began_s >= self.running.duration:
-            self.end(self.running)
+        if self.running is not None and self.machine.time_s >= self.ends_s:
+            self.end(self.running.trajectory)
         if number % round(FRAME_S / TICK_S) == 0:
             self.look()
         if number == round(STEPS_IN_S / TICK_S):
@@ -112,7 +113,7 @@ class ControlLoop:
             still = np.zeros_like(self.resting)
             state = self.resting, still, still
             if self.running is not None:
-                state = self.running.state_at(self.machine.time_s - self.began_s)
+                state = self.running.trajectory.state_at(self.machine.time_s - self.running.begins_s)
             self.machine.follow(*state)
             self.log.farthest_off_rad = max(self.log.farthest_off_rad, np.abs(self.machine.position - state[0]).max())
 
@@ -130,14 +131,14 @@ class ControlLoop:
         self.log.seen_ms.append(1e3 * (time.perf_counter() - began))
         if self.running is None or not self.fruit:
             return
-        now = self.now
+        now = min(self.machine.time_s, self.ends_s)
         try:
-            result = self.planner.replan(at=min(now + AHEAD_S, self.running.duration), now=now)
+            result = self.planner.replan(at=min(now + AHEAD_S, self.ends_s), now=now)
         except HplanError:
             self.stop()
         else:
             self.log.spliced += not result.is_kept
-            self.running, self.began_s = result.trajectory, self.began_s + result.begins_s
+            self.running = result
         self.log.planned_ms.append(1e3 * (time.perf_counter() - began))
 
     def choose(self) -> None:
@@ -147,7 +148,7 @@ class ControlLoop:
             self.fruit = self.todo[0]
             self.planner.aim(start=here, goal=Goal(fruit=self.fruit))
             try:
-                self.running, self.began_s = self.planner.plan().trajectory, self.machine.time_s
+                self.running = self.planner.plan(begins_s=self.machine.time_s)
                 self.machine.pass_through([self.fruit])
             except ConfigurationInCollisionError as error:
                 if error.obstacle not in self.todo:
@@ -163,7 +164,8 @@ class ControlLoop:
     def stop(self) -> None:
         """Stop on the path, and wait."""
         if self.running is not None:
-            self.running, self.log.stops = self.planner.stop_at(self.now, now=self.now).trajectory, self.log.stops + 1
+            now = min(self.machine.time_s, self.ends_s)
+            self.running, self.log.stops = self.planner.stop_at(now, now=now), self.log.stops + 1
         self.fruit, self.waits_until_s = "", self.machine.time_s + STAYS_S
 
     def end(self, trajectory: Trajectory) -> None:

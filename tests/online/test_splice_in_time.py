@@ -16,7 +16,7 @@ from studies.benchmark.moving.judge import least_distance
 from hplan.errors import ObstacleInTimeError, RunningMotionBlockedError
 from hplan.online.planner import Planner
 from hplan.online.splice import SplicedResult
-from hplan.planning.plan import plan
+from hplan.planning.plan import PlanResult, plan
 from hplan.problem.options import PlanOptions
 from hplan.robot.model import Robot
 from hplan.scene.model import Goal, Scene, Start
@@ -54,8 +54,8 @@ def a_planner(robot: Robot, *obstacles: Sphere, **options: object) -> Planner:
     return planner
 
 
-def assert_spliced(robot: Robot, before: Trajectory, scene: Scene, planner: Planner, result: SplicedResult) -> None:
-    """As it ran up to the seam, continuous there; certified in time and clear by coal; scene and clock shifted.
+def assert_spliced(robot: Robot, before: PlanResult, scene: Scene, planner: Planner, result: SplicedResult) -> None:
+    """As it ran up to the seam, continuous there; certified in time and clear by coal; the scene stays as it was.
 
     Args:
         robot: The arm.
@@ -68,19 +68,19 @@ def assert_spliced(robot: Robot, before: Trajectory, scene: Scene, planner: Plan
     assert_goes_on(before, result)
     assert result.certificate.verified
     assert certify(robot, result.scene, motion).verified
-    # By the old clock and the old scene it is the same.
+    # By the controller's clock it is the same.
     started = scene.model_copy(update={"start": result.scene.start})
     assert certify(robot, started, motion, begin_s=result.begins_s).verified
     assert least_distance(robot, result.scene, motion.positions, motion.duration) > 0.0
     assert not motion.velocity[-1].any()
     assert planner.last is result
     assert planner.scene.start == scene.start
+    assert planner.scene is scene
     clock = np.linspace(-1.0, 3.0, 9)
-    for now in (planner.scene, result.scene):
-        seen = now.poses_at(clock)
-        for name, poses in scene.poses_at(clock + result.begins_s).items():
-            for one, other in zip(poses, seen[name], strict=True):
-                np.testing.assert_allclose(one, other, atol=1e-9)
+    seen = result.scene.poses_at(clock)
+    for name, poses in scene.poses_at(clock + result.begins_s).items():
+        for one, other in zip(poses, seen[name], strict=True):
+            np.testing.assert_allclose(one, other, atol=1e-9)
 
 
 @functools.cache
@@ -110,30 +110,30 @@ def test_what_is_left_of_a_motion_has_one_certificate_by_either_clock(robot, par
 @pytest.mark.parametrize("effort", ["quick", "default"])
 def test_around_or_behind_a_ball_that_crosses(robot, effort):
     planner = a_planner(robot, effort=effort)
-    running = planner.last.trajectory
+    before, running = planner.last, planner.last.trajectory
     planner.add(crossing(tool_at(robot, running, 0.6), 0.6 * running.duration))
     scene = planner.scene
     assert not certify(robot, scene, running).verified
     result = planner.replan(at=0.15, now=0.1)
     assert not result.is_kept
-    assert_spliced(robot, running, scene, planner, result)
-    # And on, by the new clock.
+    assert_spliced(robot, before, scene, planner, result)
+    # And on, by the same clock.
     planner.aim(goal=Goal(joints_deg=BACK))
     again_in = planner.scene
-    again = planner.replan(at=0.2, now=0.1)
-    assert_spliced(robot, result.trajectory, again_in, planner, again)
+    again = planner.replan(at=0.3, now=0.2)
+    assert_spliced(robot, result, again_in, planner, again)
     assert again.certificate.nearest_s is None or -1e-9 <= again.certificate.nearest_s <= again.trajectory.duration
 
 
 def test_what_is_certified_in_time_stays(robot):
     """The ball crosses the path, and not when the arm is there."""
     planner = a_planner(robot)
-    running = planner.last.trajectory
+    before, running = planner.last, planner.last.trajectory
     planner.add(crossing(tool_at(robot, running, 0.8), -0.3, speed=1.0))
     scene = planner.scene
     result = planner.replan(at=0.3, now=0.2)
     assert result.is_kept
-    assert_spliced(robot, running, scene, planner, result)
+    assert_spliced(robot, before, scene, planner, result)
     whole = certify(robot, scene, running)
     assert result.certificate.clear_until_s == whole.clear_until_s == math.inf
 
@@ -147,7 +147,8 @@ def test_how_long_it_may_rest_is_told_by_the_clock_of_what_runs(robot):
     kept = planner.replan(at=0.3, now=0.2)
     assert kept.is_kept
     assert kept.certificate.clear_until_s == pytest.approx(until - kept.begins_s, abs=1e-9)
-    stop = planner.stop_at(kept.trajectory.duration)
+    stop = planner.stop_at(kept.begins_s + kept.trajectory.duration)
+    assert stop.begins_s == kept.begins_s
     assert stop.certificate.clear_until_s == pytest.approx(until - kept.begins_s, abs=1e-9)
 
 
@@ -189,7 +190,8 @@ def test_what_is_in_the_way_before_the_seam_gives_the_stop(robot):
     last, scene = planner.last, planner.scene
     with pytest.raises(RunningMotionBlockedError, match=r"ball.*it can stop on its path") as caught:
         planner.replan(at=hit_s + 0.1, now=0.05)
-    stop, begins_s = caught.value.stop, 0.048
+    stop, begins_s = caught.value.stop, caught.value.begins_s
+    assert begins_s == pytest.approx(0.048)
     assert caught.value.certificate.verified
     np.testing.assert_array_equal(stop.position[0], running.position[12])
     assert least_distance(robot, scene.since(begins_s), stop.positions, stop.duration) > 0.0

@@ -15,6 +15,7 @@ from planned import post, task
 import hplan
 from hplan.collision.coal_scene import CoalScene
 from hplan.cspace.yaw_layers import LayerCache
+from hplan.planning.plan import plan_with
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 from hplan.scene.obstacles import Sphere
@@ -122,25 +123,54 @@ def test_one_planner(robot: Robot) -> None:
     assert planner.last.motion.task.scene == planner.scene
 
 
-def test_a_change_waits_for_the_plan_under_way(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_changes_frames_and_stops_do_not_wait_for_a_plan(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The plan under way is of the scene that it began with; the next one waits for it."""
     planner = hplan.Planner(robot, scenes()[0])
-    planning, go_on = threading.Event(), threading.Event()
+    first = planner.plan()
+    began_with, planning, go_on = planner.scene, threading.Event(), threading.Event()
 
-    def slow(*_: object, **__: object) -> None:
+    def slow(*arguments: Any, **options: Any) -> Any:
         planning.set()
-        assert go_on.wait(30)
+        assert go_on.wait(60)
+        return plan_with(*arguments, **options)
 
     monkeypatch.setattr("hplan.online.planner.plan_with", slow)
     with ThreadPoolExecutor(2) as pool:
         plan = pool.submit(planner.plan)
-        assert planning.wait(30)
-        removal = pool.submit(planner.remove, "ball")
+        assert planning.wait(60)
+        planner.remove("ball")
+        planner.set_cloud("seen", [(1.0, -1.0, 1.0)], radius=0.01)
+        assert planner.stop_at(0.1).certificate.verified
+        after = pool.submit(planner.replan)
         assert not threading.Event().wait(0.1)
-        assert (removal.done(), len(planner.scene.obstacles)) == (False, 2)
+        assert (plan.done(), after.done(), planner.last) == (False, False, first)
         go_on.set()
-        plan.result(30)
-        removal.result(30)
-    assert len(planner.scene.obstacles) == 1
+        assert plan.result(60).scene is began_with
+        assert [item.name for item in after.result(60).scene.obstacles] == ["post", "seen"]
+
+
+def test_frames_while_others_plan(robot: Robot) -> None:
+    """Each thread's last frame stands; the memory of frames and the plans are whole."""
+    planner = hplan.Planner(robot, scenes()[0], hplan.PlanOptions(step_deg=2.0))
+    planner.plan()
+    frames = [np.random.default_rng(number).uniform((0.9, -1.2, 1.0), (1.1, -1.0, 1.2), (2000, 3)) for number in (0, 1)]
+
+    def see(number: int) -> None:
+        for turn in range(10):
+            planner.set_cloud(f"camera {number}", frames[number] + 1e-3 * turn, radius=0.005, keep_s=1.0, time_s=turn)
+
+    def replan() -> None:
+        for _ in range(5):
+            result = planner.replan()
+            assert hplan.certify(robot, result.scene, result.trajectory).verified
+
+    at_once([lambda: see(0), lambda: see(1), replan])
+    for number in (0, 1):
+        alone = hplan.Planner(robot, scenes()[0])
+        for turn in (8, 9):
+            alone.set_cloud("seen", frames[number] + 1e-3 * turn, radius=0.005, keep_s=1.0, time_s=turn)
+        found = next(item for item in planner.scene.obstacles if item.name == f"camera {number}")
+        assert set(map(tuple, alone.scene.obstacles[-1].points)) <= set(map(tuple, found.points))
 
 
 def test_layers_are_counted_once(monkeypatch: pytest.MonkeyPatch) -> None:

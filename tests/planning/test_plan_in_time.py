@@ -120,7 +120,7 @@ def test_a_planner_waits_for_its_turn_no_longer_than_there_is_time(robot: Robot)
     begun, go_on = threading.Event(), threading.Event()
 
     def other() -> None:
-        with planner._lock:
+        with planner._planning:
             begun.set()
             go_on.wait(SOON)
 

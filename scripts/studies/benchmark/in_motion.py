@@ -103,7 +103,7 @@ def _step(robot: Robot, planner: Planner, now: float, ends: Ends, random: np.ran
     if running is None:
         raise ValueError("nothing runs")
     motion = running.trajectory
-    now = min(now + float(random.uniform(*PAUSE_S)), motion.duration)
+    now = min(now + float(random.uniform(*PAUSE_S)), motion.duration)  # since it began
     at = min(now + AHEAD_S, motion.duration)
     free = before.model_copy(update={"start": Start(joints_rad=ends[0].joints_rad), "goal": ends[1]})
     move = next_move(robot, free, motion.position[motion.time >= now], random)
@@ -111,19 +111,19 @@ def _step(robot: Robot, planner: Planner, now: float, ends: Ends, random: np.ran
     planner.move(move.piece.name, **move.changes)
     if turns:
         planner.aim(goal=_other(ends, before.goal.configuration))
-    found, ms = timed(lambda: or_error(lambda: replanned(planner, at, now)))
+    found, ms = timed(lambda: or_error(lambda: replanned(planner, running.begins_s + at, running.begins_s + now)))
     row: dict[str, Any] = {"close": move.close, "turns": turns, "ms": ms, "at_rest": at == motion.duration}
     if isinstance(found, HplanError):
         planner.scene = before
         later = now if now < motion.duration - PAUSE_S[0] else None
         return {**row, "outcome": _name(found), "error": found.kind, "message": found.message, "now": later}
-    row |= _judged(robot, planner.scene, motion, found) | {"stop": _stop(robot, found, random)}
-    later = now - found.begins_s
+    row |= _judged(robot, planner.scene, running, found) | {"stop": _stop(robot, found, random)}
+    later = now - (found.begins_s - running.begins_s)
     return {**row, "now": later if later < found.trajectory.duration - PAUSE_S[0] else None}
 
 
 def replanned(planner: Planner, at: float, now: float) -> SplicedResult:
-    """What comes next from the time `at` on, asked for at the time `now` of the running motion."""
+    """What comes next from the time `at` on, asked for at the time `now`, both on the controller's clock."""
     found = planner.replan(at=at, now=now)
     if not isinstance(found, SplicedResult):
         raise TypeError("a splice was asked for")
@@ -136,7 +136,7 @@ def _name(error: HplanError) -> str:
     return "no path" if isinstance(error, NoPathError) else "failed"
 
 
-def _judged(robot: Robot, scene: Scene, before: Trajectory, found: SplicedResult) -> dict[str, Any]:
+def _judged(robot: Robot, scene: Scene, before: PlanResult, found: SplicedResult) -> dict[str, Any]:
     """What is found of a splice without the planner's own word for it."""
     motion = found.trajectory
     # What is kept was looked at when it was made; it is certified again.
@@ -147,7 +147,7 @@ def _judged(robot: Robot, scene: Scene, before: Trajectory, found: SplicedResult
         "clearance_mm": 1e3 * least_distance(CoalScene(robot, scene.solids), motion.positions(clock)),
         "jumps": splice_jumps(before, found),
         "duration_s": motion.duration,
-        "left_s": before.duration - found.begins_s,
+        "left_s": before.begins_s + before.trajectory.duration - found.begins_s,
     }
 
 
@@ -163,12 +163,14 @@ def splice_outcome(found: SplicedResult) -> str:
     return "kept" if found.is_kept else "by a stop" if paused else "led over"
 
 
-def splice_jumps(before: Trajectory, found: SplicedResult) -> list[float]:
+def splice_jumps(before: PlanResult, found: SplicedResult) -> list[float]:
     """Largest differences of position, velocity and acceleration at the seam, and from what ran until then."""
     motion, seam = found.trajectory, seam_row(found)
-    first = int(np.searchsorted(before.time, found.begins_s - 1e-9))
+    first = int(np.searchsorted(before.trajectory.time, found.begins_s - before.begins_s - 1e-9))
     ran = [
-        float(np.abs(getattr(motion, name)[: seam + 1] - getattr(before, name)[first : first + seam + 1]).max())
+        float(
+            np.abs(getattr(motion, name)[: seam + 1] - getattr(before.trajectory, name)[first : first + seam + 1]).max()
+        )
         for name in ("position", "velocity", "acceleration")
     ]
     return [max(each) for each in zip(motion_jumps(motion, seam), ran, strict=True)]

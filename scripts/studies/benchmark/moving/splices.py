@@ -76,9 +76,8 @@ def _begun(planner: Planner, ended: PlanResult, ends: Sequence[tuple[float, ...]
     """A new motion from where one has ended, to the farther end."""
     q = ended.trajectory.position[-1]
     goal = Goal(joints_rad=_farther(ends, q))
-    scene = planner.scene.since(ended.trajectory.duration)
-    planner.scene = scene.model_copy(update={"start": Start(joints_rad=tuple(q.tolist())), "goal": goal})
-    return planner.plan()
+    planner.aim(start=Start(joints_rad=tuple(q.tolist())), goal=goal)
+    return planner.plan(begins_s=ended.begins_s + ended.trajectory.duration)
 
 
 def _farther(ends: Sequence[tuple[float, ...]], q: FloatArray) -> tuple[float, ...]:
@@ -97,20 +96,23 @@ def _step(
     (now, ends, number), motion, before = state, running.trajectory, planner.scene
     now = min(now + float(random.uniform(*PAUSE_S)), motion.duration)
     at = min(now + AHEAD_S, motion.duration)
-    planner.scene = _crossed(robot, before, motion, (now, at, number), random)
+    # Drawn by times since the motion began.
+    planner.scene = _crossed(robot, before.since(running.begins_s), motion, (now, at, number), random).since(
+        -running.begins_s
+    )
     turns = bool(random.random() < TURNING)
     if turns:
         planner.aim(goal=Goal(joints_rad=_farther(ends, before.goal.configuration)))
     asked = planner.scene
     row: dict[str, Any] = {"turns": turns}
-    found, ms = timed(lambda: or_error(lambda: replanned(planner, at, now)))
+    found, ms = timed(lambda: or_error(lambda: replanned(planner, running.begins_s + at, running.begins_s + now)))
     row["ms"] = ms
     if isinstance(found, HplanError):
         planner.scene = before
         return {**row, "outcome": _name(found), "message": found.message, "now": now} | _told_stop(robot, asked, found)
-    row |= _judged(robot, asked, motion, found)
-    row["stop"] = _stop(robot, planner, float(random.uniform(0.0, found.trajectory.duration)))
-    return {**row, "now": now - found.begins_s}
+    row |= _judged(robot, asked, running, found)
+    row["stop"] = _stop(robot, planner, found.begins_s + float(random.uniform(0.0, found.trajectory.duration)))
+    return {**row, "now": now - (found.begins_s - running.begins_s)}
 
 
 def _crossed(
@@ -151,14 +153,11 @@ def _told_stop(robot: Robot, scene: Scene, error: HplanError) -> dict[str, Any]:
     """What coal says of the stop that an error carries."""
     if not isinstance(error, RunningMotionBlockedError) or error.stop is None:
         return {}
-    # Row 0 of the stop is a row of the running motion: the certificate's motion says which.
-    motion = error.certificate.subject.motions[0][0]
-    begin_s = float(motion.stretches[0].clock[0])
-    least = least_distance(robot, scene.since(begin_s), error.stop.positions, error.stop.duration)
+    least = least_distance(robot, scene.since(error.begins_s), error.stop.positions, error.stop.duration)
     return {"told_stop_mm": 1e3 * least}
 
 
-def _judged(robot: Robot, scene: Scene, before: Trajectory, found: SplicedResult) -> dict[str, Any]:
+def _judged(robot: Robot, scene: Scene, before: PlanResult, found: SplicedResult) -> dict[str, Any]:
     """What is found of a splice without the planner's own word for it."""
     motion = found.trajectory
     by_old_clock = scene.model_copy(update={"start": found.scene.start})
@@ -178,7 +177,8 @@ def _stop(robot: Robot, planner: Planner, t: float) -> dict[str, Any]:
     found = planner.stop_at(t)
     motion = found.trajectory
     certified = found.certificate.verified
-    least = least_distance(robot, planner.scene, motion.positions, motion.duration) if certified else float("nan")
+    scene = planner.scene.since(found.begins_s)
+    least = least_distance(robot, scene, motion.positions, motion.duration) if certified else float("nan")
     return {"certified": certified, "clearance_mm": 1e3 * least, "bound_mm": 1e3 * found.off_path_m}
 
 

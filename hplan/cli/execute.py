@@ -22,8 +22,9 @@ others than the controller knows, and the controller late; with a tracking error
 """
 
 _EPILOG = """\
-the CSV: one header line, time_s and NAME_pos_rad for each joint of the robot,
-  in any order; NAME_vel_rad_s is used where every joint has it. Between rows
+the CSV: one header line, time_s and NAME_pos_rad for each joint of the robot
+  (NAME_pos_m where it slides), in any order; NAME_vel_rad_s (NAME_vel_m_s) is
+  used where every joint has it. Between rows
   runs the cubic through positions and velocities. Without velocities, those of
   parabolas through three rows are taken, at rest at both ends. Other columns
   are ignored.

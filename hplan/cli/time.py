@@ -63,9 +63,9 @@ is shown clear, shortened (or kept), smoothed, timed and certified, or refused w
 """
 
 _EPILOG = """\
-WAYPOINTS.csv: a header, then a line for each waypoint. Columns NAME_pos_rad or
-NAME, in any order, in radians (metres for prismatic joints; continuous joints
-count on past a whole turn); other columns are ignored.
+WAYPOINTS.csv: a header, then a line for each waypoint. Columns NAME or, in
+radians, NAME_pos_rad, of prismatic joints NAME_pos_m, in any order; continuous
+joints count on past a whole turn; other columns are ignored.
 
 joints: revolute, prismatic and continuous ones move; by default all but those
 that mimic another or are mimicked. The others are held: at 0, at the limit
@@ -169,7 +169,7 @@ def _finished(arguments: argparse.Namespace, folder: JobFolder, errors: Console)
         scene = load_scene(arguments.scene)
         arguments.robot = arguments.urdf
         robot = robot_of(arguments, scene)
-        waypoints = read_waypoints(arguments.waypoints, robot.joint_names)
+        waypoints = read_waypoints(arguments.waypoints, robot.joint_names, robot.slides)
         within_rad = math.radians(arguments.deviation) if arguments.keep_path else None
         with folder.job(scene.name, robot.name):
             result = finish(
@@ -191,12 +191,13 @@ def _finished(arguments: argparse.Namespace, folder: JobFolder, errors: Console)
 
 def _timed(arguments: argparse.Namespace, console: Console) -> int:
     """Time the path, whatever is in its way."""
+    from hplan.robot.dynamics import joints_that_slide
     from hplan.timing.trajectory import write_csv
     from hplan.waypoints import read_machine, read_waypoints, time_waypoints
 
     _check_options(arguments)
     machine = read_machine(arguments.urdf, arguments.joints, hold=held_joints(arguments))
-    waypoints = read_waypoints(arguments.waypoints, machine.joint_names)
+    waypoints = read_waypoints(arguments.waypoints, machine.joint_names, joints_that_slide(machine.model))
     limits = _limits(arguments, machine)
     check_output_file(arguments.out)
     trajectory = time_waypoints(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol
 
@@ -13,8 +13,7 @@ from hplan.base.arguments import list_of
 from hplan.base.arrays import FloatArray, Record, numbers, readonly
 from hplan.base.csv_file import CsvFile
 from hplan.errors import InputError
-
-_POSITION, _VELOCITY = "_pos_rad", "_vel_rad_s"
+from hplan.timing.trajectory import QUANTITIES, SLIDING, joints_of_columns
 
 
 class Movement(Protocol):
@@ -46,12 +45,14 @@ class RecordedMotion(Record):
         time: (n,) strictly increasing [s].
         position: (n, joints).
         velocity: (n, joints) [rad/s].
+        slides: Of each joint whether it is in metres; empty where that is not known.
     """
 
     joint_names: tuple[str, ...]
     time: FloatArray
     position: FloatArray
     velocity: FloatArray
+    slides: tuple[bool, ...] = ()
 
     @classmethod
     def from_positions(cls, joint_names: Sequence[str], time: FloatArray, position: FloatArray) -> RecordedMotion:
@@ -83,9 +84,10 @@ class RecordedMotion(Record):
 def read_motion(path: Path | str) -> RecordedMotion:
     """Read a CSV of a motion, whoever wrote it.
 
-    One header line; needed are `time_s` and a column `NAME_pos_rad` for each joint, in any order. Velocities are
-    taken from columns `NAME_vel_rad_s` where every joint has one, else the motion is that through the positions from
-    rest to rest (see `RecordedMotion.from_positions`). Other columns are ignored, so hplan's own files can be read.
+    One header line; needed are `time_s` and a column `NAME_pos_rad` (`NAME_pos_m` where it slides) for each joint, in
+    any order. Velocities are taken from columns `NAME_vel_rad_s` (`NAME_vel_m_s`) where every joint has one, else the
+    motion is that through the positions from rest to rest
+    (see `RecordedMotion.from_positions`). Other columns are ignored, so hplan's own files can be read.
 
     Raises:
         InputError: Missing file, missing or repeated columns, a cell that is no finite number, time that does not
@@ -93,18 +95,20 @@ def read_motion(path: Path | str) -> RecordedMotion:
     """
     file = CsvFile.read(path, "motion", "row")
     header = [name.strip() for name in file.header]
-    joints = tuple(name.removesuffix(_POSITION) for name in header if name.endswith(_POSITION))
+    joints, slides = joints_of_columns(header)
     if "time_s" not in header or not joints:
-        raise file.fault(1, f"expected a header with the columns time_s and, for each joint, NAME{_POSITION}")
+        names = f"NAME_{QUANTITIES[0]}, where it slides NAME_{SLIDING[0]}"
+        raise file.fault(1, f"expected a header with the columns time_s and, for each joint, {names}")
     twice = sorted({name for name in header if header.count(name) > 1})
     if twice:
         raise file.fault(1, f"column {twice[0]!r} is there twice")
-    wanted = ["time_s", *(joint + _POSITION for joint in joints)]
-    velocities = [joint + _VELOCITY for joint in joints]
+    kinds = [(joint, SLIDING if slide else QUANTITIES) for joint, slide in zip(joints, slides, strict=True)]
+    wanted = ["time_s", *(f"{joint}_{names[0]}" for joint, names in kinds)]
+    velocities = [f"{joint}_{names[1]}" for joint, names in kinds]
     if set(velocities) <= set(header):
         wanted += velocities
     table = np.array([row for _, _, row in file.timed_rows([header.index(name) for name in wanted])])
     time, position = table[:, 0], table[:, 1 : len(joints) + 1]
     if len(wanted) == len(joints) + 1:
-        return RecordedMotion.from_positions(joints, time, position)
-    return RecordedMotion(joints, readonly(time), readonly(position), readonly(table[:, len(joints) + 1 :]))
+        return replace(RecordedMotion.from_positions(joints, time, position), slides=slides)
+    return RecordedMotion(joints, readonly(time), readonly(position), readonly(table[:, len(joints) + 1 :]), slides)

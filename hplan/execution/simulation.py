@@ -39,7 +39,7 @@ from hplan.execution.simulated_arm import CONTROL_PERIOD, SimulatedArm, Touch
 from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel
 from hplan.scene.model import Scene
-from hplan.timing.trajectory import cubic_states
+from hplan.timing.trajectory import check_units, cubic_states
 
 #: How long the last row is held [s].
 HOLD = 0.25
@@ -154,6 +154,7 @@ class _Reference:
             unknown = [name for name in names if name not in robot.joint_names]
             reason = f"missing {', '.join(missing) or 'none'}; unknown {', '.join(unknown) or 'none'}"
             raise InputError(f"the motion does not move the joints of {robot.name!r}: {reason}", joints=list(names))
+        check_units(dict(zip(names, getattr(motion, "slides", ()), strict=False)), robot)
         order = [names.index(name) for name in robot.joint_names]
         time = np.asarray(motion.time, dtype=np.float64)
         position, velocity = (np.asarray(values, dtype=np.float64) for values in (motion.position, motion.velocity))
@@ -242,7 +243,7 @@ def _gains(arm: SimulatedArm, q: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 def _joints(robot: Robot, scene: Scene, which: str, end: FloatArray) -> FloatArray | None:
     """Start or goal of a scene; the goal at the turn at which the motion's end is."""
-    joints = (scene.start if which == "start" else scene.goal).joints()
+    joints = robot.joints_of(scene.start if which == "start" else scene.goal, which)
     if joints is None:
         return None
     return robot.check_configuration(robot.turned_near(joints, end) if which == "goal" else joints, which)

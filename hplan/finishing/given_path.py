@@ -80,7 +80,8 @@ def scene_along(robot: Robot, scene: Scene, path: GivenPath) -> Scene:
                 joint=name,
                 waypoint=number,
             )
-    ends = (scene.start.configuration, path.points[0]), (scene.goal.joints(), path.points[-1])
+    own = robot.joints_of(scene.start, "start"), robot.joints_of(scene.goal, "goal")
+    ends = zip(own, path.points[[0, -1]], strict=True)
     if all(own is not None and own.shape == end.shape and np.abs(own - end).max() <= SAME for own, end in ends):
         return scene
     start, goal = (tuple(path.points[end].tolist()) for end in (0, -1))

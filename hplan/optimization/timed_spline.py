@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hplan.base.arrays import FloatArray, Record, frozen
-from hplan.robot.dynamics import InverseDynamics
+from hplan.robot.dynamics import InverseDynamics, joints_that_slide
 from hplan.smoothing.spline import SplinePath
 from hplan.timing.trajectory import Trajectory
 
@@ -175,7 +175,8 @@ class TimedSpline(Record):
             if state is not None:
                 velocity[end], acceleration[end] = state.velocity, state.acceleration
         torque = dynamics.torques(position, velocity, acceleration)
-        return Trajectory(tuple(dynamics.model.names)[1:], clock, position, velocity, acceleration, torque)
+        rows = clock, position, velocity, acceleration, torque
+        return Trajectory(tuple(dynamics.model.names)[1:], *rows, joints_that_slide(dynamics.model))
 
 
 @dataclass(frozen=True, eq=False)

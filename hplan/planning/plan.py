@@ -307,7 +307,7 @@ def _planned(
 ) -> PlanResult:
     """The plan that the options ask for; with a deadline the best of those found before it."""
     robot, scene = context.robot, context.scene
-    start = robot.check_configuration(scene.start.configuration, "start")
+    start = robot.check_configuration(robot.joints_of(scene.start, "start"), "start")
     context.world.check_base(robot.yaw_of(start))
     begin = Beginning(start, start_state(robot, scene), before, stop)
     if begin.state is not None and context.options.bound:

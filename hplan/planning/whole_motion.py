@@ -300,7 +300,8 @@ def _optimized(motion: PlannedMotion) -> Iterator[PlannedMotion]:
 
 def _goal(context: PlanningContext, start: FloatArray) -> list[PlanningTask] | Target:
     """What is asked: a motion to joints, or to some of those with a frame at a pose; or a point to reach."""
-    scene, goal = context.scene, context.scene.goal.joints()
+    scene = context.scene
+    goal = context.robot.joints_of(scene.goal, "goal")
     if goal is not None:
         return [context.task(start, context.robot.turned_near(goal, start))]
     if scene.goal.pose is not None and not context.options.standoff:

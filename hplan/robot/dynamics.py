@@ -42,6 +42,11 @@ _INERTIA = 14  # three rows: inertia about the centre
 _NUMBERS = 17  # mass, inertia of the rotor, parent's row (-1 for the base)
 
 
+def joints_that_slide(model: pin.Model) -> tuple[bool, ...]:
+    """Of each joint of a model whether it slides: its values are metres, its force newtons."""
+    return tuple(joint.shortname() in _SLIDING for joint in model.joints.tolist()[1:])
+
+
 @dataclass(frozen=True, eq=False)
 class InverseDynamics(Record):
     """Pinocchio's model, and its joints and bodies as one flat array.

@@ -12,7 +12,7 @@ from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar, overload
 
 import numpy as np
 import pinocchio as pin
@@ -21,12 +21,15 @@ from numpy.typing import ArrayLike
 from hplan.base.arguments import each, file_path, instance, list_of, number
 from hplan.base.arrays import BoolArray, FloatArray, Record, numbers, readonly
 from hplan.errors import InputError, JointLimitError, RobotFamilyError
-from hplan.robot.dynamics import InverseDynamics
+from hplan.robot.dynamics import InverseDynamics, joints_that_slide
 from hplan.robot.family_reader import check_joints, read_family
 from hplan.robot.files import build_models, find_limits, limits_file, read_srdf, robot_files
 from hplan.robot.planar_family import PlanarArm, PlanarFamily, PlanarNames
 from hplan.robot.urdf_adaptation import RobotChoice, adapt_urdf
 from hplan.robot.urdf_xml import is_urdf_text, read_urdf_xml
+
+if TYPE_CHECKING:
+    from hplan.scene.model import JointValues, Start
 
 _T = TypeVar("_T")
 
@@ -109,6 +112,11 @@ class Robot(PlanarNames, Record):
     def dof(self) -> int:
         """Number of joints."""
         return len(self.joint_names)
+
+    @cached_property
+    def slides(self) -> tuple[bool, ...]:
+        """Of each joint whether it slides: its values are metres, its force newtons."""
+        return joints_that_slide(self.model)
 
     @cached_property
     def tool_joint(self) -> int:
@@ -213,6 +221,31 @@ class Robot(PlanarNames, Record):
             values[joint] += math.tau * turns
         return values
 
+    @overload
+    def joints_of(self, values: Start, which: str) -> FloatArray: ...
+
+    @overload
+    def joints_of(self, values: JointValues, which: str) -> FloatArray | None: ...
+
+    def joints_of(self, values: JointValues, which: str) -> FloatArray | None:
+        """The joint values of a start or goal, unchecked [rad, m]; None for a goal given otherwise.
+
+        Args:
+            values: A scene's start or goal.
+            which: What it is, for the error.
+
+        Raises:
+            InputError: A joint that slides is given in degrees.
+        """
+        if values.joints_deg is not None and any(self.slides):
+            name = self.joint_names[self.slides.index(True)]
+            raise InputError(
+                f"{which}: joints_deg, but joint {name!r} slides; give joints_rad: radians, and metres of what slides",
+                which=which,
+                joint=name,
+            )
+        return values.joints()
+
     def check_configuration(self, q: ArrayLike, which: str) -> FloatArray:
         """Return `q` as a read-only (dof,) array.
 
@@ -243,7 +276,7 @@ class Robot(PlanarNames, Record):
                 )
         for joint, value, lower, upper in zip(self.joint_names, values, self.lower, self.upper, strict=True):
             if not lower - 1e-9 <= value <= upper + 1e-9:
-                slides = self.model.joints[self.model.getJointId(joint)].shortname().startswith("JointModelP")
+                slides = self.slides[self.joint_names.index(joint)]
                 raise JointLimitError(which, joint, float(value), float(lower), float(upper), slides=slides)
         return readonly(np.clip(values, self.lower, self.upper))
 

@@ -118,7 +118,8 @@ def from_joint_trajectory(message: Mapping[str, Any], *, prefix: str = "", robot
         arrays["torque"] = robot.dynamics.torques(*arrays.values())
     else:
         arrays["torque"] = _array(points, "effort", len(names))[:, order]
-    return Trajectory(tuple(names[index] for index in order), time, **arrays)
+    slides = () if robot is None else robot.slides
+    return Trajectory(tuple(names[index] for index in order), time, slides=slides, **arrays)
 
 
 def _header(frame_id: str, stamp_ns: int) -> dict[str, Any]:

@@ -73,4 +73,4 @@ def _trajectory(
     for values, first, last in zip(rows, state, (points[-1], 0.0, 0.0), strict=True):
         values[0], values[-1] = first, last
     time = np.arange(len(rows[0]), dtype=np.float64) * period
-    return Trajectory(robot.joint_names, time, *rows, robot.dynamics.torques(*rows))
+    return Trajectory(robot.joint_names, time, *rows, robot.dynamics.torques(*rows), robot.slides)

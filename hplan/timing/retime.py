@@ -39,7 +39,7 @@ import pinocchio as pin
 from hplan.base.arrays import BoolArray, FloatArray
 from hplan.base.deadline import look
 from hplan.errors import HplanError, OptionError, TimingError
-from hplan.robot.dynamics import InverseDynamics
+from hplan.robot.dynamics import InverseDynamics, joints_that_slide
 from hplan.robot.limits import GeometricPath, Limits, check_rate
 from hplan.timing.speed_profile import LITTLE, MOST_POINTS, MOST_ROWS, NO_MOTION, SpeedProfile, parameter_grid, refined
 from hplan.timing.trajectory import Trajectory
@@ -143,7 +143,7 @@ def resting(model: pin.Model, q: FloatArray) -> Trajectory:
     """The empty motion: one row at time 0, at rest."""
     zero = np.zeros((1, model.nv))
     torque = pin.rnea(model, model.createData(), q, zero[0], zero[0])
-    return Trajectory(tuple(model.names)[1:], np.zeros(1), q[None], zero, zero, torque[None])
+    return Trajectory(tuple(model.names)[1:], np.zeros(1), q[None], zero, zero, torque[None], joints_that_slide(model))
 
 
 def _check_limits(
@@ -231,7 +231,8 @@ def _sample(
                 excess = max(excess, _torque_excess(dynamics, q, dynamics.torques(q, v, a), limits.torque))
         if excess <= 1.0:
             time = np.arange(len(torque), dtype=np.float64) * period
-            return Trajectory(names, time, rows.position, rows.velocity, rows.acceleration, torque), rows.stretch
+            made = time, rows.position, rows.velocity, rows.acceleration, torque, joints_that_slide(dynamics.model)
+            return Trajectory(names, *made), rows.stretch
         stretch = rows.stretch * excess
     raise TimingError("no pace was found at which the motion keeps the torque limits", cause="torque limit not kept")
 

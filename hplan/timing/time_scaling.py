@@ -319,7 +319,7 @@ def _with_rows(rest: Trajectory, robot: Robot, period: float, clock: FloatArray,
     torque = robot.dynamics.torques(position, velocity, acceleration)
     torque[0] = rest.torque[0]
     time = np.arange(count, dtype=np.float64) * period
-    trajectory = Trajectory(rest.joint_names, time, position, velocity, acceleration, torque)
+    trajectory = Trajectory(rest.joint_names, time, position, velocity, acceleration, torque, rest.slides)
     on_path = rest.positions(np.clip(clock, 0.0, None))
     on_path += np.minimum(clock, 0.0)[:, None] * rest.velocity[0]  # before the seam, where the path goes on backwards
     # Of the path itself: the column of accelerations may say anything.

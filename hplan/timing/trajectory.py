@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -23,8 +23,9 @@ if TYPE_CHECKING:
     from hplan.robot.model import Robot
     from hplan.timing.speed_factors import Profile
 
-#: Columns of the CSV for each joint, after `time_s`.
+#: Columns of the CSV for each joint, after `time_s`; for each that slides.
 QUANTITIES = ("pos_rad", "vel_rad_s", "acc_rad_s2", "torque_nm")
+SLIDING = ("pos_m", "vel_m_s", "acc_m_s2", "force_n")
 
 #: Ends of motions nearer to each other than this are one [rad, rad/s].
 JOINED = 1e-9
@@ -40,7 +41,8 @@ class Trajectory(Record):
         position: (n, dof).
         velocity: (n, dof) [rad/s].
         acceleration: (n, dof) [rad/s^2].
-        torque: (n, dof) joint torques by inverse dynamics [N m].
+        torque: (n, dof) joint torques by inverse dynamics [N m], of joints that slide forces [N].
+        slides: Of each joint whether it slides, and is in metres; empty where that is not known.
     """
 
     joint_names: tuple[str, ...]
@@ -49,6 +51,7 @@ class Trajectory(Record):
     velocity: FloatArray
     acceleration: FloatArray
     torque: FloatArray
+    slides: tuple[bool, ...] = ()
 
     def __post_init__(self) -> None:
         """Check shapes, values and time, and make the arrays read-only."""
@@ -62,6 +65,10 @@ class Trajectory(Record):
         shape = (len(time), len(self.joint_names))
         for name in ("position", "velocity", "acceleration", "torque"):
             object.__setattr__(self, name, numbers(f"trajectory: {name}", getattr(self, name), shape))
+        slides = list_of("trajectory: slides", self.slides, bool, "truth values")
+        if len(slides) not in (0, shape[1]):
+            raise InputError(f"trajectory: slides has {len(slides)} values, expected one for each of {shape[1]} joints")
+        object.__setattr__(self, "slides", slides)
 
     def __repr__(self) -> str:
         """Duration, number of rows and joints."""
@@ -82,6 +89,7 @@ class Trajectory(Record):
             -self.velocity[::-1],
             self.acceleration[::-1],
             self.torque[::-1],
+            self.slides,
         )
 
     @property
@@ -103,6 +111,7 @@ class Trajectory(Record):
             self.velocity[row:],
             self.acceleration[row:],
             self.torque[row:],
+            self.slides,
         )
 
     def until(self, row: int) -> Trajectory:
@@ -119,6 +128,7 @@ class Trajectory(Record):
             self.velocity[: row + 1],
             self.acceleration[: row + 1],
             self.torque[: row + 1],
+            self.slides,
         )
 
     def stop_at(self, t: float, robot: Robot) -> Trajectory:
@@ -228,15 +238,37 @@ def cubic_states(
 
 
 def check_joints(trajectory: Trajectory, robot: Robot) -> None:
-    """Refuse a trajectory of other joints than a robot's.
+    """Refuse a trajectory of other joints than a robot's, or in other units.
 
     Raises:
-        InputError: It is one; names the joints of both.
+        InputError: It is one; names the joints of both, or the joint that slides in one of them alone.
     """
     if trajectory.joint_names != robot.joint_names:
         raise InputError(
             f"the trajectory moves {', '.join(trajectory.joint_names)}; the robot has {', '.join(robot.joint_names)}"
         )
+    check_units(dict(zip(trajectory.joint_names, trajectory.slides, strict=False)), robot)
+
+
+def check_units(slides: Mapping[str, bool], robot: Robot) -> None:
+    """Refuse a motion with a joint in metres that turns, or one in radians that slides.
+
+    Args:
+        slides: Of each joint, by name, whether it is in metres; those of which that is not known are left out.
+        robot: The robot.
+
+    Raises:
+        InputError: There is one; names it and its columns.
+    """
+    for joint, ours in zip(robot.joint_names, robot.slides, strict=True):
+        if slides.get(joint, ours) != ours:
+            kind, own, unit = ("slides", SLIDING, "radians") if ours else ("turns", QUANTITIES, "metres")
+            columns = ", ".join(f"{joint}_{quantity}" for quantity in own)
+            before = "; hplan gave metres the names of radians before" if ours else ""
+            raise InputError(
+                f"joint {joint!r} {kind}, but the motion has it in {unit}; its columns are {columns}{before}",
+                joint=joint,
+            )
 
 
 def joined(parts: Sequence[Trajectory]) -> Trajectory:
@@ -264,19 +296,18 @@ def joined(parts: Sequence[Trajectory]) -> Trajectory:
             )
     begins = np.concatenate([[0.0], np.cumsum([part.duration for part in parts])])
     times = [part.time[1:] + begin for part, begin in zip(parts, begins, strict=False)]
-    return Trajectory(
-        parts[0].joint_names,
-        np.concatenate([[0.0], *times]),
-        *(
-            np.concatenate([getattr(parts[0], name)[:1], *(getattr(part, name)[1:] for part in parts)])
-            for name in ("position", "velocity", "acceleration", "torque")
-        ),
-    )
+    rows = {
+        name: np.concatenate([getattr(parts[0], name)[:1], *(getattr(part, name)[1:] for part in parts)])
+        for name in ("position", "velocity", "acceleration", "torque")
+    }
+    slides = next((part.slides for part in parts if part.slides), ())
+    return Trajectory(parts[0].joint_names, np.concatenate([[0.0], *times]), slides=slides, **rows)
 
 
-def csv_header(joint_names: tuple[str, ...]) -> list[str]:
-    """Column names: `time_s`, then four for each joint."""
-    return ["time_s", *(f"{joint}_{quantity}" for joint in joint_names for quantity in QUANTITIES)]
+def csv_header(joint_names: tuple[str, ...], slides: Sequence[bool] = ()) -> list[str]:
+    """Column names: `time_s`, then four for each joint, in the units of one that turns or, where it slides, of that."""
+    kinds = zip(joint_names, slides or [False] * len(joint_names), strict=True)
+    return ["time_s", *(f"{joint}_{name}" for joint, slides in kinds for name in (SLIDING if slides else QUANTITIES))]
 
 
 def as_table(trajectory: Trajectory) -> FloatArray:
@@ -298,7 +329,7 @@ def write_csv(trajectory: Trajectory, path: Path | str) -> Path:
     instance("trajectory", trajectory, Trajectory, "plan or read_csv")
     text = io.StringIO(newline="")
     writer = csv.writer(text)
-    writer.writerow(csv_header(trajectory.joint_names))
+    writer.writerow(csv_header(trajectory.joint_names, trajectory.slides))
     writer.writerows(as_table(trajectory).tolist())
     return write_text(path, text.getvalue())
 
@@ -311,11 +342,10 @@ def read_csv(path: Path | str) -> Trajectory:
             does not increase strictly from 0; names the line.
     """
     file = CsvFile.read(path, "trajectory", "sample")
-    suffix = f"_{QUANTITIES[0]}"
-    joints = tuple(name.removesuffix(suffix) for name in file.header if name.endswith(suffix))
-    if not joints or file.header != csv_header(joints):
-        quantities = ", ".join("NAME_" + quantity for quantity in QUANTITIES)
-        raise file.fault(1, f"expected the columns time_s and, for each joint, {quantities}")
+    joints, slides = joints_of_columns(file.header)
+    if not joints or file.header != csv_header(joints, slides):
+        turning, sliding = (", ".join("NAME_" + quantity for quantity in names) for names in (QUANTITIES, SLIDING))
+        raise file.fault(1, f"expected the columns time_s and, for each joint, {turning}; where it slides, {sliding}")
     rows: list[FloatArray] = []
     for line, texts, values in file.timed_rows(range(len(file.header))):
         if not rows and values[0] != 0.0:
@@ -323,4 +353,12 @@ def read_csv(path: Path | str) -> Trajectory:
         rows.append(np.array(values))
     table = np.stack(rows)
     columns = table[:, 1:].reshape(len(table), len(joints), len(QUANTITIES))
-    return Trajectory(joints, table[:, 0], *(columns[:, :, i] for i in range(len(QUANTITIES))))
+    position, velocity, acceleration, torque = np.moveaxis(columns, 2, 0)
+    return Trajectory(joints, table[:, 0], position, velocity, acceleration, torque, slides)
+
+
+def joints_of_columns(header: Sequence[str]) -> tuple[tuple[str, ...], tuple[bool, ...]]:
+    """The joints that have a column of positions, in their order, and of each whether it is in metres."""
+    ends = f"_{QUANTITIES[0]}", f"_{SLIDING[0]}"
+    found = [(name[: -len(end)], end == ends[1]) for name in header for end in ends if name.endswith(end)]
+    return tuple(name for name, _ in found), tuple(slides for _, slides in found)

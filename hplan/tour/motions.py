@@ -371,7 +371,8 @@ def drop_off(goal: Goal, empty: PlanningContext, loaded: PlanningContext, start:
         HplanError: One of `NO_MOTION`: it is blocked, or no certified motion from the start leads there.
         InputError: Joints that are no configuration, or in collision.
     """
-    world, joints = loaded.world, goal.joints()
+    world = loaded.world
+    joints = world.robot.joints_of(goal, "drop_off")
     if joints is not None:
         q = world.robot.check_configuration(world.robot.turned_near(joints, start), "drop_off")
         world.check_clear(q, "drop_off")

@@ -167,7 +167,7 @@ class _TourPlanner:
         self.cache = PlanningCache(robot)
         if scene.start.is_moving:
             raise SceneError("tours begin at rest; the start has a velocity or an acceleration", where="start")
-        self.start = robot.check_configuration(scene.start.configuration, "start")
+        self.start = robot.check_configuration(robot.joints_of(scene.start, "start"), "start")
         self.context = self.cache.context(scene, options)
         self.context.world.check_base(robot.yaw_of(self.start))
         self.context.task(self.start, self.start)

@@ -31,7 +31,7 @@ def start_state(robot: Robot, scene: Scene) -> BoundaryState | None:
     start = scene.start
     if not start.is_moving:
         return None
-    position = robot.check_configuration(start.configuration, "start")
+    position = robot.check_configuration(robot.joints_of(start, "start"), "start")
     locked = robot.locked_mask(scene.locked_joints)
     rates = []
     for quantity, key, limit in (

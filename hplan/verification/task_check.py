@@ -36,14 +36,14 @@ def task_violations(robot: Robot, scene: Scene, bezier: FloatArray) -> Iterator[
         InputError: Start, goal or locked joints of the scene do not fit the robot.
     """
     rows = np.vstack([bezier[:, 0], bezier[-1:, 3]])
-    start = robot.check_configuration(scene.start.configuration, "start")
+    start = robot.check_configuration(robot.joints_of(scene.start, "start"), "start")
     yield from _apart(robot, "begins", rows[0], start, "start")
     locked = np.flatnonzero(robot.locked_mask(scene.locked_joints))
     for joint in locked.tolist():
         moved = np.abs(bezier[..., joint] - start[joint]).max()
         if not moved <= SAME:
             yield f"joint {robot.joint_names[joint]!r} is locked, but moves by {moved:.4g} rad"
-    goal = scene.goal.joints()
+    goal = robot.joints_of(scene.goal, "goal")
     if goal is not None:
         asked = robot.check_configuration(robot.turned_near(goal, rows[-1]), "goal")
         yield from _apart(robot, "ends", rows[-1], asked, "goal")

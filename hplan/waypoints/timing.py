@@ -1,7 +1,7 @@
 """Timing alone: any robot's URDF, waypoints, and the fastest motion through them with its corners rounded.
 
 The robot is one of `hplan.waypoints.machine`, the path one of `hplan.waypoints.corner_rounding`. For a prismatic joint
-read metres wherever radians are written, in column names too.
+read metres wherever radians are written; its columns say so.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from hplan.robot.limits import Limits
 from hplan.smoothing.spline import SplinePath
 from hplan.timing import retime as timing
 from hplan.timing.speed_profile import NO_MOTION
-from hplan.timing.trajectory import QUANTITIES, Trajectory
+from hplan.timing.trajectory import QUANTITIES, SLIDING, Trajectory
 from hplan.waypoints.corner_rounding import as_waypoints, rounded_path
 
 #: Deviation from the polyline at its corners, where none is given [rad].
@@ -40,15 +40,16 @@ STRAIGHT_POINTS = (10, 60)
 AT_LIMIT = 0.99
 
 
-def read_waypoints(path: Path | str, joint_names: Sequence[str]) -> FloatArray:
+def read_waypoints(path: Path | str, joint_names: Sequence[str], slides: Sequence[bool] = ()) -> FloatArray:
     """Read waypoints from a CSV: a header, then one line for each.
 
-    A joint's column is `NAME_pos_rad` or `NAME`, in radians; columns stand in any order, others are ignored, and so
-    are empty lines. A trajectory that hplan wrote can be read as well.
+    A joint's column is `NAME` or `NAME_pos_rad`, in radians, or where it slides `NAME_pos_m`, in metres; columns stand
+    in any order, others are ignored, and so are empty lines. A trajectory that hplan wrote can be read as well.
 
     Args:
         path: CSV file.
         joint_names: The `dof` joints, in the order wanted.
+        slides: Of each of them whether it slides; empty where none does.
 
     Returns:
         (n, dof) waypoints, n >= 1.
@@ -64,10 +65,11 @@ def read_waypoints(path: Path | str, joint_names: Sequence[str]) -> FloatArray:
     if not header:
         raise file.fault(1, "expected a header with the names of the joints")
     columns = []
-    for joint in joint_names:
-        found = [index for index, name in enumerate(header) if name in (joint, f"{joint}_{QUANTITIES[0]}")]
+    for joint, slide in zip(joint_names, slides or [False] * len(joint_names), strict=True):
+        own = f"{joint}_{(SLIDING if slide else QUANTITIES)[0]}"
+        found = [index for index, name in enumerate(header) if name in (joint, own)]
         if len(found) != 1:
-            how = "two columns" if found else f"no column; expected {joint}_{QUANTITIES[0]} or {joint}"
+            how = "two columns" if found else f"no column; expected {own} or {joint}"
             raise file.fault(file.first, f"joint {joint!r} has {how} (the columns are {', '.join(header)})")
         columns.append(found[0])
     return readonly([values for _, _, values in file.number_rows(columns)])

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from hplan.errors import JointLimitError
+import hplan
+from hplan.errors import InputError, JointLimitError
+from hplan.execution.recorded_motion import read_motion
 from hplan.robot.model import load_robot
 from hplan.robot.tracking import TrackingModel
 from hplan.scene.model import Goal, Scene, Start
@@ -16,6 +19,7 @@ from hplan.scene.tracks import Track
 from hplan.timing.trajectory import Trajectory
 from hplan.verification.certificate import certify
 from hplan.verification.sway import largest_deviations
+from hplan.waypoints import read_waypoints
 
 
 def link(name: str, parent: str, kind: str, axis: str, xyz: str, size: str) -> str:
@@ -83,3 +87,40 @@ def test_a_place_beyond_the_rail_is_told_in_metres() -> None:
         ROBOT.check_configuration([0.0, 2.5], "start")
     with pytest.raises(JointLimitError, match=r"hold: joint 'rail' is at 2.5 m"):
         load_robot(GANTRY, hold={"rail": 2.5})
+
+
+def test_degrees_of_what_slides_are_refused() -> None:
+    ends = Start(joints_rad=(0.2, 0.3)), Goal(joints_rad=(0.7, 0.5))
+    degrees = {"start": Start(joints_deg=(0.2, 17.0))}, {"goal": Goal(joints_deg=(0.7, 28.0))}
+    for given in degrees:
+        asked = Scene(name="rail", **{"start": ends[0], "goal": ends[1], **given})
+        which = next(iter(given))
+        for call in (lambda asked=asked: hplan.plan(ROBOT, asked), lambda asked=asked: certify(ROBOT, asked, motion())):
+            with pytest.raises(InputError, match=f"{which}: joints_deg, but joint 'rail' slides; give joints_rad"):
+                call()
+
+
+def test_columns_of_what_slides_are_in_metres(tmp_path: Path) -> None:
+    found = hplan.plan(ROBOT, scene()).trajectory
+    path = hplan.write_csv(found, tmp_path / "motion.csv")
+    header = path.read_text().splitlines()[0]
+    rail, boom = "rail_pos_m,rail_vel_m_s,rail_acc_m_s2,rail_force_n", "boom_pos_rad,boom_vel_rad_s,boom_acc_rad_s2"
+    assert header == f"time_s,{rail},{boom},boom_torque_nm"
+    again = hplan.read_csv(path)
+    assert again.slides == found.slides == again.until(3).since(1).reversed.slides == (True, False)
+    assert certify(ROBOT, scene(), again).digests == certify(ROBOT, scene(), found).digests
+    np.testing.assert_array_equal(read_motion(path).position, found.position)
+    np.testing.assert_array_equal(read_waypoints(path, ROBOT.joint_names, ROBOT.slides), found.position)
+
+
+def test_radians_of_what_slides_are_refused(tmp_path: Path) -> None:
+    path = hplan.write_csv(hplan.plan(ROBOT, scene()).trajectory, tmp_path / "motion.csv")
+    as_before = tmp_path / "before.csv"
+    as_before.write_text(
+        path.read_text().replace("rail_pos_m,rail_vel_m_s,rail_acc_m_s2,rail_force_n",
+                                 "rail_pos_rad,rail_vel_rad_s,rail_acc_rad_s2,rail_torque_nm")
+    )  # fmt: skip
+    with pytest.raises(InputError, match="'rail' slides, but the motion has it in radians; its columns are rail_pos_m"):
+        certify(ROBOT, scene(), hplan.read_csv(as_before))
+    with pytest.raises(InputError, match="joint 'rail' has no column; expected rail_pos_m or rail"):
+        read_waypoints(as_before, ROBOT.joint_names, ROBOT.slides)

@@ -40,7 +40,7 @@ from hplan.search.grid import Grid, Occupancy
 from hplan.tour.tour import TourOptions
 from hplan.view.page import write_page
 from hplan.view.playback import Playback
-from hplan.waypoints import limit_shares, limits_of, read_machine, read_waypoints, time_waypoints
+from hplan.waypoints import corner_grid, limit_shares, limits_of, read_machine, read_waypoints, time_waypoints
 from hplan.waypoints.corner_rounding import largest_deviation, rounded_path
 
 NAN, INF = math.nan, math.inf
@@ -623,6 +623,19 @@ CASES: dict[str, Case] = {
         write_page,
         {"robot": None, "scene": None, "playback": Playback(a_trajectory()), "path": "a.html"},
         {"robot": NO_OBJECT, "scene": NO_OBJECT, "playback": NO_OBJECT, "path": NO_PATH},
+    ),
+    "Robot.frame_number": (hplan.load_robot().frame_number, {"name": "tool0"}, {"name": (None, 1, "\ud800")}),
+    "Robot.check_configuration, no array": (
+        hplan.load_robot().check_configuration,
+        {"q": None, "which": "start"},
+        {"q": (NoArray(), None, [1j] * 4, [10**400] * 4)},
+    ),
+    "corner_grid": (corner_grid, {}, {"path": NO_OBJECT}),
+    "Planner.remove name": (a_planner().remove, {}, {"name": (None, 1, np.array([1.0, 2.0]))}),
+    "set_cloud pose": (
+        a_planner().set_cloud,
+        {"name": "c", "points": [[1.0, 0.0, 1.0]], "radius": 0.01},
+        {"pose": ([[1.0], [1.0, 2.0]], NoArray()), "points": (NoArray(),)},
     ),
     "PlanOptions.step_deg": (hplan.PlanOptions, {}, {"step_deg": (*NO_POSITIVE, 1e-308)}),
     "read_planning_scene": (

@@ -39,6 +39,18 @@ def frozen(array: NDArray[_T]) -> NDArray[_T]:
     return array
 
 
+def as_array(values: Any) -> NDArray[Any]:
+    """What is given as an array.
+
+    Raises:
+        ValueError: It is none: rows of different lengths, or whatever it raises of its own.
+    """
+    try:
+        return np.asarray(values)
+    except Exception as error:
+        raise ValueError(str(error)) from error
+
+
 def numbers(option: str, values: Any, shape: tuple[int | EllipsisType | None, ...]) -> FloatArray:
     """A read-only array of finite numbers; None in the shape stands for any count, a leading `...` for any axes.
 
@@ -48,11 +60,9 @@ def numbers(option: str, values: Any, shape: tuple[int | EllipsisType | None, ..
     words = ", ".join("n" if count is None else "..." if count is ... else str(count) for count in shape)
     expected = f"({words},), a list of finite numbers" if len(shape) == 1 else f"({words}) finite numbers"
     try:
-        array = np.asarray(values)
-    except ValueError as error:  # rows of different lengths
+        array = as_array(values)
+    except ValueError as error:
         raise InputError(f"{option}: expected {expected}, got rows of different lengths", option=option) from error
-    except Exception as error:  # of what says that it is an array and is none
-        raise InputError(f"{option}: expected {expected}, got {_short(values)}: {error}", option=option) from error
     if array.size and array.dtype.kind not in "fiu":
         raise InputError(f"{option}: expected {expected}, got {_short(values)}", option=option)
     last = shape[1:] if shape[:1] == (...,) else shape

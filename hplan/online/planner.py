@@ -18,7 +18,7 @@ from typing import Any, NamedTuple, TypeVar, overload
 from numpy.typing import ArrayLike
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
-from hplan.base.arguments import number
+from hplan.base.arguments import number, text
 from hplan.base.deadline import Cancel, TimeIsUpError, time_limit
 from hplan.base.forking import renewed_in_children
 from hplan.bodies.reach import largest_sway
@@ -441,6 +441,7 @@ class Planner:
         self.scene = self.scene.model_copy(update={"obstacles": obstacles})
 
     def _index(self, name: str) -> int:
+        text("name", name, "the name of an obstacle")
         for index, obstacle in enumerate(self.scene.obstacles):
             if obstacle.name == name:
                 return index

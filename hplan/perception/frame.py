@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hplan.base.arguments import between, instance, number, whole
-from hplan.base.arrays import FloatArray, Record, frozen, numbers, readonly
+from hplan.base.arrays import FloatArray, Record, as_array, frozen, numbers, readonly
 from hplan.collision.obstacle_rows import solid_rows
 from hplan.errors import InputError, OptionError
 from hplan.perception.arm_shape import arm_solids, reach_ball
@@ -372,7 +372,7 @@ def _points(points: ArrayLike) -> Any:
     """(n, 3) float32 or float64 points in one piece, not to be written to."""
     expected = "(n, 3) or (rows, columns, 3) numbers"
     try:
-        array = np.asarray(points)
+        array = as_array(points)
     except ValueError as error:
         raise InputError(f"points: expected {expected}, got rows of different lengths", option="points") from error
     if array.size == 0 and array.ndim <= 1:
@@ -398,7 +398,11 @@ def _rigid(pose: ArrayLike | None) -> tuple[FloatArray, FloatArray]:
     """
     if pose is None:
         return readonly(np.eye(3)), readonly(np.zeros(3))
-    if np.shape(pose) == (6,):
+    try:
+        listed = as_array(pose).shape == (6,)
+    except ValueError:
+        listed = False
+    if listed:
         x, y, z, *angles = numbers("pose", pose, (6,)).tolist()
         return readonly(rpy_rotation(*map(math.radians, angles))), readonly([x, y, z])
     matrix = numbers("pose", pose, (4, 4))

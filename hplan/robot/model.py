@@ -19,7 +19,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from hplan.base.arguments import each, file_path, instance, list_of, number
-from hplan.base.arrays import BoolArray, FloatArray, Record, numbers, readonly
+from hplan.base.arrays import BoolArray, FloatArray, Record, as_array, numbers, readonly
 from hplan.errors import InputError, JointLimitError, RobotFamilyError
 from hplan.robot.dynamics import InverseDynamics, joints_that_slide
 from hplan.robot.family_reader import check_joints, read_family
@@ -176,7 +176,7 @@ class Robot(PlanarNames, Record):
         Raises:
             InputError: The robot has no frame of that name.
         """
-        if not (isinstance(name, str) and self.model.existFrame(name)):
+        if not (isinstance(name, str) and name.isprintable() and self.model.existFrame(name)):
             names = ", ".join(frame.name for frame in self.model.frames if frame.type == pin.FrameType.BODY)
             raise InputError(f"frame {name!r} is not of the robot; it has {names}", frame=name)
         return int(self.model.getFrameId(name))
@@ -207,7 +207,7 @@ class Robot(PlanarNames, Record):
             start: (dof,) configuration.
         """
         try:
-            values = np.array(q)
+            values = np.array(as_array(q))
         except ValueError:
             return q
         usable = values.shape == (self.dof,) and values.dtype.kind in "fiu" and np.isfinite(values).all()
@@ -255,7 +255,7 @@ class Robot(PlanarNames, Record):
         """
         expected = f"{which}: expected {self.dof} joint values ({', '.join(self.joint_names)})"
         try:
-            values = np.array(q)
+            values = np.array(as_array(q))
         except ValueError as error:
             raise InputError(f"{expected}, got {q!r}", which=which, expected=self.dof) from error
         if values.shape != (self.dof,):

@@ -17,7 +17,7 @@ from typing import Any, Final, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hplan.base.arrays import FloatArray, IntArray, readonly
+from hplan.base.arrays import FloatArray, IntArray, as_array, readonly
 from hplan.base.files import ByteBudget, write_text
 from hplan.scene.convex_decomposition import Pieces, convex_pieces
 from hplan.scene.limits import FARTHEST_M, MOST_POINTS, MOST_TRIANGLES
@@ -90,7 +90,7 @@ class Surface(_Cached):
         # Millimetres, it may be: `Mesh` looks at them again after scaling.
         points = _checked_points(vertices, "vertices", 1e3 * FARTHEST_M)
         try:
-            corners = np.asarray(faces)
+            corners = as_array(faces)
         except ValueError as error:
             raise ValueError("faces should be (m, 3) whole numbers, got rows of different lengths") from error
         if corners.ndim != 2 or corners.shape[1] != 3 or corners.dtype.kind not in "iu":
@@ -234,8 +234,8 @@ def _load(path: Path, budget: ByteBudget, formats: tuple[str, ...], what: str) -
 
 def _checked_points(points: ArrayLike, what: str, farthest: float) -> FloatArray:
     try:
-        found = np.array(points, dtype=np.float64)
-    except (TypeError, ValueError) as error:
+        found = as_array(points).astype(np.float64, casting="same_kind")
+    except (TypeError, ValueError, OverflowError) as error:
         raise ValueError(f"{what} should be (n, 3) numbers") from error
     if found.size == 0:
         raise ValueError(f"there are no {what}")

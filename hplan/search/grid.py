@@ -70,7 +70,9 @@ class Grid(Record):
                 f"finite lower limits, none above the upper one, and all within {_FARTHEST:g}",
             )
         counts = np.where(low < high, np.maximum(1.0, np.ceil((high - low) / steps - 1e-9)), 0.0)
-        if float(np.prod(counts + 1.0)) > MAX_NODES:
+        with np.errstate(over="ignore"):
+            nodes = float(np.prod(counts + 1.0))
+        if nodes > MAX_NODES:
             raise OptionError("step", step, f"a spacing that gives at most {MAX_NODES} nodes")
         shape = tuple(int(count) + 1 for count in counts)
         return cls(

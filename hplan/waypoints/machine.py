@@ -19,7 +19,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from hplan.base.arguments import file_path, instance, list_of, number, truth
-from hplan.base.arrays import FloatArray, Record, readonly
+from hplan.base.arrays import FloatArray, Record, as_array, readonly
 from hplan.errors import InputError, RobotFileError
 from hplan.robot.files import robot_files
 from hplan.robot.limits import Limits
@@ -169,8 +169,8 @@ def limits_of(
 
     def checked(what: str, values: ArrayLike) -> FloatArray:
         try:
-            array = readonly(np.broadcast_to(np.asarray(values, dtype=np.float64), (model.nv,)))
-        except (TypeError, ValueError) as error:
+            array = readonly(np.broadcast_to(as_array(values).astype(np.float64), (model.nv,)))
+        except (TypeError, ValueError, OverflowError) as error:
             raise InputError(f"{what}: expected one number, or {model.nv}", option=what) from error
         for name, value in zip(names, array, strict=False):
             if value == np.inf:

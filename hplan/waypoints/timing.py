@@ -140,7 +140,7 @@ def corner_grid(path: SplinePath) -> FloatArray:
     In a corner the joints that turn back pass a point at which the path acceleration does not move them; on a coarse
     grid toppra lets it jump up and down there, and timing slows the whole motion to take that back.
     """
-    breaks = path.breaks
+    breaks = instance("path", path, SplinePath, "rounded_path").breaks
     corners = (len(breaks) - 2) // 3
     each = MOST_POINTS // (3 * max(corners, 1))
     even = np.linspace(0.0, 1.0, int(np.clip(each, *CORNER_POINTS)) + 1)

@@ -1,10 +1,11 @@
-"""Hold certified motions of random arms against Pinocchio and coal on everything that their URDFs describe."""
+"""Hold motions of random arms against Pinocchio and coal on everything that their URDFs describe."""
 
 from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,27 +16,28 @@ from hplan.errors import OptionError
 
 if TYPE_CHECKING:
     from rich.console import Console
-    from studies.validation.member_motions import MotionCounts
+    from studies.validation.episodes import Tally
 
-RESULT = "validation-motions.json"
+RESULT = "validation-{}.json"
 
 _DESCRIPTION = """\
-Draw members of the family with bodies on pedestal, turret, links and tool, and motions of each among obstacles of all
-kinds; look every millisecond of every certified motion whether any body touches an obstacle or another body. Then put
-obstacles where a certified motion grazes them by 0.1 to 5 mm, which must not be verified, and where everything keeps 1
-to 5 mm from them, which must be.
+motions   Draw arms of any kind, half of the scenes moving, half of them with a cloud from a pose. Plan, stop, scale and
+          splice, and look every half millisecond of what is handed out as verified whether any body touches an
+          obstacle, as it truly is, or another body.
+grazing   Put obstacles where a motion grazes them by 0.1 to 5 mm, which must not be verified, or where everything keeps
+          1 to 5 mm from them, which must be.
+soak      One planner, and four threads that call its methods at a camera's rate.
 """
 
-_EPILOG = f"""\
---full: 1000 motions of 20 members, 300 grazing and 300 clear obstacles
-  (default: 50 motions of 5 members, 20 and 20).
+_EPILOG = """\
+A case follows from --seed and its number alone: `--first 17 --cases 1` runs number 17 again.
 
-writes DIR/{RESULT} where --out names a folder.
+writes DIR/validation-WHAT.json where --out names a folder.
 
 exit status:
   0  nothing wrong
   2  bad input
-  5  a contact, a grazing motion verified, or a clear one not
+  5  a contact, a jump, a grazing motion verified, a clear one not, or a foreign exception
 """
 
 
@@ -47,60 +49,74 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _run(arguments: argparse.Namespace, console: Console, errors: Console) -> int:
     """Draw, look and show; returns the exit status."""
-    from studies.validation.motions import GRAZING, MEMBERS, MOTIONS, validate_motions
-
+    for name, least in (("cases", 1), ("first", 0), ("seed", 0)):
+        if getattr(arguments, name) < least:
+            raise OptionError(f"--{name}", getattr(arguments, name), f"a whole number >= {least}")
+    if not arguments.minutes > 0.0:
+        raise OptionError("--minutes", arguments.minutes, "a number of minutes > 0")
     if arguments.out is not None:
         prepare_folder(arguments.out)
-    defaults = (MEMBERS, MOTIONS, GRAZING) if arguments.full else (5, 50, 20)
-    given = (arguments.members, arguments.motions, arguments.grazing)
-    members, motions, grazing = (
-        default if value is None else value for value, default in zip(given, defaults, strict=True)
-    )
-    least = {"--members": (members, 1), "--motions": (motions, 0), "--grazing": (grazing, 0)}
-    for name, (value, smallest) in {**least, "--jobs": (arguments.jobs, 1), "--seed": (arguments.seed, 0)}.items():
-        if value < smallest:
-            raise OptionError(name, value, f"a whole number >= {smallest}")
-    tally = validate_motions(
-        members=members, motions=motions, grazing=grazing, seed=arguments.seed, jobs=arguments.jobs,
-        progress=lambda done, so_far: errors.print(
-            f"{done} of {members} members: {so_far.certified} certified of {so_far.asked}", markup=False
-        ),
-    )  # fmt: skip
-    _show(console, tally)
-    if arguments.out is not None:
-        from hplan.planning.report import write_report
 
-        write_report(tally.as_dict(), arguments.out / RESULT)
-        console.print(f"written to {arguments.out / RESULT}\n", markup=False, soft_wrap=True)
-    return 0 if tally.ok else FAILED
+    def told(tally: Tally, *, whole: bool = False) -> None:
+        if arguments.out is not None:
+            from hplan.planning.report import write_report
+
+            write_report(tally.as_dict(), arguments.out / RESULT.format(arguments.what))
+        if whole:
+            _show(console, tally)
+
+    tally = _count(arguments, lambda line: errors.print(line, markup=False, soft_wrap=True), told)
+    told(tally, whole=True)
+    return FAILED if tally.faults else 0
 
 
-def _show(console: Console, tally: MotionCounts) -> None:
+def _count(arguments: argparse.Namespace, say: Callable[[str], None], told: Callable[[Tally], None]) -> Tally:
+    """What was counted, told now and then."""
+    from studies.validation.episodes import Tally, run_case
+    from studies.validation.grazing import graze
+
+    until = time.monotonic() + 60.0 * arguments.minutes
+    if arguments.what == "soak":
+        from studies.validation.soak import soak
+
+        return soak(arguments.seed, 60.0 * arguments.minutes, say, told)
+    total, run = Tally(), run_case if arguments.what == "motions" else graze
+    for number in range(arguments.first, arguments.first + arguments.cases):
+        found = run(arguments.seed, number)
+        total.add(found)
+        for fault in found.faults:
+            say(str(fault))
+        if number % 10 == 9:
+            say(f"up to case {number}: {total.motions} motions, {len(total.faults)} at fault")
+            told(total)
+        if time.monotonic() > until:
+            break
+    return total
+
+
+def _show(console: Console, tally: Tally) -> None:
     """The counts in words."""
-    refused = ", ".join(f"{count} {kind}" for kind, count in tally.refused.most_common()) or "none"
-    members = ", ".join(f"{count} of {kind}" for kind, count in tally.members.most_common())
-    for line in (
-        f"members: {members}",
-        f"motions asked for: {tally.asked}; refused: {refused}",
-        f"certified: {tally.certified}, looked at {tally.looks} configurations; with contact: {len(tally.contacts)}",
-        f"grazing: {tally.grazing}; of these verified: {len(tally.verified)}",
-        f"clear: {tally.clear}; of these not verified: {len(tally.unverified)}",
-    ):
-        console.print(line, markup=False, soft_wrap=True)
-    for what in (tally.contacts, tally.verified, tally.unverified):
-        for case in what[:5]:
-            console.print(str({name: value for name, value in case.items() if name != "scene"}), markup=False)
+    for name, counts in (
+        ("arms", tally.arms), ("looked at", tally.looked), ("unverified", tally.unverified), ("refused", tally.refused),
+    ):  # fmt: skip
+        listed = ", ".join(f"{count} {kind}" for kind, count in counts.most_common()) or "none"
+        console.print(f"{name}: {listed}", markup=False, soft_wrap=True)
+    for name, value in tally.measured.items():
+        console.print(f"{name}: {value}", markup=False, soft_wrap=True)
+    looks = f"{tally.motions} motions, {tally.ticks} configurations; at fault: {len(tally.faults)}"
+    console.print(looks, markup=False, soft_wrap=True)
+    for fault in tally.faults[:5]:
+        console.print(str(fault), markup=False, soft_wrap=True)
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = command_parser(_DESCRIPTION, _EPILOG)
     add = parser.add_argument
-    add("--full", action="store_true", help="the full numbers")
-    add("--members", type=int, metavar="N", help="members of the family")
-    add("--motions", type=int, metavar="N", help="certified motions, of all members together")
-    add("--grazing", type=int, metavar="N", help="grazing obstacles, and as many clear ones")
+    add("what", nargs="?", choices=("motions", "grazing", "soak"), default="motions", help="what to do")
+    add("--cases", type=int, default=20, metavar="N", help="arms, some 50 motions each (default: 20)")
+    add("--first", type=int, default=0, metavar="N", help="number of the first case (default: 0)")
+    add("--minutes", type=float, default=60.0, metavar="M", help="stop after so long (default: 60)")
     add("--seed", type=int, default=0, metavar="N", help="seed of all draws (default: 0)")
-    add("--jobs", type=int, default=1, metavar="N", help="processes (default: 1)")
     add("--out", type=Path, metavar="DIR", help="folder to write the numbers into (default: none)")
     return parser
 

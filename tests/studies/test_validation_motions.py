@@ -1,206 +1,214 @@
-"""The independent check of certified motions: it counts right, and it would find what it looks for."""
+"""The judge of certified motions sees what touches, and nothing else; what is handed out is handed to it."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
-import studies.validation.member_motions as validation
-import trimesh
+import studies.validation.grazing as grazing
 from script_loader import load_script
-from studies.validation.checker import PlacedBodies, between_rows, read_rows, solids_of
-from studies.validation.member_motions import MemberMotions, MotionCounts
-from studies.validation.members import write_member, write_stl
-from studies.validation.motions import validate_motions
+from studies.validation.arms import DrawnArm, draw_arm, named_arm
+from studies.validation.episodes import Tally, run_case
+from studies.validation.judge import Motion, Moves, Window, between_rows, contacts, things_of
+from studies.validation.members import CHAINS, write_chain
+from studies.validation.worlds import World, draw_ends, draw_world
 
-from hplan.planning.plan import plan
-from hplan.robot.model import Robot, load_robot
-from hplan.scene.file import load_scene
-from hplan.timing.trajectory import read_csv, write_csv
+from hplan.robot.model import load_robot
+from hplan.scene.tracks import Poses, Track
+from hplan.timing.trajectory import Trajectory, write_csv
+
+#: A corner of a cube by its place, and the cube's faces, counter-clockwise from outside.
+CORNERS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
+FACES = np.array([[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6], [0, 2, 6],
+                  [0, 6, 4], [1, 5, 7], [1, 7, 3]])  # fmt: skip
+
+ITEMS: list[dict[str, Any]] = [
+    {"kind": "sphere", "radius": 0.05},
+    {"kind": "box", "size": (0.2, 0.1, 0.3), "rpy_deg": (10.0, 20.0, 30.0)},
+    {"kind": "capsule", "radius": 0.02},
+    {"kind": "cylinder", "radius": 0.05, "length": 0.3, "rpy_deg": (90.0, 0.0, 0.0)},
+    {"kind": "mesh", "vertices": 0.1 * CORNERS, "faces": FACES, "rpy_deg": (0.0, 45.0, 0.0)},
+    # A cube with a dent to its middle is not convex.
+    {"kind": "mesh", "vertices": 0.1 * np.vstack([CORNERS, [[0.0, 0.0, 0.1]]]),
+     "faces": np.vstack([FACES[:-2], [[1, 5, 8], [5, 7, 8], [7, 3, 8], [3, 1, 8]]])},
+    {"kind": "points", "points": 0.02 * CORNERS, "radius": 0.02},
+]  # fmt: skip
 
 
 @pytest.fixture(scope="module")
-def small() -> MotionCounts:
-    return validate_motions(members=2, motions=4, grazing=4, seed=3)
+def harvester() -> DrawnArm:
+    return named_arm("orchard_harvester")
 
 
-def test_nothing_is_wrong(small: MotionCounts) -> None:
-    assert small.ok
-    assert (small.certified, small.grazing, small.clear) == (4, 4, 4)
-    assert small.asked == small.certified + sum(small.refused.values())
-    assert small.looks > 1000 * small.certified
-    assert sum(small.grazed.values()) == 4
-    assert json.loads(json.dumps(small.as_dict()))["ok"]
+def placed(item: dict[str, Any], at: Any, **more: Any) -> dict[str, Any]:
+    """An item somewhere."""
+    at = np.asarray(at)
+    if item["kind"] == "capsule":
+        return {"name": "o", **item, "from": at, "to": at + 0.1, **more}
+    return {"name": "o", **item, "position" if item["kind"] in ("mesh", "points") else "center": at, **more}
 
 
-def test_the_same_whatever_the_number_of_jobs(small: MotionCounts) -> None:
-    assert validate_motions(members=2, motions=4, grazing=4, seed=3, jobs=2).as_dict() == small.as_dict()
+def line(drawn: DrawnArm, start: Any, end: Any, duration_s: float = 0.5) -> Motion:
+    """A straight motion."""
+    times = np.arange(0.0, duration_s, 5e-4)
+    return Motion(drawn.arm.joints, times, np.linspace(start, end, len(times)))
 
 
-def scene_file(folder: Path, start: Any, goal: Any, *obstacles: dict[str, Any]) -> Path:
-    path = folder / "scene.json"
-    numbers = {"format": "hplan-scene/1", "name": "test", "obstacles": list(obstacles)}
-    ends = {"start": {"joints_rad": list(start)}, "goal": {"joints_rad": list(goal)}}
-    path.write_text(json.dumps({**numbers, **ends}), "utf-8")
-    return path
+def tool(drawn: DrawnArm, q: Any) -> Any:
+    return drawn.robot.tool_positions(np.asarray(q))
 
 
-@pytest.mark.parametrize(
-    "obstacle",
-    [
-        {"kind": "sphere", "radius": 0.05},
-        {"kind": "box", "size": [0.4, 0.4, 0.4], "rpy_deg": [10.0, 20.0, 30.0]},
-        {"kind": "capsule", "radius": 0.02},
-        {"kind": "mesh", "file": "rock.stl"},
-        {"kind": "points", "file": "cloud.xyz", "radius": 0.02},
-    ],
-    ids=lambda item: item["kind"],
-)
-def test_contact_with_an_obstacle_is_found(robot: Robot, tmp_path: Path, obstacle: dict[str, Any]) -> None:
-    """A motion planned without the obstacle: from top to bottom, as deep as it may be."""
-    start, goal = (0.0, 0.2, 0.3, 0.4), (1.0, 1.0, 0.9, 0.8)
-    planned = plan(robot, load_scene(scene_file(tmp_path, start, goal)))
-    middle = robot.tool_positions(planned.trajectory.position[planned.trajectory.samples // 2])
-    corners = 0.1 * np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
-    write_stl(tmp_path / "rock.stl", corners)
-    np.savetxt(tmp_path / "cloud.xyz", corners * 0.2)
-    place = {"from": middle.tolist(), "to": (middle + 0.3).tolist()} if obstacle["kind"] == "capsule" else {}
-    where = "center" if obstacle["kind"] in ("sphere", "box") else "position"
-    item = {"name": "o", **obstacle, **(place or {where: middle.tolist()})}
-    path = scene_file(tmp_path, start, goal, item)
-    assert load_scene(path).obstacles[0].kind == obstacle["kind"]
-    tally = MotionCounts()
-    member = MemberMotions(robot, tmp_path, np.random.default_rng(0), tally, "test")
-    member.look_at(planned, path)
-    assert [case["second"] for case in tally.contacts] == ["o"]
-    assert tally.contacts[0]["depth_m"] > 0.0
-    away = [value + 3.0 for value in middle.tolist()]
-    aside = {**item, **({"from": away, "to": [value + 0.3 for value in away]} if place else {where: away})}
-    member.look_at(planned, scene_file(tmp_path, start, goal, aside))
-    assert len(tally.contacts) == 1
+@pytest.mark.parametrize("item", ITEMS, ids=lambda item: item["kind"])
+def test_contact_with_an_obstacle_is_found(harvester: DrawnArm, item: dict[str, Any]) -> None:
+    motion = line(harvester, (0.0, 0.2, 0.3, 0.4), (1.0, 1.0, 0.9, 0.8))
+    middle = tool(harvester, motion.values[len(motion.values) // 2])
+    found = contacts(harvester.arm, motion, things_of([placed(item, middle)]))
+    assert found
+    assert {contact.second for contact in found} == {"o"}
+    assert all(contact.depth_m > 1e-3 and 0.15 < contact.time_s < 0.3 for contact in found)
+    assert not contacts(harvester.arm, motion, things_of([placed(item, middle + 3.0)]))
 
 
-def test_deep_contact_is_found(robot: Robot, tmp_path: Path) -> None:
-    """A link wholly inside a box: coal's own default request does not see it."""
-    q = np.array([0.0, 0.5, 0.5, 0.5])
-    box = {"name": "o", "kind": "box", "center": [0.0, 0.0, 0.6], "size": [8.0, 8.0, 8.0]}
-    bodies = PlacedBodies(robot.urdf_path, scene_file(tmp_path, q, q, box))
-    for body in range(bodies.count):
-        touch = bodies.first_touch(np.zeros(1), q[None], [(body, bodies.count)])
-        assert touch is not None
-        assert touch.second == "o"
+@pytest.mark.parametrize("of_base", [False, True])
+def test_what_moves_is_where_its_track_has_it(harvester: DrawnArm, of_base: bool) -> None:
+    """It is at the tool from 2.5 s to 3 s on the clock of the tracks, and 2 m away until 2 s."""
+    q = (0.0, 0.2, 0.3, 0.4)
+    turn = {"rpy_deg": ((0.0, 0.0, 0.0), (0.0, 0.0, 40.0), (0.0, 0.0, 40.0)), "about": (0.0, 0.0, 0.0)}
+    track = {"times_s": (2.0, 2.5, 3.0), "shifts_m": ((0.0, 0.0, 0.0), (1.0, -2.0, 0.0), (1.0, -2.0, 0.0)), **turn}
+    there = Moves(track).at(np.array([2.5]))[0]
+    if of_base:
+        item, base = placed(ITEMS[0], there[:3, :3] @ tool(harvester, q) + there[:3, 3]), Moves(track)
+    else:
+        item, base = placed(ITEMS[0], there[:3, :3].T @ (tool(harvester, q) - there[:3, 3]), track=track), None
+    still = line(harvester, q, q)
+    assert not contacts(harvester.arm, still, things_of([item]), base=base, begin_s=1.4)
+    first = min(contact.time_s for contact in contacts(harvester.arm, still, things_of([item]), base=base, begin_s=2.1))
+    assert 0.3 < first < 0.4
 
 
-def test_own_bodies_are_looked_at(tmp_path: Path) -> None:
-    """Of straight lines between configurations that touch nothing, some lead through the arm itself."""
-    found: set[str] = set()
-    for seed in range(6):
-        rng = np.random.default_rng(seed)
-        robot = load_robot(write_member(tmp_path, rng))
-        member = MemberMotions(robot, tmp_path, rng, MotionCounts(), "test")
-        bodies, shapes = member.bodies, member.bodies.geometry.geometryObjects
-        assert all(shapes[a].parentJoint != shapes[b].parentJoint for a, b in member.pairs)
-        for _ in range(10):
-            line = np.linspace(member.configuration(), member.configuration(), 200)
-            touch = bodies.first_touch(np.arange(200.0), line, member.pairs)
-            if touch is not None:
-                found |= {touch.first.split("_")[0], touch.second.split("_")[0]}
-    assert {"link"} < found
-    assert found & {"mast", "counterweight", "cabinet", "gripper", "turret"}
+def test_own_interpolation_is_that_of_the_documentation() -> None:
+    track = {
+        "times_s": (0.0, 1.0, 3.0),
+        "shifts_m": ((0.0, 0.0, 0.0), (1.0, 0.0, 0.5), (0.0, 0.3, 0.0)),
+        "rpy_deg": ((0.0, 0.0, 0.0), (30.0, -40.0, 100.0), (-20.0, 0.0, 20.0)),
+        "about": (0.2, -0.1, 0.4),
+    }
+    clock = np.linspace(-1.0, 4.0, 37)
+    poses, (turns, places) = Moves(track).at(clock), Poses.of(Track(**track)).at(clock)
+    np.testing.assert_allclose(poses[:, :3, :3], turns, atol=1e-12)
+    np.testing.assert_allclose(poses[:, :3, :3] @ track["about"] + poses[:, :3, 3], places, atol=1e-12)
 
 
-def test_only_joined_pairs_and_those_that_always_touch_are_left_out(tmp_path: Path) -> None:
-    for seed in range(4):
-        rng = np.random.default_rng(seed)
-        robot = load_robot(write_member(tmp_path, rng))
-        bodies = PlacedBodies(robot.urdf_path)
-        kept, shapes, frames = bodies.own_pairs(rng), bodies.geometry.geometryObjects, bodies.model.frames
-        for a in range(bodies.count):
-            for b in range(a + 1, bodies.count):
-                if (a, b) in kept or shapes[a].parentJoint == shapes[b].parentJoint:
-                    continue
-                names = sorted(frames[shapes[k].parentFrame].name for k in (a, b))
-                if "mast" in names or "cabinet" in names or "counterweight" in names:
-                    q = rng.uniform(robot.lower, robot.upper, (50, robot.dof))
-                    assert (bodies.distances(q, [(a, b)]) < 0.0).all()
-                    continue
-                chain = [
-                    "base_link", *(["turret"] if robot.has_yaw else []), *robot.arm.link_names,
-                ]  # fmt: skip
-                if names[0] in chain and names[1] in chain:
-                    assert (
-                        abs(chain.index(names[0]) - chain.index(names[1])) == 1
-                        or (
-                            bodies.distances(rng.uniform(robot.lower, robot.upper, (50, robot.dof)), [(a, b)]) < 0.0
-                        ).all()
-                    )
+def test_fruit_may_be_touched_in_its_window_by_the_last_link_alone(harvester: DrawnArm) -> None:
+    motion = line(harvester, (0.0, 0.2, 0.3, 0.4), (0.0, 0.3, 0.4, 0.5))
+    fruit = things_of([placed(ITEMS[0], tool(harvester, motion.values[-1]))])
+    first = min(contact.time_s for contact in contacts(harvester.arm, motion, fruit))
+    assert not contacts(harvester.arm, motion, fruit, windows=[Window("o", first, 1.0)])
+    assert contacts(harvester.arm, motion, fruit, windows=[Window("o", first + 1e-3, 1.0)])
+    assert contacts(harvester.arm, motion, fruit, windows=[Window("another", first, 1.0)])
+    elbow = harvester.arm.places(harvester.arm.configurations(motion.names, motion.values[-1:])[0])
+    k = next(k for k, body in enumerate(harvester.arm.bodies) if body.joint == harvester.arm.tool_joint - 1)
+    on_link = things_of([placed(ITEMS[0], elbow[k].act(harvester.arm.bodies[k].middle))])
+    assert contacts(harvester.arm, motion, on_link, windows=[Window("o", 0.0, 1.0)])
 
 
-@pytest.mark.parametrize("verified", [True, False])
-def test_a_wrong_certificate_is_counted(monkeypatch: pytest.MonkeyPatch, verified: bool) -> None:
-    always = SimpleNamespace(verified=verified, violations=())
-    monkeypatch.setattr(validation, "certify", lambda *_: always)
-    tally = validate_motions(members=1, motions=0, grazing=5, seed=0)
-    assert (tally.grazing, tally.clear, tally.ok) == (5, 5, False)
-    assert len(tally.verified) == (5 if verified else 0)
-    assert len(tally.unverified) == (0 if verified else 5)
+@pytest.mark.parametrize("number", range(8))
+def test_skipped_ticks_hold_no_contact(tmp_path: Path, number: int) -> None:
+    """Of lines through random worlds, the same pairs touch, at the same times, where every tick is looked at."""
+    rng = np.random.default_rng(number)
+    drawn = draw_arm(tmp_path, rng)
+    world = draw_world(drawn, rng, moving=number % 2 == 0, camera=number % 4 < 2)
+    assert world is not None
+    motion = line(drawn, world.start, world.goal + rng.uniform(-1.0, 1.0, len(world.goal)), 0.1)
+    found, all_ticks = (
+        contacts(drawn.arm, motion, world.things, base=world.moves, begin_s=0.3, skip=skip) for skip in (True, False)
+    )
+    assert found == all_ticks
 
 
-def test_obstacles_stand_where_they_are_said_to(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Least distance of every one that was placed, asked anew of its numbers in the scene."""
-    placed: list[tuple[float, float]] = []
-    rng = np.random.default_rng(5)
-    robot = load_robot(write_member(tmp_path, rng))
-    member = MemberMotions(robot, tmp_path, rng, MotionCounts(), "test")
-    original: Callable[..., Any] = MemberMotions.placed
-
-    def watched(self: Any, shapes: Any, target: int, q: Any, distance: float) -> Any:
-        found = original(self, shapes, target, q, distance)
-        if found is not None:
-            (_, body, place) = solids_of(scene_file(tmp_path, q[0], q[0], found[0]))[0]
-            placed.append((self._least(shapes, q, body, place)[0], distance))
-        return found
-
-    monkeypatch.setattr(MemberMotions, "placed", watched)
-    member.grazing_motions(4, 4)
-    assert len(placed) >= 8
-    for real, asked in placed:
-        assert abs(real - asked) <= 0.05 * abs(asked) + 2e-6
+def test_arms_are_read_as_hplan_reads_them(tmp_path: Path) -> None:
+    """The tool, and so the names and the order of joints, whether they slide, turn without end or are held."""
+    rng = np.random.default_rng(1)
+    arms = [named_arm("orchard_harvester"), *(draw_arm(tmp_path, rng) for _ in range(12))]
+    for drawn in arms:
+        for q in drawn.arm.drawn(rng, 5):
+            drawn.arm.places(drawn.arm.configurations(drawn.arm.joints, q[None])[0])
+            frame = drawn.arm.model.frames[drawn.arm.model.getFrameId(drawn.robot.tool_frame)]
+            at = (drawn.arm.data.oMi[frame.parentJoint] * frame.placement).translation
+            np.testing.assert_allclose(at, tool(drawn, q), atol=1e-9)
 
 
-def test_rows_are_read_and_filled_in_as_cubics(robot: Robot, tmp_path: Path) -> None:
-    motion = plan(robot, load_scene(scene_file(tmp_path, (0.0, 0.2, 0.3, 0.4), (0.5, 0.4, 0.6, 0.8)))).trajectory
-    path = write_csv(motion, tmp_path / "t.csv")
-    names, time, position, velocity = read_rows(path)
-    assert tuple(names) == robot.joint_names
-    np.testing.assert_array_equal(position, read_csv(path).position)
-    np.testing.assert_array_equal(velocity, read_csv(path).velocity)
-    ticks, q = between_rows(time, position, velocity)
-    assert np.diff(ticks).max() < 1.001e-3
-    np.testing.assert_array_equal(q[np.searchsorted(ticks, time)], position)
+@pytest.mark.parametrize("kind", CHAINS)
+def test_chains_are_taken(tmp_path: Path, kind: str) -> None:
+    robot = load_robot(write_chain(tmp_path, np.random.default_rng(0), kind))
+    assert robot.planar is None
+    assert robot.dof == len(CHAINS[kind])
+
+
+def test_rows_are_read_and_filled_in_as_cubics(harvester: DrawnArm, tmp_path: Path) -> None:
     cubic = np.polynomial.Polynomial([0.1, -0.3, 2.0, -1.5])
     knots = np.array([0.0, 0.3, 0.4, 1.0])
     ticks, q = between_rows(knots, cubic(knots)[:, None], cubic.deriv()(knots)[:, None])
     np.testing.assert_allclose(q[:, 0], cubic(ticks), atol=1e-12)
+    assert np.diff(ticks).max() < 5.001e-4
+    rows = np.tile(cubic(knots)[:, None], 4), np.tile(cubic.deriv()(knots)[:, None], 4)
+    zeros = np.zeros((4, 4))
+    path = write_csv(Trajectory(harvester.robot.joint_names, knots, *rows, zeros, zeros), tmp_path / "t.csv")
+    motion = Motion.read(path, 0.3)
+    assert tuple(motion.names) == harvester.robot.joint_names
+    np.testing.assert_allclose(motion.values[:, 2], cubic(motion.times), atol=1e-6)
+    assert motion.times[0] == pytest.approx(0.3, abs=1e-3)
 
 
-def test_stl_is_the_closed_hull(tmp_path: Path) -> None:
-    write_stl(tmp_path / "g.stl", np.random.default_rng(0).uniform(-1.0, 1.0, (20, 3)))
-    mesh = trimesh.load(tmp_path / "g.stl")
-    assert mesh.is_watertight
-    assert mesh.volume == pytest.approx(mesh.convex_hull.volume)
+def test_motions_of_a_case_have_no_contact() -> None:
+    tally = run_case(0, CASE)
+    assert not tally.faults
+    assert {"plan", "stop", "scaled"} <= set(tally.looked)
+    assert json.loads(json.dumps(tally.as_dict()))["ok"]
+    assert run_case(0, CASE).as_dict() == tally.as_dict()
 
 
-def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_hplan_is_not_told_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = World.scene
+    monkeypatch.setattr(World, "scene", lambda world: whole(world).model_copy(update={"obstacles": ()}))
+    tally = run_case(0, CASE)
+    assert any(fault["kind"] == "plan" and fault["depth_m"] > 1e-3 for fault in tally.faults)
+
+
+@pytest.mark.parametrize("verified", [None, True, False])
+def test_a_wrong_certificate_is_counted(monkeypatch: pytest.MonkeyPatch, verified: bool | None) -> None:
+    if verified is not None:
+        monkeypatch.setattr(grazing, "certify", lambda *_: SimpleNamespace(verified=verified))
+    total = Tally()
+    for number in range(4):
+        total.add(grazing.graze(0, number))
+    assert min(total.looked["grazing"], total.looked["clear"]) > 0
+    wrong = {None: 0, True: total.looked["grazing"], False: total.looked["clear"]}
+    assert len(total.faults) == wrong[verified]
+
+
+def test_ends_leave_room(harvester: DrawnArm) -> None:
+    ends = draw_ends(harvester, np.random.default_rng(0), 0.01)
+    assert ends is not None
+    assert all(harvester.arm.has_room(q, 0.02) for q in ends)
+
+
+@pytest.mark.parametrize("what", ["motions", "grazing", "soak"])
+def test_command(tmp_path: Path, what: str, capsys: pytest.CaptureFixture[str]) -> None:
     script = load_script("validate_motions")
-    arguments = ["--members", "1", "--motions", "1", "--grazing", "1", "--out", str(tmp_path)]
-    assert script.main(arguments) == 0
-    numbers = json.loads((tmp_path / script.RESULT).read_text())
-    assert (numbers["ok"], numbers["certified"], numbers["grazing"], numbers["clear"]) == (True, 1, 1, 1)
-    assert "with contact: 0" in capsys.readouterr().out
-    assert script.main(["--members", "0"]) == 2
+    arguments = [what, "--cases", "1", "--first", str(CASE), "--minutes", "0.05", "--out", str(tmp_path)]
+    assert script.main(arguments) == 0, capsys.readouterr().out
+    assert json.loads((tmp_path / f"validation-{what}.json").read_text())["ok"]
+    assert "at fault: 0" in capsys.readouterr().out
+
+
+def test_command_refuses_numbers_that_are_none() -> None:
+    assert load_script("validate_motions").main(["--cases", "0"]) == 2
+
+
+#: A case whose planner makes motions in most of its worlds.
+CASE = 8

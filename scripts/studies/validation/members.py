@@ -1,8 +1,9 @@
-"""Random members of the family, drawn as URDFs: bodies of all kinds on pedestal, turret, links and tool.
+"""Random arms, drawn as URDFs: members of the family with bodies of all kinds, and chains of any joints.
 
-Nothing of hplan writes them: links are boxes or cylinders; pedestal and turret carry cabinets, counterweights and masts
-on fixed links; the last link carries boxes, and grippers whose meshes are written as STL. Where they have offsets, the
-yaw axis stands off the origin, the arm plane passes it at a distance, and joints, links and tool lie beside each other.
+Nothing of hplan writes them. Of members, links are boxes or cylinders; pedestal and turret carry cabinets,
+counterweights and masts on fixed links; the last link carries boxes, and grippers whose meshes are written as STL.
+Where they have offsets, the yaw axis stands off the origin, the arm plane passes it at a distance, and joints, links
+and tool lie beside each other.
 """
 
 from __future__ import annotations
@@ -69,6 +70,73 @@ def write_member(folder: Path, rng: np.random.Generator, *, offsets: bool = Fals
     table = "{" + ", ".join(limits) + "}"
     path.with_suffix(".limits.yaml").write_text(f"format: hplan-limits/1\nacceleration_rad_s2: {table}\n", "utf-8")
     return path
+
+
+#: Chains by name: of each joint its axis, x, y or z, a capital where it slides, `?` for any axis and kind.
+CHAINS = {
+    "six axes": "zyyzyz", "seven axes": "zyzyzyz", "rail and six": "Yzyyzyz", "lift": "ZzXy", "scara": "zzzZ",
+    "gantry": "XYZzy", "any four": "????", "any six": "??????",
+}  # fmt: skip
+
+#: Share of turning joints without limits.
+_ENDLESS = 0.15
+
+
+def write_chain(folder: Path, rng: np.random.Generator, kind: str) -> Path:
+    """Draw a chain that is no member, and write it.
+
+    Args:
+        folder: Where to write URDF and meshes.
+        rng: Where its numbers come from.
+        kind: One of `CHAINS`.
+
+    Returns:
+        The URDF.
+    """
+    height = float(rng.uniform(0.1, 0.5))
+    foot = _collision(_box([*rng.uniform(0.1, 0.25, 2), 0.8 * height]), [0.0, 0.0, 0.4 * height])
+    parts = ['<?xml version="1.0"?>', '<robot name="chain">', _link("base_link", [foot])]
+    parent, place = "base_link", [0.0, 0.0, height]
+    count = len(CHAINS[kind])
+    for k, sign in enumerate(CHAINS[kind]):
+        axis = np.eye(3)["xyz".index(sign.lower())] if sign != "?" else rng.normal(size=3)
+        slides = sign.isupper() or (sign == "?" and bool(rng.random() < 0.2))
+        if rng.random() < 0.3:
+            axis = axis + rng.normal(scale=0.1, size=3)
+        # Wrists are shorter; each link leads up, or, of a slide, along it.
+        along = rng.normal(scale=0.25, size=3) + np.array([0.0, 0.0, 1.0])
+        along *= float(rng.uniform(0.25, 0.5) if k < count - 3 else rng.uniform(0.12, 0.25)) / np.linalg.norm(along)
+        parts.append(_link(f"link_{k}", [_bone(rng, along)]))
+        half = float(rng.uniform(0.2, 0.8) if slides else np.radians(rng.uniform(60.0, 170.0)))
+        limits: tuple[float, float] | None = (0.0, half) if slides else (-half, half)
+        what = "prismatic" if slides else "revolute"
+        if not slides and rng.random() < _ENDLESS:
+            what, limits = "continuous", None
+        push = f'acceleration="{rng.uniform(3.0, 8.0):.3f}"'
+        parts.append(_joint(f"joint_{k}", parent, f"link_{k}", place, _text(axis), limits, what, push))
+        parent, place = f"link_{k}", along.tolist()
+    length = float(rng.uniform(0.08, 0.2))
+    tube = _collision(cylinder(0.015, length - 0.01), [0.0, 0.0, 0.5 * length + 0.01])
+    parts += [_link("tube", [tube]), _joint("flange", parent, "tube", place)]
+    parts += [_link("tool0", []), _joint("tip", "tube", "tool0", [0.0, 0.0, length])]
+    if rng.random() < 0.3:
+        write_stl(folder / "gripper.stl", rng.uniform(-1.0, 1.0, (14, 3)) * rng.uniform(0.02, 0.05, 3))
+        body = f'<mesh filename="{folder / "gripper.stl"}"/>'
+        parts += _hung("gripper", "tube", [0.0, 0.0, 0.6 * length], body, rng)
+    path = folder / "chain.urdf"
+    path.write_text("\n".join([*parts, "</robot>"]) + "\n", encoding="utf-8")
+    return path
+
+
+def _bone(rng: np.random.Generator, along: FloatArray) -> str:
+    """A body along a link, that begins after its joint and ends before the next one."""
+    length = float(np.linalg.norm(along))
+    turn = [0.0, math.acos(along[2] / length), math.atan2(along[1], along[0])]
+    width, middle = float(rng.uniform(0.08, 0.16)) * length, (0.52 * along).tolist()
+    if rng.random() < 0.2:
+        return _collision(f'<sphere radius="{0.25 * length:.6f}"/>', middle)
+    body = cylinder(width, 0.6 * length) if rng.random() < 0.5 else _box([1.8 * width, 1.4 * width, 0.6 * length])
+    return _collision(body, middle, turn)
 
 
 def write_stl(path: Path, points: FloatArray) -> None:
@@ -180,15 +248,15 @@ def _link(name: str, collisions: Sequence[str]) -> str:
 
 def _joint(
     name: str, parent: str, child: str, place: Sequence[float], axis: str = "",
-    limits: tuple[float, float] | None = None,
+    limits: tuple[float, float] | None = None, kind: str = "revolute", more: str = "",
 ) -> str:  # fmt: skip
-    """A revolute joint, or a fixed one where there are no limits."""
+    """A joint that moves, or a fixed one where it has no axis."""
     ends = f'<parent link="{parent}"/><child link="{child}"/><origin xyz="{_text(place)}"/>'
-    if limits is None:
+    if not axis:
         return f'<joint name="{name}" type="fixed">{ends}</joint>'
-    low, high = limits
-    limit = f'<limit lower="{low:.6f}" upper="{high:.6f}" velocity="3" effort="{EFFORT:g}"/>'
-    return f'<joint name="{name}" type="revolute">{ends}<axis xyz="{axis}"/>{limit}</joint>'
+    between = "" if limits is None else f'lower="{limits[0]:.6f}" upper="{limits[1]:.6f}" '
+    limit = f'<limit {between}velocity="3" effort="{EFFORT:g}" {more}/>'
+    return f'<joint name="{name}" type="{kind}">{ends}<axis xyz="{axis}"/>{limit}</joint>'
 
 
 def _box(size: Sequence[float] | FloatArray) -> str:

@@ -154,7 +154,7 @@ def _box(name: str, rng: np.random.Generator, place: _Place) -> Box:
 
 def _mesh(name: str, rng: np.random.Generator, place: _Place) -> Mesh:
     convex = rng.random() < _CONVEX
-    mesh = Mesh.of(name, *_convex_surface(rng)) if convex else _stock(int(rng.integers(_STOCK)))
+    mesh = Mesh.of(name, *_convex_surface(rng)) if convex else stock(int(rng.integers(_STOCK)))
     size = 0.5 * float(np.ptp(mesh.surface[0], axis=0).max())
     return mesh.model_copy(update={"name": name, "position": place(size), "rpy_deg": _turn(rng)})
 
@@ -190,7 +190,7 @@ def _cluster(robot: Robot, rng: np.random.Generator, sector: tuple[float, float]
 
 
 @functools.cache
-def _stock(number: int) -> Mesh:
+def stock(number: int) -> Mesh:
     """A mesh that is not convex: a bucket, a ring or pipe, a notched plate or block."""
     rng = np.random.default_rng([_STOCK, number])
     surface = (_bucket, _ring, _notched)[number % 3](rng)

@@ -1,0 +1,338 @@
+"""Motions of a random arm in a random world, one after the other, each looked at by the judge.
+
+A case is an arm and a few worlds. In each a motion is planned; it is stopped at random instants, scaled, and while it
+runs the world changes and a new motion is spliced in. Whatever is handed out as verified is looked at by
+`studies.validation.judge` in the world as it is. A case follows from the seed and its number alone.
+"""
+
+from __future__ import annotations
+
+import functools
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from studies.validation.arms import DrawnArm, draw_arm
+from studies.validation.judge import Motion, Window, contacts
+from studies.validation.random_scenes import direction
+from studies.validation.worlds import (
+    BALL_M,
+    SEEN,
+    World,
+    draw_item,
+    draw_seen,
+    draw_world,
+    free,
+    obstacle,
+    seen_from_base,
+    surface,
+)
+
+from hplan.base.arrays import FloatArray
+from hplan.errors import HplanError, RunningMotionBlockedError
+from hplan.online.planner import Planner
+from hplan.perception.frame import CloudOptions
+from hplan.planning.plan import PlanResult
+from hplan.problem.options import PlanOptions
+from hplan.scene.model import Goal
+from hplan.timing.trajectory import Trajectory, write_csv
+from hplan.verification.certificate import Certificate
+
+#: Worlds of a case, changes while a motion runs, and stops between them.
+WORLDS, CHANGES, STOPS = 4, 4, 3
+
+#: How long until something changes, and how much later a new motion may take over [s].
+PAUSE_S, AHEAD_S = (0.02, 0.6), 0.1
+
+#: CPU time for which a motion is looked for [s]; a case in which much is called once.
+patience_s, _WARM = 0.8, 8
+
+#: How far a splice may be from where the motion before it is [rad, m].
+JUMP = 1e-6
+
+
+@dataclass
+class Tally:
+    """What was counted.
+
+    Attributes:
+        arms: Arms by kind.
+        refused: Calls without a motion, by the error.
+        looked: Motions that were looked at, by kind.
+        unverified: Stops, scalings and splices that were not verified, by kind.
+        ticks: Configurations that were looked at.
+        faults: Contacts and jumps, each with what it needs to be found again.
+        measured: Numbers of a soak.
+    """
+
+    arms: Counter[str] = field(default_factory=Counter)
+    refused: Counter[str] = field(default_factory=Counter)
+    looked: Counter[str] = field(default_factory=Counter)
+    unverified: Counter[str] = field(default_factory=Counter)
+    ticks: int = 0
+    faults: list[dict[str, Any]] = field(default_factory=list)
+    measured: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def motions(self) -> int:
+        """All motions that were looked at."""
+        return sum(self.looked.values())
+
+    def add(self, other: Tally) -> None:
+        """Count another one too."""
+        for name in ("arms", "refused", "looked", "unverified", "ticks", "faults"):
+            setattr(self, name, getattr(self, name) + getattr(other, name))
+
+    def as_dict(self) -> dict[str, Any]:
+        """The numbers, ready for JSON."""
+        numbers = {name: dict(value) if isinstance(value, Counter) else value for name, value in vars(self).items()}
+        return {"ok": not self.faults, "motions": self.motions, **numbers}
+
+
+def run_case(seed: int, number: int) -> Tally:
+    """One arm, and its worlds."""
+    _warm_up()
+    return _run_case(seed, number)
+
+
+@functools.cache
+def _warm_up() -> None:
+    """Load kernels, which would count as time in which a motion is looked for."""
+    global patience_s
+    kept, patience_s = patience_s, 60.0
+    _run_case(0, _WARM)
+    patience_s = kept
+
+
+def _run_case(seed: int, number: int) -> Tally:
+    rng, tally = np.random.default_rng([seed, number]), Tally()
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        try:
+            drawn = draw_arm(folder, rng)
+        except HplanError as error:
+            tally.refused[f"robot: {error.kind}"] += 1
+            return tally
+        tally.arms[drawn.kind] += 1
+        for count in range(WORLDS):
+            own = np.random.default_rng([seed, number, count])
+            moving, camera = bool(own.random() < 0.5), bool(own.random() < 0.5)
+            world = draw_world(drawn, own, moving=moving, camera=camera)
+            if world is not None:
+                Episode(drawn, world, own, tally, folder, f"{number}.{count}").run()
+    return tally
+
+
+@dataclass(eq=False)
+class Episode:
+    """A world, and the planner in it.
+
+    Attributes:
+        drawn: The arm.
+        world: What is there now; tracks on their own clock.
+        rng: Where numbers come from.
+        tally: Where it is counted.
+        folder: Where files may be written.
+        name: Of the case and its world.
+    """
+
+    drawn: DrawnArm
+    world: World
+    rng: np.random.Generator
+    tally: Tally
+    folder: Path
+    name: str
+
+    def run(self) -> None:
+        """Plan, stop, scale; change the world and go on."""
+        rng = self.rng
+        self.begin_s = 0.0  # when the running motion began, on the clock of the tracks
+        options = PlanOptions(
+            effort="quick" if rng.random() < 0.6 else "default", step_deg=6.0, rate_hz=float(rng.choice([100.0, 250.0]))
+        )  # fmt: skip
+        self.planner = Planner(self.drawn.robot, self.world.scene(), options)
+        self.frame(self.world.start, 0.0)
+        try:
+            found = self.planner.plan(cancel=impatient())
+        except HplanError as error:
+            self.tally.refused[error.kind] += 1
+            return
+        self.planned_for = self.world
+        self.look("plan", found.trajectory, found.certificate)
+        self.retimed(found, 0.0)
+        for _ in range(CHANGES):
+            later = self.changed(found)
+            if later is None:
+                return
+            found = later
+
+    def retimed(self, running: PlanResult, now: float) -> None:
+        """Stops, and the whole motion slower."""
+        duration = running.trajectory.duration
+        for _ in range(STOPS):
+            t = float(self.rng.uniform(now, duration))
+            self.certified("stop", lambda t=t: self.planner.stop_at(t, now=now), now)
+        if now == 0.0:
+            factor = float(self.rng.uniform(0.3, 1.0))
+            self.certified("scaled", lambda: running.scaled(factor), 0.0)
+
+    def certified(self, kind: str, ask: Any, now: float) -> None:
+        """Look at a motion along the running one's path."""
+        try:
+            found = ask()
+        except HplanError as error:
+            self.tally.refused[f"{kind}: {error.kind}"] += 1
+            return
+        self.look(kind, found.trajectory, found.certificate, from_s=now)
+
+    def changed(self, running: PlanResult) -> PlanResult | None:
+        """The world changes, and a motion goes on; None where none does."""
+        duration = running.trajectory.duration
+        now = float(min(self.rng.uniform(*PAUSE_S), duration))
+        at = min(now + AHEAD_S, duration)
+        q = running.trajectory.positions(np.array([now]))[0]
+        try:
+            self.change(q, self.begin_s + now)
+            self.retimed(running, now)
+            found = self.planner.replan(at=at, now=now, cancel=impatient())
+        except RunningMotionBlockedError as error:
+            self.tally.refused["splice: blocked"] += 1
+            if error.stop is not None:
+                row = max(int(np.searchsorted(running.trajectory.time, now + 1e-9, side="right")) - 1, 0)
+                begins = self.begin_s + float(running.trajectory.time[row])
+                self.look("blocked stop", error.stop, error.certificate, begin_s=begins)
+            return None
+        except HplanError as error:
+            self.tally.refused[f"splice: {error.kind}"] += 1
+            return None
+        before = running.trajectory.positions(np.array([found.begins_s]))[0]
+        jump = float(np.abs(found.trajectory.position[0] - before).max())
+        if jump > JUMP:
+            self.tally.faults.append({"case": self.name, "kind": "splice", "jump": jump})
+        self.begin_s += found.begins_s
+        windows = self.windows(running.certificate, found.begins_s, found.seam_s)
+        if not found.is_kept:
+            self.planned_for = self.world
+        self.look("kept" if found.is_kept else "splice", found.trajectory, found.certificate, windows=windows)
+        self.retimed(found, 0.0)
+        return found
+
+    def windows(self, certificate: Certificate, since_s: float, until_s: float) -> list[Window]:
+        """When the motion up to now may touch its fruit, until a seam."""
+        if certificate.contact_s is None:
+            return []
+        from_s, to_s = (time - since_s for time in certificate.contact_s)
+        return self.window((max(from_s, 0.0), min(to_s, until_s))) if to_s >= 0.0 else []
+
+    def window(self, contact_s: tuple[float, float] | None) -> list[Window]:
+        """The window of the fruit that the motion was planned for, while that is where it was."""
+        name = self.planned_for.target
+        if name is None or contact_s is None or _fruit(self.planned_for, name) != _fruit(self.world, name):
+            return []
+        return [Window(name, *contact_s)]
+
+    def look(
+        self, kind: str, trajectory: Trajectory, certificate: Certificate | None, *, from_s: float = 0.0,
+        begin_s: float | None = None, windows: Sequence[Window] = (),
+    ) -> None:  # fmt: skip
+        """Judge a motion, if it is verified."""
+        if certificate is None or not certificate.verified:
+            self.tally.unverified[kind] += 1
+            return
+        path = write_csv(trajectory, self.folder / "motion.csv")
+        motion = Motion.read(path, from_s)
+        begin_s = self.begin_s if begin_s is None else begin_s
+        allowed = [*windows, *self.window(certificate.contact_s)]
+        found = contacts(
+            self.drawn.arm, motion, self.world.things, base=self.world.moves, begin_s=begin_s, windows=allowed
+        )
+        self.tally.looked[kind] += 1
+        self.tally.ticks += len(motion.times)
+        if found:
+            deepest = vars(max(found, key=lambda contact: contact.depth_m))
+            told = {"claimed_m": certificate.min_clearance_m, "begin_s": begin_s, "base": self.world.base is not None}
+            self.tally.faults.append({"case": self.name, "arm": self.drawn.kind, "kind": kind, **deepest, **told})
+
+    # What changes
+
+    def frame(self, q: FloatArray, time_s: float) -> None:
+        """The camera looks: what is seen is told to the planner, points of the arm and of fruit with it."""
+        world, rng, arm = self.world, self.rng, self.drawn.arm
+        if world.seen is None:
+            return
+        own = [
+            place.act(body.middle)[None] for body, place in
+            zip(arm.bodies, arm.places(arm.configurations(arm.joints, q[None])[0]), strict=True)
+        ]  # fmt: skip
+        fruit = [surface(rng, each, 0.01) for each in world.fruits if each["name"] == world.target]
+        points = np.concatenate([seen_from_base(world, np.concatenate([world.seen, *fruit]), time_s), *own])
+        turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+        turn[:, 0] *= np.linalg.det(turn)
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = turn, rng.uniform(-1.0, 1.0, 3)
+        if self.planner.scene.moves:
+            ignore = []  # not taken where something moves
+        options = CloudOptions(growth_m=float(rng.choice([0.002, 0.005, 0.02])))
+        ignore = [] if world.target is None else [world.target]
+        local = (rng.permutation(points) - pose[:3, 3]) @ turn
+        self.planner.set_cloud(SEEN, local, radius=BALL_M, pose=pose, joints=q, ignore=ignore, options=options)
+
+    def change(self, q: FloatArray, time_s: float) -> None:
+        """Something comes, goes, moves or is seen anew; or the arm is to go elsewhere; or nothing changes."""
+        world, rng, planner = self.world, self.rng, self.planner
+        changes = (
+            ["add", "aim", "aim", "aim", "nothing"]
+            + ["move", "remove"] * bool(world.items)
+            + ["see"] * (2 * (world.seen is not None))
+        )
+        changes += ["fruit"] * (world.target is not None)
+        what = changes[int(rng.integers(len(changes)))]
+        if what == "add":
+            for item in free(self.drawn, world, [draw_item(self.drawn, world, rng, f"new {time_s:.6f}")], q, time_s):
+                planner.add(obstacle(item))
+                self.world = replace(world, items=(*world.items, item))
+        elif what == "remove":
+            gone = world.items[int(rng.integers(len(world.items)))]
+            planner.remove(gone["name"])
+            self.world = replace(world, items=tuple(item for item in world.items if item is not gone))
+        elif what == "move":
+            k = int(rng.integers(len(world.items)))
+            moved = _shifted(world.items[k], direction(rng) * rng.uniform(0.01, 0.2))
+            for item in free(self.drawn, world, [moved], q, time_s):
+                keys = (("center", "center"), ("position", "position"), ("from", "start"), ("to", "end"))
+                planner.move(item["name"], **{key: tuple(item[ours]) for ours, key in keys if ours in item})
+                self.world = replace(world, items=(*world.items[:k], item, *world.items[k + 1 :]))
+        elif what == "see":
+            self.world = replace(world, seen=draw_seen(self.drawn, world, rng, q, time_s))
+            self.frame(q, time_s)
+        elif what == "aim":
+            goals = [q for q in self.drawn.arm.drawn(rng, 20) if self.drawn.arm.has_room(q, 0.02)]
+            if goals:
+                goal = q + (goals[0] - q) * rng.uniform(0.1, 0.6)
+                planner.aim(goal=Goal(joints_rad=tuple(goal.tolist())))
+                self.world = replace(world, goal=goal, target=None)
+        elif what == "fruit":
+            fruits = tuple(_shifted(fruit, direction(rng) * rng.uniform(0.0, 0.1)) for fruit in world.fruits)
+            self.world = replace(world, fruits=fruits)
+            planner.scene = planner.scene.model_copy(update={"fruits": self.world.scene().fruits})
+
+
+def impatient() -> Callable[[], bool]:
+    """Whether a call has taken too long, by CPU time: so results do not depend on what else runs."""
+    until = time.process_time() + patience_s
+    return lambda: time.process_time() > until
+
+
+def _fruit(world: World, name: str) -> Any:
+    return next((fruit for fruit in world.fruits if fruit["name"] == name), None)
+
+
+def _shifted(item: dict[str, Any], shift: FloatArray) -> dict[str, Any]:
+    """The same elsewhere."""
+    keys = ("from", "to") if item["kind"] == "capsule" else ("center",) if "center" in item else ("position",)
+    return {**item, **{key: (np.array(item[key]) + shift).tolist() for key in keys}}

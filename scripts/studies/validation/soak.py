@@ -1,0 +1,291 @@
+"""One planner for an hour: four threads call its methods by chance, at the rate of a camera.
+
+One thread hands in frames, one plans and replans while the motion runs by the clock on the wall, one asks for stops,
+one changes obstacles and goal. Counted are errors that are not hplan's, how long frames take, how much memory is in
+use, and contacts: a sample of what was handed out is written down, with the true points of the frame that its scene
+holds, and looked at by the judge when the hour is over.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import pickle
+import tempfile
+import threading
+import time
+from collections import OrderedDict
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from studies.validation.arms import DrawnArm, named_arm
+from studies.validation.episodes import Tally
+from studies.validation.judge import Motion, Thing, Window, contacts, things_of
+from studies.validation.random_scenes import direction
+from studies.validation.worlds import BALL_M, SEEN, World, draw_ends, draw_item, free, obstacle, surface
+
+from hplan.base.arrays import FloatArray
+from hplan.errors import HplanError
+from hplan.online.planner import Planner
+from hplan.planning.plan import PlanResult
+from hplan.problem.options import PlanOptions
+from hplan.scene.model import Goal, Scene, Start
+from hplan.scene.obstacles import PointCloud
+from hplan.timing.trajectory import Trajectory, write_csv
+
+#: Frames, replans, stops and changes per second.
+CAMERA_HZ, REPLAN_HZ, STOP_HZ, CHANGE_HZ = 30.0, 4.0, 4.0, 4.0
+
+#: Points of a frame; clouds of which each frame shows one; how many frames' points are remembered.
+POINTS, CLOUDS, REMEMBERED = 20_000, 12, 900
+
+#: How long a plan may take; how much later a splice takes over [s].
+DEADLINE_S, AHEAD_S = 0.5, 0.6
+
+#: Known obstacles at most, and samples of motions that are looked at, at most.
+MOST_KNOWN, MOST_SAMPLES = 30, 4000
+
+#: Memory is looked at so often, and counts from then on [s].
+MEMORY_EVERY_S, WARM_S = 10.0, 120.0
+
+
+class _Soak:
+    """The planner, and what its threads share."""
+
+    def __init__(self, drawn: DrawnArm, seed: int, seconds: float, folder: Path) -> None:
+        self.drawn, self.seed, self.folder = drawn, seed, folder
+        self.tally, self.lock = Tally(), threading.Lock()
+        self.until = time.monotonic() + seconds
+        self.share = MOST_SAMPLES / (seconds * (REPLAN_HZ + STOP_HZ))
+        rng = np.random.default_rng(seed)
+        ends = draw_ends(drawn, rng, 0.01)
+        if ends is None:
+            raise ValueError("the arm has no place to begin")
+        self.home = World(*ends)
+        items = free(drawn, self.home, [draw_item(drawn, self.home, rng, f"known {k}") for k in range(8)])
+        fruits = tuple(
+            {"name": f"fruit {k}", "kind": "sphere", "center": at.tolist(), "radius": 0.035}
+            for k, at in enumerate(drawn.robot.tool_positions(q) for q in drawn.arm.drawn(rng, 4))
+        )
+        world = World(*ends, items=tuple(items), fruits=fruits)
+        # Dumps of a scene do not hold them.
+        self.data = {
+            item["name"]: {key: item[key] for key in ("vertices", "faces", "points") if key in item} for item in items
+        }
+        self.clouds = [self.cloud(rng) for _ in range(CLOUDS)]
+        self.frames: OrderedDict[str, int] = OrderedDict()
+        self.planner = Planner(drawn.robot, world.scene(), PlanOptions(effort="quick", deadline_s=DEADLINE_S))
+        self.began = time.monotonic()  # when the running motion began
+        self.frame_ms: list[float] = []
+        self.samples = 0
+
+    def cloud(self, rng: np.random.Generator) -> FloatArray:
+        """Branches about the arm, as points."""
+        found: list[FloatArray] = []
+        while sum(map(len, found)) < POINTS:
+            at = self.drawn.robot.tool_positions(self.drawn.arm.drawn(rng, 1)[0]) + direction(rng) * rng.uniform(0, 0.4)
+            half = direction(rng) * rng.uniform(0.1, 0.6)
+            item = {"kind": "capsule", "from": at - half, "to": at + half, "radius": float(rng.uniform(0.005, 0.03))}
+            points = surface(rng, item, 0.004)
+            found.append(points[self.drawn.arm.beside(self.home.start, points) > 0.05])
+        return np.concatenate(found)[:POINTS]
+
+    def every(self, rate_hz: float, call: Callable[[np.random.Generator], None], number: int) -> None:
+        """Call again and again until time is up; what is not hplan's error is a fault."""
+        rng = np.random.default_rng([self.seed, number])
+        while (begin := time.monotonic()) < self.until:
+            try:
+                call(rng)
+            except HplanError as error:
+                self.count("refused", f"{call.__name__}: {error.kind}")
+            except Exception as error:  # that none is raised is what is looked for
+                with self.lock:
+                    self.tally.faults.append({"kind": "foreign exception", "call": call.__name__, "error": repr(error)})
+            time.sleep(max(0.0, min(begin + 1.0 / rate_hz, self.until) - time.monotonic()))
+
+    def count(self, name: str, what: str) -> None:
+        with self.lock:
+            getattr(self.tally, name)[what] += 1
+
+    def keep(
+        self, kind: str, scene: Scene, trajectory: Trajectory, certificate: Any, windows: Sequence[Window],
+        from_s: float = 0.0,
+    ) -> None:  # fmt: skip
+        """Write a sample of what was handed out."""
+        if not certificate.verified:
+            self.count("unverified", kind)
+            return
+        seen = _digest(scene)
+        with self.lock:
+            cloud = -1 if seen is None else self.frames.get(seen)
+        self.count("looked", kind)
+        if cloud is None or np.random.default_rng().random() > self.share:
+            return
+        listed = [item.model_dump(by_alias=True, mode="json") for item in scene.obstacles if item.name != SEEN]
+        known = [{**item, **self.data.get(item["name"], {})} for item in listed]
+        known += [{"kind": "sphere", **item.model_dump(mode="json")} for item in scene.fruits]
+        with self.lock:
+            number, self.samples = self.samples, self.samples + 1
+        write_csv(trajectory, self.folder / f"{number}.csv")
+        (self.folder / f"{number}.pickle").write_bytes(pickle.dumps((kind, known, cloud, windows, from_s)))
+
+    # What the four threads do
+
+    def frame(self, rng: np.random.Generator) -> None:
+        """The camera looks."""
+        number = int(rng.integers(CLOUDS))
+        turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+        turn[:, 0] *= np.linalg.det(turn)
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = turn, rng.uniform(-2.0, 2.0, 3)
+        points = np.asarray((self.clouds[number] - pose[:3, 3]) @ turn)
+        begin = time.perf_counter()
+        self.planner.set_cloud(SEEN, points, radius=BALL_M, pose=pose)
+        self.frame_ms.append(1e3 * (time.perf_counter() - begin))
+        # No other thread replaces this obstacle.
+        digest = _digest(self.planner.scene)
+        with self.lock:
+            if digest is None:
+                return
+            self.frames[digest] = number
+            while len(self.frames) > REMEMBERED:
+                self.frames.popitem(last=False)
+
+    def plan(self, rng: np.random.Generator) -> None:
+        """A new motion, before the last one begins, while it runs, or from its end."""
+        planner, last = self.planner, self.planner.last
+        now = time.monotonic() - self.began
+        if last is None or now >= last.trajectory.duration - AHEAD_S or rng.random() < 0.05:
+            end = self.home.start if last is None else last.trajectory.position[-1]
+            planner.aim(start=Start(joints_rad=tuple(end.tolist())))
+            found: PlanResult = planner.plan() if rng.random() < 0.7 else planner.replan()
+            self.began = time.monotonic()
+            self.keep("plan", found.scene, found.trajectory, found.certificate, _windows(found))
+            return
+        spliced = planner.replan(at=now + AHEAD_S, now=now)
+        self.began += spliced.begins_s
+        windows = [*_windows(last, spliced.begins_s, spliced.seam_s), *_windows(spliced)]
+        kind = "kept" if spliced.is_kept else "splice"
+        self.keep(kind, spliced.scene, spliced.trajectory, spliced.certificate, windows)
+
+    def stop(self, rng: np.random.Generator) -> None:
+        """A stop, and a scaling, of what runs."""
+        scene, last = self.planner.scene, self.planner.last
+        if last is None:
+            return
+        now = min(time.monotonic() - self.began, last.trajectory.duration)
+        stop = self.planner.stop_at(float(rng.uniform(now, last.trajectory.duration)), now=now)
+        if self.planner.scene is scene and self.planner.last is last:
+            windows = _windows(last, contact_s=stop.certificate.contact_s)
+            self.keep("stop", scene, stop.trajectory, stop.certificate, windows, now)
+        if rng.random() < 0.2:
+            slower = last.scaled(float(rng.uniform(0.3, 1.0)))
+            windows = _windows(last, contact_s=slower.certificate.contact_s)
+            self.keep("scaled", last.scene, slower.trajectory, slower.certificate, windows)
+
+    def change(self, rng: np.random.Generator) -> None:
+        """An obstacle comes, moves or goes; or another goal."""
+        planner = self.planner
+        names = [item.name for item in planner.scene.obstacles if item.name != SEEN]
+        what = rng.choice(["add", "move", "remove", "aim"])
+        if what == "add" and len(names) < MOST_KNOWN:
+            for item in free(
+                self.drawn, self.home, [draw_item(self.drawn, self.home, rng, f"new {rng.integers(1 << 40)}")]
+            ):
+                if item["kind"] not in ("mesh", "points"):
+                    planner.add(obstacle(item))
+        elif what == "remove" and names:
+            planner.remove(names[int(rng.integers(len(names)))])
+        elif what == "move" and names:
+            name = names[int(rng.integers(len(names)))]
+            kind = next((each.kind for each in planner.scene.obstacles if each.name == name), "sphere")
+            at = tuple((self.drawn.robot.tool_positions(self.home.goal) + direction(rng) * 0.6).tolist())
+            planner.move(name, **{"position" if kind in ("mesh", "points") else "center": at})
+        elif what == "aim":
+            goals = [q for q in self.drawn.arm.drawn(rng, 10) if self.drawn.arm.has_room(q, 0.02)]
+            fruit = str(rng.choice([fruit.name for fruit in planner.scene.fruits]))
+            goal = Goal(fruit=fruit) if rng.random() < 0.5 or not goals else Goal(joints_rad=tuple(goals[0].tolist()))
+            planner.aim(goal=goal)
+
+    # Afterwards
+
+    def judge(self, say: Callable[[str], None]) -> None:
+        """Look at the samples."""
+        for number in range(self.samples):
+            kind, known, cloud, windows, from_s = pickle.loads((self.folder / f"{number}.pickle").read_bytes())
+            things = things_of(known)
+            if cloud >= 0:
+                things.append(Thing({"name": SEEN, "kind": "points", "points": self.clouds[cloud], "radius": BALL_M}))
+            motion = Motion.read(self.folder / f"{number}.csv", from_s)
+            found = contacts(self.drawn.arm, motion, things, windows=windows)
+            self.tally.ticks += len(motion.times)
+            for contact in found:
+                self.tally.faults.append({"kind": kind, "sample": number, **vars(contact)})
+                say(str(self.tally.faults[-1]))
+
+
+def soak(seed: int, seconds: float, say: Callable[[str], None], told: Callable[[Tally], None]) -> Tally:
+    """Run it.
+
+    Args:
+        seed: Seed of what is called; which motions come of it, the machine decides.
+        seconds: For how long.
+        say: Told how far it is.
+        told: Handed the count now and then.
+    """
+    with tempfile.TemporaryDirectory() as name:
+        run = _Soak(named_arm("orchard_harvester"), seed, seconds, Path(name))
+        calls = [(CAMERA_HZ, run.frame), (REPLAN_HZ, run.plan), (STOP_HZ, run.stop), (CHANGE_HZ, run.change)]
+        threads = [
+            threading.Thread(target=run.every, args=(rate, call, k), daemon=True)
+            for k, (rate, call) in enumerate(calls)
+        ]
+        for thread in threads:
+            thread.start()
+        begin, memory = time.monotonic(), []
+        while any(thread.is_alive() for thread in threads):
+            time.sleep(min(MEMORY_EVERY_S, max(0.1, run.until - time.monotonic())))
+            if (now := time.monotonic() - begin) >= min(WARM_S, 0.3 * seconds):
+                memory.append((now, _resident_mb()))
+            if len(memory) % 30 == 1:
+                run.tally.measured = _measured(run, memory)
+                say(f"{now:.0f} s: {run.tally.measured}")
+                told(run.tally)
+        run.tally.measured = _measured(run, memory)
+        run.judge(say)
+        run.tally.measured |= {"motions judged": run.samples}
+        return run.tally
+
+
+def _windows(
+    plan: PlanResult, since_s: float = 0.0, until_s: float = math.inf, contact_s: tuple[float, float] | None = None
+) -> list[Window]:
+    """When a motion along a plan's path may touch the plan's fruit, on a clock that begins later."""
+    contact_s = plan.certificate.contact_s if contact_s is None else contact_s
+    if contact_s is None or contact_s[1] < since_s:
+        return []
+    return [Window(str(plan.scene.goal.fruit), max(contact_s[0] - since_s, 0.0), min(contact_s[1] - since_s, until_s))]
+
+
+def _digest(scene: Scene) -> str | None:
+    """Of the cloud that a scene holds."""
+    found = (item.data_digest for item in scene.obstacles if item.name == SEEN and isinstance(item, PointCloud))
+    return next(found, None)
+
+
+def _measured(run: _Soak, memory: list[tuple[float, float]]) -> dict[str, Any]:
+    """Frames and memory in numbers."""
+    frames = np.array(run.frame_ms) if run.frame_ms else np.full(1, np.nan)
+    within = {f"frame {share:g} % [ms]": round(float(np.percentile(frames, share)), 1) for share in (50, 95, 99, 100)}
+    times, held = np.array(memory).T if memory else (np.zeros(1), np.zeros(1))
+    slope = float(np.polyfit(times, held, 1)[0]) * 3600.0 if len(times) > 2 else 0.0
+    resident = {"memory at first [MB]": held[0], "at last [MB]": held[-1], "at most [MB]": held.max(), "MB/h": slope}
+    return {"frames": len(run.frame_ms), **within, **{name: round(float(value), 1) for name, value in resident.items()}}
+
+
+def _resident_mb() -> float:
+    """Memory in use [MB]."""
+    pages = int(Path("/proc/self/statm").read_text("utf-8").split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6

@@ -39,6 +39,25 @@ LIFT = (
 )
 
 
+def link(name: str, parent: str, kind: str, axis: str, xyz: str, size: str) -> str:
+    return (
+        f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{name}_link"/><origin xyz="{xyz}"/>'
+        f'<axis xyz="{axis}"/><limit lower="-2" upper="2" velocity="2" effort="500" acceleration="5"/></joint>'
+        f'<link name="{name}_link"><inertial><mass value="1"/><inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" '
+        f'ixz="0" iyz="0"/></inertial><collision><geometry><box size="{size}"/></geometry></collision></link>'
+    )
+
+
+#: A trolley on a rail that lies along x, and a boom that turns on it; what no joint moves is nowhere near.
+GANTRY = (
+    '<robot name="gantry"><link name="base_link"/>'
+    + link("rail", "base_link", "prismatic", "1 0 0", "0 0 1", "0.1 0.1 0.1")
+    + link("boom", "rail_link", "revolute", "0 0 1", "0 0 0.2", "0.3 0.05 0.05")
+    + '<joint name="flange" type="fixed"><parent link="boom_link"/><child link="tool0"/></joint><link name="tool0"/>'
+    "</robot>"
+)
+
+
 def loaded_arm(name: str, folders: pytest.TempPathFactory) -> Robot:
     """A robot by name, read once: one of `ARMS`, or `picker`, six axes with a tool of some length."""
     if name not in _KNOWN:

@@ -49,7 +49,12 @@ def parser(prog: str) -> argparse.ArgumentParser:
     add_robot(parser)
     add_drop_inside(parser)
     add_tracking(parser)
-    add("--sigmas", type=float, metavar="K", help="an uncertain obstacle grows by K sigma (default: 3)")
+    add(
+        "--sigmas",
+        type=float,
+        metavar="K",
+        help="an uncertain obstacle grows by K sigma (default: 3, which leave 2.9 %% of its places)",
+    )
     add("--goal-contact", choices=("approach", "motion"), help="when the last link may touch the fruit that is "
         "the goal: on a straight approach, or during the whole motion (default: approach)")  # fmt: skip
     add("--begin", type=float, default=0.0, metavar="S", help="time at which the motion begins, as the tracks of what "
@@ -102,7 +107,7 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int
         "scene": scene.name,
         "robot": robot.name,
         "differs": differs,
-        "certificate": certificate_report(certificate, options),
+        "certificate": certificate_report(certificate, options, scene),
         "versions": versions(),
     }
     if arguments.report is not None:
@@ -150,6 +155,10 @@ def _show(console: Console, report: dict[str, Any]) -> None:
         table.add_row("at rest", "clear for ever" if until is None else f"clear until {until:.3f} s")
     error, delay = math.degrees(proof["tracking_error_rad"]), 1e3 * proof["tracking_delay_s"]
     table.add_row("covered", f"tracking error {error:g} deg, delay {delay:g} ms; {proof['sigmas']:g} sigma")
+    if "uncertain" in proof:
+        left = proof["uncertain"]
+        one, some = 100.0 * left["one_beyond"], 100.0 * left["any_beyond_at_most"]
+        table.add_row("not covered", f"{one:.2g} % of each sigma's places, of {left['obstacles']} in all {some:.2g} %")
     if proof["contact_s"] is not None:
         begin, end = proof["contact_s"]
         rule = "on a straight approach" if proof["goal_contact"] == "approach" else "during the whole motion"

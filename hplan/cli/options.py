@@ -169,7 +169,11 @@ def add_effort(parser: argparse.ArgumentParser) -> None:
 def add_sigmas(parser: argparse.ArgumentParser) -> None:
     """Add the option `--sigmas`."""
     parser.add_argument(
-        "--sigmas", type=float, default=3.0, metavar="K", help="an uncertain obstacle grows by K sigma (default: 3)"
+        "--sigmas",
+        type=float,
+        default=3.0,
+        metavar="K",
+        help="an uncertain obstacle grows by K sigma (default: 3, which leaves 2.9 %% of its places)",
     )
 
 

@@ -42,8 +42,9 @@ STEP, ENOUGH = 0.002, 0.01
 class DurationBound:
     """A lower bound of the durations of all motions from one configuration to another, at rest at both.
 
-    It holds for every motion that `hplan.certify` verifies and that keeps the jerk limits, where there are any: the
-    limits are taken with the certificate's tolerance.
+    It holds for every motion that `hplan.certify` verifies and that keeps the jerk limits, where there are any, from
+    the rest before to the rest after it: with acceleration 0 at both ends. Limits are taken with the certificate's
+    tolerance.
 
     Attributes:
         seconds: No motion is shorter [s].

@@ -258,7 +258,7 @@ class RunningMotion:
             "certificate": certificate,
             "phases": tuple(phases),
             "motion": motion,
-            "report": report | motion_report(trajectory, certificate, self._options),
+            "report": report | motion_report(trajectory, certificate, self._options, scene),
             "bound": None,
             "begins_s": self.plan.begins_s + begins_s,
         }

@@ -280,7 +280,7 @@ def _in_time(
         motion=replace(plan.motion, task=task),
         report=plan.report
         | {"scene": scene.name, "phases": [vars(phase) for phase in phases], "in_time": in_time}
-        | motion_report(found.trajectory, certificate, options),
+        | motion_report(found.trajectory, certificate, options, scene),
     )
 
 
@@ -367,7 +367,7 @@ def plan_result(
         motion=motion,
         report=plan_report(context, grasp, motion, phases)
         | (bound_report(bound, [part.name for part in bounded]) if context.options.bound else {})
-        | motion_report(trajectory, certificate, context.options),
+        | motion_report(trajectory, certificate, context.options, context.scene),
         bound=bound,
     )
 

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from hplan.planning.plan import Phase
     from hplan.planning.task import PlanningContext
     from hplan.problem.options import PlanOptions
+    from hplan.scene.model import Scene
     from hplan.timing.trajectory import Trajectory
     from hplan.verification.certificate import Certificate
 
@@ -82,12 +83,34 @@ def versions() -> dict[str, str]:
     return {package: _version(package) for package in _PACKAGES}
 
 
-def certificate_report(certificate: Certificate, options: PlanOptions) -> dict[str, Any]:
+def beyond_sigmas(sigmas: float) -> float:
+    """Probability that a place is off by more than so many sigmas, sigma being that of each coordinate in space.
+
+    The distance has the chi distribution of three degrees of freedom: beyond three sigmas are 2.9 %, not the 0.3 % of a
+    single coordinate.
+    """
+    return math.erfc(sigmas / math.sqrt(2.0)) + math.sqrt(2.0 / math.pi) * sigmas * math.exp(-0.5 * sigmas * sigmas)
+
+
+def uncertainty_report(scene: Scene, sigmas: float) -> dict[str, Any]:
+    """What a number of sigmas leaves: how many obstacles are uncertain, and how likely they are farther off.
+
+    That any of them is has at most the sum of their probabilities, whatever they have to do with one another.
+    """
+    count = sum(item.sigma > 0.0 for item in (*scene.obstacles, *scene.fruits))
+    if not count:
+        return {}
+    beyond = beyond_sigmas(sigmas)
+    return {"uncertain": {"obstacles": count, "one_beyond": beyond, "any_beyond_at_most": min(1.0, count * beyond)}}
+
+
+def certificate_report(certificate: Certificate, options: PlanOptions, scene: Scene) -> dict[str, Any]:
     """A certificate, and what it is about, as `report.json` has it.
 
     Args:
         certificate: The certificate.
         options: How it was asked for: tracking error and standard deviations.
+        scene: What it was asked for.
     """
     nearest, digests, until = certificate.nearest, certificate.digests, certificate.clear_until_s
     return {
@@ -97,6 +120,7 @@ def certificate_report(certificate: Certificate, options: PlanOptions) -> dict[s
         "tracking_error_rad": options.tracking_error,
         "tracking_delay_s": options.tracking_delay_s,
         "sigmas": options.sigmas,
+        **uncertainty_report(scene, options.sigmas),
         "goal_contact": certificate.goal_contact,
         "contact_s": None if certificate.contact_s is None else list(certificate.contact_s),
         "limit_use": vars(certificate.limit_use),
@@ -204,11 +228,13 @@ def deadline_report(limit: TimeLimit, count: int, first_s: float, *, cut_short: 
     }
 
 
-def motion_report(trajectory: Trajectory, certificate: Certificate, options: PlanOptions) -> dict[str, Any]:
+def motion_report(
+    trajectory: Trajectory, certificate: Certificate, options: PlanOptions, scene: Scene
+) -> dict[str, Any]:
     """The last part of the report of a plan or a tour: trajectory, certificate, versions."""
     return {
         "trajectory": {"duration_s": trajectory.duration, "rate_hz": options.rate_hz, "samples": trajectory.samples},
-        "certificate": certificate_report(certificate, options),
+        "certificate": certificate_report(certificate, options, scene),
         "versions": versions(),
     }
 

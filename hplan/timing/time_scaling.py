@@ -149,6 +149,13 @@ def scaled(trajectory: Trajectory, profile: Profile, robot: Robot) -> Retimed:
 
     final = last_s - begin if last == 0.0 else math.inf
     found = _retimed(trajectory, robot, row, wanted, final_s=final)
+    if found is None and not _is_at_rest(trajectory, -1):
+        speed, push = (float(np.abs(values[-1]).max()) for values in (trajectory.velocity, trajectory.acceleration))
+        raise TimingError(
+            f"the motion ends at {speed:.3g} rad/s with an acceleration of {push:.3g} rad/s^2 (m where it slides): "
+            "at other speeds it would end otherwise; only one that ends without either can be run so",
+            cause="not at rest at the end",
+        )
     if found is None:
         raise TimingError("no motion at these speed factors keeps the limits", cause="speed factors")
     return found

@@ -253,7 +253,8 @@ class _TourPlanner:
             picked=MappingProxyType(picked),
             dropped=MappingProxyType(dropped),
             unreached=tuple(unreached),
-            report=self._report(stages, legs, picked, unreached) | motion_report(trajectory, certificate, self.options),
+            report=self._report(stages, legs, picked, unreached)
+            | motion_report(trajectory, certificate, self.options, self.scene),
             robot=self.robot,
             scene=self.scene,
         )

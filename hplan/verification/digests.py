@@ -4,8 +4,8 @@ They are taken of what was read, not of files: comments, units of angles in a UR
 every number that planning or proof uses does.
 
 - **Robot**: names, joint frames and axes, masses, inertias, limits, links, what may touch, and all collision shapes
-  with the vertices of their meshes; numbers rounded to 12 decimals, since sines differ in the last bit from machine to
-  machine.
+  with vertices and triangles of their meshes; of general (non-planar) arms all frames, which goals may name; numbers
+  rounded to 12 decimals, since sines differ in the last bit from machine to machine.
 - **Scene**: its keys and values as in a scene file, and for each mesh or cloud the data instead of the file's name.
 - **Trajectory**: the joint names and the numbers of the CSV, bit by bit.
 """
@@ -95,13 +95,14 @@ def robot_digest(robot: Robot) -> str:
 
 
 def _robot_digest(robot: Robot) -> str:
-    found, model = _Digest("hplan-robot/1"), robot.model
+    found, model = _Digest("hplan-robot/1" if robot.planar is not None else "hplan-robot/2"), robot.model
     family: tuple[FloatArray, ...] = ()
     if robot.planar is None:
         found.add_text(robot.name, robot.tool_frame, *robot.joint_names, *itertools.chain(*robot.may_touch))
-        frame = model.frames[model.getFrameId(robot.tool_frame)]
-        found.add_text(str(frame.parentJoint))
-        family = _place(frame.placement)
+        for frame in model.frames:  # a goal may name any of them
+            found.add_text(frame.name, str(frame.parentJoint))
+            for place in _place(frame.placement):
+                found.add_rounded(place)
     else:
         arm = robot.arm
         found.add_text(robot.name, robot.tool_frame, str(robot.has_yaw), *robot.joint_names, *arm.link_names)
@@ -134,7 +135,8 @@ def _sizes(shape: pin.GeometryObject) -> list[ArrayLike]:
     """The numbers that give a shape's form."""
     geometry: Any = shape.geometry
     if isinstance(geometry, coal.BVHModelBase):
-        return [geometry.vertices(), float(geometry.num_tris)]
+        corners = (geometry.tri_indices(number) for number in range(geometry.num_tris))
+        return [geometry.vertices(), np.array([[a[0], a[1], a[2]] for a in corners]).reshape(-1, 3)]
     if isinstance(geometry, coal.Box):
         return [geometry.halfSide]
     if isinstance(geometry, coal.Sphere):

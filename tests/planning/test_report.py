@@ -8,10 +8,21 @@ import time
 from pathlib import Path
 
 import pytest
+from scipy.stats import chi
 
 import hplan
 from hplan.errors import JointLimitError, NoPathError, OutputError
-from hplan.planning.report import STAGES, StageClock, failure_report, versions, write_report
+from hplan.planning.report import (
+    STAGES,
+    StageClock,
+    beyond_sigmas,
+    failure_report,
+    uncertainty_report,
+    versions,
+    write_report,
+)
+from hplan.scene.file import load_scene
+from hplan.scene.obstacles import Sphere
 
 
 def test_clock_adds_up_what_a_stage_took() -> None:
@@ -86,3 +97,14 @@ def test_failure_report_of_no_path(tmp_path: Path) -> None:
     written = json.loads(write_report(report, tmp_path / "r.json").read_text())
     assert written["error"]["reached_cells"] == 7
     assert written["error"]["blockers"] == [blocker]
+
+
+@pytest.mark.parametrize("sigmas", [0.0, 1.0, 3.0, 4.5])
+def test_what_sigmas_leave_is_what_they_leave_in_space(sigmas: float) -> None:
+    assert beyond_sigmas(sigmas) == pytest.approx(chi(3).sf(sigmas), rel=1e-9)
+    balls = tuple(Sphere(name=f"{k}", center=(2, k, 1), radius=0.1, sigma=0.01 * (k > 0)) for k in range(4))
+    scene = load_scene().model_copy(update={"obstacles": balls})
+    told = uncertainty_report(scene, sigmas)["uncertain"]
+    assert (told["obstacles"], told["one_beyond"]) == (3, beyond_sigmas(sigmas))
+    assert told["any_beyond_at_most"] == min(1.0, 3.0 * beyond_sigmas(sigmas))
+    assert uncertainty_report(load_scene(), sigmas) == {}

@@ -7,9 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from any_arms import GANTRY
 
 import hplan
 from hplan.base.data_files import urdf_dir
+from hplan.collision.coal_shapes import triangle_tree
 from hplan.robot.model import load_robot
 from hplan.scene.file import load_scene
 from hplan.scene.model import Fruit, Goal, Scene
@@ -19,6 +21,7 @@ from hplan.verification.digests import Digests, robot_digest, scene_digest, traj
 
 CORNERS = np.array([[2.0, 0.0, 0.0], [3.0, 0.0, 0.0], [2.0, 1.0, 0.0], [2.0, 0.0, 1.0]])
 FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+GENERAL = load_robot(GANTRY)
 
 
 @pytest.fixture(scope="module")
@@ -121,3 +124,27 @@ def test_plan_tour_and_certificate_carry_them(robot, scene, motion):
     orchard = Scene(name="o", start=scene.start, goal=scene.goal, fruits=(fruit,))
     tour = hplan.plan_tour(robot, orchard)
     assert tour.report["certificate"]["digests"] == vars(Digests.of(robot, orchard, tour.trajectory))
+
+
+GRIPPER = (
+    '<joint name="gripper" type="fixed"><parent link="boom_link"/><child link="fingers"/>'
+    '<origin xyz="{0} 0 0"/></joint>'
+    '<link name="fingers"/></robot>'
+)
+
+
+def test_of_a_general_arm_every_frame_counts():
+    """A goal may name any of them."""
+    robots = [load_robot(GANTRY.replace("</robot>", GRIPPER.format(place))) for place in (0.1, 0.1, 0.2)]
+    assert robots[0].tool_frame == "tool0"
+    first, same, other = (robot_digest(robot) for robot in robots)
+    assert first == same != other
+
+
+def test_triangles_of_meshes_count():
+    found = set()
+    for faces in (FACES, FACES, FACES[:, ::-1], FACES[[0, 1, 2, 2]]):
+        robot = replace(GENERAL, collision_model=GENERAL.collision_model.copy())
+        robot.collision_model.geometryObjects[0].geometry = triangle_tree(CORNERS, faces)
+        found.add(robot_digest(robot))
+    assert len(found) == 3

@@ -7,38 +7,22 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from any_arms import GANTRY
 
 import hplan
-from hplan.errors import InputError, JointLimitError
+from hplan.errors import InputError, JointLimitError, TimingError
 from hplan.execution.recorded_motion import read_motion
 from hplan.robot.model import load_robot
 from hplan.robot.tracking import TrackingModel
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Sphere
 from hplan.scene.tracks import Track
+from hplan.timing.time_scaling import scaled
 from hplan.timing.trajectory import Trajectory
 from hplan.verification.certificate import certify
 from hplan.verification.sway import largest_deviations
 from hplan.waypoints import read_waypoints
 
-
-def link(name: str, parent: str, kind: str, axis: str, xyz: str, size: str) -> str:
-    return (
-        f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{name}_link"/><origin xyz="{xyz}"/>'
-        f'<axis xyz="{axis}"/><limit lower="-2" upper="2" velocity="2" effort="500" acceleration="5"/></joint>'
-        f'<link name="{name}_link"><inertial><mass value="1"/><inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" '
-        f'ixz="0" iyz="0"/></inertial><collision><geometry><box size="{size}"/></geometry></collision></link>'
-    )
-
-
-#: A trolley on a rail that lies along x, and a boom that turns on it; what no joint moves is nowhere near.
-GANTRY = (
-    '<robot name="gantry"><link name="base_link"/>'
-    + link("rail", "base_link", "prismatic", "1 0 0", "0 0 1", "0.1 0.1 0.1")
-    + link("boom", "rail_link", "revolute", "0 0 1", "0 0 0.2", "0.3 0.05 0.05")
-    + '<joint name="flange" type="fixed"><parent link="boom_link"/><child link="tool0"/></joint><link name="tool0"/>'
-    "</robot>"
-)
 ROBOT = load_robot(GANTRY)
 BEGIN, END = np.array([0.2, 0.3]), np.array([0.7, 0.5])
 
@@ -124,3 +108,9 @@ def test_radians_of_what_slides_are_refused(tmp_path: Path) -> None:
         certify(ROBOT, scene(), hplan.read_csv(as_before))
     with pytest.raises(InputError, match="joint 'rail' has no column; expected rail_pos_m or rail"):
         read_waypoints(as_before, ROBOT.joint_names, ROBOT.slides)
+
+
+def test_a_motion_that_does_not_end_at_rest_is_not_scaled_and_it_is_said_why() -> None:
+    with pytest.raises(TimingError, match=r"ends at 0 rad/s with an acceleration of 0.187 rad/s.*2") as error:
+        scaled(motion(), 0.5, ROBOT)
+    assert error.value.data["cause"] == "not at rest at the end"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 import time
+from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -96,11 +97,10 @@ def _count(arguments: argparse.Namespace, say: Callable[[str], None], told: Call
 
 def _show(console: Console, tally: Tally) -> None:
     """The counts in words."""
-    for name, counts in (
-        ("arms", tally.arms), ("looked at", tally.looked), ("unverified", tally.unverified), ("refused", tally.refused),
-    ):  # fmt: skip
+    for name in ("arms", "looked", "looked_in", "unverified", "refused"):
+        counts: Counter[str] = getattr(tally, name)
         listed = ", ".join(f"{count} {kind}" for kind, count in counts.most_common()) or "none"
-        console.print(f"{name}: {listed}", markup=False, soft_wrap=True)
+        console.print(f"{name.replace('_', ' ')}: {listed}", markup=False, soft_wrap=True)
     for name, value in tally.measured.items():
         console.print(f"{name}: {value}", markup=False, soft_wrap=True)
     looks = f"{tally.motions} motions, {tally.ticks} configurations; at fault: {len(tally.faults)}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -12,7 +13,7 @@ import pytest
 import studies.validation.grazing as grazing
 from script_loader import load_script
 from studies.validation.arms import DrawnArm, draw_arm, named_arm
-from studies.validation.episodes import Tally, run_case
+from studies.validation.episodes import Tally, run_case, shifted
 from studies.validation.judge import Motion, Moves, Window, between_rows, contacts, things_of
 from studies.validation.members import CHAINS, write_chain
 from studies.validation.worlds import World, draw_ends, draw_world
@@ -173,8 +174,13 @@ def test_motions_of_a_case_have_no_contact() -> None:
 
 
 def test_what_hplan_is_not_told_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The planner is told that all obstacles stand 5 m away."""
     whole = World.scene
-    monkeypatch.setattr(World, "scene", lambda world: whole(world).model_copy(update={"obstacles": ()}))
+
+    def elsewhere(world: World) -> Any:
+        return whole(replace(world, items=tuple(shifted(item, np.full(3, 5.0)) for item in world.items)))
+
+    monkeypatch.setattr(World, "scene", elsewhere)
     tally = run_case(0, CASE)
     assert any(fault["kind"] == "plan" and fault["depth_m"] > 1e-3 for fault in tally.faults)
 

@@ -34,7 +34,7 @@ from studies.validation.worlds import (
 )
 
 from hplan.base.arrays import FloatArray
-from hplan.errors import HplanError, RunningMotionBlockedError
+from hplan.errors import HplanError, NotOnMotionError, RunningMotionBlockedError
 from hplan.online.planner import Planner
 from hplan.perception.frame import CloudOptions
 from hplan.planning.plan import PlanResult
@@ -42,6 +42,7 @@ from hplan.problem.options import PlanOptions
 from hplan.scene.model import Goal
 from hplan.timing.trajectory import Trajectory, write_csv
 from hplan.verification.certificate import Certificate
+from hplan.verification.retimed_certificate import CertifiedMotion
 
 #: Worlds of a case, changes while a motion runs, and stops between them.
 WORLDS, CHANGES, STOPS = 4, 4, 3
@@ -51,6 +52,9 @@ PAUSE_S, AHEAD_S = (0.02, 0.6), 0.1
 
 #: CPU time for which a motion is looked for [s]; a case in which much is called once.
 patience_s, _WARM = 0.8, 8
+
+#: Share of changes at which the arm is said to be elsewhere.
+ELSEWHERE = 0.2
 
 #: How far a splice may be from where the motion before it is [rad, m].
 JUMP = 1e-6
@@ -64,6 +68,7 @@ class Tally:
         arms: Arms by kind.
         refused: Calls without a motion, by the error.
         looked: Motions that were looked at, by kind.
+        looked_in: The same, by what the world was.
         unverified: Stops, scalings and splices that were not verified, by kind.
         ticks: Configurations that were looked at.
         faults: Contacts and jumps, each with what it needs to be found again.
@@ -73,6 +78,7 @@ class Tally:
     arms: Counter[str] = field(default_factory=Counter)
     refused: Counter[str] = field(default_factory=Counter)
     looked: Counter[str] = field(default_factory=Counter)
+    looked_in: Counter[str] = field(default_factory=Counter)
     unverified: Counter[str] = field(default_factory=Counter)
     ticks: int = 0
     faults: list[dict[str, Any]] = field(default_factory=list)
@@ -85,7 +91,7 @@ class Tally:
 
     def add(self, other: Tally) -> None:
         """Count another one too."""
-        for name in ("arms", "refused", "looked", "unverified", "ticks", "faults"):
+        for name in ("arms", "refused", "looked", "looked_in", "unverified", "ticks", "faults"):
             setattr(self, name, getattr(self, name) + getattr(other, name))
 
     def as_dict(self) -> dict[str, Any]:
@@ -151,20 +157,19 @@ class Episode:
     def run(self) -> None:
         """Plan, stop, scale; change the world and go on."""
         rng = self.rng
-        self.begin_s = 0.0  # when the running motion began, on the clock of the tracks
         options = PlanOptions(
             effort="quick" if rng.random() < 0.6 else "default", step_deg=6.0, rate_hz=float(rng.choice([100.0, 250.0]))
         )  # fmt: skip
         self.planner = Planner(self.drawn.robot, self.world.scene(), options)
-        self.frame(self.world.start, 0.0)
+        self.frame(self.world.start, self.world.begin_s)
         try:
-            found = self.planner.plan(cancel=impatient())
+            found = self.planner.plan(begins_s=self.world.begin_s, cancel=impatient())
         except HplanError as error:
             self.tally.refused[error.kind] += 1
             return
         self.planned_for = self.world
-        self.look("plan", found.trajectory, found.certificate)
-        self.retimed(found, 0.0)
+        self.look("plan", found.begins_s, found.trajectory, found.certificate)
+        self.retimed(found, found.begins_s)
         for _ in range(CHANGES):
             later = self.changed(found)
             if later is None:
@@ -173,54 +178,61 @@ class Episode:
 
     def retimed(self, running: PlanResult, now: float) -> None:
         """Stops, and the whole motion slower."""
-        duration = running.trajectory.duration
+        begins_s, duration = running.begins_s, running.trajectory.duration
         for _ in range(STOPS):
-            t = float(self.rng.uniform(now, duration))
-            self.certified("stop", lambda t=t: self.planner.stop_at(t, now=now), now)
-        if now == 0.0:
+            t = float(self.rng.uniform(now, begins_s + duration))
+            self.certified("stop", begins_s, now, functools.partial(self.planner.stop_at, t, now=now))
+        if now == begins_s:
             factor = float(self.rng.uniform(0.3, 1.0))
-            self.certified("scaled", lambda: running.scaled(factor), 0.0)
+            self.certified("scaled", begins_s, now, lambda: running.scaled(factor))
 
-    def certified(self, kind: str, ask: Any, now: float) -> None:
+    def certified(self, kind: str, begins_s: float, now: float, ask: Callable[[], CertifiedMotion]) -> None:
         """Look at a motion along the running one's path."""
         try:
             found = ask()
         except HplanError as error:
             self.tally.refused[f"{kind}: {error.kind}"] += 1
             return
-        self.look(kind, found.trajectory, found.certificate, from_s=now)
+        self.look(kind, begins_s, found.trajectory, found.certificate, from_s=now - begins_s)
 
     def changed(self, running: PlanResult) -> PlanResult | None:
         """The world changes, and a motion goes on; None where none does."""
-        duration = running.trajectory.duration
-        now = float(min(self.rng.uniform(*PAUSE_S), duration))
-        at = min(now + AHEAD_S, duration)
-        q = running.trajectory.positions(np.array([now]))[0]
+        end = running.begins_s + running.trajectory.duration
+        now = float(min(running.begins_s + self.rng.uniform(*PAUSE_S), end))
+        q = running.trajectory.positions(np.array([now - running.begins_s]))[0]
+        self.change(q, now)
+        self.retimed(running, now)
+        self.elsewhere(q, now)
         try:
-            self.change(q, self.begin_s + now)
-            self.retimed(running, now)
-            found = self.planner.replan(at=at, now=now, cancel=impatient())
+            found = self.planner.replan(at=min(now + AHEAD_S, end), now=now, measured=q, cancel=impatient())
         except RunningMotionBlockedError as error:
             self.tally.refused["splice: blocked"] += 1
             if error.stop is not None:
-                row = max(int(np.searchsorted(running.trajectory.time, now + 1e-9, side="right")) - 1, 0)
-                begins = self.begin_s + float(running.trajectory.time[row])
-                self.look("blocked stop", error.stop, error.certificate, begin_s=begins)
+                self.look("blocked stop", error.begins_s, error.stop, error.certificate)
             return None
         except HplanError as error:
             self.tally.refused[f"splice: {error.kind}"] += 1
             return None
-        before = running.trajectory.positions(np.array([found.begins_s]))[0]
+        before = running.trajectory.positions(np.array([found.begins_s - running.begins_s]))[0]
         jump = float(np.abs(found.trajectory.position[0] - before).max())
         if jump > JUMP:
             self.tally.faults.append({"case": self.name, "kind": "splice", "jump": jump})
-        self.begin_s += found.begins_s
-        windows = self.windows(running.certificate, found.begins_s, found.seam_s)
+        windows = self.windows(running.certificate, found.begins_s - running.begins_s, found.seam_s)
         if not found.is_kept:
             self.planned_for = self.world
-        self.look("kept" if found.is_kept else "splice", found.trajectory, found.certificate, windows=windows)
-        self.retimed(found, 0.0)
+        kind = "kept" if found.is_kept else "splice"
+        self.look(kind, found.begins_s, found.trajectory, found.certificate, windows=windows)
+        self.retimed(found, found.begins_s)
         return found
+
+    def elsewhere(self, q: FloatArray, now: float) -> None:
+        """An arm that is not on the motion is not taken over, nor stopped."""
+        if self.rng.random() < ELSEWHERE:
+            try:
+                self.planner.stop_at(now, now=now, measured=q + self.rng.choice([-0.01, 0.01], len(q)))
+            except NotOnMotionError:
+                return
+            self.tally.faults.append({"case": self.name, "kind": "an arm elsewhere was taken for on the motion"})
 
     def windows(self, certificate: Certificate, since_s: float, until_s: float) -> list[Window]:
         """When the motion up to now may touch its fruit, until a seam."""
@@ -237,26 +249,30 @@ class Episode:
         return [Window(name, *contact_s)]
 
     def look(
-        self, kind: str, trajectory: Trajectory, certificate: Certificate | None, *, from_s: float = 0.0,
-        begin_s: float | None = None, windows: Sequence[Window] = (),
+        self, kind: str, begin_s: float, trajectory: Trajectory, certificate: Certificate, *, from_s: float = 0.0,
+        windows: Sequence[Window] = (),
     ) -> None:  # fmt: skip
         """Judge a motion, if it is verified."""
-        if certificate is None or not certificate.verified:
+        if not certificate.verified:
             self.tally.unverified[kind] += 1
             return
         path = write_csv(trajectory, self.folder / "motion.csv")
         motion = Motion.read(path, from_s)
-        begin_s = self.begin_s if begin_s is None else begin_s
         allowed = [*windows, *self.window(certificate.contact_s)]
-        found = contacts(
-            self.drawn.arm, motion, self.world.things, base=self.world.moves, begin_s=begin_s, windows=allowed
-        )
+        world = self.world
+        found = contacts(self.drawn.arm, motion, world.things, base=world.moves, begin_s=begin_s, windows=allowed)
         self.tally.looked[kind] += 1
+        self.tally.looked_in[f"{'moving' if self.moves else 'still'}{', cloud' if world.seen is not None else ''}"] += 1
         self.tally.ticks += len(motion.times)
         if found:
             deepest = vars(max(found, key=lambda contact: contact.depth_m))
-            told = {"claimed_m": certificate.min_clearance_m, "begin_s": begin_s, "base": self.world.base is not None}
+            told = {"claimed_m": certificate.min_clearance_m, "begin_s": begin_s, "base": world.base is not None}
             self.tally.faults.append({"case": self.name, "arm": self.drawn.kind, "kind": kind, **deepest, **told})
+
+    @property
+    def moves(self) -> bool:
+        """Whether anything but the arm moves."""
+        return self.world.base is not None or any("track" in item for item in self.world.items)
 
     # What changes
 
@@ -265,22 +281,23 @@ class Episode:
         world, rng, arm = self.world, self.rng, self.drawn.arm
         if world.seen is None:
             return
-        own = [
+        own = [  # the arm's own
             place.act(body.middle)[None] for body, place in
             zip(arm.bodies, arm.places(arm.configurations(arm.joints, q[None])[0]), strict=True)
         ]  # fmt: skip
-        fruit = [surface(rng, each, 0.01) for each in world.fruits if each["name"] == world.target]
-        points = np.concatenate([seen_from_base(world, np.concatenate([world.seen, *fruit]), time_s), *own])
+        balls = [each for each in world.balls_at(time_s) if each["name"] == world.target or rng.random() < 0.5]
+        there = np.concatenate([world.seen, *(surface(rng, each, 0.01) for each in balls)])
+        points = np.concatenate([seen_from_base(world, there, time_s), *own])
         turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
         turn[:, 0] *= np.linalg.det(turn)
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = turn, rng.uniform(-1.0, 1.0, 3)
-        if self.planner.scene.moves:
-            ignore = []  # not taken where something moves
         options = CloudOptions(growth_m=float(rng.choice([0.002, 0.005, 0.02])))
-        ignore = [] if world.target is None else [world.target]
         local = (rng.permutation(points) - pose[:3, 3]) @ turn
-        self.planner.set_cloud(SEEN, local, radius=BALL_M, pose=pose, joints=q, ignore=ignore, options=options)
+        self.planner.set_cloud(
+            SEEN, local, radius=BALL_M, pose=pose, joints=q, ignore=[each["name"] for each in balls], time_s=time_s,
+            options=options,
+        )  # fmt: skip
 
     def change(self, q: FloatArray, time_s: float) -> None:
         """Something comes, goes, moves or is seen anew; or the arm is to go elsewhere; or nothing changes."""
@@ -302,7 +319,7 @@ class Episode:
             self.world = replace(world, items=tuple(item for item in world.items if item is not gone))
         elif what == "move":
             k = int(rng.integers(len(world.items)))
-            moved = _shifted(world.items[k], direction(rng) * rng.uniform(0.01, 0.2))
+            moved = shifted(world.items[k], direction(rng) * rng.uniform(0.01, 0.2))
             for item in free(self.drawn, world, [moved], q, time_s):
                 keys = (("center", "center"), ("position", "position"), ("from", "start"), ("to", "end"))
                 planner.move(item["name"], **{key: tuple(item[ours]) for ours, key in keys if ours in item})
@@ -317,7 +334,7 @@ class Episode:
                 planner.aim(goal=Goal(joints_rad=tuple(goal.tolist())))
                 self.world = replace(world, goal=goal, target=None)
         elif what == "fruit":
-            fruits = tuple(_shifted(fruit, direction(rng) * rng.uniform(0.0, 0.1)) for fruit in world.fruits)
+            fruits = tuple(shifted(fruit, direction(rng) * rng.uniform(0.0, 0.1)) for fruit in world.fruits)
             self.world = replace(world, fruits=fruits)
             planner.scene = planner.scene.model_copy(update={"fruits": self.world.scene().fruits})
 
@@ -332,7 +349,7 @@ def _fruit(world: World, name: str) -> Any:
     return next((fruit for fruit in world.fruits if fruit["name"] == name), None)
 
 
-def _shifted(item: dict[str, Any], shift: FloatArray) -> dict[str, Any]:
+def shifted(item: dict[str, Any], shift: FloatArray) -> dict[str, Any]:
     """The same elsewhere."""
     keys = ("from", "to") if item["kind"] == "capsule" else ("center",) if "center" in item else ("position",)
     return {**item, **{key: (np.array(item[key]) + shift).tolist() for key in keys}}

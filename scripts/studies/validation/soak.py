@@ -77,7 +77,6 @@ class _Soak:
         self.clouds = [self.cloud(rng) for _ in range(CLOUDS)]
         self.frames: OrderedDict[str, int] = OrderedDict()
         self.planner = Planner(drawn.robot, world.scene(), PlanOptions(effort="quick", deadline_s=DEADLINE_S))
-        self.began = time.monotonic()  # when the running motion began
         self.frame_ms: list[float] = []
         self.samples = 0
 
@@ -156,30 +155,29 @@ class _Soak:
     def plan(self, rng: np.random.Generator) -> None:
         """A new motion, before the last one begins, while it runs, or from its end."""
         planner, last = self.planner, self.planner.last
-        now = time.monotonic() - self.began
-        if last is None or now >= last.trajectory.duration - AHEAD_S or rng.random() < 0.05:
+        now = time.monotonic()
+        if last is None or _end_s(last) < now + AHEAD_S or rng.random() < 0.05:
             end = self.home.start if last is None else last.trajectory.position[-1]
             planner.aim(start=Start(joints_rad=tuple(end.tolist())))
             found: PlanResult = planner.plan() if rng.random() < 0.7 else planner.replan()
-            self.began = time.monotonic()
+            planner.began(time.monotonic())
             self.keep("plan", found.scene, found.trajectory, found.certificate, _windows(found))
             return
-        spliced = planner.replan(at=now + AHEAD_S, now=now)
-        self.began += spliced.begins_s
-        windows = [*_windows(last, spliced.begins_s, spliced.seam_s), *_windows(spliced)]
+        measured = last.trajectory.positions(np.array([now - last.begins_s]))[0]
+        spliced = planner.replan(at=now + AHEAD_S, now=now, measured=measured)
+        windows = [*_windows(last, spliced.begins_s - last.begins_s, spliced.seam_s), *_windows(spliced)]
         kind = "kept" if spliced.is_kept else "splice"
         self.keep(kind, spliced.scene, spliced.trajectory, spliced.certificate, windows)
 
     def stop(self, rng: np.random.Generator) -> None:
         """A stop, and a scaling, of what runs."""
         scene, last = self.planner.scene, self.planner.last
-        if last is None:
+        if last is None or not (now := time.monotonic()) < _end_s(last):
             return
-        now = min(time.monotonic() - self.began, last.trajectory.duration)
-        stop = self.planner.stop_at(float(rng.uniform(now, last.trajectory.duration)), now=now)
+        stop = self.planner.stop_at(float(rng.uniform(now, _end_s(last))), now=now)
         if self.planner.scene is scene and self.planner.last is last:
             windows = _windows(last, contact_s=stop.certificate.contact_s)
-            self.keep("stop", scene, stop.trajectory, stop.certificate, windows, now)
+            self.keep("stop", scene, stop.trajectory, stop.certificate, windows, now - last.begins_s)
         if rng.random() < 0.2:
             slower = last.scaled(float(rng.uniform(0.3, 1.0)))
             windows = _windows(last, contact_s=slower.certificate.contact_s)
@@ -257,6 +255,11 @@ def soak(seed: int, seconds: float, say: Callable[[str], None], told: Callable[[
         run.judge(say)
         run.tally.measured |= {"motions judged": run.samples}
         return run.tally
+
+
+def _end_s(plan: PlanResult) -> float:
+    """When a motion ends, on the clock on the wall [s]; NaN where it has not begun."""
+    return plan.begins_s + plan.trajectory.duration
 
 
 def _windows(

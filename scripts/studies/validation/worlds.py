@@ -39,8 +39,8 @@ SEEN, BALL_M = "seen", 0.012
 #: takes what is near for the arm itself.
 ROOM_M, ROOM_OF_SEEN_M = 0.01, 0.1
 
-#: Points stay so far from a fruit that is ignored [m].
-BESIDE_FRUIT_M = 0.035
+#: Points stay so far from what may be ignored [m].
+BESIDE_IGNORED_M = 0.035
 
 #: Tries to find what is asked for.
 _TRIES = 60
@@ -57,6 +57,7 @@ class World:
         fruits: Fruit, as spheres.
         target: Name of the fruit to be picked; None for the configuration.
         base: Track of the base.
+        begin_s: When the first motion begins, on the clock of the tracks [s].
         clearance: Distance to keep [m].
         seen: (n, 3) points that a camera sees, where the base is without a shift; None without a camera [m].
     """
@@ -67,6 +68,7 @@ class World:
     fruits: tuple[Item, ...] = ()
     target: str | None = None
     base: Item | None = None
+    begin_s: float = 0.0
     clearance: float = 0.0
     seen: FloatArray | None = field(default=None, repr=False)
 
@@ -81,6 +83,15 @@ class World:
         found = things_of([*self.items, *self.fruits])
         if self.seen is not None and len(self.seen):
             found.append(Thing({"name": SEEN, "kind": "points", "points": self.seen, "radius": BALL_M}))
+        return found
+
+    def balls_at(self, time_s: float) -> list[Item]:
+        """Fruit and known balls, where they are at a time: what a camera may be told to ignore."""
+        found = [item for item in (*self.items, *self.fruits) if item["kind"] == "sphere" and "sway" not in item]
+        for k, item in enumerate(found):
+            if "track" in item:
+                pose = Moves(item["track"]).at(np.array([time_s]))[0]
+                found[k] = {**item, "center": (pose[:3, :3] @ item["center"] + pose[:3, 3]).tolist()}
         return found
 
     def scene(self) -> Scene:
@@ -120,14 +131,14 @@ def draw_world(drawn: DrawnArm, rng: np.random.Generator, *, moving: bool, camer
     ends = draw_ends(drawn, rng, clearance)
     if ends is None:
         return None
-    world = World(*ends, clearance=clearance)
+    world = World(*ends, clearance=clearance, begin_s=float(rng.choice([0.0, rng.uniform(-5.0, 50.0)])))
     if moving and rng.random() < 0.5:
-        world = replace(world, base=_track(rng, [float(x) for x in rng.uniform(-0.3, 0.3, 3)], 20.0))
+        world = replace(world, base=_track(rng, world.begin_s, rng.uniform(-0.3, 0.3, 3).tolist(), 20.0))
     items = [draw_item(drawn, world, rng, f"o{k}") for k in range(int(rng.integers(2, 9)))]
     if moving:
         for k in range(len(items)):
             if rng.random() < (0.6 if world.base is None else 0.3) or (k == 0 and world.base is None):
-                items[k] = {**items[k], "track": _track(rng, middle_of(items[k]), 60.0)}
+                items[k] = {**items[k], "track": _track(rng, world.begin_s, middle_of(items[k]), 60.0)}
     for k, item in enumerate(items):
         if "track" not in item and rng.random() < 0.15:
             sway = {"direction": tuple(direction(rng).tolist()), "amplitude_m": float(rng.uniform(0.005, 0.05))}
@@ -207,13 +218,11 @@ def middle_of(item: Item) -> list[float]:
     return list(item["center"] if "center" in item else item["position"])
 
 
-def _track(rng: np.random.Generator, about: list[float], turn_deg: float) -> Item:
+def _track(rng: np.random.Generator, begin_s: float, about: list[float], turn_deg: float) -> Item:
     """Somewhere else in a second or a few, and perhaps on from there."""
     count = int(rng.integers(2, 5))
-    times = np.cumsum(rng.uniform(0.2, 2.0, count)) - rng.uniform(0.0, 1.0)
+    times = begin_s + np.cumsum(rng.uniform(0.2, 2.0, count)) - rng.uniform(0.0, 1.0)
     shifts = np.cumsum(rng.uniform(-0.2, 0.2, (count, 3)), axis=0)
-    if times[0] > 0.0:
-        shifts[0] = 0.0
     track: Item = {"times_s": tuple(times.tolist()), "shifts_m": tuple(map(tuple, shifts.tolist()))}
     if rng.random() < 0.5:
         turns = rng.uniform(-turn_deg, turn_deg, (count, 3)) * rng.choice([0.1, 1.0], 3)
@@ -222,9 +231,10 @@ def _track(rng: np.random.Generator, about: list[float], turn_deg: float) -> Ite
 
 
 def free(
-    drawn: DrawnArm, world: World, items: list[Item], q: FloatArray | None = None, time_s: float = 0.0
+    drawn: DrawnArm, world: World, items: list[Item], q: FloatArray | None = None, time_s: float | None = None
 ) -> list[Item]:
     """Those that leave the arm free where it stands; at start and goal at the beginning, unless that is told."""
+    time_s = world.begin_s if time_s is None else time_s
     for at in (world.start, world.goal) if q is None else (q,):
         near: dict[str, float] = {}
         found = things_of(items)
@@ -242,7 +252,7 @@ def _with_fruits(drawn: DrawnArm, world: World, rng: np.random.Generator) -> Wor
         {"name": f"fruit {k}", "kind": "sphere", "center": place.tolist(), "radius": float(rng.uniform(0.025, 0.045))}
         for k, place in enumerate(at)
     ]
-    gaps = drawn.arm.clearances(world.start, things_of(fruits), world.moves, 0.0)
+    gaps = drawn.arm.clearances(world.start, things_of(fruits), None, 0.0)
     if gaps[0] <= 0.05:
         return world
     far = tuple(fruit for fruit, gap in zip(fruits, gaps, strict=True) if gap > 0.02)
@@ -250,26 +260,28 @@ def _with_fruits(drawn: DrawnArm, world: World, rng: np.random.Generator) -> Wor
 
 
 def draw_seen(
-    drawn: DrawnArm, world: World, rng: np.random.Generator, q: FloatArray | None = None, time_s: float = 0.0
+    drawn: DrawnArm, world: World, rng: np.random.Generator, q: FloatArray | None = None, time_s: float | None = None
 ) -> FloatArray:
-    """(n, 3) points on surfaces about where the arm passes, none near the arm or its fruit.
+    """(n, 3) points on surfaces about where the arm passes, none near the arm or near what may be ignored.
 
     Args:
         drawn: The arm.
         world: What else is there.
         rng: Where its numbers come from.
         q: (dof,) where the arm is; None for its start.
-        time_s: When it is there.
+        time_s: When it is there; None for when the first motion begins.
     """
     parts = [surface(rng, _simple(draw_item(drawn, world, rng, "seen")), 0.02) for _ in range(int(rng.integers(1, 6)))]
     points = np.concatenate(parts)
+    time_s = world.begin_s if time_s is None else time_s
+    points = from_base(world, points, time_s)
     at = world.start if q is None else q
     points = points[drawn.arm.beside(at, seen_from_base(world, points, time_s)) > ROOM_OF_SEEN_M]
     if q is None:
         room_m = BALL_M + ROOM_M + world.clearance
-        points = points[drawn.arm.beside(world.goal, seen_from_base(world, points, 0.0)) > room_m]
-    for fruit in world.fruits:
-        points = points[np.linalg.norm(points - fruit["center"], axis=1) > fruit["radius"] + BESIDE_FRUIT_M]
+        points = points[drawn.arm.beside(world.goal, seen_from_base(world, points, time_s)) > room_m]
+    for ball in world.balls_at(time_s):
+        points = points[np.linalg.norm(points - ball["center"], axis=1) > ball["radius"] + BESIDE_IGNORED_M]
     return points
 
 
@@ -280,6 +292,15 @@ def seen_from_base(world: World, points: FloatArray, time_s: float) -> FloatArra
     pose = world.moves.at(np.array([time_s]))[0]
     seen: FloatArray = (points - pose[:3, 3]) @ pose[:3, :3]
     return seen
+
+
+def from_base(world: World, points: FloatArray, time_s: float) -> FloatArray:
+    """(n, 3) points that the base sees at a time, where it has no shift."""
+    if world.moves is None:
+        return points
+    pose = world.moves.at(np.array([time_s]))[0]
+    there: FloatArray = points @ pose[:3, :3].T + pose[:3, 3]
+    return there
 
 
 def _simple(item: Item) -> Item:

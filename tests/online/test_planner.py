@@ -309,12 +309,15 @@ def test_names_differ(robot: Robot, name: str) -> None:
 def test_unknown_names(robot: Robot) -> None:
     planner = planner_for(robot, [POST], fruits=(fruit("apple", 0, 1.0, 2.0),))
     before = planner.scene
-    for name in ("nothing", "", "apple"):
+    for name in ("nothing", "apple"):
         if name != "apple":  # fruits can be removed
             with pytest.raises(InputError, match=f"there is no obstacle {name!r}"):
                 planner.remove(name)
         with pytest.raises(InputError, match=f"there is no obstacle {name!r}"):
             planner.move(name, radius=0.1)
+    for ask in (planner.remove, planner.move):
+        with pytest.raises(InputError, match="expected the name of an obstacle"):
+            ask("")
     assert planner.scene is before
 
 

@@ -45,7 +45,7 @@ POINTS, CLOUDS, REMEMBERED = 20_000, 12, 900
 DEADLINE_S, AHEAD_S = 0.5, 0.6
 
 #: Known obstacles at most, and samples of motions that are looked at, at most.
-MOST_KNOWN, MOST_SAMPLES = 30, 4000
+MOST_KNOWN, MOST_SAMPLES = 30, 1500
 
 #: Memory is looked at so often, and counts from then on [s].
 MEMORY_EVERY_S, WARM_S = 10.0, 120.0
@@ -77,7 +77,7 @@ class _Soak:
         self.clouds = [self.cloud(rng) for _ in range(CLOUDS)]
         self.frames: OrderedDict[str, int] = OrderedDict()
         self.planner = Planner(drawn.robot, world.scene(), PlanOptions(effort="quick", deadline_s=DEADLINE_S))
-        self.frame_ms: list[float] = []
+        self.frame_ms: list[tuple[float, float]] = []  # on the wall, and of its thread's CPU
         self.samples = 0
 
     def cloud(self, rng: np.random.Generator) -> FloatArray:
@@ -140,9 +140,9 @@ class _Soak:
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = turn, rng.uniform(-2.0, 2.0, 3)
         points = np.asarray((self.clouds[number] - pose[:3, 3]) @ turn)
-        begin = time.perf_counter()
+        begin, cpu = time.perf_counter(), time.thread_time()
         self.planner.set_cloud(SEEN, points, radius=BALL_M, pose=pose)
-        self.frame_ms.append(1e3 * (time.perf_counter() - begin))
+        self.frame_ms.append((1e3 * (time.perf_counter() - begin), 1e3 * (time.thread_time() - cpu)))
         # No other thread replaces this obstacle.
         digest = _digest(self.planner.scene)
         with self.lock:
@@ -280,8 +280,10 @@ def _digest(scene: Scene) -> str | None:
 
 def _measured(run: _Soak, memory: list[tuple[float, float]]) -> dict[str, Any]:
     """Frames and memory in numbers."""
-    frames = np.array(run.frame_ms) if run.frame_ms else np.full(1, np.nan)
-    within = {f"frame {share:g} % [ms]": round(float(np.percentile(frames, share)), 1) for share in (50, 95, 99, 100)}
+    frames = np.array(run.frame_ms) if run.frame_ms else np.full((1, 2), np.nan)
+    within: dict[str, Any] = {"within 60 ms [%]": round(100.0 * float((frames[:, 0] <= 60.0).mean()), 1)}
+    for share in (50, 95, 99, 100):
+        within[f"frame {share} % [ms], CPU"] = tuple(np.percentile(frames, share, axis=0).round(1).tolist())
     times, held = np.array(memory).T if memory else (np.zeros(1), np.zeros(1))
     slope = float(np.polyfit(times, held, 1)[0]) * 3600.0 if len(times) > 2 else 0.0
     resident = {"memory at first [MB]": held[0], "at last [MB]": held[-1], "at most [MB]": held.max(), "MB/h": slope}

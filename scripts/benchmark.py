@@ -1,222 +1,231 @@
-"""Measure hplan beside its peers, in one run on one machine, and write the tables and figures of the README."""
+"""Measure hplan beside its peers: one command for all studies, rows of numbers as they come, tables, comparisons."""
 
 from __future__ import annotations
 
 import argparse
+import contextlib
+import json
 import sys
-import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Executor, ProcessPoolExecutor
+from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from hplan.cli.job_folder import prepare_folder
-from hplan.cli.options import command_parser
-from hplan.cli.terminal import FAILED as FAULT
-from hplan.cli.terminal import run_command
-from hplan.errors import InputError, OutputError
+from hplan.cli.options import add_robot, command_parser, robot_of
+from hplan.cli.terminal import FAILED, run_command
+from hplan.errors import InputError, OptionError
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from studies.harness import Asked, Study
 
-SETS = (
-    *("reference", "clutter", "orchards", "replanning", "in_motion", "moving", "camera"),
-    *("narrow", "fastest", "bound", "growth", "recheck"),
-)
-
-#: Random scenes: planned, replanned, and rechecked; windows and traps.
-CLUTTER_SCENES, REPLANNING_SCENES, RECHECK_SCENES, NARROW_PLACES, BOUND_SCENES = 200, 20, 1000, 200, 500
-QUICK_CLUTTER_SCENES, QUICK_REPLANNING_SCENES, QUICK_RECHECK_SCENES, QUICK_NARROW_PLACES = 20, 2, 25, 12
-QUICK_BOUND_SCENES = 10
-
-#: Scenes in which an obstacle moves while the arm does.
-MOVING_SCENES, QUICK_MOVING_SCENES = 500, 4
-
-#: Who else may look for faster motions than the best known (`studies.benchmark.fastest.peers`).
-PEERS = ("rrtconnect", "detours", "ipopt")
-
-#: Problems of each kind of orchard, and of the fastest, in a quick run.
-QUICK_PROBLEMS = 3
+#: Where each study is.
+STUDIES = {
+    "reference": "reference:REFERENCE",
+    "clutter": "planar:CLUTTER",
+    "trees": "trees:TREES",
+    "tours": "trees:TOURS",
+    "narrow": "narrow:NARROW",
+    "fastest": "fastest:FASTEST",
+    "bound": "planar:BOUND",
+    "recheck": "planar:RECHECK",
+    "deadlines": "fruit:DEADLINES",
+    "tracking": "fruit:TRACKED",
+    "moving": "moving:MOVING",
+    "splices": "moving:SPLICES",
+    "camera": "camera:CAMERA",
+    "finishing": "arms:FINISHING",
+    "panda": "arms:PANDA",
+    "random": "arms:RANDOM",
+    "grazing": "grazing:GRAZING",
+}
 
 _DESCRIPTION = """\
-Measure hplan beside its peers: dense A*, coal's sampling of the grid, toppra on its own, and OMPL's planners where
-they are installed (pip install 'hplan[bench]').
+Measure hplan, beside peers with --peer: OMPL's planners, toppra on their paths, IPOPT (extra bench). Times are CPU
+times of a thread; trust ratios within one run. Without names all studies are run that need nothing else.
 """
 
 _EPILOG = """\
-sets:
+studies:
   reference   the reference scene: stages, searches, C-space, motions, planners
-  clutter     random planar scenes: success, time, length, duration, planners
-  orchards    all joints among trees: success, time, duration, planners
-  replanning  an obstacle of 40 moves: time, duration, beside plans from nothing
-  in_motion   the same while the arm moves: splices and stops, looked at by coal alone
-  moving      an obstacle that moves as the arm does: duration, waiting, safe intervals
-  camera      frames of a depth camera to certified motions: time, beside their size
-  narrow      windows, traps and pinches for three kinds of arm: success, time, duration, RRTConnect
-  fastest     blocked scenes and trees: duration with each effort to the best known, time
-  bound       planar problems: lower bound of the duration beside the certified motion, time
-  growth      time and memory against grid step, obstacles and links
-  recheck     certified trajectories looked at again every 0.1 ms
+  clutter     random planar scenes: searches, motions, toppra and stops on the grid path
+  trees       motions among trees, all joints free
+  tours       picking tours over a tree each
+  narrow      windows, traps and pinches for three kinds of arm
+  fastest     durations with each effort to the best known of 200 problems
+  bound       lower bounds of durations beside certified motions
+  recheck     certified motions looked at every 0.1 ms from their CSV
+  deadlines   fruit and motions among trees with 20, 50 and 100 ms
+  tracking    fruit with a tracking error, executed in MuJoCo
+  moving      an obstacle moves as the arm does
+  splices     running motions that go on, and stops, while something crosses or jumps
+  camera      frames of a depth camera to certified motions
+  finishing   paths of OMPL, finished
+  panda       MotionBenchMaker's problems (--files)
+  random      random scenes of any arm (--robot)
+  grazing     obstacles that motions of any arm graze (--robot)
 
-writes into DIR: benchmark.json, benchmark.md, benchmark-*.png
+writes into DIR: STUDY.jsonl, what was asked for and on what in its first line, then a row a line as they come; and
+benchmark.md
 
 exit status:
-  0  done, and no certified trajectory was found at fault
+  0  done, and hplan was not found at fault
   2  bad input
-  5  a certified trajectory was found at fault
+  5  hplan was found at fault, as by a certified motion in contact
 """
-
-#: Width of tables that go to a file or a pipe.
-WIDTH = 120
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
     arguments = _parser().parse_args(argv)
-
-    def command(console: Console, errors: Console) -> int:
-        if not console.is_terminal:
-            console.width = WIDTH
-        if arguments.scenes is not None and arguments.scenes < 1:
-            raise InputError("--scenes: expected a number of at least 1", scenes=arguments.scenes)
-        arguments.out = arguments.out or Path(tempfile.mkdtemp(prefix="hplan-"))
-        prepare_folder(arguments.out)
-        results = run(arguments, errors)
-        from studies.benchmark.tables import show
-
-        show(console, results)
-        for path in write(results, arguments.out):
-            console.print(f"written: {path}", markup=False, soft_wrap=True)
-        faults = (
-            *(("recheck", "violations"), ("bound", "violations")),
-            *(("orchards", "at_fault"), ("replanning", "at_fault"), ("in_motion", "at_fault")),
-            ("moving", "at_fault"),
-        )
-        return FAULT if any(results.get(name, {}).get(key) for name, key in faults) else 0
-
-    return run_command(command)
+    return run_command(lambda console, errors: _run(arguments, console, errors))
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = command_parser(_DESCRIPTION, _EPILOG)
     add = parser.add_argument
-    add("--out", type=Path, metavar="DIR", help="folder to write into (default: a temporary one, named in the end)")
-    add("--quick", action="store_true", help="few repetitions and scenes: a look, not a measurement")
-    add("--sets", nargs="+", choices=SETS, default=list(SETS), help="what to measure (default: all)", metavar="SET")
-    add("--seed", type=int, default=0, metavar="N", help="seed of scenes and planners (default: 0)")
-    add(
-        "--scenes",
-        type=int,
-        metavar="N",
-        help=f"random scenes of each set (default: {CLUTTER_SCENES} in clutter, {REPLANNING_SCENES} in replanning and "
-        f"in_motion, {RECHECK_SCENES} in recheck, {NARROW_PLACES} in narrow, {MOVING_SCENES} in moving, "
-        f"{BOUND_SCENES} in bound); problems of each kind of orchard and in fastest; orchards of the camera (default: "
-        "all)",
-    )
-    trees = "folder of measured trees, a CSV of capsules each, for orchards, camera and fastest"
-    add("--trees", type=Path, metavar="DIR", help=trees)
-    add(
-        "--improve",
-        nargs="*",
-        choices=PEERS,
-        metavar="PEER",
-        help="fastest: write durations shorter than the best known to the set's file, hplan's and those of these peers "
-        f"({', '.join(PEERS)})",
-    )
+    add("studies", nargs="*", metavar="STUDY", help="what to measure (default: all that need nothing)")
+    add("--out", type=Path, default=Path("out"), metavar="DIR", help="folder to write into (default: out)")
+    add("--count", type=int, metavar="N", help="problems of each study, or of each of its groups")
+    add("--quick", action="store_true", help="few problems: a look, not a measurement")
+    add("--first", type=int, default=0, metavar="N", help="number of the first problem drawn (default: 0)")
+    add("--seed", type=int, default=0, metavar="N", help="seed of problems and planners (default: 0)")
+    add("--jobs", type=int, default=1, metavar="N", help="processes (default: 1)")
+    add("--effort", choices=("quick", "default", "best"), default="default", help="of hplan (default: default)")
+    add("--peer", nargs="?", const="RRTConnect", choices=("RRTConnect", "BITstar"), help="let OMPL's planner solve the "
+        "problems too, in fastest IPOPT as well (default of the planner: RRTConnect)")  # fmt: skip
+    add("--trees", type=Path, metavar="DIR", help="folder of measured trees, a CSV of capsules each")
+    add("--files", type=Path, metavar="DIR", help="folder of MotionBenchMaker's sets, panda_SET.json each")
+    add("--values", nargs="+", default=[], metavar="NAME=X,Y", help="numbers of a study, as deadlines=20,50 [ms]")
+    add("--improve", action="store_true", help="fastest: keep what is faster than the best known in the project's file")
+    add("--compare", nargs=2, type=Path, metavar=("OLD", "NEW"), help="compare the rows of two folders, problem by "
+        "problem, instead of measuring")  # fmt: skip
+    add_robot(parser)
     return parser
 
 
-def run(arguments: argparse.Namespace, errors: Console) -> dict[str, Any]:
-    """Measure what was asked for."""
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-
-    columns = TextColumn("{task.description:32}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()
-    with Progress(*columns, console=errors, transient=True, disable=not errors.is_terminal) as bars:
-        task = bars.add_task("loading", total=None)
-
-        def progress(what: str, done: int, total: int) -> None:
-            bars.update(task, description=what, completed=done, total=total)
-
-        return _measure(arguments, progress)
-
-
-def _measure(arguments: argparse.Namespace, progress: Callable[[str, int, int], None]) -> dict[str, Any]:
-    from studies.benchmark import camera, clutter, growth, in_motion, orchards, recheck, reference, replanning
-    from studies.benchmark.fastest import bound
-    from studies.benchmark.fastest import measure as fastest
-    from studies.benchmark.measure import environment
-    from studies.benchmark.moving import measure as moving
-    from studies.benchmark.narrow import measure as narrow
-    from studies.benchmark.planners import Ompl
-
-    from hplan.robot.model import load_robot
-    from hplan.scene.file import load_scene
-
-    robot, scene = load_robot(), load_scene()
-    quick, seed = arguments.quick, arguments.seed
-    # The first seed of OMPL must be positive.
-    ompl = Ompl.if_installed(seed + 1)
-    many = arguments.scenes or (QUICK_CLUTTER_SCENES if quick else CLUTTER_SCENES)
-    each = arguments.scenes or (QUICK_PROBLEMS if quick else None)
-    walks = arguments.scenes or (QUICK_REPLANNING_SCENES if quick else REPLANNING_SCENES)
-    most = arguments.scenes or (QUICK_RECHECK_SCENES if quick else RECHECK_SCENES)
-    places = arguments.scenes or (QUICK_NARROW_PLACES if quick else NARROW_PLACES)
-    passing = arguments.scenes or (QUICK_MOVING_SCENES if quick else MOVING_SCENES)
-    bounded = arguments.scenes or (QUICK_BOUND_SCENES if quick else BOUND_SCENES)
-    sets: dict[str, Callable[[], dict[str, Any]]] = {
-        "reference": lambda: reference.measure(robot, scene, seed=seed, quick=quick, ompl=ompl, progress=progress),
-        "clutter": lambda: clutter.measure(robot, seed=seed, scenes=many, ompl=ompl, progress=progress),
-        "orchards": lambda: orchards.measure(robot, trees=arguments.trees, most=each, ompl=ompl, progress=progress),
-        "replanning": lambda: replanning.measure(robot, seed=seed, scenes=walks, quick=quick, progress=progress),
-        "in_motion": lambda: in_motion.measure(robot, seed=seed, scenes=walks, quick=quick, progress=progress),
-        "moving": lambda: moving.measure(robot, seed=seed, scenes=passing, progress=progress),
-        "camera": lambda: camera.measure(
-            robot, trees=arguments.trees, most=arguments.scenes, seed=seed, quick=quick, progress=progress
-        ),
-        "narrow": lambda: narrow.measure(seed=seed, problems=places, ompl=ompl, progress=progress),
-        "fastest": lambda: fastest.measure(
-            trees=arguments.trees, most=each, improve=arguments.improve, progress=progress
-        ),
-        "bound": lambda: bound.measure(robot, scene, seed=seed, scenes=bounded, progress=progress),
-        "growth": lambda: growth.measure(robot, scene, seed=seed, quick=quick, progress=progress),
-        "recheck": lambda: recheck.measure(robot, scene, seed=seed, scenes=most, progress=progress),
-    }
-    return {
-        "format": "hplan-benchmark/1",
-        "settings": {"sets": [name for name in SETS if name in arguments.sets], "quick": quick, "seed": seed},
-        "environment": environment(),
-        **{name: measure() for name, measure in sets.items() if name in arguments.sets},
-    }
-
-
-def write(results: dict[str, Any], folder: Path) -> list[Path]:
-    """Write JSON, Markdown and figures; figures only where matplotlib is installed.
+def study_of(name: str) -> Study:
+    """The study of a name.
 
     Raises:
-        OutputError: A file cannot be written.
+        OptionError: There is none.
     """
-    from studies.benchmark.figures import figures
-    from studies.benchmark.tables import to_markdown
+    if name not in STUDIES:
+        raise OptionError("STUDY", name, f"one of {', '.join(STUDIES)}")
+    module, attribute = STUDIES[name].split(":")
+    study: Study = getattr(import_module(f"studies.{module}"), attribute)
+    return study
 
-    from hplan.base.files import write_text
-    from hplan.planning.report import write_report
-    from hplan.view.figure_style import png_bytes, require_matplotlib
 
-    written = [
-        write_report(results, folder / "benchmark.json"),
-        write_text(folder / "benchmark.md", to_markdown(results)),
-    ]
+def _value(text: str) -> tuple[str, tuple[float, ...]]:
+    """A name and its numbers.
+
+    Raises:
+        OptionError: Another text.
+    """
+    name, _, numbers = text.partition("=")
     try:
-        require_matplotlib()
-    except InputError:
-        return written
-    for name, figure in figures(results).items():
-        path = folder / f"{name}.png"
-        try:
-            path.write_bytes(png_bytes(figure))
-        except OSError as error:
-            raise OutputError(path, error.strerror or str(error)) from error
-        written.append(path)
-    return written
+        return name, tuple(map(float, numbers.split(",")))
+    except ValueError:
+        raise OptionError("--values", text, "NAME=X,Y, a name and numbers") from None
+
+
+def _run(arguments: argparse.Namespace, console: Console, errors: Console) -> int:
+    for name, least in (("count", 1), ("first", 0), ("seed", 0), ("jobs", 1)):
+        value = getattr(arguments, name)
+        if value is not None and value < least:
+            raise OptionError(f"--{name}", value, f"a whole number >= {least}")
+    studies = [study_of(name) for name in arguments.studies or STUDIES]
+    if arguments.compare:
+        return _compare(arguments.compare, studies, console)
+    from studies.harness import Asked
+
+    asked = Asked(
+        first=arguments.first,
+        seed=arguments.seed,
+        effort=arguments.effort,
+        peer=arguments.peer,
+        robot=None if arguments.robot is None else robot_of(arguments),
+        trees=arguments.trees,
+        files=arguments.files,
+        values=dict(map(_value, arguments.values)),
+    )
+    if not arguments.studies:
+        studies = [study for study in studies if not study.needs]
+    prepare_folder(arguments.out)
+    if asked.trees is not None and not any(asked.trees.glob("*.csv")):
+        raise InputError(f"--trees {asked.trees}: there is no CSV in it", path=str(asked.trees))
+    faults, lines = 0, list[str]()
+    for study in studies:
+        count = arguments.count or study.count[arguments.quick]
+        told, wrong = _measured(study, asked, count, arguments, errors)
+        lines, faults = lines + told, faults + wrong
+        console.print("\n".join(told), markup=False, soft_wrap=True)
+    (arguments.out / "benchmark.md").write_text("\n".join(lines), encoding="utf-8")
+    console.print(f"written to {arguments.out}", markup=False, soft_wrap=True)
+    return FAILED if faults else 0
+
+
+def _measured(
+    study: Study, asked: Asked, count: int | None, arguments: argparse.Namespace, errors: Console
+) -> tuple[list[str], int]:
+    """A study run, its rows written as they come: what is told of it, and how many rows are at fault."""
+    from dataclasses import replace
+
+    from rich.progress import Progress
+    from studies.fastest import improve
+    from studies.harness import Row, plain, run, summary
+    from studies.measure import environment
+
+    asked, rows = replace(asked, count=count), list[Row]()
+    options = {name: str(value) for name, value in vars(arguments).items() if value not in (None, [], False)}
+    with (
+        Progress(console=errors, transient=True, disable=not errors.is_terminal) as bars,
+        _executor(arguments.jobs) as executor,
+        (arguments.out / f"{study.name}.jsonl").open("w", encoding="utf-8") as file,
+    ):
+        bar = bars.add_task(study.name, total=None)
+        head = {"study": study.name, "count": count, "options": options, "environment": environment()}
+        file.write(json.dumps(plain(head)) + "\n")
+        told = lambda done, total: bars.update(bar, completed=done, total=total)  # noqa: E731
+        for row in run(study, asked, executor=executor, told=told):
+            rows.append(row)
+            file.write(json.dumps(plain(row)) + "\n")
+            file.flush()
+    if study.name == "fastest" and arguments.improve:
+        improve(rows)
+    return summary(study, rows), sum(bool(row.get("fault")) for row in rows)
+
+
+@contextlib.contextmanager
+def _executor(jobs: int) -> Iterator[Executor | None]:
+    """Processes, where more than one is wanted."""
+    if jobs == 1:
+        yield None
+        return
+    from multiprocessing import get_context
+
+    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+        yield pool
+
+
+def _compare(folders: Sequence[Path], studies: Sequence[Study], console: Console) -> int:
+    """Say what has changed between two folders in each study that both have."""
+    from studies.harness import compare, read_rows
+
+    found = 0
+    for study in studies:
+        files = [folder / f"{study.name}.jsonl" for folder in folders]
+        if not all(file.is_file() for file in files):
+            continue
+        found += 1
+        lines = compare(*map(read_rows, files), study.columns)
+        console.print("\n".join([f"### {study.name}", "", *lines, ""]), markup=False, soft_wrap=True)
+    if not found:
+        raise InputError(f"--compare: no study is in both {folders[0]} and {folders[1]}")
+    return 0
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from planned import fruit, post, task
-from studies.benchmark.scenes import random_scene
+from studies.planar import random_scene
 
 import hplan.lower_bound.duration_bound as module
 from hplan.cli.main import main

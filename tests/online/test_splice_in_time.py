@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from planned import assert_clear, between_rows, task
 from spliced import FIELDS, assert_goes_on
-from studies.benchmark.moving.judge import least_distance
+from studies.outside import least_distance
 
 from hplan.errors import ObstacleInTimeError, RunningMotionBlockedError
 from hplan.online.planner import Planner

@@ -1,0 +1,356 @@
+"""Any arm: random scenes, MotionBenchMaker's problems for the Panda, paths of OMPL finished.
+
+A random scene comes of its own seed, (seed, number). Boxes, balls, capsules and clouds stand where the tool gets to,
+over a floor just below the base; start and goal are drawn uniformly from the joint ranges (at most half a turn to
+either side) until the arm keeps `FREE_M` clear of everything, and the tool lies `APART` of the reach apart.
+
+MotionBenchMaker's problems are read as VAMP distributes them, one JSON list for each set. The robot is
+example-robot-data's Panda. Its fingers stand where the problems have them, which is farther apart than its URDF lets
+them go, and some goals have joint 4 up to 0.07 rad beyond it: both limits are widened.
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+from collections.abc import Iterable, Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from studies.harness import Asked, Row, Study
+from studies.measure import or_error, planned, ratio, timed
+from studies.outside import OutsideCheck
+from studies.peers import RESOLUTION, ompl, ompl_path, toppra_motion, world_of
+
+from hplan.base.arrays import FloatArray
+from hplan.bodies.collision_bodies import collision_bodies
+from hplan.collision.coal_scene import CoalScene, base_contacts
+from hplan.errors import HplanError, InputError
+from hplan.finishing.finish import finish
+from hplan.problem.options import PlanOptions
+from hplan.robot.files import named_robot
+from hplan.robot.model import Robot, load_robot
+from hplan.scene.file import load_scene
+from hplan.scene.model import Scene
+from hplan.scene.obstacles import Box, Capsule, Cylinder, Obstacle, PointCloud, Sphere
+
+#: Kinds of scenes, in turn: how many boxes, balls, capsules and clouds.
+KINDS = ((10, 8, 8, 0), (4, 4, 4, 2), (14, 0, 0, 0), (0, 16, 0, 0), (0, 0, 18, 0), (0, 0, 0, 4), (8, 6, 6, 1))
+
+#: Clearance of start and goal, as coal has it [m].
+FREE_M = 3e-3
+
+#: Least distance of the tool at the start from that at the goal, as a fraction of the reach.
+APART = 0.4
+
+#: Where obstacles stand, as fractions of the reach from the base's axis and height.
+NEAREST, FARTHEST = 0.25, 1.0
+
+#: Thickness of the floor, and its depth below the base [m].
+FLOOR_M = 0.05
+
+#: Configurations drawn for the ends of a scene, before its obstacles are drawn again.
+DRAWS = 400
+
+
+def random_scene(robot: Robot, seed: int, number: int) -> Scene:
+    """One scene.
+
+    Args:
+        robot: The arm.
+        seed: Of all scenes.
+        number: Of this one, from 0 on; its kind is `KINDS[number % len(KINDS)]`.
+    """
+    rng = np.random.default_rng([seed, number])
+    extent = reach_of(robot, rng)
+    while True:
+        obstacles = _obstacles(robot, rng, KINDS[number % len(KINDS)], extent)
+        ends = free_ends(robot, rng, obstacles, extent)
+        if ends is not None:
+            return scene_between(f"random {seed}-{number}", *ends, obstacles)
+
+
+def reach_of(robot: Robot, rng: np.random.Generator) -> float:
+    """Largest distance of the tool from the base, of 500 configurations [m]."""
+    q = rng.uniform(*_ranges(robot), (500, robot.dof))
+    return float(np.linalg.norm(robot.tool_positions(q), axis=1).max())
+
+
+def scene_between(name: str, start: FloatArray, goal: FloatArray, obstacles: Sequence[Obstacle]) -> Scene:
+    """The scene of two (dof,) configurations and some obstacles."""
+    ends = {"start": {"joints_rad": tuple(start.tolist())}, "goal": {"joints_rad": tuple(goal.tolist())}}
+    return Scene.model_validate({"format": "hplan-scene/1", "name": name, "obstacles": tuple(obstacles), **ends})
+
+
+def _ranges(robot: Robot) -> tuple[FloatArray, FloatArray]:
+    """(dof,) lower and upper ends of the joint ranges, at most half a turn to either side."""
+    return np.maximum(robot.lower, -np.pi), np.minimum(robot.upper, np.pi)
+
+
+def _obstacles(
+    robot: Robot, rng: np.random.Generator, counts: tuple[int, int, int, int], extent: float
+) -> list[Obstacle]:
+    """The floor, and so many boxes, balls, capsules and clouds that nothing of which the base holds touches."""
+    bottom = min(-0.01, _lowest(robot))
+    floor = Box(name="floor", center=(0.0, 0.0, bottom - 0.5 * FLOOR_M - 0.01), size=(4.0, 4.0, FLOOR_M))
+    found: list[Obstacle] = [floor]
+    kinds = [kind for kind, count in enumerate(counts) for _ in range(count)]
+    for kind in kinds:
+        while True:
+            one = _obstacle(rng, kind, f"{('box', 'ball', 'capsule', 'cloud')[kind]} {len(found)}", extent)
+            if not base_contacts(robot, one.solids):
+                found.append(one)
+                break
+    return found
+
+
+def _obstacle(rng: np.random.Generator, kind: int, name: str, extent: float) -> Obstacle:
+    """One obstacle somewhere in reach."""
+    turn, height = rng.uniform(-np.pi, np.pi), rng.uniform(-0.1, 0.9) * extent
+    far = rng.uniform(NEAREST, FARTHEST) * np.sqrt(max(extent**2 - height**2, 0.1 * extent**2))
+    center = np.array([far * np.cos(turn), far * np.sin(turn), height])
+    if kind == 0:
+        size = tuple(rng.uniform(0.03, 0.35, 3).tolist())
+        return Box(name=name, center=tuple(center), size=size, rpy_deg=tuple(rng.uniform(-90.0, 90.0, 3).tolist()))
+    if kind == 1:
+        return Sphere(name=name, center=tuple(center), radius=rng.uniform(0.03, 0.13))
+    if kind == 2:
+        half = _direction(rng) * rng.uniform(0.1, 0.4)
+        ends = {"from": tuple(center - half), "to": tuple(center + half)}
+        return Capsule.model_validate({"name": name, "radius": rng.uniform(0.01, 0.05), **ends})
+    count = int(rng.integers(300, 1500))
+    around = rng.normal(size=(count, 3))
+    around /= np.linalg.norm(around, axis=1)[:, None]
+    stretch = rng.uniform(0.05, 0.25, 3)
+    points = center + around * stretch + rng.normal(size=(count, 3)) * 0.01
+    return PointCloud.of(name, points, radius=rng.uniform(0.004, 0.012))
+
+
+def _direction(rng: np.random.Generator) -> FloatArray:
+    vector = rng.normal(size=3)
+    unit: FloatArray = vector / np.linalg.norm(vector)
+    return unit
+
+
+def _lowest(robot: Robot) -> float:
+    """Height of the lowest point of what stands still [m]."""
+    still = [body.core[:, 2].min() - body.rounding for body in collision_bodies(robot) if body.joint < 0]
+    return float(min(still, default=0.0))
+
+
+def free_ends(
+    robot: Robot, rng: np.random.Generator, obstacles: Sequence[Obstacle], extent: float
+) -> tuple[FloatArray, FloatArray] | None:
+    """(dof,) start and goal; None where too few of the draws are free.
+
+    Args:
+        robot: The arm.
+        rng: What configurations are drawn with.
+        obstacles: What they are to be free of.
+        extent: Reach of the arm [m].
+    """
+    checker = CoalScene(robot, tuple(solid for obstacle in obstacles for solid in obstacle.solids))
+    start = None
+    for q in rng.uniform(*_ranges(robot), (DRAWS, robot.dof)):
+        if not (checker.pair_distances(q) - checker.kept(FREE_M) > 0.0).all():
+            continue
+        if start is None:
+            start = q
+        elif np.linalg.norm(np.subtract(*robot.tool_positions(np.array([start, q])))) >= APART * extent:
+            return start, q
+    return None
+
+
+#: Distances between configurations that OMPL checks, one after the other, as fractions of the space's extent; how long
+#: it has [s]; paths are looked at from outside so often, by the joint that turns farthest [rad].
+FINE, FIND_S, EVERY_RAD = (0.002, 0.0005), 5.0, 5e-3
+
+
+def _random(asked: Asked, number: int) -> Row:
+    """What a straight motion, OMPL's RRTConnect and hplan make of a scene; contacts by coal."""
+    robot = asked.arm()
+    scene = random_scene(robot, asked.seed, number)
+    check, goal = OutsideCheck.of(robot, scene), scene.goal.configuration
+    straight = _is_clear(check, np.array([scene.start.configuration, goal]))
+    row: Row = {"name": scene.name, "straight": straight}
+    if asked.peer is not None:
+        ompl(asked.seed)
+        world, row["peer_solved"], row["peer_ms"] = world_of(robot, scene), False, 0.0
+        for fine in FINE:
+            path, ms = timed(lambda fine=fine: ompl_path(world, scene, goal, seconds=FIND_S, resolution=fine))  # type: ignore[misc]
+            row["peer_ms"] += ms
+            row["peer_solved"] = path is not None and _is_clear(check, path)
+            if path is None or row["peer_solved"]:
+                break
+    found, told = planned(robot, scene, PlanOptions(effort=asked.effort))
+    row |= told | {"missed": not told["certified"] and row.get("peer_solved", False)}
+    if found is not None:
+        row["contacts"] = sum(check.contacts(found.trajectory))
+    return row | {"fault": row.get("contacts", 0) > 0 or row.get("fault", False)}
+
+
+def _is_clear(check: OutsideCheck, path: FloatArray) -> bool:
+    """Whether straight motions between the waypoints of a path touch nothing."""
+    for first, last in itertools.pairwise(path):
+        steps = max(2, int(np.ceil(np.abs(last - first).max() / EVERY_RAD)) + 1)
+        if any(any(check.touched(q)) for q in np.linspace(first, last, steps)):
+            return False
+    return True
+
+
+RANDOM = Study(
+    "random",
+    "random scenes of any arm (--robot), each motion looked at by coal every millisecond",
+    _random,
+    ("straight", "certified", "missed", "ms", "duration_s", "origin", "contacts", "peer_solved", "peer_ms"),
+    count=(200, 3),
+    needs=("robot",),
+    warm=2,
+)
+
+SETS = ("bookshelf_small", "bookshelf_tall", "bookshelf_thin", "box", "cage", "table_pick", "table_under_pick")
+
+#: Where the fingers stand [m], and limits of the URDF that give way.
+FINGERS = 0.065
+WIDENED = (('lower="0.0" upper="0.04"', 'lower="0.0" upper="0.08"'), ('upper="-0.0698"', 'upper="0.0873"'))
+
+
+@cache
+def panda() -> Robot:
+    """The Panda of example-robot-data with the limits widened and the fingers held.
+
+    Raises:
+        InputError: That package is not installed.
+    """
+    files = named_robot("panda")
+    text = files.urdf.read_text(encoding="utf-8")
+    for before, after in WIDENED:
+        text = text.replace(before, after)
+    hold = {"panda_finger_joint1": FINGERS}
+    return load_robot(text, limits=files.limits, tool_frame="panda_hand", hold=hold, package_dirs=files.package_dirs)
+
+
+def panda_problems(folder: Path, set_name: str) -> list[dict[str, Any]]:
+    """The problems of a set.
+
+    Raises:
+        InputError: There is no such file.
+    """
+    file = folder / f"panda_{set_name}.json"
+    try:
+        found: list[dict[str, Any]] = json.loads(file.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"{file}: {error.strerror}", path=str(file)) from error
+    return found
+
+
+def panda_scene(robot: Robot, problem: dict[str, Any], name: str) -> Scene:
+    """A problem as a scene; obstacles of one name are numbered."""
+    ends = {key: {"joints_rad": tuple(problem[key][joint] for joint in robot.joint_names)} for key in ("start", "goal")}
+    obstacles: list[Box | Cylinder] = []
+    for number, part in enumerate(problem["obstacles"]):
+        x, y, z, w = part["quaternion_xyzw"]
+        turn = pin.rpy.matrixToRpy(pin.Quaternion(w, x, y, z).normalized().toRotationMatrix())
+        keys = {
+            "name": f"{part['name']} {number}",
+            "center": tuple(part["position"]),
+            "rpy_deg": tuple(np.degrees(turn).tolist()),
+        }
+        if part["kind"] == "box":
+            obstacles.append(Box(size=tuple(part["size"]), **keys))
+        else:
+            obstacles.append(Cylinder(length=part["length"], radius=part["radius"], **keys))
+    return Scene.model_validate({"format": "hplan-scene/1", "name": name, "obstacles": tuple(obstacles), **ends})
+
+
+def _panda_scenes(asked: Asked) -> Iterable[tuple[str, Robot, Scene]]:
+    if asked.files is None:
+        return []
+    robot, found = panda(), []
+    for name in SETS:
+        problems = panda_problems(asked.files, name)
+        every = max(1, len(problems) // (asked.count or len(problems)))
+        chosen = problems[::every][: asked.count]
+        found += [(name, robot, panda_scene(robot, one, f"{name} {one['number']}")) for one in chosen]
+    return found
+
+
+def _panda_row(asked: Asked, problem: tuple[str, Robot, Scene]) -> Row:
+    set_name, robot, scene = problem
+    found, row = planned(robot, scene, PlanOptions(effort=asked.effort))
+    row |= {"name": scene.name, "set": set_name}
+    if found is not None:
+        row["contacts"], row["own_contacts"] = OutsideCheck.of(robot, scene).contacts(found.trajectory)
+        row["fault"] |= row["contacts"] + row["own_contacts"] > 0
+    if asked.peer is None:
+        return row
+    ompl(asked.seed + 1)
+    world, goal = world_of(robot, scene), scene.goal.configuration
+    path, row["peer_ms"] = timed(lambda: ompl_path(world, scene, goal, seconds=FIND_S, resolution=RESOLUTION))
+    spline = None if path is None else toppra_motion(robot, path)
+    row["peer_solved"] = spline is not None
+    if spline is not None:
+        row["spline_touches"] = any(OutsideCheck.of(robot, scene).contacts(spline))
+        row["to_spline"] = ratio(row.get("duration_s"), spline.duration)
+    return row
+
+
+PANDA = Study(
+    "panda",
+    "MotionBenchMaker's problems for the Panda (--files, panda_SET.json each); --peer: toppra on OMPL's paths",
+    _panda_row,
+    (
+        *("certified", "ms", "duration_s", "origin", "contacts", "own_contacts"),
+        *("peer_solved", "peer_ms", "to_spline", "spline_touches"),
+    ),
+    problems=_panda_scenes,
+    by="set",
+    needs=("files",),
+    warm=7,
+)
+
+
+#: Paths in the reference scene, and where the shape of a path is kept, so near to it [rad].
+REFERENCE_PATHS, WITHIN_RAD = 20, 0.02
+
+
+def _to_finish(asked: Asked) -> Iterable[tuple[str, Robot, Scene]]:
+    reference = ("reference", load_robot(), load_scene())
+    return [*[reference] * min(REFERENCE_PATHS, asked.count or REFERENCE_PATHS), *_panda_scenes(asked)]
+
+
+def _finishing(asked: Asked, problem: tuple[str, Robot, Scene]) -> Row:
+    """A path of RRTConnect, simplified, at OMPL's resolution: what toppra and `hplan.finish` make of it."""
+    group, robot, scene = problem
+    ompl(asked.seed + 1)
+    row: Row = {"name": scene.name, "set": group}
+    path = ompl_path(world_of(robot, scene), scene, scene.goal.configuration, resolution=RESOLUTION)
+    if path is None:
+        return row | {"outcome": "no path"}
+    check, spline, options = OutsideCheck.of(robot, scene), toppra_motion(robot, path), PlanOptions(effort=asked.effort)
+    spline_s = None if spline is None else spline.duration
+    row["spline_touches"] = None if spline is None else any(check.contacts(spline))
+    found, row["ms"] = timed(lambda: or_error(lambda: finish(robot, scene, path, options)))
+    if isinstance(found, HplanError):
+        return row | {"outcome": found.kind}
+    kept = or_error(lambda: finish(robot, scene, path, options, keep_within_rad=WITHIN_RAD))
+    return row | {
+        "outcome": "certified",
+        "to_spline": ratio(found.trajectory.duration, spline_s),
+        "kept_to_spline": None if isinstance(kept, HplanError) else ratio(kept.trajectory.duration, spline_s),
+        "fault": any(check.contacts(found.trajectory)),
+    }
+
+
+FINISHING = Study(
+    "finishing",
+    "paths of OMPL, finished, beside toppra on the same: the reference scene, and the Panda's problems (--files)",
+    _finishing,
+    ("outcome", "ms", "to_spline", "kept_to_spline", "spline_touches"),
+    problems=_to_finish,
+    by="set",
+    count=(None, 2),
+)

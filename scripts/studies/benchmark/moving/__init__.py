@@ -1,1 +1,0 @@
-"""Scenes in which one obstacle moves while the arm does: random scenes, baselines, and the measurement."""

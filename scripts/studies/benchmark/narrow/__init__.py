@@ -1,1 +1,0 @@
-"""Windows in walls, traps with one opening, and pinches, for arms of three kinds."""

@@ -1,0 +1,209 @@
+"""How far motions are from the fastest known: 200 problems, the best duration ever found of each, and who found it.
+
+The file `best_known.json` says what each problem is made from. In each the straight motion is in contact: discs in the
+plane of the default arm and of the orchard arm, pinches for both and for arms drawn at random, all with the base
+locked; and measured trees, one at a time, with all joints. A digest of robot and scene makes sure that it is still the
+problem whose best duration is known. A motion counts only if hplan certifies its rows. Others look for quicker ones:
+
+- RRTConnect's paths, and detours by way of random configurations, each finished by hplan with its best effort;
+- IPOPT (`studies.transcription`), from hplan's own motion.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterable
+from functools import cache
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from studies.harness import Asked, Row, Study, evenly_chosen
+from studies.measure import planned, smallest
+from studies.narrow import narrow_problem
+from studies.peers import finished_s, ompl, ompl_path, world_of
+from studies.planar import random_scene
+from studies.transcription import optimized
+from studies.trees import Orchard, measured_orchard
+
+from hplan.base.arrays import FloatArray
+from hplan.errors import InputError
+from hplan.problem.options import EFFORT_NAMES, PlanOptions
+from hplan.robot.model import Robot, load_robot
+from hplan.scene.model import Scene
+from hplan.verification.digests import robot_digest
+
+#: The file that comes with the project.
+BEST_KNOWN = Path(__file__).with_name("best_known.json")
+
+#: Seed of the planar problems; decimals that go into a digest, as sines differ in the last bit from machine to machine.
+SEED, _DECIMALS = 14, 9
+
+#: A duration is shorter than another only by more than this part of it.
+SHORTER = 1e-9
+
+#: Paths of RRTConnect and detours on each problem, draws of a clear configuration for one, CPU time of each half [s].
+PATHS, DETOURS, _DRAWS, HALF_S = 3, 6, 200, 1.0
+
+
+class FastestProblem(NamedTuple):
+    """A problem, what the file says of it, its arm and scene."""
+
+    record: dict[str, Any]
+    robot: Robot
+    scene: Scene
+
+
+def group_of(record: dict[str, Any]) -> str:
+    """What a problem is counted with."""
+    return "trees" if record["kind"] == "tree" else "planar"
+
+
+def problem_of(record: dict[str, Any], trees: Path | None) -> FastestProblem:
+    """The problem of a record.
+
+    Args:
+        record: What the set's file says.
+        trees: Folder of measured trees; None will do for planar problems.
+
+    Raises:
+        InputError: It is not the problem that the best known duration is of, or its tree is not there.
+    """
+    robot, scene = _made(record, trees)
+    found, name = digest_of(robot, scene), record["name"]
+    if found != record["digest"]:
+        raise InputError(
+            f"{name}: not the problem whose best duration is known; its generator, its arm or its tree is another now "
+            f"(digest {found}, expected {record['digest']})",
+            name=name,
+            digest=found,
+            expected=record["digest"],
+        )
+    return FastestProblem(record, robot, scene)
+
+
+def _made(record: dict[str, Any], trees: Path | None) -> tuple[Robot, Scene]:
+    if record["kind"] == "discs":
+        robot = load_robot(record["arm"])
+        return robot, random_scene(robot, SEED, record["number"]).scene
+    if record["kind"] == "pinch":
+        pinch = narrow_problem(SEED, record["number"], "pinch", record["arm"], record["room_m"])
+        return pinch.robot, pinch.scene
+    if trees is None:
+        raise InputError(f"{record['name']}: the folder of measured trees is not given", name=record["name"])
+    orchard = _orchard(record["arm"], trees / f"{record['tree']}.csv", record["distance_m"])
+    ends = np.array(record["start"]), np.array(record["goal"])
+    return load_robot(record["arm"]), orchard.between(record["name"], *ends)
+
+
+@cache
+def _orchard(arm: str, file: Path, distance_m: float) -> Orchard:
+    return measured_orchard(load_robot(arm), file, distance_m)
+
+
+def digest_of(robot: Robot, scene: Scene) -> str:
+    """A digest of robot, obstacles, start and goal: 16 hexadecimal digits."""
+    told = _rounded(scene.model_dump(mode="json", exclude={"name"}))
+    return hashlib.sha256(json.dumps([robot_digest(robot), told], sort_keys=True).encode()).hexdigest()[:16]
+
+
+def _rounded(value: Any) -> Any:
+    if isinstance(value, float):
+        return round(value, _DECIMALS) + 0.0
+    if isinstance(value, list):
+        return [_rounded(item) for item in value]
+    return {key: _rounded(item) for key, item in value.items()} if isinstance(value, dict) else value
+
+
+def read_records(path: Path = BEST_KNOWN) -> list[dict[str, Any]]:
+    """What the file says of each problem."""
+    found: list[dict[str, Any]] = json.loads(path.read_text(encoding="utf-8"))["problems"]
+    return found
+
+
+def improve(rows: Iterable[Row], path: Path = BEST_KNOWN) -> int:
+    """Write durations of a run that are shorter than the best known to the file; returns how many.
+
+    The caller writes it only where it is asked to: a run alone leaves the file as it is.
+    """
+    records, improved = read_records(path), 0
+    best = {row["name"]: row for row in rows if row.get("improved")}
+    for record in records:
+        if record["name"] in best:
+            row, improved = best[record["name"]], improved + 1
+            record |= {"duration_s": round(row["best_s"], 9), "by": row["by"]}
+    lines = ",\n".join(json.dumps(record) for record in records)
+    path.write_text(f'{{"format": "hplan-best-known/1", "problems": [\n{lines}\n]}}\n', encoding="utf-8")
+    return improved
+
+
+def _problems(asked: Asked) -> Iterable[FastestProblem]:
+    records = [record for record in read_records() if asked.trees is not None or group_of(record) == "planar"]
+    return [problem_of(record, asked.trees) for record in evenly_chosen(records, asked.count, group_of)]
+
+
+def _row(asked: Asked, problem: FastestProblem) -> Row:
+    """The motion with each effort, and those of others where a peer is asked for, to the best known."""
+    record, robot, scene = problem
+    row: Row = {"name": record["name"], "group": group_of(record), "certified": True, "fault": False}
+    found: dict[str, float | None] = {}
+    starts = []
+    for effort in EFFORT_NAMES:
+        result, told = planned(robot, scene, PlanOptions(effort=effort))
+        found[effort] = told.get("duration_s") if told["certified"] else None
+        starts += [] if result is None else [result.trajectory]
+        row |= {f"{effort}_ms": told["ms"], f"{effort}_s": found[effort]}
+        row["certified"], row["fault"] = (
+            row["certified"] and told["certified"],
+            row["fault"] or told.get("fault", False),
+        )
+    if asked.peer is not None:
+        found |= _others(asked, robot, scene, int(record["digest"], 16))
+        better = optimized(robot, scene, starts)
+        found["ipopt"] = None if better is None else better.duration
+    known_s = record["duration_s"] * (1.0 - SHORTER)
+    best_s, by = min((known_s, record["by"]), *((s, who) for who, s in found.items() if s is not None))
+    improved = best_s < known_s
+    best_s = best_s if improved else record["duration_s"]
+    row |= {f"to_best_{who}": None if s is None else s / best_s for who, s in found.items()}
+    return row | {"best_s": best_s, "by": by, "improved": improved}
+
+
+def _others(asked: Asked, robot: Robot, scene: Scene, seed: int) -> dict[str, float | None]:
+    """Durations of the best certified motions near paths of RRTConnect, and near detours."""
+    ompl(asked.seed + 1)
+    world, random = world_of(robot, scene), np.random.default_rng(seed)
+    start, goal = scene.start.configuration, scene.goal.configuration
+    moving = ~robot.locked_mask(scene.locked_joints)
+    places: list[FloatArray] = []
+    for _ in range(_DRAWS):
+        place = np.where(moving, random.uniform(robot.lower, robot.upper), start)
+        if len(places) < DETOURS and world.field.clearance(place) > 1e-3:
+            places.append(place)
+    paths = [ompl_path(world, scene, goal, planner=asked.peer or "RRTConnect") for _ in range(PATHS)]
+    detours: list[FloatArray | None] = []
+    for via in places:
+        halves = [ompl_path(world, scene, b, start=a, seconds=HALF_S) for a, b in pairwise((start, via, goal))]
+        there, on = halves
+        detours.append(None if there is None or on is None else np.concatenate([there, on[1:]]))
+    return {
+        who: smallest([finished_s(robot, scene, path, "best") for path in some])
+        for who, some in (("rrtconnect", paths), ("detours", detours))
+    }
+
+
+FASTEST = Study(
+    "fastest",
+    "durations with each effort to the best known, whoever found it (--trees for those among trees; --peer to look)",
+    _row,
+    (
+        *("certified", *(f"to_best_{effort}" for effort in EFFORT_NAMES), *(f"{effort}_ms" for effort in EFFORT_NAMES)),
+        *("to_best_rrtconnect", "to_best_detours", "to_best_ipopt", "improved", "by"),
+    ),
+    problems=_problems,
+    by="group",
+    count=(None, 3),
+    warm=3,
+)

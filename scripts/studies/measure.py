@@ -1,0 +1,105 @@
+"""What rows are made of: CPU time, plans as rows, and on what they were measured.
+
+Times are CPU times of the calling thread: what is measured runs on one thread, and other load on the machine does not
+count then.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import platform
+import time
+from collections.abc import Callable, Sequence
+from importlib import metadata
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from studies.harness import Row
+
+from hplan.errors import HplanError
+from hplan.planning.plan import PlanResult, plan
+from hplan.planning.report import versions
+from hplan.problem.options import PlanOptions
+from hplan.robot.model import Robot
+from hplan.scene.model import Scene
+
+_T = TypeVar("_T")
+
+#: Packages beside those of a report whose versions matter here.
+_PEERS = ("ompl", "casadi", "scipy")
+
+
+def timed(run: Callable[[], _T]) -> tuple[_T, float]:
+    """What a function returns, and its CPU time [ms]."""
+    begin = time.thread_time()
+    value = run()
+    return value, 1e3 * (time.thread_time() - begin)
+
+
+def median_ms(run: Callable[[], object], repetitions: int, *, budget_ms: float = 1500.0) -> float:
+    """Median CPU time of repeated calls, the first not counted; fewer of those that take long [ms]."""
+    once = timed(run)[1]
+    affordable = min(repetitions, int(budget_ms / max(once, 1e-3)))
+    return float(np.median([timed(run)[1] for _ in range(affordable)])) if affordable > 1 else once
+
+
+def or_error(run: Callable[[], _T]) -> _T | HplanError:
+    """What a function returns, or hplan's error that it raises."""
+    try:
+        return run()
+    except HplanError as error:
+        return error
+
+
+def outcome(found: PlanResult | HplanError, ms: float) -> Row:
+    """What is told of any plan: whether there is one, its CPU time [ms] and duration [s], where its path comes from."""
+    if isinstance(found, HplanError):
+        return {"solved": False, "certified": False, "ms": ms, "origin": found.kind, "message": found.message}
+    certified = found.certificate.verified
+    return {
+        "solved": True,
+        "certified": certified,
+        "ms": ms,
+        "duration_s": found.trajectory.duration,
+        "origin": found.motion.origin,
+        "fault": not certified,
+    }
+
+
+def planned(robot: Robot, scene: Scene, options: PlanOptions | None = None) -> tuple[PlanResult | None, Row]:
+    """The plan for a scene, or None, and what is told of it."""
+    found, ms = timed(lambda: or_error(lambda: plan(robot, scene, options)))
+    return None if isinstance(found, HplanError) else found, outcome(found, ms)
+
+
+def ratio(value: float | None, other: float | None) -> float | None:
+    """One number to another, where both are there."""
+    return None if value is None or not other else value / other
+
+
+def smallest(values: Sequence[float | None]) -> float | None:
+    """The smallest of the numbers that are there."""
+    return min((value for value in values if value is not None), default=None)
+
+
+def environment() -> dict[str, Any]:
+    """Processor, system and versions."""
+    found = versions()
+    for package in _PEERS:
+        try:
+            found[package] = metadata.version(package)
+        except metadata.PackageNotFoundError:
+            found[package] = "not installed"
+    processor = platform.processor() or "unknown"
+    with contextlib.suppress(OSError):
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+        processor = next((line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), processor)
+    return {
+        "processor": processor,
+        "cores": os.cpu_count(),
+        "system": f"{platform.system()} {platform.machine()}",
+        "python": platform.python_version(),
+        "versions": found,
+    }

@@ -1,0 +1,240 @@
+"""Peers: OMPL's planners with hplan's compiled distances as their checker, toppra on a spline, stops at corners.
+
+None limits the jerk, which hplan does where the robot's limits ask for it.
+"""
+
+from __future__ import annotations
+
+import importlib
+import logging
+import time
+from functools import cache
+from typing import Any
+
+import numpy as np
+from studies.harness import Asked, Row
+from studies.measure import or_error, ratio, timed
+from studies.outside import OutsideCheck, TimedMotion
+
+from hplan.base.arrays import FloatArray
+from hplan.base.lazy_import import extra
+from hplan.base.polyline import stations
+from hplan.collision.clearance_field import ClearanceField
+from hplan.errors import HplanError
+from hplan.finishing.finish import finish
+from hplan.problem.options import EffortName, PlanOptions
+from hplan.problem.world import World
+from hplan.robot.model import Robot
+from hplan.scene.model import Scene
+from hplan.smoothing.shortcut import shorten
+
+PLANNERS = ("RRTConnect", "BITstar")
+
+#: What a planner has to find a path, and to simplify it [s of CPU]; what motions of its path keep [m].
+PATIENCE_S, SIMPLIFY_S, MARGIN_M = 10.0, 1.0, 1e-5
+
+#: Fraction of the space's extent by which OMPL steps along motions unless it is told otherwise.
+RESOLUTION = 0.01
+
+#: Numbers of shortcuts after which a polyline is tried with stops at its corners.
+_SHORTCUTS = (0, 5, 10, 20, 40, 80, 200)
+
+#: Grid points at which toppra chooses the path speed: so many on the whole path, and on each of its segments.
+_GRID_POINTS, _GRID_POINTS_EACH = 300, 10
+
+
+@cache
+def ompl(seed: int = 1) -> tuple[Any, Any]:
+    """OMPL's modules `base` and `geometric`, its random numbers seeded: once a process.
+
+    Raises:
+        InputError: OMPL is not installed.
+    """
+    with extra("bench", "a peer needs OMPL"):
+        base, geometric, util = (importlib.import_module(f"ompl.{name}") for name in ("base", "geometric", "util"))
+    util.setLogLevel(util.LOG_ERROR)
+    util.RNG.setSeed(max(1, seed))
+    return base, geometric
+
+
+def ompl_path(
+    world: World,
+    scene: Scene,
+    goal: FloatArray,
+    *,
+    start: FloatArray | None = None,
+    planner: str = "RRTConnect",
+    seconds: float = PATIENCE_S,
+    resolution: float | None = None,
+) -> FloatArray | None:
+    """(m, dof) the simplified path of a planner; None where it found none in time.
+
+    Args:
+        world: Arm and obstacles.
+        scene: Start, and joints that are locked.
+        goal: (dof,) configuration.
+        start: (dof,) configuration; None for the scene's.
+        planner: One of `PLANNERS`; RRTConnect stops at its first path, BITstar when time is up.
+        seconds: CPU time to find it.
+        resolution: Distance between configurations that are checked, as a fraction of the space's extent, as OMPL has
+            it; a path may then touch something in between. None to have each motion shown clear by hplan's kernel.
+    """
+    base, geometric = ompl()
+    robot, begin = world.robot, scene.start.configuration if start is None else start
+    joints = np.flatnonzero(~robot.locked_mask(scene.locked_joints)).tolist()
+    space, bounds = base.RealVectorStateSpace(len(joints)), base.RealVectorBounds(len(joints))
+    for axis, joint in enumerate(joints):
+        bounds.setLow(axis, float(robot.lower[joint]))
+        bounds.setHigh(axis, float(robot.upper[joint]))
+    space.setBounds(bounds)
+    setup, q = geometric.SimpleSetup(space), np.stack([begin, begin])
+
+    class Shown(base.MotionValidator):  # type: ignore[misc, name-defined]
+        def checkMotion(self, first: Any, second: Any) -> bool:  # noqa: N802 - OMPL's name
+            q[:, joints] = [[state[axis] for axis in range(len(joints))] for state in (first, second)]
+            return world.field.is_clear(q, MARGIN_M)
+
+    def is_free(state: Any) -> bool:
+        q[0, joints] = [state[axis] for axis in range(len(joints))]
+        return world.field.clearance(q[0]) > 0.0
+
+    setup.setStateValidityChecker(is_free)
+    information = setup.getSpaceInformation()
+    if resolution is None:
+        information.setMotionValidator(Shown(information))
+    else:
+        information.setStateValidityCheckingResolution(resolution)
+    ends = []
+    for end in (begin, goal):
+        state = space.allocState()
+        for axis, joint in enumerate(joints):
+            state[axis] = float(end[joint])
+        ends.append(state)
+    setup.setStartAndGoalStates(*ends)
+    setup.setPlanner(getattr(geometric, planner)(information))
+    world.field.is_clear(q, MARGIN_M)  # compiling must not take of OMPL's time
+    world.field.clearance(begin)
+    until_s = time.thread_time() + seconds
+    setup.solve(base.PlannerTerminationCondition(lambda: time.thread_time() >= until_s))
+    if not setup.haveExactSolutionPath():
+        return None
+    setup.simplifySolution(SIMPLIFY_S)
+    states = setup.getSolutionPath().getStates()
+    path = np.repeat(begin[None], len(states), axis=0)
+    path[:, joints] = [[state[axis] for axis in range(len(joints))] for state in states]
+    path[0], path[-1] = begin, goal
+    return path
+
+
+def world_of(robot: Robot, scene: Scene) -> World:
+    """The arm among all that a scene holds."""
+    return World.of(robot, scene.solids_with_goal, clearance=scene.clearance)
+
+
+def finished_s(robot: Robot, scene: Scene, path: FloatArray | None, effort: EffortName = "default") -> float | None:
+    """Duration of the certified motion that hplan makes of somebody's path; None where there is none [s]."""
+    if path is None:
+        return None
+    found = or_error(lambda: finish(robot, scene, path, PlanOptions(effort=effort)))
+    return None if isinstance(found, HplanError) else found.trajectory.duration
+
+
+def peer_row(asked: Asked, robot: Robot, scene: Scene, duration_s: float | None, seconds: float = PATIENCE_S) -> Row:
+    """What the planner asked for makes of a scene: its path, splines through it, the same finished by hplan.
+
+    `to_spline` and `to_peer` are the durations of hplan's motion to that of toppra's on a cubic spline through the
+    path, whether it touches something or not, and to that of the path finished.
+    """
+    if asked.peer is None:
+        return {}
+    world, planner = world_of(robot, scene), asked.peer
+    ompl(asked.seed + 1)
+    path, ms = timed(lambda: ompl_path(world, scene, scene.goal.configuration, planner=planner, seconds=seconds))
+    if path is None:
+        return {"peer_solved": False, "peer_ms": ms}
+    spline = toppra_motion(robot, path)
+    finished = finished_s(robot, scene, path)
+    return {
+        "peer_solved": True,
+        "peer_ms": ms,
+        "to_peer": ratio(duration_s, finished),
+        "to_spline": None if spline is None else ratio(duration_s, spline.duration),
+        "spline_touches": None if spline is None else any(OutsideCheck.of(robot, scene).contacts(spline)),
+    }
+
+
+def toppra_motion(robot: Robot, path: FloatArray, *, defaults: bool = False) -> TimedMotion | None:
+    """A cubic spline through waypoints, timed by toppra under velocity, acceleration and torque limits.
+
+    Args:
+        robot: The arm.
+        path: (m, dof) waypoints.
+        defaults: As toppra comes: parameters 0 to 1 in equal parts, `ParametrizeSpline`, torque by collocation. Else
+            as its users are advised: parameters by length, waypoints among the grid points,
+            `ParametrizeConstAccel`, all by interpolation.
+
+    Returns:
+        The motion, or None where toppra finds none.
+    """
+    import pinocchio as pin
+    import toppra
+    from toppra import algorithm, constraint
+
+    logging.getLogger("toppra").setLevel(logging.CRITICAL)
+    length = np.linalg.norm(np.diff(path, axis=0), axis=1)
+    path = path[np.concatenate([[True], length > 1e-9])]
+    station = stations(path)
+    spline = toppra.SplineInterpolator(np.linspace(0.0, 1.0, len(path)) if defaults else station, path)
+    data = robot.model.createData()
+
+    def inverse_dynamics(q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
+        return np.array(pin.rnea(robot.model, data, q, v, a))
+
+    def both(limit: FloatArray) -> FloatArray:
+        return np.stack([-limit, limit], axis=1)
+
+    scheme: Any = {} if defaults else {"discretization_scheme": constraint.DiscretizationType.Interpolation}
+    constraints = [
+        constraint.JointVelocityConstraint(both(robot.velocity_limit)),
+        constraint.JointAccelerationConstraint(both(robot.acceleration_limit), **scheme),
+        constraint.JointTorqueConstraint(inverse_dynamics, both(robot.torque_limit), np.zeros(robot.dof), **scheme),
+    ]
+    chosen: Any = {}
+    if not defaults:
+        share = np.arange(_GRID_POINTS_EACH) / _GRID_POINTS_EACH
+        each = (station[:-1, None] + np.diff(station)[:, None] * share).ravel()
+        grid = np.union1d(np.linspace(0.0, station[-1], _GRID_POINTS), each)
+        grid = grid[np.diff(grid, prepend=-np.inf) > 1e-6 * station[-1]]
+        grid[-1] = station[-1]
+        chosen = {"parametrizer": "ParametrizeConstAccel", "gridpoints": grid}
+    trajectory = algorithm.TOPPRA(constraints, spline, **chosen).compute_trajectory()
+    if trajectory is None:
+        return None
+    end = float(trajectory.duration)
+    return TimedMotion(end, lambda t: np.asarray(trajectory(np.clip(t, 0.0, end))))
+
+
+def quickest_polyline(robot: Robot, path: FloatArray, field: ClearanceField) -> FloatArray:
+    """The shortened path that is quickest with stops at its corners, after more or fewer shortcuts.
+
+    Many shortcuts give the shortest path, but one with many corners; without any it goes from each waypoint to the
+    farthest that can be seen.
+    """
+    polylines = [shorten(path, field, margin=MARGIN_M, rounds=rounds) for rounds in _SHORTCUTS]
+    return min(polylines, key=lambda polyline: stopping_duration(robot, polyline))
+
+
+def stopping_duration(robot: Robot, path: FloatArray) -> float:
+    """Duration of straight motions from waypoint to waypoint, at rest at each [s].
+
+    Each is the time-optimal trapezoid under velocity and acceleration limits; torque is not looked at.
+    """
+    total = 0.0
+    for turn in np.abs(np.diff(path, axis=0)):
+        moves = turn > 1e-12
+        if not moves.any():
+            continue
+        speed = float((robot.velocity_limit[moves] / turn[moves]).min())
+        acceleration = float((robot.acceleration_limit[moves] / turn[moves]).min())
+        total += 2.0 / np.sqrt(acceleration) if speed**2 >= acceleration else 1.0 / speed + speed / acceleration
+    return total

@@ -1,0 +1,269 @@
+"""Random planar scenes, the base locked: searches and motions, motions looked at again, lower bounds of durations."""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from scipy.interpolate import CubicHermiteSpline
+from studies.harness import Asked, Row, Study
+from studies.measure import planned, ratio, timed
+from studies.narrow import ARMS, ROOMS, narrow_problem
+from studies.outside import OutsideCheck, TimedMotion, findings
+from studies.peers import MARGIN_M, peer_row, quickest_polyline, stopping_duration, toppra_motion, world_of
+from studies.planar_cspace import arm_sections, joint_grid
+
+from hplan.base.arrays import FloatArray, IntArray
+from hplan.collision.coal_scene import CoalScene
+from hplan.cspace.occupancy import occupancy
+from hplan.errors import BoundError, InputError
+from hplan.lower_bound.duration_bound import ENOUGH, DurationBound, duration_bound
+from hplan.planning.certified_motion import motion_limits
+from hplan.planning.plan import PlanResult
+from hplan.planning.task import PlanningCache
+from hplan.problem.options import PlanOptions
+from hplan.robot.model import Robot, load_robot
+from hplan.scene.model import Goal, Scene, Start
+from hplan.scene.obstacles import Sphere
+from hplan.search import dense_search, two_level_search
+from hplan.search.grid import Occupancy
+from hplan.timing.trajectory import write_csv
+
+#: Spacing of the joint grid, and how far start and goal are apart in joint space at least [deg].
+STEP_DEG, APART_DEG = 1.0, 30.0
+
+#: Pairs of nodes drawn before a scene's discs are drawn anew.
+_PAIRS = 200
+
+#: Spacing of the samples of a motion that is looked at again [s], and the share of a limit that may be used.
+INSTANT_S, LIMIT_TOLERANCE = 1e-4, 1.001
+
+#: Kinds of problems of bounds in turn (discs about an arm, or pinches), clearances to keep of the discs in turn [m],
+#: and of how many problems one is planned with the best effort too, whose motion the same bound must not exceed.
+BOUND_KINDS = ("harvester", "pinch", "harvester", "pinch", "harvester", "orchard_harvester", "harvester")
+CLEARANCES, BEST_EVERY = (0.0, 0.0, 0.02), 5
+
+
+@dataclass(frozen=True, eq=False)
+class PlanarScene:
+    """A scene and its C-space.
+
+    Attributes:
+        scene: Obstacles, start and goal.
+        space: Its C-space.
+        start: (d,) node index.
+        goal: (d,) node index.
+        spare_clearance_m: Smaller clearance of start and goal [m].
+    """
+
+    scene: Scene
+    space: Occupancy
+    start: IntArray
+    goal: IntArray
+    spare_clearance_m: float
+
+    @property
+    def has_path(self) -> bool:
+        """True if start and goal are connected on the grid."""
+        return two_level_search(self.space, self.start, self.goal).path is not None
+
+
+def random_scene(robot: Robot, seed: int, number: int) -> PlanarScene:
+    """A scene of 1 to 12 discs within reach, with start and goal drawn from the free nodes.
+
+    Discs in which pedestal or turret stand are no problem of planning, which refuses them: they are drawn anew.
+    """
+    random = np.random.default_rng([seed, number])
+    grid = joint_grid(robot.arm, np.radians(STEP_DEG))
+    reach = float(robot.arm.lengths.sum())
+    while True:
+        count = int(random.integers(1, 13))
+        distance = random.uniform(0.11 * reach, reach, count)
+        bearing = np.radians(random.uniform(-20.0, 200.0, count))
+        radius = random.uniform(0.02, 0.25 if count < 5 else 0.12, count)
+        centres = np.column_stack([distance * np.cos(bearing), distance * np.sin(bearing)])
+        discs = discs_in_plane(robot, np.column_stack([centres, radius]))
+        space = occupancy(robot.arm, arm_sections(robot, discs), grid)
+        free = np.flatnonzero(~space.occupied.ravel())
+        if len(free) < 2:
+            continue
+        for _ in range(_PAIRS):
+            pair = np.stack(np.unravel_index(free[random.integers(len(free), size=2)], grid.shape), axis=1)
+            ends = grid.coordinates(pair)
+            if np.linalg.norm(ends[1] - ends[0]) >= np.radians(APART_DEG):
+                break
+        else:
+            continue
+        # The base is looked at last: so the numbers drawn for scenes in which it is free are the same as without.
+        scene = planar_scene(robot, f"clutter-{number}", discs, ends[0], ends[1])
+        world = PlanningCache(robot).world(scene, PlanOptions())
+        try:
+            world.check_base(robot.yaw_of(scene.start.configuration))
+        except InputError:
+            continue
+        spare = min(float(world.checker.distances(end.configuration).min()) for end in (scene.start, scene.goal))
+        return PlanarScene(scene, space, pair[0].astype(np.int64), pair[1].astype(np.int64), spare)
+
+
+def discs_in_plane(robot: Robot, discs: FloatArray) -> list[Sphere]:
+    """Balls from (k, 3) rows: centre in the arm plane at yaw 0, and radius [m]."""
+    centres = robot.plane_origin + discs[:, :2] @ robot.plane_axes
+    return [
+        Sphere(name=f"disc {i}", center=(float(x), float(y), float(z)), radius=float(radius))
+        for i, ((x, y, z), radius) in enumerate(zip(centres, discs[:, 2], strict=True))
+    ]
+
+
+def planar_scene(robot: Robot, name: str, discs: list[Sphere], start: FloatArray, goal: FloatArray) -> Scene:
+    """The scene with the given planar joint angles at yaw 0."""
+    yaw = (0.0,) if robot.has_yaw else ()
+    return Scene(
+        name=name,
+        start=Start(joints_rad=(*yaw, *(float(q) for q in start))),
+        goal=Goal(joints_rad=(*yaw, *(float(q) for q in goal))),
+        locked_joints=robot.joint_names[:1] if robot.has_yaw else (),
+        obstacles=tuple(discs),
+    )
+
+
+def _clutter(asked: Asked, number: int) -> Row:
+    """Both searches, the motion, and what else becomes of the grid path."""
+    robot = asked.arm()
+    drawn = random_scene(robot, asked.seed, number)
+    fast_runs = [timed(lambda: two_level_search(drawn.space, drawn.start, drawn.goal)) for _ in range(3)]
+    fast, fast_ms = fast_runs[0][0], float(np.median([ms for _, ms in fast_runs]))
+    dense, dense_ms = timed(lambda: dense_search(drawn.space, drawn.start, drawn.goal))
+    has_path = dense.path is not None
+    found, row = planned(robot, drawn.scene, PlanOptions(effort=asked.effort))
+    field = world_of(robot, drawn.scene).field
+    ends = np.stack([drawn.scene.start.configuration, drawn.scene.goal.configuration])
+    row |= {
+        "name": drawn.scene.name,
+        "way": "no path" if not has_path else "straight" if field.is_clear(ends, MARGIN_M) else "around",
+        "search_ratio": dense_ms / fast_ms,
+        "cost_ratio": ratio(fast.cost, dense.cost) if has_path else None,
+        "two_level_ms": fast_ms,
+        "fallback": fast.fallback,
+    }
+    row["disagree"] = (fast.path is not None) != has_path
+    if found is None:
+        return row
+    duration, grid = row["duration_s"], toppra_motion(robot, found.grid_path)
+    row["to_grid_spline"] = None if grid is None else duration / grid.duration
+    row["to_stops"] = duration / stopping_duration(robot, quickest_polyline(robot, found.grid_path, field))
+    return row | peer_row(asked, robot, drawn.scene, duration, seconds=1.0)
+
+
+CLUTTER = Study(
+    "clutter",
+    "random planar scenes: searches, motions, toppra on the grid path (spline), straight pieces with stops",
+    _clutter,
+    (
+        *("certified", "ms", "two_level_ms", "search_ratio", "cost_ratio", "fallback", "disagree"),
+        *("to_grid_spline", "to_stops"),
+        *("peer_solved", "peer_ms", "to_peer", "to_spline", "spline_touches"),
+    ),
+    by="way",
+    count=(200, 10),
+    warm=2,
+)
+
+
+def _recheck(asked: Asked, number: int) -> Row | None:
+    """A certified motion as its written CSV has it: cubics between rows, looked at every 0.1 ms."""
+    robot = asked.arm()
+    drawn = random_scene(robot, asked.seed, number)
+    if not drawn.has_path:
+        return None
+    found, row = planned(robot, drawn.scene, PlanOptions(effort=asked.effort))
+    row["name"] = drawn.scene.name
+    if found is None:
+        return row | {"fault": True}
+    check = OutsideCheck.of(robot, drawn.scene)
+    with tempfile.TemporaryDirectory() as folder:
+        motion = motion_of_csv(write_csv(found.trajectory, Path(folder) / "trajectory.csv"))
+    seen = findings(robot, check, motion, INSTANT_S)
+    checker, places = CoalScene(robot, drawn.scene.solids), motion.positions(np.linspace(0.0, motion.duration, 400))
+    least = min(float(checker.distances(q).min()) for q in places)
+    beyond = least - found.certificate.min_clearance_m
+    wrong = seen["contacts"] > 0 or seen["outside_deg"] > 1e-6 or beyond < -1e-9
+    over = max(seen[name] for name in ("velocity", "acceleration", "torque")) > LIMIT_TOLERANCE
+    return row | seen | {"beyond_certificate_mm": 1e3 * beyond, "fault": row["fault"] or wrong or over}
+
+
+def motion_of_csv(file: Path) -> TimedMotion:
+    """The motion of a written trajectory, read without hplan."""
+    rows = np.genfromtxt(file, delimiter=",", names=True)
+    names = rows.dtype.names or ()
+    position, velocity = (
+        np.column_stack([rows[name] for name in names if name.endswith(suffix)])
+        for suffix in ("_pos_rad", "_vel_rad_s")
+    )
+    cubics = CubicHermiteSpline(rows["time_s"], position, velocity)
+    return TimedMotion(float(rows["time_s"][-1]), cubics)
+
+
+RECHECK = Study(
+    "recheck",
+    "certified motions of random planar scenes, looked at every 0.1 ms from their CSV",
+    _recheck,
+    ("certified", "looks", "contacts", "velocity", "acceleration", "torque", "outside_deg", "beyond_certificate_mm"),
+    count=(1000, 5),
+)
+
+
+def bound_problem(seed: int, number: int) -> tuple[Robot, Scene, str]:
+    """Arm, scene and kind of a problem of bounds, from the seed and its number alone."""
+    kind, turn = BOUND_KINDS[number % len(BOUND_KINDS)], number // len(BOUND_KINDS)
+    if kind == "pinch":
+        pinch = narrow_problem(seed, number, kind, ARMS[turn % len(ARMS)], ROOMS[turn // len(ARMS) % len(ROOMS)])
+        return pinch.robot, pinch.scene, kind
+    robot, clearance = load_robot(kind), CLEARANCES[turn % len(CLEARANCES)]
+    return robot, random_scene(robot, seed, number).scene.model_copy(update={"clearance": clearance}), kind
+
+
+def _bound(asked: Asked, number: int) -> Row | None:
+    """The lower bound of a certified motion; no motion is faster, not even that of the best effort."""
+    robot, scene, kind = bound_problem(asked.seed, number)
+    found, row = planned(robot, scene)
+    if found is None:
+        return None
+    row |= {"name": f"{kind} {number}", "kind": kind}
+    again = number % BEST_EVERY == 0
+    try:
+        bound, ms = timed(lambda: _bound_of(found, 0.0 if again else ENOUGH))
+    except BoundError:
+        return row | {"fault": True}
+    durations = [row["duration_s"]]
+    if again:
+        best, _ = planned(robot, scene, PlanOptions(effort="best"))
+        durations += [] if best is None else [best.trajectory.duration]
+    return row | {
+        "bound_ms": ms,
+        "method": bound.method,
+        "gap": bound.gap,
+        "joints_gap": bound.duration_s / bound.joints_s - 1.0 if bound.joints_s > 0.0 else None,
+        "fault": row["fault"] or bound.seconds > min(durations),
+    }
+
+
+def _bound_of(result: PlanResult, enough: float) -> DurationBound:
+    task, duration_s = result.motion.task, result.motion.trajectory.duration
+    return duration_bound(task.world, task.problem, motion_limits(task), duration_s, enough=enough)
+
+
+BOUND = Study(
+    "bound",
+    "lower bounds of durations beside certified motions; gap: how much longer the motion is at most",
+    _bound,
+    ("certified", "gap", "joints_gap", "bound_ms", "method"),
+    by="kind",
+    count=(500, 7),
+)
+
+
+def without_jerk(robot: Robot) -> Robot:
+    """The robot with no limit on jerk, as the common recipes see it."""
+    return replace(robot, jerk_limit=None)

@@ -1,0 +1,248 @@
+"""Motions among trees: from the tucked home pose to each fruit, from each fruit to the next, and picking tours.
+
+Measured trees, one at a time, stand in front of the base at several distances. Fruit hangs at the tips of their
+branches, at those within the arm's reach first. The orchards that ship with hplan are there as they are. A fruit is a
+goal where some grasp of it is clear and has a straight approach of `STANDOFF`; the motion ends where the approach
+begins, in the configuration that promises the shortest motion from home. All fruits are obstacles.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from studies.harness import Asked, Row, Study, evenly_chosen
+from studies.measure import or_error, planned, timed
+from studies.outside import OutsideCheck
+from studies.peers import peer_row
+
+from hplan.base.arrays import FloatArray
+from hplan.base.data_files import scenes_dir
+from hplan.collision.clearance_field import ClearanceField
+from hplan.errors import HplanError, InputError, OptionError, UnreachableError
+from hplan.orchard import SHIPPED, TUCKED_DEG, fruit_at_tips, import_capsules
+from hplan.planar.inverse_kinematics import reach
+from hplan.planar.straight_approach import standoffs
+from hplan.problem.options import PlanOptions
+from hplan.robot.limits import least_duration
+from hplan.robot.model import Robot
+from hplan.scene.file import load_scene
+from hplan.scene.model import Fruit, Goal, Scene, Start
+from hplan.tour.tour import plan_tour
+
+#: Where the trunk of a measured tree stands in front of the base [m].
+DISTANCES = (1.4, 1.0, 1.8)
+
+#: Fruits on each measured tree, their radius, and the length of the straight approach to one [m].
+FRUITS, RADIUS, STANDOFF = 20, 0.04, 0.1
+
+#: Configurations at a fruit that are looked at, about; the clearance of a grasp and of its stand-off, half of it all
+#: along the approach [m], and where an approach is looked at, as shares of its length.
+GRASPS, SPARE, _LOOKS = 64, 1e-3, (0.25, 0.5, 0.75, 1.0)
+
+
+@dataclass(frozen=True)
+class Orchard:
+    """Trees with fruit.
+
+    Attributes:
+        name: Which it is.
+        group: What it is counted with.
+        scene: Trees, fruit, and the home pose as its start.
+    """
+
+    name: str
+    group: str
+    scene: Scene
+
+    def between(self, name: str, start: FloatArray, goal: FloatArray) -> Scene:
+        """The motion between two configurations among all of its trees and fruit."""
+        return Scene(
+            name=name,
+            start=Start(joints_rad=tuple(start.tolist())),
+            goal=Goal(joints_rad=tuple(goal.tolist())),
+            clearance=self.scene.clearance,
+            obstacles=self.scene.obstacles,
+            fruits=self.scene.fruits,
+        )
+
+
+@dataclass(frozen=True)
+class TreeProblem:
+    """A motion to plan, from configuration to configuration: its name, its orchard's group, its arm and scene."""
+
+    name: str
+    group: str
+    robot: Robot
+    scene: Scene
+
+
+def shipped_orchards(robot: Robot) -> list[Orchard]:
+    """The orchards that ship with hplan for a robot."""
+    scenes = {name: load_scene(scenes_dir() / f"{name}.yaml") for name in SHIPPED}
+    return [Orchard(name, name, scene) for name, scene in scenes.items() if (scene.robot or "harvester") == robot.name]
+
+
+def measured_orchards(robot: Robot, folder: Path) -> list[Orchard]:
+    """Measured trees, one at a time, at each of the distances.
+
+    Args:
+        robot: The arm.
+        folder: Where the trees are, a CSV of capsules each.
+
+    Raises:
+        InputError: A file that is not in order, or a tree with too little room for its fruit.
+    """
+    return [measured_orchard(robot, file, distance) for distance in DISTANCES for file in sorted(folder.glob("*.csv"))]
+
+
+def measured_orchard(robot: Robot, file: Path, distance: float) -> Orchard:
+    """A measured tree with fruit, at a distance [m] in front of the base.
+
+    Raises:
+        InputError: A file that is not in order, or a tree with too little room for its fruit.
+    """
+    wood = import_capsules(file, position=(distance, 0.0, 0.0))
+    branches = sum(piece.name.split()[0] != "trunk" for piece in wood)
+    try:
+        # One at each tip; more, behind the tips, only where there are few.
+        hung = fruit_at_tips(wood, max(FRUITS, branches), RADIUS)
+    except OptionError as error:
+        raise InputError(f"{file}: {error.message}", path=str(file)) from error
+    chosen = sorted(hung, key=lambda fruit: not _is_within_reach(robot, fruit))[:FRUITS]
+    name = f"{file.stem} at {distance:g} m"
+    start, goal = Start(joints_deg=TUCKED_DEG), Goal(fruit=chosen[0].name)
+    scene = Scene(name=name, start=start, goal=goal, obstacles=wood, fruits=tuple(chosen))
+    return Orchard(name, f"measured at {distance:g} m", scene)
+
+
+def _is_within_reach(robot: Robot, fruit: Fruit) -> bool:
+    try:
+        reach(robot, fruit.center, count=1)
+    except UnreachableError:
+        return False
+    return True
+
+
+def crop_of(robot: Robot, orchard: Orchard) -> tuple[dict[str, FloatArray], Counter[str]]:
+    """Where the approach to each fruit begins that can be taken, and how many cannot, by the reason."""
+    scene, home = orchard.scene, orchard.scene.start.configuration
+    goals: dict[str, FloatArray] = {}
+    without: Counter[str] = Counter()
+    for fruit in scene.fruits:
+        found = _standoff(robot, scene, fruit, home)
+        if isinstance(found, str):
+            without[found] += 1
+        else:
+            goals[fruit.name] = found
+    return goals, without
+
+
+def motions_in(robot: Robot, orchard: Orchard) -> list[TreeProblem]:
+    """From home to each fruit, then from each fruit to the next, in the order of their distance from the base."""
+    scene, home = orchard.scene, orchard.scene.start.configuration
+    goals, _ = crop_of(robot, orchard)
+    clear = ClearanceField.of(robot, scene.solids_with_goal, clearance=scene.clearance).clearance(home) > 0.0
+    ways = [("home", home, name, goal) for name, goal in goals.items()] if clear else []
+    ways += [(*one, *other) for one, other in pairwise(goals.items())]
+    named = [(f"{orchard.name}: {before} to {after}", start, goal) for before, start, after, goal in ways]
+    return [TreeProblem(way[0], orchard.group, robot, orchard.between(*way)) for way in named]
+
+
+def _standoff(robot: Robot, scene: Scene, fruit: Fruit, home: FloatArray) -> FloatArray | str:
+    """Where the approach to a fruit begins, or why there is none; the last link alone may touch the fruit."""
+    world, rest, itself = (
+        ClearanceField.of(robot, solids, clearance=scene.clearance)
+        for solids in (
+            scene.solids_with_goal,
+            [solid for solid in scene.solids_with_goal if solid.name != fruit.name],
+            [solid for solid in scene.solids_with_goal if solid.name == fruit.name],
+        )
+    )
+    try:
+        goals = reach(robot, fruit.center, count=GRASPS, start=home).configurations
+    except UnreachableError as error:
+        return error.reason
+    goals = goals[[rest.clearance(q) > SPARE and itself.link_clearances(q)[:-1].min() > SPARE for q in goals]]
+    if not len(goals):
+        return "blocked"
+    stages = [standoffs(robot, goals, share * STANDOFF) for share in _LOOKS]
+    ways = np.stack([goals, *(stage.configurations for stage in stages)], axis=1)[stages[-1].feasible]
+    if not len(ways):
+        return "no_approach"
+    clear = [way[-1] for way in ways if world.clearance(way[-1]) > SPARE and rest.is_clear(way, 0.5 * SPARE)]
+    limits = robot.velocity_limit, robot.acceleration_limit
+    return min(clear, key=lambda q: least_duration(home, q, *limits), default="blocked")
+
+
+def orchards_of(asked: Asked) -> list[Orchard]:
+    """Measured trees where a folder of them is given, and the orchards that ship with hplan for the arm."""
+    robot = asked.arm()
+    return [*(() if asked.trees is None else measured_orchards(robot, asked.trees)), *shipped_orchards(robot)]
+
+
+def _problems(asked: Asked) -> Iterable[TreeProblem]:
+    robot = asked.arm()
+    found = [problem for orchard in orchards_of(asked) for problem in motions_in(robot, orchard)]
+    return evenly_chosen(found, asked.count, lambda problem: problem.group)
+
+
+def _row(asked: Asked, problem: TreeProblem) -> Row:
+    robot, scene = problem.robot, problem.scene
+    found, row = planned(robot, scene, PlanOptions(effort=asked.effort))
+    row |= {"name": problem.name, "group": problem.group}
+    if found is not None:
+        row["contacts"] = sum(OutsideCheck.of(robot, scene).contacts(found.trajectory))
+        row["fault"] |= row["contacts"] > 0
+    row |= peer_row(asked, robot, scene, row.get("duration_s"))
+    return row | {"missed": not row["solved"] and row.get("peer_solved", False)}
+
+
+TREES = Study(
+    "trees",
+    "motions among trees, all joints free: measured ones (--trees) and those that ship",
+    _row,
+    (
+        *("certified", "missed", "ms", "duration_s", "origin", "contacts"),
+        *("peer_solved", "peer_ms", "to_peer", "to_spline", "spline_touches"),
+    ),
+    problems=_problems,
+    by="group",
+    warm=6,
+)
+
+
+def _tours(asked: Asked) -> Sequence[Orchard]:
+    if asked.trees is None:
+        return shipped_orchards(asked.arm())[: asked.count]
+    return [measured_orchard(asked.arm(), file, DISTANCES[0]) for file in sorted(asked.trees.glob("*.csv"))][
+        : asked.count
+    ]
+
+
+def _tour(asked: Asked, orchard: Orchard) -> Row:
+    robot, scene = asked.arm(), orchard.scene
+    found, ms = timed(lambda: or_error(lambda: plan_tour(robot, scene, PlanOptions(effort=asked.effort))))
+    row: Row = {
+        "name": orchard.name,
+        "ms": ms,
+        "fruits": len(scene.fruits),
+        "solved": not isinstance(found, HplanError),
+    }
+    if isinstance(found, HplanError):
+        return row | {"picked": 0, "message": found.message}
+    picked, duration = len(found.order), found.trajectory.duration
+    return row | {"picked": picked, "duration_s": duration, "a_fruit_s": duration / max(1, picked)}
+
+
+TOURS = Study(
+    "tours",
+    "picking tours over a measured tree each (--trees), or over the orchards that ship",
+    _tour,
+    ("solved", "fruits", "picked", "duration_s", "a_fruit_s", "ms"),
+    problems=_tours,
+)

@@ -6,6 +6,7 @@ import argparse
 import contextlib
 import json
 import sys
+import tempfile
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor
 from importlib import import_module
@@ -87,7 +88,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = command_parser(_DESCRIPTION, _EPILOG)
     add = parser.add_argument
     add("studies", nargs="*", metavar="STUDY", help="what to measure (default: all that need nothing)")
-    add("--out", type=Path, default=Path("out"), metavar="DIR", help="folder to write into (default: out)")
+    add("--out", type=Path, metavar="DIR", help="folder to write into (default: a temporary one, named in the end)")
     add("--count", type=int, metavar="N", help="problems of each study, or of each of its groups")
     add("--quick", action="store_true", help="few problems: a look, not a measurement")
     add("--first", type=int, default=0, metavar="N", help="number of the first problem drawn (default: 0)")
@@ -154,6 +155,7 @@ def _run(arguments: argparse.Namespace, console: Console, errors: Console) -> in
     )
     if not arguments.studies:
         studies = [study for study in studies if not study.needs]
+    arguments.out = arguments.out or Path(tempfile.mkdtemp(prefix="hplan-"))
     prepare_folder(arguments.out)
     if asked.trees is not None and not any(asked.trees.glob("*.csv")):
         raise InputError(f"--trees {asked.trees}: there is no CSV in it", path=str(asked.trees))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 
 from studies.paper import measure
-from studies.paper.results import Reproduction
 
 #: The paper's figures, by its numbers, in the order in which a folder lists them.
 FIGURES = [
@@ -28,8 +27,6 @@ FIGURES = [
 
 
 @functools.cache
-def measured_paper() -> tuple[Reproduction, measure.Evidence, list[str]]:
-    """Numbers, evidence and what was reported on the way; times of one run, four choices among ties."""
-    steps: list[str] = []
-    numbers, evidence = measure.measure(repetitions=1, tie_choices=4, report=steps.append)
-    return numbers, evidence, steps
+def measured_paper() -> tuple[measure.Reproduction, measure.Evidence]:
+    """Numbers and evidence; times of one run."""
+    return measure.measure(repetitions=1)

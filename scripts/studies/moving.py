@@ -31,6 +31,7 @@ from hplan.moving.path_in_time import MovingField, PathInTime
 from hplan.moving.schedule import STEP_S
 from hplan.online.planner import Planner
 from hplan.online.splice import SplicedResult
+from hplan.planning.plan import PlanResult
 from hplan.problem.definition import check_problem
 from hplan.problem.options import PlanOptions
 from hplan.problem.world import World
@@ -237,15 +238,18 @@ def _splices(asked: Asked, number: int) -> list[Row]:
     planner, rows, now = Planner(robot, scene), list[Row](), 0.0
     begun = or_error(planner.plan)
     while not isinstance(begun, HplanError) and planner.last is not None and len(rows) < STEPS:
-        motion, before = planner.last.trajectory, planner.scene
+        running, before = planner.last, planner.scene
+        motion, begins_s = running.trajectory, running.begins_s
         now = min(now + float(random.uniform(*PAUSE_S)), motion.duration)
         at = min(now + AHEAD_S, motion.duration)
         moved = _crossed if crossing else _jumped
-        planner.scene = moved(robot, before, motion, (now, at), random)
+        # Drawn by times since the motion began.
+        planner.scene = moved(robot, before.since(begins_s), motion, (now, at), random).since(-begins_s)
         if random.random() < TURNING:
             planner.aim(goal=_farther(ends, before.goal.configuration))
         scene = planner.scene
-        found, ms = timed(lambda planner=planner, at=at, now=now: or_error(lambda: planner.replan(at=at, now=now)))  # type: ignore[misc]
+        clock = {"at": begins_s + at, "now": begins_s + now}
+        found, ms = timed(lambda planner=planner, clock=clock: or_error(lambda: planner.replan(**clock)))  # type: ignore[misc]
         kind = "crossing" if crossing else "jumping"
         row = outcome(found, ms) | {"name": f"{scene.name} {len(rows)}", "kind": kind}
         if isinstance(found, HplanError):
@@ -254,18 +258,16 @@ def _splices(asked: Asked, number: int) -> list[Row]:
         else:
             if not isinstance(found, SplicedResult):
                 raise TypeError("a splice was asked for")
-            stop = _stop(robot, planner, float(random.uniform(0.0, found.trajectory.duration)))
-            rows.append(row | _judged(robot, scene, motion, found) | stop)
+            stop = _stop(robot, planner, found.begins_s + float(random.uniform(0.0, found.trajectory.duration)))
+            rows.append(row | _judged(robot, scene, running, found) | stop)
             rows[-1]["fault"] |= row["fault"] or stop["stop_fault"]
-            now -= found.begins_s
+            now -= found.begins_s - begins_s
         if now > planner.last.trajectory.duration - PAUSE_S[0]:
-            now, ended = 0.0, planner.last.trajectory
-            q = ended.position[-1]
-            later = planner.scene.since(ended.duration)
-            planner.scene = later.model_copy(
-                update={"start": Start(joints_rad=vector_of(q)), "goal": _farther(ends, q)}
-            )
-            begun = or_error(planner.plan)
+            now, ended = 0.0, planner.last
+            q = ended.trajectory.position[-1]
+            planner.aim(start=Start(joints_rad=vector_of(q)), goal=_farther(ends, q))
+            begins_s = ended.begins_s + ended.trajectory.duration
+            begun = or_error(lambda planner=planner, begins_s=begins_s: planner.plan(begins_s=begins_s))  # type: ignore[misc]
     return rows
 
 
@@ -334,15 +336,11 @@ def _told_stop(robot: Robot, scene: Scene, error: HplanError) -> Row:
     """What is found of the stop that an error carries: clear wherever it is told."""
     if not isinstance(error, RunningMotionBlockedError) or error.stop is None:
         return {}
-    # Row 0 of the stop is a row of the running motion: the certificate's motion says which.
-    motion = error.certificate.subject.motions[0][0]
-    least = least_distance(
-        robot, scene.since(float(motion.stretches[0].clock[0])), error.stop.positions, error.stop.duration
-    )
+    least = least_distance(robot, scene.since(error.begins_s), error.stop.positions, error.stop.duration)
     return {"told_stop_mm": 1e3 * least, "fault": least <= 0.0}
 
 
-def _judged(robot: Robot, scene: Scene, before: Trajectory, found: SplicedResult) -> Row:
+def _judged(robot: Robot, scene: Scene, before: PlanResult, found: SplicedResult) -> Row:
     """What is found of a splice without the planner's own word for it."""
     motion = found.trajectory
     seam = int(np.searchsorted(motion.time, found.seam_s - 1e-9))
@@ -361,12 +359,14 @@ def _judged(robot: Robot, scene: Scene, before: Trajectory, found: SplicedResult
     }
 
 
-def _jumps(before: Trajectory, found: SplicedResult, seam: int) -> list[float]:
+def _jumps(before: PlanResult, found: SplicedResult, seam: int) -> list[float]:
     """Largest differences of position, velocity and acceleration at the seam, and from what ran until then."""
     motion = found.trajectory
-    first = int(np.searchsorted(before.time, found.begins_s - 1e-9))
+    first = int(np.searchsorted(before.trajectory.time, found.begins_s - before.begins_s - 1e-9))
     names = ("position", "velocity", "acceleration")
-    ran = [getattr(motion, name)[: seam + 1] - getattr(before, name)[first : first + seam + 1] for name in names]
+    ran = [
+        getattr(motion, name)[: seam + 1] - getattr(before.trajectory, name)[first : first + seam + 1] for name in names
+    ]
     jumps = [float(np.abs(one).max()) for one in ran]
     if not 0 < seam < motion.samples - 1:
         return jumps
@@ -381,7 +381,8 @@ def _stop(robot: Robot, planner: Planner, t: float) -> Row:
     """A stop at an instant of what runs: clear by coal wherever it is certified."""
     found, ms = timed(lambda: planner.stop_at(t))
     certified, motion = found.certificate.verified, found.trajectory
-    least = least_distance(robot, planner.scene, motion.positions, motion.duration) if certified else math.nan
+    scene = planner.scene.since(found.begins_s)
+    least = least_distance(robot, scene, motion.positions, motion.duration) if certified else math.nan
     told = {"stop_certified": certified, "stop_ms": ms, "stop_bound_mm": 1e3 * found.off_path_m}
     return told | {"stop_fault": certified and least <= 0.0}
 

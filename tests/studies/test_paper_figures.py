@@ -23,7 +23,7 @@ def measured() -> Any:
 
 @pytest.mark.parametrize("name", [*FIGURES, "overview.png"])
 def test_each_figure_is_drawn_whole(measured: Any, name: str) -> None:
-    drawing = figures(*measured[:2])[name]()
+    drawing = figures(*measured)[name]()
     with Image.open(io.BytesIO(png_bytes(drawing, dpi=60))) as image:
         pixels = np.asarray(image.convert("RGB")).astype(int)
     inked = (pixels < 250).any(axis=2)
@@ -42,7 +42,7 @@ def test_each_figure_is_drawn_whole(measured: Any, name: str) -> None:
 
 def test_figures_of_one_run_are_the_same_bytes(measured: Any) -> None:
     for name in ("figure-07-workspace-layers.png", "figure-16-comparison.png"):
-        first, second = (png_bytes(figures(*measured[:2])[name](), dpi=50) for _ in range(2))
+        first, second = (png_bytes(figures(*measured)[name](), dpi=50) for _ in range(2))
         assert first == second
 
 
@@ -51,7 +51,7 @@ def texts_of(drawing: Any) -> str:
 
 
 def test_figures_show_the_papers_slices_and_layers(measured: Any) -> None:
-    drawings = figures(*measured[:2])
+    drawings = figures(*measured)
     for name in ("figure-10-slices.png", "figure-11-slice-paths.png"):
         titles = [axes.get_title(loc="left") for axes in drawings[name]().axes[:6]]
         assert [title.split(" = ")[1].split("°")[0] for title in titles] == ["0", "22", "44", "45", "66", "70"]
@@ -60,7 +60,7 @@ def test_figures_show_the_papers_slices_and_layers(measured: Any) -> None:
 
 
 def test_numbers_in_figures_are_the_measured_ones(measured: Any) -> None:
-    r, e, _ = measured
+    r, e = measured
     drawings = figures(r, e)
     for name, needed in {
         "figure-02-link-and-circle-case-1.png": ["= 14.5°", "25.5°", "54.5°"],

@@ -6,9 +6,9 @@ from collections.abc import Collection, Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
-from studies.paper.results import Reproduction
+from studies.paper.measure import PAPER_DENSE, PAPER_TWO_LEVEL, Reproduction, Run
 
-from hplan.view.figure_style import FAINT, INK, OBSTACLE, PATH, QUIET, RESTORED, new_figure, styled
+from hplan.view.figure_style import FAINT, INK, OBSTACLE, PATH, RESTORED, new_figure, styled
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -41,26 +41,29 @@ def comparison(numbers: Reproduction, expansions: Mapping[int, int], found: Coll
     return figure
 
 
+def _runs(r: Reproduction) -> list[Run]:
+    """The searches in the order of the rows."""
+    return [PAPER_DENSE, PAPER_TWO_LEVEL, *(r.runs[name] for name in ("dense", "plain", "hplan"))]
+
+
 def _draw_nodes(axes: Axes, r: Reproduction) -> None:
     """Draw the nodes that each method expands."""
     from matplotlib.patches import Patch
 
-    layers, second = r.plain.layer_expansions, r.plain.path_expansions
-    paper, dense = r.paper, r.dense.path_expansions
-    axes.barh([0, 2], [paper.dense_expansions, dense], color=INK, height=0.6)
+    (layers, second), dense = r.runs["plain"][2:4], r.runs["dense"].second
+    theirs, own = (PAPER_DENSE.second, PAPER_TWO_LEVEL.second), r.runs["hplan"]
+    axes.barh([0, 2], [theirs[0], dense], color=INK, height=0.6)
     axes.barh([3], [layers], color=RESTORED, height=0.6)
-    axes.barh([1, 3], [paper.two_level_expansions, second], left=[0, layers], color=PATH, height=0.6)
-    jumped = r.hplan
+    axes.barh([1, 3], [theirs[1], second], left=[0, layers], color=PATH, height=0.6)
     for row, x, text in (
-        (0, paper.dense_expansions, f"{paper.dense_expansions:,}"),
-        (1, paper.two_level_expansions, f"{paper.two_level_expansions:,}; layers not given"),
+        (0, theirs[0], f"{theirs[0]:,}"),
+        (1, theirs[1], f"{theirs[1]:,}; layers not given"),
         (2, dense, f"{dense:,}"),
         (3, layers + second, f"{layers:,} + {second:,}"),
-        (4, 0, f"{jumped.layer_expansions:,} jump points, {jumped.settled:,} rows,\n"
-               f"{jumped.path_expansions - jumped.settled:,} nodes: other units of work"),
-    ):  # fmt: skip
+        (4, 0, f"{own.layers:,} jump points,\n{own.second:,} rows and nodes: other units of work"),
+    ):
         axes.text(x + 3000, row, text, va="center", fontsize=8)
-    axes.set_xlim(0.0, 1.5 * paper.dense_expansions)
+    axes.set_xlim(0.0, 1.5 * theirs[0])
     axes.set_xticks([0, 50_000, 100_000, 150_000], ["0", "50k", "100k", "150k"])
     axes.set_xlabel("nodes expanded")
     axes.set_title("Nodes", fontweight="bold")
@@ -72,9 +75,8 @@ def _draw_nodes(axes: Axes, r: Reproduction) -> None:
 
 def _draw_times(axes: Axes, r: Reproduction) -> None:
     """Draw the times on a logarithmic axis, and the ratios to the dense search of the same machine."""
-    dense, plain, own = r.dense.total_ms, r.plain.total_ms, r.hplan.total_ms
-    times_ms = (1e3 * r.paper.dense_time_s, 1e3 * r.paper.two_level_time_s, dense, plain, own)
-    ratios = (1.0, r.paper.time_ratio, 1.0, dense / plain, dense / own)
+    times_ms = [run.ms for run in _runs(r)]
+    ratios = [times_ms[0 if row < 2 else 2] / time_ms for row, time_ms in enumerate(times_ms)]
     axes.barh(range(5), times_ms, color=[INK, PATH, INK, PATH, PATH], height=0.6, left=0.05)
     axes.set_xscale("log")
     for row, (time_ms, ratio) in enumerate(zip(times_ms, ratios, strict=True)):
@@ -89,18 +91,12 @@ def _draw_times(axes: Axes, r: Reproduction) -> None:
 
 
 def _draw_costs(axes: Axes, r: Reproduction) -> None:
-    """Draw the costs, and the range over ties of the plain method."""
-    ties = r.ties
-    costs = (r.paper.dense_cost_deg, r.paper.two_level_cost_deg, r.dense.cost, r.plain.cost, r.hplan.cost)
-    points = (r.paper.dense_points, r.paper.two_level_points, r.dense.points, r.plain.points, r.hplan.points)
-    axes.plot([ties.lowest_cost_deg, ties.highest_cost_deg], [3, 3], color=RESTORED, lw=6.0, alpha=0.6, zorder=2)
-    axes.text(ties.highest_cost_deg, 3.32, f"over {ties.choices} choices of ties", ha="right", va="center", fontsize=8,
-              color=QUIET)  # fmt: skip
-    for row, (cost, count) in enumerate(zip(costs, points, strict=True)):
+    """Draw the costs."""
+    for row, (cost, count, *_) in enumerate(_runs(r)):
         axes.plot(cost, row, "o", color=INK if row in (0, 2) else PATH, ms=7, zorder=4)
         axes.text(cost, row - 0.3, f"  {cost:.6f}°, {count} points", va="center", fontsize=8)
-    axes.set_xlim(145.0, 147.1)
-    axes.set_xticks([145.0, 145.5, 146.0, 146.5, 147.0])
+    axes.set_xlim(145.0, 146.6)
+    axes.set_xticks([145.0, 145.5, 146.0, 146.5])
     axes.set_xlabel("cost [deg]")
     axes.set_title("Cost", fontweight="bold")
 

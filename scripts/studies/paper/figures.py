@@ -8,16 +8,14 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
-from studies.paper.demonstration import DEMO_CENTRE, DEMO_DIAMETER
 from studies.paper.figure_comparison import comparison
 from studies.paper.figure_execution import snapshots
 from studies.paper.figure_link_cases import link_case
 from studies.paper.figure_two_links import two_links
 from studies.paper.figures_joint_space import cspace_obstacle, overview, paths_in_cspace, sparse_path
 from studies.paper.figures_workspace import workspace_layers, workspace_path
-from studies.paper.measure import Evidence
+from studies.paper.measure import DEMO_CENTRE, DEMO_DIAMETER, Evidence, Reproduction
 from studies.paper.plain import path_found
-from studies.paper.results import Reproduction
 from studies.view.figure_data import clearance_field
 from studies.view.figures_arm import arm_and_obstacle, motions
 from studies.view.figures_cspace import slice_paths, slices

@@ -1,40 +1,60 @@
-"""Measure everything: the example of the paper by three searches, link models, ties, the demonstration."""
+"""The paper's numbers measured again: the example by three searches, link models, what the text leaves open."""
 
 from __future__ import annotations
 
 import math
-import platform
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
-from studies.paper.demonstration import demonstration
-from studies.paper.plain import PlainTwoLevel, path_found, plain_two_level
-from studies.paper.results import PAPER, Gap, ModelRow, Reproduction, Run
-from studies.paper.slip import printed_arctan, slip_of
-from studies.paper.ties import distances_from
-from studies.paper.variants import try_variants
+from studies.harness import Row, plain, table
+from studies.measure import environment
+from studies.paper.plain import RESTORATIONS, PlainTwoLevel, Restoration, path_found, plain_two_level
+from studies.paper.random_scenes import SearchComparison
 from studies.planar_cspace import arm_sections, joint_grid
 
 from hplan.base.arrays import FloatArray, IntArray
 from hplan.cspace import occupancy as cspace
 from hplan.cspace.sections import LINK_MODELS, ArmSections, LinkModel
-from hplan.errors import InputError
 from hplan.robot.model import Robot, load_robot
 from hplan.scene.file import load_scene
 from hplan.search import SearchResult, dense_search, slices_with_path, two_level_search
-from hplan.search.astar import row_bounds
 from hplan.search.grid import Grid, Occupancy
-from hplan.search.lattice import Lattice
-from hplan.search.restoration import union_of
-from hplan.search.slice_search import search_slices
 
 _T = TypeVar("_T")
 
-#: How often `measure` reports what is being done.
-STEPS = 12
+#: The paper's workspace demonstration, all in its unit: a ball in the middle of 21 layers.
+DEMO_LOWER, DEMO_UPPER, DEMO_CENTRE, DEMO_DIAMETER = (0.0, 0.0, 5.0), (60.0, 60.0, 25.0), (30.0, 30.0, 15.0), 15.0
+DEMO_START, DEMO_GOAL = (5.0, 10.0, 5.0), (55.0, 50.0, 25.0)
+
+#: How often `measure` tells what is being done.
+STEPS = 8
+
+
+class Run(NamedTuple):
+    """One search: cost [deg, or the workspace's unit], points, entries taken from open lists, nodes flooded, time [ms].
+
+    `layers` are the entries of the slices (jump points where slices are searched by those), `second` those of the
+    search that finds the path: nodes, and rows settled beforehand for its bound.
+    """
+
+    cost: float
+    points: int
+    layers: int
+    second: int
+    flooded: int
+    ms: float
+
+    @property
+    def total(self) -> int:
+        """All entries taken from open lists."""
+        return self.layers + self.second
+
+
+#: What the paper reports (Fig. 16 and text); its two-level search counts the second level alone.
+PAPER_DENSE, PAPER_TWO_LEVEL = Run(145.214952, 107, 0, 154_647, 0, 23_500.0), Run(145.800739, 108, 0, 6_605, 0, 2_560.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,177 +88,194 @@ class Evidence:
     demo_result: SearchResult
 
 
-def reproduce(
-    repetitions: int = 5, tie_choices: int = 22, report: Callable[[str], None] = lambda _: None
-) -> Reproduction:
-    """Measure everything.
+@dataclass(frozen=True)
+class Reproduction:
+    """All numbers.
 
-    Args:
-        repetitions: Runs of which each time is the median; one more comes first, to warm up.
-        tie_choices: Sets of slice paths tried for the ties, at least 2.
-        report: Told what is being done.
+    Attributes:
+        nodes: Nodes of the joint grid.
+        runs: Searches of the example: `dense`, `plain`, `straight` (plain A* and the paper's bound), `hplan`.
+        models: A row for each link model.
+        variants: A row for each choice of what the text leaves open.
+        demo: Searches of the demonstration: `dense` and `two-level`.
+        without: Slices without a path that the plain method searches, and the nodes that it expands there.
     """
-    return measure(repetitions, tie_choices, report)[0]
+
+    nodes: int
+    runs: dict[str, Run]
+    models: list[Row]
+    variants: list[Row]
+    demo: dict[str, Run]
+    without: tuple[int, int]
+
+    def as_dict(self) -> Row:
+        """The numbers ready for JSON."""
+        told = {name: {key: run._asdict() for key, run in getattr(self, name).items()} for name in ("runs", "demo")}
+        return plain({"format": "hplan-reproduction/2", "environment": environment(), **vars(self), **told})  # type: ignore[no-any-return]
 
 
-def measure(
-    repetitions: int = 5, tie_choices: int = 22, report: Callable[[str], None] = lambda _: None
-) -> tuple[Reproduction, Evidence]:
-    """As `reproduce`, with the evidence for the figures."""
+def measure(repetitions: int = 5, report: Callable[[str], None] = lambda _: None) -> tuple[Reproduction, Evidence]:
+    """Measure everything; each time is the median of some runs, told what is being done."""
     robot, scene = load_robot(), load_scene()
     grid = joint_grid(robot.arm, math.radians(1.0))
-    start, goal = (_node(grid, pose.joints(), robot) for pose in (scene.start, scene.goal))
-
+    start, goal = (grid.nearest(end.configuration[robot.arm_slice]) for end in (scene.start, scene.goal))
+    spaces: dict[LinkModel, Occupancy] = {}
     models = []
-    for link_model in LINK_MODELS:
-        report(f"link model {link_model}")
-        models.append(_model_row(robot, grid, start, goal, link_model, repetitions))
-
-    report("dense A*")
-    sections = arm_sections(robot, scene.solids)
-    occupancy = cspace.occupancy(robot.arm, sections, grid)
-    dense, dense_ms = _timed(lambda: dense_search(occupancy, start, goal), repetitions)
-    report("two levels, to the letter")
-    plain, plain_ms = _timed(lambda: plain_two_level(occupancy, start, goal), repetitions)
-    report("two levels, hplan")
-    straight, straight_ms = _timed(lambda: two_level_search(occupancy, start, goal, octile=False), repetitions)
-    default, default_ms = _timed(lambda: two_level_search(occupancy, start, goal), repetitions)
-    occupancies: dict[LinkModel, Occupancy] = {
-        "capsule": occupancy,
-        "paper": cspace.occupancy(robot.arm, arm_sections(robot, scene.solids, link_model="paper"), grid),
-    }
-    variants = try_variants(occupancies, start, goal, tie_choices, report)
-    report("arctan(x / y)")
-    slips = [slip_of(printed_arctan(robot, grid, sections, in_link_frame=flag), start, goal) for flag in (True, False)]
-    report("workspace demonstration")
-    demo, demo_start, demo_goal = demonstration()
-    demo_dense, demo_dense_ms = _timed(lambda: dense_search(demo, demo_start, demo_goal), repetitions)
-    demo_result, demo_ms = _timed(lambda: two_level_search(demo, demo_start, demo_goal, octile=False), repetitions)
-
+    for model in LINK_MODELS:
+        report(f"link model {model}")
+        sections = arm_sections(robot, scene.solids, link_model=model)
+        spaces[model], ms = _timed(lambda sections=sections: cspace.occupancy(robot.arm, sections, grid), 20)  # type: ignore[misc]
+        models.append(_model_row(model, spaces[model], start, goal) | {"cspace_ms": ms})
+    space = spaces["capsule"]
+    report("searches")
+    dense, dense_ms = _timed(lambda: dense_search(space, start, goal), repetitions)
+    letter, letter_ms = _timed(lambda: plain_two_level(space, start, goal), repetitions)
+    straight = _timed(lambda: two_level_search(space, start, goal, octile=False), repetitions)
+    default = _timed(lambda: two_level_search(space, start, goal), repetitions)
+    report("what the text leaves open")
+    variants = [
+        _variant_row(model, spaces[model], start, goal, last, restoration)
+        for restoration in RESTORATIONS
+        for model in ("capsule", "paper")
+        for last in (int(goal[2]), grid.shape[2] - 1)
+    ]
+    report("demonstration")
+    demo = demonstration()
+    demo_dense = _timed(lambda: dense_search(*demo), repetitions)
+    demo_two = _timed(lambda: two_level_search(*demo, octile=False), repetitions)
+    second, expanded = letter.second, sum(letter.expansions.values())
+    without = [number for number in letter.expansions if number not in letter.paths]
     scale = 180.0 / math.pi
     numbers = Reproduction(
-        paper=PAPER,
         nodes=grid.size,
-        dense=_run(dense, dense_ms, scale),
-        plain=Run(
-            cost=plain.second.cost * scale,
-            points=len(path_found(plain.second)),
-            layer_expansions=sum(plain.expansions.values()),
-            path_expansions=plain.second.expansions.total,
-            settled=0,
-            flooded=0,
-            layer_ms=1e3 * plain.layer_s,
-            total_ms=plain_ms,
-        ),
-        straight=_run(straight, straight_ms, scale),
-        hplan=_run(default, default_ms, scale, settled=_settled_rows(occupancy, start, goal)),
-        models=tuple(models),
-        gap=_gap(occupancy, plain, start),
+        runs={
+            "dense": _run(dense, dense_ms, scale),
+            "plain": Run(second.cost * scale, len(path_found(second)), expanded, second.expansions.total, 0, letter_ms),
+            "straight": _run(*straight, scale),
+            "hplan": _run(*default, scale),
+        },
+        models=models,
         variants=variants,
-        sparse_nodes=int(plain.union.sum()),
-        demo_dense=_run(demo_dense, demo_dense_ms, 1.0),
-        demo_two_level=_run(demo_result, demo_ms, 1.0),
-        demo_layers=demo.grid.shape[2],
-        slip_link_frame=slips[0],
-        slip_arm_plane=slips[1],
-        versions=_versions(),
+        demo={"dense": _run(*demo_dense), "two-level": _run(*demo_two)},
+        without=(len(without), sum(letter.expansions[number] for number in without)),
     )
     origin, axes = robot.plane_at(0.0)
-    disc = scene.solids[0]
+    disc, sections = scene.solids[0], arm_sections(robot, scene.solids)
     centre = ((disc.core - origin) @ axes.T)[0, :2]
-    evidence = Evidence(robot, centre, disc.rounding, sections, occupancy, start, goal, dense, plain, demo, demo_result)
-    return numbers, evidence
+    found = Evidence(robot, centre, disc.rounding, sections, space, start, goal, dense, letter, demo[0], demo_two[0])
+    return numbers, found
 
 
-def _node(grid: Grid, joints: FloatArray | None, robot: Robot) -> IntArray:
-    """Grid node of the scene's start or goal.
-
-    Raises:
-        InputError: It is not given by joint angles.
-    """
-    if joints is None:
-        raise InputError("the example wants its start and goal as joint angles")
-    return grid.nearest(joints[robot.arm_slice])
+def demonstration() -> tuple[Occupancy, IntArray, IntArray]:
+    """The paper's workspace demonstration: grid, start and goal node."""
+    grid = Grid.over(DEMO_LOWER, DEMO_UPPER, 1.0)
+    mesh = np.stack(np.meshgrid(*(grid.axis(k) for k in range(3)), indexing="ij"), axis=-1)
+    inside = np.linalg.norm(mesh - np.array(DEMO_CENTRE), axis=-1) <= 0.5 * DEMO_DIAMETER
+    return Occupancy.from_mask(grid, inside), grid.nearest(DEMO_START), grid.nearest(DEMO_GOAL)
 
 
 def _timed(work: Callable[[], _T], repetitions: int) -> tuple[_T, float]:
-    """The run of median time: its result and its time [ms]. One run before all warms up."""
-    work()
-    runs = []
+    """The result and the median time of some runs [ms]; one before all warms up."""
+    result, times = work(), []
     for _ in range(repetitions):
         begin = time.perf_counter()
-        result = work()
-        runs.append((1e3 * (time.perf_counter() - begin), result))
-    median, result = sorted(runs, key=lambda run: run[0])[len(runs) // 2]
-    return result, median
+        work()
+        times.append(1e3 * (time.perf_counter() - begin))
+    return result, float(np.median(times))
 
 
-def _run(result: SearchResult, total_ms: float, scale: float, settled: int = 0) -> Run:
+def _run(result: SearchResult, ms: float, scale: float = 1.0) -> Run:
     expansions = result.expansions
-    return Run(
-        cost=result.cost * scale,
-        points=len(path_found(result)),
-        layer_expansions=expansions.layers,
-        path_expansions=expansions.sparse + expansions.fallback,
-        settled=settled,
-        flooded=expansions.flooded,
-        layer_ms=1e3 * result.times.layers,
-        total_ms=total_ms,
-    )
+    second = expansions.sparse + expansions.fallback
+    return Run(result.cost * scale, len(path_found(result)), expansions.layers, second, expansions.flooded, ms)
 
 
-def _settled_rows(occupancy: Occupancy, start: IntArray, goal: IntArray) -> int:
-    """Rows that `two_level_search` settles for the bound of its search on the union; its result has them in a sum."""
-    lattice = Lattice.of(occupancy.grid.shape, occupancy.grid.step)
-    free = lattice.bordered(occupancy.free_words)
-    between = range(int(min(start[-1], goal[-1])), int(max(start[-1], goal[-1])) + 1)
-    nodes, _ = union_of(lattice, free, search_slices(lattice, free, start, goal, between), start, goal)
-    return row_bounds(lattice, nodes, lattice.row_of(goal)).settled
-
-
-def _model_row(
-    robot: Robot, grid: Grid, start: IntArray, goal: IntArray, link_model: LinkModel, repetitions: int
-) -> ModelRow:
-    sections = arm_sections(robot, load_scene().solids, link_model=link_model)
-    occupancy, cspace_ms = _timed(lambda: cspace.occupancy(robot.arm, sections, grid), max(20, repetitions))
-    dense = dense_search(occupancy, start, goal)
-    degrees = np.degrees(grid.axis(2)[slices_with_path(occupancy, start, goal)])
-    return ModelRow(
-        link_model=link_model,
-        occupied=occupancy.occupied_count,
-        first_feasible_deg=round(float(degrees[0])),
-        last_feasible_deg=round(float(degrees[-1])),
-        dense_cost_deg=math.degrees(dense.cost),
-        dense_points=len(path_found(dense)),
-        dense_expansions=dense.expansions.total,
-        cspace_ms=cspace_ms,
-    )
-
-
-def _gap(occupancy: Occupancy, plain: PlainTwoLevel, start: IntArray) -> Gap:
-    first = min(plain.paths)
-    free = ~occupancy.occupied
-    degrees = np.degrees(occupancy.grid.axis(2))
-    without = [number for number in plain.expansions if number not in plain.paths]
-    return Gap(
-        last_without_deg=round(float(degrees[first - 1])),
-        first_with_deg=round(float(degrees[first])),
-        reached_without=len(distances_from(free[:, :, first - 1], (int(start[0]), int(start[1])))),
-        reached_with=len(distances_from(free[:, :, first], (int(start[0]), int(start[1])))),
-        layers_searched=len(plain.expansions),
-        layers_without=len(without),
-        expansions_without=sum(plain.expansions[number] for number in without),
-    )
-
-
-def _versions() -> dict[str, str]:
-    import numba
-
-    import hplan
-
+def _model_row(model: LinkModel, space: Occupancy, start: IntArray, goal: IntArray) -> Row:
+    dense = dense_search(space, start, goal)
+    degrees = np.degrees(space.grid.axis(2)[slices_with_path(space, start, goal)])
     return {
-        "hplan": hplan.__version__,
-        "python": platform.python_version(),
-        "numpy": np.__version__,
-        "numba": numba.__version__,
+        "model": model,
+        "occupied": space.occupied_count,
+        "first_deg": round(float(degrees[0])),
+        "last_deg": round(float(degrees[-1])),
+        "cost_deg": math.degrees(dense.cost),
+        "points": len(path_found(dense)),
+        "expansions": dense.expansions.total,
     }
+
+
+def _variant_row(
+    model: LinkModel, space: Occupancy, start: IntArray, goal: IntArray, last: int, restoration: Restoration
+) -> Row:
+    run = plain_two_level(space, start, goal, last_slice=last, restoration=restoration)
+    return {
+        "slices": f"0..{round(math.degrees(space.grid.axis(2)[last]))}",
+        "carried": restoration,
+        "model": model,
+        "cost_deg": math.degrees(run.second.cost),
+        "points": len(path_found(run.second)),
+        "layers": sum(run.expansions.values()),
+        "second": run.second.expansions.total,
+        "sparse_nodes": int(run.union.sum()),
+    }
+
+
+def markdown(r: Reproduction, scenes: SearchComparison | None = None) -> str:
+    """The report as Markdown: the paper's numbers beside the measured ones."""
+    runs = {"paper": PAPER_TWO_LEVEL} | {name: r.runs[name] for name in ("plain", "straight", "hplan")}
+    dense, own = PAPER_DENSE, r.runs["dense"]
+    empty = [""] * 3
+
+    def each(name: str, text: Callable[[Run], str], paper: str | None = None) -> list[str]:
+        told = [text(run) for run in runs.values()]
+        return [name, *(told if paper is None else [paper, *told[1:]])]
+
+    comparison = [
+        ["dense A*: cost [deg]", f"{dense.cost:.6f}", f"{own.cost:.6f}", *empty[1:]],
+        ["dense A*: points", f"{dense.points}", f"{own.points}", *empty[1:]],
+        ["dense A*: expansions", f"{dense.second:,}", f"{own.second:,}", *empty[1:]],
+        ["dense A*: time [ms]", f"{dense.ms:,.0f}", f"{own.ms:.1f}", *empty[1:]],
+        each("two-level: cost [deg]", lambda run: f"{run.cost:.6f}"),
+        each("two-level: points", lambda run: f"{run.points}"),
+        each("second level: expansions", lambda run: f"{run.second:,}"),
+        each("layers: nodes, hplan: jump points", lambda run: f"{run.layers:,}", "not given"),
+        each("nodes flooded", lambda run: f"{run.flooded:,}", "-"),
+        each("two-level: time [ms]", lambda run: f"{run.ms:,.1f}"),
+        each("time, dense / two-level", lambda run: f"{own.ms / run.ms:.1f}", f"{dense.ms / PAPER_TWO_LEVEL.ms:.1f}"),
+    ]
+    demo = [[name, f"{run.cost:.4f}", f"{run.points}", f"{run.total:,}"] for name, run in r.demo.items()]
+    blocks = [
+        table(("", *runs), comparison),
+        "plain: the paper's method to the letter. straight: hplan's two-level search with plain A*, the paper's bound. "
+        "hplan: as it is by default, with jump points in the layers and, in the second level, a bound whose rows are "
+        "settled first and counted with the nodes. Flooded nodes are not: 64 are reached at once.",
+        f"The paper does not count the layers. A plain A* in them expands {runs['plain'].layers:,} nodes, "
+        f"{r.without[1]:,} of them in the {r.without[0]} slices that have no path: with the second level "
+        f"{runs['plain'].total / own.total:.2f} of the dense A*.",
+        f"Link models: occupied of {r.nodes:,} nodes, slices with a path, dense A*, C-space [ms].",
+        _told(r.models),
+        "What the text leaves open: the range of slices, and whether the whole first slice path or its first waypoint "
+        "alone is carried back; the second level's cost, and nodes of the layers, of the second level and of the union.",
+        _told(r.variants),
+        "The workspace demonstration, straight-line bound: cost in its own unit, points, expansions.",
+        table(("", "cost", "points", "expansions"), demo),
+    ]
+    if scenes is not None:
+        share = {name: f"{count} ({count / max(1, scenes.with_path):.1%})" for name, count in scenes.fallbacks.items()}
+        blocks += [
+            f"{scenes.scenes:,} random scenes, seed {scenes.seed}: {scenes.with_path:,} with a path; the searches "
+            f"disagree on {scenes.disagree}. Paths by slices between start and goal: {share['none']}, by all slices: "
+            f"{share['all_slices']}, by the dense search: {share['dense']}. Cost, two-level : dense: "
+            f"{scenes.ratio_median or math.nan:.4f} in the median, {scenes.ratio_high or math.nan:.4f} at the 99th "
+            f"percentile, {scenes.ratio_worst or math.nan:.4f} at worst."
+        ]
+    return "\n\n".join(block if isinstance(block, str) else "\n".join(block) for block in blocks) + "\n"
+
+
+def _told(rows: list[Row]) -> list[str]:
+    """Rows as a table, a column for each key."""
+    cells = [
+        [f"{v:.6f}" if isinstance(v, float) else f"{v:,}" if isinstance(v, int) else v for v in row.values()]
+        for row in rows
+    ]
+    return table([key.replace("_", " ") for key in rows[0]], cells)

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
-from typing import Any, get_args
+from dataclasses import dataclass
+from typing import get_args
 
 import numpy as np
 from studies.planar_cspace import RoundedPolygon, joint_grid, planar_sections
@@ -85,8 +85,7 @@ class SearchComparison:
         with_path: Scenes in which the dense search finds a path.
         disagree: Scenes in which only one of the two finds a path.
         fallbacks: How often the two-level search needed each fallback, in the scenes in which it finds a path.
-        ratio_median: Median of the ratio of costs, two-level to dense, over the scenes in which both find a path; None
-            where there is no such scene.
+        ratio_median: Median of the ratio of costs, two-level to dense; None where no scene has a path.
         ratio_high: Its 99th percentile.
         ratio_worst: Its maximum.
     """
@@ -100,19 +99,9 @@ class SearchComparison:
     ratio_high: float | None
     ratio_worst: float | None
 
-    def as_dict(self) -> dict[str, Any]:
-        """The numbers ready for JSON."""
-        return asdict(self)
-
 
 def compare(count: int, seed: int, progress: Callable[[int], None] = lambda _: None) -> SearchComparison:
-    """Run both searches on `count` random scenes.
-
-    Args:
-        count: Number of scenes.
-        seed: Seed of the scenes.
-        progress: Told after each scene how many are done.
-    """
+    """Run both searches on so many random scenes of a seed; told after each how many are done."""
     rng = np.random.default_rng(seed)
     ratios, fallbacks, with_path, disagree = [], Counter[Fallback](), 0, 0
     for done in range(1, count + 1):

@@ -19,13 +19,7 @@ _ROWS = ("paper: dense A*", "paper: two-level", "here: dense A*", "here: two-lev
 
 @styled
 def comparison(numbers: Reproduction, expansions: Mapping[int, int], found: Collection[int]) -> Figure:
-    """Dense A* and the two-level method: nodes expanded, time and cost, and the nodes of every slice search.
-
-    Args:
-        numbers: The paper's numbers and the measured ones.
-        expansions: theta3 of the slice [deg] -> nodes expanded by a plain A* there, for every slice searched.
-        found: Slices that have a path.
-    """
+    """Dense A* and the two-level method: nodes expanded, time and cost, and the nodes of every slice search."""
     figure = new_figure(12.4, 7.4, "Comparison of dense A* and the two-level method")
     panels = figure.add_gridspec(2, 3, width_ratios=(1.35, 1.2, 1.0), height_ratios=(1.0, 0.9))
     nodes, times, costs = (figure.add_subplot(panels[0, column]) for column in range(3))

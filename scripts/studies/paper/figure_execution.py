@@ -24,16 +24,7 @@ _COLUMNS = 4
 def snapshots(
     arm: PlanarArm, centre: ArrayLike, radius: float, grid: Grid, field: FloatArray, path: IntArray
 ) -> Figure:
-    """Eight points of a path, start and goal among them, each with its joint angles and clearance.
-
-    Args:
-        arm: The planar chain.
-        centre: (2,) centre of the disc obstacle [m].
-        radius: Its radius [m].
-        grid: Grid over the planar joints.
-        field: Clearance at its nodes [m].
-        path: (m, n) node indices.
-    """
+    """Eight points of a path, start and goal among them, each with its joint angles and clearance."""
     clearance = field[tuple(path.T)]
     nearest = int(np.argmin(np.round(clearance, 9)))
     figure = new_figure(

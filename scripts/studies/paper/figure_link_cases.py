@@ -80,9 +80,6 @@ def link_case(case: Literal[1, 2, 3]) -> Figure:
     """One link and a circle in one of the three cases of equations (1)-(3), with the numbers of what is drawn.
 
     Link and circle have the size of the example's first link and of its obstacle.
-
-    Args:
-        case: Number of the case.
     """
     happens, condition, result, rho = _CASES[case]
     pair = LinkAndCircle(length=1.0, half_width=0.05, radius=0.15, rho=rho, bearing=math.radians(40.0))

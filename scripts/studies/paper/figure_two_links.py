@@ -66,14 +66,7 @@ class SecondLink:
 
 @styled
 def two_links(arm: PlanarArm, sections: ArmSections, grid: Grid, theta1: float = math.radians(40.0)) -> Figure:
-    """Two links and a circle: the second link for one theta1, the case that applies over theta1, and the C-space.
-
-    Args:
-        arm: The planar chain, at least two links.
-        sections: One disc for each link (capsule model).
-        grid: Grid over the planar joints.
-        theta1: Angle of the first joint for which the links are drawn.
-    """
+    """Two links and a circle: the second link for one theta1, the case that applies over theta1, and the C-space."""
     figure = new_figure(11.4, 7.6, "Two links and a circle: which angles of link 2 are forbidden")
     panels = figure.add_gridspec(2, 2, width_ratios=(1.0, 1.08), height_ratios=(1.55, 1.0))
     high = float(grid.coordinates(np.array(grid.shape) - 1)[0])

@@ -1,4 +1,9 @@
-"""The paper's figures by its own numbers, drawn from the evidence."""
+"""The paper's figures by its own numbers, drawn from the evidence.
+
+What they are given has the same names everywhere: `grid` over the planar joints, `field` the clearance at its nodes,
+negative inside the obstacle [m], `path` (m, n) node indices, `paths` and `heads` the (m, 3) path of each slice and the
+part that restoration keeps there, `centre` (2,) and `radius` of the disc in the arm plane [m]; angles in radians.
+"""
 
 from __future__ import annotations
 

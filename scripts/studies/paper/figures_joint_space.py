@@ -27,15 +27,7 @@ OTHER_VIEW = (27.0, -38.0)
 
 @styled
 def cspace_obstacle(grid: Grid, field: FloatArray, start: ArrayLike, goal: ArrayLike, occupied: int) -> Figure:
-    """The C-space obstacle from two sides.
-
-    Args:
-        grid: Grid over three joints.
-        field: (N1, N2, N3) values at its nodes, negative inside the obstacle.
-        start: (3,) node index.
-        goal: (3,) node index.
-        occupied: Occupied nodes of the grid.
-    """
+    """The C-space obstacle from two sides."""
     share = 100.0 * occupied / grid.size
     figure = new_figure(
         11.4, 6.0, f"C-space of the three links: {occupied:,} of {grid.size:,} nodes forbidden ({share:.1f} %)"
@@ -64,16 +56,7 @@ def sparse_path(
     *,
     view: tuple[float, float] = VIEW,
 ) -> Figure:
-    """The sparse graph of slice paths and restored parts, and the path found in it.
-
-    Args:
-        grid: Grid over three joints.
-        field: (N1, N2, N3) values at its nodes, negative inside the obstacle.
-        paths: Slice -> (m, 3) path of its own.
-        heads: Slice -> (k, 3) restored part.
-        path: (m, 3) path of the second level.
-        view: Height and direction of the viewer [deg].
-    """
+    """The sparse graph of slice paths and restored parts, and the path found in it."""
     from matplotlib.lines import Line2D
 
     figure = new_figure(8.4, 6.8, f"Path in the sparse graph: {_length(grid, path)}")
@@ -99,15 +82,7 @@ def sparse_path(
 def paths_in_cspace(
     grid: Grid, field: FloatArray, dense: IntArray, two_level: IntArray, *, view: tuple[float, float] = VIEW
 ) -> Figure:
-    """The paths of both methods past the C-space obstacle.
-
-    Args:
-        grid: Grid over three joints.
-        field: (N1, N2, N3) values at its nodes, negative inside the obstacle.
-        dense: (m, 3) path of the dense A*.
-        two_level: (k, 3) path of the two-level method.
-        view: Height and direction of the viewer [deg].
-    """
+    """The paths of both methods past the C-space obstacle."""
     from matplotlib.lines import Line2D
 
     figure = new_figure(8.4, 6.8, "Both paths in the C-space")
@@ -131,16 +106,7 @@ def paths_in_cspace(
 
 @styled
 def overview(arm: PlanarArm, centre: ArrayLike, radius: float, grid: Grid, field: FloatArray, path: IntArray) -> Figure:
-    """The method in one picture: the path in the C-space, and the motion that it is.
-
-    Args:
-        arm: The planar chain, three links.
-        centre: (2,) centre of the disc obstacle [m].
-        radius: Its radius [m].
-        grid: Grid over the three joints.
-        field: (N1, N2, N3) values at its nodes, negative inside the obstacle.
-        path: (m, 3) node indices.
-    """
+    """The method in one picture: the path in the C-space, and the motion that it is."""
     figure = new_figure(11.0, 4.6, "", placed=True)
     axes: Any = figure.add_axes((0.0, 0.0, 0.43, 0.93), projection="3d", computed_zorder=False)
     towards = _draw_obstacle(axes, grid, field, VIEW)
@@ -221,17 +187,7 @@ def _handles() -> list[Any]:
 def draw_line(
     axes: Any, points: FloatArray, covered: BoolArray, color: str, width: float, zorder: float, halo: float = 0.0
 ) -> None:
-    """Draw a 3-D line, what is covered dotted and faint.
-
-    Args:
-        axes: Matplotlib's `Axes3D`.
-        points: (m, 3) points.
-        covered: (m,) which of them are hidden.
-        color: Colour.
-        width: Width of the line [points].
-        zorder: Drawing order.
-        halo: How much wider than the line its white margin is [points].
-    """
+    """Draw a 3-D line, what is covered dotted and faint."""
     for index, last in _runs(covered):
         piece = points[index : last + 1]
         if covered[index]:

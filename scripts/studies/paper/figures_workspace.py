@@ -34,17 +34,7 @@ def workspace_path(
     elevation: float = 24.0,
     azimuth: float = -62.0,
 ) -> Figure:
-    """The path past the sphere, over the paths of the layers.
-
-    Args:
-        occupancy: The (N1, N2, N3) workspace grid.
-        centre: (3,) centre of the sphere, in the grid's unit.
-        radius: Its radius.
-        paths: Layer -> (m, 3) path of its own.
-        path: (m, 3) path of the second level.
-        elevation: Height of the viewer [deg].
-        azimuth: Direction of the viewer [deg].
-    """
+    """The path past the sphere, over the paths of the layers."""
     from matplotlib import colormaps
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
@@ -96,16 +86,7 @@ def workspace_layers(
     path: IntArray,
     numbers: Sequence[int],
 ) -> Figure:
-    """Six layers from above: the sphere's section, the path of the layer, and what the final path takes of it.
-
-    Args:
-        occupancy: The (N1, N2, N3) workspace grid.
-        centre: (3,) centre of the sphere, in the grid's unit.
-        radius: Its radius.
-        paths: Layer -> (m, 3) path of its own.
-        path: (m, 3) path of the second level.
-        numbers: Layers to show, at most six.
-    """
+    """Six layers from above: the sphere's section, the path of the layer, and what the final path takes of it."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 

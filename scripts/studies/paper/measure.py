@@ -249,13 +249,13 @@ def markdown(r: Reproduction, scenes: SearchComparison | None = None) -> str:
         "plain: the paper's method to the letter. straight: hplan's two-level search with plain A*, the paper's bound. "
         "hplan: as it is by default, with jump points in the layers and, in the second level, a bound whose rows are "
         "settled first and counted with the nodes. Flooded nodes are not: 64 are reached at once.",
-        f"The paper does not count the layers. A plain A* in them expands {runs['plain'].layers:,} nodes, "
+        f"The paper does not count the layers. Plain A* in them expands {runs['plain'].layers:,} nodes, "
         f"{r.without[1]:,} of them in the {r.without[0]} slices that have no path: with the second level "
         f"{runs['plain'].total / own.total:.2f} of the dense A*.",
         f"Link models: occupied of {r.nodes:,} nodes, slices with a path, dense A*, C-space [ms].",
         _told(r.models),
         "What the text leaves open: the range of slices, and whether the whole first slice path or its first waypoint "
-        "alone is carried back; the second level's cost, and nodes of the layers, of the second level and of the union.",
+        "alone is carried back; the second level's cost, nodes of the layers, of the second level and of the union.",
         _told(r.variants),
         "The workspace demonstration, straight-line bound: cost in its own unit, points, expansions.",
         table(("", "cost", "points", "expansions"), demo),

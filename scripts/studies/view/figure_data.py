@@ -29,13 +29,7 @@ def disc_of(sections: ArmSections, link: int) -> tuple[FloatArray, float]:
 
 
 def half_angles(rho: ArrayLike, length: float, radius: float) -> FloatArray:
-    """Half of the forbidden interval by equations (1)-(3): NaN where there is none, pi where all is forbidden.
-
-    Args:
-        rho: (...) distances of the disc's centre from the joint [m].
-        length: Length of the link [m].
-        radius: Radius of the grown disc [m].
-    """
+    """Half of the forbidden interval by equations (1)-(3): NaN where there is none, pi where all is forbidden."""
     distance = np.asarray(rho, dtype=np.float64)
     safe = np.maximum(distance, radius)
     tangent = np.arcsin(np.clip(radius / safe, -1.0, 1.0))
@@ -47,11 +41,6 @@ def half_angles(rho: ArrayLike, length: float, radius: float) -> FloatArray:
 
 def clearance_field(arm: PlanarArm, sections: ArmSections, grid: Grid) -> FloatArray:
     """Distance from the arm's nearest link axis to its grown disc at every grid node, negative inside [m].
-
-    Args:
-        arm: The planar chain.
-        sections: One disc for each link.
-        grid: Grid over the planar joints, shape (N1, ..., Nn).
 
     Returns:
         (N1, ..., Nn) clearance of capsule links.

@@ -42,17 +42,7 @@ def draw_arm(
     zorder: float = 4.0,
     joints: bool = True,
 ) -> None:
-    """Draw the arm's capsule links in its plane.
-
-    Args:
-        axes: Where to draw.
-        arm: The planar chain.
-        q: (n,) planar joint angles.
-        colors: Colours of the links, repeated where there are more links.
-        alpha: Opacity.
-        zorder: Drawing order.
-        joints: Mark the joints.
-    """
+    """Draw the arm's capsule links in its plane."""
     from matplotlib.patches import Circle, Polygon
 
     points = arm.joint_points(q)
@@ -82,16 +72,7 @@ def draw_disc(axes: Axes, centre: ArrayLike, radius: float, grown: float | None 
 def draw_link(
     axes: Axes, joint: ArrayLike, heading: float, length: float, half_width: float, *, alpha: float = 1.0
 ) -> FloatArray:
-    """Draw one capsule link with its axis; returns its (2,) tip [m].
-
-    Args:
-        axes: Where to draw.
-        joint: (2,) near joint [m].
-        heading: Direction of the link [rad].
-        length: Length of the link [m].
-        half_width: Half-width of the link [m].
-        alpha: Opacity.
-    """
+    """Draw one capsule link with its axis; returns its (2,) tip [m]."""
     from matplotlib.patches import Polygon
 
     near = np.asarray(joint, dtype=np.float64)
@@ -105,15 +86,7 @@ def draw_link(
 
 @styled
 def arm_and_obstacle(arm: PlanarArm, centre: ArrayLike, radius: float, start: ArrayLike, goal: ArrayLike) -> Figure:
-    """The arm in its plane at start and goal, and the obstacle.
-
-    Args:
-        arm: The planar chain.
-        centre: (2,) centre of the disc [m].
-        radius: Its radius [m].
-        start: (n,) planar joint angles.
-        goal: (n,) planar joint angles.
-    """
+    """The arm in its plane at start and goal, and the obstacle."""
     from matplotlib.patches import Arc
 
     figure = new_figure(7.2, 5.2, "Arm and obstacle: start and goal in the arm plane")
@@ -170,17 +143,7 @@ def arm_and_obstacle(arm: PlanarArm, centre: ArrayLike, radius: float, start: Ar
 def draw_motion(
     axes: Axes, arm: PlanarArm, centre: ArrayLike, radius: float, path: FloatArray, *, poses: int = 9, color: str = PATH
 ) -> None:
-    """Draw a motion stroboscopically: poses from light to dark, the tool's path, start and goal.
-
-    Args:
-        axes: Where to draw.
-        arm: The planar chain.
-        centre: (2,) centre of the disc obstacle [m].
-        radius: Its radius [m].
-        path: (m, n) joint angles.
-        poses: Poses to show, start and goal among them.
-        color: Colour of the tool's path.
-    """
+    """Draw a motion stroboscopically: poses from light to dark, the tool's path, start and goal."""
     from matplotlib.colors import to_hex, to_rgb
 
     shown = np.unique(np.rint(np.linspace(0, len(path) - 1, poses)).astype(int))
@@ -209,14 +172,7 @@ def draw_motion(
 
 @styled
 def motions(arm: PlanarArm, centre: ArrayLike, radius: float, paths: Mapping[str, FloatArray]) -> Figure:
-    """The arm's motion, one column for each method, and the joint angles along the path.
-
-    Args:
-        arm: The planar chain.
-        centre: (2,) centre of the disc obstacle [m].
-        radius: Its radius [m].
-        paths: Name -> (m, n) joint angles; one or two methods.
-    """
+    """The arm's motion, one column for each method, and the joint angles along the path."""
     figure = new_figure(10.4, 6.7, "Both paths in the workspace")
     panels = figure.subplots(2, len(paths), height_ratios=(2.35, 1.0), squeeze=False)
     longest = max(float(_travelled(path)[-1]) for path in paths.values())

@@ -46,16 +46,7 @@ def slices(
     goal: ArrayLike,
     numbers: Sequence[int],
 ) -> Figure:
-    """Occupancy of theta3 slices, and what the start reaches in each.
-
-    Args:
-        arm: The planar chain, three links.
-        sections: The obstacles' sections.
-        occupancy: The (N1, N2, N3) C-space.
-        start: (3,) node index.
-        goal: (3,) node index.
-        numbers: Slices to show, at most six.
-    """
+    """Occupancy of theta3 slices, and what the start reaches in each."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
@@ -97,16 +88,7 @@ def slice_paths(
     heads: Mapping[int, IntArray],
     numbers: Sequence[int],
 ) -> Figure:
-    """Paths of slices after connectivity restoration: their own, or the part kept of the first slice path.
-
-    Args:
-        occupancy: The (N1, N2, N3) C-space.
-        start: (3,) node index.
-        goal: (3,) node index.
-        paths: Slice -> (m, 3) path, for the slices that have one.
-        heads: Slice -> (k, 3) part of the first slice path that restoration keeps there.
-        numbers: Slices to show, at most six, out of `paths` and `heads`.
-    """
+    """Paths of slices after connectivity restoration: their own, or the part kept of the first slice path."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
@@ -178,14 +160,7 @@ def _draw_kept(axes: Axes, occupancy: Occupancy, first: IntArray, heads: Mapping
 
 
 def degree_axes(axes: Axes, grid: Grid, *, x_label: bool = True, y_label: bool = True) -> None:
-    """Give axes the range and look of (theta1, theta2) in degrees.
-
-    Args:
-        axes: Where to draw.
-        grid: Grid over the planar joints.
-        x_label: Name theta1 and its values.
-        y_label: Name theta2 and its values.
-    """
+    """Give axes the range and look of (theta1, theta2) in degrees."""
     from matplotlib.ticker import MultipleLocator
 
     low, high = np.degrees(grid.lower), np.degrees(grid.coordinates(np.array(grid.shape) - 1))

@@ -15,9 +15,8 @@ certificate verifies these rows.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -25,12 +24,11 @@ from scipy.interpolate import BSpline
 from studies.peers import world_of
 from studies.symbolic import inverse_dynamics, link_distance, links_apart, load_casadi
 
-from hplan.base.arrays import FloatArray, IntArray, Record, frozen
+from hplan.base.arrays import FloatArray, frozen
 from hplan.collision import obstacle_rows as row
-from hplan.collision.clearance_field import ClearanceField
 from hplan.optimization.timed_spline import RESTING, TimedSpline, breaks_at_rows
-from hplan.problem.definition import check_problem
-from hplan.robot.limits import Limits
+from hplan.problem.definition import Problem, check_problem
+from hplan.problem.world import World
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 from hplan.timing.trajectory import Trajectory
@@ -62,60 +60,18 @@ MARGINS = (1e-4, 3e-4, 1e-3)
 PROGRAMS, GAIN, STARTS, SLOWER, SAME = 5, 5e-4, 2, 1.15, 5e-3
 
 
-@dataclass(frozen=True, eq=False)
-class OfflineProblem(Record):
-    """What a motion has to keep.
-
-    Attributes:
-        robot: The arm.
-        field: Arm and obstacles, balls and capsules.
-        limits: Velocity, acceleration, torque and jerk limits.
-        movable: (k,) joints that may move.
-        lower: (dof,) joint limits.
-        upper: (dof,) joint limits.
-        margin: Clearance to keep at the places looked at [m].
-    """
-
-    robot: Robot
-    field: ClearanceField
-    limits: Limits
-    movable: IntArray
-    lower: FloatArray
-    upper: FloatArray
-    margin: float
-
-    @cached_property
-    def torques(self) -> Any:
-        """The function (q, v, a) -> torques."""
-        return inverse_dynamics(self.robot.model)
-
-    @cached_property
-    def distances(self) -> list[Any]:
-        """The functions (q, a, b) -> distance of each link."""
-        return [link_distance(self.robot, link) for link in range(self.robot.arm.link_count)]
-
-
-def fastest(problem: OfflineProblem, start: TimedSpline) -> TimedSpline | None:
-    """The fastest motion near a given one, with as many pieces, in the same proportions of time.
-
-    Args:
-        problem: What is to be kept.
-        start: A motion from rest to rest; it need not keep anything.
-
-    Returns:
-        The motion, whose limits are kept to about 1e-8; None where the solver gives none.
-    """
-    program = _Program(problem, start)
-    return program.solve()
-
-
 class _Program:
-    """The program: what is unknown, and the constraints, gathered one kind after the other."""
+    """The program near a motion from rest to rest, with as many pieces, in the same proportions of time.
 
-    def __init__(self, problem: OfflineProblem, start: TimedSpline) -> None:
+    What is unknown, and the constraints, gathered one kind after the other; clearances keep a margin [m] at the places
+    looked at.
+    """
+
+    def __init__(self, world: World, asked: Problem, margin: float, start: TimedSpline) -> None:
         self._ca = load_casadi()
-        self._problem, self._start = problem, start
-        n, joints = len(start.control), len(problem.movable)
+        self._robot, self._field = world.robot, world.field
+        self._asked, self._margin, self._start = asked, margin, start
+        n, joints = len(start.control), len(asked.movable)
         self._inner = n - 2 * RESTING
         self._knots = start.knots / start.duration
         self._free = self._ca.MX.sym("c", joints, self._inner)
@@ -126,7 +82,7 @@ class _Program:
 
     def _all_controls(self) -> Any:
         """(dof, n) control points: the outer ones and the joints that stay are numbers."""
-        ca, start, movable = self._ca, self._start, self._problem.movable.tolist()
+        ca, start, movable = self._ca, self._start, self._asked.movable.tolist()
         rows = []
         for joint in range(start.control.shape[1]):
             values = start.control[:, joint]
@@ -150,11 +106,11 @@ class _Program:
 
     def _add_rates(self) -> None:
         """Limits of velocity, acceleration and jerk, divided by themselves; what holds the derivatives in its hull."""
-        limits, movable, n = self._problem.limits, self._problem.movable, len(self._start.control)
-        jerk = limits.jerk
+        robot, movable, n = self._robot, self._asked.movable, len(self._start.control)
+        limits = (robot.velocity_limit, robot.acceleration_limit, robot.jerk_limit)
         control = self._control[movable.tolist(), :]
         knots = self._knots
-        for order, limit in ((1, limits.velocity), (2, limits.acceleration), (3, jerk)):
+        for order, limit in enumerate(limits, 1):
             # Differences of control points, in turn.
             control = self._difference(control, knots, order)
             if limit is None:
@@ -173,17 +129,18 @@ class _Program:
 
     def _add_clearances(self) -> None:
         """A constraint for each link and obstacle near it at each place."""
-        ca, problem, field = self._ca, self._problem, self._problem.field
+        ca, field, robot = self._ca, self._field, self._robot
         breaks = self._knots[3:-3]
         share = np.arange(PLACES) / PLACES
         unit = (breaks[:-1, None] + np.diff(breaks)[:, None] * share).ravel()
         here = BSpline(self._knots, self._start.control, 3)(unit)
         states = ca.mtimes(self._control, self._at(unit, 0))
         solids, widths = field.solids, field.chain[:, 1]
-        for link, distance in enumerate(problem.distances):
+        for link in range(robot.arm.link_count):
+            distance = link_distance(robot, link)
             kept = [s for s in range(len(solids)) if solids[s, row.KIND] in (row.POINT, row.SEGMENT)]
             ends = np.array([_ends(solids[s]) for s in kept]).reshape(-1, 6)
-            radius = solids[kept, row.RADIUS] + widths[link] + problem.margin
+            radius = solids[kept, row.RADIUS] + widths[link] + self._margin
             spare = _distances(distance, here, ends) - radius
             rank = np.argsort(np.argsort(spare, axis=1, kind="stable"), axis=1, kind="stable")
             places, which = np.nonzero((spare < NEAR) & (rank < NEAREST))
@@ -193,25 +150,23 @@ class _Program:
                 self._add(found, radius[which])
         for s in np.flatnonzero(solids[:, row.KIND] == row.PAIR).tolist():
             inner, outer = int(solids[s, row.INNER]), int(solids[s, row.OUTER])
-            apart = links_apart(problem.robot, inner, outer)
+            apart = links_apart(robot, inner, outer)
             places = np.flatnonzero(np.array(apart.map(len(here))(here.T)).ravel() < solids[s, row.TOUCHING] + NEAR)
             if len(places):
                 found = apart.map(len(places))(states[:, places.tolist()])
-                self._add(found, solids[s, row.TOUCHING] + problem.margin)
+                self._add(found, solids[s, row.TOUCHING] + self._margin)
 
     def _add_torques(self) -> None:
-        limit = self._problem.limits.torque
-        if limit is None:
-            return
+        robot, limit = self._robot, self._robot.torque_limit
         breaks = self._knots[3:-3]
         share = np.arange(TIMES) / TIMES
         unit = (breaks[:-1, None] + np.diff(breaks)[:, None] * share).ravel()
         curve, pace = BSpline(self._knots, self._start.control, 3), self._start.duration
         told = [curve(unit, nu=order) / pace**order for order in range(3)]
-        if np.abs(self._problem.robot.dynamics.torques(*told) / limit).max() < LOADED:
+        if np.abs(robot.dynamics.torques(*told) / limit).max() < LOADED:
             return
         states = [ca_at / self._time**order for order, ca_at in enumerate(self._states(unit))]
-        torques = self._problem.torques.map(len(unit))(*states) / np.asarray(limit)[:, None]
+        torques = inverse_dynamics(robot.model).map(len(unit))(*states) / np.asarray(limit)[:, None]
         self._add(ALLOWED - torques)
         self._add(ALLOWED + torques)
 
@@ -220,7 +175,7 @@ class _Program:
 
     def solve(self) -> TimedSpline | None:
         """The solver's motion, whatever it says of it; None where it is not finite."""
-        ca, problem, start = self._ca, self._problem, self._start
+        ca, asked, start = self._ca, self._asked, self._start
         self._add_rates()
         self._add_clearances()
         self._add_torques()
@@ -242,9 +197,9 @@ class _Program:
         }
         program = {"x": unknown, "f": self._time, "g": ca.vertcat(*self._constraints)}
         solver = ca.nlpsol("fastest", "ipopt", program, options)
-        inner = start.control[RESTING:-RESTING][:, problem.movable]
-        low = np.maximum(problem.lower[problem.movable], inner - TRUST).ravel()
-        high = np.minimum(problem.upper[problem.movable], inner + TRUST).ravel()
+        inner = start.control[RESTING:-RESTING][:, asked.movable]
+        low = np.maximum(asked.lower[asked.movable], inner - TRUST).ravel()
+        high = np.minimum(asked.upper[asked.movable], inner + TRUST).ravel()
         found = solver(
             x0=np.append(inner.ravel(), start.duration),
             lbx=np.append(low, 0.1 * start.duration),
@@ -256,7 +211,7 @@ class _Program:
         if not np.isfinite(x).all():
             return None
         control = np.array(start.control)
-        control[RESTING:-RESTING, problem.movable] = x[:-1].reshape(self._inner, -1)
+        control[RESTING:-RESTING, asked.movable] = x[:-1].reshape(self._inner, -1)
         return TimedSpline(frozen(control), frozen(self._knots * x[-1]))
 
 
@@ -300,14 +255,12 @@ def _near(robot: Robot, scene: Scene, start: Trajectory) -> Trajectory | None:
     world = world_of(robot, scene)
     ends = scene.start.configuration, scene.goal.configuration
     asked = check_problem(world, *ends, locked_joints=scene.locked_joints)
-    limits = Limits(robot.velocity_limit, robot.acceleration_limit, robot.torque_limit, robot.jerk_limit)
     rows = max(FEWEST, round(start.duration * RATE_HZ))
     spline = TimedSpline.near(start.positions, _breaks(rows))
     best: Trajectory | None = None
     for margin in MARGINS:
         verified = False
-        problem = OfflineProblem(robot, world.field, limits, asked.movable, asked.lower, asked.upper, margin)
-        for found, meets_rows in _programs(problem, spline, rows):
+        for found, meets_rows in _programs(partial(_Program, world, asked, margin), spline, rows):
             motion = found.trajectory(robot.dynamics, RATE_HZ)
             if best is not None and best.duration <= motion.duration:
                 continue
@@ -319,14 +272,16 @@ def _near(robot: Robot, scene: Scene, start: Trajectory) -> Trajectory | None:
     return best
 
 
-def _programs(problem: OfflineProblem, start: TimedSpline, rows: int) -> Iterator[tuple[TimedSpline, bool]]:
+def _programs(
+    near: Callable[[TimedSpline], _Program], start: TimedSpline, rows: int
+) -> Iterator[tuple[TimedSpline, bool]]:
     """Motions of programs, each from the last, of whole numbers of rows; and whether their pieces meet at rows.
 
     They do where that is the number of rows that the program was made for; else the rows are only near the motion.
     """
     before, spline = math.inf, start
     for _ in range(PROGRAMS):
-        found = fastest(problem, spline)
+        found = near(spline).solve()
         if found is None:
             return
         needed = max(FEWEST, math.ceil(found.duration * RATE_HZ - 1e-6))

@@ -35,12 +35,10 @@ STUDIES = {
     "deadlines": "fruit:DEADLINES",
     "tracking": "fruit:TRACKED",
     "moving": "moving:MOVING",
-    "splices": "moving:SPLICES",
     "camera": "camera:CAMERA",
     "finishing": "arms:FINISHING",
     "panda": "arms:PANDA",
     "random": "arms:RANDOM",
-    "grazing": "grazing:GRAZING",
 }
 
 _DESCRIPTION = """\
@@ -61,12 +59,10 @@ studies:
   deadlines   fruit and motions among trees with 20, 50 and 100 ms
   tracking    fruit with a tracking error, executed in MuJoCo
   moving      an obstacle moves as the arm does
-  splices     running motions that go on, and stops, while something crosses or jumps
   camera      frames of a depth camera to certified motions
   finishing   paths of OMPL, finished
   panda       MotionBenchMaker's problems (--files)
   random      random scenes of any arm (--robot)
-  grazing     obstacles that motions of any arm graze (--robot)
 
 writes into DIR: STUDY.jsonl, what was asked for and on what in its first line, then a row a line as they come; and
 benchmark.md

@@ -318,8 +318,10 @@ REFERENCE_PATHS, WITHIN_RAD = 20, 0.02
 
 
 def _to_finish(asked: Asked) -> Iterable[tuple[str, Robot, Scene]]:
-    reference = ("reference", load_robot(), load_scene())
-    return [*[reference] * min(REFERENCE_PATHS, asked.count or REFERENCE_PATHS), *_panda_scenes(asked)]
+    robot, scene = load_robot(), load_scene()
+    numbers = range(min(REFERENCE_PATHS, asked.count or REFERENCE_PATHS))
+    reference = [("reference", robot, scene.model_copy(update={"name": f"reference {number}"})) for number in numbers]
+    return [*reference, *_panda_scenes(asked)]
 
 
 def _finishing(asked: Asked, problem: tuple[str, Robot, Scene]) -> Row:

@@ -40,8 +40,8 @@ _QUICK_SHAPES = (3, 1, 17)
 
 @pytest.fixture(autouse=True)
 def quick_shapes(monkeypatch: pytest.MonkeyPatch) -> None:
-    stock = validation_scenes._stock
-    monkeypatch.setattr(validation_scenes, "_stock", lambda number: stock(_QUICK_SHAPES[number % 3]))
+    stock = validation_scenes.stock
+    monkeypatch.setattr(validation_scenes, "stock", lambda number: stock(_QUICK_SHAPES[number % 3]))
 
 
 def look(robot: Robot, *kinds: Kind, scenes: int = 2, configurations: int = 3_000) -> KindsValidation:

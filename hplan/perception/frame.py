@@ -59,7 +59,8 @@ class CloudOptions:
         arm_padding_m: Points so near to the arm are taken for its own, where the joints are given: noise, calibration
             and what the arm moved since. Nothing farther from it is taken away. An obstacle as near as that is not
             seen, and only kept if it was seen before (`keep_s`).
-        ignore_padding_m: Points so near to what is to be ignored are left out.
+        ignore_padding_m: Points so near to what is to be ignored are left out, whatever they are of: the sensor's
+            largest error, and no more. A branch as near as that is not seen, and no certificate covers it.
         reach_margin_m: Points are left out that nothing of the arm can come nearer to than this, beyond the clearance
             to keep. Distances shown are right up to there.
         least_points: Points are left out, as outliers, that have fewer than this about them, themselves counted; 1

@@ -153,14 +153,16 @@ def test_grazing_contact_is_found(arm: tuple[Robot, FloatArray], depth: float) -
     assert refused.value.depth_m >= 0.5 * depth
 
 
-def test_a_near_miss_does_not_hide_a_contact(harvester: tuple[Robot, FloatArray]) -> None:
+@pytest.mark.parametrize(("back", "fraction"), [(False, 4.0 / 7.0), (True, 3.0 / 7.0)])
+def test_a_near_miss_does_not_hide_a_contact(harvester: tuple[Robot, FloatArray], back: bool, fraction: float) -> None:
     robot, middle = harvester
     start, goal = middle - 0.4 * np.eye(4)[0], middle + 0.3 * np.eye(4)[0]
     near = ball_at(robot, start, 5e-4, 0.05).model_copy(update={"name": "near"})
+    path = [goal, start] if back else [start, goal]
     with pytest.raises(PathInContactError) as refused:
-        finish(robot, scene_of(robot, near, ball_at(robot, middle, -1e-3, 0.05)), [start, goal], QUICK)
+        finish(robot, scene_of(robot, near, ball_at(robot, middle, -1e-3, 0.05)), path, QUICK)
     assert refused.value.obstacle == "ball"
-    assert refused.value.fraction == pytest.approx(4.0 / 7.0, abs=0.01)
+    assert refused.value.fraction == pytest.approx(fraction, abs=0.01)
 
 
 @pytest.mark.parametrize("keep", [None, 0.02])
@@ -176,13 +178,32 @@ def test_what_comes_too_close_is_moved_away(arm: tuple[Robot, FloatArray], keep:
     assert found.certificate.nearest.distance_m >= 5e-3
 
 
-def test_ends_that_are_too_close_are_refused(harvester: tuple[Robot, FloatArray]) -> None:
+def test_locked_joints_stay_when_it_is_moved_away(harvester: tuple[Robot, FloatArray]) -> None:
     robot, middle = harvester
     start, goal = swing(middle)
+    scene = scene_of(robot, ball_at(robot, middle, 2e-3), clearance=5e-3, locked_joints=("shoulder", "wrist"))
+    found = finish(robot, scene, [start, start, middle, goal], QUICK)
+    assert found.report["given"]["moved_segments"] == [2, 3]  # as they were given, the repeated one counted
+    assert found.certificate.verified
+    np.testing.assert_allclose(np.ptp(found.trajectory.position[:, [1, 3]], axis=0), 0.0, atol=1e-12)
+
+
+def test_the_quicker_motion_is_taken_where_there_is_time(harvester: tuple[Robot, FloatArray]) -> None:
+    robot, middle = harvester
+    (start, goal), up = swing(middle), np.array([0.0, -0.7, 0.6, 0.0])
+    scene, path = scene_of(robot, ball_at(robot, middle, -0.05)), [start, start + up, goal + up, goal]
+    quick, better = (finish(robot, scene, path, options) for options in (QUICK, PlanOptions(deadline_s=300.0)))
+    assert better.trajectory.duration < quick.trajectory.duration - 1e-3
+
+
+@pytest.mark.parametrize("waypoint", [1, 2])
+def test_ends_that_are_too_close_are_refused(harvester: tuple[Robot, FloatArray], waypoint: int) -> None:
+    robot, middle = harvester
+    ends = swing(middle)
     with pytest.raises(PathInContactError, match="too close") as refused:
-        finish(robot, scene_of(robot, ball_at(robot, start, 2e-3), clearance=5e-3), [start, goal], QUICK)
+        finish(robot, scene_of(robot, ball_at(robot, ends[waypoint - 1], 2e-3), clearance=5e-3), ends, QUICK)
     error = refused.value
-    assert (error.waypoint, error.clearance_m) == (1, 5e-3)
+    assert (error.waypoint, error.clearance_m) == (waypoint, 5e-3)
     assert error.depth_m == pytest.approx(3e-3, abs=1e-5)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import coal
 import numpy as np
@@ -15,7 +16,8 @@ import hplan
 from hplan.collision.coal_shapes import solid_shape
 from hplan.errors import ConfigurationInCollisionError, MovingObstacleError, ObstacleInTimeError
 from hplan.moving.obstacles_at import among_poses, without_moving
-from hplan.moving.schedule import CHANGES, LEVELS, STEP_S, earliest_schedule
+from hplan.moving.path_in_time import MovingField, PathInTime
+from hplan.moving.schedule import CHANGES, LEVELS, STEP_S, USED, earliest_schedule, room_to_change
 from hplan.planning.plan import PlanResult, plan
 from hplan.problem.options import PlanOptions
 from hplan.robot.model import Robot
@@ -221,6 +223,49 @@ def test_poses_that_stand_for_a_movement_are_close_together(robot):
     assert len({item.name for item in among.obstacles}) == len(among.obstacles)
 
 
+def test_cells_that_are_clear_are_clear_all_the_time(robot):
+    scene = task(START, GOAL, [ball(robot, (0.0, (0.0, -1.5, 0.0)), (0.5, (0.0, 1.5, 0.0)))], **PLANAR)
+    motion = plan(robot, without_moving(scene), PlanOptions(effort="quick")).trajectory
+    field = MovingField(robot, scene, sigmas=3.0, tracking_error=0.0)
+    spare_s, count = 0.06, 0
+    cells = PathInTime(motion, field, robot, step_s=STEP_S, spare_s=spare_s)
+    for row in range(12):
+        clear = cells.clear(row)
+        count += clear.sum()
+        for time_s in row * STEP_S + np.linspace(-0.5 * STEP_S - spare_s, 0.5 * STEP_S + spare_s, 9):
+            assert (field.at(max(time_s, 0.0)).along(cells.configurations[clear]) > 0.0).all()
+    assert 0.3 < count / (12 * len(cells.configurations)) < 1.0
+
+
+def test_what_moves_is_passed_farther_off_where_it_is_uncertain(robot):
+    certain = ball(robot, (0.0, (0.0, -1.0, 0.0)), (1.0, (0.0, 1.0, 0.0)))
+    away = [
+        MovingField(robot, task(START, GOAL, [item]), sigmas=2.0, tracking_error=0.0).at(0.0).along(np.zeros((1, 4)))
+        for item in (certain, certain.model_copy(update={"sigma": 0.01}))
+    ]
+    np.testing.assert_allclose(away[0] - away[1], 0.02, atol=1e-9)
+
+
+def test_the_speed_changes_where_acceleration_and_torque_have_room(robot):
+    """By the equations of motion, for an arm that is barely strong enough."""
+    motion = plan(robot, task(START, GOAL, [], **PLANAR), PlanOptions(effort="quick")).trajectory
+    arm = replace(robot, torque_limit=1.02 * np.abs(motion.torque).max(axis=0))
+    stations = 9
+    room = room_to_change(motion, arm, stations)
+    rows = np.searchsorted(motion.time, np.linspace(0.0, motion.duration, stations)).clip(max=motion.samples - 1)
+    expected = np.ones_like(room)
+    for (station, level, change), _ in np.ndenumerate(room):
+        q, v, a = (values[rows[station]] for values in (motion.position, motion.velocity, motion.acceleration))
+        speed, rate = level / LEVELS, (change - CHANGES) / (LEVELS * STEP_S)
+        acceleration = speed**2 * a + rate * v
+        torque = arm.dynamics.torques(q[None], speed * v[None], acceleration[None])[0]
+        limit = np.maximum(USED * arm.torque_limit, np.abs(arm.dynamics.gravity(q[None])[0]))
+        within = (np.abs(acceleration) <= USED * arm.acceleration_limit).all() and (np.abs(torque) <= limit).all()
+        expected[station, level, change] = within or change == CHANGES
+    assert (room == expected).all()
+    assert 0.2 < room.mean() < 0.98
+
+
 class Window:
     """Cells of a path that is blocked in the middle until a row."""
 
@@ -272,6 +317,7 @@ def test_the_earliest_schedule_against_a_search_of_all(robot):
         fixed[:, :, CHANGES] = True
         late = earliest_schedule(cells, duration, fixed, at_rest_s=opens * STEP_S)
         assert late.time[-1] >= found.time[-1]
+        assert late.waiting_s == pytest.approx(late.time[-1] - duration, abs=2.0 * STEP_S)
     assert earliest_schedule(Window(61, 10**6), duration, room, at_rest_s=1.0) is None
 
 

@@ -8,9 +8,10 @@ import pickle
 import numpy as np
 import pytest
 
-from hplan import Planner
+from hplan import Planner, PlanOptions
 from hplan.collision.coal_cloud import _KNOWN
 from hplan.errors import InputError, OptionError
+from hplan.perception.arm_shape import reach_ball
 from hplan.perception.frame import CloudOptions
 from hplan.scene.model import Fruit, Goal, Scene, Start
 from hplan.scene.obstacles import PointCloud, Sphere
@@ -109,6 +110,21 @@ def test_what_is_hidden_is_kept_between_frames(robot):
     second = planner.set_cloud("seen", near, radius=0.01, pose=pose, keep_s=1.0, time_s=0.5)
     assert second.remembered == first.kept
     assert planner.set_cloud("seen", near, radius=0.01, pose=pose, time_s=0.6).remembered == 0  # not asked for
+
+
+def test_what_tracking_errors_bring_near_is_within_reach(robot):
+    x, y, z, reach_m = reach_ball(robot)
+    beyond = [[x + reach_m + 0.005 + CloudOptions().growth_m + CloudOptions().reach_margin_m + 0.02, y, z]]
+    for error_rad, kept in ((0.0, 0), (0.05, 1)):
+        planner = Planner(robot, a_scene(), PlanOptions(tracking_error=error_rad))
+        assert planner.set_cloud("far", beyond, radius=0.005).kept == kept
+
+
+def test_a_cloud_that_is_removed_has_seen_nothing(robot):
+    planner = Planner(robot, a_scene())
+    planner.set_cloud("seen", canopy(0), radius=0.005, keep_s=9.0, time_s=0.0)
+    planner.remove("seen")
+    assert planner.set_cloud("seen", [], radius=0.005, keep_s=9.0, time_s=0.1).remembered == 0
 
 
 def test_frames_leave_nothing_behind(robot):

@@ -122,6 +122,7 @@ def test_to_a_fruit_and_on(robot):
     kept = planner.replan(at=0.4, now=0.3)
     assert kept.is_kept
     assert kept.picked == pytest.approx({"apple": before.picked["apple"] - kept.begins_s})
+    assert kept.certificate.contact_s == pytest.approx(np.subtract(before.certificate.contact_s, kept.begins_s))
     assert_spliced(robot, planner.scene, before, kept)
     planner.aim(goal=Goal(fruit="pear"))
     result = planner.replan(at=0.5, now=0.4)

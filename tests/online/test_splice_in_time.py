@@ -14,6 +14,7 @@ from spliced import FIELDS, assert_goes_on
 from studies.outside import least_distance
 
 from hplan.errors import ObstacleInTimeError, RunningMotionBlockedError
+from hplan.moving.stop_first import stopped_first
 from hplan.online.planner import Planner
 from hplan.online.splice import SplicedResult
 from hplan.planning.plan import PlanResult, plan
@@ -213,6 +214,27 @@ def test_a_state_of_motion_that_cannot_be_left_is_said(robot):
     with pytest.raises(RunningMotionBlockedError) as caught:
         planner.replan(at=seam_s, now=seam_s - 0.004)
     assert not caught.value.certificate.verified
+
+
+def test_after_a_stop_what_moves_is_where_it_is_then(robot):
+    planner = a_planner(robot)
+    running = planner.last.trajectory
+    row = running.samples // 5
+    stop = planner.stop_at(float(running.time[row])).trajectory.since(row)
+    state = {"velocity_rad_s": tuple(running.velocity[row]), "acceleration_rad_s2": tuple(running.acceleration[row])}
+    start = Start(joints_rad=tuple(running.position[row]), **state)
+    ball = crossing(tool_at(robot, running, 0.6), 8.0, speed=0.15)
+    scene, seen = task(START, GOAL, [ball], **PLANAR).model_copy(update={"start": start}), list[Scene]()
+
+    def plan_at_rest(later: Scene) -> PlanResult:
+        seen.append(later)
+        return plan(robot, later)
+
+    found = stopped_first(robot, scene, PlanOptions(effort="quick"), [stop], plan_at_rest)
+    assert found.certificate.verified
+    assert found.stop_s == stop.duration > 0.1
+    for one, other in zip(seen[0].poses_at([0.5])["ball"], scene.poses_at([stop.duration + 0.5])["ball"], strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-12)
 
 
 def test_it_stops_first_and_waits_for_what_blocks_the_way(robot):

@@ -6,7 +6,7 @@ import coal
 import numpy as np
 import pinocchio as pin
 import pytest
-from arm_variants import random_obstacles
+from arm_variants import link_axes, load_variant, random_obstacles
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -127,6 +127,24 @@ def test_the_arm_is_in_its_reach_ball_and_its_capsules(robot):
         assert far <= radius + 1e-9
         np.testing.assert_allclose(solids[robot.arm.link_count - 1].core[1], robot.tool_positions(q), atol=1e-9)
     assert radius < 2.3
+
+
+@pytest.mark.parametrize("name", ["plane beside the yaw axis", "links beside each other, off the axis"])
+def test_links_are_where_their_bodies_are(name, tmp_path):
+    robot = load_variant(name, tmp_path)
+    for q in np.random.default_rng(3).uniform(robot.lower, robot.upper, (5, robot.dof)):
+        links = [solid.core for solid in arm_solids(robot, q)[: robot.arm.link_count]]
+        np.testing.assert_allclose(links, link_axes(robot, q), atol=1e-9)
+
+
+@pytest.mark.parametrize("count", [1, 6])
+def test_all_that_is_to_be_ignored_is_left_out_and_nothing_else(robot, count):
+    rng = np.random.default_rng(count)
+    fruits = [Sphere(name=f"fruit {n}", center=(1.0, 0.3 * n - 0.7, 1.2), radius=0.04) for n in range(count)]
+    at = np.array([fruit.center for fruit in fruits])[rng.integers(0, count, 3000)]
+    points = at + rng.normal(size=at.shape) * 0.03
+    found = filter_frame(robot, Frame.of(robot, points, radius=RADIUS), CloudOptions(), ignored=fruits)
+    assert found.report.ignored == (np.linalg.norm(points - at, axis=1) <= 0.06).sum()
 
 
 def test_few_points_far_from_all_others_are_outliers_where_that_is_asked_for(robot):
@@ -319,6 +337,22 @@ def test_what_the_camera_looks_through_is_forgotten(robot):
     assert take(robot, [], 0.1, first.seen).report.remembered == first.report.kept
 
 
+@pytest.mark.parametrize("axis", range(3))
+def test_where_a_turned_camera_looks(robot, axis):
+    """To all six sides of the camera: what is behind it tells nothing of what is ahead."""
+
+    def look(points, time_s, before=None):
+        pose = [*CAMERA, 20.0, -30.0, 100.0]
+        frame = Frame.of(robot, points, radius=RADIUS, pose=pose, keep_s=1.0, time_s=time_s)
+        return filter_frame(robot, frame, CloudOptions(), before=before)
+
+    near, far = (np.roll(wall(x, half=half), axis, axis=1) for x, half in ((0.8, 0.1), (1.4, 0.2)))
+    for sign in (1.0, -1.0):
+        first = look(sign * near, 0.0)
+        assert look(sign * far, 0.1, first.seen).report.remembered == 0
+        assert look(-sign * far, 0.1, first.seen).report.remembered == first.report.kept
+
+
 def test_where_the_arm_is_nothing_is_remembered(robot):
     reaching = np.zeros(robot.dof)
     at_the_tool = robot.tool_positions(reaching) - CAMERA + np.random.default_rng(0).normal(size=(99, 3)) * 5e-3
@@ -327,6 +361,17 @@ def test_where_the_arm_is_nothing_is_remembered(robot):
     there = take(robot, [], 0.1, first.seen, joints=reaching)
     assert there.report.remembered == 0
     assert take(robot, [], 0.1, first.seen, joints=TUCKED).report.remembered == first.report.kept
+
+
+@pytest.mark.parametrize(("beyond_m", "stays"), [(-1e-3, False), (1e-3, True)])
+def test_the_arm_stands_in_a_ball_by_its_growth_too(robot, beyond_m, stays):
+    reaching = np.zeros(robot.dof)
+    x, y, z = robot.tool_positions(reaching) - CAMERA
+    pair = np.array([[x - 0.1, y, z], [x - 0.096, y, z]])  # one ball in the middle of both, grown by 2 mm
+    pair[:, 1] += robot.arm.half_widths[-1] + RADIUS + 2e-3 + beyond_m
+    first = take(robot, pair, 0.0, options=CloudOptions(growth_m=0.05))
+    assert first.report.growth_m == pytest.approx(2e-3)
+    assert take(robot, [], 0.1, first.seen, joints=reaching).report.remembered == stays
 
 
 def test_what_the_padding_hides_is_remembered(robot):
@@ -350,6 +395,7 @@ def test_memory_is_bounded_and_the_oldest_go_first(robot):
     third = take(robot, [], 0.3, second.seen, options=few)
     assert (third.report.remembered, third.report.forgotten) == (50, len(second.points) - 50)
     assert (third.seen.seen_s == 0.2).all()
+    assert (third.points[:, 1] > 0.25).all()
 
 
 def test_time_does_not_go_back(robot):

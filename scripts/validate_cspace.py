@@ -9,7 +9,7 @@ import argparse
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from hplan.cli.job_folder import prepare_folder
 from hplan.cli.options import add_robot, add_scene, command_parser, robot_of
@@ -18,8 +18,8 @@ from hplan.errors import OptionError, OutputError
 
 if TYPE_CHECKING:
     from rich.console import Console
-    from studies.validation.cspace_results import Comparison, Difference, Validation
-    from studies.validation.kinds import KindsValidation
+    from studies.validation.cspace import Validation
+    from studies.validation.kinds import KindResult, KindsValidation
 
 RESULT, KINDS_RESULT = "validation.json", "validation-kinds.json"
 
@@ -69,7 +69,7 @@ def _run(arguments: argparse.Namespace, console: Console, errors: Console) -> in
         _prepare(path)
     _check_options(arguments)
     if arguments.kinds is None:
-        comparison = _validate(arguments, errors)
+        comparison = _validate(arguments)
         _show(console, comparison)
         ok, report = comparison.ok, comparison.as_dict()
     else:
@@ -125,200 +125,113 @@ def _prepare(path: Path) -> None:
         raise OutputError(path, error.strerror or str(error)) from error
 
 
-def _validate(arguments: argparse.Namespace, errors: Console) -> Validation:
+def _validate(arguments: argparse.Namespace) -> Validation:
     import math
 
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+    step = 1.0 if arguments.step is None else arguments.step
+    if not (math.isfinite(step) and step > 0.0):
+        raise OptionError("--step", step, "a positive number of degrees")
+    from studies.validation.cspace import validate_cspace
 
-    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
-    with Progress(*columns, console=errors, transient=True, disable=not errors.is_terminal) as bars:
-        loading = bars.add_task("reading robot and scene", total=None)
+    from hplan.scene.file import load_scene
 
-        step = 1.0 if arguments.step is None else arguments.step
-        if not (math.isfinite(step) and step > 0.0):
-            raise OptionError("--step", step, "a positive number of degrees")
-        from studies.validation.cspace import validate_cspace
-
-        from hplan.scene.file import load_scene
-
-        scene = load_scene(arguments.scene)
-        robot = robot_of(arguments, scene)
-        if arguments.yaw is not None and robot.has_yaw:
-            low, high = math.degrees(robot.lower[0]), math.degrees(robot.upper[0])
-            if not low - 1e-9 <= arguments.yaw <= high + 1e-9:
-                raise OptionError("--yaw", arguments.yaw, f"a number of degrees between {low:g} and {high:g}")
-        tasks = {"": loading}
-
-        def progress(what: str, done: int, total: int) -> None:
-            if what not in tasks:
-                bars.remove_task(tasks.popitem()[1])
-                tasks[what] = bars.add_task(what, total=total)
-            bars.update(tasks[what], completed=done)
-
-        return validate_cspace(
-            robot,
-            scene,
-            step=math.radians(step),
-            yaw=None if arguments.yaw is None else math.radians(arguments.yaw),
-            progress=progress,
-        )
+    scene = load_scene(arguments.scene)
+    robot = robot_of(arguments, scene)
+    if arguments.yaw is not None and robot.has_yaw:
+        low, high = math.degrees(robot.lower[0]), math.degrees(robot.upper[0])
+        if not low - 1e-9 <= arguments.yaw <= high + 1e-9:
+            raise OptionError("--yaw", arguments.yaw, f"a number of degrees between {low:g} and {high:g}")
+    yaw = None if arguments.yaw is None else math.radians(arguments.yaw)
+    return validate_cspace(robot, scene, step=math.radians(step), yaw=yaw)
 
 
 def _validate_kinds(arguments: argparse.Namespace, errors: Console) -> KindsValidation:
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+    from studies.validation.kinds import CONFIGURATIONS, SCENES, validate_kinds
+    from studies.validation.scenes import KINDS
 
-    columns = TextColumn("{task.description:28}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()
-    with Progress(*columns, console=errors, transient=True, disable=not errors.is_terminal) as bars:
-        task = bars.add_task("loading", total=None)
+    return validate_kinds(
+        robot_of(arguments),
+        arguments.kinds or KINDS,
+        scenes=SCENES if arguments.scenes is None else arguments.scenes,
+        configurations=CONFIGURATIONS if arguments.configurations is None else arguments.configurations,
+        seed=arguments.seed or 0,
+        told=lambda row: errors.print(f"{_name(row)}: {row.seconds:.0f} s", markup=False),
+    )
 
-        from studies.validation.kinds import CONFIGURATIONS, SCENES, validate_kinds
-        from studies.validation.scenes import KINDS
 
-        return validate_kinds(
-            robot_of(arguments),
-            arguments.kinds or KINDS,
-            scenes=SCENES if arguments.scenes is None else arguments.scenes,
-            configurations=CONFIGURATIONS if arguments.configurations is None else arguments.configurations,
-            seed=arguments.seed or 0,
-            progress=lambda what, done, total: bars.update(task, description=what, completed=done, total=total),
-        )
+def _name(row: KindResult) -> str:
+    return f"{row.kind} ~" if row.layers else row.kind
 
 
 def _show_kinds(console: Console, result: KindsValidation) -> None:
-    """A table that fits 80 columns, some of what was missed, and the verdict."""
-    from rich import box
-    from rich.markup import escape
-    from rich.table import Table
-
-    console.print(
-        f"\n[bold]{result.scenes:,}[/] random scenes of each kind with [bold]{escape(result.robot)}[/], "
-        f"{result.configurations:,} configurations each\n",
-        soft_wrap=True,
-    )
-    table = Table(box=box.SIMPLE_HEAD, padding=0, show_edge=False)
-    table.add_column("kind", no_wrap=True)
-    for heading in ("looked at", "colliding", "missed", "differ", "free", "lost", "widest", "time"):
-        table.add_column(heading, justify="right", no_wrap=True)
-    before = False
-    for row in result.results:
-        if row.layers and not before:
-            table.add_section()
-        before = row.layers
-        table.add_row(
-            f"{row.kind} ~" if row.layers else row.kind,
-            f"{row.configurations:,}",
-            f"{row.colliding:,}",
-            f"[bold red]{row.missed:,}[/]" if row.missed else "0",
-            "-" if row.layers else f"[bold red]{row.differing:,}[/]" if row.differing else "0",
-            f"{row.spare:,}",
-            f"{100.0 * row.lost_share:.3f} %",
-            _mm(row.widest_gap_m),
-            f"{row.seconds:.0f} s",
-        )
-    console.print(table)
-    if before:
-        console.print("~ over intervals of yaw; free and lost are nodes of the planar grids", style="dim")
-    console.print()
+    """A table, some of what was missed, and the verdict."""
+    each = f"{result.configurations:,} configurations each"
+    _print(console, f"\n{result.scenes:,} random scenes of each kind with {result.robot}, {each}")
+    _table(
+        console,
+        ("kind", "looked at", "colliding", "missed", "differ", "free", "lost", "widest"),
+        [
+            (
+                _name(row), f"{row.configurations:,}", f"{row.colliding:,}", f"{row.missed:,}",
+                "-" if row.layers else f"{row.differing:,}", f"{row.spare:,}", f"{100.0 * row.lost_share:.3f} %",
+                _mm(row.widest_gap_m),
+            )
+            for row in result.results
+        ],
+    )  # fmt: skip
     for row in result.results:
         for example in row.examples:
             joints = ", ".join(f"{joint:.9g}" for joint in example.joints_rad)
-            console.print(
-                f"{row.kind} {example.scene}: {example.side}, coal {_mm(example.distance_m)}, joints_rad [{joints}]",
-                markup=False,
-                soft_wrap=True,
-            )
-    verdict = "[bold green]nothing missed[/]" if result.ok else "[bold red]FAULTS[/]"
-    console.print(f"{verdict}, {result.total_s:.0f} s in all\n")
+            where = f"{_name(row)} {example.scene}: {example.side}"
+            _print(console, f"{where}, coal {_mm(example.distance_m)}, joints_rad [{joints}]")
+    _print(
+        console,
+        f"{'nothing missed' if result.ok else 'FAULTS'}, {result.total_s:.0f} s in all (~ over intervals of yaw)",
+    )
 
 
 def _show(console: Console, result: Validation) -> None:
-    """A table that fits 80 columns, then some of the nodes that differ, then the verdict."""
-    import math
-
-    from rich import box
-    from rich.markup import escape
-    from rich.table import Table
-
-    shape = " x ".join(str(count) for count in result.shape)
-    steps = sorted({f"{math.degrees(step):.4g}" for step in result.step_rad}, key=float)
-    facts = Table.grid(padding=(0, 2, 0, 2))
-    facts.add_column(style="dim", no_wrap=True)
-    facts.add_column()
-    facts.add_row("grid", f"{shape} = {result.nodes:,} nodes, step {', '.join(steps)} deg")
-    facts.add_row("arm plane", f"yaw {math.degrees(result.yaw_rad):g} deg, clearance {1e3 * result.clearance_m:g} mm")
+    """A table, then some of the nodes that differ, then the verdict."""
+    _print(
+        console, f"\n{result.scene} with {result.robot}: {' x '.join(map(str, result.shape))} = {result.nodes:,} nodes"
+    )
     first = result.comparisons[0]
-    share = 100.0 * first.occupied / result.nodes
-    ratio = f"coal with {first.links} links takes {result.speed_ratio(first):,.0f} times as long"
-    facts.add_row("forbidden", f"{first.occupied:,} nodes, {share:.3f} %")
-    facts.add_row("analytic", f"{1e3 * result.analytic_s:.2f} ms; {ratio}")
-    console.print(f"\n[bold]{escape(result.scene)}[/] with [bold]{escape(result.robot)}[/]\n")
-    console.print(facts)
-    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), show_edge=False)
-    table.add_column("ours", no_wrap=True)
-    table.add_column("coal", no_wrap=True)
-    for heading in ("forbidden", "coal only", "ours only", "differ", "contact", "time"):
-        table.add_column(heading, justify="right", no_wrap=True)
+    ratio = f"coal with {first.links} links takes {first.coal_s / result.analytic_s:,.0f} times as long"
+    _print(console, f"forbidden {first.occupied:,} nodes; analytic {1e3 * result.analytic_s:.2f} ms; {ratio}")
+    _table(
+        console,
+        ("ours", "coal", "forbidden", "coal only", "ours only", "beyond sections", "contact", "time"),
+        [
+            (
+                c.link_model, c.links, f"{c.coal_occupied:,}", f"{c.faults:,}{'' if c.decisive else ' (no fault)'}",
+                f"{c.conservative:,}", f"{c.unexplained:,}", f"{c.in_contact:,}", f"{c.coal_s:.2f} s",
+            )
+            for c in result.comparisons
+        ],
+    )  # fmt: skip
     for c in result.comparisons:
-        style = "bold red" if c.decisive else "yellow"
-        table.add_row(
-            c.link_model,
-            c.links,
-            f"{c.coal_occupied:,}",
-            f"[{style}]{c.faults:,}[/]" if c.faults else "0",
-            f"{c.conservative:,}",
-            f"{100 * (c.faults + c.conservative) / result.nodes:.3f} %",
-            f"{c.in_contact:,}",
-            f"{c.coal_s:.2f} s",
-        )
-    console.print(table)
-    console.print()
-    for c in result.comparisons:
-        _show_differences(console, result, c)
+        for word, examples in (("coal only", c.fault_examples), ("ours only", c.conservative_examples[:3])):
+            for example in examples:
+                joints = zip(result.joint_names, example.joints_rad, strict=True)
+                at = ", ".join(f"{name} {angle:.6g}" for name, angle in joints)
+                pair = f"{example.link} and {example.obstacle} {_mm(example.distance_m)}"
+                _print(console, f"{c.link_model} and coal's {c.links}: {word}: {pair} apart at {at} rad")
     for contact in result.base_contacts:
-        near, pair = contact.distance_m, f"{escape(contact.obstacle)} and {escape(contact.link)}"
-        how = f"overlap by {_mm(-near)}" if near < 0.0 else f"are {_mm(near)} apart"
-        console.print(
-            f"[yellow]note[/]: {pair} {how}; the planar joints do not move {escape(contact.link)}, so the C-space "
-            "does not show it\n",
-            soft_wrap=True,
-        )
-    seconds = f"{result.total_s:.1f} s in all"
-    if result.ok:
-        console.print(f"[bold green]no fault[/] at {result.nodes:,} nodes, {seconds}\n")
-    else:
-        console.print(f"[bold red]{result.faults:,} FAULTS[/] at {result.nodes:,} nodes, {seconds}\n")
+        how = "overlap" if contact.distance_m < 0.0 else "are near"
+        _print(console, f"note: {contact.obstacle} and {contact.link} {how}, which no planar joint moves")
+    verdict = "no fault" if result.ok else f"{result.faults:,} FAULTS"
+    _print(console, f"{verdict} at {result.nodes:,} nodes, {result.total_s:.1f} s in all")
 
 
-def _show_differences(console: Console, result: Validation, c: Comparison) -> None:
-    """The worst of the nodes that differ, both ways."""
-    from hplan.cspace.sections import SECTION_ERROR
-
-    pair = f"{c.link_model} and coal's {c.links}"
-    if c.faults:
-        word = "[bold red]faults[/]" if c.decisive else "box only"
-        console.print(f"{pair}: {word}, to a depth of {_mm(c.deepest_fault_m)}", soft_wrap=True)
-        _show_examples(console, result, c.fault_examples)
-    if c.conservative:
-        text = f"{pair}: ours only, with up to {_mm(c.widest_gap_m)} to spare"
-        if c.links == "capsule":
-            text += f"; {c.unexplained:,} beyond the bound on sections, {_mm(SECTION_ERROR)}"
-        console.print(text, soft_wrap=True)
-        _show_examples(console, result, c.conservative_examples[:3])
+def _print(console: Console, line: str) -> None:
+    console.print(line, markup=False, soft_wrap=True)
 
 
-def _show_examples(console: Console, result: Validation, examples: Sequence[Difference]) -> None:
-    import math
-
-    from rich.markup import escape
-    from rich.table import Table
-
-    table = Table.grid(padding=(0, 2, 0, 2))
-    table.add_row(*(f"[dim]{escape(name)}[/]" for name in result.joint_names), *("[dim]link[/]", "[dim]obstacle[/]"))
-    for example in examples:
-        cells: list[Any] = [f"{math.degrees(angle):.3f}" for angle in example.joints_rad]
-        table.add_row(*cells, escape(example.link), escape(example.obstacle), _mm(example.distance_m))
-    console.print(table)
-    console.print()
+def _table(console: Console, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """Columns as wide as what stands in them."""
+    widths = [max(map(len, column)) for column in zip(headings, *rows, strict=True)]
+    for row in (headings, *rows):
+        _print(console, "  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)))
 
 
 def _mm(metres: float) -> str:

@@ -11,11 +11,9 @@ import numpy as np
 import pytest
 import studies.validation.cspace as validation
 import studies.validation.kinds as validation_kinds
-from rich.console import Console
 from script_loader import load_script
 from studies.planar_cspace import arm_sections, joint_grid
-from studies.validation.cspace import EXAMPLES, validate_cspace
-from studies.validation.cspace_results import CONTACT_TOLERANCE, Comparison, Validation
+from studies.validation.cspace import CONTACT_TOLERANCE, EXAMPLES, Comparison, Validation, validate_cspace
 from studies.validation.scenes import KINDS
 
 from hplan.collision.coal_scene import CoalScene, base_contacts
@@ -101,7 +99,7 @@ def test_reference_scene_against_boxes(reference: Validation) -> None:
 
 
 def test_the_closed_form_is_a_hundred_times_as_fast_as_coal(reference: Validation) -> None:
-    assert reference.speed_ratio(by(reference, "capsule")) > 100.0
+    assert by(reference, "capsule").coal_s > 100.0 * reference.analytic_s
 
 
 def test_examples_are_the_widest_and_can_be_checked(robot: Robot, scene: Scene, reference: Validation) -> None:
@@ -357,7 +355,7 @@ def box_stl(low: tuple[float, ...], high: tuple[float, ...]) -> str:
     return "\n".join([*lines, "endsolid box\n"])
 
 
-# Bad input, progress
+# Bad input
 
 
 def test_bad_input(robot: Robot, scene: Scene) -> None:
@@ -379,20 +377,6 @@ def test_bad_input(robot: Robot, scene: Scene) -> None:
     outside = scene.model_copy(update={"start": Start(joints_deg=(0.0, 100.0, 0.0, 0.0))})
     with pytest.raises(JointLimitError):
         validate_cspace(robot, outside)
-
-
-def test_progress_comes_to_the_end(robot: Robot, scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(validation, "CHUNK", 1_000)
-    told: dict[str, list[tuple[int, int]]] = {}
-    result = validate_cspace(robot, scene, step=COARSE, progress=lambda what, *n: told.setdefault(what, []).append(n))
-    assert len(told) == 1 + len(LINK_SHAPES)
-    for steps in told.values():
-        assert steps == sorted(steps)
-        assert steps[-1][0] == steps[-1][1]
-    assert len(told["coal, box links"]) > 5
-    assert by(result, "capsule") == replace(
-        by(validate_cspace(robot, scene, step=COARSE), "capsule"), coal_s=by(result, "capsule").coal_s
-    )
 
 
 # The command
@@ -418,12 +402,11 @@ def test_command_finds_no_fault(scene_file: Path, tmp_path: Path, capsys: pytest
     assert "two [balls]" in text
     assert "ball [1]" in text
     assert "stone and base_link overlap" in text
-    assert max(len(line) for line in text.splitlines() if "capsule " in line and " s " in line) <= 80
     content = json.loads((out / script.RESULT).read_text())
     assert content["ok"] is True
     assert content["nodes"] == 6_859
-    assert content["yaw_deg"] == pytest.approx(3.0)
-    assert [c["judge"] for c in content["comparisons"]] == list(LINK_SHAPES)
+    assert content["yaw_rad"] == pytest.approx(np.radians(3.0))
+    assert [c["links"] for c in content["comparisons"]] == list(LINK_SHAPES)
     assert content["base_contacts"][0]["obstacle"] == "stone"
 
 
@@ -486,9 +469,8 @@ def test_command_on_kinds(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
     text = capsys.readouterr().out
     assert "2 random scenes of each kind" in text
     assert "nothing missed" in text
-    rows = [line.split()[:2] for line in text.splitlines() if line.startswith(("sphere", "box"))]
+    rows = [line.split()[:2] for line in text.splitlines() if line.split()[:1] in (["sphere"], ["box"])]
     assert rows == [["sphere", "4,000"], ["box", "4,000"], ["sphere", "~"], ["box", "~"]]
-    assert max(len(line) for line in text.splitlines() if "written" not in line) <= 80
     content = json.loads((tmp_path / script.KINDS_RESULT).read_text())
     assert content["ok"] is True
     assert (content["scenes"], content["configurations"], content["seed"]) == (2, 2000, 3)
@@ -510,17 +492,6 @@ def test_command_finds_what_is_missed(monkeypatch: pytest.MonkeyPatch, capsys: p
     text = capsys.readouterr().out
     assert "FAULTS" in text
     assert "sphere 0: intervals, coal -" in text
-
-
-def test_the_table_of_kinds_fits(capsys: pytest.CaptureFixture[str]) -> None:
-    rows = validation_kinds.validate_kinds(load_robot(), ["capsule"], scenes=1, configurations=100).results
-    most = {"configurations": 4_000_000, "colliding": 1_968_609, "spare": 3_303_050, "lost": 9, "seconds": 1_234.0}
-    wide = [replace(row, **most, widest_gap_m=0.02881) for row in rows]
-    result = validation_kinds.KindsValidation("harvester", 0, 200, 20_000, tuple(wide), 1_234.0)
-    script._show_kinds(Console(width=80), result)
-    text = capsys.readouterr().out
-    assert "…" not in text
-    assert all(cell in text for cell in ("1,968,609", "3,303,050", "0.000 %", "28.8 mm", "1234 s"))
 
 
 def test_all_kinds_where_none_is_named(monkeypatch: pytest.MonkeyPatch) -> None:

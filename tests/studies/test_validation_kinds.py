@@ -203,7 +203,7 @@ def test_points_that_are_not_there_are_caught(robot: Robot, monkeypatch: pytest.
     assert look(robot, "points").results[0].missed > 0
 
 
-# Input, progress
+# Input
 
 
 @pytest.mark.parametrize(
@@ -219,9 +219,3 @@ def test_points_that_are_not_there_are_caught(robot: Robot, monkeypatch: pytest.
 def test_bad_input(robot: Robot, arguments: dict[str, object], message: str) -> None:
     with pytest.raises(OptionError, match=message):
         validate_kinds(robot, **arguments)  # type: ignore[arg-type]
-
-
-def test_progress_comes_to_the_end(robot: Robot) -> None:
-    told: list[tuple[str, int, int]] = []
-    validate_kinds(robot, ["sphere"], scenes=3, configurations=10, progress=lambda *now: told.append(now))
-    assert told == [(what, done, 3) for what in ("sphere", "sphere, intervals of yaw") for done in range(4)]

@@ -112,7 +112,7 @@ def test_fruit_may_be_touched_in_its_window_by_the_last_link_alone(harvester: Dr
     assert contacts(harvester.arm, motion, fruit, windows=[Window("o", first + 1e-3, 1.0)])
     assert contacts(harvester.arm, motion, fruit, windows=[Window("another", first, 1.0)])
     elbow = harvester.arm.places(harvester.arm.configurations(motion.names, motion.values[-1:])[0])
-    k = next(k for k, body in enumerate(harvester.arm.bodies) if body.joint == harvester.arm.tool_joint - 1)
+    k = next(k for k, body in enumerate(harvester.arm.bodies) if body.joint == harvester.arm.last_joint - 1)
     on_link = things_of([placed(ITEMS[0], elbow[k].act(harvester.arm.bodies[k].middle))])
     assert contacts(harvester.arm, motion, on_link, windows=[Window("o", 0.0, 1.0)])
 

@@ -23,11 +23,12 @@ Coal is asked with several shapes of the links:
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Final
 
 import numpy as np
 from studies.planar_cspace import arm_sections, joint_grid
-from studies.validation.cspace_results import CONTACT_TOLERANCE, Comparison, Difference, Validation
 
 from hplan.base.arrays import BoolArray, FloatArray, IntArray
 from hplan.collision.coal_scene import CoalScene, Contact, base_contacts
@@ -35,6 +36,7 @@ from hplan.collision.coal_shapes import LINK_SHAPES, LinkShapes
 from hplan.cspace.occupancy import occupancy
 from hplan.cspace.sections import SECTION_ERROR, LinkModel
 from hplan.errors import InputError, OptionError
+from hplan.planning.report import versions
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 from hplan.scene.obstacles import Sphere
@@ -52,8 +54,116 @@ EXAMPLES = 5
 #: Repetitions of the analytic computation, of which the fastest counts.
 _REPETITIONS = 3
 
-#: Called with what is going on, how many nodes are done, and how many there are.
-Progress = Callable[[str, int, int], None]
+#: A node whose distance is this close to the clearance is in contact, which may be decided either way [m].
+CONTACT_TOLERANCE: Final = 1e-9
+
+
+@dataclass(frozen=True)
+class Difference:
+    """A node that the two sides decide differently.
+
+    Attributes:
+        node: Index of the node along each axis of the grid.
+        joints_rad: Configuration of all joints.
+        link: Coal's nearest link.
+        obstacle: Its nearest obstacle.
+        distance_m: Signed distance between them beyond the clearance, by coal [m]; negative is too near.
+    """
+
+    node: tuple[int, ...]
+    joints_rad: tuple[float, ...]
+    link: str
+    obstacle: str
+    distance_m: float
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """One analytic model and coal with one shape of links, over all nodes.
+
+    Attributes:
+        link_model: The analytic model.
+        links: Shape of coal's links.
+        decisive: Whether a fault here is a fault of the C-space; False for capsules against boxes.
+        occupied: Nodes that the analytic side forbids.
+        coal_occupied: Nodes at which coal finds a collision.
+        faults: Nodes that only coal forbids.
+        conservative: Nodes that only the analytic side forbids.
+        unexplained: Those of them with a distance of more than `SECTION_ERROR` by coal; none may be where coal's links
+            are the model's, elsewhere they are narrower links.
+        in_contact: Nodes decided differently that are in contact up to rounding; not among the others.
+        deepest_fault_m: Largest depth at the faults looked at [m]; 0 without any.
+        widest_gap_m: Largest distance beyond the clearance at the conservative nodes looked at [m]; 0 without any.
+        coal_s: Time of coal over all nodes [s].
+        fault_examples: Some faults, the deepest first.
+        conservative_examples: Some conservative nodes, the widest first.
+    """
+
+    link_model: LinkModel
+    links: LinkShapes
+    decisive: bool
+    occupied: int
+    coal_occupied: int
+    faults: int
+    conservative: int
+    unexplained: int
+    in_contact: int
+    deepest_fault_m: float
+    widest_gap_m: float
+    coal_s: float
+    fault_examples: tuple[Difference, ...]
+    conservative_examples: tuple[Difference, ...]
+
+
+@dataclass(frozen=True)
+class Validation:
+    """The result of comparing a scene's C-space with coal.
+
+    Attributes:
+        scene: Name of the scene.
+        robot: Name of the robot.
+        joint_names: All joints of the robot.
+        yaw_rad: Yaw of the arm plane.
+        clearance_m: Distance kept from obstacles, on both sides [m].
+        step_rad: Spacing of the grid along each planar joint.
+        shape: Nodes along each axis.
+        analytic_s: Time of the analytic side over all nodes, sections included, kernels loaded [s]; NaN where the
+            occupancy was handed in.
+        total_s: Time of the whole validation [s].
+        comparisons: One for each model and shape of links.
+        base_contacts: Obstacles that touch pedestal or turret, which the C-space does not cover.
+    """
+
+    scene: str
+    robot: str
+    joint_names: tuple[str, ...]
+    yaw_rad: float
+    clearance_m: float
+    step_rad: tuple[float, ...]
+    shape: tuple[int, ...]
+    analytic_s: float
+    total_s: float
+    comparisons: tuple[Comparison, ...]
+    base_contacts: tuple[Contact, ...]
+
+    @property
+    def nodes(self) -> int:
+        """Number of nodes that were compared."""
+        return int(np.prod(self.shape, dtype=np.int64))
+
+    @property
+    def faults(self) -> int:
+        """Number of faults in all decisive comparisons."""
+        return sum(comparison.faults for comparison in self.comparisons if comparison.decisive)
+
+    @property
+    def ok(self) -> bool:
+        """True if no fault was found."""
+        return self.faults == 0
+
+    def as_dict(self) -> dict[str, Any]:
+        """The numbers, as `hplan.planning.report.write_report` writes them (what is not finite becomes null)."""
+        return {"ok": self.ok, "nodes": self.nodes, "faults": self.faults, **asdict(self), "versions": versions()}
 
 
 def validate_cspace(
@@ -64,7 +174,6 @@ def validate_cspace(
     yaw: float | None = None,
     links: Sequence[LinkShapes] = LINK_SHAPES,
     space: Occupancy | None = None,
-    progress: Progress = lambda *_: None,
 ) -> Validation:
     """Compare the C-space of a scene with coal on every node of the joint grid.
 
@@ -79,7 +188,6 @@ def validate_cspace(
         links: Shapes of coal's links.
         space: An occupancy to validate, whoever computed it, over the arm's joints in the capsule model; None to
             compute it here (then `step` is that of the grid).
-        progress: Told how far it is.
 
     Raises:
         OptionError: Unknown link shape, a step that is not positive or too small, a yaw outside the limits.
@@ -93,9 +201,7 @@ def validate_cspace(
     yaw = _checked_yaw(robot, scene, yaw)
     analytic_s = float("nan")
     if space is None:
-        progress("analytic C-space", 0, 1)
         space, analytic_s = _timed_occupancy(robot, scene, joint_grid(robot.arm, step), yaw, "capsule")
-        progress("analytic C-space", 1, 1)
     elif len(space.grid.shape) != robot.arm.link_count:
         raise InputError(
             f"the occupancy has {len(space.grid.shape)} axes, the arm {robot.arm.link_count} planar joints"
@@ -105,7 +211,7 @@ def validate_cspace(
         models: list[tuple[LinkModel, Occupancy]] = [("capsule", space)]
         if shapes == "box" and all(isinstance(obstacle, Sphere) for obstacle in scene.solids):
             models.append(("rectangle", _occupancy(robot, scene, space.grid, yaw, "rectangle")))
-        comparisons += _compare(robot, scene, yaw, shapes, models, progress)
+        comparisons += _compare(robot, scene, yaw, shapes, models)
     return Validation(
         scene=scene.name,
         robot=robot.name,
@@ -154,7 +260,6 @@ def _compare(
     yaw: float,
     shapes: LinkShapes,
     models: Sequence[tuple[LinkModel, Occupancy]],
-    progress: Progress,
 ) -> Iterator[Comparison]:
     """Ask coal with one shape of links at every node, and compare each model with its answers."""
     clearance = scene.clearance
@@ -164,7 +269,6 @@ def _compare(
     coal_occupied, coal_s = 0, 0.0
     rows = max(1, CHUNK // grid.shape[-1])
     row_count = grid.size // grid.shape[-1]
-    progress(f"coal, {shapes} links", 0, grid.size)
     for first in range(0, row_count, rows):
         last = min(first + rows, row_count)
         indices = np.arange(first * grid.shape[-1], last * grid.shape[-1])
@@ -175,7 +279,6 @@ def _compare(
         coal_occupied += int(theirs.sum())
         for tally, (_, space) in zip(tallies, models, strict=True):
             tally.add(checker, indices, q, _occupied_rows(space, first, last), theirs, clearance)
-        progress(f"coal, {shapes} links", int(indices[-1]) + 1, grid.size)
     for tally, (model, space) in zip(tallies, models, strict=True):
         faults, gaps = np.concatenate([*tally.faults, _NONE]), np.concatenate([*tally.conservative, _NONE])
         fault_examples = _look(checker, grid, faults, yaw, clearance)

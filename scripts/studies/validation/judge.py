@@ -233,8 +233,8 @@ class Arm:
         moving = [joint for joint in ElementTree.parse(urdf).iter("joint") if joint.get("type") != "fixed"]
         self._joined = [{end.get("link") for end in joint if end.tag in ("parent", "child")} for joint in moving]
         self._joined += [set(pair) for pair in may_touch]
-        self.tool_joint = self.model.frames[self.model.getFrameId(tool_frame)].parentJoint
         self._numbers = [int(self.model.getJointId(name)) for name in self.joints]
+        self.last_joint = self.carrier(self.model.frames[self.model.getFrameId(tool_frame)].parentJoint)
 
     def _body(self, geometry: pin.GeometryObject) -> Body:
         shape = geometry.geometry
@@ -276,18 +276,22 @@ class Arm:
         pin.forwardKinematics(self.model, self.data, q)
         return [self.data.oMi[body.joint] * body.place for body in self.bodies]
 
+    def carrier(self, number: int) -> int:
+        """The last joint that moves of those that carry what a joint does; 0 for none."""
+        return max(({0} | set(self._numbers)) & set(self.model.supports[number]))
+
     def slides(self, number: int) -> bool:
         """Whether a joint slides, by its number in the model."""
         return str(self.model.joints[number].shortname()).startswith("JointModelP")
 
-    def levers(self, farthest: FloatArray) -> FloatArray:
-        """(bodies, joints) how far a body comes at most where a joint moves by one [m/rad, m/m].
+    def levers(self, farthest: FloatArray) -> tuple[FloatArray, float]:
+        """(bodies, joints) how far a body comes at most where a joint moves by one, and how far from the base any is.
 
         Args:
-            farthest: (joints,) how far joints are from 0 at most; of joints that slide it counts.
+            farthest: (joints,) how far joints are from 0 at most; of joints that slide it counts [rad, m].
         """
         out = dict(zip(self._numbers, farthest.tolist(), strict=True))
-        found = np.zeros((len(self.bodies), len(self._numbers)))
+        found, reach = np.zeros((len(self.bodies), len(self._numbers))), 0.0
         for row, body in enumerate(self.bodies):
             beyond = float(np.linalg.norm(body.place.act(body.middle))) + body.radius
             for number in reversed(list(self.model.supports[body.joint])[1:]):
@@ -295,18 +299,8 @@ class Arm:
                     found[row, self._numbers.index(number)] = 1.0 if self.slides(number) else beyond
                 beyond += float(np.linalg.norm(self.model.jointPlacements[number].translation))
                 beyond += out.get(number, 0.0) if self.slides(number) else 0.0
-        return found
-
-    def reach(self, farthest: FloatArray) -> float:
-        """How far anything is from the base's origin at most [m]."""
-        out = dict(zip(self._numbers, farthest.tolist(), strict=True))
-        most = 0.0
-        for body in self.bodies:
-            chain = list(self.model.supports[body.joint])[1:]
-            along = sum(float(np.linalg.norm(self.model.jointPlacements[number].translation)) for number in chain)
-            along += sum(out.get(number, 0.0) for number in chain if self.slides(number))
-            most = max(most, along + float(np.linalg.norm(body.place.act(body.middle))) + body.radius)
-        return most
+            reach = max(reach, beyond)
+        return found, reach
 
     @cached_property
     def standing(self) -> list[bool]:
@@ -485,7 +479,9 @@ def contacts(
     for number, thing in enumerate(things):
         near = look.near(thing)
         for k, body in enumerate(arm.bodies):
-            allowed = [each for each in windows if each.name == thing.name and body.joint == arm.tool_joint]
+            allowed = [
+                each for each in windows if each.name == thing.name and arm.carrier(body.joint) == arm.last_joint
+            ]
             found.append(look.obstacle(k, number, near[:, k], allowed, skip))
     return [contact for contact in found if contact is not None]
 
@@ -500,12 +496,11 @@ class _Look:
         order = [list(motion.names).index(name) for name in arm.joints]
         values = motion.values[:, order]
         self.turned = np.vstack([np.zeros(len(order)), np.cumsum(np.abs(np.diff(values, axis=0)), axis=0)])
-        farthest = np.abs(values).max(axis=0)
-        self.levers = arm.levers(farthest)
+        self.levers, reach = arm.levers(np.abs(values).max(axis=0))
         self.gone = self.turned @ self.levers.T  # (ticks, bodies) how far each body has come at most
         self.carried = np.zeros(len(self.clock))
         if base is not None:
-            self.carried = base.travel(self.clock, arm.reach(farthest) + float(np.linalg.norm(base.about)))
+            self.carried = base.travel(self.clock, reach + float(np.linalg.norm(base.about)))
         self.known: dict[int, list[pin.SE3]] = {}
         self.seen: dict[tuple[int, int], FloatArray] = {}
         last = len(self.clock) - 1

@@ -20,12 +20,12 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass, fields
 from typing import Any, Final
 
 import numpy as np
 import pinocchio as pin
-from studies.validation.cspace_results import CONTACT_TOLERANCE
+from studies.validation.cspace import CONTACT_TOLERANCE
 from studies.validation.scenes import KINDS, Kind, RandomScene, random_scene
 
 from hplan.base.arrays import BoolArray, FloatArray
@@ -67,9 +67,6 @@ _CLOUD_TOLERANCE: Final = 5e-7
 
 #: Told in full of what was missed.
 EXAMPLES: Final = 5
-
-#: Called with what is going on, how many scenes are done, and how many there are.
-Progress = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True)
@@ -164,28 +161,8 @@ class KindsValidation:
 
     def as_dict(self) -> dict[str, Any]:
         """The numbers, as `hplan.planning.report.write_report` writes them."""
-        return {
-            "ok": self.ok,
-            "robot": self.robot,
-            "seed": self.seed,
-            "scenes": self.scenes,
-            "configurations": self.configurations,
-            "spare_m": SPARE,
-            "most_lost": MOST_LOST,
-            "contact_tolerance_m": CONTACT_TOLERANCE,
-            "total_s": round(self.total_s, 3),
-            "results": [
-                {
-                    **{key: value for key, value in vars(result).items() if key not in ("examples", "seconds")},
-                    "lost_share": result.lost_share,
-                    "ok": result.ok,
-                    "seconds": round(result.seconds, 3),
-                    "examples": [dict(vars(example)) for example in result.examples],
-                }
-                for result in self.results
-            ],
-            "versions": versions(),
-        }
+        results = [{"ok": row.ok, "lost_share": row.lost_share, **asdict(row)} for row in self.results]
+        return {"ok": self.ok, **asdict(self), "results": results, "versions": versions()}
 
 
 def validate_kinds(
@@ -195,7 +172,7 @@ def validate_kinds(
     scenes: int = SCENES,
     configurations: int = CONFIGURATIONS,
     seed: int = 0,
-    progress: Progress = lambda *_: None,
+    told: Callable[[KindResult], None] = lambda _: None,
 ) -> KindsValidation:
     """Compare the C-space with coal on random scenes of each kind: at single yaws, then over intervals of yaw.
 
@@ -205,7 +182,7 @@ def validate_kinds(
         scenes: Scenes of each kind.
         configurations: Configurations of each scene; as many or a few more are looked at.
         seed: Seed of the scenes.
-        progress: Told how far it is.
+        told: Handed each result.
 
     Raises:
         OptionError: No kind or an unknown one, or a number below 1 (of the seed: below 0).
@@ -221,12 +198,10 @@ def validate_kinds(
     for layers in (False, True) if robot.has_yaw else (False,):
         for kind in kinds:
             tally = _KindCounts(robot, kind, layers)
-            what = f"{kind}, intervals of yaw" if layers else kind
-            progress(what, 0, scenes)
             for number in range(scenes):
                 tally.add(number, random_scene(robot, kind, number, seed=seed), configurations, seed)
-                progress(what, number + 1, scenes)
             results.append(tally.result())
+            told(results[-1])
     return KindsValidation(
         robot=robot.name,
         seed=seed,

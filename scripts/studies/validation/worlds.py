@@ -144,7 +144,7 @@ def draw_world(drawn: DrawnArm, rng: np.random.Generator, *, moving: bool, camer
             sway = {"direction": tuple(direction(rng).tolist()), "amplitude_m": float(rng.uniform(0.005, 0.05))}
             items[k] = {**item, "sway": sway}
     world = replace(world, items=tuple(free(drawn, world, items)))
-    if drawn.arm.tool_joint and world.base is None and rng.random() < 0.35:
+    if drawn.arm.last_joint and world.base is None and rng.random() < 0.35:
         world = _with_fruits(drawn, world, rng)
     return replace(world, seen=draw_seen(drawn, world, rng)) if camera else world
 

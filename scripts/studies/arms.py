@@ -16,13 +16,14 @@ import json
 from collections.abc import Iterable, Sequence
 from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 from studies.harness import Asked, Row, Study
 from studies.measure import or_error, planned, ratio, timed
-from studies.outside import OutsideCheck
+from studies.outside import contacts, path_is_clear
 from studies.peers import RESOLUTION, ompl, ompl_path, toppra_motion, world_of
 
 from hplan.base.arrays import FloatArray
@@ -173,8 +174,8 @@ def _random(asked: Asked, number: int) -> Row:
     """What a straight motion, OMPL's RRTConnect and hplan make of a scene; contacts by coal."""
     robot = asked.arm()
     scene = random_scene(robot, asked.seed, number)
-    check, goal = OutsideCheck.of(robot, scene), scene.goal.configuration
-    straight = _is_clear(check, np.array([scene.start.configuration, goal]))
+    goal = scene.goal.configuration
+    straight = _is_clear(robot, scene, np.array([scene.start.configuration, goal]))
     row: Row = {"name": scene.name, "straight": straight}
     if asked.peer is not None:
         ompl(asked.seed)
@@ -182,28 +183,26 @@ def _random(asked: Asked, number: int) -> Row:
         for fine in FINE:
             path, ms = timed(lambda fine=fine: ompl_path(world, scene, goal, seconds=FIND_S, resolution=fine))  # type: ignore[misc]
             row["peer_ms"] += ms
-            row["peer_solved"] = path is not None and _is_clear(check, path)
+            row["peer_solved"] = path is not None and _is_clear(robot, scene, path)
             if path is None or row["peer_solved"]:
                 break
     found, told = planned(robot, scene, PlanOptions(effort=asked.effort))
     row |= told | {"missed": not told["certified"] and row.get("peer_solved", False)}
     if found is not None:
-        row["contacts"] = sum(check.contacts(found.trajectory))
+        row["contacts"] = sum(contacts(robot, scene, found.trajectory))
     return row | {"fault": row.get("contacts", 0) > 0 or row.get("fault", False)}
 
 
-def _is_clear(check: OutsideCheck, path: FloatArray) -> bool:
+def _is_clear(robot: Robot, scene: Scene, path: FloatArray) -> bool:
     """Whether straight motions between the waypoints of a path touch nothing."""
-    for first, last in itertools.pairwise(path):
-        steps = max(2, int(np.ceil(np.abs(last - first).max() / EVERY_RAD)) + 1)
-        if any(any(check.touched(q)) for q in np.linspace(first, last, steps)):
-            return False
-    return True
+    ends = itertools.pairwise(path)
+    parts = [np.linspace(a, b, max(2, int(np.ceil(np.abs(b - a).max() / EVERY_RAD)) + 1)) for a, b in ends]
+    return path_is_clear(robot, scene, np.concatenate(parts))
 
 
 RANDOM = Study(
     "random",
-    "random scenes of any arm (--robot), each motion looked at by coal every millisecond",
+    "random scenes of any arm (--robot), each motion looked at by coal every half millisecond",
     _random,
     ("straight", "certified", "missed", "ms", "duration_s", "origin", "contacts", "peer_solved", "peer_ms"),
     count=(200, 3),
@@ -218,6 +217,10 @@ FINGERS = 0.065
 WIDENED = (('lower="0.0" upper="0.04"', 'lower="0.0" upper="0.08"'), ('upper="-0.0698"', 'upper="0.0873"'))
 
 
+#: Where the URDF is written to, which is read again.
+_FOLDER = TemporaryDirectory()
+
+
 @cache
 def panda() -> Robot:
     """The Panda of example-robot-data with the limits widened and the fingers held.
@@ -230,7 +233,9 @@ def panda() -> Robot:
     for before, after in WIDENED:
         text = text.replace(before, after)
     hold = {"panda_finger_joint1": FINGERS}
-    return load_robot(text, limits=files.limits, tool_frame="panda_hand", hold=hold, package_dirs=files.package_dirs)
+    urdf = Path(_FOLDER.name) / "panda.urdf"
+    urdf.write_text(text, encoding="utf-8")
+    return load_robot(urdf, limits=files.limits, tool_frame="panda_hand", hold=hold, package_dirs=files.package_dirs)
 
 
 def panda_problems(folder: Path, set_name: str) -> list[dict[str, Any]]:
@@ -283,7 +288,7 @@ def _panda_row(asked: Asked, problem: tuple[str, Robot, Scene]) -> Row:
     found, row = planned(robot, scene, PlanOptions(effort=asked.effort))
     row |= {"name": scene.name, "set": set_name}
     if found is not None:
-        row["contacts"], row["own_contacts"] = OutsideCheck.of(robot, scene).contacts(found.trajectory)
+        row["contacts"], row["own_contacts"] = contacts(robot, scene, found.trajectory)
         row["fault"] |= row["contacts"] + row["own_contacts"] > 0
     if asked.peer is None:
         return row
@@ -293,7 +298,7 @@ def _panda_row(asked: Asked, problem: tuple[str, Robot, Scene]) -> Row:
     spline = None if path is None else toppra_motion(robot, path)
     row["peer_solved"] = spline is not None
     if spline is not None:
-        row["spline_touches"] = any(OutsideCheck.of(robot, scene).contacts(spline))
+        row["spline_touches"] = any(contacts(robot, scene, spline))
         row["to_spline"] = ratio(row.get("duration_s"), spline.duration)
     return row
 
@@ -332,9 +337,9 @@ def _finishing(asked: Asked, problem: tuple[str, Robot, Scene]) -> Row:
     path = ompl_path(world_of(robot, scene), scene, scene.goal.configuration, resolution=RESOLUTION)
     if path is None:
         return row | {"outcome": "no path"}
-    check, spline, options = OutsideCheck.of(robot, scene), toppra_motion(robot, path), PlanOptions(effort=asked.effort)
+    spline, options = toppra_motion(robot, path), PlanOptions(effort=asked.effort)
     spline_s = None if spline is None else spline.duration
-    row["spline_touches"] = None if spline is None else any(check.contacts(spline))
+    row["spline_touches"] = None if spline is None else any(contacts(robot, scene, spline))
     found, row["ms"] = timed(lambda: or_error(lambda: finish(robot, scene, path, options)))
     if isinstance(found, HplanError):
         return row | {"outcome": found.kind}
@@ -343,7 +348,7 @@ def _finishing(asked: Asked, problem: tuple[str, Robot, Scene]) -> Row:
         "outcome": "certified",
         "to_spline": ratio(found.trajectory.duration, spline_s),
         "kept_to_spline": None if isinstance(kept, HplanError) else ratio(kept.trajectory.duration, spline_s),
-        "fault": any(check.contacts(found.trajectory)),
+        "fault": any(contacts(robot, scene, found.trajectory)),
     }
 
 

@@ -14,7 +14,7 @@ from typing import TypeAlias
 import numpy as np
 from studies.harness import Asked, Row, Study
 from studies.measure import planned
-from studies.outside import least_distance
+from studies.outside import contacts
 from studies.validation.random_scenes import direction, vector
 
 from hplan.base.arrays import FloatArray
@@ -192,14 +192,13 @@ def _row(asked: Asked, number: int) -> Row | None:
         return row
     motion, told = found.trajectory, found.report["in_time"]
     how = "around" if "around" in told["path"] else "at once"
-    clearance_m = least_distance(robot, scene, motion.positions, motion.duration)
     waiting_s = _waiting_s(robot, scene, alone.trajectory) if in_the_way else None
     return row | {
         "how": "waits" if told["waits_s"] > 0.0 else "slows down" if told["slows_down"] else how,
         "to_waiting": None if waiting_s is None else motion.duration / waiting_s,
         "to_unhindered": motion.duration / alone.trajectory.duration if in_the_way else None,
-        "clearance_mm": 1e3 * clearance_m,
-        "fault": row["fault"] or clearance_m <= 0.0,
+        "contacts": (touching := sum(contacts(robot, scene, motion))),
+        "fault": row["fault"] or touching > 0,
     }
 
 
@@ -207,7 +206,7 @@ MOVING = Study(
     "moving",
     "an obstacle moves as the arm does; durations to those of waiting until all is clear",
     _row,
-    ("certified", "ms", "in_the_way", "how", "to_waiting", "to_unhindered", "clearance_mm"),
+    ("certified", "ms", "in_the_way", "how", "to_waiting", "to_unhindered", "contacts"),
     by="kind",
     count=(500, 4),
     warm=4,

@@ -62,6 +62,9 @@ BALLS, CLOSE_BALLS, RADII, FARTHER = (6, 12), (2, 4), (0.02, 0.25), (0.005, 0.06
 #: Spacing of the samples of a pinch's motion [rad].
 SAMPLE = math.radians(0.1)
 
+#: Where URDFs of drawn members are written to, which are read again.
+_FOLDER = TemporaryDirectory()
+
 #: Draws before other walls are drawn.
 _DRAWS = 20
 
@@ -140,8 +143,7 @@ def drawn_member(seed: int, number: int) -> Robot:
         acceleration=tuple(random.uniform(2.0, 6.0, count + 1).tolist()),
         shoulder_height=float(random.uniform(0.5, 0.9)),
     )
-    with TemporaryDirectory() as folder:
-        return load_robot(write_robot(spec, Path(folder) / "drawn.urdf")[0])
+    return load_robot(write_robot(spec, Path(_FOLDER.name) / f"drawn_{seed}_{number}.urdf")[0])
 
 
 def _configuration(robot: Robot, random: np.random.Generator) -> FloatArray:

@@ -1,33 +1,29 @@
-"""Motions looked at from outside: contacts by Pinocchio and coal alone, limits by differences.
-
-The URDF's shapes (meshes by their hulls) and the obstacles are placed anew at each configuration, those that move
-where their tracks have them, by other means than what plans and certifies. Of the robot's own pairs those are asked
-that planning looks at (`hplan.bodies.touching_pairs`).
-"""
+"""Motions looked at from outside: contacts by `studies.validation.judge`, limits by differences."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
 
-import coal
 import numpy as np
 import pinocchio as pin
-from scipy.spatial.transform import Rotation, Slerp
 from studies.harness import Row
+from studies.validation import judge
+from studies.validation.judge import TICK_S, Arm, Thing
 
 from hplan.base.arrays import FloatArray
-from hplan.bodies.collision_bodies import body_shapes, collision_bodies
-from hplan.bodies.touching_pairs import self_pairs
 from hplan.errors import InputError
+from hplan.robot.files import named_robot
 from hplan.robot.model import Robot
-from hplan.scene.model import Fruit, Scene
-from hplan.scene.obstacles import Box, Capsule, Cylinder, PointCloud, Sphere
-from hplan.scene.tracks import Track
+from hplan.scene.model import Scene
+from hplan.scene.obstacles import PointCloud
 from hplan.timing.trajectory import Trajectory
 
-#: Motions are looked at so often, and those past what moves [s].
-EVERY_S, IN_TIME_S = 1e-3, 5e-4
+#: Limits are looked at so often [s].
+EVERY_S = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,144 +38,58 @@ class TimedMotion:
 Motion = TimedMotion | Trajectory
 
 
-def times_until(end_s: float, step_s: float) -> FloatArray:
-    """Times from 0 on, so far apart, and the end [s]."""
-    return np.append(np.arange(0.0, end_s, step_s), end_s)
+def contacts(robot: Robot, scene: Scene, motion: Motion) -> tuple[int, int]:
+    """How many pairs of a body and an obstacle, and of two bodies, touch along a motion; all fruit is an obstacle."""
+    return touching_at(robot, scene, np.append(np.arange(0.0, motion.duration, TICK_S), motion.duration), motion)
 
 
-class OutsideCheck:
-    """A robot among obstacles: balls, capsules, cylinders, boxes, clouds, some of the first three on a track."""
-
-    def __init__(self, robot: Robot, obstacles: Sequence[object]) -> None:
-        """Place them.
-
-        Raises:
-            InputError: An obstacle of another kind.
-        """
-        self._robot, geometry = robot, pin.GeometryModel()
-        self._clouds = [obstacle for obstacle in obstacles if isinstance(obstacle, PointCloud)]
-        solids = [obstacle for obstacle in obstacles if not isinstance(obstacle, PointCloud)]
-        for shape in body_shapes(robot):
-            shape.geometry.computeLocalAABB()
-            geometry.addGeometryObject(shape)
-        first = geometry.ngeoms
-        for number, obstacle in enumerate(solids):
-            shape, place = _placed(obstacle)
-            geometry.addGeometryObject(pin.GeometryObject(f"obstacle {number}", 0, place, shape))
-        tracks = ((first + number, getattr(solid, "track", None)) for number, solid in enumerate(solids))
-        self._moving = [
-            (number, geometry.geometryObjects[number].placement.copy(), _Tracked(track))
-            for number, track in tracks
-            if track is not None
-        ]
-        self._bodies = [number for number, body in enumerate(collision_bodies(robot)) if body.joint >= 0]
-        met = [(body, other) for body in self._bodies for other in range(first, geometry.ngeoms)]
-        for pair in (*met, *self_pairs(robot).checked):
-            geometry.addCollisionPair(pin.CollisionPair(*pair))
-        self._met, self._geometry = len(met), geometry
-        self._arm, self._data = robot.model.createData(), geometry.createData()
-        self._asked = coal.CollisionRequest()
-        for request in (self._asked, *self._data.collisionRequests):
-            request.enable_contact = True  # asked for yes or no alone, coal misses some deep contacts
-
-    @classmethod
-    def of(cls, robot: Robot, scene: Scene) -> OutsideCheck:
-        """The obstacles of a scene, and all of its fruit."""
-        return cls(robot, [*scene.obstacles, *scene.fruits])
-
-    def _place(self, q: FloatArray, t: float) -> None:
-        for number, listed, tracked in self._moving:
-            self._geometry.geometryObjects[number].placement = tracked.at(t) * listed
-        pin.updateGeometryPlacements(self._robot.model, self._arm, self._geometry, self._data, q)
-
-    def touched(self, q: FloatArray, t: float = 0.0) -> tuple[bool, bool]:
-        """Whether an obstacle is touched at a configuration and time [s], and whether the robot touches itself."""
-        self._place(q, t)
-        found = [False, False]
-        if pin.computeCollisions(self._geometry, self._data, True):  # it stops at the first one
-            pairs = range(len(self._geometry.collisionPairs))
-            asked = [pin.computeCollision(self._geometry, self._data, pair) for pair in pairs]
-            found = [any(asked[: self._met]), any(asked[self._met :])]
-        return found[0] or any(map(self._in_cloud, self._clouds)), found[1]
-
-    def distance(self, q: FloatArray, t: float = 0.0) -> float:
-        """Least signed distance from the obstacles, clouds left out, at a configuration and time [m]."""
-        self._place(q, t)
-        results = (pin.computeDistance(self._geometry, self._data, pair) for pair in range(self._met))
-        return min((result.min_distance for result in results), default=np.inf)
-
-    def contacts(self, motion: Motion, every_s: float = EVERY_S) -> tuple[int, int]:
-        """At how many instants of a motion an obstacle is touched, and the robot touches itself."""
-        clock = times_until(motion.duration, every_s)
-        places = zip(motion.positions(clock), clock.tolist(), strict=True)
-        obstacles, own = np.array([self.touched(q, t) for q, t in places]).sum(axis=0).tolist()
-        return obstacles, own
-
-    def _in_cloud(self, cloud: PointCloud) -> bool:
-        """Whether a body, where it was put, touches one of a cloud's balls."""
-        ball, result = coal.Sphere(cloud.radius), coal.CollisionResult()
-        for shape, place, points in self._near(cloud):
-            for point in points:
-                result.clear()
-                if coal.collide(shape, place, ball, coal.Transform3s(np.eye(3), point), self._asked, result):
-                    return True
-        return False
-
-    def _near(self, cloud: PointCloud) -> Iterator[tuple[coal.CollisionGeometry, coal.Transform3s, FloatArray]]:
-        """Each body with the centres of balls that touch the box about it."""
-        for number in self._bodies:
-            shape, place = self._geometry.geometryObjects[number].geometry, self._data.oMg[number]
-            box = shape.aabb_local
-            lower, upper = np.array(box.min_).ravel() - cloud.radius, np.array(box.max_).ravel() + cloud.radius
-            inside = (cloud.points - place.translation) @ place.rotation
-            near = ((inside >= lower) & (inside <= upper)).all(axis=1)
-            if near.any():
-                yield shape, coal.Transform3s(place.rotation, place.translation), cloud.points[near]
+def path_is_clear(robot: Robot, scene: Scene, path: FloatArray) -> bool:
+    """Whether no body touches anything at (n, dof) configurations close together, one after the other."""
+    numbers = np.arange(len(path), dtype=np.float64)
+    return not any(touching_at(robot, scene, numbers, TimedMotion(numbers[-1], lambda _: path)))
 
 
-class _Tracked:
-    """What moves as a track has it, interpolated here and not by what the certificate uses."""
-
-    def __init__(self, track: Track) -> None:
-        self._times, self._shifts = np.array(track.times_s), np.array(track.shifts_m)
-        self._about = np.zeros(3) if track.about is None else np.array(track.about)
-        turns = track.rpy_deg
-        self._turns = None if turns is None else Slerp(self._times, Rotation.from_euler("xyz", turns, degrees=True))
-
-    def at(self, t: float) -> pin.SE3:
-        """The displacement at a time [s]."""
-        inside = float(np.clip(t, self._times[0], self._times[-1]))
-        shift = np.array([np.interp(inside, self._times, column) for column in self._shifts.T])
-        turn = np.eye(3) if self._turns is None else self._turns(inside).as_matrix()
-        return pin.SE3(turn, self._about + shift - turn @ self._about)
+def touching_at(robot: Robot, scene: Scene, clock: FloatArray, motion: Motion) -> tuple[int, int]:
+    """`contacts` of the times of a clock."""
+    found = _found(robot, scene, judge.Motion(robot.joint_names, clock, motion.positions(clock)))
+    own = {body.name for body in arm_of(robot).bodies}
+    return sum(contact.second not in own for contact in found), sum(contact.second in own for contact in found)
 
 
-def _placed(obstacle: object) -> tuple[coal.CollisionGeometry, pin.SE3]:
-    """An obstacle as a shape of coal, and where it is listed."""
-    if isinstance(obstacle, Sphere | Fruit):
-        return coal.Sphere(obstacle.radius), pin.SE3(np.eye(3), np.array(obstacle.center))
-    if isinstance(obstacle, Box):
-        return coal.Box(*obstacle.size), pin.SE3(obstacle.rotation, np.array(obstacle.center))
-    if isinstance(obstacle, Cylinder):
-        place = pin.SE3(obstacle.rotation, np.array(obstacle.center))
-        return coal.Cylinder(obstacle.radius, obstacle.length), place
-    if isinstance(obstacle, Capsule):
-        start, end = np.array(obstacle.start), np.array(obstacle.end)
-        turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), end - start).toRotationMatrix()
-        length = float(np.linalg.norm(end - start))
-        return coal.Capsule(obstacle.radius, length), pin.SE3(turn, 0.5 * (start + end))
-    raise InputError(f"{type(obstacle).__name__}: not looked at from outside")
+def _found(robot: Robot, scene: Scene, motion: judge.Motion) -> list[judge.Contact]:
+    return judge.contacts(arm_of(robot), motion, things_of(scene))
 
 
-def least_distance(
-    robot: Robot, scene: Scene, positions: Callable[[FloatArray], FloatArray], end_s: float, step_s: float = IN_TIME_S
-) -> float:
-    """Smallest distance of the arm from an obstacle at times from 0 to the end of a motion [m]."""
-    check, clock = OutsideCheck.of(robot, scene), times_until(end_s, step_s)
-    return min(check.distance(q, t) for q, t in zip(positions(clock), clock.tolist(), strict=True))
+def things_of(scene: Scene) -> list[Thing]:
+    """Obstacles and fruit as the judge has them."""
+    items = [obstacle.model_dump(mode="json", by_alias=True) for obstacle in scene.obstacles]
+    for item, obstacle in zip(items, scene.obstacles, strict=True):
+        item |= {"points": obstacle.points} if isinstance(obstacle, PointCloud) else {}
+        for key in ("track", "sway"):  # dumps of scenes do not hold them
+            moves = getattr(obstacle, key, None)
+            item[key] = None if moves is None else moves.model_dump()
+    fruits = [{"kind": "sphere", "name": fruit.name, "center": fruit.center, "radius": fruit.radius}
+              for fruit in scene.fruits]  # fmt: skip
+    return judge.things_of([*items, *fruits])
 
 
-def findings(robot: Robot, check: OutsideCheck, motion: Motion, every_s: float = EVERY_S) -> Row:
+def arm_of(robot: Robot) -> Arm:
+    """The robot as the judge reads it."""
+    touch = tuple((first, second) for first, second, _ in robot.may_touch)
+    return _arm(robot.urdf_path, tuple(robot.held.items()), touch, robot.tool_frame)
+
+
+@cache
+def _arm(
+    urdf: Path, held: tuple[tuple[str, float | None], ...], touch: tuple[tuple[str, str], ...], tool_frame: str
+) -> Arm:
+    folders = [folder for folder in urdf.parents if len(folder.parts) > 2]
+    with suppress(InputError):
+        folders += named_robot("panda").package_dirs
+    return Arm(urdf, held=dict(held), package_dirs=folders, may_touch=touch, tool_frame=tool_frame)
+
+
+def findings(robot: Robot, scene: Scene, motion: Motion, every_s: float = EVERY_S) -> Row:
     """What fine samples of a motion show: contacts, excess over joint limits, shares of the other limits.
 
     Velocity and acceleration are differences of equally spaced positions, torque is inverse dynamics of these.
@@ -189,11 +99,11 @@ def findings(robot: Robot, check: OutsideCheck, motion: Motion, every_s: float =
     v, a = (q[2:] - q[:-2]) / (2.0 * h), (q[2:] - 2.0 * q[1:-1] + q[:-2]) / h**2
     data = robot.model.createData()
     torque = np.array([pin.rnea(robot.model, data, *row) for row in zip(q[1:-1], v, a, strict=True)])
-    touching = [row for row, t in zip(q, clock.tolist(), strict=True) if any(check.touched(row, t))]
+    found = _found(robot, scene, judge.Motion(robot.joint_names, clock, q))
     return {
         "looks": len(q),
-        "contacts": len(touching),
-        "depth_mm": 1e3 * max((-check.distance(row) for row in touching), default=0.0),
+        "contacts": len(found),
+        "depth_mm": 1e3 * max((contact.depth_m for contact in found), default=0.0),
         "outside_deg": float(np.degrees(np.maximum(robot.lower - q, q - robot.upper).max().clip(0.0))),
         "velocity": float((np.abs(v) / robot.velocity_limit).max()),
         "acceleration": float((np.abs(a) / robot.acceleration_limit).max()),

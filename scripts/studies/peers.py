@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from studies.harness import Asked, Row
 from studies.measure import or_error, ratio, timed
-from studies.outside import OutsideCheck, TimedMotion
+from studies.outside import TimedMotion, contacts
 
 from hplan.base.arrays import FloatArray
 from hplan.base.lazy_import import extra
@@ -159,7 +159,7 @@ def peer_row(asked: Asked, robot: Robot, scene: Scene, duration_s: float | None,
         "peer_ms": ms,
         "to_peer": ratio(duration_s, finished),
         "to_spline": None if spline is None else ratio(duration_s, spline.duration),
-        "spline_touches": None if spline is None else any(OutsideCheck.of(robot, scene).contacts(spline)),
+        "spline_touches": None if spline is None else any(contacts(robot, scene, spline)),
     }
 
 

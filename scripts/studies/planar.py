@@ -11,7 +11,7 @@ from scipy.interpolate import CubicHermiteSpline
 from studies.harness import Asked, Row, Study
 from studies.measure import planned, ratio, timed
 from studies.narrow import ARMS, ROOMS, narrow_problem
-from studies.outside import OutsideCheck, TimedMotion, findings
+from studies.outside import TimedMotion, findings
 from studies.peers import MARGIN_M, peer_row, quickest_polyline, stopping_duration, toppra_motion, world_of
 from studies.planar_cspace import arm_sections, joint_grid
 
@@ -181,10 +181,9 @@ def _recheck(asked: Asked, number: int) -> Row | None:
     row["name"] = drawn.scene.name
     if found is None:
         return row | {"fault": True}
-    check = OutsideCheck.of(robot, drawn.scene)
     with tempfile.TemporaryDirectory() as folder:
         motion = motion_of_csv(write_csv(found.trajectory, Path(folder) / "trajectory.csv"))
-    seen = findings(robot, check, motion, INSTANT_S)
+    seen = findings(robot, drawn.scene, motion, INSTANT_S)
     checker, places = CoalScene(robot, drawn.scene.solids), motion.positions(np.linspace(0.0, motion.duration, 400))
     least = min(float(checker.distances(q).min()) for q in places)
     beyond = least - found.certificate.min_clearance_m

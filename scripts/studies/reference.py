@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from studies.harness import Asked, Row, Study
 from studies.measure import median_ms, outcome, timed
-from studies.outside import Motion, OutsideCheck, findings
+from studies.outside import Motion, findings
 from studies.peers import finished_s, ompl, ompl_path, quickest_polyline, stopping_duration, toppra_motion, world_of
 from studies.planar import without_jerk
 from studies.planar_cspace import arm_sections, joint_grid
@@ -120,7 +120,7 @@ def _stages(robot: Robot, scene: Scene) -> list[Row]:
 
 def _motions(robot: Robot, scene: Scene) -> list[Row]:
     """The motions of hplan, and what else becomes of the grid path; each looked at every millisecond."""
-    check, result, field = OutsideCheck.of(robot, scene), plan(robot, scene), world_of(robot, scene).field
+    result, field = plan(robot, scene), world_of(robot, scene).field
     grid = result.grid_path
     taut = quickest_polyline(robot, grid, field)
     motions: dict[str, Motion | None] = {
@@ -134,7 +134,7 @@ def _motions(robot: Robot, scene: Scene) -> list[Row]:
     }
     ours, stops = result.trajectory.duration, stopping_duration(robot, taut)
     rows: list[Row] = [
-        {"name": name, "duration_s": motion.duration, "ratio": motion.duration / ours, **findings(robot, check, motion)}
+        {"name": name, "duration_s": motion.duration, "ratio": motion.duration / ours, **findings(robot, scene, motion)}
         for name, motion in motions.items()
         if motion is not None
     ]
@@ -163,7 +163,7 @@ def _planners(asked: Asked, robot: Robot, scene: Scene) -> list[Row]:
                 name = f"{planner} {seconds:g} s, {what}"
                 rows.append({"what": name, "name": f"{name} {number}", "ms": ms, "ratio": lasts and lasts / ours})
             if spline is not None:
-                rows[-2] |= findings(robot, OutsideCheck.of(robot, scene), spline)
+                rows[-2] |= findings(robot, scene, spline)
     return rows
 
 

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 from studies.harness import Asked, Row, Study, evenly_chosen
 from studies.measure import or_error, planned, timed
-from studies.outside import OutsideCheck
+from studies.outside import contacts
 from studies.peers import peer_row
 
 from hplan.base.arrays import FloatArray
@@ -196,7 +196,7 @@ def _row(asked: Asked, problem: TreeProblem) -> Row:
     found, row = planned(robot, scene, PlanOptions(effort=asked.effort))
     row |= {"name": problem.name, "group": problem.group}
     if found is not None:
-        row["contacts"] = sum(OutsideCheck.of(robot, scene).contacts(found.trajectory))
+        row["contacts"] = sum(contacts(robot, scene, found.trajectory))
         row["fault"] |= row["contacts"] > 0
     row |= peer_row(asked, robot, scene, row.get("duration_s"))
     return row | {"missed": not row["solved"] and row.get("peer_solved", False)}

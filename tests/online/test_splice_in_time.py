@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from planned import assert_clear, between_rows, task
 from spliced import FIELDS, assert_goes_on
-from studies.outside import least_distance
+from studies.outside import contacts
 
 from hplan.errors import ObstacleInTimeError, RunningMotionBlockedError
 from hplan.moving.stop_first import stopped_first
@@ -72,7 +72,7 @@ def assert_spliced(robot: Robot, before: PlanResult, scene: Scene, planner: Plan
     # By the controller's clock it is the same.
     started = scene.model_copy(update={"start": result.scene.start})
     assert certify(robot, started, motion, begin_s=result.begins_s).verified
-    assert least_distance(robot, result.scene, motion.positions, motion.duration) > 0.0
+    assert not any(contacts(robot, result.scene, motion))
     assert not motion.velocity[-1].any()
     assert planner.last is result
     assert planner.scene.start == scene.start
@@ -161,7 +161,7 @@ def test_stops_of_the_running_motion_are_certified_in_time(robot):
     found = planner.stop_at(0.05)
     assert found.certificate.verified
     assert found.certificate.nearest_s is not None
-    assert least_distance(robot, planner.scene, found.trajectory.positions, found.trajectory.duration) > 0.0
+    assert not any(contacts(robot, planner.scene, found.trajectory))
     # Too late it is hit, though from then on the place itself is clear.
     late = planner.stop_at(at_s)
     assert not late.certificate.verified
@@ -195,7 +195,7 @@ def test_what_is_in_the_way_before_the_seam_gives_the_stop(robot):
     assert begins_s == pytest.approx(0.048)
     assert caught.value.certificate.verified
     np.testing.assert_array_equal(stop.position[0], running.position[12])
-    assert least_distance(robot, scene.since(begins_s), stop.positions, stop.duration) > 0.0
+    assert not any(contacts(robot, scene.since(begins_s), stop))
     assert planner.last is last
     assert planner.scene is scene
     with pytest.raises(RunningMotionBlockedError, match="no stop on its path") as caught:
@@ -260,7 +260,7 @@ def test_it_stops_first_and_waits_for_what_blocks_the_way(robot):
     result = plan(robot, scene)
     assert result.certificate.verified
     assert certify(robot, scene, result.trajectory).verified
-    assert least_distance(robot, scene, result.trajectory.positions, result.trajectory.duration) > 0.0
+    assert not any(contacts(robot, scene, result.trajectory))
     np.testing.assert_array_equal(result.trajectory.velocity[0], start.velocity[row])
     assert result.trajectory.duration > 2.0
     assert result.phases[0].start_s == 0.0

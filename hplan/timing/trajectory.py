@@ -30,6 +30,9 @@ SLIDING = ("pos_m", "vel_m_s", "acc_m_s2", "force_n")
 #: Ends of motions nearer to each other than this are one [rad, rad/s].
 JOINED = 1e-9
 
+#: Differences of a controller's times are no finer than this where it counts seconds since 1970 [s].
+CLOCK_STEP = 1e-6
+
 
 @dataclass(frozen=True, eq=False)
 class Trajectory(Record):
@@ -167,7 +170,8 @@ class Trajectory(Record):
     def state_at(self, t: float) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Position, velocity and acceleration that a controller is to follow at a time, each (dof,).
 
-        On the cubics of `cubic_pieces`; before the motion and after it, at rest where it begins and where it ends.
+        On the cubics of `cubic_pieces`; before the motion and after it, at rest where it begins and where it ends. A
+        time that rounding has put less than `CLOCK_STEP` before the motion is its begin, which may be in motion.
 
         Args:
             t: The time [s].
@@ -176,6 +180,8 @@ class Trajectory(Record):
             OptionError: No finite number.
         """
         number("t", t, "a time in seconds")
+        if -CLOCK_STEP < t < 0.0:
+            t = 0.0
         if not 0.0 <= t < self.duration:
             still = np.zeros(len(self.joint_names))
             return self.position[0 if t < 0.0 else -1], still, still

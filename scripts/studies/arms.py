@@ -24,7 +24,7 @@ import pinocchio as pin
 from studies.harness import Asked, Row, Study
 from studies.measure import or_error, planned, ratio, timed
 from studies.outside import contacts, path_is_clear
-from studies.peers import RESOLUTION, ompl, ompl_path, toppra_motion, world_of
+from studies.peers import RESOLUTION, ompl_path, seed_ompl, toppra_motion, world_of
 
 from hplan.base.arrays import FloatArray
 from hplan.bodies.collision_bodies import collision_bodies
@@ -178,7 +178,7 @@ def _random(asked: Asked, number: int) -> Row:
     straight = _is_clear(robot, scene, np.array([scene.start.configuration, goal]))
     row: Row = {"name": scene.name, "straight": straight}
     if asked.peer is not None:
-        ompl(asked.seed)
+        seed_ompl(asked.seed)
         world, row["peer_solved"], row["peer_ms"] = world_of(robot, scene), False, 0.0
         for fine in FINE:
             path, ms = timed(lambda fine=fine: ompl_path(world, scene, goal, seconds=FIND_S, resolution=fine))  # type: ignore[misc]
@@ -292,7 +292,7 @@ def _panda_row(asked: Asked, problem: tuple[str, Robot, Scene]) -> Row:
         row["fault"] |= row["contacts"] + row["own_contacts"] > 0
     if asked.peer is None:
         return row
-    ompl(asked.seed + 1)
+    seed_ompl(asked.seed + 1)
     world, goal = world_of(robot, scene), scene.goal.configuration
     path, row["peer_ms"] = timed(lambda: ompl_path(world, scene, goal, seconds=FIND_S, resolution=RESOLUTION))
     spline = None if path is None else toppra_motion(robot, path)
@@ -332,7 +332,7 @@ def _to_finish(asked: Asked) -> Iterable[tuple[str, Robot, Scene]]:
 def _finishing(asked: Asked, problem: tuple[str, Robot, Scene]) -> Row:
     """A path of RRTConnect, simplified, at OMPL's resolution: what toppra and `hplan.finish` make of it."""
     group, robot, scene = problem
-    ompl(asked.seed + 1)
+    seed_ompl(asked.seed + 1)
     row: Row = {"name": scene.name, "set": group}
     path = ompl_path(world_of(robot, scene), scene, scene.goal.configuration, resolution=RESOLUTION)
     if path is None:

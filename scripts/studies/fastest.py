@@ -23,7 +23,7 @@ import numpy as np
 from studies.harness import Asked, Row, Study, evenly_chosen
 from studies.measure import planned, smallest
 from studies.narrow import narrow_problem
-from studies.peers import finished_s, ompl, ompl_path, world_of
+from studies.peers import finished_s, ompl_path, seed_ompl, world_of
 from studies.planar import random_scene
 from studies.transcription import optimized
 from studies.trees import Orchard, measured_orchard
@@ -173,7 +173,7 @@ def _row(asked: Asked, problem: FastestProblem) -> Row:
 
 def _others(asked: Asked, robot: Robot, scene: Scene, seed: int) -> dict[str, float | None]:
     """Durations of the best certified motions near paths of RRTConnect, and near detours."""
-    ompl(asked.seed + 1)
+    seed_ompl(asked.seed + 1)
     world, random = world_of(robot, scene), np.random.default_rng(seed)
     start, goal = scene.start.configuration, scene.goal.configuration
     moving = ~robot.locked_mask(scene.locked_joints)

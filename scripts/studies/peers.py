@@ -44,8 +44,8 @@ _GRID_POINTS, _GRID_POINTS_EACH = 300, 10
 
 
 @cache
-def ompl(seed: int = 1) -> tuple[Any, Any]:
-    """OMPL's modules `base` and `geometric`, its random numbers seeded: once a process.
+def ompl() -> tuple[Any, Any, Any]:
+    """OMPL's modules `base`, `geometric` and `util`.
 
     Raises:
         InputError: OMPL is not installed.
@@ -53,8 +53,17 @@ def ompl(seed: int = 1) -> tuple[Any, Any]:
     with extra("bench", "a peer needs OMPL"):
         base, geometric, util = (importlib.import_module(f"ompl.{name}") for name in ("base", "geometric", "util"))
     util.setLogLevel(util.LOG_ERROR)
-    util.RNG.setSeed(max(1, seed))
-    return base, geometric
+    return base, geometric, util
+
+
+@cache
+def seed_ompl(seed: int) -> None:
+    """Seed OMPL's random numbers, once a process.
+
+    Raises:
+        InputError: OMPL is not installed.
+    """
+    ompl()[2].RNG.setSeed(max(1, seed))
 
 
 def ompl_path(
@@ -79,7 +88,7 @@ def ompl_path(
         resolution: Distance between configurations that are checked, as a fraction of the space's extent, as OMPL has
             it; a path may then touch something in between. None to have each motion shown clear by hplan's kernel.
     """
-    base, geometric = ompl()
+    base, geometric, _ = ompl()
     robot, begin = world.robot, scene.start.configuration if start is None else start
     joints = np.flatnonzero(~robot.locked_mask(scene.locked_joints)).tolist()
     space, bounds = base.RealVectorStateSpace(len(joints)), base.RealVectorBounds(len(joints))
@@ -148,7 +157,7 @@ def peer_row(asked: Asked, robot: Robot, scene: Scene, duration_s: float | None,
     if asked.peer is None:
         return {}
     world, planner = world_of(robot, scene), asked.peer
-    ompl(asked.seed + 1)
+    seed_ompl(asked.seed + 1)
     path, ms = timed(lambda: ompl_path(world, scene, scene.goal.configuration, planner=planner, seconds=seconds))
     if path is None:
         return {"peer_solved": False, "peer_ms": ms}

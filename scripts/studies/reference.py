@@ -11,7 +11,15 @@ import numpy as np
 from studies.harness import Asked, Row, Study
 from studies.measure import median_ms, outcome, timed
 from studies.outside import Motion, findings
-from studies.peers import finished_s, ompl, ompl_path, quickest_polyline, stopping_duration, toppra_motion, world_of
+from studies.peers import (
+    finished_s,
+    ompl_path,
+    quickest_polyline,
+    seed_ompl,
+    stopping_duration,
+    toppra_motion,
+    world_of,
+)
 from studies.planar import without_jerk
 from studies.planar_cspace import arm_sections, joint_grid
 from studies.validation.cspace import sampled_occupancy
@@ -149,7 +157,7 @@ def _planners(asked: Asked, robot: Robot, scene: Scene) -> list[Row]:
     """OMPL's planners, each several times, where one is asked for: their paths through toppra and through hplan."""
     if asked.peer is None:
         return []
-    ompl(asked.seed + 1)
+    seed_ompl(asked.seed + 1)
     world, goal = world_of(robot, scene), scene.goal.configuration
     ours, ms = plan(robot, scene).trajectory.duration, median_ms(lambda: plan(robot, scene), REPETITIONS)
     rows: list[Row] = [{"name": "hplan", "ms": ms, "ratio": 1.0}]

@@ -106,7 +106,7 @@ class LayerCache:
 
 
 def turning_occupancy(
-    robot: Robot, obstacles: PreparedObstacles, planar: Grid, yaws: YawAxis, *, thick: bool, layers: LayerCache
+    robot: Robot, obstacles: PreparedObstacles, planar: Grid, yaws: YawAxis, *, layers: LayerCache
 ) -> Occupancy:
     """Occupancy of the planar grid times yaws.
 
@@ -115,7 +115,6 @@ def turning_occupancy(
         obstacles: The obstacles.
         planar: Grid over the planar joints.
         yaws: Yaws of the layers.
-        thick: Whether a layer holds the obstacles at all yaws nearer to it than to others, not at its own yaw alone.
         layers: Layers that are already there; of this robot only.
 
     Raises:
@@ -131,11 +130,10 @@ def turning_occupancy(
             f"{size / 1e6:.0f} MB, more than {MOST_BYTES / 1e6:.0f} MB, and a search five times that",
         )
     grid = Grid(np.append(planar.lower, first), np.append(planar.step, step), (*planar.shape, count))
-    half_angle = 0.5 * step if thick else 0.0
     words = np.empty((planar.size, words_for(count)), dtype=np.uint64)
     for place in range(words_for(count)):
         some = first + step * np.arange(64 * place, min(count, 64 * place + 64))
-        sections = (sections_at(robot, obstacles, yaw, half_angle=half_angle) for yaw in some.tolist())
+        sections = (sections_at(robot, obstacles, yaw) for yaw in some.tolist())
         free = np.stack([layers.free_words(robot, each, planar) for each in sections])
         _stack(free, planar.shape[-1], place, words, until())
         look()

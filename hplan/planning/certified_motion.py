@@ -78,9 +78,9 @@ CEILINGS = (0.75, 0.5, 0.2)
 #: Configurations of a motion between which obstacles are looked for that are near it.
 ALONG = 33
 
-#: A motion is empty, straight, along a path found in a roadmap, by trees or on a grid, along that of an earlier motion,
+#: A motion is empty, straight, along a path found by trees or on a grid, along that of an earlier motion,
 #: an earlier motion, or along a path that was given.
-Origin: TypeAlias = Literal["none", "direct", "roadmap", "trees", "search", "mended", "kept", "given"]
+Origin: TypeAlias = Literal["none", "direct", "trees", "search", "mended", "kept", "given"]
 
 
 class Polyline(NamedTuple):

@@ -1,23 +1,22 @@
 """One motion from configuration to configuration: route, smooth path, timing, certificate, tried until all hold.
 
-Where the base turns and the straight motion is clear, that is the motion. Else a roadmap looks for a quick path by a
-few configurations; unless what comes of it is close to the fastest motion that there could be, several pairs of trees
-look for others, and the quickest motion is taken. Where neither finds a path, trees are given more time, and then grids
-are tried in turn, from coarse and near to fine and wide: they alone can show that there is none. Grids have as many
-nodes as fit a memory and a time, whatever the joint ranges: their step is made larger where it has to be.
+Where the base turns and the straight motion is clear, that is the motion. Else a pair of trees looks for a path; unless
+what comes of it is close to the fastest motion that there could be, several pairs of trees look for others, and the
+quickest motion is taken. Where trees find none, a flood of a grid over all yaws may show that there is none. Where the
+base is locked, grids are searched, from the step that is asked for to finer ones. Grids have as many nodes as fit a
+memory and a time, whatever the joint ranges: their step is made larger where it has to be.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
 
-from hplan.base.arrays import FloatArray, frozen
+from hplan.base.arrays import frozen
 from hplan.errors import CertificationError, HplanError, NoPathError, NotFoundError, TimingError
 from hplan.planning.certified_motion import PlannedMotion, certificate_of, required, smooth_and_certify
 from hplan.planning.grid_route import find_route
@@ -30,7 +29,6 @@ from hplan.planning.sampled_motion import (
     trees_tried,
 )
 from hplan.planning.task import COARSEST_DEG, GridAttempt, PlanningTask
-from hplan.planning.task import STEP_FACTORS as GRID_FACTORS
 from hplan.smoothing.repair import repaired
 from hplan.timing.retime import resting
 
@@ -43,38 +41,17 @@ GROWTH = (0.0, 2e-3, 5e-3, 0.01, 0.02, 0.04)
 #: Where that does not help either, grids with these multiples of the step are tried.
 STEP_FACTORS = (1.0, 0.5)
 
-#: Grids where the base turns, tried in turn. What is closed on the grid of the finest step for all yaws is closed.
-YAW_GRID_ATTEMPTS = (
-    GridAttempt(2.0, 4.0, 0.0, False),
-    GridAttempt(2.0, 4.0, 0.0, True),
-    GridAttempt(2.0, 45.0, 0.0, False),
-    GridAttempt(2.0, 45.0, 0.0, True),
-    GridAttempt(2.0, 360.0, 0.0, False),
-    GridAttempt(1.0, 45.0, 0.0, False),
-    GridAttempt(1.0, 45.0, 0.0, True),
-    GridAttempt(1.0, 360.0, 0.0, False),
-    GridAttempt(1.0, 45.0, 5e-3, True),
-    GridAttempt(1.0, 45.0, 0.02, False),
-)
-
 #: So far the base may turn beyond start and goal where many goals are decided at once, tried in turn [deg].
 WIDTHS = (45.0, 360.0)
 
-#: Most nodes of a grid, and of all grids of one search.
-MOST_CELLS, MOST_CELLS_IN_ALL = 1e8, 4e8
+#: Most nodes of a grid.
+MOST_CELLS = 1e8
 
 #: A planar grid with more nodes is searched only after trees.
 LARGE_PLANAR = 2e6
 
 #: Goals at yaws that differ by less than this have the same grid.
 SAME_YAW = 1e-9
-
-#: A motion that takes more than this many times the least duration has corners that could only just be rounded. It is
-#: taken if no other try gives a faster one.
-SLUGGISH = 8.0
-
-#: Where the least duration is shorter, this counts [s].
-SHORT = 0.25
 
 #: So many goals are looked for by sampling, and so many are compared with the effort `best`.
 SAMPLED, COMPARED = 2, 6
@@ -132,17 +109,17 @@ def _first_motion(tasks: Sequence[PlanningTask]) -> tuple[int, PlannedMotion] | 
 
 def _first_over_yaws(tasks: Sequence[PlanningTask]) -> tuple[int, PlannedMotion] | Refusals:
     """The first goal that is reached while the base turns: straight, or the quicker of other motions."""
-    straight = first_found(tasks, _straight)
-    if straight is None:
+    direct = first_found(tasks, straight)
+    if direct is None:
         return _sampled_or_grids(tasks)
-    number, motion = straight
+    number, motion = direct
     enough = WORTHWHILE * motion.trajectory.duration
     better = next((other for other in range(number) if least_duration(tasks[other]) < enough), None)
     if better is not None:
         detour = by_sampling(tasks[better])
         if detour is not None and detour.trajectory.duration < motion.trajectory.duration:
             return better, detour
-    return straight
+    return direct
 
 
 def without_path(tasks: Sequence[PlanningTask]) -> list[NoPathError | None]:
@@ -162,13 +139,14 @@ def without_path(tasks: Sequence[PlanningTask]) -> list[NoPathError | None]:
         todo = [number for number in todo if number not in left]
         for yaw_range_deg in WIDTHS:
             attempt = tasks[0].fitting(GridAttempt(yaw_range_deg=yaw_range_deg), MOST_CELLS)
-            if attempt is None:
+            if attempt is None or not left:
                 break
-            found = _enclosed([tasks[number] for number in left], attempt)
+            some = [tasks[number] for number in left]
+            found = enclosed_goals(some, attempt, [0.1 * task.margin() for task in some], explained=left[0] == 0)
             shown = {number: error for number, error in zip(left, found, strict=True) if error is not None}
             left = [number for number, error in shown.items() if error.open_ended]
             for number in shown.keys() - left:
-                errors[number] = shown[number]
+                errors[number] = _with_step(shown[number], tasks[number], attempt)
     return errors
 
 
@@ -183,7 +161,7 @@ def reuse_motion(task: PlanningTask, before: PlannedMotion) -> PlannedMotion | N
     old, new = before.task.problem, task.problem
     if any((getattr(old, name) != getattr(new, name)).any() for name in ("start", "goal", "lower", "upper")):
         return None
-    if before.path is None or (_straight_is_clear(task) and len(before.waypoints) > 2):
+    if before.path is None or (straight_is_clear(task) and len(before.waypoints) > 2):
         return None  # it would be a detour
     certificate = certificate_of(task, before.trajectory)
     if certificate.verified:
@@ -224,13 +202,14 @@ def _sampled(tasks: Sequence[PlanningTask]) -> tuple[int, PlannedMotion] | None:
     return best
 
 
-def _straight_is_clear(task: PlanningTask) -> bool:
+def straight_is_clear(task: PlanningTask) -> bool:
+    """True if the straight motion is verified collision-free."""
     return task.field.is_clear(np.stack([task.problem.start, task.problem.goal]), task.margin())
 
 
-def _straight(task: PlanningTask) -> PlannedMotion | None:
+def straight(task: PlanningTask) -> PlannedMotion | None:
     """The straight motion, without a search; None where it is not clear or cannot be certified."""
-    if _straight_is_clear(task):
+    if straight_is_clear(task):
         with suppress(CertificationError):  # a route may lead to a motion that can be certified
             waypoints = frozen(np.stack([task.problem.start, task.problem.goal]))
             return smooth_and_certify(task, waypoints, task.margin(), "direct")
@@ -238,10 +217,10 @@ def _straight(task: PlanningTask) -> PlannedMotion | None:
 
 
 def _on_grid(task: PlanningTask, attempt: GridAttempt) -> PlannedMotion:
-    """One pass on one grid; where the base is locked, other paths are compared with the one that it has."""
+    """One pass on one planar grid; other paths are compared with the one that it has."""
     margin = task.margin(attempt.growth_m)
     route = find_route(task, attempt, 0.1 * margin)
-    others = [] if task.problem.turns or _straight_is_clear(task) else rivals(task)
+    others = [] if straight_is_clear(task) else rivals(task)
     return smooth_and_certify(task, route.path, margin, "search", route, others)
 
 
@@ -279,7 +258,10 @@ def _sampled_or_grids(tasks: Sequence[PlanningTask]) -> tuple[int, PlannedMotion
     found = _sampled(tasks) or by_trees_to_any(tasks)
     if found is None and tasks[0].robot.planar is None:  # no grids
         return Refusals(tuple(NotFoundError([trees_tried(task)]) for task in tasks))
-    return found or _first_turning(tasks)
+    if found is not None:
+        return found
+    closed = without_path(tasks)
+    return Refusals(tuple(error or _not_found(task) for error, task in zip(closed, tasks, strict=True)))
 
 
 def _first_planar(tasks: Sequence[PlanningTask]) -> tuple[int, PlannedMotion] | Refusals:
@@ -300,90 +282,11 @@ def _first_planar(tasks: Sequence[PlanningTask]) -> tuple[int, PlannedMotion] | 
     return Refusals(tuple(refused[number] for number in range(len(tasks))))
 
 
-def _first_turning(tasks: Sequence[PlanningTask]) -> tuple[int, PlannedMotion] | Refusals:
-    """The first goal that grids lead to, coarse and near ones first, the base turning.
-
-    What is closed on the finest grid that fits, whatever the yaw, is closed.
-    """
-    left = [MOST_CELLS_IN_ALL] * len(tasks)
-    seen: set[tuple[int, GridAttempt]] = set()
-    refused: dict[int, HplanError] = {}
-    closed: dict[tuple[int, float], tuple[float, EnclosedError]] = {}  # by goal and step: up to which range of yaws
-    slow: tuple[int, PlannedMotion] | None = None
-
-    def may_be_open(number: int, attempt: GridAttempt) -> bool:
-        """True unless a grid as fine is closed over as many yaws, or at any."""
-        return not any(
-            which == number
-            and factor <= attempt.step_factor
-            and (attempt.yaw_range_deg <= upto or not error.open_ended)
-            for (which, factor), (upto, error) in closed.items()
-        )
-
-    for wanted in YAW_GRID_ATTEMPTS:
-        failed: list[FloatArray] = []  # goals tried on this grid
-        for number, task in enumerate(tasks):
-            fitting = task.fitting(wanted, min(MOST_CELLS, left[number]))
-            if fitting is None or (number, fitting) in seen or not may_be_open(number, fitting):
-                continue
-            attempt = fitting
-            seen.add((number, attempt))
-            left[number] -= task.cells(attempt)
-            goal, pocket = task.problem.goal, math.radians(2.0 * task.step_deg(attempt))
-            if attempt.step_factor > 1.0 and any(np.abs(goal - other).max() < pocket for other in failed):
-                continue  # most likely in the same pocket; finer grids leave none out
-            failed.append(goal)
-            try:
-                motion = _on_grid(task, replace(attempt, growth_m=task.grown(attempt.growth_m)))
-                if motion.trajectory.duration <= SLUGGISH * max(least_duration(task), SHORT):
-                    return number, motion
-                if slow is None or motion.trajectory.duration < slow[1].trajectory.duration:
-                    slow = number, motion
-            except (CertificationError, TimingError) as error:
-                refused.setdefault(number, error.with_traceback(None))
-            except EnclosedError as error:
-                if attempt.thick or attempt.growth_m > 0.0:
-                    continue
-                shown = _with_step(_kept(error, number), task, attempt)
-                closed[number, attempt.step_factor] = attempt.yaw_range_deg, shown
-                # The same grid may show it of others.
-                rest = [
-                    other
-                    for other in range(number + 1, len(tasks))
-                    if abs(tasks[other].problem.goal[0] - goal[0]) < SAME_YAW and may_be_open(other, attempt)
-                ]
-                for other, also in zip(rest, _enclosed([tasks[k] for k in rest], attempt), strict=True):
-                    if also is not None:
-                        closed[other, attempt.step_factor] = attempt.yaw_range_deg, also
-    if slow is not None:
-        return slow
-    none = [_no_path(task, number, closed) for number, task in enumerate(tasks)]
-    return Refusals(tuple(none[number] or refused.get(number) or _not_found(task) for number, task in enumerate(tasks)))
-
-
-def _no_path(
-    task: PlanningTask, number: int, closed: Mapping[tuple[int, float], tuple[float, EnclosedError]]
-) -> EnclosedError | None:
-    """The error that shows that no path leads to a goal: closed for all yaws on the finest grid over them."""
-    widest = task.fitting(GridAttempt(yaw_range_deg=WIDTHS[-1]), MOST_CELLS)
-    for factor in [] if widest is None else [factor for factor in GRID_FACTORS if factor <= widest.step_factor]:
-        error = closed.get((number, factor), (0.0, None))[1]
-        if error is not None and not error.open_ended:
-            return error
-    return None
-
-
 def _not_found(task: PlanningTask) -> NotFoundError:
     """The error that says what was tried for a goal that the base turns to."""
     coarse = task.fitting(GridAttempt(yaw_range_deg=WIDTHS[-1]), MOST_CELLS)
     grid = "no grid over all yaws fits" if coarse is None else f"grids down to {task.step_deg(coarse):g} deg"
-    return NotFoundError(["straight motion", "roadmap", trees_tried(task), grid])
-
-
-def _enclosed(tasks: Sequence[PlanningTask], attempt: GridAttempt) -> list[EnclosedError | None]:
-    """Goals that the start is not connected to on one grid."""
-    errors = enclosed_goals(tasks, attempt, [0.1 * task.margin() for task in tasks])
-    return [error and _with_step(error, task, attempt) for task, error in zip(tasks, errors, strict=True)]
+    return NotFoundError(["straight motion", trees_tried(task), grid])
 
 
 def _with_step(error: _NoPath, task: PlanningTask, attempt: GridAttempt) -> _NoPath:

@@ -9,13 +9,11 @@ from typing import Literal
 import numpy as np
 
 from hplan.base import ties
-from hplan.base.arrays import FloatArray, IntArray, WordArray
+from hplan.base.arrays import FloatArray, IntArray
 from hplan.collision.clearance_field import ClearanceField
 from hplan.errors import CertificationError
 from hplan.planning.task import PlanningTask
-from hplan.search.flood import has_bit
 from hplan.search.grid import Occupancy
-from hplan.search.lattice import Lattice
 from hplan.smoothing.repair import leave_contact
 
 #: A configuration this near to a node stands on it [steps].
@@ -44,14 +42,6 @@ class GridEntry:
         """All of them, the nearest first."""
         self._known.extend(self._rest)
         return self._known
-
-    def free_of(self, lattice: Lattice, free: WordArray, nodes: IntArray) -> IntArray:
-        """Those of a path's nodes that are still free; where there are none, of the nodes of this entry."""
-        for choice in (nodes, self.all()):
-            left = [node for node in choice if has_bit(free, lattice.row_of(node), int(node[-1]))]
-            if left:
-                return np.array(left)
-        return np.empty((0, len(lattice.shape)), dtype=np.int64)
 
 
 def grid_entry(task: PlanningTask, space: Occupancy, which: Literal["start", "goal"], margin: float) -> GridEntry:

@@ -21,7 +21,7 @@ from hplan.planning.grid_entry import grid_entry
 from hplan.planning.task import GridAttempt, PlanningTask
 from hplan.problem.definition import Problem
 from hplan.search.flood import flood_from, has_bit, slice_sizes
-from hplan.search.grid import Grid
+from hplan.search.grid import Grid, Occupancy
 from hplan.search.lattice import Lattice
 
 #: So many reasons stand in the sentence; `data` has all of them.
@@ -121,7 +121,7 @@ def open_ended(problem: Problem, grid: Grid, reached: WordArray) -> bool:
 
 
 def enclosed_goals(
-    tasks: Sequence[PlanningTask], attempt: GridAttempt, margins: Sequence[float]
+    tasks: Sequence[PlanningTask], attempt: GridAttempt, margins: Sequence[float], *, explained: bool = False
 ) -> list[EnclosedError | None]:
     """Goals that the start is not connected to on one grid, that of the first, shown by flooding it.
 
@@ -131,6 +131,7 @@ def enclosed_goals(
         tasks: One for each goal, from the same start among the same obstacles.
         attempt: The grid.
         margins: For each goal the clearance asked of the motions that join it to the grid [m].
+        explained: Whether the error of the first goal holds the region that shows it.
 
     Returns:
         For each goal the error that says that no path leads to it; None where one does, or an end cannot be joined to
@@ -164,7 +165,24 @@ def enclosed_goals(
             region, cells = flood_from(lattice, free, start)
             apart = {number for number, nodes in goals.items() if not holds(region, nodes)}
     more = first.problem.turns and open_ended(first.problem, space.grid, lattice.unbordered(region))
-    return [EnclosedError(None, cells, open_ended=more) if number in apart else None for number in range(len(tasks))]
+    shown = _smaller_region(first, attempt, space, free, (start, goals[0])) if explained and 0 in apart else None
+    return [
+        EnclosedError(shown if number == 0 else None, cells, open_ended=more) if number in apart else None
+        for number in range(len(tasks))
+    ]
+
+
+def _smaller_region(
+    task: PlanningTask, attempt: GridAttempt, space: Occupancy, free: WordArray, ends: tuple[IntArray, IntArray]
+) -> Region:
+    """The region of the start or of the goal, whichever is the smaller."""
+    lattice = Lattice.of(space.grid.shape, space.grid.step)
+    (from_start, of_start), (from_goal, of_goal) = (flood_from(lattice, free, nodes) for nodes in ends)
+    is_start = of_start <= of_goal
+    which, other, count = ("start", "goal", of_start) if is_start else ("goal", "start", of_goal)
+    what = f"the {which} is connected to {count} of {space.grid.size} nodes, and the {other} is not among them"
+    reached = lattice.unbordered(from_start if is_start else from_goal)
+    return Region(what, task, attempt.growth_m, space.grid, reached)
 
 
 @dataclass(frozen=True, eq=False)

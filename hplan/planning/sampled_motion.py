@@ -1,4 +1,4 @@
-"""Motions along sampled paths: the quick ones of a roadmap, and those that trees find."""
+"""Motions along paths that trees find."""
 
 from __future__ import annotations
 
@@ -10,12 +10,11 @@ from typing import NamedTuple
 import numpy as np
 
 from hplan.base.arrays import FloatArray
-from hplan.errors import CertificationError, NoPathError, TimingError
-from hplan.planning.certified_motion import PlannedMotion, Polyline, quickest_certified, smooth_and_certify
+from hplan.errors import NoPathError
+from hplan.planning.certified_motion import PlannedMotion, Polyline, quickest_certified
 from hplan.planning.grid_route import find_route
 from hplan.planning.task import GridAttempt, PlanningTask
 from hplan.robot.limits import least_duration as least_between
-from hplan.sampling.roadmap import BRIEF, WIDE, Effort, quick_path
 from hplan.sampling.rrt_connect import TreeEffort, tree_path
 from hplan.sampling.several_trees import PromisingPath, TreesEffort, promising_paths
 
@@ -24,28 +23,21 @@ class SamplingEffort(NamedTuple):
     """Where polylines are looked for, of which the quickest motion is taken.
 
     Attributes:
-        roadmaps: Sizes of roadmaps, in addition to the brief one that comes first.
         trees: Effort of the trees where the base turns.
         planar: Effort of the trees where it is locked, and a grid has been searched; None for none.
         grids: Coarse grids where the base is locked and a fine one has too many nodes to be searched first.
-        close: With a motion in a roadmap, or of the first trees, that takes no more than so many times the least
-            duration nothing else is looked for.
-        first: Effort of trees whose motion is looked at before others grow, where there is none in a roadmap; None for
-            none.
+        close: With a motion of the first pair of trees that takes no more than so many times the least duration no
+            others grow.
     """
 
-    roadmaps: tuple[Effort, ...]
     trees: TreesEffort
     planar: TreesEffort | None
     grids: tuple[GridAttempt, ...]
     close: float
-    first: TreesEffort | None = None
 
 
 #: A motion that takes no more than so many times the least duration is close to the fastest.
 CLOSE = 1.15
-
-_MANY = TreesEffort(200_000, (8, 12_000), (40, 3_000))
 
 #: Coarse grids with more nodes than this are left out.
 MOST_COARSE = 5e6
@@ -54,28 +46,20 @@ _GRIDS = (GridAttempt(2.0, growth_m=0.02), GridAttempt(2.0, growth_m=5e-3), Grid
 
 #: What is looked for, by the option `effort`.
 SAMPLING: dict[str, SamplingEffort] = {
-    "quick": SamplingEffort((), TreesEffort(30_000, (3, 12_000), (9, 3_000)), None, (), CLOSE),
-    "default": SamplingEffort(
-        (),
-        TreesEffort(80_000, (6, 12_000), (10, 3_000)),
-        TreesEffort(6_000, (2, 3_000), (0, 0)),
-        _GRIDS,
-        1.08,
-    ),
-    "best": SamplingEffort((WIDE,), _MANY, _MANY, _GRIDS, 1.005),
+    "quick": SamplingEffort(TreesEffort(2, 12_000), None, (), CLOSE),
+    "default": SamplingEffort(TreesEffort(4, 12_000), TreesEffort(2, 3_000), _GRIDS, 1.08),
+    "best": SamplingEffort(TreesEffort(16, 12_000), TreesEffort(16, 12_000), _GRIDS, 1.005),
 }
 
-#: The same of robots that are no planar arms: a look at their clearance takes ten times as long.
+#: Of general (non-planar) arms, an evaluation of whose clearance takes ten times as long.
 SAMPLING_OF_BODIES: dict[str, SamplingEffort] = {
-    "quick": SamplingEffort((), TreesEffort(6_000, (1, 6_000), (2, 1_000)), None, (), CLOSE),
-    "default": SamplingEffort(
-        (), TreesEffort(12_000, (2, 6_000), (2, 1_500)), None, (), CLOSE, TreesEffort(6_000, (1, 6_000), (0, 0))
-    ),
-    "best": SamplingEffort((WIDE,), TreesEffort(100_000, (8, 12_000), (20, 3_000)), None, (), 1.005),
+    "quick": SamplingEffort(TreesEffort(1, 6_000), None, (), CLOSE),
+    "default": SamplingEffort(TreesEffort(2, 6_000), None, (), CLOSE),
+    "best": SamplingEffort(TreesEffort(8, 12_000), None, (), 1.005),
 }
 
 #: Effort of trees of which the first path is taken, and before goals are refused, with so many seeds.
-ONE_PAIR = TreesEffort(12_000, (1, 12_000), (0, 0))
+ONE_PAIR = TreesEffort(1, 12_000)
 LONG_TREES, LONG_SEEDS = 120_000, 2
 
 
@@ -84,65 +68,49 @@ def sampling_effort(task: PlanningTask) -> SamplingEffort:
     return (SAMPLING_OF_BODIES if task.robot.planar is None else SAMPLING)[task.options.effort]
 
 
-def by_roadmap(task: PlanningTask) -> PlannedMotion | None:
-    """The motion along a quick path, or None where there is none, or none that can be timed and certified."""
-    with suppress(CertificationError, TimingError):
-        for waypoints, origin in _of_roadmaps(task, (BRIEF,)):
-            return smooth_and_certify(task, waypoints, task.margin(), origin)
-    return None
-
-
 def by_trees(task: PlanningTask, effort: TreesEffort) -> PlannedMotion | None:
     """The quickest motion along paths of some trees; None where none is found and certified."""
     return quickest_certified(task, _polylines(_of_trees(task, effort)), task.margin())
 
 
 def by_sampling(task: PlanningTask) -> PlannedMotion | None:
-    """The motion along a quick path in a roadmap, or the quickest along many paths; None where there is none."""
-    effort = sampling_effort(task)
-    quick, known, grown = by_roadmap(task), list[PromisingPath](), 0
-    if quick is None and effort.first is not None:
-        known, grown = _of_trees(task, effort.first), effort.first.pairs
-        quick = quickest_certified(task, _polylines(known), task.margin())
-    if quick is not None and quick.trajectory.duration <= effort.close * least_duration(task):
-        return quick
-    found = _of_trees(task, effort.trees, known, grown)
-    if quick is not None:  # along those that were known
-        found = [path for path in found if not any(path is other for other in known)]
-    polylines = [*_of_grids(task, effort.grids), *_of_roadmaps(task, effort.roadmaps), *_polylines(found)]
-    if quick is None:
-        return quickest_certified(task, polylines, task.margin())
-    other = quickest_certified(task, polylines, task.margin(), quicker_than_s=quick.trajectory.duration)
-    return quick if other is None or quick.trajectory.duration <= other.trajectory.duration else other
+    """The motion along the path of one pair of trees, or the quickest along many paths; None where there is none."""
+    effort, margin = sampling_effort(task), task.margin()
+    first = _of_trees(task, replace(effort.trees, pairs=1))
+    known = quickest_certified(task, _polylines(first), margin)
+    if known is not None and known.trajectory.duration <= effort.close * least_duration(task):
+        return known
+    found = _of_trees(task, effort.trees, first, 1)
+    if known is not None:  # along the first
+        found = [path for path in found if path is not first[0]]
+    polylines = [*_of_grids(task, effort.grids), *_polylines(found)]
+    if known is None:
+        return quickest_certified(task, polylines, margin)
+    other = quickest_certified(task, polylines, margin, quicker_than_s=known.trajectory.duration)
+    return known if other is None or known.trajectory.duration <= other.trajectory.duration else other
 
 
 def rivals(task: PlanningTask) -> list[Polyline]:
     """Other paths, to be compared with one that was found on a planar grid."""
     effort = sampling_effort(task)
-    if effort.planar is None:
-        return []
-    return [*_of_roadmaps(task, effort.roadmaps), *_polylines(_of_trees(task, effort.planar))]
+    return [] if effort.planar is None else _polylines(_of_trees(task, effort.planar))
+
+
+def _may_sample(task: PlanningTask) -> bool:
+    """False where the options ask for a certain search: `dense`, of the planar grid."""
+    return task.problem.turns or task.options.method == "two-level"
 
 
 def trees_tried(task: PlanningTask) -> str:
     """The trees, where it is told what was tried."""
-    return f"trees with {sampling_effort(task).trees.evaluations} evaluations of the clearance"
+    effort = sampling_effort(task).trees
+    return f"trees with {effort.pairs * effort.each} evaluations of the clearance"
 
 
 def least_duration(task: PlanningTask) -> float:
     """Duration that no motion between start and goal can undercut [s]."""
     problem, robot = task.problem, task.robot
     return least_between(problem.start, problem.goal, robot.velocity_limit, robot.acceleration_limit)
-
-
-def _of_roadmaps(task: PlanningTask, efforts: Sequence[Effort]) -> list[Polyline]:
-    """The quick path of each roadmap that has one."""
-    if not efforts or task.options.objective != "duration" or task.options.method != "two-level":
-        return []  # a short path is wanted, not a quick one, or a certain search
-    margin, velocity = 0.1 * task.margin(), task.robot.velocity_limit
-    with task.stage("roadmap"):
-        paths = [quick_path(task.problem, task.field, velocity, margin, effort) for effort in efforts]
-    return [Polyline(path, "roadmap") for path in paths if path is not None]
 
 
 def _of_grids(task: PlanningTask, attempts: Sequence[GridAttempt]) -> list[Polyline]:
@@ -163,8 +131,8 @@ def _of_trees(
     task: PlanningTask, effort: TreesEffort, known: Sequence[PromisingPath] = (), grown: int = 0
 ) -> list[PromisingPath]:
     """The paths of several pairs of trees, with those that so many of them have found already, the best first."""
-    if task.options.method != "two-level":
-        return []  # a certain search is wanted
+    if not _may_sample(task):
+        return []
     margin, velocity = 0.1 * task.margin(), task.robot.velocity_limit
     with task.stage("roadmap"):
         return promising_paths(task.problem, task.field, velocity, margin, effort, known, grown)
@@ -177,8 +145,8 @@ def _polylines(paths: Sequence[PromisingPath]) -> list[Polyline]:
 
 def by_trees_to_any(tasks: Sequence[PlanningTask]) -> tuple[int, PlannedMotion] | None:
     """A motion to whichever goal trees with more effort reach; None where they reach none."""
-    if tasks[0].options.method != "two-level":
-        return None  # a certain search is wanted
+    if not _may_sample(tasks[0]):
+        return None
     margin = min(task.margin() for task in tasks)
     found: dict[int, list[FloatArray]] = {}
     at_once = tasks[0].robot.planar is None  # another path takes as long again

@@ -48,20 +48,17 @@ def no_progress(_: str) -> None:
 
 @dataclass(frozen=True)
 class GridAttempt:
-    """One try at a motion over a grid: how fine and wide the grid is, and how obstacles are mapped into it.
+    """A grid: how fine and wide the grid is, and how obstacles are mapped into it.
 
     Attributes:
         step_factor: Largest spacing of the grid as a multiple of the option `step_deg`.
         yaw_range_deg: How far the base may turn beyond start and goal; used where it turns [deg].
         growth_m: Growth of obstacles in the C-space [m].
-        thick: True if each layer of yaws holds the obstacles at all yaws nearer to it than to other layers, not at its
-            own yaw alone: motions between layers are then seldom in contact, but narrow passages are closed.
     """
 
     step_factor: float = 1.0
     yaw_range_deg: float = 0.0
     growth_m: float = 0.0
-    thick: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,7 +200,7 @@ class PlanningTask(PlanningContext):
                 problem.upper[0], math.radians(attempt.yaw_range_deg),
             )  # fmt: skip
             bodies = self.world.bodies(attempt.growth_m)
-            return turning_occupancy(robot, bodies, planar, yaws, thick=attempt.thick, layers=self.layers)
+            return turning_occupancy(robot, bodies, planar, yaws, layers=self.layers)
 
 
 class LastWorld:

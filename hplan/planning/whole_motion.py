@@ -48,8 +48,6 @@ from hplan.planning.sampled_motion import tree_path_to_any
 from hplan.planning.start_in_motion import Parts, leaving
 from hplan.planning.task import PlanningContext, PlanningTask
 from hplan.problem.pose_goal import configurations_at, pose_of
-from hplan.sampling.roadmap import Effort as RoadmapEffort
-from hplan.sampling.roadmap import quick_path
 from hplan.sampling.rrt_connect import TreeEffort
 from hplan.smoothing.round_corners import smooth
 from hplan.smoothing.shortcut import shorten
@@ -63,13 +61,8 @@ from hplan.smoothing.smooth_path import (
 from hplan.smoothing.spline import SplinePath
 from hplan.timing.trajectory import Trajectory
 
-#: Where the first motion is looked for: a roadmap that finds easy paths at once or not at all (of those that 60 checks
-#: find nearly all take fewer than 15), then pairs of trees, the evaluations of each.
-FIRST_ROADMAP = RoadmapEffort(64, 15, 0.175)
+#: Pairs of trees that look for the first motion, the evaluations of each.
 FIRST_TREES = (3_000, 3_000, 3_000, 3_000, 12_000, 12_000, 12_000, 12_000)
-
-#: To so many goals paths are looked for in roadmaps: trees grow from all goals at once.
-ROADMAPS = 2
 
 #: Pairs of trees where the base is locked: grids find narrow passages there.
 PLANAR_TREES = 2
@@ -213,11 +206,8 @@ def first_in_time(tasks: Sequence[PlanningTask]) -> tuple[int, PlannedMotion] | 
 
 def _at_once(tasks: Sequence[PlanningTask]) -> tuple[int, PlannedMotion] | Refusals:
     """The same without what takes long and would show that there is none."""
-    for find, most in ((_straight, len(tasks)), (_by_roadmap, ROADMAPS)):
-        found = first_found(tasks[:most], find)
-        if found is not None:
-            return found
-    return _by_trees(tasks) or Refusals(tuple(NotFoundError(["straight motion", "roadmap", "trees"]) for _ in tasks))
+    found = first_found(tasks, _straight) or _by_trees(tasks)
+    return found or Refusals(tuple(NotFoundError(["straight motion", "trees"]) for _ in tasks))
 
 
 def _straight(task: PlanningTask) -> PlannedMotion | None:
@@ -226,14 +216,6 @@ def _straight(task: PlanningTask) -> PlannedMotion | None:
     if not task.field.is_clear(ends, task.margin()):
         return None
     return _certified(task, ends, "direct", lambda: SplinePath.through(np.linspace(ends[0], ends[1], 4)))
-
-
-def _by_roadmap(task: PlanningTask) -> PlannedMotion | None:
-    """The motion along a quick path of a few straight motions; None where none is found."""
-    with task.stage("roadmap"):
-        margin, velocity = 0.1 * task.margin(), task.robot.velocity_limit
-        path = quick_path(task.problem, task.field, velocity, margin, FIRST_ROADMAP)
-    return None if path is None else _smoothed(task, path, "roadmap")
 
 
 def _by_trees(tasks: Sequence[PlanningTask]) -> tuple[int, PlannedMotion] | None:

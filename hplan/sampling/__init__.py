@@ -1,4 +1,4 @@
-"""Paths by sampling, with edges shown clear over continuous time: quick ones of a roadmap, any by RRT-Connect.
+"""Paths by sampling, by RRT-Connect, with edges verified collision-free over continuous time.
 
 May use the rooms up to `problem`.
 """

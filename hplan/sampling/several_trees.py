@@ -1,14 +1,9 @@
-"""Several pairs of trees, of which each may find another path: first anywhere, then only where a path would be quicker.
-
-A path that takes no longer than `t` at the velocity limits leaves no joint farther beyond start and goal than half of
-what it can do in the time that is left: once there is a path, samples come from that box (after Gammell et al. 2014,
-"Informed RRT*", who sample the set of whole configurations that can be on a shorter path).
-"""
+"""Several pairs of trees, of which each may find another path."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -30,19 +25,12 @@ class TreesEffort:
     """Effort of several pairs of trees.
 
     Attributes:
-        evaluations: Evaluations of the clearance in all.
-        anywhere: Pairs of trees that grow anywhere within the joint limits, and evaluations of each at most.
-        quicker: Pairs that grow only where a path would be quicker, and evaluations of each at most.
+        pairs: How many grow.
+        each: Evaluations of the clearance by each of them, at most.
     """
 
-    evaluations: int
-    anywhere: tuple[int, int]
-    quicker: tuple[int, int]
-
-    @property
-    def pairs(self) -> int:
-        """Pairs of trees in all."""
-        return self.anywhere[0] + self.quicker[0]
+    pairs: int
+    each: int
 
 
 class PromisingPath(NamedTuple):
@@ -84,15 +72,8 @@ def promising_paths(
         (`hplan.optimization.path_classes`) `OF_A_CLASS` at most.
     """
     found = list(known)
-    left = effort.evaluations
     for seed in range(grown, effort.pairs):
-        each = effort.anywhere[1] if seed < effort.anywhere[0] else effort.quicker[1]
-        if left <= 0 or (seed >= effort.anywhere[0] and not found):
-            break
-        quickest_s = min((path.seconds for path in found), default=0.0)
-        inside = problem if seed < effort.anywhere[0] else quicker_only(problem, velocity, quickest_s)
-        path, spent = tree_path(inside, field, velocity, margin, TreeEffort(min(each, left), seed))
-        left -= spent
+        path, _ = tree_path(problem, field, velocity, margin, TreeEffort(effort.each, seed))
         if path is not None:
             shorter = quicken(path, field, velocity, margin=margin)
             found.append(PromisingPath(path_time(shorter, velocity), path, _evenly(shorter, velocity)))
@@ -107,14 +88,3 @@ def _evenly(path: FloatArray, velocity: FloatArray) -> FloatArray:
     """(k, dof) points of a path, at `PARTS` of its time at the velocity limits."""
     clock = np.concatenate([[0.0], np.cumsum((np.abs(np.diff(path, axis=0)) / velocity).max(axis=1))])
     return frozen(np.stack([np.interp(PARTS * clock[-1], clock, joint) for joint in path.T], axis=1))
-
-
-def quicker_only(problem: Problem, velocity: FloatArray, time_s: float) -> Problem:
-    """The problem with joint limits that hold all paths which take no longer than a time at the velocity limits."""
-    spare = 0.5 * np.maximum(0.0, time_s * velocity - np.abs(problem.goal - problem.start))
-    low, high = np.minimum(problem.start, problem.goal), np.maximum(problem.start, problem.goal)
-    return replace(
-        problem,
-        lower=frozen(np.maximum(problem.lower, low - spare)),
-        upper=frozen(np.minimum(problem.upper, high + spare)),
-    )

@@ -1,6 +1,6 @@
 """Certified motions between stops, planned quickly at first, and joined where that is quicker than any one of them.
 
-What a roadmap or trees find between two stops is taken, however much longer it lasts than it has to; grids are searched
+What a pair of trees finds between two stops is taken, however much longer it lasts than it has to; grids are searched
 for those motions alone that a tour is to be made of. Motions that are there already are joined where no motion was
 found, or where their sum is less: the arm then stops at stops that it does not pick from. A motion and its reverse take
 the same time, so each is planned once.
@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections import Counter
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -30,18 +29,17 @@ from hplan.errors import (
     TimingError,
 )
 from hplan.planning.certified_motion import Part, PlannedMotion
-from hplan.planning.find_motion import SAMPLED, first_motion
+from hplan.planning.find_motion import SAMPLED, first_found, first_motion, straight, straight_is_clear
 from hplan.planning.refusals import Refusals
-from hplan.planning.sampled_motion import CLOSE, ONE_PAIR, by_roadmap, by_trees
+from hplan.planning.sampled_motion import CLOSE, ONE_PAIR, by_trees
 from hplan.planning.task import PlanningContext, PlanningTask
 from hplan.robot.limits import Limits, rest_to_rest
 
 #: What says that there is no motion, or none was found; anything else is a fault of what was asked.
 NO_MOTION = (BlockedError, NoPathError, NotFoundError, CertificationError, TimingError, ConfigurationInCollisionError)
 
-#: A motion that was looked for so many times and not found is reckoned with so many times its least duration: blocked
-#: straight, and without a path in a roadmap too.
-LOOKED_FOR = (1.0, CLOSE, 1.5)
+#: A motion whose straight one is blocked is reckoned with so many times its least duration until trees look for it.
+BLOCKED = 1.5
 
 #: By less than this a joined motion is not quicker than another [s]; motions last whole periods.
 _GAIN_S = 1e-6
@@ -90,14 +88,10 @@ class Move:
 NONE = Move(math.inf, ())
 
 
-def quick_motion(tasks: Sequence[PlanningTask], trees: bool = True) -> tuple[int, PlannedMotion] | None:
-    """The first motion that a roadmap finds to one of several goals, or else trees; None where neither does."""
+def quick_motion(tasks: Sequence[PlanningTask]) -> tuple[int, PlannedMotion] | None:
+    """The first motion that is straight, or that a pair of trees finds, to one of several goals; None for none."""
     tasks = [task for task in tasks if task.problem.turns and not task.problem.is_empty]
-    for find, some in ((by_roadmap, tasks), (partial(by_trees, effort=ONE_PAIR), tasks[: SAMPLED if trees else 0])):
-        for number, task in enumerate(some):
-            if (motion := find(task)) is not None:
-                return number, motion
-    return None
+    return first_found(tasks, straight) or first_found(tasks[:SAMPLED], partial(by_trees, effort=ONE_PAIR))
 
 
 def quick_or_any_motion(tasks: Sequence[PlanningTask]) -> tuple[int, PlannedMotion] | Refusals:
@@ -143,7 +137,7 @@ class Moves:
         self._hub = 0
         self._found: dict[tuple[int, int, bool], Move | None] = {}
         self._thorough: set[tuple[int, int, bool]] = set()
-        self._looks: Counter[tuple[int, int, bool]] = Counter()
+        self._blocked: set[tuple[int, int, bool]] = set()
         self._joined: dict[bool, _Joins] = {}
         robot = empty.robot
         limits = Limits(robot.velocity_limit, robot.acceleration_limit, jerk=robot.jerk_limit)
@@ -177,24 +171,21 @@ class Moves:
         return a == b or (min(a, b), max(a, b), loaded) in self._found
 
     def look(self, a: int, b: int, loaded: bool) -> None:
-        """Look for a motion, with a little more effort each time, until it is known whether there is one.
+        """Look for a motion: the straight one first, another one where that is looked for again.
 
-        A motion that was looked for and not found is reckoned with a longer duration than its bound.
+        A motion whose straight one is blocked is reckoned with a longer duration than its bound.
         """
         key = min(a, b), max(a, b), loaded
         if a == b or key in self._found:
             return
-        self._looks[key] += 1
         try:
             task = self.task(*key)
             if not task.problem.turns or task.problem.is_empty:
                 self._plan(key, first_motion([task]))
-            elif self._looks[key] > 1 or task.field.is_clear(
-                np.stack([task.problem.start, task.problem.goal]), task.margin()
-            ):
-                found = quick_motion([task], trees=self._looks[key] > 2)
-                if found is not None or self._looks[key] > 2:
-                    self._plan(key, found)
+            elif key in self._blocked or straight_is_clear(task):
+                self._plan(key, quick_motion([task]))
+            else:
+                self._blocked.add(key)
         except NO_MOTION:
             self._plan(key, None)
 
@@ -244,14 +235,14 @@ class Moves:
         places: dict[int, list[int]] = {}
         for place, stop in enumerate(stops.tolist()):
             places.setdefault(stop, []).append(place)
-        for a, b, also in (*self._looks, *self._found):
+        for a, b, also in (*self._blocked, *self._found):
             if also != loaded:
                 continue
             for i, j in itertools.product(places.get(a, ()), places.get(b, ())):
                 if (a, b, also) in self._found:
                     seconds[i, j] = seconds[j, i] = joins.seconds[joins.numbers[a], joins.numbers[b]]
                 else:
-                    seconds[i, j] = seconds[j, i] = least[i, j] * LOOKED_FOR[self._looks[a, b, also]]
+                    seconds[i, j] = seconds[j, i] = BLOCKED * least[i, j]
         return seconds
 
     def _least(self, stops: IntArray | Sequence[int]) -> FloatArray:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
 from arm_variants import load_variant, random_obstacles
@@ -56,15 +54,14 @@ def test_no_yaw_beyond_where_none_is_asked_for() -> None:
 
 
 @pytest.mark.parametrize("count", [1, 2, 63, 64, 65, 130])
-@pytest.mark.parametrize("thick", [False, True])
 @pytest.mark.parametrize("step", [1.0, 0.08])
-def test_each_layer_is_the_planar_problem_at_its_yaw(tmp_path, count, thick, step) -> None:
+def test_each_layer_is_the_planar_problem_at_its_yaw(tmp_path, count, step) -> None:
     """Grids of less than a word, and of one and more, in either direction."""
     robot = load_variant("one link on a yaw" if step < 0.1 else "upright on a yaw", tmp_path)
     bodies = prepare_obstacles(random_obstacles(np.random.default_rng(count), 9))
     planar = joint_grid(robot.arm, step)
     first, turn = -0.7, 0.03
-    space = turning_occupancy(robot, bodies, planar, YawAxis(first, turn, count), thick=thick, layers=LayerCache())
+    space = turning_occupancy(robot, bodies, planar, YawAxis(first, turn, count), layers=LayerCache())
     assert space.grid.shape == (*planar.shape, count)
     np.testing.assert_allclose(
         space.grid.coordinates(np.array([0] * len(planar.shape) + [count - 1]))[-1], first + turn * (count - 1)
@@ -72,30 +69,10 @@ def test_each_layer_is_the_planar_problem_at_its_yaw(tmp_path, count, thick, ste
     free = free_nodes(space)
     assert free.any()
     for layer in range(count):
-        sections = sections_at(robot, bodies, first + turn * layer, half_angle=0.5 * turn if thick else 0.0)
+        sections = sections_at(robot, bodies, first + turn * layer)
         np.testing.assert_array_equal(free[..., layer], free_nodes(occupancy(robot.arm, sections, planar)))
     spare = np.unpackbits(space.free_words.view(np.uint8), axis=1, bitorder="little")[:, count:]
     assert not spare.any()
-
-
-@pytest.mark.parametrize(
-    "variant", ["upright on a yaw", "shoulder beside the yaw axis", "links beside each other, off the axis"]
-)
-def test_what_is_free_in_a_thick_layer_is_free_at_all_its_yaws(tmp_path, variant) -> None:
-    robot = load_variant(variant, tmp_path)
-    bodies = prepare_obstacles(random_obstacles(np.random.default_rng(5), 9))
-    planar = joint_grid(robot.arm, 0.5)
-    step = math.radians(8.0)
-    thick, thin = (
-        free_nodes(turning_occupancy(robot, bodies, planar, YawAxis(0.0, step, 6), thick=which, layers=LayerCache()))
-        for which in (True, False)
-    )
-    assert (thin & ~thick).any()
-    rng = np.random.default_rng(0)
-    for layer in range(6):
-        for off in (-0.5, 0.0, 0.5, *rng.uniform(-0.5, 0.5, 3)):
-            there = free_nodes(occupancy(robot.arm, sections_at(robot, bodies, (layer + off) * step), planar))
-            assert not (thick[..., layer] & ~there).any()
 
 
 def test_layers_are_remembered_until_there_are_too_many(tmp_path) -> None:

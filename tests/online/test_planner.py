@@ -161,7 +161,7 @@ def test_obstacle_that_wanders_through(robot: Robot) -> None:
             continue  # it stands where the start or the goal is
         seen.add(method(result))
         assert_fresh(robot, planner, result)
-    assert seen >= {"direct", "kept", "mended", "roadmap"}
+    assert seen >= {"direct", "kept", "mended", "trees"}
 
 
 def test_new_goal_and_start(robot: Robot) -> None:

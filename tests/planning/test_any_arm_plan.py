@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 import re
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
 from any_arms import LIFT, loaded_arm
 
 from hplan.errors import ConfigurationInCollisionError, InputError, NotFoundError, OptionError, RobotFileError
-from hplan.planning import find_motion, sampled_motion
+from hplan.planning import find_motion
 from hplan.planning.plan import plan
 from hplan.planning.sampled_motion import SAMPLING_OF_BODIES, SamplingEffort
 from hplan.problem.options import PlanOptions
 from hplan.robot.limits import Limits
 from hplan.robot.model import Robot, load_robot
-from hplan.sampling.several_trees import PromisingPath, TreesEffort
+from hplan.sampling.several_trees import TreesEffort
 from hplan.scene.model import Scene
 from hplan.scene.obstacles import Box, Obstacle, Sphere
 from hplan.smoothing.spline import SplinePath
@@ -72,10 +70,9 @@ def test_a_start_in_an_obstacle_is_refused(arm: Robot) -> None:
 
 
 def test_where_nothing_is_found_nothing_is_claimed(arm: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
-    few = SamplingEffort((), TreesEffort(20, (1, 20), (0, 0)), None, (), 1.0)
+    few = SamplingEffort(TreesEffort(1, 20), None, (), 1.0)
     monkeypatch.setitem(SAMPLING_OF_BODIES, "quick", few)
     monkeypatch.setattr(find_motion, "by_trees_to_any", lambda tasks: None)
-    monkeypatch.setattr(sampled_motion, "quick_path", lambda *_: None)
     # From the pedestal outward, higher than the arm reaches, between start and goal.
     along = np.array([np.cos(0.9), np.sin(0.9)])
     centre = (*(1.4 * along).tolist(), 1.0)
@@ -113,39 +110,3 @@ def test_a_robot_without_shapes_is_neither_planned_for_nor_certified() -> None:
     path = SplinePath.through(np.linspace(bare.lower + 0.1, bare.lower + 0.2, 5))
     with pytest.raises(RobotFileError, match="no link that moves has a <collision>: it could touch nothing"):
         certify(bare, scene, time_path(path, bare.dynamics, limits, rate_hz=100.0))
-
-
-def test_the_first_trees_do_where_their_motion_is_close_to_the_least_duration(monkeypatch: pytest.MonkeyPatch) -> None:
-    options, problem = SimpleNamespace(effort="default"), SimpleNamespace(turns=True)
-    task = SimpleNamespace(robot=SimpleNamespace(planar=None), options=options, problem=problem, margin=lambda: 2e-3)
-    paths = [
-        PromisingPath(1.0, np.zeros((2, 2)), np.zeros((2, 2))),
-        PromisingPath(2.0, np.ones((2, 2)), np.ones((2, 2))),
-    ]
-    for name, motion in (("close", 1.1), ("slow", 1.4)):
-        found = SimpleNamespace(trajectory=SimpleNamespace(duration=motion))
-        asked: list[object] = []
-        optimised: list[object] = []
-
-        def of_trees(_: object, effort: TreesEffort, known: object = (), grown: int = 0, asked: Any = asked) -> object:
-            asked.append((effort, known, grown))
-            return paths[: 1 + len(known)]  # type: ignore[arg-type]
-
-        def certified(
-            _: object, polylines: Any, *__: object, found: Any = found, optimised: Any = optimised, **___: object
-        ):
-            optimised.append([polyline.waypoints for polyline in polylines])
-            return found if len(optimised) == 1 else None
-
-        monkeypatch.setattr(sampled_motion, "by_roadmap", lambda _: None)
-        monkeypatch.setattr(sampled_motion, "least_duration", lambda _: 1.0)
-        monkeypatch.setattr(sampled_motion, "quickest_certified", certified)
-        monkeypatch.setattr(sampled_motion, "_of_trees", of_trees)
-        monkeypatch.setattr(sampled_motion, "_of_grids", lambda *_: [])
-        assert sampled_motion.by_sampling(task) is found
-        effort = sampled_motion.SAMPLING_OF_BODIES["default"]
-        first = (effort.first, (), 0)
-        assert asked == ([first] if name == "close" else [first, (effort.trees, paths[:1], 1)])
-        assert [[id(path) for path in each] for each in optimised] == [
-            [id(path.waypoints)] for path in paths[: 1 + (name == "slow")]
-        ]

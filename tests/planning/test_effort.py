@@ -45,14 +45,13 @@ def test_coarse_grids_give_paths_where_fine_ones_are_too_large(monkeypatch: pyte
         locked_joints=("base_yaw",),
     )
     monkeypatch.setattr(hplan.planning.sampled_motion, "promising_paths", lambda *_: [])
-    monkeypatch.setattr(hplan.planning.sampled_motion, "quick_path", lambda *_, **__: None)
     result = hplan.plan(robot, scene)
     assert result.motion.origin == "search"
     assert result.motion.route is None
     assert result.certificate.verified
 
 
-def test_coarse_grids_that_are_too_large_are_left_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_coarse_grids_that_are_too_large_are_left_out(tmp_path: Path) -> None:
     """A chain of six links that turn all around has no grid that fits."""
     six = (1.0,) * 6
     spec = ArmSpec(
@@ -68,5 +67,4 @@ def test_coarse_grids_that_are_too_large_are_left_out(tmp_path: Path, monkeypatc
         goal=Goal(joints_rad=(-0.5, 0.1, 0.1, 0.1, 0.1, 0.1)),
         obstacles=(Sphere(name="ball", center=(2.2, 0.0, 2.6), radius=0.1),),
     )
-    monkeypatch.setattr(hplan.planning.sampled_motion, "quick_path", lambda *_, **__: None)
     assert hplan.plan(robot, scene).motion.origin == "trees"

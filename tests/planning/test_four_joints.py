@@ -75,36 +75,10 @@ def test_straight_motion_is_about_as_fast_as_can_be(robot: Robot) -> None:
     assert result.trajectory.duration < 1.1 * least_duration(result.motion.task)
 
 
-@pytest.fixture
-def grids_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    """No roadmap is made, and no trees grow, before grids are searched."""
-    monkeypatch.setattr("hplan.planning.find_motion.SAMPLED", 0)
-    monkeypatch.setattr("hplan.planning.find_motion.by_trees_to_any", lambda _: None)
-
-
-@pytest.mark.parametrize("high", [1.0, 1.3, 1.6, 2.2])
-def test_fold_turn_unfold(robot: Robot, high: float, grids_alone: None) -> None:
-    """A post between start and goal, near the axis: past it only over its top, or folded."""
-    scene = task((10.0, 30.0, 20.0, 20.0), (50.0, 30.0, 20.0, 20.0), [post("post", 30.0, 0.5, 0.0, high)])
-    result = plan(robot, scene)
-    assert planner_of(result) == ("two-level", "column")
-    assert result.search is not None
-    assert result.search.fallback == "column"
-    assert_sound(robot, scene, result)
-
-
 def around_the_bar() -> Scene:
     """A bar in the arm plane above start and below goal: past it only beside it."""
     bar = Sphere(name="ball", center=(1.3, 0.0, 1.6), radius=0.15)
     return task((0.0, 10.0, 10.0, 10.0), (0.0, 70.0, 10.0, 10.0), [bar])
-
-
-def test_wavefronts_where_no_column_is_free(robot: Robot, grids_alone: None) -> None:
-    scene = around_the_bar()
-    result = plan(robot, scene)
-    assert planner_of(result) == ("two-level", "wavefront")
-    assert_sound(robot, scene, result)
-    assert result.report["planner"]["expansions"]["flooded_cells"] > 0
 
 
 def test_base_moves_where_the_plane_is_closed(robot: Robot) -> None:
@@ -191,7 +165,7 @@ def bytes_of(step_deg: float) -> float:
     return planar**3 * 8.0 * math.ceil(yaws / 64.0)
 
 
-def test_memory(robot: Robot, grids_alone: None) -> None:
+def test_memory(robot: Robot) -> None:
     """At the finest step, with all yaws open to the search."""
     enclosed = task((0.0, 70.0, 20.0, 20.0), (60.0, 20.0, 20.0, 20.0), frame_about_upper_arm(60.0, 20.0))
     plan(robot, around_the_bar(), COARSE)
@@ -206,7 +180,7 @@ def test_memory(robot: Robot, grids_alone: None) -> None:
     assert peak < 8 * bytes_of(1.0)
 
 
-def test_nothing_is_left_behind(robot: Robot, grids_alone: None) -> None:
+def test_nothing_is_left_behind(robot: Robot) -> None:
     """A plan that tries several grids frees them at once: robot control may have turned garbage collection off."""
     enclosed = task((0.0, 70.0, 20.0, 20.0), (60.0, 20.0, 20.0, 20.0), frame_about_upper_arm(60.0, 20.0))
     for _ in range(2):  # kernels are loaded the first time
@@ -495,4 +469,4 @@ def test_random_scenes_are_worth_it(robot: Robot) -> None:
         assert_sound(robot, scene, result)
         kind = planner_of(result)[0]
         kinds[kind] = kinds.get(kind, 0) + 1
-    assert kinds.keys() == {"direct", "roadmap", "trees"}
+    assert kinds.keys() == {"direct", "trees"}

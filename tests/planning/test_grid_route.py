@@ -9,12 +9,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from planned import assert_clear, frame_about_upper_arm, post, random_scene, task
+from planned import assert_clear, frame_about_upper_arm, random_scene, task
 
+import hplan.planning.find_motion
 from hplan.cspace.yaw_layers import turning_occupancy, yaw_axis
-from hplan.errors import CertificationError, HplanError, NoPathError, OptionError
+from hplan.errors import HplanError, NoPathError, OptionError
+from hplan.planning.find_motion import without_path
 from hplan.planning.grid_route import Route, find_route
-from hplan.planning.refusals import EnclosedError
+from hplan.planning.refusals import EnclosedError, enclosed_goals
 from hplan.planning.task import GridAttempt, PlanningCache, PlanningTask
 from hplan.problem.options import PlanOptions
 from hplan.robot.model import Robot
@@ -70,41 +72,26 @@ def test_grown_obstacles_occupy_more(robot: Robot, scene: Scene) -> None:
     assert counts[0] < counts[1]
 
 
-@pytest.mark.parametrize("thick", [False, True])
-@pytest.mark.parametrize("step_deg", [2.0, 3.0, 5.0])
-def test_way_over_yaw(robot: Robot, step_deg: float, thick: bool) -> None:
-    scene = task((0.0, 30.0, 20.0, 20.0), (60.0, 30.0, 20.0, 20.0), [post("post", 30.0, 1.2, 0.0, 1.9)])
-    route = find_route(posed(robot, scene), GridAttempt(step_deg, thick=thick), MARGIN)
-    assert_route(robot, scene, route)
-    assert len(route.occupancy.grid.shape) == 4
-    assert route.step_deg == step_deg
-    assert (route.path[:, 0] >= -1e-9).all()
-    assert (route.path[:, 0] <= math.radians(60.0) + 1e-9).all()
+def shown_enclosed(one: PlanningTask, attempt: GridAttempt) -> EnclosedError | None:
+    return enclosed_goals([one], attempt, [MARGIN], explained=True)[0]
 
 
-def test_ends_beside_the_grid(robot: Robot) -> None:
-    scene = task((0.3, 31.7, 20.4, 21.1), (61.9, 29.2, 19.3, 22.2), [post("post", 30.0, 1.2, 0.0, 1.9)])
-    assert_route(robot, scene, find_route(posed(robot, scene), GridAttempt(3.0), MARGIN))
-
-
-def test_beyond_start_and_goal(robot: Robot) -> None:
+def test_beyond_start_and_goal(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
     """Closed in the plane and open beside it: the error says that more yaws might help, and they do."""
-    scene = task(BELOW, ABOVE, BAR)
-    with pytest.raises(EnclosedError) as caught:
-        find_route(posed(robot, scene), GridAttempt(2.0), MARGIN)
-    assert caught.value.open_ended
-    assert caught.value.reached_cells > 0
-    route = find_route(posed(robot, scene), GridAttempt(2.0, yaw_range_deg=20.0), MARGIN)
-    assert_route(robot, scene, route)
-    assert np.abs(route.path[:, 0]).max() > math.radians(2.0)
-    assert route.search.fallback == "wavefront"
+    one = posed(robot, task(BELOW, ABOVE, BAR), PlanOptions(step_deg=2.0))
+    error = shown_enclosed(one, GridAttempt(1.0))
+    assert error is not None
+    assert error.open_ended
+    assert error.reached_cells > 0
+    assert shown_enclosed(one, GridAttempt(1.0, yaw_range_deg=20.0)) is None
+    monkeypatch.setattr(hplan.planning.find_motion, "WIDTHS", (0.0, 20.0))
+    assert without_path([one]) == [None]
 
 
 def test_enclosed_whatever_the_yaw(robot: Robot) -> None:
     scene = task((0.0, 70.0, 20.0, 20.0), (60.0, 20.0, 20.0, 20.0), frame_about_upper_arm(60.0, 20.0))
-    with pytest.raises(EnclosedError) as caught:
-        find_route(posed(robot, scene), GridAttempt(3.0, yaw_range_deg=360.0), MARGIN)
-    error = caught.value
+    error = shown_enclosed(posed(robot, scene), GridAttempt(3.0, yaw_range_deg=360.0))
+    assert error is not None
     assert not error.open_ended
     whole = error.explained()
     assert isinstance(whole, NoPathError)
@@ -134,21 +121,12 @@ def test_a_region_is_flooded_once(robot: Robot, scene: Scene, monkeypatch: pytes
 
 
 def test_step_that_gives_no_grid(robot: Robot, scene: Scene) -> None:
-    for where in (scene, task(BELOW, ABOVE, BAR)):
-        with pytest.raises(OptionError) as caught:
-            find_route(posed(robot, where), GridAttempt(1e-6), MARGIN)
-        assert caught.value.option == "step_deg"
-
-
-def test_no_node_near_an_end(robot: Robot) -> None:
-    """A pocket between the nodes of a coarse grid, and no way out by the gradient."""
-    pocket = [post(f"p{i}", bearing, 1.0, 0.0, 3.0, 0.05) for i, bearing in enumerate((13.0, 31.0))]
-    scene = task((22.0, 20.0, 0.0, 0.0), (100.0, 20.0, 0.0, 0.0), pocket)
-    try:
-        route = find_route(posed(robot, scene), GridAttempt(40.0), MARGIN)
-    except (CertificationError, EnclosedError):
-        return
-    assert_route(robot, scene, route)
+    with pytest.raises(OptionError) as caught:
+        find_route(posed(robot, scene), GridAttempt(1e-6), MARGIN)
+    assert caught.value.option == "step_deg"
+    with pytest.raises(OptionError) as caught:
+        shown_enclosed(posed(robot, task(BELOW, ABOVE, BAR)), GridAttempt(1e-6))
+    assert caught.value.option == "step_deg"
 
 
 def labels_of(space: Occupancy) -> Any:
@@ -179,18 +157,12 @@ def test_no_path_is_said_if_there_is_none(robot: Robot, seed: int) -> None:
     bodies, planar = task_of.world.bodies(), task_of.planar_grid(GridAttempt(step))
     ends = task_of.problem.start, task_of.problem.goal
     yaws = yaw_axis(ends[0][0], ends[1][0], math.radians(step), robot.lower[0], robot.upper[0], 0.0)
-    space = turning_occupancy(robot, bodies, planar, yaws, thick=False, layers=task_of.layers)
+    space = turning_occupancy(robot, bodies, planar, yaws, layers=task_of.layers)
     labels = labels_of(space)
     first, second = (labels[tuple(space.grid.nearest(q[task_of.axes]))] for q in ends)
     assert first > 0
     assert second > 0
-    if first != second:
-        with pytest.raises(EnclosedError) as caught:
-            find_route(task_of, GridAttempt(step), MARGIN)
-        assert caught.value.reached_cells in {int((labels == part).sum()) for part in (first, second)}
-        return
-    try:
-        route = find_route(task_of, GridAttempt(step), MARGIN)
-    except CertificationError:
-        return  # there is a way, but not one that can be shown clear
-    assert_route(robot, scene, route)
+    error = shown_enclosed(task_of, GridAttempt(step))
+    assert (error is not None) == (first != second)
+    if error is not None:
+        assert error.reached_cells in {int((labels == part).sum()) for part in (first, second)}

@@ -67,12 +67,15 @@ class MotionLimits(NamedTuple):
         upper: (dof,) joint limits.
         rates: (3, dof) largest velocity [rad/s], acceleration [rad/s^2] and jerk [rad/s^3]; infinite for none.
         movable: (k,) joints that may move.
+        sway: (links, dof) by how much tracking errors bring each link nearer to obstacles for a unit of each joint's
+            speed [m s/rad]; no rows where they do not grow with speed.
     """
 
     lower: FloatArray
     upper: FloatArray
     rates: FloatArray
     movable: IntArray
+    sway: FloatArray
 
 
 @inlined
@@ -146,7 +149,7 @@ def first_order(
     control, knots, drift = motion
     n, joints = control.shape[0], len(limits.movable)
     matters = margin, trust if not drift.any() else math.inf
-    near = _places(control, knots, limits.movable, field, matters)
+    near = _places(control, knots, limits, field, matters)
     links_near = int((near.clear < NEAR).sum())
     kinematic, free = joints * (3 * n - 6), joints * (n - 6)
     split = 2 * joints * DRIFTING
@@ -159,7 +162,7 @@ def first_order(
     both = _add_kinematics(rows, motion, limits)
     both = _add_bounds(rows, both, control, limits, trust)
     row = _add_drifting(rows, both, motion, limits)
-    row = _add_clearances(rows, row, (near, drift), limits, field, margin)
+    row = _add_clearances(rows, row, (near, drift, control), limits, field, margin)
     used = rows.starts[row]
     return ProgramRows(
         rows.starts[: row + 1], rows.columns[:used], rows.entries[:used],
@@ -263,20 +266,22 @@ class _Places(NamedTuple):
     Attributes:
         configuration: (places, dof) the configurations there.
         weight: (places, 4) weights of the control points, the first of which is that of the place's piece.
-        clear: (places, links) clearances [m].
+        speed: (places, 4) weights of the control points in the velocity [1/s].
+        clear: (places, links) clearances, less what tracking errors take of them [m].
         gradient: (places, links, joints) how they change with the joints that may move [m/rad], for arms that are no
             planar chain; empty for others.
     """
 
     configuration: FloatArray
     weight: FloatArray
+    speed: FloatArray
     clear: FloatArray
     gradient: FloatArray
 
 
 @kernel
 def _places(
-    control: FloatArray, knots: FloatArray, movable: IntArray, field: FieldArrays, matters: tuple[float, float]
+    control: FloatArray, knots: FloatArray, limits: MotionLimits, field: FieldArrays, matters: tuple[float, float]
 ) -> _Places:
     """`PLACES` of each piece.
 
@@ -286,14 +291,15 @@ def _places(
     Args:
         control: (n, dof) control points.
         knots: (n + 4,) knots.
-        movable: Joints that may move.
+        limits: What the motion has to keep.
         field: Arm and obstacles.
         matters: The margin, and the trust.
     """
-    margin, trust = matters
+    (margin, trust), movable = matters, limits.movable
     n, dof = control.shape
     count = (n - 3) * PLACES
     q, weight, clear = np.zeros((count, dof)), np.empty((count, 4)), np.full((count, field.chain.shape[0]), np.inf)
+    speed, velocity = np.zeros((count, 4)), np.zeros(dof)
     is_planar = field.chain.shape[1] == LINK
     gradient = np.empty((0, 0, 0) if is_planar else (count, field.chain.shape[0], len(movable)))
     for place in range(count):
@@ -308,20 +314,48 @@ def _places(
             link_clearances(q[place], field, clear[place])
         else:
             body_slopes(q[place], field, movable, NEAR_OF_BODIES, clear[place], gradient[place])
+        if limits.sway.shape[0] > 0:
+            _velocity_weights(knots, piece, (place % PLACES) / PLACES, speed[place])
+            for j in range(dof):
+                velocity[j] = 0.0
+                for c in range(4):
+                    velocity[j] += speed[place, c] * control[piece + c, j]
+            for link in range(clear.shape[1]):
+                for j in range(dof):
+                    clear[place, link] -= limits.sway[link, j] * abs(velocity[j])
+        if not is_planar:
             for link in range(clear.shape[1]):
                 change = 0.0
                 for m in range(len(movable)):
                     change += abs(gradient[place, link, m])
                 if clear[place, link] >= NEAR_OF_BODIES or clear[place, link] - margin > trust * change:
                     clear[place, link] = math.inf
-    return _Places(q, weight, clear, gradient)
+    return _Places(q, weight, speed, clear, gradient)
+
+
+@kernel
+def _velocity_weights(knots: FloatArray, piece: int, t: float, weight: FloatArray) -> None:
+    """Weights of control points `piece` to `piece + 3` in the velocity at a fraction of a piece [1/s].
+
+    A quadratic B-spline of the velocity's control points, which are differences of the motion's.
+    """
+    span = piece + 3
+    x = knots[span] + t * (knots[span + 1] - knots[span])
+    high, low = (knots[span + 1] - x) / (knots[span + 1] - knots[span]), t
+    first = high * (knots[span + 1] - x) / (knots[span + 1] - knots[span - 1])
+    last = low * (x - knots[span]) / (knots[span + 2] - knots[span])
+    middle = 1.0 - first - last
+    d0 = 3.0 * first / (knots[span + 1] - knots[span - 2])
+    d1 = 3.0 * middle / (knots[span + 2] - knots[span - 1])
+    d2 = 3.0 * last / (knots[span + 3] - knots[span])
+    weight[0], weight[1], weight[2], weight[3] = -d0, d0 - d1, d1 - d2, d2
 
 
 @kernel
 def _add_clearances(
     rows: ProgramRows,
     row: int,
-    places: tuple[_Places, FloatArray],
+    places: tuple[_Places, FloatArray, FloatArray],
     limits: MotionLimits,
     field: FieldArrays,
     margin: float,
@@ -331,16 +365,18 @@ def _add_clearances(
     Args:
         rows: The program.
         row: Number of rows so far.
-        places: Where clearance is kept, and (n, dof) changes of the control points with the pace.
+        places: Where clearance is kept, (n, dof) changes of the control points with the pace, and (n, dof) control
+            points.
         limits: What the motion has to keep.
         field: Arm and obstacles.
         margin: Clearance asked for.
     """
-    (q, weight, clear, slopes), drift = places
-    count, links = clear.shape
+    (q, weight, speed, clear, slopes), drift, control = places
+    (count, links), sways = clear.shape, limits.sway.shape[0] > 0
     joints, inner = len(limits.movable), count // PLACES - 3
     entry = rows.starts[row]
-    gradient, ahead = np.empty((links, joints)), np.empty(links)
+    gradient, ahead, velocity = np.empty((links, joints)), np.empty(links), np.zeros(joints)
+    here_clear = np.empty(links)
     for place in range(count):
         nearest = math.inf
         for link in range(links):
@@ -349,6 +385,16 @@ def _add_clearances(
             continue
         if slopes.shape[0] > 0:
             gradient[:] = slopes[place]
+        elif sways:
+            link_clearances(q[place], field, here_clear)
+        else:
+            for link in range(links):
+                here_clear[link] = clear[place, link]
+        if sways:
+            for m in range(joints):
+                velocity[m] = 0.0
+                for c in range(4):
+                    velocity[m] += speed[place, c] * control[place // PLACES + c, limits.movable[m]]
         for m in range(joints if slopes.shape[0] == 0 else 0):
             j = limits.movable[m]
             here = q[place, j]
@@ -356,12 +402,15 @@ def _add_clearances(
             link_clearances(q[place], field, ahead)
             q[place, j] = here
             for link in range(links):
-                gradient[link, m] = (ahead[link] - clear[place, link]) / _DIFFERENCE
+                gradient[link, m] = (ahead[link] - here_clear[link]) / _DIFFERENCE
         for link in range(links):
             distance = clear[place, link]
             if not distance < NEAR:
                 continue
             free, pace = 0.0, 0.0
+            if sways:  # slower motions sway less
+                for m in range(joints):
+                    pace -= limits.sway[link, limits.movable[m]] * abs(velocity[m]) / NEAR
             for c in range(4):
                 k = place // PLACES + c - 3
                 for m in range(joints):
@@ -371,6 +420,9 @@ def _add_clearances(
                     for m in range(joints):
                         rows.columns[entry] = k * joints + m
                         rows.entries[entry] = -weight[place, c] * gradient[link, m] / NEAR
+                        if sways:
+                            sway = limits.sway[link, limits.movable[m]] * np.sign(velocity[m])
+                            rows.entries[entry] += speed[place, c] * sway / NEAR
                         entry += 1
             if entry > rows.starts[row]:
                 rows.pace[row] = pace

@@ -48,8 +48,11 @@ TRIES = 4
 #: path for a longer distance, with less it is farther beyond the limits [s].
 LED_OVER_S = (0.2, 0.1, 0.05)
 
-#: Least pace of a step where an end is in motion: the pieces there are no linear functions of the pace.
+#: Least pace of a step where an end is in motion, or tracking errors grow with speed: neither is linear in the pace.
 LEAST_PACE = 0.75
+
+#: A motion that sways into what is near is slowed down so much, so often at most, before the first step.
+SLOWER, SLOWED = 1.5, 9
 
 #: Where an end is in motion, more than this much slower is no remedy for a step that passes limits: the next step is.
 REPAIRED = 1.02
@@ -206,7 +209,8 @@ def _of_level(start: TimedMotion, problem: TimeProblem, level: Level) -> TimedSp
             if spline.ends is not None and pace > REPAIRED:
                 spline = step.spline
                 continue
-            moved = step.spline.at_pace(pace)
+            # Faster than its program says it would sway into what is near.
+            moved = step.spline.at_pace(pace if problem.sway is None else max(pace, 1.0))
             before = math.inf if best is None else best.duration
             if moved.duration < before:
                 best = spline = moved
@@ -228,7 +232,12 @@ def _enough(spline: TimedSpline, problem: TimeProblem, level: Level) -> float:
 def _first(start: TimedMotion, problem: TimeProblem, breaks: FloatArray) -> TimedSpline:
     """The spline to begin with: between states of motion one that leaves the start no farther than is clear."""
     if problem.ends is None or (isinstance(start, TimedSpline) and start.ends is not None):
-        return TimedSpline.near(start.positions, breaks, problem.ends)
+        spline = TimedSpline.near(start.positions, breaks, problem.ends)
+        for _ in range(SLOWED if problem.sway is not None else 0):
+            if problem.is_clear(spline):
+                break
+            spline = spline.at_pace(SLOWER)
+        return spline
     for within_s in LED_OVER_S:
         between = MotionBetween(start.positions, start.duration, problem.ends, within_s)
         spline = TimedSpline.near(between.positions, breaks, problem.ends)
@@ -251,6 +260,9 @@ def _on_rows(spline: TimedSpline, problem: TimeProblem, level: Level) -> TimedSp
         slower = spline.at_pace(breaks[-1] / spline.duration)
         near = TimedSpline.near(slower.positions, breaks, problem.ends)
         step = _step(near, problem, trust, EXACT, on_rows=True)
+        if step is None and problem.sway is not None and found is None:
+            rows = math.ceil(rows * REPAIRED)
+            continue
         if step is None:
             break
         spline, pace = step.spline, problem.pace(step.spline)
@@ -288,9 +300,11 @@ def _step(
 ) -> _Step | None:
     """The best step, or as much of it as is clear; None where there is none.
 
-    The pace is left as it was, unless an end is in motion, which changes the pieces there with the pace.
+    The pace is left as it was, unless an end is in motion, which changes the pieces there with the pace, or tracking
+    errors grow with speed.
     """
-    least = None if spline.ends is None else 1.0 if on_rows else LEAST_PACE
+    free = spline.ends is None and problem.sway is None
+    least = None if free else 1.0 if on_rows else LEAST_PACE
     found = problem.step(spline, trust, gap, least=least)
     if found is None:
         return None
@@ -298,13 +312,13 @@ def _step(
     change[RESTING:-RESTING, problem.options.movable], pace = found
     parts = (0.5**halving for halving in range(HALVINGS + 1))
     tried = (
-        _Step(_taken(spline, part * change, 1.0 if on_rows else 1.0 + part * (pace - 1.0)), part, pace)
+        _Step(_taken(spline, part * change, 1.0 if on_rows or free else 1.0 + part * (pace - 1.0)), part, pace)
         for part in parts
     )
     return next((step for step in tried if problem.is_clear(step.spline)), None)
 
 
 def _taken(spline: TimedSpline, change: FloatArray, pace: float) -> TimedSpline:
-    """The motion after a change of its control points and, where an end is in motion, of its pace."""
+    """The motion after a change of its control points and of its pace."""
     moved = TimedSpline(frozen(spline.control + change), spline.knots, spline.ends)
-    return moved if spline.ends is None else moved.at_pace(pace)
+    return moved if pace == 1.0 else moved.at_pace(pace)

@@ -20,7 +20,7 @@ from hplan.optimization.minimize_time import LONGEST_S, Effort, minimize_time, r
 from hplan.optimization.path_classes import PARTS, class_numbers
 from hplan.optimization.time_problem import TimeProblem
 from hplan.optimization.timed_spline import TimedSpline
-from hplan.smoothing.minimize_duration import coarse_profile
+from hplan.smoothing.coarse_profile import coarse_profile
 from hplan.smoothing.smooth_path import clear_start, near_field
 from hplan.timing.speed_profile import SpeedProfile
 

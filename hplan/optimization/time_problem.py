@@ -7,9 +7,10 @@ from functools import cached_property
 
 import numpy as np
 
-from hplan.base.arrays import FloatArray, Record
+from hplan.base.arrays import FloatArray, Record, frozen
 from hplan.base.deadline import look, until
 from hplan.collision.clearance_field import ClearanceField
+from hplan.collision.clearance_kernels import LINK
 from hplan.optimization.first_order import MotionArrays, MotionLimits, first_order, least_pace
 from hplan.optimization.interior_point import ProgramRows, solve
 from hplan.optimization.timed_spline import RESTING, BoundaryState, TimedSpline
@@ -17,10 +18,13 @@ from hplan.optimization.torque_rows import NEAR_LIMIT, TorqueUse, torque_rows, w
 from hplan.robot.dynamics import InverseDynamics
 from hplan.robot.limits import Limits, rest_to_rest
 from hplan.smoothing.options import PostprocessOptions
-from hplan.smoothing.spline import FIRST, MovableSpline, pieces_are_clear
+from hplan.smoothing.spline import FIRST, MovableSpline, piece_is_clear, pieces_are_clear
 
 #: Fraction of the margin asked for wherever the proof of a step looks; the programs ask for all of it at their places.
 PROVED = 0.05
+
+#: Column of a chain with the half-widths of links.
+HALF_WIDTH = 1
 
 #: How often the pace of a motion is looked at anew whose ends do not slow down with it.
 PACES = 4
@@ -41,6 +45,8 @@ class TimeProblem(Record):
         dynamics: Torques of the arm's motions.
         rate_hz: Rows per second.
         ends: The states in which it begins and ends; None where both are at rest.
+        sway: (links, dof) by how much tracking errors bring each link nearer to obstacles for a unit of each joint's
+            speed [m s/rad]; None where they do not grow with speed.
     """
 
     field: ClearanceField
@@ -50,6 +56,7 @@ class TimeProblem(Record):
     dynamics: InverseDynamics
     rate_hz: float
     ends: tuple[BoundaryState, BoundaryState] | None = None
+    sway: FloatArray | None = None
 
     @cached_property
     def arrays(self) -> MotionLimits:
@@ -57,14 +64,35 @@ class TimeProblem(Record):
         limits, options = self.limits, self.options
         jerk = np.full_like(limits.velocity, np.inf) if limits.jerk is None else limits.jerk
         rates = np.stack([limits.velocity, limits.acceleration, jerk])
-        return MotionLimits(options.lower, options.upper, rates, options.movable)
+        sway = np.empty((0, len(options.lower))) if self.sway is None else self.sway
+        return MotionLimits(options.lower, options.upper, rates, options.movable, sway)
 
     def is_clear(self, spline: TimedSpline) -> bool:
-        """True if the whole motion is shown clear."""
+        """True if the whole motion is verified collision-free, with tracking errors that grow with its speed."""
+        if self.sway is not None:
+            return self._is_clear_swaying(spline, self.sway)
         moved, pieces = MovableSpline(np.array(spline.control), spline.knots), len(spline.control) - 3
         clear = pieces_are_clear(moved, FIRST, pieces - 1, self.field.arrays, PROVED * self.options.margin, 0.0)
         look()
         return bool(clear)
+
+    def _is_clear_swaying(self, spline: TimedSpline, sway: FloatArray) -> bool:
+        """As `is_clear`: each piece with links that are thicker by what its largest velocity takes."""
+        pieces, arrays = spline.path.pieces, self.field.arrays
+        velocity = 3.0 * np.abs(np.diff(pieces, axis=1)) / np.diff(spline.path.breaks)[:, None, None]
+        swayed = (velocity @ sway.T).max(axis=1)
+        margin = PROVED * self.options.margin
+        for piece, grown in zip(np.array(pieces), swayed, strict=True):
+            if arrays.chain.shape[1] == LINK:
+                chain = arrays.chain.copy()
+                chain[:, HALF_WIDTH] += grown
+                clear = piece_is_clear(piece, arrays._replace(chain=frozen(chain)), margin, 0.0)
+            else:
+                clear = piece_is_clear(piece, arrays, margin + float(grown.max()), 0.0)
+            look()
+            if not clear:
+                return False
+        return True
 
     def pace(self, spline: TimedSpline) -> float:
         """By what the motion's times have to be multiplied to keep velocity, acceleration and jerk."""

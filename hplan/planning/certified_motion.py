@@ -10,8 +10,8 @@ from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
-from hplan.base import ties
-from hplan.base.arrays import FloatArray, Record
+from hplan.base.arrays import FloatArray, Record, frozen
+from hplan.bodies.reach import largest_sway
 from hplan.errors import CertificationError, TimingError
 from hplan.optimization.minimize_time import Effort, Level
 from hplan.optimization.several_starts import NEAR, StartsEffort, fastest_motions, optimization_starts
@@ -20,20 +20,20 @@ from hplan.optimization.timed_spline import BoundaryState
 from hplan.planning.grid_route import Route
 from hplan.planning.task import PlanningContext, PlanningTask
 from hplan.robot.limits import GeometricPath, Limits
-from hplan.smoothing.minimize_duration import estimated_duration
 from hplan.smoothing.options import PostprocessOptions
-from hplan.smoothing.smooth_path import fast_path, is_straight, near_field
+from hplan.smoothing.smooth_path import clear_path, is_straight, near_field, short_path
 from hplan.smoothing.spline import SplinePath
 from hplan.timing.retime import time_path
-from hplan.timing.speed_ceiling import SpeedCeiling, averaging_s
 from hplan.timing.trajectory import Trajectory
 from hplan.verification.certificate import Certificate, Stretch, certify_among
 
 _COARSE = Level(piece_s=0.08, pieces=(20, 40), steps=20, gain=2e-3, trust=0.2)
 
 #: What may be spent on the optimisation of a motion, by the option.
-EFFORTS: dict[str, StartsEffort | None] = {
-    "quick": None,
+EFFORTS: dict[str, StartsEffort] = {
+    "quick": StartsEffort(
+        Effort((Level(piece_s=0.03, pieces=(50, 120), steps=4, gain=2e-2, trust=0.2),)), rough=1, others=0, finished=1
+    ),
     "default": StartsEffort(
         Effort((_COARSE, Level(piece_s=0.03, pieces=(50, 120), steps=3, gain=5e-3, trust=0.05))),
         rough=4,
@@ -48,8 +48,8 @@ EFFORTS: dict[str, StartsEffort | None] = {
     ),
 }
 
-#: The same of robots that are no planar arms, whose clearances take longer.
-EFFORTS_OF_BODIES: dict[str, StartsEffort | None] = {
+#: Of general (non-planar) arms, whose clearances take longer.
+EFFORTS_OF_BODIES: dict[str, StartsEffort] = {
     **EFFORTS,
     "default": StartsEffort(
         Effort(
@@ -69,11 +69,13 @@ EFFORTS_OF_BODIES: dict[str, StartsEffort | None] = {
 #: made at least (`StartsEffort`).
 MANY, PLANAR_ROUGH, PLANAR_OTHERS = 4, 6, 4
 
-#: Of so many polylines at a time smooth paths are compared where none can be optimised with its timing.
-SMOOTHED = 3
+#: Where tracking errors grow with speed, motions make room for so many times as much, tried in turn until one is
+#: certified; a motion on a given path is run at these fractions of its own speed.
+SWAYS = (1.0, 1.6, 2.5)
+SPEEDS = (1.0, 0.7, 0.5, 0.35, 0.25, 0.17, 0.12, 0.08, 0.05, 0.03)
 
-#: Fractions of the clearance that sway may take which comes with speed, tried in turn until a motion is certified.
-CEILINGS = (0.75, 0.5, 0.2)
+#: No joint that moves is asked to be slower than this [rad/s].
+SLOWEST = 1e-3
 
 #: Configurations of a motion between which obstacles are looked for that are near it.
 ALONG = 33
@@ -164,12 +166,9 @@ def smooth_and_certify(
         CertificationError: There is none, or none can be certified.
         TimingError: It cannot be timed.
     """
-    optimized = _optimized(task, [Polyline(waypoints, origin), *rivals], margin)
-    if optimized is not None:
-        return replace(optimized, route=route)
-    with task.stage("postprocess"):
-        path = fast_path(waypoints, task.field, smoothing_options(task, margin))
-    return PlannedMotion(task, route, waypoints, path, *certified_trajectory(task, path), origin)
+    polylines = [Polyline(waypoints, origin), *rivals]
+    found = _optimized(task, polylines, margin) or along(task, polylines[0], margin)
+    return replace(found, route=route)
 
 
 def quickest_certified(
@@ -177,7 +176,7 @@ def quickest_certified(
 ) -> PlannedMotion | None:
     """The quickest certified motion near some polylines; None where there is none.
 
-    Where none can be optimised with its timing, that along the smooth path of least estimated duration, or length.
+    Where none can be optimised with its timing, that along the first of them that leads to one.
 
     Args:
         task: What is asked.
@@ -185,31 +184,27 @@ def quickest_certified(
         margin: Clearance asked for beyond the one to keep [m].
         quicker_than_s: Longest duration of a motion that is of use [s].
     """
-    if not polylines:
-        return None
-    optimized = _optimized(task, polylines, margin, quicker_than_s)
+    optimized = _optimized(task, polylines, margin, quicker_than_s) if polylines else None
     if optimized is not None or (math.isfinite(quicker_than_s) and effort_of(task) is not None):
         return optimized
-    batches = (polylines[first : first + SMOOTHED] for first in range(0, len(polylines), SMOOTHED))
-    smoothed = (_quickest_smoothed(task, batch, margin) for batch in batches)
-    return next((motion for motion in smoothed if motion is not None), None)
-
-
-def _quickest_smoothed(task: PlanningTask, polylines: Sequence[Polyline], margin: float) -> PlannedMotion | None:
-    """The certified motion along the smooth path of least estimated duration, or length; None where there is none."""
-    options = replace(smoothing_options(task, margin), starts=1)
-    found: list[tuple[Polyline, SplinePath]] = []
-    with task.stage("postprocess"):
-        for polyline in polylines:
-            with suppress(CertificationError):
-                found.append((polyline, fast_path(polyline.waypoints, task.field, options)))
-    by_time = options.objective == "duration"
-    aims = [estimated_duration(path, options) if by_time else path.length for _, path in found]
-    for number in ties.argsort(aims).tolist():
+    for polyline in polylines:
         with suppress(CertificationError, TimingError):
-            (waypoints, origin), path = found[number]
-            return PlannedMotion(task, None, waypoints, path, *certified_trajectory(task, path), origin)
+            return along(task, polyline, margin)
     return None
+
+
+def along(task: PlanningTask, polyline: Polyline, margin: float) -> PlannedMotion:
+    """The certified motion along the first smooth path near a polyline that is verified collision-free.
+
+    Raises:
+        CertificationError: There is none, or none can be certified.
+        TimingError: It cannot be timed.
+    """
+    options = smoothing_options(task, margin)
+    with task.stage("postprocess"):
+        smooth_path = short_path if task.options.objective == "length" else clear_path
+        path = smooth_path(polyline.waypoints, task.field, options)
+    return PlannedMotion(task, None, polyline.waypoints, path, *certified_trajectory(task, path), polyline.origin)
 
 
 def smoothing_options(task: PlanningTask, margin: float) -> PostprocessOptions:
@@ -222,16 +217,25 @@ def smoothing_options(task: PlanningTask, margin: float) -> PostprocessOptions:
         acceleration=robot.acceleration_limit,
         movable=problem.movable,
         margin=margin,
-        objective=task.options.objective,
     )
 
 
 def effort_of(context: PlanningContext) -> StartsEffort | None:
-    """What may be spent on the optimisation of a motion; None where motions are not optimised with their timing."""
+    """What may be spent on the optimisation of a motion; None where a short path is asked for, not a fast motion."""
     options = context.options
-    optimized = options.objective == "duration" and options.tracking.delay_s == 0.0
     efforts = EFFORTS_OF_BODIES if context.robot.planar is None else EFFORTS
-    return efforts[options.effort] if optimized else None
+    return efforts[options.effort] if options.objective == "duration" else None
+
+
+def sway_of(context: PlanningContext) -> FloatArray | None:
+    """(links, dof) what each link sways by for a unit of each joint's speed [m s/rad]; None if it does not."""
+    robot, delay_s = context.robot, context.options.tracking.delay_s
+    if delay_s == 0.0:
+        return None
+    each = delay_s * np.eye(robot.dof)
+    if robot.planar is not None:
+        return frozen(robot.planar.sway(each).T)
+    return frozen(np.tile(largest_sway(robot, each), (len(context.field.chain), 1)))
 
 
 def time_problem(
@@ -247,7 +251,7 @@ def time_problem(
     along = motion.position[np.linspace(0, motion.samples - 1, ALONG).astype(int)]
     return TimeProblem(
         task.field, near_field(along, task.field, NEAR), smoothing_options(task, task.margin()),
-        motion_limits(task), task.robot.dynamics, task.options.rate_hz, ends,
+        motion_limits(task), task.robot.dynamics, task.options.rate_hz, ends, sway_of(task),
     )  # fmt: skip
 
 
@@ -265,20 +269,24 @@ def _optimized(
         rough, others = max(effort.rough, PLANAR_ROUGH), max(effort.others, PLANAR_OTHERS)
         effort = replace(effort, rough=rough, others=others)
     processing, paths = smoothing_options(task, margin), [polyline.waypoints for polyline in polylines]
-    limits, dynamics = motion_limits(task), task.robot.dynamics
-    with task.stage("postprocess"):
-        if is_straight(paths[0], task.field, processing):
-            return None
-        problem = TimeProblem(task.field, task.field, processing, limits, dynamics, options.rate_hz)
-        starts = optimization_starts(paths, problem)
-    with task.stage("timing"):
-        motions = fastest_motions(starts, effort, quicker_than_s=quicker_than_s)
-    for number, motion in motions:
-        trajectory = motion.trajectory(dynamics, options.rate_hz)
-        certificate = certificate_of(task, trajectory)
-        if certificate.verified:
-            waypoints, origin = polylines[number]
-            return PlannedMotion(task, None, waypoints, motion.path, trajectory, certificate, origin)
+    limits, dynamics, sway = motion_limits(task), task.robot.dynamics, sway_of(task)
+    if sway is None and is_straight(paths[0], task.field, processing):
+        return None
+    for times in (0.0,) if sway is None else SWAYS:
+        with task.stage("postprocess"):
+            problem = TimeProblem(
+                task.field, task.field, processing, limits, dynamics, options.rate_hz,
+                sway=None if sway is None else times * sway,
+            )  # fmt: skip
+            starts = optimization_starts(paths, problem)
+        with task.stage("timing"):
+            motions = fastest_motions(starts, effort, quicker_than_s=quicker_than_s)
+        for number, motion in motions:
+            trajectory = motion.trajectory(dynamics, options.rate_hz)
+            certificate = certificate_of(task, trajectory)
+            if certificate.verified:
+                waypoints, origin = polylines[number]
+                return PlannedMotion(task, None, waypoints, motion.path, trajectory, certificate, origin)
     return None
 
 
@@ -290,7 +298,7 @@ def certified_trajectory(
 ) -> tuple[Trajectory, Certificate]:
     """The fastest certified trajectory along a path.
 
-    Where tracking errors grow with speed, tight places are run slowly, and where that is not enough, more slowly.
+    Where tracking errors grow with speed it is run as slowly as it has to be.
 
     Args:
         context: Arm, obstacles and options.
@@ -302,8 +310,12 @@ def certified_trajectory(
         TimingError: There is none within the limits.
         CertificationError: It is asked for, and something was not shown.
     """
-    for fraction in CEILINGS if context.options.tracking.delay_s > 0.0 else (0.0,):
-        trajectory = timed(context, path, fraction, grid)
+    limits, largest = motion_limits(context), np.empty(0)
+    for speed in SPEEDS if context.options.tracking.delay_s > 0.0 else SPEEDS[:1]:
+        if speed < 1.0:
+            limits = replace(limits, velocity=np.minimum(limits.velocity, np.maximum(speed * largest, SLOWEST)))
+        trajectory = timed(context, path, limits, grid)
+        largest = np.abs(trajectory.velocity).max(axis=0) if speed == 1.0 else largest
         certificate = certificate_of(context, trajectory, None if among is None else among(trajectory))
         if certificate.verified:
             break
@@ -318,26 +330,22 @@ def motion_limits(context: PlanningContext) -> Limits:
 
 
 def timed(
-    context: PlanningContext, path: GeometricPath, fraction: float = 0.0, grid: FloatArray | None = None
+    context: PlanningContext, path: GeometricPath, limits: Limits | None = None, grid: FloatArray | None = None
 ) -> Trajectory:
-    """The fastest trajectory along a path under the robot's limits.
+    """The fastest trajectory along a path.
 
     Args:
         context: Arm, obstacles and options.
         path: The path.
-        fraction: Fraction of the clearance that the sway may take which comes with speed; 0 if speed is not to care.
+        limits: What it may use; those of the context where this is None.
         grid: Path parameters at which the speed is chosen; None for those that suit any path.
 
     Raises:
         TimingError: There is none.
     """
-    robot, options, delay_s = context.robot, context.options, context.options.tracking.delay_s
+    limits, rate_hz = motion_limits(context) if limits is None else limits, context.options.rate_hz
     with context.stage("timing"):
-        limits = motion_limits(context)
-        if fraction > 0.0:
-            averaged_s = averaging_s(limits, options.rate_hz)
-            limits = replace(limits, path_speed=SpeedCeiling(robot, path, context.field, delay_s, fraction, averaged_s))
-        return time_path(path, robot.dynamics, limits, rate_hz=options.rate_hz, grid=grid)
+        return time_path(path, context.robot.dynamics, limits, rate_hz=rate_hz, grid=grid)
 
 
 def certificate_of(

@@ -7,7 +7,7 @@ certified, as often as there is time; and last what the options ask for.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
@@ -28,8 +28,9 @@ from hplan.optimization.timed_spline import BoundaryState
 from hplan.planning.certified_motion import (
     Origin,
     PlannedMotion,
+    Polyline,
+    along,
     certificate_of,
-    certified_trajectory,
     effort_of,
     smoothing_options,
     time_problem,
@@ -49,16 +50,7 @@ from hplan.planning.start_in_motion import Parts, leaving
 from hplan.planning.task import PlanningContext, PlanningTask
 from hplan.problem.pose_goal import configurations_at, pose_of
 from hplan.sampling.rrt_connect import TreeEffort
-from hplan.smoothing.round_corners import smooth
-from hplan.smoothing.shortcut import shorten
-from hplan.smoothing.smooth_path import (
-    ANY_CONTROL_POINTS,
-    SMALLEST_FRACTION,
-    clear_start,
-    is_straight,
-    near_field,
-)
-from hplan.smoothing.spline import SplinePath
+from hplan.smoothing.smooth_path import is_straight
 from hplan.timing.trajectory import Trajectory
 
 #: Pairs of trees that look for the first motion, the evaluations of each.
@@ -212,10 +204,7 @@ def _at_once(tasks: Sequence[PlanningTask]) -> tuple[int, PlannedMotion] | Refus
 
 def _straight(task: PlanningTask) -> PlannedMotion | None:
     """The straight motion; None where it is not clear."""
-    ends = frozen(np.stack([task.problem.start, task.problem.goal]))
-    if not task.field.is_clear(ends, task.margin()):
-        return None
-    return _certified(task, ends, "direct", lambda: SplinePath.through(np.linspace(ends[0], ends[1], 4)))
+    return _along(task, frozen(np.stack([task.problem.start, task.problem.goal])), "direct")
 
 
 def _by_trees(tasks: Sequence[PlanningTask]) -> tuple[int, PlannedMotion] | None:
@@ -225,34 +214,16 @@ def _by_trees(tasks: Sequence[PlanningTask]) -> tuple[int, PlannedMotion] | None
         if reached is None:
             continue
         number, path = reached
-        motion = _smoothed(tasks[number], path, "trees")
+        motion = _along(tasks[number], path, "trees")
         if motion is not None:
             return number, motion
     return None
 
 
-def _smoothed(task: PlanningTask, path: FloatArray, origin: Origin) -> PlannedMotion | None:
-    """The motion along the first spline near a path that is shown clear; None where none is."""
-    options = smoothing_options(task, task.margin())
-
-    def spline() -> SplinePath:
-        near, smallest = near_field(path, task.field), SMALLEST_FRACTION * options.margin
-        found = clear_start(path, near, options, ANY_CONTROL_POINTS)
-        if found is not None and (near is task.field or found.is_clear(task.field, 0.5 * smallest)):
-            return found
-        return smooth(shorten(path, task.field, margin=smallest), task.field, margin=smallest)
-
-    return _certified(task, path, origin, spline)
-
-
-def _certified(
-    task: PlanningTask, waypoints: FloatArray, origin: Origin, path_of: Callable[[], SplinePath]
-) -> PlannedMotion | None:
-    """The certified motion along a path; None where there is none."""
+def _along(task: PlanningTask, waypoints: FloatArray, origin: Origin) -> PlannedMotion | None:
+    """The motion along the first smooth path near a polyline; None where none is verified collision-free."""
     with suppress(CertificationError, TimingError):
-        with task.stage("postprocess"):
-            path = path_of()
-        return PlannedMotion(task, None, waypoints, path, *certified_trajectory(task, path), origin)
+        return along(task, Polyline(waypoints, origin), task.margin())
     return None
 
 

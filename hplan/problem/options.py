@@ -11,10 +11,13 @@ from hplan.errors import OptionError
 from hplan.robot.limits import check_rate, check_speed
 from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel
-from hplan.smoothing.options import OBJECTIVES, Objective
 
 Method = Literal["two-level", "dense"]
 METHODS: tuple[Method, ...] = ("two-level", "dense")
+
+#: What is asked of a motion.
+Objective = Literal["duration", "length"]
+OBJECTIVES: tuple[Objective, ...] = ("duration", "length")
 
 #: Length of the straight approach to a fruit or a point, where none is asked for [m].
 STANDOFF = 0.1

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -102,19 +101,17 @@ class Limits(Record):
         acceleration: (dof,) [rad/s^2].
         torque: (dof,) [N m], or None where torque is not limited.
         jerk: (dof,) [rad/s^3], or None where jerk is not limited.
-        path_speed: Largest path speeds ds/dt at (n,) increasing path parameters; None where there are none.
     """
 
     velocity: FloatArray
     acceleration: FloatArray
     torque: FloatArray | None = None
     jerk: FloatArray | None = None
-    path_speed: Callable[[FloatArray], FloatArray] | None = None
 
     def scaled(self, speed: float) -> Limits:
         """The limits of the same motions at `speed` times their pace.
 
-        Torque stays, as gravity does not slow down, and so do path speeds.
+        Torque stays, as gravity does not slow down.
 
         Raises:
             OptionError: The speed is not in (0, 1].

@@ -1,16 +1,12 @@
-"""Limits, aim and effort of post-processing."""
+"""Limits of post-processing."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 from hplan.base.arrays import FloatArray, IntArray
-
-#: Aims of post-processing.
-Objective = Literal["duration", "length"]
-OBJECTIVES: tuple[Objective, ...] = ("duration", "length")
 
 
 class JointArrays(NamedTuple):
@@ -25,7 +21,7 @@ class JointArrays(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class PostprocessOptions:
-    """Limits, aim and effort of post-processing.
+    """Limits of post-processing.
 
     Attributes:
         lower: (dof,) joint limits.
@@ -34,12 +30,6 @@ class PostprocessOptions:
         acceleration: (dof,) acceleration limits [rad/s^2].
         movable: Joints that may move.
         margin: Clearance asked for wherever a motion is evaluated [m].
-        objective: `duration` for the fastest motion, `length` for the shortest path.
-        shortcuts: Shortcuts tried on the polyline.
-        trials: Steps tried on the spline for a shorter duration.
-        taut_rounds: Rounds of pulling taut for a shorter path.
-        starts: How many numbers of control points are carried through for the fastest motion: the search is local, so
-            each finds another path.
     """
 
     lower: FloatArray
@@ -48,11 +38,6 @@ class PostprocessOptions:
     acceleration: FloatArray
     movable: IntArray
     margin: float
-    objective: Objective = "duration"
-    shortcuts: int = 200
-    trials: int = 250
-    taut_rounds: int = 45
-    starts: int = 2
 
     @cached_property
     def joints(self) -> JointArrays:

@@ -1,9 +1,7 @@
-"""A spline of few control points, pushed out of the obstacles and pulled taut around them.
+"""A spline of few control points, pushed out of the obstacles.
 
 Pushing moves the control points of a piece that is not clear along the gradient of the clearance at its worst point.
 It looks at samples; the proof follows, with half the margin, so that what samples missed does not refuse it.
-
-Pulling taut is Laplacian smoothing of the control polygon, with a push after every round.
 """
 
 from __future__ import annotations
@@ -20,10 +18,10 @@ from hplan.collision.body_kernels import FAR, body_slopes, least_body_clearance
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.clearance_kernels import LINK, FieldArrays, link_clearances, smallest
 from hplan.smoothing.options import JointArrays, PostprocessOptions
-from hplan.smoothing.spline import FIRST, STRIDE, MovableSpline, SplinePath, bezier_piece, copy_into, piece_is_clear
+from hplan.smoothing.spline import STRIDE, MovableSpline, SplinePath, bezier_piece, piece_is_clear
 
-#: Rounds of pushing, and after a round of smoothing.
-_ROUNDS, _PUSHES = any_int(40), any_int(6)
+#: Rounds of pushing.
+_ROUNDS = any_int(40)
 
 #: Pushing is given up after so many rounds in which what is missing in clearance, over all pieces, did not shrink to
 #: this part of the least before.
@@ -54,28 +52,6 @@ def clear_spline(
     look()
     spline = SplinePath(frozen(control), moved.knots)
     return spline if pushed and spline.is_clear(field, 0.5 * margin) else None
-
-
-def tighten(
-    spline: SplinePath, field: ClearanceField, options: PostprocessOptions, *, margin: float, rounds: int
-) -> SplinePath:
-    """Pull a clear spline taut around the obstacles.
-
-    Args:
-        spline: A clear spline.
-        field: Arm and obstacles.
-        options: Joint limits and movable joints.
-        margin: Clearance asked for wherever it is evaluated [m].
-        rounds: Rounds of smoothing and pushing.
-
-    Returns:
-        The clear spline with the shortest control polygon found, with the same ends and knots.
-    """
-    control = np.array(spline.control)
-    _tighten(MovableSpline(control, spline.knots), field.arrays, options.joints, margin, rounds)
-    look()
-    taut = SplinePath(frozen(control), spline.knots)
-    return taut if taut.is_clear(field, 0.5 * margin) else spline
 
 
 @inlined
@@ -197,35 +173,3 @@ def push_out(
         elif since == _STALLED:
             return False
     return False
-
-
-@kernel
-def _tighten(spline: MovableSpline, field: FieldArrays, joints: JointArrays, margin: float, rounds: int) -> None:
-    """Smooth and push in turn; the control points are left as the shortest that kept the margin at their samples."""
-    control, count = spline.control, spline.control.shape[0]
-    best, before = control.copy(), control.copy()
-    shortest = _polygon_length(control)
-    for _ in range(rounds):
-        if is_up(field.until):
-            break
-        copy_into(before, control)
-        for i in range(1, count - 1):
-            for j in joints.movable:
-                control[i, j] = 0.5 * (before[i - 1, j] + before[i + 1, j])
-        if push_out(spline, FIRST, count - 4, field, joints, margin, _PUSHES):
-            length = _polygon_length(control)
-            if length < shortest:
-                shortest = length
-                copy_into(best, control)
-    copy_into(control, best)
-
-
-@kernel
-def _polygon_length(control: FloatArray) -> float:
-    total = 0.0
-    for i in range(control.shape[0] - 1):
-        square = 0.0
-        for j in range(control.shape[1]):
-            square += (control[i + 1, j] - control[i, j]) ** 2
-        total += math.sqrt(square)
-    return total

@@ -1,4 +1,4 @@
-"""Post-processing: from a grid path to a smooth path worth executing."""
+"""Post-processing: from a polyline to smooth paths near it."""
 
 from __future__ import annotations
 
@@ -6,24 +6,24 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hplan.base import ties
 from hplan.base.arrays import FloatArray
 from hplan.collision.clearance_field import ClearanceField
 from hplan.errors import CertificationError, InputError
 from hplan.robot.limits import least_duration, rest_to_rest
-from hplan.smoothing.minimize_duration import minimize_duration
 from hplan.smoothing.options import PostprocessOptions
-from hplan.smoothing.push_clear import clear_spline, tighten
+from hplan.smoothing.push_clear import clear_spline
 from hplan.smoothing.round_corners import smooth
 from hplan.smoothing.shortcut import shorten
 from hplan.smoothing.spline import SplinePath
 
-#: Numbers of control points tried in turn: for the fastest motion as few as will do, for the shortest path many.
+#: Numbers of control points of a spline for an optimiser to begin with, tried in turn: as few as will do.
 FAST_CONTROL_POINTS = (6, 8, 7, 9, 10, 12, 14, 17, 20, 25, 30, 44)
-SHORT_CONTROL_POINTS = (44, 64)
 
 #: Where any clear spline will do: a number that fails takes milliseconds, and more points succeed more often.
 ANY_CONTROL_POINTS = (6, 10, 14, 20, 30, 44, 8, 12)
+
+#: For a short path many, so that the spline can follow the obstacles closely.
+SHORT_CONTROL_POINTS = (44, 64)
 
 #: Shortcuts tried before an optimiser begins: what is less taut has more room.
 START_SHORTCUTS = 25
@@ -44,33 +44,47 @@ FEW = 20
 SMALLEST_FRACTION = 0.05
 
 
-def fast_path(path: FloatArray, field: ClearanceField, options: PostprocessOptions) -> SplinePath:
-    """A smooth path worth executing: shortened, splined, then moved to where it is fast, or pulled taut.
+def clear_path(path: FloatArray, field: ClearanceField, options: PostprocessOptions) -> SplinePath:
+    """The first smooth path near a clear polyline that is verified collision-free; straight where that is as fast.
 
     Args:
-        path: (m, dof) waypoints of the grid path, m >= 2.
+        path: (m, dof) waypoints, m >= 2.
         field: Arm and obstacles.
-        options: Limits, margin, aim and effort.
+        options: Limits and margin.
 
     Raises:
         InputError: The path ends where it begins.
-        CertificationError: The grid path's own motions cannot be shown clear, or its corners cannot be rounded.
+        CertificationError: Its motions cannot be verified, or its corners cannot be rounded.
     """
+    smallest = _smallest_margin(path, field, options)
+    if is_straight(path, field, options):
+        return SplinePath.through(np.linspace(path[0], path[-1], 4))
+    near = near_field(path, field)
+    found = clear_start(path, near, options, ANY_CONTROL_POINTS)
+    if found is not None and (near is field or found.is_clear(field, 0.5 * smallest)):
+        return found
+    return smooth(shorten(path, field, margin=smallest), field, margin=smallest)
+
+
+def short_path(path: FloatArray, field: ClearanceField, options: PostprocessOptions) -> SplinePath:
+    """A short smooth path: pulled taut, a spline along it. Arguments and errors are those of `clear_path`."""
+    smallest = _smallest_margin(path, field, options)
+    taut = shorten(path, field, margin=smallest)
+    for count in SHORT_CONTROL_POINTS:
+        spline = clear_spline(taut, field, options, count=count, margin=smallest)
+        if spline is not None:
+            return spline
+    return smooth(taut, field, margin=smallest)
+
+
+def _smallest_margin(path: FloatArray, field: ClearanceField, options: PostprocessOptions) -> float:
+    """The least clearance that a path may have, if its ends differ and it has that."""
     if np.linalg.norm(path[-1] - path[0]) < NO_MOTION:
         raise InputError("the path ends where it begins; there is no motion to make")
     smallest = SMALLEST_FRACTION * options.margin
     if not field.is_clear(path, smallest):
-        raise CertificationError("the motions between the nodes of the grid path cannot be shown clear")
-    if options.objective == "length":
-        return _short(path, field, options, smallest)
-    if is_straight(path, field, options):
-        return SplinePath.through(np.linspace(path[0], path[-1], 4))
-    least = least_duration(path[0], path[-1], options.velocity, options.acceleration)
-    for part in (near_field(path, field), field):
-        found = _fastest(path, part, options, smallest, least)
-        if part is field or found.is_clear(field, 0.5 * smallest):
-            break
-    return found
+        raise CertificationError("the motions between the nodes of the path cannot be verified collision-free")
+    return smallest
 
 
 def is_straight(path: FloatArray, field: ClearanceField, options: PostprocessOptions) -> bool:
@@ -110,25 +124,6 @@ def clear_start(
     return None
 
 
-def _fastest(
-    path: FloatArray, field: ClearanceField, options: PostprocessOptions, smallest: float, least: float
-) -> SplinePath:
-    """The fastest of a few splines along a clear path; all shown clear of what the field knows."""
-    for margin in (options.margin, 0.25 * options.margin, smallest):
-        taut = shorten(path, field, margin=margin, rounds=options.shortcuts)
-        found: list[tuple[SplinePath, float]] = []
-        for count in FAST_CONTROL_POINTS:
-            spline = clear_spline(taut, field, options, count=count, margin=margin)
-            if spline is not None:
-                found.append(minimize_duration(spline, field, options, margin=margin))
-            if len(found) == options.starts or (found and found[-1][1] <= GOOD_ENOUGH * least):
-                break
-        if found:
-            return found[ties.argmin([seconds for _, seconds in found])][0]
-    # Where no spline could be pushed clear: the polyline with its corners rounded as far as they can be.
-    return minimize_duration(smooth(taut, field, margin=smallest), field, options, margin=0.5 * smallest)[0]
-
-
 def straight_duration(start: FloatArray, goal: FloatArray, options: PostprocessOptions) -> float:
     """Duration of the straight motion, all joints in proportion, under velocity and acceleration limits [s]."""
     turn = np.abs(goal - start)
@@ -136,13 +131,3 @@ def straight_duration(start: FloatArray, goal: FloatArray, options: PostprocessO
     speed = (options.velocity[moves] / turn[moves]).min()
     acceleration = (options.acceleration[moves] / turn[moves]).min()
     return float(rest_to_rest(np.ones(1), speed, acceleration)[0])
-
-
-def _short(path: FloatArray, field: ClearanceField, options: PostprocessOptions, margin: float) -> SplinePath:
-    """The shortest path: many control points, so that the spline can follow the obstacles closely."""
-    taut = shorten(path, field, margin=margin, rounds=options.shortcuts)
-    for count in SHORT_CONTROL_POINTS:
-        spline = clear_spline(taut, field, options, count=count, margin=margin)
-        if spline is not None:
-            return tighten(spline, field, options, margin=margin, rounds=options.taut_rounds)
-    return smooth(taut, field, margin=margin)

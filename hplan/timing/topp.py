@@ -68,9 +68,8 @@ def fastest_speed(
     # toppra's tolerances are absolute; on a short path a longer parameter brings ds/dt to about 10.
     span = float(grid[-1] - grid[0])
     scale = 10.0 / np.sqrt(max(float(limits.acceleration.max()), _TINY) * span) if span < _SHORT else 1.0
-    ceiling = np.inf if limits.path_speed is None else scale * limits.path_speed(grid)
     constraints: list[Any] = [
-        _Velocity(np.maximum(limits.velocity, _TINY), ceiling),
+        _Velocity(np.maximum(limits.velocity, _TINY)),
         _Acceleration(np.maximum(limits.acceleration, _TINY)),
     ]
     if limits.torque is not None:
@@ -113,19 +112,18 @@ class _Path(toppra.interpolator.AbstractGeometricPath):  # type: ignore[misc]
 
 
 class _Velocity(constraint.LinearConstraint):  # type: ignore[misc]
-    """|q'| ds/dt <= limit and ds/dt <= ceiling at the grid points, as a bound of x.
+    """|q'| ds/dt <= limit at the grid points, as a bound of x.
 
     `JointVelocityConstraint` without its loops.
     """
 
-    def __init__(self, limit: FloatArray, ceiling: float | FloatArray = np.inf) -> None:
+    def __init__(self, limit: FloatArray) -> None:
         super().__init__()
-        self._limit, self._ceiling = limit, ceiling
+        self._limit = limit
 
     def compute_constraint_params(self, path: Any, gridpoints: FloatArray, *_: Any) -> tuple[Any, ...]:
         """Return toppra's a, b, c, F, g, ubound, of which there are none, and xbound."""
         fastest = (self._limit / np.maximum(np.abs(path(gridpoints, 1)), 1e-300)).min(axis=1)
-        fastest = np.minimum(fastest, self._ceiling)
         bound = np.stack([np.zeros(len(fastest)), np.minimum(fastest, math.sqrt(_BOUND)) ** 2], axis=1)
         return None, None, None, None, None, None, bound
 

@@ -103,7 +103,7 @@ def kinematic_sides(spline, limits, pace):
 @pytest.fixture
 def limits(robot):
     rates = np.stack([robot.velocity_limit, robot.acceleration_limit, robot.jerk_limit])
-    return MotionLimits(np.array(robot.lower), np.array(robot.upper), rates, MOVABLE)
+    return MotionLimits(np.array(robot.lower), np.array(robot.upper), rates, MOVABLE, np.empty((0, 4)))
 
 
 def test_the_program_is_the_limits_to_first_order_in_step_and_pace(robot, limits):

@@ -17,7 +17,7 @@ from hplan.planning.task import PlanningCache, PlanningTask
 from hplan.problem.options import PlanOptions
 from hplan.scene.model import Scene
 from hplan.scene.obstacles import Sphere
-from hplan.smoothing.minimize_duration import coarse_profile
+from hplan.smoothing.coarse_profile import coarse_profile
 from hplan.smoothing.spline import SplinePath
 from hplan.timing.speed_profile import SpeedProfile
 
@@ -81,7 +81,7 @@ def test_rows_that_cannot_be_active_are_left_out(tmp_path_factory: pytest.TempPa
     control[:3], control[-3:] = control[2], control[-3]
     motion = MotionArrays(control, np.concatenate([np.zeros(3), np.linspace(0.0, 1.2, 15), [1.2] * 3]), 0.0 * control)
     rates = np.stack([arm.velocity_limit, arm.acceleration_limit, np.full(arm.dof, 1e4)])
-    limits = MotionLimits(np.array(arm.lower), np.array(arm.upper), rates, np.arange(arm.dof))
+    limits = MotionLimits(np.array(arm.lower), np.array(arm.upper), rates, np.arange(arm.dof), np.empty((0, arm.dof)))
 
     def clearance_rows(trust: float) -> dict[tuple[float, ...], tuple[float, float]]:
         rows = first_order(motion, limits, field.arrays, 2e-3, trust)

@@ -16,7 +16,7 @@ PIECES, MARGIN, TRUST = 12, 2e-3, 0.1
 @pytest.fixture
 def limits(robot):
     rates = np.stack([robot.velocity_limit, robot.acceleration_limit, robot.jerk_limit])
-    return MotionLimits(np.array(robot.lower), np.array(robot.upper), rates, np.array([1, 3]))
+    return MotionLimits(np.array(robot.lower), np.array(robot.upper), rates, np.array([1, 3]), np.empty((0, 4)))
 
 
 @pytest.fixture
@@ -127,6 +127,31 @@ def test_clearances_follow_the_field(motion, limits, robot):
     # Where there is more than the margin, the margin is asked for.
     clearance = here[touched]
     np.testing.assert_allclose((clearance - bounds * NEAR)[clearance > 2.0 * MARGIN], MARGIN, atol=1e-12)
+
+
+def test_clearances_less_what_tracking_errors_take_follow_step_and_pace(motion, limits, robot):
+    """Errors that grow with speed bring links nearer; a slower motion leaves more room."""
+    control, knots = motion
+    field, count, by = field_of(robot), (PIECES - 3) * 2, 1e-4
+    swaying = limits._replace(
+        sway=np.array([[2e-3, 1e-3, 0.0, 0.0], [2e-3, 2e-3, 1e-3, 0.0], [3e-3, 2e-3, 2e-3, 1e-3]])
+    )
+    rows = first_order(at_rest(control, knots), swaying, field.arrays, MARGIN, TRUST)
+    matrix, both = dense(rows, count), len(rows.lower)
+
+    def left(values, pace):
+        spline, breaks = BSpline(knots, values, 3), knots[3:-3]
+        clock = (breaks[:-1, None] + np.diff(breaks)[:, None] * np.arange(PLACES) / PLACES).ravel()
+        return (field.along(spline(clock)) - np.abs(spline(clock, 1)) @ swaying.sway.T / pace).ravel()
+
+    here = left(control, 1.0)
+    touched = np.flatnonzero(here < NEAR)
+    assert len(rows.upper) - both == len(touched) >= 5
+    unknowns = np.random.default_rng(5).uniform(-1e-5, 1e-5, count)
+    change = left(moved(control, unknowns, limits.movable), 1.0 + by) - here
+    expected = -(matrix[both:, :-1] @ unknowns + matrix[both:, -1] * by) * NEAR
+    np.testing.assert_allclose(change[touched], expected, atol=2e-9 + 1e-3 * np.abs(expected).max())
+    assert np.abs(matrix[both:, -1]).max() > 0.0
 
 
 def test_control_points_outside_the_joint_limits_come_back(motion, limits, robot):

@@ -84,7 +84,7 @@ def test_torque_rows_follow_the_torques(robot):
     limit = np.abs(TorqueUse.of(spline, robot.dynamics, np.ones(4)).use).max(axis=0) + 1e-6
     use = TorqueUse.of(spline, robot.dynamics, limit)
     movable = np.array([1, 2, 3])
-    limits = MotionLimits(np.array(robot.lower), np.array(robot.upper), np.ones((3, 4)), movable)
+    limits = MotionLimits(np.array(robot.lower), np.array(robot.upper), np.ones((3, 4)), movable, np.empty((0, 4)))
     rows = torque_rows(use, spline, robot.dynamics, limits)
     rng = np.random.default_rng(1)
     change, pace = rng.uniform(-1e-5, 1e-5, (len(spline.control) - 6, 3)), 1.0 + 1e-5

@@ -13,7 +13,7 @@ import pytest
 from hplan.planning import compile_ahead
 
 #: Modules whose kernels a plan calls only after the path on the grid is found.
-LATER = ("push_clear", "minimize_duration", "shortcut", "spline", "topp", "dynamics", "clearance_proof")
+LATER = ("push_clear", "coarse_profile", "shortcut", "spline", "topp", "dynamics", "clearance_proof")
 
 
 def compiled_by(command: list[str], cache: Path) -> set[str]:

@@ -96,12 +96,12 @@ def test_a_plan_is_cancelled_from_another_thread(robot: Robot) -> None:
 
 def test_a_plan_that_is_cancelled_in_a_long_flood_comes_back(robot: Robot) -> None:
     """One kernel searches a grid of 3e7 nodes by brute force; a timer's thread sets the event meanwhile, or before."""
-    event = threading.Event()
-    hplan.plan(robot, blocked(), hplan.PlanOptions(method="dense", step_deg=3.0))  # loads the kernels
-    options = hplan.PlanOptions(method="dense", step_deg=0.5)
+    event, locked = threading.Event(), hplan.load_scene()
+    hplan.plan(robot, locked, hplan.PlanOptions(method="dense", step_deg=3.0))  # loads the kernels
+    options = hplan.PlanOptions(method="dense", step_deg=0.3)
     threading.Timer(0.05, event.set).start()
     with pytest.raises(PlanCancelledError):
-        hplan.plan(robot, blocked(), options, cancel=event)
+        hplan.plan(robot, locked, options, cancel=event)
 
 
 def test_what_a_function_raises_that_is_asked_comes_through(robot: Robot) -> None:

@@ -96,7 +96,7 @@ class FinishedJob:
         Raises:
             InputError: The report does not say them.
         """
-        from hplan.planning.plan import Phase
+        from hplan.timing.trajectory import Phase
         from hplan.view.playback import Playback
 
         certificate, curve = self.certificate(), self.clearance_curve()

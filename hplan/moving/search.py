@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, Generic, NamedTuple, Protocol, TypeVar
+from typing import Any, Final, Generic, Protocol, TypeVar
 
 import numpy as np
 
@@ -33,7 +33,7 @@ from hplan.problem.options import PlanOptions
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 from hplan.timing.time_scaling import Retimed, scaled
-from hplan.timing.trajectory import Trajectory
+from hplan.timing.trajectory import Phase, Trajectory
 from hplan.verification.certificate import Certificate, certify
 
 #: So much earlier or later than scheduled the arm may be anywhere [s], tried in turn until a motion is certified.
@@ -49,22 +49,6 @@ LONGEST_SWEPT_S: Final = 30.0
 CLOSE: Final = 1.02
 
 
-class Span(Protocol):
-    """A phase of a motion."""
-
-    @property
-    def name(self) -> str:
-        """What it is."""
-
-    @property
-    def start_s(self) -> float:
-        """When it begins [s]."""
-
-    @property
-    def end_s(self) -> float:
-        """When it ends [s]."""
-
-
 class StillPlan(Protocol):
     """A plan among obstacles of which none moves."""
 
@@ -73,19 +57,11 @@ class StillPlan(Protocol):
         """The timed motion."""
 
     @property
-    def phases(self) -> Sequence[Span]:
+    def phases(self) -> Sequence[Phase]:
         """Its parts."""
 
 
 _Plan = TypeVar("_Plan", bound=StillPlan)
-
-
-class Stretch(NamedTuple):
-    """A phase of a motion: its name, and when it begins and ends [s]."""
-
-    name: str
-    start_s: float
-    end_s: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +88,7 @@ class InTime(Record, Generic[_Plan]):
         return self.still.trajectory if self.retimed is None else self.retimed.trajectory
 
     @property
-    def phases(self) -> tuple[Stretch, ...]:
+    def phases(self) -> tuple[Phase, ...]:
         """Its parts."""
         return tuple(_later(phase, self.retimed) for phase in self.still.phases)
 
@@ -258,23 +234,41 @@ class _Search(Generic[_Plan]):
         return InTime(path, still, retimed, schedule, self._certified(still, retimed))
 
     def _certified(self, still: _Plan, retimed: Retimed | None) -> Certificate:
-        options = self._options
-        return certify(
-            self._robot,
-            self._scene,
-            still.trajectory if retimed is None else retimed.trajectory,
-            tracking_error=options.tracking_error,
-            tracking_delay_s=options.tracking_delay_s,
-            sigmas=options.sigmas,
-            goal_contact="approach" if len(still.phases) > 1 else "motion",
-        )
+        motion = still.trajectory if retimed is None else retimed.trajectory
+        return certified_in_time(self._robot, self._scene, self._options, motion, direct=len(still.phases) == 1)
 
 
-def _later(phase: Span, retimed: Retimed | None) -> Stretch:
+def certified_in_time(
+    robot: Robot, scene: Scene, options: PlanOptions, motion: Trajectory, *,
+    direct: bool = False, check_ends: bool = True,
+) -> Certificate:  # fmt: skip
+    """What is shown of a motion among what moves.
+
+    Args:
+        robot: The arm.
+        scene: The scene, whose clock is the motion's.
+        options: How to plan.
+        motion: The motion.
+        direct: Whether a fruit may be touched all the time: there is no approach.
+        check_ends: Whether it is a whole motion, not a stop, which need not get to the goal.
+    """
+    return certify(
+        robot,
+        scene,
+        motion,
+        tracking_error=options.tracking_error,
+        tracking_delay_s=options.tracking_delay_s,
+        sigmas=options.sigmas,
+        goal_contact="motion" if direct else "approach",
+        check_ends=check_ends,
+    )
+
+
+def _later(phase: Phase, retimed: Retimed | None) -> Phase:
     """A phase of a motion that is run by another clock: it begins as late, and ends as early, as can be told."""
     if retimed is None:
-        return Stretch(phase.name, phase.start_s, phase.end_s)
+        return phase
     clock, time = retimed.clock, retimed.trajectory.time
     begin = max(0, int(np.searchsorted(clock, phase.start_s + 1e-9, side="right")) - 1)
     end = int(np.searchsorted(clock, phase.end_s - 1e-9, side="left")) if phase.end_s < clock[-1] - 1e-9 else -1
-    return Stretch(phase.name, float(time[begin]) if phase.start_s > 0.0 else 0.0, float(time[end]))
+    return Phase(phase.name, float(time[begin]) if phase.start_s > 0.0 else 0.0, float(time[end]))

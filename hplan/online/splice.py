@@ -22,13 +22,13 @@ from hplan.base.arguments import number
 from hplan.base.arrays import numbers
 from hplan.errors import HplanError, InputError, NotOnMotionError, RunningMotionBlockedError, UnavoidableContactError
 from hplan.moving.obstacles_at import without_moving
-from hplan.planning.plan import Phase, PlanResult, plan_with
+from hplan.planning.plan import PlanResult, plan_with
 from hplan.planning.report import motion_report
 from hplan.planning.task import PlanningCache
 from hplan.problem.options import PlanOptions
 from hplan.scene.model import Scene, Start
 from hplan.timing.time_scaling import SAME_TIME, Retimed, stopped
-from hplan.timing.trajectory import Trajectory, joined
+from hplan.timing.trajectory import Phase, Trajectory, joined
 from hplan.verification.certificate import Certificate, all_of, rest_violations, with_violations
 from hplan.verification.digests import Digests
 from hplan.verification.moving_obstacles import checker_in_time

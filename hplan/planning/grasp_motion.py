@@ -44,9 +44,12 @@ _Last = TypeVar("_Last")
 #: more than this part of what approach and retreat save, less is tried next, else more.
 LEADS, FIRST_LEAD, EATEN = (0.02, 0.05, 0.15, 0.3, 0.45), 2, 0.5
 
+_BLENDED = Effort((Level(piece_s=0.03, pieces=(50, 120), steps=12, gain=0.02, trust=0.2),))
+
 #: So many are tried, and what is spent on the transit of each, by the effort.
 TRIED: dict[str, tuple[int, Effort]] = {
-    "default": (2, Effort((Level(piece_s=0.03, pieces=(50, 120), steps=12, gain=0.02, trust=0.2),))),
+    "quick": (0, _BLENDED),
+    "default": (2, _BLENDED),
     "best": (4, Effort((Level(piece_s=0.012, pieces=(60, 300), steps=20, gain=1e-4, trust=0.2),))),
 }
 

@@ -13,25 +13,24 @@ from hplan.base.arguments import function, instance
 from hplan.base.arrays import FloatArray, Record
 from hplan.base.deadline import Cancel, TimeIsUpError, TimeLimit, look, time_limit
 from hplan.errors import CertificationError, HplanError, NoPathError, ObstacleInTimeError, OptionError, TimingError
-from hplan.moving.search import InTime, quickest_in_time
-from hplan.moving.stop_first import StoppedFirst, stopped_first
+from hplan.moving.search import certified_in_time, quickest_in_time
 from hplan.planning.certified_motion import Part, PlannedMotion, motion_limits
 from hplan.planning.grasps import Grasp
 from hplan.planning.report import StageClock, bound_report, deadline_report, motion_report, plan_report
-from hplan.planning.start_in_motion import stops
+from hplan.planning.start_in_motion import Stop, after_stop, stops
 from hplan.planning.task import LastWorld, PlanningCache, PlanningContext, Progress, no_progress
 from hplan.planning.whole_motion import Beginning, all_parts, parts_in_time
 from hplan.problem.definition import Problem
 from hplan.problem.options import PlanOptions
 from hplan.robot.model import Robot
 from hplan.robot.tracking import largest_fraction, name_margin
-from hplan.scene.model import Scene
+from hplan.scene.model import Scene, Start
 from hplan.search import SearchResult
 from hplan.search.grid import Occupancy
 from hplan.smoothing.spline import SplinePath
 from hplan.timing.speed_factors import Profile
 from hplan.timing.time_scaling import Retimed, scaled, stopped
-from hplan.timing.trajectory import Trajectory, joined
+from hplan.timing.trajectory import Phase, Trajectory, joined
 from hplan.verification.certificate import REST, Certificate, GoalContact, all_of, certify, contact_times
 from hplan.verification.digests import Digests
 from hplan.verification.retimed_certificate import CertifiedMotion, certified_retiming
@@ -42,21 +41,6 @@ if TYPE_CHECKING:
 
 #: With a deadline this part of the time that the world took to make is kept: freeing it afterwards takes time too.
 FREED = 0.25
-
-
-@dataclass(frozen=True)
-class Phase:
-    """A part of a trajectory.
-
-    Attributes:
-        name: `transit`, `approach` or `retreat`.
-        start_s: When it begins [s].
-        end_s: When it ends [s].
-    """
-
-    name: str
-    start_s: float
-    end_s: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -254,33 +238,47 @@ def _among_moving(
         state = start_state(robot, scene)
         if state is None:
             raise
-        rested = stopped_first(
-            robot, scene, options, stops(robot, state, 1.0 / options.rate_hz, stop),
-            lambda later: plan_with(cache, later, options, progress=progress),
-        )  # fmt: skip
-        return _in_time(rested.plan, (scene, options), rested, {"stops_until_s": rested.stop_s})
-    return _in_time(found.still, (scene, options), found, found.report)
+        return after_stop(
+            stops(robot, state, 1.0 / options.rate_hz, stop),
+            lambda motion: certified_in_time(robot, scene, options, motion, check_ends=False),
+            lambda stopped: _onward(cache, (scene, options), progress, stopped),
+        )
+    return _in_time(found.still, (scene, options), found.trajectory, found.certificate, found.phases, found.report)
+
+
+def _onward(
+    cache: PlanningCache, asked: tuple[Scene, PlanOptions], progress: Progress, stopped: Stop
+) -> PlanResult | None:
+    """The plan from the end of a stop among what moves, with the stop; None where it is not verified as a whole."""
+    (scene, options), stop_s = asked, stopped.trajectory.duration
+    rest = Start(joints_rad=tuple(stopped.trajectory.position[-1].tolist()))
+    later = scene.since(stop_s).model_copy(update={"start": rest})
+    found = plan_with(cache, later, options, progress=progress)
+    first, *others = (phase.later(stop_s) for phase in found.phases)
+    phases = (replace(first, start_s=0.0), *others)
+    whole = joined([stopped.trajectory, found.trajectory])
+    certificate = certified_in_time(cache.robot, scene, options, whole, direct=len(phases) == 1)
+    if not certificate.verified:
+        return None
+    return _in_time(found, asked, whole, certificate, phases, {"stops_until_s": stop_s})
 
 
 def _in_time(
-    plan: PlanResult,
-    asked: tuple[Scene, PlanOptions],
-    found: InTime[PlanResult] | StoppedFirst[PlanResult],
-    told: dict[str, Any],
-) -> PlanResult:
-    """A plan whose motion is run, or begins, as one found among what moves; `told` of that in its report."""
-    (scene, options), phases = asked, tuple(Phase(*span) for span in found.phases)
-    task, certificate = replace(plan.motion.task, scene=scene), found.certificate
-    in_time = plan.report.get("in_time", {}) | told | {"clear_until_s": certificate.clear_until_s}
+    plan: PlanResult, asked: tuple[Scene, PlanOptions], trajectory: Trajectory, certificate: Certificate,
+    phases: tuple[Phase, ...], report: dict[str, Any],
+) -> PlanResult:  # fmt: skip
+    """A plan whose motion is run, or begins, as one found among what moves; `report` is what is said of that."""
+    scene, options = asked
+    in_time = plan.report.get("in_time", {}) | report | {"clear_until_s": certificate.clear_until_s}
     return replace(
         plan,
-        trajectory=found.trajectory,
+        trajectory=trajectory,
         certificate=certificate,
         phases=phases,
-        motion=replace(plan.motion, task=task),
+        motion=replace(plan.motion, task=replace(plan.motion.task, scene=scene)),
         report=plan.report
         | {"scene": scene.name, "phases": [vars(phase) for phase in phases], "in_time": in_time}
-        | motion_report(found.trajectory, certificate, options, scene),
+        | motion_report(trajectory, certificate, options, scene),
     )
 
 

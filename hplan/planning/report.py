@@ -22,11 +22,10 @@ if TYPE_CHECKING:
     from hplan.lower_bound.duration_bound import DurationBound
     from hplan.planning.certified_motion import PlannedMotion
     from hplan.planning.grasps import Grasp
-    from hplan.planning.plan import Phase
     from hplan.planning.task import PlanningContext
     from hplan.problem.options import PlanOptions
     from hplan.scene.model import Scene
-    from hplan.timing.trajectory import Trajectory
+    from hplan.timing.trajectory import Phase, Trajectory
     from hplan.verification.certificate import Certificate
 
 #: Stages of a plan, in order.

@@ -8,9 +8,9 @@ from the state without a jump of position, velocity or acceleration.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -18,9 +18,10 @@ from hplan.base.arrays import FloatArray, frozen
 from hplan.errors import (
     ConfigurationInCollisionError,
     HplanError,
+    NotInTimeError,
+    PlanCancelledError,
     UnavoidableContactError,
 )
-from hplan.moving.stop_first import unavoidable_contact
 from hplan.optimization.minimize_time import Effort, Level, TimedMotion, minimize_time
 from hplan.optimization.timed_spline import RESTING, BoundaryState, TimedSpline, even_breaks
 from hplan.planning.certified_motion import (
@@ -170,20 +171,58 @@ def _after_stop(
         UnavoidableContactError: No stop is certified.
         HplanError: As `parts_from`.
     """
+    return after_stop(
+        stops(context.robot, state, 1.0 / context.options.rate_hz, stop),
+        lambda motion: certificate_of(context, motion, rest_to_rest=False),
+        lambda stopped: _one_after_the_other(stopped, parts_from(stopped.trajectory.position[-1])),
+        certify=context.options.certify,
+    )
+
+
+_Whole = TypeVar("_Whole")
+
+
+def after_stop(
+    motions: Iterable[Trajectory],
+    certificate_of_stop: Callable[[Trajectory], Certificate],
+    onward: Callable[[Stop], _Whole | None],
+    *,
+    certify: bool = True,
+) -> _Whole:
+    """What goes on from the end of the first stop that is certified and from which anything does.
+
+    Args:
+        motions: Motions to rest, in the order in which they are tried.
+        certificate_of_stop: What is shown of one of them.
+        onward: A stop with what goes on from it; None, or an error, where there is nothing.
+        certify: Whether stops have to be certified.
+
+    Raises:
+        UnavoidableContactError: No stop is certified; holds the one with the most clearance.
+        HplanError: As `onward` from the end of the first stop that is.
+    """
     refused: HplanError | None = None
     tried: list[Stop] = []
-    for trajectory in stops(context.robot, state, 1.0 / context.options.rate_hz, stop):
-        certificate = certificate_of(context, trajectory, rest_to_rest=False)
-        tried.append(Stop(trajectory, certificate))
-        if not certificate.verified and context.options.certify:
+    for motion in motions:
+        tried.append(Stop(motion, certificate_of_stop(motion)))
+        if not tried[-1].certificate.verified and certify:
             continue
         try:
-            return _one_after_the_other(tried[-1], parts_from(trajectory.position[-1]))
+            whole = onward(tried[-1])
+        except (NotInTimeError, PlanCancelledError):
+            raise
         except HplanError as error:
             refused = refused or error.with_traceback(None)
+            continue
+        if whole is not None:
+            return whole
     if refused is not None:
         raise refused
-    raise unavoidable_contact(tried)
+    best = max(tried, key=lambda stop: stop.certificate.min_clearance_m)
+    clearance = best.certificate.min_clearance_m
+    raise UnavoidableContactError(
+        best.certificate.violations, len(tried), clearance if np.isfinite(clearance) else None, best.trajectory
+    )
 
 
 def _one_after_the_other(stop: Stop, planned: Parts) -> Parts:

@@ -34,6 +34,25 @@ JOINED = 1e-9
 CLOCK_STEP = 1e-6
 
 
+@dataclass(frozen=True)
+class Phase:
+    """A part of a trajectory.
+
+    Attributes:
+        name: `transit`, `approach` or `retreat`; of tours also `drop` and `return`.
+        start_s: When it begins [s].
+        end_s: When it ends [s].
+    """
+
+    name: str
+    start_s: float
+    end_s: float
+
+    def later(self, seconds: float) -> Phase:
+        """The same part of a motion that begins as much later [s]."""
+        return Phase(self.name, self.start_s + seconds, self.end_s + seconds)
+
+
 @dataclass(frozen=True, eq=False)
 class Trajectory(Record):
     """Samples of a motion, at rest at both ends unless asked for otherwise.

@@ -9,10 +9,9 @@ from typing import Any
 from hplan.base.arrays import Record
 from hplan.errors import HplanError
 from hplan.planning.grasps import Grasp
-from hplan.planning.plan import Phase
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
-from hplan.timing.trajectory import Trajectory
+from hplan.timing.trajectory import Phase, Trajectory
 from hplan.verification.certificate import Certificate
 
 

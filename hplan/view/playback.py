@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 class NamedPhase(Protocol):
-    """A part of a motion, as `hplan.planning.plan.Phase` is one."""
+    """A part of a motion, as `hplan.timing.trajectory.Phase` is one."""
 
     @property
     def name(self) -> str:

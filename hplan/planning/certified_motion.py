@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple, TypeAlias
@@ -13,7 +13,7 @@ import numpy as np
 from hplan.base.arrays import FloatArray, Record, frozen
 from hplan.bodies.reach import largest_sway
 from hplan.errors import CertificationError, TimingError
-from hplan.optimization.minimize_time import Effort, Level
+from hplan.optimization.minimize_time import Effort, Level, minimize_time
 from hplan.optimization.several_starts import NEAR, StartsEffort, fastest_motions, optimization_starts
 from hplan.optimization.time_problem import TimeProblem
 from hplan.optimization.timed_spline import BoundaryState
@@ -73,6 +73,9 @@ MANY, PLANAR_ROUGH, PLANAR_OTHERS = 4, 6, 4
 #: certified; a motion on a given path is run at these fractions of its own speed.
 SWAYS = (1.0, 1.6, 2.5)
 SPEEDS = (1.0, 0.7, 0.5, 0.35, 0.25, 0.17, 0.12, 0.08, 0.05, 0.03)
+
+#: Steps of the linear programs by which a motion is made quicker, in turn.
+STEPS = (3, 6, 12, 20)
 
 #: No joint that moves is asked to be slower than this [rad/s].
 SLOWEST = 1e-3
@@ -167,7 +170,7 @@ def smooth_and_certify(
         TimingError: It cannot be timed.
     """
     polylines = [Polyline(waypoints, origin), *rivals]
-    found = _optimized(task, polylines, margin) or along(task, polylines[0], margin)
+    found = _optimized(task, polylines, margin) or _quickest_along(task, polylines[0], margin)
     return replace(found, route=route)
 
 
@@ -189,8 +192,16 @@ def quickest_certified(
         return optimized
     for polyline in polylines:
         with suppress(CertificationError, TimingError):
-            return along(task, polyline, margin)
+            return _quickest_along(task, polyline, margin)
     return None
+
+
+def _quickest_along(task: PlanningTask, polyline: Polyline, margin: float) -> PlannedMotion:
+    """The last of `ever_quicker` motions that begin along a polyline; errors as `along`."""
+    found = along(task, polyline, margin)
+    for quicker in ever_quicker(found):
+        found = quicker
+    return found
 
 
 def along(task: PlanningTask, polyline: Polyline, margin: float) -> PlannedMotion:
@@ -205,6 +216,33 @@ def along(task: PlanningTask, polyline: Polyline, margin: float) -> PlannedMotio
         smooth_path = short_path if task.options.objective == "length" else clear_path
         path = smooth_path(polyline.waypoints, task.field, options)
     return PlannedMotion(task, None, polyline.waypoints, path, *certified_trajectory(task, path), polyline.origin)
+
+
+def ever_quicker(motion: PlannedMotion) -> Iterator[PlannedMotion]:
+    """Quicker and quicker motions near one, each certified; none where a short path is asked for, or it is straight."""
+    task, effort = motion.task, effort_of(motion.task)
+    start = motion.trajectory
+    if (
+        effort is None
+        or start.samples == 1
+        or is_straight(motion.waypoints, task.field, smoothing_options(task, task.margin()))
+    ):
+        return
+    level = effort.optimization.levels[0]
+    with task.stage("timing"):
+        problem = time_problem(task, start)
+    best_s = start.duration
+    for steps in STEPS:
+        with task.stage("timing"):
+            spline = minimize_time(start, problem, Effort((replace(level, steps=steps),)))
+        if spline is None or spline.duration >= (1.0 - level.gain) * best_s:
+            return
+        trajectory = spline.trajectory(problem.dynamics, problem.rate_hz)
+        certificate = certificate_of(task, trajectory)
+        if not certificate.verified:
+            return
+        start, best_s = trajectory, trajectory.duration
+        yield replace(motion, path=spline.path, trajectory=trajectory, certificate=certificate)
 
 
 def smoothing_options(task: PlanningTask, margin: float) -> PostprocessOptions:

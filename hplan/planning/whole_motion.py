@@ -23,17 +23,13 @@ from hplan.errors import (
     TimingError,
     UnreachableError,
 )
-from hplan.optimization.minimize_time import Effort, minimize_time
 from hplan.optimization.timed_spline import BoundaryState
 from hplan.planning.certified_motion import (
     Origin,
     PlannedMotion,
     Polyline,
     along,
-    certificate_of,
-    effort_of,
-    smoothing_options,
-    time_problem,
+    ever_quicker,
 )
 from hplan.planning.find_motion import find_motion, first_found, first_motion, reuse_motion
 from hplan.planning.grasp_motion import (
@@ -50,7 +46,6 @@ from hplan.planning.start_in_motion import Parts, leaving
 from hplan.planning.task import PlanningContext, PlanningTask
 from hplan.problem.pose_goal import configurations_at, pose_of
 from hplan.sampling.rrt_connect import TreeEffort
-from hplan.smoothing.smooth_path import is_straight
 from hplan.timing.trajectory import Trajectory
 
 #: Pairs of trees that look for the first motion, the evaluations of each.
@@ -64,9 +59,6 @@ FEW_GRASPS, FIRST_GRASPS = 24, 3
 
 #: To so many of the configurations with a frame at a pose motions are looked for, those nearest to the start.
 POSE_GOALS = {"quick": 4, "default": 8, "best": 16}
-
-#: Steps of the linear programs by which a motion is made quicker, in turn.
-STEPS = (3, 6, 12, 20)
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,7 +132,7 @@ def _better(context: PlanningContext, begin: Beginning, first: Parts) -> Iterato
             yield leaving(context, begin.state, lambda start: _first(context, start), begin.stop)
         return
     best = first
-    for motion in _optimized(first.motion):
+    for motion in ever_quicker(first.motion):
         best = Parts(best.grasp, motion, [motion.transit, *best.parts[1:]])
         yield best
     yield _flowing(context, best)
@@ -225,30 +217,6 @@ def _along(task: PlanningTask, waypoints: FloatArray, origin: Origin) -> Planned
     with suppress(CertificationError, TimingError):
         return along(task, Polyline(waypoints, origin), task.margin())
     return None
-
-
-def _optimized(motion: PlannedMotion) -> Iterator[PlannedMotion]:
-    """Quicker and quicker motions near one, certified."""
-    task, effort = motion.task, effort_of(motion.task)
-    options = smoothing_options(task, task.margin())
-    start = motion.trajectory
-    if effort is None or start.samples == 1 or is_straight(motion.waypoints, task.field, options):
-        return
-    level = effort.optimization.levels[0]
-    with task.stage("timing"):
-        problem = time_problem(task, start)
-    best_s = start.duration
-    for steps in STEPS:
-        with task.stage("timing"):
-            spline = minimize_time(start, problem, Effort((replace(level, steps=steps),)))
-        if spline is None or spline.duration >= (1.0 - level.gain) * best_s:
-            return
-        trajectory = spline.trajectory(problem.dynamics, problem.rate_hz)
-        certificate = certificate_of(task, trajectory)
-        if not certificate.verified:
-            return
-        start, best_s = trajectory, trajectory.duration
-        yield replace(motion, path=spline.path, trajectory=trajectory, certificate=certificate)
 
 
 def _goal(context: PlanningContext, start: FloatArray) -> list[PlanningTask] | Target:

@@ -170,7 +170,7 @@ class TimedSpline(Record):
         """
         clock = np.arange(math.floor(self.duration * rate_hz + 1e-6) + 1, dtype=np.float64) / rate_hz
         position, velocity, acceleration = (self.path.evaluate(clock, derivative) for derivative in range(3))
-        still = np.ptp(self.control, axis=0) == 0.0  # which evaluation leaves to rounding
+        still = np.ptp(self.control, axis=0) <= 1e-12  # but for rounding
         position[:, still], velocity[:, still], acceleration[:, still] = self.control[0, still], 0.0, 0.0
         for end, state in zip((0, -1), self.ends or (None, None), strict=True):
             position[end], velocity[end], acceleration[end] = self.control[end], 0.0, 0.0

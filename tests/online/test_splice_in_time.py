@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,11 +14,14 @@ from planned import assert_clear, between_rows, task
 from spliced import FIELDS, assert_goes_on
 from studies.outside import contacts
 
+import hplan.planning.plan as planning
 from hplan.errors import ObstacleInTimeError, RunningMotionBlockedError
-from hplan.moving.stop_first import stopped_first
+from hplan.moving.search import certified_in_time
 from hplan.online.planner import Planner
 from hplan.online.splice import SplicedResult
-from hplan.planning.plan import PlanResult, plan
+from hplan.planning.plan import PlanResult, plan, plan_with
+from hplan.planning.start_in_motion import Stop
+from hplan.planning.task import PlanningCache, no_progress
 from hplan.problem.options import PlanOptions
 from hplan.robot.model import Robot
 from hplan.scene.model import Goal, Scene, Start
@@ -216,7 +220,7 @@ def test_a_state_of_motion_that_cannot_be_left_is_said(robot):
     assert not caught.value.certificate.verified
 
 
-def test_after_a_stop_what_moves_is_where_it_is_then(robot):
+def test_after_a_stop_what_moves_is_where_it_is_then(robot, monkeypatch):
     planner = a_planner(robot)
     running = planner.last.trajectory
     row = running.samples // 5
@@ -226,13 +230,17 @@ def test_after_a_stop_what_moves_is_where_it_is_then(robot):
     ball = crossing(tool_at(robot, running, 0.6), 8.0, speed=0.15)
     scene, seen = task(START, GOAL, [ball], **PLANAR).model_copy(update={"start": start}), list[Scene]()
 
-    def plan_at_rest(later: Scene) -> PlanResult:
+    def seeing(cache: PlanningCache, later: Scene, *arguments: Any, **options: Any) -> PlanResult:
         seen.append(later)
-        return plan(robot, later)
+        return plan_with(cache, later, *arguments, **options)
 
-    found = stopped_first(robot, scene, PlanOptions(effort="quick"), [stop], plan_at_rest)
+    monkeypatch.setattr(planning, "plan_with", seeing)
+    certified = certified_in_time(robot, scene, PlanOptions(), stop, check_ends=False)
+    asked = scene, PlanOptions(effort="quick")
+    found = planning._onward(PlanningCache(robot), asked, no_progress, Stop(stop, certified))
+    assert found is not None
     assert found.certificate.verified
-    assert found.stop_s == stop.duration > 0.1
+    assert found.report["in_time"]["stops_until_s"] == stop.duration > 0.1
     for one, other in zip(seen[0].poses_at([0.5])["ball"], scene.poses_at([stop.duration + 0.5])["ball"], strict=True):
         np.testing.assert_allclose(one, other, atol=1e-12)
 

@@ -38,5 +38,5 @@ def test_the_limits_file_is_one(tmp_path: Path) -> None:
     (block,) = blocks("yaml")
     (tmp_path / "my.limits.yaml").write_text(block, encoding="utf-8")
     names = tuple(re.findall(r"(\w+_joint): 5.0", block))
-    acceleration, jerk = read_limits(tmp_path / "my.limits.yaml", names)
+    acceleration, jerk = read_limits(tmp_path / "my.limits.yaml", names, [False] * len(names))
     assert (len(acceleration), jerk) == (6, None)

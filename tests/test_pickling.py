@@ -64,7 +64,7 @@ SAMPLES = [
     errors.TourError([("apple", errors.UnreachableError((1.0, 2.0, 3.0), "too_far", "why"))]),
     errors.TimingError("what", joint="elbow", cause="why"),
     errors.CertificationError("what", distance_m=0.1),
-    errors.StartStateError("elbow", "velocity", 9.0, 1.5),
+    errors.StartStateError("elbow", "velocity", 9.0, 1.5, "rad/s"),
     errors.NotOnMotionError("elbow", 0.68, 1e-3, 12.5),
     errors.UnavoidableContactError(["why"], 8, -0.01, [1.0]),
     errors.RunningMotionBlockedError(["why"], [1.0], None),

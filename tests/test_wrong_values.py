@@ -328,7 +328,7 @@ CASES: dict[str, Case] = {
             "points": ("points", 1.0, [1.0], [[1.0, 2.0]], [["a", "b", "c"]]),
             "radius": NO_LENGTH,
             "pose": ("pose", 1.0, [1.0] * 5, [[0.0] * 4] * 4),
-            "joints": ("joints", 1.0, [0.0], [float("nan")] * 4),
+            "joints": ("joints", 1.0, [0.0], [float("nan")] * 4, [1e308] * 4),
             "ignore": ("ball", 1, [1], ["nothing"], ["seen"]),
             "keep_s": (-1.0, float("nan"), "1"),
             "time_s": (float("nan"), "1"),
@@ -346,12 +346,12 @@ CASES: dict[str, Case] = {
     "Planner.replan": (
         a_running_planner().replan,
         {"at": 0.1},
-        {"at": (*NO_NUMBER[1:], -1.0, 99.0), "now": (*NO_NUMBER, -1.0, 0.2), "cancel": (1.0, "stop")},
+        {"at": (*NO_NUMBER[1:], -1.0, 99.0), "now": (*NO_NUMBER[1:], -1.0, 0.2), "cancel": (1.0, "stop")},
     ),
     "Planner.stop_at": (
         a_running_planner().stop_at,
         {"t": 0.1},
-        {"t": (*NO_NUMBER, -1.0, 99.0), "now": (*NO_NUMBER, -1.0, 99.0)},
+        {"t": (*NO_NUMBER, -1.0, 99.0), "now": (*NO_NUMBER[1:], -1.0, 99.0)},
     ),
     "Trajectory.stop_at": (
         a_trajectory().stop_at,
@@ -604,9 +604,24 @@ CASES: dict[str, Case] = {
     "Robot.tool_positions": (
         hplan.load_robot().tool_positions,
         {"q": [0.0] * 4},
-        {"q": (None, "1234", 1.0, [1.0, 2.0], [NAN] * 4, [INF] * 4, [[1.0], [1.0, 2.0]], object(), NoArray())},
+        {"q": (None, "1234", 1.0, [1.0], [NAN] * 4, [INF] * 4, [1e308] * 4, [[1.0], [1.0, 2.0]], object(), NoArray())},
     ),
-    "Robot.tool_poses": (hplan.load_robot().tool_poses, {"q": [0.0] * 4}, {"q": (None, [1.0, 2.0], [NAN] * 4)}),
+    "Robot.tool_poses": (
+        hplan.load_robot().tool_poses,
+        {"q": [0.0] * 4},
+        {"q": (None, [1.0, 2.0], [NAN] * 4, [1e308] * 4)},
+    ),
+    "Robot.yaw_of": (
+        hplan.load_robot().yaw_of,
+        {"q": [0.0] * 4},
+        {"q": (None, "0000", 1.0, [], ["a"] * 4, [None] * 4, [NAN] * 4, [1e308] * 4, {}, object(), NoArray())},
+    ),
+    "Robot.plane_at": (hplan.load_robot().plane_at, {"yaw": 0.0}, {"yaw": NO_NUMBER}),
+    "Robot.sway": (
+        hplan.load_robot().sway,
+        {"deviation": 0.1},
+        {"deviation": (None, "0.1", NAN, INF, [0.1], [0.1, 0.1], ["a"] * 4, [NAN] * 4, {}, object(), NoArray())},
+    ),
     "plan progress": (hplan.plan, {"robot": None, "scene": None}, {"progress": (None, 5, "print", [])}),
     "Playback.of": (Playback.of, {"result": None}, {"result": (*NO_OBJECT, a_trajectory())}),
     "Playback": (

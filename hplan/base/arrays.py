@@ -51,11 +51,13 @@ def as_array(values: Any) -> NDArray[Any]:
         raise ValueError(str(error)) from error
 
 
-def numbers(option: str, values: Any, shape: tuple[int | EllipsisType | None, ...]) -> FloatArray:
+def numbers(
+    option: str, values: Any, shape: tuple[int | EllipsisType | None, ...], *, most: float = np.inf
+) -> FloatArray:
     """A read-only array of finite numbers; None in the shape stands for any count, a leading `...` for any axes.
 
     Raises:
-        InputError: It is none.
+        InputError: It is none, or one is larger than `most`.
     """
     words = ", ".join("n" if count is None else "..." if count is ... else str(count) for count in shape)
     expected = f"({words},), a list of finite numbers" if len(shape) == 1 else f"({words}) finite numbers"
@@ -78,6 +80,10 @@ def numbers(option: str, values: Any, shape: tuple[int | EllipsisType | None, ..
         raise InputError(
             f"{option} holds a value that is not finite: {result[tuple(place)]} at {place}", option=option, place=place
         )
+    if most < np.inf and (np.abs(result) > most).any():
+        place = np.argwhere(np.abs(result) > most)[0].tolist()
+        reason = f"{option} holds {result[tuple(place)]:g} at {place}, expected {most:g} at most"
+        raise InputError(reason, option=option, place=place)
     return result
 
 

@@ -65,7 +65,7 @@ def parser(prog: str) -> argparse.ArgumentParser:
     add("--json", action="store_true", help="print it as JSON instead of a summary")
     add("--quiet", action="store_true", help="no summary")
     # A folder's report gives what is not given here.
-    parser.set_defaults(tracking_error=None, tracking_delay=None)
+    parser.set_defaults(tracking_error=None, tracking_error_m=None, tracking_delay=None)
     return parser
 
 
@@ -74,17 +74,18 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int
     with loading():
         from hplan.planning.report import certificate_report, report_text, versions, write_report
         from hplan.problem.options import PlanOptions
+        from hplan.robot.tracking import TrackingModel
         from hplan.scene.file import load_scene
         from hplan.timing.trajectory import read_csv
         from hplan.verification.certificate import certify
 
     path: Path = arguments.trajectory
     job = FinishedJob(path) if is_folder(path) else None
+    given = load_scene(job.scene if arguments.scene is None and job is not None else arguments.scene)
+    robot = robot_of(arguments, given, job)
     _fill_in(arguments, job)
     tracking = tracking_of(arguments)
     options = PlanOptions(tracking_error=tracking.still_rad, tracking_delay_s=tracking.delay_s, sigmas=arguments.sigmas)
-    given = load_scene(job.scene if arguments.scene is None and job is not None else arguments.scene)
-    robot = robot_of(arguments, given, job)
     scene, _left_out = scene_among(arguments, robot, given, errors)
     trajectory = read_csv(path) if job is None else job.trajectory()
     if arguments.report is not None:
@@ -115,7 +116,7 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int
     if arguments.json:
         console.file.write(report_text(report))
     elif not arguments.quiet:
-        _show(console, report)
+        _show(console, report, TrackingModel(tracking.still_rad).told(robot.slides))
     return 0 if report["status"] == "ok" else FAILED
 
 
@@ -126,6 +127,7 @@ def _fill_in(arguments: argparse.Namespace, job: FinishedJob | None) -> None:
         told = job.report["certificate"]
     defaults = {
         "tracking_error": math.degrees(told["tracking_error_rad"]),
+        "tracking_error_m": 0.0,
         "tracking_delay": 1e3 * told["tracking_delay_s"],
         "sigmas": told["sigmas"],
         "goal_contact": "motion" if told.get("goal_contact") == "motion" else "approach",
@@ -135,7 +137,7 @@ def _fill_in(arguments: argparse.Namespace, job: FinishedJob | None) -> None:
             setattr(arguments, name, value)
 
 
-def _show(console: Console, report: dict[str, Any]) -> None:
+def _show(console: Console, report: dict[str, Any], error: str) -> None:
     """Rows that fit 80 columns, unless names are long."""
     from rich.markup import escape
 
@@ -153,8 +155,8 @@ def _show(console: Console, report: dict[str, Any]) -> None:
     if "clear_until_s" in proof:
         until = proof["clear_until_s"]
         table.add_row("at rest", "clear for ever" if until is None else f"clear until {until:.3f} s")
-    error, delay = math.degrees(proof["tracking_error_rad"]), 1e3 * proof["tracking_delay_s"]
-    table.add_row("covered", f"tracking error {error:g} deg, delay {delay:g} ms; {proof['sigmas']:g} sigma")
+    covered = f"tracking error {error}, delay {1e3 * proof['tracking_delay_s']:g} ms; {proof['sigmas']:g} sigma"
+    table.add_row("covered", covered)
     if "uncertain" in proof:
         left = proof["uncertain"]
         one, some = 100.0 * left["one_beyond"], 100.0 * left["any_beyond_at_most"]

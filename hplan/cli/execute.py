@@ -32,7 +32,7 @@ the CSV: one header line, time_s and NAME_pos_rad for each joint of the robot
 needs the extra `execution`: pip install 'hplan[execution]'
 
 exit status:
-  0  nothing was touched, and the arm ended at the goal (0.5 deg) and stayed
+  0  nothing was touched, and the arm ended at the goal (0.5 deg, 5 mm) and stayed
   2  bad input
   5  something was touched, or the arm did not end at the goal
 """
@@ -54,7 +54,7 @@ def run(arguments: argparse.Namespace, console: Console, _: Console) -> int:
     tracking = tracking_of(arguments)
     if not tracking.is_exact:
         kept = "no joint was" if result.is_within(tracking) else "[bold red]some joint was[/]"
-        console.print(f"{kept} farther from its reference than a tracking error of {tracking}\n")
+        console.print(f"{kept} farther from its reference than a tracking error of {tracking.told(robot.slides)}\n")
     return 0 if result.ok else FAILED
 
 
@@ -76,22 +76,23 @@ def parser(prog: str) -> argparse.ArgumentParser:
 
 def _show(console: Console, path: Path, scene: Scene, result: Execution) -> None:
     """Show what happened, joint by joint, and the verdict."""
-    import math
-
     from rich.markup import escape
 
+    from hplan.base.units import joint_unit
+
+    units = [joint_unit(slides) for slides in result.slides]
     console.print(f"\n[bold]{escape(str(path))}[/] in [bold]{escape(scene.name)}[/]\n", soft_wrap=True)
     table = number_table()
     table.add_column("joint")
     for heading in ("off the path", "off the goal", "torque needed", "asked", "limit"):
         table.add_column(heading, justify="right", no_wrap=True)
-    for joint, name in enumerate(result.joint_names):
+    for joint, (name, unit) in enumerate(zip(result.joint_names, units, strict=True)):
         peak, limit = result.peak_torque_nm[joint], result.torque_limit_nm[joint]
         table.add_row(
             escape(name),
-            f"{math.degrees(result.max_tracking_error_rad[joint]):.4f} deg",
-            f"{math.degrees(result.final_error_rad[joint]):.4f} deg",
-            f"{result.needed_torque_nm[joint]:.1f} N m",
+            unit.error(result.max_tracking_error_rad[joint], ".4f"),
+            unit.error(result.final_error_rad[joint], ".4f"),
+            f"{result.needed_torque_nm[joint]:.1f} {unit.effort}",
             f"[bold red]{peak:.1f}[/]" if peak > limit else f"{peak:.1f}",
             f"{limit:.1f}",
         )
@@ -109,10 +110,9 @@ def _show(console: Console, path: Path, scene: Scene, result: Execution) -> None
         facts.add_row(
             "torque", f"asked for [bold red]more than the motors give[/] for {result.saturated_s:.3f} s: {joints}"
         )
-    if result.start_error_rad > 1e-6:
-        facts.add_row(
-            "start", f"[yellow]the first row is {math.degrees(result.start_error_rad):.4g} deg off the scene's start[/]"
-        )
+    off = [unit.error(error) for unit, error in zip(units, result.start_error_rad, strict=True) if error > 1e-6]
+    if off:
+        facts.add_row("start", f"[yellow]joints of the first row are off the scene's start: {', '.join(off)}[/]")
     for touch in result.contacts:
         pair = f"{escape(touch.link)} touched {escape(touch.obstacle)}"
         depth = f"up to {1e3 * touch.depth_m:.2f} mm deep"

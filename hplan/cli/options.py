@@ -129,6 +129,7 @@ def robot_of(arguments: argparse.Namespace, scene: Scene | None = None, job: Fin
 
     Raises:
         HplanError: As `hplan.robot.model.load_robot` and `FinishedJob.robot`.
+        OptionError: A tracking error in degrees alone where a joint slides, or one that is of no joint.
     """
     from hplan.robot.model import load_robot
 
@@ -136,7 +137,7 @@ def robot_of(arguments: argparse.Namespace, scene: Scene | None = None, job: Fin
     path = scene.robot if arguments.robot is None and scene is not None else arguments.robot
     if path is None and job is not None:
         path = job.robot
-    return load_robot(
+    robot = load_robot(
         path,
         limits=arguments.limits,
         tool_frame=arguments.tool_frame,
@@ -144,6 +145,8 @@ def robot_of(arguments: argparse.Namespace, scene: Scene | None = None, job: Fin
         package_dirs=arguments.package_dir,
         srdf=arguments.srdf,
     )
+    _check_tracking(arguments, robot)
+    return robot
 
 
 def add_pace(parser: argparse.ArgumentParser) -> None:
@@ -178,25 +181,42 @@ def add_sigmas(parser: argparse.ArgumentParser) -> None:
 
 
 def add_tracking(parser: argparse.ArgumentParser) -> None:
-    """Add the options `--tracking-error` and `--tracking-delay`."""
+    """Add the options `--tracking-error`, `--tracking-error-m` and `--tracking-delay`."""
     add = parser.add_argument
     add("--tracking-error", type=float, default=0.0, metavar="DEG", help="deviation of each joint that is allowed for")
+    add("--tracking-error-m", type=float, default=0.0, metavar="M", help="that of each that slides; one number is "
+        "covered, the larger of both in radians and metres")  # fmt: skip
     add("--tracking-delay", type=float, default=0.0, metavar="MS", help="the same, for each unit of joint velocity")
 
 
 def tracking_of(arguments: argparse.Namespace) -> TrackingModel:
-    """The tracking model of `--tracking-error` and `--tracking-delay`.
+    """The tracking model of `--tracking-error`, `--tracking-error-m` and `--tracking-delay`.
+
+    The model has one number for radians and metres: the larger of both. `robot_of` refuses what fits no joint.
 
     Raises:
         OptionError: One that is negative or not finite.
     """
     from hplan.robot.tracking import TrackingModel
 
-    error_deg, delay_ms = arguments.tracking_error, arguments.tracking_delay
-    for option, value, unit in (("--tracking-error", error_deg, "degrees"), ("--tracking-delay", delay_ms, "ms")):
+    error_deg, error_m, delay_ms = arguments.tracking_error, arguments.tracking_error_m, arguments.tracking_delay
+    given = ("--tracking-error", error_deg, "degrees"), ("--tracking-error-m", error_m, "metres")
+    for option, value, unit in (*given, ("--tracking-delay", delay_ms, "ms")):
         if not 0.0 <= value < math.inf:
             raise OptionError(option, value, f"a finite number of {unit} >= 0")
-    return TrackingModel(math.radians(error_deg), 1e-3 * delay_ms)
+    return TrackingModel(max(math.radians(error_deg), error_m), 1e-3 * delay_ms)
+
+
+def _check_tracking(arguments: argparse.Namespace, robot: Robot) -> None:
+    degrees, metres = getattr(arguments, "tracking_error", None), getattr(arguments, "tracking_error_m", None)
+    if metres and not any(robot.slides):
+        raise OptionError("--tracking-error-m", metres, "0: no joint of the robot slides")
+    for option, value, other, kind, words in (
+        ("--tracking-error-m", metres, degrees, True, "a length in metres: joint {!r} slides, and degrees are none"),
+        ("--tracking-error", degrees, metres, False, "an angle in degrees: joint {!r} turns, and metres are none"),
+    ):
+        if other and not value and kind in robot.slides:
+            raise OptionError(option, value, words.format(robot.joint_names[robot.slides.index(kind)]))
 
 
 def plan_options(arguments: argparse.Namespace, *options: str) -> PlanOptions:

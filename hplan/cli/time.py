@@ -48,6 +48,7 @@ WITH_SCENE: dict[str, object] = {
     "effort": "default",
     "sigmas": 3.0,
     "tracking_error": 0.0,
+    "tracking_error_m": 0.0,
     "tracking_delay": 0.0,
     "deadline_ms": None,
     "tool_frame": None,
@@ -217,6 +218,7 @@ def _timed(arguments: argparse.Namespace, console: Console) -> int:
 def _limits(arguments: argparse.Namespace, machine: Machine) -> Limits:
     """The URDF's limits, with acceleration (and jerk) from the YAML or the number given."""
     from hplan.base.data_files import LIMITS_SUFFIX
+    from hplan.robot.dynamics import joints_that_slide
     from hplan.robot.files import limits_file, read_limits, robot_files
     from hplan.waypoints import limits_of
 
@@ -234,7 +236,7 @@ def _limits(arguments: argparse.Namespace, machine: Machine) -> Limits:
             None,
             f"acceleration limits, which a URDF cannot hold: a number here, or a file by --limits ({path} is missing)",
         )
-    acceleration, jerk = read_limits(path, machine.joint_names, machine.held)
+    acceleration, jerk = read_limits(path, machine.joint_names, joints_that_slide(machine.model), machine.held)
     return limits_of(machine.model, acceleration, jerk, torque=torque)
 
 

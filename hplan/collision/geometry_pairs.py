@@ -62,7 +62,10 @@ class _QueryData(threading.local):
 
     def __init__(self, model: pin.Model, geometries: Sequence[pin.GeometryModel], has_clouds: bool) -> None:
         self.arm = model.createData()
-        self.parts = [_PartData(geometry) for geometry in geometries]
+        self.parts: list[_PartData] = []
+        for geometry in geometries:
+            self.parts.append(_PartData(geometry))
+            look()
         self.single = (self.arm, self.parts[0]) if len(self.parts) == 1 and not has_clouds else None
         self.elsewhere: dict[int, list[tuple[int, pin.SE3]]] = {}
         self.clouds: dict[int, pin.SE3] = {}
@@ -130,6 +133,7 @@ class GeometryPairs:
                 numbers = np.append(numbers, np.arange(self.count - len(chosen), self.count))
             self._geometries.append(geometry)
             self._numbers.append(numbers)
+            look()
         self._query = _QueryData(model, self._geometries, bool(self._clouds))
         # In which model a pair is, and its number there; the pairs of clouds, in none, mover by mover.
         self._part_of = np.full(self.count, -1, dtype=np.int64)

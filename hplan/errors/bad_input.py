@@ -97,15 +97,13 @@ class JointLimitError(InputError):
     which: str
     joint: str
 
-    def __init__(
-        self, which: str, joint: str, value: float, lower: float, upper: float, *, slides: bool = False
-    ) -> None:
-        """Name the configuration (`start`, `goal`, `waypoint 3`), the joint, its value and its limits [rad, m]."""
-        unit = "m" if slides else "rad"
+    def __init__(self, which: str, joint: str, value: float, lower: float, upper: float, unit: str = "rad") -> None:
+        """Name the configuration (`start`, `goal`, `waypoint 3`), the joint, its value, its limits and their unit."""
         message = (
             f"{which}: joint {joint!r} is at {value:.6g} {unit}, outside its limits [{lower:.6g}, {upper:.6g}] {unit}"
         )
-        super().__init__(message, which=which, joint=joint, value_rad=value, lower_rad=lower, upper_rad=upper)
+        facts = {f"value_{unit}": value, f"lower_{unit}": lower, f"upper_{unit}": upper}
+        super().__init__(message, which=which, joint=joint, **facts)
         self.value, self.lower, self.upper = value, lower, upper
 
 
@@ -115,9 +113,10 @@ class StartStateError(InputError):
     joint: str
     quantity: str
 
-    def __init__(self, joint: str, quantity: str, value: float, limit: float, *, locked: bool = False) -> None:
-        """Name the joint, the quantity (`velocity` in rad/s, `acceleration` in rad/s^2), its value and its limit."""
-        unit = {"velocity": "rad/s", "acceleration": "rad/s^2"}[quantity]
+    def __init__(
+        self, joint: str, quantity: str, value: float, limit: float, unit: str, *, locked: bool = False
+    ) -> None:
+        """Name the joint, the quantity (`velocity` or `acceleration`), its value, its limit and their unit."""
         why = "it is locked" if locked else f"its limit is {limit:.6g} {unit}"
         message = f"start: joint {joint!r} has the {quantity} {value:.6g} {unit}; {why}"
         super().__init__(message, joint=joint, quantity=quantity, limit=limit, locked=locked)
@@ -132,11 +131,11 @@ class NotOnMotionError(InputError):
     covered: float
     at_s: float
 
-    def __init__(self, joint: str, off_by: float, covered: float, at_s: float) -> None:
-        """Name the joint, its difference and the one that is covered [rad, m where it slides], and when it was seen."""
+    def __init__(self, joint: str, off_by: float, covered: float, at_s: float, unit: str = "rad") -> None:
+        """Name the joint, its difference and the one that is covered, when it was seen, and their unit."""
         message = (
-            f"measured: joint {joint!r} is {off_by:.4g} from where the running motion has it at {at_s:.10g} s on the "
-            f"controller's clock; a tracking error of {covered:.4g} is covered"
+            f"measured: joint {joint!r} is {off_by:.4g} {unit} from where the running motion has it at {at_s:.10g} s "
+            f"on the controller's clock; a tracking error of {covered:.4g} {unit} is covered"
         )
         super().__init__(message, joint=joint, off_by=off_by, covered=covered, at_s=at_s)
 

@@ -12,8 +12,9 @@ import numpy as np
 from hplan.base.arguments import list_of
 from hplan.base.arrays import FloatArray, Record, numbers, readonly
 from hplan.base.csv_file import CsvFile
+from hplan.base.units import SLIDING, TURNING, joint_unit
 from hplan.errors import InputError
-from hplan.timing.trajectory import QUANTITIES, SLIDING, joints_of_columns
+from hplan.timing.trajectory import joints_of_columns
 
 
 class Movement(Protocol):
@@ -97,12 +98,12 @@ def read_motion(path: Path | str) -> RecordedMotion:
     header = [name.strip() for name in file.header]
     joints, slides = joints_of_columns(header)
     if "time_s" not in header or not joints:
-        names = f"NAME_{QUANTITIES[0]}, where it slides NAME_{SLIDING[0]}"
+        names = f"NAME_{TURNING.columns[0]}, where it slides NAME_{SLIDING.columns[0]}"
         raise file.fault(1, f"expected a header with the columns time_s and, for each joint, {names}")
     twice = sorted({name for name in header if header.count(name) > 1})
     if twice:
         raise file.fault(1, f"column {twice[0]!r} is there twice")
-    kinds = [(joint, SLIDING if slide else QUANTITIES) for joint, slide in zip(joints, slides, strict=True)]
+    kinds = [(joint, joint_unit(slide).columns) for joint, slide in zip(joints, slides, strict=True)]
     wanted = ["time_s", *(f"{joint}_{names[0]}" for joint, names in kinds)]
     velocities = [f"{joint}_{names[1]}" for joint, names in kinds]
     if set(velocities) <= set(header):

@@ -44,8 +44,8 @@ from hplan.timing.trajectory import check_units, cubic_states
 #: How long the last row is held [s].
 HOLD = 0.25
 
-#: Error of each joint up to which a configuration counts as reached [rad].
-GOAL_TOLERANCE = math.radians(0.5)
+#: Error of each joint that turns [rad], and of each that slides [m], up to which a configuration counts as reached.
+GOAL_TOLERANCE, GOAL_TOLERANCE_M = math.radians(0.5), 0.005
 
 #: Rows at which inertias are looked at for the gains.
 _INERTIA_SAMPLES = 50
@@ -55,16 +55,19 @@ _INERTIA_SAMPLES = 50
 class Execution(Record):
     """The result of executing a motion. Joints are in the robot's order.
 
+    Of joints that slide what is named by radians and newton metres is metres and newtons.
+
     Attributes:
         joint_names: Names of the `dof` joints.
+        slides: Of each of them whether it slides.
         duration_s: Time of the last row, counted from the first [s].
         contacts: Pairs that touched, in the order of their first touch.
-        start_error_rad: Largest difference of a joint between the first row and the scene's start; NaN where the
-            scene gives no joints.
+        start_error_rad: (dof,) difference between the first row and the scene's start; NaN where the scene gives no
+            joints.
         max_tracking_error_rad: (dof,) largest deviation from the reference, the hold included.
         final_error_rad: (dof,) largest deviation from the goal between the last row and the end of the hold. The goal
             is the scene's where it gives joints, else the last row.
-        ended_at_goal: Whether that is at most `GOAL_TOLERANCE` for every joint.
+        ended_at_goal: Whether that is at most `GOAL_TOLERANCE`, or `GOAL_TOLERANCE_M`, for every joint.
         needed_torque_nm: (dof,) largest torque that the motion itself needs, by inverse dynamics [N m].
         peak_torque_nm: (dof,) largest torque that the controller asked for [N m]; far more where the arm was held up.
         torque_limit_nm: (dof,) the most that the motors give [N m].
@@ -78,9 +81,10 @@ class Execution(Record):
     """
 
     joint_names: tuple[str, ...]
+    slides: tuple[bool, ...]
     duration_s: float
     contacts: tuple[Touch, ...]
-    start_error_rad: float
+    start_error_rad: tuple[float, ...]
     max_tracking_error_rad: tuple[float, ...]
     final_error_rad: tuple[float, ...]
     ended_at_goal: bool
@@ -215,12 +219,13 @@ def _executed(
     limit = robot.torque_limit
     return Execution(
         joint_names=robot.joint_names,
+        slides=robot.slides,
         duration_s=duration,
         contacts=arm.contacts,
-        start_error_rad=math.nan if start is None else float(np.abs(q_ref[0] - start).max()),
+        start_error_rad=tuple(np.abs(q_ref[0] - (math.nan if start is None else start)).tolist()),
         max_tracking_error_rad=tuple(error.tolist()),
         final_error_rad=tuple(final.tolist()),
-        ended_at_goal=bool((final <= GOAL_TOLERANCE).all()),
+        ended_at_goal=bool((final <= np.where(robot.slides, GOAL_TOLERANCE_M, GOAL_TOLERANCE)).all()),
         needed_torque_nm=tuple(np.abs(feed).max(axis=0).tolist()),
         peak_torque_nm=tuple(np.abs(torque).max(axis=0).tolist()),
         torque_limit_nm=tuple(limit.tolist()),

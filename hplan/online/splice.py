@@ -145,7 +145,8 @@ class RunningMotion:
         joint = int((off - covered).argmax())
         if off[joint] > covered[joint] + SAME:
             at_s = self.plan.begins_s + self._now
-            raise NotOnMotionError(robot.joint_names[joint], float(off[joint]), float(covered[joint]), at_s)
+            unit = robot.units[joint].position
+            raise NotOnMotionError(robot.joint_names[joint], float(off[joint]), float(covered[joint]), at_s, unit)
 
     def spliced(self, at: float) -> SplicedResult:
         """The running motion with a new one from the first row at or after a time on, or as it is where it may stay.
@@ -197,7 +198,7 @@ class RunningMotion:
         robot, running, among = self.plan.robot, self.plan.certificate, (self._scene, self._checker)
         tracking, fruit = self._options.certified_tracking, self._touched
         found = certified_from(robot, among, running, retimed, row, fruit, tracking=tracking)
-        found = with_violations(found, rest_violations(retimed.trajectory, {"ends": -1}) if rest else ())
+        found = with_violations(found, rest_violations(robot, retimed.trajectory, {"ends": -1}) if rest else ())
         contact_s = None if fruit is None else later(retimed, running.contact_s)
         return replace(found, goal_contact=None if fruit is None else running.goal_contact, contact_s=contact_s)
 

@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike
 
 from hplan.base.arguments import between, instance, number, whole
 from hplan.base.arrays import FloatArray, Record, as_array, frozen, numbers, readonly
+from hplan.base.units import FARTHEST_JOINT
 from hplan.collision.obstacle_rows import solid_rows
 from hplan.errors import InputError, OptionError
 from hplan.perception.arm_shape import arm_solids, reach_ball
@@ -183,7 +184,7 @@ class Frame(Record):
             radius=number("radius", radius, f"a number of metres > 0 and <= {FARTHEST_M:g}", _is_size),
             rotation=rotation,
             position=position,
-            joints=None if joints is None else numbers("joints", joints, (robot.dof,)),
+            joints=None if joints is None else numbers("joints", joints, (robot.dof,), most=FARTHEST_JOINT),
             keep_s=number("keep_s", keep_s, "a number of seconds >= 0", lambda value: value >= 0.0),
             time_s=number("time_s", time_s, "a number of seconds"),
             base_track=base_track,

@@ -246,7 +246,7 @@ def _clear_candidates(
     if world.deviation > 0.0:
         free = [q for q in found.configurations if ranges.wall_before(q) is None]
         fraction = world.fraction_of_deviation(np.array(free), ROOMS[-1]) if free else 0.0
-        name_margin(error, TrackingModel(world.deviation), fraction)
+        name_margin(error, TrackingModel(world.deviation), world.robot.slides, fraction)
     raise error
 
 

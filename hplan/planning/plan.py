@@ -218,7 +218,9 @@ def plan_with(
     except (NoPathError, TimingError, CertificationError) as error:
         if not options.tracking.is_exact and options.deadline_s is None:
             fraction = _fraction_with_room(cache, scene, options)
-            name_margin(error, options.tracking, fraction, "the motion found without one has room for")
+            name_margin(
+                error, options.tracking, cache.robot.slides, fraction, "the motion found without one has room for"
+            )
         raise
 
 

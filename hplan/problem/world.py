@@ -114,7 +114,8 @@ class World(Record):
             return check_clear(self.checker, q, self.clearance, which, sway=sway)
         except ConfigurationInCollisionError as error:
             left = self.checker.pair_distances(q) - self.clearance
-            name_margin(error, TrackingModel(self.deviation), float((left / np.maximum(sway, 1e-300)).min()))
+            fraction = float((left / np.maximum(sway, 1e-300)).min())
+            name_margin(error, TrackingModel(self.deviation), self.robot.slides, fraction)
             raise
 
     def fraction_of_deviation(self, configurations: FloatArray, wanted: float) -> float:

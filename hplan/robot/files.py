@@ -5,7 +5,7 @@ Any robot's, and where the files of the robots are that have a name (extra `robo
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -220,8 +220,10 @@ class _LimitsFile(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, strict=True)
 
     format: str
-    acceleration_rad_s2: dict[str, PositiveFloat]
+    acceleration_rad_s2: dict[str, PositiveFloat] | None = None
+    acceleration_m_s2: dict[str, PositiveFloat] | None = None
     jerk_rad_s3: dict[str, PositiveFloat] | None = None
+    jerk_m_s3: dict[str, PositiveFloat] | None = None
 
 
 def find_limits(
@@ -247,7 +249,8 @@ def find_limits(
     if given is not None or not any("acceleration" in limit for limit in limits) or (is_file(default) and not is_text):
         if given is None and is_text:
             raise RobotFileError(urdf_path, f"it has no acceleration limits: {_LIMITS_ADVICE}")
-        return read_limits(default if given is None else given, joint_names, held)
+        slides = [urdf.joints[name].kind == "prismatic" for name in joint_names]
+        return read_limits(default if given is None else given, joint_names, slides, held)
 
     def listed(key: str) -> FloatArray:
         for name, limit in zip(joint_names, limits, strict=True):
@@ -272,14 +275,20 @@ def limits_file(given: Path) -> Path:
 
 
 def read_limits(
-    path: Path, joint_names: tuple[str, ...], others: Iterable[str] = ()
+    path: Path, joint_names: Sequence[str], slides: Sequence[bool], others: Iterable[str] = ()
 ) -> tuple[FloatArray, FloatArray | None]:
-    """Read acceleration [rad/s^2] and, where given, jerk limits [rad/s^3] in the order of `joint_names`.
+    """Read acceleration [rad/s^2, m/s^2] and, where given, jerk limits [rad/s^3, m/s^3] in the order of `joint_names`.
 
-    The file may name `others` too.
+    Args:
+        path: The file.
+        joint_names: The joints that move.
+        slides: Of each of them whether it slides: its limits are in metres, and may stand in `acceleration_m_s2` and
+            `jerk_m_s3`.
+        others: Joints that the file may name too, in either.
 
     Raises:
-        RobotFileError: Missing or malformed file, a joint missing or unknown, a limit that is not positive.
+        RobotFileError: Missing or malformed file, a joint missing, unknown, in both units, or that turns and is in
+            metres; a limit that is not positive.
     """
     try:
         content, _ = read_yaml(ByteBudget(MOST_LIMITS_BYTES).read(path).decode("utf-8"))
@@ -302,17 +311,25 @@ def read_limits(
     if limits.format != LIMITS_FORMAT:
         raise RobotFileError(path, f"format is {limits.format!r}, expected {LIMITS_FORMAT!r}")
 
-    known = frozenset(others)
+    known, kinds = frozenset(others), dict(zip(joint_names, slides, strict=True))
 
-    def ordered(key: str, table: dict[str, float]) -> FloatArray:
-        missing = [name for name in joint_names if name not in table]
-        unknown = [name for name in table if name not in joint_names and name not in known]
+    def ordered(*keys: str) -> FloatArray | None:
+        turning, sliding = (getattr(limits, key) for key in keys)
+        if turning is None and sliding is None:
+            return None
+        found = (turning or {}) | (sliding or {})
+        for name in sliding or {}:
+            if not kinds.get(name, True):
+                raise RobotFileError(path, f"{keys[1]}: joint {name!r} turns; it belongs in {keys[0]}")
+            if name in (turning or {}):
+                raise RobotFileError(path, f"{keys[1]}: joint {name!r} is in {keys[0]} too")
+        missing = [name for name in joint_names if name not in found]
+        unknown = [name for name in found if name not in kinds and name not in known]
         if missing or unknown:
-            raise RobotFileError(path, f"{key}: joints missing {missing}, unknown {unknown}")
-        return np.array([table[name] for name in joint_names])
+            raise RobotFileError(path, f"{keys[0]}: joints missing {missing}, unknown {unknown}")
+        return np.array([found[name] for name in joint_names])
 
-    jerk = limits.jerk_rad_s3
-    return (
-        ordered("acceleration_rad_s2", limits.acceleration_rad_s2),
-        None if jerk is None else ordered("jerk_rad_s3", jerk),
-    )
+    acceleration = ordered("acceleration_rad_s2", "acceleration_m_s2")
+    if acceleration is None:
+        raise RobotFileError(path, "acceleration_rad_s2 is missing, of joints that slide acceleration_m_s2")
+    return acceleration, ordered("jerk_rad_s3", "jerk_m_s3")

@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike
 
 from hplan.base.arguments import each, file_path, instance, list_of, number
 from hplan.base.arrays import BoolArray, FloatArray, Record, as_array, numbers, readonly
+from hplan.base.units import FARTHEST_JOINT, JointUnit, joint_unit
 from hplan.errors import InputError, JointLimitError, RobotFamilyError
 from hplan.robot.dynamics import InverseDynamics, joints_that_slide
 from hplan.robot.family_reader import check_joints, read_family
@@ -118,6 +119,11 @@ class Robot(PlanarNames, Record):
         """Of each joint whether it slides: its values are metres, its force newtons."""
         return joints_that_slide(self.model)
 
+    @property
+    def units(self) -> tuple[JointUnit, ...]:
+        """Of each joint the units in which it is told and shown."""
+        return tuple(map(joint_unit, self.slides))
+
     @cached_property
     def tool_joint(self) -> int:
         """Number in the model of the joint that carries the tool frame; 0 where none does."""
@@ -140,7 +146,12 @@ class Robot(PlanarNames, Record):
         return InverseDynamics.of(self.model)
 
     def yaw_of(self, q: ArrayLike) -> float:
-        """Yaw of a configuration: 0 for a robot without one, and for any that is no planar arm."""
+        """Yaw of a configuration: 0 for a robot without one, and for any that is no planar arm.
+
+        Raises:
+            InputError: No (dof,) list of finite numbers.
+        """
+        q = numbers("q", q, (self.dof,), most=FARTHEST_JOINT)
         return 0.0 if self.planar is None else self.planar.yaw_of(q)
 
     def tool_positions(self, q: ArrayLike) -> FloatArray:
@@ -149,7 +160,7 @@ class Robot(PlanarNames, Record):
         Raises:
             InputError: No such array of finite numbers.
         """
-        q = numbers("q", q, (..., self.dof))
+        q = numbers("q", q, (..., self.dof), most=FARTHEST_JOINT)
         return self.tool_poses(q)[..., :3, 3] if self.planar is None else self.planar.tool_positions(q)
 
     def tool_poses(self, q: ArrayLike, frame: str | None = None) -> FloatArray:
@@ -162,7 +173,7 @@ class Robot(PlanarNames, Record):
         Raises:
             InputError: The robot has no frame of that name, or `q` is no such array of finite numbers.
         """
-        q = numbers("q", q, (..., self.dof))
+        q = numbers("q", q, (..., self.dof), most=FARTHEST_JOINT)
         data, number = self.model.createData(), self.frame_number(self.tool_frame if frame is None else frame)
         poses = np.empty((*q.shape[:-1], 4, 4))
         for place in np.ndindex(q.shape[:-1]):
@@ -276,8 +287,8 @@ class Robot(PlanarNames, Record):
                 )
         for joint, value, lower, upper in zip(self.joint_names, values, self.lower, self.upper, strict=True):
             if not lower - 1e-9 <= value <= upper + 1e-9:
-                slides = self.slides[self.joint_names.index(joint)]
-                raise JointLimitError(which, joint, float(value), float(lower), float(upper), slides=slides)
+                unit = self.units[self.joint_names.index(joint)].position
+                raise JointLimitError(which, joint, float(value), float(lower), float(upper), unit)
         return readonly(np.clip(values, self.lower, self.upper))
 
 

@@ -9,7 +9,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hplan.base.arrays import FloatArray, Record
+from hplan.base.arguments import is_number, number
+from hplan.base.arrays import FloatArray, Record, numbers
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,12 +206,21 @@ class PlanarNames:
         return self.family.arm_slice
 
     def plane_at(self, yaw: float) -> tuple[FloatArray, FloatArray]:
-        """The arm plane turned by `yaw` (`PlanarFamily.plane_at`)."""
-        return self.family.plane_at(yaw)
+        """The arm plane turned by `yaw` (`PlanarFamily.plane_at`).
+
+        Raises:
+            OptionError: No number.
+        """
+        return self.family.plane_at(number("yaw", yaw, "a finite number of radians"))
 
     def sway(self, deviation: ArrayLike) -> FloatArray:
-        """How far links may be from their places when joints are off by `deviation` (`PlanarFamily.sway`)."""
-        return self.family.sway(deviation)
+        """How far links may be from their places when joints are off by `deviation` (`PlanarFamily.sway`).
+
+        Raises:
+            InputError: No finite number, and none for each joint.
+        """
+        dof = self.family.arm.link_count + self.family.yaw_joints
+        return self.family.sway(numbers("deviation", deviation, () if is_number(deviation) else (..., dof)))
 
     @property
     def shoulder_from_axis(self) -> tuple[float, float]:

@@ -12,7 +12,7 @@ metres per second.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike
 
 from hplan.base.arguments import number
 from hplan.base.arrays import FloatArray
+from hplan.base.units import joint_unit
 from hplan.errors import HplanError
 
 #: How exactly the largest tracking error is found that would do, as a fraction of the one asked for.
@@ -64,18 +65,22 @@ class TrackingModel:
         """The model with a fraction of both deviations."""
         return TrackingModel(fraction * self.still_rad, fraction * self.delay_s)
 
-    def __str__(self) -> str:
-        """The model in words."""
-        error = f"{math.degrees(self.still_rad):.4g} deg"
+    def told(self, slides: Sequence[bool]) -> str:
+        """The model in words, for joints of which some slide: in degrees, in millimetres, or both."""
+        kinds = [joint_unit(kind).error(self.still_rad) for kind in sorted(set(slides) or {False})]
+        error = f"{kinds[0]}, {kinds[1]} where a joint slides" if len(kinds) > 1 else kinds[0]
         return f"{error} + {1e3 * self.delay_s:.4g} ms of velocity" if self.delay_s else error
 
 
-def name_margin(error: HplanError, asked: TrackingModel, fraction: float, enough: str = "what would do is") -> None:
+def name_margin(
+    error: HplanError, asked: TrackingModel, slides: Sequence[bool], fraction: float, enough: str = "what would do is"
+) -> None:
     """Let an error say that what it refuses was refused for a tracking error, and the largest that would do.
 
     Args:
         error: The error.
         asked: The tracking error asked for.
+        slides: Of each joint whether it slides.
         fraction: Fraction of it that would do; where none would, the error has another reason and is left as it is.
         enough: The words for that.
     """
@@ -83,7 +88,7 @@ def name_margin(error: HplanError, asked: TrackingModel, fraction: float, enough
         return
     largest = asked.scaled(fraction)
     error.add(
-        f"this allows for a tracking error of {asked}; {enough} up to {largest}",
+        f"this allows for a tracking error of {asked.told(slides)}; {enough} up to {largest.told(slides)}",
         tracking_error_deg=math.degrees(asked.still_rad),
         tracking_delay_ms=1e3 * asked.delay_s,
         largest_tracking_error_deg=math.degrees(largest.still_rad),

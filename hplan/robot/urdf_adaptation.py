@@ -22,6 +22,7 @@ import pinocchio as pin
 
 from hplan.base.arrays import Record
 from hplan.base.files import is_file, note_input
+from hplan.base.units import joint_unit
 from hplan.errors import InputError, JointLimitError, RobotFileError
 from hplan.robot.family_reader import hold_advice
 from hplan.robot.urdf_file import Joint, Urdf, read_urdf
@@ -348,7 +349,7 @@ def _standing(
         low, high = joint.limits.get("lower", 0.0), joint.limits.get("upper", 0.0)
     value = hold.get(joint.name, min(max(0.0, low), high))
     if joint.name in hold and not low - 1e-9 <= value <= high + 1e-9:
-        raise JointLimitError("hold", joint.name, value, low, high, slides=joint.kind == "prismatic")
+        raise JointLimitError("hold", joint.name, value, low, high, joint_unit(joint.kind == "prismatic").position)
     return value
 
 

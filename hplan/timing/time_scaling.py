@@ -27,6 +27,7 @@ import numpy as np
 
 from hplan.base.arguments import instance, number
 from hplan.base.arrays import FloatArray, Record
+from hplan.base.units import joint_unit
 from hplan.bodies.reach import largest_sway
 from hplan.errors import OptionError, TimingError
 from hplan.robot.model import Robot
@@ -150,10 +151,14 @@ def scaled(trajectory: Trajectory, profile: Profile, robot: Robot) -> Retimed:
     final = last_s - begin if last == 0.0 else math.inf
     found = _retimed(trajectory, robot, row, wanted, final_s=final)
     if found is None and not _is_at_rest(trajectory, -1):
-        speed, push = (float(np.abs(values[-1]).max()) for values in (trajectory.velocity, trajectory.acceleration))
+        velocity, acceleration = trajectory.velocity[-1], trajectory.acceleration[-1]
+        joint = int((np.abs(velocity) if velocity.any() else np.abs(acceleration)).argmax())
+        unit = joint_unit(robot.slides[joint])
         raise TimingError(
-            f"the motion ends at {speed:.3g} rad/s with an acceleration of {push:.3g} rad/s^2 (m where it slides): "
-            "at other speeds it would end otherwise; only one that ends without either can be run so",
+            f"the motion ends with joint {robot.joint_names[joint]!r} at {abs(velocity[joint]):.3g} {unit.velocity} "
+            f"with an acceleration of {abs(acceleration[joint]):.3g} {unit.acceleration}: at other speeds it would end "
+            "otherwise; only one that ends without either can be run so",
+            joint=robot.joint_names[joint],
             cause="not at rest at the end",
         )
     if found is None:
@@ -326,7 +331,7 @@ def _with_rows(rest: Trajectory, robot: Robot, period: float, clock: FloatArray,
     torque = robot.dynamics.torques(position, velocity, acceleration)
     torque[0] = rest.torque[0]
     time = np.arange(count, dtype=np.float64) * period
-    trajectory = Trajectory(rest.joint_names, time, position, velocity, acceleration, torque, rest.slides)
+    trajectory = Trajectory(rest.joint_names, time, position, velocity, acceleration, torque, robot.slides)
     on_path = rest.positions(np.clip(clock, 0.0, None))
     on_path += np.minimum(clock, 0.0)[:, None] * rest.velocity[0]  # before the seam, where the path goes on backwards
     # Of the path itself: the column of accelerations may say anything.

@@ -6,7 +6,7 @@ import csv
 import io
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,15 +17,12 @@ from hplan.base.arguments import instance, list_of, number, whole
 from hplan.base.arrays import FloatArray, Record, numbers
 from hplan.base.csv_file import CsvFile
 from hplan.base.files import write_text
+from hplan.base.units import SLIDING, TURNING, joint_unit
 from hplan.errors import InputError
 
 if TYPE_CHECKING:
     from hplan.robot.model import Robot
     from hplan.timing.speed_factors import Profile
-
-#: Columns of the CSV for each joint, after `time_s`; for each that slides.
-QUANTITIES = ("pos_rad", "vel_rad_s", "acc_rad_s2", "torque_nm")
-SLIDING = ("pos_m", "vel_m_s", "acc_m_s2", "force_n")
 
 #: Ends of motions nearer to each other than this are one [rad, rad/s].
 JOINED = 1e-9
@@ -287,8 +284,8 @@ def check_units(slides: Mapping[str, bool], robot: Robot) -> None:
     """
     for joint, ours in zip(robot.joint_names, robot.slides, strict=True):
         if slides.get(joint, ours) != ours:
-            kind, own, unit = ("slides", SLIDING, "radians") if ours else ("turns", QUANTITIES, "metres")
-            columns = ", ".join(f"{joint}_{quantity}" for quantity in own)
+            kind, unit = ("slides", "radians") if ours else ("turns", "metres")
+            columns = ", ".join(f"{joint}_{name}" for name in joint_unit(ours).columns)
             before = "; hplan gave metres the names of radians before" if ours else ""
             raise InputError(
                 f"joint {joint!r} {kind}, but the motion has it in {unit}; its columns are {columns}{before}",
@@ -332,7 +329,7 @@ def joined(parts: Sequence[Trajectory]) -> Trajectory:
 def csv_header(joint_names: tuple[str, ...], slides: Sequence[bool] = ()) -> list[str]:
     """Column names: `time_s`, then four for each joint, in the units of one that turns or, where it slides, of that."""
     kinds = zip(joint_names, slides or [False] * len(joint_names), strict=True)
-    return ["time_s", *(f"{joint}_{name}" for joint, slides in kinds for name in (SLIDING if slides else QUANTITIES))]
+    return ["time_s", *(f"{joint}_{name}" for joint, slides in kinds for name in joint_unit(slides).columns)]
 
 
 def as_table(trajectory: Trajectory) -> FloatArray:
@@ -345,13 +342,22 @@ def as_table(trajectory: Trajectory) -> FloatArray:
     return table
 
 
-def write_csv(trajectory: Trajectory, path: Path | str) -> Path:
+def write_csv(trajectory: Trajectory, path: Path | str, robot: Robot | None = None) -> Path:
     """Write the trajectory as RFC 4180 CSV: one header line, no comments, values that read back exactly.
 
+    Args:
+        trajectory: The motion. Where it does not say which joints slide, as those of hplan do, all count as turning.
+        path: The file.
+        robot: The robot that it is of, and that says which slide.
+
     Raises:
+        InputError: It is of another robot, or has a joint in other units.
         OutputError: The file cannot be written.
     """
     instance("trajectory", trajectory, Trajectory, "plan or read_csv")
+    if robot is not None:
+        check_joints(trajectory, robot)
+        trajectory = replace(trajectory, slides=robot.slides)
     text = io.StringIO(newline="")
     writer = csv.writer(text)
     writer.writerow(csv_header(trajectory.joint_names, trajectory.slides))
@@ -369,7 +375,7 @@ def read_csv(path: Path | str) -> Trajectory:
     file = CsvFile.read(path, "trajectory", "sample")
     joints, slides = joints_of_columns(file.header)
     if not joints or file.header != csv_header(joints, slides):
-        turning, sliding = (", ".join("NAME_" + quantity for quantity in names) for names in (QUANTITIES, SLIDING))
+        turning, sliding = (", ".join("NAME_" + name for name in unit.columns) for unit in (TURNING, SLIDING))
         raise file.fault(1, f"expected the columns time_s and, for each joint, {turning}; where it slides, {sliding}")
     rows: list[FloatArray] = []
     for line, texts, values in file.timed_rows(range(len(file.header))):
@@ -377,13 +383,13 @@ def read_csv(path: Path | str) -> Trajectory:
             raise file.fault(line, f"time_s is {texts[0]}, expected 0 in the first sample")
         rows.append(np.array(values))
     table = np.stack(rows)
-    columns = table[:, 1:].reshape(len(table), len(joints), len(QUANTITIES))
+    columns = table[:, 1:].reshape(len(table), len(joints), len(TURNING.columns))
     position, velocity, acceleration, torque = np.moveaxis(columns, 2, 0)
     return Trajectory(joints, table[:, 0], position, velocity, acceleration, torque, slides)
 
 
 def joints_of_columns(header: Sequence[str]) -> tuple[tuple[str, ...], tuple[bool, ...]]:
     """The joints that have a column of positions, in their order, and of each whether it is in metres."""
-    ends = f"_{QUANTITIES[0]}", f"_{SLIDING[0]}"
+    ends = f"_{TURNING.columns[0]}", f"_{SLIDING.columns[0]}"
     found = [(name[: -len(end)], end == ends[1]) for name in header for end in ends if name.endswith(end)]
     return tuple(name for name, _ in found), tuple(slides for _, slides in found)

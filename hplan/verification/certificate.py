@@ -197,7 +197,7 @@ def certify(
     if check_ends:
         violations += [*task_violations(robot, scene, bezier), *start_violations(robot, scene, trajectory)]
     if rest_to_rest and scene.start.is_moving:
-        violations += rest_violations(trajectory, {"ends": -1})
+        violations += rest_violations(robot, trajectory, {"ends": -1})
     certificate = certify_among(
         robot,
         trajectory,
@@ -301,12 +301,12 @@ def certify_among(
     use = limit_use(robot, trajectory, bezier, duration)
     violations = list(limit_violations(use))
     if rest_to_rest:
-        violations += rest_violations(trajectory, {"begins": 0, "ends": -1})
+        violations += rest_violations(robot, trajectory, {"begins": 0, "ends": -1})
     speeds = fastest(bezier, duration) if tracking.delay_s > 0.0 else np.zeros((1, robot.dof))
     deviations, at_rest = (largest_deviations(robot, tracking, at) for at in (speeds, np.zeros((1, robot.dof))))
     clock = begin_s + (trajectory.time if trajectory.samples > 1 else np.zeros(2))
     seen_s: list[float | None] = []
-    proved, wanted = [], f"more than {1e3 * clearance:.3g} mm at a tracking error of {tracking}"
+    proved, wanted = [], f"more than {1e3 * clearance:.3g} mm at a tracking error of {tracking.told(robot.slides)}"
     for part, checker in among:
         own = deviations if len(deviations) == 1 else deviations[part]
         times = clock[part.start : part.stop + 1]
@@ -332,12 +332,14 @@ def certify_among(
     )
 
 
-def rest_violations(trajectory: Trajectory, ends: Mapping[str, int]) -> Iterator[str]:
+def rest_violations(robot: Robot, trajectory: Trajectory, ends: Mapping[str, int]) -> Iterator[str]:
     """Rows of a motion at which it is not at rest, in words."""
     for where, row in ends.items():
-        speed = np.abs(trajectory.velocity[row]).max()
-        if speed > REST:
-            yield f"the motion {where} at {speed:.4g} rad/s, not at rest"
+        speeds = np.abs(trajectory.velocity[row])
+        joint = int(speeds.argmax())
+        if speeds[joint] > REST:
+            name, unit = robot.joint_names[joint], robot.units[joint].velocity
+            yield f"the motion {where} with joint {name!r} at {speeds[joint]:.4g} {unit}, not at rest"
 
 
 def with_violations(certificate: Certificate, more: Iterable[str]) -> Certificate:

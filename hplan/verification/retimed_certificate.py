@@ -94,7 +94,7 @@ def certified_retiming(
         part = certified_from(robot, (scene, checker), running, retimed, first, scene.goal.fruit, tracking=tracking)
         certificate = replace(all_of([running, part]), subject=None) if known else part
     certificate = replace(
-        with_violations(certificate, rest_violations(whole, {"ends": -1})),
+        with_violations(certificate, rest_violations(robot, whole, {"ends": -1})),
         goal_contact=running.goal_contact,
         contact_s=contact_s,
         digests=Digests.of(robot, scene, whole),

@@ -49,6 +49,7 @@ def start_state(robot: Robot, scene: Scene) -> BoundaryState | None:
                 quantity,
                 float(values[joint]),
                 float(limit[joint]),
+                getattr(robot.units[joint], quantity),
                 locked=bool(locked[joint]),
             )
         rates.append(frozen(values))
@@ -70,13 +71,14 @@ def start_violations(robot: Robot, scene: Scene, trajectory: Trajectory) -> Iter
     if trajectory.samples > 1:
         bezier, duration = cubic_pieces(trajectory)
         pushes.append(6.0 * (bezier[0, 2] - 2.0 * bezier[0, 1] + bezier[0, 0]) / duration[0] ** 2)
-    for what, unit, found, asked, same in (
-        ("velocity", "rad/s", [trajectory.velocity[0]], state.velocity, SAME_VELOCITY),
-        ("acceleration", "rad/s^2", pushes, state.acceleration, SAME_ACCELERATION),
+    for what, found, asked, same in (
+        ("velocity", [trajectory.velocity[0]], state.velocity, SAME_VELOCITY),
+        ("acceleration", pushes, state.acceleration, SAME_ACCELERATION),
     ):
         off = np.abs(np.array(found) - asked).max(axis=0)
         joint = int(np.where(np.isnan(off), np.inf, off).argmax())
         if not off[joint] <= same:
+            unit = getattr(robot.units[joint], what)
             yield (
                 f"the motion begins with the {what} of joint {robot.joint_names[joint]!r} {off[joint]:.4g} {unit} from "
                 "that of the scene's start"

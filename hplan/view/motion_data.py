@@ -90,21 +90,24 @@ def _fruits(phases: Sequence[Json]) -> list[Json]:
 def _charts(robot: Robot, trajectory: Trajectory) -> list[Json]:
     """Position, velocity, acceleration and torque over time as shares of their limits, in thousandths."""
     middle, half = 0.5 * (robot.lower + robot.upper), 0.5 * (robot.upper - robot.lower)
-    nothing, degrees = np.zeros(robot.dof), 180.0 / np.pi
+    nothing = np.zeros(robot.dof)
+    shown, efforts = [unit.shown for unit in robot.units], [unit.effort for unit in robot.units]
+    factors, ones = np.array([unit.factor for unit in robot.units]), np.ones(robot.dof)
     rows = (
-        ("Position", "deg", degrees, trajectory.position, middle, half),
-        ("Velocity", "deg/s", degrees, trajectory.velocity, nothing, robot.velocity_limit),
-        ("Acceleration", "deg/s²", degrees, trajectory.acceleration, nothing, robot.acceleration_limit),
-        ("Torque", "N m", 1.0, trajectory.torque, nothing, robot.torque_limit),
-    )
+        ("Position", shown, factors, trajectory.position, middle, half),
+        ("Velocity", [f"{unit}/s" for unit in shown], factors, trajectory.velocity, nothing, robot.velocity_limit),
+        ("Acceleration", [f"{unit}/s²" for unit in shown], factors, trajectory.acceleration, nothing,
+            robot.acceleration_limit),
+        ("Force" if all(robot.slides) else "Torque", efforts, ones, trajectory.torque, nothing, robot.torque_limit),
+    )  # fmt: skip
     charts: list[Json] = []
-    for title, unit, factor, values, zero, limit in rows:
+    for title, units, factor, values, zero, limit in rows:
         shares = _shares(values - zero, limit)
         kept = _rows_kept(shares)
         charts.append(
             {
                 "title": title,
-                "unit": unit,
+                "units": units,
                 "zero": [round(float(value), 4) for value in factor * zero],
                 "limit": [round(float(value), 4) if np.isfinite(value) else None for value in factor * limit],
                 "time": np.round(trajectory.time[kept], 4).tolist(),

@@ -19,12 +19,14 @@ from numpy.typing import ArrayLike
 from hplan.base.arguments import instance, list_of
 from hplan.base.arrays import FloatArray, Record, readonly
 from hplan.base.csv_file import CsvFile
+from hplan.base.units import joint_unit
 from hplan.errors import InputError, JointLimitError, TimingError
+from hplan.robot.dynamics import joints_that_slide
 from hplan.robot.limits import Limits
 from hplan.smoothing.spline import SplinePath
 from hplan.timing import retime as timing
 from hplan.timing.speed_profile import NO_MOTION
-from hplan.timing.trajectory import QUANTITIES, SLIDING, Trajectory
+from hplan.timing.trajectory import Trajectory
 from hplan.waypoints.corner_rounding import as_waypoints, rounded_path
 
 #: Deviation from the polyline at its corners, where none is given [rad].
@@ -66,7 +68,7 @@ def read_waypoints(path: Path | str, joint_names: Sequence[str], slides: Sequenc
         raise file.fault(1, "expected a header with the names of the joints")
     columns = []
     for joint, slide in zip(joint_names, slides or [False] * len(joint_names), strict=True):
-        own = f"{joint}_{(SLIDING if slide else QUANTITIES)[0]}"
+        own = f"{joint}_{joint_unit(slide).columns[0]}"
         found = [index for index, name in enumerate(header) if name in (joint, own)]
         if len(found) != 1:
             how = "two columns" if found else f"no column; expected {own} or {joint}"
@@ -121,7 +123,8 @@ def time_waypoints(
     outside = (points < lower - 1e-9) | (points > upper + 1e-9)
     for number, joint in np.argwhere(outside)[:1]:
         value = float(points[number, joint])
-        raise JointLimitError(f"waypoint {number + 1}", names[joint], value, float(lower[joint]), float(upper[joint]))
+        slides, ends = joints_that_slide(model)[joint], (float(lower[joint]), float(upper[joint]))
+        raise JointLimitError(f"waypoint {number + 1}", names[joint], value, *ends, joint_unit(slides).position)
     points = np.clip(points, lower, upper)
     if limits.torque is not None:
         for joint in np.flatnonzero((np.ptp(points, axis=0) >= NO_MOTION) & ~(limits.torque > 0.0)):

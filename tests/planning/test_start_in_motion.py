@@ -214,7 +214,7 @@ def test_the_certificate_looks_at_the_start(robot):
     other = certify(robot, scene.model_copy(update={"start": moved}), result.trajectory)
     assert [violation for violation in other.violations if "acceleration of joint" in violation]
     at_rest = certify(robot, scene.model_copy(update={"start": Start(joints_rad=moved.joints_rad)}), result.trajectory)
-    assert any("begins at" in violation for violation in at_rest.violations)
+    assert any("begins with joint" in violation for violation in at_rest.violations)
 
 
 def test_contact_at_the_start_is_bad_input(robot):

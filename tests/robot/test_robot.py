@@ -487,7 +487,7 @@ jerk_rad_s3: {b: 20, a: 1e1}
 def test_limits_in_the_order_of_the_joints(tmp_path):
     path = tmp_path / "limits.yaml"
     path.write_text(GOOD_LIMITS)
-    acceleration, jerk = read_limits(path, ("b", "a"))
+    acceleration, jerk = read_limits(path, ("b", "a"), (False, False))
     assert acceleration.tolist() == [2.5, 1.0]
     assert jerk.tolist() == [20.0, 10.0]
 
@@ -517,7 +517,7 @@ def test_limits_from_another_file(robot, tmp_path):
         ("{a: 1", "{c: 3, a: 1", "acceleration_rad_s2: joints missing [], unknown ['c']"),
         ("{b: 20", "{c: 20", "jerk_rad_s3: joints missing ['b'], unknown ['c']"),
         ("{a: 1", "{a: 1, a: 9", "line 2: malformed YAML: key 'a' stands on line 2 already"),
-        ("acceleration_rad_s2: {a: 1, b: 2.5}", "", "acceleration_rad_s2: Field required"),
+        ("acceleration_rad_s2: {a: 1, b: 2.5}", "", "acceleration_rad_s2 is missing"),
         ("format: hplan-limits/1", "", "format: this key is missing; expected 'hplan-limits/1'"),
         ("jerk_rad_s3", "snap", "snap: Extra inputs are not permitted"),
         ("hplan-limits/1", "hplan-limits/2", "format is 'hplan-limits/2', expected 'hplan-limits/1'"),
@@ -529,7 +529,7 @@ def test_bad_limits(tmp_path, old, new, message):
     path = tmp_path / "limits.yaml"
     path.write_text(GOOD_LIMITS.replace(old, new))
     with pytest.raises(RobotFileError) as caught:
-        read_limits(path, ("a", "b"))
+        read_limits(path, ("a", "b"), (False, False))
     assert message in caught.value.reason
     assert caught.value.path == path
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,8 @@ import pytest
 from any_arms import GANTRY
 
 import hplan
-from hplan.errors import InputError, JointLimitError, TimingError
+from hplan.cli.main import main
+from hplan.errors import InputError, JointLimitError, NotOnMotionError, RobotFileError, StartStateError, TimingError
 from hplan.execution.recorded_motion import read_motion
 from hplan.robot.model import load_robot
 from hplan.robot.tracking import TrackingModel
@@ -21,7 +23,9 @@ from hplan.timing.time_scaling import scaled
 from hplan.timing.trajectory import Trajectory
 from hplan.verification.certificate import certify
 from hplan.verification.sway import largest_deviations
-from hplan.waypoints import read_waypoints
+from hplan.view.motion_data import motion_data
+from hplan.view.playback import Playback
+from hplan.waypoints import limits_of, read_waypoints, time_waypoints
 
 ROBOT = load_robot(GANTRY)
 BEGIN, END = np.array([0.2, 0.3]), np.array([0.7, 0.5])
@@ -111,6 +115,78 @@ def test_radians_of_what_slides_are_refused(tmp_path: Path) -> None:
 
 
 def test_a_motion_that_does_not_end_at_rest_is_not_scaled_and_it_is_said_why() -> None:
-    with pytest.raises(TimingError, match=r"ends at 0 rad/s with an acceleration of 0.187 rad/s.*2") as error:
+    with pytest.raises(TimingError, match=r"'rail' at 0 m/s with an acceleration of 0.187 m/s\^2") as error:
         scaled(motion(), 0.5, ROBOT)
     assert error.value.data["cause"] == "not at rest at the end"
+
+
+def test_charts_of_what_slides_are_in_metres() -> None:
+    charts = motion_data(ROBOT, scene(), Playback(motion()))["charts"]
+    assert [chart["units"] for chart in charts] == [["m", "deg"], ["m/s", "deg/s"], ["m/s²", "deg/s²"], ["N", "N m"]]
+    assert [chart["limit"][0] for chart in charts] == [2.0, 2.0, 5.0, 500.0]
+    assert charts[1]["limit"][1] == pytest.approx(math.degrees(2.0), abs=1e-3)
+
+
+def test_what_is_said_of_what_slides_is_in_metres() -> None:
+    going = replace(motion(), velocity=motion().velocity + np.array([0.01, 0.0]))
+    (begins, ends) = certify(ROBOT, scene(), going, check_ends=False, tracking_error=0.02).violations[:2]
+    assert (begins, ends) == tuple(
+        f"the motion {where} with joint 'rail' at 0.01 m/s, not at rest" for where in ("begins", "ends")
+    )
+    moving = scene().start.model_copy(update={"velocity_rad_s": (3.0, 0.0)})
+    with pytest.raises(StartStateError, match="'rail' has the velocity 3 m/s; its limit is 2 m/s"):
+        hplan.plan(ROBOT, scene().model_copy(update={"start": moving}))
+    with pytest.raises(JointLimitError, match=r"waypoint 2: joint 'rail' is at 2.5 m, outside") as beyond:
+        time_waypoints(ROBOT.model, [[0.0, 0.0], [2.5, 0.0]], limits_of(ROBOT.model, 1.0))
+    assert beyond.value.data["value_m"] == 2.5
+    planner = hplan.Planner(ROBOT, scene())
+    planner.plan(begins_s=0.0)
+    with pytest.raises(NotOnMotionError, match=r"'rail' is 0.3 m from .*; a tracking error of 0 m is covered"):
+        planner.stop_at(0.1, now=0.0, measured=BEGIN + np.array([0.3, 0.0]))
+    assert TrackingModel(0.01).told((True, False)) == "0.573 deg, 10 mm where a joint slides"
+    assert TrackingModel(0.01, 0.002).told((True,)) == "10 mm + 2 ms of velocity"
+
+
+def test_limits_of_what_slides_are_in_metres(tmp_path: Path) -> None:
+    path = tmp_path / "a.limits.yaml"
+    for text, names in (
+        ("acceleration_rad_s2: {boom: 4}\nacceleration_m_s2: {rail: 3}", None),
+        ("acceleration_rad_s2: {rail: 3, boom: 4}", None),
+        (
+            "acceleration_rad_s2: {rail: 3, boom: 4}\nacceleration_m_s2: {rail: 3}",
+            "'rail' is in acceleration_rad_s2 too",
+        ),
+        ("acceleration_rad_s2: {boom: 4}", r"joints missing \['rail'\]"),
+        ("acceleration_m_s2: {rail: 3, boom: 4}", "acceleration_m_s2: joint 'boom' turns; .* acceleration_rad_s2"),
+        ("jerk_m_s3: {rail: 3}", "acceleration_rad_s2 is missing"),
+    ):
+        path.write_text(f"format: hplan-limits/1\n{text}\n")
+        if names is None:
+            assert load_robot(GANTRY, limits=path).acceleration_limit.tolist() == [3.0, 4.0]
+        else:
+            with pytest.raises(RobotFileError, match=names):
+                load_robot(GANTRY, limits=path)
+
+
+def test_a_trajectory_made_by_hand_is_written_in_the_robots_units(tmp_path: Path) -> None:
+    path = hplan.write_csv(motion(), tmp_path / "motion.csv", ROBOT)
+    assert path.read_text().startswith("time_s,rail_pos_m,")
+    assert motion().stop_at(1.0, ROBOT).slides == (True, False)
+    with pytest.raises(InputError, match="'rail' slides, but the motion has it in radians"):
+        hplan.write_csv(replace(motion(), slides=(False, False)), path, ROBOT)
+
+
+def test_degrees_alone_are_no_tracking_error_of_what_slides(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    urdf, ends = tmp_path / "gantry.urdf", tmp_path / "scene.yaml"
+    urdf.write_text(GANTRY)
+    hplan.save_scene(scene(Sphere(name="ball", center=(9.0, 0.0, 1.0), radius=0.1)), ends)
+    path = hplan.write_csv(motion(), tmp_path / "motion.csv", ROBOT)
+    given = ["certify", str(path), str(ends), "--robot", str(urdf)]
+    for options, says in (
+        (["--tracking-error", "0.5"], "--tracking-error-m = None: expected a length in metres: joint 'rail' slides"),
+        (["--tracking-error-m", "0.01"], "--tracking-error = None: expected an angle in degrees: joint 'boom' turns"),
+    ):
+        assert main([*given, *options]) == 2
+        assert says in " ".join(capsys.readouterr().err.split())
+    assert main([*given, "--tracking-error", "0.5", "--tracking-error-m", "0.01"]) == 0
+    assert "tracking error 0.573 deg, 10 mm where a joint slides" in " ".join(capsys.readouterr().out.split())

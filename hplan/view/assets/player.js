@@ -312,7 +312,8 @@ function sharesChart(data) {
     const [k, next, part] = placeOf(data.time, time);
     said.forEach((word, joint) => {
       const share = data.shares[joint][k] + part * (data.shares[joint][next] - data.shares[joint][k]);
-      const value = data.limit[joint] === null ? "" : " " + (data.zero[joint] + share / 1000 * data.limit[joint]).toFixed(0) + " " + data.unit;
+      const unit = data.units[joint], digits = unit.startsWith("m") ? 3 : 0;
+      const value = data.limit[joint] === null ? "" : " " + (data.zero[joint] + share / 1000 * data.limit[joint]).toFixed(digits) + " " + unit;
       word.textContent = `${motion.joints[joint]} ${Math.round(share / 10) || 0} %`;
       word.parentNode.title = motion.joints[joint] + value;
     });

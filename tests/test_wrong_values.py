@@ -83,6 +83,13 @@ class NoArray:
         raise RuntimeError("no array")
 
 
+class NoList:
+    """Says that it is a list, and is none."""
+
+    def __iter__(self) -> Any:
+        raise RuntimeError("no list")
+
+
 def a_scene(**changes: Any) -> Scene:
     return Scene(**{"name": "a", "start": START, "goal": GOAL, **changes})
 
@@ -301,7 +308,7 @@ CASES: dict[str, Case] = {
             "scene": NO_OBJECT,
             "options": NO_OBJECT[1:],
             "tour": NO_OBJECT[1:],
-            "fruits": ("apple", 1, [1], ["nothing"], [], [None]),
+            "fruits": ("apple", 1, [1], ["nothing"], [], [None], NoList()),
         },
     ),
     "Planner": (
@@ -372,6 +379,7 @@ CASES: dict[str, Case] = {
             "trajectory": NO_OBJECT,
             "tracking_error": (*NO_NUMBER, -1.0),
             "tracking_delay_s": (*NO_NUMBER, -1.0),
+            "checker": NO_OBJECT[1:],
             "rest_to_rest": (None, "no", 1.0),
             "check_ends": (None, "no"),
             "sigmas": (*NO_NUMBER, -1.0),
@@ -401,7 +409,7 @@ CASES: dict[str, Case] = {
     "write_csv": (
         hplan.write_csv,
         {"trajectory": a_trajectory(), "path": "a.csv"},
-        {"trajectory": NO_OBJECT, "path": (*NO_PATH, "/nowhere/a.csv", ".")},
+        {"trajectory": NO_OBJECT, "path": (*NO_PATH, "/nowhere/a.csv", "."), "robot": NO_OBJECT[1:]},
     ),
     "write_text": (write_text, {"path": "a", "text": ""}, {"path": (*NO_PATH, "."), "text": ("\ud800", None, b"", 1)}),
     "Robot.check_configuration": (
@@ -529,7 +537,20 @@ CASES: dict[str, Case] = {
             {"occupancy": free(), "start": (0, 0), **({} if function is reachable else {"goal": (2, 2)})},
             {
                 "occupancy": NO_OBJECT,
-                "start": (None, "00", (0,), (0, 0, 0), (0.0, 0.0), (9, 9), (-1, 0), (NAN, 0), [[0], [0, 1]], 0),
+                "start": (
+                    None,
+                    "00",
+                    (0,),
+                    (0, 0, 0),
+                    (0.0, 0.0),
+                    (9, 9),
+                    (-1, 0),
+                    (NAN, 0),
+                    [[0], [0, 1]],
+                    0,
+                    NoArray(),
+                ),
+                **({"octile": (None, 1, [], "yes")} if function in (dense_search, two_level_search) else {}),
             },
         )
         for function in (dense_search, reachable, slices_with_path, two_level_search)

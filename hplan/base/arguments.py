@@ -148,7 +148,7 @@ def each(option: str, values: Any, expected: str, check: Callable[[str, Any], _T
         raise OptionError(option, values, expected)
     try:
         listed = list(values)
-    except TypeError as error:  # an array of no axes
+    except Exception as error:  # an array of no axes, or whatever the object raises of its own
         raise OptionError(option, values, expected) from error
     return tuple(check(f"{option}[{index}]", value) for index, value in enumerate(listed))
 

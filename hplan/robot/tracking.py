@@ -45,11 +45,13 @@ class TrackingModel:
         Raises:
             OptionError: One that is negative or not finite.
         """
-        for option, value, unit in (
-            ("tracking_error", self.still_rad, "radians"),
-            ("tracking_delay_s", self.delay_s, "seconds"),
+        for field, option, unit in (
+            ("still_rad", "tracking_error", "radians"),
+            ("delay_s", "tracking_delay_s", "seconds"),
         ):
-            number(option, value, f"a finite number of {unit} >= 0", lambda given: given >= 0.0)
+            expected = f"a finite number of {unit} >= 0"
+            value = number(option, getattr(self, field), expected, lambda given: given >= 0.0)
+            object.__setattr__(self, field, value)
 
     @property
     def is_exact(self) -> bool:
@@ -58,7 +60,8 @@ class TrackingModel:
 
     def deviations(self, velocity: ArrayLike) -> FloatArray:
         """Largest deviations at joint velocities [rad/s], of the same shape [rad]."""
-        deviations: FloatArray = self.still_rad + self.delay_s * np.abs(np.asarray(velocity, dtype=np.float64))
+        with np.errstate(over="ignore"):
+            deviations: FloatArray = self.still_rad + self.delay_s * np.abs(np.asarray(velocity, dtype=np.float64))
         return deviations
 
     def scaled(self, fraction: float) -> TrackingModel:

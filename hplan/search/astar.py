@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from hplan.base.arguments import truth
 from hplan.base.arrays import FloatArray, IntArray, frozen
 from hplan.base.deadline import is_up, look
 from hplan.base.kernels import inlined, kernel
@@ -37,8 +38,10 @@ def dense_search(occupancy: Occupancy, start: ArrayLike, goal: ArrayLike, *, oct
 
     Raises:
         InputError: Start or goal is no node of the grid, or not free.
+        OptionError: `octile` is neither True nor False.
     """
     begun = time.perf_counter()
+    truth("octile", octile)
     source, target = checked_node(occupancy, start, "start"), checked_node(occupancy, goal, "goal")
     lattice = Lattice.of(occupancy.grid.shape, occupancy.grid.step)
     nodes = NodeSet.of(lattice.bordered(occupancy.free_words))

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hplan.base.arguments import instance
-from hplan.base.arrays import BoolArray, FloatArray, IntArray, Record, WordArray, frozen, numbers, readonly
+from hplan.base.arrays import BoolArray, FloatArray, IntArray, Record, WordArray, as_array, frozen, numbers, readonly
 from hplan.errors import InputError, OptionError
 
 #: Largest number of nodes that a grid may have (one bit each: 256 MB).
@@ -169,8 +169,8 @@ def checked_node(occupancy: Occupancy, index: ArrayLike, which: str) -> IntArray
     """
     instance("occupancy", occupancy, Occupancy, "Occupancy.from_mask")
     try:
-        node = np.asarray(index)
-    except ValueError:  # rows of different lengths
+        node = as_array(index)
+    except ValueError:
         node = np.empty(0)
     shape = occupancy.grid.shape
     if node.shape != (len(shape),) or not np.issubdtype(node.dtype, np.integer):

@@ -18,6 +18,7 @@ from dataclasses import replace
 
 from numpy.typing import ArrayLike
 
+from hplan.base.arguments import truth
 from hplan.base.arrays import IntArray, WordArray, frozen
 from hplan.search.astar import astar, row_bounds
 from hplan.search.column import by_column
@@ -52,7 +53,9 @@ def two_level_search(occupancy: Occupancy, start: ArrayLike, goal: ArrayLike, *,
 
     Raises:
         InputError: Start or goal is no node of the grid, or not free.
+        OptionError: `octile` is neither True nor False.
     """
+    truth("octile", octile)
     source, target = checked_node(occupancy, start, "start"), checked_node(occupancy, goal, "goal")
     lattice = Lattice.of(occupancy.grid.shape, occupancy.grid.step)
     begin = time.perf_counter()

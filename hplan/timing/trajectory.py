@@ -356,6 +356,9 @@ def write_csv(trajectory: Trajectory, path: Path | str, robot: Robot | None = No
     """
     instance("trajectory", trajectory, Trajectory, "plan or read_csv")
     if robot is not None:
+        from hplan.robot.model import Robot
+
+        instance("robot", robot, Robot, "load_robot")
         check_joints(trajectory, robot)
         trajectory = replace(trajectory, slides=robot.slides)
     text = io.StringIO(newline="")

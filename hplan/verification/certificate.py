@@ -194,6 +194,7 @@ def certify(
                 raise MovingObstacleError(None if fruit.track is None else fruit.name, "a fruit to pick must not move")
             contact = _contact_pieces(robot, bezier, fruit, goal_contact)
         violations += base_violations(robot, scene, checker, trajectory, begin_s)
+    instance("checker", checker, CoalScene, "CoalScene")
     if check_ends:
         violations += [*task_violations(robot, scene, bezier), *start_violations(robot, scene, trajectory)]
     if rest_to_rest and scene.start.is_moving:

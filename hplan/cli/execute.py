@@ -32,7 +32,7 @@ the CSV: one header line, time_s and NAME_pos_rad for each joint of the robot
 needs the extra `execution`: pip install 'hplan[execution]'
 
 exit status:
-  0  nothing was touched, and the arm ended at the goal (0.5 deg, 5 mm) and stayed
+  0  nothing was touched; the arm ended at the goal (0.5 deg, 5 mm) and stayed
   2  bad input
   5  something was touched, or the arm did not end at the goal
 """

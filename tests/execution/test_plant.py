@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from any_arms import GANTRY
 from planned import between_twigs, post, task
 from script_loader import load_script
 
@@ -16,9 +17,11 @@ from hplan.execution.plant import Plant
 from hplan.execution.simulation import execute
 from hplan.planning.plan import PlanResult, plan
 from hplan.problem.options import PlanOptions
-from hplan.robot.model import Robot
+from hplan.robot.model import Robot, load_robot
 from hplan.robot.tracking import TrackingModel
-from hplan.timing.trajectory import write_csv
+from hplan.scene.file import load_scene, save_scene
+from hplan.scene.model import Goal, Scene, Start
+from hplan.timing.trajectory import read_csv, write_csv
 
 needs_mujoco = pytest.mark.skipif(
     importlib.util.find_spec("mujoco") is None, reason="MuJoCo is not installed: pip install 'hplan[execution]'"
@@ -115,9 +118,16 @@ def test_execute_says_whether_the_tracking_error_was_kept(
 
 
 @needs_mujoco
-def test_study_of_a_shipped_scene(capsys: pytest.CaptureFixture[str]) -> None:
-    status = load_script("study_tracking").main(["tour", "--fruits", "1", "--execute", "--mass-factors", "1.2"])
-    said = capsys.readouterr().out
-    assert status == 0
-    assert "1 of 1 fruits can be picked with a tracking error of 0.02 deg + 3 ms of velocity" in said
-    assert "1 executed: 1 within it, 0 touched something, 0 did both" in said
+def test_what_slides_is_off_by_millimetres(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    arm, asked = tmp_path / "gantry.urdf", tmp_path / "scene.yaml"
+    arm.write_text(GANTRY)
+    gantry = load_robot(arm)
+    save_scene(Scene(name="rail", start=Start(joints_rad=(0.2, 0.3)), goal=Goal(joints_rad=(0.7, 0.5))), asked)
+    path = write_csv(plan(gantry, load_scene(asked)).trajectory, tmp_path / "trajectory.csv")
+    assert load_script("execute").main([str(path), str(asked), "--robot", str(arm)]) == 0
+    rail, boom = (line.split() for line in capsys.readouterr().out.splitlines() if line.startswith(("rail ", "boom ")))
+    assert rail[2::2][:2] == ["mm", "mm"]
+    assert rail[5:7] == ["10.0", "N"]  # twice its mass by its acceleration of 5 m/s^2
+    assert boom[2::2][:2] == ["deg", "deg"]
+    moved = load_scene(asked).model_copy(update={"start": Start(joints_rad=(0.203, 0.3))})
+    assert execute(gantry, moved, read_csv(path)).start_error_rad == pytest.approx((0.003, 0.0))

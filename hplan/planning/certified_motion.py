@@ -13,10 +13,11 @@ import numpy as np
 from hplan.base.arrays import FloatArray, Record, frozen
 from hplan.bodies.reach import largest_sway
 from hplan.errors import CertificationError, TimingError
-from hplan.optimization.minimize_time import Effort, Level, minimize_time
-from hplan.optimization.several_starts import NEAR, StartsEffort, fastest_motions, optimization_starts
+from hplan.optimization.minimize_time import Effort, minimize_time
+from hplan.optimization.several_starts import NEAR, fastest_motions, optimization_starts
 from hplan.optimization.time_problem import TimeProblem
 from hplan.optimization.timed_spline import BoundaryState
+from hplan.planning.effort import optimization_of
 from hplan.planning.grid_route import Route
 from hplan.planning.task import PlanningContext, PlanningTask
 from hplan.robot.limits import GeometricPath, Limits
@@ -26,44 +27,6 @@ from hplan.smoothing.spline import SplinePath
 from hplan.timing.retime import time_path
 from hplan.timing.trajectory import Trajectory
 from hplan.verification.certificate import Certificate, Stretch, certify_among
-
-_COARSE = Level(piece_s=0.08, pieces=(20, 40), steps=20, gain=2e-3, trust=0.2)
-
-#: What may be spent on the optimisation of a motion, by the option.
-EFFORTS: dict[str, StartsEffort] = {
-    "quick": StartsEffort(
-        Effort((Level(piece_s=0.03, pieces=(50, 120), steps=4, gain=2e-2, trust=0.2),)), rough=1, others=0, finished=1
-    ),
-    "default": StartsEffort(
-        Effort((_COARSE, Level(piece_s=0.03, pieces=(50, 120), steps=3, gain=5e-3, trust=0.05))),
-        rough=4,
-        others=1,
-        finished=2,
-    ),
-    "best": StartsEffort(
-        Effort((_COARSE, Level(piece_s=0.012, pieces=(60, 300), steps=20, gain=1e-4, trust=0.2))),
-        rough=8,
-        others=4,
-        finished=2,
-    ),
-}
-
-#: Of general (non-planar) arms, whose clearances take longer.
-EFFORTS_OF_BODIES: dict[str, StartsEffort] = {
-    **EFFORTS,
-    "default": StartsEffort(
-        Effort(
-            (
-                replace(_COARSE, enough=7e-3),
-                Level(piece_s=0.03, pieces=(50, 120), steps=2, gain=5e-3, trust=0.05, enough=2e-3),
-            ),
-            between_rows=True,
-        ),
-        rough=2,
-        others=0,
-        finished=1,
-    ),
-}
 
 #: Where the base is locked a rough motion costs little: of more than so many polylines, so many and so many others are
 #: made at least (`StartsEffort`).
@@ -188,7 +151,7 @@ def quickest_certified(
         quicker_than_s: Longest duration of a motion that is of use [s].
     """
     optimized = _optimized(task, polylines, margin, quicker_than_s) if polylines else None
-    if optimized is not None or (math.isfinite(quicker_than_s) and effort_of(task) is not None):
+    if optimized is not None or (math.isfinite(quicker_than_s) and optimization_of(task) is not None):
         return optimized
     for polyline in polylines:
         with suppress(CertificationError, TimingError):
@@ -220,7 +183,7 @@ def along(task: PlanningTask, polyline: Polyline, margin: float) -> PlannedMotio
 
 def ever_quicker(motion: PlannedMotion) -> Iterator[PlannedMotion]:
     """Quicker and quicker motions near one, each certified; none where a short path is asked for, or it is straight."""
-    task, effort = motion.task, effort_of(motion.task)
+    task, effort = motion.task, optimization_of(motion.task)
     start = motion.trajectory
     if (
         effort is None
@@ -258,13 +221,6 @@ def smoothing_options(task: PlanningTask, margin: float) -> PostprocessOptions:
     )
 
 
-def effort_of(context: PlanningContext) -> StartsEffort | None:
-    """What may be spent on the optimisation of a motion; None where a short path is asked for, not a fast motion."""
-    options = context.options
-    efforts = EFFORTS_OF_BODIES if context.robot.planar is None else EFFORTS
-    return efforts[options.effort] if options.objective == "duration" else None
-
-
 def sway_of(context: PlanningContext) -> FloatArray | None:
     """(links, dof) what each link sways by for a unit of each joint's speed [m s/rad]; None if it does not."""
     robot, delay_s = context.robot, context.options.tracking.delay_s
@@ -300,7 +256,7 @@ def _optimized(
 
     None where the straight one is as good, or none was found or is asked for.
     """
-    effort, options = effort_of(task), task.options
+    effort, options = optimization_of(task), task.options
     if effort is None:
         return None
     if not task.problem.turns and len(polylines) > MANY:

@@ -15,17 +15,17 @@ import numpy as np
 from hplan.base.arrays import FloatArray
 from hplan.base.deadline import look
 from hplan.errors import CertificationError, ConfigurationInCollisionError, HplanError, TimingError
-from hplan.optimization.minimize_time import Effort, Level, minimize_time
+from hplan.optimization.minimize_time import Effort, minimize_time
 from hplan.optimization.timed_spline import BoundaryState, TimedSpline
 from hplan.planning.certified_motion import (
     Part,
     PlannedMotion,
     certificate_of,
     certified_trajectory,
-    effort_of,
     time_problem,
     timed,
 )
+from hplan.planning.effort import effort_of, optimization_of
 from hplan.planning.find_motion import first_motion, without_path
 from hplan.planning.grasps import SPARE, Grasp, Target, promising
 from hplan.planning.refusals import Refusals
@@ -43,15 +43,6 @@ _Last = TypeVar("_Last")
 #: More lets it pass the stand-off faster, and gives the transit more to do. Where the transit comes to last longer by
 #: more than this part of what approach and retreat save, less is tried next, else more.
 LEADS, FIRST_LEAD, EATEN = (0.02, 0.05, 0.15, 0.3, 0.45), 2, 0.5
-
-_BLENDED = Effort((Level(piece_s=0.03, pieces=(50, 120), steps=12, gain=0.02, trust=0.2),))
-
-#: So many are tried, and what is spent on the transit of each, by the effort.
-TRIED: dict[str, tuple[int, Effort]] = {
-    "quick": (0, _BLENDED),
-    "default": (2, _BLENDED),
-    "best": (4, Effort((Level(piece_s=0.012, pieces=(60, 300), steps=20, gain=1e-4, trust=0.2),))),
-}
 
 #: Beyond the stand-off obstacles are looked for at so many places.
 LOOKS = 16
@@ -302,7 +293,7 @@ def flowing(task: PlanningTask, transit: Part, before: Pick | None, after: Pick 
         before: From where the arm retreats before it; None where the transit begins at rest.
         after: What it approaches after it; None where the transit ends at rest.
     """
-    if effort_of(task) is None or transit.trajectory.samples == 1:
+    if optimization_of(task) is None or transit.trajectory.samples == 1:
         return None
     picks = before, after
     stopping = [0.0 if pick is None else pick.approach.trajectory.duration for pick in picks]
@@ -310,14 +301,14 @@ def flowing(task: PlanningTask, transit: Part, before: Pick | None, after: Pick 
     found: list[tuple[float, _Draft]] = []
     number, direction = FIRST_LEAD, 0
     passing: list[Trajectory | None] = []
-    tries, effort = TRIED[task.options.effort]
-    for _ in range(tries):
+    effort = effort_of(task)
+    for _ in range(effort.leads):
         look()
         known = passing
         passing = [None if pick is None else pick.passing(LEADS[number]) for pick in picks]
         if known and all(one is other for one, other in zip(known, passing, strict=True)):
             break  # there is no more room beyond the stand-offs
-        draft = _draft(task, transit.trajectory, passing, effort)
+        draft = _draft(task, transit.trajectory, passing, effort.blended)
         if draft is not None:
             saved = sum(stop - part.duration for stop, part in zip(stopping, passing, strict=True) if part is not None)
             seconds = draft.spline.duration + sum(stopping) - saved

@@ -5,67 +5,25 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
 from hplan.base.arrays import FloatArray
 from hplan.errors import NoPathError
 from hplan.planning.certified_motion import PlannedMotion, Polyline, quickest_certified
+from hplan.planning.effort import effort_of
 from hplan.planning.grid_route import find_route
 from hplan.planning.task import GridAttempt, PlanningTask
 from hplan.robot.limits import least_duration as least_between
 from hplan.sampling.rrt_connect import TreeEffort, tree_path
 from hplan.sampling.several_trees import PromisingPath, TreesEffort, promising_paths
 
-
-class SamplingEffort(NamedTuple):
-    """Where polylines are looked for, of which the quickest motion is taken.
-
-    Attributes:
-        trees: Effort of the trees where the base turns.
-        planar: Effort of the trees where it is locked, and a grid has been searched; None for none.
-        grids: Coarse grids where the base is locked and a fine one has too many nodes to be searched first.
-        close: With a motion of the first pair of trees that takes no more than so many times the least duration no
-            others grow.
-    """
-
-    trees: TreesEffort
-    planar: TreesEffort | None
-    grids: tuple[GridAttempt, ...]
-    close: float
-
-
-#: A motion that takes no more than so many times the least duration is close to the fastest.
-CLOSE = 1.15
-
 #: Coarse grids with more nodes than this are left out.
 MOST_COARSE = 5e6
-
-_GRIDS = (GridAttempt(2.0, growth_m=0.02), GridAttempt(2.0, growth_m=5e-3), GridAttempt(3.0, growth_m=0.01))
-
-#: What is looked for, by the option `effort`.
-SAMPLING: dict[str, SamplingEffort] = {
-    "quick": SamplingEffort(TreesEffort(2, 12_000), None, (), CLOSE),
-    "default": SamplingEffort(TreesEffort(4, 12_000), TreesEffort(2, 3_000), _GRIDS, 1.08),
-    "best": SamplingEffort(TreesEffort(16, 12_000), TreesEffort(16, 12_000), _GRIDS, 1.005),
-}
-
-#: Of general (non-planar) arms, an evaluation of whose clearance takes ten times as long.
-SAMPLING_OF_BODIES: dict[str, SamplingEffort] = {
-    "quick": SamplingEffort(TreesEffort(1, 6_000), None, (), CLOSE),
-    "default": SamplingEffort(TreesEffort(2, 6_000), None, (), CLOSE),
-    "best": SamplingEffort(TreesEffort(8, 12_000), None, (), 1.005),
-}
 
 #: Effort of trees of which the first path is taken, and before goals are refused, with so many seeds.
 ONE_PAIR = TreesEffort(1, 12_000)
 LONG_TREES, LONG_SEEDS = 120_000, 2
-
-
-def sampling_effort(task: PlanningTask) -> SamplingEffort:
-    """What is looked for, by the option `effort` and the kind of robot."""
-    return (SAMPLING_OF_BODIES if task.robot.planar is None else SAMPLING)[task.options.effort]
 
 
 def by_trees(task: PlanningTask, effort: TreesEffort) -> PlannedMotion | None:
@@ -75,7 +33,7 @@ def by_trees(task: PlanningTask, effort: TreesEffort) -> PlannedMotion | None:
 
 def by_sampling(task: PlanningTask) -> PlannedMotion | None:
     """The motion along the path of one pair of trees, or the quickest along many paths; None where there is none."""
-    effort, margin = sampling_effort(task), task.margin()
+    effort, margin = effort_of(task), task.margin()
     first = _of_trees(task, replace(effort.trees, pairs=1))
     known = quickest_certified(task, _polylines(first), margin)
     if known is not None and known.trajectory.duration <= effort.close * least_duration(task):
@@ -92,7 +50,7 @@ def by_sampling(task: PlanningTask) -> PlannedMotion | None:
 
 def rivals(task: PlanningTask) -> list[Polyline]:
     """Other paths, to be compared with one that was found on a planar grid."""
-    effort = sampling_effort(task)
+    effort = effort_of(task)
     return [] if effort.planar is None else _polylines(_of_trees(task, effort.planar))
 
 
@@ -103,7 +61,7 @@ def _may_sample(task: PlanningTask) -> bool:
 
 def trees_tried(task: PlanningTask) -> str:
     """The trees, where it is told what was tried."""
-    effort = sampling_effort(task).trees
+    effort = effort_of(task).trees
     return f"trees with {effort.pairs * effort.each} evaluations of the clearance"
 
 

@@ -22,7 +22,7 @@ from hplan.errors import (
     PlanCancelledError,
     UnavoidableContactError,
 )
-from hplan.optimization.minimize_time import Effort, Level, TimedMotion, minimize_time
+from hplan.optimization.minimize_time import TimedMotion, minimize_time
 from hplan.optimization.timed_spline import RESTING, BoundaryState, TimedSpline, even_breaks
 from hplan.planning.certified_motion import (
     Part,
@@ -31,19 +31,13 @@ from hplan.planning.certified_motion import (
     motion_limits,
     time_problem,
 )
+from hplan.planning.effort import effort_of
 from hplan.planning.grasps import Grasp
 from hplan.planning.task import PlanningContext
 from hplan.robot.model import Robot
 from hplan.timing.braking import braking
 from hplan.timing.trajectory import Trajectory, joined
 from hplan.verification.certificate import REST, Certificate, all_of
-
-#: What may be spent on leading a motion over, by the effort.
-LED_OVER: dict[str, Effort] = {
-    "quick": Effort((Level(piece_s=0.05, pieces=(24, 60), steps=8, gain=0.05, trust=0.2),)),
-    "default": Effort((Level(piece_s=0.03, pieces=(50, 120), steps=12, gain=0.02, trust=0.2),)),
-    "best": Effort((Level(piece_s=0.012, pieces=(60, 300), steps=20, gain=1e-4, trust=0.2),)),
-}
 
 #: Parts of the acceleration limits with which stops are tried in turn.
 PUSHES = (1.0, 0.7, 0.4, 0.2)
@@ -141,7 +135,7 @@ def _led_over(planned: Parts, state: BoundaryState) -> Parts | None:
     ends = state, BoundaryState.of_row(transit, -1)
     with task.stage("timing"):
         problem = time_problem(task, transit, ends)
-        effort = LED_OVER[task.options.effort]
+        effort = effort_of(task).begun
         start: TimedMotion = transit
         if np.abs(transit.velocity[0]).max() > REST:
             pieces = effort.levels[0].pieces_of(transit.duration, task.options.rate_hz)

@@ -31,6 +31,7 @@ from hplan.planning.certified_motion import (
     along,
     ever_quicker,
 )
+from hplan.planning.effort import effort_of
 from hplan.planning.find_motion import find_motion, first_found, first_motion, reuse_motion
 from hplan.planning.grasp_motion import (
     FindMotion,
@@ -56,9 +57,6 @@ PLANAR_TREES = 2
 
 #: Configurations at a fruit among which grasps are chosen for the first motion, and how many of them.
 FEW_GRASPS, FIRST_GRASPS = 24, 3
-
-#: To so many of the configurations with a frame at a pose motions are looked for, those nearest to the start.
-POSE_GOALS = {"quick": 4, "default": 8, "best": 16}
 
 
 @dataclass(frozen=True, eq=False)
@@ -228,7 +226,7 @@ def _goal(context: PlanningContext, start: FloatArray) -> list[PlanningTask] | T
     if scene.goal.pose is not None and not context.options.standoff:
         with context.stage("grasps"):
             ends = configurations_at(context.world, scene.goal, start, scene.locked_joints)
-            return [context.task(start, end) for end in ends[: POSE_GOALS[context.options.effort]]]
+            return [context.task(start, end) for end in ends[: effort_of(context).pose_goals]]
     return _target(context)
 
 

@@ -29,9 +29,10 @@ from hplan.errors import (
     TimingError,
 )
 from hplan.planning.certified_motion import Part, PlannedMotion
+from hplan.planning.effort import CLOSE
 from hplan.planning.find_motion import SAMPLED, first_found, first_motion, straight, straight_is_clear
 from hplan.planning.refusals import Refusals
-from hplan.planning.sampled_motion import CLOSE, ONE_PAIR, by_trees
+from hplan.planning.sampled_motion import ONE_PAIR, by_trees
 from hplan.planning.task import PlanningContext, PlanningTask
 from hplan.robot.limits import Limits, rest_to_rest
 

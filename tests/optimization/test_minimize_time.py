@@ -9,7 +9,7 @@ import pytest
 
 import hplan
 from hplan.optimization.torque_rows import TorqueUse
-from hplan.planning.certified_motion import EFFORTS
+from hplan.planning.effort import EFFORTS
 from hplan.problem.options import EFFORT_NAMES, PlanOptions
 from hplan.timing.trajectory import cubic_pieces
 from hplan.verification.limit_use import limit_use

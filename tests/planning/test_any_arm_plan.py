@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,8 +11,8 @@ from any_arms import LIFT, loaded_arm
 
 from hplan.errors import ConfigurationInCollisionError, InputError, NotFoundError, OptionError, RobotFileError
 from hplan.planning import find_motion
+from hplan.planning.effort import EFFORTS_OF_BODIES
 from hplan.planning.plan import plan
-from hplan.planning.sampled_motion import SAMPLING_OF_BODIES, SamplingEffort
 from hplan.problem.options import PlanOptions
 from hplan.robot.limits import Limits
 from hplan.robot.model import Robot, load_robot
@@ -70,8 +71,8 @@ def test_a_start_in_an_obstacle_is_refused(arm: Robot) -> None:
 
 
 def test_where_nothing_is_found_nothing_is_claimed(arm: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
-    few = SamplingEffort(TreesEffort(1, 20), None, (), 1.0)
-    monkeypatch.setitem(SAMPLING_OF_BODIES, "quick", few)
+    few = replace(EFFORTS_OF_BODIES["quick"], trees=TreesEffort(1, 20))
+    monkeypatch.setitem(EFFORTS_OF_BODIES, "quick", few)
     monkeypatch.setattr(find_motion, "by_trees_to_any", lambda tasks: None)
     # From the pedestal outward, higher than the arm reaches, between start and goal.
     along = np.array([np.cos(0.9), np.sin(0.9)])

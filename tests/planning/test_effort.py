@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import hplan
+from hplan.planning.effort import EFFORTS
 from hplan.planning.find_motion import find_motion
 from hplan.planning.task import PlanningCache
 from hplan.problem.options import PlanOptions
@@ -20,9 +22,8 @@ from hplan.scene.obstacles import Sphere
 
 def test_best_falls_back_on_what_the_default_finds(robot: Robot, scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     default = hplan.plan(robot, scene)
-    efforts = hplan.planning.certified_motion.EFFORTS
     # With nothing spent on optimisation, `best` finds no more than `quick`.
-    monkeypatch.setitem(efforts, "best", None)
+    monkeypatch.setitem(EFFORTS, "best", replace(EFFORTS["best"], starts=None))
     task = (
         PlanningCache(robot)
         .context(scene, PlanOptions(effort="best"))

@@ -86,7 +86,7 @@ def load_variant(name: str, folder: Path, *, touches_itself: bool = False) -> Ro
     robot = load_robot(path)
     np.testing.assert_allclose(robot.arm.half_widths, widths, rtol=1e-12)
     if not touches_itself:
-        robot.once("self_contact", lambda: lambda *_: SelfContact())  # whatever tracking error and clearance
+        robot.cached("self_contact", lambda: lambda *_: SelfContact())  # whatever tracking error and clearance
     return robot
 
 

@@ -1,13 +1,13 @@
-"""When an answer is wanted at the latest, and whether it is still wanted: looked at by Python code and by kernels.
+"""Deadlines and cancellation, checked by Python code and by kernels.
 
 A limit belongs to the call that it was begun in, and to what that calls in its own thread (a context variable), so that
-it need not go through every function on the way. Python code calls `look` at its steps, which raises `TimeIsUpError`
-once time is up. Kernels that may take longer than a millisecond take the array `until()` and ask `is_up` every so
-often; where it is, they return whatever they have, and **their caller calls `look` before it uses that**. `is_up` stays
-true as long as the limit lasts, so nothing that was cut short is ever taken for a result.
+it need not go through every function on the way. Python code calls `check_deadline` at its steps, which raises
+`TimeIsUpError` once time is up. Kernels that may take longer than a millisecond take the array `until()` and call
+`is_up` every so often; where it is, they return whatever they have, and **their caller calls `check_deadline` before it
+uses that**. `is_up` stays true as long as the limit lasts, so nothing that was cut short is ever taken for a result.
 
-Deadlines are looked at on the clock, by kernels too: nobody has to tell them. A wish to cancel is polled by a
-thread of its own, as kernels release Python's lock while they run.
+Deadlines are compared with the clock, by kernels too. Whether a call is cancelled is polled by a thread of its own, as
+kernels release Python's lock while they run.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ from hplan.base.arrays import FloatArray, frozen
 from hplan.base.kernels import inlined, kernel
 from hplan.errors import HplanError, NotInTimeError, OptionError, PlanCancelledError
 
-#: Says whether nobody wants the answer any more: a function that returns a truth value, or an event that is set.
+#: Says whether a call is cancelled: a function that returns a truth value, or an event that is set.
 Cancel: TypeAlias = Callable[[], object] | threading.Event
 
-#: How often a wish to cancel is asked for [s].
+#: How often cancellation is polled [s].
 POLL_S = 1e-3
 
 #: Within shorter deadlines Python's garbage is not collected, which takes a tenth of a second where there are many
@@ -41,24 +41,24 @@ UNCOLLECTED_S = 1.0
 #: A collection of all garbage that is due waits for a call with time left for it, for as many calls at most.
 POSTPONED = 1000
 
-#: Later than any time on the clock, yet finite, so that kernels look at the wish to cancel [s].
+#: Later than any time on the clock, yet finite, so that kernels check for cancellation [s].
 _LATE = 1e300
 
 #: The clock that deadlines are on. (Studies on a machine that others use too take that of the process's own work.)
 CLOCK = time.CLOCK_MONOTONIC
 
-#: What kernels take where there is no limit: the time on the clock [s], 1 once nobody wants an answer, and the clock.
+#: What kernels take where there is no limit: the time on the clock [s], 1 once cancelled, and the clock.
 NEVER: FloatArray = frozen(np.array([np.inf, 0.0, float(CLOCK)]))
 
 _CURRENT: ContextVar[TimeLimit | None] = ContextVar("time_limit", default=None)
 
 
 class TimeIsUpError(Exception):
-    """Time is up, or nobody wants the answer any more. It does not leave the call that began the limit."""
+    """Time is up, or the call is cancelled. It does not leave the call that began the limit."""
 
 
 class TimeLimit:
-    """A deadline, and a wish to cancel.
+    """A deadline, and whether it was cancelled.
 
     Attributes:
         deadline_s: How long there is in all; None for as long as it takes [s].
@@ -101,7 +101,7 @@ class TimeLimit:
         return bool(self._values[1] > 0.0)
 
     def cancel(self, failure: BaseException | None = None) -> None:
-        """Nobody wants the answer any more, or, with an error, the question whether anybody does has failed."""
+        """Cancel the call; with an error, because the function that says whether to cancel has raised it."""
         self._failure = failure
         self._values[1] = 1.0
 
@@ -121,7 +121,7 @@ class TimeLimit:
         """The error that says that time is up, and what was tried.
 
         Raises:
-            PlanCancelledError: It is not the time, nobody wants the answer any more.
+            PlanCancelledError: It was cancelled; time is not up.
             BaseException: As `check_cancelled`.
         """
         self.check_cancelled()
@@ -188,11 +188,11 @@ def time_limit(deadline_s: float | None = None, cancel: Cancel | None = None) ->
 
     Args:
         deadline_s: How long there is; None for as long as it takes [s].
-        cancel: Says whether nobody wants the answer any more; asked about every `POLL_S` by a thread of its own.
+        cancel: Says whether the call is cancelled; asked about every `POLL_S` by a thread of its own.
 
     Raises:
-        OptionError: What says so is neither a function nor an event.
-        PlanCancelledError: Nobody does.
+        OptionError: `cancel` is neither a function nor an event.
+        PlanCancelledError: It is cancelled.
         TimeIsUpError: Time is up.
         BaseException: What the function has raised.
     """
@@ -226,7 +226,7 @@ def time_limit(deadline_s: float | None = None, cancel: Cancel | None = None) ->
 
 
 def _ask(limit: TimeLimit, cancel: Cancel) -> None:
-    """Find out whether nobody wants the answer any more."""
+    """Find out whether the call is cancelled."""
     try:
         if cancel.is_set() if isinstance(cancel, threading.Event) else cancel():
             limit.cancel()
@@ -252,16 +252,16 @@ def until() -> FloatArray:
 
 
 def is_over() -> bool:
-    """True if there is no time left, or the answer is not wanted: for what may end with less."""
+    """True if there is no time left, or the call is cancelled: for what may end with less."""
     limit = _CURRENT.get()
     return limit is not None and limit.is_up
 
 
-def look() -> None:
-    """Return if there is time left, and the answer is wanted.
+def check_deadline() -> None:
+    """Return if there is time left, and the call is not cancelled.
 
     Raises:
-        TimeIsUpError: There is none, or it is not.
+        TimeIsUpError: There is none, or it is.
     """
     if is_over():
         raise TimeIsUpError
@@ -299,6 +299,6 @@ def _is_up(until: FloatArray) -> bool:
 
 @inlined
 def is_up(until: FloatArray) -> bool:
-    """True once there is no time left, or nobody wants the answer any more."""
+    """True once there is no time left, or the call is cancelled."""
     up: bool = until[0] < np.inf and _is_up(until)
     return up

@@ -103,7 +103,7 @@ def reuse_bodies(robot: Robot, before: Robot) -> None:
         found = (_bodies(robot, number, shape) for number, shape in more)
         return [*known, *itertools.chain.from_iterable(found)]
 
-    robot.once("collision_bodies", make)
+    robot.cached("collision_bodies", make)
 
 
 def _made(robot: Robot) -> list[tuple[CollisionBody, pin.GeometryObject]]:
@@ -112,7 +112,7 @@ def _made(robot: Robot) -> list[tuple[CollisionBody, pin.GeometryObject]]:
         found = (_bodies(robot, number, shape) for number, shape in enumerate(objects))
         return list(itertools.chain.from_iterable(found))
 
-    return robot.once("collision_bodies", make)
+    return robot.cached("collision_bodies", make)
 
 
 class _Solid(NamedTuple):

@@ -20,7 +20,7 @@ from typing import NamedTuple, TypeAlias
 from hplan.base.arrays import FloatArray
 from hplan.base.kernels import any_int, inlined, kernel
 from hplan.bodies.sweep import STILL, Sweep, used_up
-from hplan.bodies.vectors import Pose, Vector, cross, dot, less, placed_point, turned_back
+from hplan.bodies.vectors import Pose, Vector, cross, dot, placed_point, sub, turned_back
 from hplan.scene.corner_table import OCTANTS
 
 #: First and last place of the coordinates of some points in an array of numbers, last is one past; and the place of
@@ -113,7 +113,7 @@ def core_distance(
     direction = (work[NEAREST], work[NEAREST + 1], work[NEAREST + 2])
     if direction[0] == 0.0 and direction[1] == 0.0 and direction[2] == 0.0:
         o = other_span[0]
-        direction = less(placed_point(pose, shape, span[0]), (other[o], other[o + 1], other[o + 2]))
+        direction = sub(placed_point(pose, shape, span[0]), (other[o], other[o + 1], other[o + 2]))
     size, square, lower, scale = 0, math.inf, 0.0, 0.0
     work[SEPARATING], work[SEPARATING + 1], work[SEPARATING + 2] = 0.0, 0.0, 0.0
     for _ in range(_MOST):
@@ -121,7 +121,7 @@ def core_distance(
         p = farthest_corner(shape, span, turned_back(pose, (-x, -y, -z)))
         o = farthest_corner(other, other_span, direction)
         a = placed_point(pose, shape, p)
-        w = less(a, (other[o], other[o + 1], other[o + 2]))
+        w = sub(a, (other[o], other[o + 1], other[o + 2]))
         length = math.sqrt(dot(direction, direction))
         along = dot(direction, w)
         if along > lower * length:
@@ -222,13 +222,13 @@ def _nearest_point(work: FloatArray, size: int) -> Vector:
     a = _corner(work, 0)
     x, y, z = a
     if size == 2:
-        along = less(_corner(work, 1), a)
+        along = sub(_corner(work, 1), a)
         weight = work[_WEIGHTS + 1]
         x, y, z = x + weight * along[0], y + weight * along[1], z + weight * along[2]
         part = (x * along[0] + y * along[1] + z * along[2]) / dot(along, along)
         x, y, z = x - part * along[0], y - part * along[1], z - part * along[2]
     elif size == 3:
-        normal = cross(less(_corner(work, 1), a), less(_corner(work, 2), a))
+        normal = cross(sub(_corner(work, 1), a), sub(_corner(work, 2), a))
         part = dot(a, normal) / dot(normal, normal)
         x, y, z = part * normal[0], part * normal[1], part * normal[2]
     elif size == 4:
@@ -239,7 +239,7 @@ def _nearest_point(work: FloatArray, size: int) -> Vector:
 @kernel
 def _on_line(a: Vector, b: Vector) -> tuple[float, float]:
     """Weights of the point of a segment that is nearest to the origin."""
-    along = less(b, a)
+    along = sub(b, a)
     square = dot(along, along)
     t = min(1.0, max(0.0, -dot(a, along) / square)) if square > 0.0 else 0.0
     return 1.0 - t, t
@@ -259,13 +259,13 @@ def on_triangle(a: Vector, b: Vector, c: Vector) -> tuple[float, float, float]:
     Areas are compared in the plane of two axes in which the triangle is largest. Where the foot of the origin is beyond
     an edge, the nearest point lies on such an edge.
     """
-    normal = cross(less(b, a), less(c, a))
+    normal = cross(sub(b, a), sub(c, a))
     square = dot(normal, normal)
     at_a, at_b, at_c, area = -1.0, -1.0, -1.0, 1.0
     if square > 0.0:
         up = dot(a, normal) / square
         foot = (up * normal[0], up * normal[1], up * normal[2])
-        fa, fb, fc = less(a, foot), less(b, foot), less(c, foot)
+        fa, fb, fc = sub(a, foot), sub(b, foot), sub(c, foot)
         nx, ny, nz = abs(normal[0]), abs(normal[1]), abs(normal[2])
         if nx >= ny and nx >= nz:
             area = normal[0]
@@ -325,7 +325,7 @@ def _in_tetrahedron(a: Vector, b: Vector, c: Vector, d: Vector) -> tuple[float, 
     Each of the four volumes between the origin and a face has the sign of the whole where the origin is inside; else
     the nearest point lies on a face beyond which the origin is.
     """
-    da, db, dc = less(a, d), less(b, d), less(c, d)
+    da, db, dc = sub(a, d), sub(b, d), sub(c, d)
     back = (-d[0], -d[1], -d[2])
     across = cross(db, dc)
     whole = dot(da, across)

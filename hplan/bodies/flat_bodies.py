@@ -56,7 +56,7 @@ class FlatBodies(Record):
             own_clearance: Clearance that pairs are to keep [m].
             deviation: By how much every joint may be off [rad, m]: bodies are as much thicker as they may then sway.
         """
-        still = robot.once("flat bodies", lambda: cls._still(robot))
+        still = robot.cached("flat bodies", lambda: cls._still(robot))
         bodies, pairs = collision_bodies(robot), self_pairs(robot)
         rows, count = still.movers.copy(), len(bodies)
         sway = deviation * still.numbers[int(still.numbers[REACHES]) :][: rows.shape[0] * robot.dof]
@@ -98,7 +98,7 @@ class FlatBodies(Record):
 
 def joint_numbers(robot: Robot) -> FloatArray:
     """(dof, JOINT_SIZE) numbers of the joints; found once."""
-    return robot.once("joint numbers", lambda: frozen(np.array([_of_joint(robot, j) for j in range(robot.dof)])))
+    return robot.cached("joint numbers", lambda: frozen(np.array([_of_joint(robot, j) for j in range(robot.dof)])))
 
 
 def _of_joint(robot: Robot, joint: int) -> FloatArray:

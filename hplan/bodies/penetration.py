@@ -18,7 +18,7 @@ import numpy as np
 from hplan.base.arrays import FloatArray, IntArray
 from hplan.base.kernels import any_int, kernel
 from hplan.bodies.convex_distance import NEAREST, ON_FIRST, Span, farthest_corner, on_triangle
-from hplan.bodies.vectors import Pose, Vector, cross, dot, less, placed_point, turned_back
+from hplan.bodies.vectors import Pose, Vector, cross, dot, placed_point, sub, turned_back
 
 #: Two hulls: the coordinates of points, which of them are of the first, where that is; and of the other.
 Hulls: TypeAlias = tuple[FloatArray, Span, Pose, FloatArray, Span]
@@ -107,7 +107,7 @@ def _difference(hulls: Hulls, direction: Vector) -> tuple[Vector, Vector]:
     p = farthest_corner(shape, span, turned_back(pose, direction))
     o = farthest_corner(other, other_span, (-direction[0], -direction[1], -direction[2]))
     a = placed_point(pose, shape, p)
-    return less(a, (other[o], other[o + 1], other[o + 2])), a
+    return sub(a, (other[o], other[o + 1], other[o + 2])), a
 
 
 @kernel
@@ -131,7 +131,7 @@ def _tetrahedron(hulls: Hulls, corners: FloatArray, of_first: FloatArray) -> flo
             if dot(direction, direction) <= 1e-4:
                 continue  # across what is along the axis
             w, a = _difference(hulls, direction)
-            off = less(w, first)
+            off = sub(w, first)
             if count == 1:
                 away = math.sqrt(dot(off, off))
             elif count == 2:
@@ -146,7 +146,7 @@ def _tetrahedron(hulls: Hulls, corners: FloatArray, of_first: FloatArray) -> flo
             return 0.0
         corners[count, 0], corners[count, 1], corners[count, 2] = best
         of_first[count, 0], of_first[count, 1], of_first[count, 2] = best_point
-        off = less(best, first)
+        off = sub(best, first)
         if count == 1:
             along = (off[0] / most, off[1] / most, off[2] / most)
         elif count == 2:
@@ -162,7 +162,7 @@ def _add_face(
     """Write a face whose plane has the first tetrahedron's middle behind it; the number of faces is returned."""
     i, j, k = triangle
     a, b, c = _corner_of(corners, i), _corner_of(corners, j), _corner_of(corners, k)
-    normal = cross(less(b, a), less(c, a))
+    normal = cross(sub(b, a), sub(c, a))
     length = math.sqrt(dot(normal, normal))
     if length == 0.0:
         return made

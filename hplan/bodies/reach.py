@@ -48,7 +48,7 @@ def reach(robot: Robot, beyond: float = 0.0) -> FloatArray:
         (bodies, dof) bounds [m]; 0 where the joint does not move the body, 1 for a joint that slides, so that
         `reach @ abs(dq)` bounds how far any point of each body moves. Bodies are in the order of `collision_bodies`.
     """
-    return robot.once(("reach", beyond), lambda: _reach(robot, beyond))
+    return robot.cached(("reach", beyond), lambda: _reach(robot, beyond))
 
 
 def _reach(robot: Robot, beyond: float) -> FloatArray:
@@ -74,7 +74,7 @@ def points_reach(
 
 def reach_ball(robot: Robot) -> FloatArray:
     """(4,) centre, in `base_link`, and radius of a ball that holds all bodies at all configurations [m]."""
-    return robot.once("ball of all bodies", lambda: _reach_ball(robot))
+    return robot.cached("ball of all bodies", lambda: _reach_ball(robot))
 
 
 def _reach_ball(robot: Robot) -> FloatArray:

@@ -78,7 +78,7 @@ def self_pairs(robot: Robot, beyond: float = BEYOND) -> SelfPairs:
         beyond: How far joints may be beyond their limits [rad, m].
     """
     every = itertools.combinations(range(len(collision_bodies(robot))), 2)
-    return robot.once(("self_pairs", beyond), lambda: pairs_among(robot, every, beyond))
+    return robot.cached(("self_pairs", beyond), lambda: pairs_among(robot, every, beyond))
 
 
 def pairs_among(robot: Robot, chosen: Iterable[tuple[int, int]], beyond: float) -> SelfPairs:

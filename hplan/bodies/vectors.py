@@ -27,8 +27,8 @@ def cross(a: Vector, b: Vector) -> Vector:
 
 
 @kernel
-def less(a: Vector, b: Vector) -> Vector:
-    """The vector from b to a."""
+def sub(a: Vector, b: Vector) -> Vector:
+    """The difference a - b: the vector from b to a."""
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 

@@ -155,7 +155,7 @@ def shaped_pairs(robot: Robot, deviation: float) -> SelfPairs:
         deviation: How far joints may be beyond their limits [rad].
     """
     beyond = _rounded_up(deviation)
-    return robot.once(("shaped_pairs", beyond), lambda: pairs_among(robot, _held_pairs(robot), beyond))
+    return robot.cached(("shaped_pairs", beyond), lambda: pairs_among(robot, _held_pairs(robot), beyond))
 
 
 def _held_pairs(robot: Robot) -> Iterator[tuple[int, int]]:
@@ -226,7 +226,7 @@ def _rounded_up(deviation: float) -> float:
 
 def body_pairs(robot: Robot, pairs: SelfPairs) -> tuple[ArmPair, ...]:
     """Pairs of a robot's bodies, in their order; the one that more joints carry is the mover. Made once."""
-    return robot.once(("body_pairs", pairs), lambda: tuple(_body_pairs(robot, pairs)))
+    return robot.cached(("body_pairs", pairs), lambda: tuple(_body_pairs(robot, pairs)))
 
 
 def _body_pairs(robot: Robot, pairs: SelfPairs) -> Iterator[ArmPair]:

@@ -127,17 +127,17 @@ def _body_clearance(arm: BodyArrays, b: int, enough: float) -> float:
             following = int(solids[s, row.NEXT]) if kind >= row.NODE else s + 1
             continue
         following = s + 1
-        if kind == row.GATE:
+        if kind == row.LINK_RANGE:
             if not solids[s, row.FIRST_LINK] <= joint <= solids[s, row.LAST_LINK]:
                 following = int(solids[s, row.NEXT])
-        elif kind == row.NODE or kind == row.LOT:
+        elif kind == row.NODE or kind == row.LEAF:
             start = (placed[b, START], placed[b, START + 1], placed[b, START + 2])
             along = (placed[b, ALONG], placed[b, ALONG + 1], placed[b, ALONG + 2])
             centre = (solids[s, row.CENTRE], solids[s, row.CENTRE + 1], solids[s, row.CENTRE + 2])
             if point_segment(centre, start, along) > least + movers[b, flat.AXIS_RADIUS] + solids[s, row.BOUND]:
                 following = int(solids[s, row.NEXT])
-            elif kind == row.LOT:
-                least = _lot_clearance(arm, b, s, least)
+            elif kind == row.LEAF:
+                least = _leaf_clearance(arm, b, s, least)
         else:
             away = (-dx, -dy, -dz)
             if kind == row.BOX:
@@ -202,8 +202,8 @@ def _row_clearance(arm: BodyArrays, place: tuple[int, int], away: Vector, least:
 
 
 @kernel
-def _lot_clearance(arm: BodyArrays, k: int, s: int, least: float) -> float:
-    """Clearance of a body from the balls of a lot, or `least` where it is no less."""
+def _leaf_clearance(arm: BodyArrays, k: int, s: int, least: float) -> float:
+    """Clearance of a body from the balls of a leaf, or `least` where it is no less."""
     movers, solids, data, placed, work = arm.movers, arm.solids, arm.data, arm.placed, arm.work
     radius, thickness = solids[s, row.RADIUS], movers[k, flat.AXIS_RADIUS]
     start = (placed[k, START], placed[k, START + 1], placed[k, START + 2])

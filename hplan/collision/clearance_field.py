@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hplan.base.arrays import BoolArray, FloatArray, IntArray, Record, frozen, readonly
-from hplan.base.deadline import look, until
+from hplan.base.deadline import check_deadline, until
 from hplan.bodies.flat_bodies import BODIES, DOF, FlatBodies
 from hplan.collision.clearance_kernels import (
     LINK,
@@ -27,9 +27,9 @@ from hplan.collision.clearance_kernels import (
 )
 from hplan.collision.obstacle_rows import (
     FIRST_LINK,
-    GATE,
     KIND,
     LAST_LINK,
+    LINK_RANGE,
     NEXT,
     TURNS,
     core_rows,
@@ -129,11 +129,11 @@ class ClearanceField(Record):
             touched: (solids,) which of them.
         """
         # The link, or of other arms than planar ones the joint, before the last.
-        last_gated = (len(self.chain) if self.chain.shape[1] == LINK else int(self.base[DOF])) - 2
-        if last_gated < 0:
+        last_link = (len(self.chain) if self.chain.shape[1] == LINK else int(self.base[DOF])) - 2
+        if last_link < 0:
             return self.only(~touched)
         rows = np.append(touched, False)[self.owner]
-        first = rows & (np.concatenate([[-2], self.owner[:-1]]) != self.owner)  # where a gate comes before the row
+        first = rows & (np.concatenate([[-2], self.owner[:-1]]) != self.owner)  # a link range comes before it
         before = np.concatenate([[0], np.cumsum(first)])
         solids = np.insert(self.solids, np.flatnonzero(first), 0.0, axis=0)
         moved = np.arange(len(rows)) + before[1:]
@@ -141,10 +141,10 @@ class ClearanceField(Record):
         ends = np.append(np.flatnonzero(first), len(rows))[1:]
         for start, end in zip(np.flatnonzero(first).tolist(), ends.tolist(), strict=True):
             last = start + int(np.count_nonzero(self.owner[start:end] == self.owner[start]))
-            gate = solids[start + before[start]]
-            gate[:] = self.solids[start]
-            gate[KIND], gate[FIRST_LINK], gate[LAST_LINK], gate[TURNS] = GATE, 0, last_gated, 0.0
-            gate[NEXT] = last + before[last]
+            links = solids[start + before[start]]
+            links[:] = self.solids[start]
+            links[KIND], links[FIRST_LINK], links[LAST_LINK], links[TURNS] = LINK_RANGE, 0, last_link, 0.0
+            links[NEXT] = last + before[last]
         owner = np.insert(self.owner, np.flatnonzero(first), self.owner[first])
         return replace(self, solids=frozen(solids), owner=frozen(owner))
 
@@ -162,7 +162,7 @@ class ClearanceField(Record):
             parts.append(first + np.linspace(0.0, 1.0, count + 1)[1:, None] * (last - first))
         kept = np.zeros(len(self.solids), dtype=np.bool_)
         mark_near(np.concatenate(parts), self.arrays, distance, kept)
-        look()
+        check_deadline()
         return self._of_rows(kept)
 
     def _of_rows(self, kept: BoolArray) -> ClearanceField:
@@ -183,7 +183,7 @@ class ClearanceField(Record):
             (links,) distances to the nearest obstacle [m], inf without obstacles. Negative in contact; the depth is
             exact for balls and for capsules whose axis is not crossed, a lower bound of the depth otherwise.
         """
-        look()
+        check_deadline()
         result = np.empty(len(self.chain))
         link_clearances(np.asarray(q, dtype=np.float64), self.arrays, result)
         return result
@@ -193,7 +193,7 @@ class ClearanceField(Record):
         points = np.array(configurations, dtype=np.float64, order="C")
         result = np.empty((len(points), len(self.chain)))
         clearances_along(points, self.arrays, result)
-        look()
+        check_deadline()
         return result
 
     def clearance(self, q: ArrayLike) -> float:
@@ -215,5 +215,5 @@ class ClearanceField(Record):
             raise OptionError("margin", margin, "a positive number of metres")
         points = np.array(path, dtype=np.float64, order="C")
         clear = bool(np.isfinite(points).all() and path_is_clear(points, self.arrays, margin))
-        look()
+        check_deadline()
         return clear

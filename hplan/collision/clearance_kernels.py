@@ -144,7 +144,7 @@ def link_clearances(q: FloatArray, field: FieldArrays, result: FloatArray) -> No
             elif kind == row.HULL:
                 limit = least + solids[s, row.RADIUS]
                 distance = segment_hull((x, y, z), (ux, uy, uz), data, int(ax), int(ay), int(az), limit)
-            elif kind == row.GATE:
+            elif kind == row.LINK_RANGE:
                 if not solids[s, row.FIRST_LINK] <= k <= solids[s, row.LAST_LINK]:
                     following = int(solids[s, row.NEXT])
                 elif solids[s, row.TURNS] > 0.0:
@@ -166,7 +166,7 @@ def link_clearances(q: FloatArray, field: FieldArrays, result: FloatArray) -> No
                 if solids[s, row.IS_ROOT] > 0.0:
                     # What is near at once lets most of the tree be skipped.
                     distance = _descended(s, solids, data, (x, y, z), (ux, uy, uz))
-            elif kind == row.LOT:
+            elif kind == row.LEAF:
                 for p in range(int(solids[s, row.POINTS]), int(solids[s, row.POINTS_END]), 3):
                     point = point_segment((data[p], data[p + 1], data[p + 2]), (x, y, z), (ux, uy, uz))
                     distance = min(distance, point)
@@ -177,7 +177,7 @@ def link_clearances(q: FloatArray, field: FieldArrays, result: FloatArray) -> No
 
 @kernel
 def _descended(s: int, solids: FloatArray, data: FloatArray, start: Vector, u: Vector) -> float:
-    """Distance of a segment from the points of one lot below a node: down the nearer child each time."""
+    """Distance of a segment from the points of one leaf below a node: down the nearer child each time."""
     end = int(solids[s, row.NEXT])
     while solids[s, row.KIND] == row.NODE:
         s += 1

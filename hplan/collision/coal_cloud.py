@@ -18,7 +18,7 @@ import numpy as np
 import pinocchio as pin
 
 from hplan.base.arrays import FloatArray, IntArray
-from hplan.base.deadline import look
+from hplan.base.deadline import check_deadline
 from hplan.base.kernels import kernel
 from hplan.collision.coal_shapes import beyond_geometry, capsule_shapes, solid_shape, triangle_tree
 from hplan.robot.base_shapes import coal_distance
@@ -148,7 +148,7 @@ def obstacle_shapes(obstacles: Sequence[Solid]) -> list[pin.GeometryObject | Poi
     capsules = iter(capsule_shapes([obstacle for obstacle in obstacles if type(obstacle) is Capsule]))
     shapes: list[pin.GeometryObject | PointBlocks] = []
     for obstacle in obstacles:
-        look()
+        check_deadline()
         shapes.append(next(capsules) if type(obstacle) is Capsule else obstacle_shape(obstacle))
     return shapes
 

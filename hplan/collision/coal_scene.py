@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from hplan.base import ties
 from hplan.base.arrays import BoolArray, FloatArray, IntArray
-from hplan.base.deadline import look
+from hplan.base.deadline import check_deadline
 from hplan.bodies.collision_bodies import body_shapes
 from hplan.collision.arm_pairs import (
     base_bodies,
@@ -182,7 +182,7 @@ class CoalScene:
             if self.moving is not None:
                 never = self.moving.keep_below(never, shape.bottom)
             self._beyond[len(self.link_shapes) + row, never] = -np.inf
-        look()
+        check_deadline()
         mover_of = [mover for mover, of_mover in enumerate(movers) for _ in of_mover]
         self.pairs = [(mover, obstacle) for mover in mover_of for obstacle in range(len(obstacles))]
         if self.own_bodies is not None:
@@ -205,7 +205,7 @@ class CoalScene:
         self._taken_off: FloatArray = np.append(self._beyond, np.zeros(len(own)))
         solids = obstacle_shapes(obstacles)
         balls = bounding_balls(obstacles)
-        look()
+        check_deadline()
         self._geometry = GeometryPairs(robot.model, self._mover_shapes, solids, self._own_shapes, balls)
 
     def __getstate__(self) -> dict[str, Any]:

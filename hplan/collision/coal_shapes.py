@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 
 from hplan.base.arrays import FloatArray, IntArray
-from hplan.base.deadline import look
+from hplan.base.deadline import check_deadline
 from hplan.robot.base_shapes import filled
 from hplan.robot.model import Robot
 from hplan.scene.convex_shape import convex_shape
@@ -31,7 +31,7 @@ _AT_ORIGIN = pin.SE3.Identity()
 
 def link_shapes(robot: Robot, links: LinkShapes) -> list[pin.GeometryObject]:
     """Each link's capsule or beam, in the frame of its joint; made once for each robot."""
-    return robot.once(("link_shapes", links), lambda: _link_shapes(robot, links))
+    return robot.cached(("link_shapes", links), lambda: _link_shapes(robot, links))
 
 
 def _link_shapes(robot: Robot, links: LinkShapes) -> list[pin.GeometryObject]:
@@ -87,7 +87,7 @@ def capsule_shapes(capsules: Sequence[Capsule]) -> list[pin.GeometryObject]:
     turns = np.column_stack([0.5 * half, -y / half, x / half]).tolist()
     shapes = []
     for number, (capsule, length) in enumerate(zip(capsules, lengths.tolist(), strict=True)):
-        look()
+        check_deadline()
         if not (upright[number] and length > 0.0):
             shapes.append(solid_shape(capsule))
             continue

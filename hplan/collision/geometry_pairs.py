@@ -17,7 +17,7 @@ import numpy as np
 import pinocchio as pin
 
 from hplan.base.arrays import BoolArray, FloatArray, IntArray
-from hplan.base.deadline import look
+from hplan.base.deadline import check_deadline
 from hplan.base.kernels import kernel
 from hplan.collision.coal_cloud import BareShape, PointBlocks
 
@@ -65,7 +65,7 @@ class _QueryData(threading.local):
         self.parts: list[_PartData] = []
         for geometry in geometries:
             self.parts.append(_PartData(geometry))
-            look()
+            check_deadline()
         self.single = (self.arm, self.parts[0]) if len(self.parts) == 1 and not has_clouds else None
         self.elsewhere: dict[int, list[tuple[int, pin.SE3]]] = {}
         self.clouds: dict[int, pin.SE3] = {}
@@ -111,7 +111,7 @@ class GeometryPairs:
             self._where[column] = number // _CHUNK, len(movers) + number % _CHUNK
         starts = range(0, max(len(fixed), 1), _CHUNK)
         for start in starts:
-            look()
+            check_deadline()
             geometry = pin.GeometryModel()
             for shape in movers:
                 geometry.addGeometryObject(shape)
@@ -133,7 +133,7 @@ class GeometryPairs:
                 numbers = np.append(numbers, np.arange(self.count - len(chosen), self.count))
             self._geometries.append(geometry)
             self._numbers.append(numbers)
-            look()
+            check_deadline()
         self._query = _QueryData(model, self._geometries, bool(self._clouds))
         # In which model a pair is, and its number there; the pairs of clouds, in none, mover by mover.
         self._part_of = np.full(self.count, -1, dtype=np.int64)

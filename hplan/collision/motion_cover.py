@@ -33,7 +33,7 @@ from hplan.bodies.convex_distance import NEAREST, SEPARATING, WORK, Span, Wanted
 from hplan.bodies.placed_bodies import ALONG, CENTRE, PLACED, START, place_bodies
 from hplan.bodies.sweep import Sweep, used_up
 from hplan.bodies.twists import find_twists
-from hplan.bodies.vectors import Vector, cross, dot, less, turned_back
+from hplan.bodies.vectors import Vector, cross, dot, sub, turned_back
 from hplan.collision import obstacle_rows as row
 from hplan.collision.body_kernels import NO_TABLE, BodyArrays, difference, off_box, pose_of, span_of
 from hplan.collision.obstacle_rows import FieldArrays
@@ -228,7 +228,7 @@ def _of_body(moving: Moving, b: int, part: Part) -> Part:
     while following < solids.shape[0]:
         s = following
         solid = (solids[s, row.CENTRE], solids[s, row.CENTRE + 1], solids[s, row.CENTRE + 2])
-        away = less(centre, solid)
+        away = sub(centre, solid)
         within = enough + ball + solids[s, row.BOUND]
         kind = solids[s, row.KIND]
         if dot(away, away) > within * within:
@@ -246,12 +246,12 @@ def _of_body(moving: Moving, b: int, part: Part) -> Part:
                 if square > 0.0:
                     away = off
             part = _of_row(moving, (b, s), away, motion, part)
-        elif kind == row.GATE:
+        elif kind == row.LINK_RANGE:
             if not solids[s, row.FIRST_LINK] <= joint <= solids[s, row.LAST_LINK]:
                 following = int(solids[s, row.NEXT])
         elif _is_apart(motion, part, _off_axis(placed, b, solid), solids[s, row.BOUND] + movers[b, flat.AXIS_RADIUS]):
             following = int(solids[s, row.NEXT])
-        elif kind == row.LOT:
+        elif kind == row.LEAF:
             part = _of_lot(moving, (b, s), motion, part)
         if part.forward < 0.0:
             break
@@ -263,7 +263,7 @@ def _of_body(moving: Moving, b: int, part: Part) -> Part:
 @kernel
 def _off_axis(placed: FloatArray, b: int, point: Vector) -> Vector:
     """From a point to the nearest one of the segment about which a body is."""
-    start = less((placed[b, START], placed[b, START + 1], placed[b, START + 2]), point)
+    start = sub((placed[b, START], placed[b, START + 1], placed[b, START + 2]), point)
     along = (placed[b, ALONG], placed[b, ALONG + 1], placed[b, ALONG + 2])
     square, t = dot(along, along), 0.0
     if square > 0.0:
@@ -308,7 +308,7 @@ def _of_row(moving: Moving, place: tuple[int, int], away: Vector, motion: _Motio
 
 @kernel
 def _of_lot(moving: Moving, place: tuple[int, int], motion: _Motion, part: Part) -> Part:
-    """As `_of_body`, of the balls of a lot: places of both."""
+    """As `_of_body`, of the balls of a leaf: places of both."""
     (k, s), arm = place, moving.arm
     solids, data, placed, work = arm.solids, arm.data, arm.placed, arm.work
     radius = solids[s, row.RADIUS]
@@ -331,9 +331,9 @@ def _of_pair(moving: Moving, k: int, part: Part) -> Part:
     j, i, touching = int(movers[k, flat.OUTER]), int(movers[k, flat.INNER]), movers[k, flat.TOUCHING]
     outer, inner = int(movers[j, flat.JOINT]), int(movers[i, flat.JOINT])
     centre = (placed[j, CENTRE], placed[j, CENTRE + 1], placed[j, CENTRE + 2])
-    away = less(centre, (placed[i, CENTRE], placed[i, CENTRE + 1], placed[i, CENTRE + 2]))
-    spin = less(_spin(twists, outer), _spin(twists, inner))
-    at_origin = less(_drift(twists, outer), _drift(twists, inner))
+    away = sub(centre, (placed[i, CENTRE], placed[i, CENTRE + 1], placed[i, CENTRE + 2]))
+    spin = sub(_spin(twists, outer), _spin(twists, inner))
+    at_origin = sub(_drift(twists, outer), _drift(twists, inner))
     moved = cross(spin, centre)
     velocity = (at_origin[0] + moved[0], at_origin[1] + moved[1], at_origin[2] + moved[2])
     core = movers[j, flat.BALL_RADIUS] - movers[j, flat.ROUNDING]

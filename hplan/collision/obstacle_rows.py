@@ -2,9 +2,9 @@
 
 The rows of a cloud are the nodes of its tree: where a node's bounding ball is farther than the nearest solid so far,
 all rows below it are skipped. So are those of many balls and capsules, which stand below nodes by neighbourhood. Turret
-and pedestal (`hplan.robot.self_contact`) stand below a gate that only the links pass that can touch them. A shape that
-turns with the arm plane is given as it stands at yaw 0, and links are then taken as they stand at yaw 0 too; its
-bounding ball is about the yaw axis, so that it holds the shape at every yaw.
+and pedestal (`hplan.robot.self_contact`) stand below a range of the links that can touch them, which others skip. A
+shape that turns with the arm plane is given as it stands at yaw 0, and links are then taken as they stand at yaw 0 too;
+its bounding ball is about the yaw axis, so that it holds the shape at every yaw.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hplan.base.arrays import BoolArray, FloatArray, IntArray
-from hplan.base.deadline import look
+from hplan.base.deadline import check_deadline
 from hplan.robot.base_shapes import TURRET
 from hplan.robot.model import Robot
 from hplan.robot.self_contact import BaseBody, pair_sway, self_contact
@@ -28,9 +28,9 @@ from hplan.scene.corner_table import corner_table
 from hplan.scene.obstacles import Box, Capsule, Cylinder, Solid, Sphere
 from hplan.scene.solids import Cloud, Hull, hull_of
 
-#: Kinds of rows. A node is an inner one of a cloud's tree, its leaves are lots of points; the row below a gate is for
-#: some links alone; a pair is one link of the arm to one after it.
-POINT, SEGMENT, BOX, HULL, NODE, LOT, GATE, PAIR = 0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0
+#: Kinds of rows. Nodes and leaves are those of a cloud's tree, a leaf has some points; what is below a link range is
+#: for these links alone; a pair is one link of the arm to one after it.
+POINT, SEGMENT, BOX, HULL, NODE, LEAF, LINK_RANGE, PAIR = 0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0
 
 #: Columns of every row: its kind, the radius about its core, its bounding ball (centre (3) and radius), and the row to
 #: go on with where that ball is too far.
@@ -38,7 +38,7 @@ KIND, RADIUS, CENTRE, BOUND, NEXT = 0, 1, 2, 5, 20
 _COLUMNS = 21
 
 #: Columns of one kind, from `SHAPE` on. Point: its place (3). Segment: its two ends (3 each). Box: its half sizes (3),
-#: then its axes (3 rows of 3). Hull: where its facets begin in the data, where its edges begin and end. Lot: where its
+#: then its axes (3 rows of 3). Hull: where its facets begin in the data, where its edges begin and end. Leaf: where its
 #: points begin and end there. Node: 1 where it is a tree's first, -1 where it is a group of solids.
 SHAPE, SECOND_END, AXES, FACETS, EDGES, EDGES_END, POINTS, POINTS_END, IS_ROOT = 6, 9, 9, 6, 7, 8, 6, 7, 8
 
@@ -47,7 +47,7 @@ SHAPE, SECOND_END, AXES, FACETS, EDGES, EDGES_END, POINTS, POINTS_END, IS_ROOT =
 #: 0 for none.
 CORNERS = 18
 
-#: Gate: the first and the last link that pass it, and 1 where the row below turns with them. Pair: its links, and the
+#: Link range: its first and its last link, and 1 where the row below turns with them. Pair: its links, and the
 #: distance of their axes at which they touch.
 FIRST_LINK, LAST_LINK, TURNS, INNER, OUTER, TOUCHING = 6, 7, 8, 6, 7, 8
 
@@ -131,11 +131,11 @@ def rows_of(
     own = own_clearance_of(clearance, own_clearance)
     contact = self_contact(robot, deviation=deviation, clearance=own)
     for is_round, run in groupby(enumerate(obstacles), lambda numbered: type(numbered[1]) in ROUND):
-        look()
+        check_deadline()
         if is_round:  # hundreds of them: all at once
             numbers, solids = zip(*run, strict=True)
             rows = _round_rows(cast(Sequence[Sphere | Capsule], solids), grown[numbers[0] : numbers[-1] + 1])
-            look()
+            check_deadline()
             stack.add(*grouped(rows, np.array(numbers)))
             continue
         for index, solid in run:
@@ -297,7 +297,7 @@ def _rows(obstacle: Solid, clearance: float, offset: int) -> tuple[FloatArray, F
 
 
 def _base_rows(body: BaseBody, clearance: float, offset: int, axis: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """As `_rows`, below gates that let the links pass that can touch the body: one for each run of them."""
+    """As `_rows`, below link ranges, one for each run of links that can touch the body."""
     solid, data = _rows(_base_solid(body), clearance, offset)
     turns = body.carrier == TURRET and not body.is_round
     if turns:
@@ -307,7 +307,8 @@ def _base_rows(body: BaseBody, clearance: float, offset: int, axis: FloatArray) 
     links, blocks = np.array(body.links), list[FloatArray]()
     for run in np.split(links, np.flatnonzero(np.diff(links) > 1) + 1):
         rows = np.concatenate([solid[:1], solid])
-        rows[0, KIND], rows[0, FIRST_LINK], rows[0, LAST_LINK], rows[0, TURNS] = GATE, run[0], run[-1], float(turns)
+        rows[0, KIND], rows[0, FIRST_LINK], rows[0, LAST_LINK] = LINK_RANGE, run[0], run[-1]
+        rows[0, TURNS] = float(turns)
         rows[:, NEXT] = 2 * (len(blocks) + 1)
         blocks.append(rows)
     return np.concatenate(blocks), data
@@ -350,7 +351,7 @@ def _cloud_rows(cloud: Cloud, clearance: float, offset: int) -> FloatArray:
     """The nodes of a cloud's tree."""
     tree = cloud.tree
     rows = np.zeros((len(tree), _COLUMNS))
-    rows[:, KIND] = np.where(tree[:, 2] == np.arange(len(tree)) + 1, LOT, NODE)  # what has nothing below it is a leaf
+    rows[:, KIND] = np.where(tree[:, 2] == np.arange(len(tree)) + 1, LEAF, NODE)  # what has nothing below it is a leaf
     rows[:, RADIUS] = cloud.rounding + clearance
     rows[:, CENTRE:BOUND] = tree[:, 3:6]
     rows[:, BOUND] = tree[:, 6] * (1.0 + 1e-12) + rows[:, RADIUS]

@@ -28,7 +28,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hplan.base.arrays import BoolArray, FloatArray, IntArray, WordArray, frozen, readonly
-from hplan.base.deadline import is_up, look, until
+from hplan.base.deadline import check_deadline, is_up, until
 from hplan.base.kernels import inlined, kernel
 from hplan.cspace.rectangle_link import rectangle_half_angles
 from hplan.cspace.sections import LINK_MODELS, ArmSections, SectionArrays
@@ -114,7 +114,7 @@ def occupancy(arm: PlanarArm, sections: ArmSections, grid: Grid) -> Occupancy:
     shape = np.array(grid.shape)
     joints = _Links(arm.lengths, arm.half_widths, arm.signs, arm.offsets, grid.lower, grid.step, shape, until())
     words = _fill(joints, LINK_MODELS.index(sections.link_model), sections.arrays)
-    look()
+    check_deadline()
     for (link, other, _), radius in zip(sections.own_pairs.tolist(), sections.own_radii.tolist(), strict=True):
         if link < links:
             _take_out_contact(words, arm, grid, link, other, radius)

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hplan.base.arrays import FloatArray, WordArray, frozen
-from hplan.base.deadline import is_up, look, until
+from hplan.base.deadline import check_deadline, is_up, until
 from hplan.base.forking import renewed_in_children
 from hplan.base.kernels import kernel
 from hplan.cspace.occupancy import occupancy
@@ -136,7 +136,7 @@ def turning_occupancy(
         sections = (sections_at(robot, obstacles, yaw) for yaw in some.tolist())
         free = np.stack([layers.free_words(robot, each, planar) for each in sections])
         _stack(free, planar.shape[-1], place, words, until())
-        look()
+        check_deadline()
     return Occupancy(grid, frozen(words))
 
 

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hplan.base.arrays import BoolArray, FloatArray, IntArray, Record, frozen
-from hplan.base.deadline import look
+from hplan.base.deadline import check_deadline
 from hplan.base.kernels import kernel
 from hplan.robot.model import Robot
 from hplan.timing.trajectory import Trajectory
@@ -148,7 +148,7 @@ def earliest_schedule(
     rows = math.ceil(min(at_rest_s + 2.0 * duration_s + 2.0, quicker_than_s, LONGEST_S) / STEP_S) + 1
     before = _blocked(cells.clear(0))
     for row in range(1, rows):
-        look()
+        check_deadline()
         after = _blocked(cells.clear(row))
         cost, back, end = _advance(cost, before, after, room, station_of)
         came.append(back.astype(np.int8))  # there may be hundreds

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from hplan.base.arrays import FloatArray, IntArray, frozen
-from hplan.base.deadline import is_up, look
+from hplan.base.deadline import check_deadline, is_up
 from hplan.base.kernels import any_int, kernel
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.clearance_kernels import FieldArrays, link_clearances, smallest
@@ -30,7 +30,7 @@ def class_numbers(paths: FloatArray, field: ClearanceField) -> IntArray:
         field: Arm and obstacles.
     """
     number = _class_numbers(np.array(paths), field.arrays)
-    look()
+    check_deadline()
     return frozen(number)
 
 

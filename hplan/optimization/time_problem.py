@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from hplan.base.arrays import FloatArray, Record, frozen
-from hplan.base.deadline import look, until
+from hplan.base.deadline import check_deadline, until
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.clearance_kernels import LINK
 from hplan.optimization.first_order import MotionArrays, MotionLimits, first_order, least_pace
@@ -73,7 +73,7 @@ class TimeProblem(Record):
             return self._is_clear_swaying(spline, self.sway)
         moved, pieces = MovableSpline(np.array(spline.control), spline.knots), len(spline.control) - 3
         clear = pieces_are_clear(moved, FIRST, pieces - 1, self.field.arrays, PROVED * self.options.margin, 0.0)
-        look()
+        check_deadline()
         return bool(clear)
 
     def _is_clear_swaying(self, spline: TimedSpline, sway: FloatArray) -> bool:
@@ -89,7 +89,7 @@ class TimeProblem(Record):
                 clear = piece_is_clear(piece, arrays._replace(chain=frozen(chain)), margin, 0.0)
             else:
                 clear = piece_is_clear(piece, arrays, margin + float(grown.max()), 0.0)
-            look()
+            check_deadline()
             if not clear:
                 return False
         return True
@@ -154,7 +154,7 @@ class TimeProblem(Record):
         arrays, options = self.arrays, self.options
         motion = MotionArrays(np.array(spline.control), spline.knots, spline.drift)
         rows = first_order(motion, arrays, self.near.arrays, options.margin, trust)
-        look()
+        check_deadline()
         if least is not None:
             rows = with_rows(rows, _at_least(least))
         use = self.torque_use(spline)
@@ -163,7 +163,7 @@ class TimeProblem(Record):
         joints = len(options.movable)
         inner = len(spline.control) - 2 * RESTING
         found, unknowns = solve(rows, inner * joints, 4 * joints - 1, gap, until())
-        look()
+        check_deadline()
         return (unknowns[:-1].reshape(inner, joints), float(unknowns[-1])) if found else None
 
 

@@ -43,7 +43,7 @@ def _bodies(robot: Robot, q: FloatArray) -> tuple[Solid, ...]:
     for number, body in enumerate(collision_bodies(robot)):
         if body.joint < 0:
             make = partial(convex_solid, body.name, body.core, body.rounding)
-            found.append(robot.once(("ground_solid", number), make))
+            found.append(robot.cached(("ground_solid", number), make))
         else:
             place = data.oMi[body.joint + 1]
             found.append(convex_solid(body.name, body.core @ place.rotation.T + place.translation, body.rounding))
@@ -58,7 +58,7 @@ def _base_solids(robot: Robot, yaw: float) -> tuple[Solid, ...]:
     for shape in base_shapes(robot):
         if shape.carrier != TURRET or shape.is_round:
             make = partial(convex_solid, shape.name, shape.points, shape.rounding)
-            found.append(robot.once(("base_solid", shape.number), make))
+            found.append(robot.cached(("base_solid", shape.number), make))
         else:
             points = shape.axis + (shape.points - shape.axis) @ turn.T
             found.append(convex_solid(shape.name, points, shape.rounding))
@@ -67,7 +67,7 @@ def _base_solids(robot: Robot, yaw: float) -> tuple[Solid, ...]:
 
 def reach_ball(robot: Robot) -> FloatArray:
     """(4,) centre and radius of a ball that holds arm, turret and pedestal at all configurations [m]."""
-    return robot.once("reach_ball", lambda: _reach_ball(robot))
+    return robot.cached("reach_ball", lambda: _reach_ball(robot))
 
 
 def _reach_ball(robot: Robot) -> FloatArray:

@@ -49,7 +49,7 @@ def distance_from_bodies(point: Vector, rows: FloatArray, data: FloatArray, enou
             apart = _box_distance((-dx, -dy, -dz), rows[s])
         elif kind == row.HULL:
             apart = segment_hull(point, still, data, int(ax), int(ay), int(az), limit + rows[s, row.RADIUS])
-        elif kind == row.LOT:
+        elif kind == row.LEAF:
             for p in range(int(rows[s, row.POINTS]), int(rows[s, row.POINTS_END]), 3):
                 apart = min(apart, point_segment((data[p], data[p + 1], data[p + 2]), point, still))
         least = min(least, apart - rows[s, row.RADIUS])

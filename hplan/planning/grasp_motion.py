@@ -13,7 +13,7 @@ from typing import NamedTuple, TypeAlias, TypeVar
 import numpy as np
 
 from hplan.base.arrays import FloatArray
-from hplan.base.deadline import look
+from hplan.base.deadline import check_deadline
 from hplan.errors import CertificationError, ConfigurationInCollisionError, HplanError, TimingError
 from hplan.optimization.minimize_time import Effort, minimize_time
 from hplan.optimization.timed_spline import BoundaryState, TimedSpline
@@ -211,7 +211,7 @@ class Pick:
         possible = largest_standoff(context.robot, grasp.goal, longest, locked, grasp.keeps_turn)
         if possible <= grasp.distance:
             return grasp.distance
-        look()
+        check_deadline()
         path = tool_path(context.robot, grasp.goal, possible, locked, grasp.keeps_turn)
         away = np.linspace(grasp.distance, possible, LOOKS)
         field = self.target.transit_world(grasp).field
@@ -251,7 +251,7 @@ class Pick:
             whole = timed(context, path)
         except TimingError:
             return None
-        look()
+        check_deadline()
         tool = context.robot.tool_positions(whole.position)
         beyond = np.linalg.norm(tool - tool[-1], axis=1) >= grasp.distance - ROUNDING
         there = whole.since(int(np.flatnonzero(beyond)[-1]))
@@ -303,7 +303,7 @@ def flowing(task: PlanningTask, transit: Part, before: Pick | None, after: Pick 
     passing: list[Trajectory | None] = []
     effort = effort_of(task)
     for _ in range(effort.leads):
-        look()
+        check_deadline()
         known = passing
         passing = [None if pick is None else pick.passing(LEADS[number]) for pick in picks]
         if known and all(one is other for one, other in zip(known, passing, strict=True)):

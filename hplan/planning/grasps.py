@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from hplan.base import ties
 from hplan.base.arrays import FloatArray, Record, frozen
-from hplan.base.deadline import is_over, look
+from hplan.base.deadline import check_deadline, is_over
 from hplan.collision.coal_scene import Contact
 from hplan.errors import BlockedError
 from hplan.kinematics.approach_angles import Candidates
@@ -223,7 +223,7 @@ def _clear_candidates(
         )
 
     def clearance(q: FloatArray) -> float:
-        look()
+        check_deadline()
         return world.field.clearance(q) if ranges.wall_before(q) is None else BEYOND
 
     found = within(target.approach_deg, count)

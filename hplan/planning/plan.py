@@ -11,7 +11,7 @@ import numpy as np
 
 from hplan.base.arguments import function, instance
 from hplan.base.arrays import FloatArray, Record
-from hplan.base.deadline import Cancel, TimeIsUpError, TimeLimit, look, time_limit
+from hplan.base.deadline import Cancel, TimeIsUpError, TimeLimit, check_deadline, time_limit
 from hplan.errors import CertificationError, HplanError, NoPathError, ObstacleInTimeError, OptionError, TimingError
 from hplan.moving.search import certified_in_time, quickest_in_time
 from hplan.planning.certified_motion import Part, PlannedMotion, motion_limits
@@ -308,9 +308,9 @@ def _planned(
     """The plan that the options ask for; with a deadline the best of those found before it."""
     robot, scene = context.robot, context.scene
     start = robot.check_configuration(robot.joints_of(scene.start, "start"), "start")
-    look()
+    check_deadline()
     context.world.check_base(robot.yaw_of(start))
-    look()
+    check_deadline()
     begin = Beginning(start, start_state(robot, scene), before, stop)
     if begin.state is not None and context.options.bound:
         raise OptionError("bound", True, "False where the start is in motion")

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hplan.base.arrays import IntArray, Record
-from hplan.base.deadline import look
+from hplan.base.deadline import check_deadline
 from hplan.collision.clearance_field import ClearanceField
 from hplan.cspace.occupancy import occupancy
 from hplan.cspace.sections import ArmSections, sections_at
@@ -113,7 +113,7 @@ class PlanningContext(Record):
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
         """Announce a stage, and note the time of what runs inside."""
-        look()
+        check_deadline()
         self.progress(name)
         with self.clock.stage(name):
             yield
@@ -213,14 +213,14 @@ class LastWorld:
     @classmethod
     def of(cls, robot: Robot) -> LastWorld:
         """The one that a robot keeps, from one plan to the next."""
-        return robot.once("last world", cls)
+        return robot.cached("last world", cls)
 
     def world(self, robot: Robot, scene: Scene, options: PlanOptions) -> World:
         """The robot among the scene's solids, all fruits among them; the same as before where these are the same."""
         # What need not be certified need not make room for the tracking error either; it is certified all the same.
         tracking_error = options.tracking.still_rad
         solids, clearance, sigmas = scene.solids_with_goal, scene.clearance, options.sigmas
-        look()
+        check_deadline()
         asked = solids, clearance, tracking_error, sigmas
         kept = self._kept
         if kept is None or kept[0] != asked:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from hplan.base.arrays import FloatArray, frozen
-from hplan.base.deadline import look
+from hplan.base.deadline import check_deadline
 from hplan.errors import BlockedError, ConfigurationInCollisionError, InputError
 from hplan.kinematics.inverse_kinematics import inverse_kinematics
 from hplan.problem.world import World
@@ -40,7 +40,7 @@ def configurations_at(world: World, goal: Goal, start: FloatArray, locked: Seque
     blocked: Counter[tuple[str, str]] = Counter()
     largest = -np.inf
     for q in found:
-        look()
+        check_deadline()
         try:
             world.check_clear(q, "goal")
         except ConfigurationInCollisionError as error:

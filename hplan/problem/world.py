@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from hplan.base import ties
 from hplan.base.arrays import FloatArray, Record, frozen
-from hplan.base.deadline import look
+from hplan.base.deadline import check_deadline
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.coal_scene import CoalScene, base_contacts
 from hplan.cspace.prepared_obstacles import PreparedObstacles, prepare_obstacles
@@ -76,7 +76,7 @@ class World(Record):
         field = ClearanceField.of(
             robot, solids, clearance=clearance + growth, own_clearance=clearance, deviation=tracking_error
         )
-        look()
+        check_deadline()
         checker = CoalScene(robot, solids, growth=growth, deviation=tracking_error, clearance=clearance)
         return cls(robot, tuple(solids), clearance, tracking_error, growth, field, checker)
 

@@ -105,7 +105,7 @@ def base_shapes(robot: Robot) -> tuple[BaseShape, ...]:
         objects = enumerate(robot.collision_model.geometryObjects)
         return tuple(_base_shape(robot, number) for number, shape in objects if shape.parentJoint <= robot.yaw_joints)
 
-    return robot.once("base_shapes", shapes)
+    return robot.cached("base_shapes", shapes)
 
 
 def turning_shapes(robot: Robot) -> tuple[BaseShape, ...]:
@@ -127,7 +127,7 @@ def base_joints(robot: Robot) -> int:
 
 def base_radius(robot: Robot) -> float:
     """Radius of a ball about `base_link`'s origin that holds pedestal and turret, whatever the yaw [m]."""
-    return robot.once("base_radius", lambda: _base_radius(robot))
+    return robot.cached("base_radius", lambda: _base_radius(robot))
 
 
 def _base_radius(robot: Robot) -> float:
@@ -146,7 +146,7 @@ def _base_radius(robot: Robot) -> float:
 
 def filled_shape(robot: Robot, number: int) -> coal.CollisionGeometry:
     """`filled`, of the shape of a number in `Robot.collision_model`; made once."""
-    return robot.once(("filled", number), lambda: filled(robot.collision_model.geometryObjects[number]))
+    return robot.cached(("filled", number), lambda: filled(robot.collision_model.geometryObjects[number]))
 
 
 def filled(shape: pin.GeometryObject) -> coal.CollisionGeometry:

@@ -133,7 +133,7 @@ class Robot(PlanarNames, Record):
     def _made(self) -> dict[Hashable, Any]:
         return {}
 
-    def once(self, key: Hashable, make: Callable[[], _T]) -> _T:
+    def cached(self, key: Hashable, make: Callable[[], _T]) -> _T:
         """The result of `make`, called for the first request of a key only: for what depends on the robot alone."""
         if key not in self._made:
             self._made[key] = make()

@@ -134,7 +134,7 @@ def self_contact(robot: Robot, *, deviation: float = 0.0, clearance: float = 0.0
         clearance: Distance that parts have to keep [m]. Parts that are always nearer than that, as a low shoulder is to
             the pedestal, are asked only whether they can touch.
     """
-    decide = robot.once("self_contact", lambda: lru_cache(_MOST_KNOWN)(partial(_decided, robot)))
+    decide = robot.cached("self_contact", lambda: lru_cache(_MOST_KNOWN)(partial(_decided, robot)))
     return decide(_rounded_up(deviation), float(clearance))
 
 

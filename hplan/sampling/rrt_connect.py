@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hplan.base.arrays import FloatArray, IntArray, frozen
-from hplan.base.deadline import is_up, look
+from hplan.base.deadline import check_deadline, is_up
 from hplan.base.kernels import any_int, kernel
 from hplan.collision.body_motions import body_shown_part
 from hplan.collision.clearance_field import ClearanceField
@@ -110,7 +110,7 @@ def tree_path(
     path = None
     while path is None and looks[0] > 0 and max(first.size[0], second.size[0]) < MOST_NODES - CHUNK:
         joined = _grow(_samples(generator, problem, ends), first, second, arm, looks)
-        look()
+        check_deadline()
         if joined[0] >= 0:
             there = np.concatenate([_branch(first, int(joined[0]))[::-1], _branch(second, int(joined[1]))])
             path = frozen(there[np.append(True, (np.diff(there, axis=0) != 0.0).any(axis=1))])

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from hplan.base.arrays import FloatArray, frozen
-from hplan.base.deadline import is_up, look
+from hplan.base.deadline import check_deadline, is_up
 from hplan.base.kernels import kernel
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.clearance_kernels import FieldArrays, segment_is_clear
@@ -45,7 +45,7 @@ def quicken(
         (k, dof) waypoints from the same start to the same goal, shown clear, its `path_time` never longer.
     """
     quicker = _quicken(np.array(path), 1.0 / velocity, field.arrays, margin, rounds)
-    look()
+    check_deadline()
     return frozen(quicker)
 
 

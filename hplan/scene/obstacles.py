@@ -283,7 +283,7 @@ class Mesh(_FromData):
     def solids(self) -> tuple[Solid, ...]:
         """Convex pieces whose union holds the mesh."""
         key = (self.name, self.scale, self.position, self.rpy_deg, self.sigma, self.sway)
-        hulls: tuple[Solid, ...] = self._data.once(key, self._hulls)
+        hulls: tuple[Solid, ...] = self._data.cached(key, self._hulls)
         return hulls
 
     def _hulls(self) -> tuple[Solid, ...]:
@@ -357,7 +357,7 @@ class PointCloud(_FromData):
     def solids(self) -> tuple[Solid, ...]:
         """One cloud of balls."""
         key = (self.name, self.radius, self.position, self.rpy_deg, self.sigma, self.sway)
-        cloud: Solid = self._data.once(key, self._cloud)
+        cloud: Solid = self._data.cached(key, self._cloud)
         return (cloud,)
 
     def _cloud(self) -> Solid:

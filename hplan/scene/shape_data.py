@@ -42,7 +42,7 @@ class _Cached:
 
     __hash__ = None  # type: ignore[assignment]
 
-    def once(self, key: Any, make: Callable[[], _T]) -> _T:
+    def cached(self, key: Any, make: Callable[[], _T]) -> _T:
         """The result of `make`, which is called for the first request of a key only."""
         if key not in self._made:
             self._made[key] = make()
@@ -52,7 +52,7 @@ class _Cached:
     @property
     def digest(self) -> str:
         """SHA-256 of the arrays, in hexadecimal digits; made once."""
-        return self.once("digest", self._sha256)
+        return self.cached("digest", self._sha256)
 
     def _sha256(self) -> str:
         found = hashlib.sha256()
@@ -111,7 +111,7 @@ class Surface(_Cached):
 
     def pieces(self, scale: float) -> Pieces:
         """Convex pieces whose union holds the solid, in metres; cut once."""
-        return self.once(scale, lambda: convex_pieces(self.vertices * scale, self.faces))
+        return self.cached(scale, lambda: convex_pieces(self.vertices * scale, self.faces))
 
 
 @dataclass(frozen=True, eq=False)

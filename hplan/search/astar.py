@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from hplan.base.arguments import truth
 from hplan.base.arrays import FloatArray, IntArray, frozen
-from hplan.base.deadline import is_up, look
+from hplan.base.deadline import check_deadline, is_up
 from hplan.base.kernels import inlined, kernel
 from hplan.search.bits import lowest_bit, popcount
 from hplan.search.grid import Occupancy, checked_node
@@ -85,7 +85,7 @@ def row_bounds(lattice: Lattice, nodes: NodeSet, goal_row: int) -> RowBounds:
         goal_row: Bordered row of the goal.
     """
     bounds = _row_bounds(nodes.rows, lattice.rows, lattice.arrays, goal_row)
-    look()
+    check_deadline()
     return bounds
 
 
@@ -154,7 +154,7 @@ def astar(
     path, cost, expansions = _astar(
         nodes, lattice.shape[-1], lattice.node(start), lattice.node(goal), lattice.arrays, octile, bounds
     )
-    look()
+    check_deadline()
     return (path if len(path) else None), cost, expansions
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hplan.base.arrays import BoolArray, FloatArray, IntArray, WordArray, frozen
-from hplan.base.deadline import is_up, look, until
+from hplan.base.deadline import check_deadline, is_up, until
 from hplan.base.kernels import kernel
 from hplan.search.bits import lowest_bit, popcount
 from hplan.search.grid import Occupancy, checked_node
@@ -47,7 +47,7 @@ def flood_slices(
     count = _flood(
         free.reshape(shape), reached.reshape(shape), neighbours[neighbours != 0], (False, goal_row), enough, until()
     )
-    look()
+    check_deadline()
     return reached, int(count)
 
 
@@ -68,7 +68,7 @@ def flood_from(lattice: Lattice, free: WordArray, nodes: IntArray) -> tuple[Word
     shape, neighbours = in_lines(lattice)
     enough = np.ones(lattice.words, dtype=np.uint64)
     count = _flood(free.reshape(shape), reached.reshape(shape), neighbours, (True, _NOWHERE), enough, until())
-    look()
+    check_deadline()
     return reached, int(count)
 
 

@@ -14,7 +14,7 @@ from typing import TypeAlias
 import numpy as np
 
 from hplan.base.arrays import BoolArray, IntArray, Record, WordArray, frozen
-from hplan.base.deadline import look, until
+from hplan.base.deadline import check_deadline, until
 from hplan.base.kernels import kernel
 from hplan.search.flood import bits_of, flood_slices
 from hplan.search.grid import words_for
@@ -123,7 +123,7 @@ def _planar(lattice: Lattice, free: WordArray, start_row: int, goal_row: int, sl
     path_rows, begins, expansions = jump_slices(
         free, reached[goal_row], slices[0], slices[-1], ends, lattice.step[:-1], until()
     )
-    look()
+    check_deadline()
     return SlicePaths(lattice, slices[0], frozen(path_rows), frozen(begins), expansions, flooded)
 
 

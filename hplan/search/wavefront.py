@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hplan.base.arrays import BoolArray, FloatArray, IntArray, ShortArray, WordArray, frozen
-from hplan.base.deadline import is_up, look, until
+from hplan.base.deadline import check_deadline, is_up, until
 from hplan.base.kernels import kernel
 from hplan.search.bits import lowest_bit, popcount
 from hplan.search.flood import flood_from, has_bit, in_lines
@@ -77,7 +77,7 @@ def _grow(lattice: Lattice, free: WordArray, ends: tuple[IntArray, IntArray], mo
     grid = _LineBits(*bits, neighbours, inner, lattice.words, until())
     nodes = np.array([lattice.node(index) for side in ends for index in side])
     row, bit, side, levels, flooded = _meet(grid, nodes, len(ends[0]), most)
-    look()
+    check_deadline()
     nothing = np.empty((0, lattice.words), dtype=np.uint64)
     if row < 0:
         return Wavefronts(None, int(flooded), ("start", "goal", "")[side], nothing if side < 0 else seen[side].copy())

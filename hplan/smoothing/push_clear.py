@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from hplan.base.arrays import FloatArray, IntArray, frozen
-from hplan.base.deadline import is_up, look
+from hplan.base.deadline import is_up, check_deadline
 from hplan.base.kernels import any_int, inlined, kernel
 from hplan.base.polyline import stations
 from hplan.collision.body_kernels import FAR, body_slopes, least_body_clearance
@@ -49,7 +49,7 @@ def clear_spline(
     control[0], control[-1] = path[0], path[-1]
     moved = MovableSpline(control, SplinePath.through(control).knots)
     pushed = push_out(moved, 0, count - 4, field.arrays, options.joints, margin, _ROUNDS)
-    look()
+    check_deadline()
     spline = SplinePath(frozen(control), moved.knots)
     return spline if pushed and spline.is_clear(field, 0.5 * margin) else None
 

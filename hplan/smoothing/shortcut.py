@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from hplan.base.arrays import FloatArray, frozen
-from hplan.base.deadline import is_up, look
+from hplan.base.deadline import check_deadline, is_up
 from hplan.base.kernels import kernel
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.clearance_kernels import FieldArrays, segment_is_clear
@@ -48,7 +48,7 @@ def shorten(path: FloatArray, field: ClearanceField, *, margin: float, rounds: i
     if len(path) < 3:
         return frozen(np.array(path))
     shorter = _shortcut(_skip_visible(path, field.arrays, margin), field.arrays, margin, rounds)
-    look()
+    check_deadline()
     return frozen(shorter)
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hplan.base.arrays import BoolArray, FloatArray, Record, frozen, readonly
-from hplan.base.deadline import is_up, look
+from hplan.base.deadline import check_deadline, is_up
 from hplan.base.kernels import any_int, kernel
 from hplan.base.polyline import curve_length, stations
 from hplan.collision.body_motions import body_piece_is_clear
@@ -110,7 +110,7 @@ class SplinePath(Record):
 def first_contact(pieces: FloatArray, field: ClearanceField, margin: float) -> BoolArray:
     """(pieces,) True for each Bezier piece that is not shown clear."""
     contact = np.array([not piece_is_clear(piece, field.arrays, margin, 0.0) for piece in np.array(pieces)])
-    look()
+    check_deadline()
     return contact
 
 

@@ -37,7 +37,7 @@ import numpy as np
 import pinocchio as pin
 
 from hplan.base.arrays import BoolArray, FloatArray
-from hplan.base.deadline import look
+from hplan.base.deadline import check_deadline
 from hplan.errors import HplanError, OptionError, TimingError
 from hplan.robot.dynamics import InverseDynamics, joints_that_slide
 from hplan.robot.limits import GeometricPath, Limits, check_rate
@@ -116,7 +116,7 @@ def time_path(
     @cache
     def profile_for(window: int) -> SpeedProfile:
         """Profile with constant speed at both ends for as long as the rows' averages reach; from rest all are one."""
-        look()
+        check_deadline()
         if window > 1 and not rates.any():
             return profile_for(1)
         leads = rates * (0.5 * (window + 1) / rate_hz)
@@ -220,7 +220,7 @@ def _sample(
     """The trajectory, slowed down where torque, which is no linear function of the motion, passes its limit."""
     stretch = 1.0
     for _ in range(MOST_STRETCHES):
-        look()
+        check_deadline()
         rows = _rows(profile, limits, period, window, stretch)
         torque = dynamics.torques(rows.position, rows.velocity, rows.acceleration)
         excess = 0.0

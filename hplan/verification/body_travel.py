@@ -122,7 +122,7 @@ class _Movers(NamedTuple):
 
 def _movers(robot: Robot, pairs: SelfPairs) -> _Movers:
     """The movers of a checker of a robot with these pairs of its own; found once."""
-    return robot.once(("movers", id(pairs)), lambda: _found_movers(robot, pairs))
+    return robot.cached(("movers", id(pairs)), lambda: _found_movers(robot, pairs))
 
 
 def _found_movers(robot: Robot, pairs: SelfPairs) -> _Movers:
@@ -144,7 +144,7 @@ def _mover_of(checker: CoalScene, movers: _Movers) -> IntArray:
 
 def _arm(robot: Robot) -> _Arm:
     """The robot as flat arrays; made once."""
-    return robot.once("joints and bodies as arrays", lambda: _made_arm(robot))
+    return robot.cached("joints and bodies as arrays", lambda: _made_arm(robot))
 
 
 def _made_arm(robot: Robot) -> _Arm:

@@ -47,7 +47,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from hplan.base.arrays import FloatArray, IntArray
-from hplan.base.deadline import look
+from hplan.base.deadline import check_deadline
 from hplan.base.kernels import kernel
 from hplan.collision.coal_scene import CoalScene, Contact
 from hplan.robot.model import Robot
@@ -132,7 +132,7 @@ def prove_clearance(
     going = search.begin()
     while going:
         if search.checks % CHECKS_BETWEEN_LOOKS == 1:
-            look()
+            check_deadline()
         pairs, at, q = _first(search.pairs[1], bezier)
         if at == math.inf:
             end = float(len(bezier))
@@ -262,7 +262,7 @@ class Advancement:
         end = self._at if outcome != "travel" else float(self.bounded)
         due = [(first, pair) for pair in range(len(self._checker.pairs))]
         while due:
-            look()
+            check_deadline()
             row = due[0][0]
             # Points of Bezier between the rows may be no numbers.
             self.place(self._bezier[row, 0] if row < rows else self._bezier[-1, 3], float(row))

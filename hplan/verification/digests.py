@@ -91,7 +91,7 @@ def _moving(scene: Scene) -> Iterator[tuple[str, str, Track | Sway]]:
 
 def robot_digest(robot: Robot) -> str:
     """The digest of a robot as it was read; made once."""
-    return robot.once("digest", lambda: _robot_digest(robot))
+    return robot.cached("digest", lambda: _robot_digest(robot))
 
 
 def _robot_digest(robot: Robot) -> str:

@@ -151,7 +151,7 @@ def _nearer(robot: Robot, off_path: FloatArray) -> float:
         return 0.0
     if robot.planar is None:
         return largest_body_sway(robot, off_path)
-    own = robot.once("movers of its own", lambda: movers(CoalScene(robot, ()))[1])
+    own = robot.cached("movers of its own", lambda: movers(CoalScene(robot, ()))[1])
     turning = [(TURRET, GROUND)] if robot.has_yaw else []
     return float(sways(robot, [*own, *turning], off_path[None]).max())
 

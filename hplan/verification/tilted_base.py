@@ -80,4 +80,4 @@ def first_moments(robot: Robot) -> FloatArray:
         ]
         return frozen(np.sum(rows, axis=0))
 
-    return robot.once("first moments", sums)
+    return robot.cached("first moments", sums)

@@ -13,7 +13,7 @@ import pytest
 
 from hplan.base import deadline
 from hplan.base.arrays import FloatArray
-from hplan.base.deadline import NEVER, TimeIsUpError, current, is_up, look, time_limit, until
+from hplan.base.deadline import NEVER, TimeIsUpError, check_deadline, current, is_up, time_limit, until
 from hplan.base.kernels import kernel
 from hplan.errors import OptionError, PlanCancelledError
 
@@ -26,7 +26,7 @@ SOON = 5.0
 
 def count_and_look() -> None:
     _count(until(), LOOPS)
-    look()
+    check_deadline()
 
 
 @kernel
@@ -41,7 +41,7 @@ def _count(until: FloatArray, most: int) -> int:
 
 
 def test_without_a_limit_kernels_go_on_to_their_end() -> None:
-    look()
+    check_deadline()
     assert current() is None
     assert until() is NEVER
     assert _count(until(), 5000) == 5000
@@ -54,15 +54,15 @@ def test_a_kernel_comes_back_at_the_deadline() -> None:
         assert limit.is_up
         assert not limit.is_cancelled
         with pytest.raises(TimeIsUpError):
-            look()
+            check_deadline()
     assert 0.02 <= time.monotonic() - begin < SOON
-    look()
+    check_deadline()
 
 
 def test_a_limit_holds_for_its_own_thread_alone() -> None:
     found: list[object] = []
     with time_limit(1e-9):
-        other = threading.Thread(target=lambda: found.append((current(), look())))
+        other = threading.Thread(target=lambda: found.append((current(), check_deadline())))
         other.start()
         other.join()
     assert found == [(None, None)]
@@ -71,16 +71,16 @@ def test_a_limit_holds_for_its_own_thread_alone() -> None:
 def test_within_another_limit_that_one_counts() -> None:
     with time_limit(1e3) as outer, time_limit(1e-9) as inner:
         assert inner is outer
-        look()
+        check_deadline()
 
 
 def test_time_may_be_kept_for_what_comes_afterwards() -> None:
     with time_limit(1e3) as limit:
         limit.keep(1e4)
         with pytest.raises(TimeIsUpError):
-            look()
+            check_deadline()
         limit.keep(1.0)
-        look()
+        check_deadline()
         assert 1e2 < limit.left_s < 1e3
 
 
@@ -216,7 +216,7 @@ def test_no_call_that_is_late_collects_everything(monkeypatch: pytest.MonkeyPatc
         with suppress(TimeIsUpError), time_limit(1e-3):
             kept = [[number] for number in range(20_000)]
             while True:
-                look()
+                check_deadline()
         assert collected == [1]
         with time_limit(0.9):
             pass

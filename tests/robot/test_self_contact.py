@@ -17,7 +17,7 @@ from studies.validation.cspace import sampled_occupancy
 from hplan.base.planar_geometry import polygon_distances
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.coal_scene import CoalScene
-from hplan.collision.obstacle_rows import BOUND, CENTRE, GATE, KIND, TURNS, _base_solid
+from hplan.collision.obstacle_rows import BOUND, CENTRE, KIND, LINK_RANGE, TURNS, _base_solid
 from hplan.cspace.blockers import blockers
 from hplan.cspace.occupancy import occupancy
 from hplan.cspace.prepared_obstacles import prepare_obstacles
@@ -219,7 +219,7 @@ def test_what_turns_turns_about_the_yaw_axis(tmp_path):
 def test_the_ball_about_what_turns_holds_it_at_every_yaw(tmp_path):
     robot = arm_of(tmp_path, -150.0, 150.0, lengths=(0.6, 0.5, 0.4), yaw_axis=(0.7, -0.5), shoulder_offset=0.4)
     (axle,), rows = turning_shapes(robot), ClearanceField.of(robot, []).solids
-    turning = rows[(rows[:, KIND] == GATE) & (rows[:, TURNS] > 0.0)]
+    turning = rows[(rows[:, KIND] == LINK_RANGE) & (rows[:, TURNS] > 0.0)]
     assert len(turning)
     for yaw in np.linspace(-3.0, 3.0, 13):
         turn = pin.utils.rotate("z", yaw)

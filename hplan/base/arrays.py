@@ -34,7 +34,7 @@ def readonly(values: ArrayLike, dtype: Any = np.float64) -> NDArray[Any]:
 
 
 def frozen(array: NDArray[_T]) -> NDArray[_T]:
-    """The same array, made read-only; for results that nothing else holds."""
+    """Make an array itself read-only; for results that nothing else holds."""
     array.setflags(write=False)
     return array
 

@@ -49,7 +49,7 @@ def code_digest(kernel: Any, *, afresh: bool = False) -> str:
 
     Args:
         kernel: What `numba.njit` returns.
-        afresh: Whether constants are looked at again that were looked at before.
+        afresh: Whether constants are read again that were read before.
 
     Raises:
         UnknownDependencyError: It reads what is neither a number, a text, an array, a tuple, a function nor a class.
@@ -194,13 +194,13 @@ class _Parts:
         """Add what code reads, or seems to, of a module's names.
 
         Whatever bears a name that the code mentions is added, be it read or not, if its kind is a simple one: that is
-        quick. For others the instructions are looked at.
+        quick. For others the instructions are read.
 
         Args:
             code: The code.
             scope: Names and values.
             by: Instructions that read them.
-            above: Modules that this one is looked at for.
+            above: Modules that this one is examined for.
 
         Raises:
             UnknownDependencyError: It reads a value of no known kind.

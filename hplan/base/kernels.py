@@ -2,7 +2,7 @@
 
 What is on disk is found by what its machine code depends on (`hplan.base.kernel_digest`), the types of the arguments,
 the processor, and the versions of Python, NumPy and numba: files may be copied, moved, touched and shared by processes,
-and none is ever out of date. Each bears a checksum, which is looked at before anything else in it. Whatever is the
+and none is ever out of date. Each bears a checksum, which is checked before anything else in it. Whatever is the
 matter with them or with the disk, kernels are compiled, and a `KernelCacheWarning` says so once.
 """
 
@@ -166,7 +166,7 @@ class _DiskCache(NullCache):  # type: ignore[misc]
     def save_overload(self, sig: Any, data: Any) -> None:
         """Keep what was compiled for these types, if that can be done."""
         key = self._key(sig)
-        # Constants that were changed since they were first looked at are in the code, or are not: nobody knows.
+        # Constants that were changed since they were first read are in the code, or are not: nobody knows.
         if key is None or key != self._key(sig, afresh=True) or data.library.has_dynamic_globals:
             return
         kept = dumps(data._reduce())

@@ -35,7 +35,7 @@ SIZE, NEAREST, ON_FIRST = any_int(36), any_int(37), any_int(40)
 SEPARATING = any_int(43)
 WORK = 46
 
-#: Most corners that are looked at, and the fraction of the simplex's size below which a distance is none.
+#: Most corners that are visited, and the fraction of the simplex's size below which a distance is none.
 _MOST, _NONE = any_int(128), 1e-13
 
 #: No corners so far.

@@ -35,11 +35,11 @@ PLACE, SHIFT, PARENT, TURN, JOINT_SIZE = 27, 30, 33, 34, 37
 
 @dataclass(frozen=True, eq=False)
 class FlatBodies(Record):
-    """Movers of a robot as rows, and the numbers that they refer to.
+    """Moving bodies of a robot as rows, and the numbers that they refer to.
 
     Attributes:
         movers: (bodies + pairs, COLUMNS) each body in the order of `collision_bodies`, then each pair of its own that
-            is looked at.
+            is checked.
         numbers: Flat: the head, the joints, the reaches ((movers, dof), row by row), the points of all bodies, each
             with its table.
     """
@@ -54,7 +54,7 @@ class FlatBodies(Record):
         Args:
             robot: The robot.
             own_clearance: Clearance that pairs are to keep [m].
-            deviation: By how much every joint may be off [rad, m]: bodies are as much thicker as they may then sway.
+            deviation: By how much every joint may be off [rad, m]: bodies are as much thicker as it may displace them.
         """
         still = robot.cached("flat bodies", lambda: cls._still(robot))
         bodies, pairs = collision_bodies(robot), self_pairs(robot)
@@ -69,7 +69,7 @@ class FlatBodies(Record):
 
     @classmethod
     def _still(cls, robot: Robot) -> FlatBodies:
-        """The same without deviation, where pairs may touch."""
+        """The bodies without deviation, where pairs may touch."""
         bodies, pairs = collision_bodies(robot), self_pairs(robot)
         reaches = np.concatenate([reach(robot), pairs.reach])
         joints = joint_numbers(robot)

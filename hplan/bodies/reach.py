@@ -1,4 +1,4 @@
-r"""How far each joint can move each body: upper bounds that hold whatever the configuration.
+r"""Motion-bound coefficients: how far each joint can move each body, whatever the configuration.
 
 A point of body :math:`b` that lies at distance :math:`\rho` from the axis of joint :math:`j` moves with speed
 :math:`\rho |\dot q_j|` when that joint alone turns, and with :math:`|\dot q_j|` when it slides. With
@@ -38,7 +38,7 @@ _ROUND_OFF: Final = 1e-12
 
 
 def reach(robot: Robot, beyond: float = 0.0) -> FloatArray:
-    """Upper bounds of the distance of any point of each body from each joint's axis, whatever the configuration.
+    """Motion-bound coefficients: upper bounds of the distance of any point of each body from each joint's axis.
 
     Args:
         robot: The robot.
@@ -107,7 +107,7 @@ def _carried(
 
 
 def largest_sway(robot: Robot, deviation: FloatArray) -> FloatArray:
-    """Largest distance of any part of a robot from its place when joints are off by `deviation` at most.
+    """Tracking-error displacement bound: of any part of a robot from its place, with joints off by `deviation` at most.
 
     Of an arm of the planar family that of its links' axes (`PlanarFamily.sway`), of any other that of its bodies.
 

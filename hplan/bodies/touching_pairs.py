@@ -1,4 +1,4 @@
-"""Pairs of a robot's own bodies: those that are looked at, and those that may touch, each with the reason.
+"""Pairs of a robot's own bodies: those that are checked, and those that may touch, each with the reason.
 
 Looked at are all pairs but
 
@@ -9,7 +9,7 @@ Looked at are all pairs but
 - bodies of links that the robot's SRDF lets touch, for another reason than that they were never seen to.
 
 What a range of one joint shows is certain, by bisection (`hplan.robot.base_shapes.ever`); what samples show is taken
-for how the robot is built, and is listed. A pair that no sample saw touch is looked at all the same.
+for how the robot is built, and is listed. A pair that no sample saw touch is checked all the same.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class SelfPairs(Record):
     Attributes:
         checked: Pairs (i, j), i < j, that must not touch. (The outer body, the one that has more joints below it or is
             later in the URDF, is not always j.)
-        allowed: Pairs (i, j), i < j, that are not looked at, each with the reason in words.
+        allowed: Pairs (i, j), i < j, that are not checked, each with the reason.
         farthest: (checked,) how far apart each pair was seen [m], infinite from 0.25 m on. One that is never farther
             apart than the clearance to keep, or than `BEARING`, is asked only whether it touches (`needed`).
         reach: (checked, dof) by how much a joint's motion can bring the two nearer: `reach @ abs(dq)` bounds by how
@@ -131,7 +131,7 @@ def _pair_reach(robot: Robot, pairs: tuple[tuple[int, int], ...], beyond: float)
 
 
 def _by_one_joint(robot: Robot, pair: tuple[int, int], joint: int, beyond: float) -> str | None:
-    """Why two bodies that one joint moves to each other may touch, or never do; None where they are to be looked at."""
+    """Why two bodies that one joint moves to each other may touch, or never do; None where they are to be checked."""
     axis, slides = joint_axis(robot, joint)
     shapes = [body_shapes(robot)[body] for body in pair]
     if collision_bodies(robot)[pair[0]].joint == joint:

@@ -15,7 +15,7 @@ _UNBOUNDED = 1e300
 def motion_bends(
     rates: FloatArray, changes: FloatArray, movers: FloatArray, numbers: FloatArray, bends: FloatArray
 ) -> None:
-    r"""Write how fast points of each mover move at most, and what their acceleration is at most.
+    r"""Write how fast points of each moving body move at most, and what their acceleration is at most.
 
     A point at :math:`p` has :math:`\ddot p = \sum_j \partial_j p \, \ddot q_j + \sum_{ij} \partial_{ij} p \, \dot q_i
     \dot q_j`. Of two joints let j be the one nearer to the body. The velocity :math:`\partial_j p`, no longer than j's

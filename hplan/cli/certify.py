@@ -116,21 +116,21 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int
     if arguments.json:
         console.file.write(report_text(report))
     elif not arguments.quiet:
-        _show(console, report, TrackingModel(tracking.still_rad).told(robot.slides))
+        _show(console, report, TrackingModel(tracking.still_rad).summary(robot.slides))
     return 0 if report["status"] == "ok" else FAILED
 
 
 def _fill_in(arguments: argparse.Namespace, job: FinishedJob | None) -> None:
     """Take what was not asked for from a job's report, else from the defaults."""
-    told: dict[str, Any] = {"tracking_error_rad": 0.0, "tracking_delay_s": 0.0, "sigmas": 3.0}
+    settings: dict[str, Any] = {"tracking_error_rad": 0.0, "tracking_delay_s": 0.0, "sigmas": 3.0}
     if job is not None:
-        told = job.report["certificate"]
+        settings = job.report["certificate"]
     defaults = {
-        "tracking_error": math.degrees(told["tracking_error_rad"]),
+        "tracking_error": math.degrees(settings["tracking_error_rad"]),
         "tracking_error_m": 0.0,
-        "tracking_delay": 1e3 * told["tracking_delay_s"],
-        "sigmas": told["sigmas"],
-        "goal_contact": "motion" if told.get("goal_contact") == "motion" else "approach",
+        "tracking_delay": 1e3 * settings["tracking_delay_s"],
+        "sigmas": settings["sigmas"],
+        "goal_contact": "motion" if settings.get("goal_contact") == "motion" else "approach",
     }
     for name, value in defaults.items():
         if getattr(arguments, name) is None:

@@ -54,7 +54,7 @@ def run(arguments: argparse.Namespace, console: Console, _: Console) -> int:
     tracking = tracking_of(arguments)
     if not tracking.is_exact:
         kept = "no joint was" if result.is_within(tracking) else "[bold red]some joint was[/]"
-        console.print(f"{kept} farther from its reference than a tracking error of {tracking.told(robot.slides)}\n")
+        console.print(f"{kept} farther from its reference than a tracking error of {tracking.summary(robot.slides)}\n")
     return 0 if result.ok else FAILED
 
 

@@ -130,15 +130,15 @@ class FinishedJob:
         from hplan.verification.certificate import Certificate
         from hplan.verification.limit_use import LimitUse
 
-        told = self.report["certificate"]
+        saved = self.report["certificate"]
         try:
             return Certificate(
-                verified=told["verified"] is True,
-                min_clearance_m=_number(told["min_clearance_m"]),
-                nearest=None if told["nearest"] is None else Contact(**told["nearest"]),
-                limit_use=LimitUse(**{name: _number(value) for name, value in told["limit_use"].items()}),
+                verified=saved["verified"] is True,
+                min_clearance_m=_number(saved["min_clearance_m"]),
+                nearest=None if saved["nearest"] is None else Contact(**saved["nearest"]),
+                limit_use=LimitUse(**{name: _number(value) for name, value in saved["limit_use"].items()}),
                 checks=0,
-                violations=tuple(map(str, told["violations"])),
+                violations=tuple(map(str, saved["violations"])),
             )
         except (AttributeError, KeyError, TypeError, ValueError) as error:
             raise self._fault("its certificate is not complete") from error
@@ -154,17 +154,17 @@ class FinishedJob:
         from hplan.base.arrays import readonly
         from hplan.verification.clearance_curve import ClearanceCurve
 
-        told = self.report.get("clearance_curve")
-        if told is None:
+        curve = self.report.get("clearance_curve")
+        if curve is None:
             return None
         try:
-            time, distance = (readonly([_number(value) for value in told[name]]) for name in ("time_s", "distance_m"))
+            time, distance = (readonly([_number(value) for value in curve[name]]) for name in ("time_s", "distance_m"))
             # Nothing to meet, or nothing certain: both are null.
             unknown = np.where(distance < np.inf, -np.inf, np.inf)
-            values = zip(told["clearance_m"], unknown.tolist(), strict=True)
+            values = zip(curve["clearance_m"], unknown.tolist(), strict=True)
             clearance = readonly([none if value is None else float(value) for value, none in values])
-            nearest = readonly(told["nearest"], np.int64)
-            pairs = tuple((str(link), str(other)) for link, other in told["pairs"])
+            nearest = readonly(curve["nearest"], np.int64)
+            pairs = tuple((str(link), str(other)) for link, other in curve["pairs"])
             fits = len(time) == len(distance) == len(nearest) > 0 and max(nearest) < len(pairs)
         except (AttributeError, KeyError, TypeError, ValueError) as error:
             raise self._fault("its clearance over time is malformed") from error
@@ -174,8 +174,8 @@ class FinishedJob:
 
     def differing(self, digests: Digests | None) -> list[str]:
         """Those of robot, scene and trajectory that are not the report's."""
-        told = self.report["certificate"]["digests"]
-        return [] if digests is None else [what for what, digest in vars(digests).items() if told.get(what) != digest]
+        saved = self.report["certificate"]["digests"]
+        return [] if digests is None else [what for what, digest in vars(digests).items() if saved.get(what) != digest]
 
 
 def _number(value: float | None) -> float:

@@ -61,7 +61,7 @@ def add_deadline(parser: argparse.ArgumentParser) -> None:
 
 
 def scene_among(arguments: argparse.Namespace, robot: Robot, scene: Scene, errors: Console) -> tuple[Scene, list[str]]:
-    """The scene as `--drop-inside` wants it, and the names of what is left out, which the console is told."""
+    """The scene as `--drop-inside` wants it, and the names of what is left out, which the console prints."""
     if not arguments.drop_inside:
         return scene, []
     from hplan.problem.world import without_inside
@@ -220,7 +220,7 @@ def _check_tracking(arguments: argparse.Namespace, robot: Robot) -> None:
 
 
 def plan_options(arguments: argparse.Namespace, *options: str) -> PlanOptions:
-    """Options of a plan: tracking, pace, deadline, and the others of these names.
+    """Options of a plan: tracking, speed, deadline, and the others of these names.
 
     Raises:
         OptionError: A value out of its range.

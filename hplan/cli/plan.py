@@ -191,8 +191,8 @@ def _made(arguments: argparse.Namespace, folder: JobFolder, errors: Console) -> 
                 if wants_cspace:
                     _write_cspace(robot, scene, options, result, yaw, staging)
                 result = with_export_time(result, time.perf_counter() - begin)
-                told = curve_report(result.certificate) | ({"left_out": left_out} if left_out else {})
-                write_report(result.report | told, staging / REPORT)
+                curve = curve_report(result.certificate) | ({"left_out": left_out} if left_out else {})
+                write_report(result.report | curve, staging / REPORT)
     return robot, scene, result
 
 
@@ -284,9 +284,9 @@ def show_summary(console: Console, result: PlanResult, folder: Path, more: Seque
     add("limits used", ", ".join(f"{name} {percent(used)}" for name, used in proof["limit_use"].items()) + " %")
     add("clearance", _clearance_words(proof))
     if "in_time" in report:
-        told = report["in_time"]
-        slows = ", slows down" if told["slows_down"] else ""
-        add("what moves", f"{told['path']}, waits {told['waits_s']:.2f} s{slows}")
+        timing = report["in_time"]
+        slows = ", slows down" if timing["slows_down"] else ""
+        add("what moves", f"{timing['path']}, waits {timing['waits_s']:.2f} s{slows}")
     if proof["nearest"] is not None:
         nearest = proof["nearest"]
         pair = f"{escape(nearest['link'])} to {escape(nearest['obstacle'])}"

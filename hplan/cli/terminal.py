@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-#: Exit status where what was looked at is not in order.
+#: Exit status where what was checked is not in order.
 FAILED = 5
 
 #: Exit status after an interrupt, as shells give it.

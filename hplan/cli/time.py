@@ -1,6 +1,6 @@
 """The command `hplan time`: time a motion through waypoints for any robot that Pinocchio reads.
 
-Without a scene it looks at no obstacles. With one the path is shown clear, finished, and certified: a job like a plan.
+Without a scene it knows no obstacles. With one the path is verified, finished, and certified: a job like a plan.
 """
 
 from __future__ import annotations
@@ -59,8 +59,8 @@ WITHOUT_SCENE: dict[str, object] = {"acceleration": None, "no_torque": False, "j
 
 _DESCRIPTION = """\
 Time the fastest motion through waypoints, from rest to rest, under the URDF's velocity and torque limits and given
-acceleration limits. Corners are rounded within a guaranteed deviation. Obstacles are looked at with --scene: the path
-is shown clear, shortened (or kept), smoothed, timed and certified, or refused with the place where it is in contact.
+acceleration limits. Corners are rounded within a guaranteed deviation. With --scene the path is verified
+collision-free, shortened (or kept), smoothed, timed and certified, or refused with the place where it is in contact.
 """
 
 _EPILOG = """\

@@ -38,8 +38,8 @@ least time in all. Writes tour.csv, tour.json and an animated scene.html.
 
 _EPILOG = """\
 Without a drop-off the arm takes fruit into itself; with one it carries fruit
-there: its last link is as thick as the thickest of them on the way, and an
-arm that is no planar one has a ball of that size at its tool.
+there: its last link is as thick as the thickest of them on the way, and a
+general (non-planar) arm has a ball of that size at its tool.
 Fruits that others are in the way of come last, once those are picked. What
 cannot be reached is listed with the reason. Times are those of motions; the
 time to grip or to let go comes on top.
@@ -72,7 +72,7 @@ def parser(prog: str) -> argparse.ArgumentParser:
         type=float,
         nargs=7,
         metavar=("X", "Y", "Z", "QX", "QY", "QZ", "QW"),
-        help="drop-off: a pose of the tool frame, of a robot that is no planar arm",
+        help="drop-off: a pose of the tool frame, of a general (non-planar) arm",
     )
     add("--drop-off-joints", type=float, nargs="+", metavar="DEG", help="drop-off: joints")
     add("--every", type=int, metavar="K", help="fruits carried to the drop-off at most (default: 1)")
@@ -143,8 +143,8 @@ def _made(
                 from hplan.ros.mcap_file import write_mcap
 
                 write_mcap(result, staging / MCAP)
-            told = curve_report(result.certificate) | ({"left_out": left_out} if left_out else {})
-            write_report({**result.report, **told, "files": list(motions)}, staging / TOUR_REPORT)
+            curve = curve_report(result.certificate) | ({"left_out": left_out} if left_out else {})
+            write_report({**result.report, **curve, "files": list(motions)}, staging / TOUR_REPORT)
     return result, [*motions, TOUR_REPORT, PAGE, *([MCAP] if arguments.mcap else [])]
 
 

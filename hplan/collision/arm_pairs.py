@@ -1,10 +1,10 @@
 """Pairs of parts of the arm in coal, and the bodies of the turret that meet obstacles.
 
 The turret's shapes that are round about the yaw axis, and the pedestal, stand still: they are no part of any motion,
-and looked at once (`hplan.collision.coal_scene.base_contacts`). So is an obstacle that no point of a turning shape
+and checked once (`hplan.collision.coal_scene.base_contacts`). So is an obstacle that no point of a turning shape
 comes down to: a horizontal plane between the two stays between them, whatever the yaw.
 
-Of a robot that is no planar arm the parts are its collision bodies (`hplan.bodies`), each link's by the link's name.
+Of a general (non-planar) arm the parts are its collision bodies (`hplan.bodies`), each link's by the link's name.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class ArmPair:
     Attributes:
         mover: The link, or `TURRET`.
         other: The body from which the motion is seen: a link before it, `TURRET`, or `GROUND`, with `SHAPED` added
-            where both are as the URDF has them; of a robot that is no planar arm, the number of the other body.
+            where both are as the URDF has them; of a general (non-planar) arm, the number of the other body.
         mover_name: Name of its body.
         other_name: Name of the other body.
         shapes: The two shapes.
@@ -225,7 +225,7 @@ def _rounded_up(deviation: float) -> float:
 
 
 def body_pairs(robot: Robot, pairs: SelfPairs) -> tuple[ArmPair, ...]:
-    """Pairs of a robot's bodies, in their order; the one that more joints carry is the mover. Made once."""
+    """Pairs of a robot's bodies, in their order; the one that more joints carry is the moving body. Made once."""
     return robot.cached(("body_pairs", pairs), lambda: tuple(_body_pairs(robot, pairs)))
 
 

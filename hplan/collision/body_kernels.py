@@ -1,12 +1,12 @@
-"""Kernels for arms of any kind: clearances of all movers at a configuration, and how they change with the joints.
+"""Kernels for arms of any kind: clearances of moving bodies at a configuration, and how they change with the joints.
 
-Movers are the bodies of the arm (`hplan.bodies.flat_bodies`) and, after them, the pairs of bodies that must not touch:
+Moving bodies are those of the arm (`hplan.bodies.flat_bodies`) and, after them, its pairs of bodies not to touch:
 the distance of a pair is seen from one of the two, so that a joint that carries both does not count as motion. Bodies
 and obstacles are hulls of points, grown by radii; their distance is that of the hulls (`hplan.bodies.convex_distance`)
 less both radii. Bounding balls come first, then whatever direction separates by as much as is asked.
 
-**Enough.** Each mover has a clearance that is enough: no more is looked for than is needed to tell whether there is
-less. (How long a motion goes on clear is told by `hplan.collision.motion_cover` with far less work.)
+**Enough.** Each moving body has a clearance that is enough: no more is looked for than is needed to tell whether there
+is less. (`hplan.collision.motion_cover` finds how long a motion stays clear with far less work.)
 
 **Depth.** Two hulls that share points are as far inside of each other as the least shift that takes them apart
 (`hplan.bodies.penetration`), and the radii come to that.
@@ -36,7 +36,7 @@ _FIRST_ROW = any_int(0)
 #: Larger clearances are not looked for [m].
 FAR = 0.2
 
-#: By which fraction of itself a clearance may be told too small.
+#: By which fraction of itself a clearance may be given too small.
 EXACT = 1e-10
 
 #: In place of where the table of a hull's corners is: a single point has none.
@@ -260,7 +260,7 @@ def _pair_clearance(arm: BodyArrays, k: int, enough: float) -> float:
 
 @kernel
 def _mover_clearance(arm: BodyArrays, movers: FloatArray, placed: FloatArray, k: int, enough: float) -> float:
-    """Clearance of a mover, or `enough` where it is no less; of a body that no joint moves always [m].
+    """Clearance of a moving body, or `enough` where it is no less; of a body that no joint moves always [m].
 
     Arrays of the arm are given besides, as what is taken out of tuples is counted.
     """
@@ -275,7 +275,7 @@ def _mover_clearance(arm: BodyArrays, movers: FloatArray, placed: FloatArray, k:
 
 @kernel
 def body_clearances(q: FloatArray, field: FieldArrays, result: FloatArray) -> None:
-    """Clearance of each mover at one configuration, `FAR` where it is more; of bodies that no joint moves always."""
+    """Clearance of each moving body at a configuration, `FAR` where it is more; of fixed bodies always."""
     arm = _placed_arm(q, field)
     movers, placed = arm.movers, arm.placed
     for k in range(len(result)):
@@ -351,7 +351,7 @@ def _rate(arm: BodyArrays, b: int, joint: int, n: Vector, at: Vector) -> float:
 
 @kernel
 def least_body_clearance(q: FloatArray, field: FieldArrays, enough: float) -> float:
-    """The smallest clearance of all movers at one configuration, or `enough` where it is no less [m]."""
+    """The smallest clearance of all moving bodies at one configuration, or `enough` where it is no less [m]."""
     arm = _placed_arm(q, field)
     movers, placed = arm.movers, arm.placed
     bodies, least = placed.shape[0], enough

@@ -1,7 +1,7 @@
-"""Kernels for arms of any kind: how far bodies move, motions shown clear, and what is near to them.
+"""Kernels for arms of any kind: how far bodies move, motions verified collision-free, and what is near to them.
 
-A look at a configuration shows a part of the motion clear, before it and after it (`hplan.collision.motion_cover`). The
-next one is far enough ahead that its part before is to meet what is shown; where it does not, one nearer comes in
+The clearance at a configuration verifies a part of the motion, before it and after it (`hplan.collision.motion_cover`).
+The next one is far enough ahead that its part before is to meet what is shown; where it does not, one nearer comes in
 between. No more is asked for than lets the motion go on by a part that is a little longer than the last one: looks that
 are nearer to each other but cheaper are the quicker proof.
 """
@@ -26,19 +26,19 @@ from hplan.collision.obstacle_rows import FieldArrays
 #: Most looks at the clearance along one motion.
 _MOST_LOOKS = any_int(1_000_000)
 
-#: Places of a motion that are looked at before it is proved are about so far apart, as its farthest point goes [m].
+#: Places of a motion that are checked before it is proved are about so far apart, as its farthest point goes [m].
 _APART = 0.4
 
 #: The first part of a motion that is asked for, and a later one in multiples of the one before.
 _FIRST_STEP, _LONGER = 0.25, 2.0
 
-#: How far beyond what is shown clear the next look is, in multiples of what the last one showed; and, where that was
+#: How far beyond the verified part the next look is, in multiples of what the last one verified; and, where that was
 #: too far, in multiples of that.
 _NEXT, _NEARER = 0.8, 0.5
 
 
 class Run(NamedTuple):
-    """A motion along a Bezier piece, and what it is looked at with.
+    """A motion along a Bezier piece, and what it is checked with.
 
     Attributes:
         piece: (4, dof) control points.
@@ -57,7 +57,7 @@ class Run(NamedTuple):
 
 @kernel
 def body_bounds(turns: FloatArray, movers: FloatArray, numbers: FloatArray, result: FloatArray) -> None:
-    """Largest displacement of any point of each mover while joints move in proportion, by `turns` in all."""
+    """Largest displacement of any point of each moving body while joints move in proportion, by `turns` in all."""
     dof = len(turns)
     at = int(numbers[flat.REACHES])
     for k in range(movers.shape[0]):
@@ -69,7 +69,7 @@ def body_bounds(turns: FloatArray, movers: FloatArray, numbers: FloatArray, resu
 
 @kernel
 def _run(piece: FloatArray, field: FieldArrays, margin: float) -> Run:
-    """A motion, not looked at yet."""
+    """A motion, not checked yet."""
     dof = piece.shape[1]
     fastest, changes, bends = np.empty(dof), np.empty(dof), np.empty((field.chain.shape[0], 2))
     for j in range(dof):
@@ -82,7 +82,7 @@ def _run(piece: FloatArray, field: FieldArrays, margin: float) -> Run:
 
 @kernel
 def _look(run: Run, t: float, back: float, forward: float) -> Part:
-    """How much of a motion about a place is shown clear, no more than is asked."""
+    """How much of a motion about a place is verified collision-free, no more than is asked."""
     piece, u = run.piece, 1.0 - t
     w0, w1, w2, w3 = u * u * u, 3.0 * u * u * t, 3.0 * u * t * t, t * t * t
     for i in range(len(run.q)):
@@ -102,7 +102,7 @@ def _march(run: Run, looks: int, stride: float) -> tuple[float, int]:
         stride: No step from look to look is shorter than that.
 
     Returns:
-        The last place that was looked at with all before it shown clear, 0 without any; and how many looks it took.
+        The last place with all before it verified collision-free, 0 without any; and how many looks it took.
     """
     shown, covered, at, last, ask = 0.0, 0.0, 0.0, -1.0, _FIRST_STEP
     for used in range(looks):
@@ -138,7 +138,7 @@ def _straight(start: FloatArray, turns: FloatArray) -> FloatArray:
 def body_shown_part(
     start: FloatArray, turns: FloatArray, field: FieldArrays, margin: float, looks: int
 ) -> tuple[float, int]:
-    """The part of a straight joint-space motion that a few looks at the clearance show clear, and how many it took."""
+    """The part of a straight joint-space motion that a few looks at the clearance verify, and how many it took."""
     run = _run(_straight(start, turns), field, margin)
     shown, used = _march(run, looks, 0.0)
     return shown, used
@@ -146,9 +146,9 @@ def body_shown_part(
 
 @kernel
 def body_segment_is_refused(start: FloatArray, end: FloatArray, field: FieldArrays, margin: float) -> bool:
-    """True if a straight joint-space motion does not keep a margin at one of some places, which are looked at first.
+    """True if a straight joint-space motion does not keep a margin at one of some places, which are checked first.
 
-    Most motions that are looked at fail, and places far apart tell so at once.
+    Most motions that are checked fail, which places far apart show at once.
     """
     dof = len(start)
     turns, q, bounds = np.empty(dof), np.empty(dof), np.empty(field.chain.shape[0])

@@ -1,7 +1,7 @@
-"""Clearance of the arm in space, and motions shown clear over continuous time.
+"""Clearance of the arm in space, and motions verified collision-free over continuous time.
 
-Distances are exact for capsule links against balls, capsules, boxes, hulls and clouds of balls. A motion is shown clear
-by a bound on how far each link moves (`hplan.collision.clearance_kernels`).
+Distances are exact for capsule links against balls, capsules, boxes, hulls and clouds of balls. A motion is verified
+collision-free by a bound on how far each link moves (`hplan.collision.clearance_kernels`).
 """
 
 from __future__ import annotations
@@ -119,7 +119,7 @@ class ClearanceField(Record):
         found = self._of_rows(np.append(kept, arm)[self.owner])
         if arm or self.chain.shape[1] == LINK:
             return found
-        # Of other arms than planar ones their own pairs are movers after the bodies.
+        # Of general (non-planar) arms their own pairs count as moving bodies, after the bodies.
         return replace(found, chain=readonly(self.chain[: int(self.base[BODIES])]))
 
     def sparing(self, touched: BoolArray) -> ClearanceField:
@@ -201,7 +201,7 @@ class ClearanceField(Record):
         return float(self.link_clearances(q).min())
 
     def is_clear(self, path: ArrayLike, margin: float) -> bool:
-        """True if the straight joint-space motions between waypoints are shown clear.
+        """True if the straight joint-space motions between waypoints are verified collision-free.
 
         Args:
             path: (m, dof) waypoints.

@@ -1,4 +1,4 @@
-r"""Kernels of `hplan.collision.clearance_field`: the clearance of each link, and motions shown clear.
+r"""Kernels of `hplan.collision.clearance_field`: the clearance of each link, and motions verified collision-free.
 
 Clearance at a configuration is only a sample. It becomes a proof with a bound on motion: while a joint-space segment
 is traversed, no axis point of link :math:`k` moves farther than
@@ -102,7 +102,7 @@ def _arm_plane(q: FloatArray, base: FloatArray) -> tuple[int, float, float, Vect
 
 @kernel
 def link_clearances(q: FloatArray, field: FieldArrays, result: FloatArray) -> None:
-    """Clearance of each link at one configuration; of an arm that is no planar chain, of each mover."""
+    """Clearance of each link at one configuration; of a general (non-planar) arm, of each moving body."""
     if field.chain.shape[1] != LINK:
         body_clearances(q, field, result)
         return
@@ -310,7 +310,7 @@ def segment_is_refused(start: FloatArray, end: FloatArray, field: FieldArrays, m
 
 @kernel
 def segment_is_clear(start: FloatArray, end: FloatArray, field: FieldArrays, margin: float) -> bool:
-    """True if the straight joint-space motion is shown clear; `margin` is asked for wherever it is evaluated."""
+    """True if the straight joint-space motion is verified to keep `margin`, which is asked for at what is evaluated."""
     if field.chain.shape[1] != LINK:
         return body_segment_is_clear(start, end, field, margin)
     links, dof = field.chain.shape[0], start.shape[0]

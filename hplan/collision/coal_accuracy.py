@@ -51,7 +51,7 @@ def distance_errors(
         pairs: Pairs of shapes of the arm.
 
     Returns:
-        (movers * solids + pairs,) of each mover with each obstacle, mover by mover, then of the pairs.
+        (movers * solids + pairs,) of each moving body with each obstacle, body by body, then of the pairs.
     """
     curved = np.array([type(solid) is Cylinder for solid in solids], dtype=np.bool_)
     round_movers = np.array([isinstance(shape.geometry, coal.Cylinder) for shape in movers], dtype=np.bool_)
@@ -84,7 +84,7 @@ def _extent(shape: pin.GeometryObject) -> tuple[float, float]:
 
 
 def _solid_extent(solid: Solid) -> tuple[float, float]:
-    """The same of an obstacle."""
+    """As `_extent`, of an obstacle."""
     if type(solid) is Sphere:  # there are hundreds, and `isinstance` takes ten times as long
         return 2.0 * solid.radius, math.inf
     if type(solid) is Capsule:

@@ -58,7 +58,7 @@ class Contact:
 
     @property
     def other(self) -> str:
-        """The obstacle in words."""
+        """The obstacle, as messages name it."""
         return f"obstacle {self.obstacle!r}"
 
 
@@ -68,7 +68,7 @@ class OwnContact(Contact):
 
     @property
     def other(self) -> str:
-        """The other part of the arm in words."""
+        """The other part of the arm, as messages name it."""
         return f"link {self.obstacle!r}"
 
 
@@ -83,7 +83,7 @@ class CoalScene:
     - `box`: square beams from joint to joint, of the capsules' half-widths (in the arm plane: the paper's rectangle);
     - `urdf`: the URDF's collision geometry itself, meshes by their convex hulls (as surfaces they are hollow to coal).
 
-    Neighbours that fold into one another are asked as capsules always. Of a robot that is no planar arm the links are
+    Neighbours that fold into one another are asked as capsules always. Of a general (non-planar) arm the links are
     those of the URDF that move, as `hplan.bodies.collision_bodies.body_shapes` has them, and the pairs of its own those
     of `hplan.bodies.touching_pairs`; `links` is `urdf` then.
 
@@ -108,7 +108,7 @@ class CoalScene:
         deviation: How far joints may be beyond their limits [rad]; parts of the arm that touch up to there are pairs.
         clearance: Distance that parts of the arm are to keep from each other [m]; those that come nearer are pairs.
         moving: Those of the obstacles that move, and how; None where none does.
-        own_bodies: The pairs of its own of a robot that is no planar arm, the last of `pairs`; None of a planar arm.
+        own_bodies: The pairs of its own of a general (non-planar) arm, the last of `pairs`; None of a planar arm.
     """
 
     def __init__(
@@ -169,7 +169,7 @@ class CoalScene:
         movers = [*shapes, *(placed for _, placed in turret.values())]
         self._last = np.flatnonzero(last)
         self.mover_names = (*self.link_names, *turret)
-        # The shapes of mover k are the rows from `_first_shape[k]` on.
+        # The shapes of moving body k are the rows from `_first_shape[k]` on.
         self._first_shape = np.cumsum([0, *(len(of_mover) for of_mover in movers[:-1])])
         self.link_shapes = [shape for of_link in shapes for shape in of_link]
         self._mover_shapes = [shape for of_mover in movers for shape in of_mover]
@@ -222,7 +222,7 @@ class CoalScene:
         return distance_errors(self._mover_shapes, self._built["obstacles"], self._own_shapes)
 
     def covering(self, deviation: float, clearance: float) -> CoalScene:
-        """The same scene with the pairs that a tracking error [rad] and a clearance [m] require."""
+        """The scene with the pairs that a tracking error [rad] and a clearance [m] require."""
         if deviation <= self.deviation and clearance == self.clearance:
             return self
         if self.own_bodies is not None:
@@ -237,7 +237,7 @@ class CoalScene:
         return _rebuilt(built, self._touched)
 
     def touching(self, name: str) -> CoalScene:
-        """The same scene where the last link may touch the obstacles of a name: their distance counts as infinite."""
+        """The scene where the last link may touch the obstacles of a name: their distance counts as infinite."""
         other = object.__new__(CoalScene)
         vars(other).update(vars(self))
         other._touched = (*self._touched, name)
@@ -369,7 +369,7 @@ def base_contacts(
 ) -> tuple[Contact, ...]:
     """Obstacles that touch what the planar joints do not move: pedestal and turret, as the URDF gives them.
 
-    They are no part of the C-space, since no motion of the arm at this yaw changes them. Of a robot that is no planar
+    They are no part of the C-space, since no motion of the arm at this yaw changes them. Of a general (non-planar)
     arm it is what no joint moves.
 
     Args:

@@ -92,7 +92,7 @@ class GeometryPairs:
             model: The arm.
             movers: Shapes that meet every obstacle.
             obstacles: Fixed shapes, and clouds.
-            chosen: Further pairs, of movers or of shapes that meet no obstacle.
+            chosen: Further pairs, of moving bodies or of shapes that meet no obstacle.
             balls: (obstacles, 4) centre and radius of a ball about each obstacle, for `lower_bounds`; None for none.
         """
         self._model = model
@@ -135,7 +135,7 @@ class GeometryPairs:
             self._numbers.append(numbers)
             check_deadline()
         self._query = _QueryData(model, self._geometries, bool(self._clouds))
-        # In which model a pair is, and its number there; the pairs of clouds, in none, mover by mover.
+        # In which model a pair is, and its number there; the pairs of clouds, in none, body by body.
         self._part_of = np.full(self.count, -1, dtype=np.int64)
         self._local = np.zeros(self.count, dtype=np.int64)
         columns = np.array([column for column, _ in self._clouds], dtype=np.int64)

@@ -1,4 +1,4 @@
-r"""Kernels for arms of any kind: how much of a motion, before and after, a look at one configuration shows clear.
+r"""Kernels for arms of any kind: how much of a motion, before and after, one configuration verifies as collision-free.
 
 Let joints move with rates :math:`\dot q` at a configuration that the motion passes at time 0. A body lies in a ball;
 its points have the velocities :math:`v + \omega \times x` there, :math:`x` from its centre. Let a plane with unit
@@ -15,7 +15,7 @@ before, the same holds with the velocities reversed. Nor do points move farther 
 (`hplan.bodies.reach`), in whichever direction. What moves along a surface, or away from it, has far to go by the first
 bound; what is far away has by the second.
 
-A pair of the arm's own bodies is looked at from the inner one, in whose frame only the joints between them move the
+A pair of the arm's own bodies is seen from the inner one, in whose frame only the joints between them move the
 other. Where neither carries the other, the reaches alone are made use of.
 """
 
@@ -40,7 +40,7 @@ from hplan.collision.obstacle_rows import FieldArrays
 
 _FIRST_ROW = any_int(0)
 
-#: By which fraction of itself a distance may be told too small.
+#: By which fraction of itself a distance may be given too small.
 _ROUGH = 2e-2
 
 
@@ -63,7 +63,7 @@ class Moving(NamedTuple):
         arm: Where it is.
         twists: (dof + 1, 6) angular velocity of what each joint carries, and the velocity of the point of it that is at
             the origin; of the base zeros.
-        bends: (movers, 2) how fast points of each mover move at most, and what their acceleration is at most.
+        bends: (movers, 2) how fast points of each moving body move at most, and what their acceleration is at most.
         margin: Clearance asked for [m].
     """
 
@@ -83,7 +83,7 @@ def moving_arm(field: FieldArrays, dof: int, bends: FloatArray, margin: float) -
 
 @kernel
 def part_shown_clear(q: FloatArray, rates: FloatArray, moving: Moving, back: float, forward: float) -> Part:
-    """How much of a motion, before and after a configuration, cannot use up any mover's clearance there.
+    """How much of a motion, before and after a configuration, cannot use up any moving body's clearance there.
 
     Args:
         q: (dof,) configuration.
@@ -121,7 +121,7 @@ def part_shown_clear(q: FloatArray, rates: FloatArray, moving: Moving, back: flo
 
 @kernel
 def body_keeps_margin(q: FloatArray, field: FieldArrays, margin: float) -> bool:
-    """True if no mover's clearance at a configuration is below a margin."""
+    """True if no moving body's clearance at a configuration is below a margin."""
     moving = moving_arm(field, len(q), np.zeros((field.chain.shape[0], 2)), margin)
     still: Part = part_shown_clear(q, np.zeros(len(q)), moving, 0.0, 0.0)
     return still.forward >= 0.0
@@ -138,7 +138,7 @@ def _drift(twists: FloatArray, joint: int) -> Vector:
 
 
 class _Motion(NamedTuple):
-    """How a mover moves: numbers alone, as arrays taken out of tuples cost more than what is done with them.
+    """How a moving body moves: numbers alone, as arrays taken out of tuples cost more than what is done with them.
 
     Attributes:
         velocity: Of the centre of the body's ball.
@@ -161,7 +161,7 @@ class _Motion(NamedTuple):
 
 @kernel
 def _farthest(motion: _Motion, part: Part) -> float:
-    """How far a mover's points move at most, or the margin."""
+    """How far a moving body's points move at most, or the margin."""
     back, forward, bend = part.back, part.forward, 0.5 * motion.bend
     after = min(forward * motion.most, forward * motion.speed + forward * forward * bend)
     before = min(back * motion.most, back * motion.speed + back * back * bend)

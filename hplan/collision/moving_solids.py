@@ -68,7 +68,7 @@ class MovingSolids(Record):
         return found
 
     def travels(self, clock: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """How far any point of the obstacles travels at most between times, each pace going on for the whole interval.
+        """How far any point of the obstacles travels at most between times, at each interval's largest speed.
 
         Args:
             clock: (n + 1,) times that do not decrease [s].
@@ -94,7 +94,7 @@ class MovingSolids(Record):
     def keep_below(self, below: BoolArray, height: float) -> BoolArray:
         """(obstacles,) mask of those that stay below a height, from that of those that are there where they are listed.
 
-        Of those that move only such as keep upright are told to.
+        Of those that move only such as keep upright are.
         """
         kept = below.copy()
         for number in self.numbers:

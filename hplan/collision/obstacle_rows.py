@@ -42,7 +42,7 @@ _COLUMNS = 21
 #: points begin and end there. Node: 1 where it is a tree's first, -1 where it is a group of solids.
 SHAPE, SECOND_END, AXES, FACETS, EDGES, EDGES_END, POINTS, POINTS_END, IS_ROOT = 6, 9, 9, 6, 7, 8, 6, 7, 8
 
-#: For arms that are no planar chain, every kind that is one hull also has the place of its corners in the data. Two
+#: For general (non-planar) arms, every kind that is one hull also has the place of its corners in the data. Two
 #: numbers stand before them: the place of their end, and that of their table (`hplan.scene.corner_table`) behind them,
 #: 0 for none.
 CORNERS = 18
@@ -51,7 +51,7 @@ CORNERS = 18
 #: distance of their axes at which they touch.
 FIRST_LINK, LAST_LINK, TURNS, INNER, OUTER, TOUCHING = 6, 7, 8, 6, 7, 8
 
-#: Balls and capsules. (Of hundreds of solids the very type is looked at here: `isinstance` of pydantic's models takes
+#: Balls and capsules. (Of hundreds of solids the very type is compared here: `isinstance` of pydantic's models takes
 #: ten times as long, and longer for several types.)
 ROUND = (Sphere, Capsule)
 
@@ -68,7 +68,7 @@ _THICKNESS = 1e-5
 class FieldArrays(NamedTuple):
     """The arrays of a `hplan.collision.clearance_field.ClearanceField` that kernels read.
 
-    And how long they may take (`hplan.base.deadline`): what is shown clear by then is; after it nothing is.
+    And how long they may take (`hplan.base.deadline`): what is verified by then is; after it nothing is.
     """
 
     chain: FloatArray
@@ -165,7 +165,7 @@ def own_clearance_of(clearance: ArrayLike, own_clearance: float | None) -> float
 
 
 def core_rows(obstacles: Sequence[Solid], clearance: ArrayLike) -> tuple[FloatArray, FloatArray, IntArray]:
-    """As `rows_of`, for arms that are no planar chain: obstacles alone, with the corners of each.
+    """As `rows_of`, for general (non-planar) arms: obstacles alone, with the corners of each.
 
     Args:
         obstacles: Obstacles.

@@ -43,7 +43,7 @@ _ALL = np.uint64(0xFFFFFFFFFFFFFFFF)
 #: A joint closer than this to a rounded polygon is in it: bearings of points so near would be noise [m].
 _TOUCHING = 1e-12
 
-#: The clock is looked at where the number of a row has none of these bits.
+#: The deadline is checked where the number of a row has none of these bits.
 _OFTEN = 63
 
 

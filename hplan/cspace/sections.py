@@ -204,7 +204,7 @@ def _cut(
 def _with_own_pairs(
     sections: ArmSections, robot: Robot, contact: SelfContact, obstacles: PreparedObstacles
 ) -> ArmSections:
-    """The same sections, with the pairs of links that can touch; whatever the model, as capsules."""
+    """Sections with the pairs of links that can touch; whatever the model, as capsules."""
     arm, count = robot.arm, len(sections.obstacle_names)
     touched = sorted({i for i, _ in contact.links})
     sways = (pair_sway(robot, j, i, obstacles.deviation) for i, j in contact.links)

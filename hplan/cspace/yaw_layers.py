@@ -26,7 +26,7 @@ from hplan.search.grid import Grid, Occupancy, words_for
 #: Largest C-space with a turning base [bytes], one bit a node: a search takes five times as much.
 MOST_BYTES = 150_000_000
 
-#: The clock is looked at where the number of a row has none of these bits.
+#: The deadline is checked where the number of a row has none of these bits.
 _OFTEN = 63
 
 

@@ -154,7 +154,7 @@ class ConfigurationInCollisionError(InputError):
     ) -> None:
         """Name the configuration, link, obstacle, by how much too deep it is and the clearance to keep [m].
 
-        `other` is the obstacle in words where it is none but a part of the arm.
+        `other` names what is touched where it is no obstacle but a part of the arm.
         """
         other = other or f"obstacle {obstacle!r}"
         if depth_m >= clearance_m:

@@ -14,7 +14,7 @@ class NoPathError(HplanError):
     `blockers` lists what bounds the reached region, largest part first, each a mapping with `obstacle`, `link`, `cells`
     and `slices_deg` (first and last value at which it blocks, of the last planned joint or of the one that is blocked).
     `goals` is for how many goals, all that there were, it was shown; the other facts are of the first of them.
-    `open_ended` is set where the region ends at the edge of the yaws that were looked at, so that a wider range might
+    `open_ended` is set where the region ends at the edge of the yaws that were searched, so that a wider range might
     open it.
     """
 
@@ -56,7 +56,7 @@ class ApproachError(HplanError):
     """No straight approach as long as asked for.
 
     `reason` is `joint_limit` (`joint`), `elbow` (it would come too near to straight or folded), `joints` (fewer than
-    three that may move) or, of a robot that is no planar arm, `line` (the tool cannot be drawn back so far).
+    three that may move) or, of a general (non-planar) arm, `line` (the tool cannot be drawn back so far).
     """
 
     exit_status = 3
@@ -141,7 +141,7 @@ class TourError(HplanError):
 class NotFoundError(HplanError):
     """No motion was found within the memory and effort given, and none was shown not to exist.
 
-    `tried` says what was looked at, sentence by sentence.
+    `tried` says what was tried, sentence by sentence.
     """
 
     exit_status = 6
@@ -171,7 +171,7 @@ class ObstacleInTimeError(NotFoundError):
 
 
 class NotInTimeError(NotFoundError):
-    """No motion was certified before the deadline; `tried` says what was looked at, and for how long."""
+    """No motion was certified before the deadline; `tried` says what was tried, and for how long."""
 
     deadline_s: float
     elapsed_s: float

@@ -47,7 +47,7 @@ HOLD = 0.25
 #: Error of each joint that turns [rad], and of each that slides [m], up to which a configuration counts as reached.
 GOAL_TOLERANCE, GOAL_TOLERANCE_M = math.radians(0.5), 0.005
 
-#: Rows at which inertias are looked at for the gains.
+#: Rows at which inertias are evaluated for the gains.
 _INERTIA_SAMPLES = 50
 
 

@@ -30,7 +30,7 @@ from hplan.kinematics.damped_steps import ABOUT_Z, ANY_TURN, Chain, solve_each
 from hplan.kinematics.inverse_kinematics import MOST_SEEDS, chain_of, distinct, spread_starts
 from hplan.robot.model import Robot
 
-#: Directions that are looked at, and from how many starts each.
+#: Directions that are tried, and from how many starts each.
 COUNT, STARTS = 64, 6
 
 #: So many joints take a tool to a point with a direction.
@@ -39,7 +39,7 @@ DIRECTED = 5
 #: Of directions that are asked for, those near the vertical count as if they were so far from it: there are few.
 _LEAST_COSINE = 0.05
 
-#: Angles at which it is told how directions are spread.
+#: Angles at which the spread of directions is measured.
 _ANGLES = 721
 
 #: Headings follow one another by this part of half a turn.
@@ -64,7 +64,7 @@ def tool_at_point(
         robot: The robot.
         position: (3,) in `base_link` [m].
         approach_deg: Approach angle, or an interval (low, high) of it; None for all [deg].
-        count: How many directions are looked at.
+        count: How many directions are tried.
         start: (dof,) configuration from which the arm comes; None for the middle of the joint ranges.
         locked: Names of joints that keep their start values.
 

@@ -34,7 +34,7 @@ MOST_STATES = 400_000_000
 #: The largest number of states of one sample, in words of 8 bytes.
 MOST_WORDS = 6_000_000
 
-#: The part of the duration that the search distinguishes, and the gap below which no finer grid is looked at.
+#: The part of the duration that the search distinguishes, and the gap below which no finer grid is searched.
 STEP, ENOUGH = 0.002, 0.01
 
 
@@ -184,7 +184,7 @@ def _obstacles(world: World) -> ClearanceField:
 def _longest(search: PlanarSearch, excluded: float, possible: float) -> float:
     """The longest duration excluded, by bisection from one that is and one that is not.
 
-    The first that is looked at is a step longer than what is excluded already: often no grid excludes more.
+    The first that is tried is a step longer than what is excluded already: often no grid excludes more.
     """
     step = STEP * possible
     middle = excluded + step

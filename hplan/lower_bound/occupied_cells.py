@@ -51,7 +51,7 @@ def free_cells(q: FloatArray, field: FieldArrays, cells: Cells) -> WordArray:
 
     Args:
         q: (dof,) a configuration; it is changed.
-        field: Obstacles, and the links that are looked at.
+        field: Obstacles, and the links that count.
         cells: The grid.
 
     Returns:

@@ -17,13 +17,13 @@ from hplan.robot.model import Robot
 #: Size of the cells of a joint that stands still [rad].
 _STILL = 1e-3
 
-#: Parts of a cell along each axis but the first that are looked at one by one.
+#: Parts of a cell along each axis but the first that are examined one by one.
 _PARTS = 2
 
 
 @dataclass(frozen=True)
 class Resolution:
-    """How finely motions are looked at.
+    """How finely motions are resolved.
 
     Attributes:
         samples: Samples of a motion of the largest length.

@@ -46,12 +46,12 @@ _WAIT_S = 0.01
 class Planner:
     """Plans again and again for one robot.
 
-    **One clock.** Times that a planner is told are on the controller's clock, any clock that does not go back: when a
+    **One clock.** Times that a planner is given are on the controller's clock, any clock that does not go back: when a
     motion begins (`begins_s`), what time it is (`now`), when a new motion may take over (`at`), when a frame was taken,
     and the times of the scene's tracks. What it hands out counts from its own first row, which is at its `begins_s` on
     the controller's clock; at a time t the controller follows `motion.trajectory.state_at(t - motion.begins_s)`. A
-    planner that was never told a time takes the clock to begin with its first motion. One that was told wants to know
-    when each motion begins that is planned from rest: `plan(begins_s=)`, or `began` once it has.
+    planner that was never given a time takes the clock to begin with its first motion. One that was given one wants to
+    know when each motion begins that is planned from rest: `plan(begins_s=)`, or `began` once it has.
 
     Several threads may use one planner. One plan at a time is made, and the next waits for it; changes, frames and
     stops do not wait. A plan is of the scene, and the options, that there were when its turn came. A child that is
@@ -92,7 +92,7 @@ class Planner:
         self._scratch = Scratch()
 
     def __getstate__(self) -> dict[str, Any]:
-        """The attributes that a user sees, whether a time was told, and how clouds were cropped."""
+        """The attributes that a user sees, whether a time was given, and how clouds were cropped."""
         return {key: vars(self)[key] for key in ("robot", "scene", "options", "last", "_is_told", "_cropped")}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -105,7 +105,7 @@ class Planner:
 
         Args:
             begins_s: When the motion is to begin, on the controller's clock [s]; what moves is seen from then on. None
-                where no time was told yet: at 0; else it is not known, which only a scene where nothing moves allows.
+                where no time was given yet: at 0; else it is not known, which only a scene where nothing moves allows.
             cancel: As for `hplan.plan`.
 
         Raises:
@@ -159,7 +159,7 @@ class Planner:
             cancel: As for `hplan.plan`.
 
         Raises:
-            InputError: There is no motion that could run, or it was not told when it began.
+            InputError: There is no motion that could run, or it is not known when it began.
             NotOnMotionError: The arm is not where the running motion has it.
             OptionError: A time before the motion or after it, or before now; `now` or `measured` without what they
                 belong to.
@@ -196,7 +196,7 @@ class Planner:
             measured: As for `replan`.
 
         Raises:
-            InputError: There is no motion that could run, or it was not told when it began.
+            InputError: There is no motion that could run, or it is not known when it began.
             NotOnMotionError: The arm is not where the running motion has it.
             OptionError: A time before the motion or after it, or before now; `measured` without `now`.
         """
@@ -272,7 +272,7 @@ class Planner:
 
         Raises:
             NotInTimeError: Time is up before, or before the plan is begun.
-            PlanCancelledError: Nobody wants the plan any more.
+            PlanCancelledError: It was cancelled.
         """
         with time_limit(self.options.deadline_s, cancel) as limit:
             while not self._planning.acquire(timeout=min(_WAIT_S, max(limit.left_s, 0.0))):
@@ -419,7 +419,7 @@ class Planner:
             raise InputError(fault)
 
     def _crop_faults(self, scene: Scene, options: PlanOptions) -> list[str]:
-        """Clouds of the scene that lack points that matter now, in words."""
+        """Messages: clouds of the scene that lack points that matter now."""
         room_m, faults = self._room_m(scene, options), list[str]()
         for obstacle in scene.obstacles:
             cropped = self._cropped.get(obstacle.name)
@@ -437,7 +437,7 @@ class Planner:
         return faults
 
     def _change(self, obstacles: tuple[Obstacle, ...]) -> None:
-        # The names were looked at, and the obstacles are checked: no need to check the scene again.
+        # Names and obstacles are checked: no need to check the scene again.
         self.scene = self.scene.model_copy(update={"obstacles": obstacles})
 
     def _index(self, name: str) -> int:

@@ -4,7 +4,7 @@ What runs until then stays as it is, and is certified again among the obstacles 
 motion at the seam a new motion goes on (`hplan.planning.start_in_motion`): position, velocity and acceleration have no
 jump there, as both motions have that very row.
 
-Times that are told are on the controller's clock, and so are tracks of the scene; within, all is counted from the begin
+Times given are on the controller's clock, and so are tracks of the scene; within, all is counted from the begin
 of the running motion. The new motion is planned in the scene with times since the seam, and what is handed out is
 certified in the scene with times since its own begin (`Scene.since`), which it tells on the controller's clock.
 """
@@ -59,7 +59,7 @@ def _state_at(trajectory: Trajectory, row: int) -> Start:
 
 
 def _since(certificate: Certificate, time_s: float) -> Certificate:
-    """The same certificate with all times counted from a time on; of a contact that is over by then none is left."""
+    """The certificate with all times counted from a time on; of a contact that is over by then none is left."""
     nearest_s, clear_until_s = (
         None if when is None else when - time_s for when in (certificate.nearest_s, certificate.clear_until_s)
     )
@@ -104,7 +104,7 @@ class RunningMotion:
             measured: (dof,) where the arm is then; None where it is taken to be on the motion.
 
         Raises:
-            InputError: It was not told when the motion began, or joints that are none.
+            InputError: It is not known when the motion began, or joints that are none.
             NotOnMotionError: The arm is elsewhere.
             OptionError: A time before the motion or after it.
         """

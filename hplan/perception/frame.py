@@ -239,7 +239,7 @@ class FilteredFrame(Record):
     Attributes:
         points: (n, 3) centres of the balls, in `base_link`, where they are listed [m].
         report: How many points became what.
-        seen: What the next frame is to be told.
+        seen: What the next frame needs.
         kept_m: All balls are there that the arm can come so near to [m].
     """
 

@@ -253,7 +253,7 @@ def _fill(
 
 @kernel
 def _is_ignored_alone(point: Vector, arm: Bodies, ignored: Bodies) -> bool:
-    """Whether a point is in what is to be ignored, and not in the arm, which is told of it first."""
+    """Whether a point is in what is to be ignored, and not in the arm, which comes first."""
     return (
         distance_from_bodies(point, ignored.rows, ignored.data, 0.0) <= 0.0
         and distance_from_bodies(point, arm.rows, arm.data, 0.0) > 0.0

@@ -64,5 +64,5 @@ def with_cloud(scene: Scene, name: str, cloud: PointCloud | None) -> Scene:
     obstacles = list(scene.obstacles)
     place = next((number for number, obstacle in enumerate(obstacles) if obstacle.name == name), len(obstacles))
     obstacles[place : place + 1] = [] if cloud is None else [cloud]
-    # The name was looked at, and the obstacle is checked: no need to check the scene again.
+    # Name and obstacle are checked: no need to check the scene again.
     return scene.model_copy(update={"obstacles": tuple(obstacles)})

@@ -9,7 +9,7 @@ import numpy as np
 from hplan.base.arrays import BoolArray, FloatArray, Record
 from hplan.scene.tracks import Poses, Track
 
-#: Spacing of the places along a track at which the reach is looked at [m], or of so many of them where that is more.
+#: Spacing of the places along a track at which the reach is taken [m], or of so many of them where that is more.
 SPACING_M, MOST_PLACES = 0.05, 4096
 
 

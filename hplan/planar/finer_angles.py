@@ -35,8 +35,8 @@ class Refined:
 
     Attributes:
         candidates: Configurations with enough clearance; None where there are none.
-        tried: Configurations that were looked at, the evenly spaced ones not among them.
-        best_m: Largest clearance of all that were looked at, the evenly spaced ones among them [m].
+        tried: Configurations that were tried, the evenly spaced ones not among them.
+        best_m: Largest clearance of all that were tried, the evenly spaced ones among them [m].
     """
 
     candidates: Candidates | None
@@ -90,7 +90,7 @@ def refined(
 
 
 def _spacing(angles: FloatArray) -> float:
-    """Largest distance between neighbouring angles of a continuum, as far as it can be told without knowing which is.
+    """Largest distance between neighbouring angles of a continuum, as far as it can be found without knowing which is.
 
     Of two continua at the same angles each may have every other.
     """

@@ -255,7 +255,7 @@ class _ReachTask:
         return q[other], direction[other]
 
     def _with_whole_turns(self, q: FloatArray, direction: FloatArray, joint: int) -> tuple[FloatArray, FloatArray]:
-        """The same with every value of a joint that may turn by a whole turn or more, `FARTHEST` from the start."""
+        """Repeat solutions for every whole turn that a joint may make, `FARTHEST` from the start."""
         lower, upper = self.robot.lower[joint], self.robot.upper[joint]
         near = 0.5 * (lower + upper) if self.start is None else self.start[joint]
         first = max(0, math.floor((near - FARTHEST - lower) / _TURN))
@@ -267,7 +267,7 @@ class _ReachTask:
         return turned[kept], np.repeat(direction, len(turns))[kept]
 
     def without(self, *, window: bool = False, locks: bool = False) -> _ReachTask:
-        """The same task without its approach angles, or without its locked joints."""
+        """The task without its approach angles, or without its locked joints."""
         held = np.zeros_like(self.held) if locks else self.held
         return replace(self, window=None if window else self.window, held=held)
 

@@ -45,7 +45,7 @@ _TURN = 2.0 * np.pi
 _LAST_DIGITS = 1e-15
 _SIDES = np.array([1.0, -1.0])
 
-#: Directions of the last link tried where limits are set aside, and how often the best is looked at more closely.
+#: Directions of the last link tried where limits are set aside, and how often the best is refined.
 _TRIED, _CLOSER = 720, 3
 
 

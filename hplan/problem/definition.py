@@ -26,7 +26,7 @@ class Problem(Record):
             (`hplan.problem.joint_ranges`); a joint that may not move has its start value as both.
         upper: (dof,) the same.
         spare_clearance: Least clearance of start and goal beyond the one to keep [m]; inf without obstacles.
-        turns: True if the base may turn, or the robot is no planar arm.
+        turns: True if the base may turn, or the robot is a general (non-planar) arm.
     """
 
     start: FloatArray

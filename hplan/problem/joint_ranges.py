@@ -205,8 +205,8 @@ def _known_free(
 def _free(scene: CoalScene, turn: _Turn, q: FloatArray, end: float, margin: float) -> tuple[float, Contact | None]:
     """The value up to which a joint can turn towards an end of its range, and what stops it before, if anything.
 
-    Conservative advancement, each pair at its own pace: no point moves farther than the turn times its radius, so the
-    joint may turn by d / radius before a pair that is d apart, and more, is asked again.
+    Conservative advancement, each pair with steps of its own: no point moves farther than the turn times its radius, so
+    the joint may turn by d / radius before a pair that is d apart, and more, is asked again.
     """
     pairs, joint = turn.pairs, turn.joint
     kept = np.broadcast_to(scene.kept(scene.clearance), len(scene.pairs))[pairs]

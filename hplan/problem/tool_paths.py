@@ -25,10 +25,10 @@ from hplan.planar.inverse_kinematics import reach
 from hplan.planar.straight_approach import ApproachPath, Stretches, standoffs
 from hplan.robot.model import Robot
 
-#: Where an approach is looked at, as fractions of its length: whole steps of `hplan.kinematics.straight_line`.
+#: Where an approach is checked, as fractions of its length: whole steps of `hplan.kinematics.straight_line`.
 LOOKS = (0.25, 0.5, 0.75, 1.0)
 
-#: Where no configuration is clear, so many directions are looked at.
+#: Where no configuration is clear, so many directions are tried.
 MORE = 256
 
 #: A straight approach.
@@ -133,7 +133,7 @@ def straight_approaches(
         robot: The robot.
         goals: (k, dof) configurations.
         locked: Names of joints that stand still.
-        keeps_turn: Whether the tool of a robot that is no planar arm may not turn about its axis.
+        keeps_turn: Whether the tool of a general (non-planar) arm may not turn about its axis.
     """
     if robot.planar is None:
 

@@ -81,7 +81,7 @@ class World(Record):
         return cls(robot, tuple(solids), clearance, tracking_error, growth, field, checker)
 
     def touching(self, name: str) -> World:
-        """The same where the last link may touch the solid of a name."""
+        """The world where the last link may touch the solid of a name."""
         touched = np.array([solid.name == name for solid in self.solids], dtype=np.bool_)
         return replace(self, field=self.field.sparing(touched), checker=self.checker.touching(name), touched=name)
 
@@ -97,7 +97,7 @@ class World(Record):
         )
 
     def check_clear(self, q: FloatArray, which: str) -> float:
-        """The clearance of a configuration at rest beyond the one to keep and the sway of each link [m].
+        """The clearance of a configuration at rest beyond the one to keep and each link's displacement bound [m].
 
         Args:
             q: (dof,) configuration.
@@ -183,8 +183,8 @@ def check_clear(checker: CoalScene, q: FloatArray, clearance: float, which: str,
         sway: By how much each of the checker's pairs may come nearer than at this configuration [m].
 
     Raises:
-        ConfigurationInCollisionError: It touches an obstacle or itself, or comes closer than `clearance` and sway;
-            names link, obstacle or other part of the arm, and depth.
+        ConfigurationInCollisionError: It touches an obstacle or itself, or comes closer than `clearance` and
+            displacement bound; names link, obstacle or other part of the arm, and depth.
     """
     if not checker.pairs:
         return float("inf")
@@ -208,7 +208,7 @@ def without_inside(robot: Robot, scene: Scene) -> tuple[Scene, tuple[str, ...]]:
 
     Args:
         robot: The arm.
-        scene: The scene; the turret is looked at as it stands at the start.
+        scene: The scene; the turret is taken as it stands at the start.
 
     Returns:
         The scene, and the names of what was left out, in the order of the scene.

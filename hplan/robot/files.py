@@ -115,7 +115,7 @@ def robot_files(path: Path | str | None) -> RobotFiles:
     return RobotFiles(found)
 
 
-#: Reasons of an SRDF for which links that it lets touch were never seen to touch: those are looked at all the same.
+#: Reasons of an SRDF for which links that it lets touch were never seen to touch: those are checked all the same.
 _NEVER: Final = ("never", "notinsampling")
 
 
@@ -189,8 +189,8 @@ def build_models(
                 models = pin.buildModelsFromUrdf(str(file), package_dirs=folders)
     except (ValueError, RuntimeError) as error:
         of_mesh = str(error).partition("message: ")[2].partition("\nHint:")[0].replace("\n", " ")
-        told = of_mesh or str(error)
-        reason = f"Pinocchio refuses it: {told} (its reader's own words, if any, are on the terminal)"
+        cause = of_mesh or str(error)
+        reason = f"Pinocchio refuses it: {cause} (its reader's own words, if any, are on the terminal)"
         raise RobotFileError(urdf_path, reason) from error
     check_models(urdf_path, urdf, models[0], models[1])
     return models

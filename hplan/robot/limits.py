@@ -109,7 +109,7 @@ class Limits(Record):
     jerk: FloatArray | None = None
 
     def scaled(self, speed: float) -> Limits:
-        """The limits of the same motions at `speed` times their pace.
+        """The limits for motions run `speed` times as fast.
 
         Torque stays, as gravity does not slow down.
 

@@ -102,7 +102,7 @@ class Robot(PlanarNames, Record):
         return self.planar
 
     def with_arm(self, arm: PlanarArm) -> Robot:
-        """The same robot with another planar chain.
+        """The robot with another planar chain.
 
         Raises:
             RobotFamilyError: The robot is not of the family.
@@ -146,7 +146,7 @@ class Robot(PlanarNames, Record):
         return InverseDynamics.of(self.model)
 
     def yaw_of(self, q: ArrayLike) -> float:
-        """Yaw of a configuration: 0 for a robot without one, and for any that is no planar arm.
+        """Yaw of a configuration: 0 for a robot without one, and for a general (non-planar) arm.
 
         Raises:
             InputError: No (dof,) list of finite numbers.
@@ -317,7 +317,7 @@ def load_robot(
         hold: Values of joints that stand still [rad, m]. All that do not move do: without a value at 0, or at the limit
             nearest to it, or as they mimic another.
         package_dirs: Folders in which `package://` meshes are looked for, before those around the URDF.
-        srdf: SRDF that says which links may touch. Pairs that it leaves out because they never do are looked at all
+        srdf: SRDF that says which links may touch. Pairs that it leaves out because they never do are checked all
             the same, and so are all pairs of an arm of the planar family, whose geometry says which can touch.
 
     Raises:

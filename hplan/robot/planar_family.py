@@ -122,7 +122,7 @@ class PlanarFamily(Record):
         return np.stack([ax + (cos * x - sin * y), ay + (sin * x + cos * y), z], axis=-1)
 
     def sway(self, deviation: ArrayLike) -> FloatArray:
-        """Largest distance of an axis point of each link from its place when joints are off by `deviation` at most.
+        """Tracking-error displacement bound: of the axis points of each link, with joints off by `deviation` at most.
 
         The absolute angle of a link is off by no more than the joints up to it together, and each link adds its length
         times that; yaw adds its own deviation times the largest distance from the yaw axis.
@@ -214,7 +214,7 @@ class PlanarNames:
         return self.family.plane_at(number("yaw", yaw, "a finite number of radians"))
 
     def sway(self, deviation: ArrayLike) -> FloatArray:
-        """How far links may be from their places when joints are off by `deviation` (`PlanarFamily.sway`).
+        """Tracking-error displacement bounds of the links (`PlanarFamily.sway`).
 
         Raises:
             InputError: No finite number, and none for each joint.

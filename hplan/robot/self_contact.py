@@ -2,9 +2,9 @@ r"""Pairs of parts of an arm that can touch: link and link, links or turret and 
 
 Two parts are left out where their capsules *always* touch: neighbours about their joint, parts that what lies between
 holds so near together, and a link and the shape that carries the joint it turns about. Of the last two kinds those are
-looked at as the URDF has them that then can touch and do not always (`hplan.collision.arm_pairs.shaped_pairs`). Of all
+checked as the URDF has them that then can touch and do not always (`hplan.collision.arm_pairs.shaped_pairs`). Of all
 others those are pairs that can touch within the joint limits, beyond these by the tracking error, or come nearer
-than the clearance to keep. Where none can, as with the harvester, nothing is looked at anywhere.
+than the clearance to keep. Where none can, as with the harvester, nothing is checked anywhere.
 
 **Links** :math:`i < j`: how they lie to each other depends on the joints :math:`i + 1 \ldots j` alone. Seen from link
 :math:`i` a point of link :math:`j` moves no farther than
@@ -56,7 +56,7 @@ SHAPED: Final = -1000
 #: Parts are taken to be able to touch if they come this near [m]: positions are kept to 1e-6 rad, distances to 1e-5 m.
 SLACK: Final = 1e-4
 
-#: Most boxes of joint angles that are looked at together.
+#: Most boxes of joint angles that are examined together.
 _MOST_BOXES: Final = 20_000
 
 #: Corners of the polygon that stands for a circle, drawn around it.
@@ -156,7 +156,7 @@ def _rounded_up(deviation: float) -> float:
 
 
 def pair_sway(robot: Robot, link: int, other: int, deviation: ArrayLike) -> FloatArray:
-    """Largest loss of distance of a link from another part of the arm when joints are off by `deviation` at most.
+    """Tracking-error displacement bound of a link as seen from another part, with joints off by `deviation` at most.
 
     Args:
         robot: The arm.

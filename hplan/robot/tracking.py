@@ -68,8 +68,8 @@ class TrackingModel:
         """The model with a fraction of both deviations."""
         return TrackingModel(fraction * self.still_rad, fraction * self.delay_s)
 
-    def told(self, slides: Sequence[bool]) -> str:
-        """The model in words, for joints of which some slide: in degrees, in millimetres, or both."""
+    def summary(self, slides: Sequence[bool]) -> str:
+        """Summary of the model, for joints of which some slide: in degrees, in millimetres, or both."""
         kinds = [joint_unit(kind).error(self.still_rad) for kind in sorted(set(slides) or {False})]
         error = f"{kinds[0]}, {kinds[1]} where a joint slides" if len(kinds) > 1 else kinds[0]
         return f"{error} + {1e3 * self.delay_s:.4g} ms of velocity" if self.delay_s else error
@@ -91,7 +91,7 @@ def name_margin(
         return
     largest = asked.scaled(fraction)
     error.add(
-        f"this allows for a tracking error of {asked.told(slides)}; {enough} up to {largest.told(slides)}",
+        f"this allows for a tracking error of {asked.summary(slides)}; {enough} up to {largest.summary(slides)}",
         tracking_error_deg=math.degrees(asked.still_rad),
         tracking_delay_ms=1e3 * asked.delay_s,
         largest_tracking_error_deg=math.degrees(largest.still_rad),

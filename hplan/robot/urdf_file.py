@@ -176,7 +176,7 @@ def read_urdf(path: Path, root: ET.Element, *, any_robot: bool = False) -> Urdf:
     Args:
         path: The file, for messages.
         root: Its root element.
-        any_robot: Whether it is a robot of others, for its joints and inertias alone: shapes are not looked at.
+        any_robot: Whether it is a robot of others, for its joints and inertias alone: shapes are not read.
 
     Raises:
         RobotFileError: A name missing, repeated or unprintable; a joint to a link that does not exist; an element or

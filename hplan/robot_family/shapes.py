@@ -62,7 +62,7 @@ def capsule(link: str, length: float, radius: float) -> list[Primitive]:
 
 
 def moved(shapes: Sequence[Primitive], x: float, y: float) -> list[Primitive]:
-    """The same shapes elsewhere, at the same height."""
+    """Shapes shifted, at their height."""
     return [
         replace(shape, center=(shape.center[0] + x, shape.center[1] + y, shape.center[2])) if x or y else shape
         for shape in shapes

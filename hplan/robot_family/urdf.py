@@ -59,7 +59,7 @@ def _transform(xyz: Sequence[float], rpy: Sequence[float] = (0.0, 0.0, 0.0)) -> 
 
 
 def _to_four_digits(shapes: Sequence[Primitive]) -> list[Primitive]:
-    """The same shapes with short numbers: all but the capsules, whose numbers the planner uses."""
+    """Shapes with short numbers: all but the capsules, whose numbers the planner uses."""
     return [
         replace(
             shape,

@@ -38,7 +38,7 @@ def read_planning_scene(
 ) -> tuple[Obstacle, ...]:
     """Read the obstacles of a planning scene.
 
-    Only its world is looked at; all objects are to be in one frame. What has no pose stands at the origin of what it
+    Only its world is read; all objects are to be in one frame. What has no pose stands at the origin of what it
     belongs to, and a quaternion of zeros turns nothing, as in MoveIt.
 
     Args:

@@ -41,7 +41,7 @@ PIECES: Final = 64
 #: Vertices this near to a plane lie in it [m]: what single precision makes of a metre.
 _IN_PLANE: Final = 1e-7
 
-#: How far inside a box its corner is looked at [m].
+#: How far inside a box its corner is tested [m].
 _NUDGE: Final = 2e-7
 
 #: Places along an axis at which a cut is tried, besides quarter, half and three quarters.

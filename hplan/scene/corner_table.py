@@ -15,7 +15,7 @@ from hplan.base import ties
 from hplan.base.arrays import FloatArray
 from hplan.scene.solids import CUBE_CORNERS
 
-#: With fewer corners all of them are looked at.
+#: With fewer corners all of them are compared.
 FEW: Final = 16
 
 #: Corners to begin with.
@@ -33,7 +33,7 @@ def corner_table(corners: FloatArray, first: int, table: int) -> FloatArray:
     Returns:
         Numbers: for each octant (1 for x > 0, 2 for y > 0, 4 for z > 0, added) the place of a corner; for each corner,
         and last for one after them, the place in the table where its neighbours begin; the places of the neighbours.
-        Empty where there are `FEW` corners, or they lie in one plane: then all are looked at.
+        Empty where there are `FEW` corners, or they lie in one plane: then all are compared.
     """
     if len(corners) <= FEW:
         return np.zeros(0)

@@ -103,7 +103,7 @@ def dotted(steps: Sequence[int | str]) -> str:
 
 
 def plain_message(fault: Any, words: Mapping[str, str] = MappingProxyType({})) -> str:
-    """Pydantic's message in plain words; `words` replace what is called otherwise where the value comes from."""
+    """Pydantic's message, plainly; `words` replace what is called otherwise where the value comes from."""
     kind, value = fault["type"], fault["input"]
     if kind == "extra_forbidden":
         return "unknown key"

@@ -127,8 +127,8 @@ class Goal(JointValues):
     """The goal of the motion: joints, a `tool0` position, the name of a fruit, or a pose of the tool frame.
 
     To a position or a fruit, `approach_deg` fixes or bounds the angle of the last link in the arm plane or, of a robot
-    that is no planar arm, of its tool frame's z axis (0: outward, 90: up). A position with `quaternion_xyzw` is a pose,
-    for robots of any kind: of the tool frame, or of `frame`.
+    that is general (non-planar), of its tool frame's z axis (0: outward, 90: up). A position with `quaternion_xyzw` is
+    a pose, for robots of any kind: of the tool frame, or of `frame`.
     """
 
     position: Vector | None = None
@@ -185,7 +185,7 @@ class Scene(StrictModel):
     Attributes:
         name: Name of the scene.
         robot: Name of the robot that it is meant for, as `load_robot` knows it; None for the default one. Commands take
-            it unless they are told another, as `load_robot(scene.robot)` does; it is no part of what is planned or
+            it unless they are given another, as `load_robot(scene.robot)` does; it is no part of what is planned or
             certified.
         start: Configuration at which the motion begins, and how it moves there.
         goal: Configuration, tool position, fruit or pose to reach.
@@ -326,13 +326,13 @@ class Scene(StrictModel):
         return self.model_copy(update={"obstacles": obstacles, "fruits": fruits, "base_track": None})
 
     def since(self, time_s: float) -> Scene:
-        """The same scene with the times of all tracks counted from a time on [s].
+        """The scene with the times of all tracks counted from a time on [s].
 
         What the scene has at a time t, the new one has at `t - time_s`, of times before its zero too. So a motion that
         begins at that time is to the new scene what it is to this one with `certify(..., begin_s=time_s)`.
 
         Raises:
-            OptionError: A time that is not finite, or so large that times of tracks are no longer told apart.
+            OptionError: A time that is not finite, or so large that times of tracks are no longer distinct.
         """
         number("time_s", time_s, "a finite number of seconds")
         if time_s == 0.0 or not self.moves:
@@ -348,7 +348,7 @@ class Scene(StrictModel):
         return self.model_copy(update=items | {"base_track": base_track})
 
     def with_obstacles(self, obstacles: Sequence[Sphere | Capsule | Cylinder | Box | Mesh | PointCloud]) -> Scene:
-        """The same task among other obstacles.
+        """The scene's task among other obstacles.
 
         Raises:
             InputError: They are no list of obstacles, or two have one name.

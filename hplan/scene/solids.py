@@ -173,7 +173,7 @@ class Hull(Record):
         return frozen(planes), frozen(np.array(rows, dtype=np.float64).reshape(-1, 6))
 
     def moved(self, name: str, rotation: FloatArray, position: FloatArray, sigma: float) -> Hull:
-        """The same hull turned and shifted, under another name."""
+        """The hull turned and shifted, under another name."""
         core = frozen(np.ascontiguousarray(self.core @ rotation.T + position))
         return Hull(name, core, self.faces, self.rounding, sigma)
 

@@ -91,7 +91,7 @@ class Track(StrictModel):
         return rotations[0], shift
 
     def since(self, time_s: float) -> Track:
-        """The same track with its times counted from a time on [s].
+        """The track with its times counted from a time on [s].
 
         Raises:
             OptionError: Times would be too far off, or two of them the same number.

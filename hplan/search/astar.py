@@ -23,7 +23,7 @@ from hplan.search.heap import begin, pop, priority, push
 from hplan.search.lattice import Lattice, LatticeArrays, Node, NodeSet
 from hplan.search.result import Expansions, SearchResult, StageTimes
 
-#: The clock is looked at after one more than so many expansions.
+#: The deadline is checked after one more than so many expansions.
 _OFTEN = 255
 
 

@@ -19,7 +19,7 @@ from hplan.search.lattice import Lattice
 #: A row that is never reached: it belongs to the border.
 _NOWHERE = 0
 
-#: The clock is looked at where the number of a line has none of these bits.
+#: The deadline is checked where the number of a line has none of these bits.
 _OFTEN = 15
 
 

@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from hplan.base.arrays import FloatArray, IntArray, frozen
-from hplan.base.deadline import is_up, check_deadline
+from hplan.base.deadline import check_deadline, is_up
 from hplan.base.kernels import any_int, inlined, kernel
 from hplan.base.polyline import stations
 from hplan.collision.body_kernels import FAR, body_slopes, least_body_clearance

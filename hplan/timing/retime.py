@@ -206,7 +206,7 @@ def _windows(end: int) -> Iterator[int]:
 
 @dataclass(frozen=True, eq=False)
 class _Rows:
-    """Position, velocity and acceleration at the rows, and the pace at which the profile was run."""
+    """Position, velocity and acceleration at the rows, and the time-scaling factor of the profile."""
 
     position: FloatArray
     velocity: FloatArray
@@ -243,7 +243,7 @@ def _sample_refined(
     """The trajectory from rest to rest; where it would be slowed down as a whole, on a grid that is refined there.
 
     Raises:
-        TimingError: No pace keeps the limits.
+        TimingError: No time-scaling factor keeps the limits.
         OptionError: More than `MOST_ROWS` rows.
     """
     coarse: HplanError | Trajectory
@@ -274,7 +274,7 @@ def _between(rows: _Rows, period: float) -> tuple[FloatArray, FloatArray, FloatA
 
 
 def _torque_excess(dynamics: InverseDynamics, position: FloatArray, torque: FloatArray, limit: FloatArray) -> float:
-    """By how much the pace has to be slowed for the torque limits; gravity's part does not shrink with the pace."""
+    """The time-scaling factor that the torque limits ask for; gravity's part does not shrink with the speed."""
     over = np.abs(torque) > limit * (1.0 + KEPT)
     if not over.any():
         return 0.0
@@ -286,7 +286,7 @@ def _torque_excess(dynamics: InverseDynamics, position: FloatArray, torque: Floa
 def _rows(profile: SpeedProfile, limits: Limits, period: float, window: int, stretch: float = 1.0) -> _Rows:
     """Rows at multiples of the period (see the module's text), `window` control points averaged.
 
-    Between grid points the velocity and acceleration limits are passed by a little; as much pace is taken back.
+    Between grid points the velocity and acceleration limits are passed by a little, which slows the motion down.
     """
     moving_end = profile.speed[-1] > 0.0
     for _ in range(MOST_STRETCHES):

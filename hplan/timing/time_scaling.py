@@ -226,7 +226,7 @@ def _retimed(
 def _with_period(
     rest: Trajectory, robot: Robot, period: float, wanted: Callable[[FloatArray], FloatArray], final_s: float
 ) -> Retimed | None:
-    """The same with rows a period apart, from the first row of a motion on; None where no timing is found."""
+    """The motion at other speeds, with rows a period apart, from its first row on; None where no timing is found."""
     begins_at_rest = _is_at_rest(rest, 0)
     limits = _kept(rest, robot, period)
     rows = int((2.0 if final_s == 0.0 else 4.0) * rest.duration / period) + 64

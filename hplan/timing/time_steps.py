@@ -2,7 +2,7 @@
 
 A step has to keep bounds of the new control points' first, second and third differences and of the torques at the row.
 All are, to first order, linear in the step, so each gives an interval of steps; of their intersection the one nearest
-to the wanted one is taken, and the intervals are looked at again there.
+to the wanted one is taken, and the intervals are computed again there.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ FADED = 100
 #: Part of the jerk limit with which changes of the step are planned ahead.
 AHEAD = 0.8
 
-#: How often a step is looked at again, and differences that count as none [rad].
+#: How often a step is corrected, and differences that count as none [rad].
 LOOKS, ROUNDING = 4, 1e-13
 
 #: Where no step keeps the limits, so many rows before are run again with this part of their changes; that many times.
@@ -55,7 +55,7 @@ class Kept(NamedTuple):
     Attributes:
         steps: (3, dof) largest first, second and third differences of control points [rad].
         torque: (dof,) [N m].
-        bodies: The arm's bodies as `newton_euler` takes them; empty where torque is not looked at.
+        bodies: The arm's bodies as `newton_euler` takes them; empty where torque is not limited.
         gravity: (3,) [m/s^2].
     """
 

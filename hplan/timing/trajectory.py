@@ -46,7 +46,7 @@ class Phase:
     end_s: float
 
     def later(self, seconds: float) -> Phase:
-        """The same part of a motion that begins as much later [s]."""
+        """The part of a motion that begins as much later [s]."""
         return Phase(self.name, self.start_s + seconds, self.end_s + seconds)
 
 
@@ -151,7 +151,7 @@ class Trajectory(Record):
         )
 
     def stop_at(self, t: float, robot: Robot) -> Trajectory:
-        """The same motion up to the first row at or after a time, and from there on the quickest stop on its path.
+        """The motion up to the first row at or after a time, and from there on the quickest stop on its path.
 
         The path stays (to 0.1 mm): what was clear of obstacles on it is. `hplan.timing.time_scaling.stopped` says more.
 
@@ -168,7 +168,7 @@ class Trajectory(Record):
         return stopped(self, t, robot).trajectory
 
     def scaled(self, profile: Profile, robot: Robot) -> Trajectory:
-        """The same motion at other speeds, on its path (to 0.1 mm).
+        """The motion at other speeds, on its path (to 0.1 mm).
 
         Args:
             profile: Fraction of the motion's own speed over time: a number, (n, 2) rows of time [s] and factor, or a

@@ -49,7 +49,7 @@ Solver: TypeAlias = Callable[[Costs, IntArray | None, bool], Visits]
 #: The fruit and how it is taken, neither for the leg back, and the motions.
 LegParts: TypeAlias = tuple[str | None, Grasp | None, list[Part]]
 
-#: Other grasps are looked at so many times, as long as the tour becomes shorter by this fraction.
+#: Other grasps are tried so many times, as long as the tour becomes shorter by this fraction.
 WIDENINGS, LEAST_GAIN = 8, 5e-3
 
 

@@ -78,7 +78,7 @@ class Move:
 
     @property
     def reversed(self) -> Move:
-        """The same backwards: the same distances, and the same torques."""
+        """The move backwards, with the same distances and torques."""
         return replace(self, parts=tuple(part.reversed for part in self.parts[::-1]))
 
     def named(self, name: str) -> list[Part]:

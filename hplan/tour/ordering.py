@@ -79,7 +79,7 @@ class Visits:
     Attributes:
         cost: Its cost; infinite where there is no tour.
         places: (n,) the places in the order of the tour.
-        dropped: (n,) True if the drop-off is visited between a place and the next one; the end is not told here.
+        dropped: (n,) True if the drop-off is visited between a place and the next one; the end is not included.
     """
 
     cost: float

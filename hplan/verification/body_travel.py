@@ -1,4 +1,4 @@
-r"""How far a robot's collision bodies travel along a motion of cubics: for robots that are no planar arms.
+r"""How far a robot's collision bodies travel along a motion of cubics: for general (non-planar) arms.
 
 A body's points are at most :math:`R_{bj}` from the axis of joint j, whatever the configuration (`hplan.bodies.reach`).
 About the middle of a piece of the motion they are at most :math:`\rho_{bj}` from it, by a ball that holds the body; and
@@ -57,17 +57,17 @@ class _Arm(NamedTuple):
 def body_motion(
     checker: CoalScene, pairs: SelfPairs, bezier: FloatArray, deviations: FloatArray
 ) -> tuple[IntArray, FloatArray, FloatArray]:
-    """The movers of a checker's pairs: each body, and each pair of the robot's own.
+    """The moving bodies of a checker's pairs: each body, and each pair of the robot's own.
 
     Args:
-        checker: A robot that is no planar arm, among obstacles.
+        checker: A general (non-planar) arm, among obstacles.
         pairs: The pairs of its own that the checker has.
         bezier: (pieces, 4, dof) Bezier points of the motion's cubics.
         deviations: (k, dof) largest deviations of the joints [rad, m].
 
     Returns:
-        (pairs,) the mover of each pair; (movers, pieces) how far each travels in each piece; (movers, k) by how much
-        deviations may bring its pairs nearer [m].
+        (pairs,) the moving body of each pair; (movers, pieces) how far each travels in each piece; (movers, k) by how
+        much deviations may bring its pairs nearer [m].
     """
     robot, movers = checker.robot, _movers(checker.robot, pairs)
     rates = 3.0 * np.abs(np.diff(bezier, axis=1)).max(axis=1)
@@ -79,7 +79,7 @@ def body_motion(
 
 
 def body_sways(checker: CoalScene, pairs: SelfPairs, deviations: FloatArray) -> FloatArray:
-    """(pairs, k) by how much (k, dof) deviations of the joints may bring each pair nearer [m]."""
+    """(pairs, k) tracking-error displacement bounds of the pairs, of (k, dof) deviations of the joints [m]."""
     robot, movers = checker.robot, _movers(checker.robot, pairs)
     bounds = reach(robot, _beyond(robot, deviations))
     sways: FloatArray = _of_movers(bounds, movers, deviations)[_mover_of(checker, movers)]
@@ -87,7 +87,7 @@ def body_sways(checker: CoalScene, pairs: SelfPairs, deviations: FloatArray) -> 
 
 
 def _of_movers(bounds: FloatArray, movers: _Movers, deviations: FloatArray) -> FloatArray:
-    """(movers, k) how far (k, dof) deviations take each mover, by the (bodies, dof) bounds R [m]."""
+    """(movers, k) how far (k, dof) deviations take each moving body, by (bodies, dof) motion-bound coefficients [m]."""
     second = np.where((movers.second >= 0)[:, None], bounds[movers.second], 0.0)
     sways: FloatArray = ((bounds[movers.first] + second) * movers.counts) @ deviations.T
     return sways
@@ -121,7 +121,7 @@ class _Movers(NamedTuple):
 
 
 def _movers(robot: Robot, pairs: SelfPairs) -> _Movers:
-    """The movers of a checker of a robot with these pairs of its own; found once."""
+    """The moving bodies of a checker of a robot with these pairs of its own; found once."""
     return robot.cached(("movers", id(pairs)), lambda: _found_movers(robot, pairs))
 
 
@@ -137,7 +137,7 @@ def _found_movers(robot: Robot, pairs: SelfPairs) -> _Movers:
 
 
 def _mover_of(checker: CoalScene, movers: _Movers) -> IntArray:
-    """(pairs,) the mover of each pair."""
+    """(pairs,) the moving body of each pair."""
     alone, obstacles = len(movers.alone), checker.own_first
     return np.concatenate([np.repeat(np.arange(alone), obstacles), np.arange(alone, len(movers.first))])
 
@@ -173,7 +173,7 @@ def _travels(middles: FloatArray, rates: FloatArray, reach: FloatArray, arm: _Ar
     Args:
         middles: (pieces, dof) configurations in the middle of the pieces.
         rates: (pieces, dof) largest rates of the joints within them.
-        reach: (bodies, dof) the bounds R.
+        reach: (bodies, dof) motion-bound coefficients R.
         arm: Joints and bodies.
     """
     parents, slides, axes, places, joints, balls = arm
@@ -211,7 +211,7 @@ def _travels(middles: FloatArray, rates: FloatArray, reach: FloatArray, arm: _Ar
 
 @kernel
 def _sums(travels: FloatArray, first: IntArray, second: IntArray, counts: FloatArray) -> FloatArray:
-    """(movers, pieces) what the joints that count move a mover's bodies by, of (pieces, bodies, dof) travels."""
+    """(movers, pieces) what the joints that count move a moving body's bodies by, of (pieces, bodies, dof) travels."""
     pieces, _, dof = travels.shape
     result = np.zeros((len(first), pieces))
     for mover in range(len(first)):

@@ -86,7 +86,7 @@ class Certificate:
         nearest: Link and obstacle, or part of the arm, at the smallest distance that was evaluated.
         limit_use: Upper bound of the use of each limit.
         checks: Number of configurations at which distances were evaluated.
-        violations: Everything that was not shown, in words; empty when verified.
+        violations: A message for everything that was not verified; empty when verified.
         goal_contact: When the last link may touch the fruit that is the goal; None where no fruit is.
         contact_s: The same as times, from and to [s]; None for never.
         digests: The robot, the scene and the trajectory that it is about; None for a part of a motion.
@@ -162,7 +162,7 @@ def certify(
             locked joints where they are.
         rest_to_rest: Whether the motion has to begin and end at rest; where the scene's start is in motion, to end.
         checker: The arm among other solids than the scene's. They are taken as they are: `sigmas` and `goal_contact`
-            are not looked at, nor what pedestal and turret stand in.
+            are not checked, nor what pedestal and turret stand in.
         begin_s: Time at which the motion begins, as the tracks of the scene count it [s]: a motion that starts later,
             or takes over from a running one, sees what moves from that time on.
 
@@ -236,13 +236,13 @@ def contact_times(
 def base_violations(
     robot: Robot, scene: Scene, checker: CoalScene, trajectory: Trajectory, begin_s: float
 ) -> Iterator[str]:
-    """What pedestal and turret stand in, or what comes into them while a motion runs, in words.
+    """Messages: what pedestal and turret stand in, or what comes into them while a motion runs.
 
     Args:
         robot: The arm.
         scene: Obstacles.
         checker: The arm among them, in the order of the scene.
-        trajectory: The motion; the turret is looked at as it stands where it begins.
+        trajectory: The motion; the turret is taken as it stands where it begins.
         begin_s: When it begins, as the tracks of the scene count it [s].
     """
     yaw, still = robot.yaw_of(trajectory.position[0]), scene.listed_solids
@@ -307,7 +307,7 @@ def certify_among(
     deviations, at_rest = (largest_deviations(robot, tracking, at) for at in (speeds, np.zeros((1, robot.dof))))
     clock = begin_s + (trajectory.time if trajectory.samples > 1 else np.zeros(2))
     seen_s: list[float | None] = []
-    proved, wanted = [], f"more than {1e3 * clearance:.3g} mm at a tracking error of {tracking.told(robot.slides)}"
+    proved, wanted = [], f"more than {1e3 * clearance:.3g} mm at a tracking error of {tracking.summary(robot.slides)}"
     for part, checker in among:
         own = deviations if len(deviations) == 1 else deviations[part]
         times = clock[part.start : part.stop + 1]
@@ -334,7 +334,7 @@ def certify_among(
 
 
 def rest_violations(robot: Robot, trajectory: Trajectory, ends: Mapping[str, int]) -> Iterator[str]:
-    """Rows of a motion at which it is not at rest, in words."""
+    """Messages: rows of a motion at which it is not at rest."""
     for where, row in ends.items():
         speeds = np.abs(trajectory.velocity[row])
         joint = int(speeds.argmax())
@@ -344,7 +344,7 @@ def rest_violations(robot: Robot, trajectory: Trajectory, ends: Mapping[str, int
 
 
 def with_violations(certificate: Certificate, more: Iterable[str]) -> Certificate:
-    """The certificate with what else is found against the motion, in words."""
+    """The certificate with more violations."""
     found = tuple(more)
     if not found:
         return certificate
@@ -360,7 +360,7 @@ def on_track(certificate: Certificate, robot: Robot, scene: Scene, begin_s: floa
 
 
 def limit_violations(use: LimitUse) -> Iterator[str]:
-    """The limits that are not shown to be kept, in words."""
+    """Messages: the limits that are not verified to be kept."""
     for what, fraction in vars(use).items():
         if not fraction <= (LIMIT_TOLERANCE if what != "position" else 1.0 + 1e-6):
             yield f"{what} reaches {fraction:{'.4f' if fraction < 1e4 else '.4g'}} of its limit"
@@ -386,7 +386,7 @@ def all_of(parts: Sequence[Certificate]) -> Certificate:
 
 
 def _not_shown(proof: Proof, trajectory: Trajectory, first: int, wanted: str, seen_s: float | None) -> Iterator[str]:
-    """The clearance that a proof does not show, in words: its first piece, and when it saw the least, are given."""
+    """Message: the clearance that a proof does not verify, the first such piece, and when it saw the least."""
     if proof.shown:
         return
     piece = first + int(proof.end)

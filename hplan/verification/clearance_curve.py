@@ -4,8 +4,8 @@ Where the proof looks seldom, far from obstacles, nothing says how far they are;
 own, at stations along the motion, and only once somebody asks for it. Stations are the closer, the nearer the nearest
 pair is. Coal is asked about those pairs alone that may be the nearest before the next station.
 
-With :math:`T` what a pair's mover travels (`hplan.verification.clearance_proof`), the pair's distance changes between
-two stations :math:`a < b` by no more than that: :math:`d(x) \ge d(a) - [T(x) - T(a)]` and
+With :math:`T` what a pair's moving body travels (`hplan.verification.clearance_proof`), the pair's distance changes
+between two stations :math:`a < b` by no more than that: :math:`d(x) \ge d(a) - [T(x) - T(a)]` and
 :math:`d(x) \ge d(b) - [T(b) - T(x)]`, so, by their mean,
 
 .. math:: d(x) \ge \tfrac{1}{2} (d(a) + d(b) - [T(b) - T(a)]) \quad \text{for all } x \in [a, b].
@@ -71,12 +71,12 @@ class ClearanceCurve(Record):
 
     @property
     def shown(self) -> ClearanceCurve:
-        """The same with as many stations as can be seen, for reports and pages; nowhere higher."""
+        """The curve with as many stations as can be seen, for reports and pages; nowhere higher."""
         wanted = max(SHOWN_STATIONS, round(SHOWN_PER_S * float(self.time[-1])))
         return self.thinned(min(wanted, MOST_SHOWN))
 
     def thinned(self, count: int) -> ClearanceCurve:
-        """The same at so many evenly spaced times, where it has more stations; nowhere higher.
+        """The curve at so many evenly spaced times, where it has more stations; nowhere higher.
 
         Raises:
             OptionError: No whole number, or less than 2.
@@ -163,7 +163,7 @@ class Subject(Record):
 
     @property
     def reversed(self) -> Subject:
-        """The same backwards."""
+        """The subject backwards."""
         return Subject(tuple((motion, not backwards) for motion, backwards in self.motions[::-1]))
 
     @cached_property
@@ -253,7 +253,7 @@ class _Stations:
     """Where to look next."""
 
     def __init__(self, travel: FloatArray, bounded: int) -> None:
-        """Take what the movers travel up to each row, (movers, rows + 1) [m]; it is bounded up to a row."""
+        """Take what the moving bodies travel up to each row, (movers, rows + 1) [m]; it is bounded up to a row."""
         self._travel = np.append(0.0, np.cumsum(np.diff(travel, axis=1).max(axis=0)))
         self._bounded = bounded
         self._least = max(STATION_M[0], float(self._travel[bounded]) / STATIONS)
@@ -270,7 +270,7 @@ class _Stations:
 def _looks(search: Advancement, bezier: FloatArray, checker: CoalScene) -> Iterator[_Look]:
     """Go through a stretch from station to station.
 
-    Of each pair a lower bound of its distance is kept: what coal said last, less what its mover has travelled since.
+    Of each pair a lower bound of its distance is kept: coal's last one, less what its moving body has travelled since.
     """
     sway, travel = search.movers
     mover_of, errors, end = search.mover_of, checker.distance_errors, float(len(bezier))

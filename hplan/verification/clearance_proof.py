@@ -1,11 +1,11 @@
-r"""Clearance over the whole of a motion: conservative advancement along its cubics, each pair at its own pace.
+r"""Clearance over the whole of a motion: conservative advancement along its cubics, each pair with its own steps.
 
 A pair is a link and an obstacle, a turning shape of the turret and an obstacle, or two parts of the arm. Each has a
-mover: that of an obstacle is the link, or the turret, which the yaw alone moves; that of two parts of the arm is one of
-them as seen from the other. A pair's spare clearance is its distance, by coal, beyond the one to be kept. Its mover may
-travel that far, less the clearance shown so far (at most half of the spare clearance of any pair), before the pair is
-asked again; so at least the clearance shown remains at all times. Places are counted in rows. Where the proof has to
-give up, the rest of the motion is searched for the worst.
+moving body: with an obstacle the link, or the turret, which the yaw alone moves; with two parts of the arm one of them
+as seen from the other. A pair's spare clearance is its distance, by coal, beyond the one to be kept. Its moving
+body may travel that far, less the clearance shown so far (at most half of the spare clearance of any pair), before the
+pair is asked again; so at least the clearance shown remains at all times. Places are counted in rows. Where the proof
+has to give up, the rest of the motion is searched for the worst.
 
 **The bound.** With :math:`\varphi_i` the absolute angle of link i in the arm plane, :math:`\psi` the yaw and
 :math:`r_k` the largest distance of link k from the yaw axis, a point of the axis of link k travels within a piece of
@@ -14,17 +14,17 @@ the motion no farther than
 .. math:: \sum_{i \le k} L_i \max |\varphi_i'| + r_k \max |\psi'|,
 
 by the hulls of the derivatives' Bezier points (`hplan.verification.sway`; of a motion seen from another part of the arm
-`hplan.robot.self_contact.pair_rates`). The same sum of the joints' deviations bounds the sway (`Robot.sway`,
-`pair_sway`). Of a robot that is no planar arm the bound of each of its bodies, and of each pair of them, is in
-`hplan.verification.body_travel`; such a pair that can never be as far apart as is asked for must not touch
+`hplan.robot.self_contact.pair_rates`). With the joints' deviations the same sum is the tracking-error displacement
+bound (`Robot.sway`, `pair_sway`). Of a general (non-planar) arm the bound of each of its bodies, and of each pair of
+them, is in `hplan.verification.body_travel`; such a pair that can never be as far apart as is asked for must not touch
 (`hplan.bodies.touching_pairs`).
 
-**Tracking.** Joints that are off by their deviations bring a pair nearer by its sway, at most :math:`m_r` in piece
-:math:`r` of the motion. It is replaced by the piecewise linear :math:`\tilde m` with the values
+**Tracking.** Joints that are off by their deviations bring a pair nearer by its displacement bound, at most :math:`m_r`
+in piece :math:`r` of the motion. It is replaced by the piecewise linear :math:`\tilde m` with the values
 :math:`M_r = \max(m_{r - 1}, m_r)` at the rows, so that :math:`\tilde m(x) \ge m_r` at every place :math:`x` of piece
-:math:`r`. With :math:`T` what the mover travels up to a place and :math:`V` by how much :math:`\tilde m` has risen in
-all up to there, both piecewise linear, a pair of distance :math:`d(a)` when coal is asked at :math:`a` has at every
-later place
+:math:`r`. With :math:`T` what the moving body travels up to a place and :math:`V` by how much :math:`\tilde m` has
+risen in all up to there, both piecewise linear, a pair of distance :math:`d(a)` when coal is asked at :math:`a` has at
+every later place
 
 .. math::
     d(x) - \tilde m(x) \ge d(a) - [T(x) - T(a)] - \tilde m(a) - [V(x) - V(a)],
@@ -56,16 +56,16 @@ from hplan.verification.sway import at_rows, motion_of_movers, with_obstacles
 #: Spare clearance below which the proof gives up [m]: its steps, half of it, would become too small.
 SMALLEST_STEP = 1e-5
 
-#: Largest fraction of a pair's spare clearance that its mover may travel before the next look: far away, coal's
+#: Largest fraction of a pair's spare clearance that its moving body may travel before the next look: far away, coal's
 #: distances are good to a fraction of them.
 MOST_TRAVEL = 0.99
 
-#: Of more pairs than this for each mover lower bounds are looked at before coal is asked; so many of the nearest are
-#: asked first where all are. A bound is enough where it leaves at least so much spare clearance [m].
+#: Of more pairs than this for each moving body lower bounds are computed before coal is asked; so many of the nearest
+#: are asked first where all are. A bound is enough where it leaves at least so much spare clearance [m].
 MANY, FIRST, FAR = 8, 16, 0.05
 
 #: Configurations at which the proof may evaluate distances: some, and for each piece of the motion. A motion of 1.8 s
-#: that comes to 1.5 mm of an obstacle takes 155. The clock is looked at after so many: a fraction of a millisecond.
+#: that comes to 1.5 mm of an obstacle takes 155. The deadline is checked after so many: a fraction of a millisecond.
 CHECKS, CHECKS_PER_PIECE, CHECKS_BETWEEN_LOOKS = 20_000, 50, 16
 
 #: Longest travel that is bounded [m]: beyond, its sum over the pieces would be good to less than a micrometre.
@@ -152,15 +152,15 @@ class Advancement:
     """State of the advancement along a motion, pair by pair.
 
     Attributes:
-        movers: (2, movers, rows + 1) at each row, how much nearer each mover may be than in the motion, and how far it
-            has travelled [m].
+        movers: (2, movers, rows + 1) at each row, how much nearer each moving body may be than in the motion, and how
+            far it has travelled [m].
         pairs: (2, pairs) for each pair the distance to be kept, coal's error with it [m], and the place where it is to
             be asked again, infinite where that is after the end. (Arrays, for a named tuple of them costs a call of a
             kernel 2 us more, and there are 200 calls.)
-        mover_of: (pairs,) each pair's mover.
+        mover_of: (pairs,) each pair's moving body.
         shown: Clearance shown of every pair so far, beyond the one needed [m].
         nearest: The smallest distance so far [m], the pair, and where.
-        checks: Configurations looked at.
+        checks: Configurations checked.
         bounded: How many pieces from the first on have a bounded travel.
     """
 
@@ -173,7 +173,7 @@ class Advancement:
         needed: float,
         clock: FloatArray | None = None,
     ) -> None:
-        """Bound what each mover travels; ask nothing yet."""
+        """Bound what each moving body travels; ask nothing yet."""
         self._bezier, self._checker = bezier, checker
         self._clock = None if checker.moving is None else clock
         with np.errstate(over="ignore", invalid="ignore"):
@@ -254,7 +254,7 @@ class Advancement:
     def worst(self, outcome: Outcome) -> Proof:
         """The report of a proof that gave up: the smallest distance at the rows from there on.
 
-        A pair is not asked where its mover has not yet travelled as much as it was farther away than the nearest.
+        A pair is not asked where its moving body has not yet travelled as much as it was farther away than the nearest.
         """
         mover_of, (sway_at_rows, travel) = self.mover_of, self.movers
         rows, least = len(self._bezier), math.inf
@@ -383,7 +383,7 @@ def _due_after(travel: FloatArray, at: float, spare_clearance: float, shown: flo
 
 @kernel
 def place_after(travel: FloatArray, at: float, part: float) -> float:
-    """The place up to which a mover travels no farther than `part`, infinite where that is the end.
+    """The place up to which a moving body travels no farther than `part`, infinite where that is the end.
 
     Args:
         travel: (rows + 1,) how far it has travelled at each row; linear within a row.

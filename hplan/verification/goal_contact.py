@@ -20,7 +20,7 @@ absolute angle of link m in the arm plane, :math:`\psi` the yaw and r the tool's
     |\ddot p| \le \sum_m L_m (|\ddot \varphi_m| + \dot \varphi_m^2) + 2 |\dot \psi| \sum_m L_m |\dot \varphi_m|
         + r (|\ddot \psi| + \dot \psi^2).
 
-**Any robot.** Of one that is no planar arm, what the joint of the tool frame carries may touch the fruit, and the line
+**General arms.** Of a non-planar arm what the joint of the tool frame carries may touch the fruit, and the line
 is that of the frame's z axis :math:`u`, about which the tool may turn. With :math:`r_j` the tool's largest distance
 from the axis of joint j (`hplan.bodies.reach`; 1 where it slides), joints counted from the base,
 
@@ -116,7 +116,7 @@ def _off_line(tool: FloatArray, row: int, direction: FloatArray) -> FloatArray:
 
 
 def _is_straight_along_z(robot: Robot, bezier: FloatArray, rows: FloatArray, row: int) -> BoolArray:
-    """`_is_straight` of a robot that is no planar arm: line and direction are those of the tool frame's z axis."""
+    """`_is_straight` of a general (non-planar) arm: line and direction are those of the tool frame's z axis."""
     poses = robot.tool_poses(rows)
     tool, along = poses[:, :3, 3], poses[:, :3, 2]
     rates, pushes = _largest_rates(bezier)

@@ -21,7 +21,7 @@ from hplan.scene.obstacles import Solid
 from hplan.scene.tracks import Movement
 from hplan.verification.clearance_proof import MOST_TRAVEL, SMALLEST_STEP, prove_clearance
 
-#: Most distances that are looked at for one obstacle and one shape of the base: what is nearer than `SMALLEST_STEP`
+#: Most distances that are computed for one obstacle and one shape of the base: what is nearer than `SMALLEST_STEP`
 #: to being too deep counts as that, so an obstacle that travels 100 m along the base may need more.
 MOST_LOOKS = 100_000
 
@@ -34,14 +34,14 @@ def checker_in_time(robot: Robot, scene: Scene, sigmas: float) -> CoalScene:
 
 
 def moving_base_contacts(robot: Robot, moving: MovingSolids, yaw: float, begin_s: float, end_s: float) -> Iterator[str]:
-    """Obstacles that come deeper than `BASE_DEPTH` into pedestal or turret, in words.
+    """Messages: obstacles that come deeper than `BASE_DEPTH` into pedestal or turret.
 
     By conservative advancement in time. Shapes of the turret that are not round are taken as they stand at the yaw;
-    while it turns they are movers of the collision checker.
+    while it turns they are moving bodies of the collision checker.
 
     Args:
         robot: The arm.
-        moving: The obstacles; those that stand still are not looked at.
+        moving: The obstacles; those that stand still are not checked.
         yaw: Yaw of the turret.
         begin_s: Time from which on [s].
         end_s: Time up to which [s].

@@ -3,7 +3,7 @@
 What is certified clear stays so on its path. A new timing (`hplan.timing.time_scaling`) leaves the path by a bounded
 part of a millimetre; by as much the clearance is less, and where it does not suffice, it is shown anew. It is shown
 anew as well where another timing changes what it depends on: where obstacles move, and where tracking errors grow with
-velocity. Velocity, acceleration and torque are always looked at anew.
+velocity. Velocity, acceleration and torque are always checked anew.
 """
 
 from __future__ import annotations

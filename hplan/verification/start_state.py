@@ -57,9 +57,9 @@ def start_state(robot: Robot, scene: Scene) -> BoundaryState | None:
 
 
 def start_violations(robot: Robot, scene: Scene, trajectory: Trajectory) -> Iterator[str]:
-    """By how much a motion begins in another state of motion than the scene's start, in words; in none if it rests.
+    """Messages: by how much a motion begins in another state of motion than the scene's start; none if that rests.
 
-    Its rows and the first of its cubics are looked at.
+    Its rows and the first of its cubics are checked.
 
     Raises:
         InputError: As `start_state`.

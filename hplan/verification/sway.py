@@ -1,4 +1,4 @@
-"""The movers of a checker's pairs: how far each travels, and how much nearer tracking errors may bring a pair."""
+"""Moving bodies of a checker's pairs: bounds of their travel, and of their displacement by tracking errors."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def fastest(bezier: FloatArray, duration: FloatArray) -> FloatArray:
 
 
 def pair_sways(checker: CoalScene, deviations: FloatArray) -> FloatArray:
-    """By how much each pair may come nearer when joints are off by deviations, (k, dof) [rad] -> (pairs, k) [m]."""
+    """Tracking-error displacement bound of each pair, of (k, dof) deviations [rad] -> (pairs, k) [m]."""
     if checker.own_bodies is not None:
         return body_sways(checker, checker.own_bodies, deviations)
     mover_of, others = movers(checker)
@@ -51,7 +51,7 @@ def pair_sways(checker: CoalScene, deviations: FloatArray) -> FloatArray:
 
 
 def sways(robot: Robot, others: Sequence[tuple[int, int]], deviations: FloatArray) -> FloatArray:
-    """(movers, k) by how much the movers' pairs may come nearer [m]: of the links, then of the others."""
+    """(movers, k) tracking-error displacement bounds of the moving bodies [m]: of the links, then of the others."""
     found = [pair_sway(robot, part, other, deviations) for part, other in others]
     return np.column_stack([robot.sway(deviations), *found]).T
 
@@ -74,12 +74,12 @@ def off_axis(checker: CoalScene, others: Sequence[tuple[int, int]], turns: Float
 
 
 def movers(checker: CoalScene) -> tuple[IntArray, list[tuple[int, int]]]:
-    """The mover of each pair, and the movers after the links: a part, and the body from which its motion is seen.
+    """The moving body of each pair, and those after the links: a part, and the body from which its motion is seen.
 
-    The links as seen from the ground are the first movers.
+    The links as seen from the ground come first.
     """
     first, links, obstacles = len(checker.pairs) - len(checker.own_others), len(checker.link_names), checker.own_first
-    # Each shape meets all obstacles, one after the other: the first pair of each says what the mover is.
+    # Each shape meets all obstacles, one after the other: the first pair of each says what the moving body is.
     shapes = [checker.pairs[pair][0] for pair in range(0, first, max(obstacles, 1))]
     own = zip((mover for mover, _ in checker.pairs[first:]), checker.own_others, strict=True)
     parts = [(mover if mover < links else TURRET, other) for mover, other in (*((m, GROUND) for m in shapes), *own)]
@@ -91,7 +91,7 @@ def movers(checker: CoalScene) -> tuple[IntArray, list[tuple[int, int]]]:
 
 
 def at_rows(sway: FloatArray, pieces: int) -> FloatArray:
-    """(movers, pieces + 1) the larger sway of the two pieces at each row, from that of the pieces, or of all in one."""
+    """(movers, pieces + 1) the larger displacement bound of the two pieces at each row, from those of the pieces."""
     if sway.shape[1] == 1:
         return np.repeat(sway, pieces + 1, axis=1)
     return np.maximum(np.column_stack([sway[:, :1], sway]), np.column_stack([sway, sway[:, -1:]]))
@@ -100,17 +100,17 @@ def at_rows(sway: FloatArray, pieces: int) -> FloatArray:
 def with_obstacles(
     checker: CoalScene, mover_of: IntArray, moved: FloatArray, nearer: FloatArray, clock: FloatArray
 ) -> tuple[IntArray, FloatArray, FloatArray]:
-    """Movers where obstacles move too: a mover and what moves alike is another one, whose travel is the sum of both.
+    """Moving bodies where obstacles move too: a body and what moves alike make another, which travels as far as both.
 
     Args:
         checker: The arm among obstacles that move.
-        mover_of: (pairs,) the mover of each pair.
+        mover_of: (pairs,) the moving body of each pair.
         moved: (movers, pieces) how far each travels in each piece [m].
         nearer: (movers, k) how much nearer tracking errors may bring its pairs [m].
         clock: (pieces + 1,) times of the rows [s].
 
     Returns:
-        The same three with the movers added.
+        `mover_of`, `moved` and `nearer` with the moving bodies added.
     """
     if checker.moving is None:
         return mover_of, moved, nearer
@@ -129,7 +129,7 @@ def with_obstacles(
 def motion_of_movers(
     robot: Robot, bezier: FloatArray, checker: CoalScene, deviations: FloatArray
 ) -> tuple[IntArray, FloatArray, FloatArray]:
-    """The movers of a checker's pairs along a motion, and what tracking errors do.
+    """The moving bodies of a checker's pairs along a motion, and what tracking errors do.
 
     Args:
         robot: The arm.
@@ -138,8 +138,8 @@ def motion_of_movers(
         deviations: (k, dof) largest deviations of the joints [rad].
 
     Returns:
-        (pairs,) the mover of each pair; (movers, pieces) how far each travels in each piece; (movers, k) by how much
-        deviations may bring its pairs nearer [m].
+        (pairs,) the moving body of each pair; (movers, pieces) how far each travels in each piece; (movers, k) by how
+        much deviations may bring its pairs nearer [m].
     """
     if checker.own_bodies is not None:
         return body_motion(checker, checker.own_bodies, bezier, deviations)

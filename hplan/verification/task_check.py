@@ -20,11 +20,11 @@ TURNED = 1e-3
 
 
 def task_violations(robot: Robot, scene: Scene, bezier: FloatArray) -> Iterator[str]:
-    """The parts of the scene's task that a motion does not solve, in words.
+    """Messages: the parts of the scene's task that a motion does not solve.
 
     It begins at the start. It ends at the goal: at its joints, with the tool at its position, or with the frame at its
     pose, to a millimetre and a thousandth of a radian; at the fruit the tool is at some row, since a motion that picks
-    it goes back. There the last link, or the tool of a robot that is no planar arm, has the approach angle that
+    it goes back. There the last link, or the tool of a general (non-planar) arm, has the approach angle that
     is asked for. Locked joints stand still.
 
     Args:

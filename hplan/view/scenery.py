@@ -1,6 +1,6 @@
 """Obstacles and fruits of the page: their looks, the motion of what has a track, and of fruits that are picked.
 
-What an obstacle is made of is told by the words of its name. All capsules of one look are drawn as copies of one
+What an obstacle is made of follows from the words of its name. All capsules of one look are drawn as copies of one
 shape: a tree of hundreds of pieces costs the viewer no more than one piece.
 """
 

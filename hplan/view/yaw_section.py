@@ -28,7 +28,7 @@ _STEP_DEG, _MOST_NODES = 2.0, 100_000
 #: Points of the projected motion, and how near to the yaw they count when the view is chosen.
 _POINTS, _NEAR = 400, math.radians(10.0)
 
-#: Directions that the picture is looked at from, none along an axis [deg].
+#: Directions that the picture is seen from, none along an axis [deg].
 _AZIMUTHS, _ELEVATIONS = (30, 60, 120, 150, 210, 240, 300, 330), (18, 28, 40)
 
 
@@ -123,7 +123,7 @@ def yaw_section(
 
 
 def check_yaw(robot: Robot, yaw: float | None) -> None:
-    """Check that an arm can be looked at so, at a yaw or at the goal's.
+    """Check that an arm can be shown so, at a yaw or at the goal's.
 
     Raises:
         InputError: The arm has another number of planar joints than three.
@@ -147,7 +147,7 @@ def _grid(robot: Robot) -> Grid:
 
 
 def _field(robot: Robot, world: World, grid: Grid, yaw: float) -> FloatArray:
-    """Clearance at the grid's nodes; without obstacles as far as can be told."""
+    """Clearance at the grid's nodes; without obstacles as far as is known."""
     q = np.full(robot.dof, yaw)
     field = np.empty(grid.size)
     for number, index in enumerate(np.ndindex(*grid.shape)):

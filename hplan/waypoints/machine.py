@@ -56,7 +56,7 @@ class Machine(Record):
 def read_machine(
     path: Path | str, joints: Sequence[str] | None = None, *, hold: Mapping[str, float] | None = None
 ) -> Machine:
-    """Read the kinematics and inertia of any robot from its URDF; geometry and meshes are not looked at.
+    """Read the kinematics and inertia of any robot from its URDF; geometry and meshes are not read.
 
     Args:
         path: URDF file, or the name of a robot as `load_robot` takes it.

@@ -143,8 +143,8 @@ def test_what_is_said_of_what_slides_is_in_metres() -> None:
     planner.plan(begins_s=0.0)
     with pytest.raises(NotOnMotionError, match=r"'rail' is 0.3 m from .*; a tracking error of 0 m is covered"):
         planner.stop_at(0.1, now=0.0, measured=BEGIN + np.array([0.3, 0.0]))
-    assert TrackingModel(0.01).told((True, False)) == "0.573 deg, 10 mm where a joint slides"
-    assert TrackingModel(0.01, 0.002).told((True,)) == "10 mm + 2 ms of velocity"
+    assert TrackingModel(0.01).summary((True, False)) == "0.573 deg, 10 mm where a joint slides"
+    assert TrackingModel(0.01, 0.002).summary((True,)) == "10 mm + 2 ms of velocity"
 
 
 def test_limits_of_what_slides_are_in_metres(tmp_path: Path) -> None:

@@ -34,13 +34,6 @@ Cancel: TypeAlias = Callable[[], object] | threading.Event
 #: How often cancellation is polled [s].
 POLL_S = 1e-3
 
-#: Within shorter deadlines Python's garbage is not collected, which takes a tenth of a second where there are many
-#: objects (`_Garbage`) [s].
-UNCOLLECTED_S = 1.0
-
-#: A collection of all garbage that is due waits for a call with time left for it, for as many calls at most.
-POSTPONED = 1000
-
 #: Later than any time on the clock, yet finite, so that kernels check for cancellation [s].
 _LATE = 1e300
 
@@ -161,7 +154,9 @@ class _Garbage:
             if self._inside or not self._was_enabled:
                 return
             calls, begin = gc.get_count()[2], clock_s()
-            if calls > POSTPONED or (calls > gc.get_threshold()[2] and limit.left_s > 2.0 * self._all_s):
+            # A collection of all garbage that is due waits for a call with time left for it, for as many calls at most.
+            postponed = 1000
+            if calls > postponed or (calls > gc.get_threshold()[2] and limit.left_s > 2.0 * self._all_s):
                 gc.collect()
                 self._all_s = clock_s() - begin
             else:
@@ -208,7 +203,10 @@ def time_limit(deadline_s: float | None = None, cancel: Cancel | None = None) ->
         _ask(limit, cancel)
         threading.Thread(target=_watch, args=(limit, cancel, done), daemon=True, name="hplan-cancel").start()
     token = _CURRENT.set(limit)
-    is_short = deadline_s is not None and deadline_s <= UNCOLLECTED_S
+    # Within shorter deadlines Python's garbage is not collected, which takes a tenth of a second where there are many
+    # objects (`_Garbage`) [s].
+    uncollected_s = 1.0
+    is_short = deadline_s is not None and deadline_s <= uncollected_s
     if is_short:
         _GARBAGE.hold(limit)
     try:

@@ -42,9 +42,6 @@ SAMPLES: Final = 10_000
 #: Pairs that were seen this far apart are not asked further [m].
 _FAR: Final = 0.25
 
-#: Bodies apart by less than this count as touching: no proof shows so little [m].
-_SLACK: Final = 1e-4
-
 
 @dataclass(frozen=True, eq=False)
 class SelfPairs(Record):
@@ -157,7 +154,9 @@ def _by_one_joint(robot: Robot, pair: tuple[int, int], joint: int, beyond: float
         return f"they touch wherever joint {name!r} is"
     if decided(BEARING):
         return f"they are the two sides of joint {name!r}, never farther apart than {1e3 * BEARING:g} mm"
-    if not ever(distance, low, high, rate, _SLACK):
+    # Bodies apart by less than this count as touching: no proof shows so little [m].
+    slack = 1e-4
+    if not ever(distance, low, high, rate, slack):
         return f"they cannot touch wherever joint {name!r} is"
     return None
 

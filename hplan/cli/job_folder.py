@@ -15,7 +15,7 @@ import shutil
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from hplan.base.files import ByteBudget, check_replaceable, inputs
 from hplan.errors import HplanError, InputError, OptionError, OutputError
@@ -39,9 +39,6 @@ CSPACE_PAGE, CSPACE_FIGURE = "cspace.html", "cspace.png"
 
 #: Files that go with the report of one motion, its trajectory first.
 PLAN_FILES = (TRAJECTORY, PAGE, MCAP, CSPACE_PAGE, CSPACE_FIGURE)
-
-#: Most bytes of a report.
-MOST_REPORT_BYTES: Final = 64_000_000
 
 #: Name of the folder in which a process makes its files.
 _STAGING = ".hplan-job-"
@@ -162,7 +159,8 @@ def read_report(path: Path, *, is_input: bool = True) -> dict[str, Any]:
         InputError: It cannot be read.
     """
     try:
-        content = json.loads(ByteBudget(MOST_REPORT_BYTES).read(path, is_input=is_input))
+        most_report_bytes = 64_000_000
+        content = json.loads(ByteBudget(most_report_bytes).read(path, is_input=is_input))
     except OSError as error:
         reason = error.strerror or str(error)
     except (ValueError, RecursionError) as error:

@@ -47,9 +47,6 @@ HOLD = 0.25
 #: Error of each joint that turns [rad], and of each that slides [m], up to which a configuration counts as reached.
 GOAL_TOLERANCE, GOAL_TOLERANCE_M = math.radians(0.5), 0.005
 
-#: Rows at which inertias are evaluated for the gains.
-_INERTIA_SAMPLES = 50
-
 
 @dataclass(frozen=True, eq=False)
 class Execution(Record):
@@ -240,7 +237,9 @@ def _executed(
 
 def _gains(arm: SimulatedArm, q: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Stiffness [N m/rad] and damping [N m s/rad] of each joint."""
-    rows = np.unique(np.linspace(0, len(q) - 1, _INERTIA_SAMPLES).astype(np.int64))
+    # Rows at which inertias are evaluated for the gains.
+    inertia_samples = 50
+    rows = np.unique(np.linspace(0, len(q) - 1, inertia_samples).astype(np.int64))
     inertia = np.max([np.diag(arm.inertia(q[row])) for row in rows], axis=0)
     bandwidth = arm.plant.bandwidth
     return bandwidth**2 * inertia, 2.0 * bandwidth * inertia

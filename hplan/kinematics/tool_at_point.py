@@ -33,12 +33,6 @@ from hplan.robot.model import Robot
 #: Directions that are tried, and from how many starts each.
 COUNT, STARTS = 64, 6
 
-#: So many joints take a tool to a point with a direction.
-DIRECTED = 5
-
-#: Of directions that are asked for, those near the vertical count as if they were so far from it: there are few.
-_LEAST_COSINE = 0.05
-
 #: Angles at which the spread of directions is measured.
 _ANGLES = 721
 
@@ -85,10 +79,12 @@ def tool_at_point(
     pose[:3, 3] = place
     outward = _outward(robot, place)
     found: list[FloatArray] = []
+    # So many joints take a tool to a point with a direction.
+    directed = 5
     for turn, towards in ((ABOUT_Z, _directions(outward, window, directions)), (ANY_TURN, outward[None])):
         chain = chain_of(robot, pose, turn)
         chain.moves[keeps] = 0.0
-        if turn == ANY_TURN or np.count_nonzero(chain.moves) >= DIRECTED:
+        if turn == ANY_TURN or np.count_nonzero(chain.moves) >= directed:
             found.append(_solved(robot, begin, chain, towards, directions if turn == ANY_TURN else STARTS))
     solutions = distinct(robot, np.concatenate(found), begin, chain)
     approach = approach_angles(robot, solutions, place)
@@ -149,7 +145,9 @@ def _directions(outward: FloatArray, window: Window | None, count: int) -> Float
     """(count, 3) unit vectors, spread evenly over those with an approach angle in a window; see the module's text."""
     low, width = (-np.pi, 2.0 * np.pi) if window is None else (window.low, window.width)
     angles = low + width * np.linspace(0.0, 1.0, _ANGLES)
-    density = np.maximum(np.abs(np.cos(angles)), _LEAST_COSINE)
+    # Of directions that are asked for, those near the vertical count as if they were so far from it: there are few.
+    least_cosine = 0.05
+    density = np.maximum(np.abs(np.cos(angles)), least_cosine)
     share = np.concatenate([[0.0], np.cumsum(density[:-1] + density[1:])])
     numbered = np.arange(count) + 0.5
     angle = np.interp(numbered / count, share / share[-1], angles)

@@ -39,9 +39,6 @@ from hplan.scene.tracks import Track
 from hplan.verification.certificate import with_violations
 from hplan.verification.retimed_certificate import CertifiedMotion
 
-#: How often a plan that waits for another one looks whether it is still wanted [s].
-_WAIT_S = 0.01
-
 
 class Planner:
     """Plans again and again for one robot.
@@ -275,7 +272,9 @@ class Planner:
             PlanCancelledError: It was cancelled.
         """
         with time_limit(self.options.deadline_s, cancel) as limit:
-            while not self._planning.acquire(timeout=min(_WAIT_S, max(limit.left_s, 0.0))):
+            # A plan that waits for another one checks this often whether it is cancelled [s].
+            wait_s = 0.01
+            while not self._planning.acquire(timeout=min(wait_s, max(limit.left_s, 0.0))):
                 if limit.is_up:
                     raise limit.error(["another plan of the same planner is under way"])
             try:

@@ -22,12 +22,6 @@ Kind: TypeAlias = Literal["trunk", "arm", "branch", "shoot"]
 #: Turn from one branch to the next one up the trunk: no two stand above each other.
 _GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))
 
-#: Thinnest wood there is [m].
-_THINNEST = 0.002
-
-#: Length of a trunk's pieces, about [m].
-_TRUNK_PIECE = 0.45
-
 
 @dataclass(frozen=True, eq=False)
 class Limb:
@@ -61,7 +55,9 @@ def grow_tree(options: OrchardOptions, root: FloatArray, random: np.random.Gener
 
 def _trunk(options: OrchardOptions, root: FloatArray, random: np.random.Generator) -> list[Limb]:
     """Nearly upright pieces, the thickest at the bottom."""
-    count = max(3, round(options.tree_height / _TRUNK_PIECE))
+    # Length of a trunk's pieces, about [m].
+    trunk_piece = 0.45
+    count = max(3, round(options.tree_height / trunk_piece))
     nodes = np.tile(root, (count + 1, 1))
     nodes[:, 2] += np.linspace(0.0, options.tree_height, count + 1)
     nodes[1:, :2] += np.cumsum(random.uniform(-0.015, 0.015, (count, 2)), axis=0)
@@ -146,8 +142,10 @@ def _bent(
 
 
 def _pieces(kind: Kind, nodes: FloatArray, radii: Sequence[float] | FloatArray) -> list[Limb]:
+    # Thinnest wood there is [m].
+    thinnest = 0.002
     return [
-        Limb(kind, start, end, max(float(radius), _THINNEST))
+        Limb(kind, start, end, max(float(radius), thinnest))
         for start, end, radius in zip(nodes, nodes[1:], radii, strict=False)
     ]
 

@@ -28,8 +28,6 @@ _NONE, _ALL, _SOME = 0, 1, 2
 #: In place of the number of a voxel: all of it is of the arm, or of what is ignored.
 _ARM_ALONE, _IGNORED_ALONE = -2, -3
 
-_FIRST_VOXELS = 16_384
-
 #: Of no more bodies than this to be ignored each point is asked that is not in the voxel of the one before.
 _FEW = any_int(4)
 
@@ -118,7 +116,8 @@ class Scratch:
     def __init__(self) -> None:
         """Begin with room for a small frame."""
         self._numbers: ShortArray = np.empty(0, dtype=np.int32)
-        self._voxels, self._table = _room_for(_FIRST_VOXELS)
+        first_voxels = 16_384
+        self._voxels, self._table = _room_for(first_voxels)
 
     def put_into_voxels(
         self, points: FloatArray, placement: Placement, arm: Bodies, ignored: Bodies

@@ -9,8 +9,6 @@ from hplan.errors import InputError, OptionError
 from hplan.scene.model import Scene
 from hplan.scene.obstacles import PointCloud, Solid
 
-_LISTS = ("obstacles", "fruits")
-
 
 def check_cloud_name(scene: Scene, name: str) -> None:
     """Refuse the name of what is no cloud.
@@ -49,7 +47,9 @@ def solids_named(scene: Scene, names: Sequence[str], cloud: str, time_s: float |
         if name not in known:
             raise InputError(f"ignore: there is no fruit or obstacle {name!r}", name=name)
     named = scene.model_copy(
-        update={key: tuple(item for item in getattr(scene, key) if item.name in wanted) for key in _LISTS}
+        update={
+            key: tuple(item for item in getattr(scene, key) if item.name in wanted) for key in ("obstacles", "fruits")
+        }
     )
     if named.moves:
         if time_s is None:

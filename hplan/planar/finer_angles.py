@@ -20,9 +20,6 @@ BEST = 8
 #: An angle is refined where the clearance that is missing may come within one spacing, at this rate [m / rad].
 RATE = 2.0
 
-#: Largest spacing that is begun with [rad].
-WIDEST = np.radians(10.0)
-
 #: Continua of configurations that may have the same approach angle: two yaws, two sides of the elbow.
 CONTINUA = 4
 
@@ -95,7 +92,9 @@ def _spacing(angles: FloatArray) -> float:
     Of two continua at the same angles each may have every other.
     """
     gaps = np.diff(np.unique(np.round(angles, 9)))
-    return float(min(WIDEST, CONTINUA * gaps.max(initial=0.0)))
+    # Largest spacing that is begun with [rad].
+    widest = np.radians(10.0)
+    return float(min(widest, CONTINUA * gaps.max(initial=0.0)))
 
 
 def _worth_refining(angles: FloatArray, clearances: FloatArray, enough: float, spacing: float) -> list[float]:

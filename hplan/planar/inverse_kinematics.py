@@ -33,9 +33,6 @@ from hplan.robot.model import Robot
 #: Configurations between the ends of continua, where no number is given.
 COUNT = 32
 
-#: A point so near the yaw axis is on it [m].
-ON_AXIS = 1e-9
-
 #: Yaws tried for a point on the yaw axis, where no start is given.
 AXIS_YAWS = 5
 
@@ -170,7 +167,9 @@ class _ReachTask:
         x, y = self.position[:2] - robot.yaw_axis
         distance = float(np.hypot(x, y))
         yaws: FloatArray
-        if distance <= ON_AXIS >= abs(across):
+        # A point so near the yaw axis is on it [m].
+        on_axis = 1e-9
+        if distance <= on_axis >= abs(across):
             yaws = np.linspace(robot.lower[0], robot.upper[0], AXIS_YAWS) if self.start is None else self.start[:1]
             out: FloatArray = np.zeros(len(yaws))
         else:

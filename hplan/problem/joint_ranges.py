@@ -34,9 +34,6 @@ LEAST_MARGIN: Final = 3e-5
 #: A configuration that is beyond a wall by less than this is at it [rad].
 _ROUNDING: Final = 1e-9
 
-#: An interval ends where the clearance left is less than this fraction of its margin.
-_ENOUGH: Final = 0.1
-
 
 @dataclass(frozen=True)
 class Wall:
@@ -213,13 +210,15 @@ def _free(scene: CoalScene, turn: _Turn, q: FloatArray, end: float, margin: floa
     kept = kept + scene.deviation * turn.radius + margin
     at, length, direction = q.copy(), abs(end - float(q[joint])), 1.0 if end >= q[joint] else -1.0
     turned, due = 0.0, np.zeros(len(pairs))
+    # An interval ends where the clearance left is less than this fraction of its margin.
+    enough = 0.1
     while True:
         asked = np.flatnonzero(due <= turned)
         at[joint] = q[joint] + direction * turned
         scene.place(at)
         left = scene.distances_of(pairs[asked]) - kept[asked]
         least = ties.argmin(left)
-        if left[least] <= _ENOUGH * margin:
+        if left[least] <= enough * margin:
             mover, obstacle = scene.pairs[int(pairs[asked[least]])]
             return float(at[joint]), scene.contact(mover, obstacle, float(left[least]))
         due[asked] = turned + left / turn.radius

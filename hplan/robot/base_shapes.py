@@ -33,9 +33,6 @@ _ROUND: Final = 1e-6
 #: A body that stands on another, or carries it, may be this deep in it [m].
 BASE_DEPTH: Final = 1e-3
 
-#: Distances over an interval of yaw are decided to this [m].
-_RESOLUTION: Final = 1e-4
-
 
 @dataclass(frozen=True, eq=False)
 class BaseShape:
@@ -168,6 +165,8 @@ def ever(distance: Callable[[float], float], low: float, high: float, rate: floa
         level: The level [m].
     """
     left = [(low, high)]
+    # Distances over an interval of yaw are decided to this [m].
+    resolution = 1e-4
     while left:
         low, high = left.pop()
         middle, half = 0.5 * (low + high), 0.5 * (high - low)
@@ -177,7 +176,7 @@ def ever(distance: Callable[[float], float], low: float, high: float, rate: floa
         # Within the half-width the distance falls by rate * half at most.
         if found - rate * half > level:
             continue
-        if rate * half <= _RESOLUTION:
+        if rate * half <= resolution:
             return True
         left += [(low, middle), (middle, high)]
     return False

@@ -30,9 +30,6 @@ from hplan.robot.urdf_xml import URDF_TEXT, is_urdf_text, line_of, read_urdf_xml
 #: Key `format` of a limits file.
 LIMITS_FORMAT = "hplan-limits/1"
 
-#: Most bytes of a limits file.
-MOST_LIMITS_BYTES: Final = 1_000_000
-
 
 @dataclass(frozen=True)
 class NamedRobot:
@@ -291,7 +288,8 @@ def read_limits(
             metres; a limit that is not positive.
     """
     try:
-        content, _ = read_yaml(ByteBudget(MOST_LIMITS_BYTES).read(path).decode("utf-8"))
+        most_limits_bytes = 1_000_000
+        content, _ = read_yaml(ByteBudget(most_limits_bytes).read(path).decode("utf-8"))
         limits = _LimitsFile.model_validate(content)
     except OSError as error:
         reason = f"{error.strerror}; it gives the acceleration limits, where the URDF does not: {_LIMITS_ADVICE}"

@@ -22,11 +22,6 @@ from typing import Final
 
 from hplan.robot.planar_family import PlanarArm
 
-#: Neighbours may overlap up to this many times the distance to keep from their joint: a link ends in a cap as wide as
-#: it is thick, and links that meet at an angle overlap up to 1 / sin(angle) times their half-widths. 3 leaves them all
-#: angles down to 19.5 degrees between the two.
-FOLD_REACH: Final = 3.0
-
 _TURN: Final = 2.0 * math.pi
 
 
@@ -54,9 +49,13 @@ def folds(arm: PlanarArm, clearance: float, slack: float) -> tuple[Fold, ...]:
         slack: Distance up to which they count as touching, beyond the clearance [m].
     """
     found = []
+    # Neighbours may overlap up to this many times the distance to keep from their joint: a link ends in a cap as wide
+    # as it is thick, and links that meet at an angle overlap up to 1 / sin(angle) times their half-widths. 3 leaves
+    # them all angles down to 19.5 degrees between the two.
+    fold_reach = 3.0
     for inner in range(arm.link_count - 1):
         radius = float(arm.half_widths[inner] + arm.half_widths[inner + 1]) + clearance
-        reach = FOLD_REACH * radius
+        reach = fold_reach * radius
         trims = tuple(link for link in (inner, inner + 1) if arm.lengths[link] > reach)
         fold = Fold(inner, reach, trims)
         if trims and folded_angles(arm, fold, radius + slack):

@@ -56,9 +56,6 @@ SHAPED: Final = -1000
 #: Parts are taken to be able to touch if they come this near [m]: positions are kept to 1e-6 rad, distances to 1e-5 m.
 SLACK: Final = 1e-4
 
-#: Most boxes of joint angles that are examined together.
-_MOST_BOXES: Final = 20_000
-
 #: Corners of the polygon that stands for a circle, drawn around it.
 _CORNERS: Final = 32
 
@@ -121,9 +118,6 @@ class SelfContact:
 #: Tracking errors are rounded up to multiples of this [rad].
 _DEVIATION_STEP: Final = 5e-3
 
-#: So many pairs of tracking error and clearance are kept of a robot.
-_MOST_KNOWN: Final = 32
-
 
 def self_contact(robot: Robot, *, deviation: float = 0.0, clearance: float = 0.0) -> SelfContact:
     """The pairs of a robot that can touch, decided once.
@@ -134,7 +128,9 @@ def self_contact(robot: Robot, *, deviation: float = 0.0, clearance: float = 0.0
         clearance: Distance that parts have to keep [m]. Parts that are always nearer than that, as a low shoulder is to
             the pedestal, are asked only whether they can touch.
     """
-    decide = robot.cached("self_contact", lambda: lru_cache(_MOST_KNOWN)(partial(_decided, robot)))
+    # So many pairs of tracking error and clearance are kept of a robot.
+    most_known = 32
+    decide = robot.cached("self_contact", lambda: lru_cache(most_known)(partial(_decided, robot)))
     return decide(_rounded_up(deviation), float(clearance))
 
 
@@ -339,6 +335,8 @@ def _can_touch(arm: PlanarArm, polygon: FloatArray, radius: float) -> bool:
     """True if the axis of the last link can come within a distance of a convex polygon; False is certain."""
     lower, upper = arm.lower[None], arm.upper[None]
     reach = np.cumsum(arm.lengths[::-1])[::-1]  # how far a point of the last link can be from each joint
+    # Most boxes of joint angles that are examined together.
+    most_boxes = 20_000
     while True:
         half = 0.5 * (upper - lower)
         points = arm.joint_points(lower + half)
@@ -348,7 +346,7 @@ def _can_touch(arm: PlanarArm, polygon: FloatArray, radius: float) -> bool:
         left = beyond <= half @ reach
         if not left.any():
             return False
-        if int(left.sum()) > _MOST_BOXES:
+        if int(left.sum()) > most_boxes:
             return True
         lower, upper, half = lower[left], upper[left], half[left]
         rows, widest = np.arange(len(half)), (half * reach).argmax(axis=1)

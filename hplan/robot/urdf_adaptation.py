@@ -43,9 +43,6 @@ _TILT: Final = 1e-9
 
 _PACKAGE: Final = "package://"
 
-#: What a fixed joint has no use for.
-_OF_MOVING: Final = ("axis", "limit", "mimic", "dynamics", "safety_controller", "calibration")
-
 
 @dataclass(frozen=True, eq=False)
 class RobotChoice(Record):
@@ -364,7 +361,9 @@ def fix_joint(path: Path, joint: Joint, value: float | None) -> None:
             raise RobotFileError(path, f"{line_of(joint.element)}joint {joint.name!r}: its axis has no direction")
         _set_origin(joint.element, _placed(joint, value))
     joint.element.set("type", "fixed")
-    for part in [part for part in joint.element if part.tag in _OF_MOVING]:
+    # What a fixed joint has no use for.
+    of_moving = ("axis", "limit", "mimic", "dynamics", "safety_controller", "calibration")
+    for part in [part for part in joint.element if part.tag in of_moving]:
         joint.element.remove(part)
 
 

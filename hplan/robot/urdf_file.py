@@ -25,9 +25,6 @@ from hplan.robot.urdf_xml import line_of
 from hplan.scene.limits import FARTHEST_M
 from hplan.scene.solids import rpy_rotation
 
-#: Part of the largest principal moment by which an inertia may miss what a body can have: CAD programs round.
-_INERTIA_TOLERANCE: Final = 1e-3
-
 #: Elements and the attributes and elements that each may have; none means any. Those with a prefix (`drake:`) are
 #: extensions, and so are `_EXTENSIONS`; of these `_ACCELERATION` alone is read.
 _ATTRIBUTES: Final[Mapping[str, frozenset[str]]] = {
@@ -67,9 +64,6 @@ _ACCELERATION: Final = "drake:acceleration"
 
 #: Elements that no program adds attributes to.
 _CLOSED: Final = frozenset({"origin", "mass", "inertia", "axis", "parent", "child"})
-
-#: Likeness from which on an unknown name is a misspelling (`difflib.SequenceMatcher.ratio`).
-_ALIKE: Final = 0.8
 
 _REPEATED: Final = frozenset({"visual", "collision"})
 
@@ -299,7 +293,9 @@ class _Reader:
     def _check_inertia(self, element: ET.Element, matrix: FloatArray, where: str) -> None:
         """Refuse an inertia that no body has."""
         moments = np.linalg.eigvalsh(matrix)
-        tolerance = max(_INERTIA_TOLERANCE * float(np.abs(moments).max()), 1e-12)
+        # Part of the largest principal moment by which an inertia may miss what a body can have: CAD programs round.
+        inertia_tolerance = 1e-3
+        tolerance = max(inertia_tolerance * float(np.abs(moments).max()), 1e-12)
         if self._any_robot:
             return
         if moments[0] < -tolerance or moments[2] > moments[0] + moments[1] + tolerance:
@@ -389,4 +385,6 @@ class _Reader:
         """True if an unknown name may be an extension, and is no misspelling of a known one."""
         if ":" in name or name in _EXTENSIONS:
             return True
-        return self._any_robot and not get_close_matches(name.lower(), known, 1, _ALIKE)
+        # Likeness from which on an unknown name is a misspelling (`difflib.SequenceMatcher.ratio`).
+        alike = 0.8
+        return self._any_robot and not get_close_matches(name.lower(), known, 1, alike)

@@ -12,9 +12,6 @@ from hplan.errors import InputError
 #: Nanoseconds in a second.
 SECOND_NS: Final = 1_000_000_000
 
-#: The latest time that a message can hold: its seconds are a 32 bit number [s].
-LATEST_S: Final = 2.0**31 - 1.0
-
 
 def time_ns(option: str, seconds: Any) -> int:
     """Seconds as whole nanoseconds: the nearest ones to the very number given.
@@ -26,7 +23,9 @@ def time_ns(option: str, seconds: Any) -> int:
     Raises:
         OptionError: It is none.
     """
-    return round(Fraction(between(option, seconds, 0.0, LATEST_S)) * SECOND_NS)
+    # The latest time that a message can hold: its seconds are a 32 bit number [s].
+    latest_s = 2.0**31 - 1.0
+    return round(Fraction(between(option, seconds, 0.0, latest_s)) * SECOND_NS)
 
 
 def message_time(nanoseconds: int) -> dict[str, int]:

@@ -27,9 +27,6 @@ SIZES: Final = {"sphere": 1, "box": 3, "cylinder": 2, "cone": 2}
 NO_PLANE: Final = "a plane has no end; put a box in its place"
 NO_OCTOMAP: Final = "an octomap cannot be read; give its points as a point cloud"
 
-#: Quaternions are written with six digits or so; those farther than this from length 1 are none.
-_UNIT: Final = 1e-3
-
 
 def planning_frame(position: Sequence[float], rpy_deg: Sequence[float], prefix: str, open_meshes: str) -> pin.SE3:
     """Check the options of readers.
@@ -64,7 +61,9 @@ def pose(position: Sequence[float], quaternion_xyzw: Sequence[float]) -> pin.SE3
         ValueError: The quaternion is not of length 1.
     """
     length = math.hypot(*quaternion_xyzw)
-    if abs(length - 1.0) > _UNIT:
+    # Quaternions are written with six digits or so; those farther than this from length 1 are none.
+    unit = 1e-3
+    if abs(length - 1.0) > unit:
         raise ValueError(f"the quaternion {list(quaternion_xyzw)} has the length {length:.4g}, expected 1")
     turn = pin.Quaternion(np.array(quaternion_xyzw) / length)
     return pin.SE3(turn.toRotationMatrix(), np.array(position))

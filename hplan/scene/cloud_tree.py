@@ -16,9 +16,6 @@ import numpy as np
 from hplan.base.arrays import FloatArray, IntArray, ShortArray
 from hplan.base.kernels import inlined, kernel
 
-#: Points are merged where that leaves at most this fraction of the balls.
-_WORTH_MERGING = 0.7
-
 #: Columns of a node: as in `hplan.scene.solids.Cloud`.
 _COLUMNS = 7
 
@@ -89,7 +86,9 @@ def merged(points: FloatArray, edge: float) -> tuple[FloatArray, float]:
     if count < len(points):
         points, _ = box_centres(points, numbers, count)
     numbers, count = number_cells(np.floor(points / edge).astype(np.int64))
-    if count > _WORTH_MERGING * len(points):
+    # Points are merged where that leaves at most this fraction of the balls.
+    worth_merging = 0.7
+    if count > worth_merging * len(points):
         return points, 0.0
     return box_centres(points, numbers, count)
 

@@ -47,16 +47,6 @@ _NUDGE: Final = 2e-7
 #: Places along an axis at which a cut is tried, besides quarter, half and three quarters.
 _PLACES: Final = 6
 
-#: Cost of an uneven cut, as a fraction of the difference: no single cut lessens the hulls of a ring, and an even one
-#: leads on.
-_EVENNESS: Final = 0.03
-
-#: Some points of a part speak for it while cuts are compared, no more than this.
-_SAMPLES: Final = 3000
-
-#: Cost of a cut across a short side, compared with one across the longest.
-_SHORT_SIDE: Final = 0.1
-
 
 @dataclass(frozen=True, eq=False)
 class Pieces:
@@ -205,6 +195,11 @@ def _halves(part: _ClippedPart, places: list[FloatArray], surface: FloatArray) -
     angular = sum(map(len, folds)) > 0 and max(map(len, folds)) <= _PLACES
     whole = max(part.rough_volume(part.triangles), 1e-300)
     best: tuple[float, int, float] | None = None
+    # Cost of an uneven cut, as a fraction of the difference: no single cut lessens the hulls of a ring, and an even one
+    # leads on.
+    evenness = 0.03
+    # Cost of a cut across a short side, compared with one across the longest.
+    short_side = 0.1
     for axis in range(3):
         here = folds[axis]
         if not angular:
@@ -214,8 +209,8 @@ def _halves(part: _ClippedPart, places: list[FloatArray], surface: FloatArray) -
         for at in here.tolist():
             below, above = (_clipped(part.triangles, axis, at, side) for side in (-1.0, 1.0))
             volumes = part.rough_volume(below), part.rough_volume(above)
-            cost = (sum(volumes) + _EVENNESS * abs(volumes[0] - volumes[1])) / whole
-            cost += _SHORT_SIDE * (1.0 - extent[axis] / extent.max())
+            cost = (sum(volumes) + evenness * abs(volumes[0] - volumes[1])) / whole
+            cost += short_side * (1.0 - extent[axis] / extent.max())
             if best is None or cost < best[0] - 1e-9:
                 best = (cost, axis, at)
     if best is None:
@@ -250,7 +245,9 @@ def _rough_volume(points: FloatArray) -> float:
 
     if len(points) < 4:
         return 0.0
-    points = points[:: 1 + len(points) // _SAMPLES]
+    # Some points of a part speak for it while cuts are compared, no more than this.
+    samples = 3000
+    points = points[:: 1 + len(points) // samples]
     try:
         return float(ConvexHull(points[np.unique(ties.on_raster(_SUPPORTS @ points.T).argmax(axis=1))]).volume)
     except QhullError:

@@ -38,9 +38,6 @@ if TYPE_CHECKING:
 #: Most vertices of a hull.
 HULL_VERTICES: Final = 128
 
-#: Nothing is simplified that stands out by less than this: vertices beyond it are not kept [m].
-HULL_ERROR: Final = 2e-4
-
 #: Points that are no farther apart than this in some direction are made thicker by it to either side [m].
 THIN: Final = 1e-5
 
@@ -55,9 +52,6 @@ SWEPT_ERROR: Final = 1e-3
 
 #: Solids that sway are made once, as long as no more than so many are in use.
 _KEPT: Final = 4096
-
-#: Two facets whose normals differ by less than this are one.
-_COPLANAR: Final = 1e-9
 
 #: (8, 3) corners of the cube from -1 to 1.
 CUBE_CORNERS: Final = readonly([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
@@ -155,9 +149,11 @@ class Hull(Record):
         facet_of = np.full(len(normals), -1)
         leaders: list[int] = []
         offsets = (normals * corners[:, 0]).sum(axis=1)
+        # Two facets whose normals differ by less than this are one.
+        coplanar = 1e-9
         for face in np.argsort(-sizes[:, 0], kind="stable"):
             if facet_of[face] < 0:
-                same = (facet_of < 0) & (normals @ normals[face] > 1.0 - _COPLANAR)
+                same = (facet_of < 0) & (normals @ normals[face] > 1.0 - coplanar)
                 same &= np.abs(offsets - offsets[face]) < 1e-9
                 same[face] = True
                 facet_of[same] = len(leaders)
@@ -226,13 +222,15 @@ def _some_vertices(corners: FloatArray, most: int) -> tuple[IntArray, Any]:
     axes = np.array([(x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)], dtype=np.float64)
     axes = axes[np.abs(axes).sum(axis=1) % 2 == 1]  # along the axes and the space diagonals
     kept = np.unique(ties.on_raster(corners @ axes.T).argmax(axis=0))
+    # Nothing is simplified that stands out by less than this: vertices beyond it are not kept [m].
+    hull_error = 2e-4
     while True:
         hull = ConvexHull(corners[kept])
         excess = corners @ hull.equations[:, :3].T + hull.equations[:, 3]
         peaks = np.unique(ties.on_raster(excess).argmax(axis=0))
         height = excess[peaks].max(axis=1)
         new = peaks[ties.argsort(-height)][: min(8, most - len(kept))]
-        new = new[excess[new].max(axis=1) > HULL_ERROR]
+        new = new[excess[new].max(axis=1) > hull_error]
         if len(new) == 0:
             return kept, hull
         kept = np.union1d(kept, new)

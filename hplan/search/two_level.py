@@ -30,10 +30,8 @@ from hplan.search.result import Expansions, Fallback, SearchResult, StageTimes, 
 from hplan.search.slice_search import SlicePaths, SliceSearch, search_slices
 from hplan.search.wavefront import meet
 
-#: Axes from which on the fallback is by wavefronts.
-MANY_AXES = 4
-
-#: And so where so many nodes are connected to the start: A* on all of them takes seconds, and 50 bytes for each.
+#: The fallback is by wavefronts where so many nodes are connected to the start: A* on all of them takes seconds, and 50
+#: bytes for each.
 MOST_DENSE = 2_000_000
 
 
@@ -69,7 +67,9 @@ def _two_level(lattice: Lattice, free: WordArray, start: IntArray, goal: IntArra
     begin = time.perf_counter()
     between = range(int(min(start[-1], goal[-1])), int(max(start[-1], goal[-1])) + 1)
     slice_search = _slice_search(len(lattice.shape) - 1, octile=octile)
-    many = len(lattice.shape) >= MANY_AXES
+    # Axes from which on the fallback is by wavefronts.
+    many_axes = 4
+    many = len(lattice.shape) >= many_axes
     layers = search_slices(lattice, free, start, goal, between, slice_search, carried=octile and many)
     layers_done = time.perf_counter()
     path, cost, expanded, restored, size = _join(lattice, free, layers, start, goal, octile=octile)

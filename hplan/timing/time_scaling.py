@@ -49,9 +49,6 @@ SPARE, MOST_SPARE, SPARE_JERK = 7e-4, 9.5e-4, 0.03
 #: Speed and acceleration at the last row of a motion that still count as rest [rad/s], [rad/s^2].
 REST = 1e-6
 
-#: A jump of the acceleration so small is none [rad/s^2].
-SMOOTH = 1e-4
-
 #: A row so little before a time is at it [s].
 SAME_TIME = 1e-9
 
@@ -303,7 +300,9 @@ def _kept(rest: Trajectory, robot: Robot, period: float) -> Kept:
         # Where the acceleration jumps from one cubic to the next it changes within a period.
         jumps = np.abs(bent[1:, 0] - bent[:-1, 1]).max(axis=0, initial=0.0)
         own = (np.abs(bent[:, 1] - bent[:, 0]) / duration[:, None]).max(axis=0)
-        jerk = np.maximum(robot.jerk_limit, own + np.where(jumps > SMOOTH, jumps, 0.0) / period) * (1.0 + SPARE_JERK)
+        # A jump of the acceleration so small is none [rad/s^2].
+        smooth = 1e-4
+        jerk = np.maximum(robot.jerk_limit, own + np.where(jumps > smooth, jumps, 0.0) / period) * (1.0 + SPARE_JERK)
     dynamics = robot.dynamics
     bodies = np.zeros((0, 1, 1)) if dynamics.bodies is None else dynamics.bodies
     steps = np.stack([velocity * period, acceleration * period**2, jerk * period**3])

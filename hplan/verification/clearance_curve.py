@@ -43,9 +43,6 @@ STATIONS = 20_000
 #: Stations of a curve that is to be shown: so many, or for each second, up to so many.
 SHOWN_STATIONS, SHOWN_PER_S, MOST_SHOWN = 300, 40.0, 1200
 
-#: Part of a distance by which coal's may be too large far away.
-FAR_ERROR = 1e-3
-
 #: Stands for an infinite clearance where lines are drawn [m].
 _FAR_M = 1e12
 
@@ -278,6 +275,8 @@ def _looks(search: Advancement, bezier: FloatArray, checker: CoalScene) -> Itera
     place, pair, bound = 0.0, 0, np.inf
     lower = np.full(len(mover_of), -np.inf)
     travelled, swayed = travel[:, 0], sway[:, 0]
+    # Part of a distance by which coal's may be too large far away.
+    far_error = 1e-3
     while True:
         search.place(point_at(bezier, place), place)
         nearest = float(checker.distances_of(np.array([pair]))[0])
@@ -290,7 +289,7 @@ def _looks(search: Advancement, bezier: FloatArray, checker: CoalScene) -> Itera
             distances = checker.distances_of(asked)
             pair = int(asked[ties.argmin(distances)])
             nearest = float(distances.min())
-            least = distances * (1.0 - FAR_ERROR * np.sign(distances)) - errors[asked]
+            least = distances * (1.0 - far_error * np.sign(distances)) - errors[asked]
             known = forward.copy()
             known[asked] = np.maximum(forward[asked], least)
         else:

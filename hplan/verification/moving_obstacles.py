@@ -21,10 +21,6 @@ from hplan.scene.obstacles import Solid
 from hplan.scene.tracks import Movement
 from hplan.verification.clearance_proof import MOST_TRAVEL, SMALLEST_STEP, prove_clearance
 
-#: Most distances that are computed for one obstacle and one shape of the base: what is nearer than `SMALLEST_STEP`
-#: to being too deep counts as that, so an obstacle that travels 100 m along the base may need more.
-MOST_LOOKS = 100_000
-
 
 def checker_in_time(robot: Robot, scene: Scene, sigmas: float) -> CoalScene:
     """The arm among all solids of a scene, fruit too, each grown for its uncertainty; over time where some move."""
@@ -69,7 +65,10 @@ def _too_deep(
     steps = movement.rates(solid.core, solid.rounding) * np.diff(breaks)
     travel = np.concatenate([[0.0], np.cumsum(steps)])
     at, end_s = span_s
-    for _ in range(MOST_LOOKS):
+    # Most distances that are computed for one obstacle and one shape of the base: what is nearer than `SMALLEST_STEP`
+    # to being too deep counts as that, so an obstacle that travels 100 m along the base may need more.
+    most_looks = 100_000
+    for _ in range(most_looks):
         rotation, shift = movement.at(np.array([at]))
         # Seen from where the obstacle is listed.
         spare = distance(body, pin.SE3(rotation[0], shift[0]).inverse() * place) + BASE_DEPTH

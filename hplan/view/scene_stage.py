@@ -28,9 +28,6 @@ from hplan.view.framing import Frame
 from hplan.view.playback import Playback
 from hplan.view.three_js import Body, Json
 
-#: Joints that move by more than this in their parent's frame slide, others turn [m].
-SLID = 1e-9
-
 #: Visual meshes with more triangles than this are not drawn: those of a Panda would make a page of 68 MB.
 MOST_TRIANGLES = 20_000
 
@@ -172,11 +169,13 @@ def _animation(robot: Robot, scene: Scene, playback: Playback, picks: Sequence[s
             places[joint, k] = data.liMi[joint].translation
     end = trajectory.duration + REST_S
     # A joint turns or slides in its parent's frame: between keyframes the viewer's interpolation of either is exact.
+    # Joints that move by more than this in their parent's frame slide, others turn [m].
+    slid = 1e-9
     clips = [
         clip(
             path,
             moving([*times, end], places[joint])
-            if np.ptp(places[joint], axis=0).max() > SLID
+            if np.ptp(places[joint], axis=0).max() > slid
             else turning([*times, end], turns[joint]),
         )
         for joint, path in enumerate(_joint_paths(model, "arm"))

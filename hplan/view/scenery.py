@@ -66,9 +66,6 @@ HALO_COLOR = 0xFFC53D
 #: Lighter than the others too, for eyes that do not tell red from green.
 PICKED_COLOR = 0x9BD84A
 
-#: Most points of a cloud that are drawn.
-_MOST_POINTS = 20_000
-
 
 def look_of(name: str) -> Look:
     """The look of an obstacle, by the words of its name; an `s` at the end of a word does not count."""
@@ -146,6 +143,8 @@ def _surface(look: Look) -> Json:
 
 def _add(body: Body, item: Sphere | Cylinder | Box | Mesh | PointCloud, look: Look) -> None:
     surface = _surface(look)
+    # Most points of a cloud that are drawn.
+    most_points = 20_000
     match item:
         case Sphere():
             body.add(three.sphere(item.radius), surface, three.transform(position=item.center), name=item.name)
@@ -158,7 +157,7 @@ def _add(body: Body, item: Sphere | Cylinder | Box | Mesh | PointCloud, look: Lo
             body.add(three.facets(*item.surface), surface, name=item.name)
         case PointCloud():
             for cloud in item.solids:
-                some = cloud.core[:: -(-len(cloud.core) // _MOST_POINTS)]
+                some = cloud.core[:: -(-len(cloud.core) // most_points)]
                 # The viewer takes a dot's size as if the field of view were 90 degrees.
                 wide = 2.0 * cloud.rounding / np.tan(np.radians(0.5 * FIELD_OF_VIEW_DEG))
                 dots = three.dots_material(look.color, float(wide))

@@ -43,9 +43,6 @@ SAME = 1e-9
 #: Fraction of the deviation that leaving out waypoints may take.
 THINNING = 0.25
 
-#: Largest fraction of a segment that the rounding of a corner at one of its ends takes.
-SEGMENT_SHARE = 0.4
-
 
 def rounded_path(waypoints: ArrayLike, deviation_rad: float) -> SplinePath:
     r"""The polyline through waypoints with its corners rounded (see the module's text).
@@ -78,8 +75,10 @@ def rounded_path(waypoints: ArrayLike, deviation_rad: float) -> SplinePath:
     length = np.linalg.norm(np.diff(points, axis=0), axis=1)
     station = np.concatenate([[0.0], np.cumsum(length)])
     bend = np.linalg.norm(np.diff(np.diff(points, axis=0) / length[:, None], axis=0), axis=1)
+    # Largest fraction of a segment that the rounding of a corner at one of its ends takes.
+    segment_share = 0.4
     half = np.minimum(
-        SEGMENT_SHARE * np.minimum(length[:-1], length[1:]),
+        segment_share * np.minimum(length[:-1], length[1:]),
         6.0 * (1.0 - THINNING) * deviation_rad / np.maximum(bend, 1e-12),
     )
     inner = (station[1:-1, None] + half[:, None] * np.array([-1.0, 0.0, 1.0])).ravel()

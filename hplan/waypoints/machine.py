@@ -31,8 +31,6 @@ from hplan.robot.urdf_xml import read_urdf_xml
 #: End of a continuous joint's range [rad].
 ENDLESS = 1e9
 
-_MOVABLE = ("revolute", "prismatic", "continuous")
-
 
 @dataclass(frozen=True, eq=False)
 class Machine(Record):
@@ -82,13 +80,14 @@ def read_machine(
     elements = {name: joint for name, joint in joints_of.items() if joint.kind != "fixed"}
     tied = _tied(elements)
     moving = [name for name in elements if name not in tied] if joints is None else list(joints)
+    movable = ("revolute", "prismatic", "continuous")
     for name in [*moving, *hold]:
         if name not in elements:
             raise InputError(f"robot file {path}: there is no joint {name!r} that moves", path=str(path), joint=name)
         if name in tied and name in moving:
             raise _immovable(path, name, "moved", f"it and {tied[name]!r} move as one (mimic)")
         kind = elements[name].kind
-        if kind not in _MOVABLE:
+        if kind not in movable:
             raise _immovable(
                 path, name, "moved or held", f"it is {kind}; revolute, prismatic and continuous joints can"
             )

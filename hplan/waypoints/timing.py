@@ -35,9 +35,6 @@ DEVIATION = math.radians(1.0)
 #: Grid points for half of a rounded corner: the fewest and the most; many corners have to share `MOST_POINTS`.
 CORNER_POINTS, MOST_POINTS = (10, 100), 60_000
 
-#: The same between two corners.
-STRAIGHT_POINTS = (10, 60)
-
 #: Use of a limit from which on a joint counts as the one that holds the motion back.
 AT_LIMIT = 0.99
 
@@ -148,7 +145,9 @@ def corner_grid(path: SplinePath) -> FloatArray:
     each = MOST_POINTS // (3 * max(corners, 1))
     even = np.linspace(0.0, 1.0, int(np.clip(each, *CORNER_POINTS)) + 1)
     # Between corners, and from and to rest, dense at the ends; with no corner as many as for any path.
-    count = int(np.clip(each, *STRAIGHT_POINTS)) if corners else timing.GRID_POINTS
+    # Grid points between two corners.
+    straight_points = (10, 60)
+    count = int(np.clip(each, *straight_points)) if corners else timing.GRID_POINTS
     eased = 0.5 * (1.0 - np.cos(np.linspace(0.0, np.pi, count)))
     # Pieces come in threes: straight, into the corner, out of it.
     parts = [

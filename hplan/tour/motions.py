@@ -10,8 +10,8 @@ All fruits stay obstacles all along, also those that would have been picked by t
 From a hub (the start, or the drop-off where there is one) a motion to every fruit is shown; where no direct motion is
 found between two places, the arm moves by others.
 
-Once the tour is found, motions flow: where that is quicker, the arm does not stop at stand-offs. The order is found by
-durations with stops.
+Once the tour is found, motions are blended: where that is quicker, the arm does not stop at stand-offs. The order is
+found by durations with stops.
 
 What is carried to a drop-off is in the arm's way from the stand-off before a fruit to the drop-off, with the thickness
 of the thickest fruit (`hplan.tour.carried`). The motions of the empty arm are planned as it is.
@@ -118,8 +118,8 @@ class Motions:
         self._targets: list[Target] = []
         self._active: list[list[int]] = []
         self._picks: dict[int, Move] = {}
-        self._passings: dict[int, Pick] = {}
-        self._flows: dict[tuple[int | None, ...], Flow | None] = {}
+        self._non_stops: dict[int, Pick] = {}
+        self._blended: dict[tuple[int | None, ...], Flow | None] = {}
         self._sought = 0
         if drop is not None and self._home != self._hub:
             self._moves.keep(self._home, self._hub, False, [drop.transit])
@@ -229,7 +229,7 @@ class Motions:
             steps.append([("return", (self._end(visits), self._home, 0))])
         legs = [[motion for name, step in leg for motion in self._motions_of(name, step)] for leg in steps]
         for group in legs if stops else [[motion for leg in legs for motion in leg]]:
-            self._flow(group)
+            self._blend(group)
         return [(*name, [motion.part for motion in leg]) for name, leg in zip(names, legs, strict=True)]
 
     def _motions_of(self, name: str, step: tuple[int, ...]) -> list[_Motion]:
@@ -240,7 +240,7 @@ class Motions:
         path = self._moves.path(step[0], step[1], bool(step[2])) or []
         return [_Motion(part, (*ends, step[2])) for part, ends in zip(parts, pairwise(path), strict=True)]
 
-    def _flow(self, motions: Sequence[_Motion]) -> None:
+    def _blend(self, motions: Sequence[_Motion]) -> None:
         """Take motions without stops at stand-offs in place of those with stops, where they are quicker."""
         for number, motion in enumerate(motions):
             if len(motion.step) == 1:
@@ -250,35 +250,35 @@ class Motions:
             leaving = None if before is None else before.place_of("retreat")
             coming = None if after is None else after.place_of("approach")
             key = *motion.step, leaving, coming
-            if key not in self._flows:
-                self._flows[key] = self._flowing(motion, leaving, coming)
-            flow = self._flows[key]
-            if flow is None:
+            if key not in self._blended:
+                self._blended[key] = self._blend_at(motion, leaving, coming)
+            blended = self._blended[key]
+            if blended is None:
                 continue
-            motion.part = flow.transit._replace(name=motion.part.name)
-            if before is not None and flow.retreat is not None:
-                before.part = flow.retreat
-            if after is not None and flow.approach is not None:
-                after.part = flow.approach
+            motion.part = blended.transit._replace(name=motion.part.name)
+            if before is not None and blended.retreat is not None:
+                before.part = blended.retreat
+            if after is not None and blended.approach is not None:
+                after.part = blended.approach
 
-    def _flowing(self, motion: _Motion, leaving: int | None, coming: int | None) -> Flow | None:
-        """A motion that flows out of the retreat from a place, or into the approach to one; None for stops."""
+    def _blend_at(self, motion: _Motion, leaving: int | None, coming: int | None) -> Flow | None:
+        """A motion blended with the retreat from a place, or with the approach to one; None for stops."""
         if leaving is None and coming is None:
             return None
         with suppress(*NO_MOTION):
             a, b, loaded = motion.step
             task = self._moves.task(a, b, bool(loaded))
             return flowing(
-                task, motion.part, *(None if place is None else self._passing(place) for place in (leaving, coming))
+                task, motion.part, *(None if place is None else self._non_stop(place) for place in (leaving, coming))
             )
         return None
 
-    def _passing(self, place: int) -> Pick:
+    def _non_stop(self, place: int) -> Pick:
         """The approach to a place, as it may be in motion at the stand-off."""
-        if place not in self._passings:
+        if place not in self._non_stops:
             target = self._targets[bisect(self._begin, place) - 1]
-            self._passings[place] = Pick(self._context, target, self._grasps[place], self._pick(place).parts[0])
-        return self._passings[place]
+            self._non_stops[place] = Pick(self._context, target, self._grasps[place], self._pick(place).parts[0])
+        return self._non_stops[place]
 
     def end(self, visits: Visits) -> Stop:
         """The end of a tour's last leg."""

@@ -19,7 +19,7 @@ from hplan.verification.certificate import Certificate
 class Leg(Record):
     """A part of a tour: to a fruit and, where it is next, to the drop-off; or back to the start.
 
-    It is at rest at both ends but where the retreat from a fruit flows into the next leg.
+    It is at rest at both ends but where the retreat from a fruit is blended with the next leg.
 
     Attributes:
         fruit: Name of the fruit; None for the leg back.

@@ -82,7 +82,7 @@ class Proof:
     Attributes:
         outcome: Whether it is shown, or why not: a pair comes too near, more than the stated number of checks would be
             needed, or the motion is too fast or too long for its travel to be bounded.
-        clearance_m: The clearance shown; else the smallest that was found, less the sway by tracking errors [m].
+        clearance_m: The clearance shown; else the smallest found, less the displacement by tracking errors [m].
         nearest: The nearest pair that was seen, and its distance; None without pairs.
         checks: Configurations at which distances were evaluated.
         end: Place up to which it was shown, or from which on travel is not bounded, counted in pieces.

@@ -102,12 +102,12 @@ class Tally:
 
 def run_case(seed: int, number: int) -> Tally:
     """One arm, and its worlds."""
-    _warm_up()
+    warm_up()
     return _run_case(seed, number)
 
 
 @functools.cache
-def _warm_up() -> None:
+def warm_up() -> None:
     """Load kernels, which would count as time in which a motion is looked for."""
     global patience_s
     kept, patience_s = patience_s, 60.0

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from studies.validation.arms import DrawnArm, draw_arm
-from studies.validation.episodes import Tally, impatient
+from studies.validation.arms import NAMED, DrawnArm, draw_arm
+from studies.validation.episodes import Tally, impatient, warm_up
 from studies.validation.judge import STANDS_M, Motion, Thing, distance
 from studies.validation.random_scenes import direction
 from studies.validation.worlds import World, draw_ends, obstacle
@@ -30,6 +30,7 @@ _EACH = 4
 
 def graze(seed: int, number: int) -> Tally:
     """One motion of a random arm among nothing, and obstacles put beside it."""
+    warm_up()
     rng, tally = np.random.default_rng([seed, number, 9]), Tally()
     with tempfile.TemporaryDirectory() as name:
         try:
@@ -45,8 +46,8 @@ def graze(seed: int, number: int) -> Tally:
             return tally
         motion = Motion.read(write_csv(found.trajectory, Path(name) / "motion.csv"))
         for count in range(_EACH):
-            # Links of the planar family stand for capsules, which are wider than what a URDF says.
-            grazes = count % 2 == 0 or drawn.robot.planar is not None
+            # Links of the planar family stand for capsules, and meshes for convex pieces, which are wider.
+            grazes = count % 2 == 0 or drawn.robot.planar is not None or drawn.kind in NAMED
             gap = -math.exp(rng.uniform(*np.log(DEPTHS))) if grazes else math.exp(rng.uniform(*np.log(GAPS)))
             placed = _placed(drawn, motion, rng, gap)
             if placed is None:

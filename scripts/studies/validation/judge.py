@@ -1,8 +1,8 @@
 r"""Contact along a motion, found by Pinocchio and coal alone; of hplan's code nothing is used.
 
-Bodies come from the URDF (meshes by their hulls), obstacles from the numbers of a scene, configurations from the rows
-of a CSV. Obstacles and base are placed by their tracks, as the scene's documentation describes them. Clouds are balls
-about the points handed in: all that were there, not what a filter has left of them.
+Bodies come from the URDF (meshes by their triangles), obstacles from the numbers of a scene, configurations from the
+rows of a CSV. Obstacles and base are placed by their tracks, as the scene's documentation describes them. Clouds are
+balls about the points handed in: all that were there, not what a filter has left of them.
 
 A motion is looked at every `TICK_S`. Ticks at which two bodies cannot touch are skipped: where they are farther apart
 at one tick than both can travel until another, they do not touch there. A body travels at most
@@ -37,6 +37,9 @@ CONTACT_M = 1e-6
 #: What does not move may stand in the ground, or carry something, by this much [m].
 STANDS_M = 1e-3
 
+#: Of triangles that cut triangles coal does not know how deep: told is this [m].
+CUT_M = 2e-3
+
 #: Random configurations at all of which a pair of bodies touches that is left out.
 ALWAYS = 300
 
@@ -44,7 +47,7 @@ ALWAYS = 300
 _FAR = 0.1
 
 #: A mesh whose volume is that of its hull, up to this part, is taken for convex.
-_CONVEX = 1e-6
+_CONVEX = 1e-4
 
 
 @dataclass(frozen=True)
@@ -182,12 +185,13 @@ def things_of(items: Sequence[Mapping[str, Any]]) -> list[Thing]:
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """A body of the arm: shape, the joint that carries it, its link, and the box about it in its own frame."""
+    """A body of the arm: shape and its hull, the joint that carries it, its link, the box about it in its frame."""
 
     name: str
     link: str
     joint: int
     shape: Any
+    hull: Any
     place: pin.SE3
     middle: FloatArray
     half: FloatArray
@@ -237,15 +241,20 @@ class Arm:
         self.last_joint = self.carrier(self.model.frames[self.model.getFrameId(tool_frame)].parentJoint)
 
     def _body(self, geometry: pin.GeometryObject) -> Body:
-        shape = geometry.geometry
+        hull = shape = geometry.geometry
         if isinstance(shape, coal.BVHModelBase):
-            shape.buildConvexHull(True, "Qt")
-            shape = shape.convex
+            corners = (shape.tri_indices(number) for number in range(shape.num_tris))
+            vertices = np.array(shape.vertices())
+            faces = np.array([[three[k] for k in range(3)] for three in corners])
+            hull, shape = _hull(vertices), _solid(vertices, faces)
+            hull = shape if isinstance(shape, coal.ConvexBase) else hull
         shape.computeLocalAABB()
         low, high = np.array(shape.aabb_local.min_), np.array(shape.aabb_local.max_)
         link = self.model.frames[geometry.parentFrame].name
         place = pin.SE3(geometry.placement)
-        return Body(geometry.name, link, geometry.parentJoint, shape, place, 0.5 * (low + high), 0.5 * (high - low))
+        return Body(
+            geometry.name, link, geometry.parentJoint, shape, hull, place, 0.5 * (low + high), 0.5 * (high - low)
+        )
 
     def _put(self, q: FloatArray, name: str, values: FloatArray) -> None:
         joint = self.model.joints[self.model.getJointId(name)]
@@ -323,11 +332,15 @@ class Arm:
             places = self.places(q)
             for pair, most in found.items():
                 if most <= _FAR:
-                    found[pair] = max(most, self._own(pair, places))
+                    found[pair] = max(most, self.own(pair, places, _FAR))
         return found
 
-    def _own(self, pair: tuple[int, int], places: Sequence[pin.SE3]) -> float:
+    def own(self, pair: tuple[int, int], places: Sequence[pin.SE3], within: float) -> float:
+        """Distance of two bodies, or of their hulls where these are farther apart than what need be known."""
         (a, b), bodies = pair, self.bodies
+        apart = distance(bodies[a].hull, places[a], bodies[b].hull, places[b])
+        if apart > within or (bodies[a].hull is bodies[a].shape and bodies[b].hull is bodies[b].shape):
+            return apart
         return distance(bodies[a].shape, places[a], bodies[b].shape, places[b])
 
     @cached_property
@@ -349,7 +362,7 @@ class Arm:
         """Whether bodies keep so far from each other at a (joints,) configuration, or a third of what they can."""
         places = self.places(self.configurations(self.joints, values[None])[0])
         pairs = [(pair, most) for pair, most in self.farthest_apart.items() if most > 0.0]
-        return all(self._own(pair, places) > min(room_m, most / 3.0) for pair, most in pairs)
+        return all(self.own(pair, places, room_m) > min(room_m, most / 3.0) for pair, most in pairs)
 
     def clearances(self, values: FloatArray, things: Sequence[Thing], base: Moves | None, time_s: float) -> list[float]:
         """(things,) least distance from each obstacle of any body [m].
@@ -389,6 +402,9 @@ class Arm:
         """
         body = self.bodies[number]
         if thing.points is None:
+            apart = distance(body.hull, place, thing.shape, pin.SE3(at))
+            if apart > within or body.hull is body.shape:
+                return apart
             return distance(body.shape, place, thing.shape, pin.SE3(at))
         seen = pin.SE3(at).actInv(place)  # the body in the cloud's frame
         if within < math.inf:
@@ -571,17 +587,18 @@ class _Look:
 
     def pair(self, a: int, b: int, skip: bool) -> Contact | None:
         """Two bodies of the arm."""
-        bodies, joints = self.arm.bodies, self.arm.between(a, b)
+        joints = self.arm.between(a, b)
         gone = self.turned[:, joints] @ (self.levers[a] + self.levers[b])[joints]
         apart = np.linalg.norm(self.centres[:, a] - self.centres[:, b], axis=1) - self.radii[a] - self.radii[b]
         near = apart <= self._come(gone)
         pieces = [edge for edge, each in zip(self.edges, near.tolist(), strict=True) if each or not skip]
 
-        def distance_at(tick: int, _: float) -> float:
-            places = self.places(tick)
-            return distance(bodies[a].shape, places[a], bodies[b].shape, places[b])
+        def distance_at(tick: int, within: float) -> float:
+            return self.arm.own((a, b), self.places(tick), within)
 
-        return self._search(distance_at, gone, pieces, CONTACT_M, (bodies[a].name, bodies[b].name), skip)
+        return self._search(
+            distance_at, gone, pieces, CONTACT_M, (self.arm.bodies[a].name, self.arm.bodies[b].name), skip
+        )
 
     def _search(
         self, apart: Any, gone: FloatArray, pieces: Sequence[tuple[int, int]], least: float, names: tuple[str, str],
@@ -620,9 +637,18 @@ _REQUEST, _RESULT = coal.DistanceRequest(), coal.DistanceResult()
 
 
 def distance(first: Any, at: pin.SE3, second: Any, where: pin.SE3) -> float:
-    """Signed distance of two shapes [m]."""
+    """Signed distance of two shapes [m]; triangles that cut triangles are told as `CUT_M` deep."""
     _RESULT.clear()
-    return float(coal.distance(first, _placed(at), second, _placed(where), _REQUEST, _RESULT))
+    apart = float(coal.distance(first, _placed(at), second, _placed(where), _REQUEST, _RESULT))
+    hollow = isinstance(first, coal.BVHModelBase) and isinstance(second, coal.BVHModelBase)
+    return -CUT_M if hollow and apart <= 0.0 else apart
+
+
+def _hull(vertices: FloatArray) -> Any:
+    points = coal.StdVec_Vec3s()
+    for point in vertices:
+        points.append(point)
+    return coal.Convex.convexHull(points, True, "Qt")
 
 
 def _solid(vertices: FloatArray, faces: Any) -> Any:
@@ -630,10 +656,7 @@ def _solid(vertices: FloatArray, faces: Any) -> Any:
     corners = vertices[faces]
     volume = float(np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum() / 6.0)
     if abs(volume - ConvexHull(vertices).volume) <= _CONVEX * abs(volume):
-        points = coal.StdVec_Vec3s()
-        for point in vertices:
-            points.append(point)
-        return coal.Convex.convexHull(points, True, "Qt")
+        return _hull(vertices)
     tree = coal.BVHModelOBBRSS()
     tree.beginModel(len(faces), len(vertices))
     tree.addVertices(vertices)

@@ -10,10 +10,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+import studies.validation.episodes as episodes
 import studies.validation.grazing as grazing
 from script_loader import load_script
 from studies.validation.arms import DrawnArm, draw_arm, named_arm
-from studies.validation.episodes import Tally, run_case, shifted
+from studies.validation.episodes import Episode, Tally, run_case, shifted
 from studies.validation.judge import Motion, Moves, Window, between_rows, contacts, things_of
 from studies.validation.members import CHAINS, write_chain
 from studies.validation.worlds import World, draw_ends, draw_world
@@ -143,6 +144,12 @@ def test_arms_are_read_as_hplan_reads_them(tmp_path: Path) -> None:
             np.testing.assert_allclose(at, tool(drawn, q), atol=1e-9)
 
 
+def test_held_fingers_are_of_the_tool() -> None:
+    panda = named_arm("panda").arm
+    of_tool = {body.link for body in panda.bodies if panda.carrier(body.joint) == panda.last_joint}
+    assert of_tool == {"panda_link7", "panda_hand", "panda_leftfinger", "panda_rightfinger"}
+
+
 @pytest.mark.parametrize("kind", CHAINS)
 def test_chains_are_taken(tmp_path: Path, kind: str) -> None:
     robot = load_robot(write_chain(tmp_path, np.random.default_rng(0), kind))
@@ -183,6 +190,24 @@ def test_what_hplan_is_not_told_is_found(monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.setattr(World, "scene", elsewhere)
     tally = run_case(0, CASE)
     assert any(fault["kind"] == "plan" and fault["depth_m"] > 1e-3 for fault in tally.faults)
+
+
+@pytest.mark.parametrize("planted", [False, True])
+def test_a_cloud_that_is_placed_where_the_base_was_is_found(
+    harvester: DrawnArm, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, planted: bool
+) -> None:
+    """The planner is told of points as if the base had no shift when they were seen."""
+    for name in ("CHANGES", "STOPS"):
+        monkeypatch.setattr(episodes, name, 0)
+    monkeypatch.setattr(episodes, "patience_s", 60.0)
+    if planted:
+        monkeypatch.setattr(episodes, "seen_from_base", lambda _world, points, _time_s: points)
+    rng, tally = np.random.default_rng([77, 1]), Tally()
+    world = draw_world(harvester, rng, moving=True, camera=True)
+    assert world is not None
+    assert world.base is not None
+    Episode(harvester, world, rng, tally, tmp_path, "planted").run()
+    assert {fault["second"] for fault in tally.faults} == ({"seen"} if planted else set())
 
 
 @pytest.mark.parametrize("verified", [None, True, False])

@@ -422,7 +422,7 @@ class Arm:
             if least[k] > min(within, nearest):
                 break
             nearest = min(nearest, distance(body.shape, pin.SE3.Identity(), thing.shape, pin.SE3(np.eye(3), local[k])))
-        return max(nearest, float(least.min()))
+        return nearest if nearest < math.inf else float(least.min())
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,6 +14,7 @@ import pickle
 import tempfile
 import threading
 import time
+from array import array
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -77,7 +78,7 @@ class _Soak:
         self.clouds = [self.cloud(rng) for _ in range(CLOUDS)]
         self.frames: OrderedDict[str, int] = OrderedDict()
         self.planner = Planner(drawn.robot, world.scene(), PlanOptions(effort="quick", deadline_s=DEADLINE_S))
-        self.frame_ms: list[tuple[float, float]] = []  # on the wall, and of its thread's CPU
+        self.frame_ms = array("f")  # on the wall, and of its thread's CPU, in turn
         self.samples = 0
 
     def cloud(self, rng: np.random.Generator) -> FloatArray:
@@ -142,7 +143,7 @@ class _Soak:
         points = np.asarray((self.clouds[number] - pose[:3, 3]) @ turn)
         begin, cpu = time.perf_counter(), time.thread_time()
         self.planner.set_cloud(SEEN, points, radius=BALL_M, pose=pose)
-        self.frame_ms.append((1e3 * (time.perf_counter() - begin), 1e3 * (time.thread_time() - cpu)))
+        self.frame_ms.extend((1e3 * (time.perf_counter() - begin), 1e3 * (time.thread_time() - cpu)))
         # No other thread replaces this obstacle.
         digest = _digest(self.planner.scene)
         with self.lock:
@@ -280,14 +281,14 @@ def _digest(scene: Scene) -> str | None:
 
 def _measured(run: _Soak, memory: list[tuple[float, float]]) -> dict[str, Any]:
     """Frames and memory in numbers."""
-    frames = np.array(run.frame_ms) if run.frame_ms else np.full((1, 2), np.nan)
+    frames = np.reshape(run.frame_ms or (math.nan, math.nan), (-1, 2))
     within: dict[str, Any] = {"within 60 ms [%]": round(100.0 * float((frames[:, 0] <= 60.0).mean()), 1)}
     for share in (50, 95, 99, 100):
         within[f"frame {share} % [ms], CPU"] = tuple(np.percentile(frames, share, axis=0).round(1).tolist())
     times, held = np.array(memory).T if memory else (np.zeros(1), np.zeros(1))
     slope = float(np.polyfit(times, held, 1)[0]) * 3600.0 if len(times) > 2 else 0.0
     resident = {"memory at first [MB]": held[0], "at last [MB]": held[-1], "at most [MB]": held.max(), "MB/h": slope}
-    return {"frames": len(run.frame_ms), **within, **{name: round(float(value), 1) for name, value in resident.items()}}
+    return {"frames": len(frames), **within, **{name: round(float(value), 1) for name, value in resident.items()}}
 
 
 def _resident_mb() -> float:

@@ -12,9 +12,8 @@ from hplan.base.arrays import BoolArray, FloatArray, IntArray, Record
 from hplan.search.slice_search import SlicePaths
 
 #: Stage that found the path, or that there is none: the union of the slices between start and goal (`none`); the union
-#: of all slices; flooding, and the dense search on what it reached; a column, free in all slices between; two
-#: wavefronts over the whole grid.
-Fallback = Literal["none", "all_slices", "dense", "column", "wavefront"]
+#: of all slices; flooding, and the dense search on what it reached.
+Fallback = Literal["none", "all_slices", "dense"]
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,6 @@
 """First level: a search of its own on every slice of the last axis.
 
 A slice has a path exactly when flooding it from the start's row reaches the goal's row; only then is it searched.
-Slices of many axes take longer to search than to look at: a path found in one is taken over by all others in which it
-is free, and only the rest are searched.
 """
 
 from __future__ import annotations
@@ -21,9 +19,8 @@ from hplan.search.grid import words_for
 from hplan.search.jump_point_search import PlaneEnds, jump_slices
 from hplan.search.lattice import Lattice
 
-#: Searches one slice, given as a grid of its own, from a node to a node: the (m, d) path or None, expansions, nodes
-#: flooded.
-SliceSearch: TypeAlias = Callable[[Lattice, WordArray, IntArray, IntArray], tuple[IntArray | None, int, int]]
+#: Searches one slice, given as a grid of its own, from a node to a node: the (m, d) path or None, and expansions.
+SliceSearch: TypeAlias = Callable[[Lattice, WordArray, IntArray, IntArray], tuple[IntArray | None, int]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,8 +68,6 @@ def search_slices(
     goal: IntArray,
     slices: range,
     slice_search: SliceSearch | None = None,
-    *,
-    carried: bool = False,
 ) -> SlicePaths:
     """Search each of `slices` from the start's row to the goal's.
 
@@ -83,33 +78,19 @@ def search_slices(
         goal: (d,) node index; its last entry does not matter.
         slices: Neighbouring slices, ascending.
         slice_search: Searches one slice after the other; None searches planar slices by jump points, all in one pass.
-        carried: Let slices take over the path of one searched before, where it is free in them.
     """
     start_row, goal_row = lattice.row_of(start), lattice.row_of(goal)
     if slice_search is None:
         return _planar(lattice, free, start_row, goal_row, slices)
     flat, mask = Lattice.of(lattice.shape[:-1], lattice.step[:-1]), lattice.mask(slices)
-    inside, flooded = (free, 0) if carried else flood_slices(lattice, free, start_row, mask)
-    left = bits_of(inside[start_row] & inside[goal_row] & mask)
+    reached, flooded = flood_slices(lattice, free, start_row, mask)
     found: dict[int, IntArray] = {}
     expansions = 0
-    while left.any():
-        number = int(left.argmax())
-        left[number] = False
-        path, expanded, more = slice_search(flat, slice_words(lattice, inside, number), start[:-1], goal[:-1])
+    for number in np.flatnonzero(bits_of(reached[goal_row] & mask)).tolist():
+        path, expanded = slice_search(flat, slice_words(lattice, reached, number), start[:-1], goal[:-1])
         expansions += expanded
-        flooded += more
         if path is not None:
-            found[number] = rows = np.ravel_multi_index(tuple(path.T + 1), lattice.padded)
-            if carried:
-                taken = left & bits_of(np.bitwise_and.reduce(free[rows]))
-                found.update(dict.fromkeys(np.flatnonzero(taken).tolist(), rows))
-                left &= ~taken
-        elif inside is free:
-            # There are slices without a path: which ones is settled for all of them at once.
-            inside, more = flood_slices(lattice, free, start_row, mask)
-            flooded += more
-            left &= bits_of(inside[goal_row])
+            found[number] = np.ravel_multi_index(tuple(path.T + 1), lattice.padded)
     none = np.empty(0, dtype=np.int64)
     parts = [found.get(number, none) for number in slices]
     begins = np.concatenate([[0], np.cumsum([len(part) for part in parts])])

@@ -1,18 +1,12 @@
 """The two-level method: slice paths, their sparse union, and a search on it; complete on the grid.
 
-Planar slices are searched on their own. Slices of three and more axes (a base that turns, arms of more links) are
-two-level problems themselves: the paper's layering applied once more.
-
 Where the union of the slices between start and goal does not join the two, all slices of the grid are tried (the path
 may lead beyond). Where that fails too, the whole grid is flooded: if start and goal are connected, the dense search
-finds the path; if they are not, there is none. With four axes and more, where there would be too many slices to try, a
-column is looked for first, then two wavefronts settle it. There a path found in one slice also serves all others in
-which it is free; only slices left over are searched.
+finds the path; if they are not, there is none.
 """
 
 from __future__ import annotations
 
-import math
 import time
 from dataclasses import replace
 
@@ -21,18 +15,12 @@ from numpy.typing import ArrayLike
 from hplan.base.arguments import truth
 from hplan.base.arrays import IntArray, WordArray, frozen
 from hplan.search.astar import astar, row_bounds
-from hplan.search.column import by_column
 from hplan.search.flood import flood_from, has_bit
 from hplan.search.grid import Occupancy, checked_node
 from hplan.search.lattice import Lattice, NodeSet
 from hplan.search.restoration import union_of
-from hplan.search.result import Expansions, Fallback, SearchResult, StageTimes, path_cost
+from hplan.search.result import Expansions, Fallback, SearchResult, StageTimes
 from hplan.search.slice_search import SlicePaths, SliceSearch, search_slices
-from hplan.search.wavefront import meet
-
-#: The fallback is by wavefronts where so many nodes are connected to the start: A* on all of them takes seconds, and 50
-#: bytes for each.
-MOST_DENSE = 2_000_000
 
 
 def two_level_search(occupancy: Occupancy, start: ArrayLike, goal: ArrayLike, *, octile: bool = True) -> SearchResult:
@@ -43,8 +31,8 @@ def two_level_search(occupancy: Occupancy, start: ArrayLike, goal: ArrayLike, *,
         start: (d,) node index.
         goal: (d,) node index.
         octile: False for the searches of the paper, plain A* with the straight line as bound: on every slice that
-            has a path, then on the union. By default planar slices are searched by jump points, slices of more axes by
-            this method itself, and the union with the distances of its projection (`row_bounds`).
+            has a path, then on the union. By default planar slices are searched by jump points, others by A* with the
+            octile bound, and the union with the distances of its projection (`row_bounds`).
 
     Returns:
         The result; its path is None exactly when no path exists on the grid.
@@ -66,60 +54,38 @@ def _two_level(lattice: Lattice, free: WordArray, start: IntArray, goal: IntArra
     """The search on bordered rows; start and goal are free nodes."""
     begin = time.perf_counter()
     between = range(int(min(start[-1], goal[-1])), int(max(start[-1], goal[-1])) + 1)
-    slice_search = _slice_search(len(lattice.shape) - 1, octile=octile)
-    # Axes from which on the fallback is by wavefronts.
-    many_axes = 4
-    many = len(lattice.shape) >= many_axes
-    layers = search_slices(lattice, free, start, goal, between, slice_search, carried=octile and many)
+    slice_search = None if octile and len(lattice.shape) == 3 else _slice_search(octile=octile)
+    layers = search_slices(lattice, free, start, goal, between, slice_search)
     layers_done = time.perf_counter()
     path, cost, expanded, restored, size = _join(lattice, free, layers, start, goal, octile=octile)
     sparse_done = time.perf_counter()
 
     counts = Expansions(layers.expansions, expanded, 0, layers.flooded)
     fallback: Fallback = "none"
-    if path is None and many and slice_search is not None:
-        fallback = "column"
-        path, expanded, flooded = by_column(lattice, free, start, goal, slice_search)
-        counts = counts.with_fallback(expanded, flooded)
-        if path is None:
-            fallback = "wavefront"
-            fronts = meet(lattice, free, start, goal)
-            path, counts = fronts.path, counts.with_fallback(0, fronts.flooded)
-        cost = math.inf if path is None else path_cost(path, lattice.step)
-    elif path is None and len(between) < lattice.shape[-1]:
+    if path is None and len(between) < lattice.shape[-1]:
         fallback = "all_slices"
         layers = search_slices(lattice, free, start, goal, range(lattice.shape[-1]), slice_search)
         path, cost, expanded, restored, size = _join(lattice, free, layers, start, goal, octile=octile, beyond=True)
         counts = counts.with_fallback(layers.expansions + expanded, layers.flooded)
-    if path is None and not many:
+    if path is None:
         fallback = "dense"
         reached, flooded = flood_from(lattice, free, start)
         counts = counts.with_fallback(0, flooded)
-        if has_bit(reached, *lattice.node(goal)) and octile and flooded > MOST_DENSE:
-            fallback = "wavefront"
-            path = meet(lattice, free, start, goal).path
-            cost = math.inf if path is None else path_cost(path, lattice.step)
-        elif has_bit(reached, *lattice.node(goal)):
+        if has_bit(reached, *lattice.node(goal)):
             path, cost, expanded = astar(lattice, NodeSet.of(reached), start, goal, octile=octile)
             counts = counts.with_fallback(expanded, 0)
     times = StageTimes(layers_done - begin, sparse_done - layers_done, time.perf_counter() - sparse_done)
     return SearchResult(path, cost, counts, times, layers, restored, size, fallback)
 
 
-def _slice_search(axes: int, *, octile: bool) -> SliceSearch | None:
-    """The search for slices of this many axes; None for planar slices by jump points."""
-    if octile and axes == 2:
-        return None
+def _slice_search(*, octile: bool) -> SliceSearch:
+    """A* on one slice."""
 
-    def plain(lattice: Lattice, free: WordArray, start: IntArray, goal: IntArray) -> tuple[IntArray | None, int, int]:
+    def search(lattice: Lattice, free: WordArray, start: IntArray, goal: IntArray) -> tuple[IntArray | None, int]:
         path, _, expansions = astar(lattice, NodeSet.of(free), start, goal, octile=octile)
-        return path, expansions, 0
+        return path, expansions
 
-    def nested(lattice: Lattice, free: WordArray, start: IntArray, goal: IntArray) -> tuple[IntArray | None, int, int]:
-        found = _two_level(lattice, free, start, goal, octile=octile)
-        return found.path, found.expansions.total, found.expansions.flooded
-
-    return nested if octile and axes > 2 else plain
+    return search
 
 
 def _join(

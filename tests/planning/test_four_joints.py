@@ -150,7 +150,7 @@ def test_no_path_whatever_the_yaw(robot: Robot, enclosed: str, step_deg: float) 
             FOLDED, Goal(fruit="apple"), [post("trunk", 47.0, 1.5, 0.0, 2.5)], fruits=(APPLE, fruit("b", 36, 1.3, 1.7))
         ),
     ],
-    ids=["direct", "column", "wavefront", "fruit"],
+    ids=["direct", "post", "bar", "fruit"],
 )
 def test_same_input_same_output(robot: Robot, scene: Scene) -> None:
     first, second = plan(robot, scene, COARSE), plan(robot, Scene(**vars(scene)), COARSE)

@@ -31,8 +31,7 @@ def check(free: BoolArray, start: IntArray, goal: IntArray, step: FloatArray, *,
             assert_path(free, result.path, start, goal)
             assert path_cost(result.path, step) == pytest.approx(result.cost, abs=1e-9)
 
-    # Each slice: a path exactly where there is one, and a shortest unless the slice is a two-level problem itself.
-    nested = octile and free.ndim > 3
+    # Each slice: a path exactly where there is one, and a shortest.
     expected = slice_paths(free, start, goal, step)
     own = {number: path for number, path in two_level.slice_paths.items() if number in expected}
     assert own.keys() == expected.keys()
@@ -41,7 +40,7 @@ def check(free: BoolArray, start: IntArray, goal: IntArray, step: FloatArray, *,
         assert_path(free, path, *ends)
     for number, path in own.items():
         cost, least = path_cost(path, step), path_cost(expected[number], step)
-        assert cost >= least - 1e-9 if nested else cost == pytest.approx(least, abs=1e-9)
+        assert cost == pytest.approx(least, abs=1e-9)
     assert two_level.layers is not None
     searched = range(two_level.layers.first, two_level.layers.first + len(two_level.layers.begins) - 1)
     connected = slices_with_path(space, start, goal)

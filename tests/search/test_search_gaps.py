@@ -107,16 +107,3 @@ def test_paths_exist_in_some_slices_but_do_not_join() -> None:
     assert result.path is not None
     assert result.slice_paths.keys() == {5}
     assert result.fallback == "dense"
-
-
-@pytest.mark.parametrize("octile", [True, False])
-def test_large_regions_are_searched_by_wavefronts(octile: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Not for the searches of the paper; and whether there is a path is shown all the same."""
-    monkeypatch.setattr("hplan.search.two_level.MOST_DENSE", 100)
-    free = walled((2, range(5)), (4, range(5, 10)))
-    result = search(free, [0, 0, 0], [6, 5, 9], octile=octile)
-    assert result.path is not None
-    assert result.fallback == ("wavefront" if octile else "dense")
-    assert result.expansions.flooded > 100
-    free[3] = False
-    assert search(free, [0, 0, 0], [6, 5, 9], octile=octile).path is None

@@ -47,8 +47,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _near_command(word: str) -> str | None:
-    """The command that a word is nearly, where it is no scene."""
-    if word in shipped_scenes() or os.path.lexists(word):
+    """The command that a word is nearly, where it is neither an option nor a scene."""
+    if word.startswith("-") or word in shipped_scenes() or os.path.lexists(word):
         return None
     return next(iter(difflib.get_close_matches(word, COMMANDS, 1)), None)
 

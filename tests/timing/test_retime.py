@@ -44,7 +44,7 @@ def smooth_limits(limits):
 
 @pytest.fixture(scope="module")
 def reference_path(robot, scene):
-    return plan(robot, scene, PlanOptions(effort="quick")).path
+    return SplinePath.through(plan(robot, scene, PlanOptions(effort="quick")).trajectory.position[::40])
 
 
 def straight(start, end, count=5):

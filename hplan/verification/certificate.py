@@ -36,6 +36,7 @@ import numpy as np
 from hplan.base import ties
 from hplan.base.arguments import instance, number, one_of, truth
 from hplan.base.arrays import FloatArray
+from hplan.base.units import FARTHEST_JOINT
 from hplan.collision.coal_scene import CoalScene, Contact, base_contacts
 from hplan.errors import MovingObstacleError
 from hplan.robot.base_shapes import BASE_DEPTH
@@ -185,7 +186,8 @@ def certify(
     one_of("goal_contact", goal_contact, GOAL_CONTACTS)
     number("begin_s", begin_s, "a finite number of seconds")
     check_joints(trajectory, robot)
-    bezier, _ = cubic_pieces(trajectory)
+    # Joints beyond that are over every limit, wherever the tool would be.
+    bezier = np.clip(cubic_pieces(trajectory)[0], -FARTHEST_JOINT, FARTHEST_JOINT)
     contact, violations, fruit = None, list[str](), None
     if checker is None:
         checker, fruit = checker_in_time(robot, scene, sigmas), scene.goal_fruit
@@ -245,7 +247,8 @@ def base_violations(
         trajectory: The motion; the turret is taken as it stands where it begins.
         begin_s: When it begins, as the tracks of the scene count it [s].
     """
-    yaw, still = robot.yaw_of(trajectory.position[0]), scene.listed_solids
+    first = np.clip(trajectory.position[0], -FARTHEST_JOINT, FARTHEST_JOINT)
+    yaw, still = robot.yaw_of(first), scene.listed_solids
     if checker.moving is not None:
         still = tuple(solid for number, solid in enumerate(still) if number not in checker.moving.numbers)
         yield from moving_base_contacts(robot, checker.moving, yaw, begin_s, begin_s + trajectory.duration)

@@ -71,7 +71,7 @@ hplan --help lists the other commands.
 
 STAGE_WORDS = {
     "grasps": "finding grasps",
-    "roadmap": "looking for a quick path",
+    "trees": "looking for a quick path",
     "cspace": "computing the C-space",
     "search": "searching slices and sparse graph",
     "postprocess": "smoothing the path",

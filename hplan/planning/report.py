@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 #: Stages of a plan, in order.
 STAGES = (
-    "grasps", "roadmap", "cspace", "layers", "sparse", "fallback", "postprocess", "timing", "certificate", "bound",
+    "grasps", "trees", "cspace", "layers", "sparse", "fallback", "postprocess", "timing", "certificate", "bound",
     "export",
 )  # fmt: skip
 

@@ -92,7 +92,7 @@ def _of_trees(
     if not _may_sample(task):
         return []
     margin, velocity = 0.1 * task.margin(), task.robot.velocity_limit
-    with task.stage("roadmap"):
+    with task.stage("trees"):
         return promising_paths(task.problem, task.field, velocity, margin, effort, known, grown)
 
 
@@ -128,6 +128,6 @@ def tree_path_to_any(tasks: Sequence[PlanningTask], effort: TreeEffort) -> tuple
     """The number of whichever goal a pair of trees reaches, and the path as found; None where they reach none."""
     goals, first = np.array([task.problem.goal for task in tasks]), tasks[0]
     margin = 0.1 * min(task.margin() for task in tasks)
-    with first.stage("roadmap"):
+    with first.stage("trees"):
         path, _ = tree_path(first.problem, first.field, first.robot.velocity_limit, margin, effort, goals=goals)
     return None if path is None else (int((goals == path[-1]).all(axis=1).argmax()), path)

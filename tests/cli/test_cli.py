@@ -213,7 +213,7 @@ def test_summary_fits_80_columns(run: Run, capsys: pytest.CaptureFixture[str], m
         *("certificate", "time", "files"),
     ]
     # Nothing was wrapped: only the stage times go on in a second and third line.
-    assert [line.split()[0] for line in lines if line.startswith(" ") and line.strip()] == ["roadmap", "postprocess"]
+    assert [line.split()[0] for line in lines if line.startswith(" ") and line.strip()] == ["trees", "postprocess"]
     assert err == ""
 
 

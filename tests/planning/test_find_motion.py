@@ -197,4 +197,4 @@ def test_stages_are_announced_in_order(robot: Robot) -> None:
     seen: list[str] = []
     found = replace(posed(robot, task(BELOW, ABOVE, BAR), OPTIONS), progress=seen.append)
     find_motion([found])
-    assert seen == ["roadmap", "postprocess", "timing", "certificate"]
+    assert seen == ["trees", "postprocess", "timing", "certificate"]

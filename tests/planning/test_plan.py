@@ -66,7 +66,7 @@ def test_reference_scene(robot: Robot, scene: Scene) -> None:
     stages: list[str] = []
     result = plan(robot, scene, progress=stages.append)
     assert_sound(robot, scene, result)
-    assert stages == ["cspace", "search", "roadmap", "postprocess", "timing", "certificate"]
+    assert stages == ["cspace", "search", "trees", "postprocess", "timing", "certificate"]
     assert result.occupancy.occupied_count == 128_891
     assert math.degrees(result.search.cost) == pytest.approx(145.2149523784, abs=1e-9)
     assert result.grid_path.shape == (107, 4)

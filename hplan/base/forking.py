@@ -39,8 +39,12 @@ def _release() -> None:
 
 def _renew() -> None:
     _release()
-    # Before Python 3.12 a cached property is computed under a lock, one for all objects.
+    # Before Python 3.12 a cached property is computed under a lock, one for all objects. What is frozen is not listed.
+    was_frozen = gc.get_freeze_count() > 0
+    gc.unfreeze()
     computing = [each.__dict__.get("lock") for each in gc.get_objects() if type(each) is cached_property]
+    if was_frozen:
+        gc.freeze()
     for lock in (*_RENEWED, *computing):
         if lock is not None:
             lock._at_fork_reinit()

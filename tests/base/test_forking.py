@@ -86,7 +86,11 @@ class _Slow:
 
 
 @pytest.mark.skipif(not hasattr(_Slow.__dict__["value"], "lock"), reason="cached properties have no locks any more")
-def test_while_another_thread_computes_a_cached_property() -> None:
+@pytest.mark.parametrize("is_frozen", [False, True])
+def test_while_another_thread_computes_a_cached_property(is_frozen: bool) -> None:
+    """Whether what is there is frozen for the collector or not, as it is once kernels are loaded ahead."""
+    if is_frozen:
+        gc.freeze()
     with elsewhere(_Slow.__dict__["value"].lock):
         assert child_works(lambda: _Slow().value)
 

@@ -27,7 +27,7 @@ def problem(robot):
     field = ClearanceField.of(robot, [Sphere(name="ball", center=(1.6, 0.0, 1.6), radius=0.25).solids[0]])
     options = PostprocessOptions(
         lower=robot.lower, upper=robot.upper, velocity=robot.velocity_limit, acceleration=robot.acceleration_limit,
-        movable=np.arange(4), margin=2e-3, objective="duration",
+        movable=np.arange(4), margin=2e-3,
     )  # fmt: skip
     limits = Limits(robot.velocity_limit, robot.acceleration_limit, robot.torque_limit, robot.jerk_limit)
     return TimeProblem(field, field, options, limits, robot.dynamics, 250.0)

@@ -287,22 +287,14 @@ def test_enclosed_goals_are_those_to_which_no_route_is_found(robot: Robot, seed:
             assert component is None
 
 
-def test_one_flood_decides_for_all_in_a_pocket(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_path_to_any_in_a_pocket(robot: Robot) -> None:
     bars = frame_about_upper_arm(60.0, 20.0)
     scenes = [task((0.0, 70.0, 20.0, 20.0), (60.0, 20.0, wrist, 20.0), bars) for wrist in (20.0, 30.0, 40.0, 50.0)]
     tasks = [posed(robot, scene, PlanOptions(step_deg=3.0)) for scene in scenes]
     assert all(isinstance(error, NoPathError) for error in without_path(tasks))
-    steps: list[float] = []
-
-    def counted(task: Any, attempt: GridAttempt, margin: float) -> Any:
-        steps.append(task.step_deg(attempt))
-        return find_route(task, attempt, margin)
-
-    monkeypatch.setattr("hplan.planning.find_motion.find_route", counted)
     with pytest.raises(NoPathError) as caught:
         find_motion(tasks)
     assert caught.value.goals == 4
-    assert steps.count(3.0) == 1
 
 
 def test_more_yaws_may_open_what_is_closed_over_few(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation, Slerp
 from shapes import crate, distances, uncovered
@@ -279,6 +279,7 @@ def test_no_point_is_faster_than_the_bound(own, base):
     assert (moved <= np.diff(travel) + 1e-9).all()
 
 
+@settings(max_examples=12)  # a second each: what is meshed is meshed anew
 @given(st.floats(-50.0, 50.0), st.lists(st.floats(-60.0, 60.0), min_size=1, max_size=4))
 def test_a_scene_by_another_clock_is_where_it_was(zero, clock):
     """Before, within and after the tracks, of either sign."""

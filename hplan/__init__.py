@@ -9,20 +9,21 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from hplan.base.lazy_import import lazy_names
+from hplan.base.moved import find_moved_modules
 
 if TYPE_CHECKING:
+    from hplan.certificate.certificate import Certificate, certify
     from hplan.errors import HplanError
-    from hplan.finishing.finish import finish
     from hplan.online.planner import Planner
+    from hplan.planning.finishing.finish import finish
+    from hplan.planning.options import PlanOptions
     from hplan.planning.plan import PlanResult, plan
-    from hplan.problem.options import PlanOptions
     from hplan.robot.model import Robot, load_robot
     from hplan.scene.file import load_scene, save_scene
     from hplan.scene.model import Scene
-    from hplan.timing.trajectory import Trajectory, read_csv, write_csv
     from hplan.tour.result import TourResult
     from hplan.tour.tour import TourOptions, plan_tour
-    from hplan.verification.certificate import Certificate, certify
+    from hplan.trajectory.trajectory import Trajectory, read_csv, write_csv
 
 __version__ = "0.1.0"
 
@@ -51,27 +52,29 @@ __all__ = [
 __getattr__ = lazy_names(
     __name__,
     {
-        "Certificate": "hplan.verification.certificate",
+        "Certificate": "hplan.certificate.certificate",
         "HplanError": "hplan.errors",
-        "PlanOptions": "hplan.problem.options",
+        "PlanOptions": "hplan.planning.options",
         "PlanResult": "hplan.planning.plan",
         "Planner": "hplan.online.planner",
         "Robot": "hplan.robot.model",
         "Scene": "hplan.scene.model",
         "TourOptions": "hplan.tour.tour",
         "TourResult": "hplan.tour.result",
-        "Trajectory": "hplan.timing.trajectory",
-        "certify": "hplan.verification.certificate",
-        "finish": "hplan.finishing.finish",
+        "Trajectory": "hplan.trajectory.trajectory",
+        "certify": "hplan.certificate.certificate",
+        "finish": "hplan.planning.finishing.finish",
         "load_robot": "hplan.robot.model",
         "load_scene": "hplan.scene.file",
         "plan": "hplan.planning.plan",
         "plan_tour": "hplan.tour.tour",
-        "read_csv": "hplan.timing.trajectory",
+        "read_csv": "hplan.trajectory.trajectory",
         "save_scene": "hplan.scene.file",
-        "write_csv": "hplan.timing.trajectory",
+        "write_csv": "hplan.trajectory.trajectory",
     },
 )
+
+find_moved_modules()
 
 
 def __dir__() -> list[str]:

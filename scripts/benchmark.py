@@ -13,9 +13,9 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hplan.cli.job_folder import prepare_folder
-from hplan.cli.options import add_robot, command_parser, robot_of
-from hplan.cli.terminal import FAILED, run_command
+from hplan.apps.cli.job_folder import prepare_folder
+from hplan.apps.cli.options import add_robot, command_parser, robot_of
+from hplan.apps.cli.terminal import FAILED, run_command
 from hplan.errors import InputError, OptionError
 
 if TYPE_CHECKING:

@@ -3,7 +3,7 @@
 import sys
 from functools import partial
 
-from hplan.cli.main import run_subcommand
+from hplan.apps.cli.main import run_subcommand
 
 main = partial(run_subcommand, "tour", "plan_tour.py")
 

@@ -4,9 +4,9 @@
 The paper plans for a three-link arm among one disc: analytic C-space (equations 1-3), a 2-D A* in every theta3 slice,
 connectivity restoration, and a second A* on the sparse union. Three searches are run here:
 
-- *dense*: A* on all 753,571 nodes, `hplan.search.dense_search`;
+- *dense*: A* on all 753,571 nodes, `hplan.grid.dense_search`;
 - *plain*: the two levels to the letter of the paper, written out in a page of plain code (`studies.paper.plain`);
-- *hplan*: `hplan.search.two_level_search`, which floods before it searches, restores on both sides and is complete on
+- *hplan*: `hplan.grid.two_level_search`, which floods before it searches, restores on both sides and is complete on
   the grid; once with plain A* and the paper's straight-line bound, once as it is by default.
 
 Each figure has the number and the subject of the paper's; the layout is our own. What the paper's text leaves open, the
@@ -27,10 +27,10 @@ from typing import TYPE_CHECKING
 if __name__ == "__main__":  # runs from a checkout too
     sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from hplan.apps.cli.job_folder import prepare_folder
+from hplan.apps.cli.options import command_parser
+from hplan.apps.cli.terminal import FAILED, progress_line, run_command
 from hplan.base.files import replacing
-from hplan.cli.job_folder import prepare_folder
-from hplan.cli.options import command_parser
-from hplan.cli.terminal import FAILED, progress_line, run_command
 from hplan.errors import OptionError
 
 if TYPE_CHECKING:
@@ -66,7 +66,7 @@ def _run(options: argparse.Namespace, console: Console, errors: Console) -> int:
     """Measure, draw and write what was asked for."""
     if options.scenes < 0:
         raise OptionError("--scenes", options.scenes, "0 or more")
-    from hplan.view.figure_style import png_bytes, require_matplotlib
+    from hplan.apps.view.figure_style import png_bytes, require_matplotlib
 
     if not options.no_figures:
         require_matplotlib()

@@ -11,9 +11,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hplan.cli.job_folder import prepare_folder
-from hplan.cli.options import add_robot, add_scene, command_parser, robot_of
-from hplan.cli.terminal import FAILED, run_command
+from hplan.apps.cli.job_folder import prepare_folder
+from hplan.apps.cli.options import add_robot, add_scene, command_parser, robot_of
+from hplan.apps.cli.terminal import FAILED, run_command
 from hplan.errors import OptionError, OutputError
 
 if TYPE_CHECKING:

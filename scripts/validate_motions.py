@@ -10,9 +10,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hplan.cli.job_folder import prepare_folder
-from hplan.cli.options import command_parser
-from hplan.cli.terminal import FAILED, run_command
+from hplan.apps.cli.job_folder import prepare_folder
+from hplan.apps.cli.options import command_parser
+from hplan.apps.cli.terminal import FAILED, run_command
 from hplan.errors import OptionError
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from toy_urdf import urdf
 from hplan.robot.model import Robot, load_robot
 from hplan.scene.file import load_scene
 from hplan.scene.model import Scene
-from hplan.waypoints.machine import read_machine
+from hplan.trajectory.machine import read_machine
 
 # The same examples in every run, and no limit on the time of one: the first compiles kernels.
 settings.register_profile("hplan", derandomize=True, deadline=None)

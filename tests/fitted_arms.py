@@ -11,11 +11,11 @@ import coal
 import numpy as np
 import pinocchio as pin
 
+from hplan.robot.family.members import write_robot
+from hplan.robot.family.spec import ArmSpec
 from hplan.robot.model import Robot, load_robot
-from hplan.robot_family.members import write_robot
-from hplan.robot_family.spec import ArmSpec
 from hplan.scene.model import Goal, Scene, Start
-from hplan.timing.trajectory import Trajectory
+from hplan.trajectory.trajectory import Trajectory
 
 LENGTHS, WIDTHS = (1.0, 0.8, 0.4), (0.05, 0.04, 0.03)
 

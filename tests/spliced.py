@@ -6,7 +6,7 @@ import numpy as np
 
 from hplan.online.splice import SplicedResult
 from hplan.planning.plan import PlanResult
-from hplan.timing.trajectory import cubic_pieces
+from hplan.trajectory.trajectory import cubic_pieces
 
 FIELDS = ("position", "velocity", "acceleration")
 

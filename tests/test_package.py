@@ -43,7 +43,7 @@ def test_wheel_holds_what_a_user_runs_and_nothing_else(project: dict[str, Any], 
         held = {name for name in archive.namelist() if ".dist-info/" not in name}
         (points,) = [archive.read(name).decode() for name in archive.namelist() if name.endswith("/entry_points.txt")]
     package = ROOT / "hplan"
-    assets = package.glob("view/assets/*.*")
+    assets = package.glob("apps/view/assets/*.*")
     files = [*package.rglob("*.py"), *package.glob("scenes/*.yaml"), *assets, package / "py.typed"]
     robots = {f"hplan/urdf/{path.name}" for path in (ROOT / "urdf").iterdir()}
     assert held == {path.relative_to(ROOT).as_posix() for path in files} | robots

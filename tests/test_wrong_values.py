@@ -13,13 +13,23 @@ import numpy as np
 import pytest
 
 import hplan
+from hplan.apps.cli.job_folder import read_report
+from hplan.apps.execution.recorded_motion import RecordedMotion, read_motion
+from hplan.apps.execution.simulation import execute
+from hplan.apps.ros import read_moveit_scene, read_planning_scene
+from hplan.apps.view.page import write_page
+from hplan.apps.view.playback import Playback
 from hplan.base.arguments import decimal
 from hplan.base.files import write_text
-from hplan.cli.job_folder import read_report
 from hplan.errors import HplanError, InputError, SceneError
-from hplan.execution.recorded_motion import RecordedMotion, read_motion
-from hplan.execution.simulation import execute
-from hplan.orchard import (
+from hplan.grid import dense_search, reachable, slices_with_path, two_level_search
+from hplan.grid.grid import Grid, Occupancy
+from hplan.robot.family.members import HARVESTER, ArmSpec, cross_check, write_robot
+from hplan.robot.tracking import TrackingModel
+from hplan.scene.file import dump_scene, parse_scene
+from hplan.scene.model import Fruit, Goal, Scene, Start
+from hplan.scene.obstacles import Box, Capsule, Cylinder, Mesh, PointCloud, Sphere
+from hplan.scene.orchard import (
     FruitZone,
     MeasuredOptions,
     OrchardOptions,
@@ -28,20 +38,10 @@ from hplan.orchard import (
     import_capsules,
     measured_orchard,
 )
-from hplan.robot.tracking import TrackingModel
-from hplan.robot_family.members import HARVESTER, ArmSpec, cross_check, write_robot
-from hplan.ros import read_moveit_scene, read_planning_scene
-from hplan.scene.file import dump_scene, parse_scene
-from hplan.scene.model import Fruit, Goal, Scene, Start
-from hplan.scene.obstacles import Box, Capsule, Cylinder, Mesh, PointCloud, Sphere
 from hplan.scene.tracks import Sway, Track
-from hplan.search import dense_search, reachable, slices_with_path, two_level_search
-from hplan.search.grid import Grid, Occupancy
 from hplan.tour.tour import TourOptions
-from hplan.view.page import write_page
-from hplan.view.playback import Playback
-from hplan.waypoints import corner_grid, limit_shares, limits_of, read_machine, read_waypoints, time_waypoints
-from hplan.waypoints.corner_rounding import largest_deviation, rounded_path
+from hplan.trajectory import corner_grid, limit_shares, limits_of, read_machine, read_waypoints, time_waypoints
+from hplan.trajectory.corner_rounding import largest_deviation, rounded_path
 
 NAN, INF = math.nan, math.inf
 
@@ -890,10 +890,10 @@ def test_every_public_function_is_among_the_cases() -> None:
     modules = [
         "hplan",
         "hplan.scene.model",
-        "hplan.orchard",
-        "hplan.waypoints.timing",
-        "hplan.search",
-        "hplan.robot_family.members",
+        "hplan.scene.orchard",
+        "hplan.trajectory.timing",
+        "hplan.grid",
+        "hplan.robot.family.members",
     ]
     names = {name for module in modules for name in getattr(importlib.import_module(module), "__all__", ())}
     results = {"Certificate", "HplanError", "PlanResult", "Robot", "TourResult", "LimitShares", "Machine", "CrossCheck",

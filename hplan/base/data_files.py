@@ -48,4 +48,4 @@ def shipped_scene(name: str) -> Path:
 
 def view_asset(name: str) -> str:
     """Text of a file of the animated page: its outline, its style or its script."""
-    return (_PACKAGE / "view" / "assets" / name).read_text(encoding="utf-8")
+    return (_PACKAGE / "apps" / "view" / "assets" / name).read_text(encoding="utf-8")

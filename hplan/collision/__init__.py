@@ -1,4 +1,5 @@
-"""Distances between arm and scene: compiled kernels for the planner, coal by way of Pinocchio for the certificate.
+"""Collision bodies of any robot and their distances: compiled for the planner, by coal for the certificate.
 
-May use the rooms up to `robot`; `arm_pairs` and `geometry_pairs` say which bodies are held against which.
+`collision_bodies` are convex cores with a radius; `reach` and `twists` say how far and how fast joints move them;
+`arm_pairs` and `geometry_pairs` which of them are held against which.
 """

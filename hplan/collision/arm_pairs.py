@@ -4,7 +4,7 @@ The turret's shapes that are round about the yaw axis, and the pedestal, stand s
 and checked once (`hplan.collision.coal_scene.base_contacts`). So is an obstacle that no point of a turning shape
 comes down to: a horizontal plane between the two stays between them, whatever the yaw.
 
-Of a general (non-planar) arm the parts are its collision bodies (`hplan.bodies`), each link's by the link's name.
+Of a general (non-planar) arm the parts are its collision bodies (`hplan.collision`), each link's by the link's name.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ import numpy as np
 import pinocchio as pin
 
 from hplan.base.arrays import BoolArray
-from hplan.bodies.collision_bodies import body_shapes, collision_bodies
-from hplan.bodies.reach import carriers
-from hplan.bodies.touching_pairs import BEYOND, SelfPairs, pairs_among, self_pairs
 from hplan.collision.coal_cloud import distance_from
 from hplan.collision.coal_shapes import link_shapes
+from hplan.collision.collision_bodies import body_shapes, collision_bodies
+from hplan.collision.reach import carriers
+from hplan.collision.touching_pairs import BEYOND, SelfPairs, pairs_among, self_pairs
 from hplan.errors import RobotFileError
 from hplan.robot.base_shapes import (
     BASE_DEPTH,

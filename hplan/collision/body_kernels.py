@@ -1,15 +1,16 @@
 """Kernels for arms of any kind: clearances of moving bodies at a configuration, and how they change with the joints.
 
-Moving bodies are those of the arm (`hplan.bodies.flat_bodies`) and, after them, its pairs of bodies not to touch:
+Moving bodies are those of the arm (`hplan.collision.flat_bodies`) and, after them, its pairs of bodies not to touch:
 the distance of a pair is seen from one of the two, so that a joint that carries both does not count as motion. Bodies
-and obstacles are hulls of points, grown by radii; their distance is that of the hulls (`hplan.bodies.convex_distance`)
-less both radii. Bounding balls come first, then whatever direction separates by as much as is asked.
+and obstacles are hulls of points, grown by radii; their distance is that of the hulls
+(`hplan.collision.convex_distance`) less both radii. Bounding balls come first, then whatever direction separates by as
+much as is asked.
 
 **Enough.** Each moving body has a clearance that is enough: no more is looked for than is needed to tell whether there
 is less. (`hplan.collision.motion_cover` finds how long a motion stays clear with far less work.)
 
 **Depth.** Two hulls that share points are as far inside of each other as the least shift that takes them apart
-(`hplan.bodies.penetration`), and the radii come to that.
+(`hplan.collision.penetration`), and the radii come to that.
 """
 
 from __future__ import annotations
@@ -21,15 +22,15 @@ import numpy as np
 
 from hplan.base.arrays import FloatArray, IntArray
 from hplan.base.kernels import any_int, inlined, kernel
-from hplan.bodies import flat_bodies as flat
-from hplan.bodies.convex_distance import NEAREST, ON_FIRST, WORK, Span, Wanted, core_distance
-from hplan.bodies.penetration import penetration
-from hplan.bodies.placed_bodies import ALONG, CENTRE, PLACED, START, place_bodies
-from hplan.bodies.sweep import STILL
-from hplan.bodies.vectors import Pose, Vector, dot
+from hplan.collision import flat_bodies as flat
 from hplan.collision import obstacle_rows as row
+from hplan.collision.convex_distance import NEAREST, ON_FIRST, WORK, Span, Wanted, core_distance
 from hplan.collision.distances import point_segment, signed_excess
 from hplan.collision.obstacle_rows import FieldArrays
+from hplan.collision.penetration import penetration
+from hplan.collision.placed_bodies import ALONG, CENTRE, PLACED, START, place_bodies
+from hplan.collision.sweep import STILL
+from hplan.collision.vectors import Pose, Vector, dot
 
 _FIRST_ROW = any_int(0)
 
@@ -47,7 +48,7 @@ class BodyArrays(NamedTuple):
     """An arm of any kind among obstacles, and what is worked with.
 
     Attributes:
-        movers: As `hplan.bodies.flat_bodies.FlatBodies`.
+        movers: As `hplan.collision.flat_bodies.FlatBodies`.
         numbers: The same.
         solids: As `hplan.collision.clearance_field.ClearanceField`.
         data: The same.

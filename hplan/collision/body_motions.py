@@ -15,13 +15,13 @@ import numpy as np
 from hplan.base.arrays import BoolArray, FloatArray
 from hplan.base.deadline import is_up
 from hplan.base.kernels import any_int, kernel
-from hplan.bodies import flat_bodies as flat
-from hplan.bodies.placed_bodies import ALONG, PLACED, START, place_bodies
-from hplan.bodies.twists import motion_bends
+from hplan.collision import flat_bodies as flat
 from hplan.collision import obstacle_rows as row
 from hplan.collision.distances import point_segment
 from hplan.collision.motion_cover import Moving, Part, body_keeps_margin, moving_arm, part_shown_clear
 from hplan.collision.obstacle_rows import FieldArrays
+from hplan.collision.placed_bodies import ALONG, PLACED, START, place_bodies
+from hplan.collision.twists import motion_bends
 
 #: Most looks at the clearance along one motion.
 _MOST_LOOKS = any_int(1_000_000)
@@ -184,7 +184,7 @@ def body_segment_is_clear(start: FloatArray, end: FloatArray, field: FieldArrays
 
 @kernel
 def body_piece_is_clear(piece: FloatArray, field: FieldArrays, margin: float, stride: float) -> bool:
-    """As `hplan.smoothing.spline.piece_is_clear`."""
+    """As `hplan.trajectory.spline.piece_is_clear`."""
     run = _run(piece, field, margin)
     shown, _ = _march(run, _MOST_LOOKS, stride)
     return shown == 1.0

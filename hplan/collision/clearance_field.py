@@ -16,7 +16,6 @@ from numpy.typing import ArrayLike
 
 from hplan.base.arrays import BoolArray, FloatArray, IntArray, Record, frozen, readonly
 from hplan.base.deadline import check_deadline, until
-from hplan.bodies.flat_bodies import BODIES, DOF, FlatBodies
 from hplan.collision.clearance_kernels import (
     LINK,
     FieldArrays,
@@ -25,6 +24,7 @@ from hplan.collision.clearance_kernels import (
     mark_near,
     path_is_clear,
 )
+from hplan.collision.flat_bodies import BODIES, DOF, FlatBodies
 from hplan.collision.obstacle_rows import (
     FIRST_LINK,
     KIND,
@@ -51,7 +51,7 @@ class ClearanceField(Record):
     Attributes:
         chain: (links, 6) rows: length, half-width with the link's sway [m], sign, zero offset, distance from the arm
             plane and largest distance from the yaw axis [m]; of an arm that is not of the planar family the `movers` of
-            `hplan.bodies.flat_bodies`, and in `base` its `numbers`.
+            `hplan.collision.flat_bodies`, and in `base` its `numbers`.
         base: (12,) shoulder position, from the foot of the yaw axis, the plane's horizontal and upward axes, all at
             yaw 0; 1 where joint 0 is a yaw; where its axis stands.
         solids: (rows, 21) balls, capsules, boxes, hulls and nodes of clouds, grown by the clearance to keep; columns as

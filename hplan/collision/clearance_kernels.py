@@ -31,7 +31,7 @@ from hplan.collision.obstacle_rows import FieldArrays as FieldArrays
 
 _FIRST_ROW = any_int(0)
 
-#: Numbers of a link of a planar arm; other arms have other rows (`hplan.bodies.flat_bodies`).
+#: Numbers of a link of a planar arm; other arms have other rows (`hplan.collision.flat_bodies`).
 LINK = any_int(6)
 
 

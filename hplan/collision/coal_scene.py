@@ -14,7 +14,6 @@ from numpy.typing import ArrayLike
 from hplan.base import ties
 from hplan.base.arrays import BoolArray, FloatArray, IntArray
 from hplan.base.deadline import check_deadline
-from hplan.bodies.collision_bodies import body_shapes
 from hplan.collision.arm_pairs import (
     base_bodies,
     below,
@@ -35,6 +34,7 @@ from hplan.collision.coal_shapes import (
     link_shapes,
     urdf_shapes,
 )
+from hplan.collision.collision_bodies import body_shapes
 from hplan.collision.geometry_pairs import GeometryPairs
 from hplan.collision.moving_solids import MovingSolids
 from hplan.errors import MovingObstacleError, OptionError
@@ -84,8 +84,8 @@ class CoalScene:
     - `urdf`: the URDF's collision geometry itself, meshes by their convex hulls (as surfaces they are hollow to coal).
 
     Neighbours that fold into one another are asked as capsules always. Of a general (non-planar) arm the links are
-    those of the URDF that move, as `hplan.bodies.collision_bodies.body_shapes` has them, and the pairs of its own those
-    of `hplan.bodies.touching_pairs`; `links` is `urdf` then.
+    those of the URDF that move, as `hplan.collision.collision_bodies.body_shapes` has them, and the pairs of its own
+    those of `hplan.collision.touching_pairs`; `links` is `urdf` then.
 
     A cloud is its points in trees of bounding volumes, asked with its radius taken off the distance. Wherever a
     link does not reach the points themselves the distance is right, and at most 2e-7 m too small; where it does,

@@ -9,11 +9,11 @@ body has come nearer to the plane than
     \qquad \max_x \left(-n \cdot (v + \omega \times x)\right) \le -n \cdot v + |n \times \omega| \, r,
 
 by Taylor's theorem along :math:`n`, where :math:`A` bounds the accelerations of the body's points all along the motion
-(`hplan.bodies.twists.motion_bends`) and :math:`r` is the ball's radius, of a body with a rounding that of its core: the
-rounding adds the same to all distances from planes. So until that is used up the two stay apart; and for the time
+(`hplan.collision.twists.motion_bends`) and :math:`r` is the ball's radius, of a body with a rounding that of its core:
+the rounding adds the same to all distances from planes. So until that is used up the two stay apart; and for the time
 before, the same holds with the velocities reversed. Nor do points move farther than the reaches of joints allow
-(`hplan.bodies.reach`), in whichever direction. What moves along a surface, or away from it, has far to go by the first
-bound; what is far away has by the second.
+(`hplan.collision.reach`), in whichever direction. What moves along a surface, or away from it, has far to go by the
+first bound; what is far away has by the second.
 
 A pair of the arm's own bodies is seen from the inner one, in whose frame only the joints between them move the
 other. Where neither carries the other, the reaches alone are made use of.
@@ -28,15 +28,15 @@ import numpy as np
 
 from hplan.base.arrays import FloatArray
 from hplan.base.kernels import any_int, inlined, kernel
-from hplan.bodies import flat_bodies as flat
-from hplan.bodies.convex_distance import NEAREST, SEPARATING, WORK, Span, Wanted, core_distance
-from hplan.bodies.placed_bodies import ALONG, CENTRE, PLACED, START, place_bodies
-from hplan.bodies.sweep import Sweep, used_up
-from hplan.bodies.twists import find_twists
-from hplan.bodies.vectors import Vector, cross, dot, sub, turned_back
+from hplan.collision import flat_bodies as flat
 from hplan.collision import obstacle_rows as row
 from hplan.collision.body_kernels import NO_TABLE, BodyArrays, difference, off_box, pose_of, span_of
+from hplan.collision.convex_distance import NEAREST, SEPARATING, WORK, Span, Wanted, core_distance
 from hplan.collision.obstacle_rows import FieldArrays
+from hplan.collision.placed_bodies import ALONG, CENTRE, PLACED, START, place_bodies
+from hplan.collision.sweep import Sweep, used_up
+from hplan.collision.twists import find_twists
+from hplan.collision.vectors import Vector, cross, dot, sub, turned_back
 
 _FIRST_ROW = any_int(0)
 

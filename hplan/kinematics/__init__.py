@@ -1,4 +1,1 @@
-"""Inverse kinematics of any robot: configurations with a frame at a pose, sought from many starts.
-
-That of the planar family, in closed form and complete, is in `hplan.planar`.
-"""
+"""Inverse kinematics: any robot's from many starts, the planar family's in closed form; straight lines of the tool."""

@@ -18,8 +18,8 @@ import numpy as np
 
 from hplan.base.arrays import BoolArray, FloatArray, IntArray
 from hplan.base.kernels import kernel
-from hplan.bodies import flat_bodies as flat
-from hplan.bodies.placed_bodies import place_joints
+from hplan.collision import flat_bodies as flat
+from hplan.collision.placed_bodies import place_joints
 
 #: Errors at which a pose counts as reached [m, rad].
 PLACE_M, TURN_RAD = 1e-7, 1e-7
@@ -41,7 +41,7 @@ class Chain(NamedTuple):
     """A robot and what is asked of it, as arrays.
 
     Attributes:
-        numbers: Flat: head and joints as in `hplan.bodies.flat_bodies`.
+        numbers: Flat: head and joints as in `hplan.collision.flat_bodies`.
         moves: (dof,) 1 for joints that may move and carry the frame, else 0.
         lower: (dof,) lower limits.
         upper: (dof,) upper limits.

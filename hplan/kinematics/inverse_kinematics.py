@@ -17,8 +17,8 @@ from numpy.typing import ArrayLike
 from hplan.base import ties
 from hplan.base.arguments import list_of, truth, whole
 from hplan.base.arrays import FloatArray, frozen, numbers
-from hplan.bodies import flat_bodies as flat
-from hplan.bodies.reach import carriers, joint_axis
+from hplan.collision import flat_bodies as flat
+from hplan.collision.reach import carriers, joint_axis
 from hplan.errors import InputError, UnreachableError
 from hplan.kinematics.damped_steps import ABOUT_Z, KEPT, Chain, solve_all
 from hplan.robot.model import Robot

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from hplan.base.arrays import FloatArray, IntArray, Record, frozen
 from hplan.base.polyline import curve_length
-from hplan.bodies.reach import joint_axis
+from hplan.collision.reach import joint_axis
 from hplan.errors import ApproachError
 from hplan.kinematics.damped_steps import ABOUT_Z, KEPT, draw_back
 from hplan.kinematics.inverse_kinematics import chain_of

@@ -1,4 +1,5 @@
-"""Online planning: the scene changes and the arm moves while motions are planned.
+"""Planning while a controller runs: frames of a depth camera come in, the scene changes, the arm moves.
 
-`planner` plans again when the scene changes, `splice` while a motion runs. May use every room above it.
+`planner` plans again when the scene changes, `splice` while a motion runs; `frame` and `scene_cloud` are the camera's
+points: cropped, thinned, without the arm and what is known, remembered where hidden.
 """

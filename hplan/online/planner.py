@@ -21,23 +21,23 @@ from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 from hplan.base.arguments import number, text
 from hplan.base.deadline import Cancel, TimeIsUpError, time_limit
 from hplan.base.forking import renewed_in_children
-from hplan.bodies.reach import largest_sway
+from hplan.certificate.certificate import with_violations
+from hplan.certificate.retimed_certificate import CertifiedMotion
+from hplan.collision.reach import largest_sway
 from hplan.errors import InputError, OptionError, SceneError
+from hplan.online.frame import CloudOptions, Frame, FrameReport, SeenPoints, filter_frame
+from hplan.online.frame_kernels import Scratch
+from hplan.online.scene_cloud import check_cloud_name, solids_named, with_cloud
 from hplan.online.splice import RunningMotion, SplicedResult
-from hplan.perception.frame import CloudOptions, Frame, FrameReport, SeenPoints, filter_frame
-from hplan.perception.frame_kernels import Scratch
-from hplan.perception.scene_cloud import check_cloud_name, solids_named, with_cloud
 from hplan.planning.certified_motion import PlannedMotion
+from hplan.planning.options import PlanOptions
 from hplan.planning.plan import PlanResult, check_task, plan_with
 from hplan.planning.task import PlanningCache
-from hplan.problem.options import PlanOptions
 from hplan.robot.model import Robot
 from hplan.scene.limits import Vector
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Box, Capsule, Cylinder, Mesh, Obstacle, PointCloud, Sphere
 from hplan.scene.tracks import Track
-from hplan.verification.certificate import with_violations
-from hplan.verification.retimed_certificate import CertifiedMotion
 
 
 class Planner:
@@ -346,7 +346,7 @@ class Planner:
         """Take a frame of a depth camera for the obstacle of a name, in place of the last one.
 
         Left out are rows that are not finite, points that the arm cannot come near, its own, and those of what is to be
-        ignored; the others become balls, fewer than points (`hplan.perception.frame`). A frame of which nothing is left
+        ignored; the others become balls, fewer than points (`hplan.online.frame`). A frame of which nothing is left
         takes the obstacle away. Where the base moves, the points stand where they were seen, from where it was then,
         and those count that come within reach anywhere on its track. What is left out could matter for a larger
         clearance, larger tracking errors or another track of the base: plans are refused then until the next frame.
@@ -361,7 +361,7 @@ class Planner:
             joints: (dof,) configuration of the arm when the frame was taken, so that its own points are left out [rad].
             ignore: Names of fruits and other obstacles whose points are left out: the fruit to pick, what stands in the
                 scene already.
-            keep_s: How long points are kept that were seen and are hidden now (`hplan.perception.hidden_points`) [s].
+            keep_s: How long points are kept that were seen and are hidden now (`hplan.online.hidden_points`) [s].
             time_s: When the frame was taken, on the controller's clock [s]; it is needed where the base moves, or what
                 is to be ignored does. None, else, for now.
             options: Voxels, paddings, outliers.

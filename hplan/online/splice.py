@@ -20,20 +20,20 @@ from numpy.typing import ArrayLike
 
 from hplan.base.arguments import number
 from hplan.base.arrays import numbers
+from hplan.certificate.certificate import Certificate, all_of, rest_violations, with_violations
+from hplan.certificate.digests import Digests
+from hplan.certificate.moving_obstacles import checker_in_time
+from hplan.certificate.retimed_certificate import CertifiedMotion, certified_from, later
+from hplan.certificate.task_check import SAME
 from hplan.errors import HplanError, InputError, NotOnMotionError, RunningMotionBlockedError, UnavoidableContactError
-from hplan.moving.obstacles_at import without_moving
+from hplan.planning.moving.obstacles_at import without_moving
+from hplan.planning.options import PlanOptions
 from hplan.planning.plan import PlanResult, plan_with
 from hplan.planning.report import motion_report
 from hplan.planning.task import PlanningCache
-from hplan.problem.options import PlanOptions
 from hplan.scene.model import Scene, Start
-from hplan.timing.time_scaling import SAME_TIME, Retimed, stopped
-from hplan.timing.trajectory import Phase, Trajectory, joined
-from hplan.verification.certificate import Certificate, all_of, rest_violations, with_violations
-from hplan.verification.digests import Digests
-from hplan.verification.moving_obstacles import checker_in_time
-from hplan.verification.retimed_certificate import CertifiedMotion, certified_from, later
-from hplan.verification.task_check import SAME
+from hplan.trajectory.time_scaling import SAME_TIME, Retimed, stopped
+from hplan.trajectory.trajectory import Phase, Trajectory, joined
 
 
 @dataclass(frozen=True, eq=False)

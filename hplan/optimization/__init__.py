@@ -1,4 +1,1 @@
-"""Trajectory optimisation: the timed motion itself, not a path and then its timing, by linear programs in sequence.
-
-May use the rooms up to `smoothing`.
-"""
+"""Faster motions: paths shortened and made smooth, then the timed motion itself by linear programs in sequence."""

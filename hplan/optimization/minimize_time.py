@@ -23,7 +23,7 @@ from hplan.optimization.timed_spline import (
     even_breaks,
 )
 from hplan.optimization.torque_rows import ALLOWED, TorqueUse
-from hplan.timing.retime import KEPT
+from hplan.trajectory.retime import KEPT
 
 #: A step is halved so often at most until it is clear.
 HALVINGS = 5

@@ -16,13 +16,13 @@ import numpy as np
 
 from hplan.base import ties
 from hplan.base.arrays import FloatArray, IntArray
+from hplan.optimization.coarse_profile import coarse_profile
 from hplan.optimization.minimize_time import LONGEST_S, Effort, minimize_time, rough_motion
 from hplan.optimization.path_classes import PARTS, class_numbers
+from hplan.optimization.smooth_path import clear_start, near_field
 from hplan.optimization.time_problem import TimeProblem
 from hplan.optimization.timed_spline import TimedSpline
-from hplan.smoothing.coarse_profile import coarse_profile
-from hplan.smoothing.smooth_path import clear_start, near_field
-from hplan.timing.speed_profile import SpeedProfile
+from hplan.trajectory.speed_profile import SpeedProfile
 
 #: Obstacles farther than this from a path are left out of the programs that move it [m].
 NEAR = 0.4

@@ -10,8 +10,8 @@ import numpy as np
 
 from hplan.base.arrays import FloatArray, Record, frozen
 from hplan.robot.dynamics import InverseDynamics, joints_that_slide
-from hplan.smoothing.spline import SplinePath
-from hplan.timing.trajectory import Trajectory
+from hplan.trajectory.spline import SplinePath
+from hplan.trajectory.trajectory import Trajectory
 
 #: Control points at each end that the state there decides: equal where the motion is at rest, without acceleration.
 RESTING = 3

@@ -1,4 +1,5 @@
-"""From start to goal: grasps, trees, grid path, smoothing, timing and certificate, tried in turn until certified.
+"""From start to goal: the problem, its grasps, paths, the fastest motion along them and its certificate.
 
-`plan` is the pipeline as a whole. May use every room above it.
+`plan` is the whole; `sampling` finds paths by RRT-Connect, `moving` motions past obstacles that move, `lower_bound`
+durations that no motion can fall below, `finishing` works on paths that others have planned.
 """

@@ -11,22 +11,22 @@ from typing import Literal, NamedTuple, TypeAlias
 import numpy as np
 
 from hplan.base.arrays import FloatArray, Record, frozen
-from hplan.bodies.reach import largest_sway
+from hplan.certificate.certificate import Certificate, Stretch, certify_among
+from hplan.collision.reach import largest_sway
 from hplan.errors import CertificationError, TimingError
 from hplan.optimization.minimize_time import Effort, minimize_time
+from hplan.optimization.options import PostprocessOptions
 from hplan.optimization.several_starts import NEAR, fastest_motions, optimization_starts
+from hplan.optimization.smooth_path import clear_path, is_straight, near_field, short_path
 from hplan.optimization.time_problem import TimeProblem
 from hplan.optimization.timed_spline import BoundaryState
 from hplan.planning.effort import optimization_of
 from hplan.planning.grid_route import Route
 from hplan.planning.task import PlanningContext, PlanningTask
 from hplan.robot.limits import GeometricPath, Limits
-from hplan.smoothing.options import PostprocessOptions
-from hplan.smoothing.smooth_path import clear_path, is_straight, near_field, short_path
-from hplan.smoothing.spline import SplinePath
-from hplan.timing.retime import time_path
-from hplan.timing.trajectory import Trajectory
-from hplan.verification.certificate import Certificate, Stretch, certify_among
+from hplan.trajectory.retime import time_path
+from hplan.trajectory.spline import SplinePath
+from hplan.trajectory.trajectory import Trajectory
 
 #: Where the base is locked a rough motion costs little: of more than so many polylines, so many and so many others are
 #: made at least (`StartsEffort`).
@@ -298,7 +298,7 @@ def certified_trajectory(
         context: Arm, obstacles and options.
         path: The path.
         among: The obstacles that a trajectory along it is certified among; those of the context where this is None.
-        grid: Path parameters at which its speed is chosen, as `hplan.timing.retime.time_path` takes them.
+        grid: Path parameters at which its speed is chosen, as `hplan.trajectory.retime.time_path` takes them.
 
     Raises:
         TimingError: There is none within the limits.

@@ -74,11 +74,11 @@ def _start() -> subprocess.Popen[bytes] | None:
 def compile_from_postprocessing_on() -> None:
     """Optimise and certify a motion through the reference scene, and time its path."""
     from hplan.planning.certified_motion import smooth_and_certify, timed
+    from hplan.planning.options import PlanOptions
     from hplan.planning.task import MARGIN, PlanningCache
-    from hplan.problem.options import PlanOptions
     from hplan.robot.model import load_robot
     from hplan.scene.file import load_scene
-    from hplan.smoothing.spline import SplinePath
+    from hplan.trajectory.spline import SplinePath
 
     scene = load_scene()
     start, goal = scene.start.configuration, scene.goal.configuration

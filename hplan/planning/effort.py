@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 
 from hplan.optimization.minimize_time import Effort, Level
 from hplan.optimization.several_starts import StartsEffort
+from hplan.planning.options import EffortName
+from hplan.planning.sampling.several_trees import TreesEffort
 from hplan.planning.task import GridAttempt, PlanningContext
-from hplan.problem.options import EffortName
-from hplan.sampling.several_trees import TreesEffort
 
 _COARSE = Level(piece_s=0.08, pieces=(20, 40), steps=20, gain=2e-3, trust=0.2)
 

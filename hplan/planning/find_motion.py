@@ -18,6 +18,7 @@ import numpy as np
 
 from hplan.base.arrays import frozen
 from hplan.errors import CertificationError, HplanError, NoPathError, NotFoundError, TimingError
+from hplan.optimization.repair import repaired
 from hplan.planning.certified_motion import PlannedMotion, certificate_of, required, smooth_and_certify
 from hplan.planning.grid_route import find_route
 from hplan.planning.refusals import EnclosedError, Refusals, enclosed_goals
@@ -29,8 +30,7 @@ from hplan.planning.sampled_motion import (
     trees_tried,
 )
 from hplan.planning.task import COARSEST_DEG, GridAttempt, PlanningTask
-from hplan.smoothing.repair import repaired
-from hplan.timing.retime import resting
+from hplan.trajectory.retime import resting
 
 _NoPath = TypeVar("_NoPath", bound=NoPathError)
 

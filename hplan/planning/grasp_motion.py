@@ -14,6 +14,8 @@ import numpy as np
 
 from hplan.base.arrays import FloatArray
 from hplan.base.deadline import check_deadline
+from hplan.certificate.certificate import Stretch, stretches
+from hplan.certificate.goal_contact import contact_window
 from hplan.errors import CertificationError, ConfigurationInCollisionError, HplanError, TimingError
 from hplan.optimization.minimize_time import Effort, minimize_time
 from hplan.optimization.timed_spline import BoundaryState, TimedSpline
@@ -30,12 +32,10 @@ from hplan.planning.find_motion import first_motion, without_path
 from hplan.planning.grasps import SPARE, Grasp, Target, promising
 from hplan.planning.refusals import Refusals
 from hplan.planning.task import PlanningContext, PlanningTask
-from hplan.problem.tool_paths import largest_standoff, tool_path
+from hplan.planning.tool_paths import largest_standoff, tool_path
 from hplan.robot.model import Robot
-from hplan.smoothing.spline import SplinePath
-from hplan.timing.trajectory import Trajectory, cubic_pieces
-from hplan.verification.certificate import Stretch, stretches
-from hplan.verification.goal_contact import contact_window
+from hplan.trajectory.spline import SplinePath
+from hplan.trajectory.trajectory import Trajectory, cubic_pieces
 
 _Last = TypeVar("_Last")
 
@@ -156,7 +156,7 @@ def _tasks(
 def approach_and_retreat(context: PlanningContext, target: Target, grasp: Grasp) -> list[Part]:
     """The approach to a grasp and, from a fruit, the retreat, timed and certified; nothing without an approach.
 
-    The last link may touch the fruit (`hplan.verification.goal_contact`).
+    The last link may touch the fruit (`hplan.certificate.goal_contact`).
 
     Raises:
         TimingError: There is none within the limits.

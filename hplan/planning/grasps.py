@@ -1,6 +1,6 @@
 """Grasps of a fruit, or of a point: where the tool ends, where its straight approach begins.
 
-Of the configurations with the tool at the point (`hplan.problem.tool_paths`) each has an approach along the last link
+Of the configurations with the tool at the point (`hplan.planning.tool_paths`) each has an approach along the last link
 or, of a robot that is no planar arm, along the z axis of the tool frame, from a stand-off that is as long as asked for
 where that can be had, else shorter. Only the last link may touch the fruit that is reached for, and only on the
 approach; where no straight approach is clear, on the whole motion.
@@ -23,8 +23,8 @@ from hplan.base.deadline import check_deadline, is_over
 from hplan.collision.coal_scene import Contact
 from hplan.errors import BlockedError
 from hplan.kinematics.approach_angles import Candidates
-from hplan.problem.joint_ranges import LEAST_MARGIN, JointRanges, joint_ranges
-from hplan.problem.tool_paths import (
+from hplan.planning.joint_ranges import LEAST_MARGIN, JointRanges, joint_ranges
+from hplan.planning.tool_paths import (
     Approaches,
     ToolPath,
     candidates_at,
@@ -36,7 +36,7 @@ from hplan.problem.tool_paths import (
     tool_path,
     tool_thickness,
 )
-from hplan.problem.world import World
+from hplan.planning.world import World
 from hplan.robot.limits import least_duration
 from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel, name_margin
@@ -148,7 +148,7 @@ def grasps(
         BlockedError: Obstacles are in the way of all that do, or block a joint on every path there; names them.
         ConfigurationInCollisionError: The start touches something that blocks a joint.
         InputError: A position or an approach that is none.
-        OptionError: As `hplan.problem.tool_paths.candidates_at`.
+        OptionError: As `hplan.planning.tool_paths.candidates_at`.
     """
     ranges = joint_ranges(target.world.checker, start, LEAST_MARGIN)
     if ranges.walls:

@@ -12,9 +12,9 @@ from hplan.base import ties
 from hplan.base.arrays import FloatArray, IntArray
 from hplan.collision.clearance_field import ClearanceField
 from hplan.errors import CertificationError
+from hplan.grid.grid import Occupancy
+from hplan.optimization.repair import leave_contact
 from hplan.planning.task import PlanningTask
-from hplan.search.grid import Occupancy
-from hplan.smoothing.repair import leave_contact
 
 #: A configuration this near to a node stands on it [steps].
 ON_NODE = 1e-6

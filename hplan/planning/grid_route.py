@@ -10,11 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from hplan.base.arrays import BoolArray, FloatArray, IntArray, Record, frozen
+from hplan.grid import SearchResult, dense_search, reachable, two_level_search
+from hplan.grid.grid import Grid, Occupancy
 from hplan.planning.grid_entry import GridEntry, grid_entry
 from hplan.planning.refusals import EnclosedError, Region
 from hplan.planning.task import GridAttempt, PlanningTask
-from hplan.search import SearchResult, dense_search, reachable, two_level_search
-from hplan.search.grid import Grid, Occupancy
 
 #: A node and a configuration that differ by less than this are one [rad].
 ON_NODE = 1e-9

@@ -12,32 +12,32 @@ import numpy as np
 from hplan.base.arguments import function, instance
 from hplan.base.arrays import FloatArray, Record
 from hplan.base.deadline import Cancel, TimeIsUpError, TimeLimit, check_deadline, time_limit
+from hplan.certificate.certificate import REST, Certificate, GoalContact, all_of, certify, contact_times
+from hplan.certificate.digests import Digests
+from hplan.certificate.retimed_certificate import CertifiedMotion, certified_retiming
+from hplan.certificate.start_state import start_state
 from hplan.errors import CertificationError, HplanError, NoPathError, ObstacleInTimeError, OptionError, TimingError
-from hplan.moving.search import certified_in_time, quickest_in_time
+from hplan.grid import SearchResult
+from hplan.grid.grid import Occupancy
 from hplan.planning.certified_motion import Part, PlannedMotion, motion_limits
+from hplan.planning.definition import Problem
 from hplan.planning.grasps import Grasp
+from hplan.planning.moving.search import certified_in_time, quickest_in_time
+from hplan.planning.options import PlanOptions
 from hplan.planning.report import StageClock, bound_report, deadline_report, motion_report, plan_report
 from hplan.planning.start_in_motion import Stop, after_stop, stops
 from hplan.planning.task import LastWorld, PlanningCache, PlanningContext, Progress, no_progress
 from hplan.planning.whole_motion import Beginning, all_parts, parts_in_time
-from hplan.problem.definition import Problem
-from hplan.problem.options import PlanOptions
 from hplan.robot.model import Robot
 from hplan.robot.tracking import largest_fraction, name_margin
 from hplan.scene.model import Scene, Start
-from hplan.search import SearchResult
-from hplan.search.grid import Occupancy
-from hplan.smoothing.spline import SplinePath
-from hplan.timing.speed_factors import Profile
-from hplan.timing.time_scaling import Retimed, scaled, stopped
-from hplan.timing.trajectory import Phase, Trajectory, joined
-from hplan.verification.certificate import REST, Certificate, GoalContact, all_of, certify, contact_times
-from hplan.verification.digests import Digests
-from hplan.verification.retimed_certificate import CertifiedMotion, certified_retiming
-from hplan.verification.start_state import start_state
+from hplan.trajectory.speed_factors import Profile
+from hplan.trajectory.spline import SplinePath
+from hplan.trajectory.time_scaling import Retimed, scaled, stopped
+from hplan.trajectory.trajectory import Phase, Trajectory, joined
 
 if TYPE_CHECKING:
-    from hplan.lower_bound.duration_bound import DurationBound
+    from hplan.planning.lower_bound.duration_bound import DurationBound
 
 #: With a deadline this part of the time that the world took to make is kept: freeing it afterwards takes time too.
 FREED = 0.25
@@ -111,7 +111,7 @@ class PlanResult(Record):
         """The trajectory at other speeds, on its path.
 
         Args:
-            profile: Fraction of its own speed over time (`hplan.timing.time_scaling.scaled`).
+            profile: Fraction of its own speed over time (`hplan.trajectory.time_scaling.scaled`).
 
         Raises:
             OptionError: Factors that are none, beyond what limits allow, or with which the motion does not end.
@@ -388,7 +388,9 @@ def _bound(
     Raises:
         BoundError: It contradicts them.
     """
-    from hplan.lower_bound.duration_bound import duration_bound  # its kernels cost nothing where none is asked for
+    from hplan.planning.lower_bound.duration_bound import (
+        duration_bound,  # its kernels cost nothing where none is asked for
+    )
 
     if not all(part.certificate.verified for part in parts):
         return None

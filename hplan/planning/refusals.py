@@ -15,14 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hplan.base.arrays import IntArray, Record, WordArray
-from hplan.cspace.blockers import blockers
 from hplan.errors import CertificationError, HplanError, NoPathError, NotFoundError, TimingError
+from hplan.grid.blockers import blockers
+from hplan.grid.flood import flood_from, has_bit, slice_sizes
+from hplan.grid.grid import Grid, Occupancy
+from hplan.grid.lattice import Lattice
+from hplan.planning.definition import Problem
 from hplan.planning.grid_entry import grid_entry
 from hplan.planning.task import GridAttempt, PlanningTask
-from hplan.problem.definition import Problem
-from hplan.search.flood import flood_from, has_bit, slice_sizes
-from hplan.search.grid import Grid, Occupancy
-from hplan.search.lattice import Lattice
 
 #: So many reasons stand in the sentence; `data` has all of them.
 TOLD = 3

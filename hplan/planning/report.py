@@ -15,18 +15,18 @@ from typing import TYPE_CHECKING, Any
 from hplan.base.files import write_text
 from hplan.base.polyline import path_length
 from hplan.errors import HplanError
-from hplan.search.result import Expansions
+from hplan.grid.result import Expansions
 
 if TYPE_CHECKING:
     from hplan.base.deadline import TimeLimit
-    from hplan.lower_bound.duration_bound import DurationBound
+    from hplan.certificate.certificate import Certificate
     from hplan.planning.certified_motion import PlannedMotion
     from hplan.planning.grasps import Grasp
+    from hplan.planning.lower_bound.duration_bound import DurationBound
+    from hplan.planning.options import PlanOptions
     from hplan.planning.task import PlanningContext
-    from hplan.problem.options import PlanOptions
     from hplan.scene.model import Scene
-    from hplan.timing.trajectory import Phase, Trajectory
-    from hplan.verification.certificate import Certificate
+    from hplan.trajectory.trajectory import Phase, Trajectory
 
 #: Stages of a plan, in order.
 STAGES = (

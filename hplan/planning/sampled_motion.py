@@ -13,10 +13,10 @@ from hplan.errors import NoPathError
 from hplan.planning.certified_motion import PlannedMotion, Polyline, quickest_certified
 from hplan.planning.effort import effort_of
 from hplan.planning.grid_route import find_route
+from hplan.planning.sampling.rrt_connect import TreeEffort, tree_path
+from hplan.planning.sampling.several_trees import PromisingPath, TreesEffort, promising_paths
 from hplan.planning.task import GridAttempt, PlanningTask
 from hplan.robot.limits import least_duration as least_between
-from hplan.sampling.rrt_connect import TreeEffort, tree_path
-from hplan.sampling.several_trees import PromisingPath, TreesEffort, promising_paths
 
 #: Coarse grids with more nodes than this are left out.
 MOST_COARSE = 5e6

@@ -15,6 +15,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 
 from hplan.base.arrays import FloatArray, frozen
+from hplan.certificate.certificate import REST, Certificate, all_of
 from hplan.errors import (
     ConfigurationInCollisionError,
     HplanError,
@@ -35,9 +36,8 @@ from hplan.planning.effort import effort_of
 from hplan.planning.grasps import Grasp
 from hplan.planning.task import PlanningContext
 from hplan.robot.model import Robot
-from hplan.timing.braking import braking
-from hplan.timing.trajectory import Trajectory, joined
-from hplan.verification.certificate import REST, Certificate, all_of
+from hplan.trajectory.braking import braking
+from hplan.trajectory.trajectory import Trajectory, joined
 
 #: Parts of the acceleration limits with which stops are tried in turn.
 PUSHES = (1.0, 0.7, 0.4, 0.2)

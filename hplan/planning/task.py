@@ -14,18 +14,18 @@ from numpy.typing import ArrayLike
 from hplan.base.arrays import IntArray, Record
 from hplan.base.deadline import check_deadline
 from hplan.collision.clearance_field import ClearanceField
-from hplan.cspace.occupancy import occupancy
-from hplan.cspace.sections import ArmSections, sections_at
-from hplan.cspace.yaw_layers import LayerCache, turning_occupancy, yaw_axis
 from hplan.errors import OptionError
+from hplan.grid.grid import Grid, Occupancy
+from hplan.grid.occupancy import occupancy
+from hplan.grid.sections import ArmSections, sections_at
+from hplan.grid.yaw_layers import LayerCache, turning_occupancy, yaw_axis
+from hplan.planning.definition import Problem, check_problem
+from hplan.planning.options import PlanOptions
 from hplan.planning.report import StageClock
-from hplan.problem.definition import Problem, check_problem
-from hplan.problem.options import PlanOptions
-from hplan.problem.world import World
+from hplan.planning.world import World
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 from hplan.scene.obstacles import Solid
-from hplan.search.grid import Grid, Occupancy
 
 #: Clearance asked for wherever a motion is evaluated, beyond the scene's own [m]; less where start or goal have less.
 MARGIN = 2e-3

@@ -41,13 +41,13 @@ from hplan.planning.grasp_motion import (
     motion_to_grasp,
 )
 from hplan.planning.grasps import COUNT, Target, grasps, promising
+from hplan.planning.pose_goal import configurations_at, pose_of
 from hplan.planning.refusals import Refusals
 from hplan.planning.sampled_motion import tree_path_to_any
+from hplan.planning.sampling.rrt_connect import TreeEffort
 from hplan.planning.start_in_motion import Parts, leaving
 from hplan.planning.task import PlanningContext, PlanningTask
-from hplan.problem.pose_goal import configurations_at, pose_of
-from hplan.sampling.rrt_connect import TreeEffort
-from hplan.timing.trajectory import Trajectory
+from hplan.trajectory.trajectory import Trajectory
 
 #: Pairs of trees that look for the first motion, the evaluations of each.
 FIRST_TREES = (3_000, 3_000, 3_000, 3_000, 12_000, 12_000, 12_000, 12_000)

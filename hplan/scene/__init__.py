@@ -1,6 +1,6 @@
 """Scenes: obstacles, fruit, start and goal as frozen data; their YAML files; meshes and point clouds as convex solids.
 
-May use `base`. Knows no robot.
+Knows no robot; `orchard` makes scenes of trees and their fruit.
 """
 
 from __future__ import annotations

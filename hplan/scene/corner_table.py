@@ -1,7 +1,7 @@
 """Which corners of a convex hull are neighbours, as numbers for kernels: the farthest one without a look at all.
 
 A corner that lies no less far in a direction than all of its neighbours is the farthest of all, so a walk from corner
-to corner, always to the farthest neighbour, ends there (`hplan.bodies.convex_distance.farthest_corner`). The table
+to corner, always to the farthest neighbour, ends there (`hplan.collision.convex_distance.farthest_corner`). The table
 also holds a corner to begin with for each of the eight octants that a direction can lie in.
 """
 

@@ -324,7 +324,7 @@ class PointCloud(_FromData):
 
     @classmethod
     def thinned(cls, name: str, points: ArrayLike, radius: float) -> PointCloud:
-        """A cloud of (n, 3) points of which none are merged, so that its balls are those given (`hplan.perception`).
+        """A cloud of (n, 3) points of which none are merged, so that its balls are those given (`hplan.online`).
 
         Raises:
             SceneError: The cloud is empty, too large or not finite.

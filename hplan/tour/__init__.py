@@ -1,4 +1,1 @@
-"""Picking tours: motions between fruits and the order of the fruits that takes the least time.
-
-May use the rooms up to `planning`.
-"""
+"""Picking tours: motions between fruits and the order of the fruits that takes the least time."""

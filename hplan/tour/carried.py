@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 from hplan.base.arrays import readonly
-from hplan.bodies.collision_bodies import reuse_bodies
+from hplan.collision.collision_bodies import reuse_bodies
 from hplan.robot.model import Robot
 
 #: Name of the shape of what is carried.

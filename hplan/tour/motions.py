@@ -35,8 +35,8 @@ from hplan.planning.certified_motion import Part
 from hplan.planning.find_motion import find_motion
 from hplan.planning.grasp_motion import Flow, Pick, approach_and_retreat, flowing, motion_to_grasp
 from hplan.planning.grasps import Grasp, Target, grasps
+from hplan.planning.pose_goal import configurations_at
 from hplan.planning.task import PlanningContext, PlanningTask
-from hplan.problem.pose_goal import configurations_at
 from hplan.robot.limits import rest_to_rest
 from hplan.scene.model import Fruit, Goal
 from hplan.tour.moves import NO_MOTION, NONE, Move, Moves, Stop, quick_or_any_motion

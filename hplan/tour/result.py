@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from typing import Any
 
 from hplan.base.arrays import Record
+from hplan.certificate.certificate import Certificate
 from hplan.errors import HplanError
 from hplan.planning.grasps import Grasp
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
-from hplan.timing.trajectory import Phase, Trajectory
-from hplan.verification.certificate import Certificate
+from hplan.trajectory.trajectory import Phase, Trajectory
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,23 +19,23 @@ import numpy as np
 from hplan.base import ties
 from hplan.base.arguments import instance, keep_checked, list_of, one_of, truth, whole
 from hplan.base.deadline import Cancel, TimeIsUpError, time_limit
+from hplan.certificate.certificate import all_of
+from hplan.certificate.digests import Digests
 from hplan.errors import CertificationError, OptionError, SceneError, TourError, UnreachableError
 from hplan.planning.certified_motion import Part, certificate_of, required
+from hplan.planning.options import PlanOptions
 from hplan.planning.plan import check_task, in_sequence
 from hplan.planning.report import motion_report
 from hplan.planning.task import PlanningCache, Progress, no_progress
-from hplan.problem.options import PlanOptions
 from hplan.robot.model import Robot
 from hplan.scene.model import Fruit, Goal, Scene
-from hplan.timing.retime import resting
-from hplan.timing.trajectory import joined
 from hplan.tour.carried import carrying
 from hplan.tour.motions import LegParts, Motions, drop_off
 from hplan.tour.moves import NO_MOTION, Stop
 from hplan.tour.ordering import Visits, along, best, nearest
 from hplan.tour.result import Leg, TourResult, Unreached
-from hplan.verification.certificate import all_of
-from hplan.verification.digests import Digests
+from hplan.trajectory.retime import resting
+from hplan.trajectory.trajectory import joined
 
 Order = Literal["best", "nearest", "given"]
 ORDERS: tuple[Order, ...] = ("best", "nearest", "given")

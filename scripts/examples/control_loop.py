@@ -23,13 +23,13 @@ from dataclasses import dataclass, field
 import numpy as np
 
 import hplan
+from hplan.apps.execution.plant import Plant
+from hplan.apps.execution.simulated_arm import CONTROL_PERIOD, SimulatedArm, Touch
+from hplan.certificate.retimed_certificate import CertifiedMotion
 from hplan.errors import ConfigurationInCollisionError, HplanError, NotInTimeError
-from hplan.execution.plant import Plant
-from hplan.execution.simulated_arm import CONTROL_PERIOD, SimulatedArm, Touch
-from hplan.perception.frame import CloudOptions
+from hplan.online.frame import CloudOptions
 from hplan.scene import Goal, Scene, Start
-from hplan.timing.trajectory import Trajectory
-from hplan.verification.retimed_certificate import CertifiedMotion
+from hplan.trajectory.trajectory import Trajectory
 
 #: Period of the loop, of the camera, and how far ahead a new motion takes over [s].
 TICK_S, FRAME_S, AHEAD_S = 0.01, 0.1, 0.2

@@ -10,8 +10,8 @@ import tempfile
 from pathlib import Path
 
 import hplan
-from hplan.view.page import write_page
-from hplan.view.playback import Playback
+from hplan.apps.view.page import write_page
+from hplan.apps.view.playback import Playback
 
 
 def main(folder: str | None = None) -> hplan.PlanResult:

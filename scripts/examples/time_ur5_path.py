@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 import hplan
-from hplan.waypoints import limits_of, read_machine, time_waypoints
+from hplan.trajectory import limits_of, read_machine, time_waypoints
 
 WAYPOINTS_DEG = ((0, -90, 0, 0, 0, 0), (45, -60, 60, -90, 0, 0), (90, -90, 90, -90, -90, 0), (90, -120, 60, 0, -90, 90))
 

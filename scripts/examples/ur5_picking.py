@@ -3,7 +3,8 @@
 pip install 'hplan[robots]'
 python scripts/examples/ur5_picking.py [TREE.csv] [FOLDER]
 
-The tree is a list of capsules (kind,x1,y1,z1,x2,y2,z2,radius: `hplan.orchard.import_capsules`); one is grown without.
+The tree is a list of capsules (kind,x1,y1,z1,x2,y2,z2,radius: `hplan.scene.orchard.import_capsules`); one is grown
+without.
 """
 
 from __future__ import annotations
@@ -13,12 +14,12 @@ import tempfile
 from pathlib import Path
 
 import hplan
-from hplan.orchard import FruitZone, MeasuredOptions, OrchardOptions, generate, measured_orchard
+from hplan.apps.view.page import write_page
+from hplan.apps.view.playback import Playback
 from hplan.planning.report import write_report
 from hplan.robot.files import named_robot
 from hplan.scene import Box, Capsule, Goal, Scene
-from hplan.view.page import write_page
-from hplan.view.playback import Playback
+from hplan.scene.orchard import FruitZone, MeasuredOptions, OrchardOptions, generate, measured_orchard
 
 #: A tube of 18 cm at the flange, along z of its frame; the tool frame at its mouth says where fruit is taken.
 SHAPE = '<origin xyz="0 0 0.09"/><geometry><cylinder radius="0.02" length="0.18"/></geometry>'

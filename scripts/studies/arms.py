@@ -27,11 +27,11 @@ from studies.outside import contacts, path_is_clear
 from studies.peers import RESOLUTION, ompl_path, seed_ompl, toppra_motion, world_of
 
 from hplan.base.arrays import FloatArray
-from hplan.bodies.collision_bodies import collision_bodies
 from hplan.collision.coal_scene import CoalScene, base_contacts
+from hplan.collision.collision_bodies import collision_bodies
 from hplan.errors import HplanError, InputError
-from hplan.finishing.finish import finish
-from hplan.problem.options import PlanOptions
+from hplan.planning.finishing.finish import finish
+from hplan.planning.options import PlanOptions
 from hplan.robot.files import named_robot
 from hplan.robot.model import Robot, load_robot
 from hplan.scene.file import load_scene

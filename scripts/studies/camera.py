@@ -28,10 +28,10 @@ from studies.trees import DISTANCES, Orchard, crop_of, measured_orchard, shipped
 from hplan.base.arrays import FloatArray
 from hplan.collision.clearance_field import ClearanceField
 from hplan.errors import HplanError
+from hplan.online.arm_shape import arm_solids
+from hplan.online.frame import CloudOptions
 from hplan.online.planner import Planner
-from hplan.perception.arm_shape import arm_solids
-from hplan.perception.frame import CloudOptions
-from hplan.problem.options import PlanOptions
+from hplan.planning.options import PlanOptions
 from hplan.robot.model import Robot
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Box, Capsule, Solid, Sphere

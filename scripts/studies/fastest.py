@@ -29,11 +29,11 @@ from studies.transcription import optimized
 from studies.trees import Orchard, measured_orchard
 
 from hplan.base.arrays import FloatArray
+from hplan.certificate.digests import robot_digest
 from hplan.errors import InputError
-from hplan.problem.options import EFFORT_NAMES, PlanOptions
+from hplan.planning.options import EFFORT_NAMES, PlanOptions
 from hplan.robot.model import Robot, load_robot
 from hplan.scene.model import Scene
-from hplan.verification.digests import robot_digest
 
 #: The file that comes with the project.
 BEST_KNOWN = Path(__file__).with_name("best_known.json")

@@ -13,10 +13,10 @@ from studies.harness import Asked, Row, Study
 from studies.measure import planned, ratio
 from studies.trees import measured_orchards, motions_in
 
+from hplan.apps.execution.plant import Plant
+from hplan.apps.execution.simulation import execute
 from hplan.base.data_files import scenes_dir
-from hplan.execution.plant import Plant
-from hplan.execution.simulation import execute
-from hplan.problem.options import PlanOptions
+from hplan.planning.options import PlanOptions
 from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel
 from hplan.scene.file import load_scene

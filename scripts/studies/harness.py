@@ -25,7 +25,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from hplan.errors import InputError
-from hplan.problem.options import EffortName
+from hplan.planning.options import EffortName
 from hplan.robot.model import Robot, load_robot
 
 #: What is told of one problem.

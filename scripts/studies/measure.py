@@ -19,9 +19,9 @@ import numpy as np
 from studies.harness import Row
 
 from hplan.errors import HplanError
+from hplan.planning.options import PlanOptions
 from hplan.planning.plan import PlanResult, plan
 from hplan.planning.report import versions
-from hplan.problem.options import PlanOptions
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 

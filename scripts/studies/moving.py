@@ -18,23 +18,23 @@ from studies.outside import contacts
 from studies.validation.random_scenes import direction, vector
 
 from hplan.base.arrays import FloatArray
+from hplan.certificate.certificate import certify
+from hplan.certificate.moving_obstacles import clear_until, moving_base_contacts
 from hplan.collision.coal_scene import CoalScene
 from hplan.collision.moving_solids import MovingSolids
 from hplan.errors import InputError
-from hplan.moving.obstacles_at import without_moving
-from hplan.moving.path_in_time import MovingField, PathInTime
-from hplan.moving.schedule import STEP_S
-from hplan.problem.definition import check_problem
-from hplan.problem.options import PlanOptions
-from hplan.problem.world import World
+from hplan.planning.definition import check_problem
+from hplan.planning.moving.obstacles_at import without_moving
+from hplan.planning.moving.path_in_time import MovingField, PathInTime
+from hplan.planning.moving.schedule import STEP_S
+from hplan.planning.options import PlanOptions
+from hplan.planning.world import World
 from hplan.robot.limits import least_duration
 from hplan.robot.model import Robot
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Capsule, Sphere
 from hplan.scene.tracks import Track
-from hplan.timing.trajectory import Trajectory
-from hplan.verification.certificate import certify
-from hplan.verification.moving_obstacles import clear_until, moving_base_contacts
+from hplan.trajectory.trajectory import Trajectory
 
 #: What moves, in turn; every other four scenes the base is locked.
 KINDS = ("ball", "post", "branch", "other arm")

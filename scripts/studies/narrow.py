@@ -27,12 +27,12 @@ from studies.validation.random_scenes import vector
 from hplan.base.arrays import FloatArray
 from hplan.collision.coal_scene import CoalScene
 from hplan.errors import HplanError
+from hplan.planning.definition import check_problem
+from hplan.planning.options import PlanOptions
 from hplan.planning.task import PlanningCache
-from hplan.problem.definition import check_problem
-from hplan.problem.options import PlanOptions
+from hplan.robot.family.members import write_robot
+from hplan.robot.family.spec import ArmSpec
 from hplan.robot.model import Robot, load_robot
-from hplan.robot_family.members import write_robot
-from hplan.robot_family.spec import ArmSpec
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Box, Sphere
 

@@ -20,7 +20,7 @@ from hplan.robot.files import named_robot
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 from hplan.scene.obstacles import PointCloud
-from hplan.timing.trajectory import Trajectory
+from hplan.trajectory.trajectory import Trajectory
 
 #: Limits are looked at so often [s].
 EVERY_S = 1e-3

@@ -21,12 +21,12 @@ from hplan.base.lazy_import import extra
 from hplan.base.polyline import stations
 from hplan.collision.clearance_field import ClearanceField
 from hplan.errors import HplanError
-from hplan.finishing.finish import finish
-from hplan.problem.options import EffortName, PlanOptions
-from hplan.problem.world import World
+from hplan.optimization.shortcut import shorten
+from hplan.planning.finishing.finish import finish
+from hplan.planning.options import EffortName, PlanOptions
+from hplan.planning.world import World
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
-from hplan.smoothing.shortcut import shorten
 
 PLANNERS = ("RRTConnect", "BITstar")
 

@@ -17,19 +17,19 @@ from studies.planar_cspace import arm_sections, joint_grid
 
 from hplan.base.arrays import FloatArray, IntArray
 from hplan.collision.coal_scene import CoalScene
-from hplan.cspace.occupancy import occupancy
 from hplan.errors import BoundError, InputError
-from hplan.lower_bound.duration_bound import ENOUGH, DurationBound, duration_bound
+from hplan.grid import dense_search, two_level_search
+from hplan.grid.grid import Occupancy
+from hplan.grid.occupancy import occupancy
 from hplan.planning.certified_motion import motion_limits
+from hplan.planning.lower_bound.duration_bound import ENOUGH, DurationBound, duration_bound
+from hplan.planning.options import PlanOptions
 from hplan.planning.plan import PlanResult
 from hplan.planning.task import PlanningCache
-from hplan.problem.options import PlanOptions
 from hplan.robot.model import Robot, load_robot
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Sphere
-from hplan.search import dense_search, two_level_search
-from hplan.search.grid import Occupancy
-from hplan.timing.trajectory import write_csv
+from hplan.trajectory.trajectory import write_csv
 
 #: Spacing of the joint grid, and how far start and goal are apart in joint space at least [deg].
 STEP_DEG, APART_DEG = 1.0, 30.0

@@ -11,11 +11,11 @@ from numpy.typing import ArrayLike
 from hplan.base.arguments import one_of
 from hplan.base.arrays import FloatArray, readonly
 from hplan.base.planar_geometry import convex_hull
-from hplan.cspace.prepared_obstacles import ConvexObstacle, prepare_obstacles
-from hplan.cspace.sections import LINK_MODELS, ArmSections, LinkModel, balls_only, sections_at
+from hplan.grid.grid import Grid
+from hplan.grid.prepared_obstacles import ConvexObstacle, prepare_obstacles
+from hplan.grid.sections import LINK_MODELS, ArmSections, LinkModel, balls_only, sections_at
 from hplan.robot.model import Robot
 from hplan.robot.planar_family import PlanarArm
-from hplan.search.grid import Grid
 
 
 def joint_grid(arm: PlanarArm, step: float | FloatArray) -> Grid:

@@ -27,14 +27,14 @@ from studies.validation.cspace import sampled_occupancy
 from hplan.base.arrays import FloatArray, IntArray
 from hplan.base.polyline import path_length
 from hplan.collision.coal_scene import CoalScene
-from hplan.cspace.occupancy import occupancy
+from hplan.grid import dense_search, two_level_search
+from hplan.grid.grid import Occupancy
+from hplan.grid.occupancy import occupancy
+from hplan.planning.options import EFFORT_NAMES, PlanOptions
 from hplan.planning.plan import plan
-from hplan.problem.options import EFFORT_NAMES, PlanOptions
 from hplan.robot.model import Robot, load_robot
 from hplan.scene.file import load_scene
 from hplan.scene.model import Scene
-from hplan.search import dense_search, two_level_search
-from hplan.search.grid import Occupancy
 
 #: Runs of each measurement, and of each planner of OMPL's with the time that it has [s].
 REPETITIONS, RUNS = 15, (("RRTConnect", 1.0, 10), ("BITstar", 0.2, 3), ("BITstar", 1.0, 3))

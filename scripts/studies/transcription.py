@@ -25,14 +25,14 @@ from studies.peers import world_of
 from studies.symbolic import inverse_dynamics, link_distance, links_apart, load_casadi
 
 from hplan.base.arrays import FloatArray, frozen
+from hplan.certificate.certificate import certify
 from hplan.collision import obstacle_rows as row
 from hplan.optimization.timed_spline import RESTING, TimedSpline, breaks_at_rows
-from hplan.problem.definition import Problem, check_problem
-from hplan.problem.world import World
+from hplan.planning.definition import Problem, check_problem
+from hplan.planning.world import World
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
-from hplan.timing.trajectory import Trajectory
-from hplan.verification.certificate import certify
+from hplan.trajectory.trajectory import Trajectory
 
 #: Places in each piece where clearances are kept, and times where torques are.
 PLACES, TIMES = 2, 2

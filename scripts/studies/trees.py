@@ -24,14 +24,14 @@ from hplan.base.arrays import FloatArray
 from hplan.base.data_files import scenes_dir
 from hplan.collision.clearance_field import ClearanceField
 from hplan.errors import HplanError, InputError, OptionError, UnreachableError
-from hplan.orchard import SHIPPED, TUCKED_DEG, fruit_at_tips, import_capsules
-from hplan.planar.inverse_kinematics import reach
-from hplan.planar.straight_approach import standoffs
-from hplan.problem.options import PlanOptions
+from hplan.kinematics.planar_inverse_kinematics import reach
+from hplan.kinematics.straight_approach import standoffs
+from hplan.planning.options import PlanOptions
 from hplan.robot.limits import least_duration
 from hplan.robot.model import Robot
 from hplan.scene.file import load_scene
 from hplan.scene.model import Fruit, Goal, Scene, Start
+from hplan.scene.orchard import SHIPPED, TUCKED_DEG, fruit_at_tips, import_capsules
 from hplan.tour.tour import plan_tour
 
 #: Where the trunk of a measured tree stands in front of the base [m].

@@ -60,10 +60,12 @@ def test_what_is_there_stays(package: Path) -> None:
 
 
 def test_timing_leaves_matplotlib_out() -> None:
-    code = "import sys; import hplan.timing.topp; print(sorted(m for m in sys.modules if m.startswith('matplotlib')))"
+    code = (
+        "import sys; import hplan.trajectory.topp; print(sorted(m for m in sys.modules if m.startswith('matplotlib')))"
+    )
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert found.stdout.strip() == "[]"
-    code = "import hplan.timing.topp, toppra.parametrizer, matplotlib.pyplot as plt; "
+    code = "import hplan.trajectory.topp, toppra.parametrizer, matplotlib.pyplot as plt; "
     code += "print(toppra.parametrizer.plt.figure is plt.figure)"
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert found.stdout.strip() == "True"

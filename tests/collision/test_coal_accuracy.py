@@ -7,13 +7,13 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from hplan.certificate.certificate import certify
 from hplan.collision.coal_accuracy import CURVED, ITERATION, PARALLEL, SIZE, distance_errors
 from hplan.collision.coal_scene import CoalScene
 from hplan.collision.coal_shapes import solid_shape
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Box, Capsule, Cylinder, Sphere
-from hplan.timing.trajectory import Trajectory
-from hplan.verification.certificate import certify
+from hplan.trajectory.trajectory import Trajectory
 
 
 def turned(z, rng):

@@ -17,12 +17,12 @@ from studies.validation.cspace import sampled_occupancy
 
 from hplan.base.data_files import urdf_dir
 from hplan.collision.coal_scene import CoalScene, base_contacts
-from hplan.cspace.occupancy import occupancy
 from hplan.errors import ConfigurationInCollisionError, OptionError
-from hplan.problem.world import check_clear
+from hplan.grid.occupancy import occupancy
+from hplan.planning.world import check_clear
 from hplan.robot.base_shapes import base_radius
+from hplan.robot.family import HARVESTER, write_robot
 from hplan.robot.model import load_robot
-from hplan.robot_family import HARVESTER, write_robot
 from hplan.scene.convex_shape import convex_hull_shape
 from hplan.scene.obstacles import Box, Capsule, Cylinder, Mesh, Sphere
 from hplan.scene.solids import Cloud, hull_of

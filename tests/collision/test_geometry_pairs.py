@@ -8,9 +8,9 @@ from arm_variants import random_obstacles
 
 import hplan.collision.geometry_pairs as module
 from hplan.collision.coal_scene import CoalScene
+from hplan.robot.family.members import write_robot
+from hplan.robot.family.spec import ArmSpec
 from hplan.robot.model import load_robot
-from hplan.robot_family.members import write_robot
-from hplan.robot_family.spec import ArmSpec
 from hplan.scene.obstacles import Sphere
 from hplan.scene.solids import Cloud
 

@@ -10,17 +10,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hplan.base.arrays import FloatArray
-from hplan.bodies.collision_bodies import collision_bodies
-from hplan.bodies.flat_bodies import INNER, OUTER
-from hplan.bodies.placed_bodies import place_joints
-from hplan.bodies.sweep import Sweep, used_up
-from hplan.bodies.touching_pairs import self_pairs
-from hplan.bodies.twists import find_twists, motion_bends
 from hplan.collision.body_kernels import FAR
 from hplan.collision.body_motions import body_bounds
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.clearance_kernels import keeps_margin
+from hplan.collision.collision_bodies import collision_bodies
+from hplan.collision.flat_bodies import INNER, OUTER
 from hplan.collision.motion_cover import moving_arm, part_shown_clear
+from hplan.collision.placed_bodies import place_joints
+from hplan.collision.sweep import Sweep, used_up
+from hplan.collision.touching_pairs import self_pairs
+from hplan.collision.twists import find_twists, motion_bends
 from hplan.robot.model import Robot, load_robot
 from hplan.scene.obstacles import Box, Capsule, Cylinder, Solid, Sphere
 from hplan.scene.solids import Cloud

@@ -9,6 +9,7 @@ import pytest
 from arm_variants import coal_distances
 from planned import fruit, post, task
 
+from hplan.certificate.certificate import certify
 from hplan.errors import HplanError
 from hplan.online.planner import Planner
 from hplan.planning.plan import PlanResult, plan
@@ -16,8 +17,7 @@ from hplan.robot.model import Robot
 from hplan.scene.file import load_scene
 from hplan.scene.model import Fruit, Goal
 from hplan.scene.obstacles import Box, Sphere
-from hplan.timing.trajectory import Trajectory
-from hplan.verification.certificate import certify
+from hplan.trajectory.trajectory import Trajectory
 
 APPLE = fruit("apple", 20.0, 1.5, 1.4)
 SCENE = task((-20.0, 45.0, 45.0, 30.0), Goal(fruit="apple"), [post("post", 0.0, 1.2, 0.0, 0.9)], fruits=(APPLE,))

@@ -7,17 +7,17 @@ import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
 from hplan.errors import HplanError, InputError, OptionError
+from hplan.online.arm_shape import reach_ball
+from hplan.online.frame import CloudOptions
 from hplan.online.planner import Planner
-from hplan.perception.arm_shape import reach_ball
-from hplan.perception.frame import CloudOptions
-from hplan.perception.swept_reach import SweptReach
+from hplan.online.swept_reach import SweptReach
+from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
-from hplan.problem.options import PlanOptions
 from hplan.robot.model import Robot
 from hplan.scene.model import Fruit, Goal, Scene, Start
 from hplan.scene.obstacles import Sphere
 from hplan.scene.tracks import Track
-from hplan.timing.trajectory import Trajectory
+from hplan.trajectory.trajectory import Trajectory
 
 START, GOAL = (-40.0, 45.0, 40.0, 30.0), (40.0, 45.0, 40.0, 30.0)
 QUICK = PlanOptions(effort="quick")

@@ -14,8 +14,8 @@ from spliced import assert_goes_on
 
 from hplan.errors import InputError, NotOnMotionError, OptionError
 from hplan.online.planner import Planner
+from hplan.planning.options import PlanOptions
 from hplan.planning.plan import PlanResult, plan
-from hplan.problem.options import PlanOptions
 from hplan.robot.model import Robot
 from hplan.scene.model import Goal, Scene
 from hplan.scene.obstacles import Sphere

@@ -20,15 +20,15 @@ from planned import (
 )
 from shapes import blocks
 
+from hplan.certificate.certificate import certify
 from hplan.collision.coal_scene import CoalScene
 from hplan.errors import ConfigurationInCollisionError, InputError, NoPathError, SceneError
 from hplan.online.planner import Planner
+from hplan.planning.options import PlanOptions
 from hplan.planning.plan import PlanResult, plan
-from hplan.problem.options import PlanOptions
 from hplan.robot.model import Robot
 from hplan.scene.model import Fruit, Goal, Scene, Start
 from hplan.scene.obstacles import Box, Mesh, PointCloud, Sphere
-from hplan.verification.certificate import certify
 
 START, GOAL = (0.0, 30.0, 20.0, 20.0), (60.0, 30.0, 20.0, 20.0)
 POST = post("post", 30.0, 1.2, 0.0, 2.0, 0.05)

@@ -11,8 +11,8 @@ import pytest
 from hplan import Planner, PlanOptions
 from hplan.collision.coal_cloud import _KNOWN
 from hplan.errors import InputError, OptionError
-from hplan.perception.arm_shape import reach_ball
-from hplan.perception.frame import CloudOptions
+from hplan.online.arm_shape import reach_ball
+from hplan.online.frame import CloudOptions
 from hplan.scene.model import Fruit, Goal, Scene, Start
 from hplan.scene.obstacles import PointCloud, Sphere
 

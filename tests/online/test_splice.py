@@ -10,16 +10,16 @@ import pytest
 from planned import assert_clear, at, between_rows, fruit, post, task
 from spliced import assert_goes_on
 
+from hplan.certificate.certificate import certify
 from hplan.errors import InputError, NotInTimeError, OptionError, RunningMotionBlockedError
 from hplan.online.planner import Planner
 from hplan.online.splice import SplicedResult
+from hplan.planning.options import PlanOptions
 from hplan.planning.plan import PlanResult
-from hplan.problem.options import PlanOptions
 from hplan.robot.model import Robot
 from hplan.scene.model import Goal, Scene
 from hplan.scene.obstacles import Sphere
-from hplan.timing.trajectory import Trajectory
-from hplan.verification.certificate import certify
+from hplan.trajectory.trajectory import Trajectory
 
 POST = post("post", 0.0, 1.1, 0.0, 1.5)
 BALL = Sphere(name="ball", center=at(90.0, 2.0, 1.0), radius=0.05)

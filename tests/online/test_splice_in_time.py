@@ -15,20 +15,20 @@ from spliced import FIELDS, assert_goes_on
 from studies.outside import contacts
 
 import hplan.planning.plan as planning
+from hplan.certificate.certificate import certify
 from hplan.errors import ObstacleInTimeError, RunningMotionBlockedError
-from hplan.moving.search import certified_in_time
 from hplan.online.planner import Planner
 from hplan.online.splice import SplicedResult
+from hplan.planning.moving.search import certified_in_time
+from hplan.planning.options import PlanOptions
 from hplan.planning.plan import PlanResult, plan, plan_with
 from hplan.planning.start_in_motion import Stop
 from hplan.planning.task import PlanningCache, no_progress
-from hplan.problem.options import PlanOptions
 from hplan.robot.model import Robot
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Sphere
 from hplan.scene.tracks import Track
-from hplan.timing.trajectory import Trajectory
-from hplan.verification.certificate import certify
+from hplan.trajectory.trajectory import Trajectory
 
 START, GOAL, BACK = (0.0, 0.0, 0.0, 0.0), (0.0, 45.0, 60.0, 70.0), (0.0, 20.0, 0.0, 10.0)
 PLANAR = {"locked_joints": ("base_yaw",)}

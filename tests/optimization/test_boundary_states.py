@@ -8,17 +8,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.interpolate import BSpline
 
+from hplan.certificate.limit_use import limit_use
 from hplan.collision.clearance_field import ClearanceField
 from hplan.optimization.first_order import NEAR, PLACES, MotionArrays, MotionLimits, first_order
 from hplan.optimization.minimize_time import Effort, Level, minimize_time
+from hplan.optimization.options import PostprocessOptions
 from hplan.optimization.time_problem import TimeProblem
 from hplan.optimization.timed_spline import BoundaryState, TimedSpline
 from hplan.optimization.torque_rows import TorqueUse, torque_rows
 from hplan.robot.limits import Limits
 from hplan.scene.obstacles import Sphere
-from hplan.smoothing.options import PostprocessOptions
-from hplan.timing.trajectory import Trajectory, cubic_pieces
-from hplan.verification.limit_use import limit_use
+from hplan.trajectory.trajectory import Trajectory, cubic_pieces
 
 PIECES, STEP = 12, 1e-6
 

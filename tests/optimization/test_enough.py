@@ -9,18 +9,18 @@ from any_arms import loaded_arm
 import hplan.optimization.minimize_time as optimization
 from hplan.base.arrays import FloatArray
 from hplan.collision.clearance_field import ClearanceField
+from hplan.optimization.coarse_profile import coarse_profile
 from hplan.optimization.first_order import MotionArrays, MotionLimits, first_order
 from hplan.optimization.minimize_time import minimize_time, rough_motion
 from hplan.optimization.time_problem import TimeProblem
 from hplan.planning.certified_motion import certificate_of, motion_limits, smoothing_options
 from hplan.planning.effort import EFFORTS_OF_BODIES
+from hplan.planning.options import PlanOptions
 from hplan.planning.task import PlanningCache, PlanningTask
-from hplan.problem.options import PlanOptions
 from hplan.scene.model import Scene
 from hplan.scene.obstacles import Sphere
-from hplan.smoothing.coarse_profile import coarse_profile
-from hplan.smoothing.spline import SplinePath
-from hplan.timing.speed_profile import SpeedProfile
+from hplan.trajectory.speed_profile import SpeedProfile
+from hplan.trajectory.spline import SplinePath
 
 DEFAULT = EFFORTS_OF_BODIES["default"].starts
 assert DEFAULT is not None

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 import hplan
+from hplan.certificate.limit_use import limit_use
 from hplan.optimization.torque_rows import TorqueUse
 from hplan.planning.effort import EFFORTS
-from hplan.problem.options import EFFORT_NAMES, PlanOptions
-from hplan.timing.trajectory import cubic_pieces
-from hplan.verification.limit_use import limit_use
+from hplan.planning.options import EFFORT_NAMES, PlanOptions
+from hplan.trajectory.trajectory import cubic_pieces
 
 
 @pytest.fixture(scope="module")

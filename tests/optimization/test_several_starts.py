@@ -11,11 +11,11 @@ import pytest
 from hplan.collision.clearance_field import ClearanceField
 from hplan.optimization import several_starts
 from hplan.optimization.minimize_time import Effort, Level
+from hplan.optimization.options import PostprocessOptions
 from hplan.optimization.several_starts import StartsEffort, fastest_motions, optimization_starts
 from hplan.optimization.time_problem import TimeProblem
 from hplan.robot.limits import Limits
 from hplan.scene.obstacles import Sphere
-from hplan.smoothing.options import PostprocessOptions
 
 START, GOAL = np.array([0.15, 1.2, 0.3, 0.3]), np.array([0.15, 0.1, 0.3, 0.3])
 LEVELS = (Level(0.1, (15, 30), 10, 1e-2, 0.2), Level(0.05, (20, 40), 3, 1e-2, 0.05))

@@ -7,7 +7,7 @@ import pytest
 
 from hplan.optimization.timed_spline import TimedSpline, breaks_at_rows, even_breaks
 from hplan.robot.dynamics import InverseDynamics
-from hplan.timing.trajectory import cubic_pieces
+from hplan.trajectory.trajectory import cubic_pieces
 
 
 def swing(clock):

@@ -12,18 +12,18 @@ from any_arms import loaded_arm
 
 import hplan.errors as errors
 from hplan.base.arrays import FloatArray
-from hplan.bodies.collision_bodies import body_shapes
+from hplan.certificate.certificate import certify
 from hplan.collision.coal_cloud import obstacle_shape
+from hplan.collision.collision_bodies import body_shapes
 from hplan.online.planner import Planner
 from hplan.planning.grasps import Target
+from hplan.planning.options import PlanOptions
 from hplan.planning.plan import PlanResult, plan
-from hplan.problem.options import PlanOptions
-from hplan.problem.tool_paths import tool_thickness
-from hplan.problem.world import World
+from hplan.planning.tool_paths import tool_thickness
+from hplan.planning.world import World
 from hplan.robot.model import Robot, load_robot
 from hplan.scene.model import Fruit, Goal, Scene, Start
 from hplan.scene.obstacles import Capsule, Sphere
-from hplan.verification.certificate import certify
 
 QUICK = PlanOptions(effort="quick")
 TRUNK = Capsule.model_validate(

@@ -9,19 +9,19 @@ import numpy as np
 import pytest
 from any_arms import LIFT, loaded_arm
 
+from hplan.certificate.certificate import certify
 from hplan.errors import ConfigurationInCollisionError, InputError, NotFoundError, OptionError, RobotFileError
 from hplan.planning import find_motion
 from hplan.planning.effort import EFFORTS_OF_BODIES
+from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
-from hplan.problem.options import PlanOptions
+from hplan.planning.sampling.several_trees import TreesEffort
 from hplan.robot.limits import Limits
 from hplan.robot.model import Robot, load_robot
-from hplan.sampling.several_trees import TreesEffort
 from hplan.scene.model import Scene
 from hplan.scene.obstacles import Box, Obstacle, Sphere
-from hplan.smoothing.spline import SplinePath
-from hplan.timing.retime import time_path
-from hplan.verification.certificate import certify
+from hplan.trajectory.retime import time_path
+from hplan.trajectory.spline import SplinePath
 
 QUICK = PlanOptions(effort="quick")
 START, GOAL = (0.3, 0.8, 0.6, -0.4, 0.5, 0.2), (1.5, 0.9, 0.5, -0.2, -0.4, 0.6)

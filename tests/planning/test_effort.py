@@ -12,10 +12,10 @@ import pytest
 import hplan
 from hplan.planning.effort import EFFORTS
 from hplan.planning.find_motion import find_motion
+from hplan.planning.options import PlanOptions
 from hplan.planning.task import PlanningCache
-from hplan.problem.options import PlanOptions
+from hplan.robot.family import ArmSpec, write_robot
 from hplan.robot.model import Robot
-from hplan.robot_family import ArmSpec, write_robot
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Sphere
 

@@ -11,16 +11,16 @@ import pytest
 from planned import at, between_rows, frame_about_upper_arm, post, task
 from test_grid_route import ABOVE, BAR, BELOW, posed
 
+from hplan.certificate.certificate import certify
 from hplan.collision.coal_scene import CoalScene
 from hplan.errors import CertificationError, NoPathError
 from hplan.planning.certified_motion import PlannedMotion, certificate_of, required, timed
 from hplan.planning.find_motion import WORTHWHILE, find_motion, least_duration, reuse_motion
+from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
-from hplan.problem.options import PlanOptions
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 from hplan.scene.obstacles import Sphere
-from hplan.verification.certificate import certify
 
 START = (0.0, 30.0, 20.0, 20.0)
 NEAR, FAR = (30.0, 30.0, 20.0, 20.0), (90.0, 30.0, 20.0, 20.0)

@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 import pytest
 
+from hplan.certificate.certificate import certify
 from hplan.planning import whole_motion as planning
 from hplan.planning.grasp_motion import LEADS, Flow, Pick, flowing
+from hplan.planning.options import PlanOptions
 from hplan.planning.plan import PlanResult, plan
-from hplan.problem.options import PlanOptions
 from hplan.robot.model import Robot
 from hplan.scene.file import load_scene
 from hplan.scene.model import Scene
-from hplan.timing.trajectory import Trajectory, read_csv, write_csv
-from hplan.verification.certificate import certify
+from hplan.trajectory.trajectory import Trajectory, read_csv, write_csv
 
 SCENES = ("trellis", "dense-canopy")
 

@@ -33,8 +33,8 @@ from hplan.errors import (
     UnreachableError,
 )
 from hplan.planning.find_motion import least_duration
+from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
-from hplan.problem.options import PlanOptions
 from hplan.robot.model import Robot
 from hplan.scene.model import Goal, Scene
 from hplan.scene.obstacles import Box, Sphere

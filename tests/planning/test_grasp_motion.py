@@ -13,20 +13,20 @@ from planned import assert_sound, between_rows, frame_about_upper_arm, post, tas
 from test_grid_route import posed
 
 import hplan.planning.grasp_motion
-import hplan.problem.tool_paths
+import hplan.planning.tool_paths
 from hplan.collision.coal_scene import CoalScene
 from hplan.errors import BlockedError, CertificationError, NoPathError, NotFoundError, TimingError
 from hplan.kinematics.approach_angles import Candidates
-from hplan.planar.finer_angles import FINEST, Refined, refined
-from hplan.planar.inverse_kinematics import reach
+from hplan.kinematics.finer_angles import FINEST, Refined, refined
+from hplan.kinematics.planar_inverse_kinematics import reach
 from hplan.planning.find_motion import find_motion, without_path
 from hplan.planning.grasp_motion import approach_and_retreat
 from hplan.planning.grasps import SPARE, Grasp, Target, grasps, promising
 from hplan.planning.grid_route import find_route
+from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
 from hplan.planning.refusals import EnclosedError, Refusals, enclosed_goals
 from hplan.planning.task import GridAttempt, PlanningCache, PlanningContext
-from hplan.problem.options import PlanOptions
 from hplan.robot.model import Robot
 from hplan.scene.model import Fruit, Goal, Scene, Start
 from hplan.scene.obstacles import Capsule, Sphere
@@ -108,7 +108,7 @@ def test_all_grasps_are_tried_in_a_tour(robot: Robot) -> None:
 def test_finer_angles_before_blocked(robot: Robot, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     scene = TIGHT[name]
     assert_sound(robot, scene, plan(robot, scene, COARSE))
-    monkeypatch.setattr(hplan.problem.tool_paths, "refined", lambda *_: Refined(None, 0, -1.0))
+    monkeypatch.setattr(hplan.planning.tool_paths, "refined", lambda *_: Refined(None, 0, -1.0))
     with pytest.raises(BlockedError):
         plan(robot, scene, COARSE)
 

@@ -11,10 +11,10 @@ from planned import at, last_link, post
 
 from hplan.collision.coal_scene import CoalScene
 from hplan.errors import BlockedError, InputError, OptionError, UnreachableError
-from hplan.planar.inverse_kinematics import reach
-from hplan.planar.straight_approach import ApproachPath
+from hplan.kinematics.planar_inverse_kinematics import reach
+from hplan.kinematics.straight_approach import ApproachPath
 from hplan.planning.grasps import SEARCHED, SPARE, Grasp, Target, grasps, promising
-from hplan.problem.world import World
+from hplan.planning.world import World
 from hplan.robot.model import Robot
 from hplan.scene.obstacles import Box, Sphere
 

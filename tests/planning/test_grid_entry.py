@@ -10,9 +10,9 @@ import pytest
 
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.coal_scene import CoalScene
+from hplan.grid.grid import Grid, Occupancy
 from hplan.planning.grid_entry import joined_nodes
 from hplan.scene.obstacles import Sphere
-from hplan.search.grid import Grid, Occupancy
 
 STEP = np.radians(9.0)
 PLANAR = slice(1, None)

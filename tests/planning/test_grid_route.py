@@ -12,18 +12,18 @@ import pytest
 from planned import assert_clear, frame_about_upper_arm, random_scene, task
 
 import hplan.planning.find_motion
-from hplan.cspace.yaw_layers import turning_occupancy, yaw_axis
 from hplan.errors import HplanError, NoPathError, OptionError
+from hplan.grid import reachable
+from hplan.grid.grid import Occupancy
+from hplan.grid.yaw_layers import turning_occupancy, yaw_axis
 from hplan.planning.find_motion import without_path
 from hplan.planning.grid_route import Route, find_route
+from hplan.planning.options import PlanOptions
 from hplan.planning.refusals import EnclosedError, enclosed_goals
 from hplan.planning.task import GridAttempt, PlanningCache, PlanningTask
-from hplan.problem.options import PlanOptions
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 from hplan.scene.obstacles import Sphere
-from hplan.search import reachable
-from hplan.search.grid import Occupancy
 
 MARGIN = 1e-4
 

@@ -11,8 +11,8 @@ from test_grid_route import posed
 import hplan.planning.find_motion
 from hplan.errors import NoPathError
 from hplan.planning.find_motion import find_motion
+from hplan.planning.options import PlanOptions
 from hplan.planning.task import GridAttempt, PlanningTask
-from hplan.problem.options import PlanOptions
 from hplan.robot.model import Robot
 
 

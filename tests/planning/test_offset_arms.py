@@ -13,8 +13,8 @@ from fitted_arms import Bodies
 
 from hplan.errors import UnreachableError
 from hplan.planning.plan import plan
+from hplan.robot.family import ORCHARD_HARVESTER, write_robot
 from hplan.robot.model import Robot, load_robot
-from hplan.robot_family import ORCHARD_HARVESTER, write_robot
 from hplan.scene.model import Fruit, Goal, Scene, Start
 from hplan.scene.obstacles import Capsule
 

@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 from studies.validation.cspace import sampled_occupancy
 
+from hplan.certificate.certificate import certify
 from hplan.collision.coal_scene import CoalScene
 from hplan.errors import CertificationError, ConfigurationInCollisionError, InputError, NoPathError, OptionError
+from hplan.grid.grid import Grid
+from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan, with_export_time
 from hplan.planning.task import PlanningCache
-from hplan.problem.options import PlanOptions
 from hplan.robot.model import Robot
 from hplan.scene.model import Fruit, Goal, Scene, Start
 from hplan.scene.obstacles import Box, Capsule, Cylinder, Sphere
-from hplan.search.grid import Grid
-from hplan.verification.certificate import certify
 
 START, GOAL = (0.0, 0.0, 0.0, 0.0), (0.0, 45.0, 60.0, 70.0)
 SHOULDER = np.array([0.0, 0.0, 0.6])

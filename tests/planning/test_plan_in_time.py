@@ -12,12 +12,12 @@ import pytest
 from planned import post, task
 
 import hplan
+from hplan.apps.cli.main import main
 from hplan.base.deadline import current
-from hplan.cli.main import main
 from hplan.errors import NotFoundError, NotInTimeError, OptionError, PlanCancelledError, UnreachableError
 from hplan.planning.task import LastWorld, PlanningCache
 from hplan.planning.whole_motion import Beginning, parts_in_time
-from hplan.problem.world import World
+from hplan.planning.world import World
 from hplan.robot.model import Robot
 from hplan.scene.model import Goal, Scene
 

@@ -13,15 +13,15 @@ from any_arms import loaded_arm
 
 import hplan.errors as errors
 from hplan.base.arrays import FloatArray
+from hplan.certificate.certificate import certify
+from hplan.certificate.digests import scene_digest
+from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
-from hplan.problem.options import PlanOptions
 from hplan.robot.model import Robot, load_robot
 from hplan.scene.file import dump_scene, load_scene, parse_scene, save_scene
 from hplan.scene.model import Goal, Scene
 from hplan.scene.obstacles import Box, Obstacle, Sphere
 from hplan.scene.solids import quaternion_rotation
-from hplan.verification.certificate import certify
-from hplan.verification.digests import scene_digest
 
 QUICK = PlanOptions(effort="quick")
 START, END = (0.3, 0.8, 0.6, -0.4, 0.5, 0.2), (1.5, 0.9, 0.5, -0.2, -0.4, 0.6)

@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 from planned import assert_clear, between_rows, fruit, post, task
 
+from hplan.certificate.certificate import LIMIT_TOLERANCE, certify
+from hplan.certificate.digests import scene_digest
 from hplan.errors import (
     HplanError,
     InputError,
@@ -17,16 +19,14 @@ from hplan.errors import (
     StartStateError,
     UnavoidableContactError,
 )
+from hplan.planning.options import PlanOptions
 from hplan.planning.plan import PlanResult, plan
-from hplan.problem.options import PlanOptions
 from hplan.robot.model import load_robot
 from hplan.scene.file import dump_scene, parse_scene
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Sphere
-from hplan.timing.trajectory import Trajectory
 from hplan.tour.tour import plan_tour
-from hplan.verification.certificate import LIMIT_TOLERANCE, certify
-from hplan.verification.digests import scene_digest
+from hplan.trajectory.trajectory import Trajectory
 
 POST = post("post", 0.0, 1.1, 0.0, 1.5)
 

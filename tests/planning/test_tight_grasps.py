@@ -11,10 +11,10 @@ from planned import assert_sound
 import hplan.planning.grasp_motion
 from hplan.errors import BlockedError, CertificationError
 from hplan.planning.grasps import ROOMS, SPARE, Target, grasps
+from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
 from hplan.planning.refusals import Refusals
 from hplan.planning.task import PlanningCache
-from hplan.problem.options import PlanOptions
 from hplan.robot.model import Robot, load_robot
 from hplan.scene.model import Fruit, Goal, Scene, Start
 from hplan.scene.obstacles import Capsule, Sphere

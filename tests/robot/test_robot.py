@@ -13,10 +13,10 @@ from toy_urdf import SIX_AXIS_LIMITS, six_axis_arm
 
 from hplan.base.data_files import urdf_dir
 from hplan.errors import InputError, JointLimitError, RobotFamilyError, RobotFileError
+from hplan.robot.family.members import HARVESTER, ArmSpec, write_robot
 from hplan.robot.family_reader import outline
 from hplan.robot.files import read_limits, read_models
 from hplan.robot.model import Robot, load_robot
-from hplan.robot_family.members import HARVESTER, ArmSpec, write_robot
 
 HALF_PI = math.pi / 2
 SHIPPED = (urdf_dir() / "harvester.urdf").read_text()

@@ -15,26 +15,26 @@ from studies.planar_cspace import arm_sections, joint_grid
 from studies.validation.cspace import sampled_occupancy
 
 from hplan.base.planar_geometry import polygon_distances
+from hplan.certificate.certificate import certify
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.coal_scene import CoalScene
 from hplan.collision.obstacle_rows import BOUND, CENTRE, KIND, LINK_RANGE, TURNS, _base_solid
-from hplan.cspace.blockers import blockers
-from hplan.cspace.occupancy import occupancy
-from hplan.cspace.prepared_obstacles import prepare_obstacles
-from hplan.cspace.sections import only, sections_at
 from hplan.errors import ConfigurationInCollisionError
+from hplan.grid.blockers import blockers
+from hplan.grid.grid import Grid
+from hplan.grid.occupancy import occupancy
+from hplan.grid.prepared_obstacles import prepare_obstacles
+from hplan.grid.sections import only, sections_at
+from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
-from hplan.problem.options import PlanOptions
 from hplan.robot.base_shapes import coal_distance, turning_shapes
+from hplan.robot.family.members import write_robot
+from hplan.robot.family.spec import ArmSpec
 from hplan.robot.model import Robot, load_robot
 from hplan.robot.self_contact import GROUND, TURRET, BaseBody, pair_rates, pair_sway, self_contact
-from hplan.robot_family.members import write_robot
-from hplan.robot_family.spec import ArmSpec
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Sphere
-from hplan.search.grid import Grid
-from hplan.timing.trajectory import Trajectory
-from hplan.verification.certificate import certify
+from hplan.trajectory.trajectory import Trajectory
 
 #: A section of what carries the arm stands out by no more than this [m].
 STANDS_OUT = 2.5e-3

@@ -7,17 +7,17 @@ import math
 import numpy as np
 import pytest
 
+from hplan.certificate.certificate import Certificate, certify
+from hplan.certificate.clearance_proof import prove_clearance
 from hplan.collision.coal_scene import CoalScene
 from hplan.errors import BlockedError, CertificationError, NoPathError, OptionError
+from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
-from hplan.problem.options import PlanOptions
 from hplan.robot.model import Robot
 from hplan.robot.tracking import FRACTION_ERROR, TrackingModel, largest_fraction
 from hplan.scene.model import Fruit, Goal, Scene, Start
 from hplan.scene.obstacles import Box, Capsule, Solid, Sphere
-from hplan.timing.trajectory import Trajectory
-from hplan.verification.certificate import Certificate, certify
-from hplan.verification.clearance_proof import prove_clearance
+from hplan.trajectory.trajectory import Trajectory
 
 STILL, DELAY = 0.004, 0.02
 

@@ -22,7 +22,7 @@ from hplan.robot.model import load_robot
 from hplan.robot.urdf_check import check_models
 from hplan.robot.urdf_file import Urdf, read_urdf
 from hplan.robot.urdf_xml import read_urdf_xml
-from hplan.timing.trajectory import Trajectory, read_csv, write_csv
+from hplan.trajectory.trajectory import Trajectory, read_csv, write_csv
 
 SHIPPED = (urdf_dir() / "harvester.urdf").read_text()
 TOOL = (

@@ -15,16 +15,16 @@ import pinocchio as pin
 import pytest
 
 import hplan
+from hplan.apps.cli.main import main
 from hplan.base.data_files import urdf_dir
-from hplan.cli.main import main
+from hplan.certificate.certificate import certify
+from hplan.certificate.digests import robot_digest
 from hplan.errors import InputError, JointLimitError, OptionError, RobotFamilyError, RobotFileError
-from hplan.planar.inverse_kinematics import reach
+from hplan.kinematics.planar_inverse_kinematics import reach
 from hplan.robot.model import Robot, load_robot
 from hplan.robot.urdf_adaptation import CONTINUOUS_RANGE
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Sphere
-from hplan.verification.certificate import certify
-from hplan.verification.digests import robot_digest
 
 SHIPPED = (urdf_dir() / "harvester.urdf").read_text()
 LIMITS = urdf_dir() / "harvester.limits.yaml"
@@ -592,7 +592,7 @@ def test_xacro_itself(tmp_path):
 
 def test_mujoco_has_the_adapted_robot(load, tmp_path):
     mujoco = pytest.importorskip("mujoco")
-    from hplan.execution.mujoco_model import mujoco_model
+    from hplan.apps.execution.mujoco_model import mujoco_model
 
     write_stl(tmp_path / "meshes" / "hand.stl")
     robot = load(MESH.replace("</robot>", f"{FINGERS}{WORLD}</robot>").replace(*CONTINUOUS))

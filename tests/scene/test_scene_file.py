@@ -9,12 +9,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hplan.base.data_files import scenes_dir
+from hplan.certificate.digests import scene_digest
 from hplan.errors import OutputError, SceneError
 from hplan.scene.file import default_scene_path, dump_scene, load_scene, parse_scene, save_scene
 from hplan.scene.limits import FARTHEST_M
 from hplan.scene.model import Fruit, Goal, Scene, Start
 from hplan.scene.obstacles import Box, Capsule, Cylinder, Sphere
-from hplan.verification.digests import scene_digest
 
 HEAD = """\
 format: hplan-scene/1

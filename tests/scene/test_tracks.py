@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation, Slerp
 from shapes import crate, distances, uncovered
 
+from hplan.certificate.digests import scene_digest
 from hplan.collision.coal_accuracy import ITERATION
 from hplan.errors import InputError, MovingObstacleError, OptionError, SceneError
 from hplan.scene.file import dump_scene, load_scene, parse_scene, save_scene
@@ -18,7 +19,6 @@ from hplan.scene.model import Fruit, Goal, Scene, Start
 from hplan.scene.obstacles import Box, Capsule, Mesh, PointCloud, Solid, Sphere
 from hplan.scene.solids import SWEPT_ERROR, THIN, Cloud, posed, rpy_of
 from hplan.scene.tracks import Sway, Track
-from hplan.verification.digests import scene_digest
 
 TURNING = Track(
     times_s=(0.5, 1.0, 3.0),

@@ -14,10 +14,10 @@ from studies import fastest, reference, transcription
 from studies.harness import Study, read_rows
 from toy_urdf import SIX_AXIS_LIMITS, six_axis_arm
 
+from hplan.certificate.certificate import certify
 from hplan.errors import InputError
+from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
-from hplan.problem.options import PlanOptions
-from hplan.verification.certificate import certify
 
 script = load_script("benchmark")
 

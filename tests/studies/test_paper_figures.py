@@ -13,7 +13,7 @@ from studies.paper.figures import figures
 from studies.paper.figures_joint_space import OTHER_VIEW, VIEW, sparse_path
 from studies.view.figure_data import clearance_field, pair_mask
 
-from hplan.view.figure_style import GOAL, START, png_bytes
+from hplan.apps.view.figure_style import GOAL, START, png_bytes
 
 
 @pytest.fixture(scope="module")

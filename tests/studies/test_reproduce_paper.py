@@ -16,8 +16,8 @@ from studies.paper import measure, random_scenes
 from studies.paper.measure import PAPER_DENSE, PAPER_TWO_LEVEL
 from studies.paper.plain import carried_back
 
-from hplan.search import dense_search
-from hplan.search.grid import Grid, Occupancy
+from hplan.grid import dense_search
+from hplan.grid.grid import Grid, Occupancy
 
 script = load_script("reproduce_paper")
 

@@ -18,14 +18,14 @@ from studies.validation.scenes import KINDS
 
 from hplan.collision.coal_scene import CoalScene, base_contacts
 from hplan.collision.coal_shapes import LINK_SHAPES
-from hplan.cspace.occupancy import occupancy
-from hplan.cspace.sections import SECTION_ERROR
 from hplan.errors import InputError, JointLimitError, OptionError
+from hplan.grid.grid import Occupancy
+from hplan.grid.occupancy import occupancy
+from hplan.grid.sections import SECTION_ERROR
+from hplan.robot.family.members import ArmSpec, write_robot
 from hplan.robot.model import Robot, load_robot
-from hplan.robot_family.members import ArmSpec, write_robot
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Box, Capsule, Sphere
-from hplan.search.grid import Occupancy
 
 COARSE = float(np.radians(5.0))
 

@@ -24,15 +24,15 @@ from studies.validation.kinds import (
 from studies.validation.scenes import KINDS, Kind, random_scene
 
 from hplan.collision.clearance_field import ClearanceField
-from hplan.cspace.occupancy import occupancy
-from hplan.cspace.prepared_obstacles import prepare_obstacles
-from hplan.cspace.sections import sections_at
 from hplan.errors import OptionError
+from hplan.grid.grid import Grid, Occupancy
+from hplan.grid.occupancy import occupancy
+from hplan.grid.prepared_obstacles import prepare_obstacles
+from hplan.grid.sections import sections_at
 from hplan.planning.report import write_report
 from hplan.robot.model import Robot
 from hplan.scene.obstacles import Mesh, PointCloud
 from hplan.scene.solids import Cloud
-from hplan.search.grid import Grid, Occupancy
 
 #: A bucket, a ring and a notched plate that are cut in a moment.
 _QUICK_SHAPES = (3, 1, 17)

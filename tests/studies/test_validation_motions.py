@@ -21,7 +21,7 @@ from studies.validation.worlds import World, draw_ends, draw_world
 
 from hplan.robot.model import load_robot
 from hplan.scene.tracks import Poses, Track
-from hplan.timing.trajectory import Trajectory, write_csv
+from hplan.trajectory.trajectory import Trajectory, write_csv
 
 #: A corner of a cube by its place, and the cube's faces, counter-clockwise from outside.
 CORNERS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])

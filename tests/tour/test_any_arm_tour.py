@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 import hplan.errors as errors
-from hplan.bodies.collision_bodies import body_shapes, collision_bodies
-from hplan.cli.main import main
+from hplan.apps.cli.main import main
+from hplan.certificate.certificate import certify
+from hplan.collision.collision_bodies import body_shapes, collision_bodies
+from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
-from hplan.problem.options import PlanOptions
 from hplan.robot.model import Robot
 from hplan.scene.file import save_scene
 from hplan.scene.model import Fruit, Goal, Scene, Start
@@ -21,7 +22,6 @@ from hplan.scene.obstacles import Capsule
 from hplan.tour.carried import CARRIED, carrying
 from hplan.tour.result import TourResult
 from hplan.tour.tour import TourOptions, plan_tour
-from hplan.verification.certificate import certify
 
 QUICK = PlanOptions(effort="quick")
 START = (0.0, 0.2, 1.2, -0.8, 0.0, 0.0)

@@ -16,6 +16,8 @@ import pytest
 from script_loader import load_script
 
 from hplan.base import ties
+from hplan.certificate.certificate import Certificate
+from hplan.certificate.limit_use import LimitUse
 from hplan.collision.coal_scene import CoalScene
 from hplan.errors import (
     BlockedError,
@@ -26,21 +28,19 @@ from hplan.errors import (
     UnreachableError,
 )
 from hplan.planning.certified_motion import Part
+from hplan.planning.options import PlanOptions
 from hplan.planning.task import PlanningCache
-from hplan.problem.options import PlanOptions
 from hplan.robot.limits import rest_to_rest
 from hplan.robot.model import Robot
 from hplan.scene.file import load_scene, save_scene
 from hplan.scene.model import Fruit, Goal, Scene, Start
 from hplan.scene.obstacles import Box, Sphere
-from hplan.timing.trajectory import Trajectory, read_csv
 from hplan.tour.carried import carrying
 from hplan.tour.moves import Moves, Stop
 from hplan.tour.ordering import Costs, nearest
 from hplan.tour.result import TourResult
 from hplan.tour.tour import TourOptions, plan_tour
-from hplan.verification.certificate import Certificate
-from hplan.verification.limit_use import LimitUse
+from hplan.trajectory.trajectory import Trajectory, read_csv
 
 OPTIONS = PlanOptions(rate_hz=100.0)
 DROP = Goal(joints_deg=(100.0, 60.0, 80.0, 60.0))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from studies.paper.measure import PAPER_DENSE, PAPER_TWO_LEVEL, Reproduction, Run
 
-from hplan.view.figure_style import FAINT, INK, OBSTACLE, PATH, RESTORED, new_figure, styled
+from hplan.apps.view.figure_style import FAINT, INK, OBSTACLE, PATH, RESTORED, new_figure, styled
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 from studies.view.figures_arm import draw_arm, draw_disc
 
+from hplan.apps.view.figure_style import FAINT, GOAL, PATH, START, new_figure, styled
 from hplan.base.arrays import FloatArray, IntArray
+from hplan.grid.grid import Grid
 from hplan.robot.planar_family import PlanarArm
-from hplan.search.grid import Grid
-from hplan.view.figure_style import FAINT, GOAL, PATH, START, new_figure, styled
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

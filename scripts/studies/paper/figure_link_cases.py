@@ -10,8 +10,8 @@ import numpy as np
 from studies.view.figure_data import half_angles
 from studies.view.figures_arm import draw_disc, draw_link
 
+from hplan.apps.view.figure_style import FAINT, INK, OBSTACLE_TINT, QUIET, new_figure, styled
 from hplan.base.arrays import FloatArray
-from hplan.view.figure_style import FAINT, INK, OBSTACLE_TINT, QUIET, new_figure, styled
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

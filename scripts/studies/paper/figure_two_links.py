@@ -11,11 +11,7 @@ from studies.view.figure_data import disc_of, half_angles, pair_mask
 from studies.view.figures_arm import capsule_outline, draw_disc, draw_link
 from studies.view.figures_cspace import degree_axes, paint
 
-from hplan.base.arrays import FloatArray
-from hplan.cspace.sections import ArmSections
-from hplan.robot.planar_family import PlanarArm
-from hplan.search.grid import Grid
-from hplan.view.figure_style import (
+from hplan.apps.view.figure_style import (
     FAINT,
     INK,
     LINKS,
@@ -27,6 +23,10 @@ from hplan.view.figure_style import (
     new_figure,
     styled,
 )
+from hplan.base.arrays import FloatArray
+from hplan.grid.grid import Grid
+from hplan.grid.sections import ArmSections
+from hplan.robot.planar_family import PlanarArm
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

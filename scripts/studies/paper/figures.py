@@ -25,9 +25,9 @@ from studies.view.figure_data import clearance_field
 from studies.view.figures_arm import arm_and_obstacle, motions
 from studies.view.figures_cspace import slice_paths, slices
 
+from hplan.apps.view.figure_style import styled
 from hplan.base.arrays import FloatArray
-from hplan.search.grid import Grid
-from hplan.view.figure_style import styled
+from hplan.grid.grid import Grid
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

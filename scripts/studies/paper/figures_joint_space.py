@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 from studies.view.figures_arm import draw_motion
 
+from hplan.apps.view.cspace_surface import draw_cspace_obstacle, hidden, joint_box
+from hplan.apps.view.figure_style import GOAL, INK, OBSTACLE, PATH, RESTORED, START, new_figure, styled
 from hplan.base.arrays import BoolArray, FloatArray, IntArray
+from hplan.grid.grid import Grid
 from hplan.robot.planar_family import PlanarArm
-from hplan.search.grid import Grid
-from hplan.view.cspace_surface import draw_cspace_obstacle, hidden, joint_box
-from hplan.view.figure_style import GOAL, INK, OBSTACLE, PATH, RESTORED, START, new_figure, styled
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 from studies.paper.figures_joint_space import draw_line
 
+from hplan.apps.view.cspace_surface import draw_cspace_obstacle, hidden, panes
+from hplan.apps.view.figure_style import FAINT, GOAL, INK, OBSTACLE, OBSTACLE_TINT, PATH, START, new_figure, styled
 from hplan.base.arrays import FloatArray, IntArray
-from hplan.search.grid import Grid, Occupancy
-from hplan.view.cspace_surface import draw_cspace_obstacle, hidden, panes
-from hplan.view.figure_style import FAINT, GOAL, INK, OBSTACLE, OBSTACLE_TINT, PATH, START, new_figure, styled
+from hplan.grid.grid import Grid, Occupancy
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

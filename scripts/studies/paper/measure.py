@@ -16,12 +16,12 @@ from studies.paper.random_scenes import SearchComparison
 from studies.planar_cspace import arm_sections, joint_grid
 
 from hplan.base.arrays import FloatArray, IntArray
-from hplan.cspace import occupancy as cspace
-from hplan.cspace.sections import LINK_MODELS, ArmSections, LinkModel
+from hplan.grid import SearchResult, dense_search, slices_with_path, two_level_search
+from hplan.grid import occupancy as cspace
+from hplan.grid.grid import Grid, Occupancy
+from hplan.grid.sections import LINK_MODELS, ArmSections, LinkModel
 from hplan.robot.model import Robot, load_robot
 from hplan.scene.file import load_scene
-from hplan.search import SearchResult, dense_search, slices_with_path, two_level_search
-from hplan.search.grid import Grid, Occupancy
 
 _T = TypeVar("_T")
 

@@ -16,8 +16,8 @@ import numpy as np
 
 from hplan.base.arrays import BoolArray, IntArray
 from hplan.errors import NoPathError
-from hplan.search import SearchResult, dense_search
-from hplan.search.grid import Grid, Occupancy
+from hplan.grid import SearchResult, dense_search
+from hplan.grid.grid import Grid, Occupancy
 
 #: What restoration carries back towards the start: the first slice path, or its first waypoint alone.
 Restoration: TypeAlias = Literal["path", "first waypoint"]

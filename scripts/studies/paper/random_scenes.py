@@ -15,11 +15,11 @@ import numpy as np
 from studies.planar_cspace import RoundedPolygon, joint_grid, planar_sections
 
 from hplan.base.arrays import FloatArray, IntArray, readonly
-from hplan.cspace.occupancy import occupancy
-from hplan.cspace.sections import LinkModel
+from hplan.grid import Fallback, dense_search, two_level_search
+from hplan.grid.grid import Occupancy
+from hplan.grid.occupancy import occupancy
+from hplan.grid.sections import LinkModel
 from hplan.robot.planar_family import PlanarArm
-from hplan.search import Fallback, dense_search, two_level_search
-from hplan.search.grid import Occupancy
 
 #: The arm of the paper's example: lengths and half-widths [m], limits [rad].
 ARM = PlanarArm(

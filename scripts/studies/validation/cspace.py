@@ -1,7 +1,7 @@
 r"""The analytic C-space compared with coal, node by node.
 
 Two programs that share no formula say of every grid node whether the arm touches an obstacle there: the closed-form
-intervals of `hplan.cspace.occupancy`, and coal by way of Pinocchio. Where they differ, two directions are told apart:
+intervals of `hplan.grid.occupancy`, and coal by way of Pinocchio. Where they differ, two directions are told apart:
 
 - *fault*: free for us, a collision for coal. The planner could go there. One is too many;
 - *conservatism*: forbidden for us, free for coal. It costs room, not safety. Where a section is drawn around an
@@ -33,14 +33,14 @@ from studies.planar_cspace import arm_sections, joint_grid
 from hplan.base.arrays import BoolArray, FloatArray, IntArray
 from hplan.collision.coal_scene import CoalScene, Contact, base_contacts
 from hplan.collision.coal_shapes import LINK_SHAPES, LinkShapes
-from hplan.cspace.occupancy import occupancy
-from hplan.cspace.sections import SECTION_ERROR, LinkModel
 from hplan.errors import InputError, OptionError
+from hplan.grid.grid import Grid, Occupancy
+from hplan.grid.occupancy import occupancy
+from hplan.grid.sections import SECTION_ERROR, LinkModel
 from hplan.planning.report import versions
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 from hplan.scene.obstacles import Sphere
-from hplan.search.grid import Grid, Occupancy
 
 #: Nodes given to coal in one call.
 CHUNK = 65_536

@@ -34,15 +34,15 @@ from studies.validation.worlds import (
 )
 
 from hplan.base.arrays import FloatArray
+from hplan.certificate.certificate import Certificate
+from hplan.certificate.retimed_certificate import CertifiedMotion
 from hplan.errors import HplanError, NotOnMotionError, RunningMotionBlockedError
+from hplan.online.frame import CloudOptions
 from hplan.online.planner import Planner
-from hplan.perception.frame import CloudOptions
+from hplan.planning.options import PlanOptions
 from hplan.planning.plan import PlanResult
-from hplan.problem.options import PlanOptions
 from hplan.scene.model import Goal
-from hplan.timing.trajectory import Trajectory, write_csv
-from hplan.verification.certificate import Certificate
-from hplan.verification.retimed_certificate import CertifiedMotion
+from hplan.trajectory.trajectory import Trajectory, write_csv
 
 #: Worlds of a case, changes while a motion runs, and stops between them.
 WORLDS, CHANGES, STOPS = 4, 4, 3

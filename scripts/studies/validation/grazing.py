@@ -15,11 +15,11 @@ from studies.validation.judge import STANDS_M, Motion, Thing, distance
 from studies.validation.random_scenes import direction
 from studies.validation.worlds import World, draw_ends, obstacle
 
+from hplan.certificate.certificate import certify
 from hplan.errors import HplanError
 from hplan.online.planner import Planner
-from hplan.problem.options import PlanOptions
-from hplan.timing.trajectory import write_csv
-from hplan.verification.certificate import certify
+from hplan.planning.options import PlanOptions
+from hplan.trajectory.trajectory import write_csv
 
 #: Depth of grazing and gap of clear obstacles [m]; radius that they begin with.
 DEPTHS, GAPS, THIN = (1e-4, 5e-3), (1e-3, 5e-3), 1e-3

@@ -3,7 +3,7 @@ r"""The C-space compared with coal on random scenes of every kind of obstacle, w
 Of each scene `configurations` nodes are looked at, on small planar grids with random offsets at many yaws, so that
 nearly every node stands at no round number. Three sides answer for each:
 
-- the *intervals* of `hplan.cspace.occupancy` on the sections of `hplan.cspace.sections`, at that yaw or over an
+- the *intervals* of `hplan.grid.occupancy` on the sections of `hplan.grid.sections`, at that yaw or over an
   interval that holds it;
 - the *distances* of `hplan.collision.clearance_field`, by their sign;
 - *coal* on capsule links placed by Pinocchio, which shares no formula with the other two. It is asked about the solids
@@ -33,16 +33,16 @@ from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.coal_scene import CoalScene
 from hplan.collision.coal_shapes import triangle_tree
 from hplan.collision.geometry_pairs import GeometryPairs
-from hplan.cspace.occupancy import occupancy
-from hplan.cspace.prepared_obstacles import PreparedObstacles, prepare_obstacles
-from hplan.cspace.sections import sections_at
 from hplan.errors import OptionError
+from hplan.grid.grid import Grid
+from hplan.grid.occupancy import occupancy
+from hplan.grid.prepared_obstacles import PreparedObstacles, prepare_obstacles
+from hplan.grid.sections import sections_at
 from hplan.planning.report import versions
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 from hplan.scene.obstacles import Mesh, PointCloud
 from hplan.scene.solids import Cloud
-from hplan.search.grid import Grid
 
 #: Free by more than this, a configuration should be free for the planner [m].
 SPARE: Final = 2e-3

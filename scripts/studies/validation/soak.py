@@ -30,11 +30,11 @@ from studies.validation.worlds import BALL_M, SEEN, World, draw_ends, draw_item,
 from hplan.base.arrays import FloatArray
 from hplan.errors import HplanError
 from hplan.online.planner import Planner
+from hplan.planning.options import PlanOptions
 from hplan.planning.plan import PlanResult
-from hplan.problem.options import PlanOptions
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import PointCloud
-from hplan.timing.trajectory import Trajectory, write_csv
+from hplan.trajectory.trajectory import Trajectory, write_csv
 
 #: Frames, replans, stops and changes per second.
 CAMERA_HZ, REPLAN_HZ, STOP_HZ, CHANGE_HZ = 30.0, 4.0, 4.0, 4.0

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hplan.base.arrays import BoolArray, FloatArray
-from hplan.cspace import occupancy as cspace
-from hplan.cspace.sections import ArmSections
 from hplan.errors import InputError
+from hplan.grid import occupancy as cspace
+from hplan.grid.grid import Grid
+from hplan.grid.sections import ArmSections
 from hplan.robot.planar_family import PlanarArm
-from hplan.search.grid import Grid
 
 
 def disc_of(sections: ArmSections, link: int) -> tuple[FloatArray, float]:

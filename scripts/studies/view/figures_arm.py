@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
+from hplan.apps.view.figure_style import GOAL, INK, LINKS, OBSTACLE, PATH, QUIET, START, new_figure, styled
 from hplan.base.arrays import FloatArray
 from hplan.robot.planar_family import PlanarArm
-from hplan.view.figure_style import GOAL, INK, LINKS, OBSTACLE, PATH, QUIET, START, new_figure, styled
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

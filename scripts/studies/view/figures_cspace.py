@@ -13,11 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from studies.view.figure_data import earlier_links, reached_mask
 
-from hplan.base.arrays import BoolArray, IntArray
-from hplan.cspace.sections import ArmSections
-from hplan.robot.planar_family import PlanarArm
-from hplan.search.grid import Grid, Occupancy
-from hplan.view.figure_style import (
+from hplan.apps.view.figure_style import (
     FAINT,
     GOAL,
     INK,
@@ -31,6 +27,10 @@ from hplan.view.figure_style import (
     new_figure,
     styled,
 )
+from hplan.base.arrays import BoolArray, IntArray
+from hplan.grid.grid import Grid, Occupancy
+from hplan.grid.sections import ArmSections
+from hplan.robot.planar_family import PlanarArm
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

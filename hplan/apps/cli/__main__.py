@@ -1,0 +1,8 @@
+"""`python -m hplan.apps.cli`, the same as `hplan`."""
+
+import sys
+
+from hplan.apps.cli.main import main
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,174 @@
+"""The command `hplan certify`: certify a trajectory of anyone's, or what a plan left in its folder."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hplan.apps.cli.finished_job import FinishedJob
+from hplan.apps.cli.job_folder import REPORT
+from hplan.apps.cli.options import (
+    add_drop_inside,
+    add_robot,
+    add_scene,
+    add_tracking,
+    check_output_file,
+    command_parser,
+    robot_of,
+    scene_among,
+    tracking_of,
+)
+from hplan.apps.cli.terminal import FAILED, certificate_words, facts_table, loading, percent, show_title
+from hplan.base.files import is_folder
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+_DESCRIPTION = """\
+Certify a trajectory in a scene: clearance, limits, start and goal, for all times. Of a folder written by hplan its
+trajectory is certified, as its report says it was, and robot, scene and trajectory are compared with those of the
+report.
+"""
+
+_EXIT_STATUS = """\
+exit status:
+  0  certified
+  2  bad input
+  5  not certified, or the folder's report is about something else
+"""
+
+
+def parser(prog: str) -> argparse.ArgumentParser:
+    """The parser of the command's arguments."""
+    parser = command_parser(_DESCRIPTION, _EXIT_STATUS, prog=prog)
+    add = parser.add_argument
+    add("trajectory", type=Path, help="CSV, or the folder of a job")
+    add_scene(parser)
+    add_robot(parser)
+    add_drop_inside(parser)
+    add_tracking(parser)
+    add(
+        "--sigmas",
+        type=float,
+        metavar="K",
+        help="an uncertain obstacle grows by K sigma (default: 3, which leave 2.9 %% of its places)",
+    )
+    add("--goal-contact", choices=("approach", "motion"), help="when the last link may touch the fruit that is "
+        "the goal: on a straight approach, or during the whole motion (default: approach)")  # fmt: skip
+    add("--begin", type=float, default=0.0, metavar="S", help="time at which the motion begins, as the tracks of what "
+        "moves count it (default: 0)")  # fmt: skip
+    add("--any-ends", action="store_true", help="start, goal and locked joints of the scene are not compared")
+    add("--moving-ends", action="store_true", help="the motion need not begin and end at rest")
+    add("--report", type=Path, metavar="FILE", help="write what was shown as JSON")
+    add("--json", action="store_true", help="print it as JSON instead of a summary")
+    add("--quiet", action="store_true", help="no summary")
+    # A folder's report gives what is not given here.
+    parser.set_defaults(tracking_error=None, tracking_error_m=None, tracking_delay=None)
+    return parser
+
+
+def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int:
+    """Read, certify, compare, say; returns the exit status."""
+    with loading():
+        from hplan.certificate.certificate import certify
+        from hplan.planning.options import PlanOptions
+        from hplan.planning.report import certificate_report, report_text, versions, write_report
+        from hplan.robot.tracking import TrackingModel
+        from hplan.scene.file import load_scene
+        from hplan.trajectory.trajectory import read_csv
+
+    path: Path = arguments.trajectory
+    job = FinishedJob(path) if is_folder(path) else None
+    given = load_scene(job.scene if arguments.scene is None and job is not None else arguments.scene)
+    robot = robot_of(arguments, given, job)
+    _fill_in(arguments, job)
+    tracking = tracking_of(arguments)
+    options = PlanOptions(tracking_error=tracking.still_rad, tracking_delay_s=tracking.delay_s, sigmas=arguments.sigmas)
+    scene, _left_out = scene_among(arguments, robot, given, errors)
+    trajectory = read_csv(path) if job is None else job.trajectory()
+    if arguments.report is not None:
+        check_output_file(arguments.report, "--report")
+    certificate = certify(
+        robot,
+        scene,
+        trajectory,
+        tracking_error=tracking.still_rad,
+        tracking_delay_s=tracking.delay_s,
+        sigmas=arguments.sigmas,
+        goal_contact=arguments.goal_contact,
+        check_ends=not arguments.any_ends,
+        rest_to_rest=not arguments.moving_ends,
+        begin_s=arguments.begin,
+    )
+    differs = [] if job is None else job.differing(certificate.digests)
+    report = {
+        "status": "ok" if certificate.verified and not differs else "failed",
+        "scene": scene.name,
+        "robot": robot.name,
+        "differs": differs,
+        "certificate": certificate_report(certificate, options, scene),
+        "versions": versions(),
+    }
+    if arguments.report is not None:
+        write_report(report, arguments.report)
+    if arguments.json:
+        console.file.write(report_text(report))
+    elif not arguments.quiet:
+        _show(console, report, TrackingModel(tracking.still_rad).summary(robot.slides))
+    return 0 if report["status"] == "ok" else FAILED
+
+
+def _fill_in(arguments: argparse.Namespace, job: FinishedJob | None) -> None:
+    """Take what was not asked for from a job's report, else from the defaults."""
+    settings: dict[str, Any] = {"tracking_error_rad": 0.0, "tracking_delay_s": 0.0, "sigmas": 3.0}
+    if job is not None:
+        settings = job.report["certificate"]
+    defaults = {
+        "tracking_error": math.degrees(settings["tracking_error_rad"]),
+        "tracking_error_m": 0.0,
+        "tracking_delay": 1e3 * settings["tracking_delay_s"],
+        "sigmas": settings["sigmas"],
+        "goal_contact": "motion" if settings.get("goal_contact") == "motion" else "approach",
+    }
+    for name, value in defaults.items():
+        if getattr(arguments, name) is None:
+            setattr(arguments, name, value)
+
+
+def _show(console: Console, report: dict[str, Any], error: str) -> None:
+    """Rows that fit 80 columns, unless names are long."""
+    from rich.markup import escape
+
+    proof = report["certificate"]
+    table = facts_table()
+    clearance = "inf" if proof["nearest"] is None else f"{1e3 * proof['min_clearance_m']:.3f}"
+    table.add_row("certificate", certificate_words(proof["verified"]))
+    for violation in proof["violations"]:
+        table.add_row("", escape(violation))
+    shown = " mm or more, shown for all times" if proof["verified"] else " mm, the smallest found"
+    table.add_row("clearance", clearance + shown)
+    table.add_row("limits used", ", ".join(f"{k} {percent(v)}" for k, v in proof["limit_use"].items()) + " %")
+    if "nearest_s" in proof:
+        table.add_row("nearest", f"{proof['nearest']['obstacle']!r} at {proof['nearest_s']:.3f} s")
+    if "clear_until_s" in proof:
+        until = proof["clear_until_s"]
+        table.add_row("at rest", "clear for ever" if until is None else f"clear until {until:.3f} s")
+    covered = f"tracking error {error}, delay {1e3 * proof['tracking_delay_s']:g} ms; {proof['sigmas']:g} sigma"
+    table.add_row("covered", covered)
+    if "uncertain" in proof:
+        left = proof["uncertain"]
+        one, some = 100.0 * left["one_beyond"], 100.0 * left["any_beyond_at_most"]
+        table.add_row("not covered", f"{one:.2g} % of each sigma's places, of {left['obstacles']} in all {some:.2g} %")
+    if proof["contact_s"] is not None:
+        begin, end = proof["contact_s"]
+        rule = "on a straight approach" if proof["goal_contact"] == "approach" else "during the whole motion"
+        table.add_row("contact", f"last link and fruit, {rule}: {begin:.3f} to {end:.3f} s")
+    for what in report["differs"]:
+        table.add_row("differs", f"[bold red]the {what} is not the one of {REPORT}[/]")
+    for what, digest in proof["digests"].items():
+        table.add_row(what, digest[:23])
+    show_title(console, report["scene"], report["robot"])
+    console.print(table)
+    console.print()

@@ -1,0 +1,126 @@
+"""The command `hplan execute`: run a trajectory on a simulated arm, and say what it touched and where it ended."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from hplan.apps.cli.options import add_robot, add_scene, add_tracking, command_parser, robot_of, tracking_of
+from hplan.apps.cli.terminal import FAILED, facts_table, number_table
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from hplan.apps.execution.simulation import Execution
+    from hplan.scene.model import Scene
+
+_DESCRIPTION = """\
+Run a trajectory in MuJoCo: the robot's own URDF with torque motors, the scene's obstacles as solid bodies, and a
+1 kHz controller (inverse dynamics ahead, PD on what is left). Takes trajectories of any planner. The masses may be
+others than the controller knows, and the controller late; with a tracking error it says whether that was kept.
+"""
+
+_EPILOG = """\
+the CSV: one header line, time_s and NAME_pos_rad for each joint of the robot
+  (NAME_pos_m where it slides), in any order; NAME_vel_rad_s (NAME_vel_m_s) is
+  used where every joint has it. Between rows
+  runs the cubic through positions and velocities. Without velocities, those of
+  parabolas through three rows are taken, at rest at both ends. Other columns
+  are ignored.
+
+needs the extra `execution`: pip install 'hplan[execution]'
+
+exit status:
+  0  nothing was touched; the arm ended at the goal (0.5 deg, 5 mm) and stayed
+  2  bad input
+  5  something was touched, or the arm did not end at the goal
+"""
+
+
+def run(arguments: argparse.Namespace, console: Console, _: Console) -> int:
+    """Execute and show; returns the exit status."""
+    from hplan.apps.execution.plant import Plant
+    from hplan.apps.execution.recorded_motion import read_motion
+    from hplan.apps.execution.simulation import execute
+    from hplan.scene.file import load_scene
+
+    motion = read_motion(arguments.trajectory)
+    scene = load_scene(arguments.scene)
+    robot = robot_of(arguments, scene)
+    plant = Plant(arguments.mass_factor, 1e-3 * arguments.command_delay, arguments.bandwidth)
+    result = execute(robot, scene, motion, plant)
+    _show(console, arguments.trajectory, scene, result)
+    tracking = tracking_of(arguments)
+    if not tracking.is_exact:
+        kept = "no joint was" if result.is_within(tracking) else "[bold red]some joint was[/]"
+        console.print(f"{kept} farther from its reference than a tracking error of {tracking.summary(robot.slides)}\n")
+    return 0 if result.ok else FAILED
+
+
+def parser(prog: str) -> argparse.ArgumentParser:
+    """The parser of the command's arguments."""
+    parser = command_parser(_DESCRIPTION, _EPILOG, prog=prog)
+    parser.add_argument("trajectory", type=Path, metavar="TRAJECTORY.csv", help="the motion")
+    add_scene(parser)
+    add_robot(parser)
+    add = parser.add_argument
+    add(
+        "--mass-factor", type=float, default=1.0, metavar="F", help="masses, as multiples of those the controller knows"
+    )
+    add("--command-delay", type=float, default=0.0, metavar="MS", help="by how much the controller is late")
+    add("--bandwidth", type=float, default=40.0, metavar="RAD/S", help="of the position loop (default: 40)")
+    add_tracking(parser)
+    return parser
+
+
+def _show(console: Console, path: Path, scene: Scene, result: Execution) -> None:
+    """Show what happened, joint by joint, and the verdict."""
+    from rich.markup import escape
+
+    from hplan.base.units import joint_unit
+
+    units = [joint_unit(slides) for slides in result.slides]
+    console.print(f"\n[bold]{escape(str(path))}[/] in [bold]{escape(scene.name)}[/]\n", soft_wrap=True)
+    table = number_table()
+    table.add_column("joint")
+    for heading in ("off the path", "off the goal", "torque needed", "asked", "limit"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for joint, (name, unit) in enumerate(zip(result.joint_names, units, strict=True)):
+        peak, limit = result.peak_torque_nm[joint], result.torque_limit_nm[joint]
+        table.add_row(
+            escape(name),
+            unit.error(result.max_tracking_error_rad[joint], ".4f"),
+            unit.error(result.final_error_rad[joint], ".4f"),
+            f"{result.needed_torque_nm[joint]:.1f} {unit.effort}",
+            f"[bold red]{peak:.1f}[/]" if peak > limit else f"{peak:.1f}",
+            f"{limit:.1f}",
+        )
+    console.print(table)
+    console.print()
+    facts = facts_table(indent=0)
+    held = result.time[-1] - result.duration_s
+    facts.add_row("motion", f"{result.duration_s:.3f} s, then held for {held:.2f} s")
+    if result.nearest is not None:
+        nearest = result.nearest
+        gap = f"{1e3 * nearest.distance_m:.2f} mm between {escape(nearest.link)} and {escape(nearest.obstacle)}"
+        facts.add_row("nearest", gap)
+    if result.saturated_s > 0.0:
+        joints = ", ".join(escape(name) for name in result.torque_exceeded)
+        facts.add_row(
+            "torque", f"asked for [bold red]more than the motors give[/] for {result.saturated_s:.3f} s: {joints}"
+        )
+    off = [unit.error(error) for unit, error in zip(units, result.start_error_rad, strict=True) if error > 1e-6]
+    if off:
+        facts.add_row("start", f"[yellow]joints of the first row are off the scene's start: {', '.join(off)}[/]")
+    for touch in result.contacts:
+        pair = f"{escape(touch.link)} touched {escape(touch.obstacle)}"
+        depth = f"up to {1e3 * touch.depth_m:.2f} mm deep"
+        facts.add_row("contact", f"[bold red]{pair}[/] at {touch.time_s:.3f} s, {depth}")
+    console.print(facts)
+    console.print()
+    obstacles = list(dict.fromkeys(touch.obstacle for touch in result.contacts))
+    more = f" and {len(obstacles) - 3} more" if len(obstacles) > 3 else ""
+    touched = f"touched {escape(', '.join(obstacles[:3]))}{more}" if obstacles else "touched nothing"
+    ended = "ended at the goal" if result.ended_at_goal else "did not end at the goal"
+    console.print(f"[bold {'green' if result.ok else 'red'}]{touched}, {ended}[/]\n")

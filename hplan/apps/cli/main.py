@@ -1,0 +1,66 @@
+"""The command `hplan`: finds the subcommand that its first word names, and loads no other."""
+
+from __future__ import annotations
+
+import difflib
+import os
+import sys
+from collections.abc import Sequence
+from importlib import import_module
+
+from hplan.apps.cli.options import command_parser
+from hplan.apps.cli.terminal import run_command
+from hplan.base.data_files import shipped_scenes
+
+#: What each subcommand does. A file of its name in this folder has its `parser(prog)`, and `run(arguments, console,
+#: errors)`, which returns the exit status.
+COMMANDS = {
+    "plan": "plan one motion; write trajectory.csv, report.json and scene.html",
+    "tour": "plan a picking tour through the fruits of a scene",
+    "time": "time a motion through waypoints, for any robot",
+    "certify": "prove that a trajectory keeps clearance and limits",
+    "execute": "run a trajectory on a simulated arm",
+    "orchard": "make a scene: a row of fruit trees",
+    "view": "show what a job left in its folder, or a trajectory",
+    "completion": "print a script that completes these words: hplan completion bash",
+}
+
+_USAGE = "hplan COMMAND [options]\n       hplan [SCENE] [options]    short for hplan plan"
+_DESCRIPTION = "Motion planning for fruit-harvesting arms."
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line; returns the exit status. Without a subcommand a scene is planned."""
+    words = list(sys.argv[1:] if argv is None else argv)
+    if words[:1] in (["-h"], ["--help"]):
+        width = max(map(len, COMMANDS))
+        lines = [f"  {name:{width}}  {line}" for name, line in COMMANDS.items()]
+        epilog = "\n".join(["commands:", *lines, "", "hplan COMMAND --help says more of each."])
+        command_parser(_DESCRIPTION, epilog, prog="hplan", usage=_USAGE).parse_args(words[:1])
+    if words and words[0] in COMMANDS:
+        return run_subcommand(words[0], f"hplan {words[0]}", words[1:])
+    if words and (near := _near_command(words[0])):
+        command_parser(_DESCRIPTION, "", prog="hplan", usage=_USAGE).error(
+            f"{words[0]!r} is no command and no scene; did you mean {near!r}?"
+        )
+    return run_subcommand("plan", "hplan", words)
+
+
+def _near_command(word: str) -> str | None:
+    """The command that a word is nearly, where it is neither an option nor a scene."""
+    if word.startswith("-") or word in shipped_scenes() or os.path.lexists(word):
+        return None
+    return next(iter(difflib.get_close_matches(word, COMMANDS, 1)), None)
+
+
+def run_subcommand(name: str, prog: str, argv: Sequence[str] | None = None) -> int:
+    """Run a subcommand on its arguments, or on the program's; returns the exit status.
+
+    Args:
+        name: One of `COMMANDS`.
+        prog: What it is called in its help and messages.
+        argv: The arguments; None for the program's own.
+    """
+    command = import_module(f"hplan.apps.cli.{name}")
+    arguments = command.parser(prog).parse_args(argv)
+    return run_command(lambda console, errors: command.run(arguments, console, errors))

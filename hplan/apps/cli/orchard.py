@@ -1,0 +1,150 @@
+"""The command `hplan orchard`: make a row of trees, grown from a seed or measured, with fruit to reach for."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hplan.apps.cli.options import check_output_file, command_parser
+from hplan.apps.cli.terminal import facts_table
+from hplan.errors import OptionError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from hplan.scene.model import Scene
+    from hplan.scene.orchard import FruitZone
+
+_DESCRIPTION = """\
+Write a scene with a row of fruit trees in front of the arm. The same options give the same file, byte for byte.
+Fruit is counted from the base outwards; the first is the goal.
+"""
+
+_EPILOG = """\
+TREE.csv: a header, then a line for each straight piece of wood, in metres, z
+up, the trunk's base at the origin: kind,x1,y1,z1,x2,y2,z2,radius. Pieces are
+called by their kind (trunk, branch) and number. Fruit hangs at branch tips.
+
+exit status:
+  0  done
+  2  bad input
+"""
+
+#: Options of both kinds of rows by their names here, those of grown ones, and those of measured ones.
+_COMMON = ("robot", "seed", "distance", "spacing", "clearance", "fruits", "fruit_radius", "goal")
+_GROWN = ("form", "trees", "branches", "shoots", "tree_height", "branch_length", "vehicle", "ground")
+_MEASURED = ("turn", "height")
+
+
+def parser(prog: str) -> argparse.ArgumentParser:
+    """The parser of the command's arguments."""
+    parser = command_parser(_DESCRIPTION, _EPILOG, prog=prog)
+    source = parser.add_mutually_exclusive_group()
+    source.add_argument("--import", nargs="+", type=Path, metavar="TREE.csv", dest="files", help="measured trees")
+    source.add_argument(
+        "--shipped", metavar="NAME", help="a scene that ships with hplan, made anew; nothing else to say"
+    )
+    add = parser.add_argument
+    add("--out", type=Path, default=Path("orchard.yaml"), metavar="FILE", help="file to write (default: orchard.yaml)")
+    add("--name", help="name of the scene (default: the file's)")
+    add("--robot", metavar="NAME", help="shipped robot that the scene is for (default: harvester)")
+    add("--seed", type=int, metavar="N", help="what is left to chance follows from it (default: 0)")
+    add("--distance", type=float, metavar="M", help="from the base's axis to the row (default: 1.4)")
+    add("--spacing", type=float, metavar="M", help="from tree to tree (default: 1.1)")
+    add("--clearance", type=float, metavar="M", help="distance that a motion keeps (default: 0)")
+    add("--fruits", type=int, metavar="N", help="fruits in all (default: 24; on measured trees 20)")
+    add("--fruit-radius", type=float, metavar="M", help="default: 0.04")
+    add("--fruit-heights", type=float, nargs=2, metavar=("LOW", "HIGH"), help="heights of the fruit [m]")
+    add("--fruit-reach", type=float, metavar="M", help="greatest distance of a fruit from the base's axis")
+    add("--goal", metavar="NAME", help="fruit to reach for (default: the first)")
+    add("--start", type=float, nargs="+", metavar="DEG", help="joints at the start (default: the harvester, tucked)")
+    add("--quiet", action="store_true", help="no summary")
+    grown = parser.add_argument_group("grown trees").add_argument
+    grown("--form", choices=("spindle", "trellis"), help="how they are trained (default: spindle)")
+    grown("--trees", type=int, metavar="N", help="default: 3")
+    grown("--tree-height", type=float, metavar="M", help="default: 2.7")
+    grown("--branches", type=int, metavar="N", help="branches of each tree (default: 18)")
+    grown("--branch-length", type=float, metavar="M", help="the longest (default: 0.6)")
+    grown("--shoots", type=int, metavar="N", help="side shoots of each branch (default: 2)")
+    grown("--vehicle", action="store_true", default=None, help="a vehicle's body behind the arm")
+    grown("--ground", action="store_true", default=None, help="the ground")
+    measured = parser.add_argument_group("measured trees").add_argument
+    measured("--height", type=float, metavar="M", help="of the trees' feet above the base's (default: 0)")
+    measured("--turn", type=float, metavar="DEG", help="turn of every tree about its trunk (default: 0)")
+    return parser
+
+
+def run(arguments: argparse.Namespace, console: Console, _: Console) -> int:
+    """Make the scene, write it and say what is in it; returns the exit status."""
+    from hplan.scene.file import save_scene
+
+    out: Path = arguments.out
+    scene = _made(arguments)
+    check_output_file(out)
+    save_scene(scene, out)
+    if not arguments.quiet:
+        _show(console, scene, out)
+    return 0
+
+
+def _made(arguments: argparse.Namespace) -> Scene:
+    """The scene that is asked for."""
+    from hplan.scene.orchard import SHIPPED, MeasuredOptions, OrchardOptions, generate, measured_orchard
+    from hplan.scene.orchard.options import REACHED
+
+    start = {} if arguments.start is None else {"start_deg": arguments.start}
+    if arguments.shipped is not None:
+        if arguments.shipped not in SHIPPED:
+            raise OptionError("--shipped", arguments.shipped, f"one of {', '.join(SHIPPED)}")
+        _refuse(arguments, "--shipped", ("name", *_COMMON, "fruit_heights", "fruit_reach", *_GROWN, *_MEASURED))
+        return generate(SHIPPED[arguments.shipped], **start)
+    wanted = {option: getattr(arguments, option) for option in _COMMON}
+    wanted["name"] = arguments.out.stem if arguments.name is None else arguments.name
+    if arguments.files:
+        _refuse(arguments, "--import", _GROWN)
+        wanted |= {"yaw_deg": arguments.turn, "height": arguments.height}
+        wanted["fruit_zone"] = _zone(arguments, MeasuredOptions.fruit_zone)
+        return measured_orchard(arguments.files, MeasuredOptions(**_given(wanted)), **start)
+    _refuse(arguments, None, _MEASURED)
+    wanted |= {option: getattr(arguments, option) for option in _GROWN}
+    wanted["fruit_zone"] = _zone(arguments, REACHED.get(arguments.robot, OrchardOptions.fruit_zone))
+    return generate(OrchardOptions(**_given(wanted)), **start)
+
+
+def _given(options: dict[str, Any]) -> dict[str, Any]:
+    """Those that were given."""
+    return {option: value for option, value in options.items() if value is not None}
+
+
+def _refuse(arguments: argparse.Namespace, source: str | None, options: Sequence[str]) -> None:
+    """Refuse options that would have no effect."""
+    for option in options:
+        value = getattr(arguments, option)
+        if value is not None:
+            expected = "measured trees, by --import" if source is None else f"nothing together with {source}"
+            raise OptionError(f"--{option.replace('_', '-')}", value, expected)
+
+
+def _zone(arguments: argparse.Namespace, usual: FruitZone) -> FruitZone:
+    """Zone of the fruit: what was given, the usual for the rest."""
+    from hplan.scene.orchard import FruitZone
+
+    low, high = arguments.fruit_heights or (usual.low, usual.high)
+    return FruitZone(low, high, usual.reach if arguments.fruit_reach is None else arguments.fruit_reach)
+
+
+def _show(console: Console, scene: Scene, out: Path) -> None:
+    """Show what the scene holds; fits 80 columns, unless names are long."""
+    from rich.markup import escape
+
+    heights = [fruit.center[2] for fruit in scene.fruits]
+    table = facts_table()
+    table.add_row("obstacles", f"{len(scene.obstacles):,}")
+    table.add_row("fruits", f"{len(scene.fruits):,}, {min(heights):.2f} to {max(heights):.2f} m high")
+    table.add_row("goal", escape(str(scene.goal.fruit)))
+    table.add_row("file", escape(str(out)))
+    console.print(f"\n[bold]{escape(scene.name)}[/]\n")
+    console.print(table)
+    console.print()

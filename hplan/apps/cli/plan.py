@@ -1,0 +1,336 @@
+"""The command `hplan plan`: plan a scene, write what the controller needs, say how it went."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hplan.apps.cli.job_folder import (
+    CSPACE_FIGURE,
+    CSPACE_PAGE,
+    MCAP,
+    OUT,
+    PAGE,
+    PLAN_FILES,
+    REPORT,
+    TRAJECTORY,
+    JobFolder,
+    needs_rosbags,
+)
+from hplan.apps.cli.options import (
+    add_deadline,
+    add_drop_inside,
+    add_effort,
+    add_pace,
+    add_robot,
+    add_scene,
+    add_sigmas,
+    add_tracking,
+    command_parser,
+    plan_options,
+    robot_of,
+    scene_among,
+)
+from hplan.apps.cli.terminal import (
+    certificate_words,
+    facts_table,
+    loading,
+    percent,
+    progress_line,
+    show_title,
+)
+from hplan.errors import InputError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from hplan.planning.options import PlanOptions
+    from hplan.planning.plan import PlanResult
+    from hplan.robot.model import Robot
+    from hplan.scene.model import Scene
+
+_DESCRIPTION = """\
+Plan a collision-free motion of a harvesting arm, time it, certify it, and write it for the controller:
+trajectory.csv, report.json and an animated scene.html.
+"""
+
+_EXIT_STATUS = """\
+exit status:
+  0  done
+  2  bad input
+  3  no path exists (shown on the grid)
+  4  the motion cannot be timed
+  5  the motion is not certified
+  6  no motion was found, or none in time; that there is none was not shown
+
+hplan --help lists the other commands.
+"""
+
+STAGE_WORDS = {
+    "grasps": "finding grasps",
+    "trees": "looking for a quick path",
+    "cspace": "computing the C-space",
+    "search": "searching slices and sparse graph",
+    "postprocess": "smoothing the path",
+    "timing": "timing the motion",
+    "certificate": "proving clearance and limits",
+    "bound": "bounding the duration from below",
+    "export": "writing files",
+}
+
+
+def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int:
+    """Plan, write, show what came of it; returns the exit status."""
+    folder = JobFolder(arguments.out, PLAN_FILES, REPORT)
+    robot, scene, result = _made(arguments, folder, errors)
+    if not arguments.quiet:
+        show_summary(console, result, folder.path)
+    if arguments.view:
+        from hplan.apps.cli.view import serve_page
+        from hplan.apps.view.playback import Playback
+
+        serve_page(console, robot, scene, Playback.of(result))
+    return 0
+
+
+def parser(prog: str) -> argparse.ArgumentParser:
+    """The parser of the command's arguments."""
+    parser = command_parser(_DESCRIPTION, _EXIT_STATUS, prog=prog)
+    add_scene(parser)
+    add = parser.add_argument
+    add("--out", type=Path, default=OUT, metavar="DIR", help="folder to write into (default: out)")
+    add_robot(parser)
+    add_drop_inside(parser)
+    add("--method", choices=("two-level", "dense"), default="two-level", help="search (default: two-level)")
+    add(
+        "--objective", choices=("duration", "length"), default="duration", help="what to make small (default: duration)"
+    )
+    add_effort(parser)
+    add("--link-model", choices=("capsule", "paper", "rectangle"), default="capsule", help="default: capsule")
+    add(
+        "--step", dest="step_deg", type=float, default=1.0, metavar="DEG", help="spacing of the joint grid (default: 1)"
+    )
+    add_pace(parser)
+    add_tracking(parser)
+    add_sigmas(parser)
+    add(
+        "--standoff",
+        type=float,
+        metavar="M",
+        help="straight approach to a fruit, a point (default: 0.1) or a pose (default: none)",
+    )
+    add("--uncertified", dest="certify", action="store_false", help="write the motion even if it is not certified; "
+        "the report says so")  # fmt: skip
+    add("--bound", action="store_true", help="also show how much faster any motion could be at most")
+    add_deadline(parser)
+    add("--view", action="store_true", help="serve the animated scene until interrupted")
+    add("--cspace", action="store_true", help="write cspace.html: the forbidden joint angles and the motion; "
+        "cspace.png too where matplotlib is installed")  # fmt: skip
+    add("--cspace-yaw", type=float, metavar="DEG", help="the same for a yaw of choice (default: the goal's)")
+    add("--mcap", action="store_true", help="write motion.mcap too, for Foxglove and RViz (needs the extra ros)")
+    add("--quiet", action="store_true", help="no progress, no summary")
+    return parser
+
+
+def _made(arguments: argparse.Namespace, folder: JobFolder, errors: Console) -> tuple[Robot, Scene, PlanResult]:
+    """Load, plan and write."""
+    with progress_line(errors, quiet=arguments.quiet) as show:
+        show("reading robot and scene")
+        with loading():
+            import math
+
+            from hplan.apps.view.page import write_page
+            from hplan.apps.view.playback import Playback
+            from hplan.apps.view.yaw_section import check_yaw
+            from hplan.planning.compile_ahead import is_first_run
+            from hplan.planning.plan import with_export_time
+            from hplan.planning.report import curve_report, write_report
+            from hplan.scene.file import load_scene
+            from hplan.trajectory.trajectory import write_csv
+
+        options = plan_options(
+            arguments,
+            "method",
+            "step_deg",
+            "objective",
+            "effort",
+            "link_model",
+            "sigmas",
+            "standoff",
+            "certify",
+            "bound",
+        )
+        needs_rosbags(arguments)
+        given = load_scene(arguments.scene)
+        robot = robot_of(arguments, given)
+        yaw = None if arguments.cspace_yaw is None else math.radians(arguments.cspace_yaw)
+        wants_cspace = arguments.cspace or yaw is not None
+        if wants_cspace:
+            check_yaw(robot, yaw)
+        scene, left_out = scene_among(arguments, robot, given, errors)
+        first_run = is_first_run()
+        note = " (compiling, as on every first run)" if first_run else ""
+
+        def progress(stage: str) -> None:
+            show(STAGE_WORDS.get(stage, stage) + note)
+
+        with folder.job(scene.name, robot.name):
+            result = _planned(robot, scene, options, progress, first_run)
+            progress("export")
+            begin = time.perf_counter()
+            with folder.filling() as staging:
+                write_csv(result.trajectory, staging / TRAJECTORY)
+                write_page(robot, scene, Playback.of(result), staging / PAGE)
+                if arguments.mcap:
+                    from hplan.apps.ros.mcap_file import write_mcap
+
+                    write_mcap(result, staging / MCAP)
+                if wants_cspace:
+                    _write_cspace(robot, scene, options, result, yaw, staging)
+                result = with_export_time(result, time.perf_counter() - begin)
+                curve = curve_report(result.certificate) | ({"left_out": left_out} if left_out else {})
+                write_report(result.report | curve, staging / REPORT)
+    return robot, scene, result
+
+
+def _planned(
+    robot: Robot, scene: Scene, options: PlanOptions, progress: Callable[[str], None], first_run: bool
+) -> PlanResult:
+    """Plan; on a first run another process compiles what comes last meanwhile."""
+    from hplan.planning.compile_ahead import compiling_ahead, load_kernels
+    from hplan.planning.plan import plan
+
+    with compiling_ahead(first_run) as wait:
+
+        def stage(name: str) -> None:
+            progress(name)
+            if name == "postprocess":
+                wait()
+
+        if options.deadline_s is not None:
+            load_kernels()
+        return plan(robot, scene, options, progress=stage)
+
+
+def _write_cspace(
+    robot: Robot, scene: Scene, options: PlanOptions, result: PlanResult, yaw: float | None, folder: Path
+) -> None:
+    """Write the C-space at one yaw with the motion: a page, and a figure where matplotlib is installed.
+
+    Raises:
+        OutputError: A file cannot be written.
+    """
+    from hplan.apps.view.cspace_figure import cspace_at_yaw
+    from hplan.apps.view.cspace_page import write_cspace_page
+    from hplan.apps.view.figure_style import require_matplotlib, write_png
+    from hplan.apps.view.playback import Playback
+    from hplan.apps.view.yaw_section import yaw_section
+
+    section = yaw_section(robot, scene, Playback.of(result), options, yaw=yaw)
+    write_cspace_page(section, scene.name, folder / CSPACE_PAGE)
+    try:
+        require_matplotlib()
+    except InputError:
+        return
+    write_png(cspace_at_yaw(section, scene.name), folder / CSPACE_FIGURE)
+
+
+def show_summary(console: Console, result: PlanResult, folder: Path, more: Sequence[str] = ()) -> None:
+    """What came of a plan, with names of more files: rows that fit 80 columns, unless names are long."""
+    from rich.markup import escape
+
+    report = result.report
+    planner, expansions, path = report["planner"], report["planner"]["expansions"], report["path"]
+    motion, proof = report["trajectory"], report["certificate"]
+    table = facts_table()
+    add: Callable[[str, str], Any] = table.add_row
+    if result.grasp is not None:
+        grasp = report["grasp"]
+        point = "the point" if result.scene.goal.pose is None else "the pose"
+        what = point if grasp["fruit"] is None else escape(grasp["fruit"])
+        along = "tool" if result.robot.planar is None else "last link"
+        angle = round(grasp["approach_deg"], 1) + 0.0  # no -0.0
+        add("grasp", f"{what}, {along} at {angle:.1f} deg, {_approach_words(grasp['standoff_m'])}")
+    if result.path is None:
+        add("search", "none: start and goal are the same")
+    elif planner["method"] == "direct":
+        add("search", "none: the straight motion is clear")
+    elif planner["method"] == "given":
+        given = report["given"]
+        moved = len(given["moved_segments"])
+        words = f"; {moved} motion{'s' * (moved != 1)} moved to keep clear" if moved else ""
+        add("search", f"none: {given['waypoints']:,} waypoints were given{words}")
+        add("path", f"{path['length_deg']:.2f} deg, from {path['length_deg_grid']:.2f} deg")
+    elif result.search is None:
+        add("search", f"{planner['method']}: {len(result.grid_path) - 2} configurations between start and goal")
+        add("path", f"{path['length_deg']:.2f} deg")
+    else:
+        points = f"{planner['points']} points, cost {planner['cost_deg']:.6f} deg"
+        fallback = "" if planner["fallback"] == "none" else f", with the {planner['fallback']} search after it"
+        add("search", f"{planner['method']}{fallback}: {points}")
+        stages = ", ".join(f"{stage} {expansions[stage]:,}" for stage in ("layers", "sparse", "fallback"))
+        add("expanded", f"{expansions['total']:,} nodes: {stages}")
+        add("flooded", f"{expansions['flooded_cells']:,} nodes")
+        add("path", f"{path['length_deg']:.2f} deg, from {path['length_deg_grid']:.2f} deg on the grid")
+    rows = "1 row" if motion["samples"] == 1 else f"{motion['samples']:,} rows at {motion['rate_hz']:g} Hz"
+    add("motion", f"[bold]{motion['duration_s']:.3f} s[/], {rows}")
+    if len(result.phases) > 1:
+        add("", ", ".join(f"{phase.name} {phase.end_s - phase.start_s:.3f} s" for phase in result.phases))
+    if "bound" in report:
+        add("bound", _bound_words(report["bound"], len(result.phases)))
+    add("limits used", ", ".join(f"{name} {percent(used)}" for name, used in proof["limit_use"].items()) + " %")
+    add("clearance", _clearance_words(proof))
+    if "in_time" in report:
+        timing = report["in_time"]
+        slows = ", slows down" if timing["slows_down"] else ""
+        add("what moves", f"{timing['path']}, waits {timing['waits_s']:.2f} s{slows}")
+    if proof["nearest"] is not None:
+        nearest = proof["nearest"]
+        pair = f"{escape(nearest['link'])} to {escape(nearest['obstacle'])}"
+        add("nearest", f"{pair}, {1e3 * nearest['distance_m']:.2f} mm")
+    add("certificate", certificate_words(proof["verified"]))
+    for violation in proof["violations"]:
+        add("", escape(violation))
+    add("time", _time_words(report["time_ms"]))
+    written = [name for name in (MCAP, CSPACE_PAGE, CSPACE_FIGURE) if (folder / name).exists()]
+    add("files", f"{escape(str(folder))}: {', '.join([TRAJECTORY, REPORT, PAGE, *written, *more])}")
+    show_title(console, report["scene"], report["robot"])
+    console.print(table)
+    console.print()
+
+
+def _bound_words(bound: dict[str, Any] | None, phases: int) -> str:
+    """How far the motion, or its first phases, is from the fastest one that is not excluded, rounded up."""
+    import math
+
+    if bound is None:
+        return "none, as the motion is not certified"
+    gap = math.ceil(1e3 * bound["gap"] - 1e-6) / 10.0
+    what = "" if len(bound["phases"]) == phases else f"{' and '.join(bound['phases'])}: "
+    words = f"at most {gap:.1f} % from the fastest possible"
+    return f"{words}\n{what}none is shorter than {bound['bound_s']:.3f} s"
+
+
+def _approach_words(standoff_m: float) -> str:
+    return f"straight approach of {100 * standoff_m:.1f} cm" if standoff_m > 0.0 else "no straight approach is clear"
+
+
+def _clearance_words(proof: dict[str, Any]) -> str:
+    if proof["nearest"] is None:
+        return "no obstacles"
+    if not proof["verified"]:
+        return f"{1e3 * proof['min_clearance_m']:.2f} mm, where the proof ended"
+    return f"{1e3 * proof['min_clearance_m']:.2f} mm or more, shown for all times"
+
+
+def _time_words(times: dict[str, float]) -> str:
+    """The whole, then the stages that there were, those up to the path and those of the motion a line each."""
+    stages = {name: f"{name} {ms:.1f}" for name, ms in times.items() if name != "total" and ms > 0.0}
+    motion = [
+        stages.pop(name) for name in ("postprocess", "timing", "certificate", "bound", "export") if name in stages
+    ]
+    lines = [", ".join(part) for part in (stages.values(), motion) if part]
+    return "\n".join([f"[bold]{times['total']:,.0f} ms[/], loading of compiled code included", *lines])

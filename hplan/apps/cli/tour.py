@@ -1,0 +1,241 @@
+"""The command `hplan tour`: many fruits from one start, in the order in which the arm is done soonest."""
+
+from __future__ import annotations
+
+import argparse
+import re
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from hplan.apps.cli.job_folder import MCAP, OUT, PAGE, TOUR, TOUR_REPORT, JobFolder, needs_rosbags
+from hplan.apps.cli.options import (
+    add_deadline,
+    add_drop_inside,
+    add_pace,
+    add_robot,
+    add_scene,
+    add_tracking,
+    command_parser,
+    plan_options,
+    robot_of,
+    scene_among,
+)
+from hplan.apps.cli.terminal import certificate_words, facts_table, number_table, progress_line, show_title
+from hplan.base.files import cut
+from hplan.errors import OptionError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from hplan.tour.result import Leg, TourResult
+    from hplan.tour.tour import TourOptions
+
+_DESCRIPTION = """\
+Plan a picking tour through the fruits of a scene, from its start, in the order in which the certified motions take the
+least time in all. Writes tour.csv, tour.json and an animated scene.html.
+"""
+
+_EPILOG = """\
+Without a drop-off the arm takes fruit into itself; with one it carries fruit
+there: its last link is as thick as the thickest of them on the way, and a
+general (non-planar) arm has a ball of that size at its tool.
+Fruits that others are in the way of come last, once those are picked. What
+cannot be reached is listed with the reason. Times are those of motions; the
+time to grip or to let go comes on top.
+
+with --csv each: tour-01-NAME.csv, tour-02-NAME.csv, ..., each from time 0;
+tour-NN-return.csv is the way back.
+
+exit status:
+  0  done
+  2  bad input
+  3  no fruit can be picked, or the drop-off cannot be reached
+  4  the motion to the drop-off cannot be timed
+  5  the motion to the drop-off is not certified
+  6  no motion to the drop-off was found
+"""
+
+
+def parser(prog: str) -> argparse.ArgumentParser:
+    """The parser of the command's arguments."""
+    parser = command_parser(_DESCRIPTION, _EPILOG, prog=prog)
+    add_scene(parser, "tour")
+    add = parser.add_argument
+    add("--out", type=Path, default=OUT, metavar="DIR", help="folder to write into (default: out)")
+    add_robot(parser)
+    add_drop_inside(parser)
+    add("--fruits", nargs="+", metavar="NAME", help="fruits to pick (default: all)")
+    add("--drop-off", type=float, nargs=3, metavar=("X", "Y", "Z"), help="drop-off: a place of the tool")
+    add(
+        "--drop-off-pose",
+        type=float,
+        nargs=7,
+        metavar=("X", "Y", "Z", "QX", "QY", "QZ", "QW"),
+        help="drop-off: a pose of the tool frame, of a general (non-planar) arm",
+    )
+    add("--drop-off-joints", type=float, nargs="+", metavar="DEG", help="drop-off: joints")
+    add("--every", type=int, metavar="K", help="fruits carried to the drop-off at most (default: 1)")
+    add("--back", action="store_true", help="go back to the start in the end")
+    add("--order", choices=("best", "nearest", "given"), default="best", help="default: best")
+    add("--compare", action="store_true", help="show what the other orders would take")
+    add("--grasps", type=int, default=4, metavar="N", help="grasps of a fruit weighed at a time (default: 4)")
+    add(
+        "--csv",
+        choices=("one", "each"),
+        default="one",
+        help="one CSV, or one for each fruit, from rest to rest (default: one)",
+    )
+    add("--standoff", type=float, metavar="M", help="length of straight approaches (default: 0.1)")
+    add_pace(parser)
+    add_tracking(parser)
+    add_deadline(parser)
+    add("--mcap", action="store_true", help="write motion.mcap too, for Foxglove and RViz (needs the extra ros)")
+    add("--quiet", action="store_true", help="no progress, no summary")
+    return parser
+
+
+def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int:
+    """Plan, write, show what came of it; returns the exit status."""
+    folder = JobFolder(arguments.out, (TOUR, "tour-[0-9]*-*.csv", PAGE, MCAP), TOUR_REPORT)
+    with progress_line(errors, quiet=arguments.quiet) as progress:
+        result, files = _made(arguments, folder, errors, progress)
+    if not arguments.quiet:
+        _show(console, result, folder.path, files)
+    return 0
+
+
+def _made(
+    arguments: argparse.Namespace, folder: JobFolder, errors: Console, progress: Callable[[str], None]
+) -> tuple[TourResult, list[str]]:
+    """Load, plan and write; gives the tour and the names of its files."""
+    progress("reading robot and scene")
+
+    from hplan.apps.view.page import write_page
+    from hplan.apps.view.playback import Playback
+    from hplan.base.data_files import shipped_scene
+    from hplan.planning.report import curve_report, write_report
+    from hplan.scene.file import load_scene
+    from hplan.tour.tour import plan_tour
+    from hplan.trajectory.trajectory import write_csv
+
+    options = plan_options(arguments, "standoff")
+    tour = _tour_options(arguments)
+    needs_rosbags(arguments)
+    given = load_scene(shipped_scene("tour") if arguments.scene is None else arguments.scene)
+    robot = robot_of(arguments, given)
+    scene, left_out = scene_among(arguments, robot, given, errors)
+    with folder.job(scene.name, robot.name):
+        result = plan_tour(robot, scene, options, fruits=arguments.fruits, tour=tour, progress=progress)
+        progress("writing files")
+        motions = {TOUR: result.trajectory}
+        if arguments.csv == "each":
+            digits = max(2, len(str(len(result.legs))))
+            motions = {
+                f"tour-{number:0{digits}}-{_file_word(leg.name)}.csv": leg.trajectory
+                for number, leg in enumerate(result.legs, start=1)
+            }
+        with folder.filling() as staging:
+            for name, motion in motions.items():
+                write_csv(motion, staging / name)
+            write_page(robot, scene, Playback.of(result), staging / PAGE)
+            if arguments.mcap:
+                from hplan.apps.ros.mcap_file import write_mcap
+
+                write_mcap(result, staging / MCAP)
+            curve = curve_report(result.certificate) | ({"left_out": left_out} if left_out else {})
+            write_report({**result.report, **curve, "files": list(motions)}, staging / TOUR_REPORT)
+    return result, [*motions, TOUR_REPORT, PAGE, *([MCAP] if arguments.mcap else [])]
+
+
+def _tour_options(arguments: argparse.Namespace) -> TourOptions:
+    """Options of the tour."""
+    from hplan.scene.model import Goal
+    from hplan.tour.tour import TourOptions
+
+    given = [option for option in _DROP_OFFS if getattr(arguments, option) is not None]
+    if len(given) > 1:
+        first, second = (f"--{option.replace('_', '-')}" for option in given[:2])
+        raise OptionError(second, getattr(arguments, given[1]), f"none with {first}: a tour has one drop-off")
+    drop = None
+    for option in given:
+        keys, values = _DROP_OFFS[option], getattr(arguments, option)
+        parts = {keys[0]: values[:3], keys[1]: values[3:]} if len(keys) == 2 else {keys[0]: values}
+        expected = "three finite numbers and a quaternion of length 1" if len(keys) == 2 else "finite numbers"
+        try:
+            drop = Goal.model_validate(parts, strict=False)
+        except ValueError as error:
+            raise OptionError(f"--{option.replace('_', '-')}", values, expected) from error
+    chosen = {option: getattr(arguments, option) for option in ("every", "back", "order", "compare", "grasps")}
+    return TourOptions(drop_off=drop, stops=arguments.csv == "each", **chosen)
+
+
+#: The options of a drop-off, and what of a goal each gives.
+_DROP_OFFS = {
+    "drop_off": ("position",),
+    "drop_off_pose": ("position", "quaternion_xyzw"),
+    "drop_off_joints": ("joints_deg",),
+}
+
+
+def _file_word(name: str) -> str:
+    """A name as part of a file's name."""
+    return cut(re.sub(r"[^A-Za-z0-9]+", "-", name).strip("-")) or "fruit"
+
+
+def _show(console: Console, result: TourResult, folder: Path, files: Sequence[str]) -> None:
+    """The legs, the whole, and what is not picked; fits 80 columns, unless names are long."""
+    from rich.markup import escape
+
+    show_title(console, result.report["scene"], result.report["robot"])
+    table = number_table()
+    table.add_column("", justify="right")
+    table.add_column("fruit")
+    kinds = [
+        kind for kind in ("transit", "approach", "retreat", "drop") if any(_times(leg, kind) for leg in result.legs)
+    ]
+    for heading in (*kinds, "at the fruit", "clearance"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for number, leg in enumerate(result.legs, start=1):
+        times = {kind: _times(leg, kind) for kind in kinds}
+        if leg.fruit is None:
+            times["transit"] = leg.trajectory.duration
+        clearance = 1e3 * leg.certificate.min_clearance_m
+        table.add_row(
+            str(number),
+            escape(leg.name) if leg.fruit is not None else "[dim]back to the start[/]",
+            *(f"{seconds:.3f} s" if seconds else "" for seconds in times.values()),
+            "" if leg.fruit is None else f"{result.picked[leg.fruit]:.2f} s",
+            f"{clearance:.2f} mm" if clearance < float("inf") else "no obstacles",
+        )
+    console.print(table)
+    console.print()
+    _show_facts(console, result, folder, files)
+
+
+def _times(leg: Leg, kind: str) -> float:
+    """Duration of the phases of a kind in a leg [s]."""
+    return sum(phase.end_s - phase.start_s for phase in leg.phases if phase.name == kind)
+
+
+def _show_facts(console: Console, result: TourResult, folder: Path, files: Sequence[str]) -> None:
+    """Facts of the whole tour."""
+    from rich.markup import escape
+
+    report = result.report
+    facts = facts_table(indent=0)
+    fruits = len(result.order)
+    facts.add_row("tour", f"[bold]{result.duration:.3f} s[/], {fruits} fruit{'s' if fruits != 1 else ''}")
+    totals = {order: seconds for order, seconds in report["totals_s"].items() if order != "fruits"}
+    if len(totals) > 1:
+        compared = ", ".join(f"{order} {seconds:.2f} s" for order, seconds in totals.items())
+        facts.add_row("orders", f"{compared} ({report['totals_s']['fruits']} fruits)")
+    facts.add_row("certificate", certificate_words(result.certificate.verified))
+    planner = report["planner"]
+    facts.add_row("time", f"{1e-3 * planner['time_ms']:.1f} s, {planner['motions_planned']} motions planned")
+    shown = files if len(files) <= 4 else [files[0], "...", *files[-3:]]
+    facts.add_row("files", f"{escape(str(folder))}: {escape(', '.join(shown))}")
+    for item in result.unreached:
+        facts.add_row("[yellow]not picked[/]", f"{escape(item.fruit)}: {escape(item.error.message)}")
+    console.print(facts)
+    console.print()

@@ -1,0 +1,96 @@
+"""The command `hplan view`: the animated page of what a job left in its folder, or of a trajectory."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from hplan.apps.cli.finished_job import FinishedJob
+from hplan.apps.cli.job_folder import PAGE
+from hplan.apps.cli.options import add_robot, add_scene, check_output_file, command_parser, robot_of
+from hplan.apps.cli.terminal import FAILED
+from hplan.base.files import is_folder
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from hplan.apps.view.playback import Playback
+    from hplan.robot.model import Robot
+    from hplan.scene.model import Scene
+
+_DESCRIPTION = """\
+Show a motion: write its animated page, and serve it live until interrupted. Of a folder that `plan` or `tour` wrote the
+latest job's motion is shown, in the scene that its report names if that ships with hplan.
+"""
+
+_EPILOG = """\
+Robot, scene and trajectory are compared with those of the folder's report. If
+they are others nothing is written; the CSV by itself can be shown all the same.
+
+exit status:
+  0  done
+  1  the live view does not start
+  2  bad input
+  5  the folder's report is about another robot, scene or trajectory
+"""
+
+
+def parser(prog: str) -> argparse.ArgumentParser:
+    """The parser of the command's arguments."""
+    parser = command_parser(_DESCRIPTION, _EPILOG, prog=prog)
+    add = parser.add_argument
+    add("motion", type=Path, metavar="FOLDER_OR_CSV", help="the folder of a job, or a trajectory")
+    add_scene(parser, "the job's, or the paper's reference scene")
+    add_robot(parser)
+    add("--out", type=Path, metavar="FILE", help="write the page here and serve nothing (default: scene.html in the "
+        "folder; of a CSV, NAME.html in its folder)")  # fmt: skip
+    add("--no-serve", action="store_true", help="only write the page")
+    add("--quiet", action="store_true", help="do not name the file that was written")
+    return parser
+
+
+def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int:
+    """Read, compare, write, serve; returns the exit status."""
+    from hplan.apps.view.page import write_page
+    from hplan.apps.view.playback import Playback
+    from hplan.certificate.digests import Digests
+    from hplan.scene.file import load_scene
+    from hplan.trajectory.trajectory import read_csv
+
+    path: Path = arguments.motion
+    job = FinishedJob(path, tours=True) if is_folder(path) else None
+    out = arguments.out or (path.with_suffix(".html") if job is None else path / PAGE)
+    trajectory = read_csv(path) if job is None else job.trajectory()
+    scene = load_scene(job.scene if arguments.scene is None and job is not None else arguments.scene)
+    robot = robot_of(arguments, scene, job)
+    check_output_file(out)
+    playback = Playback(trajectory)
+    if job is not None:
+        differs = job.differing(Digests.of(robot, scene, trajectory))
+        for what in differs:
+            errors.print(f"the {what} is not the one of {job.path}", markup=False, soft_wrap=True)
+        if differs:
+            return FAILED
+        playback = job.playback(trajectory)
+    write_page(robot, scene, playback, out)
+    if not arguments.quiet:
+        console.print(f"written: {out}", markup=False, soft_wrap=True)
+    if not arguments.no_serve and arguments.out is None:
+        serve_page(console, robot, scene, playback)
+    return 0
+
+
+def serve_page(console: Console, robot: Robot, scene: Scene, playback: Playback) -> None:
+    """Serve the animated scene until interrupted.
+
+    Raises:
+        HplanError: The server does not start.
+    """
+    from hplan.apps.view.page import serve
+
+    with serve(robot, scene, playback) as server:
+        console.print(f"serving the scene at {server.url} (interrupt to stop)")
+        with contextlib.suppress(KeyboardInterrupt):
+            server.wait()

@@ -1,0 +1,260 @@
+r"""A motion, executed: tracked by a simulated arm with torque motors among the scene's obstacles (MuJoCo).
+
+The certificate proves a curve; this shows how a machine follows it, whoever planned it. MuJoCo reads the same URDF,
+with the obstacles as solid bodies; it has no code in common with planner, certificate or coal. A thousand times a
+second the controller takes the reference between the rows as the cubic that has the rows' positions and velocities
+(cubic Hermite) and commands
+
+.. math::
+    \tau = \mathrm{rnea}(q_d, \dot q_d, \ddot q_d) + K_p (q_d - q) + K_d (\dot q_d - \dot q)
+
+with gains for the plant's bandwidth and critical damping on each joint's largest inertia along the motion. The motors
+give no more than their limits. Contacts between the arm and an obstacle push back, and are reported; the arm does not
+touch itself or the ground here. After the last row the controller holds it for `HOLD` seconds, so that a motion that
+does not end at rest shows it.
+
+The simulated arm has the URDF's masses and the controller knows them, so what is seen is the motion's own doing, not
+that of a wrong model, friction or flexing. A `Plant` may differ: its masses are others than the controller believes,
+and commands reach it late. How far the joints then are from the reference can be held against a model of tracking
+errors (`Execution.is_within`).
+
+MuJoCo comes with the extra `execution`: `pip install 'hplan[execution]'`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from hplan.apps.execution.plant import Plant
+from hplan.apps.execution.recorded_motion import Movement
+from hplan.apps.execution.simulated_arm import CONTROL_PERIOD, SimulatedArm, Touch
+from hplan.base import ties
+from hplan.base.arguments import instance
+from hplan.base.arrays import FloatArray, Record, readonly
+from hplan.collision.coal_scene import CoalScene, Contact
+from hplan.errors import InputError, OptionError
+from hplan.robot.model import Robot
+from hplan.robot.tracking import TrackingModel
+from hplan.scene.model import Scene
+from hplan.trajectory.trajectory import check_units, cubic_states
+
+#: How long the last row is held [s].
+HOLD = 0.25
+
+#: Error of each joint that turns [rad], and of each that slides [m], up to which a configuration counts as reached.
+GOAL_TOLERANCE, GOAL_TOLERANCE_M = math.radians(0.5), 0.005
+
+
+@dataclass(frozen=True, eq=False)
+class Execution(Record):
+    """The result of executing a motion. Joints are in the robot's order.
+
+    Of joints that slide what is named by radians and newton metres is metres and newtons.
+
+    Attributes:
+        joint_names: Names of the `dof` joints.
+        slides: Of each of them whether it slides.
+        duration_s: Time of the last row, counted from the first [s].
+        contacts: Pairs that touched, in the order of their first touch.
+        start_error_rad: (dof,) difference between the first row and the scene's start; NaN where the scene gives no
+            joints.
+        max_tracking_error_rad: (dof,) largest deviation from the reference, the hold included.
+        final_error_rad: (dof,) largest deviation from the goal between the last row and the end of the hold. The goal
+            is the scene's where it gives joints, else the last row.
+        ended_at_goal: Whether that is at most `GOAL_TOLERANCE`, or `GOAL_TOLERANCE_M`, for every joint.
+        needed_torque_nm: (dof,) largest torque that the motion itself needs, by inverse dynamics [N m].
+        peak_torque_nm: (dof,) largest torque that the controller asked for [N m]; far more where the arm was held up.
+        torque_limit_nm: (dof,) the most that the motors give [N m].
+        saturated_s: Time during which some motor was asked for more than that [s].
+        nearest: Link and obstacle at the smallest distance at any of `time`, by coal with capsule links; None without
+            obstacles.
+        time: (k,) instants of the controller [s].
+        position: (k, dof) where the joints were.
+        reference: (k, dof) where they should have been.
+        reference_velocity: (k, dof) the velocity that they should have had [rad/s].
+    """
+
+    joint_names: tuple[str, ...]
+    slides: tuple[bool, ...]
+    duration_s: float
+    contacts: tuple[Touch, ...]
+    start_error_rad: tuple[float, ...]
+    max_tracking_error_rad: tuple[float, ...]
+    final_error_rad: tuple[float, ...]
+    ended_at_goal: bool
+    needed_torque_nm: tuple[float, ...]
+    peak_torque_nm: tuple[float, ...]
+    torque_limit_nm: tuple[float, ...]
+    saturated_s: float
+    nearest: Contact | None
+    time: FloatArray
+    position: FloatArray
+    reference: FloatArray
+    reference_velocity: FloatArray
+
+    def is_within(self, tracking: TrackingModel) -> bool:
+        """True if no joint was ever farther from its reference than a model of tracking errors allows."""
+        off = np.abs(self.position - self.reference)
+        return bool((off <= tracking.deviations(self.reference_velocity)).all())
+
+    @property
+    def ok(self) -> bool:
+        """True if nothing was touched and the arm ended at the goal."""
+        return not self.contacts and self.ended_at_goal
+
+    @property
+    def torque_exceeded(self) -> tuple[str, ...]:
+        """Joints of which more torque was asked than their motors give."""
+        both = zip(self.joint_names, self.peak_torque_nm, self.torque_limit_nm, strict=True)
+        return tuple(name for name, peak, limit in both if peak > limit)
+
+
+def execute(robot: Robot, scene: Scene, motion: Movement, plant: Plant | None = None) -> Execution:
+    """Let a simulated arm run a motion among the obstacles of a scene.
+
+    The arm starts in the motion's first row, at that row's velocity. What the planar joints do not move is executed
+    too: a turret that strikes an obstacle is a contact.
+
+    Args:
+        robot: The arm; MuJoCo reads its URDF.
+        scene: Obstacles, start and goal.
+        motion: The motion; its joints are the robot's, in any order.
+        plant: How the simulated machine differs; None where it does not.
+
+    Raises:
+        InputError: MuJoCo is not installed; the motion has other joints than the robot, time that does not increase
+            or values that are not finite; the scene's start or goal is not one of this robot.
+        RobotFileError: MuJoCo refuses the URDF.
+    """
+    instance("robot", robot, Robot, "load_robot")
+    instance("scene", scene, Scene, "load_scene")
+    if not all(hasattr(motion, name) for name in ("joint_names", "time", "position", "velocity")):
+        raise OptionError("motion", motion, "a Trajectory, as from plan, or a Motion, as from read_motion")
+    reference = _Reference.of(robot, motion)
+    start, goal = (_joints(robot, scene, which, reference.position[-1]) for which in ("start", "goal"))
+    arm = SimulatedArm(robot, scene, plant)
+    return _executed(arm, reference, scene, start, reference.position[-1] if goal is None else goal)
+
+
+@dataclass(frozen=True, eq=False)
+class _Reference:
+    """A motion in the robot's order of joints, with time from 0."""
+
+    time: FloatArray
+    position: FloatArray
+    velocity: FloatArray
+
+    @classmethod
+    def of(cls, robot: Robot, motion: Movement) -> _Reference:
+        names = tuple(motion.joint_names)
+        if sorted(names) != sorted(robot.joint_names):
+            missing = [name for name in robot.joint_names if name not in names]
+            unknown = [name for name in names if name not in robot.joint_names]
+            reason = f"missing {', '.join(missing) or 'none'}; unknown {', '.join(unknown) or 'none'}"
+            raise InputError(f"the motion does not move the joints of {robot.name!r}: {reason}", joints=list(names))
+        check_units(dict(zip(names, getattr(motion, "slides", ()), strict=False)), robot)
+        order = [names.index(name) for name in robot.joint_names]
+        time = np.asarray(motion.time, dtype=np.float64)
+        position, velocity = (np.asarray(values, dtype=np.float64) for values in (motion.position, motion.velocity))
+        shape = (len(time), len(names))
+        if time.ndim != 1 or len(time) == 0 or position.shape != shape or velocity.shape != shape:
+            shapes = f"{time.shape}, {position.shape} and {velocity.shape}"
+            raise InputError(f"motion: time, position and velocity have the shapes {shapes}, which do not match")
+        if not all(np.isfinite(values).all() for values in (time, position, velocity)):
+            raise InputError("motion: it holds a value that is not finite")
+        if not (np.diff(time) > 0.0).all():
+            raise InputError(f"motion: time does not increase at row {int(np.argmin(np.diff(time) > 0.0)) + 1}")
+        return cls(time - time[0], position[:, order], velocity[:, order])
+
+    def at(self, clock: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Position, velocity and acceleration at instants, (k,) -> three of (k, dof); after the end, at rest there."""
+        if len(self.time) == 1:
+            q = np.repeat(self.position, len(clock), axis=0)
+            return q, np.zeros_like(q), np.zeros_like(q)
+        q, v, a = cubic_states(self.time, self.position, self.velocity, clock)
+        over = (clock > self.time[-1])[:, None]
+        return np.where(over, self.position[-1], q), np.where(over, 0.0, v), np.where(over, 0.0, a)
+
+
+def _executed(
+    arm: SimulatedArm, reference: _Reference, scene: Scene, start: FloatArray | None, goal: FloatArray
+) -> Execution:
+    """Track the reference and hold its end."""
+    robot, plant = arm.robot, arm.plant
+    duration = float(reference.time[-1])
+    ticks = math.ceil(duration / CONTROL_PERIOD - 1e-9) + math.ceil(HOLD / CONTROL_PERIOD)
+    clock: FloatArray = CONTROL_PERIOD * np.arange(ticks + 1, dtype=np.float64)
+    q_ref, v_ref, _ = reference.at(clock)
+    # What the controller follows comes late; before it comes the arm is held, or goes on, as it begins.
+    late = clock - plant.command_delay_s
+    q_late, v_late, a_late = reference.at(np.maximum(late, 0.0))
+    q_late = q_late + np.minimum(late, 0.0)[:, None] * v_late
+    a_late[late < 0.0] = 0.0
+    feed = np.array([arm.feed_forward(*row) for row in zip(q_late, v_late, a_late, strict=True)])
+    stiffness, damping = _gains(arm, q_ref)
+    arm.place(q_ref[0], v_ref[0])
+    position = np.full_like(q_ref, np.nan)
+    torque = np.zeros_like(q_ref)
+    for k in range(len(clock)):
+        if not arm.is_finite:
+            break
+        position[k] = arm.position
+        if k == ticks:
+            break
+        if plant.decoupled:
+            torque[k] = feed[k] + arm.feedback(q_late[k], v_late[k])
+        else:
+            torque[k] = feed[k] + stiffness * (q_late[k] - position[k]) + damping * (v_late[k] - arm.velocity)
+        arm.advance(torque[k])
+    # A simulation that ran away counts as infinitely far off.
+    error = np.nan_to_num(np.abs(position - q_ref), nan=np.inf).max(axis=0)
+    resting = clock >= duration - 1e-9
+    final = np.nan_to_num(np.abs(position[resting] - goal), nan=np.inf).max(axis=0)
+    limit = robot.torque_limit
+    return Execution(
+        joint_names=robot.joint_names,
+        slides=robot.slides,
+        duration_s=duration,
+        contacts=arm.contacts,
+        start_error_rad=tuple(np.abs(q_ref[0] - (math.nan if start is None else start)).tolist()),
+        max_tracking_error_rad=tuple(error.tolist()),
+        final_error_rad=tuple(final.tolist()),
+        ended_at_goal=bool((final <= np.where(robot.slides, GOAL_TOLERANCE_M, GOAL_TOLERANCE)).all()),
+        needed_torque_nm=tuple(np.abs(feed).max(axis=0).tolist()),
+        peak_torque_nm=tuple(np.abs(torque).max(axis=0).tolist()),
+        torque_limit_nm=tuple(limit.tolist()),
+        saturated_s=float((np.abs(torque) > limit).any(axis=1).sum() * CONTROL_PERIOD),
+        nearest=_nearest(robot, scene, position),
+        time=readonly(clock),
+        position=readonly(position),
+        reference=readonly(q_ref),
+        reference_velocity=readonly(v_ref),
+    )
+
+
+def _gains(arm: SimulatedArm, q: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Stiffness [N m/rad] and damping [N m s/rad] of each joint."""
+    # Rows at which inertias are evaluated for the gains.
+    inertia_samples = 50
+    rows = np.unique(np.linspace(0, len(q) - 1, inertia_samples).astype(np.int64))
+    inertia = np.max([np.diag(arm.inertia(q[row])) for row in rows], axis=0)
+    bandwidth = arm.plant.bandwidth
+    return bandwidth**2 * inertia, 2.0 * bandwidth * inertia
+
+
+def _joints(robot: Robot, scene: Scene, which: str, end: FloatArray) -> FloatArray | None:
+    """Start or goal of a scene; the goal at the turn at which the motion's end is."""
+    joints = robot.joints_of(scene.start if which == "start" else scene.goal, which)
+    if joints is None:
+        return None
+    return robot.check_configuration(robot.turned_near(joints, end) if which == "goal" else joints, which)
+
+
+def _nearest(robot: Robot, scene: Scene, position: FloatArray) -> Contact | None:
+    """The smallest distance at any of the configurations that are finite."""
+    checker = CoalScene(robot, scene.solids)
+    found = [contact for q in position if np.isfinite(q).all() and (contact := checker.nearest(q)) is not None]
+    return found[ties.argmin([contact.distance_m for contact in found])] if found else None

@@ -1,0 +1,42 @@
+"""ROS 2 without ROS: messages as plain dicts, MCAP files for Foxglove and RViz, obstacles out of MoveIt's scenes.
+
+Nothing of ROS needs to be installed. Files of messages need `rosbags` (the extra `ros`), loaded when one is written.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from hplan.base.lazy_import import lazy_names
+
+if TYPE_CHECKING:
+    from hplan.apps.ros.joint_messages import from_joint_trajectory, to_joint_state, to_joint_trajectory
+    from hplan.apps.ros.marked_scene import scene_markers
+    from hplan.apps.ros.mcap_file import write_mcap
+    from hplan.apps.ros.moveit_scene import read_moveit_scene
+    from hplan.apps.ros.planning_scene import read_planning_scene
+    from hplan.apps.ros.transforms import robot_description
+
+_HOMES = {
+    "from_joint_trajectory": "hplan.apps.ros.joint_messages",
+    "read_moveit_scene": "hplan.apps.ros.moveit_scene",
+    "read_planning_scene": "hplan.apps.ros.planning_scene",
+    "robot_description": "hplan.apps.ros.transforms",
+    "scene_markers": "hplan.apps.ros.marked_scene",
+    "to_joint_state": "hplan.apps.ros.joint_messages",
+    "to_joint_trajectory": "hplan.apps.ros.joint_messages",
+    "write_mcap": "hplan.apps.ros.mcap_file",
+}
+
+__all__ = [
+    "from_joint_trajectory",
+    "read_moveit_scene",
+    "read_planning_scene",
+    "robot_description",
+    "scene_markers",
+    "to_joint_state",
+    "to_joint_trajectory",
+    "write_mcap",
+]
+
+__getattr__ = lazy_names(__name__, _HOMES)

@@ -1,0 +1,111 @@
+"""A scene as `visualization_msgs/msg/Marker`s: obstacles by what they are made of, and fruit.
+
+Numbers of markers go with their places in the scene, so that a marker sent again replaces the one before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final, assert_never
+
+import numpy as np
+import pinocchio as pin
+
+from hplan.apps.ros import marker_parts as mark
+from hplan.apps.ros.marker_parts import Marker
+from hplan.apps.ros.transforms import xyz
+from hplan.apps.view.scenery import FRUIT_COLOR, GOAL_FRUIT_COLOR, look_of
+from hplan.base.arguments import instance, text
+from hplan.base.arrays import FloatArray
+from hplan.scene.model import Fruit, Scene
+from hplan.scene.obstacles import Box, Capsule, Cylinder, Mesh, Obstacle, PointCloud, Sphere
+
+#: Most balls of a cloud that are drawn; of more, every second, third, ... one.
+MOST_BALLS: Final = 20_000
+
+#: Namespaces of markers.
+OBSTACLES, FRUITS = "obstacles", "fruits"
+
+
+def scene_markers(scene: Scene, frame_id: str = "base_link") -> list[Marker]:
+    """Markers of a scene, for the `markers` of a `visualization_msgs/msg/MarkerArray`.
+
+    What moves is in a frame of its own, `obstacle/NAME`, and stands in it where the scene lists it; `scene.poses_at`
+    gives the frame's place in the scene's over time.
+
+    Args:
+        scene: The scene.
+        frame_id: Frame of its coordinates.
+
+    Raises:
+        OptionError: It is no scene, or the frame no text.
+    """
+    instance("scene", scene, Scene, "load_scene")
+    text("frame_id", frame_id)
+    markers = list[Marker]()
+    for obstacle in scene.obstacles:
+        look = look_of(obstacle.name)
+        for marker in _parts(obstacle):
+            head = mark.head(frame_id=frame_of(scene, obstacle, frame_id), ns=OBSTACLES, number=len(markers))
+            markers.append(head | marker | {"color": mark.color(look.color, look.opacity)})
+    goal = scene.goal.fruit
+    hanging = [(fruit, frame_of(scene, fruit, frame_id)) for fruit in scene.fruits]
+    return [*markers, *(fruit_marker(scene, fruit, frame, is_goal=fruit.name == goal) for fruit, frame in hanging)]
+
+
+def frame_of(scene: Scene, item: Obstacle | Fruit, frame_id: str) -> str:
+    """The frame of an obstacle or fruit: its own where it, or the base, moves, else the scene's."""
+    return frame_id if item.track is None and scene.base_track is None else moving_frame(item.name)
+
+
+def moving_frame(name: str) -> str:
+    """The frame of an obstacle or fruit that moves."""
+    return f"obstacle/{name}"
+
+
+def fruit_marker(scene: Scene, fruit: Fruit, frame_id: str, *, is_goal: bool) -> Marker:
+    """The marker of a fruit where it hangs."""
+    number = scene.fruits.index(fruit)
+    return (
+        mark.ball(fruit.center, fruit.radius)
+        | mark.head(frame_id=frame_id, ns=FRUITS, number=number)
+        | {"color": mark.color(GOAL_FRUIT_COLOR if is_goal else FRUIT_COLOR)}
+    )
+
+
+def _parts(obstacle: Obstacle) -> list[Marker]:
+    """Shapes and places of the markers that make up an obstacle."""
+    if isinstance(obstacle, Sphere):
+        return [mark.ball(obstacle.center, obstacle.radius)]
+    if isinstance(obstacle, Capsule):
+        start, end = np.array(obstacle.start), np.array(obstacle.end)
+        balls = [mark.ball(place, obstacle.radius) for place in (start, end)]
+        length = float(np.linalg.norm(end - start))
+        if length == 0.0:
+            return balls[:1]
+        turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), (end - start) / length).matrix()
+        return [_round(0.5 * (start + end), turn, length, obstacle.radius), *balls]
+    if isinstance(obstacle, Cylinder):
+        return [_round(obstacle.center, obstacle.rotation, obstacle.length, obstacle.radius)]
+    if isinstance(obstacle, Box):
+        return [{"type": mark.CUBE, "pose": mark.pose(obstacle.center, obstacle.rotation), "scale": xyz(obstacle.size)}]
+    if isinstance(obstacle, Mesh):
+        vertices, faces = obstacle.surface
+        corners = mark.points(vertices[faces].reshape(-1, 3))
+        return [{"type": mark.TRIANGLES, "pose": mark.pose(), "scale": xyz((1.0, 1.0, 1.0)), "points": corners}]
+    if isinstance(obstacle, PointCloud):
+        return [_balls(solid.core, solid.rounding) for solid in obstacle.solids]
+    assert_never(obstacle)
+
+
+def _round(center: Sequence[float] | FloatArray, rotation: FloatArray, length: float, radius: float) -> Marker:
+    return {
+        "type": mark.CYLINDER,
+        "pose": mark.pose(center, rotation),
+        "scale": xyz((2.0 * radius, 2.0 * radius, length)),
+    }
+
+
+def _balls(centers: FloatArray, radius: float) -> Marker:
+    some = mark.points(centers[:: -(-len(centers) // MOST_BALLS)])
+    return {"type": mark.SPHERE_LIST, "pose": mark.pose(), "scale": xyz((2.0 * radius,) * 3), "points": some}

@@ -1,0 +1,200 @@
+"""Camera, lights and ground: all points are in the picture, and little stands before the arm."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hplan.apps.view import three_js as three
+from hplan.apps.view.commands import set_object, set_property
+from hplan.apps.view.three_js import Body, Json
+from hplan.base.arrays import FloatArray
+
+#: The picture is composed for windows at least this wide (width / height).
+ASPECT = 1.3
+#: Vertical field of view [deg].
+FIELD_OF_VIEW_DEG = 32.0
+_MARGIN = 1.1
+
+#: What is this much nearer to the camera than a point, and this near to it in the picture, covers it [m].
+_BEFORE, _BESIDE = 0.08, 0.03
+
+_GRID_COLOR = (0.35, 0.42, 0.50)
+_SKY_TOP = (0.80, 0.86, 0.92)
+_SKY_BOTTOM = (0.97, 0.97, 0.96)
+
+
+@dataclass(frozen=True)
+class Frame:
+    """Place of the camera, and what it looks at.
+
+    Attributes:
+        target: (3,) point in the middle of the picture [m].
+        camera: (3,) camera position [m].
+        radius: Size of what is to be seen [m].
+        ground: (2,) middle of the ground [m].
+    """
+
+    target: FloatArray
+    camera: FloatArray
+    radius: float
+    ground: FloatArray
+
+
+def frame(points: FloatArray, azimuth: float, elevation: float) -> Frame:
+    """The camera, looking from a direction, as near as all of (n, 3) points [m] are in the picture."""
+    right, up, toward = _axes(azimuth, elevation)
+    # A camera at (a0, b0, d) in the axes (right, up, toward) sees the point (a, b, c) within half-angle tangents t, u
+    # exactly if |a - a0| <= (d - c) t and |b - b0| <= (d - c) u: the smallest d has a closed form.
+    a, b, c = points @ right, points @ up, points @ toward
+    u = np.tan(np.radians(0.5 * FIELD_OF_VIEW_DEG)) / _MARGIN
+    t = u * ASPECT
+    left, rightmost = float((c * t - a).max()), float((c * t + a).max())
+    low, high = float((c * u - b).max()), float((c * u + b).max())
+    depth = max((left + rightmost) / (2.0 * t), (low + high) / (2.0 * u))
+    camera = 0.5 * (rightmost - left) * right + 0.5 * (high - low) * up + depth * toward
+    middle = 0.5 * float(c.min() + c.max())
+    low_corner, high_corner = points.min(axis=0), points.max(axis=0)
+    return Frame(
+        target=camera - (depth - middle) * toward,
+        camera=camera,
+        radius=float(0.5 * np.linalg.norm(high_corner - low_corner)),
+        ground=0.5 * (low_corner + high_corner)[:2],
+    )
+
+
+def covered(points: FloatArray, before: FloatArray, widths: FloatArray, azimuth: float, elevation: float) -> float:
+    """Fraction of (m, 3) points that others hide, seen from a direction and far away.
+
+    Args:
+        points: (m, 3) what is to be seen [m].
+        before: (n, 3) points that may hide them [m].
+        widths: (n,) radius of each [m].
+        azimuth: Direction of the camera.
+        elevation: Its height.
+    """
+    if not len(before):
+        return 0.0
+    right, up, toward = _axes(azimuth, elevation)
+    flat = np.column_stack([right, up])
+    seen, others = points @ flat, before @ flat
+    apart = np.hypot(*(seen[:, None, axis] - others[None, :, axis] for axis in range(2)))
+    nearer = (before @ toward)[None] > (points @ toward)[:, None] + _BEFORE
+    return float((nearer & (apart < _BESIDE + widths)).any(axis=1).mean())
+
+
+def _axes(azimuth: float, elevation: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Unit vectors to the right and up in the picture, and to the camera."""
+    cos = np.cos(elevation)
+    toward = np.array([np.cos(azimuth) * cos, np.sin(azimuth) * cos, np.sin(elevation)])
+    right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
+    return right, np.cross(toward, right), toward
+
+
+def camera(view: Frame) -> list[Json]:
+    """Commands that place the camera; the world's origin must have been moved to the frame's target."""
+    path = "/Cameras/default/rotated"
+    lens = {
+        "uuid": "camera",
+        "type": "PerspectiveCamera",
+        "fov": FIELD_OF_VIEW_DEG,
+        "aspect": ASPECT,
+        "near": 0.05,
+        "far": 200.0,
+    }
+    x, y, z = view.camera - view.target
+    return [
+        set_object(path, {"metadata": {"version": 4.5, "type": "Object"}, "object": lens}),
+        # The camera's frame has y upwards.
+        set_property(f"{path}/<object>", "position", three.numbers([x, z, -y])),
+    ]
+
+
+def lights(view: Frame) -> list[Json]:
+    """A soft sky, a key light that throws shadows, a weak light from the other side; meshcat's own are put out."""
+    commands = [
+        set_property(path, "visible", False)
+        for path in (
+            "/Grid",
+            "/Axes",
+            "/Lights/SpotLight",
+            "/Lights/PointLightNegativeX",
+            "/Lights/PointLightPositiveX",
+            "/Lights/AmbientLight",
+            "/Lights/FillLight",
+        )
+    ]
+    commands.append(set_property("/Background", "top_color", list(_SKY_TOP)))
+    commands.append(set_property("/Background", "bottom_color", list(_SKY_BOTTOM)))
+    toward = view.camera - view.target
+    across = np.array([-toward[1], toward[0], 0.0]) / np.hypot(toward[0], toward[1])
+    level = np.array([toward[0], toward[1], 0.0]) / np.hypot(toward[0], toward[1])
+    up = np.array([0.0, 0.0, 1.0])
+    far = 3.0 * view.radius
+    span = 2.0 * view.radius
+    shadow = {
+        "mapSize": [2048, 2048],
+        "radius": 4,
+        "bias": -0.0004,
+        "normalBias": 0.01,
+        "camera": {
+            "type": "OrthographicCamera",
+            "left": -span,
+            "right": span,
+            "top": span,
+            "bottom": -span,
+            "near": 0.1,
+            "far": far + 2.0 * span,
+        },
+    }
+    sky = {"type": "HemisphereLight", "color": 0xFFFFFF, "groundColor": 0xB9B2A8, "intensity": 0.58}
+    key = {"type": "DirectionalLight", "color": 0xFFF6EA, "intensity": 0.68, "shadow": shadow}
+    fill = {"type": "DirectionalLight", "color": 0xDCE9FF, "intensity": 0.25}
+    for name, light, place, throws in (
+        ("sky", sky, up, False),
+        ("key", key, far * (0.45 * level - 0.5 * across + 0.85 * up), True),
+        ("fill", fill, far * (0.3 * level + 0.9 * across + 0.3 * up), False),
+    ):
+        matrix = three.numbers(three.transform(position=place).T)
+        data = {"metadata": {"version": 4.5, "type": "Object"}, "object": {"uuid": name, **light, "matrix": matrix}}
+        commands.append(set_object(f"/Lights/{name}", data))
+        commands.append(set_property(f"/Lights/{name}/<object>", "castShadow", throws))
+    return commands
+
+
+def ground(view: Frame, floor: float) -> Body:
+    """Faint lines 0.5 m apart on the ground that fade with distance, and the shadows between them."""
+    body = Body()
+    spacing = 0.5
+    extent = spacing * np.ceil((2.2 * view.radius + 1.0) / spacing)
+    middle = spacing * np.round(view.ground / spacing)
+    ticks = np.arange(-extent, extent + 0.5 * spacing, spacing)
+    n = len(ticks)
+    x, y = (grid.ravel() for grid in np.meshgrid(ticks, ticks, indexing="ij"))
+    fade = np.clip(1.0 - np.hypot(x, y) / extent, 0.0, 1.0)
+    colors = np.column_stack([np.tile(_GRID_COLOR, (n * n, 1)), 0.55 * fade * fade * (3.0 - 2.0 * fade)])
+    index = np.arange(n * n).reshape(n, n)
+    pairs = np.vstack(
+        [
+            np.column_stack([index[:-1].ravel(), index[1:].ravel()]),
+            np.column_stack([index[:, :-1].ravel(), index[:, 1:].ravel()]),
+        ]
+    )
+    seen = (colors[pairs, 3] > 0.0).any(axis=1)
+    points = np.column_stack([x + middle[0], y + middle[1], np.full(n * n, floor)])
+    lines = three.material(0xFFFFFF, opacity=0.999, kind="LineBasicMaterial", vertexColors=True, depthWrite=False)
+    body.add(
+        three.line_segments(points, pairs[seen], colors),
+        lines,
+        name="grid",
+        kind="LineSegments",
+        shadow=False,
+        order=-1,
+    )
+    # Only the shadows of this plane are drawn.
+    catcher = three.material(0x1F2A3A, opacity=0.22, kind="ShadowMaterial", depthWrite=False)
+    plane = {"type": "PlaneGeometry", "width": float(2.0 * extent), "height": float(2.0 * extent)}
+    pose = three.transform(position=[*middle, floor])
+    body.add(plane, catcher, pose, name="shadows", shadow=False, order=-2)
+    return body

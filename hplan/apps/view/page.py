@@ -1,0 +1,252 @@
+"""The animated page: arm, scene and motion in one HTML file, or from a live server.
+
+The file holds meshcat's viewer and the commands that fill it; it needs no network and no server. Making it starts no
+process.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import html
+import importlib.util
+import json
+import subprocess
+import threading
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from string import Template
+from types import TracebackType
+from typing import Any
+
+from hplan.apps.view import scenery
+from hplan.apps.view.framing import ASPECT
+from hplan.apps.view.motion_data import certificate_words, motion_data
+from hplan.apps.view.playback import Playback
+from hplan.apps.view.scene_stage import APPROACH_COLOR, GOAL_COLOR, START_COLOR, stage
+from hplan.apps.view.three_js import Json
+from hplan.base.arguments import instance
+from hplan.base.child_process import import_environment, python_module
+from hplan.base.data_files import view_asset
+from hplan.base.files import write_text
+from hplan.errors import HplanError
+from hplan.robot.model import Robot
+from hplan.scene.model import Scene
+
+#: Longest wait for the live server [s].
+START_S = 60.0
+
+#: Violations of a motion that is not certified which its page lists.
+MOST_VIOLATIONS = 6
+
+
+def render_page(robot: Robot, scene: Scene, playback: Playback) -> str:
+    """The page as HTML text: self-contained, playing by itself in real time, again and again.
+
+    Args:
+        robot: The arm.
+        scene: Obstacles and fruits.
+        playback: The motion.
+
+    Raises:
+        InputError: The trajectory is of other joints than the robot's; `picked` names a fruit that the scene does not
+            have, or a time outside the motion.
+        HplanError: meshcat, which brings the viewer, is not installed.
+    """
+    instance("robot", robot, Robot, "load_robot")
+    instance("scene", scene, Scene, "load_scene")
+    trajectory = instance("playback", playback, Playback, "Playback.of").trajectory
+    moves = trajectory.samples > 1
+    entries = [("Start", START_COLOR), ("Goal", GOAL_COLOR)] if moves else []
+    if moves and any(phase.name == "approach" for phase in playback.phases):
+        entries.append(("Approach", APPROACH_COLOR))
+    for look in scenery.looks(scene):
+        one = look is scenery.OTHER and len(scene.obstacles) == 1
+        entries.append(("Obstacle" if one else look.label, look.color))
+    if scene.fruits:
+        entries.append(("Fruit", scenery.FRUIT_COLOR))
+    if scene.goal.fruit is not None and len(playback.picked) < 2:
+        entries.append(("Fruit to pick", scenery.HALO_COLOR))
+    if moves and playback.picked:
+        entries.append(("Picked", scenery.PICKED_COLOR))
+    subtitle = f"{robot.name}, {trajectory.duration:.2f} s" if moves else f"{robot.name}, at rest"
+    panel = _panel(robot, scene, playback) if moves else ""
+    return document(scene.name, subtitle, entries, stage(robot, scene, playback), panel)
+
+
+def document(
+    title: str, subtitle: str, entries: Iterable[tuple[str, int]], commands: Sequence[Json], panel: str = ""
+) -> str:
+    """A page of meshcat's viewer as HTML text, self-contained.
+
+    Args:
+        title: Title.
+        subtitle: A line below it.
+        entries: Words and colours of the legend.
+        commands: Commands to the viewer.
+        panel: HTML below the picture; without it the picture fills the window.
+
+    Raises:
+        HplanError: meshcat, which brings the viewer, is not installed.
+    """
+    legend = "\n".join(
+        f'<span><i style="background: #{color:06x}"></i>{html.escape(text)}</span>' for text, color in entries
+    )
+    return Template(view_asset("page.html")).substitute(
+        title=html.escape(title),
+        subtitle=html.escape(subtitle),
+        style=view_asset("page.css"),
+        kind="motion" if panel else "picture",
+        legend=legend,
+        commands=_json_text(commands),
+        viewer=_viewer_source(),
+        aspect=ASPECT,
+        panel=panel,
+    )
+
+
+def _panel(robot: Robot, scene: Scene, playback: Playback) -> str:
+    """Certificate, controls, time line and charts of a motion as HTML."""
+    kind, words, violations = certificate_words(playback.certificate)
+    title = {"ok": "certified", "bad": "not certified", "none": "no certificate"}[kind]
+    listed = "".join(f"<li>{html.escape(violation)}</li>" for violation in violations[:MOST_VIOLATIONS])
+    if len(violations) > MOST_VIOLATIONS:
+        listed += f"<li>and {len(violations) - MOST_VIOLATIONS} more</li>"
+    return Template(view_asset("panel.html")).substitute(
+        kind=kind,
+        title=title,
+        words=html.escape(words),
+        violations=f"<ul>{listed}</ul>" if listed else "",
+        data=_json_text(motion_data(robot, scene, playback)),
+        script=view_asset("player.js"),
+    )
+
+
+def _json_text(value: Any) -> str:
+    """JSON for the inside of a script element, which "<" could end."""
+    return json.dumps(value, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+
+
+def write_page(robot: Robot, scene: Scene, playback: Playback, path: Path | str) -> Path:
+    """Write the page of `render_page` to a file.
+
+    Raises:
+        InputError: As `render_page`.
+        OutputError: The file cannot be written.
+        HplanError: meshcat, which brings the viewer, is not installed.
+    """
+    return write_text(path, render_page(robot, scene, playback))
+
+
+class LiveView:
+    """A running server that shows the page of one motion; `close` ends it, as does leaving a `with` block."""
+
+    def __init__(self, url: str, process: subprocess.Popen[bytes]) -> None:
+        """Hold what `serve` has started."""
+        self.url = url
+        self._process = process
+
+    @property
+    def running(self) -> bool:
+        """True until the server has ended."""
+        return self._process.poll() is None
+
+    def wait(self, timeout_s: float | None = None) -> None:
+        """Wait until the server ends (it does not by itself) or `timeout_s` seconds have passed."""
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._process.wait(timeout_s)
+
+    def close(self) -> None:
+        """End the server."""
+        _end(self._process)
+
+    def __enter__(self) -> LiveView:
+        """Return the view itself."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        """End the server."""
+        self.close()
+
+
+def serve(robot: Robot, scene: Scene, playback: Playback) -> LiveView:
+    """Start a server of the same page; prints nothing and opens no browser.
+
+    Args:
+        robot: The arm.
+        scene: Obstacles and fruits.
+        playback: The motion.
+
+    Returns:
+        The running view; its `url` is for a browser on this machine, the only one that reaches it. The server ends
+        with `close`, and with this process, however that ends.
+
+    Raises:
+        InputError: As `render_page`.
+        HplanError: The server does not start.
+    """
+    page = render_page(robot, scene, playback).encode()
+    try:
+        process = subprocess.Popen(
+            python_module("hplan.apps.view.server"),
+            stdin=subprocess.PIPE,  # the page, and from then on nothing: the server ends with it
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            env=import_environment(),
+        )
+    except OSError as error:
+        raise HplanError(f"the page's server does not start: {error}") from error
+    try:
+        return LiveView(_address(process, page), process)
+    except BaseException:
+        _end(process)
+        raise
+
+
+def _address(process: subprocess.Popen[bytes], page: bytes) -> str:
+    """Hand the page to the process of `hplan.apps.view.server`; the address at which it serves that.
+
+    Raises:
+        HplanError: It does not start.
+    """
+    too_late = threading.Timer(START_S, process.kill)
+    too_late.start()
+    said: list[str] = []
+    try:
+        with contextlib.suppress(BrokenPipeError):  # what it has to say about that comes next
+            if process.stdin is not None:
+                process.stdin.write(b"%d\n" % len(page) + page)
+                process.stdin.flush()
+        for line in process.stdout or ():
+            said.append(line.decode(errors="replace"))
+            if said[-1].startswith("web_url="):
+                return said[-1].strip().split("=", 1)[1]
+    finally:
+        too_late.cancel()
+    raise HplanError(f"the page's server does not start: {''.join(said).strip() or 'it says nothing'}")
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    """End a process and close its pipes."""
+    if process.poll() is None:
+        process.kill()
+    process.wait()
+    for stream in (process.stdin, process.stdout):
+        if stream is not None:
+            with contextlib.suppress(BrokenPipeError):  # a page that it has not read
+                stream.close()
+
+
+def _viewer_source() -> str:
+    """Meshcat's viewer, one JavaScript file, found without importing meshcat (0.2 s).
+
+    Raises:
+        HplanError: meshcat is not installed.
+    """
+    found: Any = importlib.util.find_spec("meshcat")
+    for folder in [] if found is None else found.submodule_search_locations:
+        path = Path(folder) / "viewer" / "dist" / "main.min.js"
+        if path.is_file():
+            return path.read_text(encoding="utf-8")
+    raise HplanError("meshcat's viewer (meshcat/viewer/dist/main.min.js) is not installed")

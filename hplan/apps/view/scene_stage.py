@@ -1,0 +1,371 @@
+"""Content of the page as commands to meshcat's viewer: arm, scene, tool path, ghosts, ground, lights and camera.
+
+The commands are plain dictionaries, the same for the page in a file and for the live server, and the same on every run.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Sequence
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from hplan.apps.view import framing, scenery
+from hplan.apps.view import three_js as three
+from hplan.apps.view.commands import ROOT, animation, clip, moving, node, set_object, set_transform, turning
+from hplan.apps.view.framing import Frame
+from hplan.apps.view.playback import Playback
+from hplan.apps.view.three_js import Body, Json
+from hplan.base.arrays import FloatArray
+from hplan.collision.collision_bodies import collision_bodies
+from hplan.collision.reach import reach_ball
+from hplan.robot.model import Robot
+from hplan.scene.model import Scene
+from hplan.scene.obstacles import Solid
+from hplan.scene.solids import CUBE_CORNERS
+from hplan.trajectory.trajectory import Trajectory
+
+#: Visual meshes with more triangles than this are not drawn: those of a Panda would make a page of 68 MB.
+MOST_TRIANGLES = 20_000
+
+#: For the picture: how thick an arm of any kind is taken to be about its joints [m].
+THICKNESS = 0.08
+
+#: Most keyframes for each second of motion, and most of a whole motion: pages of long tours stay small.
+FRAME_RATE_HZ = 60.0
+MOST_FRAMES = 2400
+#: Rest at the goal before the motion starts again [s].
+REST_S = 1.0
+
+START_COLOR = 0x3D7EFF
+GOAL_COLOR = 0x12A150
+APPROACH_COLOR = 0xF08A1D
+
+#: The camera stands to the side of the arm plane, turned forwards, or backwards, by this and raised by this [deg].
+_AZIMUTH_DEG = 32.0
+_ELEVATION_DEG = 17.0
+
+#: Rings of all tubes of the tool path together, about, and how far apart they are at least [m].
+_RINGS, _RING_SPACING = 900, 0.02
+
+
+def stage(robot: Robot, scene: Scene, playback: Playback) -> list[Json]:
+    """Everything on the page.
+
+    Args:
+        robot: The arm.
+        scene: Obstacles and fruits.
+        playback: The motion.
+
+    Returns:
+        Commands for meshcat's viewer, in the order in which they are to be handled.
+
+    Raises:
+        InputError: The trajectory is of other joints than the robot's; `picked` names a fruit that the scene does not
+            have, or a time outside the motion.
+    """
+    playback.check(robot)
+    trajectory, picks = playback.trajectory, scenery.picks(scene, playback)
+    stands = _stands(scene, playback)
+    floor = _floor(robot, stands)
+    view = _frame(robot, stands, trajectory, [_row_at(trajectory, pick.since) for pick in picks], floor)
+    commands = [
+        *framing.lights(view),
+        *framing.camera(view),
+        # The viewer's camera can only circle the world's origin, so the world is moved there.
+        set_transform(ROOT, three.transform(position=-view.target)),
+        set_object(f"{ROOT}/ground", framing.ground(view, floor)),
+        *scenery.obstacles(scene),
+        *scenery.fruits(scene, goal=scene.goal.fruit if len(picks) < 2 else None),
+        *scenery.placed_movers(scene, playback.begin_s),
+        *_arm(robot, trajectory.position[0]),
+    ]
+    if trajectory.samples > 1:
+        # One ghost for the goal would say little of several.
+        if len(picks) < 2:
+            last = _row_at(trajectory, picks[0].since if picks else trajectory.duration)
+            commands.extend(_ghost(robot, trajectory.position[0], "start", START_COLOR, 1))
+            commands.extend(_ghost(robot, trajectory.position[last], "goal", GOAL_COLOR, 2))
+        commands.append(set_object(f"{ROOT}/tool path", _tool_path(robot, playback)))
+        commands.extend(scenery.picked_fruits(picks))
+        commands.append(_animation(robot, scene, playback, picks))
+    return commands
+
+
+def keyframe_times(trajectory: Trajectory) -> FloatArray:
+    """Times of the keyframes, (k,) from 0 to the end, at most `FRAME_RATE_HZ` of them a second and `MOST_FRAMES`."""
+    steps = min(trajectory.samples - 1, int(np.ceil(trajectory.duration * FRAME_RATE_HZ)), MOST_FRAMES)
+    if steps == trajectory.samples - 1:
+        return trajectory.time
+    times: FloatArray = np.linspace(0.0, trajectory.duration, steps + 1)
+    return times
+
+
+# The arm.
+
+
+def _joint_paths(model: pin.Model, top: str) -> list[str]:
+    """Path of the viewer's node for each joint of the model; a joint's node stands in its parent's."""
+    paths = [f"{ROOT}/{top}"]
+    for joint in range(1, model.njoints):
+        paths.append(f"{paths[model.parents[joint]]}/{node('joint', model.names[joint])}")
+    return paths
+
+
+def _looks(robot: Robot) -> Sequence[pin.GeometryObject]:
+    """What is drawn of a robot: its visual geometry or, where that is too fine for a page, its collision geometry."""
+    shown: Sequence[pin.GeometryObject] = robot.visual_model.geometryObjects
+    triangles = sum(getattr(item.geometry, "num_tris", 0) for item in shown)
+    return shown if triangles <= MOST_TRIANGLES else robot.collision_model.geometryObjects
+
+
+def _arm(robot: Robot, q: FloatArray) -> list[Json]:
+    bodies: dict[int, Body] = defaultdict(Body)
+    for item in _looks(robot):
+        surface = three.material(three.color_of(item.meshColor), opacity=float(item.meshColor[3]))
+        shape, pose = item.geometry, item.placement.homogeneous
+        three.add_shape(bodies[item.parentJoint], shape, surface, pose, name=item.name)
+    return _posed(robot, q, "arm", bodies)
+
+
+def _ghost(robot: Robot, q: FloatArray, name: str, color: int, layer: int) -> list[Json]:
+    surface = three.ghost_material(color, 0.28, layer)
+    bodies: dict[int, Body] = defaultdict(Body)
+    # What stands below the shoulder is left out: at most it turns in place.
+    first = 1 if robot.planar is None else robot.model.getJointId(robot.arm.joint_names[0])
+    for item in _looks(robot):
+        if item.parentJoint >= first:
+            shape, pose = item.geometry, item.placement.homogeneous
+            three.add_shape(bodies[item.parentJoint], shape, surface, pose, name=item.name, shadow=False, order=2)
+    return _posed(robot, q, f"{name} pose", bodies)
+
+
+def _posed(robot: Robot, q: FloatArray, top: str, bodies: dict[int, Body]) -> list[Json]:
+    model, data = robot.model, robot.model.createData()
+    pin.forwardKinematics(model, data, q)
+    commands = []
+    for joint, path in enumerate(_joint_paths(model, top)):
+        if joint > 0:
+            commands.append(set_transform(path, data.liMi[joint].homogeneous))
+        if len(bodies[joint]) > 0:
+            commands.append(set_object(path, bodies[joint]))
+    return commands
+
+
+def _animation(robot: Robot, scene: Scene, playback: Playback, picks: Sequence[scenery.Pick]) -> Json:
+    """Joints over time, what has a track, and picked fruits, in seconds of the motion, again and again."""
+    model, data, trajectory = robot.model, robot.model.createData(), playback.trajectory
+    times = keyframe_times(trajectory)
+    configurations = np.column_stack([np.interp(times, trajectory.time, column) for column in trajectory.position.T])
+    turns, places = np.empty((model.njoints, len(times) + 1, 4)), np.empty((model.njoints, len(times) + 1, 3))
+    # The last key is repeated, so that the arm rests at the goal.
+    for k, q in enumerate(np.vstack([configurations, configurations[-1:]])):
+        pin.forwardKinematics(model, data, q)
+        for joint in range(1, model.njoints):
+            turns[joint, k] = pin.Quaternion(data.liMi[joint].rotation).coeffs()
+            places[joint, k] = data.liMi[joint].translation
+    end = trajectory.duration + REST_S
+    # A joint turns or slides in its parent's frame: between keyframes the viewer's interpolation of either is exact.
+    # Joints that move by more than this in their parent's frame slide, others turn [m].
+    slid = 1e-9
+    clips = [
+        clip(
+            path,
+            moving([*times, end], places[joint])
+            if np.ptp(places[joint], axis=0).max() > slid
+            else turning([*times, end], turns[joint]),
+        )
+        for joint, path in enumerate(_joint_paths(model, "arm"))
+        if joint > 0
+    ]
+    clips += scenery.moving_clips(scene, times, playback.begin_s, end)
+    return animation([*clips, *scenery.picked_clips(picks, times, robot.tool_positions(configurations), end)])
+
+
+def _row_at(trajectory: Trajectory, time: float) -> int:
+    """The row nearest to a time [s]."""
+    return int(np.argmin(np.abs(trajectory.time - time)))
+
+
+def _tool_path(robot: Robot, playback: Playback) -> Body:
+    """The tool's path as a tube that turns from the start's colour to the goal's, approaches apart; a ball each end."""
+    body, trajectory = Body(), playback.trajectory
+    tool = robot.tool_positions(trajectory.position)
+    stretches = [
+        (phase.name, _row_at(trajectory, phase.start_s), _row_at(trajectory, phase.end_s))
+        for phase in playback.phases
+        if phase.name != "retreat"  # the approach's path, backwards
+    ] or [("transit", 0, trajectory.samples - 1)]
+    last = stretches[-1][2]
+    for name, point, color in (("start", tool[0], START_COLOR), ("goal", tool[last], GOAL_COLOR)):
+        body.add(three.sphere(0.022), three.material(color), three.transform(position=point), name=name, shadow=False)
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(tool, axis=0), axis=1))])
+    surface = three.material(0xFFFFFF, kind="MeshLambertMaterial", vertexColors=True)
+    # The many paths of a tour are thinner.
+    radius, sides = (0.009, 10) if len(stretches) <= 3 else (0.005, 6)
+    for name, first, end in stretches:
+        length = float(along[end] - along[first])
+        if length > 1e-3:
+            # Evenly spaced along the path: slow stretches do not crowd.
+            count = max(int(np.ceil(length / max(_RING_SPACING, along[-1] / _RINGS))), 8)
+            stations = np.linspace(along[first], along[end], count + 1)
+            rows = slice(first, end + 1)
+            points = np.column_stack([np.interp(stations, along[rows], axis) for axis in tool[rows].T])
+            fraction = stations[:, None] / along[last]
+            colors = (1.0 - fraction) * _rgb(START_COLOR) + fraction * _rgb(GOAL_COLOR)
+            if name == "approach":
+                colors = np.tile(_rgb(APPROACH_COLOR), (count + 1, 1))
+            tube = three.tube(points, 1.2 * radius if name == "approach" else radius, colors, sides=sides)
+            body.add(tube, surface, name="way" if name == "transit" else name, shadow=False)
+    return body
+
+
+# Ground and camera.
+
+
+def _stands(scene: Scene, playback: Playback) -> list[Scene]:
+    """The scene as it stands at times of a motion, for the picture to hold: once where nothing moves but the arm."""
+    if not scene.moves:
+        return [scene]
+    return [scene.at(playback.begin_s + part * playback.trajectory.duration) for part in (0.0, 0.25, 0.5, 0.75, 1.0)]
+
+
+def _floor(robot: Robot, stands: Sequence[Scene]) -> float:
+    """Height of the ground [m]: 0, or that at which tables, shelves and platforms stand that go below the arm's foot.
+
+    Arms of the planar family stand on the ground themselves.
+    """
+    if robot.planar is not None:
+        return 0.0
+    solids = [_outline(solid) for scene in stands for item in scene.obstacles for solid in item.solids]
+    lowest = min((float(core[:, 2].min()) for core in solids if not _is_ground(robot, core)), default=0.0)
+    return min(0.0, max(lowest, -_reach(robot)[0]))
+
+
+def _is_ground(robot: Robot, corners: FloatArray) -> bool:
+    """True of what does not reach above the arm's foot; for arms of other kinds only where the arm cannot span it."""
+    if corners[:, 2].max() > 0.0:
+        return False
+    wide = np.ptp(corners[:, :2], axis=0).max() > 2.0 * _reach(robot)[0]
+    return robot.planar is not None or bool(wide)
+
+
+def _frame(robot: Robot, stands: Sequence[Scene], trajectory: Trajectory, picks: Sequence[int], floor: float) -> Frame:
+    """Place the camera so that arm and scene fill the picture and the arm plane is seen from the side.
+
+    Where several fruits are picked, it is the plane in the middle of those picks. Of the four sides, before and behind
+    the arm, that is taken from which the least of the arm and its path is hidden.
+    """
+    count = min(25 * max(1, len(picks)), 100)
+    rows = np.unique([*np.linspace(0, trajectory.samples - 1, count).astype(int), *picks])
+    configurations = trajectory.position[rows]
+    yaws = [robot.yaw_of(q) for q in (trajectory.position[picks] if len(picks) > 1 else configurations)]
+    yaw = 0.5 * (min(yaws) + max(yaws))
+    elevation = np.radians(_ELEVATION_DEG)
+    arm = _arm_points(robot, configurations)
+    blocking = [_blocking_points(scene) for scene in stands]
+    before, widths = (np.concatenate(values) for values in zip(*blocking, strict=True))
+    sides = yaw + np.radians([turn for side in (-90.0, 90.0) for turn in (side + _AZIMUTH_DEG, side - _AZIMUTH_DEG)])
+    hidden = [framing.covered(arm, before, widths, azimuth, elevation) for azimuth in sides]
+    width = _reach(robot)[2]
+    moving = [arm - width, arm + width] if robot.planar is not None else [arm, _corners(robot, configurations)]
+    visible = _visible_points(robot, stands, np.vstack(moving), floor)
+    return framing.frame(visible, float(sides[int(np.argmin(hidden))]), elevation)
+
+
+def _arm_points(robot: Robot, configurations: FloatArray) -> FloatArray:
+    """Joints, tool and middles of links of each configuration, (n, 3) [m]."""
+    points: list[NDArray[np.float64]] = []
+    if robot.planar is None:
+        model, data = robot.model, robot.model.createData()
+        for q in configurations:
+            pin.framesForwardKinematics(model, data, q)
+            tool = data.oMf[model.getFrameId(robot.tool_frame)].translation
+            joints = np.array([*(data.oMi[joint].translation for joint in range(1, model.njoints)), tool])
+            points += [joints, 0.5 * (joints[1:] + joints[:-1])]
+        return np.vstack(points)
+    for q in configurations:
+        origin, axes = robot.plane_at(robot.yaw_of(q))
+        joints = robot.arm.joint_points(q[robot.arm_slice])
+        points.append(origin + np.vstack([joints, 0.5 * (joints[1:] + joints[:-1])]) @ axes[:2])
+    return np.vstack(points)
+
+
+def _corners(robot: Robot, configurations: FloatArray) -> FloatArray:
+    """Corners of boxes about the bodies of an arm of any kind at each configuration, (n, 3) [m]."""
+    bodies = [body for body in collision_bodies(robot) if body.joint >= 0]
+    ends = [(body.core.min(axis=0) - body.rounding, body.core.max(axis=0) + body.rounding) for body in bodies]
+    boxes = [np.where(CUBE_CORNERS < 0.0, low, high) for low, high in ends]
+    points, data = [np.zeros((0, 3))], robot.model.createData()
+    for q in configurations:
+        pin.forwardKinematics(robot.model, data, q)
+        for body, box in zip(bodies, boxes, strict=True):
+            place = data.oMi[body.joint + 1]
+            points.append(box @ place.rotation.T + place.translation)
+    return np.vstack(points)
+
+
+def _blocking_points(scene: Scene) -> tuple[FloatArray, FloatArray]:
+    """Points of solids, (n, 3) [m], and how far each one's solid reaches about it, (n,) [m]."""
+    points, widths = [np.zeros((0, 3))], [np.zeros(0)]
+    for solid in scene.solids:
+        core = solid.core
+        if solid.is_point_set:
+            core = core[:: -(-len(core) // 500)]
+        elif len(core) > 1:
+            fraction = np.linspace(0.0, 1.0, 5)[:, None, None]
+            core = ((1.0 - fraction) * core + fraction * core[::-1]).reshape(-1, 3)
+        points.append(core)
+        widths.append(np.full(len(core), solid.rounding))
+    return np.vstack(points), np.concatenate(widths)
+
+
+def _visible_points(robot: Robot, stands: Sequence[Scene], arm: FloatArray, floor: float) -> FloatArray:
+    """Points that the picture must hold, (n, 3) [m]: the moving arm, its foot, obstacles near the arm, fruits."""
+    reach, middle, _width = _reach(robot)
+    points = [arm, _footprint(robot)]
+    for core, rounding in (
+        *((_outline(solid), solid.rounding) for scene in stands for item in scene.obstacles for solid in item.solids),
+        *((np.array([fruit.center]), fruit.radius) for scene in stands for fruit in scene.fruits),
+    ):
+        corners = np.vstack([core - rounding, core + rounding])
+        if _is_ground(robot, corners):
+            continue  # as wide as it likes
+        # A long wire or a distant wall may leave the picture; what the arm can touch may not.
+        points.append(np.clip(corners, middle - reach, middle + reach))
+    result = np.vstack(points)
+    result[:, 2] = np.maximum(result[:, 2], floor)
+    return result
+
+
+def _reach(robot: Robot) -> tuple[float, FloatArray, float]:
+    """How far the arm reaches [m] from where, (3,) [m], and about how thick it is at most [m]."""
+    if robot.planar is None:
+        ball = reach_ball(robot)
+        return float(ball[3]), ball[:3], THICKNESS
+    reach, middle = float(robot.arm.lengths.sum()), robot.plane_origin
+    if robot.has_yaw:
+        reach += math.hypot(*robot.shoulder_from_axis)
+        middle = np.append(robot.yaw_axis, robot.plane_origin[2])
+    return reach, middle, float(robot.arm.half_widths.max())
+
+
+def _outline(solid: Solid) -> FloatArray:
+    """Points of a solid that speak for its extent, (k, 3) [m]."""
+    return np.stack([solid.core.min(axis=0), solid.core.max(axis=0)]) if solid.is_point_set else solid.core
+
+
+def _footprint(robot: Robot) -> FloatArray:
+    """A square on the ground about the foot, (4, 3) [m]."""
+    side = 0.16 * np.array([(x, y, 0.0) for x in (-1, 1) for y in (-1, 1)])
+    if robot.planar is None:
+        return side
+    square: FloatArray = side * max(1.0, float(robot.arm.lengths[0])) + np.append(robot.yaw_axis, 0.0)
+    return square
+
+
+def _rgb(color: int) -> FloatArray:
+    return np.array([(color >> shift & 0xFF) / 255.0 for shift in (16, 8, 0)])

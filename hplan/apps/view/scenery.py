@@ -1,0 +1,285 @@
+"""Obstacles and fruits of the page: their looks, the motion of what has a track, and of fruits that are picked.
+
+What an obstacle is made of follows from the words of its name. All capsules of one look are drawn as copies of one
+shape: a tree of hundreds of pieces costs the viewer no more than one piece.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import assert_never
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike
+
+from hplan.apps.view import three_js as three
+from hplan.apps.view.commands import ROOT, clip, moving, node, set_object, set_property, set_transform, showing, turning
+from hplan.apps.view.framing import FIELD_OF_VIEW_DEG
+from hplan.apps.view.playback import Playback
+from hplan.apps.view.three_js import Body, Json
+from hplan.base.arrays import FloatArray
+from hplan.errors import InputError
+from hplan.scene.model import Fruit, Scene
+from hplan.scene.obstacles import Box, Capsule, Cylinder, Mesh, PointCloud, Sphere
+from hplan.scene.tracks import Track
+
+
+@dataclass(frozen=True)
+class Look:
+    """Look of obstacles of a kind.
+
+    Attributes:
+        label: What the legend calls them.
+        color: Their colour.
+        words: Words in the name of such an obstacle.
+        opacity: 1 where nothing shows through.
+    """
+
+    label: str
+    color: int
+    words: frozenset[str]
+    opacity: float = 1.0
+
+
+LEAVES = Look("Leaves", 0x7FA35F, frozenset({"leaf", "leaves", "foliage", "canopy", "crown", "hedge"}))
+WOOD = Look(
+    "Wood",
+    0x866349,
+    frozenset({"tree", "trunk", "branch", "branches", "shoot", "limb", "twig", "stem", "leader", "wood", "spur"}),
+)
+METAL = Look("Posts and wires", 0x8B949E, frozenset({"wire", "post", "pole", "stake", "cable", "rail", "trellis"}))
+BULK = Look(
+    "Ground and vehicle",
+    0xB4B7B2,
+    frozenset({"ground", "floor", "soil", "vehicle", "platform", "cart", "tractor", "trailer", "wall", "bin"}),
+)
+OTHER = Look("Obstacles", 0x7B5EA7, frozenset(), 0.85)
+
+FRUIT_COLOR = 0xD7263D
+GOAL_FRUIT_COLOR = 0xFF3B2F
+HALO_COLOR = 0xFFC53D
+#: Lighter than the others too, for eyes that do not tell red from green.
+PICKED_COLOR = 0x9BD84A
+
+
+def look_of(name: str) -> Look:
+    """The look of an obstacle, by the words of its name; an `s` at the end of a word does not count."""
+    words = set(re.findall(r"[a-z]+", name.lower()))
+    words |= {word.removesuffix("s") for word in words}
+    return next((look for look in (LEAVES, WOOD, METAL, BULK) if words & look.words), OTHER)
+
+
+def looks(scene: Scene) -> list[Look]:
+    """The looks that a scene's obstacles have, each once."""
+    return list(dict.fromkeys(look_of(item.name) for item in scene.obstacles))
+
+
+def obstacles(scene: Scene) -> list[Json]:
+    """Commands that draw the obstacles where they are listed: capsules by their looks, others one by one."""
+    commands, capsules, movers = [], defaultdict(list), moving_nodes(scene)
+    for item in scene.obstacles:
+        look, top = look_of(item.name), movers.get(item.name, f"{ROOT}/obstacles")
+        if isinstance(item, Capsule):
+            capsules[top, look].append(item)
+        else:
+            body = Body()
+            _add(body, item, look)
+            commands.append(set_object(f"{top}/{node(item.kind, item.name)}", body))
+    for (top, look), items in capsules.items():
+        body = Body()
+        starts, ends = (np.array([getattr(item, end) for item in items]) for end in ("start", "end"))
+        radii = np.array([item.radius for item in items])
+        three.add_capsules(body, starts, ends, radii, _surface(look), name=look.label)
+        commands.append(set_object(f"{top}/{look.label}", body))
+    return commands
+
+
+def moving_nodes(scene: Scene) -> dict[str, str]:
+    """The node of the viewer that each obstacle or fruit which moves stands in; those of one track share it."""
+    items = [item for item in (*scene.obstacles, *scene.fruits) if scene.base_track is not None or item.track]
+    numbers: dict[Track | None, int] = {}
+    return {item.name: f"{ROOT}/moving {numbers.setdefault(item.track, len(numbers))}" for item in items}
+
+
+def _node_poses(scene: Scene, times: ArrayLike) -> dict[str, tuple[FloatArray, FloatArray]]:
+    """(k, 3, 3) rotations and (k, 3) shifts of each of these nodes at (k,) times, as tracks count them."""
+    poses = scene.poses_at(times)
+    return {path: poses[name] for name, path in moving_nodes(scene).items()}
+
+
+def placed_movers(scene: Scene, time_s: float) -> list[Json]:
+    """Commands that put what moves where it is at a time, as tracks count it [s]."""
+    return [
+        set_transform(path, three.transform(turns[0], shifts[0]))
+        for path, (turns, shifts) in _node_poses(scene, [time_s]).items()
+    ]
+
+
+def moving_clips(scene: Scene, times: FloatArray, begin_s: float, end: float) -> list[Json]:
+    """Animation of what has a track.
+
+    Args:
+        scene: The scene.
+        times: (k,) times of the motion at which poses are given; between them the viewer turns and shifts evenly [s].
+        begin_s: Time at which the motion begins, as tracks count it [s].
+        end: End of the animation; after the motion everything rests [s].
+    """
+    clock = [*times.tolist(), end]
+    clips = []
+    for path, (turns, shifts) in _node_poses(scene, begin_s + np.append(times, times[-1])).items():
+        quaternions = np.array([pin.Quaternion(turn).coeffs() for turn in turns])
+        clips.append(clip(path, turning(clock, quaternions), moving(clock, shifts)))
+    return clips
+
+
+def _surface(look: Look) -> Json:
+    return three.material(look.color, opacity=look.opacity, roughness=0.55 if look in (OTHER, METAL) else 0.85)
+
+
+def _add(body: Body, item: Sphere | Cylinder | Box | Mesh | PointCloud, look: Look) -> None:
+    surface = _surface(look)
+    # Most points of a cloud that are drawn.
+    most_points = 20_000
+    match item:
+        case Sphere():
+            body.add(three.sphere(item.radius), surface, three.transform(position=item.center), name=item.name)
+        case Cylinder():
+            place = three.transform(item.rotation, item.center) @ three.Z_UP
+            body.add(three.cylinder(item.radius, item.length), surface, place, name=item.name)
+        case Box():
+            body.add(three.box(item.size), surface, three.transform(item.rotation, item.center), name=item.name)
+        case Mesh():
+            body.add(three.facets(*item.surface), surface, name=item.name)
+        case PointCloud():
+            for cloud in item.solids:
+                some = cloud.core[:: -(-len(cloud.core) // most_points)]
+                # The viewer takes a dot's size as if the field of view were 90 degrees.
+                wide = 2.0 * cloud.rounding / np.tan(np.radians(0.5 * FIELD_OF_VIEW_DEG))
+                dots = three.dots_material(look.color, float(wide))
+                body.add(three.points(some), dots, name=item.name, kind="Points", shadow=False)
+        case _:
+            assert_never(item)
+
+
+def fruits(scene: Scene, goal: str | None) -> list[Json]:
+    """Commands that draw the fruits as they hang, that of one name so that it stands out."""
+    commands, movers = [], moving_nodes(scene)
+    for fruit in scene.fruits:
+        path = f"{movers[fruit.name]}/{node('fruit', fruit.name)}" if fruit.name in movers else _fruit_path(fruit)
+        commands.append(set_object(path, _fruit(fruit, is_goal=fruit.name == goal)))
+        commands.append(set_transform(path, three.transform(position=fruit.center)))
+    return commands
+
+
+def _fruit_path(fruit: Fruit) -> str:
+    return f"{ROOT}/fruits/{node('fruit', fruit.name)}"
+
+
+def _fruit(fruit: Fruit, *, is_goal: bool) -> Body:
+    body = Body()
+    color = GOAL_FRUIT_COLOR if is_goal else FRUIT_COLOR
+    body.add(three.sphere(fruit.radius), three.material(color, roughness=0.35), name=fruit.name)
+    if is_goal:
+        halo = three.material(HALO_COLOR, opacity=0.3, kind="MeshBasicMaterial", depthWrite=False)
+        body.add(three.sphere(1.5 * fruit.radius), halo, name="goal", shadow=False, order=3)
+    return body
+
+
+# Picking.
+
+
+@dataclass(frozen=True, eq=False)
+class Pick:
+    """A fruit that is picked.
+
+    Attributes:
+        fruit: The fruit.
+        since: When the tool takes it [s].
+        until: When it is put away [s]; inf where the tool keeps it.
+    """
+
+    fruit: Fruit
+    since: float
+    until: float
+
+
+def picks(scene: Scene, playback: Playback) -> list[Pick]:
+    """The picked fruits: the tool keeps each until it lets it go, or else until the retreat from it ends.
+
+    It holds one at a time, and what it holds in the end it keeps.
+
+    Args:
+        scene: The scene.
+        playback: The motion.
+
+    Raises:
+        InputError: A fruit that the scene does not have; a time outside the motion.
+    """
+    known = {fruit.name: fruit for fruit in scene.fruits}
+    retreats = [phase for phase in playback.phases if phase.name == "retreat"]
+    duration = playback.trajectory.duration
+    result = []
+    for name, time in sorted(playback.picked.items(), key=lambda item: item[1]):
+        if name not in known:
+            raise InputError(f"picked names {name!r}, which is not among the scene's fruits", fruit=name)
+        if not 0.0 <= time <= duration + 1e-9:
+            raise InputError(
+                f"{name!r} is picked at {time} s; the motion lasts from 0 to {duration:.6g} s", fruit=name, time=time
+            )
+        until = min((retreat.end_s for retreat in retreats if abs(retreat.start_s - time) < 1e-3), default=math.inf)
+        until = float(playback.dropped.get(name, until))
+        result.append(Pick(known[name], float(time), until if until < duration - 1e-9 else math.inf))
+    # A tool holds one fruit.
+    following = [pick.since for pick in result[1:]]
+    return [
+        *(Pick(pick.fruit, pick.since, min(pick.until, time)) for pick, time in zip(result, following, strict=False)),
+        *result[-1:],
+    ]
+
+
+def picked_fruits(picks: Sequence[Pick]) -> list[Json]:
+    """Commands that draw picked fruits in another colour: in the tool, and faintly where they have hung."""
+    commands = []
+    for pick in picks:
+        for top, opacity in (("picked", 1.0), ("places", 0.35)):
+            body, path = Body(), _picked_path(top, pick)
+            surface = three.material(PICKED_COLOR, opacity=opacity, roughness=0.35)
+            body.add(three.sphere(pick.fruit.radius), surface, name=pick.fruit.name, shadow=opacity == 1.0)
+            commands += [
+                set_object(path, body),
+                set_transform(path, three.transform(position=pick.fruit.center)),
+                set_property(path, "visible", False),
+            ]
+    return commands
+
+
+def picked_clips(picks: Sequence[Pick], times: FloatArray, tool: FloatArray, end: float) -> list[Json]:
+    """Animation of picked fruits: their visibility over time, and their motion with the tool.
+
+    Args:
+        picks: The picked fruits.
+        times: (k,) times of the keyframes [s].
+        tool: (k, 3) tool positions [m].
+        end: End of the animation [s].
+    """
+    clips = []
+    for pick in picks:
+        held = (times > pick.since) & (times < pick.until)
+        stations = np.unique([0.0, pick.since, *times[held], min(pick.until, times[-1]), end])
+        at, taken = (np.column_stack([np.interp(t, times, axis) for axis in tool.T]) for t in (stations, [pick.since]))
+        path = np.array(pick.fruit.center) + np.where(stations[:, None] > pick.since, at - taken, 0.0)
+        clips += [
+            clip(_fruit_path(pick.fruit), showing(0.0, pick.since, end)),
+            clip(_picked_path("picked", pick), showing(pick.since, pick.until, end), moving(stations, path)),
+            clip(_picked_path("places", pick), showing(pick.since, math.inf, end)),
+        ]
+    return clips
+
+
+def _picked_path(top: str, pick: Pick) -> str:
+    return f"{ROOT}/{top}/{node('fruit', pick.fruit.name)}"

@@ -1,0 +1,157 @@
+"""The C-space at one yaw: the forbidden region of the planar joints there, and a motion projected into it.
+
+The forbidden region is where the clearance of the arm is negative; clearance is evaluated at the nodes of a grid, so
+that the region's surface can be found between them. Of a motion that turns the base the picture holds only near that
+yaw: elsewhere the region is another one.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from hplan.apps.view.cspace_surface import hidden
+from hplan.apps.view.playback import Playback
+from hplan.base.arrays import FloatArray, frozen
+from hplan.errors import InputError, OptionError
+from hplan.grid.grid import Grid
+from hplan.planning.options import PlanOptions
+from hplan.planning.world import World
+from hplan.robot.model import Robot
+from hplan.scene.model import Scene
+
+#: Spacing of the grid on which the region is found, and its most nodes, about.
+_STEP_DEG, _MOST_NODES = 2.0, 100_000
+
+#: Points of the projected motion, and how near to the yaw they count when the view is chosen.
+_POINTS, _NEAR = 400, math.radians(10.0)
+
+#: Directions that the picture is seen from, none along an axis [deg].
+_AZIMUTHS, _ELEVATIONS = (30, 60, 120, 150, 210, 240, 300, 330), (18, 28, 40)
+
+
+@dataclass(frozen=True, eq=False)
+class YawSection:
+    """The C-space of the planar joints at one yaw, with a motion.
+
+    Attributes:
+        yaw: The yaw.
+        grid: Grid over the three planar joints.
+        field: (N1, N2, N3) clearance of the arm at its nodes [m], negative where it may not be.
+        path: (m, 3) planar joints along the motion, evenly spaced, from the start to the goal.
+        yaw_distance: (m,) distance of the motion's yaw from `yaw` there.
+        times: (m,) when it is there [s].
+    """
+
+    yaw: float
+    grid: Grid
+    field: FloatArray
+    path: FloatArray
+    yaw_distance: FloatArray
+    times: FloatArray
+
+    @property
+    def view(self) -> tuple[float, float]:
+        """Azimuth and elevation [deg] of the viewer to whom the region hides least of the motion, and who sees it long.
+
+        What is near the yaw counts most.
+        """
+        nodes = self.grid.position(self.path)
+        size = (nodes - nodes.mean(axis=0)) / (np.array(self.grid.shape) - 1.0)
+        weights = np.where(self.yaw_distance <= _NEAR, 1.0, 0.1)
+        best, chosen = math.inf, (0.0, 0.0)
+        for elevation in _ELEVATIONS:
+            for azimuth in _AZIMUTHS:
+                a, e = math.radians(azimuth), math.radians(elevation)
+                towards = np.array([math.cos(a) * math.cos(e), math.sin(a) * math.cos(e), math.sin(e)])
+                behind = float(weights @ hidden(self.field, nodes, towards) / weights.sum())
+                across = size - np.outer(size @ towards, towards)
+                cost = behind - 0.2 * float(np.sqrt(np.square(across).sum(axis=1)).max())
+                if cost < best:
+                    best, chosen = cost, (float(azimuth), float(elevation))
+        return chosen
+
+
+def yaw_section(
+    robot: Robot, scene: Scene, playback: Playback, options: PlanOptions | None = None, *, yaw: float | None = None
+) -> YawSection:
+    """The C-space at one yaw, and a motion in it.
+
+    Args:
+        robot: The arm, three planar joints.
+        scene: Obstacles and fruits; the fruit that is the goal is left out, for it may be touched.
+        playback: The motion; its part after the first approach is left out, and so are the fruits that it picks.
+        options: The options it was planned with: tracking error and uncertainty grow the region.
+        yaw: The yaw; None for the goal's.
+
+    Raises:
+        InputError: The arm has another number of planar joints, or the trajectory is of other joints.
+        OptionError: A yaw that is not finite or beyond the limits, or other than 0 for an arm without yaw.
+    """
+    check_yaw(robot, yaw)
+    playback.check(robot)
+    trajectory = playback.trajectory
+    end = min((phase.end_s for phase in playback.phases if phase.name == "approach"), default=trajectory.duration)
+    rows = trajectory.time <= end + 1e-9
+    motion, times = trajectory.position[rows], trajectory.time[rows]
+    at = robot.yaw_of(motion[-1]) if yaw is None else yaw
+    choice = PlanOptions() if options is None else options
+    world = World.of(
+        robot,
+        [solid for solid in scene.solids if solid.name not in playback.picked],
+        clearance=scene.clearance,
+        tracking_error=choice.tracking.still_rad,
+        sigmas=choice.sigmas,
+    )
+    planar = robot.arm_slice
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(motion, axis=0), axis=1))])
+    # Where the arm rests, rows stand at one place.
+    moving = np.concatenate([[True], np.diff(along) > 0.0])
+    stations = np.linspace(0.0, along[-1], _POINTS)
+    path = np.column_stack([np.interp(stations, along[moving], column) for column in motion[moving].T])
+    grid = _grid(robot)
+    return YawSection(
+        yaw=at,
+        grid=grid,
+        field=_field(robot, world, grid, at),
+        path=frozen(np.ascontiguousarray(path[:, planar])),
+        yaw_distance=frozen(np.abs(path[:, 0] - at) if robot.has_yaw else np.zeros(len(path))),
+        times=frozen(np.interp(stations, along[moving], times[moving])),
+    )
+
+
+def check_yaw(robot: Robot, yaw: float | None) -> None:
+    """Check that an arm can be shown so, at a yaw or at the goal's.
+
+    Raises:
+        InputError: The arm has another number of planar joints than three.
+        OptionError: A yaw that is not finite or beyond the limits, or other than 0 for an arm without yaw.
+    """
+    if robot.arm.link_count != 3:
+        raise InputError(
+            f"the C-space view wants three planar joints; {robot.name!r} has {robot.arm.link_count}",
+            expected=3, got=robot.arm.link_count,
+        )  # fmt: skip
+    low, high = (float(robot.lower[0]), float(robot.upper[0])) if robot.has_yaw else (0.0, 0.0)
+    if yaw is not None and not low - 1e-9 <= yaw <= high + 1e-9:
+        words = f"degrees from {math.degrees(low):.6g} to {math.degrees(high):.6g}"
+        raise OptionError("yaw", math.degrees(yaw), words)
+
+
+def _grid(robot: Robot) -> Grid:
+    span = robot.arm.upper - robot.arm.lower
+    step = max(math.radians(_STEP_DEG), float(np.prod(span) / _MOST_NODES) ** (1.0 / 3.0))
+    return Grid.over(robot.arm.lower, robot.arm.upper, step)
+
+
+def _field(robot: Robot, world: World, grid: Grid, yaw: float) -> FloatArray:
+    """Clearance at the grid's nodes; without obstacles as far as is known."""
+    q = np.full(robot.dof, yaw)
+    field = np.empty(grid.size)
+    for number, index in enumerate(np.ndindex(*grid.shape)):
+        q[robot.arm_slice] = grid.coordinates(index)
+        field[number] = world.field.clearance(q)
+    # The surface is interpolated between nodes: without obstacles clearance is infinite.
+    return frozen(np.minimum(field, 1e3).reshape(grid.shape))

@@ -1,0 +1,430 @@
+r"""The certificate of a trajectory: what is shown of it for all times, and how.
+
+Between two rows the controller is taken to follow the cubic that has the rows' positions and velocities (`cubic
+Hermite`); a trajectory of hplan is exactly that curve. On it
+
+- **clearance** is shown over continuous time, from obstacles, and of parts of the arm that can touch one another
+  (conservative advancement; the bound is in `hplan.certificate.clearance_proof`);
+- the **fruit that is the goal** may be touched by the last link only, and only on a straight approach to the grasp and
+  in the retreat (`hplan.certificate.goal_contact`); all other fruits are obstacles;
+- **position, velocity, acceleration and torque** are bounded for all times (`hplan.certificate.limit_use`,
+  `hplan.certificate.torque_bound`);
+- the acceleration and torque columns, which a controller may feed forward, must keep the limits too;
+- the motion begins and ends at rest, and solves the scene's task (`hplan.certificate.task_check`), unless that is
+  not wanted; where the scene's start is in motion, it begins in that state (`hplan.certificate.start_state`).
+
+Where obstacles move, or the base does, this holds in space and time: at each time each obstacle is where its track has
+it then. Shown is the motion, from its begin to its end; how long the arm may rest where it ends, `clear_until_s` says.
+
+The work is bounded: in proportion to the number of rows, whatever stands in them. What cannot be shown with it is not
+verified.
+
+Assumed: rigid links inside their capsules or collision bodies, obstacles where the scene says, and when, tracking
+within a model of its error (`hplan.robot.tracking`; it takes from the clearance; the limits are those of the commanded
+motion). Not covered: flexing, the base's own motion but for its track, forces by which a base that turns or changes its
+pace acts on the arm (that it tilts counts), contact forces, what is not in the scene.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Literal, TypeAlias
+
+import numpy as np
+
+from hplan.base import ties
+from hplan.base.arguments import instance, number, one_of, truth
+from hplan.base.arrays import FloatArray
+from hplan.base.units import FARTHEST_JOINT
+from hplan.certificate.clearance_curve import (
+    ClearanceCurve,
+    ProvedMotion,
+    ProvedStretch,
+    Subject,
+    joined_subjects,
+)
+from hplan.certificate.clearance_proof import Proof, prove_clearance
+from hplan.certificate.digests import Digests
+from hplan.certificate.goal_contact import contact_window
+from hplan.certificate.limit_use import LimitUse, limit_use
+from hplan.certificate.moving_obstacles import checker_in_time, clear_until, moving_base_contacts
+from hplan.certificate.start_state import start_violations
+from hplan.certificate.sway import fastest, largest_deviations
+from hplan.certificate.task_check import task_violations
+from hplan.certificate.tilted_base import use_on_track
+from hplan.collision.coal_scene import CoalScene, Contact, base_contacts
+from hplan.errors import MovingObstacleError
+from hplan.robot.base_shapes import BASE_DEPTH
+from hplan.robot.model import Robot
+from hplan.robot.tracking import TrackingModel
+from hplan.scene.model import Fruit, Scene
+from hplan.trajectory.trajectory import Trajectory, check_joints, cubic_pieces
+
+#: Use of a limit up to which it counts as kept.
+LIMIT_TOLERANCE = 1.001
+
+#: Speed at the ends that still counts as rest [rad/s].
+REST = 1e-6
+
+#: When the last link may touch the fruit that is the goal: on a straight approach and back, or during the whole motion.
+GoalContact: TypeAlias = Literal["approach", "motion"]
+GOAL_CONTACTS: tuple[GoalContact, ...] = ("approach", "motion")
+
+#: A range of the motion's cubics, and the collision checker that holds there.
+Stretch: TypeAlias = tuple[slice, CoalScene]
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """The result of certifying a trajectory.
+
+    Attributes:
+        verified: True if everything asked for was shown.
+        min_clearance_m: Distance that every link is shown to keep at all times from every obstacle, and from every
+            part of the arm that it can touch [m]; inf where there is none. Where the clearance is not shown, the
+            smallest distance found, negative in contact.
+        nearest: Link and obstacle, or part of the arm, at the smallest distance that was evaluated.
+        limit_use: Upper bound of the use of each limit.
+        checks: Number of configurations at which distances were evaluated.
+        violations: A message for everything that was not verified; empty when verified.
+        goal_contact: When the last link may touch the fruit that is the goal; None where no fruit is.
+        contact_s: The same as times, from and to [s]; None for never.
+        digests: The robot, the scene and the trajectory that it is about; None for a part of a motion.
+        subject: The motions that it is about, for `clearance_curve`; None where it was made by hand.
+        nearest_s: When `nearest` was seen, counted as the tracks' times are [s]; None where nothing moves but the arm.
+        clear_until_s: Time up to which the arm is shown to keep its distance if it rests where the motion ends, counted
+            as the tracks' times are; inf for ever [s]. None where nothing moves, or the motion is not verified.
+    """
+
+    verified: bool
+    min_clearance_m: float
+    nearest: Contact | None
+    limit_use: LimitUse
+    checks: int
+    violations: tuple[str, ...]
+    goal_contact: GoalContact | None = None
+    contact_s: tuple[float, float] | None = None
+    digests: Digests | None = None
+    nearest_s: float | None = None
+    clear_until_s: float | None = None
+    subject: Subject | None = field(default=None, compare=False, repr=False)
+
+    @property
+    def clearance_curve(self) -> ClearanceCurve | None:
+        """Clearance over time, computed when it is first asked for; None where the certificate was made by hand.
+
+        That takes as long as the certificate or several times as long: where the arm is far from everything, the proof
+        need not look how far.
+        """
+        return None if self.subject is None else self.subject.curve
+
+    @property
+    def reversed(self) -> Certificate:
+        """The certificate of the motion backwards: the same distances and torques; none of task or contact times.
+
+        Raises:
+            MovingObstacleError: Obstacles move, and not backwards.
+        """
+        if self.nearest_s is not None:
+            raise MovingObstacleError(None if self.nearest is None else self.nearest.obstacle)
+        subject = None if self.subject is None else self.subject.reversed
+        return replace(self, subject=subject, contact_s=None, digests=None)
+
+
+# Eleven parameters: three subjects, and options that callers name by keyword.
+def certify(
+    robot: Robot,
+    scene: Scene,
+    trajectory: Trajectory,
+    *,
+    tracking_error: float = 0.0,
+    tracking_delay_s: float = 0.0,
+    sigmas: float = 3.0,
+    goal_contact: GoalContact = "approach",
+    check_ends: bool = True,
+    rest_to_rest: bool = True,
+    checker: CoalScene | None = None,
+    begin_s: float = 0.0,
+) -> Certificate:
+    """Certify a trajectory, wherever it comes from, as `plan` certifies its own.
+
+    Args:
+        robot: The arm.
+        scene: Obstacles, the clearance to keep, and the task.
+        trajectory: The timed motion; its joints are the robot's.
+        tracking_error: Largest deviation of any joint from the trajectory at rest [rad; of joints that slide, m].
+        tracking_delay_s: Addition to it for each rad/s, or m/s, of the joint's velocity [s].
+        sigmas: How many standard deviations of its place an obstacle is grown by, where the scene gives one.
+        goal_contact: `approach`: the last link may touch the fruit that is the goal on a straight approach and on the
+            retreat, found in the motion. `motion`: it may during the whole motion; so `plan` certifies where no
+            straight approach is clear.
+        check_ends: Whether the motion has to solve the scene's task: begin at its start, reach its goal, leave its
+            locked joints where they are.
+        rest_to_rest: Whether the motion has to begin and end at rest; where the scene's start is in motion, to end.
+        checker: The arm among other solids than the scene's. They are taken as they are: `sigmas` and `goal_contact`
+            are not checked, nor what pedestal and turret stand in.
+        begin_s: Time at which the motion begins, as the tracks of the scene count it [s]: a motion that starts later,
+            or takes over from a running one, sees what moves from that time on.
+
+    Returns:
+        The certificate; read `verified`.
+
+    Raises:
+        InputError: The trajectory has other joints than the robot, or start or goal of the scene do not fit it.
+        MovingObstacleError: The fruit that is the goal moves.
+        OptionError: A time that is not finite; a tracking error or delay, or a number of standard deviations, that is
+            negative or not finite; another contact with the goal.
+    """
+    instance("robot", robot, Robot, "load_robot")
+    instance("scene", scene, Scene, "load_scene")
+    instance("trajectory", trajectory, Trajectory, "plan or read_csv")
+    truth("check_ends", check_ends)
+    truth("rest_to_rest", rest_to_rest)
+    tracking = TrackingModel(tracking_error, tracking_delay_s)
+    number("sigmas", sigmas, "a finite number >= 0", lambda value: value >= 0.0)
+    one_of("goal_contact", goal_contact, GOAL_CONTACTS)
+    number("begin_s", begin_s, "a finite number of seconds")
+    check_joints(trajectory, robot)
+    # Joints beyond that are over every limit, wherever the tool would be.
+    bezier = np.clip(cubic_pieces(trajectory)[0], -FARTHEST_JOINT, FARTHEST_JOINT)
+    contact, violations, fruit = None, list[str](), None
+    if checker is None:
+        checker, fruit = checker_in_time(robot, scene, sigmas), scene.goal_fruit
+        if fruit is not None:
+            if fruit.track is not None or scene.base_track is not None:
+                raise MovingObstacleError(None if fruit.track is None else fruit.name, "a fruit to pick must not move")
+            contact = _contact_pieces(robot, bezier, fruit, goal_contact)
+        violations += base_violations(robot, scene, checker, trajectory, begin_s)
+    instance("checker", checker, CoalScene, "CoalScene")
+    if check_ends:
+        violations += [*task_violations(robot, scene, bezier), *start_violations(robot, scene, trajectory)]
+    if rest_to_rest and scene.start.is_moving:
+        violations += rest_violations(robot, trajectory, {"ends": -1})
+    certificate = certify_among(
+        robot,
+        trajectory,
+        stretches(checker, len(bezier), contact, scene.goal.fruit),
+        clearance=scene.clearance,
+        tracking=tracking,
+        rest_to_rest=rest_to_rest and not scene.start.is_moving,
+        begin_s=begin_s,
+    )
+    certificate = on_track(certificate, robot, scene, begin_s, trajectory.duration)
+    return replace(
+        certificate,
+        verified=certificate.verified and not violations,
+        violations=(*violations, *certificate.violations),
+        goal_contact=None if fruit is None else goal_contact,
+        contact_s=None if contact is None else _times(trajectory, contact),
+        clear_until_s=None if violations else certificate.clear_until_s,
+        digests=Digests.of(robot, scene, trajectory),
+    )
+
+
+def _contact_pieces(robot: Robot, bezier: FloatArray, fruit: Fruit, goal_contact: GoalContact) -> slice | None:
+    """The cubics of a motion within which the last link may touch a fruit; None for none."""
+    return slice(0, len(bezier)) if goal_contact == "motion" else contact_window(robot, bezier, fruit.center)
+
+
+def contact_times(
+    robot: Robot, trajectory: Trajectory, fruit: Fruit, goal_contact: GoalContact
+) -> tuple[float, float] | None:
+    """When the last link may touch the fruit that is the goal, from and to [s]; None for never."""
+    pieces = _contact_pieces(robot, cubic_pieces(trajectory)[0], fruit, goal_contact)
+    return None if pieces is None else _times(trajectory, pieces)
+
+
+def base_violations(
+    robot: Robot, scene: Scene, checker: CoalScene, trajectory: Trajectory, begin_s: float
+) -> Iterator[str]:
+    """Messages: what pedestal and turret stand in, or what comes into them while a motion runs.
+
+    Args:
+        robot: The arm.
+        scene: Obstacles.
+        checker: The arm among them, in the order of the scene.
+        trajectory: The motion; the turret is taken as it stands where it begins.
+        begin_s: When it begins, as the tracks of the scene count it [s].
+    """
+    first = np.clip(trajectory.position[0], -FARTHEST_JOINT, FARTHEST_JOINT)
+    yaw, still = robot.yaw_of(first), scene.listed_solids
+    if checker.moving is not None:
+        still = tuple(solid for number, solid in enumerate(still) if number not in checker.moving.numbers)
+        yield from moving_base_contacts(robot, checker.moving, yaw, begin_s, begin_s + trajectory.duration)
+    for found in base_contacts(robot, still, yaw, margin=-BASE_DEPTH):
+        depth = f"{-1e3 * found.distance_m:.3g} mm deep in the robot's {found.link!r}, which does not move"
+        yield f"obstacle {found.obstacle!r} is {depth}"
+
+
+def stretches(checker: CoalScene, pieces: int, contact: slice | None, fruit: str | None) -> list[Stretch]:
+    """The ranges of a motion of some cubics before, within and after that in which the last link may touch a fruit.
+
+    Args:
+        checker: The arm among everything.
+        pieces: Number of cubics.
+        contact: The range; None for none.
+        fruit: Name of the fruit.
+    """
+    if contact is None or fruit is None:
+        return [(slice(0, pieces), checker)]
+    found = [
+        (slice(0, contact.start), checker),
+        (contact, checker.touching(fruit)),
+        (slice(contact.stop, pieces), checker),
+    ]
+    return [(part, among) for part, among in found if part.start < part.stop]
+
+
+def certify_among(
+    robot: Robot,
+    trajectory: Trajectory,
+    among: Sequence[Stretch],
+    *,
+    clearance: float,
+    tracking: TrackingModel,
+    rest_to_rest: bool = True,
+    begin_s: float = 0.0,
+) -> Certificate:
+    """Certify a trajectory, or part of one, with given collision checkers.
+
+    Args:
+        robot: The arm.
+        trajectory: The timed motion; its joints are the robot's.
+        among: The collision checker of each stretch; together the whole motion.
+        clearance: Clearance to keep [m].
+        tracking: Deviation of the joints that is covered.
+        rest_to_rest: Whether the motion has to begin and end at rest.
+        begin_s: Time at which it begins, as the movements of obstacles count it [s].
+
+    Raises:
+        InputError: The trajectory has other joints than the robot.
+    """
+    check_joints(trajectory, robot)
+    bezier, duration = cubic_pieces(trajectory)
+    use = limit_use(robot, trajectory, bezier, duration)
+    violations = list(limit_violations(use))
+    if rest_to_rest:
+        violations += rest_violations(robot, trajectory, {"begins": 0, "ends": -1})
+    speeds = fastest(bezier, duration) if tracking.delay_s > 0.0 else np.zeros((1, robot.dof))
+    deviations, at_rest = (largest_deviations(robot, tracking, at) for at in (speeds, np.zeros((1, robot.dof))))
+    clock = begin_s + (trajectory.time if trajectory.samples > 1 else np.zeros(2))
+    seen_s: list[float | None] = []
+    proved, wanted = [], f"more than {1e3 * clearance:.3g} mm at a tracking error of {tracking.summary(robot.slides)}"
+    for part, checker in among:
+        own = deviations if len(deviations) == 1 else deviations[part]
+        times = clock[part.start : part.stop + 1]
+        proof = prove_clearance(robot, bezier[part], checker, own, clearance, times)
+        proved.append(ProvedStretch(part, checker, own, proof, times))
+        seen_s.append(None if checker.moving is None else _time_of(proof, times))
+        violations += _not_shown(proof, trajectory, part.start, wanted, seen_s[-1])
+    proofs = [stretch.proof for stretch in proved]
+    last = among[-1][1]
+    missing = [proof.clearance_m for proof in proofs if not proof.shown]
+    return Certificate(
+        verified=not violations,
+        min_clearance_m=min(missing or (proof.clearance_m for proof in proofs)),
+        nearest=_nearest(proof.nearest for proof in proofs),
+        limit_use=use,
+        checks=sum(proof.checks for proof in proofs),
+        violations=tuple(violations),
+        subject=Subject(((ProvedMotion(robot, trajectory, tuple(proved), clearance), False),)),
+        nearest_s=_nearest_s([proof.nearest for proof in proofs], seen_s),
+        clear_until_s=None
+        if last.moving is None or violations
+        else clear_until(robot, bezier[-1, 3], last, at_rest, clearance, clock[-1]),
+    )
+
+
+def rest_violations(robot: Robot, trajectory: Trajectory, ends: Mapping[str, int]) -> Iterator[str]:
+    """Messages: rows of a motion at which it is not at rest."""
+    for where, row in ends.items():
+        speeds = np.abs(trajectory.velocity[row])
+        joint = int(speeds.argmax())
+        if speeds[joint] > REST:
+            name, unit = robot.joint_names[joint], robot.units[joint].velocity
+            yield f"the motion {where} with joint {name!r} at {speeds[joint]:.4g} {unit}, not at rest"
+
+
+def with_violations(certificate: Certificate, more: Iterable[str]) -> Certificate:
+    """The certificate with more violations."""
+    found = tuple(more)
+    if not found:
+        return certificate
+    return replace(certificate, verified=False, violations=(*certificate.violations, *found), clear_until_s=None)
+
+
+def on_track(certificate: Certificate, robot: Robot, scene: Scene, begin_s: float, duration: float) -> Certificate:
+    """The certificate of a motion where the scene's base tilts on its track (`hplan.certificate.tilted_base`)."""
+    use = use_on_track(certificate.limit_use, robot, scene, begin_s, duration)
+    known = set(limit_violations(certificate.limit_use))
+    more = (f"{broken}, as the base tilts" for broken in limit_violations(use) if broken not in known)
+    return with_violations(replace(certificate, limit_use=use), more)
+
+
+def limit_violations(use: LimitUse) -> Iterator[str]:
+    """Messages: the limits that are not verified to be kept."""
+    for what, fraction in vars(use).items():
+        if not fraction <= (LIMIT_TOLERANCE if what != "position" else 1.0 + 1e-6):
+            yield f"{what} reaches {fraction:{'.4f' if fraction < 1e4 else '.4g'}} of its limit"
+
+
+def all_of(parts: Sequence[Certificate]) -> Certificate:
+    """The certificate of motions one after the other; where obstacles move, all by the same clock."""
+    if len(parts) == 1:
+        return parts[0]
+    return Certificate(
+        verified=all(part.verified for part in parts),
+        min_clearance_m=min(part.min_clearance_m for part in parts),
+        nearest=_nearest(part.nearest for part in parts),
+        limit_use=LimitUse(
+            **{name: max(getattr(part.limit_use, name) for part in parts) for name in vars(parts[0].limit_use)}
+        ),
+        checks=sum(part.checks for part in parts),
+        violations=tuple(violation for part in parts for violation in part.violations),
+        subject=joined_subjects(part.subject for part in parts),
+        nearest_s=_nearest_s([part.nearest for part in parts], [part.nearest_s for part in parts]),
+        clear_until_s=parts[-1].clear_until_s if all(part.verified for part in parts) else None,
+    )
+
+
+def _not_shown(proof: Proof, trajectory: Trajectory, first: int, wanted: str, seen_s: float | None) -> Iterator[str]:
+    """Message: the clearance that a proof does not verify, the first such piece, and when it saw the least."""
+    if proof.shown:
+        return
+    piece = first + int(proof.end)
+    begin = trajectory.time[min(piece, trajectory.samples - 1)]
+    end = trajectory.time[min(piece + 1, trajectory.samples - 1)]
+    if proof.outcome == "travel":
+        yield f"clearance cannot be shown: from {begin:.6g} s to {end:.6g} s the motion is too fast to be bounded"
+    elif proof.outcome == "checks":
+        at = begin + (proof.end - int(proof.end)) * (end - begin)
+        yield f"clearance is not shown beyond {at:.6g} s, where {proof.checks:,} checks are used up"
+    if proof.nearest is not None:
+        near, when = proof.nearest, "" if seen_s is None else f" at {seen_s:.6g} s"
+        yield (
+            f"link {near.link!r} comes to {1e3 * near.distance_m:.3g} mm of {near.other}{when}; to be shown: {wanted}"
+        )
+
+
+def _nearest_s(contacts: Sequence[Contact | None], seen_s: Sequence[float | None]) -> float | None:
+    """When the contact at the smallest distance was seen."""
+    nearest = _nearest(contacts)
+    return next((at for contact, at in zip(contacts, seen_s, strict=True) if contact is nearest), None)
+
+
+def _time_of(proof: Proof, clock: FloatArray) -> float:
+    """When a proof saw its nearest pair [s]."""
+    return float(np.interp(proof.nearest_at, np.arange(len(clock)), clock))
+
+
+def _nearest(contacts: Iterable[Contact | None]) -> Contact | None:
+    """The contact at the smallest distance; None for none."""
+    found = [contact for contact in contacts if contact is not None]
+    return found[ties.argmin([contact.distance_m for contact in found])] if found else None
+
+
+def _times(trajectory: Trajectory, pieces: slice) -> tuple[float, float]:
+    """Begin and end of a range of a motion's cubics [s]."""
+    last = trajectory.samples - 1
+    return float(trajectory.time[min(pieces.start, last)]), float(trajectory.time[min(pieces.stop, last)])

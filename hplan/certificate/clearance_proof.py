@@ -1,0 +1,399 @@
+r"""Clearance over the whole of a motion: conservative advancement along its cubics, each pair with its own steps.
+
+A pair is a link and an obstacle, a turning shape of the turret and an obstacle, or two parts of the arm. Each has a
+moving body: with an obstacle the link, or the turret, which the yaw alone moves; with two parts of the arm one of them
+as seen from the other. A pair's spare clearance is its distance, by coal, beyond the one to be kept. Its moving
+body may travel that far, less the clearance shown so far (at most half of the spare clearance of any pair), before the
+pair is asked again; so at least the clearance shown remains at all times. Places are counted in rows. Where the proof
+has to give up, the rest of the motion is searched for the worst.
+
+**The bound.** With :math:`\varphi_i` the absolute angle of link i in the arm plane, :math:`\psi` the yaw and
+:math:`r_k` the largest distance of link k from the yaw axis, a point of the axis of link k travels within a piece of
+the motion no farther than
+
+.. math:: \sum_{i \le k} L_i \max |\varphi_i'| + r_k \max |\psi'|,
+
+by the hulls of the derivatives' Bezier points (`hplan.certificate.sway`; of a motion seen from another part of the arm
+`hplan.robot.self_contact.pair_rates`). With the joints' deviations the same sum is the tracking-error displacement
+bound (`Robot.sway`, `pair_sway`). Of a general (non-planar) arm the bound of each of its bodies, and of each pair of
+them, is in `hplan.certificate.body_travel`; such a pair that can never be as far apart as is asked for must not touch
+(`hplan.collision.touching_pairs`).
+
+**Tracking.** Joints that are off by their deviations bring a pair nearer by its displacement bound, at most :math:`m_r`
+in piece :math:`r` of the motion. It is replaced by the piecewise linear :math:`\tilde m` with the values
+:math:`M_r = \max(m_{r - 1}, m_r)` at the rows, so that :math:`\tilde m(x) \ge m_r` at every place :math:`x` of piece
+:math:`r`. With :math:`T` what the moving body travels up to a place and :math:`V` by how much :math:`\tilde m` has
+risen in all up to there, both piecewise linear, a pair of distance :math:`d(a)` when coal is asked at :math:`a` has at
+every later place
+
+.. math::
+    d(x) - \tilde m(x) \ge d(a) - [T(x) - T(a)] - \tilde m(a) - [V(x) - V(a)],
+
+so the advancement counts :math:`T + V` as travel and :math:`d(a) - \tilde m(a)`, less the distance to be kept, as
+spare clearance.
+
+**Obstacles that move.** Distances are those from where the obstacle is at that time. Where a link and such an obstacle
+are a pair, what the obstacle travels comes to what the link does: in each piece the largest speed that any point of it
+has there (`hplan.scene.tracks`), all the time that the piece takes.
+"""
+
+from __future__ import annotations
+
+import heapq
+import math
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+import numpy as np
+
+from hplan.base.arrays import FloatArray, IntArray
+from hplan.base.deadline import check_deadline
+from hplan.base.kernels import kernel
+from hplan.certificate.sway import at_rows, motion_of_movers, with_obstacles
+from hplan.collision.coal_scene import CoalScene, Contact
+from hplan.robot.model import Robot
+
+#: Spare clearance below which the proof gives up [m]: its steps, half of it, would become too small.
+SMALLEST_STEP = 1e-5
+
+#: Largest fraction of a pair's spare clearance that its moving body may travel before the next look: far away, coal's
+#: distances are good to a fraction of them.
+MOST_TRAVEL = 0.99
+
+#: Of more pairs than this for each moving body lower bounds are computed before coal is asked; so many of the nearest
+#: are asked first where all are. A bound is enough where it leaves at least so much spare clearance [m].
+MANY, FIRST, FAR = 8, 16, 0.05
+
+#: Configurations at which the proof may evaluate distances: some, and for each piece of the motion. A motion of 1.8 s
+#: that comes to 1.5 mm of an obstacle takes 155. The deadline is checked after so many: a fraction of a millisecond.
+CHECKS, CHECKS_PER_PIECE, CHECKS_BETWEEN_LOOKS = 20_000, 50, 16
+
+#: Longest travel that is bounded [m]: beyond, its sum over the pieces would be good to less than a micrometre.
+LONGEST_TRAVEL = 1e5
+
+#: Why a proof ends: the clearance is shown, a pair is too near, or what it may take is used up.
+Outcome: TypeAlias = Literal["shown", "too near", "checks", "travel"]
+
+
+@dataclass(frozen=True)
+class Proof:
+    """Clearance over the whole motion.
+
+    Attributes:
+        outcome: Whether it is shown, or why not: a pair comes too near, more than the stated number of checks would be
+            needed, or the motion is too fast or too long for its travel to be bounded.
+        clearance_m: The clearance shown; else the smallest found, less the displacement by tracking errors [m].
+        nearest: The nearest pair that was seen, and its distance; None without pairs.
+        checks: Configurations at which distances were evaluated.
+        end: Place up to which it was shown, or from which on travel is not bounded, counted in pieces.
+        nearest_at: Where the nearest pair was seen, counted in pieces.
+    """
+
+    outcome: Outcome
+    clearance_m: float
+    nearest: Contact | None
+    checks: int
+    end: float
+    nearest_at: float = 0.0
+
+    @property
+    def shown(self) -> bool:
+        """True if the clearance is shown over the whole motion."""
+        return self.outcome == "shown"
+
+
+def prove_clearance(
+    robot: Robot,
+    bezier: FloatArray,
+    checker: CoalScene,
+    deviations: FloatArray,
+    needed: float,
+    clock: FloatArray | None = None,
+) -> Proof:
+    """Show that every pair keeps its distance at all times, or find where it does not.
+
+    Args:
+        robot: The arm.
+        bezier: (pieces, 4, dof) Bezier points of the motion's cubics.
+        checker: The arm among the obstacles.
+        deviations: (pieces, dof) largest deviation of each joint within each cubic, or (1, dof) for all of them [rad].
+        needed: Distance to be kept [m].
+        clock: (pieces + 1,) times of the rows, as tracks count them [s]; needed where obstacles move.
+    """
+    # Pairs that touch only beyond the limits, where a deviation leads, are asked too.
+    checker = checker.covering(float(deviations.max()), needed)
+    if not checker.pairs:
+        return Proof("shown", math.inf, None, 0, len(bezier))
+    search = Advancement(robot, bezier, checker, deviations, needed, clock)
+    if search.bounded < len(bezier):
+        return search.worst("travel")
+    budget = CHECKS + CHECKS_PER_PIECE * len(bezier)
+    # At the start all pairs at once; those that cannot come near in the whole motion are not asked again.
+    going = search.begin()
+    while going:
+        if search.checks % CHECKS_BETWEEN_LOOKS == 1:
+            check_deadline()
+        pairs, at, q = _first(search.pairs[1], bezier)
+        if at == math.inf:
+            end = float(len(bezier))
+            return Proof("shown", needed + search.shown, search.contact(), search.checks, end, search.nearest[2])
+        if search.checks >= budget:
+            return search.worst("checks")
+        search.place(q, at)
+        going = search.ask(pairs, at)
+        # Together with the pair that is due, those that would be before it is due again.
+        others = _due_before(search.pairs[1], pairs)
+        if going and len(others):
+            going = search.ask(others, at)
+    return search.worst("too near")
+
+
+class Advancement:
+    """State of the advancement along a motion, pair by pair.
+
+    Attributes:
+        movers: (2, movers, rows + 1) at each row, how much nearer each moving body may be than in the motion, and how
+            far it has travelled [m].
+        pairs: (2, pairs) for each pair the distance to be kept, coal's error with it [m], and the place where it is to
+            be asked again, infinite where that is after the end. (Arrays, for a named tuple of them costs a call of a
+            kernel 2 us more, and there are 200 calls.)
+        mover_of: (pairs,) each pair's moving body.
+        shown: Clearance shown of every pair so far, beyond the one needed [m].
+        nearest: The smallest distance so far [m], the pair, and where.
+        checks: Configurations checked.
+        bounded: How many pieces from the first on have a bounded travel.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        bezier: FloatArray,
+        checker: CoalScene,
+        deviations: FloatArray,
+        needed: float,
+        clock: FloatArray | None = None,
+    ) -> None:
+        """Bound what each moving body travels; ask nothing yet."""
+        self._bezier, self._checker = bezier, checker
+        self._clock = None if checker.moving is None else clock
+        with np.errstate(over="ignore", invalid="ignore"):
+            mover_of, moved, nearer = motion_of_movers(robot, bezier, checker, deviations)
+            if checker.moving is not None and clock is not None:
+                mover_of, moved, nearer = with_obstacles(checker, mover_of, moved, nearer, clock)
+            sway = at_rows(nearer, len(bezier))
+            if len(deviations) > 1:
+                moved = moved + np.maximum(np.diff(sway, axis=1), 0.0)
+            travel = np.column_stack([np.zeros(len(moved)), np.cumsum(moved, axis=1)])
+            within = (travel[:, 1:] <= LONGEST_TRAVEL).all(axis=0)
+        self.bounded = int(within.sum())
+        if self.bounded < len(bezier):
+            # For the search of the rows alone: after such a piece every pair may be anywhere.
+            moved = np.where(moved <= LONGEST_TRAVEL, moved, LONGEST_TRAVEL)
+            travel[:, 1:] = np.cumsum(moved, axis=1)
+        self.movers = np.stack([sway, travel])
+        self._may_lack = needed - checker.kept(needed)
+        self.pairs = np.stack([checker.kept(needed) + checker.distance_errors, np.full(len(checker.pairs), math.inf)])
+        self.mover_of = mover_of
+        self._many = math.inf if checker.moving is not None else max(MANY * len(moved), 2 * FIRST)
+        self._at, self.shown, self.checks = 0.0, math.inf, 1
+        self.nearest = math.inf, 0, 0.0
+
+    def place(self, q: FloatArray, at: float) -> None:
+        """Put the arm at a configuration, that of a place."""
+        self._checker.place(q, *self.when(at))
+        self.checks += 1
+
+    def when(self, at: float) -> tuple[float, ...]:
+        """The time of a place, as the checker takes it: none where nothing moves but the arm."""
+        return () if self._clock is None else (_linear(self._clock, at),)
+
+    def begin(self) -> bool:
+        """Ask coal about all pairs at the begin, the nearest ones first; True if the proof goes on."""
+        pairs, q = np.arange(len(self._checker.pairs)), self._bezier[0, 0]
+        if len(pairs) < self._many:
+            return self.take(pairs, self._checker.pair_distances(q, *self.when(0.0)), 0.0)
+        self._checker.place(q)
+        near = np.zeros(len(pairs), dtype=np.bool_)
+        near[np.argpartition(self._checker.lower_bounds(pairs) - self.pairs[0], FIRST)[:FIRST]] = True
+        return self.ask(pairs[near], 0.0) and self.ask(pairs[~near], 0.0)
+
+    def ask(self, pairs: IntArray, at: float) -> bool:
+        """Ask coal about some pairs, the arm being there; True if the proof goes on.
+
+        Of many of them those are not asked that bounds show to be far, in proportion to the clearance shown so far.
+        """
+        if len(pairs) >= self._many:
+            bounds = self._checker.lower_bounds(pairs)
+            pairs = _put_off_far(pairs, bounds, at, self.shown, self.mover_of, self.movers, self.pairs)
+            if len(pairs) == 0:
+                return True
+        return self.take(pairs, self._checker.distances_of(pairs), at)
+
+    def take(self, pairs: IntArray, distances: FloatArray, at: float) -> bool:
+        """Take distances of some pairs at a place; True if the proof goes on."""
+        self._at = at
+        least, self.shown = _put_off(pairs, distances, at, self.shown, self.mover_of, self.movers, self.pairs)
+        if isinstance(self._may_lack, np.ndarray):
+            least = int((distances + self._may_lack[pairs]).argmin())
+        self._see(float(distances[least]), int(pairs[least]), at)
+        return self.shown > 0.0
+
+    def _see(self, distance: float, pair: int, at: float) -> float:
+        """Take down a distance if it is the smallest; returns it as if the pair had to keep what is needed."""
+        lacks = float(self._may_lack[pair]) if isinstance(self._may_lack, np.ndarray) else 0.0
+        self.nearest = min(self.nearest, (distance + lacks, pair, at))
+        return distance + lacks
+
+    def contact(self) -> Contact:
+        """The nearest pair by name, and its distance; one that may be nearer than others counts as farther away."""
+        distance, pair, _ = self.nearest
+        if isinstance(self._may_lack, np.ndarray):
+            distance -= float(self._may_lack[pair])
+        return self._checker.contact(*self._checker.pairs[pair], distance)
+
+    def worst(self, outcome: Outcome) -> Proof:
+        """The report of a proof that gave up: the smallest distance at the rows from there on.
+
+        A pair is not asked where its moving body has not yet travelled as much as it was farther away than the nearest.
+        """
+        mover_of, (sway_at_rows, travel) = self.mover_of, self.movers
+        rows, least = len(self._bezier), math.inf
+        first = min(int(self._at), rows - 1)
+        end = self._at if outcome != "travel" else float(self.bounded)
+        due = [(first, pair) for pair in range(len(self._checker.pairs))]
+        while due:
+            check_deadline()
+            row = due[0][0]
+            # Points of Bezier between the rows may be no numbers.
+            self.place(self._bezier[row, 0] if row < rows else self._bezier[-1, 3], float(row))
+            pairs = []
+            while due and due[0][0] == row:
+                pairs.append(heapq.heappop(due)[1])
+            for pair, distance in zip(pairs, self._checker.distances_of(np.array(pairs)).tolist(), strict=True):
+                sway = float(sway_at_rows[mover_of[pair], row])
+                distance = self._see(distance, pair, float(row))
+                least = min(least, distance - sway)
+                farther = min(distance - self.nearest[0], distance - sway - least)
+                ahead = place_after(travel[mover_of[pair]], float(row), farther)
+                following = max(math.ceil(min(ahead, rows + 1.0)), row + 1)
+                if following <= rows:
+                    heapq.heappush(due, (following, pair))
+        return Proof(outcome, min(least, self.nearest[0]), self.contact(), self.checks, end, self.nearest[2])
+
+
+@kernel
+def point_at(bezier: FloatArray, at: float) -> FloatArray:
+    """Configuration at a place counted in rows."""
+    piece = min(int(at), bezier.shape[0] - 1)
+    t = at - piece
+    u = 1.0 - t
+    q = np.empty(bezier.shape[2])
+    for j in range(len(q)):
+        q[j] = (
+            u * u * u * bezier[piece, 0, j]
+            + 3.0 * u * u * t * bezier[piece, 1, j]
+            + 3.0 * u * t * t * bezier[piece, 2, j]
+            + t * t * t * bezier[piece, 3, j]
+        )
+    return q
+
+
+@kernel
+def _first(due: FloatArray, bezier: FloatArray) -> tuple[IntArray, float, FloatArray]:
+    """The pair that is due first, the place (infinite: after the end), and the configuration there."""
+    first = np.argmin(due)
+    return np.array([first]), due[first], point_at(bezier, min(due[first], float(bezier.shape[0])))
+
+
+@kernel
+def _due_before(due: FloatArray, pairs: IntArray) -> IntArray:
+    """Pairs that are due before one is; none where that is after the end."""
+    place = due[pairs[0]]
+    return np.flatnonzero(due < place) if place < math.inf else np.empty(0, dtype=np.int64)
+
+
+@kernel
+def _linear(values: FloatArray, at: float) -> float:
+    """Value at a place of a function that is linear between its values at the rows."""
+    row = min(int(at), len(values) - 2)
+    value: float = values[row] + (at - row) * (values[row + 1] - values[row])
+    return value
+
+
+@kernel
+def _put_off(
+    pairs: IntArray, distances: FloatArray, at: float, shown: float,
+    mover_of: IntArray, movers: FloatArray, all_pairs: FloatArray,
+) -> tuple[int, float]:  # fmt: skip
+    """Write down where pairs are due again that were asked at a place.
+
+    Returns:
+        Which of them has the smallest distance, and the clearance then shown; 0 where the proof has to give up.
+    """
+    sway, travel, kept, due = movers[0], movers[1], all_pairs[0], all_pairs[1]
+    least = 0
+    spare_clearances = np.empty(len(pairs))
+    for i in range(len(pairs)):
+        if not distances[i] >= distances[least]:
+            least = i
+        spare_clearance = distances[i] - (_linear(sway[mover_of[pairs[i]]], at) + kept[pairs[i]])
+        spare_clearances[i] = spare_clearance
+        if not spare_clearance > SMALLEST_STEP:
+            shown = 0.0
+        shown = min(shown, 0.5 * spare_clearance)
+    if not shown > 0.0:
+        return least, 0.0
+    for i in range(len(pairs)):
+        due[pairs[i]] = _due_after(travel[mover_of[pairs[i]]], at, spare_clearances[i], shown)
+    return least, shown
+
+
+@kernel
+def _put_off_far(
+    pairs: IntArray, bounds: FloatArray, at: float, shown: float,
+    mover_of: IntArray, movers: FloatArray, all_pairs: FloatArray,
+) -> IntArray:  # fmt: skip
+    """As `_put_off` by lower bounds of distances, of the pairs whose bounds are large and leave the clearance shown.
+
+    Returns:
+        The other pairs.
+    """
+    sway, travel, kept, due = movers[0], movers[1], all_pairs[0], all_pairs[1]
+    left = np.empty(len(pairs), dtype=np.int64)
+    count = 0
+    for i in range(len(pairs)):
+        pair = pairs[i]
+        spare_clearance = bounds[i] - (_linear(sway[mover_of[pair]], at) + kept[pair])
+        if spare_clearance >= FAR and 0.5 * spare_clearance >= shown:
+            due[pair] = _due_after(travel[mover_of[pair]], at, spare_clearance, shown)
+        else:
+            left[count] = pair
+            count += 1
+    return left[:count]
+
+
+@kernel
+def _due_after(travel: FloatArray, at: float, spare_clearance: float, shown: float) -> float:
+    """Where a pair is due again; infinite after the end of the motion, and where its parts may touch."""
+    if not spare_clearance < math.inf:
+        return math.inf
+    place = place_after(travel, at, min(spare_clearance - shown, MOST_TRAVEL * spare_clearance))
+    return max(place, np.nextafter(at, math.inf)) if place <= len(travel) - 1 else math.inf
+
+
+@kernel
+def place_after(travel: FloatArray, at: float, part: float) -> float:
+    """The place up to which a moving body travels no farther than `part`, infinite where that is the end.
+
+    Args:
+        travel: (rows + 1,) how far it has travelled at each row; linear within a row.
+        at: The place from where it goes on.
+        part: How far it may go.
+    """
+    row = min(int(at), len(travel) - 2)
+    limit = travel[row] + (at - row) * (travel[row + 1] - travel[row]) + part
+    row = np.searchsorted(travel, limit, side="right") - 1
+    if row >= len(travel) - 1:
+        return math.inf
+    place: float = row + (limit - travel[row]) / (travel[row + 1] - travel[row])
+    return place

@@ -1,0 +1,178 @@
+"""SHA-256 digests of a robot, a scene and a trajectory, so that a certificate can say what it is about.
+
+They are taken of what was read, not of files: comments, units of angles in a URDF, or where a mesh lies do not count,
+every number that planning or proof uses does.
+
+- **Robot**: names, joint frames and axes, masses, inertias, limits, links, what may touch, and all collision shapes
+  with vertices and triangles of their meshes; of general (non-planar) arms all frames, which goals may name; numbers
+  rounded to 12 decimals, since sines differ in the last bit from machine to machine.
+- **Scene**: its keys and values as in a scene file, and for each mesh or cloud the data instead of the file's name.
+- **Trajectory**: the joint names and the numbers of the CSV, bit by bit.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import coal
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike
+
+from hplan.base.arrays import FloatArray
+from hplan.robot.model import Robot
+from hplan.scene.model import Scene
+from hplan.scene.obstacles import Mesh, PointCloud
+from hplan.scene.tracks import Sway, Track
+from hplan.trajectory.trajectory import Trajectory, as_table
+
+
+@dataclass(frozen=True)
+class Digests:
+    """Digests of the subjects of a certificate; each a word `sha256:` and 64 hexadecimal digits.
+
+    Attributes:
+        robot: Of the robot.
+        scene: Of the scene.
+        trajectory: Of the trajectory.
+    """
+
+    robot: str
+    scene: str
+    trajectory: str
+
+    @classmethod
+    def of(cls, robot: Robot, scene: Scene, trajectory: Trajectory) -> Digests:
+        """The digests of three things."""
+        return cls(robot_digest(robot), scene_digest(scene), trajectory_digest(trajectory))
+
+
+def trajectory_digest(trajectory: Trajectory) -> str:
+    """The digest of a trajectory: the same after it was written as CSV and read again."""
+    found = _Digest("hplan-trajectory/1")
+    found.add_text(*trajectory.joint_names)
+    found.add_exactly(as_table(trajectory))
+    return found.word
+
+
+def scene_digest(scene: Scene) -> str:
+    """The digest of a scene: the same wherever its meshes and clouds lie."""
+    found = _Digest(scene.format)
+    read = [obstacle for obstacle in scene.obstacles if isinstance(obstacle, Mesh | PointCloud)]
+    # Leaving fields out takes five times as long, where there are any or not.
+    found.add_text(scene.model_dump_json(exclude={"obstacles": {"__all__": {"file"}}} if read else None))
+    for obstacle in read:
+        found.add_text(obstacle.data_digest)
+    for name, key, value in _moving(scene):
+        found.add_text(name, key, value.model_dump_json())
+    if scene.goal.quaternion_xyzw is not None:
+        found.add_text("goal", scene.goal.frame or "")
+        found.add_exactly(np.array(scene.goal.quaternion_xyzw))
+    if scene.start.is_moving:
+        for key, values in scene.start.rates.items():
+            found.add_text(key)
+            found.add_exactly(np.array(values))
+    return found.word
+
+
+def _moving(scene: Scene) -> Iterator[tuple[str, str, Track | Sway]]:
+    """Tracks and sways, which a dump does not hold: whose, the key, and the value."""
+    for item in (*scene.obstacles, *scene.fruits):
+        for key, value in (("track", item.track), ("sway", item.sway)):
+            if value is not None:
+                yield item.name, key, value
+    if scene.base_track is not None:
+        yield "", "base_track", scene.base_track
+
+
+def robot_digest(robot: Robot) -> str:
+    """The digest of a robot as it was read; made once."""
+    return robot.cached("digest", lambda: _robot_digest(robot))
+
+
+def _robot_digest(robot: Robot) -> str:
+    found, model = _Digest("hplan-robot/1" if robot.planar is not None else "hplan-robot/2"), robot.model
+    family: tuple[FloatArray, ...] = ()
+    if robot.planar is None:
+        found.add_text(robot.name, robot.tool_frame, *robot.joint_names, *itertools.chain(*robot.may_touch))
+        for frame in model.frames:  # a goal may name any of them
+            found.add_text(frame.name, str(frame.parentJoint))
+            for place in _place(frame.placement):
+                found.add_rounded(place)
+    else:
+        arm = robot.arm
+        found.add_text(robot.name, robot.tool_frame, str(robot.has_yaw), *robot.joint_names, *arm.link_names)
+        family = arm.lengths, arm.half_widths, arm.signs, arm.offsets, robot.plane_origin, robot.plane_axes
+    for values in (
+        *(*family, robot.lower, robot.upper),
+        *(robot.velocity_limit, robot.acceleration_limit, robot.torque_limit),
+        *(np.zeros(0) if robot.jerk_limit is None else robot.jerk_limit, model.gravity.linear, model.armature),
+    ):
+        found.add_rounded(values)
+    for number, joint in enumerate(model.joints.tolist()[1:], start=1):
+        inertia, axis = model.inertias[number], joint.createData()
+        joint.calc(axis, np.zeros(joint.nq))
+        found.add_text(joint.shortname(), str(model.parents[number]))
+        for values in (np.array(axis.S), *_place(model.jointPlacements[number]), inertia.lever, inertia.inertia):
+            found.add_rounded(values)
+        found.add_rounded(inertia.mass)
+    for shape in robot.collision_model.geometryObjects:
+        found.add_text(shape.name, str(shape.parentJoint))
+        for values in (*_place(shape.placement), *_sizes(shape)):
+            found.add_rounded(values)
+    return found.word
+
+
+def _place(placement: pin.SE3) -> tuple[FloatArray, FloatArray]:
+    return placement.rotation, placement.translation
+
+
+def _sizes(shape: pin.GeometryObject) -> list[ArrayLike]:
+    """The numbers that give a shape's form."""
+    geometry: Any = shape.geometry
+    if isinstance(geometry, coal.BVHModelBase):
+        corners = (geometry.tri_indices(number) for number in range(geometry.num_tris))
+        return [geometry.vertices(), np.array([[a[0], a[1], a[2]] for a in corners]).reshape(-1, 3)]
+    if isinstance(geometry, coal.Box):
+        return [geometry.halfSide]
+    if isinstance(geometry, coal.Sphere):
+        return [geometry.radius]
+    if isinstance(geometry, coal.Capsule | coal.Cylinder | coal.Cone):
+        return [geometry.radius, geometry.halfLength]
+    geometry.computeLocalAABB()
+    return [geometry.aabb_local.min_, geometry.aabb_local.max_]
+
+
+class _Digest:
+    """A running SHA-256 of texts and arrays, each with its size before it."""
+
+    def __init__(self, what: str) -> None:
+        """Begin with what it is a digest of."""
+        self._hash = hashlib.sha256()
+        self.add_text(what)
+
+    @property
+    def word(self) -> str:
+        """The digest."""
+        return f"sha256:{self._hash.hexdigest()}"
+
+    def add_text(self, *texts: str) -> None:
+        """Add texts."""
+        for text in texts:
+            data = text.encode()
+            self._hash.update(b"%d:" % len(data))
+            self._hash.update(data)
+
+    def add_exactly(self, values: FloatArray) -> None:
+        """Add numbers bit by bit; zero has no sign."""
+        self._hash.update(str(values.shape).encode())
+        self._hash.update(np.ascontiguousarray(values + 0.0, dtype="<f8").tobytes())
+
+    def add_rounded(self, values: ArrayLike) -> None:
+        """Add numbers, rounded to 12 decimals."""
+        rounded: FloatArray = np.asarray(values, dtype=np.float64).round(12)
+        self.add_exactly(rounded)

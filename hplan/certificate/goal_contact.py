@@ -1,0 +1,163 @@
+r"""The window of time in which the last link may touch its fruit: a straight approach and retreat.
+
+The fruit that is the goal is an obstacle for every link at all times, with one exception: the last link, in one
+contiguous window of time about the instant at which the tool is at the fruit's centre, in which
+
+- the tool keeps within `OFFSET` of the half-line that begins where it is at that instant, :math:`p^*`, and runs
+  backward along the last link, :math:`\{p^* - x u^* : x \ge 0\}`: it moves straight along the link, and no deeper;
+- the last link keeps its direction within `TURN`.
+
+The link then meets the fruit with its tip alone, from the place where it begins to touch to the grasp, and back.
+Outside the window, and for every other link within it, clearance from the fruit is shown as from any obstacle.
+
+The window consists of whole cubics of the motion, and the two conditions hold at all times within each. A direction is
+linear in the joints, so it lies in the hull of its Bezier points. The tool's path leaves the chord between two rows
+:math:`h` apart by at most :math:`h^2 / 8 \max |\ddot p|`, and points within a distance of a half-line are a convex set:
+if both rows are within `OFFSET` less that, the path between them is within `OFFSET`. With :math:`\varphi_m` the
+absolute angle of link m in the arm plane, :math:`\psi` the yaw and r the tool's largest distance from the yaw axis,
+
+.. math::
+    |\ddot p| \le \sum_m L_m (|\ddot \varphi_m| + \dot \varphi_m^2) + 2 |\dot \psi| \sum_m L_m |\dot \varphi_m|
+        + r (|\ddot \psi| + \dot \psi^2).
+
+**General arms.** Of a non-planar arm what the joint of the tool frame carries may touch the fruit, and the line
+is that of the frame's z axis :math:`u`, about which the tool may turn. With :math:`r_j` the tool's largest distance
+from the axis of joint j (`hplan.collision.reach`; 1 where it slides), joints counted from the base,
+
+.. math::
+    |\ddot p| \le \sum_j r_j |\ddot q_j| + \sum_{j \text{ turns}} |\dot q_j| \Bigl(r_j |\dot q_j|
+        + 2 \sum_{k > j} r_k |\dot q_k|\Bigr), \quad
+    |\ddot u| \le \sum_{j \text{ turns}} |\ddot q_j| + \Bigl(\sum_{j \text{ turns}} |\dot q_j|\Bigr)^2,
+
+and the direction leaves the chord between two rows by at most :math:`h^2 / 8 \max |\ddot u|`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hplan.base.arrays import BoolArray, FloatArray
+from hplan.collision.reach import carriers, joint_axis, points_reach
+from hplan.robot.model import Robot
+
+#: Distance from the point to be reached at which the tool counts as there [m].
+THERE = 1e-3
+
+#: How far the tool may leave the line of its approach [m], and the last link its direction there [rad].
+OFFSET, TURN = 5e-3, np.radians(2.0)
+
+
+def instant_at(robot: Robot, rows: FloatArray, point: ArrayLike) -> tuple[int, float]:
+    """The row at which the tool is nearest to a point, and the distance [m].
+
+    Args:
+        robot: The arm.
+        rows: (n, dof) configurations.
+        point: (3,) in `base_link` [m].
+    """
+    away = np.linalg.norm(robot.tool_positions(rows) - np.asarray(point), axis=1)
+    row = int(away.argmin())
+    return row, float(away[row])
+
+
+def contact_window(robot: Robot, bezier: FloatArray, point: ArrayLike) -> slice | None:
+    """The cubics of a motion within which the last link may touch the fruit at a point.
+
+    Args:
+        robot: The arm.
+        bezier: (pieces, 4, dof) Bezier points of the motion's cubics.
+        point: (3,) the fruit's centre, in `base_link` [m].
+
+    Returns:
+        A range of pieces; None where the tool is never at the point, or not on a straight approach.
+    """
+    rows = np.vstack([bezier[:, 0], bezier[-1:, 3]])
+    with np.errstate(over="ignore", invalid="ignore"):
+        row, away = instant_at(robot, rows, point)
+        if not away <= THERE:
+            return None
+        kept = _is_straight if robot.planar is not None else _is_straight_along_z
+        straight = kept(robot, bezier, rows, row)
+    bent_before, bent_after = np.flatnonzero(~straight[:row]), np.flatnonzero(~straight[row:])
+    first = int(bent_before[-1]) + 1 if len(bent_before) else 0
+    last = row + int(bent_after[0]) if len(bent_after) else len(straight)
+    return slice(first, last) if first < last else None
+
+
+def _is_straight(robot: Robot, bezier: FloatArray, rows: FloatArray, row: int) -> BoolArray:
+    """(pieces,) whether the tool keeps to the line, and the last link to the direction, that they have at a row."""
+    arm, joints = robot.arm, robot.arm_slice
+    angles = np.cumsum(arm.signs * bezier[..., joints], axis=2)
+    at = np.cumsum(arm.signs * rows[row, joints])
+    turn = np.abs(angles[..., -1] - at[-1]).max(axis=1)
+    if robot.has_yaw:
+        turn = turn + np.abs(bezier[..., 0] - rows[row, 0]).max(axis=1)
+    # Per piece, h times the rate and h^2 times its derivative.
+    rates, pushes = _largest_rates(angles)
+    reach = _bent(arm.lengths, rates, pushes)
+    if robot.has_yaw:
+        yaw_rate, yaw_push = _largest_rates(bezier[..., :1])
+        reach += 2.0 * yaw_rate[:, 0] * (rates @ arm.lengths)
+        reach += robot.tool_radius * (yaw_push[:, 0] + yaw_rate[:, 0] ** 2)
+    tool = robot.tool_positions(rows)
+    direction = _last_direction(robot, rows[row])
+    off = _off_line(tool, row, direction)
+    kept: BoolArray = (np.maximum(off[:-1], off[1:]) + reach / 8.0 <= OFFSET) & (turn <= TURN)
+    return kept
+
+
+def _off_line(tool: FloatArray, row: int, direction: FloatArray) -> FloatArray:
+    """(n,) distances of (n, 3) tool positions from the half-line that runs backward from that at a row [m]."""
+    from_there = tool - tool[row]
+    behind = np.maximum(-(from_there @ direction), 0.0)
+    off: FloatArray = np.linalg.norm(from_there + behind[:, None] * direction, axis=1)
+    return off
+
+
+def _is_straight_along_z(robot: Robot, bezier: FloatArray, rows: FloatArray, row: int) -> BoolArray:
+    """`_is_straight` of a general (non-planar) arm: line and direction are those of the tool frame's z axis."""
+    poses = robot.tool_poses(rows)
+    tool, along = poses[:, :3, 3], poses[:, :3, 2]
+    rates, pushes = _largest_rates(bezier)
+    bent, turned = _bent_along_z(robot, rates, pushes)
+    off, lean = _off_line(tool, row, along[row]), np.linalg.norm(along - along[row], axis=1)
+    kept: BoolArray = np.maximum(off[:-1], off[1:]) + bent / 8.0 <= OFFSET
+    kept &= np.maximum(lean[:-1], lean[1:]) + turned / 8.0 <= 2.0 * np.sin(0.5 * TURN)
+    return kept
+
+
+def _bent_along_z(robot: Robot, rates: FloatArray, pushes: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(pieces,) bounds of the second derivatives of tool position and direction, from those of the joints."""
+    place = robot.model.frames[robot.model.getFrameId(robot.tool_frame)].placement.translation[None]
+    reach = points_reach(robot, place, robot.tool_joint - 1)
+    bent, turn, turn_push = (np.zeros(len(rates)) for _ in range(3))
+    beyond = np.zeros(len(rates))  # sum of r |q'| of the joints after
+    for joint in carriers(robot, robot.tool_joint - 1):
+        rate, push = rates[:, joint], pushes[:, joint]
+        bent += reach[joint] * push
+        if not joint_axis(robot, joint)[1]:
+            bent += rate * (reach[joint] * rate + 2.0 * beyond)
+            turn, turn_push = turn + rate, turn_push + push
+        beyond = beyond + reach[joint] * rate
+    return bent, turn_push + turn * turn
+
+
+def _largest_rates(bezier: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(pieces, n) largest first and second derivatives of cubics in their own parameter, from (pieces, 4, n) points."""
+    return 3.0 * np.abs(np.diff(bezier, axis=1)).max(axis=1), 6.0 * np.abs(np.diff(bezier, 2, axis=1)).max(axis=1)
+
+
+def _bent(lengths: FloatArray, rates: FloatArray, pushes: FloatArray) -> FloatArray:
+    """(pieces,) bound of the tool's second derivative in the arm plane."""
+    bent: FloatArray = (pushes + rates**2) @ lengths
+    return bent
+
+
+def _last_direction(robot: Robot, q: FloatArray) -> FloatArray:
+    """(3,) unit vector along the last link, towards the tool."""
+    points = robot.arm.joint_points(q[robot.arm_slice])
+    along = (points[-1] - points[-2]) / np.linalg.norm(points[-1] - points[-2])
+    _, axes = robot.plane_at(robot.yaw_of(q))
+    direction: FloatArray = along @ axes[:2]
+    return direction

@@ -1,0 +1,111 @@
+"""What a certificate says of obstacles that move beyond the motion itself: the base, and the arm at rest afterwards."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import coal
+import numpy as np
+import pinocchio as pin
+
+from hplan.base.arrays import FloatArray
+from hplan.certificate.clearance_proof import MOST_TRAVEL, SMALLEST_STEP, prove_clearance
+from hplan.collision.arm_pairs import base_bodies
+from hplan.collision.coal_cloud import distance_from
+from hplan.collision.coal_scene import CoalScene
+from hplan.collision.moving_solids import MovingSolids
+from hplan.robot.base_shapes import BASE_DEPTH, base_joints
+from hplan.robot.model import Robot
+from hplan.scene.model import Scene
+from hplan.scene.obstacles import Solid
+from hplan.scene.tracks import Movement
+
+
+def checker_in_time(robot: Robot, scene: Scene, sigmas: float) -> CoalScene:
+    """The arm among all solids of a scene, fruit too, each grown for its uncertainty; over time where some move."""
+    solids = scene.listed_solids
+    growth = np.array([sigmas * solid.sigma for solid in solids])
+    return CoalScene(robot, solids, growth=growth, movements=scene.movements if scene.moves else ())
+
+
+def moving_base_contacts(robot: Robot, moving: MovingSolids, yaw: float, begin_s: float, end_s: float) -> Iterator[str]:
+    """Messages: obstacles that come deeper than `BASE_DEPTH` into pedestal or turret.
+
+    By conservative advancement in time. Shapes of the turret that are not round are taken as they stand at the yaw;
+    while it turns they are moving bodies of the collision checker.
+
+    Args:
+        robot: The arm.
+        moving: The obstacles; those that stand still are not checked.
+        yaw: Yaw of the turret.
+        begin_s: Time from which on [s].
+        end_s: Time up to which [s].
+    """
+    data = robot.model.createData()
+    q, joints = np.zeros(robot.dof), base_joints(robot)
+    q[:joints] = yaw
+    pin.forwardKinematics(robot.model, data, q)
+    shapes = [
+        (name, shape.geometry, data.oMi[shape.parentJoint] * shape.placement) for name, shape in base_bodies(robot)
+    ]
+    for number in moving.numbers:
+        solid, movement = moving.solids[number], moving.movements[number]
+        for name, body, place in shapes:
+            at = None if movement is None else _too_deep(body, place, solid, movement, (begin_s, end_s))
+            if at is not None:
+                yield f"obstacle {solid.name!r} comes into the robot's {name!r}, which does not move, at {at:.6g} s"
+
+
+def _too_deep(
+    body: coal.CollisionGeometry, place: pin.SE3, solid: Solid, movement: Movement, span_s: tuple[float, float]
+) -> float | None:
+    """Time at which a solid is too deep in a shape of the base, or cannot be shown not to be; None for never."""
+    breaks, distance = movement.breaks, distance_from(solid)
+    steps = movement.rates(solid.core, solid.rounding) * np.diff(breaks)
+    travel = np.concatenate([[0.0], np.cumsum(steps)])
+    at, end_s = span_s
+    # Most distances that are computed for one obstacle and one shape of the base: what is nearer than `SMALLEST_STEP`
+    # to being too deep counts as that, so an obstacle that travels 100 m along the base may need more.
+    most_looks = 100_000
+    for _ in range(most_looks):
+        rotation, shift = movement.at(np.array([at]))
+        # Seen from where the obstacle is listed.
+        spare = distance(body, pin.SE3(rotation[0], shift[0]).inverse() * place) + BASE_DEPTH
+        if not spare > SMALLEST_STEP:
+            return at
+        upto = float(np.interp(at, breaks, travel)) + MOST_TRAVEL * spare
+        if upto >= travel[-1]:
+            return None
+        row = int(np.searchsorted(travel, upto, side="right")) - 1
+        at = float(breaks[row] + (upto - travel[row]) / steps[row] * (breaks[row + 1] - breaks[row]))
+        if at >= end_s:
+            return None
+    return at
+
+
+def clear_until(
+    robot: Robot, q: FloatArray, checker: CoalScene, deviations: FloatArray, needed: float, from_s: float
+) -> float:
+    """Time up to which the arm can rest at a configuration: it is shown to keep its distance until then [s].
+
+    Args:
+        robot: The arm.
+        q: (dof,) configuration.
+        checker: The arm among the obstacles.
+        deviations: (1, dof) largest deviation of each joint [rad].
+        needed: Distance to be kept [m].
+        from_s: Time from which on it rests [s].
+
+    Returns:
+        The time; infinite where nothing comes.
+    """
+    if checker.moving is None or from_s >= checker.moving.breaks[-1]:
+        return math.inf
+    breaks = checker.moving.breaks
+    clock = np.concatenate([[from_s], breaks[breaks > from_s]])
+    still = np.tile(q, (len(clock) - 1, 4, 1))
+    proof = prove_clearance(robot, still, checker, deviations, needed, clock)
+    if proof.shown:
+        return math.inf
+    return float(np.interp(proof.end, np.arange(len(clock)), clock))

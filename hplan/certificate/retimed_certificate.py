@@ -1,0 +1,184 @@
+"""The certificate of a motion that runs along another one's path: the clearance is the path's, the limits are its own.
+
+What is certified clear stays so on its path. A new timing (`hplan.trajectory.time_scaling`) leaves the path by a
+bounded part of a millimetre; by as much the clearance is less, and where it does not suffice, it is shown anew. It is
+shown anew as well where another timing changes what it depends on: where obstacles move, and where tracking errors grow
+with velocity. Velocity, acceleration and torque are always checked anew.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hplan.base.arrays import FloatArray, Record
+from hplan.certificate.body_travel import largest_body_sway
+from hplan.certificate.certificate import (
+    Certificate,
+    Stretch,
+    all_of,
+    base_violations,
+    certify_among,
+    limit_violations,
+    on_track,
+    rest_violations,
+    stretches,
+    with_violations,
+)
+from hplan.certificate.digests import Digests
+from hplan.certificate.limit_use import limit_use
+from hplan.certificate.moving_obstacles import checker_in_time
+from hplan.certificate.sway import movers, sways
+from hplan.collision.coal_scene import CoalScene
+from hplan.robot.base_shapes import GROUND, TURRET
+from hplan.robot.model import Robot
+from hplan.robot.tracking import TrackingModel
+from hplan.scene.model import Scene
+from hplan.trajectory.time_scaling import SAME_TIME, Retimed
+from hplan.trajectory.trajectory import Trajectory, cubic_pieces
+
+
+@dataclass(frozen=True, eq=False)
+class CertifiedMotion(Record):
+    """A motion along the path of another one, and what was shown of it.
+
+    Attributes:
+        trajectory: The motion, on the same clock as the other one up to where they part.
+        certificate: What was shown of it.
+        parts_s: When the two part [s].
+        off_path_m: Bound of how far the arm is off the other one's path [m].
+        begins_s: When the trajectory begins, on the controller's clock: as that of the other one [s].
+    """
+
+    trajectory: Trajectory
+    certificate: Certificate
+    parts_s: float
+    off_path_m: float
+    begins_s: float = 0.0
+
+
+def certified_retiming(
+    robot: Robot,
+    scene: Scene,
+    running: Certificate,
+    retimed: Retimed,
+    *,
+    tracking: TrackingModel,
+    sigmas: float,
+    anew: bool = False,
+) -> CertifiedMotion:
+    """A motion along another one's path with its certificate.
+
+    Args:
+        robot: The arm.
+        scene: What the other motion is certified among.
+        running: The certificate of the other one.
+        retimed: The motion.
+        tracking: Deviation of the joints that is covered.
+        sigmas: How many standard deviations of its place an obstacle is grown by.
+        anew: Whether to show the clearance anew, even where that of the path suffices.
+    """
+    whole, row = retimed.trajectory, retimed.row
+    contact_s = later(retimed, running.contact_s)
+    nearer = _nearer(robot, retimed.off_path)
+    left = running.min_clearance_m - nearer
+    # Where obstacles move another timing meets others.
+    known = running.verified and not scene.moves
+    if known and left > scene.clearance and tracking.delay_s == 0.0 and not anew:
+        certificate = _by_path(robot, running, whole, left)
+    else:
+        first = row if known else 0
+        checker = checker_in_time(robot, scene, sigmas)
+        part = certified_from(robot, (scene, checker), running, retimed, first, scene.goal.fruit, tracking=tracking)
+        certificate = replace(all_of([running, part]), subject=None) if known else part
+    certificate = replace(
+        with_violations(certificate, rest_violations(robot, whole, {"ends": -1})),
+        goal_contact=running.goal_contact,
+        contact_s=contact_s,
+        digests=Digests.of(robot, scene, whole),
+    )
+    return CertifiedMotion(whole, certificate, float(whole.time[row]), retimed.off_path_m)
+
+
+def certified_from(
+    robot: Robot,
+    among: tuple[Scene, CoalScene],
+    running: Certificate,
+    retimed: Retimed,
+    row: int,
+    touched: str | None,
+    *,
+    tracking: TrackingModel,
+) -> Certificate:
+    """What is shown of a motion along another one's path from a row on, by `certify`'s rule, at rest at its end or not.
+
+    Args:
+        robot: The arm.
+        among: Obstacles and the clearance to keep, and the arm among them.
+        running: The certificate of the other one.
+        retimed: The motion.
+        row: Where it begins.
+        touched: The fruit that the last link may touch where it could in the other motion; None for none.
+        tracking: Deviation of the joints that is covered.
+    """
+    scene, checker = among
+    motion, begin_s = retimed.trajectory.since(row), float(retimed.trajectory.time[row])
+    found = certify_among(
+        robot,
+        motion,
+        _stretches_of(checker, retimed, running.contact_s, touched, row),
+        clearance=scene.clearance,
+        tracking=tracking,
+        rest_to_rest=False,
+        begin_s=begin_s,
+    )
+    found = with_violations(found, base_violations(robot, scene, checker, motion, begin_s))
+    return on_track(found, robot, scene, begin_s, motion.duration)
+
+
+def _by_path(robot: Robot, running: Certificate, motion: Trajectory, left: float) -> Certificate:
+    """The certificate of a motion where the clearance of its path suffices."""
+    use = limit_use(robot, motion, *cubic_pieces(motion))
+    violations = tuple(limit_violations(use))
+    return Certificate(not violations, left, running.nearest, use, 0, violations)
+
+
+def _nearer(robot: Robot, off_path: FloatArray) -> float:
+    """By how much any part of the arm may come nearer to anything with joints off by (dof,) [m]."""
+    if not off_path.any():
+        return 0.0
+    if robot.planar is None:
+        return largest_body_sway(robot, off_path)
+    own = robot.cached("movers of its own", lambda: movers(CoalScene(robot, ()))[1])
+    turning = [(TURRET, GROUND)] if robot.has_yaw else []
+    return float(sways(robot, [*own, *turning], off_path[None]).max())
+
+
+def later(retimed: Retimed, times: tuple[float, float] | None) -> tuple[float, float] | None:
+    """When the motion is where the other one is between two times; None where it does not come there, or for none."""
+    if times is None:
+        return None
+    inside = np.flatnonzero((retimed.clock >= times[0] - SAME_TIME) & (retimed.clock <= times[1] + SAME_TIME))
+    if len(inside) == 0:
+        return None
+    time = retimed.trajectory.time
+    return float(time[inside[0]]), float(time[inside[-1]])
+
+
+def _stretches_of(
+    checker: CoalScene, retimed: Retimed, contact_s: tuple[float, float] | None, fruit: str | None, first: int
+) -> Sequence[Stretch]:
+    """What the motion is certified among from a row on: the last link may touch the fruit where it could."""
+    clock = retimed.clock[first:]
+    pieces = max(1, len(clock) - 1)
+    if contact_s is None or fruit is None:
+        return stretches(checker, pieces, None, None)
+    if len(clock) == 1:
+        inside = np.array([contact_s[0] - SAME_TIME <= clock[0] <= contact_s[1] + SAME_TIME])
+    else:
+        inside = (clock[:-1] >= contact_s[0] - SAME_TIME) & (clock[1:] <= contact_s[1] + SAME_TIME)
+    touching = np.flatnonzero(inside)
+    contact = slice(int(touching[0]), int(touching[-1]) + 1) if len(touching) else None
+    return stretches(checker, pieces, contact, fruit)

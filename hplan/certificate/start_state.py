@@ -1,0 +1,85 @@
+"""The state of motion in which a scene's motion begins: checked against the arm, and a motion against it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from hplan.base.arrays import frozen
+from hplan.errors import InputError, StartStateError
+from hplan.optimization.timed_spline import BoundaryState
+from hplan.robot.model import Robot
+from hplan.scene.model import Scene
+from hplan.trajectory.trajectory import Trajectory, cubic_pieces
+
+#: Fraction of a limit up to which a state keeps it, as for a motion.
+KEPT = 1.001
+
+#: Differences that count as none: of velocities [rad/s] and accelerations [rad/s^2].
+SAME_VELOCITY, SAME_ACCELERATION = 1e-6, 1e-3
+
+
+def start_state(robot: Robot, scene: Scene) -> BoundaryState | None:
+    """The state in which the scene's motion begins; None for rest.
+
+    Raises:
+        InputError: Velocities or accelerations of another number of joints.
+        StartStateError: One beyond its joint's limit, or of a joint that is locked.
+        JointLimitError: A configuration outside the limits.
+    """
+    start = scene.start
+    if not start.is_moving:
+        return None
+    position = robot.check_configuration(robot.joints_of(start, "start"), "start")
+    locked = robot.locked_mask(scene.locked_joints)
+    rates = []
+    for quantity, key, limit in (
+        ("velocity", "velocity_rad_s", robot.velocity_limit),
+        ("acceleration", "acceleration_rad_s2", robot.acceleration_limit),
+    ):
+        values = np.array(start.rates.get(key, (0.0,) * robot.dof))
+        if len(values) != robot.dof:
+            raise InputError(f"start: expected {robot.dof} values of {key}, got {len(values)}", expected=robot.dof)
+        beyond = np.flatnonzero((np.abs(values) > KEPT * limit) | (locked & (values != 0.0)))
+        if len(beyond):
+            joint = int(beyond[0])
+            raise StartStateError(
+                robot.joint_names[joint],
+                quantity,
+                float(values[joint]),
+                float(limit[joint]),
+                getattr(robot.units[joint], quantity),
+                locked=bool(locked[joint]),
+            )
+        rates.append(frozen(values))
+    return BoundaryState(position, *rates)
+
+
+def start_violations(robot: Robot, scene: Scene, trajectory: Trajectory) -> Iterator[str]:
+    """Messages: by how much a motion begins in another state of motion than the scene's start; none if that rests.
+
+    Its rows and the first of its cubics are checked.
+
+    Raises:
+        InputError: As `start_state`.
+    """
+    state = start_state(robot, scene)
+    if state is None:
+        return
+    pushes = [trajectory.acceleration[0]]
+    if trajectory.samples > 1:
+        bezier, duration = cubic_pieces(trajectory)
+        pushes.append(6.0 * (bezier[0, 2] - 2.0 * bezier[0, 1] + bezier[0, 0]) / duration[0] ** 2)
+    for what, found, asked, same in (
+        ("velocity", [trajectory.velocity[0]], state.velocity, SAME_VELOCITY),
+        ("acceleration", pushes, state.acceleration, SAME_ACCELERATION),
+    ):
+        off = np.abs(np.array(found) - asked).max(axis=0)
+        joint = int(np.where(np.isnan(off), np.inf, off).argmax())
+        if not off[joint] <= same:
+            unit = getattr(robot.units[joint], what)
+            yield (
+                f"the motion begins with the {what} of joint {robot.joint_names[joint]!r} {off[joint]:.4g} {unit} from "
+                "that of the scene's start"
+            )

@@ -1,0 +1,102 @@
+"""Check that a trajectory solves its scene's task: where it begins and ends, and which joints stand still."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from hplan.base.arrays import FloatArray
+from hplan.certificate.goal_contact import THERE, instant_at
+from hplan.kinematics.tool_at_point import approach_angles
+from hplan.robot.model import Robot
+from hplan.scene.model import Scene
+
+#: Difference between joint values that counts as none [rad]; of an approach angle too.
+SAME = 1e-5
+
+#: Turn between the tool frame and a pose that it is to reach that counts as none [rad].
+TURNED = 1e-3
+
+
+def task_violations(robot: Robot, scene: Scene, bezier: FloatArray) -> Iterator[str]:
+    """Messages: the parts of the scene's task that a motion does not solve.
+
+    It begins at the start. It ends at the goal: at its joints, with the tool at its position, or with the frame at its
+    pose, to a millimetre and a thousandth of a radian; at the fruit the tool is at some row, since a motion that picks
+    it goes back. There the last link, or the tool of a general (non-planar) arm, has the approach angle that
+    is asked for. Locked joints stand still.
+
+    Args:
+        robot: The arm.
+        scene: The scene.
+        bezier: (pieces, 4, dof) Bezier points of the motion's cubics.
+
+    Raises:
+        InputError: Start, goal or locked joints of the scene do not fit the robot.
+    """
+    rows = np.vstack([bezier[:, 0], bezier[-1:, 3]])
+    start = robot.check_configuration(robot.joints_of(scene.start, "start"), "start")
+    yield from _apart(robot, "begins", rows[0], start, "start")
+    locked = np.flatnonzero(robot.locked_mask(scene.locked_joints))
+    for joint in locked.tolist():
+        moved = np.abs(bezier[..., joint] - start[joint]).max()
+        if not moved <= SAME:
+            yield f"joint {robot.joint_names[joint]!r} is locked, but moves by {moved:.4g} rad"
+    goal = robot.joints_of(scene.goal, "goal")
+    if goal is not None:
+        asked = robot.check_configuration(robot.turned_near(goal, rows[-1]), "goal")
+        yield from _apart(robot, "ends", rows[-1], asked, "goal")
+        return
+    pose = scene.goal.pose
+    if pose is not None:
+        yield from _beside(robot, pose, scene.goal.frame, rows[-1])
+        return
+    fruit = scene.goal_fruit
+    if fruit is None:
+        row, what = len(rows) - 1, "position"
+        away = instant_at(robot, rows[-1:], np.array(scene.goal.position))[1]
+    else:
+        row, away = instant_at(robot, rows, fruit.center)
+        what = f"fruit {fruit.name!r}"
+    if not away <= THERE:
+        when = "ends with the tool" if fruit is None else "brings the tool no nearer than"
+        yield f"the motion {when} {1e3 * away:.4g} mm from the goal, {what}"
+    else:
+        yield from _approach(robot, scene, rows[row])
+
+
+def _apart(robot: Robot, what: str, q: FloatArray, asked: FloatArray, which: str) -> Iterator[str]:
+    """Fault of a motion that begins or ends elsewhere."""
+    off = np.abs(q - asked)
+    joint = int(off.argmax())
+    if not off[joint] <= SAME:
+        yield f"the motion {what} with joint {robot.joint_names[joint]!r} {off[joint]:.4g} rad from the scene's {which}"
+
+
+def _beside(robot: Robot, pose: FloatArray, frame: str | None, q: FloatArray) -> Iterator[str]:
+    """Fault of a frame that is not at the pose of the goal."""
+    off = robot.tool_poses(q, frame) - pose
+    away, turn = float(np.linalg.norm(off[:3, 3])), off[:3, :3]
+    # Frames that are turned by an angle from one another differ by sqrt(8) sin(angle / 2).
+    turned = 2.0 * float(np.arcsin(min(np.linalg.norm(turn) / np.sqrt(8.0), 1.0)))
+    if not (away <= THERE and turned <= TURNED):
+        off_by = f"{1e3 * away:.4g} mm and {turned:.4g} rad"
+        yield f"the motion ends with {frame or robot.tool_frame!r} {off_by} from the pose of the goal"
+
+
+def _approach(robot: Robot, scene: Scene, q: FloatArray) -> Iterator[str]:
+    """Fault of a last link, or a tool, that comes at another angle than the goal asks for."""
+    if scene.goal.approach_deg is None:
+        return
+    asked = np.radians(np.atleast_1d(scene.goal.approach_deg))
+    low, width = asked[0], asked[-1] - asked[0]
+    if robot.planar is None:
+        what, direction = "tool's axis", float(approach_angles(robot, q[None], robot.tool_positions(q))[0])
+    else:
+        what, direction = "last link", float((robot.arm.signs * q[robot.arm_slice] + robot.arm.offsets).sum())
+    beyond = (direction - low + SAME) % (2.0 * np.pi)
+    if beyond > width + 2.0 * SAME:
+        angle = np.degrees(np.pi - (np.pi - direction) % (2.0 * np.pi))
+        wanted = " to ".join(f"{end:g}" for end in np.degrees(asked[[0, -1] if width > 0.0 else [0]]))
+        yield f"the {what} is at {angle:.4g} deg at the goal; asked for: {wanted} deg"

@@ -1,0 +1,83 @@
+r"""What a base that tilts on its track adds to the torques: gravity then pulls along another axis of the arm.
+
+Torques are computed for a base that stands upright. They are linear in gravity: where it is off by :math:`\Delta g`,
+the torque of a joint that turns is off by no more than
+
+.. math:: |\Delta g| \sum_{i} m_i \, r_{ij},
+
+over the bodies i that the joint carries, of mass :math:`m_i`, with :math:`r_{ij}` the largest distance of the centre of
+mass from the joint's axis, whatever the configuration (`hplan.collision.reach`); 1 for a joint that slides. A base
+whose vertical is at an angle :math:`\theta` to that of the world has :math:`|\Delta g| = 2 g \sin(\theta / 2)`.
+
+A turn of a track from a time to the next is about one axis, so the height of the vertical's tip is a sine of the angle
+turned by, and its least value is known.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from hplan.base.arrays import FloatArray, frozen
+from hplan.certificate.limit_use import LimitUse, fraction_of
+from hplan.collision.reach import points_reach
+from hplan.robot.model import Robot
+from hplan.scene.model import Scene
+from hplan.scene.tracks import Poses
+
+#: A vertical that is off by no more than this is upright: so much is lost in the cosine of an angle [rad].
+_UPRIGHT = 1e-6
+
+
+def use_on_track(use: LimitUse, robot: Robot, scene: Scene, begin_s: float, duration: float) -> LimitUse:
+    """The use of the limits where the base is on its track; the same where it stays upright.
+
+    Args:
+        use: That of an arm whose base stands upright.
+        robot: The arm.
+        scene: The scene, with the base's track.
+        begin_s: Time at which the motion begins, as the track counts it [s].
+        duration: Duration of the motion [s].
+    """
+    if scene.base_track is None:
+        return use
+    tilt = largest_tilt(Poses.of(scene.base_track), begin_s, begin_s + duration)
+    if tilt <= _UPRIGHT:
+        return use
+    more = 2.0 * float(np.linalg.norm(robot.model.gravity.linear)) * math.sin(0.5 * tilt) * first_moments(robot)
+    return replace(use, torque=use.torque + fraction_of(more, robot.torque_limit))
+
+
+def largest_tilt(base: Poses, begin_s: float, end_s: float) -> float:
+    """Largest angle between the vertical of a base on its track and that of the world, between two times [rad]."""
+    up = np.array([0.0, 0.0, 1.0])
+    first = max(int(np.searchsorted(base.times, begin_s, side="right")) - 1, 0)
+    last = min(int(np.searchsorted(base.times, end_s, side="left")), len(base.times) - 1)
+    lowest = float(base.rotations[min(first, last) : max(first, last) + 1, 2, 2].min())
+    for piece in range(first, last):
+        # Of R exp(a axis) the vertical, seen from the base, has the height: constant + even cos a + odd sin a.
+        turn = base.turns[piece]
+        angle = float(np.linalg.norm(turn))
+        if angle > 0.0:
+            axis, seen = turn / angle, base.rotations[piece][2]
+            constant = float(seen @ axis) * float(up @ axis)
+            even, odd = float(up @ seen) - constant, float(seen @ np.cross(axis, up))
+            if math.atan2(-odd, -even) % math.tau <= angle:
+                lowest = min(lowest, constant - math.hypot(even, odd))
+    return math.acos(min(max(lowest, -1.0), 1.0))
+
+
+def first_moments(robot: Robot) -> FloatArray:
+    """(dof,) sums of the masses that each joint carries times their distance from its axis, or of the masses alone."""
+
+    def sums() -> FloatArray:
+        inertias = robot.model.inertias.tolist()[1:]
+        rows = [
+            inertia.mass * points_reach(robot, np.array(inertia.lever)[None], joint)
+            for joint, inertia in enumerate(inertias)
+        ]
+        return frozen(np.sum(rows, axis=0))
+
+    return robot.cached("first moments", sums)

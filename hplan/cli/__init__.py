@@ -1,5 +1,0 @@
-"""The `hplan` command: one file for each subcommand (plan, tour, time, certify, execute, orchard, view).
-
-`main` finds the subcommand; `options`, `terminal`, `job_folder` and `finished_job` are what they share. May use every
-room; nothing imports it. Heavy imports wait until the arguments are understood.
-"""

@@ -1,0 +1,359 @@
+r"""Distance between the convex hulls of two sets of points, one of them turned and shifted: the GJK algorithm.
+
+The point nearest to the origin is looked for in :math:`A - B`, the differences of the points of the two hulls (Gilbert,
+Johnson and Keerthi 1988). A simplex of at most four differences of corners is kept; its point `v` nearest to the origin
+is found by signed volumes (Montanari, Petrinic and Barbieri 2017, "Improving the GJK algorithm for faster and more
+reliable distance queries between convex objects"), and the corner that lies farthest against `v` comes next. With `w`
+that corner, no point of :math:`A - B` is nearer than :math:`v \cdot w / |v|`, and `v` itself is no nearer than the
+nearest: what is returned is the greatest of these lower bounds, so that rounding errors never make a distance too large
+by more than their own size.
+
+Points, segments and flat polygons are hulls as any other. Where two hulls share a point the distance is 0; how deep one
+is in the other says `hplan.collision.penetration`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple, TypeAlias
+
+from hplan.base.arrays import FloatArray
+from hplan.base.kernels import any_int, inlined, kernel
+from hplan.collision.sweep import STILL, Sweep, used_up
+from hplan.collision.vectors import Pose, Vector, cross, dot, placed_point, sub, turned_back
+from hplan.scene.corner_table import OCTANTS
+
+#: First and last place of the coordinates of some points in an array of numbers, last is one past; and the place of
+#: their table (`hplan.scene.corner_table`) there, 0 for none.
+Span: TypeAlias = tuple[int, int, int]
+
+#: Numbers of `work`: the simplex (four points of A - B), the points of A behind them, the places of both their corners,
+#: weights; then what is left behind: how many corners there are, the nearest point of A - B and that of A, and the
+#: direction in which the two are as far apart as is returned, of any length.
+_CORNERS, _OF_FIRST, _NUMBERS, _WEIGHTS = any_int(0), any_int(12), any_int(24), any_int(32)
+SIZE, NEAREST, ON_FIRST = any_int(36), any_int(37), any_int(40)
+SEPARATING = any_int(43)
+WORK = 46
+
+#: Most corners that are visited, and the fraction of the simplex's size below which a distance is none.
+_MOST, _NONE = any_int(128), 1e-13
+
+#: No corners so far.
+_NONE_YET = any_int(0)
+
+
+class Wanted(NamedTuple):
+    """What a distance is asked for.
+
+    Attributes:
+        enough: A number no smaller than this is returned as soon as one is shown [m].
+        too_little: Where the distance is shown to be less than this, so may be what is returned [m].
+        fraction: By which fraction of what is left of it beyond `radii` a distance may be returned too small.
+        radii: What will be taken off it [m].
+        sweep: Infinity is returned as soon as a direction shows that this uses up no more than is left.
+    """
+
+    enough: float
+    too_little: float
+    fraction: float
+    radii: float
+    sweep: Sweep = STILL
+
+
+@kernel
+def farthest_corner(points: FloatArray, span: Span, direction: Vector) -> int:
+    """The place of the point that lies farthest in a direction."""
+    (x, y, z), (first, last, table) = direction, span
+    if table == 0:
+        best = first
+        most = points[first] * x + points[first + 1] * y + points[first + 2] * z
+        for p in range(first + 3, last, 3):
+            height = points[p] * x + points[p + 1] * y + points[p + 2] * z
+            if height > most:
+                most, best = height, p
+        return best
+    octant = (1 if x > 0.0 else 0) + (2 if y > 0.0 else 0) + (4 if z > 0.0 else 0)
+    best = int(points[table + octant])
+    most = points[best] * x + points[best + 1] * y + points[best + 2] * z
+    lists = table + OCTANTS
+    while True:
+        here = lists + (best - first) // 3
+        before = best
+        for n in range(int(points[here]), int(points[here + 1])):
+            p = int(points[n])
+            height = points[p] * x + points[p + 1] * y + points[p + 2] * z
+            if height > most:
+                most, best = height, p
+        if best == before:
+            return best
+
+
+@kernel
+def core_distance(
+    shape: FloatArray,
+    span: Span,
+    pose: Pose,
+    other: FloatArray,
+    other_span: Span,
+    wanted: Wanted,
+    work: FloatArray,
+) -> float:
+    """Distance between two hulls; 0 where they share a point.
+
+    Args:
+        shape: Coordinates of points, one after the other.
+        span: Which of them are of the first hull.
+        pose: Where it is, in the frame of the other.
+        other: Coordinates of points.
+        other_span: Which of them are of the other hull.
+        wanted: How exact it is to be.
+        work: (WORK,) numbers. At `NEAREST` a direction from the other hull to the first to begin with, or zeros. Where
+            no distance was enough, `work` then holds the nearest points.
+    """
+    direction = (work[NEAREST], work[NEAREST + 1], work[NEAREST + 2])
+    if direction[0] == 0.0 and direction[1] == 0.0 and direction[2] == 0.0:
+        o = other_span[0]
+        direction = sub(placed_point(pose, shape, span[0]), (other[o], other[o + 1], other[o + 2]))
+    size, square, lower, scale = 0, math.inf, 0.0, 0.0
+    work[SEPARATING], work[SEPARATING + 1], work[SEPARATING + 2] = 0.0, 0.0, 0.0
+    for _ in range(_MOST):
+        x, y, z = direction
+        p = farthest_corner(shape, span, turned_back(pose, (-x, -y, -z)))
+        o = farthest_corner(other, other_span, direction)
+        a = placed_point(pose, shape, p)
+        w = sub(a, (other[o], other[o + 1], other[o + 2]))
+        length = math.sqrt(dot(direction, direction))
+        along = dot(direction, w)
+        if along > lower * length:
+            lower = along / length
+            work[SEPARATING], work[SEPARATING + 1], work[SEPARATING + 2] = direction
+            if lower >= wanted.enough:
+                return lower
+            if lower - wanted.radii >= used_up(wanted.sweep, direction, length):
+                return math.inf
+        if size > 0:
+            # The distance lies between `lower` and `length`.
+            if length - lower <= wanted.fraction * abs(length - wanted.radii) or length < wanted.too_little:
+                break
+            if _is_known(work, size, p, o):
+                break
+        at, number = _CORNERS + 3 * size, _NUMBERS + 2 * size
+        work[at], work[at + 1], work[at + 2] = w
+        work[at + 12], work[at + 13], work[at + 14] = a
+        work[number], work[number + 1] = float(p), float(o)
+        size = _reduced(work, size + 1)
+        scale = max(scale, dot(w, w))
+        direction = (work[NEAREST], work[NEAREST + 1], work[NEAREST + 2])
+        before, square = square, dot(direction, direction)
+        if size == 4 or square <= _NONE * _NONE * scale:
+            work[SIZE] = float(size)
+            return 0.0
+        if square >= before:
+            break  # rounding errors are all that is left
+    work[SIZE] = float(size)
+    _find_point_of_first(work, size)
+    return lower
+
+
+@inlined
+def _is_known(work: FloatArray, size: int, p: int, o: int) -> bool:
+    """True if a corner of A - B is in the simplex."""
+    known = False
+    for k in range(size):
+        if work[_NUMBERS + 2 * k] == p and work[_NUMBERS + 2 * k + 1] == o:
+            known = True
+    return known
+
+
+@kernel
+def _find_point_of_first(work: FloatArray, size: int) -> None:
+    """Write the nearest point of the first hull."""
+    for c in range(3):
+        value = 0.0
+        for k in range(size):
+            value += work[_WEIGHTS + k] * work[_OF_FIRST + 3 * k + c]
+        work[ON_FIRST + c] = value
+
+
+@inlined
+def _corner(work: FloatArray, k: int) -> Vector:
+    return work[_CORNERS + 3 * k], work[_CORNERS + 3 * k + 1], work[_CORNERS + 3 * k + 2]
+
+
+@kernel
+def _reduced(work: FloatArray, size: int) -> int:
+    """Keep those corners of the simplex alone that its point nearest to the origin lies between; how many they are.
+
+    Weights and the nearest point are written; four corners are left where the origin is inside.
+    """
+    a = _corner(work, 0)
+    weights = (1.0, 0.0, 0.0, 0.0)
+    if size == 2:
+        first, second = _on_line(a, _corner(work, 1))
+        weights = (first, second, 0.0, 0.0)
+    elif size == 3:
+        first, second, third = on_triangle(a, _corner(work, 1), _corner(work, 2))
+        weights = (first, second, third, 0.0)
+    elif size == 4:
+        weights = _in_tetrahedron(a, _corner(work, 1), _corner(work, 2), _corner(work, 3))
+    left = _NONE_YET
+    for k in range(size):
+        weight = weights[k]
+        if weight > 0.0:
+            if left < k:
+                for c in range(3):
+                    work[_CORNERS + 3 * left + c] = work[_CORNERS + 3 * k + c]
+                    work[_OF_FIRST + 3 * left + c] = work[_OF_FIRST + 3 * k + c]
+                for c in range(2):
+                    work[_NUMBERS + 2 * left + c] = work[_NUMBERS + 2 * k + c]
+            work[_WEIGHTS + left] = weight
+            left += 1
+    work[NEAREST], work[NEAREST + 1], work[NEAREST + 2] = _nearest_point(work, left)
+    return left
+
+
+@kernel
+def _nearest_point(work: FloatArray, size: int) -> Vector:
+    """The point of a simplex nearest to the origin.
+
+    It is as long as rounding errors of its corners allow, but its direction is far more exact than their weighted sum:
+    it is made perpendicular to edge or face.
+    """
+    a = _corner(work, 0)
+    x, y, z = a
+    if size == 2:
+        along = sub(_corner(work, 1), a)
+        weight = work[_WEIGHTS + 1]
+        x, y, z = x + weight * along[0], y + weight * along[1], z + weight * along[2]
+        part = (x * along[0] + y * along[1] + z * along[2]) / dot(along, along)
+        x, y, z = x - part * along[0], y - part * along[1], z - part * along[2]
+    elif size == 3:
+        normal = cross(sub(_corner(work, 1), a), sub(_corner(work, 2), a))
+        part = dot(a, normal) / dot(normal, normal)
+        x, y, z = part * normal[0], part * normal[1], part * normal[2]
+    elif size == 4:
+        x, y, z = 0.0, 0.0, 0.0
+    return x, y, z
+
+
+@kernel
+def _on_line(a: Vector, b: Vector) -> tuple[float, float]:
+    """Weights of the point of a segment that is nearest to the origin."""
+    along = sub(b, a)
+    square = dot(along, along)
+    t = min(1.0, max(0.0, -dot(a, along) / square)) if square > 0.0 else 0.0
+    return 1.0 - t, t
+
+
+@kernel
+def _square_at(a: Vector, b: Vector, t: float) -> float:
+    """Squared distance from the origin of a point between two others."""
+    x, y, z = a[0] + t * (b[0] - a[0]), a[1] + t * (b[1] - a[1]), a[2] + t * (b[2] - a[2])
+    return x * x + y * y + z * z
+
+
+@kernel
+def on_triangle(a: Vector, b: Vector, c: Vector) -> tuple[float, float, float]:
+    """Weights of the point of a triangle that is nearest to the origin.
+
+    Areas are compared in the plane of two axes in which the triangle is largest. Where the foot of the origin is beyond
+    an edge, the nearest point lies on such an edge.
+    """
+    normal = cross(sub(b, a), sub(c, a))
+    square = dot(normal, normal)
+    at_a, at_b, at_c, area = -1.0, -1.0, -1.0, 1.0
+    if square > 0.0:
+        up = dot(a, normal) / square
+        foot = (up * normal[0], up * normal[1], up * normal[2])
+        fa, fb, fc = sub(a, foot), sub(b, foot), sub(c, foot)
+        nx, ny, nz = abs(normal[0]), abs(normal[1]), abs(normal[2])
+        if nx >= ny and nx >= nz:
+            area = normal[0]
+            at_a, at_b, at_c = (
+                fb[1] * fc[2] - fb[2] * fc[1],
+                fc[1] * fa[2] - fc[2] * fa[1],
+                fa[1] * fb[2] - fa[2] * fb[1],
+            )
+        elif ny >= nz:
+            area = normal[1]
+            at_a, at_b, at_c = (
+                fb[2] * fc[0] - fb[0] * fc[2],
+                fc[2] * fa[0] - fc[0] * fa[2],
+                fa[2] * fb[0] - fa[0] * fb[2],
+            )
+        else:
+            area = normal[2]
+            at_a, at_b, at_c = (
+                fb[0] * fc[1] - fb[1] * fc[0],
+                fc[0] * fa[1] - fc[1] * fa[0],
+                fa[0] * fb[1] - fa[1] * fb[0],
+            )
+        if area < 0.0:
+            area, at_a, at_b, at_c = -area, -at_a, -at_b, -at_c
+        if at_a > 0.0 and at_b > 0.0 and at_c > 0.0:
+            whole = at_a + at_b + at_c
+            return at_a / whole, at_b / whole, at_c / whole
+    least, weights = math.inf, (1.0, 0.0, 0.0)
+    if at_c <= 0.0:
+        _, t = _on_line(a, b)
+        least, weights = _square_at(a, b, t), (1.0 - t, t, 0.0)
+    if at_b <= 0.0:
+        _, t = _on_line(a, c)
+        here = _square_at(a, c, t)
+        if here < least:
+            least, weights = here, (1.0 - t, 0.0, t)
+    if at_a <= 0.0:
+        _, t = _on_line(b, c)
+        if _square_at(b, c, t) < least:
+            weights = (0.0, 1.0 - t, t)
+    return weights
+
+
+@kernel
+def _square_of(a: Vector, b: Vector, c: Vector, weights: Vector) -> float:
+    """Squared distance from the origin of a point of a triangle."""
+    x = weights[0] * a[0] + weights[1] * b[0] + weights[2] * c[0]
+    y = weights[0] * a[1] + weights[1] * b[1] + weights[2] * c[1]
+    z = weights[0] * a[2] + weights[1] * b[2] + weights[2] * c[2]
+    return x * x + y * y + z * z
+
+
+@kernel
+def _in_tetrahedron(a: Vector, b: Vector, c: Vector, d: Vector) -> tuple[float, float, float, float]:
+    """Weights of the point of a tetrahedron that is nearest to the origin; all positive where that is inside.
+
+    Each of the four volumes between the origin and a face has the sign of the whole where the origin is inside; else
+    the nearest point lies on a face beyond which the origin is.
+    """
+    da, db, dc = sub(a, d), sub(b, d), sub(c, d)
+    back = (-d[0], -d[1], -d[2])
+    across = cross(db, dc)
+    whole = dot(da, across)
+    at_a = dot(back, across)
+    at_b = dot(da, cross(back, dc))
+    at_c = dot(da, cross(db, back))
+    at_d = dot(a, cross(b, c))
+    sign = 1.0 if whole > 0.0 else -1.0 if whole < 0.0 else 0.0
+    at_a, at_b, at_c, at_d = sign * at_a, sign * at_b, sign * at_c, sign * at_d
+    if at_a > 0.0 and at_b > 0.0 and at_c > 0.0 and at_d > 0.0:
+        whole = at_a + at_b + at_c + at_d
+        return at_a / whole, at_b / whole, at_c / whole, at_d / whole
+    least, weights = math.inf, (1.0, 0.0, 0.0, 0.0)
+    if at_d <= 0.0:
+        u, v, w = on_triangle(a, b, c)
+        least, weights = _square_of(a, b, c, (u, v, w)), (u, v, w, 0.0)
+    if at_c <= 0.0:
+        u, v, w = on_triangle(a, b, d)
+        here = _square_of(a, b, d, (u, v, w))
+        if here < least:
+            least, weights = here, (u, v, 0.0, w)
+    if at_b <= 0.0:
+        u, v, w = on_triangle(a, c, d)
+        here = _square_of(a, c, d, (u, v, w))
+        if here < least:
+            least, weights = here, (u, 0.0, v, w)
+    if at_a <= 0.0:
+        u, v, w = on_triangle(b, c, d)
+        if _square_of(b, c, d, (u, v, w)) < least:
+            weights = (0.0, u, v, w)
+    return weights

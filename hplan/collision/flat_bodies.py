@@ -1,0 +1,157 @@
+"""The bodies of a robot, its joints and its own pairs as arrays of numbers, for kernels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hplan.base.arrays import FloatArray, Record, frozen
+from hplan.collision.collision_bodies import GROUND, collision_bodies
+from hplan.collision.reach import carriers, joint_axis, reach
+from hplan.collision.touching_pairs import self_pairs
+from hplan.robot.model import Robot
+from hplan.scene.corner_table import corner_table
+
+#: Columns of a body: its joint (`dof` for the ground), first and last place of its points among the numbers (last is
+#: one past) and that of their table (`hplan.scene.corner_table`; 0 for none), its radius, then the centre (3) of a ball
+#: that holds it and the ball's radius, and a segment (start and vector, 3 each) with a radius that holds it.
+JOINT, FIRST, LAST, TABLE, ROUNDING, BALL, BALL_RADIUS, AXIS, AXIS_RADIUS = 0, 1, 2, 3, 4, 5, 8, 9, 15
+
+#: Columns of a pair: its bodies, the one whose motion is seen from the other first, and the distance of their hulls at
+#: which they touch; then the distance of the centres of their balls beyond which they are farther apart than that.
+OUTER, INNER, TOUCHING, BALLS = 0, 1, 2, 3
+
+COLUMNS = 16
+
+#: Numbers at the head: how many bodies and how many joints there are; where joints, and where reaches begin.
+BODIES, DOF, JOINTS, REACHES, HEAD = 0, 1, 2, 3, 4
+
+#: Numbers of a joint: with q its value, it is turned in its parent's frame by the first nine, the next nine by cos(q)
+#: and the next by sin(q), row by row; and stands at a place, shifted by q times a direction (3 each); its parent's
+#: number (`dof` for the base) follows, and the axis that it turns about in its own frame (3), zeros if it slides.
+PLACE, SHIFT, PARENT, TURN, JOINT_SIZE = 27, 30, 33, 34, 37
+
+
+@dataclass(frozen=True, eq=False)
+class FlatBodies(Record):
+    """Moving bodies of a robot as rows, and the numbers that they refer to.
+
+    Attributes:
+        movers: (bodies + pairs, COLUMNS) each body in the order of `collision_bodies`, then each pair of its own that
+            is checked.
+        numbers: Flat: the head, the joints, the reaches ((movers, dof), row by row), the points of all bodies, each
+            with its table.
+    """
+
+    movers: FloatArray
+    numbers: FloatArray
+
+    @classmethod
+    def of(cls, robot: Robot, own_clearance: float = 0.0, deviation: float = 0.0) -> FlatBodies:
+        """The bodies of a robot.
+
+        Args:
+            robot: The robot.
+            own_clearance: Clearance that pairs are to keep [m].
+            deviation: By how much every joint may be off [rad, m]: bodies are as much thicker as it may displace them.
+        """
+        still = robot.cached("flat bodies", lambda: cls._still(robot))
+        bodies, pairs = collision_bodies(robot), self_pairs(robot)
+        rows, count = still.movers.copy(), len(bodies)
+        sway = deviation * still.numbers[int(still.numbers[REACHES]) :][: rows.shape[0] * robot.dof]
+        sway = sway.reshape(-1, robot.dof).sum(axis=1)
+        for column in (ROUNDING, BALL_RADIUS, AXIS_RADIUS):
+            rows[:count, column] += sway[:count]
+        for column in (TOUCHING, BALLS):
+            rows[count:, column] += sway[count:] + pairs.needed(own_clearance)
+        return cls(frozen(rows), still.numbers)
+
+    @classmethod
+    def _still(cls, robot: Robot) -> FlatBodies:
+        """The bodies without deviation, where pairs may touch."""
+        bodies, pairs = collision_bodies(robot), self_pairs(robot)
+        reaches = np.concatenate([reach(robot), pairs.reach])
+        joints = joint_numbers(robot)
+        first = HEAD + joints.size + reaches.size
+        head = [len(bodies), robot.dof, HEAD, HEAD + joints.size]
+        rows, points = np.zeros((len(reaches), COLUMNS)), list[FloatArray]()
+        for row, body in enumerate(bodies):
+            rows[row, JOINT] = robot.dof if body.joint == GROUND else body.joint
+            end = first + body.core.size
+            table = corner_table(body.core, first, end)
+            rows[row, FIRST], rows[row, LAST], rows[row, TABLE] = first, end, end if len(table) else 0
+            points += [body.core.ravel(), table]
+            first = end + len(table)
+            rows[row, ROUNDING] = body.rounding
+            rows[row, BALL:BALL_RADIUS], radius = _ball(body.core)
+            rows[row, BALL_RADIUS] = radius * (1.0 + 1e-12) + body.rounding
+            rows[row, AXIS:AXIS_RADIUS], radius = _axis(body.core)
+            rows[row, AXIS_RADIUS] = radius * (1.0 + 1e-12) + body.rounding
+        depth = [len(carriers(robot, body.joint)) for body in bodies]
+        for row, (i, j) in enumerate(pairs.checked, start=len(bodies)):
+            rows[row, OUTER], rows[row, INNER] = (i, j) if depth[i] > depth[j] else (j, i)
+            rows[row, TOUCHING] = bodies[i].rounding + bodies[j].rounding
+            rows[row, BALLS] = rows[i, BALL_RADIUS] + rows[j, BALL_RADIUS]
+        return cls(frozen(rows), frozen(np.concatenate([head, joints.ravel(), reaches.ravel(), *points])))
+
+
+def joint_numbers(robot: Robot) -> FloatArray:
+    """(dof, JOINT_SIZE) numbers of the joints; found once."""
+    return robot.cached("joint numbers", lambda: frozen(np.array([_of_joint(robot, j) for j in range(robot.dof)])))
+
+
+def _of_joint(robot: Robot, joint: int) -> FloatArray:
+    """(JOINT_SIZE,) numbers of a joint."""
+    model = robot.model
+    axis, slides = joint_axis(robot, joint)
+    place = model.jointPlacements[joint + 1]
+    numbers = np.zeros(JOINT_SIZE)
+    # Rodrigues' formula; of a joint that slides the rotation stays.
+    along = np.eye(3) if slides else np.outer(axis, axis)
+    across = np.array([[0.0, -axis[2], axis[1]], [axis[2], 0.0, -axis[0]], [-axis[1], axis[0], 0.0]])
+    numbers[0:9] = (place.rotation @ along).ravel()
+    numbers[9:18] = (place.rotation @ (np.eye(3) - along)).ravel()
+    numbers[18:27] = np.zeros(9) if slides else (place.rotation @ across).ravel()
+    numbers[PLACE:SHIFT] = place.translation
+    numbers[SHIFT:PARENT] = place.rotation @ axis if slides else 0.0
+    parent = int(model.parents[joint + 1]) - 1
+    numbers[PARENT] = robot.dof if parent < 0 else parent
+    numbers[TURN:JOINT_SIZE] = 0.0 if slides else axis
+    return numbers
+
+
+def _ball(core: FloatArray) -> tuple[FloatArray, float]:
+    """Centre and radius of a ball that holds some points, not much larger than the smallest."""
+    centre = 0.5 * (core.min(axis=0) + core.max(axis=0))
+    for step in range(1, 200):
+        # Towards the farthest point, by ever less (Badoiu and Clarkson 2003).
+        away = core - centre
+        centre = centre + away[(away**2).sum(axis=1).argmax()] / (step + 1.0)
+    boxed = 0.5 * (core.min(axis=0) + core.max(axis=0))
+    radii = [float(np.linalg.norm(core - middle, axis=1).max()) for middle in (centre, boxed)]
+    return (centre, radii[0]) if radii[0] < radii[1] else (boxed, radii[1])
+
+
+def _axis(core: FloatArray) -> tuple[FloatArray, float]:
+    """Start and vector of a segment, and the radius about it that holds some points.
+
+    Along the direction in which the points are spread farthest, pulled in from its ends by the radius.
+    """
+    middle = core.mean(axis=0)
+    direction = np.linalg.svd(core - middle, full_matrices=False)[2][0]
+    along = (core - middle) @ direction
+    aside = core - middle - np.outer(along, direction)
+    centre = 0.5 * (aside.min(axis=0) + aside.max(axis=0))
+    radius = float(np.linalg.norm(aside - centre, axis=1).max())
+    low, high = float(along.min()) + radius, float(along.max()) - radius
+    if len(core) <= 2:
+        low, high = float(along.min()), float(along.max())
+    if low > high:
+        low = high = 0.5 * (low + high)
+    start = middle + centre + low * direction
+    vector = (high - low) * direction
+    length = high - low
+    at = np.clip((core - start) @ direction, 0.0, length)
+    needed = float(np.linalg.norm(core - start - np.outer(at, direction), axis=1).max())
+    return np.concatenate([start, vector]), needed

@@ -1,0 +1,168 @@
+r"""Motion-bound coefficients: how far each joint can move each body, whatever the configuration.
+
+A point of body :math:`b` that lies at distance :math:`\rho` from the axis of joint :math:`j` moves with speed
+:math:`\rho |\dot q_j|` when that joint alone turns, and with :math:`|\dot q_j|` when it slides. With
+:math:`R_{bj}` the largest such distance over all points of the body and all configurations (1 of a joint that slides, 0
+of one that does not carry the body), no point of the body travels farther than
+
+.. math:: \sum_j R_{bj} \int |\dot q_j| \, dt.
+
+Since the signed distance of two convex bodies is the largest separation of their supporting planes, it changes by no
+more than both bodies travel.
+
+**The distance** is found from the body inward. Its points, turned about the axis of the joint that carries it, sweep
+rings; those are the rings of the points' radii and heights, of which the convex hull counts alone. Each ring lies in
+the polygon of `_CORNERS` corners about it; those corners, seen from the joint before, are the points that are turned
+next. Joints that slide move the points to the ends of their range. A distance from an axis is a convex function, so its
+largest value over a hull is that at one of the points. Joint limits of joints that turn are not made use of.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+import pinocchio as pin
+
+from hplan.base.arrays import FloatArray, frozen
+from hplan.base.planar_geometry import convex_hull
+from hplan.collision.collision_bodies import collision_bodies
+from hplan.robot.model import Robot
+
+#: Corners of the polygon about a ring.
+_CORNERS: Final = 32
+
+#: Rounding errors of a radius, as a fraction of it.
+_ROUND_OFF: Final = 1e-12
+
+
+def reach(robot: Robot, beyond: float = 0.0) -> FloatArray:
+    """Motion-bound coefficients: upper bounds of the distance of any point of each body from each joint's axis.
+
+    Args:
+        robot: The robot.
+        beyond: How far joints that slide may be beyond their limits [m].
+
+    Returns:
+        (bodies, dof) bounds [m]; 0 where the joint does not move the body, 1 for a joint that slides, so that
+        `reach @ abs(dq)` bounds how far any point of each body moves. Bodies are in the order of `collision_bodies`.
+    """
+    return robot.cached(("reach", beyond), lambda: _reach(robot, beyond))
+
+
+def _reach(robot: Robot, beyond: float) -> FloatArray:
+    """`reach`, computed."""
+    rows = [points_reach(robot, body.core, body.joint, body.rounding, beyond) for body in collision_bodies(robot)]
+    return frozen(np.array(rows).reshape(-1, robot.dof))
+
+
+def points_reach(
+    robot: Robot, points: FloatArray, joint: int, rounding: float = 0.0, beyond: float = 0.0
+) -> FloatArray:
+    """A row of `reach`, of points that a joint carries.
+
+    Args:
+        robot: The robot.
+        points: (n, 3) points in the joint's frame [m].
+        joint: The joint; -1 for the ground.
+        rounding: Radius about the points [m].
+        beyond: How far joints that slide may be beyond their limits [m].
+    """
+    return _carried(robot, points, joint, rounding, beyond)[0]
+
+
+def reach_ball(robot: Robot) -> FloatArray:
+    """(4,) centre, in `base_link`, and radius of a ball that holds all bodies at all configurations [m]."""
+    return robot.cached("ball of all bodies", lambda: _reach_ball(robot))
+
+
+def _reach_ball(robot: Robot) -> FloatArray:
+    bodies = collision_bodies(robot)
+    held = [_carried(robot, body.core, body.joint, body.rounding, 0.0)[1] for body in bodies]
+    # Distances from where the first joint is are kept as it turns.
+    centre = np.array(robot.model.jointPlacements[1].translation)
+    far = [np.linalg.norm(points - centre, axis=1).max() for points in held]
+    largest = max((float(away) + body.rounding for away, body in zip(far, bodies, strict=True)), default=0.0)
+    return frozen(np.append(centre, largest * (1.0 + _ROUND_OFF)))
+
+
+def _carried(
+    robot: Robot, points: FloatArray, joint: int, rounding: float, beyond: float
+) -> tuple[FloatArray, FloatArray]:
+    """A row of `reach`, and points in `base_link` whose hull holds the given ones at all configurations."""
+    found = np.zeros(robot.dof)
+    for carrier in carriers(robot, joint):
+        axis, slides = joint_axis(robot, carrier)
+        if slides:
+            found[carrier] = 1.0
+            ends = np.array([robot.lower[carrier] - beyond, robot.upper[carrier] + beyond])
+            points = (points[:, None] + ends[:, None] * axis).reshape(-1, 3)
+        else:
+            points, radius = _swept(points, axis)
+            found[carrier] = radius + rounding
+        placement = robot.model.jointPlacements[carrier + 1]
+        points = points @ placement.rotation.T + placement.translation
+    return found, points
+
+
+def largest_sway(robot: Robot, deviation: FloatArray) -> FloatArray:
+    """Tracking-error displacement bound: of any part of a robot from its place, with joints off by `deviation` at most.
+
+    Of an arm of the planar family that of its links' axes (`PlanarFamily.sway`), of any other that of its bodies.
+
+    Args:
+        robot: The robot.
+        deviation: (..., dof) deviations [rad, m].
+
+    Returns:
+        (...) distances [m].
+    """
+    if robot.planar is not None:
+        found: FloatArray = robot.planar.sway(deviation).max(axis=-1)
+        return found
+    sways: FloatArray = (deviation @ reach(robot).T).max(axis=-1, initial=0.0)
+    return sways
+
+
+def joint_axis(robot: Robot, joint: int) -> tuple[FloatArray, bool]:
+    """The (3,) unit axis of a joint in its own frame, and whether it slides along it; else it turns about it."""
+    moved = robot.model.joints[joint + 1]
+    data = moved.createData()
+    moved.calc(data, np.zeros(1))
+    slide, turn = np.array(data.S, dtype=np.float64).reshape(2, 3)
+    return (slide, True) if slide.any() else (turn, False)
+
+
+def carriers(robot: Robot, joint: int) -> tuple[int, ...]:
+    """The joints that move what a joint carries: itself first, then those below it to the base; none of the ground."""
+    found = []
+    while joint >= 0:
+        found.append(joint)
+        joint = int(robot.model.parents[joint + 1]) - 1
+    return tuple(found)
+
+
+def _swept(points: FloatArray, axis: FloatArray) -> tuple[FloatArray, float]:
+    """Points whose hull holds all that (n, 3) points sweep about an axis through the origin; their largest radius."""
+    height = points @ axis
+    radius = np.linalg.norm(points - height[:, None] * axis, axis=1)
+    profile = np.column_stack([radius, height])
+    profile = _outline(np.vstack([profile, profile * [-1.0, 1.0]]))
+    radius, height = profile[profile[:, 0] >= 0.0].T
+    across = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), axis).toRotationMatrix()
+    angles = (np.arange(_CORNERS) + 0.5) * (2.0 * math.pi / _CORNERS)
+    ring = radius / math.cos(math.pi / _CORNERS)
+    rings = [np.outer(np.cos(angles), ring), np.outer(np.sin(angles), ring), np.tile(height, (_CORNERS, 1))]
+    swept: FloatArray = np.stack(rings, axis=-1).reshape(-1, 3) @ across.T
+    return swept, float(radius.max()) * (1.0 + _ROUND_OFF)
+
+
+def _outline(points: FloatArray) -> FloatArray:
+    """The vertices of the convex hull of (n, 2) points, up to rounding errors."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    try:
+        return np.asarray(points[ConvexHull(points).vertices])
+    except QhullError:  # they are in line
+        return convex_hull(points)

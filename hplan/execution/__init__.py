@@ -1,4 +1,0 @@
-"""Motions executed by a simulated arm (MuJoCo): a whole one, or one control period after the other.
-
-May use every room above it.
-"""

@@ -1,0 +1,42 @@
+"""The paper: analytic C-space on a joint grid, and the search on it.
+
+`occupancy` holds equations (1)-(3), `sections` what they are applied to; `astar` is the dense A*, `two_level` the
+method. The search knows nodes and costs, nothing of robots.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from hplan.base.lazy_import import lazy_names
+
+if TYPE_CHECKING:
+    from hplan.grid.astar import dense_search
+    from hplan.grid.flood import reachable, slices_with_path
+    from hplan.grid.result import Expansions, Fallback, SearchResult, StageTimes
+    from hplan.grid.two_level import two_level_search
+
+__all__ = [
+    "Expansions",
+    "Fallback",
+    "SearchResult",
+    "StageTimes",
+    "dense_search",
+    "reachable",
+    "slices_with_path",
+    "two_level_search",
+]
+
+__getattr__ = lazy_names(
+    __name__,
+    {
+        "Expansions": "hplan.grid.result",
+        "Fallback": "hplan.grid.result",
+        "SearchResult": "hplan.grid.result",
+        "StageTimes": "hplan.grid.result",
+        "dense_search": "hplan.grid.astar",
+        "reachable": "hplan.grid.flood",
+        "slices_with_path": "hplan.grid.flood",
+        "two_level_search": "hplan.grid.two_level",
+    },
+)

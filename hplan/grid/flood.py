@@ -1,0 +1,267 @@
+"""Connected components, found for whole words of nodes at once.
+
+Neighbouring rows are joined by word operations, so one sweep over the rows moves the front in 64 slices together.
+Sweeps alternate in direction until nothing changes: the fixed point is the connected component, whatever the order.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hplan.base.arrays import BoolArray, FloatArray, IntArray, WordArray, frozen
+from hplan.base.deadline import check_deadline, is_up, until
+from hplan.base.kernels import kernel
+from hplan.grid.bits import lowest_bit, popcount
+from hplan.grid.grid import Occupancy, checked_node
+from hplan.grid.lattice import Lattice
+
+#: A row that is never reached: it belongs to the border.
+_NOWHERE = 0
+
+#: The deadline is checked where the number of a line has none of these bits.
+_OFTEN = 15
+
+
+def flood_slices(
+    lattice: Lattice, free: WordArray, start_row: int, wanted: WordArray, goal_row: int | None = None
+) -> tuple[WordArray, int]:
+    """Flood slices of the last axis, each on its own, from the start's row.
+
+    Args:
+        lattice: Geometry of the grid.
+        free: (rows, words) bits with border.
+        start_row: Bordered row in which every slice starts.
+        wanted: (words,) the slices to flood.
+        goal_row: Stop where every wanted slice that is free in this row is reached there; None to reach all nodes.
+
+    Returns:
+        (rows, words) reached bits and their number.
+    """
+    reached = np.zeros_like(free)
+    reached[start_row] = free[start_row] & wanted
+    enough = reached[start_row] & free[start_row if goal_row is None else goal_row]
+    shape, neighbours = in_lines(lattice)
+    if goal_row is None:
+        goal_row, enough = _NOWHERE, np.ones_like(enough)
+    count = _flood(
+        free.reshape(shape), reached.reshape(shape), neighbours[neighbours != 0], (False, goal_row), enough, until()
+    )
+    check_deadline()
+    return reached, int(count)
+
+
+def flood_from(lattice: Lattice, free: WordArray, nodes: IntArray) -> tuple[WordArray, int]:
+    """Flood the whole grid from free nodes, slices joined.
+
+    Args:
+        lattice: Geometry of the grid.
+        free: (rows, words) bits with border.
+        nodes: (k, d) or (d,) node indices.
+
+    Returns:
+        (rows, words) bits of all nodes connected to them, and their number.
+    """
+    reached = np.zeros_like(free)
+    for node in np.atleast_2d(nodes):
+        reached[lattice.row_of(node), node[-1] >> 6] |= np.uint64(1) << np.uint64(node[-1] & 63)
+    shape, neighbours = in_lines(lattice)
+    enough = np.ones(lattice.words, dtype=np.uint64)
+    count = _flood(free.reshape(shape), reached.reshape(shape), neighbours, (True, _NOWHERE), enough, until())
+    check_deadline()
+    return reached, int(count)
+
+
+def in_lines(lattice: Lattice) -> tuple[tuple[int, int], IntArray]:
+    """Shape of the rows put in lines along the axis before the last, and offsets of the neighbouring lines.
+
+    Returns:
+        (lines, words of a line), and the offset of each neighbouring line, of the line itself (0) among them.
+    """
+    line = lattice.padded[-1]
+    return (lattice.rows // line, line * lattice.words), lattice.row_offsets[1::3] // line
+
+
+def reachable(occupancy: Occupancy, start: ArrayLike) -> BoolArray:
+    """Nodes that can be reached from a node.
+
+    Args:
+        occupancy: Which nodes are free.
+        start: (d,) node index.
+
+    Returns:
+        Read-only mask of the grid's shape.
+
+    Raises:
+        InputError: The start is no node of the grid, or not free.
+    """
+    node = checked_node(occupancy, start, "start")
+    lattice = Lattice.of(occupancy.grid.shape, occupancy.grid.step)
+    reached, _ = flood_from(lattice, lattice.bordered(occupancy.free_words), node)
+    return frozen(bits_of(lattice.unbordered(reached))[:, : lattice.shape[-1]].reshape(lattice.shape))
+
+
+def slices_with_path(occupancy: Occupancy, start: ArrayLike, goal: ArrayLike) -> BoolArray:
+    """Slices of the last axis that have a path of their own from the start's row to the goal's.
+
+    Args:
+        occupancy: Which nodes are free.
+        start: (d,) node index of a free node.
+        goal: (d,) node index of a free node.
+
+    Returns:
+        Read-only (slices,) mask.
+
+    Raises:
+        InputError: Start or goal is no node of the grid, or not free.
+    """
+    source, target = checked_node(occupancy, start, "start"), checked_node(occupancy, goal, "goal")
+    lattice = Lattice.of(occupancy.grid.shape, occupancy.grid.step)
+    free, goal_row = lattice.bordered(occupancy.free_words), lattice.row_of(target)
+    every = lattice.mask(range(lattice.shape[-1]))
+    reached, _ = flood_slices(lattice, free, lattice.row_of(source), every, goal_row)
+    return frozen(bits_of(reached[goal_row])[: lattice.shape[-1]])
+
+
+def bits_of(words: WordArray) -> BoolArray:
+    """The bits of (..., words) one by one, (..., 64 * words)."""
+    return np.unpackbits(words.view(np.uint8), axis=-1, bitorder="little").view(np.bool_)
+
+
+def has_bit(words: WordArray, row: int, bit: int) -> bool:
+    """True if a bit of (rows, words) is set."""
+    return bool((int(words[row, bit >> 6]) >> (bit & 63)) & 1)
+
+
+@kernel
+def _flood(
+    free: WordArray, reached: WordArray, neighbours: IntArray, how: tuple[bool, int], enough: WordArray,
+    until: FloatArray,
+) -> int:  # fmt: skip
+    """Grow `reached` inside `free`, both (lines, rows of a line * words); returns the number of bits reached.
+
+    How: whether slices are joined, and the goal's row.
+
+    A line with a neighbour that has news first takes one step from all of these, then runs along its rows and, where
+    slices are joined, along its bits. The flood may end where (words,) `enough` is reached in the goal's row.
+    """
+    (joined, goal_row), (lines, length) = how, free.shape
+    words, zero = len(enough), np.uint64(0)
+    goal_line, goal_word = goal_row * words // length, goal_row * words % length
+    front, wide = np.zeros(length, dtype=np.uint64), np.zeros(length, dtype=np.uint64)
+    # Lines without free bits, the border among them, never wait. Those flooded from go on without news.
+    may_wait, is_source, left = np.empty(lines, dtype=np.bool_), np.empty(lines, dtype=np.bool_), 0
+    for line in range(lines):
+        bits, some = zero, zero
+        for k in range(length):
+            bits |= free[line, k]
+            some |= reached[line, k]
+        may_wait[line], is_source[line] = bits != zero, some != zero
+        left += is_source[line]
+    waiting, forward = is_source.copy(), True
+    while left > 0:
+        for i in range(lines):
+            line = i if forward else lines - 1 - i
+            if not waiting[line]:
+                continue
+            waiting[line] = False
+            left -= 1
+            if line & _OFTEN == 0 and is_up(until):
+                return 0
+            here, inside = reached[line], free[line]
+            for k in range(length):
+                front[k] = here[k]
+            for offset in neighbours:
+                near = reached[line + offset]
+                for k in range(length):
+                    front[k] |= near[k]
+            # The first and the last row of a line are border.
+            for k in range(words, length - words):
+                wide[k] = front[k - words] | front[k] | front[k + words]
+            if joined:
+                _step_along_bits(wide, front, words)
+            else:
+                front, wide = wide, front
+            news = zero
+            for k in range(length):
+                front[k] &= inside[k]
+                news |= front[k] & ~here[k]
+            if news == zero and not is_source[line]:
+                continue
+            is_source[line] = False
+            for word in range(words):
+                run = zero
+                for k in range(word, length, words):
+                    run = (run & inside[k]) | front[k]
+                    front[k] = run
+                run = zero
+                for k in range(length - words + word, -1, -words):
+                    run = (run & inside[k]) | front[k]
+                    here[k] = run
+            if joined:
+                _run_along_bits(here, inside, words)
+            if line == goal_line:
+                missing = zero
+                for word in range(words):
+                    missing |= enough[word] ^ here[goal_word + word]
+                if missing == zero:
+                    left = 0
+                    break
+            for offset in neighbours:
+                other = line + offset
+                if not waiting[other] and may_wait[other]:
+                    waiting[other] = True
+                    left += 1
+        forward = not forward
+    count = 0
+    for line in range(lines):
+        for k in range(length):
+            count += popcount(reached[line, k])
+    return count
+
+
+@kernel
+def _step_along_bits(bits: WordArray, wide: WordArray, words: int) -> None:
+    """Put the bits of a line's rows and their neighbours along the last axis into `wide`; not those of its border."""
+    one, top, zero = np.uint64(1), np.uint64(63), np.uint64(0)
+    for k in range(words, len(bits) - words):
+        wide[k] = bits[k] | (bits[k] << one) | (bits[k] >> one)
+        if words > 1:
+            wide[k] |= bits[k - 1] >> top if k % words > 0 else zero
+            wide[k] |= bits[k + 1] << top if k % words < words - 1 else zero
+
+
+@kernel
+def _run_along_bits(here: WordArray, inside: WordArray, words: int) -> None:
+    """Let the bits of a line's rows run as far as the free bits `inside` go, along the last axis."""
+    one, top, zero = np.uint64(1), np.uint64(63), np.uint64(0)
+    for begin in range(words, len(here) - words, words):
+        carry = zero
+        for k in range(begin, begin + words):
+            # Added to a run of free bits, a bit carries to the end of the run.
+            bits, room = here[k] | (carry & inside[k]), inside[k]
+            bits |= room & ((room + bits) ^ room)
+            here[k] = bits
+            carry = bits >> top
+        carry = zero
+        for k in range(begin + words - 1, begin - 1, -1):
+            bits, room = here[k] | ((carry << top) & inside[k]), inside[k]
+            for shift in (1, 2, 4, 8, 16, 32):
+                bits |= room & (bits >> np.uint64(shift))
+                room &= room >> np.uint64(shift)
+            here[k] = bits
+            carry = bits & one
+
+
+@kernel
+def slice_sizes(words: WordArray) -> IntArray:
+    """(64 * words,) number of set bits in each slice of (rows, words)."""
+    sizes = np.zeros(64 * words.shape[1], dtype=np.int64)
+    one = np.uint64(1)
+    for row in range(words.shape[0]):
+        for word in range(words.shape[1]):
+            bits = words[row, word]
+            while bits != np.uint64(0):
+                sizes[64 * word + lowest_bit(bits)] += 1
+                bits &= bits - one
+    return sizes

@@ -1,0 +1,297 @@
+r"""Planar sections of 3-D obstacles: the convex part of the arm plane in which a link meets an obstacle.
+
+A link's axis lies in the arm plane, or in one parallel to it. A capsule link of half-width :math:`w` meets a convex
+obstacle :math:`O` exactly when its axis meets :math:`S = (O \oplus B_w) \cap \text{plane}`. Here :math:`O` is the hull
+of a few core points grown by a radius, and every :math:`S` is given as a *rounded polygon*: the hull of a few plane
+points grown by a radius.
+
+- Core of one point (sphere) at distance :math:`s` from the plane: a disc of radius
+  :math:`\sqrt{(r + w)^2 - s^2}`, exact.
+- Core of two points equally far from the plane (capsule along it): a stadium, exact.
+- Any other core: a rounded polygon around :math:`S` that stands out by `SECTION_ERROR` at most.
+
+`hplan.grid.hull_section` says how that is found. Over an interval of yaw the section is a bound on the union, as
+`hplan.grid.section_kernels` shows.
+
+Where the arm can touch itself (`hplan.robot.self_contact`), turret and pedestal are more obstacles to the links that
+can touch them. What turns with the arm plane, or is round about the yaw axis, is cut the same at every yaw. Links
+against links are kept as pairs: where they lie depends on the joints.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Literal, NamedTuple, TypeAlias
+from weakref import WeakKeyDictionary
+
+import numpy as np
+
+from hplan.base.arguments import one_of
+from hplan.base.arrays import FloatArray, IntArray, Record, frozen, readonly
+from hplan.errors import OptionError
+from hplan.grid.cutting_arrays import ArmPlane, LinkExtents
+from hplan.grid.prepared_obstacles import PreparedObstacles, prepare_obstacles
+from hplan.grid.section_kernels import cut_balls, cut_hulls
+from hplan.robot.model import Robot
+from hplan.robot.self_contact import BaseBody, SelfContact, pair_sway, radius_in_plane, self_contact
+
+#: How a link is modelled: the capsule, the paper's three cases to the letter, or the exact rectangle.
+LinkModel: TypeAlias = Literal["capsule", "paper", "rectangle"]
+LINK_MODELS: tuple[LinkModel, ...] = ("capsule", "paper", "rectangle")
+
+#: No point of a section without a closed form is farther than this outside the true one [m].
+SECTION_ERROR = 1e-3
+
+#: Half of a yaw interval is at most this: beyond, its ends would bound nothing of use.
+MAX_HALF_ANGLE = 0.25 * math.pi
+
+
+class SectionArrays(NamedTuple):
+    """The arrays of `ArmSections` that kernels read."""
+
+    link_start: IntArray
+    vertex_start: IntArray
+    vertices: FloatArray
+    radii: FloatArray
+    bounds: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class ArmSections(Record):
+    """The sections of all obstacles, link by link, as flat arrays for the kernels.
+
+    Link `k` is concerned by sections `link_start[k]` to `link_start[k + 1]`; section `s` has the vertices
+    `vertex_start[s]` to `vertex_start[s + 1]`.
+
+    Attributes:
+        link_model: The model the radii were made for (`rectangle`: obstacle alone; else grown by the link).
+        link_start: (links + 1,) indices of sections.
+        vertex_start: (sections + 1,) indices of vertices.
+        vertices: (V, 2) points [m].
+        radii: (sections,) rounding radii [m].
+        bounds: (sections, 3) a disc around each section: centre and radius [m].
+        obstacle_of: (sections,) index into `obstacle_names`.
+        obstacle_names: Names of the obstacles, then those of what the arm can touch of itself.
+        own_names: How many of the last names are the arm's own.
+        own_pairs: (pairs, 3) pairs of links that can touch: the link, one before it, its index in `obstacle_names`.
+        own_radii: (pairs,) distance of their axes, seen along the plane's normal, from which on they are too near [m].
+    """
+
+    link_model: LinkModel
+    link_start: IntArray
+    vertex_start: IntArray
+    vertices: FloatArray
+    radii: FloatArray
+    bounds: FloatArray
+    obstacle_of: IntArray
+    obstacle_names: tuple[str, ...]
+    own_names: int = 0
+    own_pairs: IntArray = field(default_factory=lambda: readonly(np.zeros((0, 3)), np.int64))
+    own_radii: FloatArray = field(default_factory=lambda: readonly([]))
+
+    @property
+    def arrays(self) -> SectionArrays:
+        """The arrays for kernels."""
+        return SectionArrays(self.link_start, self.vertex_start, self.vertices, self.radii, self.bounds)
+
+    @property
+    def links(self) -> IntArray:
+        """(sections,) the link that each concerns."""
+        return np.repeat(np.arange(len(self.link_start) - 1), np.diff(self.link_start))
+
+
+def sections_at(
+    robot: Robot,
+    obstacles: PreparedObstacles,
+    yaw: float = 0.0,
+    *,
+    half_angle: float = 0.0,
+    link_model: LinkModel = "capsule",
+    within_reach: bool = True,
+) -> ArmSections:
+    """Cut prepared obstacles, and what the arm can touch of itself, by the arm plane over an interval of yaw.
+
+    With an interval a section holds the union of the sections at all its yaws, in the plane coordinates of each. A
+    configuration in which a link meets an obstacle, capsules as links, is therefore occupied at every yaw of the
+    interval.
+
+    Args:
+        robot: The arm.
+        obstacles: The obstacles.
+        yaw: Yaw of the arm plane, the middle of the interval.
+        half_angle: Half of the interval's width.
+        link_model: How links are modelled.
+        within_reach: Leave out sections that the link cannot reach, whatever the joint angles.
+
+    Raises:
+        OptionError: Unknown link model, `rectangle` with an obstacle that is no ball, a yaw that is not finite, or a
+            half angle that is negative, too large, or above 0 for an arm without yaw.
+    """
+    one_of("link_model", link_model, LINK_MODELS)
+    if not math.isfinite(yaw):
+        raise OptionError("yaw", yaw, "a finite angle")
+    largest = MAX_HALF_ANGLE if robot.has_yaw else 0.0
+    if not 0.0 <= half_angle <= largest:
+        reason = "" if robot.has_yaw else ", as this arm has no yaw"
+        raise OptionError("half_angle", half_angle, f"an angle from 0 to {largest:.6g} rad{reason}")
+    hulls = obstacles.hulls.owners
+    if link_model == "rectangle" and len(hulls):
+        raise balls_only(obstacles.names[int(hulls[0])])
+    half_angle = float(half_angle)
+    sections = _cut(robot, obstacles, yaw, half_angle, link_model, within_reach=within_reach)
+    if obstacles.touched >= 0:
+        links = sections.links
+        may_touch = (sections.obstacle_of == obstacles.touched) & (links == robot.arm.link_count - 1)
+        sections = _picked(sections, np.flatnonzero(~may_touch), links)
+    contact = self_contact(robot, deviation=obstacles.deviation, clearance=obstacles.own_clearance)
+    if contact.bodies:
+        same = tuple(body for body in contact.bodies if body.follows_arm_plane)
+        others = tuple(body for body in contact.bodies if not body.follows_arm_plane)
+        sections = _joined(sections, _constant_sections(robot, same, obstacles))
+        if others:
+            sections = _joined(sections, _base_sections(robot, others, obstacles, yaw, half_angle))
+    if contact.bodies or contact.links:
+        sections = _with_own_pairs(sections, robot, contact, obstacles)
+    return sections
+
+
+def balls_only(name: str) -> OptionError:
+    """The error that names an obstacle which the link model `rectangle` cannot take."""
+    return OptionError("link_model", "rectangle", f"another model, as this one takes only balls and {name!r} is none")
+
+
+def _cut(
+    robot: Robot,
+    obstacles: PreparedObstacles,
+    yaw: float,
+    half_angle: float,
+    link_model: LinkModel,
+    *,
+    within_reach: bool,
+) -> ArmSections:
+    """The sections of the obstacles alone."""
+    rectangle = link_model == "rectangle"
+    widths, none = robot.arm.half_widths, np.zeros(robot.arm.link_count)
+    # A box link's corner is farther out than its axis; capsules have their width in the section.
+    reaches = np.cumsum(robot.arm.lengths) + (widths if rectangle else none)
+    links = LinkExtents(
+        growth=(none if rectangle else widths) + robot.sway(obstacles.deviation),
+        depths=np.array(widths) if rectangle else none,
+        reaches=reaches if within_reach else np.full(len(reaches), np.inf),
+        lateral=np.array(robot.arm.lateral),
+    )
+    origin, axes = (np.ascontiguousarray(array) for array in robot.plane_at(yaw))
+    plane = ArmPlane(origin, axes, half_angle, np.array(robot.yaw_axis))
+    cut = cut_balls(obstacles.balls, plane, links, rectangle, SECTION_ERROR)
+    if len(obstacles.hulls.owners):
+        # Left out where there is none: this kernel takes longest to compile.
+        cut = cut_hulls(obstacles.hulls, plane, links, SECTION_ERROR, cut)
+    made = int(cut.link_start[-1])
+    return ArmSections(
+        link_model=link_model,
+        link_start=frozen(cut.link_start),
+        vertex_start=readonly(cut.vertex_start[: made + 1], np.int64),
+        vertices=readonly(cut.vertices[: cut.vertex_start[made]]),
+        radii=readonly(cut.discs[:made, 3]),
+        bounds=readonly(cut.discs[:made, :3]),
+        obstacle_of=readonly(cut.owners[:made], np.int64),
+        obstacle_names=obstacles.names,
+    )
+
+
+def _with_own_pairs(
+    sections: ArmSections, robot: Robot, contact: SelfContact, obstacles: PreparedObstacles
+) -> ArmSections:
+    """Sections with the pairs of links that can touch; whatever the model, as capsules."""
+    arm, count = robot.arm, len(sections.obstacle_names)
+    touched = sorted({i for i, _ in contact.links})
+    sways = (pair_sway(robot, j, i, obstacles.deviation) for i, j in contact.links)
+    return replace(
+        sections,
+        obstacle_names=(*sections.obstacle_names, *(arm.link_names[i] for i in touched)),
+        own_names=count + len(touched) - len(obstacles.names),
+        own_pairs=readonly(
+            np.array([(j, i, count + touched.index(i)) for i, j in contact.links]).reshape(-1, 3), np.int64
+        ),
+        own_radii=readonly(
+            [
+                radius_in_plane(
+                    float(arm.half_widths[i] + arm.half_widths[j] + obstacles.own_clearance + sway),
+                    float(arm.lateral[j] - arm.lateral[i]),
+                )
+                for (i, j), sway in zip(contact.links, sways, strict=True)
+            ]
+        ),
+    )
+
+
+#: Sections of turret and pedestal that are the same at every yaw and were made before, by the clearance to keep from
+#: them and the joints' deviation.
+_BASE: WeakKeyDictionary[Robot, dict[tuple[float, float], ArmSections]] = WeakKeyDictionary()
+
+
+def _constant_sections(robot: Robot, parts: Sequence[BaseBody], obstacles: PreparedObstacles) -> ArmSections:
+    """Sections of those parts of turret and pedestal that are cut the same at every yaw, made once."""
+    known, kept = _BASE.get(robot, {}), (obstacles.own_clearance, obstacles.deviation)
+    if kept not in known:
+        # A table of one, replaced and never changed: another thread may hold the one before.
+        known = _BASE[robot] = {kept: _base_sections(robot, parts, obstacles, 0.0, 0.0)}
+    return known[kept]
+
+
+def _base_sections(
+    robot: Robot, parts: Sequence[BaseBody], obstacles: PreparedObstacles, yaw: float, half_angle: float
+) -> ArmSections:
+    """Sections of parts of turret and pedestal, to each link that can touch them."""
+    grown = prepare_obstacles(parts, clearance=obstacles.own_clearance, deviation=obstacles.deviation)
+    cut = _cut(robot, grown, yaw, half_angle, "capsule", within_reach=True)
+    links = cut.links
+    wanted = [link in parts[body].links for link, body in zip(links, cut.obstacle_of, strict=True)]
+    return _picked(cut, np.flatnonzero(wanted), links)
+
+
+def _picked(sections: ArmSections, kept: IntArray, links: IntArray) -> ArmSections:
+    """The sections `kept`, by index, in the order of `links`, the link that each of all sections concerns."""
+    kept = kept[np.argsort(links[kept], kind="stable")]
+    sizes = np.diff(sections.vertex_start)[kept]
+    starts = np.cumsum([0, *sizes])
+    rows = np.repeat(sections.vertex_start[kept] - starts[:-1], sizes) + np.arange(starts[-1])
+    return replace(
+        sections,
+        link_start=readonly(np.searchsorted(links[kept], np.arange(len(sections.link_start))), np.int64),
+        vertex_start=readonly(starts, np.int64),
+        vertices=frozen(sections.vertices[rows]),
+        radii=frozen(sections.radii[kept]),
+        bounds=frozen(sections.bounds[kept]),
+        obstacle_of=frozen(sections.obstacle_of[kept]),
+    )
+
+
+def _joined(first: ArmSections, second: ArmSections) -> ArmSections:
+    """The sections of both, the first one's before the second one's."""
+    both = replace(
+        first,
+        vertex_start=np.concatenate([first.vertex_start, len(first.vertices) + second.vertex_start[1:]]),
+        vertices=np.concatenate([first.vertices, second.vertices]),
+        radii=np.concatenate([first.radii, second.radii]),
+        bounds=np.concatenate([first.bounds, second.bounds]),
+        obstacle_of=np.concatenate([first.obstacle_of, len(first.obstacle_names) + second.obstacle_of]),
+        obstacle_names=(*first.obstacle_names, *second.obstacle_names),
+    )
+    return _picked(both, np.arange(len(both.radii)), np.concatenate([first.links, second.links]))
+
+
+def only(sections: ArmSections, link: int, obstacle: int) -> ArmSections:
+    """The sections that one link meets of one obstacle: for finding out which of them blocks."""
+    links = sections.links
+    made = _picked(sections, np.flatnonzero((links == link) & (sections.obstacle_of == obstacle)), links)
+    own = (sections.own_pairs[:, 0] == link) & (sections.own_pairs[:, 2] == obstacle)
+    return replace(made, own_pairs=frozen(sections.own_pairs[own]), own_radii=frozen(sections.own_radii[own]))
+
+
+def meeting_pairs(sections: ArmSections) -> list[tuple[int, int]]:
+    """The pairs of link and obstacle that can meet at all, in order: most obstacles are not cut by the plane."""
+    pairs = set(zip(sections.links.tolist(), sections.obstacle_of.tolist(), strict=True))
+    return sorted(pairs | {(link, obstacle) for link, _, obstacle in sections.own_pairs.tolist()})

@@ -1,0 +1,109 @@
+"""The two-level method: slice paths, their sparse union, and a search on it; complete on the grid.
+
+Where the union of the slices between start and goal does not join the two, all slices of the grid are tried (the path
+may lead beyond). Where that fails too, the whole grid is flooded: if start and goal are connected, the dense search
+finds the path; if they are not, there is none.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+
+from numpy.typing import ArrayLike
+
+from hplan.base.arguments import truth
+from hplan.base.arrays import IntArray, WordArray, frozen
+from hplan.grid.astar import astar, row_bounds
+from hplan.grid.flood import flood_from, has_bit
+from hplan.grid.grid import Occupancy, checked_node
+from hplan.grid.lattice import Lattice, NodeSet
+from hplan.grid.restoration import union_of
+from hplan.grid.result import Expansions, Fallback, SearchResult, StageTimes
+from hplan.grid.slice_search import SlicePaths, SliceSearch, search_slices
+
+
+def two_level_search(occupancy: Occupancy, start: ArrayLike, goal: ArrayLike, *, octile: bool = True) -> SearchResult:
+    """Search every slice of the last axis between start and goal, then the union of their paths.
+
+    Args:
+        occupancy: Which nodes are free; at least two axes.
+        start: (d,) node index.
+        goal: (d,) node index.
+        octile: False for the searches of the paper, plain A* with the straight line as bound: on every slice that
+            has a path, then on the union. By default planar slices are searched by jump points, others by A* with the
+            octile bound, and the union with the distances of its projection (`row_bounds`).
+
+    Returns:
+        The result; its path is None exactly when no path exists on the grid.
+
+    Raises:
+        InputError: Start or goal is no node of the grid, or not free.
+        OptionError: `octile` is neither True nor False.
+    """
+    truth("octile", octile)
+    source, target = checked_node(occupancy, start, "start"), checked_node(occupancy, goal, "goal")
+    lattice = Lattice.of(occupancy.grid.shape, occupancy.grid.step)
+    begin = time.perf_counter()
+    found = _two_level(lattice, lattice.bordered(occupancy.free_words), source, target, octile=octile)
+    times = replace(found.times, layers=time.perf_counter() - begin - found.times.sparse - found.times.fallback)
+    return replace(found, path=None if found.path is None else frozen(found.path), times=times)
+
+
+def _two_level(lattice: Lattice, free: WordArray, start: IntArray, goal: IntArray, *, octile: bool) -> SearchResult:
+    """The search on bordered rows; start and goal are free nodes."""
+    begin = time.perf_counter()
+    between = range(int(min(start[-1], goal[-1])), int(max(start[-1], goal[-1])) + 1)
+    slice_search = None if octile and len(lattice.shape) == 3 else _slice_search(octile=octile)
+    layers = search_slices(lattice, free, start, goal, between, slice_search)
+    layers_done = time.perf_counter()
+    path, cost, expanded, restored, size = _join(lattice, free, layers, start, goal, octile=octile)
+    sparse_done = time.perf_counter()
+
+    counts = Expansions(layers.expansions, expanded, 0, layers.flooded)
+    fallback: Fallback = "none"
+    if path is None and len(between) < lattice.shape[-1]:
+        fallback = "all_slices"
+        layers = search_slices(lattice, free, start, goal, range(lattice.shape[-1]), slice_search)
+        path, cost, expanded, restored, size = _join(lattice, free, layers, start, goal, octile=octile, beyond=True)
+        counts = counts.with_fallback(layers.expansions + expanded, layers.flooded)
+    if path is None:
+        fallback = "dense"
+        reached, flooded = flood_from(lattice, free, start)
+        counts = counts.with_fallback(0, flooded)
+        if has_bit(reached, *lattice.node(goal)):
+            path, cost, expanded = astar(lattice, NodeSet.of(reached), start, goal, octile=octile)
+            counts = counts.with_fallback(expanded, 0)
+    times = StageTimes(layers_done - begin, sparse_done - layers_done, time.perf_counter() - sparse_done)
+    return SearchResult(path, cost, counts, times, layers, restored, size, fallback)
+
+
+def _slice_search(*, octile: bool) -> SliceSearch:
+    """A* on one slice."""
+
+    def search(lattice: Lattice, free: WordArray, start: IntArray, goal: IntArray) -> tuple[IntArray | None, int]:
+        path, _, expansions = astar(lattice, NodeSet.of(free), start, goal, octile=octile)
+        return path, expansions
+
+    return search
+
+
+def _join(
+    lattice: Lattice,
+    free: WordArray,
+    layers: SlicePaths,
+    start: IntArray,
+    goal: IntArray,
+    *,
+    octile: bool,
+    beyond: bool = False,
+) -> tuple[IntArray | None, float, int, tuple[int, ...], int]:
+    """Search the union of slice paths.
+
+    Returns:
+        Path or None, cost, expansions with those of its bound, slices restored, and nodes of the union.
+    """
+    nodes, restored = union_of(lattice, free, layers, start, goal, beyond=beyond)
+    bounds = row_bounds(lattice, nodes, lattice.row_of(goal)) if octile else None
+    path, cost, expansions = astar(lattice, nodes, start, goal, octile=octile, bounds=bounds)
+    return path, cost, expansions + (0 if bounds is None else bounds.settled), restored, nodes.size

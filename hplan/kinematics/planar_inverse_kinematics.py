@@ -1,0 +1,378 @@
+r"""Inverse kinematics: all configurations with the tool at a point, or the reason why there is none.
+
+The yaw that brings a point into the arm plane is found first. Let the plane pass the yaw axis at the distance d and the
+point stand at the distance :math:`\rho` from it. Then the point lies :math:`\pm\sqrt{\rho^2 - d^2}` from the axis along
+the plane: there are two yaws, one with the point ahead of the axis, one with the point behind it. What is nearer to the
+axis than the plane is in it at no yaw; where the plane holds the axis, a point on that lies in it at any yaw.
+
+In the plane the chain of `hplan.kinematics.planar_chain` is left. Its free parameter, with three joints, is the
+*approach angle*: the absolute angle of the last link in the arm plane, 0 along the plane's horizontal axis, 90 degrees
+straight up. Joints beyond three are set to values of a grid, the ones nearest the base first.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hplan.base import ties
+from hplan.base.arrays import BoolArray, ComplexArray, FloatArray, IntArray, frozen
+from hplan.base.elementary import arctan2, modulus, product
+from hplan.errors import InputError, OptionError, UnreachableError
+from hplan.kinematics.approach_angles import Candidates, Window
+from hplan.kinematics.planar_chain import ANGLE_TOLERANCE, MATCH_TOLERANCE, FreeChain, Reached, locked_mask
+from hplan.robot.model import Robot
+
+#: Configurations between the ends of continua, where no number is given.
+COUNT = 32
+
+#: Yaws tried for a point on the yaw axis, where no start is given.
+AXIS_YAWS = 5
+
+#: Joints are not said to pass a limit by less than this [rad].
+ROUNDING = 1e-8
+
+#: Values tried in turn of each joint beyond three, and how many combinations of them at most.
+GRID_VALUES, MOST_COMBINATIONS = (5, 9, 17, 33), 1500
+
+_TURN = 2.0 * np.pi
+
+#: Where a joint may turn by many whole turns, values farther than this from its start are left out [rad].
+FARTHEST = 2.0 * _TURN
+
+
+def reach(
+    robot: Robot,
+    position: ArrayLike,
+    *,
+    approach_deg: float | tuple[float, float] | None = None,
+    count: int = COUNT,
+    start: ArrayLike | None = None,
+    locked: Sequence[str] = (),
+) -> Candidates:
+    """All configurations that put the tool frame at a position.
+
+    Where they form continua, these are given by their ends, which are exact, and by about `count` samples spread
+    evenly over the approach angles in between; every continuum shows at least in its ends. Where a joint may turn by
+    a whole turn or more, each of its values within two turns of the start (without one, of the middle of its range) is
+    given. The tool is within 1e-9 m of the position; where locked joints
+    leave no joint to adjust, or no yaw, within 1e-6 m.
+
+    Args:
+        robot: The arm.
+        position: (3,) in `base_link` [m].
+        approach_deg: Approach angle, or an interval (low, high) of it; None for all [deg].
+        count: Number of samples of the continua in all.
+        start: (dof,) configuration from which the arm comes: the values of locked joints, and the yaw for a point on
+            the yaw axis.
+        locked: Names of joints that keep their start values.
+
+    Raises:
+        InputError: A position that is not three finite numbers, an unknown joint, a start that is no configuration.
+        OptionError: An approach that is no angle or interval, a count below 1, or locked joints without a start.
+        UnreachableError: There is none; `reason` and `data` say why.
+    """
+    if count < 1:
+        raise OptionError("count", count, "a number of configurations >= 1")
+    task = _ReachTask.of(robot, position, Window.of(approach_deg), start, locked)
+    configurations, direction = task.solve(count)
+    if not len(configurations):
+        raise _reason(task)
+    approach = np.pi - (np.pi - direction) % _TURN
+    return Candidates(frozen(configurations), frozen(approach))
+
+
+@dataclass(frozen=True, eq=False)
+class _Views:
+    """The position in the arm planes that hold it.
+
+    Attributes:
+        yaw: (v,) yaws; zeros for a robot without one.
+        point: (v,) the position in the plane, from the shoulder, as horizontal + i upward [m].
+        distance: Its distance from the plane, where no yaw can bring it there [m].
+    """
+
+    yaw: FloatArray
+    point: ComplexArray
+    distance: float
+
+
+@dataclass(frozen=True, eq=False)
+class _ReachTask:
+    """A position to reach, with some joints locked.
+
+    Attributes:
+        robot: The arm.
+        position: (3,) [m].
+        window: Approach angles; None for all.
+        start: (dof,) start configuration; None where none was given.
+        held: (dof,) whether each joint is locked.
+    """
+
+    robot: Robot
+    position: FloatArray
+    window: Window | None
+    start: FloatArray | None
+    held: BoolArray
+
+    @classmethod
+    def of(
+        cls, robot: Robot, position: ArrayLike, window: Window | None, start: ArrayLike | None, locked: Sequence[str]
+    ) -> _ReachTask:
+        """Check what was given."""
+        try:
+            target = np.array(position, dtype=np.float64)
+        except (TypeError, ValueError) as error:
+            raise InputError(f"position: expected x, y, z in metres, got {position!r}") from error
+        if target.shape != (3,) or not np.isfinite(target).all():
+            raise InputError(f"position: expected three finite numbers x, y, z in metres, got {target.tolist()}")
+        held = locked_mask(robot, locked)
+        if locked and start is None:
+            raise OptionError("start", None, "the configuration whose values the locked joints keep")
+        return cls(robot, target, window, None if start is None else robot.check_configuration(start, "start"), held)
+
+    @cached_property
+    def free(self) -> tuple[int, ...]:
+        """Indices of the planar joints that are not locked."""
+        return tuple(np.flatnonzero(~self.held[self.robot.arm_slice]).tolist())
+
+    @property
+    def gridded(self) -> tuple[int, ...]:
+        """Those of them that are beyond three and set to values of a grid."""
+        return self.free[:-3]
+
+    @property
+    def rest(self) -> FloatArray:
+        """(dof,) the start, or some configuration where there is none."""
+        return self.robot.lower if self.start is None else self.start
+
+    @cached_property
+    def views(self) -> _Views:
+        """The planes that hold the position; those at yaws out of range too."""
+        robot = self.robot
+        if not robot.has_yaw or self.held[0]:
+            yaw = robot.yaw_of(self.rest)
+            origin, axes = robot.plane_at(yaw)
+            place = axes @ (self.position - origin)
+            return _Views(np.array([yaw]), place[:1] + 1j * place[1:2], abs(float(place[2])))
+        (fx, fy), height = robot.plane_axes[0, :2], self.position[2] - robot.plane_origin[2]
+        ahead, across = robot.shoulder_from_axis
+        x, y = self.position[:2] - robot.yaw_axis
+        distance = float(np.hypot(x, y))
+        yaws: FloatArray
+        # A point so near the yaw axis is on it [m].
+        on_axis = 1e-9
+        if distance <= on_axis >= abs(across):
+            yaws = np.linspace(robot.lower[0], robot.upper[0], AXIS_YAWS) if self.start is None else self.start[:1]
+            out: FloatArray = np.zeros(len(yaws))
+        else:
+            out = np.sqrt(max(distance**2 - across**2, 0.0)) * np.array([1.0, -1.0])
+            yaws = math.atan2(y, x) - math.atan2(fy, fx) - arctan2(0.0 - across, out)
+        turns = np.floor((yaws - robot.lower[0] + ANGLE_TOLERANCE) / _TURN)
+        return _Views(yaws - _TURN * turns, (out - ahead) + 1j * height, max(0.0, abs(across) - distance))
+
+    @property
+    def yaw_excess(self) -> FloatArray:
+        """(v,) how far the yaw of each view is out of its range."""
+        if not self.robot.has_yaw:
+            return np.zeros(1)
+        yaw, lower, upper = self.views.yaw, self.robot.lower[0], self.robot.upper[0]
+        excess: FloatArray = np.maximum(np.minimum(yaw - upper, lower + _TURN - yaw), 0.0)
+        return excess
+
+    @cached_property
+    def chain(self) -> FreeChain:
+        """The chain from the first joint on that is neither locked nor set to values of a grid."""
+        return FreeChain.of(self.robot.arm, self.free[len(self.gridded) :], self.rest[self.robot.arm_slice])
+
+    def seen(self, base: FloatArray, views: IntArray) -> tuple[ComplexArray, FloatArray]:
+        """The position as the chain sees it, for (b, n) values of the joints before it and (v,) views.
+
+        Returns:
+            (b * v,) points and (b * v,) turns for `FreeChain.reach`.
+        """
+        arm = self.robot.arm
+        first = self.chain.free[0] if self.chain.free else arm.link_count
+        if first == 0:
+            return self.views.point[views], np.zeros(len(views))
+        angles = np.cumsum(arm.signs * base + arm.offsets, axis=1)[:, :first]
+        root = (arm.lengths[:first] * np.exp(1j * angles)).sum(axis=1)
+        turns = angles[:, -1]
+        points = product(self.views.point[views] - root[:, None], np.exp(-1j * turns[:, None]))
+        return points.ravel(), np.repeat(turns, len(views))
+
+    def solve(self, count: int) -> tuple[FloatArray, FloatArray]:
+        """(k, dof) configurations and (k,) angles of the last link; k = 0 where there are none."""
+        views = np.flatnonzero(self.yaw_excess <= ANGLE_TOLERANCE)
+        if self.views.distance <= MATCH_TOLERANCE and len(views):
+            for base in self.grids():
+                points, turns = self.seen(base, views)
+                found = self.chain.reach(points, turns, self.window, count)
+                if len(found.point):
+                    return self._assembled(found, base, views)
+        return np.empty((0, self.robot.dof)), np.empty(0)
+
+    def grids(self) -> list[FloatArray]:
+        """(b, n) values of planar joints before the chain: the locked ones', and ever finer grids of the others."""
+        rest, gridded, arm = self.rest[self.robot.arm_slice], list(self.gridded), self.robot.arm
+        if not gridded:
+            return [rest[None]]
+        grids: list[FloatArray] = []
+        for values in GRID_VALUES:
+            if values ** len(gridded) <= MOST_COMBINATIONS or not grids:
+                axes = [np.linspace(arm.lower[j], arm.upper[j], values) for j in gridded]
+                combinations = np.array(list(itertools.product(*axes)))
+                base = np.tile(rest, (len(combinations), 1))
+                base[:, gridded] = combinations
+                grids.append(base)
+        return grids
+
+    def _assembled(self, found: Reached, base: FloatArray, views: IntArray) -> tuple[FloatArray, FloatArray]:
+        """Whole configurations, each once and in order, and their angles of the last link."""
+        robot, shift = self.robot, self.robot.dof - self.robot.arm.link_count
+        q = np.empty((len(found.point), robot.dof))
+        q[:, shift:] = base[found.point // len(views)]
+        q[:, [shift + joint for joint in self.chain.free]] = found.joints
+        if robot.has_yaw:
+            yaw = np.minimum(self.views.yaw[views], robot.upper[0])
+            q[:, 0] = np.maximum(yaw, robot.lower[0])[found.point % len(views)]
+        direction = found.direction
+        more = ~self.held & (q <= robot.upper - _TURN + ANGLE_TOLERANCE).any(axis=0)
+        for joint in np.flatnonzero(more):
+            q, direction = self._with_whole_turns(q, direction, int(joint))
+        order = np.lexsort(np.round(q, 7).T[::-1])
+        q, direction = q[order], direction[order]
+        other = np.ones(len(q), dtype=bool)
+        other[1:] = (np.abs(np.diff(q, axis=0)) > 1e-7).any(axis=1)
+        return q[other], direction[other]
+
+    def _with_whole_turns(self, q: FloatArray, direction: FloatArray, joint: int) -> tuple[FloatArray, FloatArray]:
+        """Repeat solutions for every whole turn that a joint may make, `FARTHEST` from the start."""
+        lower, upper = self.robot.lower[joint], self.robot.upper[joint]
+        near = 0.5 * (lower + upper) if self.start is None else self.start[joint]
+        first = max(0, math.floor((near - FARTHEST - lower) / _TURN))
+        turns = np.arange(first, math.ceil((min(upper, near + FARTHEST) - lower + ANGLE_TOLERANCE) / _TURN))
+        turned = np.repeat(q, len(turns), axis=0)
+        turned[:, joint] += _TURN * np.tile(turns, len(q))
+        kept = (turned[:, joint] <= upper + ANGLE_TOLERANCE) & (np.abs(turned[:, joint] - near) <= FARTHEST)
+        turned[:, joint] = np.minimum(turned[:, joint], upper)
+        return turned[kept], np.repeat(direction, len(turns))[kept]
+
+    def without(self, *, window: bool = False, locks: bool = False) -> _ReachTask:
+        """The task without its approach angles, or without its locked joints."""
+        held = np.zeros_like(self.held) if locks else self.held
+        return replace(self, window=None if window else self.window, held=held)
+
+    def is_possible(self) -> bool:
+        """True if some configuration is found."""
+        return bool(len(self.solve(1)[0]))
+
+
+def _reason(task: _ReachTask) -> UnreachableError:
+    """Why there is no configuration: what was asked for first, then the arm."""
+    wider = task.without(window=True)
+    if task.window is not None and wider.is_possible():
+        return _approach_reason(wider, task.window)
+    if task.held.any():
+        for freer in (task.without(locks=True), task.without(locks=True, window=True)):
+            if freer.is_possible():
+                return _locked_reason(task)
+    return _arm_reason(task.without(locks=True, window=True))
+
+
+def _approach_reason(task: _ReachTask, window: Window) -> UnreachableError:
+    """Only with other approach angles."""
+    views = np.flatnonzero(task.yaw_excess <= ANGLE_TOLERANCE)
+    spans: list[tuple[float, float]] = []
+    for base in task.grids():
+        spans = task.chain.feasible_directions(*task.seen(base, views))
+        if spans:
+            break
+    reachable = np.degrees(spans).tolist()
+    asked = np.degrees([window.low, window.low + window.width]).tolist()
+    text = ", ".join(f"{low:.4g} to {high:.4g}" if high > low else f"{low:.4g}" for low, high in reachable)
+    angle = f"{asked[0]:.4g}" if window.width == 0.0 else f"{asked[0]:.4g} to {asked[1]:.4g}"
+    return _unreachable(
+        task,
+        "approach",
+        f"not with an approach angle of {angle} deg, only of {text} deg",
+        approach_deg=asked,
+        reachable_deg=reachable,
+    )
+
+
+def _locked_reason(task: _ReachTask) -> UnreachableError:
+    """Only with the locked joints elsewhere."""
+    names = [task.robot.joint_names[joint] for joint in np.flatnonzero(task.held)]
+    distance = task.views.distance
+    detail = "" if distance <= MATCH_TOLERANCE else f": the arm plane passes it at {distance:.6g} m"
+    return _unreachable(
+        task, "locked", f"not with {', '.join(names)} locked{detail}", locked_joints=names, beside_m=distance
+    )
+
+
+def _arm_reason(task: _ReachTask) -> UnreachableError:
+    """Never, with this arm."""
+    lengths, points = task.robot.arm.lengths, task.views.point
+    if task.views.distance > MATCH_TOLERANCE:
+        distance = task.views.distance
+        across = f"{abs(task.robot.shoulder_from_axis[1]):.6g} m"
+        where = f"nearer to the yaw axis than the arm plane, which passes that at {across}"
+        detail = f"it is {distance:.6g} m {where if task.robot.has_yaw else 'beside the arm plane'}"
+        return _unreachable(task, "off_plane", detail, beside_m=distance)
+    farthest = float(lengths.sum())
+    nearest = max(0.0, 2.0 * float(lengths.max()) - farthest)
+    beyond = float(modulus(points).min()) - farthest
+    short = nearest - float(modulus(points).max())
+    if beyond > 0.0:
+        return _unreachable(
+            task, "too_far", f"it is {beyond:.6g} m beyond the reach of {farthest:.6g} m", excess_m=beyond
+        )
+    if short > 0.0:
+        return _unreachable(
+            task, "too_near", f"it is {short:.6g} m nearer than the arm can fold, {nearest:.6g} m", excess_m=short
+        )
+    if task.gridded:  # neither found nor excluded
+        names = [task.robot.arm.joint_names[joint] for joint in task.gridded]
+        detail = f"no configuration with {', '.join(names)} at values of a grid"
+        return _unreachable(task, "not_found", detail, joints=names)
+    return _limit_reason(task)
+
+
+def _limit_reason(task: _ReachTask) -> UnreachableError:
+    """Not within the joint limits: which joints would have to pass theirs, where that is least in sum."""
+    robot, shift = task.robot, task.robot.dof - task.robot.arm.link_count
+    views = np.arange(len(task.views.yaw))
+    points, _ = task.seen(task.grids()[0], views)
+    index, q, excess = task.chain.violations(points)
+    joints = [shift + joint for joint in task.chain.free]
+    if robot.has_yaw:
+        yaw = task.views.yaw
+        out = yaw - np.where(yaw - robot.upper[0] > robot.lower[0] + _TURN - yaw, _TURN, 0.0)
+        view = index % len(views)
+        joints, q = [0, *joints], np.column_stack([out[view], q])
+        excess = np.column_stack([task.yaw_excess[view], excess])
+    best = ties.argmin(excess.sum(axis=1))
+    passed: list[dict[str, Any]] = []
+    text: list[str] = []
+    for which in ties.argsort(-excess[best]):
+        joint, beyond = joints[which], float(np.degrees(excess[best, which]))
+        if passed and excess[best, which] < ROUNDING:
+            break
+        name = robot.joint_names[joint]
+        below = q[best, which] < robot.lower[joint]
+        limit = float(np.degrees(robot.lower[joint] if below else robot.upper[joint]))
+        passed.append({"joint": name, "limit_deg": limit, "excess_deg": beyond})
+        text.append(f"joint {name!r} would have to pass its limit of {limit:.6g} deg by {beyond:.4g} deg")
+    return _unreachable(task, "joint_limit", " and ".join(text), **passed[0], passed=passed)
+
+
+def _unreachable(task: _ReachTask, reason: str, detail: str, **data: Any) -> UnreachableError:
+    return UnreachableError(task.position.tolist(), reason, detail, **data)

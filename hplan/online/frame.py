@@ -1,0 +1,420 @@
+"""From the points of a depth camera to the balls that the arm keeps clear of.
+
+A frame's points are put into `base_link`, as it is when the frame is taken. In turn those are left out that are not
+finite, that the arm cannot come near at any configuration, wherever its base comes on its track, that are of the arm
+itself as it stood when the frame was taken, and that belong to what is to be ignored. What is left goes into voxels;
+each becomes one point, the middle of the box about its points, and all balls grow by the largest distance of a point
+from the one that stands for it. So every point that stays is inside its ball, grown by the radius asked for. All of it
+is counted.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hplan.base.arguments import between, instance, number, whole
+from hplan.base.arrays import FloatArray, Record, as_array, frozen, numbers, readonly
+from hplan.base.units import FARTHEST_JOINT
+from hplan.collision.obstacle_rows import solid_rows
+from hplan.errors import InputError, OptionError
+from hplan.online.arm_shape import arm_solids, reach_ball
+from hplan.online.body_distances import Bodies, distances_from_bodies
+from hplan.online.frame_kernels import (
+    IGNORED,
+    MIDDLE,
+    NOT_FINITE,
+    OF_ARM,
+    OUT_OF_REACH,
+    Placement,
+    Scratch,
+    mark_isolated,
+    middles,
+)
+from hplan.online.hidden_points import hidden
+from hplan.online.swept_reach import SweptReach
+from hplan.robot.model import Robot
+from hplan.scene.limits import FARTHEST_M
+from hplan.scene.obstacles import Solid
+from hplan.scene.solids import rpy_rotation
+from hplan.scene.tracks import Track
+
+#: Most points of a frame.
+MOST_FRAME_POINTS: Final = 20_000_000
+
+#: By how much a rotation may fail to be one.
+_RIGID: Final = 1e-5
+
+
+@dataclass(frozen=True)
+class CloudOptions:
+    """How frames become obstacles.
+
+    Attributes:
+        growth_m: Most by which a ball may grow where points become one; the voxels' edge is 1.15 times that.
+        arm_padding_m: Points so near to the arm are taken for its own, where the joints are given: noise, calibration
+            and what the arm moved since. Nothing farther from it is taken away. An obstacle as near as that is not
+            seen, and only kept if it was seen before (`keep_s`).
+        ignore_padding_m: Points so near to what is to be ignored are left out, whatever they are of: the sensor's
+            largest error, and no more. A branch as near as that is not seen, and no certificate covers it.
+        reach_margin_m: Points are left out that nothing of the arm can come nearer to than this, beyond the clearance
+            to keep. Distances shown are right up to there.
+        least_points: Points are left out, as outliers, that have fewer than this about them, themselves counted; 1
+            leaves out none. So is what is thin or far, where the camera's pixels are too far apart for it.
+        neighbour_m: How far about a point others count for that: whatever has `least_points` within it stays. Three
+            times the distance of two pixels on what is to be seen is a good choice.
+        most_remembered: Most hidden points that are kept; the oldest go first.
+    """
+
+    growth_m: float = 5e-3
+    arm_padding_m: float = 0.03
+    ignore_padding_m: float = 0.02
+    reach_margin_m: float = 0.1
+    least_points: int = 1
+    neighbour_m: float = 0.02
+    most_remembered: int = 100_000
+
+    def __post_init__(self) -> None:
+        """Check the values.
+
+        Raises:
+            OptionError: One that cannot be.
+        """
+        between("growth_m", self.growth_m, 1e-4, 1.0)
+        for name in ("arm_padding_m", "ignore_padding_m", "reach_margin_m", "neighbour_m"):
+            between(name, getattr(self, name), 0.0, FARTHEST_M)
+        whole("least_points", self.least_points, 1)
+        whole("most_remembered", self.most_remembered, 0)
+
+
+@dataclass(frozen=True)
+class FrameReport:
+    """What became of a frame's points.
+
+    Attributes:
+        given: Points of the frame.
+        not_finite: Rows with a value that is not finite.
+        out_of_reach: Points that the arm cannot come near.
+        of_arm: Points of the arm itself.
+        ignored: Points of what was to be ignored.
+        isolated: Points with too few about them.
+        kept: Balls that the others became.
+        remembered: Balls of earlier frames that are hidden now and were kept.
+        forgotten: Hidden points that were too many to be kept.
+        growth_m: By how much all balls grew, for the points that became one.
+        radius_m: Radius of the balls, their growth in it.
+    """
+
+    given: int
+    not_finite: int
+    out_of_reach: int
+    of_arm: int
+    ignored: int
+    isolated: int
+    kept: int
+    remembered: int
+    forgotten: int
+    growth_m: float
+    radius_m: float
+
+
+@dataclass(frozen=True, eq=False)
+class Frame(Record):
+    """A frame as it was given, checked.
+
+    Attributes:
+        points: (n, 3) points in the camera's frame, float32 or float64; any of them may be not finite [m].
+        radius: Radius of the ball about each point [m].
+        rotation: (3, 3) camera to `base_link`.
+        position: (3,) of the camera [m].
+        joints: (dof,) configuration of the arm when the frame was taken; None where it is not to be looked for.
+        keep_s: How long points are kept that were seen and are hidden [s].
+        time_s: When the frame was taken [s].
+        base_track: How the base moves; None for one that stands still. The points are seen from where it is at
+            `time_s`, and listed where it has no shift, as obstacles of a scene are.
+    """
+
+    points: FloatArray
+    radius: float
+    rotation: FloatArray
+    position: FloatArray
+    joints: FloatArray | None = None
+    keep_s: float = 0.0
+    time_s: float = 0.0
+    base_track: Track | None = None
+
+    @classmethod
+    def of(
+        cls,
+        robot: Robot,
+        points: ArrayLike,
+        *,
+        radius: float,
+        pose: ArrayLike | None = None,
+        joints: ArrayLike | None = None,
+        keep_s: float = 0.0,
+        time_s: float = 0.0,
+        base_track: Track | None = None,
+    ) -> Frame:
+        """Check what a frame is made of; arguments are the attributes.
+
+        Args:
+            robot: The arm.
+            points: (n, 3), or (rows, columns, 3); no points are allowed.
+            radius: The same.
+            pose: Camera to `base_link`: a (4, 4) matrix, or six numbers, x, y, z [m] and roll, pitch, yaw about fixed
+                axes [deg]; None where the points are in `base_link`.
+            joints: The same.
+            keep_s: The same.
+            time_s: The same.
+            base_track: The same.
+
+        Raises:
+            InputError: Points, a pose or joints that are none; a pose that is no rigid motion.
+            OptionError: A radius that is not positive, or a time that is none.
+        """
+        rotation, position = _rigid(pose)
+        return cls(
+            points=_points(points),
+            radius=number("radius", radius, f"a number of metres > 0 and <= {FARTHEST_M:g}", _is_size),
+            rotation=rotation,
+            position=position,
+            joints=None if joints is None else numbers("joints", joints, (robot.dof,), most=FARTHEST_JOINT),
+            keep_s=number("keep_s", keep_s, "a number of seconds >= 0", lambda value: value >= 0.0),
+            time_s=number("time_s", time_s, "a number of seconds"),
+            base_track=base_track,
+        )
+
+    def listed(self, points: FloatArray) -> FloatArray:
+        """(n, 3) points that the base sees, where they are listed [m]."""
+        if self.base_track is None:
+            return points
+        rotation, shift = self.base_track.pose_at(self.time_s)
+        found: FloatArray = points @ rotation.T + shift
+        return found
+
+    def seen(self, points: FloatArray) -> FloatArray:
+        """(n, 3) listed points, where the base sees them [m]."""
+        if self.base_track is None:
+            return points
+        rotation, shift = self.base_track.pose_at(self.time_s)
+        found: FloatArray = np.ascontiguousarray((points - shift) @ rotation)
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class SeenPoints(Record):
+    """Points that some frame has seen.
+
+    Attributes:
+        points: (n, 3) in `base_link`, where they are listed [m].
+        seen_s: (n,) when each was last seen [s].
+        growth_m: What is to be added to their balls: the largest growth of the frames that they are from [m].
+        time_s: When the last frame was taken [s].
+        radius: Radius of the last frame's balls, without growth [m].
+        kept_m: The least `FilteredFrame.kept_m` of the frames that they are from [m].
+    """
+
+    points: FloatArray = field(default_factory=lambda: readonly(np.zeros((0, 3))))
+    seen_s: FloatArray = field(default_factory=lambda: readonly(np.zeros(0)))
+    growth_m: float = 0.0
+    time_s: float = -math.inf
+    radius: float = 0.0
+    kept_m: float = math.inf
+
+    def growth_with(self, radius: float) -> float:
+        """What is to be added to balls of another radius, so that these points keep theirs [m]."""
+        return self.growth_m + max(0.0, self.radius - radius)
+
+
+@dataclass(frozen=True, eq=False)
+class FilteredFrame(Record):
+    """What is left of a frame, and of those before it.
+
+    Attributes:
+        points: (n, 3) centres of the balls, in `base_link`, where they are listed [m].
+        report: How many points became what.
+        seen: What the next frame needs.
+        kept_m: All balls are there that the arm can come so near to [m].
+    """
+
+    points: FloatArray
+    report: FrameReport
+    seen: SeenPoints
+    kept_m: float
+
+
+def filter_frame(
+    robot: Robot,
+    frame: Frame,
+    options: CloudOptions,
+    *,
+    ignored: Sequence[Solid] = (),
+    clearance_m: float = 0.0,
+    before: SeenPoints | None = None,
+    scratch: Scratch | None = None,
+) -> FilteredFrame:
+    """Make a frame's points few, and leave out what is no obstacle.
+
+    Args:
+        robot: The arm.
+        frame: The frame.
+        options: How.
+        ignored: Solids whose points are left out.
+        clearance_m: Clearance that the arm will keep: so much farther points matter [m].
+        before: What the frames before it have seen; None for nothing.
+        scratch: Memory of the frames before it; None for new one.
+
+    Raises:
+        OptionError: The frame is older than the one before it, and points are to be kept; voxels far too small.
+    """
+    instance("options", options, CloudOptions)
+    before = SeenPoints() if before is None else before
+    if frame.keep_s > 0.0 and frame.time_s < before.time_s:
+        raise OptionError("time_s", frame.time_s, f"a time not before that of the last frame, {before.time_s:.6g} s")
+    reach, swept = _reach(robot, frame, options, clearance_m)
+    placement = _placement(frame, options, reach)
+    arm = Bodies(*solid_rows([] if frame.joints is None else arm_solids(robot, frame.joints), options.arm_padding_m))
+    left_out = Bodies(*solid_rows(ignored, options.ignore_padding_m))
+    scratch = Scratch() if scratch is None else scratch
+    voxels, in_voxel, tally = scratch.put_into_voxels(frame.points, placement, arm, left_out)
+    isolated = np.zeros(len(voxels.counts), dtype=np.bool_)
+    if options.least_points > 1:
+        mark_isolated(voxels, placement, options.least_points, options.neighbour_m, isolated)
+    points, growth_m = middles(frame.points, placement, in_voxel, voxels, isolated)
+    counts = voxels.counts[(voxels.counts > 0) & ~isolated]
+    if swept is not None:
+        # The ball about all that is swept holds more than that; a point is no farther from that of its voxel than this.
+        near = swept.comes_near(frame.listed(points), growth_m)
+        tally[OUT_OF_REACH] += int(counts[~near].sum())
+        points = points[near]
+    kept = len(points)
+    old, forgotten = SeenPoints(), 0
+    if frame.keep_s > 0.0 and len(before.points):
+        old, forgotten = _still_hidden(frame, before, (arm, left_out), options)
+        growth_m = max(growth_m, old.growth_m)
+        points = np.concatenate([points, old.points])
+    points = frozen(frame.listed(points))
+    seen_s = np.concatenate([np.full(kept, frame.time_s), old.seen_s])
+    report = FrameReport(
+        given=len(frame.points),
+        not_finite=int(tally[NOT_FINITE]),
+        out_of_reach=int(tally[OUT_OF_REACH]),
+        of_arm=int(tally[OF_ARM]),
+        ignored=int(tally[IGNORED]),
+        isolated=int(voxels.counts[isolated].sum()),
+        kept=kept,
+        remembered=len(old.points),
+        forgotten=forgotten,
+        growth_m=growth_m,
+        radius_m=frame.radius + growth_m,
+    )
+    kept_m = clearance_m + options.reach_margin_m
+    if frame.keep_s == 0.0:
+        return FilteredFrame(points, report, SeenPoints(), kept_m)
+    kept_m = min(kept_m, before.kept_m)
+    seen = SeenPoints(points, frozen(seen_s), growth_m, frame.time_s, frame.radius, kept_m)
+    return FilteredFrame(points, report, seen, kept_m)
+
+
+def _still_hidden(
+    frame: Frame, before: SeenPoints, bodies: tuple[Bodies, Bodies], options: CloudOptions
+) -> tuple[SeenPoints, int]:
+    """What was seen before and cannot be seen in this frame, and how many points were too many.
+
+    So near to the arm that its padding hides it, a point stays, unless the arm stands in its ball: then it is gone.
+    """
+    arm, ignored = bodies
+    young = frame.time_s - before.seen_s <= frame.keep_s
+    points, seen_s = frame.seen(before.points[young]), before.seen_s[young]
+    from_arm = distances_from_bodies(points, arm.rows, arm.data)
+    unseen = hidden((points - frame.position) @ frame.rotation, frame.points) | (from_arm <= 0.0)
+    growth_m = before.growth_with(frame.radius)
+    unseen &= from_arm + options.arm_padding_m > frame.radius + growth_m
+    unseen &= distances_from_bodies(points, ignored.rows, ignored.data) > 0.0
+    points, seen_s = points[unseen], seen_s[unseen]
+    forgotten = max(0, len(points) - options.most_remembered)
+    if forgotten:
+        latest = np.sort(np.argsort(-seen_s, kind="stable")[: options.most_remembered])
+        points, seen_s = points[latest], seen_s[latest]
+    return SeenPoints(points, seen_s, growth_m, before.time_s), forgotten
+
+
+def _reach(
+    robot: Robot, frame: Frame, options: CloudOptions, clearance_m: float
+) -> tuple[FloatArray, SweptReach | None]:
+    """(4,) a ball about where points matter, as the base sees it [m]; and what is swept where it moves."""
+    reach = reach_ball(robot).copy()
+    reach[3] += frame.radius + options.growth_m + options.reach_margin_m + clearance_m
+    if frame.base_track is None:
+        return reach, None
+    swept = SweptReach.of(reach, frame.base_track)
+    return swept.ball_seen_from(*frame.base_track.pose_at(frame.time_s)), swept
+
+
+def _placement(frame: Frame, options: CloudOptions, reach: FloatArray) -> Placement:
+    # Of a voxel of this edge half the diagonal is the growth allowed.
+    edge = np.array([2.0 * options.growth_m / math.sqrt(3.0)])
+    if not reach[3] < (MIDDLE - 2) * edge[0]:
+        least = 0.5 * math.sqrt(3.0) * float(reach[3]) / (MIDDLE - 2)
+        raise OptionError("growth_m", options.growth_m, f"more than {least:.3g} m for a reach of {reach[3]:.3g} m")
+    return Placement(frame.rotation, frame.position, reach, edge)
+
+
+def _is_size(value: float) -> bool:
+    return 0.0 < value <= FARTHEST_M
+
+
+def _points(points: ArrayLike) -> Any:
+    """(n, 3) float32 or float64 points in one piece, not to be written to."""
+    expected = "(n, 3) or (rows, columns, 3) numbers"
+    try:
+        array = as_array(points)
+    except ValueError as error:
+        raise InputError(f"points: expected {expected}, got rows of different lengths", option="points") from error
+    if array.size == 0 and array.ndim <= 1:
+        array = np.zeros((0, 3))
+    if array.dtype.kind not in "fiu":
+        raise InputError(f"points: expected {expected}, got {array.dtype}", option="points")
+    if array.ndim not in (2, 3) or array.shape[-1] != 3:
+        raise InputError(f"points has shape {array.shape}, expected {expected}", option="points")
+    if array.size > 3 * MOST_FRAME_POINTS:
+        raise InputError(f"points: {array.size // 3:,} are more than {MOST_FRAME_POINTS:,}", option="points")
+    kind = array.dtype if array.dtype in (np.float32, np.float64) else np.float64
+    with np.errstate(over="ignore"):  # of longer floats
+        found = np.ascontiguousarray(array.reshape(-1, 3), dtype=kind).view()
+    found.setflags(write=False)  # kernels are compiled for one kind of array
+    return found
+
+
+def _rigid(pose: ArrayLike | None) -> tuple[FloatArray, FloatArray]:
+    """Rotation and position of a pose.
+
+    Raises:
+        InputError: It is none.
+    """
+    if pose is None:
+        return readonly(np.eye(3)), readonly(np.zeros(3))
+    try:
+        listed = as_array(pose).shape == (6,)
+    except ValueError:
+        listed = False
+    if listed:
+        x, y, z, *angles = numbers("pose", pose, (6,)).tolist()
+        return readonly(rpy_rotation(*map(math.radians, angles))), readonly([x, y, z])
+    matrix = numbers("pose", pose, (4, 4))
+    rotation = matrix[:3, :3]
+    with np.errstate(over="ignore", invalid="ignore"):  # of huge numbers the products are inf or NaN
+        off, volume = float(np.abs(rotation @ rotation.T - np.eye(3)).max()), float(np.linalg.det(rotation))
+    if not (off <= _RIGID and volume > 0.0) or np.abs(matrix[3] - (0.0, 0.0, 0.0, 1.0)).max() > _RIGID:
+        raise InputError(
+            "pose is no rigid motion: expected a rotation and a shift, [[R, p], [0, 0, 0, 1]], or x, y, z, roll, "
+            f"pitch, yaw; R R^T differs from the identity by {off:.3g}, det R is {volume:.3g}",
+            option="pose",
+        )
+    return readonly(rotation), readonly(matrix[:3, 3])

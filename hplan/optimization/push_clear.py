@@ -1,0 +1,175 @@
+"""A spline of few control points, pushed out of the obstacles.
+
+Pushing moves the control points of a piece that is not clear along the gradient of the clearance at its worst point.
+It looks at samples; the proof follows, with half the margin, so that what samples missed does not refuse it.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hplan.base.arrays import FloatArray, IntArray, frozen
+from hplan.base.deadline import check_deadline, is_up
+from hplan.base.kernels import any_int, inlined, kernel
+from hplan.base.polyline import stations
+from hplan.collision.body_kernels import FAR, body_slopes, least_body_clearance
+from hplan.collision.clearance_field import ClearanceField
+from hplan.collision.clearance_kernels import LINK, FieldArrays, link_clearances, smallest
+from hplan.optimization.options import JointArrays, PostprocessOptions
+from hplan.trajectory.spline import STRIDE, MovableSpline, SplinePath, bezier_piece, piece_is_clear
+
+#: Rounds of pushing.
+_ROUNDS = any_int(40)
+
+#: Pushing is given up after so many rounds in which what is missing in clearance, over all pieces, did not shrink to
+#: this part of the least before.
+_STALLED, _SHRUNK = 8, 0.9
+
+
+def clear_spline(
+    path: FloatArray, field: ClearanceField, options: PostprocessOptions, *, count: int, margin: float
+) -> SplinePath | None:
+    """A spline of few control points along a clear polyline, pushed out of the obstacles that its corners cut.
+
+    Args:
+        path: (m, dof) waypoints, clear.
+        field: Arm and obstacles.
+        options: Joint limits and movable joints.
+        count: Number of control points, >= 4.
+        margin: Clearance asked for at the samples [m]; half of it wherever the proof evaluates it.
+
+    Returns:
+        The spline, shown clear, or None where pushing did not succeed.
+    """
+    station = stations(path)
+    even = np.linspace(0.0, station[-1], count)
+    control = np.column_stack([np.interp(even, station, path[:, joint]) for joint in range(path.shape[1])])
+    control[0], control[-1] = path[0], path[-1]
+    moved = MovableSpline(control, SplinePath.through(control).knots)
+    pushed = push_out(moved, 0, count - 4, field.arrays, options.joints, margin, _ROUNDS)
+    check_deadline()
+    spline = SplinePath(frozen(control), moved.knots)
+    return spline if pushed and spline.is_clear(field, 0.5 * margin) else None
+
+
+@inlined
+def _worst_point(piece: FloatArray, field: FieldArrays, movable: IntArray, gradient: FloatArray) -> tuple[float, float]:
+    """Least clearance at samples of a Bezier piece, the parameter there, and, written, its gradient in the joints."""
+    dof = piece.shape[1]
+    q, worst, clear = np.empty(dof), np.empty(dof), np.empty(field.chain.shape[0])
+    least, at = math.inf, 0.0
+    for sample in range(17):
+        t = sample / 16.0
+        u = 1.0 - t
+        w0, w1, w2, w3 = u * u * u, 3.0 * u * u * t, 3.0 * u * t * t, t * t * t
+        for k in range(dof):
+            q[k] = w0 * piece[0, k] + w1 * piece[1, k] + w2 * piece[2, k] + w3 * piece[3, k]
+        link_clearances(q, field, clear)
+        here = smallest(clear)
+        if here < least:
+            least, at = here, t
+            for k in range(dof):
+                worst[k] = q[k]
+    for k in range(dof):
+        q[k] = worst[k]
+    for j in movable:
+        q[j] = worst[j] + 1e-4
+        link_clearances(q, field, clear)
+        ahead = smallest(clear)
+        q[j] = worst[j] - 1e-4
+        link_clearances(q, field, clear)
+        gradient[j] = (ahead - smallest(clear)) / 2e-4
+        q[j] = worst[j]
+    return least, at
+
+
+@kernel
+def _worst_of_bodies(
+    piece: FloatArray, field: FieldArrays, movable: IntArray, gradient: FloatArray
+) -> tuple[float, float]:
+    """As `_worst_point`, for arms that are no planar chain."""
+    dof, movers = piece.shape[1], field.chain.shape[0]
+    q, worst = np.empty(dof), piece[0].copy()
+    clear, slopes = np.empty(movers), np.empty((movers, len(movable)))
+    least, at = FAR, 0.0
+    for sample in range(17):
+        t = sample / 16.0
+        u = 1.0 - t
+        w0, w1, w2, w3 = u * u * u, 3.0 * u * u * t, 3.0 * u * t * t, t * t * t
+        for k in range(dof):
+            q[k] = w0 * piece[0, k] + w1 * piece[1, k] + w2 * piece[2, k] + w3 * piece[3, k]
+        here = least_body_clearance(q, field, least)
+        if here < least:
+            least, at = here, t
+            for k in range(dof):
+                worst[k] = q[k]
+    body_slopes(worst, field, movable, least + 1e-9, clear, slopes)
+    nearest = np.argmin(clear)
+    for m in range(len(movable)):
+        gradient[movable[m]] = slopes[nearest, m]
+    return least, at
+
+
+@kernel
+def push_out(
+    spline: MovableSpline,
+    first_piece: int,
+    last_piece: int,
+    field: FieldArrays,
+    joints: JointArrays,
+    margin: float,
+    rounds: int,
+) -> bool:
+    """Move control points along the gradient of the clearance until the pieces named seem clear."""
+    control, knots = spline
+    count, dof = control.shape
+    lower, upper, movable = joints.lower, joints.upper, joints.movable
+    piece, gradient, weight = np.empty((4, dof)), np.empty(dof), np.empty(4)
+    lowest, since = math.inf, 0
+    for _ in range(rounds):
+        contact, missing = False, 0.0
+        for i in range(first_piece, last_piece + 1):
+            bezier_piece(control, knots, i + 3, piece)
+            if piece_is_clear(piece, field, margin, STRIDE):
+                continue
+            if is_up(field.until):
+                return False
+            contact = True
+            if field.chain.shape[1] == LINK:
+                least, at = _worst_point(piece, field, movable, gradient)
+            else:
+                least, at = _worst_of_bodies(piece, field, movable, gradient)
+            square = 0.0
+            for j in movable:
+                square += gradient[j] * gradient[j]
+            if square < 1e-8:
+                return False
+            missing += margin - least
+            # The step is divided among the four control points about as they weigh on the curve there.
+            u = 1.0 - at
+            weight[0] = u * u * u / 6.0
+            weight[3] = at * at * at / 6.0
+            weight[1] = (3.0 * at * at * at - 6.0 * at * at + 4.0) / 6.0
+            weight[2] = 1.0 - weight[0] - weight[1] - weight[3]
+            total = 0.0
+            for c in range(4):
+                if 0 < i + c < count - 1:
+                    total += weight[c] * weight[c]
+            if total < 1e-6:
+                return False
+            step = 1.2 * (max(2.0 * margin, 1e-3) - least) / square / total
+            for c in range(4):
+                if 0 < i + c < count - 1:
+                    for j in movable:
+                        moved = control[i + c, j] + step * weight[c] * gradient[j]
+                        control[i + c, j] = min(upper[j], max(lower[j], moved))
+        if not contact:
+            return True
+        since += 1
+        if missing < _SHRUNK * lowest:
+            lowest, since = missing, 0
+        elif since == _STALLED:
+            return False
+    return False

@@ -1,1 +1,0 @@
-"""Frames of a depth camera: cropped to reach, thinned, without the arm and what is known, remembered where hidden."""

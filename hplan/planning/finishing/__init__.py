@@ -1,0 +1,1 @@
+"""Paths that others have planned: checked, and made into certified motions."""

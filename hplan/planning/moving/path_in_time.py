@@ -1,0 +1,140 @@
+"""When it is clear where on a motion's path: cells of path and time, by the compiled distances.
+
+A cell is a part of the motion that takes `STATION_S` at full speed, at a time give or take half a step and what is
+kept for a timing that is off. It counts as clear where the arm in its middle is farther from everything that moves than
+arm and obstacles travel within the cell; its time is halved until that is decided, or obstacles travel less than
+`RESOLUTION_M`, and then its part of the motion is looked at in `PARTS`. What stands still is not looked at.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+
+from hplan.base.arrays import BoolArray, IntArray
+from hplan.collision.clearance_field import ClearanceField
+from hplan.collision.clearance_kernels import motion_bounds
+from hplan.collision.moving_solids import largest_rates
+from hplan.robot.model import Robot
+from hplan.scene.model import Scene
+from hplan.scene.obstacles import Solid
+from hplan.scene.solids import posed
+from hplan.scene.tracks import Movement
+from hplan.trajectory.trajectory import Trajectory
+
+#: Time that a motion takes from station to station at full speed [s].
+STATION_S: Final = 0.00625
+
+#: Clearance asked for beyond the one to keep [m]: less than that with which paths are planned.
+MARGIN_M: Final = 2e-4
+
+#: Obstacles that travel no farther than this to either side of a time are not looked at more often [m].
+RESOLUTION_M: Final = 8e-3
+
+#: Parts of a cell that is looked at closely.
+PARTS: Final = 8
+
+
+class MovingField:
+    """Distances from what moves in a scene, by time.
+
+    Attributes:
+        at_rest_s: Time from which on nothing moves [s].
+    """
+
+    def __init__(self, robot: Robot, scene: Scene, *, sigmas: float, tracking_error: float) -> None:
+        """Take what moves.
+
+        Args:
+            robot: The arm.
+            scene: The scene.
+            sigmas: How many standard deviations of its place an obstacle grows by.
+            tracking_error: Deviation of any joint at rest that is to be allowed for [rad].
+        """
+        listed = zip(scene.listed_solids, scene.movements, strict=True)
+        self._moving: list[tuple[Solid, Movement]] = [(solid, how) for solid, how in listed if how is not None]
+        self._robot, self._deviation = robot, tracking_error
+        self._growth = scene.clearance + np.array([sigmas * solid.sigma for solid, _ in self._moving])
+        self._rates = [(how.breaks, how.rates(solid.core, solid.rounding)) for solid, how in self._moving]
+        self.at_rest_s = scene.at_rest_s
+
+    def at(self, time_s: float) -> ClearanceField:
+        """The field as it is at a time [s]; the arm itself is not in it."""
+        clock = np.array([time_s])
+        poses = {id(how): tuple(part[0] for part in how.at(clock)) for _, how in self._moving}
+        solids = [posed(solid, *poses[id(how)]) for solid, how in self._moving]
+        field = ClearanceField.of(self._robot, solids, clearance=self._growth, deviation=self._deviation)
+        return field.only(np.ones(len(solids), dtype=np.bool_), arm=False)
+
+    def travel(self, from_s: float, to_s: float) -> float:
+        """How far any point of what moves travels at most within an interval of time [m]."""
+        clock = np.array([from_s, to_s])
+        return (to_s - from_s) * max(float(largest_rates(*rates, clock)[0]) for rates in self._rates)
+
+
+class PathInTime:
+    """Cells of a motion's path and of time.
+
+    Attributes:
+        configurations: (n,) stations along the motion, (n, dof) [rad].
+        step_s: Time between rows of cells [s].
+        at_rest_s: Time from which on all rows are alike [s].
+    """
+
+    def __init__(self, motion: Trajectory, field: MovingField, robot: Robot, *, step_s: float, spare_s: float) -> None:
+        """Look at nothing yet.
+
+        Args:
+            motion: The motion.
+            field: What moves.
+            robot: The arm.
+            step_s: Time between rows of cells [s].
+            spare_s: How much earlier or later than meant the arm may be anywhere [s].
+        """
+        count = max(1, math.ceil(motion.duration / STATION_S))
+        self.configurations = np.ascontiguousarray(motion.positions(np.linspace(0.0, motion.duration, count + 1)))
+        self._motion, self._spacing_s = motion, motion.duration / count
+        self.step_s, self.at_rest_s = step_s, field.at_rest_s
+        self._field, self._half = field, 0.5 * step_s + spare_s
+        turns = np.diff(self.configurations, axis=0)
+        empty = ClearanceField.of(robot, []).only(np.zeros(0, dtype=np.bool_), arm=False)
+        bounds = np.empty((count, len(empty.chain)))
+        for turn, bound in zip(turns, bounds, strict=True):
+            motion_bounds(turn, empty.chain, empty.base, bound)
+        self._travel = 0.5 * np.maximum(np.vstack([bounds[:1], bounds]), np.vstack([bounds, bounds[-1:]]))
+        self._last: tuple[int, BoolArray] | None = None
+
+    def clear(self, row: int) -> BoolArray:
+        """(n,) mask of the stations that are clear in a row of cells."""
+        last_row = math.ceil((self.at_rest_s + self._half) / self.step_s) + 1
+        row = min(row, last_row)
+        if self._last is None or self._last[0] != row:
+            time_s = row * self.step_s
+            begin_s, end_s = max(0.0, time_s - self._half), time_s + self._half
+            self._last = row, self._clear(np.arange(len(self.configurations)), begin_s, end_s)
+        return self._last[1]
+
+    def _clear(self, stations: IntArray, begin_s: float, end_s: float) -> BoolArray:
+        """Mask of the stations, of some, that are clear within an interval of time."""
+        travel = 0.5 * self._field.travel(begin_s, end_s)
+        middle_s = 0.5 * (begin_s + end_s)
+        field = self._field.at(middle_s)
+        spare = field.along(self.configurations[stations]) - MARGIN_M
+        clear: BoolArray = np.all(spare - self._travel[stations] > travel, axis=1)
+        undecided = np.flatnonzero(~clear & np.all(spare > 0.0, axis=1))
+        if len(undecided) == 0:
+            return clear
+        rest = stations[undecided]
+        if travel > RESOLUTION_M:
+            first = self._clear(rest, begin_s, middle_s)
+            first[first] = self._clear(rest[first], middle_s, end_s)
+            clear[undecided] = first
+            return clear
+        parts = (np.arange(PARTS) + 0.5) / PARTS - 0.5
+        places = np.clip(rest[:, None] + parts, 0.0, len(self.configurations) - 1.0) * self._spacing_s
+        spare = field.along(self._motion.positions(places.ravel())) - MARGIN_M
+        spare -= np.repeat(self._travel[rest], PARTS, axis=0) / PARTS
+        clear[undecided] = np.all(spare.reshape(len(rest), -1) > travel, axis=1)
+        return clear

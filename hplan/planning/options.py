@@ -1,0 +1,125 @@
+"""Options of a plan."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final, Literal
+
+from hplan.base.arguments import keep_checked, number, one_of, truth
+from hplan.errors import OptionError
+from hplan.grid.sections import LINK_MODELS, LinkModel
+from hplan.robot.limits import check_rate, check_speed
+from hplan.robot.model import Robot
+from hplan.robot.tracking import TrackingModel
+
+Method = Literal["two-level", "dense"]
+METHODS: tuple[Method, ...] = ("two-level", "dense")
+
+#: What is asked of a motion.
+Objective = Literal["duration", "length"]
+OBJECTIVES: tuple[Objective, ...] = ("duration", "length")
+
+#: Length of the straight approach to a fruit or a point, where none is asked for [m].
+STANDOFF = 0.1
+
+#: Finest joint grid that can be asked for [deg]: of a single joint that turns once, more nodes than any grid may have.
+FINEST_DEG: Final = 1e-7
+
+#: How much is spent on a faster motion.
+EffortName = Literal["quick", "default", "best"]
+EFFORT_NAMES: tuple[EffortName, ...] = ("quick", "default", "best")
+
+
+@dataclass(frozen=True)
+class PlanOptions:
+    """Options of a plan, checked.
+
+    Attributes:
+        method: `two-level`, or `dense` for the baseline.
+        step_deg: Largest spacing of the joint grid [deg].
+        objective: `duration` for the fastest motion, `length` for the shortest path.
+        effort: `quick` for the first certified motion, `default` for one optimised together with its timing, `best` for
+            the quickest along more paths, optimised for longer. Each gives the same motion every time.
+        link_model: Link model of the C-space; motions are always certified for capsules.
+        rate_hz: Rows of the trajectory per second.
+        speed: Fraction of the velocity limits to use, in (0, 1].
+        tracking_error: Deviation from the trajectory to be covered by the certificate, each joint, at rest [rad; of
+            joints that slide, m].
+        tracking_delay_s: What comes to it for each rad/s of the joint's velocity [s].
+        sigmas: How many standard deviations of its place an obstacle is grown by, where the scene gives one.
+        standoff: Length of the straight approach [m]; shorter where it cannot be had. None for `STANDOFF` to a fruit or
+            a point, and for no approach to a pose.
+        certify: False exports what was not certified, and says so.
+        bound: True also bounds the durations of all motions from below (`hplan.planning.lower_bound`), which takes
+            seconds where the base does not turn and something is in the way. Tours have no bound.
+        deadline_s: How long planning may take, counted from the call; None for as long as it takes [s]. What is
+            certified by then depends on the machine: with a deadline the same input need not give the same motion.
+    """
+
+    method: Method = "two-level"
+    step_deg: float = 1.0
+    objective: Objective = "duration"
+    effort: EffortName = "default"
+    link_model: LinkModel = "capsule"
+    rate_hz: float = 250.0
+    speed: float = 1.0
+    tracking_error: float = 0.0
+    tracking_delay_s: float = 0.0
+    sigmas: float = 3.0
+    standoff: float | None = None
+    certify: bool = True
+    bound: bool = False
+    deadline_s: float | None = None
+
+    def __post_init__(self) -> None:
+        """Check every value.
+
+        Raises:
+            OptionError: A value is of the wrong kind or out of its range.
+        """
+        keep_checked(self, _CHECKS)
+        if self.standoff is not None:
+            keep_checked(self, {"standoff": (number, "a finite number >= 0", lambda value: value >= 0.0)})
+        if self.deadline_s is not None:
+            keep_checked(self, {"deadline_s": (number, "a positive number of seconds", lambda value: value > 0.0)})
+            if self.bound:
+                raise OptionError("bound", self.bound, "False where there is a deadline: a bound may take seconds")
+        check_rate(self.rate_hz)
+        check_speed(self.speed)
+        TrackingModel(self.tracking_error, self.tracking_delay_s)
+
+    def check_for(self, robot: Robot) -> None:
+        """Refuse the dense search for robots without a grid.
+
+        Raises:
+            OptionError: It is asked for.
+        """
+        if self.method == "dense" and robot.planar is None:
+            expected = f"'two-level' for {robot.name!r}, which is no planar arm: there is no grid to be searched"
+            raise OptionError("method", self.method, expected)
+
+    @property
+    def standoff_m(self) -> float:
+        """Length of the straight approach to a fruit or a point [m]."""
+        return STANDOFF if self.standoff is None else self.standoff
+
+    @property
+    def tracking(self) -> TrackingModel:
+        """The deviation that motions make room for: none where they need not be certified."""
+        return self.certified_tracking if self.certify else TrackingModel()
+
+    @property
+    def certified_tracking(self) -> TrackingModel:
+        """The deviation that certificates cover, whether motions need to be certified or not."""
+        return TrackingModel(self.tracking_error, self.tracking_delay_s)
+
+
+_CHECKS = {
+    "method": (one_of, METHODS),
+    "objective": (one_of, OBJECTIVES),
+    "effort": (one_of, EFFORT_NAMES),
+    "link_model": (one_of, LINK_MODELS),
+    "step_deg": (number, f"a number of degrees >= {FINEST_DEG:g}", lambda step: step >= FINEST_DEG),
+    "sigmas": (number, "a finite number >= 0", lambda value: value >= 0.0),
+    **dict.fromkeys(("certify", "bound"), (truth,)),
+}

@@ -1,0 +1,74 @@
+"""The goal as a pose: configurations with a frame there that are clear of everything."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+
+import numpy as np
+
+from hplan.base.arrays import FloatArray, frozen
+from hplan.base.deadline import check_deadline
+from hplan.errors import BlockedError, ConfigurationInCollisionError, InputError
+from hplan.kinematics.inverse_kinematics import inverse_kinematics
+from hplan.planning.world import World
+from hplan.robot.model import Robot
+from hplan.scene.model import Goal
+
+
+def configurations_at(world: World, goal: Goal, start: FloatArray, locked: Sequence[str] = ()) -> FloatArray:
+    """Configurations with a frame at the pose of a goal, clear of everything, those nearest to the start first.
+
+    Args:
+        world: The arm, and what it must keep clear of.
+        goal: The goal, with a pose.
+        start: (dof,) configuration from which the arm comes.
+        locked: Names of joints that keep their start values.
+
+    Returns:
+        (k, dof) configurations, k >= 1; there may be others (`hplan.kinematics.inverse_kinematics`).
+
+    Raises:
+        InputError: The goal has no pose, or a frame that the robot does not have; the arm is of the planar family,
+            which has too few joints for most poses.
+        UnreachableError: No configuration was found, whatever is in the way.
+        BlockedError: Obstacles, or parts of the arm, are in the way of all that were found; names them.
+    """
+    robot, pose = world.robot, pose_of(world.robot, goal)
+    found = inverse_kinematics(robot, pose, start=start, frame=goal.frame, locked=locked)
+    clear: list[FloatArray] = []
+    blocked: Counter[tuple[str, str]] = Counter()
+    largest = -np.inf
+    for q in found:
+        check_deadline()
+        try:
+            world.check_clear(q, "goal")
+        except ConfigurationInCollisionError as error:
+            blocked[error.link, error.obstacle] += 1
+            largest = max(largest, -error.depth_m)
+        else:
+            clear.append(q)
+    if not clear:
+        obstacles = [
+            {"obstacle": obstacle, "link": link, "configurations": count}
+            for (link, obstacle), count in blocked.most_common()
+        ]
+        raise BlockedError("the pose", len(found), obstacles, best_clearance_m=float(largest))
+    return frozen(np.array(clear))
+
+
+def pose_of(robot: Robot, goal: Goal) -> FloatArray:
+    """The (4, 4) pose of a goal.
+
+    Raises:
+        InputError: The goal has none; the robot is of the planar family, which has too few joints for most poses.
+    """
+    if goal.pose is None:
+        raise InputError("expected a goal with position and quaternion_xyzw")
+    if robot.planar is not None:
+        raise InputError(
+            f"goal.quaternion_xyzw: robot {robot.name!r} is a planar arm, whose tool cannot be turned at will; "
+            "give position and, for the angle of the last link, approach_deg",
+            where="goal.quaternion_xyzw",
+        )
+    return goal.pose

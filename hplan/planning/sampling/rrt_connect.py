@@ -1,0 +1,248 @@
+"""Bidirectional rapidly-exploring random trees (RRT-Connect), whose edges are shown clear over continuous time.
+
+Two trees grow from start and goal (Kuffner and LaValle 2000, "RRT-Connect: an efficient approach to single-query path
+planning"). An edge goes as far as conservative advancement shows it clear, so it ends close to what stops it, and no
+resolution has to be chosen. The cost follows what lies between start and goal, not the joint ranges: there is no grid.
+
+Samples come from a seeded generator and the effort is counted in evaluations of the clearance, so that the same problem
+gives the same path on every machine. Where no path is found, nothing is shown.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from hplan.base.arrays import FloatArray, IntArray, frozen
+from hplan.base.deadline import check_deadline, is_up
+from hplan.base.kernels import any_int, kernel
+from hplan.collision.body_motions import body_shown_part
+from hplan.collision.clearance_field import ClearanceField
+from hplan.collision.clearance_kernels import LINK, FieldArrays, link_clearances, motion_bounds, proven_advance
+from hplan.planning.definition import Problem
+from hplan.planning.sampling.time_shortcut import motion_time
+
+#: Samples drawn at a time, and nodes that a tree may have.
+CHUNK, MOST_NODES = 500, 20_000
+
+#: Longest edge, in time at the velocity limits [s].
+EDGE_S = 0.25
+
+#: An edge that gets less far is not worth a node [s].
+LEAST_S = 0.002
+
+#: Looks at the clearance along one edge before the rest of it is given up.
+LOOKS = any_int(64)
+
+#: Samples are drawn from the box of start and goal, this much larger on all sides [rad], and about either of them
+#: within 1 rad, half of that, and so on.
+ASIDE, SCALES = 0.6, 7
+
+#: No target is farther beyond start and goals than this in any joint [rad, m].
+FAR = 4.0 * np.pi
+
+
+@dataclass(frozen=True)
+class TreeEffort:
+    """Effort of the trees.
+
+    Attributes:
+        evaluations: Evaluations of the clearance, all links at one configuration each.
+        seed: Of the samples.
+    """
+
+    evaluations: int
+    seed: int = 0
+
+
+class Tree(NamedTuple):
+    """Nodes of one tree.
+
+    Attributes:
+        points: (most, dof) configurations.
+        parents: (most,) numbers of the nodes that they were reached from.
+        size: (1,) how many there are.
+    """
+
+    points: FloatArray
+    parents: IntArray
+    size: IntArray
+
+
+class Surroundings(NamedTuple):
+    """Arm and obstacles that edges are checked with.
+
+    Attributes:
+        slowness: (dof,) times for a unit of each joint at its velocity limit [s/rad].
+        field: Arm and obstacles.
+        margin: Clearance asked for wherever a motion is evaluated [m].
+    """
+
+    slowness: FloatArray
+    field: FieldArrays
+    margin: float
+
+
+def tree_path(
+    problem: Problem, field: ClearanceField, velocity: FloatArray, margin: float, effort: TreeEffort,
+    *, goals: FloatArray | None = None,
+) -> tuple[FloatArray | None, int]:  # fmt: skip
+    """A clear path of straight motions from start to goal.
+
+    Args:
+        problem: Start, goal and joint limits.
+        field: Arm and obstacles.
+        velocity: (dof,) velocity limits [rad/s]; distances are times at these.
+        margin: Clearance asked for wherever a motion is evaluated [m].
+        effort: How far to go.
+        goals: (k, dof) configurations of which one is to be reached, whichever comes first; None for the problem's.
+
+    Returns:
+        (m, dof) waypoints, m >= 2, or None where none was found; and the evaluations that it took.
+    """
+    ends = np.array(problem.goal[None] if goals is None else goals)
+    first, second = _tree(problem.start[None]), _tree(ends)
+    arm = Surroundings(1.0 / velocity, field.arrays, margin)
+    generator = np.random.Generator(np.random.PCG64(effort.seed))
+    looks = np.array([effort.evaluations], dtype=np.int64)
+    path = None
+    while path is None and looks[0] > 0 and max(first.size[0], second.size[0]) < MOST_NODES - CHUNK:
+        joined = _grow(_samples(generator, problem, ends), first, second, arm, looks)
+        check_deadline()
+        if joined[0] >= 0:
+            there = np.concatenate([_branch(first, int(joined[0]))[::-1], _branch(second, int(joined[1]))])
+            path = frozen(there[np.append(True, (np.diff(there, axis=0) != 0.0).any(axis=1))])
+    return path, effort.evaluations - int(looks[0])
+
+
+def _samples(generator: np.random.Generator, problem: Problem, goals: FloatArray) -> FloatArray:
+    """(CHUNK, dof) targets in turn: anywhere; in the box of start and goals; about start, or a goal, at all scales."""
+    first, last = np.minimum(problem.start, goals.min(axis=0)), np.maximum(problem.start, goals.max(axis=0))
+    lower, upper = np.maximum(problem.lower, first - FAR), np.minimum(problem.upper, last + FAR)
+    samples: FloatArray = generator.random((CHUNK, len(lower)))
+    low, high = np.maximum(first - ASIDE, lower), np.minimum(last + ASIDE, upper)
+    samples[::3] = lower + samples[::3] * (upper - lower)
+    samples[1::3] = low + samples[1::3] * (high - low)
+    chosen = goals[generator.integers(0, len(goals), len(samples[2::3]))]
+    about = np.where(generator.random((len(chosen), 1)) < 0.5, problem.start, chosen)
+    scale = np.ldexp(1.0, -generator.integers(0, SCALES, (len(chosen), 1)))
+    samples[2::3] = np.clip(about + scale * (2.0 * samples[2::3] - 1.0), lower, upper)
+    return samples
+
+
+def _tree(roots: FloatArray) -> Tree:
+    """A tree of roots alone, each its own parent."""
+    count, dof = roots.shape
+    tree = Tree(np.empty((MOST_NODES, dof)), np.zeros(MOST_NODES, dtype=np.int64), np.array([count], dtype=np.int64))
+    tree.points[:count], tree.parents[:count] = roots, np.arange(count)
+    return tree
+
+
+def _branch(tree: Tree, node: int) -> FloatArray:
+    """Configurations from a node to its root."""
+    nodes = [node]
+    while (parent := int(tree.parents[nodes[-1]])) != nodes[-1]:
+        nodes.append(parent)
+    return np.array(tree.points[nodes])
+
+
+@kernel
+def _grow(samples: FloatArray, first: Tree, second: Tree, arm: Surroundings, looks: IntArray) -> IntArray:
+    """Grow both trees by some samples; the nodes at which they meet, or -1."""
+    joined = np.full(2, -1, dtype=np.int64)
+    for s in range(samples.shape[0]):
+        if looks[0] <= 0 or is_up(arm.field.until):
+            break
+        forward = first.size[0] <= second.size[0]
+        tree, towards = (first, second) if forward else (second, first)
+        new = _extend(tree, _nearest(tree, samples[s], arm), samples[s], arm, looks)
+        if new < 0:
+            continue
+        target = tree.points[new]
+        here = _nearest(towards, target, arm)
+        while (
+            here >= 0 and not is_up(arm.field.until) and motion_time(towards.points[here], target, arm.slowness) > 0.0
+        ):
+            here = _extend(towards, here, target, arm, looks)
+        if here >= 0:
+            joined[0], joined[1] = (new, here) if forward else (here, new)
+            break
+    return joined
+
+
+@kernel
+def _nearest(tree: Tree, target: FloatArray, arm: Surroundings) -> int:
+    """The node from which the target is reached soonest, by Euclidean distance in time; the first of several."""
+    nearest, least = 0, np.inf
+    for n in range(tree.size[0]):
+        square = 0.0
+        for i in range(len(target)):
+            square += ((tree.points[n, i] - target[i]) * arm.slowness[i]) ** 2
+        if square < least:
+            nearest, least = n, square
+    return nearest
+
+
+@kernel
+def _extend(tree: Tree, node: int, target: FloatArray, arm: Surroundings, looks: IntArray) -> int:
+    """Add a node on the way from a node to a target, as far as an edge goes and is shown clear; -1 without progress."""
+    if tree.size[0] >= tree.points.shape[0]:
+        return -1
+    dof = len(target)
+    start = tree.points[node]
+    turns = np.empty(dof)
+    time = motion_time(start, target, arm.slowness)
+    part = min(1.0, EDGE_S / time) if time > 0.0 else 1.0
+    for i in range(dof):
+        turns[i] = part * (target[i] - start[i])
+    if arm.field.chain.shape[1] == LINK:
+        shown = _shown_part(start, turns, target, part == 1.0, arm, looks)
+    else:
+        shown, used = body_shown_part(start, turns, arm.field, arm.margin, LOOKS)
+        looks[0] -= used
+    if shown * part * time < LEAST_S and not (shown == 1.0 and part == 1.0):
+        return -1
+    new = int(tree.size[0])
+    for i in range(dof):
+        tree.points[new, i] = target[i] if shown == 1.0 and part == 1.0 else start[i] + shown * turns[i]
+    tree.parents[new] = node
+    tree.size[0] = new + 1
+    return new
+
+
+@kernel
+def _shown_part(
+    start: FloatArray, turns: FloatArray, target: FloatArray, reaches: bool, arm: Surroundings, looks: IntArray
+) -> float:
+    """The part of an edge that is shown clear.
+
+    Args:
+        start: (dof,) where it begins.
+        turns: (dof,) how far joints turn along it.
+        target: (dof,) where it leads.
+        reaches: Whether it ends there.
+        arm: Arm and obstacles.
+        looks: Evaluations that are left.
+    """
+    dof, links = len(start), arm.field.chain.shape[0]
+    q, bounds, clear = np.empty(dof), np.empty(links), np.empty(links)
+    motion_bounds(turns, arm.field.chain, arm.field.base, bounds)
+    shown, at = 0.0, 0.0
+    for _ in range(LOOKS):
+        for i in range(dof):
+            q[i] = start[i] + at * turns[i]
+        if at == 1.0 and reaches:
+            for i in range(dof):
+                q[i] = target[i]
+        looks[0] -= 1
+        link_clearances(q, arm.field, clear)
+        advance = proven_advance(clear, bounds, arm.margin)
+        if advance < 0.0:
+            break
+        shown = at
+        if at >= 1.0:
+            break
+        at = min(1.0, at + advance)
+    return shown

@@ -1,0 +1,90 @@
+"""Several pairs of trees, of which each may find another path."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from hplan.base import ties
+from hplan.base.arrays import FloatArray, frozen
+from hplan.collision.clearance_field import ClearanceField
+from hplan.optimization.path_classes import PARTS, class_numbers
+from hplan.planning.definition import Problem
+from hplan.planning.sampling.rrt_connect import TreeEffort, tree_path
+from hplan.planning.sampling.time_shortcut import path_time, quicken
+
+#: So many paths of a class are of use, as smoothing may fail.
+OF_A_CLASS = 3
+
+
+@dataclass(frozen=True)
+class TreesEffort:
+    """Effort of several pairs of trees.
+
+    Attributes:
+        pairs: How many grow.
+        each: Evaluations of the clearance by each of them, at most.
+    """
+
+    pairs: int
+    each: int
+
+
+class PromisingPath(NamedTuple):
+    """A clear path, and what it may come to.
+
+    Attributes:
+        seconds: Its time after shortcuts [s].
+        waypoints: (m, dof) its waypoints as they were found.
+        points: (k, dof) points of what shortcuts leave of it, at `PARTS` of its time.
+    """
+
+    seconds: float
+    waypoints: FloatArray
+    points: FloatArray
+
+
+def promising_paths(
+    problem: Problem,
+    field: ClearanceField,
+    velocity: FloatArray,
+    margin: float,
+    effort: TreesEffort,
+    known: Sequence[PromisingPath] = (),
+    grown: int = 0,
+) -> list[PromisingPath]:
+    """Clear paths of straight motions from start to goal, the most promising of every class.
+
+    Args:
+        problem: Start, goal and joint limits.
+        field: Arm and obstacles.
+        velocity: (dof,) velocity limits [rad/s].
+        margin: Clearance asked for wherever a motion is evaluated [m].
+        effort: How far to go.
+        known: Paths that are known already.
+        grown: How many of the pairs have grown already, and found these.
+
+    Returns:
+        The paths, those that are known among them, the quickest first; of each class
+        (`hplan.optimization.path_classes`) `OF_A_CLASS` at most.
+    """
+    found = list(known)
+    for seed in range(grown, effort.pairs):
+        path, _ = tree_path(problem, field, velocity, margin, TreeEffort(effort.each, seed))
+        if path is not None:
+            shorter = quicken(path, field, velocity, margin=margin)
+            found.append(PromisingPath(path_time(shorter, velocity), path, _evenly(shorter, velocity)))
+    found = [found[number] for number in ties.argsort([path.seconds for path in found]).tolist()]
+    if len(found) <= OF_A_CLASS:
+        return found
+    number = class_numbers(np.stack([path.points for path in found]), field)
+    return [path for k, path in enumerate(found) if np.count_nonzero(number[:k] == number[k]) < OF_A_CLASS]
+
+
+def _evenly(path: FloatArray, velocity: FloatArray) -> FloatArray:
+    """(k, dof) points of a path, at `PARTS` of its time at the velocity limits."""
+    clock = np.concatenate([[0.0], np.cumsum((np.abs(np.diff(path, axis=0)) / velocity).max(axis=1))])
+    return frozen(np.stack([np.interp(PARTS * clock[-1], clock, joint) for joint in path.T], axis=1))

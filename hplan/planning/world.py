@@ -1,0 +1,229 @@
+"""The arm among the solids that it has to keep clear of, made ready for planning and for certificates.
+
+The clearance to keep differs from obstacle to obstacle: for one whose place is uncertain a chosen number of its
+standard deviations comes to the scene's own. And it differs from link to link, by what a tracking error may take: the
+outer links sway farther.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hplan.base import ties
+from hplan.base.arrays import FloatArray, Record, frozen
+from hplan.base.deadline import check_deadline
+from hplan.certificate.sway import pair_sways
+from hplan.collision.clearance_field import ClearanceField
+from hplan.collision.coal_scene import CoalScene, base_contacts
+from hplan.errors import ConfigurationInCollisionError, InputError
+from hplan.grid.prepared_obstacles import PreparedObstacles, prepare_obstacles
+from hplan.robot.base_shapes import BASE_DEPTH, base_radius, turning_shapes
+from hplan.robot.model import Robot
+from hplan.robot.tracking import TrackingModel, largest_fraction, name_margin
+from hplan.scene.model import Scene
+from hplan.scene.obstacles import Solid
+
+
+@dataclass(frozen=True, eq=False)
+class World(Record):
+    """An arm among solids.
+
+    Attributes:
+        robot: The arm.
+        solids: What it keeps clear of.
+        clearance: Clearance to keep from all of them [m].
+        deviation: By how much every joint may be off where the arm rests [rad].
+        growth: (solids,) clearance to keep from each beyond that, for its uncertainty [m].
+        field: Distances between arm and solids, less the clearance to keep and what the deviation may take.
+        checker: The solids in coal, each grown by its own growth.
+        touched: Name of the solids that the last link may touch; None for none.
+    """
+
+    robot: Robot
+    solids: tuple[Solid, ...]
+    clearance: float
+    deviation: float
+    growth: FloatArray
+    field: ClearanceField
+    checker: CoalScene
+    touched: str | None = None
+
+    @classmethod
+    def of(
+        cls,
+        robot: Robot,
+        solids: Sequence[Solid],
+        *,
+        clearance: float = 0.0,
+        tracking_error: float = 0.0,
+        sigmas: float = 0.0,
+    ) -> World:
+        """Make solids ready.
+
+        Args:
+            robot: The arm.
+            solids: What it keeps clear of.
+            clearance: Clearance to keep [m].
+            tracking_error: Deviation of any joint at rest that is to be allowed for [rad].
+            sigmas: How many standard deviations of its place an obstacle grows by.
+        """
+        growth = frozen(np.array([sigmas * solid.sigma for solid in solids], dtype=np.float64))
+        field = ClearanceField.of(
+            robot, solids, clearance=clearance + growth, own_clearance=clearance, deviation=tracking_error
+        )
+        check_deadline()
+        checker = CoalScene(robot, solids, growth=growth, deviation=tracking_error, clearance=clearance)
+        return cls(robot, tuple(solids), clearance, tracking_error, growth, field, checker)
+
+    def touching(self, name: str) -> World:
+        """The world where the last link may touch the solid of a name."""
+        touched = np.array([solid.name == name for solid in self.solids], dtype=np.bool_)
+        return replace(self, field=self.field.sparing(touched), checker=self.checker.touching(name), touched=name)
+
+    def bodies(self, more: float = 0.0) -> PreparedObstacles:
+        """The solids made ready for cutting, grown by the clearance to keep and `more` [m]."""
+        names = [solid.name for solid in self.solids]
+        return prepare_obstacles(
+            self.solids,
+            clearance=self.clearance + self.growth + more,
+            own_clearance=self.clearance + more,
+            deviation=self.deviation,
+            touched=names.index(self.touched) if self.touched in names else -1,
+        )
+
+    def check_clear(self, q: FloatArray, which: str) -> float:
+        """The clearance of a configuration at rest beyond the one to keep and each link's displacement bound [m].
+
+        Args:
+            q: (dof,) configuration.
+            which: What it is, for the error.
+
+        Raises:
+            ConfigurationInCollisionError: It has less; names link, obstacle or other part of the arm, and depth, and
+                where it is the deviation that leaves too little, the largest that would do.
+        """
+        if self.deviation == 0.0:
+            return check_clear(self.checker, q, self.clearance, which)
+        sway = pair_sways(self.checker, np.full((1, self.robot.dof), self.deviation))[:, 0]
+        try:
+            return check_clear(self.checker, q, self.clearance, which, sway=sway)
+        except ConfigurationInCollisionError as error:
+            left = self.checker.pair_distances(q) - self.clearance
+            fraction = float((left / np.maximum(sway, 1e-300)).min())
+            name_margin(error, TrackingModel(self.deviation), self.robot.slides, fraction)
+            raise
+
+    def fraction_of_deviation(self, configurations: FloatArray, wanted: float) -> float:
+        """Largest fraction of the deviation at which one of some configurations still has a clearance.
+
+        Args:
+            configurations: (n, dof).
+            wanted: Clearance asked for beyond the one to keep [m].
+
+        Returns:
+            A fraction for which that is so, as `hplan.robot.tracking.largest_fraction` finds it; 0 where there is none.
+        """
+
+        def is_clear(fraction: float) -> bool:
+            smaller = ClearanceField.of(
+                self.robot,
+                self.solids,
+                clearance=self.clearance + self.growth,
+                own_clearance=self.clearance,
+                deviation=fraction * self.deviation,
+            )
+            if self.touched is not None:
+                smaller = smaller.sparing(np.array([solid.name == self.touched for solid in self.solids]))
+            return bool((smaller.along(configurations).min(axis=1) > wanted).any())
+
+        return largest_fraction(is_clear)
+
+    def check_base(self, yaw: float) -> None:
+        """Refuse obstacles in which pedestal or turret stand: no motion of the arm changes that.
+
+        The ground may touch the pedestal.
+
+        Args:
+            yaw: Yaw of the turret.
+
+        Raises:
+            InputError: There is one; names it, the body and the depth.
+        """
+        rows = self.field.solids
+        in_reach = np.linalg.norm(rows[:, 2:5], axis=1) <= rows[:, 5] + base_radius(self.robot)
+        close = [self.solids[i] for i in np.unique(self.field.owner[in_reach]).tolist() if i >= 0]
+        contacts = base_contacts(self.robot, close, yaw, margin=-BASE_DEPTH)
+        if contacts:
+            worst = contacts[ties.argmin([contact.distance_m for contact in contacts])]
+            turning = () if self.robot.planar is None else turning_shapes(self.robot)
+            turns = any(shape.name == worst.link for shape in turning)
+            raise InputError(
+                f"obstacle {worst.obstacle!r} is {-1e3 * worst.distance_m:.3g} mm deep in the robot's {worst.link!r}, "
+                + (f"at a yaw of {math.degrees(yaw):.4g} deg" if turns else "which does not move")
+                + ": move the obstacle, or the robot, or leave it out (--drop-inside)",
+                obstacle=worst.obstacle,
+                link=worst.link,
+                depth_m=-worst.distance_m,
+            )
+
+
+def check_clear(checker: CoalScene, q: FloatArray, clearance: float, which: str, *, sway: ArrayLike = 0.0) -> float:
+    """Distance of a configuration beyond the clearance to keep [m], inf without obstacles.
+
+    Args:
+        checker: The arm among the obstacles.
+        q: (dof,) configuration.
+        clearance: Clearance to keep [m].
+        which: Name of the configuration, for the error.
+        sway: By how much each of the checker's pairs may come nearer than at this configuration [m].
+
+    Raises:
+        ConfigurationInCollisionError: It touches an obstacle or itself, or comes closer than `clearance` and
+            displacement bound; names link, obstacle or other part of the arm, and depth.
+    """
+    if not checker.pairs:
+        return float("inf")
+    kept = np.broadcast_to(np.asarray(checker.kept(clearance)), (len(checker.pairs),))
+    sways = np.broadcast_to(np.asarray(sway, dtype=np.float64), kept.shape)
+    worst, distance = checker.nearest_pair(q, kept + sways)
+    beyond = (distance - float(sways[worst])) - float(kept[worst])
+    if beyond <= 0.0:
+        nearest = checker.contact(*checker.pairs[worst], distance)
+        raise ConfigurationInCollisionError(
+            which, nearest.link, nearest.obstacle, -beyond, float(kept[worst] + sways[worst]), other=nearest.other
+        )
+    return beyond
+
+
+def without_inside(robot: Robot, scene: Scene) -> tuple[Scene, tuple[str, ...]]:
+    """The scene without what `World.check_base` would refuse: obstacles and fruits in pedestal or turret.
+
+    Trees that were measured without an arm between them may stand in it. What is left out is in no proof. Meshes and
+    clouds stay, of which only a part is inside. Where the goal is a fruit that is left out, the next one is the goal.
+
+    Args:
+        robot: The arm.
+        scene: The scene; the turret is taken as it stands at the start.
+
+    Returns:
+        The scene, and the names of what was left out, in the order of the scene.
+    """
+    yaw = robot.yaw_of(scene.start.configuration)
+    whole = {obstacle.name for obstacle in scene.obstacles if obstacle.kind in ("mesh", "points")}
+    solids = [solid for solid in scene.solids_with_goal if solid.name not in whole]
+    inside = {contact.obstacle for contact in base_contacts(robot, solids, yaw, margin=-BASE_DEPTH)}
+    if not inside:
+        return scene, ()
+    parts = {key: getattr(scene, key) for key in Scene.model_fields}
+    for key in ("obstacles", "fruits"):
+        parts[key] = tuple(part for part in parts[key] if part.name not in inside)
+    if scene.goal.fruit in inside and parts["fruits"]:
+        parts["goal"] = scene.goal.model_copy(update={"fruit": parts["fruits"][0].name})
+    return Scene.model_validate(parts), tuple(
+        part.name for part in (*scene.obstacles, *scene.fruits) if part.name in inside
+    )

@@ -1,0 +1,6 @@
+"""New members of the harvester family: a specification of links and limits in, URDF and limits file out."""
+
+from hplan.robot.family.members import CrossCheck, cross_check, write_robot
+from hplan.robot.family.spec import HARVESTER, ORCHARD_HARVESTER, ArmSpec, Gripper
+
+__all__ = ["HARVESTER", "ORCHARD_HARVESTER", "ArmSpec", "CrossCheck", "Gripper", "cross_check", "write_robot"]

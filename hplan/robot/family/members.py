@@ -1,0 +1,170 @@
+"""Members of the robot family, written as URDF with a limits YAML beside it.
+
+A member is an optional yaw about the vertical, then n >= 1 revolute joints with parallel
+horizontal axes: a planar arm on a turret. `ArmSpec` says which one, `write_robot` writes its two
+files and `cross_check` compares what two independent readers, Pinocchio and yourdfpy, make of a
+URDF. The robot that ships with hplan is `HARVESTER`.
+
+Every arm link is a segment of its length along its own +x and collides as an exact capsule around
+it: one `<cylinder>` and two `<sphere>` elements, since URDF has no capsule that every tool reads.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from hplan.base.arguments import file_path, instance, whole
+from hplan.base.data_files import LIMITS_SUFFIX
+from hplan.base.files import write_text
+from hplan.errors import OptionError, OutputError, RobotFileError
+from hplan.robot.family.spec import HARVESTER, ArmSpec
+from hplan.robot.files import read_models
+
+# The files that `write_robot` writes name this module as the place to find the first two.
+__all__ = ["HARVESTER", "ArmSpec", "CrossCheck", "cross_check", "write_robot"]
+
+
+def write_robot(spec: ArmSpec, urdf_path: Path | str) -> tuple[Path, Path]:
+    """Write a member of the family: the URDF, and the limits YAML beside it.
+
+    Args:
+        spec: The arm.
+        urdf_path: Where to write the URDF, in a folder that exists; its suffix is `.urdf`.
+
+    Returns:
+        Paths of the URDF and of the limits file (`NAME.urdf` and `NAME.limits.yaml`).
+
+    Raises:
+        OptionError: The path does not end in `.urdf`.
+        OutputError: A file cannot be written; nothing half-written is left behind then.
+    """
+    from hplan.robot.family.urdf import limits_text, urdf_text
+
+    instance("spec", spec, ArmSpec)
+    urdf_path = file_path("urdf_path", urdf_path)
+    if urdf_path.suffix != ".urdf":
+        raise OptionError("urdf_path", str(urdf_path), "a file name ending in .urdf")
+    limits_path = urdf_path.with_suffix(LIMITS_SUFFIX)
+    texts = {limits_path: limits_text(spec), urdf_path: urdf_text(spec)}
+    for path in texts:
+        # Found out before the first file is in place, or one would be left without the other.
+        if path.is_dir():
+            raise OutputError(path, "it is a folder")
+    for path, text in texts.items():
+        write_text(path, text)
+    return urdf_path, limits_path
+
+
+@dataclass(frozen=True)
+class CrossCheck:
+    """Differences of what Pinocchio and yourdfpy read from the same URDF.
+
+    Attributes:
+        frames: Names of the link frames that were compared.
+        samples: Number of random configurations.
+        max_position_deviation: Largest distance between the two placements of a frame [m].
+        max_rotation_deviation: Largest angle between them [rad].
+        limits_equal: Whether position, velocity and effort limits agree to the last bit.
+        masses_equal: Whether the mass that each joint carries, up to the next joint, agrees to
+            1e-12 of itself.
+    """
+
+    frames: tuple[str, ...]
+    samples: int
+    max_position_deviation: float
+    max_rotation_deviation: float
+    limits_equal: bool
+    masses_equal: bool
+
+
+def cross_check(urdf_path: Path | str, samples: int = 100, seed: int = 0) -> CrossCheck:
+    """Compare what Pinocchio and yourdfpy read from a URDF.
+
+    Args:
+        urdf_path: The file; every movable joint in it is revolute or prismatic.
+        samples: Number of random configurations at which all link frames are placed.
+        seed: Seed of their generator.
+
+    Returns:
+        The deviations found.
+
+    Raises:
+        OptionError: `samples` is not positive.
+        RobotFileError: The file cannot be read, or has a joint of another kind.
+    """
+    import yourdfpy
+
+    whole("samples", samples, 1)
+    whole("seed", seed, 0)
+    path = file_path("urdf_path", urdf_path)
+    model, _, _ = read_models(path)
+    for name, joint in zip(list(model.names)[1:], list(model.joints)[1:], strict=True):
+        if joint.nq != 1:
+            raise RobotFileError(path, f"joint {name!r} is neither revolute nor prismatic")
+    reader = yourdfpy.URDF.load(str(path), build_scene_graph=True, load_meshes=False)
+    frames = tuple(link.name for link in reader.robot.links)
+    position, rotation = _frame_deviations(model, reader, frames, samples, seed)
+    return CrossCheck(
+        frames=frames,
+        samples=samples,
+        max_position_deviation=position,
+        max_rotation_deviation=rotation,
+        limits_equal=_limits_equal(model, reader),
+        masses_equal=_masses_equal(model, reader),
+    )
+
+
+def _frame_deviations(model: Any, reader: Any, frames: Sequence[str], samples: int, seed: int) -> tuple[float, float]:
+    """Largest distance [m] and angle [rad] between the two readers' placements."""
+    data = model.createData()
+    names = list(model.names)[1:]
+    lower = np.maximum(model.lowerPositionLimit, -math.pi)
+    upper = np.minimum(model.upperPositionLimit, math.pi)
+    rng = np.random.default_rng(seed)
+    position = rotation = 0.0
+    for q in rng.uniform(lower, upper, (samples, model.nq)):
+        pin.framesForwardKinematics(model, data, q)
+        reader.update_cfg({name: float(angle) for name, angle in zip(names, q, strict=True)})
+        for frame in frames:
+            placement = data.oMf[model.getFrameId(frame, pin.BODY)].homogeneous
+            difference = placement - reader.get_transform(frame)
+            position = max(position, float(np.linalg.norm(difference[:3, 3])))
+            # By the chord between the rotations: acos of the trace loses half the digits near zero.
+            chord = float(np.linalg.norm(difference[:3, :3])) / math.sqrt(8.0)
+            rotation = max(rotation, 2.0 * math.asin(min(1.0, chord)))
+    return position, rotation
+
+
+def _limits_equal(model: Any, reader: Any) -> bool:
+    joints = [reader.joint_map[name] for name in list(model.names)[1:]]
+    pairs = [
+        (model.lowerPositionLimit, [joint.limit.lower for joint in joints]),
+        (model.upperPositionLimit, [joint.limit.upper for joint in joints]),
+        (model.velocityLimit, [joint.limit.velocity for joint in joints]),
+        (model.effortLimit, [joint.limit.effort for joint in joints]),
+    ]
+    return all(np.array_equal(np.asarray(ours), np.asarray(theirs)) for ours, theirs in pairs)
+
+
+def _masses_equal(model: Any, reader: Any) -> bool:
+    """Compare joint by joint: Pinocchio fuses a link that is fixed to another with it."""
+    movers = {joint.child: joint for joint in reader.robot.joints}
+    names = list(model.names)
+    totals = [0.0] * len(names)
+    for link in reader.robot.links:
+        carrier = link.name
+        while carrier in movers and movers[carrier].type == "fixed":
+            carrier = movers[carrier].parent
+        joint = names.index(movers[carrier].name) if carrier in movers else 0
+        if link.inertial is not None and link.inertial.mass is not None:
+            totals[joint] += link.inertial.mass
+    return all(
+        math.isclose(inertia.mass, total, rel_tol=1e-12) for inertia, total in zip(model.inertias, totals, strict=True)
+    )

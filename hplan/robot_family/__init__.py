@@ -1,9 +1,0 @@
-"""New members of the harvester family: a specification of links and limits in, URDF and limits file out.
-
-May use `base`, `scene` and `robot`.
-"""
-
-from hplan.robot_family.members import CrossCheck, cross_check, write_robot
-from hplan.robot_family.spec import HARVESTER, ORCHARD_HARVESTER, ArmSpec, Gripper
-
-__all__ = ["HARVESTER", "ORCHARD_HARVESTER", "ArmSpec", "CrossCheck", "Gripper", "cross_check", "write_robot"]

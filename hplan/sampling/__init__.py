@@ -1,4 +1,0 @@
-"""Paths by sampling, by RRT-Connect, with edges verified collision-free over continuous time.
-
-May use the rooms up to `problem`.
-"""

@@ -1,0 +1,19 @@
+"""Orchards to plan in: rows of trees grown from a seed, trees read from measurements, fruit on either."""
+
+from hplan.scene.orchard.capsule_file import import_capsules
+from hplan.scene.orchard.fruits import fruit_at_tips
+from hplan.scene.orchard.generator import generate, measured_orchard
+from hplan.scene.orchard.options import TUCKED_DEG, FruitZone, MeasuredOptions, OrchardOptions
+from hplan.scene.orchard.shipped import SHIPPED
+
+__all__ = [
+    "SHIPPED",
+    "TUCKED_DEG",
+    "FruitZone",
+    "MeasuredOptions",
+    "OrchardOptions",
+    "fruit_at_tips",
+    "generate",
+    "import_capsules",
+    "measured_orchard",
+]

@@ -1,0 +1,235 @@
+"""Placement of fruit: at wood, not in it, and no two in the same place.
+
+A fruit of radius r touches a capsule of radius w where its centre is r + w from the capsule's axis. Centres are whole
+tenths of a millimetre, for short scene files; so fruit that touches is put a tenth further out, and the gap is 0 to
+0.2 mm.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from hplan.base.arguments import between, instance, list_of, whole
+from hplan.base.arrays import FloatArray
+from hplan.errors import OptionError
+from hplan.scene.model import Fruit
+from hplan.scene.obstacles import Capsule
+from hplan.scene.orchard.options import FruitZone, OrchardOptions
+from hplan.scene.orchard.pieces import DECIMALS
+
+#: Gap that rounding cannot close [m].
+_GAP = 1e-4
+
+#: Tries in a row that find no room before there is none.
+_TRIES = 3000
+
+#: Words in the names of capsules that bear no fruit.
+_BARE = frozenset({"trunk", "wire", "post"})
+
+_DOWN = np.array([0.0, 0.0, -1.0])
+
+
+@dataclass(eq=False)
+class Canopy:
+    """Wood and the fruit on it so far.
+
+    Attributes:
+        wood: What fruit must not be in.
+        radius: Radius of every fruit [m].
+        zone: Where their centres may be.
+        centers: (3,) centres so far [m].
+    """
+
+    wood: Sequence[Capsule]
+    radius: float
+    zone: FruitZone
+    centers: list[FloatArray] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        """Put the capsules into arrays."""
+        self._start = np.array([capsule.start for capsule in self.wood]).reshape(-1, 3)
+        self._along = np.array([capsule.end for capsule in self.wood]).reshape(-1, 3) - self._start
+        self._square = np.maximum(np.einsum("ij,ij->i", self._along, self._along), 1e-18)
+        self._radius = np.array([capsule.radius for capsule in self.wood])
+
+    def wood_distances(self, point: FloatArray) -> FloatArray:
+        """(capsules,) distances of a point from the capsules' surfaces, negative inside [m]."""
+        offset = point - self._start
+        fraction = np.clip(np.einsum("ij,ij->i", offset, self._along) / self._square, 0.0, 1.0)
+        distances: FloatArray = np.linalg.norm(offset - fraction[:, None] * self._along, axis=1) - self._radius
+        return distances
+
+    def depth(self, center: FloatArray) -> float:
+        """Depth of a fruit in the wood; infinite outside the zone or in another fruit [m]."""
+        if not self.zone.holds(*center.tolist()):
+            return math.inf
+        if self.centers and np.linalg.norm(np.array(self.centers) - center, axis=1).min() < 2.0 * self.radius:
+            return math.inf
+        return self.radius - float(self.wood_distances(center).min(initial=math.inf))
+
+    def fruits(self, picked: Sequence[int] = ()) -> tuple[Fruit, ...]:
+        """The fruit, counted from the base's axis outwards; what is `picked` by its number is left out, then."""
+        places = sorted((center.tolist() for center in self.centers), key=lambda p: (math.hypot(p[0], p[1]), *p))
+        places = [place for number, place in enumerate(places, start=1) if number not in picked]
+        digits = max(2, len(str(len(places))))
+        return tuple(
+            Fruit(name=f"fruit {number:0{digits}d}", center=(x, y, z), radius=self.radius)
+            for number, (x, y, z) in enumerate(places, start=1)
+        )
+
+
+def hang_fruits(wood: Sequence[Capsule], options: OrchardOptions, random: np.random.Generator) -> tuple[Fruit, ...]:
+    """Fruit under branches, arms and shoots, anywhere along them, all branches alike by length.
+
+    Args:
+        wood: All that fruit must not be in; trunks, wires and posts, by their names, bear none.
+        options: How much fruit, where, and what of it is picked already.
+        random: What chooses the places.
+
+    Raises:
+        OptionError: So many fruits find no room.
+    """
+    count, radius = options.fruits, options.fruit_radius
+    bearing = [capsule for capsule in wood if _bears(capsule)]
+    canopy = Canopy(wood, radius, options.fruit_zone)
+    ends = np.cumsum([0.0, *(math.dist(capsule.start, capsule.end) for capsule in bearing)])
+    misses = 0
+    while bearing and len(canopy.centers) < count and misses < _TRIES:
+        place, gap, lean = random.random(3)
+        piece = int(np.clip(np.searchsorted(ends, place * ends[-1], side="right") - 1, 0, len(bearing) - 1))
+        start, end = bearing[piece].core
+        fraction = (place * ends[-1] - ends[piece]) / (ends[piece + 1] - ends[piece])
+        under = _turned(_beneath(end - start), end - start, (lean - 0.5) * math.pi / 2.0)
+        touching = start + fraction * (end - start) + (bearing[piece].radius + radius + _GAP) * under
+        center = np.round(touching + gap * options.stem * _DOWN, DECIMALS)
+        if canopy.depth(center) <= 0.0:
+            canopy.centers.append(center)
+            misses = 0
+        else:
+            misses += 1
+    if len(canopy.centers) < count:
+        raise OptionError("fruits", count, f"at most {len(canopy.centers)}, which found room in their zone")
+    return canopy.fruits(options.picked)
+
+
+def fruit_at_tips(
+    capsules: Sequence[Capsule],
+    count: int,
+    radius: float = 0.04,
+    seed: int = 0,
+    *,
+    zone: FruitZone | None = None,
+) -> tuple[Fruit, ...]:
+    """Fruit at the tips of branches, each touching its branch.
+
+    A tip is the far end of a capsule where that lies in no other capsule; what is called trunk, wire or post has none.
+    In an order that the seed shuffles, every tip gets a fruit straight ahead of it or, where that would be in other
+    wood, lower or to a side. If there are fewer tips than fruits, more hang behind the first, under the branches. Only
+    when all clear places are taken are fruits put where they reach into wood, as little as can be.
+
+    Args:
+        capsules: The wood.
+        count: Number of fruits.
+        radius: Radius of a fruit [m].
+        seed: Shuffles the tips.
+        zone: Where the fruits' centres may be; None for anywhere.
+
+    Returns:
+        Fruits `fruit 01`, `fruit 02`, ..., counted from the base's axis outwards; no two overlap.
+
+    Raises:
+        OptionError: A value out of its range, or more fruits than there is room for.
+    """
+    count = whole("count", count, 0, 10_000)
+    radius = between("radius", radius, 1e-3, 1.0)
+    seed = whole("seed", seed, 0)
+    capsules = list_of("capsules", capsules, Capsule, "capsules")
+    canopy = Canopy(capsules, radius, FruitZone() if zone is None else instance("zone", zone, FruitZone))
+    tips = _tips(canopy)
+    order = np.argsort(np.random.default_rng(seed).random(len(tips)), kind="stable")
+    taken: set[tuple[int, int]] = set()
+    spots = 1 + max((int(_length(capsule) / _spacing(radius)) for capsule in tips), default=0)
+    for deepest in (0.0, radius):
+        for spot in range(spots):
+            for number in order:
+                if len(canopy.centers) == count:
+                    return canopy.fruits()
+                if (number, spot) in taken:
+                    continue
+                depth, place = _shallowest(canopy, _places(tips[number], spot, radius))
+                if depth <= deepest:
+                    canopy.centers.append(place)
+                    taken.add((number, spot))
+    if len(canopy.centers) < count:
+        raise OptionError("count", count, f"at most {len(canopy.centers)}, which found room at these branches")
+    return canopy.fruits()
+
+
+def _shallowest(canopy: Canopy, places: Iterable[FloatArray]) -> tuple[float, FloatArray]:
+    """The first place that is clear of all, or else the one least deep in wood, and its depth, 0 at least [m]."""
+    best = math.inf, _DOWN
+    for place in places:
+        depth = max(canopy.depth(place), 0.0)
+        if depth < best[0]:
+            best = depth, place
+        if depth == 0.0:
+            break
+    return best
+
+
+def _bears(capsule: Capsule) -> bool:
+    return _BARE.isdisjoint(capsule.name.lower().split())
+
+
+def _length(capsule: Capsule) -> float:
+    return math.dist(capsule.start, capsule.end)
+
+
+def _spacing(radius: float) -> float:
+    """Distance of neighbouring fruits along a branch [m]."""
+    return 2.0 * radius + 4.0 * _GAP
+
+
+def _tips(canopy: Canopy) -> list[Capsule]:
+    """Capsules that bear fruit and end in the open."""
+    tips = []
+    for index, capsule in enumerate(canopy.wood):
+        others = np.delete(canopy.wood_distances(np.array(capsule.end)), index)
+        if _bears(capsule) and _length(capsule) > 0.0 and others.min(initial=math.inf) > 0.0:
+            tips.append(capsule)
+    return tips
+
+
+def _places(capsule: Capsule, spot: int, radius: float) -> Iterator[FloatArray]:
+    """Centres that touch a branch at its tip (spot 0) or further back, the best first."""
+    start, end = capsule.core
+    along = (end - start) / _length(capsule)
+    back = spot * _spacing(radius)
+    if back > _length(capsule):
+        return
+    away = capsule.radius + radius + _GAP
+    beneath = _beneath(along)
+    # Ahead of a tip every direction that does not point back along the branch will do; behind it those across.
+    for slope in np.radians([90.0, 60.0, 30.0, 0.0] if spot == 0 else [0.0]):
+        for turn in np.radians([0.0, 45.0, -45.0, 90.0, -90.0, 135.0, -135.0, 180.0]):
+            across = _turned(beneath, along, turn)
+            yield np.round(end - back * along + away * (math.sin(slope) * along + math.cos(slope) * across), DECIMALS)
+
+
+def _beneath(along: FloatArray) -> FloatArray:
+    """The unit vector across a direction that points down most; +x for one that is upright."""
+    along = along / np.linalg.norm(along)
+    across = _DOWN - (_DOWN @ along) * along
+    norm = float(np.linalg.norm(across))
+    return across / norm if norm > 1e-6 else np.array([1.0, 0.0, 0.0])
+
+
+def _turned(across: FloatArray, along: FloatArray, angle: float) -> FloatArray:
+    """A unit vector across a direction, turned about it."""
+    along = along / np.linalg.norm(along)
+    turned: FloatArray = math.cos(angle) * across + math.sin(angle) * np.cross(along, across)
+    return turned

@@ -1,0 +1,143 @@
+"""Orchard scenes: a row of trees in front of the arm, grown from a seed or measured, with fruit to reach for."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from hplan.base.arguments import instance, list_between, list_of
+from hplan.errors import OptionError
+from hplan.scene.model import Fruit, Goal, Scene, Start
+from hplan.scene.obstacles import Box, Capsule
+from hplan.scene.orchard.capsule_file import import_capsules
+from hplan.scene.orchard.fruits import fruit_at_tips, hang_fruits
+from hplan.scene.orchard.options import TUCKED_DEG, MeasuredOptions, OrchardOptions
+from hplan.scene.orchard.pieces import DECIMALS, capsule, rounded
+from hplan.scene.orchard.wood import Limb, grow_tree
+
+#: Radius of a post, and its height above the trees' and the topmost wire [m].
+_POST_RADIUS, _POST_EXCESS = 0.04, 0.1
+
+#: The ground, a millimetre below the pedestal, which would touch it else; and a vehicle's body behind the pedestal,
+#: lower than the tucked arm.
+_GROUND = Box(name="ground", center=(0.0, 0.0, -0.051), size=(6.0, 6.0, 0.1))
+_VEHICLE = Box(name="vehicle", center=(-1.1, 0.0, 0.3), size=(1.6, 1.2, 0.4))
+
+
+def generate(options: OrchardOptions | None = None, *, start_deg: Sequence[float] = TUCKED_DEG) -> Scene:
+    """A row of trees with fruit; the same options give the same scene, bit for bit.
+
+    Trees are grown one by one: a longer row has the same trees, moved along, and more. Obstacles are called
+    `tree 1 trunk 2`, `tree 1 arm 1`, `tree 1 branch 3`, `tree 1 shoot 4`, `wire 2`, `post 1`, `ground`, `vehicle`;
+    fruits `fruit 01`, `fruit 02`, ..., counted from the base's axis outwards.
+
+    Args:
+        options: What to grow; None for the defaults.
+        start_deg: Configuration at which the motion begins [deg]; the default is the harvester's, tucked.
+
+    Raises:
+        OptionError: More fruits than there is room for, a goal that does not hang there, or a start that is no list
+            of numbers.
+    """
+    options = OrchardOptions() if options is None else instance("options", options, OrchardOptions)
+    wood: list[Capsule] = []
+    for number, y in enumerate(_places_in_row(options.trees, options.spacing), start=1):
+        limbs = grow_tree(options, np.array([options.distance, y, 0.0]), np.random.default_rng([options.seed, number]))
+        wood += _named(limbs, f"tree {number} ")
+    wood += _trellis(options)
+    fruits = hang_fruits(wood, options, np.random.default_rng([options.seed, 0]))
+    boxes = [box for box, wanted in ((_GROUND, options.ground), (_VEHICLE, options.vehicle)) if wanted]
+    return _scene(options, (*wood, *boxes), fruits, start_deg)
+
+
+def measured_orchard(
+    paths: Sequence[Path | str],
+    options: MeasuredOptions | None = None,
+    *,
+    start_deg: Sequence[float] = TUCKED_DEG,
+) -> Scene:
+    """A row of measured trees, a file each (see `import_capsules`), with fruit at the tips of their branches.
+
+    Args:
+        paths: The files; several trees are called `tree 1 ...`, `tree 2 ...`.
+        options: How they stand and what hangs on them; None for the defaults.
+        start_deg: Configuration at which the motion begins [deg].
+
+    Raises:
+        InputError: A file that is not in order.
+        OptionError: No files, more fruits than there is room for or none, a goal that does not hang there, or a start
+            that is no list of numbers.
+    """
+    paths = list_of("paths", paths, str | Path, "files")
+    if not paths:
+        raise OptionError("paths", [], "at least one file")
+    options = MeasuredOptions() if options is None else instance("options", options, MeasuredOptions)
+    wood: list[Capsule] = []
+    for number, (path, y) in enumerate(zip(paths, _places_in_row(len(paths), options.spacing), strict=True), start=1):
+        prefix = f"tree {number} " if len(paths) > 1 else ""
+        position = options.distance, y, options.height
+        tree = import_capsules(path, position=position, yaw_deg=options.yaw_deg, prefix=prefix)
+        wood += [capsule(piece.name, rounded(piece.start), rounded(piece.end), piece.radius) for piece in tree]
+    fruits = fruit_at_tips(wood, options.fruits, options.fruit_radius, options.seed, zone=options.fruit_zone)
+    return _scene(options, wood, fruits, start_deg)
+
+
+def _places_in_row(count: int, spacing: float) -> list[float]:
+    """Positions of the trees along y, their middle at 0 [m]."""
+    return [(number - 0.5 * (count - 1)) * spacing for number in range(count)]
+
+
+def _named(limbs: Sequence[Limb], prefix: str) -> list[Capsule]:
+    """Limbs as obstacles, counted by their kind."""
+    counts: Counter[str] = Counter()
+    capsules = []
+    for limb in limbs:
+        counts[limb.kind] += 1
+        name, radius = f"{prefix}{limb.kind} {counts[limb.kind]}", round(limb.radius, DECIMALS)
+        capsules.append(capsule(name, rounded(limb.start), rounded(limb.end), radius))
+    return capsules
+
+
+def _trellis(options: OrchardOptions) -> list[Capsule]:
+    """Wires along the row, and posts at its ends."""
+    x, y = options.distance, 0.5 * options.trees * options.spacing
+    wires = [
+        capsule(f"wire {number}", rounded((x, -y, height)), rounded((x, y, height)), options.wire_radius)
+        for number, height in enumerate(options.wire_heights, start=1)
+    ]
+    if not options.posts:
+        return wires
+    top = max(0.8 * options.tree_height, *options.wire_heights, 0.0) + _POST_EXCESS
+    feet = [(x, side * y, _POST_RADIUS) for side in (-1.0, 1.0)]
+    posts = [
+        capsule(f"post {number}", rounded(foot), rounded((*foot[:2], top - _POST_RADIUS)), _POST_RADIUS)
+        for number, foot in enumerate(feet, start=1)
+    ]
+    return [*wires, *posts]
+
+
+def _scene(
+    options: OrchardOptions | MeasuredOptions,
+    obstacles: Sequence[Capsule | Box],
+    fruits: tuple[Fruit, ...],
+    start_deg: Sequence[float],
+) -> Scene:
+    """The scene, with a goal that exists."""
+    start = list_between("start_deg", start_deg, -36000.0, 36000.0)
+    names = [fruit.name for fruit in fruits]
+    if not names:
+        raise OptionError("fruits", 0, "at least one, to be the goal")
+    if options.goal is not None and options.goal not in names:
+        raise OptionError("goal", options.goal, f"one of the fruits, {names[0]} to {names[-1]}")
+    return Scene(
+        name=options.name,
+        robot=options.robot,
+        start=Start(joints_deg=start),
+        goal=Goal(fruit=options.goal or names[0]),
+        clearance=options.clearance,
+        obstacles=tuple(obstacles),
+        fruits=fruits,
+    )

@@ -1,0 +1,161 @@
+"""Growth of a tree: a tapering trunk, branches that bend as they leave it, side shoots; all of it straight pieces.
+
+Two forms of modern apple trees. A spindle has one leader with branches all around it, each turned by the golden angle
+from the one below, long at the bottom and short at the top, so that light falls on all. A trellised tree has a pair of
+arms along each wire, and its branches stand on those.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+import numpy as np
+
+from hplan.base.arrays import FloatArray
+from hplan.scene.orchard.options import OrchardOptions
+
+Kind: TypeAlias = Literal["trunk", "arm", "branch", "shoot"]
+
+#: Turn from one branch to the next one up the trunk: no two stand above each other.
+_GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))
+
+
+@dataclass(frozen=True, eq=False)
+class Limb:
+    """A straight piece of wood.
+
+    Attributes:
+        kind: What it is a piece of.
+        start: (3,) the end nearer to the root [m].
+        end: (3,) the other end [m].
+        radius: Radius [m].
+    """
+
+    kind: Kind
+    start: FloatArray
+    end: FloatArray
+    radius: float
+
+
+def grow_tree(options: OrchardOptions, root: FloatArray, random: np.random.Generator) -> list[Limb]:
+    """A tree whose trunk leaves the ground at `root`, (3,) [m]: trunk, arms, branches and shoots, each upwards."""
+    trunk = _trunk(options, root, random)
+    if options.form == "spindle":
+        arms: list[Limb] = []
+        branches = _spindle_branches(options, trunk, random)
+    else:
+        arms = _trellis_arms(options, trunk, random)
+        branches = _trellis_branches(options, arms, random)
+    shoots = [shoot for branch in branches for shoot in _shoots(options, branch, random)]
+    return [*trunk, *arms, *(piece for branch in branches for piece in branch), *shoots]
+
+
+def _trunk(options: OrchardOptions, root: FloatArray, random: np.random.Generator) -> list[Limb]:
+    """Nearly upright pieces, the thickest at the bottom."""
+    # Length of a trunk's pieces, about [m].
+    trunk_piece = 0.45
+    count = max(3, round(options.tree_height / trunk_piece))
+    nodes = np.tile(root, (count + 1, 1))
+    nodes[:, 2] += np.linspace(0.0, options.tree_height, count + 1)
+    nodes[1:, :2] += np.cumsum(random.uniform(-0.015, 0.015, (count, 2)), axis=0)
+    fraction = (np.arange(count) + 0.5) / count
+    return _pieces("trunk", nodes, options.trunk_radius * (1.0 - 0.75 * fraction))
+
+
+def _spindle_branches(options: OrchardOptions, trunk: Sequence[Limb], random: np.random.Generator) -> list[list[Limb]]:
+    """A spindle's branches, from the bottom to the top; they rise from the trunk and sink under their fruit."""
+    branches = []
+    azimuth = random.uniform(0.0, 2.0 * math.pi)
+    for number in range(options.branches):
+        fraction = (number + random.uniform(0.1, 0.9)) / options.branches
+        height = options.first_branch + fraction * 0.96 * (options.tree_height - options.first_branch)
+        azimuth += _GOLDEN_ANGLE + random.uniform(-0.3, 0.3)
+        length = options.branch_length * (1.0 - 0.65 * fraction) * random.uniform(0.75, 1.0)
+        rise = math.radians(random.uniform(10.0, 35.0))
+        start, thickness = _at_height(trunk, height)
+        radius = min(0.6 * thickness, 0.004 + 0.013 * length)
+        bends = rise - np.radians([0.0, 12.0, 30.0])
+        turns = azimuth + np.cumsum(random.uniform(-0.15, 0.15, 3))
+        branches.append(_bent("branch", start, length, bends, turns, radius))
+    return branches
+
+
+def _trellis_arms(options: OrchardOptions, trunk: Sequence[Limb], random: np.random.Generator) -> list[Limb]:
+    """Arms to both sides at each wire, up to where those of the next tree begin."""
+    arms: list[Limb] = []
+    for height in options.wire_heights:
+        if height >= options.tree_height:
+            break
+        start, thickness = _at_height(trunk, height)
+        for side in (-1.0, 1.0):
+            length = 0.5 * options.spacing * random.uniform(0.85, 0.98)
+            bends = np.radians(random.uniform(-4.0, 6.0, 3))
+            turns = side * 0.5 * math.pi + random.uniform(-0.08, 0.08, 3)
+            arms += _bent("arm", start, length, bends, turns, 0.75 * thickness)
+    return arms
+
+
+def _trellis_branches(options: OrchardOptions, arms: Sequence[Limb], random: np.random.Generator) -> list[list[Limb]]:
+    """A trellised tree's branches: spread over the arms, upwards and to either side of the row in turn."""
+    branches = []
+    for number in range(options.branches):
+        place = (number + random.uniform(0.1, 0.9)) / options.branches * len(arms)
+        arm = arms[min(int(place), len(arms) - 1)]
+        start = arm.start + (place - int(place)) * (arm.end - arm.start)
+        azimuth = math.pi * (number % 2) + random.uniform(-0.7, 0.7)
+        rise = math.radians(random.uniform(5.0, 55.0))
+        length = options.branch_length * random.uniform(0.4, 1.0)
+        bends = rise - np.radians([0.0, 10.0, 25.0])
+        radius = min(0.6 * arm.radius, 0.003 + 0.01 * length)
+        branches.append(_bent("branch", start, length, bends, azimuth + np.zeros(3), radius))
+    return branches
+
+
+def _shoots(options: OrchardOptions, branch: Sequence[Limb], random: np.random.Generator) -> list[Limb]:
+    """Side shoots of a branch, to the left and to the right in turn."""
+    shoots = []
+    length = sum(float(np.linalg.norm(piece.end - piece.start)) for piece in branch)
+    for number in range(options.shoots):
+        place = random.uniform(0.3, 0.95) * len(branch)
+        piece = branch[int(place)]
+        start = piece.start + (place - int(place)) * (piece.end - piece.start)
+        along = piece.end - piece.start
+        turn = (-1.0) ** number * math.radians(random.uniform(35.0, 75.0))
+        azimuth = math.atan2(along[1], along[0]) + turn
+        rise = math.radians(random.uniform(-15.0, 45.0))
+        reach = length * random.uniform(0.2, 0.45)
+        shoots += _pieces("shoot", np.stack([start, start + reach * _direction(azimuth, rise)]), [0.8 * piece.radius])
+    return shoots
+
+
+def _bent(
+    kind: Kind, start: FloatArray, length: float, rises: FloatArray, azimuths: FloatArray, radius: float
+) -> list[Limb]:
+    """Pieces of equal length one after the other, each with its rise and azimuth; they taper to a third."""
+    count = len(rises)
+    steps = [_direction(azimuth, rise) for azimuth, rise in zip(azimuths, rises, strict=True)]
+    nodes = start + length / count * np.vstack([np.zeros(3), np.cumsum(steps, axis=0)])
+    return _pieces(kind, nodes, radius * np.linspace(1.0, 0.35, count))
+
+
+def _pieces(kind: Kind, nodes: FloatArray, radii: Sequence[float] | FloatArray) -> list[Limb]:
+    # Thinnest wood there is [m].
+    thinnest = 0.002
+    return [
+        Limb(kind, start, end, max(float(radius), thinnest))
+        for start, end, radius in zip(nodes, nodes[1:], radii, strict=False)
+    ]
+
+
+def _direction(azimuth: float, rise: float) -> FloatArray:
+    return np.array([math.cos(azimuth) * math.cos(rise), math.sin(azimuth) * math.cos(rise), math.sin(rise)])
+
+
+def _at_height(trunk: Sequence[Limb], height: float) -> tuple[FloatArray, float]:
+    """The point of a trunk's axis at a height, and the trunk's radius there."""
+    piece = next((piece for piece in trunk if piece.end[2] >= height), trunk[-1])
+    fraction = (height - piece.start[2]) / (piece.end[2] - piece.start[2])
+    return piece.start + fraction * (piece.end - piece.start), piece.radius

@@ -1,0 +1,56 @@
+"""Time along a path: limits, toppra's passes, jerk, trajectories and their CSV; timing alone, for any URDF.
+
+The names here are those of timing alone: waypoints of any robot that Pinocchio reads, without a scene.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from hplan.base.lazy_import import lazy_names
+
+if TYPE_CHECKING:
+    from hplan.trajectory.corner_rounding import largest_deviation, rounded_path
+    from hplan.trajectory.machine import Machine, limits_of, read_machine
+    from hplan.trajectory.timing import (
+        AT_LIMIT,
+        DEVIATION,
+        LimitShares,
+        corner_grid,
+        limit_shares,
+        read_waypoints,
+        time_waypoints,
+    )
+
+__all__ = [
+    "AT_LIMIT",
+    "DEVIATION",
+    "LimitShares",
+    "Machine",
+    "corner_grid",
+    "largest_deviation",
+    "limit_shares",
+    "limits_of",
+    "read_machine",
+    "read_waypoints",
+    "rounded_path",
+    "time_waypoints",
+]
+
+__getattr__ = lazy_names(
+    __name__,
+    {
+        "AT_LIMIT": "hplan.trajectory.timing",
+        "DEVIATION": "hplan.trajectory.timing",
+        "LimitShares": "hplan.trajectory.timing",
+        "Machine": "hplan.trajectory.machine",
+        "corner_grid": "hplan.trajectory.timing",
+        "largest_deviation": "hplan.trajectory.corner_rounding",
+        "limit_shares": "hplan.trajectory.timing",
+        "limits_of": "hplan.trajectory.machine",
+        "read_machine": "hplan.trajectory.machine",
+        "read_waypoints": "hplan.trajectory.timing",
+        "rounded_path": "hplan.trajectory.corner_rounding",
+        "time_waypoints": "hplan.trajectory.timing",
+    },
+)

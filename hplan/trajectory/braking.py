@@ -1,0 +1,76 @@
+r"""Stops that each joint makes on its own, from a state of motion: for where there is no path to stay on.
+
+The control points of the motion's uniform cubic B-spline (`hplan.trajectory.retime`) begin with the three that give the
+state. Each next one changes the joint's step as far towards rest as second and third differences may be; a change that
+could no longer be brought to nothing in time is not begun. So the motion goes on from the state without a jump, up to
+the acceleration, and keeps velocity, acceleration and jerk at all times. It leaves the path that the arm was on.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hplan.base.arrays import FloatArray
+from hplan.robot.model import Robot
+from hplan.trajectory.trajectory import Trajectory
+
+#: Most rows of a stop.
+MOST_ROWS = 20_000
+
+#: Part of the jerk limit with which the end of a stop is planned ahead.
+AHEAD = 0.9
+
+
+def braking(
+    robot: Robot, position: FloatArray, velocity: FloatArray, acceleration: FloatArray, period: float, push: FloatArray
+) -> Trajectory | None:
+    """The quickest stop of each joint; None where it takes too many rows.
+
+    Args:
+        robot: The arm.
+        position: (dof,) where it is.
+        velocity: (dof,) [rad/s].
+        acceleration: (dof,) [rad/s^2].
+        period: Time between rows [s].
+        push: (dof,) largest accelerations [rad/s^2].
+    """
+    most = np.maximum(push, np.abs(acceleration)) * period**2
+    jerk = np.full(robot.dof, np.inf) if robot.jerk_limit is None else robot.jerk_limit * period**3
+    middle = position - period**2 / 6.0 * acceleration
+    change = acceleration * period**2
+    step = period * velocity + 0.5 * change
+    points = [middle - period * velocity + 0.5 * change, middle, middle + step]
+    while (step != 0.0).any() or (change != 0.0).any():
+        if len(points) > MOST_ROWS:
+            return None
+        change = _change(step, change, most, jerk)
+        step = np.where(np.abs(step + change) <= 1e-15, 0.0, step + change)
+        points.append(points[-1] + step)
+    points += [points[-1]] * (2 if (points[-1] != points[-2]).any() else 1)
+    return _trajectory(robot, np.array(points), period, (position, velocity, acceleration))
+
+
+def _change(step: FloatArray, change: FloatArray, most: FloatArray, jerk: FloatArray) -> FloatArray:
+    """(dof,) changes of the steps from one row to the next."""
+    away = np.abs(step)
+    ahead = np.minimum(AHEAD * jerk, 1e9)
+    still = np.where(away > ahead, 0.5 * (np.sqrt(ahead**2 + 8.0 * ahead * np.minimum(away, 1e9)) - ahead), away)
+    wanted = -np.sign(step) * np.minimum(np.where(np.isfinite(jerk), still, away), most)
+    allowed: FloatArray = np.clip(wanted, np.maximum(change - jerk, -most), np.minimum(change + jerk, most))
+    return allowed
+
+
+def _trajectory(
+    robot: Robot, points: FloatArray, period: float, state: tuple[FloatArray, FloatArray, FloatArray]
+) -> Trajectory:
+    """The motion with control points, which begins in a state and ends at rest."""
+    change = np.diff(points, axis=0)
+    rows = (
+        (points[:-2] + 4.0 * points[1:-1] + points[2:]) / 6.0,
+        (change[1:] + change[:-1]) / (2.0 * period),
+        np.diff(change, axis=0) / period**2,
+    )
+    for values, first, last in zip(rows, state, (points[-1], 0.0, 0.0), strict=True):
+        values[0], values[-1] = first, last
+    time = np.arange(len(rows[0]), dtype=np.float64) * period
+    return Trajectory(robot.joint_names, time, *rows, robot.dynamics.torques(*rows), robot.slides)

@@ -1,0 +1,355 @@
+r"""Time along a path: the fastest under velocity, acceleration and torque limits (toppra), sampled for a controller.
+
+toppra finds the path speed on a grid of path parameters that holds the ends of the spline's pieces
+(`hplan.trajectory.topp`). The samples :math:`q_k = q(s(k h))` of that motion are then taken as control points of a
+uniform cubic B-spline in time, and the rows of the trajectory are its knots:
+
+.. math::
+    x_k = \tfrac16 (q_{k-1} + 4 q_k + q_{k+1}), \quad
+    \dot x_k = \frac{q_{k+1} - q_{k-1}}{2 h}, \quad
+    \ddot x_k = \frac{q_{k+1} - 2 q_k + q_{k-1}}{h^2}.
+
+These are averages of the motion's own position, velocity and acceleration over :math:`\pm h`, so its limits are kept.
+Between rows the acceleration is linear and the velocity lies in the hull of the differences
+:math:`(q_{k+1} - q_k) / h`, so limits on both, kept there, are kept in between; and a controller that interpolates with
+cubic (position and velocity) or quintic (acceleration as well) polynomials runs exactly this motion. It starts and
+ends with acceleration zero.
+
+Jerk: where limits on it are given, each control point is first replaced by the mean of :math:`m` successive ones.
+The acceleration then changes by no more than :math:`2 a / m` from row to row, and velocity and acceleration are again
+averages within their limits. The smallest :math:`m` that keeps the jerk is taken. The price is :math:`(m - 1) h` of
+duration and a deviation from the path of at most :math:`a (m h)^2 / 24` a joint, which the certificate sees, as it
+judges the rows.
+
+In all the motion takes :math:`m + 1` to :math:`m + 2` periods longer than toppra's. What passes a limit all the same
+(a little, by the spacing of the grid, which `hplan.trajectory.speed_profile` refines where it is more; torque is no
+linear function of the motion) is taken back by slowing down.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import cache
+
+import numpy as np
+import pinocchio as pin
+
+from hplan.base.arrays import BoolArray, FloatArray
+from hplan.base.deadline import check_deadline
+from hplan.errors import HplanError, OptionError, TimingError
+from hplan.robot.dynamics import InverseDynamics, joints_that_slide
+from hplan.robot.limits import GeometricPath, Limits, check_rate
+from hplan.trajectory.speed_profile import (
+    LITTLE,
+    MOST_POINTS,
+    MOST_ROWS,
+    NO_MOTION,
+    SpeedProfile,
+    parameter_grid,
+    refined,
+)
+from hplan.trajectory.trajectory import Trajectory
+
+#: Grid points of the path parameter, in addition to the knots.
+GRID_POINTS = 400
+
+#: With fewer points than this for each row, what passes a limit between them slows the whole motion down; longer
+#: motions get more points, up to a number that takes a tenth of a second.
+POINTS_PER_ROW = 0.8
+
+#: Fraction by which a limit may be passed before the motion is slowed down.
+KEPT = 2e-4
+
+#: Where rows are farther apart than this, torque is kept at as many times between them [s].
+TORQUE_PERIOD_S = 0.01
+
+#: Numbers of control points to average that are tried one by one; of larger ones each is tried that is so much larger.
+ONE_BY_ONE, GROWTH = 128, 1.02
+
+#: How often the motion may be slowed down.
+MOST_STRETCHES = 20
+
+
+def time_path(
+    path: GeometricPath,
+    model: pin.Model | InverseDynamics,
+    limits: Limits,
+    *,
+    rate_hz: float = 250.0,
+    grid_points: int = GRID_POINTS,
+    grid: FloatArray | None = None,
+    end_speeds: tuple[float, float] = (0.0, 0.0),
+) -> Trajectory:
+    """The fastest motion along a path.
+
+    Args:
+        path: The path; its parameter should run about as the joint-space length.
+        model: Pinocchio's model, for torques, or what was made from it; its joints are the path's.
+        limits: Velocity, acceleration and, where given, torque and jerk limits.
+        rate_hz: Rows per second.
+        grid_points: Number of points at which the path speed is chosen, in addition to the ends of the path's pieces.
+        grid: (n,) increasing path parameters from 0 to the end to choose it at instead, for a motion from rest to rest.
+        end_speeds: Joint-space speeds along the path at its start and its end [rad/s]; 0 is at rest. A motion that
+            does not end at rest is slowed down by less than one period in all, and the speeds with it, to end on a row.
+            Where the motion as a whole is slowed down to keep a limit, so are they, and the first and the last row are
+            off the path's ends by a part of one period's motion (2 % of it at 25 Hz).
+
+    Raises:
+        TimingError: No motion within the limits exists; names the joint and the cause.
+        OptionError: A rate that is not between 1 and 100000, a speed that is negative, more than `MOST_ROWS` rows.
+    """
+    check_rate(rate_hz)
+    if grid_points < 10:
+        raise OptionError("grid_points", grid_points, "at least 10")
+    for speed in end_speeds:
+        if not (np.isfinite(speed) and speed >= 0.0):
+            raise OptionError("end_speeds", speed, "a finite speed along the path >= 0")
+    if grid is not None and any(end_speeds):
+        raise OptionError("grid", "given", "none where the ends of the motion are not at rest")
+    dynamics = model if isinstance(model, InverseDynamics) else InverseDynamics.of(model)
+    names = tuple(dynamics.model.names)[1:]
+    whole = parameter_grid(path, grid_points, (0.0, 0.0)) if grid is None else grid
+    fine = path.evaluate(whole)
+    if np.ptp(fine, axis=0).max() < NO_MOTION:
+        return resting(dynamics.model, path.evaluate(0.0))
+    _check_limits(path, dynamics, limits, whole, names)
+    ends = np.array([0.0, path.breaks[-1]])
+    # Path speeds ds/dt at the ends; the parameter need not run exactly as the length.
+    rates = np.array(end_speeds) / np.linalg.norm(path.evaluate(ends, 1), axis=1)
+
+    period = 1.0 / rate_hz
+
+    @cache
+    def profile_for(window: int) -> SpeedProfile:
+        """Profile with constant speed at both ends for as long as the rows' averages reach; from rest all are one."""
+        check_deadline()
+        if window > 1 and not rates.any():
+            return profile_for(1)
+        leads = rates * (0.5 * (window + 1) / rate_hz)
+        if leads.sum() >= 0.5 * path.breaks[-1]:
+            raise TimingError("the path is too short for its start and end speeds", cause="speed at the ends")
+        ends = (float(leads[0]), float(leads[1]))
+        between = parameter_grid(path, grid_points, ends) if rates.any() else whole
+        found = SpeedProfile.along(path, dynamics, limits, between, rates)
+        wanted = int(POINTS_PER_ROW * found.arrival[-1] * rate_hz)
+        if grid is None and wanted > len(between):
+            found = SpeedProfile.along(
+                path, dynamics, limits, parameter_grid(path, min(wanted, MOST_POINTS), ends), rates
+            )
+        return found
+
+    window = _smoothing_window(profile_for, limits, period)
+    profile = profile_for(window)
+    if rates.any():
+        return _sample(profile, dynamics, names, limits, period, window)[0]
+    return _sample_refined(profile, dynamics, names, limits, period, window)
+
+
+def resting(model: pin.Model, q: FloatArray) -> Trajectory:
+    """The empty motion: one row at time 0, at rest."""
+    zero = np.zeros((1, model.nv))
+    torque = pin.rnea(model, model.createData(), q, zero[0], zero[0])
+    return Trajectory(tuple(model.names)[1:], np.zeros(1), q[None], zero, zero, torque[None], joints_that_slide(model))
+
+
+def _check_limits(
+    path: GeometricPath, dynamics: InverseDynamics, limits: Limits, grid: FloatArray, names: tuple[str, ...]
+) -> None:
+    """Say which joint and why before toppra can only say no."""
+    moves = np.abs(path.evaluate(grid, 1)).max(axis=0) > 1e-9
+    for what, values in (
+        ("velocity", limits.velocity),
+        ("acceleration", limits.acceleration),
+        ("jerk", limits.jerk),
+    ):
+        if values is None:
+            continue
+        for joint in np.flatnonzero(moves & ~(values > 0.0)):
+            raise TimingError(
+                f"joint {names[joint]!r} must move, but its {what} limit is {values[joint]:g}",
+                joint=names[joint],
+                cause=f"{what} limit of zero",
+            )
+    if limits.torque is None:
+        return
+    static = dynamics.gravity(path.evaluate(grid[::8]))
+    use = np.abs(static) / np.maximum(limits.torque, 1e-12)
+    point, joint = np.unravel_index(int(use.argmax()), use.shape)
+    if use[point, joint] > 1.0:
+        raise TimingError(
+            f"joint {names[joint]!r} needs {abs(static[point, joint]):.4g} N m to stand still on the path, "
+            f"its limit is {limits.torque[joint]:.4g} N m",
+            joint=names[joint],
+            cause="static torque exceeds the limit",
+        )
+
+
+def _smoothing_window(profile_for: Callable[[int], SpeedProfile], limits: Limits, period: float) -> int:
+    """The fewest control points to average that keep the jerk limits; 2 a / (m h) <= jerk always suffices."""
+    if limits.jerk is None:
+        return 1
+    jerk = limits.jerk
+    profile = profile_for(1)
+    moves = np.ptp(profile.path.evaluate(profile.grid), axis=0) > NO_MOTION
+    # The mean of m control points changes its acceleration by the difference of two raw ones m rows apart, over m.
+    raw = _rows(profile, replace(limits, jerk=None), period, 1).acceleration[:, moves]
+    padded = np.concatenate([np.zeros_like(raw[:1]), raw, np.zeros_like(raw[:1])])
+    allowed = jerk[moves] * period * (1.0 + 1e-6)
+    enough = int(np.ceil((2.0 * limits.acceleration[moves] / (jerk[moves] * period)).max(initial=1.0)))
+    for window in _windows(min(enough, len(padded) - 1)):
+        if (np.abs(padded[window:] - padded[:-window]) <= allowed * window).all():
+            return window
+    return max(1, enough)
+
+
+def _windows(end: int) -> Iterator[int]:
+    """Numbers of control points below an end that are tried."""
+    window = 1
+    while window < end:
+        yield window
+        window = max(window + 1, int(window * GROWTH)) if window >= ONE_BY_ONE else window + 1
+
+
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """Position, velocity and acceleration at the rows, and the time-scaling factor of the profile."""
+
+    position: FloatArray
+    velocity: FloatArray
+    acceleration: FloatArray
+    stretch: float
+
+
+def _sample(
+    profile: SpeedProfile, dynamics: InverseDynamics, names: tuple[str, ...], limits: Limits, period: float, window: int
+) -> tuple[Trajectory, float]:
+    """The trajectory, slowed down where torque, which is no linear function of the motion, passes its limit."""
+    stretch = 1.0
+    for _ in range(MOST_STRETCHES):
+        check_deadline()
+        rows = _rows(profile, limits, period, window, stretch)
+        torque = dynamics.torques(rows.position, rows.velocity, rows.acceleration)
+        excess = 0.0
+        if limits.torque is not None:
+            excess = _torque_excess(dynamics, rows.position, torque, limits.torque)
+            if period > TORQUE_PERIOD_S:
+                q, v, a = _between(rows, period)
+                excess = max(excess, _torque_excess(dynamics, q, dynamics.torques(q, v, a), limits.torque))
+        if excess <= 1.0:
+            time = np.arange(len(torque), dtype=np.float64) * period
+            made = time, rows.position, rows.velocity, rows.acceleration, torque, joints_that_slide(dynamics.model)
+            return Trajectory(names, *made), rows.stretch
+        stretch = rows.stretch * excess
+    raise TimingError("no pace was found at which the motion keeps the torque limits", cause="torque limit not kept")
+
+
+def _sample_refined(
+    profile: SpeedProfile, dynamics: InverseDynamics, names: tuple[str, ...], limits: Limits, period: float, window: int
+) -> Trajectory:
+    """The trajectory from rest to rest; where it would be slowed down as a whole, on a grid that is refined there.
+
+    Raises:
+        TimingError: No time-scaling factor keeps the limits.
+        OptionError: More than `MOST_ROWS` rows.
+    """
+    coarse: HplanError | Trajectory
+    try:
+        coarse, stretch = _sample(profile, dynamics, names, limits, period, window)
+        if stretch <= 1.0 + LITTLE:
+            return coarse
+    except (OptionError, TimingError) as error:
+        coarse = error
+    finer = refined(profile, dynamics, limits, period)
+    if finer is not profile:
+        window = _smoothing_window(lambda _: finer, limits, period)
+        return _sample(finer, dynamics, names, limits, period, window)[0]
+    if isinstance(coarse, HplanError):
+        raise coarse
+    return coarse
+
+
+def _between(rows: _Rows, period: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Positions, velocities and accelerations between the rows, where the acceleration is linear."""
+    parts = int(np.ceil(period / TORQUE_PERIOD_S - 1e-9))
+    t = (np.arange(1, parts) * (period / parts))[:, None, None]
+    a, jerk = rows.acceleration[:-1], np.diff(rows.acceleration, axis=0) / period
+    q, v = rows.position[:-1], rows.velocity[:-1]
+    states = q + t * (v + t * (0.5 * a + t * jerk / 6.0)), v + t * (a + 0.5 * t * jerk), a + t * jerk
+    position, velocity, acceleration = (values.reshape(-1, q.shape[1]) for values in states)
+    return position, velocity, acceleration
+
+
+def _torque_excess(dynamics: InverseDynamics, position: FloatArray, torque: FloatArray, limit: FloatArray) -> float:
+    """The time-scaling factor that the torque limits ask for; gravity's part does not shrink with the speed."""
+    over = np.abs(torque) > limit * (1.0 + KEPT)
+    if not over.any():
+        return 0.0
+    gravity = dynamics.gravity(position)
+    room = np.maximum(limit - np.abs(gravity), 1e-3 * limit)
+    return float(max(1.0 + 1e-4, np.sqrt((np.abs(torque - gravity) / room)[over].max())))
+
+
+def _rows(profile: SpeedProfile, limits: Limits, period: float, window: int, stretch: float = 1.0) -> _Rows:
+    """Rows at multiples of the period (see the module's text), `window` control points averaged.
+
+    Between grid points the velocity and acceleration limits are passed by a little, which slows the motion down.
+    """
+    moving_end = profile.speed[-1] > 0.0
+    for _ in range(MOST_STRETCHES):
+        duration = profile.arrival[-1] * stretch
+        if moving_end:
+            stretch *= max(1.0, np.ceil(duration / period - 1e-9)) * period / duration
+            duration = profile.arrival[-1] * stretch
+        rows = duration / period + window
+        if not rows <= MOST_ROWS:
+            raise OptionError(
+                "rate_hz",
+                round(1.0 / period, 9),
+                f"at most {MOST_ROWS:,} rows, where the motion lasts {duration:.4g} s and would have {rows:,.0f}: "
+                "a lower rate, or a higher speed",
+            )
+        steps = max(1, int(np.ceil(duration / period - 1e-9))) + window + 1
+        # Row i stands on control points i to i + window + 1; those of the first are all before the motion begins,
+        # those of the last all after it has ended.
+        clock = (np.arange(steps + window + 2, dtype=np.float64) - (window + 1)) * (period / stretch)
+        control = profile.positions(clock)
+        if window > 1:
+            total = np.cumsum(np.concatenate([np.zeros((1, control.shape[1])), control - control[0]]), axis=0)
+            control = control[0] + (total[window:] - total[:-window]) / window
+        change = np.diff(control, axis=0) / period
+        acceleration = np.diff(change, axis=0) / period
+        moves = np.ptp(control, axis=0) > NO_MOTION
+        excess = max(
+            _largest_use(change, limits.velocity, moves),
+            np.sqrt(_largest_use(acceleration, limits.acceleration, moves)),
+        )
+        if limits.jerk is not None:
+            jerk = np.diff(acceleration, axis=0, prepend=0.0, append=0.0) / period
+            excess = max(excess, math.cbrt(_largest_use(jerk, limits.jerk, moves)))
+        if excess <= 1.0 + KEPT:
+            position = (control[:-2] + 4.0 * control[1:-1] + control[2:]) / 6.0
+            velocity = 0.5 * (change[1:] + change[:-1])
+            _make_exact(position, velocity, acceleration, control, profile)
+            return _Rows(position, velocity, acceleration, stretch)
+        stretch *= excess
+    raise TimingError("no pace was found at which the motion keeps its limits", cause="limits not kept")
+
+
+def _make_exact(
+    position: FloatArray, velocity: FloatArray, acceleration: FloatArray, control: FloatArray, profile: SpeedProfile
+) -> None:
+    """Take rounding out of what is known: joints that stay where they are, and rest at the ends."""
+    still = np.ptp(control, axis=0) <= 1e-12
+    position[:, still] = profile.ends[0, still]
+    for end in (0, -1):
+        if profile.speed[end] == 0.0:
+            position[end] = profile.ends[end]
+            velocity[end] = acceleration[end] = 0.0
+
+
+def _largest_use(values: FloatArray, limit: FloatArray, joints: BoolArray) -> float:
+    """Largest use of a limit over the joints marked."""
+    use = np.abs(values).max(axis=0) / np.maximum(limit, 1e-12)
+    return float(use[joints].max(initial=0.0))

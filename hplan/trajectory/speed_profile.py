@@ -1,0 +1,159 @@
+"""The fastest path speed on a grid of path parameters, and the motion in continuous time that it gives.
+
+toppra keeps the limits at grid points (`hplan.trajectory.topp`). Where the path bends sharply between two of them, the
+grid is refined there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from hplan.base.arrays import FloatArray
+from hplan.robot.dynamics import InverseDynamics
+from hplan.robot.limits import GeometricPath, Limits
+
+#: Longer motions get more points, up to a number that takes a tenth of a second.
+MOST_POINTS = 4000
+
+#: Paths on which no joint leaves its place by as much as this are no motion [rad].
+NO_MOTION = 1e-7
+
+#: Most rows of a motion: as many take 0.2 GB.
+MOST_ROWS = 400_000
+
+#: Where rows pass a limit by more than `LITTLE`, intervals of the grid about them are split into `SPLIT`, so often at
+#: most, unless they are shorter than this fraction of the path.
+LITTLE, SPLIT, MOST_REFINEMENTS, SHORTEST_INTERVAL = 0.01, 4, 6, 1e-7
+
+
+def parameter_grid(path: GeometricPath, points: int, leads: tuple[float, float]) -> FloatArray:
+    """Path parameters, denser towards the ends, together with the ends of the pieces.
+
+    From rest the parameter grows with the square of time; cosine spacing makes the first intervals as short in time
+    as the others.
+    """
+    first, last = leads[0], float(path.breaks[-1]) - leads[1]
+    inner = path.breaks[(path.breaks > first) & (path.breaks < last)]
+    spaced = first + 0.5 * (last - first) * (1.0 - np.cos(np.linspace(0.0, np.pi, points)))
+    if len(inner) == 0:
+        return spaced
+    # Spaced points that stand close to a piece's end give way to it, so that few intervals become very short.
+    following = np.searchsorted(inner, spaced)
+    nearest = np.minimum(
+        np.abs(spaced - inner[np.minimum(following, len(inner) - 1)]),
+        np.abs(spaced - inner[np.maximum(following - 1, 0)]),
+    )
+    kept = nearest > 0.3 * np.gradient(spaced)
+    kept[[0, -1]] = True
+    grid: FloatArray = np.union1d(spaced[kept], inner)
+    return grid
+
+
+@dataclass(frozen=True, eq=False)
+class SpeedProfile:
+    """The fastest motion along a path, in continuous time.
+
+    The path speed is linear in time between grid points. Before the first grid point and after the last one it is
+    constant, on the path's tangent where that leads beyond its ends.
+
+    Attributes:
+        path: The path.
+        grid: (n,) path parameters.
+        speed: (n,) ds/dt there.
+        arrival: (n,) times.
+    """
+
+    path: GeometricPath
+    grid: FloatArray
+    speed: FloatArray
+    arrival: FloatArray
+
+    @classmethod
+    def along(
+        cls, path: GeometricPath, dynamics: InverseDynamics, limits: Limits, grid: FloatArray, rates: FloatArray
+    ) -> SpeedProfile:
+        """By toppra, with path speeds `rates` at the ends of the grid."""
+        from hplan.trajectory.topp import fastest_speed
+
+        return cls.of(path, grid, fastest_speed(path, dynamics, limits, grid, rates))
+
+    @classmethod
+    def of(cls, path: GeometricPath, grid: FloatArray, speed: FloatArray) -> SpeedProfile:
+        """From the path speed at the grid points."""
+        # The path acceleration is constant between grid points, so each interval takes 2 ds / (sum of its speeds).
+        durations = 2.0 * np.diff(grid) / (speed[:-1] + speed[1:])
+        return cls(path, grid, speed, np.concatenate([[0.0], np.cumsum(durations)]))
+
+    @property
+    def duration(self) -> float:
+        """How long the motion takes [s]."""
+        return float(self.arrival[-1])
+
+    def positions(self, clock: FloatArray) -> FloatArray:
+        """(k, dof) configurations at times."""
+        time = np.clip(clock, 0.0, self.arrival[-1])
+        interval = np.clip(np.searchsorted(self.arrival, time, side="right") - 1, 0, len(self.arrival) - 2)
+        since = time - self.arrival[interval]
+        durations = self.arrival[interval + 1] - self.arrival[interval]
+        acceleration = (self.speed[interval + 1] - self.speed[interval]) / durations
+        parameter = self.grid[interval] + since * (self.speed[interval] + 0.5 * acceleration * since)
+        parameter += np.where(clock < 0.0, self.speed[0], self.speed[-1]) * (clock - time)
+        q = np.array(self.path.evaluate(parameter))
+        end = float(self.path.breaks[-1])
+        for outside, s in ((parameter < 0.0, 0.0), (parameter > end, end)):
+            if outside.any():
+                q[outside] += (parameter[outside] - s)[:, None] * self.path.evaluate(s, 1)
+        return q
+
+    @cached_property
+    def ends(self) -> FloatArray:
+        """(2, dof) configurations at both ends of the path."""
+        return self.path.evaluate(np.array([0.0, self.path.breaks[-1]]))
+
+
+def refined(profile: SpeedProfile, dynamics: InverseDynamics, limits: Limits, period: float) -> SpeedProfile:
+    """The profile with more grid points where the motion between them passes a limit by more than a little.
+
+    toppra keeps the limits at the grid points. Where the path bends sharply between two of them, rows in between may
+    pass a limit many times over; slowing the whole motion down for these few would be the wrong remedy.
+    """
+    for _ in range(MOST_REFINEMENTS):
+        over = _rows_over(profile, dynamics, limits, period)
+        if len(over) == 0 or len(profile.grid) > MOST_POINTS:
+            return profile
+        # Each row's control points average over a period on either side.
+        first = np.searchsorted(profile.arrival, over - 1.5 * period, side="right") - 1
+        last = np.searchsorted(profile.arrival, over + 1.5 * period, side="left")
+        split = np.zeros(len(profile.grid) - 1, dtype=np.bool_)
+        for low, high in zip(np.maximum(first, 0).tolist(), last.tolist(), strict=True):
+            split[low:high] = True
+        at = np.flatnonzero(split & (np.diff(profile.grid) > SHORTEST_INTERVAL * profile.grid[-1]))
+        if len(at) == 0:
+            return profile
+        inner = profile.grid[at, None] + np.diff(profile.grid)[at, None] * (np.arange(1, SPLIT) / SPLIT)
+        grid = np.union1d(profile.grid, inner)
+        profile = SpeedProfile.along(profile.path, dynamics, limits, grid, np.zeros(2))
+    return profile
+
+
+def _rows_over(profile: SpeedProfile, dynamics: InverseDynamics, limits: Limits, period: float) -> FloatArray:
+    """Times at which rows of the profile, as it is, pass a limit by more than a little."""
+    steps = int(np.ceil(profile.arrival[-1] / period)) + 1
+    if steps > MOST_ROWS:
+        return np.empty(0)
+    clock = np.arange(-1, steps + 1, dtype=np.float64) * period
+    control = profile.positions(clock)
+    change = np.diff(control, axis=0) / period
+    acceleration = np.diff(change, axis=0) / period
+    moves = np.ptp(control, axis=0) > NO_MOTION
+    fast = np.any(np.abs(change[:, moves]) > (1.0 + LITTLE) * limits.velocity[moves], axis=1)
+    over = np.any(np.abs(acceleration[:, moves]) > (1.0 + LITTLE) ** 2 * limits.acceleration[moves], axis=1)
+    over |= fast[1:] | fast[:-1]
+    if limits.torque is not None:
+        torque = dynamics.torques(control[1:-1], 0.5 * (change[1:] + change[:-1]), acceleration)
+        over |= np.any(np.abs(torque) > (1.0 + LITTLE) * limits.torque, axis=1)
+    found: FloatArray = clock[1:-1][over]
+    return found

@@ -1,0 +1,225 @@
+"""The steps of the clock by which a motion is run, one for each new row (`hplan.trajectory.time_scaling`).
+
+A step has to keep bounds of the new control points' first, second and third differences and of the torques at the row.
+All are, to first order, linear in the step, so each gives an interval of steps; of their intersection the one nearest
+to the wanted one is taken, and the intervals are computed again there.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from hplan.base.arrays import FloatArray
+from hplan.base.kernels import kernel
+from hplan.robot.dynamics import newton_euler
+
+#: Rows over which the offset at the seam is faded out.
+FADED = 100
+
+#: Part of the jerk limit with which changes of the step are planned ahead.
+AHEAD = 0.8
+
+#: How often a step is corrected, and differences that count as none [rad].
+LOOKS, ROUNDING = 4, 1e-13
+
+#: Where no step keeps the limits, so many rows before are run again with this part of their changes; that many times.
+BACK, LESS, MOST_RETURNS = 6, 0.7, 200
+
+
+class Clocks(NamedTuple):
+    """A motion and what is wanted of it.
+
+    Attributes:
+        bezier: (pieces, 4, dof) its cubics.
+        time: (pieces + 1,) the times of its rows [s].
+        points: (3, dof) the first control points.
+        clock: (3,) their times [s].
+        fade: (3, dof) what is faded out (`hplan.trajectory.time_scaling`).
+        factors: (rows,) speed factors wanted from the second point on.
+    """
+
+    bezier: FloatArray
+    time: FloatArray
+    points: FloatArray
+    clock: FloatArray
+    fade: FloatArray
+    factors: FloatArray
+
+
+class Kept(NamedTuple):
+    """Limits.
+
+    Attributes:
+        steps: (3, dof) largest first, second and third differences of control points [rad].
+        torque: (dof,) [N m].
+        bodies: The arm's bodies as `newton_euler` takes them; empty where torque is not limited.
+        gravity: (3,) [m/s^2].
+    """
+
+    steps: FloatArray
+    torque: FloatArray
+    bodies: FloatArray
+    gravity: FloatArray
+
+
+@kernel
+def run_clock(clocks: Clocks, kept: Kept, period: float, final: int) -> tuple[int, int, FloatArray, FloatArray]:
+    """Control points of the motion at other speeds.
+
+    Args:
+        clocks: The motion and what is wanted.
+        kept: Limits.
+        period: Time between rows [s].
+        final: From this row on the motion ends once it is at rest.
+
+    Returns:
+        0 where it comes to its end, 1 where there are not rows enough, 2 where a step keeps no limits; how many points
+        there are; (rows,) their times on the motion's own clock [s]; (rows, dof) the points.
+    """
+    rows, dof = len(clocks.factors), clocks.points.shape[1]
+    end = clocks.time[len(clocks.time) - 1]
+    tau, points, most = np.empty(rows), np.empty((rows, dof)), np.full(rows, np.inf)
+    tau[:3], points[:3] = clocks.clock, clocks.points
+    found, work = np.empty((2, dof)), np.empty((4, dof))
+    returns, back, farthest = 0, BACK, 2
+    i = 2
+    while i < rows - 1:
+        done = tau[i - 2] >= end or (i >= final and tau[i] == tau[i - 2])
+        if done:
+            return 0, i + 1, tau, points
+        before = tau[i] - tau[i - 1]
+        wanted = clocks.factors[i] * period
+        step = before
+        ok = False
+        for look in range(LOOKS):
+            _at(clocks, tau[i] + step, found)
+            low, high, ahead = _interval(points, i, found, kept, period, work)
+            ok = low <= high and step + high >= 0.0
+            if not ok:
+                break
+            aim = _towards(before, wanted, ahead, most[i])
+            new = min(max(aim, step + low), step + high)
+            new = max(new, 0.0)
+            if abs(new - step) <= 1e-9 * period and (look > 0 or new == step):
+                break
+            step = new
+        if ok:
+            _at(clocks, tau[i] + step, found)
+            tau[i + 1] = tau[i] + step
+            points[i + 1] = found[0]
+            i += 1
+            if i > farthest + BACK:
+                back = BACK
+            farthest = max(i, farthest)
+            continue
+        returns += 1
+        if returns > MOST_RETURNS:
+            return 2, i, tau, points
+        first = max(2, i - back)
+        for k in range(first, i):
+            most[k] = LESS * min(most[k], abs(tau[k + 1] - 2.0 * tau[k] + tau[k - 1]))
+        back = min(2 * back, 400)
+        i = first
+    return 1, rows, tau, points
+
+
+@kernel
+def _towards(before: float, wanted: float, ahead: float, most: float) -> float:
+    """The step on the way from one to another whose changes can still be brought to nothing there.
+
+    Args:
+        before: The step before.
+        wanted: The one wanted.
+        ahead: By how much the change may itself change from row to row.
+        most: Largest change.
+    """
+    left = abs(wanted - before)
+    change = left
+    if ahead < np.inf and left > ahead:
+        change = min(left, 0.5 * (math.sqrt(ahead * ahead + 8.0 * ahead * left) - ahead))
+    change = min(change, most)
+    return before + change if wanted > before else before - change
+
+
+@kernel
+def _at(clocks: Clocks, at: float, found: FloatArray) -> None:
+    """Fill in the point for a time of the motion, and its derivative."""
+    bezier, time, fade = clocks.bezier, clocks.time, clocks.fade
+    last = len(time) - 1
+    inside = 0.0 <= at < time[last]
+    at = min(max(at, 0.0), time[last])
+    piece = min(int(np.searchsorted(time, at, side="right")) - 1, last - 1)
+    h = time[piece + 1] - time[piece]
+    t = (at - time[piece]) / h
+    u = 1.0 - t
+    span = fade[2, 0]
+    since = at - clocks.clock[2]
+    x = since / span if span > 0.0 else 1.0
+    for j in range(bezier.shape[2]):
+        p0, p1, p2, p3 = bezier[piece, 0, j], bezier[piece, 1, j], bezier[piece, 2, j], bezier[piece, 3, j]
+        found[0, j] = u * u * (u * p0 + 3.0 * t * p1) + t * t * (3.0 * u * p2 + t * p3)
+        found[1, j] = 3.0 * (u * u * (p1 - p0) + 2.0 * u * t * (p2 - p1) + t * t * (p3 - p2)) / h if inside else 0.0
+        if x < 1.0:
+            y = max(x, 0.0)
+            value = 1.0 + y * y * y * (-10.0 + y * (15.0 - 6.0 * y))
+            rate = y + y * y * y * (-6.0 + y * (8.0 - 3.0 * y))
+            found[0, j] += value * fade[0, j] + span * rate * fade[1, j]
+            found[1, j] += -30.0 * y * y * (1.0 - y) * (1.0 - y) / span * fade[0, j]
+            found[1, j] += (1.0 + y * y * (-18.0 + y * (32.0 - 15.0 * y))) * fade[1, j]
+
+
+@kernel
+def _interval(
+    points: FloatArray, i: int, found: FloatArray, kept: Kept, period: float, work: FloatArray
+) -> tuple[float, float, float]:
+    """The changes of a step at which limits are kept, and by how much its change may change from row to row."""
+    dof = points.shape[1]
+    low, high, ahead = -np.inf, np.inf, np.inf
+    for j in range(dof):
+        now, one, two = points[i, j], points[i - 1, j], points[i - 2, j]
+        least = max(now - kept.steps[0, j], 2.0 * now - one - kept.steps[1, j])
+        least = max(least, 3.0 * (now - one) + two - kept.steps[2, j]) - ROUNDING
+        largest = min(now + kept.steps[0, j], 2.0 * now - one + kept.steps[1, j])
+        largest = min(largest, 3.0 * (now - one) + two + kept.steps[2, j]) + ROUNDING
+        rate = found[1, j]
+        if abs(rate) > 1e-12:
+            a, b = (least - found[0, j]) / rate, (largest - found[0, j]) / rate
+            low, high = max(low, min(a, b)), min(high, max(a, b))
+            ahead = min(ahead, AHEAD * kept.steps[2, j] / abs(rate))
+        elif not least <= found[0, j] <= largest:
+            return 1.0, 0.0, ahead
+    if kept.bodies.shape[0] == 0:
+        return low, high, ahead
+    more = 0.05 * period
+    _torque(points, i, found, 0.0, kept, period, work)
+    for j in range(dof):
+        work[3, j] = work[2, j]
+    _torque(points, i, found, more, kept, period, work)
+    for j in range(dof):
+        rate = (work[2, j] - work[3, j]) / more
+        if abs(rate) * period > 1e-9 * kept.torque[j]:
+            a, b = (-kept.torque[j] - work[3, j]) / rate, (kept.torque[j] - work[3, j]) / rate
+            low, high = max(low, min(a, b)), min(high, max(a, b))
+        elif abs(work[3, j]) > kept.torque[j]:
+            return 1.0, 0.0, ahead
+    return low, high, ahead
+
+
+@kernel
+def _torque(
+    points: FloatArray, i: int, found: FloatArray, more: float, kept: Kept, period: float, work: FloatArray
+) -> None:
+    """Fill in, in the third row of `work`, the torques at a row whose next point is moved on by a part of a step."""
+    dof = points.shape[1]
+    state = np.empty((4, 1, dof))
+    for j in range(dof):
+        after = found[0, j] + more * found[1, j]
+        state[0, 0, j] = (points[i - 1, j] + 4.0 * points[i, j] + after) / 6.0
+        state[1, 0, j] = (after - points[i - 1, j]) / (2.0 * period)
+        state[2, 0, j] = (after - 2.0 * points[i, j] + points[i - 1, j]) / (period * period)
+    newton_euler(state[0], state[1], state[2], kept.bodies, kept.gravity, state[3])
+    for j in range(dof):
+        work[2, j] = state[3, 0, j]

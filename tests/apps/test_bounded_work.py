@@ -1,0 +1,146 @@
+"""`certify` answers on any finite numbers, in time and memory proportional to the rows."""
+
+from __future__ import annotations
+
+import time
+import tracemalloc
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import hplan
+from hplan.certificate import clearance_proof
+from hplan.scene.model import Fruit, Goal
+from hplan.scene.obstacles import Sphere
+from hplan.trajectory.trajectory import Trajectory, read_csv, write_csv
+
+
+@pytest.fixture(scope="module")
+def motion(robot, scene):
+    return hplan.plan(robot, scene).trajectory
+
+
+@pytest.fixture(autouse=True)
+def quiet():
+    """No warning from NumPy, whatever overflows."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        yield
+
+
+def longer(motion, seconds):
+    """The motion, then a pause at its end."""
+    rows = (np.vstack([values, values[-1:]]) for values in (
+        motion.position, motion.velocity, motion.acceleration, motion.torque
+    ))  # fmt: skip
+    return Trajectory(motion.joint_names, np.append(motion.time, motion.time[-1] + seconds), *rows)
+
+
+def certified_as_required(*arguments, **options):
+    begin = time.process_time()
+    certificate = hplan.certify(*arguments, **options)
+    assert time.process_time() - begin < 5.0
+    return certificate
+
+
+@pytest.mark.parametrize("value", [1e3, 1e9, 1e100, 1e300, -1e300, 1.7e308])
+@pytest.mark.parametrize("column", ["position", "velocity", "acceleration", "torque"])
+def test_one_cell(robot, scene, motion, tmp_path, column, value):
+    values = np.array(getattr(motion, column))
+    values[100, 1] = value
+    certificate = certified_as_required(
+        robot, scene, read_csv(write_csv(replace(motion, **{column: values}), tmp_path / "t.csv"))
+    )
+    assert not certificate.verified
+    said = {violation.split()[0] for violation in certificate.violations}
+    assert {"position": "position", "velocity": "velocity"}.get(column, column) in said
+
+
+def test_too_fast_to_be_bounded_is_said_where(robot, scene, motion):
+    velocity = np.array(motion.velocity)
+    velocity[100, 1] = 1e300
+    certificate = certified_as_required(robot, scene, replace(motion, velocity=velocity))
+    assert any("from 0.396 s to 0.4 s the motion is too fast to be bounded" in text for text in certificate.violations)
+    assert np.isfinite(certificate.min_clearance_m)
+
+
+def test_all_cells(robot, scene, motion):
+    rng = np.random.default_rng(0)
+    for scale in (1e30, 1e200, 1e308):
+        wild = [scale * rng.uniform(-1, 1, motion.position.shape) for _ in range(4)]
+        assert not certified_as_required(robot, scene, Trajectory(motion.joint_names, motion.time, *wild)).verified
+
+
+def test_to_a_fruit_too(robot, scene, motion):
+    fruit = Fruit(name="f", center=tuple(robot.tool_positions(motion.position[-1]).tolist()), radius=0.05)
+    world = scene.model_copy(update={"goal": Goal(fruit="f"), "fruits": (fruit,)})
+    for column in ("position", "velocity"):
+        values = np.array(getattr(motion, column))
+        values[100, 1] = 1e300
+        assert not certified_as_required(
+            robot, world, replace(motion, **{column: values}), tracking_delay_s=0.01
+        ).verified
+
+
+@pytest.mark.parametrize("seconds", [1e3, 1e6, 1e300])
+def test_a_pause_is_verified(robot, scene, motion, seconds):
+    tracemalloc.start()
+    certificate = certified_as_required(robot, scene, longer(motion, seconds))
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert certificate.verified, certificate.violations
+    assert peak < 2e7
+
+
+@pytest.mark.parametrize("gap", [1e-300, 1e-12, 1e-6])
+def test_rows_hardly_apart(robot, scene, motion, gap):
+    again = longer(motion, 1.0)
+    time = np.array(again.time)
+    time[200:] += gap - (time[200] - time[199])
+    if not (np.diff(time) > 0.0).all():
+        time[199], time[200] = 0.796, np.nextafter(0.796, 1.0)
+        time[201:] = np.maximum(time[201:], time[200] + 4e-3 * np.arange(1, len(time) - 200))
+    assert not certified_as_required(robot, scene, replace(again, time=time)).verified
+
+
+def test_rows_a_second_apart(robot, scene):
+    slow = hplan.plan(robot, scene, hplan.PlanOptions(rate_hz=1.0, certify=False)).trajectory
+    assert certified_as_required(robot, scene, slow).checks < clearance_proof.CHECKS
+
+
+def test_a_budget_that_is_used_up_is_said(robot, scene, monkeypatch):
+    """A motion that stays 0.1 mm beside an obstacle, to be looked at every 50 um of its way."""
+    distance = 2.2 + 0.03 + 0.05 + 1e-4
+    wall = [
+        Sphere(name=f"bead {k}", center=(distance * np.cos(a), 0.0, 0.6 + distance * np.sin(a)), radius=0.05)
+        for k, a in enumerate(np.linspace(0.3, 0.9, 7).tolist())
+    ]
+    rows = np.linspace(0.0, 1.0, 251)
+    position, velocity = np.zeros((251, 4)), np.zeros((251, 4))
+    position[:, 1] = 0.3 + 0.6 * rows
+    velocity[:, 1] = 0.6
+    swing = Trajectory(robot.joint_names, rows, position, velocity, 0 * position, 0 * position)
+    world = scene.with_obstacles(wall)
+    options = {"check_ends": False, "rest_to_rest": False}
+    whole = certified_as_required(robot, world, swing, **options)
+    assert whole.verified
+    monkeypatch.setattr(clearance_proof, "CHECKS", 60)
+    monkeypatch.setattr(clearance_proof, "CHECKS_PER_PIECE", 0)
+    certificate = certified_as_required(robot, world, swing, **options)
+    assert not certificate.verified
+    assert certificate.violations[0].startswith("clearance is not shown beyond 0.")
+    assert whole.checks > 60
+    at = float(certificate.violations[0].split()[5])
+    assert 0.0 < at < 1.0
+    assert certificate.min_clearance_m == pytest.approx(1e-4, abs=1e-5)  # the smallest distance found, all the same
+
+
+def test_time_grows_with_the_rows(robot, scene, motion):
+    """A hundred times to and fro: 90,000 rows."""
+    there = [motion, motion.reversed] * 100
+    long = hplan.trajectory.trajectory.joined(there)
+    certificate = certified_as_required(robot, scene, long, check_ends=False)
+    assert certificate.verified
+    assert certificate.checks < 100_000

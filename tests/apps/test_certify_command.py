@@ -1,0 +1,153 @@
+"""`hplan certify`: exit statuses, what is compared, and what is said."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from script_loader import load_script
+
+from hplan.apps.cli import main as cli
+from hplan.base.data_files import scenes_dir, urdf_dir
+from hplan.trajectory.trajectory import Trajectory, read_csv, write_csv
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory) -> Path:
+    """The folder of a job: the reference scene, with a tracking error."""
+    folder = tmp_path_factory.mktemp("job") / "out"
+    assert cli.main(["plan", "--out", str(folder), "--quiet", "--tracking-error", "0.005", "--sigmas", "2"]) == 0
+    return folder
+
+
+@pytest.fixture
+def job(done, tmp_path) -> Path:
+    """A copy of it to tamper with."""
+    return Path(shutil.copytree(done, tmp_path / "out"))
+
+
+def said(capsys, *arguments):
+    """Exit status and what is printed as JSON."""
+    status = cli.main(["certify", *map(str, arguments), "--json"])
+    return status, json.loads(capsys.readouterr().out)
+
+
+def test_a_folder_as_it_was_left(done, capsys):
+    status, report = said(capsys, done)
+    told = json.loads((done / "report.json").read_text())["certificate"]
+    assert status == 0
+    assert report["status"] == "ok"
+    assert report["differs"] == []
+    assert report["certificate"] == told
+    assert told["tracking_error_rad"] == pytest.approx(np.radians(0.005))
+
+
+def test_a_trajectory_by_itself(done, capsys):
+    status, report = said(capsys, done / "trajectory.csv")
+    assert status == 0
+    assert report["certificate"]["tracking_error_rad"] == 0.0
+    assert report["certificate"]["sigmas"] == 3.0
+    status, report = said(capsys, done / "trajectory.csv", "--tracking-error", "5")
+    assert status == 5
+    assert report["status"] == "failed"
+    assert "comes to" in report["certificate"]["violations"][0]
+
+
+def test_summary(done, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    assert cli.main(["certify", str(done)]) == 0
+    text = capsys.readouterr().out
+    assert "verified" in text
+    assert "0.005 deg" in text
+    assert max(map(len, text.splitlines())) <= 80
+    assert cli.main(["certify", str(done), "--quiet"]) == 0
+    assert capsys.readouterr().out == ""
+
+
+def test_a_trajectory_that_was_changed_a_little(job, capsys):
+    """Still within limits and clear: but not what the report is about."""
+    motion = read_csv(job / "trajectory.csv")
+    torque = np.array(motion.torque)
+    torque[5, 1] += 1e-9
+    columns = motion.time, motion.position, motion.velocity, motion.acceleration, torque
+    write_csv(Trajectory(motion.joint_names, *columns), job / "trajectory.csv")
+    status, report = said(capsys, job)
+    assert status == 5
+    assert report["differs"] == ["trajectory"]
+    assert report["certificate"]["verified"]
+    assert cli.main(["certify", str(job)]) == 5
+    assert "trajectory is not the one of report.json" in capsys.readouterr().out
+    assert said(capsys, job / "trajectory.csv")[0] == 0
+
+
+def test_numbers_beyond_all_use_are_shown_in_powers_of_ten(job, capsys):
+    rows = (job / "trajectory.csv").read_text().splitlines()
+    cells = rows[100].split(",")
+    cells[2] = "1e300"  # a velocity
+    rows[100] = ",".join(cells)
+    (job / "trajectory.csv").write_text("\n".join(rows) + "\n")
+    assert cli.main(["certify", str(job / "trajectory.csv")]) == 5
+    shown = capsys.readouterr().out
+    assert "e+30" in shown
+    assert "0000000000" not in shown
+
+
+def test_another_scene_and_another_robot(job, capsys, tmp_path):
+    text = (scenes_dir() / "table-1.yaml").read_text()
+    (tmp_path / "other.yaml").write_text(text.replace("radius: 0.15", "radius: 0.1499"))
+    status, report = said(capsys, job, tmp_path / "other.yaml")
+    assert (status, report["differs"], report["certificate"]["verified"]) == (5, ["scene"], True)
+    for name in ("harvester.urdf", "harvester.limits.yaml"):
+        shutil.copy(urdf_dir() / name, tmp_path / name)
+    urdf = tmp_path / "harvester.urdf"
+    urdf.write_text(urdf.read_text().replace('effort="', 'effort="1'))
+    status, report = said(capsys, job, "--robot", urdf)
+    assert (status, report["differs"], report["certificate"]["verified"]) == (5, ["robot"], True)
+
+
+def test_ends(done, capsys, tmp_path):
+    text = (scenes_dir() / "table-1.yaml").read_text()
+    (tmp_path / "other.yaml").write_text(text.replace("start: {joints_deg: [0, ", "start: {joints_deg: [1, "))
+    other = tmp_path / "other.yaml"
+    assert other.read_text() != text
+    status, report = said(capsys, done / "trajectory.csv", other)
+    assert status == 5
+    assert "begins" in report["certificate"]["violations"][0]
+    assert said(capsys, done / "trajectory.csv", other, "--any-ends")[0] == 0
+
+
+def test_report_file(done, capsys, tmp_path):
+    assert cli.main(["certify", str(done), "--quiet", "--report", str(tmp_path / "r.json")]) == 0
+    assert json.loads((tmp_path / "r.json").read_text()) == said(capsys, done)[1]
+
+
+@pytest.mark.parametrize("content", [None, "{", "[]", "{}", '{"certificate": {"digests": null}}'])
+def test_folders_that_are_none(job, capsys, content):
+    (job / "report.json").unlink() if content is None else (job / "report.json").write_text(content)
+    assert cli.main(["certify", str(job)]) == 2
+    assert "report.json" in capsys.readouterr().err
+
+
+def test_bad_input(done, capsys, tmp_path):
+    assert cli.main(["certify", str(tmp_path / "none.csv")]) == 2
+    assert cli.main(["certify", str(done), str(tmp_path / "none.yaml")]) == 2
+    assert cli.main(["certify", str(done), "--sigmas", "-1"]) == 2
+    assert cli.main(["certify", str(done), "--tracking-error", "nan"]) == 2
+    with pytest.raises(SystemExit) as ended:
+        cli.main(["certify"])
+    assert ended.value.code == 2
+
+
+def test_script(done):
+    assert load_script("certify").main([str(done), "--quiet"]) == 0
+
+
+def test_a_job_of_a_shipped_scene_needs_no_scene(tmp_path, capsys):
+    """Its report names it, and the digest tells whether it is the same."""
+    assert cli.main(["plan", "dense-canopy", "--out", str(tmp_path), "--quiet"]) == 0
+    status, report = said(capsys, tmp_path)
+    assert (status, report["scene"], report["differs"]) == (0, "dense-canopy", [])
+    assert said(capsys, tmp_path, "table-1")[1]["differs"] == ["scene"]

@@ -1,0 +1,814 @@
+"""The main job as its user runs it: files, their contracts, exit statuses, messages."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import os
+import re
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import hplan
+from hplan.apps.cli import terminal
+from hplan.apps.cli.main import main
+from hplan.planning.report import report_text
+from hplan.robot.family.members import HARVESTER, write_robot
+from hplan.robot.model import Robot
+
+ROOT = Path(__file__).parents[2]
+SCRIPT = ROOT / "scripts" / "plan_and_time.py"
+FILES = {"trajectory.csv", "report.json", "scene.html"}
+JOINTS = ("base_yaw", "shoulder", "elbow", "wrist")
+
+TABLE_1: dict[str, Any] = {
+    "format": "hplan-scene/1",
+    "name": "table-1",
+    "start": {"joints_deg": [0, 0, 0, 0]},
+    "goal": {"joints_deg": [0, 45, 60, 70]},
+    "locked_joints": ["base_yaw"],
+    "obstacles": [{"name": "ball", "kind": "sphere", "center": [1.0, 0.0, 1.9], "radius": 0.15}],
+}
+#: Balls along a ray from the shoulder: the upper arm passes neither between them nor around them.
+WALL = [
+    {"name": f"ball {i}", "kind": "sphere", "center": [0.92 * r, 0.0, 0.6 + 0.38 * r], "radius": 0.08}
+    for i, r in enumerate([0.45, 0.65, 0.85, 1.05])
+]
+
+Run = Callable[..., tuple[int, Path]]
+
+
+@pytest.fixture
+def scene_file(tmp_path: Path) -> Callable[..., Path]:
+    """Write the reference scene with some keys changed; None removes a key."""
+
+    def write(**changes: Any) -> Path:
+        path = tmp_path / "scene.yaml"
+        content = {key: value for key, value in {**TABLE_1, **changes}.items() if value is not None}
+        path.write_text(json.dumps(content))
+        return path
+
+    return write
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Run:
+    """Run the command in this process; returns the exit status and the output folder."""
+    folder = tmp_path / "out"
+
+    def job(*arguments: object) -> tuple[int, Path]:
+        return main([*map(str, arguments), "--out", str(folder)]), folder
+
+    return job
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Output of the reference job, run as the README says."""
+    folder = tmp_path_factory.mktemp("reference") / "new" / "folder"
+    process = subprocess.run([sys.executable, SCRIPT, "--out", folder], capture_output=True, text=True, check=False)
+    assert process.returncode == 0, process.stderr
+    return folder
+
+
+def report_of(folder: Path) -> Any:
+    def refuse(constant: str) -> None:
+        raise AssertionError(f"{constant} is not JSON")
+
+    return json.loads((folder / "report.json").read_text(), parse_constant=refuse)
+
+
+def table_of(folder: Path) -> tuple[list[str], np.ndarray]:
+    with (folder / "trajectory.csv").open(newline="") as stream:
+        header, *rows = csv.reader(stream, strict=True)
+    return header, np.array(rows, dtype=float)
+
+
+def words(text: str) -> str:
+    """Text with its line breaks taken out."""
+    return " ".join(text.split())
+
+
+# The finished job
+
+
+def test_writes_three_files_and_nothing_else(done: Path) -> None:
+    assert {path.name for path in done.iterdir()} == FILES
+
+
+def test_csv_is_plain_rfc_4180(done: Path) -> None:
+    text = (done / "trajectory.csv").read_bytes().decode("ascii")
+    lines = text.split("\r\n")
+    assert lines.pop() == ""
+    assert "\n" not in "".join(lines)
+    assert not any(character in text for character in '"#; ')
+    assert {line.count(",") for line in lines} == {16}
+
+
+def test_csv_header(done: Path) -> None:
+    header, _ = table_of(done)
+    columns = ("pos_rad", "vel_rad_s", "acc_rad_s2", "torque_nm")
+    assert header == ["time_s", *(f"{joint}_{column}" for joint in JOINTS for column in columns)]
+
+
+def test_csv_rows(done: Path, robot: Robot) -> None:
+    _, table = table_of(done)
+    clock, rows = table[:, 0], table[:, 1:].reshape(len(table), 4, 4)
+    position, velocity, acceleration, torque = np.moveaxis(rows, 2, 0)
+    assert np.isfinite(table).all()
+    assert clock[0] == 0.0
+    assert (np.diff(clock) > 0.0).all()
+    assert (position[0] == 0.0).all()
+    np.testing.assert_allclose(position[-1], np.radians([0, 45, 60, 70]), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(velocity[[0, -1]], 0.0, rtol=0, atol=1e-9)
+    assert (np.abs(velocity) <= robot.velocity_limit * 1.001).all()
+    assert (np.abs(acceleration) <= robot.acceleration_limit * 1.001).all()
+    data = robot.model.createData()
+    for q, v, a, tau in zip(position[::20], velocity[::20], acceleration[::20], torque[::20], strict=True):
+        np.testing.assert_allclose(pin.rnea(robot.model, data, q, v, a), tau, rtol=0, atol=1e-9)
+
+
+def test_report_has_every_key_of_the_contract(done: Path) -> None:
+    report = report_of(done)
+    contract: dict[str, set[str]] = {
+        "planner": {"method", "cost_deg", "points", "expansions"},
+        "time_ms": {
+            *("cspace", "layers", "sparse", "fallback", "postprocess", "timing", "certificate", "export", "total")
+        },
+        "path": {"length_deg_grid", "length_deg"},
+        "trajectory": {"duration_s", "rate_hz", "samples"},
+        "certificate": {"verified", "min_clearance_m", "limit_use"},
+        "versions": {"hplan", "pin", "coal", "toppra", "numba", "numpy"},
+    }
+    assert {"status", "scene", "robot", *contract} <= set(report)
+    for key, names in contract.items():
+        assert names <= set(report[key]), key
+    assert {"layers", "sparse", "fallback", "total"} <= set(report["planner"]["expansions"])
+    assert set(report["certificate"]["limit_use"]) == {"position", "velocity", "acceleration", "torque"}
+
+
+def test_report_of_the_reference_scene(done: Path) -> None:
+    report = report_of(done)
+    planner, path, times = report["planner"], report["path"], report["time_ms"]
+    _, table = table_of(done)
+    assert (report["status"], report["scene"], report["robot"]) == ("ok", "table-1", "harvester")
+    assert planner["method"] == "two-level"
+    assert planner["cost_deg"] == pytest.approx(145.214952, abs=1e-6)
+    assert planner["points"] == 107
+    expansions = planner["expansions"]
+    assert expansions["total"] == expansions["layers"] + expansions["sparse"] + expansions["fallback"]
+    assert expansions["layers"] > 0
+    assert path["length_deg"] <= path["length_deg_grid"]
+    assert report["trajectory"] == {"duration_s": table[-1, 0], "rate_hz": 250.0, "samples": len(table)}
+    assert report["certificate"]["verified"] is True
+    assert report["certificate"]["min_clearance_m"] > 0.0
+    assert all(0.0 <= share <= 1.001 for share in report["certificate"]["limit_use"].values())
+    assert sum(times.values()) - times["total"] <= times["total"] + 0.01
+
+
+def test_page_is_one_self_contained_file(done: Path) -> None:
+    page = (done / "scene.html").read_text()
+    assert page.lstrip().lower().startswith("<!doctype html")
+    assert not re.search(r"""(?:src|href)=["']https?:""", page)
+
+
+def test_two_runs_give_the_same_bytes(done: Path, tmp_path: Path) -> None:
+    environment = {**os.environ, "PYTHONHASHSEED": "1"}
+    subprocess.run([sys.executable, SCRIPT, "--out", tmp_path, "--quiet"], env=environment, check=True)
+    assert (tmp_path / "trajectory.csv").read_bytes() == (done / "trajectory.csv").read_bytes()
+
+
+def test_folder_that_exists_keeps_other_files(run: Run, tmp_path: Path) -> None:
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "notes.txt").write_text("mine")
+    status, folder = run()
+    assert status == 0
+    assert {path.name for path in folder.iterdir()} == {*FILES, "notes.txt"}
+
+
+# The terminal
+
+
+def test_summary_fits_80_columns(run: Run, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    monkeypatch.chdir(Path(run()[1]).parent)
+    capsys.readouterr()
+    assert main(["--out", "out"]) == 0
+    out, err = capsys.readouterr()
+    lines = out.rstrip("\n").split("\n")
+    assert max(map(len, lines)) <= 80
+    labels = [line.split()[0] for line in lines if re.match(r"\S", line)]
+    assert labels == [
+        *("table-1", "search", "expanded", "flooded", "path", "motion", "limits", "clearance", "nearest"),
+        *("certificate", "time", "files"),
+    ]
+    # Nothing was wrapped: only the stage times go on in a second and third line.
+    assert [line.split()[0] for line in lines if line.startswith(" ") and line.strip()] == ["trees", "postprocess"]
+    assert err == ""
+
+
+def test_quiet_says_nothing(run: Run, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("--quiet")[0] == 0
+    assert capsys.readouterr() == ("", "")
+
+
+def test_markup_in_names_is_shown_as_it_is(
+    run: Run, scene_file: Callable[..., Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    ball = {**TABLE_1["obstacles"][0], "name": "[bold]b[/]"}
+    assert run(scene_file(name="[red]r[/]", obstacles=[ball]))[0] == 0
+    out = capsys.readouterr().out
+    assert "[red]r[/] with harvester" in out
+    assert "to [bold]b[/]," in out
+
+
+def test_help_loads_nothing_heavy() -> None:
+    command = [sys.executable, "-X", "importtime", SCRIPT, "--help"]
+    process = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert "exit status:" in process.stdout
+    assert max(map(len, process.stdout.splitlines())) <= 80
+    loaded = {line.rpartition("|")[2].strip().partition(".")[0] for line in process.stderr.splitlines()}
+    assert "argparse" in loaded
+    heavy = {
+        "numpy",
+        "numba",
+        "pinocchio",
+        "coal",
+        "pydantic",
+        "rich",
+        "scipy",
+        "toppra",
+        "trimesh",
+        "yaml",
+        "yourdfpy",
+    }
+    assert loaded & heavy == set()
+
+
+def test_interrupt_leaves_nothing(tmp_path: Path) -> None:
+    code = (
+        "import os, signal, sys, time, hplan.planning.plan\n"
+        # Started in the background, a process is told to ignore interrupts.
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "hplan.planning.plan.plan = lambda *_, **__: (os.kill(os.getpid(), signal.SIGINT), time.sleep(30))\n"
+        "from hplan.apps.cli.main import main; sys.exit(main(sys.argv[1:]))"
+    )
+    assert main(["--out", str(tmp_path), "--quiet"]) == 0
+    process = subprocess.run(
+        [sys.executable, "-c", code, "--out", tmp_path], capture_output=True, text=True, check=False
+    )
+    assert (process.returncode, process.stderr) == (128 + signal.SIGINT, "interrupted\n")
+    assert list(tmp_path.iterdir()) == []
+
+
+# Options
+
+
+@pytest.mark.parametrize("link_model", ["capsule", "paper", "rectangle"])
+def test_link_models(run: Run, link_model: str) -> None:
+    status, folder = run("--link-model", link_model)
+    report = report_of(folder)
+    assert status == 0
+    assert report["planner"]["link_model"] == link_model
+    assert report["certificate"]["verified"] is True
+
+
+def test_dense_method_finds_the_same_cost(run: Run, done: Path) -> None:
+    status, folder = run("--method", "dense")
+    planner = report_of(folder)["planner"]
+    assert status == 0
+    assert planner["method"] == "dense"
+    assert planner["cost_deg"] == pytest.approx(report_of(done)["planner"]["cost_deg"], abs=1e-9)
+    assert planner["expansions"]["layers"] == planner["expansions"]["sparse"] == 0
+    assert planner["expansions"]["fallback"] > 100_000
+
+
+def test_objective(run: Run, done: Path) -> None:
+    """The shortest path is not the fastest."""
+    status, folder = run("--objective", "length")
+    short, fast = report_of(folder), report_of(done)
+    assert status == 0
+    assert short["path"]["length_deg"] < fast["path"]["length_deg"]
+    assert short["trajectory"]["duration_s"] > fast["trajectory"]["duration_s"]
+
+
+@pytest.mark.parametrize("rate", [50, 125.5, 1000])
+def test_rate(run: Run, rate: float) -> None:
+    status, folder = run("--rate", rate)
+    _, table = table_of(folder)
+    assert status == 0
+    np.testing.assert_allclose(np.diff(table[:, 0]), 1.0 / rate, rtol=1e-9)
+    assert report_of(folder)["trajectory"]["rate_hz"] == rate
+
+
+def test_speed(run: Run, done: Path, robot: Robot) -> None:
+    status, folder = run("--speed", 0.5)
+    _, table = table_of(folder)
+    velocity = table[:, 2::4]
+    assert status == 0
+    assert (np.abs(velocity) <= 0.5 * robot.velocity_limit * 1.001).all()
+    assert report_of(folder)["trajectory"]["duration_s"] > 1.8 * report_of(done)["trajectory"]["duration_s"]
+
+
+@pytest.mark.parametrize("step", [0.7, 2, 3])
+def test_step(run: Run, step: float) -> None:
+    status, folder = run("--step", step)
+    report = report_of(folder)
+    assert status == 0
+    assert report["planner"]["step_deg"] == step
+    assert report["certificate"]["verified"] is True
+
+
+@pytest.mark.parametrize(
+    ("option", "value"),
+    [
+        *(("--step", value) for value in ("0", "-1", "nan", "inf")),
+        *(("--rate", value) for value in ("0", "-250", "nan", "inf", "1e9")),
+        *(("--speed", value) for value in ("0", "-1", "nan", "1.01")),
+        *(("--tracking-error", value) for value in ("-1", "nan", "inf")),
+    ],
+)
+def test_options_out_of_range(run: Run, option: str, value: str, capsys: pytest.CaptureFixture[str]) -> None:
+    status, folder = run(f"{option}={value}")
+    name = option.removeprefix("--").replace("-", "[-_]")
+    assert status == 2
+    assert re.search(rf"error \(OptionError\): (--)?{name}\w* = .*: expected ", capsys.readouterr().err)
+    assert not folder.exists()
+
+
+@pytest.mark.parametrize("arguments", [("--rate", "fast"), ("--method", "magic"), ("--colour",), ("a", "b")])
+def test_usage_errors(run: Run, arguments: tuple[str, ...], capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as exit_:
+        run(*arguments)
+    assert exit_.value.code == 2
+    assert "usage:" in capsys.readouterr().err
+
+
+# Failures: one message, one status, one report and no trajectory
+
+
+#: Errors of what is read, before a job begins.
+OF_READING = {"InputError", "OptionError", "RobotFamilyError", "RobotFileError", "SceneError"}
+
+
+@pytest.fixture
+def fails(
+    run: Run, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> Callable[..., tuple[dict[str, Any], str]]:
+    """Run a job that must fail in a folder with an earlier job's files; returns the error's facts and the message.
+
+    What cannot be read changes no file; a plan that fails leaves its report alone.
+    """
+    shown: list[hplan.HplanError] = []
+    show = terminal.show_error
+    monkeypatch.setattr(terminal, "show_error", lambda console, error: (shown.append(error), show(console, error)))
+
+    def job(status: int, *arguments: object, of_plan: bool = False) -> tuple[dict[str, Any], str]:
+        folder = run("--quiet")[1]
+        before = {path.name: path.read_bytes() for path in folder.iterdir()}
+        assert set(before) == FILES
+        capsys.readouterr()
+        assert run(*arguments)[0] == status
+        out, err = capsys.readouterr()
+        assert out == ""
+        error = json.loads(report_text(shown[-1].as_dict()))
+        assert f"error ({error['kind']}): {error['message']}" in words(err)
+        if error["kind"] in OF_READING and not of_plan:
+            assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+        else:
+            assert {path.name for path in folder.iterdir()} == {"report.json"}
+            report = report_of(folder)
+            assert (report["status"], report["error"]) == ("failed", error)
+            assert {"scene", "robot", "versions"} <= set(report)
+        return error, words(err)
+
+    return job
+
+
+Fails = Callable[..., tuple[dict[str, Any], str]]
+SceneFile = Callable[..., Path]
+
+
+def edited_urdf(folder: Path, old: str, new: str) -> Path:
+    """The harvester's URDF with one piece of text replaced, its limits file beside it."""
+    urdf, _ = write_robot(HARVESTER, folder / "edited.urdf")
+    text = urdf.read_text()
+    assert old in text
+    urdf.write_text(text.replace(old, new))
+    return urdf
+
+
+def test_no_path(fails: Fails, scene_file: SceneFile) -> None:
+    error, message = fails(3, scene_file(obstacles=WALL))
+    assert error["kind"] == "NoPathError"
+    assert error["reached_cells"] > 0
+    assert "no path exists on the grid" in message
+    first = error["blockers"][0]
+    assert first["obstacle"] in message
+    assert first["link"] == "upper_arm"
+    assert first["slices_deg"] == [0.0, 90.0]
+
+
+def test_arm_too_weak_to_hold_itself(fails: Fails, tmp_path: Path) -> None:
+    urdf, _ = write_robot(replace(HARVESTER, effort=(150.0, 20.0, 120.0, 30.0)), tmp_path / "weak.urdf")
+    error, message = fails(4, "--robot", urdf)
+    assert (error["kind"], error["joint"]) == ("TimingError", "shoulder")
+    assert "'shoulder' needs 101" in message
+    assert "limit is 20 N m" in message
+
+
+def test_motion_that_cannot_be_certified(fails: Fails, scene_file: SceneFile) -> None:
+    """A thin plate that the nodes of a coarse grid step over; the motion between them cannot."""
+    out = math.radians(30)
+    plate = {
+        "name": "plate",
+        "kind": "box",
+        "center": [1.6 * math.cos(out), 0, 0.6 + 1.6 * math.sin(out)],
+        "size": [1.4, 0.4, 0.002],
+        "rpy_deg": [0, -30, 0],
+    }
+    path = scene_file(start={"joints_deg": [0, 0, 0, 0]}, goal={"joints_deg": [0, 72, 0, 0]}, obstacles=[plate])
+    error, message = fails(5, path, "--step", 18)
+    assert error["kind"] == "CertificationError"
+    assert "cannot be verified collision-free" in message
+
+
+def test_tracking_error_beyond_the_clearance_of_the_start(fails: Fails) -> None:
+    error, message = fails(2, "--tracking-error", 20)
+    assert error["kind"] == "ConfigurationInCollisionError"
+    assert "too close" in message
+
+
+def test_uncertified_writes_and_says_so(run: Run, capsys: pytest.CaptureFixture[str]) -> None:
+    status, folder = run("--tracking-error", 20, "--uncertified")
+    report = report_of(folder)
+    assert status == 0
+    assert {path.name for path in folder.iterdir()} == FILES
+    assert report["status"] == "ok"
+    assert report["certificate"]["verified"] is False
+    assert report["certificate"]["violations"]
+    assert report["certificate"]["tracking_error_rad"] == pytest.approx(math.radians(20))
+    assert "NOT VERIFIED" in capsys.readouterr().out
+
+
+def test_tracking_error_costs_clearance(run: Run, scene_file: SceneFile) -> None:
+    """A small error is covered where start and goal leave room."""
+    away = scene_file(start={"joints_deg": [0, 5, 5, 5]}, goal={"joints_deg": [0, 45, 60, 70]})
+    status, folder = run(away, "--tracking-error", 0.1)
+    assert status == 0
+    assert report_of(folder)["certificate"]["tracking_error_rad"] == pytest.approx(math.radians(0.1))
+
+
+def test_tracking_delay_is_reported(run: Run, scene_file: SceneFile) -> None:
+    away = scene_file(start={"joints_deg": [0, 5, 5, 5]}, goal={"joints_deg": [0, 45, 60, 70]}, obstacles=[])
+    status, folder = run(away, "--tracking-delay", 4)
+    assert status == 0
+    proof = report_of(folder)["certificate"]
+    assert (proof["tracking_error_rad"], proof["tracking_delay_s"]) == (0.0, pytest.approx(0.004))
+
+
+@pytest.mark.parametrize("option", ["--tracking-error", "--tracking-delay"])
+@pytest.mark.parametrize("value", ["-1", "nan", "inf"])
+def test_tracking_that_is_none(fails: Fails, option: str, value: str) -> None:
+    error, _ = fails(2, option, value)
+    assert (error["kind"], error["option"]) == ("OptionError", option)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "reason"),
+    [
+        ("missing.urdf", None, "No such file"),
+        ("broken.urdf", "<robot name='r'><link", "malformed XML"),
+        ("page.urdf", "<html/>", "expected <robot>"),
+        ("empty.urdf", "", "malformed XML"),
+    ],
+)
+def test_robot_files_that_cannot_be_read(
+    fails: Fails, tmp_path: Path, name: str, content: str | None, reason: str
+) -> None:
+    path = tmp_path / name
+    if content is not None:
+        path.write_text(content)
+    error, message = fails(2, "--robot", path)
+    assert error["kind"] == "RobotFileError"
+    assert name in message
+    assert reason in message
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "kind", "says"),
+    [
+        (
+            'type="revolute"',
+            'type="floating"',
+            "RobotFileError",
+            "only revolute and prismatic joints move; make it fixed",
+        ),
+        ('"tool0"', '"tcp"', "RobotFileError", "tool0"),
+        ('effort="250"', 'effort="0"', "RobotFileError", "shoulder"),
+        ('velocity="1.2"', 'velocity="0"', "RobotFileError", "shoulder"),
+        ('velocity="1.2"', 'velocity="nan"', "RobotFileError", "shoulder"),
+    ],
+)
+def test_robots_that_are_refused(fails: Fails, tmp_path: Path, old: str, new: str, kind: str, says: str) -> None:
+    error, message = fails(2, "--robot", edited_urdf(tmp_path, old, new))
+    assert error["kind"] == kind
+    assert says in message
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        (None, "it gives the acceleration limits"),
+        ("format: hplan-limits/1\nacceleration_rad_s2: {shoulder: 3.0}", "base_yaw"),
+        ("format: hplan-limits/1\nacceleration_rad_s2: {base_yaw: 0, shoulder: 3, elbow: 4, wrist: 6}", "base_yaw"),
+        ("format: hplan-limits/2\nacceleration_rad_s2: {}", "hplan-limits/1"),
+        ("[", "malformed YAML"),
+    ],
+)
+def test_limits_files_that_are_refused(fails: Fails, tmp_path: Path, content: str | None, says: str) -> None:
+    path = tmp_path / "own.yaml"
+    if content is not None:
+        path.write_text(content)
+    error, message = fails(2, "--limits", path)
+    assert error["kind"] == "RobotFileError"
+    assert "own.yaml" in message
+    assert says in message
+
+
+def ball(**changes: Any) -> list[dict[str, Any]]:
+    return [{**TABLE_1["obstacles"][0], **changes}]
+
+
+@pytest.mark.parametrize(
+    ("changes", "kind", "says"),
+    [
+        ({"color": "red"}, "SceneError", ["line 1", "color", "unknown key"]),
+        ({"obstacles": ball(colour="red")}, "SceneError", ["obstacles[0].colour", "unknown key"]),
+        ({"obstacles": ball(radius=-0.1)}, "SceneError", ["obstacles[0].radius", "-0.1"]),
+        ({"obstacles": ball(radius=0)}, "SceneError", ["obstacles[0].radius"]),
+        ({"obstacles": ball(center=[1, 0])}, "SceneError", ["obstacles[0].center"]),
+        ({"obstacles": ball(kind="cone")}, "SceneError", ["cone", "sphere"]),
+        ({"obstacles": ball() + ball()}, "SceneError", ["two obstacles", "ball"]),
+        ({"clearance": -0.01}, "SceneError", ["clearance"]),
+        ({"format": "hplan-scene/9"}, "SceneError", ["format", "hplan-scene/1"]),
+        ({"goal": None}, "SceneError", ["goal", "missing"]),
+        ({"goal": {"fruit": "apple"}}, "SceneError", ["apple", "not among the fruits"]),
+        ({"start": {"joints_deg": [0, -1, 0, 0]}}, "JointLimitError", ["start", "'shoulder'", "[0, 1.5708]"]),
+        ({"goal": {"joints_deg": [0, 45, 91, 70]}}, "JointLimitError", ["goal", "'elbow'"]),
+        ({"goal": {"joints_deg": [0, 45, 60]}}, "InputError", ["goal", "expected 4 joint values", "got 3"]),
+        ({"goal": {"joints_deg": [20, 45, 60, 70]}}, "InputError", ["'base_yaw' is locked"]),
+        ({"locked_joints": ["wrist"]}, "InputError", ["'wrist' is locked"]),
+        ({"locked_joints": ["knee"]}, "InputError", ["'knee'", "base_yaw, shoulder, elbow, wrist"]),
+        (
+            {"goal": {"joints_deg": [0, 45, 60, 70], "approach_deg": 90}},
+            "SceneError",
+            ["approach_deg", "nothing to choose"],
+        ),
+    ],
+)
+def test_scenes_that_are_refused(
+    fails: Fails, scene_file: SceneFile, changes: dict[str, Any], kind: str, says: list[str]
+) -> None:
+    # A task that does not fit the robot is seen by the plan.
+    error, message = fails(2, scene_file(**changes), of_plan=kind == "InputError")
+    assert error["kind"] == kind
+    assert [word for word in says if word not in message] == []
+
+
+def fruit(*center: float) -> dict[str, Any]:
+    return {"goal": {"fruit": "f"}, "fruits": [{"name": "f", "center": list(center), "radius": 0.04}]}
+
+
+TRUNK = {"name": "trunk", "kind": "capsule", "from": [1.2, 0, 0], "to": [1.2, 0, 2.5], "radius": 0.06}
+
+
+@pytest.mark.parametrize(
+    ("changes", "kind", "says"),
+    [
+        ({"goal": {"position": [3, 0, 1]}}, "UnreachableError", ["beyond the reach"]),
+        (fruit(1.0, 0.0, 0.7), "UnreachableError", ["limit"]),
+        ({**fruit(1.2, 0.0, 1.6), "obstacles": [TRUNK]}, "BlockedError", ["fruit 'f'", "'trunk'", "66 configurations"]),
+        ({"goal": {"position": [0.5, 1.0, 1.5]}}, "UnreachableError", ["base_yaw locked"]),
+    ],
+)
+def test_goals_that_cannot_be_reached(
+    fails: Fails, scene_file: SceneFile, changes: dict[str, Any], kind: str, says: list[str]
+) -> None:
+    error, message = fails(3, scene_file(**changes))
+    assert error["kind"] == kind
+    assert [word for word in says if word not in message] == [], message
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("radius: .nan", "obstacles[0].radius"),
+        ("radius: .inf", "obstacles[0].radius"),
+        ("radius: wide", "obstacles[0].radius"),
+        ("radius: 0.1, radius: 0.2", "stands on line 8 already"),
+        ("radius: ]", "malformed YAML"),
+    ],
+)
+def test_scene_files_that_are_refused_name_the_line(fails: Fails, tmp_path: Path, text: str, says: str) -> None:
+    reference = (ROOT / "hplan" / "scenes" / "table-1.yaml").read_text()
+    path = tmp_path / "faulty.yaml"
+    path.write_text(reference.replace("radius: 0.15", text))
+    error, message = fails(2, path)
+    assert error["kind"] == "SceneError"
+    assert "faulty.yaml, line 8" in message
+    assert says in message
+
+
+@pytest.mark.parametrize("content", [None, "", "[1, 2]", "\x00", "{"])
+def test_scene_files_that_are_no_scenes(fails: Fails, tmp_path: Path, content: str | None) -> None:
+    path = tmp_path / "scene.yaml"
+    if content is not None:
+        path.write_text(content)
+    error, message = fails(2, path)
+    assert error["kind"] == "SceneError"
+    assert "scene.yaml" in message
+
+
+@pytest.mark.parametrize(
+    ("which", "joints", "center", "link"),
+    [
+        ("start", [0, 0, 0, 0], [2.0, 0.0, 0.6], "hand"),
+        ("goal", [0, 45, 60, 70], [0.3, 0.0, 0.9], "upper_arm"),
+    ],
+)
+def test_start_or_goal_in_collision(
+    fails: Fails, scene_file: SceneFile, which: str, joints: list[float], center: list[float], link: str
+) -> None:
+    error, message = fails(2, scene_file(**{which: {"joints_deg": joints}}, obstacles=ball(center=center, radius=0.1)))
+    assert error["kind"] == "ConfigurationInCollisionError"
+    assert (error["which"], error["link"], error["obstacle"]) == (which, link, "ball")
+    # The ball's centre lies on the link's axis.
+    half_width = {"hand": 0.03, "upper_arm": 0.05}[link]
+    assert error["depth_m"] == pytest.approx(0.1 + half_width, abs=1e-9)
+    assert f"{1e3 * error['depth_m']:.3g} mm" in message
+
+
+def test_clearance_counts_at_the_start(fails: Fails, scene_file: SceneFile) -> None:
+    near = ball(center=[2.0, 0.0, 0.75], radius=0.1)  # 20 mm above the stretched arm
+    error, _ = fails(2, scene_file(obstacles=near, clearance=0.05))
+    assert error["depth_m"] == pytest.approx(0.03, abs=1e-9)
+
+
+@pytest.mark.parametrize("inside", ["", "below"])
+def test_output_where_a_file_stands(tmp_path: Path, inside: str, capsys: pytest.CaptureFixture[str]) -> None:
+    taken = tmp_path / "taken"
+    taken.write_text("mine")
+    assert main(["--out", str(taken / inside)]) == 2
+    assert "OutputError" in capsys.readouterr().err
+    assert taken.read_text() == "mine"
+
+
+@pytest.mark.parametrize("name", ["trajectory.csv", "scene.html", "report.json"])
+def test_output_where_a_folder_has_a_files_name(tmp_path: Path, name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / name).mkdir()
+    assert main(["--out", str(tmp_path)]) == 2
+    assert f"{name}: it is a folder" in words(capsys.readouterr().err)
+    assert {path.name for path in tmp_path.iterdir()} == {name, "report.json"}
+
+
+def test_fault_of_our_own_leaves_no_trajectory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert main(["--out", str(tmp_path), "--quiet"]) == 0
+
+    def broken(*_: object, **__: object) -> None:
+        raise ZeroDivisionError
+
+    monkeypatch.setattr("hplan.apps.view.page.write_page", broken)
+    with pytest.raises(ZeroDivisionError):
+        main(["--out", str(tmp_path)])
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_live_view_that_does_not_start_is_no_traceback(
+    run: Run, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise hplan.HplanError("the page's server does not start")
+
+    monkeypatch.setattr("hplan.apps.view.page.serve", refuse)
+    status, folder = run("--view", "--quiet")
+    assert status == 1
+    assert "does not start" in capsys.readouterr().err
+    assert {path.name for path in folder.iterdir()} == FILES
+
+
+# Other scenes and robots
+
+
+def test_start_equal_to_goal_is_an_empty_motion(run: Run, scene_file: SceneFile) -> None:
+    status, folder = run(scene_file(goal=TABLE_1["start"]))
+    _, table = table_of(folder)
+    report = report_of(folder)
+    assert status == 0
+    assert table.shape == (1, 17)
+    assert (table[0, 0], report["trajectory"]["duration_s"], report["path"]["length_deg"]) == (0.0, 0.0, 0.0)
+    assert (table[0, 2::4] == 0.0).all()
+    assert table[0, 4::4][1] == pytest.approx(101.043, abs=1e-6)  # the shoulder still carries the arm
+    assert report["certificate"]["verified"] is True
+
+
+def test_scene_as_json(run: Run, tmp_path: Path, done: Path) -> None:
+    path = tmp_path / "table-1.json"
+    path.write_text(json.dumps(TABLE_1, indent=2))
+    status, folder = run(path)
+    assert status == 0
+    assert (folder / "trajectory.csv").read_bytes() == (done / "trajectory.csv").read_bytes()
+
+
+def test_scene_without_obstacles(run: Run, scene_file: SceneFile, capsys: pytest.CaptureFixture[str]) -> None:
+    status, folder = run(scene_file(obstacles=None))
+    report = report_of(folder)
+    assert status == 0
+    assert report["certificate"]["min_clearance_m"] is None
+    assert report["certificate"]["nearest"] is None
+    straight = float(np.linalg.norm([45, 60, 70]))
+    assert straight - 1e-6 <= report["path"]["length_deg"] <= 1.01 * straight
+    assert "no obstacles" in capsys.readouterr().out
+
+
+def member(folder: Path, links: int, has_yaw: bool) -> Path:
+    """Another arm of the family, 2 m long."""
+    joints = links + has_yaw
+    spec = replace(
+        HARVESTER,
+        name=f"arm_{links}_{has_yaw}",
+        link_lengths=(2.0 / links,) * links,
+        link_half_widths=(0.03,) * links,
+        link_masses=(8.0 / links,) * links,
+        lower=(-1.0,) * joints,
+        upper=(1.0,) * joints,
+        velocity=(1.0,) * joints,
+        effort=(300.0,) * joints,
+        acceleration=(3.0,) * joints,
+        jerk=None,
+        has_yaw=has_yaw,
+    )
+    return write_robot(spec, folder / f"{spec.name}.urdf")[0]
+
+
+@pytest.mark.parametrize(("links", "has_yaw", "step"), [(1, True, 1), (2, True, 1), (2, False, 1), (5, False, 12)])
+def test_other_members_of_the_family(
+    run: Run, scene_file: SceneFile, tmp_path: Path, links: int, has_yaw: bool, step: float
+) -> None:
+    yaw = [0.3] if has_yaw else []
+    start, goal = yaw + [-0.5] * links, yaw + [0.9] + [0.2] * (links - 1)
+    post = ball(center=[-1.2, 0.0, 0.6])
+    scene = scene_file(
+        start={"joints_rad": start}, goal={"joints_rad": goal}, obstacles=post, locked_joints=["base_yaw"][: len(yaw)]
+    )
+    status, folder = run(scene, "--robot", member(tmp_path, links, has_yaw), "--step", step)
+    header, table = table_of(folder)
+    assert status == 0
+    assert len(header) == 1 + 4 * (links + has_yaw)
+    np.testing.assert_allclose(table[[0, -1], 1::4], [start, goal], rtol=0, atol=1e-12)
+    assert report_of(folder)["certificate"]["verified"] is True
+
+
+def test_a_grid_too_large_for_memory_is_no_fault(
+    scene_file: SceneFile, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Nine links: trees find what no grid can hold; where a grid is insisted on, it is said that none fits."""
+    scene = scene_file(
+        start={"joints_rad": [0.1] * 9}, goal={"joints_rad": [0.2] * 9}, obstacles=None, locked_joints=None
+    )
+    arguments = [str(scene), "--robot", str(member(tmp_path, 9, False)), "--out", str(tmp_path / "out"), "--quiet"]
+    assert main(arguments) == 0
+    assert json.loads((tmp_path / "out" / "report.json").read_text())["certificate"]["verified"]
+    assert main([*arguments, "--method", "dense"]) == 6
+    assert "no grid of 8 deg or less has fewer than" in capsys.readouterr().err
+
+
+# Imports
+
+
+@pytest.mark.parametrize("statement", ["import hplan", "import hplan.apps.cli.plan as p; p.parser(None).format_help()"])
+def test_nothing_heavy_is_imported_before_it_is_needed(statement: str) -> None:
+    heavy = ["toppra", "yourdfpy", "numba", "meshcat", "matplotlib", "pinocchio", "numpy", "rich"]
+    code = f"{statement}\nimport sys\nprint([name for name in {heavy} if name in sys.modules])"
+    process = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert process.stdout == "[]\n"
+
+
+def test_main_job_does_not_load_what_it_does_not_use() -> None:
+    code = (
+        "import sys, tempfile, hplan.apps.cli.main\n"
+        "assert hplan.apps.cli.main.main(['--quiet', '--out', tempfile.mkdtemp()]) == 0\n"
+        "print([name for name in ('yourdfpy', 'trimesh', 'meshcat') if name in sys.modules])"
+    )
+    process = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert process.stdout == "[]\n"

@@ -1,0 +1,342 @@
+"""What holds for every subcommand of `hplan`: help, version, terminals, signals, shipped scenes by name."""
+
+from __future__ import annotations
+
+import argparse
+import io
+import json
+import re
+import shutil
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+from toy_urdf import urdf
+
+import hplan
+from hplan.apps.cli.main import COMMANDS, main
+from hplan.apps.cli.options import scene_among
+from hplan.base.data_files import shipped_robots, shipped_scene, shipped_scenes
+from hplan.base.files import ByteBudget
+from hplan.errors import SceneError
+
+ROOT = Path(__file__).parents[2]
+SCRIPTS = {
+    "plan": "plan_and_time.py",
+    "tour": "plan_tour.py",
+    "time": "time_waypoints.py",
+    "certify": "certify.py",
+    "execute": "execute.py",
+    "orchard": "make_orchard.py",
+}
+HEAVY = ("numpy", "numba", "pinocchio", "coal", "pydantic", "rich", "scipy", "toppra", "trimesh", "yaml", "yourdfpy")
+
+#: Arguments of each command that end well, in a folder with a job in `job`, and those that name something missing.
+GOOD = {
+    "plan": ["plan", "--out", "new"],
+    "tour": ["tour", "--out", "new", "--fruits", "fruit 01"],
+    "time": ["time", "toy.urdf", "way.csv", "--acceleration", "3"],
+    "certify": ["certify", "job"],
+    "execute": ["execute", "job/trajectory.csv"],
+    "orchard": ["orchard", "--trees", "1", "--fruits", "3"],
+    "view": ["view", "job", "--no-serve"],
+    "completion": ["completion", "bash"],
+}
+MISSING = {
+    "plan": ["plan", "missing.yaml"],
+    "tour": ["tour", "missing.yaml"],
+    "time": ["time", "missing.urdf", "missing.csv"],
+    "certify": ["certify", "missing.csv"],
+    "execute": ["execute", "missing.csv"],
+    "orchard": ["orchard", "--import", "missing.csv"],
+    "view": ["view", "missing.csv"],
+}
+#: Where the work of each command is done.
+INSIDE = {
+    "plan": ("hplan.planning.plan", "plan"),
+    "tour": ("hplan.tour.tour", "plan_tour"),
+    "time": ("hplan.trajectory", "time_waypoints"),
+    "certify": ("hplan.certificate.certificate", "certify"),
+    "execute": ("hplan.apps.execution.simulation", "execute"),
+    "orchard": ("hplan.scene.orchard", "generate"),
+    "view": ("hplan.apps.view.page", "write_page"),
+}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with all that the commands of `GOOD` read."""
+    path = tmp_path_factory.mktemp("commands")
+    assert main(["plan", "--out", str(path / "job"), "--quiet"]) == 0
+    (path / "toy.urdf").write_text(urdf())
+    (path / "way.csv").write_text("a,b\n0,0\n0.5,0.4\n")
+    return path
+
+
+# Help and version
+
+
+def test_help_lists_every_command(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["--help"])
+    assert not ended.value.code
+    shown = capsys.readouterr().out
+    assert [name for name in COMMANDS if not re.search(rf"^  {name} +\w", shown, re.MULTILINE)] == []
+    assert max(map(len, shown.splitlines())) <= 80
+
+
+def test_the_documentation_lists_every_command() -> None:
+    text = (ROOT / "docs" / "commands.md").read_text(encoding="utf-8")
+    assert [name for name in COMMANDS if f"| `hplan {name}" not in text] == []
+    assert [name for name in shipped_scenes() if f"`{name}`" not in text] == []
+
+
+def test_every_file_of_a_command_is_listed() -> None:
+    texts = {path.stem: path.read_text(encoding="utf-8") for path in (ROOT / "hplan" / "cli").glob("*.py")}
+    assert {name for name, text in texts.items() if text.startswith('"""The command `hplan ')} == set(COMMANDS)
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_of_a_command(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main([command, "--help"])
+    assert not ended.value.code
+    shown = capsys.readouterr().out
+    assert shown.startswith(f"usage: hplan {command} ")
+    assert "exit status:" in shown or command == "completion"
+    assert max(map(len, shown.splitlines())) <= 80
+
+
+@pytest.mark.parametrize("arguments", [["--version"], *([command, "--version"] for command in COMMANDS)], ids=" ".join)
+def test_version(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(arguments)
+    assert not ended.value.code
+    assert capsys.readouterr().out == f"hplan {hplan.__version__}\n"
+
+
+@pytest.mark.parametrize("command", SCRIPTS)
+def test_scripts_go_by_their_own_names(command: str) -> None:
+    program = [sys.executable, ROOT / "scripts" / SCRIPTS[command]]
+    shown = subprocess.run([*program, "--help"], capture_output=True, text=True, check=True).stdout
+    assert shown.startswith(f"usage: {SCRIPTS[command]} [-h] ")
+    assert "--version" not in shown
+    wrong = subprocess.run([*program, "--nothing"], capture_output=True, text=True, check=False)
+    assert wrong.returncode == 2
+    assert f"\n{SCRIPTS[command]}: error: " in wrong.stderr
+
+
+@pytest.mark.parametrize("arguments", [[], *([command] for command in COMMANDS)], ids=lambda words: " ".join(words))
+def test_help_loads_nothing_heavy(arguments: list[str]) -> None:
+    code = (
+        "import sys\nfrom hplan.apps.cli.main import COMMANDS, main\n"
+        f"try: main([*{arguments}, '--help'])\n"
+        f"except SystemExit: print([name for name in {HEAVY} if name in sys.modules])\n"
+        f"print([name for name in COMMANDS if f'hplan.apps.cli.{{name}}' in sys.modules and [name] != {arguments}])"
+    )
+    shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert shown.splitlines()[-2:] == ["[]", "[]"]
+
+
+# Terminals and signals
+
+
+@pytest.mark.parametrize("command", [name for name in GOOD if name != "execute"])
+def test_a_command_needs_no_terminal(command: str, folder: Path) -> None:
+    """What it says goes nowhere; the status is that of the job."""
+    for terminal in ("> /dev/full", ">&-"):
+        line = f'set -o pipefail; "$0" -m hplan.apps.cli "$@" {terminal}'
+        done = subprocess.run(
+            ["bash", "-c", line, sys.executable, *GOOD[command]],
+            cwd=folder,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        full = "cannot write to standard output: No space left on device\n" if "full" in terminal else ""
+        assert (done.returncode, done.stderr) == (0, full)
+
+
+def test_executing_needs_no_terminal(folder: Path) -> None:
+    pytest.importorskip("mujoco")
+    test_a_command_needs_no_terminal("execute", folder)
+
+
+@pytest.mark.parametrize("command", [name for name in GOOD if name not in ("completion", "execute", "certify")])
+def test_quiet(command: str, folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.chdir(folder)
+    assert main([*GOOD[command], "--quiet"]) == 0
+    assert capsys.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("command", MISSING)
+def test_something_missing_is_one_line(
+    command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(MISSING[command]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert re.fullmatch(r"error \(\w+\): .*missing.*\n", err.replace("\n", " ").rstrip() + "\n")
+
+
+@pytest.mark.parametrize("command", INSIDE)
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=lambda number: number.name)
+def test_a_signal_ends_a_command_and_leaves_nothing(
+    command: str, number: signal.Signals, folder: Path, tmp_path: Path
+) -> None:
+    work = shutil.copytree(
+        folder, tmp_path / "work", ignore=shutil.ignore_patterns("new", "timed.csv", "out", "orchard.yaml")
+    )
+    before = {path: path.read_bytes() for path in work.rglob("*") if path.is_file()}
+    module, function = INSIDE[command]
+    code = (
+        "import os, signal, sys, time\n"
+        # Started in the background, or under nohup, a process is told to ignore them.
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "signal.signal(signal.SIGTERM, signal.SIG_DFL)\n"
+        f"import {module} as module\n"
+        f"module.{function} = lambda *_, **__: (os.kill(os.getpid(), {int(number)}), time.sleep(60))\n"
+        "from hplan.apps.cli.main import main\nsys.exit(main(sys.argv[1:]))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, *GOOD[command]], cwd=work, capture_output=True, text=True, check=False
+    )
+    said = "interrupted\n" if number == signal.SIGINT else "ended by SIGTERM\n"
+    assert (done.returncode, done.stdout, done.stderr) == (128 + number, "", said)
+    assert {path: path.read_bytes() for path in work.rglob("*") if path.is_file()} == before
+
+
+# Scenes by name
+
+#: Where each command that takes a scene has it.
+WITH_SCENE = {
+    "plan": ["plan"],
+    "hplan": [],
+    "tour": ["tour"],
+    "certify": ["certify", "job/trajectory.csv"],
+    "execute": ["execute", "job/trajectory.csv"],
+    "view": ["view", "job/trajectory.csv"],
+}
+
+
+@pytest.mark.parametrize("command", WITH_SCENE)
+def test_a_shipped_scene_by_name(command: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(folder)
+    opened: list[Path] = []
+    others = ByteBudget.read
+
+    def read(budget: ByteBudget, path: Path) -> bytes:
+        if path.suffix == ".csv":
+            return others(budget, path)
+        opened.append(path)
+        raise FileNotFoundError(2, "No such file or directory")
+
+    monkeypatch.setattr(ByteBudget, "read", read)
+    assert main([*WITH_SCENE[command], "trellis"]) == 2
+    assert opened == [shipped_scene("trellis")]
+
+
+@pytest.mark.parametrize("command", WITH_SCENE)
+def test_a_name_that_no_scene_has(
+    command: str, folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(folder)
+    assert main([*WITH_SCENE[command], "trelis"]) == 2
+    shown = capsys.readouterr().err
+    assert "scene file trelis: No such file or directory; scenes that ship with hplan: dense-canopy, " in shown
+    assert [name for name in shipped_scenes() if name not in shown] == []
+
+
+def test_a_name_that_no_robot_has(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["plan", "trellis", "--robot", "nosuch", "--out", str(tmp_path / "out")]) == 2
+    shown = capsys.readouterr().err
+    assert "robot file nosuch: No such file or directory; robots that ship with hplan: harvester, " in shown
+    assert [name for name in shipped_robots() if name not in shown] == []
+    assert main(["plan", "trellis", "--robot", "./no.urdf", "--out", str(tmp_path / "out")]) == 2
+    assert "robots that ship" not in capsys.readouterr().err
+
+
+def test_what_is_left_out_is_told_by_the_commands_own_console(tmp_path: Path) -> None:
+    inside = [{"name": "stump", "kind": "sphere", "center": [0.0, 0.0, 0.3], "radius": 0.2}]
+    scene = {
+        "format": "hplan-scene/1",
+        "name": "stump",
+        "start": {"joints_deg": [0, 90, 90, 90]},
+        "goal": {"joints_deg": [5, 90, 90, 90]},
+        "obstacles": inside,
+    }
+    (tmp_path / "scene.yaml").write_text(json.dumps(scene))
+    told = Console(file=io.StringIO())
+    arguments = argparse.Namespace(drop_inside=True)
+    left, names = scene_among(arguments, hplan.load_robot(), hplan.load_scene(tmp_path / "scene.yaml"), told)
+    assert (left.obstacles, names) == ((), ["stump"])
+    assert isinstance(told.file, io.StringIO)
+    assert told.file.getvalue() == "left out, standing in pedestal or turret: stump\n"
+
+
+def test_a_file_goes_before_a_shipped_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert hplan.load_scene("trellis").name == "trellis"
+    Path("trellis").mkdir()
+    assert hplan.load_scene("trellis").name == "trellis"
+    Path("trellis").rmdir()
+    Path("trellis").write_text(shipped_scene("tour").read_text())
+    assert hplan.load_scene("trellis").name == "tour"
+
+
+@pytest.mark.parametrize("name", ["./trellis", "trellis.yaml", Path("trellis"), Path("missing"), "no/trellis"])
+def test_what_is_no_name_is_a_file(name: str | Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SceneError, match=r"No such file or directory$"):
+        hplan.load_scene(name)
+
+
+def test_a_tour_is_of_the_shipped_scene_though_a_file_has_its_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("tour").write_text("no scene")
+    monkeypatch.setattr("hplan.tour.tour.plan_tour", lambda _, scene, *__, **___: sys.exit(scene.name))
+    with pytest.raises(SystemExit, match=r"^tour$"):
+        main(["tour"])
+
+
+# The shell completes
+
+
+def completed(folder: Path, *words: str) -> list[str]:
+    script = main_output("completion", "bash")
+    line = f'COMP_WORDS=({" ".join(map(repr, words))}); COMP_CWORD={len(words) - 1}; _hplan; echo "${{COMPREPLY[@]}}"'
+    done = subprocess.run(["bash", "-c", script + line], cwd=folder, capture_output=True, text=True, check=True)
+    assert done.stderr == ""
+    return done.stdout.split()
+
+
+def main_output(*arguments: str) -> str:
+    done = subprocess.run(
+        [sys.executable, "-m", "hplan.apps.cli", *arguments], capture_output=True, text=True, check=True
+    )
+    return done.stdout
+
+
+@pytest.mark.parametrize(
+    ("words", "found"),
+    [
+        (["t"], ["table-1", "tour", "trellis", "tour", "time"]),
+        (["ti"], ["time"]),
+        (["--me"], ["--method"]),
+        (["plan", "--method", ""], ["two-level", "dense"]),
+        (["--method", "d"], ["dense"]),
+        (["tour", "tr"], ["trellis"]),
+        (["certify", "--sig"], ["--sigmas"]),
+        (["time", "--lim"], ["--limits"]),
+        (["completion", ""], ["bash"]),
+        (["view", "job/"], []),
+    ],
+)
+def test_bash_completes(words: list[str], found: list[str], tmp_path: Path) -> None:
+    assert sorted(completed(tmp_path, "hplan", *words)) == sorted(found)

@@ -1,0 +1,377 @@
+"""A job's files stand together or not at all, and what the terminal cannot take changes nothing of that."""
+
+from __future__ import annotations
+
+import errno
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+import hplan
+from hplan.apps.cli.job_folder import JobFolder
+from hplan.apps.cli.main import main
+from hplan.apps.cli.terminal import run_command
+from hplan.errors import HplanError, OutputError
+from hplan.scene.obstacles import PointCloud
+
+ROOT = Path(__file__).parents[2]
+FILES = {"trajectory.csv", "report.json", "scene.html"}
+SCRIPTS = {
+    "hplan": [sys.executable, "-m", "hplan.apps.cli"],
+    "plan_and_time": [sys.executable, str(ROOT / "scripts" / "plan_and_time.py")],
+    "plan_tour": [sys.executable, str(ROOT / "scripts" / "plan_tour.py")],
+    "time_waypoints": [sys.executable, str(ROOT / "scripts" / "time_waypoints.py")],
+}
+
+
+def names(folder: Path) -> set[str]:
+    return {path.name for path in folder.iterdir()}
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A finished plan's folder."""
+    path = tmp_path_factory.mktemp("done") / "out"
+    assert main(["--effort", "quick", "--quiet", "--out", str(path)]) == 0
+    return path
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> JobFolder:
+    return JobFolder(tmp_path / "out", ("*.csv", "page.html"), "report.json")
+
+
+def fill(staging: Path, *more: str) -> None:
+    for name in ("a.csv", "page.html", "report.json", *more):
+        (staging / name).write_text('{"status": "ok"}')
+
+
+def test_all_files_come_to_stand_the_trajectory_last(folder: JobFolder, monkeypatch: pytest.MonkeyPatch) -> None:
+    order: list[str] = []
+    replace = Path.replace
+
+    def noted(self: Path, target: Path) -> Path:
+        order.append(target.name)
+        return replace(self, target)
+
+    monkeypatch.setattr(Path, "replace", noted)
+    with folder.job("scene", "robot"), folder.filling() as staging:
+        fill(staging, "b.csv")
+        assert not any(name.endswith(".csv") for name in names(folder.path))
+    assert order == ["page.html", "report.json", "a.csv", "b.csv"]
+    assert names(folder.path) == set(order)
+
+
+@pytest.mark.parametrize("fault", [KeyboardInterrupt(), ZeroDivisionError(), OSError(errno.ENOSPC, "full", "x/a.csv")])
+@pytest.mark.parametrize("moved", [0, 1, 2])
+def test_a_fault_at_any_move_leaves_no_trajectory(
+    folder: JobFolder, monkeypatch: pytest.MonkeyPatch, fault: BaseException, moved: int
+) -> None:
+    replace, left = Path.replace, [moved]
+
+    def failing(self: Path, target: Path) -> Path:
+        if target.suffix in (".csv", ".html") or target.name == "report.json":
+            left[0] -= 1
+            if left[0] < 0 and self.parent != target.parent:
+                raise fault
+        return replace(self, target)
+
+    def job() -> None:
+        with folder.job("scene", "robot"), folder.filling() as staging:
+            fill(staging)
+
+    job()
+    monkeypatch.setattr(Path, "replace", failing)
+    expected = OutputError if isinstance(fault, OSError) else type(fault)
+    with pytest.raises(expected) as caught:
+        job()
+    assert names(folder.path) == ({"report.json"} if isinstance(caught.value, HplanError) else set())
+    if isinstance(caught.value, OutputError):
+        assert caught.value.path == folder.path / "a.csv"
+        assert caught.value.reason == "full"
+
+
+def test_a_fault_of_writing_names_the_files_place(folder: JobFolder) -> None:
+    def job() -> None:
+        with folder.job("scene", "robot"), folder.filling() as staging:
+            raise OutputError(staging / "a.csv", "No space left on device")
+
+    with pytest.raises(OutputError, match=r"out/a\.csv: No space left") as caught:
+        job()
+    assert caught.value.path == folder.path / "a.csv"
+
+
+def test_what_a_killed_job_has_left_goes_with_the_next(folder: JobFolder) -> None:
+    ended = subprocess.Popen([sys.executable, "-c", ""])
+    ended.wait()
+    for number in (ended.pid, os.getppid()):
+        (folder.path / f".hplan-job-{number}").mkdir(parents=True)
+        (folder.path / f".hplan-job-{number}" / "a.csv").touch()
+    with folder.job("scene", "robot"):
+        assert names(folder.path) == {f".hplan-job-{os.getppid()}"}  # that one is still at work
+
+
+AT_THE_REPORT = """
+import os, signal, sys, time
+import hplan.planning.report
+signal.signal({number}, signal.SIG_DFL)  # which it is not where the tests run under nohup
+def end(*_):
+    os.kill(os.getpid(), {number})
+    time.sleep(60)
+hplan.planning.report.write_report = end
+sys.argv = sys.argv[1:]
+import runpy
+runpy.run_path(sys.argv[0], run_name="__main__")
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP], ids=lambda number: number.name)
+def test_a_signal_between_trajectory_and_report_leaves_nothing(number: signal.Signals, tmp_path: Path) -> None:
+    """Both handled as an interrupt is; the exit status is what shells give."""
+    assert main(["--out", str(tmp_path), "--quiet"]) == 0
+    code = AT_THE_REPORT.format(number=int(number))
+    script = SCRIPTS["plan_and_time"][1]
+    done = subprocess.run(
+        [sys.executable, "-c", code, script, "--out", tmp_path], capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stderr) == (128 + number, f"ended by {number.name}\n")
+    assert names(tmp_path) == set()
+
+
+def test_a_signal_that_is_ignored_stays_so(tmp_path: Path) -> None:
+    """As under nohup."""
+    code = (
+        "import os, signal, sys\n"
+        "signal.signal(signal.SIGHUP, signal.SIG_IGN)\n"
+        "from hplan.apps.cli.terminal import run_command\n"
+        "sys.exit(run_command(lambda *_: os.kill(os.getpid(), signal.SIGHUP) or 7))"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 7
+
+
+def test_signals_are_as_before_when_a_command_has_ended() -> None:
+    before = [signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGHUP)]
+    assert run_command(lambda *_: 3) == 3
+    assert [signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGHUP)] == before
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["--rate", "fast"],
+        ["--nothing"],
+        ["a", "b"],
+        ["certfy"],
+        ["missing.yaml"],
+        ["broken.yaml"],
+        ["--limits", "broken.yaml"],
+        ["--step", "1e-308"],
+        ["--rate", "1e9"],
+        ["n" * 300],
+        ["--robot", "n" * 300],
+        ["tour", "--every", "x"],
+        ["tour", "--fruits", "no such"],
+        ["time", "harvester", "missing.csv", "--scene", "table-1"],
+        ["time", "harvester", "broken.yaml"],
+        ["certify", "out", "--report", "out/report.json"],
+        ["certify", "out", "--report", "out/trajectory.csv"],
+        ["view", "out", "--no-serve", "--out", "out/trajectory.csv"],
+        ["view", "n" * 300],
+        ["orchard", "--import", "broken.yaml"],
+    ],
+    ids=lambda words: " ".join(words)[:60],
+)
+def test_what_cannot_be_understood_or_read_changes_no_file(
+    arguments: list[str], done: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    shutil.copytree(done, "out")
+    for name in ("out/tour.csv", "out/tour-01-apple.csv", "out/tour.json", "broken.yaml", "timed.csv", "orchard.yaml"):
+        Path(name).write_text("{an earlier job's")
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    try:
+        status = main(arguments)
+    except SystemExit as ended:
+        status = ended.code
+    assert status == 2
+    assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
+
+
+def test_a_word_that_is_nearly_a_command(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["certfy", "out"])
+    assert "'certfy' is no command and no scene; did you mean 'certify'?" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("later", ["report.json", "tour.json"])
+def test_a_failed_job_takes_its_own_files_alone(later: str, tmp_path: Path) -> None:
+    """Those of the job before it, where that was a plan too; a tour's, or the user's, stay."""
+    (tmp_path / "scene.yaml").write_text(SCENE.replace("1.0, 0.0, 1.9", "1.0, 0.0, 0.6"), encoding="utf-8")
+    out = tmp_path / "out"
+    out.mkdir()
+    for name in ("trajectory.csv", "scene.html", "motion.mcap", "tour.csv", "tour-1-mine.csv", "scene.yaml", "a.csv"):
+        (out / name).write_text("an earlier job's")
+    for name in ("report.json", "tour.json"):
+        (out / name).write_text('{"status": "ok"}')
+        os.utime(out / name, (1e9 + (name == later), 1e9 + (name == later)))
+    kept = names(out) - {"trajectory.csv", "report.json"}
+    kept -= {"scene.html", "motion.mcap"} if later == "report.json" else set()
+    for _ in range(2):
+        assert main([str(tmp_path / "scene.yaml"), "--out", str(out)]) == 2
+        assert names(out) == kept | {"report.json"}
+        assert '"ConfigurationInCollisionError"' in (out / "report.json").read_text()
+
+
+def test_a_cloud_that_the_scene_names_stays(tmp_path: Path) -> None:
+    """It stands in the folder of the job, under a name that hplan writes itself."""
+    scene = hplan.load_scene()
+    cloud = PointCloud.of("cloud", [[0.9, 0.0, 2.5]], 0.01)
+    hplan.save_scene(scene.model_copy(update={"obstacles": (cloud,)}), tmp_path / "scene.yaml")
+    (ply,) = tmp_path.glob("*.ply")
+    before = ply.read_bytes()
+    (tmp_path / "scene.yaml").rename(tmp_path / "mine.yaml")
+    names_q = ("base_yaw", "shoulder", "elbow", "wrist")
+    (tmp_path / "way.csv").write_text(f"{','.join(names_q)}\n0,0.3,0.3,0.3\n0,0.4,0.3,0.3\n")
+    words = ["time", "harvester", str(tmp_path / "way.csv"), "--out", str(tmp_path), "--effort", "quick", "--quiet"]
+    assert main([*words, "--scene", str(tmp_path / "mine.yaml")]) == 0
+    assert ply.read_bytes() == before
+    assert hplan.load_scene(tmp_path / "scene.yaml").obstacles[0].kind == "points"
+
+
+def test_files_follow_the_umask(tmp_path: Path) -> None:
+    words = "hplan --quiet --effort quick --mcap --cspace --out out"
+    assert shell(f"umask 027; {words} && hplan certify out --quiet --report r.json", tmp_path).returncode == 0
+    made = [*(tmp_path / "out").iterdir(), tmp_path / "r.json"]
+    assert {path.stat().st_mode & 0o777 for path in made} == {0o640}
+    assert {"motion.mcap", "cspace.html"} < {path.name for path in made}
+
+
+def test_help_leaves_an_earlier_job_alone(tmp_path: Path) -> None:
+    (tmp_path / "trajectory.csv").write_text("an earlier job's")
+    with pytest.raises(SystemExit) as ended:
+        main(["--out", str(tmp_path), "--help"])
+    assert not ended.value.code
+    assert names(tmp_path) == {"trajectory.csv"}
+
+
+# Terminals that cannot take it
+
+SCENE = """
+format: hplan-scene/1
+name: "Äpfel \\u2603"
+start: {joints_deg: [0, 0, 0, 0]}
+goal: {joints_deg: [0, 45, 60, 70]}
+obstacles:
+  - {name: "Bäume \\u2603", kind: sphere, center: [1.0, 0.0, 1.9], radius: 0.15}
+"""
+
+
+def shell(command: str, folder: Path, **environment: str) -> subprocess.CompletedProcess[str]:
+    """Run a command line with `hplan` standing for the command, in a folder."""
+    program = f"{sys.executable} -c 'from hplan.apps.cli.main import main; raise SystemExit(main())'"
+    return subprocess.run(
+        ["bash", "-o", "pipefail", "-c", f'hplan() {{ {program} "$@"; }}\n{command}'],
+        cwd=folder,
+        env={**os.environ, **environment},
+        capture_output=True,
+        encoding="utf-8",
+        errors="replace",
+        check=False,
+        timeout=300,
+    )
+
+
+@pytest.mark.parametrize(
+    ("command", "said"),
+    [
+        ("hplan", ""),
+        ("hplan > /dev/full", "cannot write to standard output: No space left on device\n"),
+        ("hplan | head -c 0", ""),
+        ("hplan >&-", ""),
+        ("hplan <&- >&- 2>&-", ""),
+        ("hplan > /dev/full 2> /dev/full", ""),
+        ("PYTHONUNBUFFERED=1 hplan > /dev/full", "cannot write to standard output: No space left on device\n"),
+    ],
+)
+def test_what_the_terminal_cannot_take_changes_nothing(command: str, said: str, tmp_path: Path) -> None:
+    done = shell(command, tmp_path)
+    assert (done.returncode, done.stderr) == (0, said)
+    assert names(tmp_path / "out") == FILES
+
+
+@pytest.mark.parametrize("command", ["hplan --step x >&-", "hplan missing.yaml > /dev/full", "hplan missing.yaml 2>&-"])
+def test_a_fault_is_one_whatever_the_terminal(command: str, tmp_path: Path) -> None:
+    assert shell(command, tmp_path).returncode == 2
+    assert names(tmp_path) == set()
+
+
+@pytest.mark.parametrize(
+    "environment",
+    [
+        {"PYTHONIOENCODING": "ascii"},
+        {"PYTHONIOENCODING": "latin-1"},
+        {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"},
+    ],
+    ids=["ascii", "latin-1", "the C locale"],
+)
+def test_a_name_that_the_terminal_cannot_show(environment: dict[str, str], tmp_path: Path) -> None:
+    (tmp_path / "scene.yaml").write_text(SCENE, encoding="utf-8")
+    done = shell("hplan scene.yaml", tmp_path, **environment)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert names(tmp_path / "out") == FILES
+    assert "u2603" in done.stdout
+    inside = SCENE.replace("1.0, 0.0, 1.9", "1.0, 0.0, 0.6")
+    (tmp_path / "scene.yaml").write_text(inside, encoding="utf-8")
+    done = shell("hplan scene.yaml", tmp_path, **environment)
+    assert done.returncode == 2
+    assert "u2603" in done.stderr
+    assert names(tmp_path / "out") == {"report.json"}
+
+
+def test_a_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    """What is written at first fits, the page does not."""
+    assert main(["--out", str(tmp_path), "--quiet"]) == 0
+    make: Callable[..., int] = os.open
+    made: list[object] = []
+
+    def full(path: object, flags: int, *mode: int, **options: object) -> int:
+        if flags & os.O_EXCL:
+            made.append(path)
+            if len(made) == 2:
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return make(path, flags, *mode, **options)
+
+    monkeypatch.setattr(os, "open", full)
+    assert main(["--out", str(tmp_path), "--quiet"]) == 2
+    assert "scene.html: No space left on device" in capsys.readouterr().err.replace("\n", " ")
+    assert names(tmp_path) == {"report.json"}
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root may mount a small disk")
+def test_a_disk_that_is_really_full(tmp_path: Path) -> None:
+    if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=256k", "tmpfs", tmp_path], check=False).returncode != 0:
+        pytest.skip("a small disk cannot be mounted here")
+    try:
+        done = shell("hplan --quiet --out .", tmp_path)
+        assert done.returncode == 2
+        assert "No space left on device" in done.stderr
+        assert names(tmp_path) <= {"report.json"}
+    finally:
+        subprocess.run(["umount", tmp_path], check=True)
+
+
+@pytest.mark.parametrize("name", sorted(SCRIPTS))
+def test_commands_run_nothing_of_the_working_directory(name: str, tmp_path: Path) -> None:
+    """But for `python -m`, which looks there by itself unless told not to."""
+    for module in ("yaml", "rich", "numpy"):
+        (tmp_path / f"{module}.py").write_text("raise SystemExit('a module of the working directory was run')")
+    command = [part if part != "-m" else "-Pm" for part in SCRIPTS[name]]
+    done = subprocess.run([*command, "nothing.yaml", *(["w.csv"] if name == "time_waypoints" else [])],
+        cwd=tmp_path, capture_output=True, text=True, check=False)  # fmt: skip
+    assert "working directory was run" not in done.stderr

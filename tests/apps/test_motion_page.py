@@ -1,0 +1,297 @@
+"""The panel of a motion's page: certificate, time line, charts; what a person does with it."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import subprocess
+from dataclasses import replace
+from html import unescape
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import hplan
+from hplan.apps.view.motion_data import LARGEST_SHARE, STRETCHES, certificate_words, motion_data
+from hplan.apps.view.page import MOST_VIOLATIONS, render_page
+from hplan.apps.view.playback import Playback
+from hplan.base.data_files import view_asset
+from hplan.certificate.certificate import Certificate
+from hplan.certificate.limit_use import LimitUse
+from hplan.collision.coal_scene import Contact
+from hplan.planning.plan import Phase, PlanResult
+from hplan.robot.model import Robot
+from hplan.scene.file import load_scene
+from hplan.trajectory.trajectory import Trajectory
+
+QUANTITIES = ("position", "velocity", "acceleration", "torque")
+
+
+@pytest.fixture(scope="module")
+def result(robot: Robot) -> PlanResult:
+    return hplan.plan(robot, load_scene("trellis"))
+
+
+@pytest.fixture(scope="module")
+def playback(result: PlanResult) -> Playback:
+    return Playback(result.trajectory, result.picked, phases=result.phases, certificate=result.certificate)
+
+
+@pytest.fixture(scope="module")
+def page(robot: Robot, playback: Playback) -> str:
+    return render_page(robot, load_scene("trellis"), playback)
+
+
+def data_of(page: str) -> dict[str, Any]:
+    found = re.search(r'<script type="application/json" id="motion">(.*?)</script>', page, re.DOTALL)
+    assert found is not None
+    data: dict[str, Any] = json.loads(found.group(1))
+    return data
+
+
+def limits(robot: Robot) -> dict[str, tuple[Any, Any]]:
+    """Zero and limit of each quantity."""
+    return {
+        "position": (0.5 * (robot.lower + robot.upper), 0.5 * (robot.upper - robot.lower)),
+        "velocity": (0.0, robot.velocity_limit),
+        "acceleration": (0.0, robot.acceleration_limit),
+        "torque": (0.0, robot.torque_limit),
+    }
+
+
+def waving(robot: Robot, samples: int) -> Trajectory:
+    time = np.linspace(0.0, 60.0, samples)
+    wave = np.sin(np.outer(time, np.arange(1, robot.dof + 1)))
+    spike = np.zeros_like(wave)
+    spike[samples // 3, 0] = -2.0 * robot.torque_limit[0]
+    return Trajectory(robot.joint_names, time, 0.1 * wave, 0.1 * wave, 0.1 * wave, spike)
+
+
+# The data.
+
+
+def test_charts_are_the_trajectory_as_shares_of_the_limits(robot: Robot, playback: Playback) -> None:
+    data = motion_data(robot, load_scene("trellis"), playback)
+    trajectory = playback.trajectory
+    assert [chart["title"].lower() for chart in data["charts"]] == list(QUANTITIES)
+    assert data["joints"] == list(robot.joint_names)
+    for chart, name in zip(data["charts"], QUANTITIES, strict=True):
+        zero, limit = limits(robot)[name]
+        np.testing.assert_allclose(chart["time"], trajectory.time, atol=1e-4)
+        expected = (getattr(trajectory, name) - zero) / limit
+        np.testing.assert_allclose(np.array(chart["shares"]).T / 1e3, expected, atol=6e-4)
+        assert np.abs(chart["shares"]).max() <= 1001
+
+
+def test_a_long_motion_keeps_its_peaks_in_few_points(robot: Robot) -> None:
+    trajectory = waving(robot, 30_000)
+    data = motion_data(robot, load_scene(), Playback(trajectory))
+    for chart, name in zip(data["charts"], QUANTITIES, strict=True):
+        zero, limit = limits(robot)[name]
+        assert len(chart["time"]) <= 2 * STRETCHES + 2
+        assert (np.diff(chart["time"]) > 0.0).all()
+        peak = np.abs((getattr(trajectory, name) - zero) / limit).max()
+        assert np.abs(chart["shares"]).max() / 1e3 == pytest.approx(peak, abs=6e-4)
+    assert min(data["charts"][3]["shares"][0]) == -2000
+
+
+def test_a_joint_without_room_or_with_huge_values_stays_on_the_paper(robot: Robot) -> None:
+    trajectory = waving(robot, 50)
+    stuck = replace(robot, velocity_limit=np.zeros(robot.dof))
+    huge = replace(trajectory, velocity=np.where(np.arange(50)[:, None] == 7, 1e300, 0.0) * np.ones(robot.dof))
+    (velocity,) = [c for c in motion_data(stuck, load_scene(), Playback(huge))["charts"] if c["title"] == "Velocity"]
+    shares = np.array(velocity["shares"])
+    assert (shares[:, 7] == 1e3 * LARGEST_SHARE).all()
+    assert (np.delete(shares, 7, axis=1) == 0).all()
+
+
+def test_the_clearance_is_the_certificates(robot: Robot, playback: Playback, result: PlanResult) -> None:
+    clearance = motion_data(robot, load_scene("trellis"), playback)["clearance"]
+    curve = result.certificate.clearance_curve
+    assert curve is not None
+    low = np.interp(clearance["time"], curve.time, curve.clearance_m)
+    assert (np.array(clearance["certain"]) <= 1e3 * low + 1e-3).all()
+    assert min(clearance["certain"]) >= np.floor(1e5 * result.certificate.min_clearance_m) / 100.0
+    assert clearance["keep"] == pytest.approx(1e3 * load_scene("trellis").clearance)
+    names = {name for pair in clearance["pairs"] for name in pair}
+    assert "forearm" in names
+    assert max(clearance["nearest"]) < len(clearance["pairs"])
+
+
+def test_where_nothing_is_to_meet_or_certain_there_are_nulls(robot: Robot, playback: Playback) -> None:
+    assert playback.curve is not None
+    curve = replace(playback.curve, clearance_m=np.full(len(playback.curve.time), -np.inf))
+    clearance = motion_data(robot, load_scene(), replace(playback, clearance_curve=curve))["clearance"]
+    assert set(clearance["certain"]) == {None}
+    assert None not in clearance["distance"]
+    assert motion_data(robot, load_scene(), replace(playback, certificate=None))["clearance"] is None
+
+
+def test_phases_say_which_fruit_they_are_about(robot: Robot) -> None:
+    names = ("transit", "approach", "retreat", "transit", "approach", "retreat", "drop", "return")
+    phases = [Phase(name, float(k), k + 1.0) for k, name in enumerate(names)]
+    shown = Playback(waving(robot, 100), {"a": 2.0, "b": 5.0}, {"a": 7.0, "b": 7.0}, phases)
+    data = motion_data(robot, load_scene(), shown)
+    assert [phase["fruit"] for phase in data["phases"]] == ["a", "a", "a", "b", "b", "b", "b", None]
+    assert data["fruits"] == [{"name": "a", "start": 0.0, "end": 3.0}, {"name": "b", "start": 3.0, "end": 7.0}]
+    one = motion_data(robot, load_scene(), replace(shown, picked={"a": 2.0}))
+    assert one["fruits"] == []
+
+
+# The page.
+
+
+def test_the_page_says_certified_with_clearance_and_nearest_pair(page: str, result: PlanResult) -> None:
+    text = unescape(re.sub(r"<[^>]+>", " ", page[page.index('<section id="certificate"') :].split("</section>")[0]))
+    certificate = result.certificate
+    assert certificate.nearest is not None
+    assert " certified " in text
+    assert "not certified" not in text
+    assert f"{np.floor(1e5 * certificate.min_clearance_m) / 100:.2f} mm or more" in text
+    assert certificate.nearest.link in text
+    assert certificate.nearest.obstacle in text
+
+
+def test_a_motion_that_is_not_certified_says_so_and_why(robot: Robot, result: PlanResult) -> None:
+    violations = tuple(f"violation <{k}>" for k in range(MOST_VIOLATIONS + 3))
+    certificate = replace(result.certificate, verified=False, violations=violations)
+    page = render_page(robot, load_scene("trellis"), Playback(result.trajectory, certificate=certificate))
+    section = page[page.index('<section id="certificate"') :].split("</section>")[0]
+    assert 'class="bad"' in section
+    assert "<b>not certified</b>" in section
+    assert section.count("<li>") == MOST_VIOLATIONS + 1
+    assert "violation &lt;0&gt;" in section
+    assert "and 3 more" in section
+
+
+def test_without_a_certificate_the_page_says_that(robot: Robot, result: PlanResult) -> None:
+    page = render_page(robot, load_scene("trellis"), Playback(result.trajectory))
+    assert "<b>no certificate</b>" in page
+    assert data_of(page)["clearance"] is None
+
+
+def test_words_of_certificates() -> None:
+    use = LimitUse(0.5, 0.5, 0.5, 0.5)
+    clear = Certificate(True, 0.0123456, Contact("hand", "post", 0.02), use, 1, ())
+    assert certificate_words(clear)[:2] == (
+        "ok",
+        "clearance 12.34 mm or more at all times; nearest: hand – post, 20.00 mm",  # noqa: RUF001
+    )
+    assert certificate_words(replace(clear, min_clearance_m=np.inf, nearest=None)) == ("ok", "nothing to meet", [])
+    assert certificate_words(replace(clear, verified=False, min_clearance_m=-0.001, violations=("no", "no"))) == (
+        "bad", "smallest clearance found -1.00 mm, tracking errors taken off; nearest: hand – post, 20.00 mm", ["no"],  # noqa: RUF001
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ["</script><b>x", '"><img src=x onerror=alert(1)>', "${title}", "früh & spät"])
+def test_names_of_obstacles_and_fruits_cannot_break_the_panel(robot: Robot, result: PlanResult, name: str) -> None:
+    certificate = replace(result.certificate, verified=False, nearest=Contact(name, name, 0.1), violations=(name,))
+    assert result.certificate.clearance_curve is not None
+    curve = result.certificate.clearance_curve
+    curve = replace(curve, pairs=((name, name),) * len(curve.pairs))
+    shown = Playback(
+        result.trajectory, {}, phases=[Phase(name, 0.0, 1.0)], certificate=certificate, clearance_curve=curve
+    )
+    scene = load_scene("trellis")
+    page = render_page(robot, scene, shown)
+    assert page.count("</script>") == render_page(robot, scene, Playback(result.trajectory)).count("</script>")
+    markup = re.sub(r"<script.*?</script>", "", page, flags=re.DOTALL)
+    assert "<b>x" not in markup
+    assert "<img" not in markup
+    data = data_of(page)
+    assert data["phases"][0]["name"] == name
+    assert data["clearance"]["pairs"][0] == [name, name]
+
+
+def test_the_panel_is_self_contained_and_small(robot: Robot, page: str, playback: Playback) -> None:
+    assert not re.search(r"""(src|href)\s*=\s*["']?(https?:)?//""", page)
+    for asset in ("page.html", "panel.html", "page.css", "player.js"):
+        assert not re.search(r"https?://|@import|url\(|innerHTML|document\.write|\beval\b", view_asset(asset))
+    assert len(json.dumps(data_of(page))) < 100_000
+    assert render_page(robot, load_scene("trellis"), playback) == page
+
+
+def test_a_tour_of_a_minute_is_a_page_of_two_megabytes_at_most(robot: Robot) -> None:
+    phases = [Phase("transit", float(k), k + 1.0) for k in range(60)]
+    picked = {fruit.name: 2.0 * k + 1.0 for k, fruit in enumerate(load_scene("tour").fruits)}
+    page = render_page(robot, load_scene("tour"), Playback(waving(robot, 15_000), picked, phases=phases))
+    assert len(page) < 2_500_000
+    assert len(json.dumps(data_of(page))) < 250_000
+
+
+def test_an_arm_at_rest_has_no_panel(robot: Robot) -> None:
+    row = np.zeros((1, robot.dof))
+    page = render_page(robot, load_scene(), Playback(Trajectory(robot.joint_names, [0.0], row, row, row, row)))
+    assert '<body class="picture">' in page
+    assert "player" not in page.split("<body")[1].split("<script")[0]
+    assert 'id="motion"' not in page
+
+
+# In a browser.
+
+ACTS = """<script>
+const seen = {};
+const pose = () => viewer.animator.actions.map(action => action.time);
+seen.playing = element("play").getAttribute("aria-label");
+element("play").click();
+seen.paused = element("play").getAttribute("aria-label");
+element("time").value = 0.5;
+element("time").dispatchEvent(new Event("input"));
+seen.scrubbed = [player.time(), ...pose()];
+document.body.focus();
+const fire = key => document.body.dispatchEvent(new KeyboardEvent("keydown", { key, bubbles: true }));
+fire("ArrowRight");
+seen.stepped = player.time();
+fire("End");
+seen.end = player.time();
+seen.phase = document.querySelector("#clock span").textContent;
+fire(" ");
+seen.again = [element("play").getAttribute("aria-label"), player.time()];
+fire(" ");
+const plot = document.querySelector(".plot"), box = plot.getBoundingClientRect();
+plot.setPointerCapture = () => {};
+plot.dispatchEvent(new PointerEvent("pointerdown", { clientX: box.right - 10, buttons: 1 }));
+seen.dragged = player.time();
+seen.charts = document.querySelectorAll("#charts figure").length;
+seen.wide = document.documentElement.scrollWidth - document.documentElement.clientWidth;
+seen.sizes = [...document.querySelectorAll("main button, main select, #time")].map(item => item.offsetHeight);
+seen.inked = [...document.querySelectorAll(".plot canvas")].map(canvas => {
+  const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+  return data.reduce((count, value, k) => count + (k % 4 === 3 && value > 0), 0) / (data.length / 4);
+});
+document.title = JSON.stringify(seen);
+</script>"""
+
+
+@pytest.mark.browser
+def test_play_pause_scrub_and_keys_in_a_browser(page: str, result: PlanResult, tmp_path: Path) -> None:
+    chromium = shutil.which("chromium")
+    if chromium is None:
+        pytest.skip("headless chromium is not installed: the player cannot be tried")
+    file = tmp_path / "scene.html"
+    file.write_text(page.replace("</body>", f"{ACTS}</body>"), encoding="utf-8")
+    flags = ["--headless=new", "--no-sandbox", "--disable-background-networking", "--disable-component-update",
+             "--disable-sync", "--no-first-run", "--window-size=500,844", "--use-gl=angle", "--use-angle=swiftshader",
+             "--enable-unsafe-swiftshader", "--virtual-time-budget=200"]  # fmt: skip
+    profile = f"--user-data-dir={tmp_path / 'profile'}"
+    run = subprocess.run(
+        [chromium, *flags, profile, "--dump-dom", file.as_uri()], capture_output=True, text=True, timeout=60, check=True
+    )
+    found = re.search(r"<title>(\{.*?\})</title>", run.stdout)
+    assert found is not None, run.stderr[-2000:]
+    seen = json.loads(unescape(found.group(1)))
+    duration = result.trajectory.duration
+    assert (seen["playing"], seen["paused"]) == ("Pause", "Play")
+    assert seen["scrubbed"] == [0.5] * len(seen["scrubbed"])
+    assert len(seen["scrubbed"]) > 4
+    assert seen["stepped"] == pytest.approx(0.5 + duration / 100)
+    assert seen["end"] == pytest.approx(duration)
+    assert seen["phase"].startswith("retreat from fruit")
+    assert seen["again"] == ["Pause", 0]
+    assert seen["dragged"] == pytest.approx(duration, rel=0.01)
+    assert (seen["charts"], seen["wide"]) == (5, 0)
+    assert min(seen["sizes"]) >= 44
+    assert min(seen["inked"]) > 0.3

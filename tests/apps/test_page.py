@@ -1,0 +1,467 @@
+from __future__ import annotations
+
+import json
+import math
+import re
+import shutil
+import subprocess
+import sys
+import urllib.request
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import coal
+import numpy as np
+import pinocchio as pin
+import pytest
+from PIL import Image
+from shapes import crate
+
+from hplan.apps.view import three_js as three
+from hplan.apps.view.page import render_page, serve, write_page
+from hplan.apps.view.playback import Playback
+from hplan.apps.view.scene_stage import APPROACH_COLOR, FRAME_RATE_HZ, MOST_FRAMES, REST_S, keyframe_times, stage
+from hplan.apps.view.scenery import OTHER
+from hplan.errors import InputError, OutputError
+from hplan.planning.plan import Phase
+from hplan.robot.family.members import ArmSpec, write_robot
+from hplan.robot.model import Robot, load_robot
+from hplan.scene.file import load_scene
+from hplan.scene.model import Fruit, Goal, Scene, Start
+from hplan.scene.obstacles import Box, Capsule, Mesh, PointCloud, Sphere
+from hplan.trajectory.trajectory import Trajectory
+
+CHROMIUM_FLAGS = (
+    "--headless=new",
+    "--no-sandbox",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--no-first-run",
+    "--hide-scrollbars",
+    "--window-size=1200,800",
+    "--use-gl=angle",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--enable-logging=stderr",
+    "--virtual-time-budget=1500",
+)
+GOAL = (0.0, math.pi / 4, math.pi / 3, math.radians(70.0))
+
+
+def motion(robot: Robot, goal: Any = GOAL, *, duration: float = 2.0, rate: float = 250.0) -> Trajectory:
+    time = np.linspace(0.0, duration, round(duration * rate) + 1)
+    x = time / duration
+    position = (10 * x**3 - 15 * x**4 + 6 * x**5)[:, None] * np.asarray(goal)
+    nothing = np.zeros_like(position)
+    return Trajectory(robot.joint_names, time, position, nothing, nothing, nothing)
+
+
+def standing(robot: Robot, q: Any = None) -> Trajectory:
+    row = np.zeros((1, robot.dof)) if q is None else np.array([q])
+    nothing = np.zeros_like(row)
+    return Trajectory(robot.joint_names, np.zeros(1), row, nothing, nothing, nothing)
+
+
+def orchard(**changes: Any) -> Scene:
+    content: dict[str, Any] = {
+        "name": "orchard",
+        "start": Start(joints_deg=(0.0, 0.0, 0.0, 0.0)),
+        "goal": Goal(fruit="ripe"),
+        "obstacles": (
+            Sphere(name="ball", center=(1.0, 0.0, 1.9), radius=0.15),
+            Capsule(name="branch", start=(1.6, 0.5, 0.0), end=(1.2, 0.1, 1.4), radius=0.03),
+            Capsule(name="stub", start=(0.4, 0.8, 1.0), end=(0.4, 0.8, 1.0), radius=0.05),
+            Box(name="post", center=(1.7, -0.6, 0.9), size=(0.1, 0.2, 1.8), rpy_deg=(0.0, 0.0, 20.0)),
+        ),
+        "fruits": (
+            Fruit(name="ripe", center=(1.2, 0.3, 1.4), radius=0.04),
+            Fruit(name="green", center=(1.3, 0.2, 1.1), radius=0.04),
+        ),
+        **changes,
+    }
+    return Scene(**content)
+
+
+def commands_of(page: str) -> list[dict[str, Any]]:
+    found = re.search(r'<script type="application/json" id="commands">(.*?)</script>', page, re.DOTALL)
+    assert found is not None
+    commands: list[dict[str, Any]] = json.loads(found.group(1))
+    return commands
+
+
+def objects(commands: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
+    return {c["path"]: c["object"] for c in commands if c["type"] == "set_object"}
+
+
+def matrix_of(mesh: dict[str, Any]) -> np.ndarray:
+    return np.reshape(mesh["matrix"], (4, 4)).T if "matrix" in mesh else np.eye(4)
+
+
+def animation_of(commands: list[dict[str, Any]]) -> dict[str, Any]:
+    (animation,) = [c for c in commands if c["type"] == "set_animation"]
+    return animation
+
+
+def replayed(commands: list[dict[str, Any]], key: int) -> dict[str, np.ndarray]:
+    """World pose of every mesh of the arm at a keyframe, composed as the viewer composes its tree."""
+    local = {c["path"]: np.reshape(c["matrix"], (4, 4)).T for c in commands if c["type"] == "set_transform"}
+    for item in animation_of(commands)["animations"]:
+        (track,) = item["clip"]["tracks"]
+        assert track["name"] == ".quaternion"
+        x, y, z, w = track["values"][4 * key : 4 * key + 4]
+        local[item["path"]][:3, :3] = pin.Quaternion(w, x, y, z).normalized().matrix()
+    poses: dict[str, np.ndarray] = {}
+    for path, item in objects(commands).items():
+        if not path.startswith("/hplan/arm"):
+            continue
+        parts = path.split("/")
+        pose = np.eye(4)
+        for end in range(3, len(parts) + 1):
+            pose = pose @ local.get("/".join(parts[:end]), np.eye(4))
+        for mesh in item["object"]["children"]:
+            poses[mesh["name"]] = pose @ matrix_of(mesh)
+    return poses
+
+
+@pytest.mark.parametrize("row", [0, 250, 500])
+def test_the_animation_puts_every_visual_geometry_where_pinocchio_puts_it(robot: Robot, row: int) -> None:
+    q = (0.7, *GOAL[1:])
+    trajectory = motion(robot, q)
+    commands = stage(robot, load_scene(), Playback(trajectory))
+    key = int(np.argmin(np.abs(keyframe_times(trajectory) - trajectory.time[row])))
+    poses = replayed(commands, key)
+    data, visual_data = robot.model.createData(), robot.visual_model.createData()
+    pin.updateGeometryPlacements(robot.model, data, robot.visual_model, visual_data, np.array(trajectory.position[row]))
+    assert set(poses) == {item.name for item in robot.visual_model.geometryObjects}
+    for item, placement in zip(robot.visual_model.geometryObjects, visual_data.oMg, strict=True):
+        np.testing.assert_allclose(poses[item.name][:3, 3], placement.translation, atol=1e-5, err_msg=item.name)
+
+
+def test_the_visual_colours_of_the_urdf_are_kept(robot: Robot) -> None:
+    colors = set()
+    for path, item in objects(stage(robot, load_scene(), Playback(motion(robot)))).items():
+        if path.startswith("/hplan/arm"):
+            colors |= {surface["color"] for surface in item["materials"]}
+    expected = {
+        sum(round(255 * float(value)) << shift for value, shift in zip(item.meshColor[:3], (16, 8, 0), strict=True))
+        for item in robot.visual_model.geometryObjects
+    }
+    assert colors == expected
+
+
+def test_it_plays_in_real_time_again_and_again(robot: Robot) -> None:
+    animation = animation_of(stage(robot, load_scene(), Playback(motion(robot, duration=2.0))))
+    assert animation["options"]["play"] is True
+    assert animation["options"]["repetitions"] > 1_000_000
+    assert len(animation["animations"]) == robot.dof
+    for item in animation["animations"]:
+        (track,) = item["clip"]["tracks"]
+        times = np.array(track["times"])
+        assert item["clip"]["fps"] == 1  # times are seconds
+        assert times[0] == 0.0
+        assert times[-2] == 2.0
+        assert times[-1] == 2.0 + REST_S
+        assert np.diff(times[:-1]).max() <= 1.001 / FRAME_RATE_HZ
+        assert len(track["values"]) == 4 * len(times)
+
+
+def test_a_long_tour_has_no_more_keyframes_than_the_page_can_take(robot: Robot) -> None:
+    times = keyframe_times(motion(robot, duration=100.0, rate=50.0))
+    assert len(times) == MOST_FRAMES + 1
+    assert (times[0], times[-1]) == (0.0, 100.0)
+
+
+def test_few_samples_are_all_keyframes(robot: Robot) -> None:
+    trajectory = motion(robot, duration=2.0, rate=10.0)
+    np.testing.assert_array_equal(keyframe_times(trajectory), trajectory.time)
+
+
+def test_the_page_is_self_contained(robot: Robot) -> None:
+    page = render_page(robot, load_scene(), Playback(motion(robot)))
+    assert "MeshCat.Viewer" in page
+    assert not re.search(r"""(src|href)\s*=\s*["']?(https?:)?//""", page)
+    assert not re.search(r"@import|url\(", page.split("</style>")[0])
+    assert len(page) < 1_500_000
+
+
+def test_the_same_input_gives_the_same_page(robot: Robot) -> None:
+    assert render_page(robot, orchard(), Playback(motion(robot))) == render_page(
+        robot, orchard(), Playback(motion(robot))
+    )
+
+
+def test_obstacles_and_fruits_are_where_the_scene_has_them(robot: Robot) -> None:
+    scene = orchard()
+    drawn = objects(stage(robot, scene, Playback(motion(robot))))
+
+    def meshes(path: str) -> list[dict[str, Any]]:
+        children: list[dict[str, Any]] = drawn[f"/hplan/{path}"]["object"]["children"]
+        return children
+
+    (ball,) = meshes("obstacles/sphere ball")
+    np.testing.assert_allclose(matrix_of(ball)[:3, 3], (1.0, 0.0, 1.9))
+    (post,) = meshes("obstacles/box post")
+    np.testing.assert_allclose(matrix_of(post)[:3, :3], scene.obstacles[3].rotation, atol=1e-6)  # type: ignore[union-attr]
+    assert len(meshes("fruits/fruit green")) == 1
+    assert len(meshes("fruits/fruit ripe")) == 2  # the goal has a halo
+    (surface,) = drawn["/hplan/obstacles/sphere ball"]["materials"]
+    assert surface["color"] == OTHER.color
+    assert 0.5 < surface["opacity"] < 1.0
+
+
+@pytest.mark.parametrize("name", ["</script><b>", "a/b", "constructor", "__proto__", "früh & spät"])
+def test_names_cannot_break_the_page(robot: Robot, name: str) -> None:
+    scene = orchard(name=name, obstacles=(Sphere(name=name, center=(1.0, 0.0, 1.9), radius=0.15),))
+    page = render_page(robot, scene, Playback(motion(robot)))
+    assert page.count("</script>") == 5
+    (path,) = [path for path in objects(commands_of(page)) if path.startswith("/hplan/obstacles/")]
+    assert path.count("/") == 3
+    assert "<b>" not in page.split('<script type="application/json"')[0]
+
+
+def test_a_single_sample_is_an_arm_that_stands_still(robot: Robot) -> None:
+    commands = commands_of(render_page(robot, load_scene(), Playback(standing(robot, GOAL))))
+    assert not [c for c in commands if c["type"] == "set_animation"]
+    paths = objects(commands)
+    assert any(path.startswith("/hplan/arm") for path in paths)
+    assert not any("pose" in path or "tool path" in path for path in paths)
+
+
+def test_a_motion_in_place_has_no_tube(robot: Robot) -> None:
+    trajectory = motion(robot, np.zeros(robot.dof))
+    body = objects(stage(robot, load_scene(), Playback(trajectory)))["/hplan/tool path"]
+    assert [mesh["name"] for mesh in body["object"]["children"]] == ["start", "goal"]
+
+
+def test_the_tool_path_goes_through_the_tool_positions(robot: Robot) -> None:
+    trajectory = motion(robot)
+    body = objects(stage(robot, load_scene(), Playback(trajectory)))["/hplan/tool path"]
+    (data,) = [g["data"] for g in body["geometries"] if g["type"] == "BufferGeometry"]
+    rings = np.reshape(data["attributes"]["position"]["array"], (-1, 10, 3)).mean(axis=1)
+    tool = robot.tool_positions(trajectory.position)
+    distance = np.linalg.norm(rings[:, None] - tool[None], axis=2).min(axis=1)
+    assert distance.max() < 0.01
+    assert np.isfinite(data["attributes"]["normal"]["array"]).all()
+    assert max(data["index"]["array"]) == 10 * len(rings) - 1
+
+
+def test_the_approach_is_apart_and_the_way_back_is_not_drawn_twice(robot: Robot) -> None:
+    trajectory = motion(robot)
+    phases = (Phase("transit", 0.0, 1.0), Phase("approach", 1.0, 1.4), Phase("retreat", 1.4, 2.0))
+    body = objects(stage(robot, load_scene(), Playback(trajectory, phases=phases)))["/hplan/tool path"]
+    start, goal, way, approach = body["object"]["children"]
+    assert [mesh["name"] for mesh in (start, goal, way, approach)] == ["start", "goal", "way", "approach"]
+    tool = robot.tool_positions(trajectory.position)
+    np.testing.assert_allclose(matrix_of(goal)[:3, 3], tool[350], atol=1e-6)  # the end of the approach
+    attributes = {g["uuid"]: g["data"]["attributes"] for g in body["geometries"] if g["type"] == "BufferGeometry"}
+    for mesh, first, last in ((way, 0, 250), (approach, 250, 350)):
+        rings = np.reshape(attributes[mesh["geometry"]]["position"]["array"], (-1, 10, 3)).mean(axis=1)
+        np.testing.assert_allclose(rings[[0, -1]], tool[[first, last]], atol=1e-5)
+    colors = np.reshape(attributes[approach["geometry"]]["color"]["array"], (-1, 3))
+    expected = [(APPROACH_COLOR >> shift & 0xFF) / 255 for shift in (16, 8, 0)]
+    np.testing.assert_allclose(colors, np.tile(expected, (len(colors), 1)), atol=1e-3)
+
+
+def test_meshes_and_clouds_are_drawn(robot: Robot) -> None:
+    points = np.random.default_rng(0).uniform(0.5, 1.5, (50_001, 3))
+    crate_ = Mesh.of("crate", *crate(), position=(1.0, 0.5, 0.2), rpy_deg=(0, 0, 30))
+    cloud = PointCloud.of("canopy", points, 0.01)
+    drawn = objects(stage(robot, orchard(obstacles=(crate_, cloud)), Playback(motion(robot))))
+    surface = drawn["/hplan/obstacles/mesh crate"]["geometries"][0]["data"]["attributes"]["position"]["array"]
+    vertices, faces = crate_.surface
+    np.testing.assert_allclose(np.reshape(surface, (-1, 3, 3)), vertices[faces], atol=1e-6)
+    dots = drawn["/hplan/obstacles/points canopy"]
+    (mesh,) = dots["object"]["children"]
+    assert mesh["type"] == "Points"
+    assert dots["materials"][0]["size"] == pytest.approx(0.02 / math.tan(math.radians(16.0)), abs=1e-6)
+    places = np.reshape(dots["geometries"][0]["data"]["attributes"]["position"]["array"], (-1, 3))
+    assert 15_000 < len(places) <= 20_000
+    np.testing.assert_allclose(places.mean(axis=0), [1, 1, 1], atol=0.01)
+    assert len(dots["geometries"][0]["data"]["index"]["array"]) == len(places)
+
+
+def test_the_camera_holds_arm_and_obstacles(robot: Robot) -> None:
+    trajectory = motion(robot, (1.2, *GOAL[1:]))
+    commands = stage(robot, orchard(), Playback(trajectory))
+    (lens,) = [o["object"] for path, o in objects(commands).items() if path.startswith("/Cameras")]
+    (place,) = [c["value"] for c in commands if c["path"] == "/Cameras/default/rotated/<object>"]
+    (shift,) = [c["matrix"][12:15] for c in commands if c["path"] == "/hplan" and c["type"] == "set_transform"]
+    camera = np.array([place[0], -place[2], place[1]])
+    toward = camera / np.linalg.norm(camera)
+    right = np.cross([0.0, 0.0, 1.0], toward)
+    right /= np.linalg.norm(right)
+    up = np.cross(toward, right)
+    half_height = math.tan(math.radians(lens["fov"] / 2))
+    seen = [*robot.tool_positions(trajectory.position), (1.0, 0.0, 1.9), (1.2, 0.3, 1.4), (0.0, 0.0, 0.0)]
+    for point in np.array(seen) + shift:
+        depth = np.linalg.norm(camera) - point @ toward
+        assert abs(point @ up) < depth * half_height
+        assert abs(point @ right) < depth * half_height * 1.3
+
+
+def test_the_camera_does_not_stand_back_for_the_ground(robot: Robot) -> None:
+    trajectory, scene = motion(robot, (1.2, *GOAL[1:])), orchard()
+    ground = Box(name="ground", center=(0.0, 0.0, -0.051), size=(6.0, 6.0, 0.1))
+    places = [
+        next(
+            c["value"]
+            for c in stage(robot, one, Playback(trajectory))
+            if c["path"] == "/Cameras/default/rotated/<object>"
+        )
+        for one in (scene, scene.with_obstacles([*scene.obstacles, ground]))
+    ]
+    assert places[0] == places[1]
+
+
+@pytest.mark.parametrize("has_yaw", [True, False])
+def test_other_arms(tmp_path: Path, has_yaw: bool) -> None:
+    joints = 2 + has_yaw
+    spec = ArmSpec(
+        name="short",
+        link_lengths=(0.5, 0.4),
+        link_half_widths=(0.03, 0.02),
+        link_masses=(2.0, 1.0),
+        lower=(-1.0,) * joints,
+        upper=(1.5,) * joints,
+        velocity=(1.0,) * joints,
+        effort=(100.0,) * joints,
+        acceleration=(2.0,) * joints,
+        has_yaw=has_yaw,
+    )
+    urdf, limits = write_robot(spec, tmp_path / "short.urdf")
+    arm = load_robot(urdf, limits=limits)
+    trajectory = motion(arm, np.full(joints, 0.5))
+    poses = replayed(stage(arm, load_scene(), Playback(trajectory)), len(keyframe_times(trajectory)) - 1)
+    assert len(poses) == len(arm.visual_model.geometryObjects)
+
+
+def test_every_kind_of_shape() -> None:
+    mesh = coal.BVHModelOBBRSS()
+    mesh.beginModel(1, 3)
+    mesh.addTriangle(np.zeros(3), np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0]))
+    mesh.endModel()
+    shapes = {
+        coal.Box(1.0, 2.0, 3.0): ["BoxGeometry"],
+        coal.Sphere(0.5): ["SphereGeometry"],
+        coal.Cylinder(0.1, 1.0): ["CylinderGeometry"],
+        coal.Capsule(0.1, 1.0): ["CylinderGeometry", "SphereGeometry"],
+        mesh: ["BufferGeometry"],
+    }
+    for shape, kinds in shapes.items():
+        body = three.Body()
+        three.add_shape(body, shape, three.material(0xFFFFFF), np.eye(4))
+        assert [geometry["type"] for geometry in body.json()["geometries"]] == kinds
+    assert body.json()["geometries"][0]["data"]["attributes"]["normal"]["array"] == [0.0, 0.0, 1.0] * 3
+    nothing = three.Body()
+    three.add_shape(nothing, coal.Halfspace(np.array([0.0, 0.0, 1.0]), 0.0), {}, np.eye(4))
+    assert len(nothing) == 0
+
+
+def test_a_trajectory_of_another_robot_is_refused(robot: Robot) -> None:
+    row = np.zeros((1, 2))
+    other = Trajectory(("a", "b"), np.zeros(1), row, row, row, row)
+    with pytest.raises(InputError, match="moves a, b"):
+        render_page(robot, load_scene(), Playback(other))
+
+
+def test_write_page(robot: Robot, tmp_path: Path) -> None:
+    path = write_page(robot, load_scene(), Playback(motion(robot)), tmp_path / "scene.html")
+    assert path.read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
+
+
+def test_a_path_that_cannot_be_written(robot: Robot, tmp_path: Path) -> None:
+    with pytest.raises(OutputError, match=r"scene\.html"):
+        write_page(robot, load_scene(), Playback(motion(robot)), tmp_path / "missing" / "scene.html")
+
+
+def test_a_page_needs_no_import_of_meshcat() -> None:
+    code = (
+        "import sys, numpy as np\n"
+        "from hplan.robot.model import load_robot\n"
+        "from hplan.scene.file import load_scene\n"
+        "from hplan.trajectory.trajectory import Trajectory\n"
+        "from hplan.apps.view.page import render_page\n"
+        "from hplan.apps.view.playback import Playback\n"
+        "row = np.zeros((1, 4))\n"
+        "robot = load_robot()\n"
+        "render_page(robot, load_scene(), Playback(Trajectory(robot.joint_names, np.zeros(1), row, row, row, row)))\n"
+        "assert not {'meshcat', 'zmq', 'matplotlib'} & set(sys.modules)\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
+
+
+def test_the_live_server_answers_and_ends(robot: Robot, capsys: pytest.CaptureFixture[str]) -> None:
+    with serve(robot, load_scene(), Playback(motion(robot, duration=0.5))) as view:
+        assert view.running
+        with urllib.request.urlopen(view.url, timeout=10) as answer:
+            assert b"MeshCat" in answer.read()
+        view.wait(0.01)
+        assert view.running
+    assert not view.running
+    assert capsys.readouterr().out == ""
+
+
+@pytest.mark.browser
+def test_the_page_in_a_browser(robot: Robot, tmp_path: Path) -> None:
+    chromium = shutil.which("chromium")
+    if chromium is None:
+        pytest.skip("headless chromium is not installed: the page's picture cannot be checked")
+    scene = load_scene()
+    bare = replace(robot, visual_model=pin.GeometryModel())
+    page = render_page(robot, scene, Playback(motion(robot)))
+    pictures = {
+        "bare": render_page(bare, scene, Playback(motion(robot))),
+        "start": _paused_at(page, 0.0),
+        "goal": _paused_at(page, 2.0),
+    }
+    seen = {name: _photograph(chromium, html, tmp_path / name) for name, html in pictures.items()}
+    # The page without an arm has no orange and no graphite: both are the arm's.
+    for name in ("start", "goal"):
+        assert _orange(seen[name]).sum() > 150 + 5 * _orange(seen["bare"]).sum()
+        assert _dark(seen[name]).sum() > 1500 + 5 * _dark(seen["bare"]).sum()
+    for picture in seen.values():
+        assert _violet(picture).sum() > 3000
+    # Shown from the side, the arm lies flat at the start and stands upright at the goal.
+    start_rows, goal_rows = (np.nonzero(_orange(seen[name]))[0] for name in ("start", "goal"))
+    assert start_rows.min() > 0.5 * 800
+    assert goal_rows.min() < 0.25 * 800
+
+
+def _paused_at(page: str, time_s: float) -> str:
+    still = f"<script>player.pause(); player.seek({time_s});</script>"
+    return page.replace("</body>", f"{still}</body>")
+
+
+def _photograph(chromium: str, html: str, folder: Path) -> np.ndarray:
+    folder.mkdir()
+    page, picture = folder / "scene.html", folder / "scene.png"
+    # The picture alone, without the panel below it.
+    tall = "<style>body.motion #picture { height: 100vh; }</style>"
+    page.write_text(html.replace("</head>", f"{tall}</head>"), encoding="utf-8")
+    result = subprocess.run(
+        [chromium, *CHROMIUM_FLAGS, f"--user-data-dir={folder / 'profile'}", f"--screenshot={picture}", page.as_uri()],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert picture.is_file(), result.stderr[-2000:]
+    assert not re.search(r"CONSOLE.*(Uncaught|[Ee]rror)", result.stderr), result.stderr[-2000:]
+    pixels = np.asarray(Image.open(picture).convert("RGB"), dtype=np.int64)
+    return pixels[:, 200:]  # without the legend
+
+
+def _orange(picture: np.ndarray) -> np.ndarray:
+    red, green, blue = np.moveaxis(picture, -1, 0)
+    return (red > 150) & (red > 1.6 * green) & (green > 1.3 * blue)
+
+
+def _dark(picture: np.ndarray) -> np.ndarray:
+    return picture.max(axis=-1) < 75
+
+
+def _violet(picture: np.ndarray) -> np.ndarray:
+    red, green, blue = np.moveaxis(picture, -1, 0)
+    return (blue > red + 15) & (red > green + 12)

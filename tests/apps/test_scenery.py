@@ -1,0 +1,311 @@
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from hplan.apps.view import framing
+from hplan.apps.view import three_js as three
+from hplan.apps.view.page import render_page
+from hplan.apps.view.playback import Playback
+from hplan.apps.view.scene_stage import REST_S, keyframe_times, stage
+from hplan.apps.view.scenery import BULK, LEAVES, METAL, OTHER, WOOD, Look, look_of, moving_nodes, obstacles, picks
+from hplan.errors import InputError
+from hplan.robot.model import Robot
+from hplan.scene.model import Fruit, Goal, Scene, Start
+from hplan.scene.obstacles import Box, Capsule, Cylinder
+from hplan.scene.tracks import Track
+from hplan.trajectory.trajectory import Trajectory
+
+CAPSULES = (
+    Capsule(name="tree 1 branch 1", start=(1.6, 0.5, 0.0), end=(1.2, 0.1, 1.4), radius=0.03),
+    Capsule(name="tree 1 shoot 2", start=(0.4, 0.8, 1.0), end=(0.4, 0.8, 1.0), radius=0.05),
+    Capsule(name="wire 1", start=(1.4, -2.0, 1.0), end=(1.4, 2.0, 1.0), radius=0.002),
+    Capsule(name="trunk", start=(1.4, 0.0, 0.0), end=(1.4, 0.0, 1.0), radius=0.04),
+)
+
+
+@dataclass(frozen=True)
+class Part:
+    name: str
+    start_s: float
+    end_s: float
+
+
+def motion(robot: Robot, duration: float = 2.0) -> Trajectory:
+    time = np.linspace(0.0, duration, 501)
+    position = (time / duration)[:, None] * np.array([0.3, 0.8, 0.9, 0.4])
+    nothing = np.zeros_like(position)
+    return Trajectory(robot.joint_names, time, position, nothing, nothing, nothing)
+
+
+def orchard(**changes: Any) -> Scene:
+    content: dict[str, Any] = {
+        "name": "orchard",
+        "start": Start(joints_deg=(0.0, 0.0, 0.0, 0.0)),
+        "goal": Goal(fruit="ripe"),
+        "obstacles": CAPSULES,
+        "fruits": (
+            Fruit(name="ripe", center=(1.2, 0.3, 1.4), radius=0.04),
+            Fruit(name="green", center=(1.3, 0.2, 1.1), radius=0.04),
+        ),
+        **changes,
+    }
+    return Scene(**content)
+
+
+def drawn(commands: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
+    return {c["path"]: c["object"] for c in commands if c["type"] == "set_object"}
+
+
+def tracks(commands: list[dict[str, Any]]) -> dict[str, dict[str, dict[str, Any]]]:
+    """Path -> property -> track."""
+    (animation,) = [c for c in commands if c["type"] == "set_animation"]
+    return {
+        item["path"]: {track["name"]: track for track in item["clip"]["tracks"]} for item in animation["animations"]
+    }
+
+
+def seen_at(track: dict[str, Any], time: float) -> bool:
+    return bool(track["values"][int(np.searchsorted(track["times"], time, side="right")) - 1])
+
+
+@pytest.mark.parametrize(
+    ("name", "look"),
+    [
+        ("tree 1 trunk 2", WOOD),
+        ("Branches", WOOD),
+        ("shoots_7", WOOD),
+        ("wire 2", METAL),
+        ("post-3", METAL),
+        ("tree 1 leaves", LEAVES),
+        ("ground", BULK),
+        ("vehicle", BULK),
+        ("ball", OTHER),
+        ("outpost7x", OTHER),
+        ("", OTHER),
+    ],
+)
+def test_the_words_of_a_name_tell_the_look(name: str, look: Look) -> None:
+    assert look_of(name) is look
+
+
+def test_capsules_of_one_look_are_copies_of_one_shape(robot: Robot) -> None:
+    found = drawn(stage(robot, orchard(), Playback(motion(robot))))
+    body = found["/hplan/obstacles/Wood"]
+    walls, ends = body["object"]["children"]
+    assert {walls["type"], ends["type"]} == {"InstancedMesh"}
+    assert (walls["count"], ends["count"]) == (2, 6)  # no wall without length
+    assert not walls["frustumCulled"]
+    assert not ends["frustumCulled"]
+    assert [surface["color"] for surface in body["materials"]] == [WOOD.color]
+    poses = np.reshape(walls["instanceMatrix"]["array"], (-1, 4, 4)).swapaxes(1, 2)
+    for pose, item in zip(poses, (CAPSULES[0], CAPSULES[3]), strict=True):
+        start, end = np.array(item.start), np.array(item.end)
+        # The shape is a cylinder of length 1 and radius 1 about y.
+        np.testing.assert_allclose(pose @ [0, 0.5, 0, 1], [*end, 1], atol=2e-6)
+        np.testing.assert_allclose(pose @ [0, -0.5, 0, 1], [*start, 1], atol=2e-6)
+        for across in ([1, 0, 0, 0], [0, 0, 1, 0]):
+            side = (pose @ across)[:3]
+            assert np.linalg.norm(side) == pytest.approx(item.radius, abs=2e-6)
+            assert side @ (end - start) == pytest.approx(0.0, abs=1e-5)
+        assert np.linalg.det(pose[:3, :3]) > 0.0  # a mirrored shape would be seen from inside
+    # The shape of the ends is the upper half of a ball: it must look away from the capsule.
+    caps = np.reshape(ends["instanceMatrix"]["array"], (-1, 4, 4)).swapaxes(1, 2)
+    assert (np.linalg.det(caps[:, :3, :3]) > 0.0).all()
+    for number, item in enumerate((CAPSULES[0], CAPSULES[1], CAPSULES[3])):
+        axis = np.array(item.end) - np.array(item.start)
+        for cap, center, sign in ((caps[2 * number], item.end, 1), (caps[2 * number + 1], item.start, -1)):
+            np.testing.assert_allclose(cap[:3, 3], center, atol=1e-6)
+            if axis.any():
+                top = sign * item.radius * axis / np.linalg.norm(axis)
+                np.testing.assert_allclose(cap[:3, 1], top, atol=2e-6)
+    wires = found["/hplan/obstacles/Posts and wires"]
+    assert [surface["color"] for surface in wires["materials"]] == [METAL.color]
+
+
+def test_a_tree_of_a_thousand_pieces_makes_no_large_page(robot: Robot) -> None:
+    random = np.random.default_rng(3)
+    pieces = tuple(
+        Capsule(name=f"tree 1 branch {k}", start=tuple(a), end=tuple(b), radius=0.01)
+        for k, (a, b) in enumerate(random.uniform(0.5, 2.0, (1000, 2, 3)))
+    )
+    page = render_page(robot, orchard(obstacles=pieces), Playback(motion(robot)))
+    assert len(page) < 1_600_000
+    (body,) = [item for path, item in drawn(stage(robot, orchard(obstacles=pieces), Playback(motion(robot)))).items()
+               if path.startswith("/hplan/obstacles")]  # fmt: skip
+    assert len(body["object"]["children"]) == 2
+
+
+def test_a_picked_fruit_changes_its_colour_and_goes_with_the_tool(robot: Robot) -> None:
+    trajectory = motion(robot)
+    phases = (Part("transit", 0.0, 0.6), Part("approach", 0.6, 1.0), Part("retreat", 1.0, 2.0))
+    commands = stage(robot, orchard(), Playback(trajectory, picked={"ripe": 1.0}, phases=phases))
+    found = tracks(commands)
+    hanging = found["/hplan/fruits/fruit ripe"][".visible"]
+    held = found["/hplan/picked/fruit ripe"]
+    place = found["/hplan/places/fruit ripe"][".visible"]
+    for time, taken in ((0.0, False), (0.99, False), (1.01, True), (2.0, True), (2.0 + REST_S, True)):
+        assert seen_at(hanging, time) is not taken
+        assert seen_at(held[".visible"], time) is taken
+        assert seen_at(place, time) is taken
+    assert "/hplan/fruits/fruit green" not in found
+    # All clips end together: else the parts of the page would drift apart from round to round.
+    ends = {track["times"][-1] for item in found.values() for track in item.values()}
+    assert ends == {2.0 + REST_S}
+    way = held[".position"]
+    places = np.reshape(way["values"], (-1, 3))
+    tool = robot.tool_positions(trajectory.position)
+    for time in (0.0, 1.0, 1.5, 2.0, 2.0 + REST_S):
+        got = [np.interp(time, way["times"], axis) for axis in places.T]
+        at, taken = tool[min(round(250 * time), 500)], tool[250]
+        expected = np.array((1.2, 0.3, 1.4)) + (at - taken if time > 1.0 else 0.0)
+        np.testing.assert_allclose(got, expected, atol=1e-4)
+    green = drawn(commands)["/hplan/picked/fruit ripe"]["materials"][0]["color"]
+    assert green != drawn(commands)["/hplan/fruits/fruit ripe"]["materials"][0]["color"]
+
+
+def test_of_a_tour_the_tool_holds_one_fruit_until_it_lets_it_go(robot: Robot) -> None:
+    scene, trajectory = orchard(), motion(robot, 4.0)
+    retreats = (Part("retreat", 1.0, 1.4), Part("retreat", 3.0, 3.4))
+    times = {"green": 3.0, "ripe": 1.0}
+    assert [(p.fruit.name, p.since, p.until) for p in picks(scene, Playback(trajectory, times, phases=retreats))] == [
+        ("ripe", 1.0, 1.4),
+        ("green", 3.0, 3.4),
+    ]
+    late = {"ripe": 3.5, "green": 4.0}
+    assert [p.until for p in picks(scene, Playback(trajectory, times, late, retreats))] == [3.0, math.inf]
+    assert picks(scene, Playback(trajectory, phases=retreats)) == []
+    commands = stage(robot, scene, Playback(trajectory, picked=times, dropped={"ripe": 2.0, "green": 3.8}))
+    held = tracks(commands)["/hplan/picked/fruit ripe"][".visible"]
+    assert [seen_at(held, time) for time in (0.5, 1.5, 2.5)] == [False, True, False]
+    # None of several fruits is the one to pick, and no one pose is the goal's.
+    assert len(drawn(commands)["/hplan/fruits/fruit ripe"]["object"]["children"]) == 1
+    assert not any("pose" in path for path in drawn(commands))
+
+
+@pytest.mark.parametrize(("picked", "words"), [
+    ({"pear": 1.0}, "'pear', which is not among"),
+    ({"ripe": -0.1}, "picked at -0.1 s"),
+    ({"ripe": 2.5}, "from 0 to 2 s"),
+    ({"ripe": math.nan}, "picked = nan"),
+])  # fmt: skip
+def test_a_pick_that_cannot_be(robot: Robot, picked: dict[str, float], words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        stage(robot, orchard(), Playback(motion(robot), picked=picked))
+
+
+def test_the_legend_names_what_is_there(robot: Robot) -> None:
+    page = render_page(
+        robot, orchard(), Playback(motion(robot), picked={"ripe": 1.0}, phases=(Part("approach", 0.0, 1.0),))
+    )
+    for words in ("Wood", "Posts and wires", "Fruit to pick", "Picked", "Approach"):
+        assert f"</i>{words}</span>" in page
+    assert "Ground and vehicle" not in page.split('<script type="application/json"')[0]
+
+
+def test_the_camera_looks_from_where_least_is_hidden(robot: Robot) -> None:
+    """A wall on one side of the arm: the camera stands on the other."""
+    for side in (-1.0, 1.0):
+        wall = Box(name="wall", center=(0.8, side * 0.8, 1.0), size=(3.0, 0.05, 2.5))
+        panel = tuple(
+            Capsule(name=f"bar {k}", start=(-0.5, side * 0.8, h), end=(2.0, side * 0.8, h), radius=0.06)
+            for k, h in enumerate(np.linspace(0.1, 2.2, 20))
+        )
+        row = np.zeros((1, robot.dof))
+        still = Trajectory(robot.joint_names, np.zeros(1), row, row, row, row)
+        commands = stage(
+            robot, orchard(obstacles=(wall, *panel), fruits=(), goal=Goal(position=(1, 0, 1))), Playback(still)
+        )
+        (place,) = [c["value"] for c in commands if c["path"] == "/Cameras/default/rotated/<object>"]
+        assert -place[2] * side < 0.0  # y of the camera
+
+
+def test_covered() -> None:
+    points = np.array([[0.0, 0.0, 0.0], [0.0, 0.5, 0.0]])
+    before = np.array([[1.0, 0.0, 0.0]])
+    width = np.array([0.05])
+    assert framing.covered(points, before, width, 0.0, 0.0) == 0.5
+    assert framing.covered(points, before, width, math.pi, 0.0) == 0.0  # behind them
+    assert framing.covered(points, before[:0], width[:0], 0.0, 0.0) == 0.0
+
+
+def test_a_smooth_surface_has_outward_normals() -> None:
+    from hplan.apps.view.cspace_surface import surface_net
+
+    grid = np.linalg.norm(np.stack(np.meshgrid(*[np.linspace(-1, 1, 21)] * 3, indexing="ij"), axis=-1), axis=-1) - 0.7
+    vertices, faces = surface_net(grid)
+    attributes = three.surface(vertices, faces)["data"]["attributes"]
+    normals = np.reshape(attributes["normal"]["array"], (-1, 3))
+    out = vertices - 10.0
+    assert (np.einsum("ij,ij->i", normals, out) > 0.95 * np.linalg.norm(out, axis=1)).all()
+
+
+def test_a_cylinder_lies_where_it_is() -> None:
+    """three.js has it along y: the matrix takes y to the cylinder's axis."""
+    can = Cylinder(name="can", center=(1.2, 0.1, 0.9), length=0.3, radius=0.05, rpy_deg=(0.0, 90.0, 30.0))
+    (command,) = obstacles(orchard(obstacles=(can,), goal=Goal(joints_deg=(0.0,) * 4)))
+    (geometry,) = command["object"]["geometries"]
+    assert (geometry["type"], geometry["height"], geometry["radiusTop"]) == ("CylinderGeometry", 0.3, 0.05)
+    (mesh,) = command["object"]["object"]["children"]
+    matrix = np.reshape(mesh["matrix"], (4, 4)).T
+    np.testing.assert_allclose(matrix[:3, 1], [math.cos(math.radians(30)), 0.5, 0.0], atol=1e-6)
+    np.testing.assert_allclose(matrix[:3, 3], can.center, atol=1e-6)
+
+
+# What moves.
+
+TURNING = Track(
+    times_s=(0.0, 1.0, 3.0),
+    shifts_m=((0.0, 0.0, 0.0), (0.5, 0.0, 0.2), (0.0, 0.5, 0.0)),
+    rpy_deg=((0.0, 0.0, 0.0), (30.0, 20.0, 10.0), (0.0, 0.0, 90.0)),
+    about=(1.4, 0.0, 0.5),
+)
+
+
+def tracks_of(commands: list[dict[str, Any]]) -> dict[str, dict[str, np.ndarray]]:
+    (animation,) = [c for c in commands if c["type"] == "set_animation"]
+    return {
+        item["path"]: {t["name"]: np.array(t["values"]).reshape(len(t["times"]), -1) for t in item["clip"]["tracks"]}
+        for item in animation["animations"]
+    }
+
+
+@pytest.mark.parametrize("creeping", [False, True])
+def test_what_has_a_track_is_where_the_scene_has_it(robot: Robot, creeping: bool) -> None:
+    box = Box(name="cart", center=(1.6, 0.2, 0.4), size=(0.2, 0.3, 0.4), track=TURNING)
+    branch = CAPSULES[0].model_copy(update={"track": TURNING})
+    base = Track(times_s=(0.0, 2.0), shifts_m=((0.0, 0.0, 0.0), (0.4, 0.0, 0.0))) if creeping else None
+    scene = orchard(goal=Goal(joints_deg=(0, 9, 9, 9)), obstacles=(*CAPSULES[1:], branch, box), base_track=base)
+    playback = Playback(motion(robot), begin_s=0.25)
+    commands = stage(robot, scene, playback)
+    nodes = moving_nodes(scene)
+    assert nodes["cart"] == nodes[branch.name]
+    assert ("ripe" in nodes) == creeping
+    paths = drawn(commands)
+    assert f"{nodes['cart']}/box cart" in paths
+    assert f"{nodes['cart']}/Wood" in paths
+    # The rest stands still, or moves with the base alone.
+    rest = nodes[CAPSULES[1].name] if creeping else "/hplan/obstacles"
+    assert f"{rest}/Wood" in paths
+    clips = tracks_of(commands)
+    assert {path for path in clips if "moving" in path} == set(nodes.values())
+    times = keyframe_times(playback.trajectory)
+    for name in ("cart", *(["ripe"] if creeping else [])):
+        turns, shifts = scene.poses_at(0.25 + times)[name]
+        found = clips[nodes[name]]
+        np.testing.assert_allclose(found[".position"][:-1], shifts, atol=1e-5)
+        quaternions = Rotation.from_quat(found[".quaternion"][:-1])
+        np.testing.assert_allclose(quaternions.as_matrix(), turns, atol=1e-5)
+        np.testing.assert_array_equal(found[".position"][-1], found[".position"][-2])
+        (at_first,) = [c["matrix"] for c in commands if c["type"] == "set_transform" and c["path"] == nodes[name]]
+        np.testing.assert_allclose(np.reshape(at_first, (4, 4)).T[:3, 3], shifts[0], atol=1e-5)
+
+
+def test_a_scene_that_moves_makes_a_page(robot: Robot) -> None:
+    scene = orchard(goal=Goal(joints_deg=(0, 9, 9, 9)), base_track=TURNING)
+    assert '"/hplan/moving 0"' in render_page(robot, scene, Playback(motion(robot)))

@@ -1,0 +1,455 @@
+"""Motions executed in MuJoCo: ours are safe there too, and what is not is caught."""
+
+from __future__ import annotations
+
+import builtins
+import importlib.util
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from script_loader import load_script
+from shapes import ball, torus
+
+from hplan.apps.execution import simulation
+from hplan.apps.execution.mujoco_model import MOST_BALLS
+from hplan.apps.execution.recorded_motion import RecordedMotion, read_motion
+from hplan.apps.execution.simulation import HOLD, Execution, execute
+from hplan.collision.coal_scene import CoalScene
+from hplan.errors import ConfigurationInCollisionError, HplanError, InputError, NoPathError, RobotFileError
+from hplan.planning.plan import PlanResult, plan
+from hplan.robot.family.members import ArmSpec, write_robot
+from hplan.robot.model import Robot, load_robot
+from hplan.scene.model import Goal, Scene, Start
+from hplan.scene.obstacles import Box, Capsule, Cylinder, Mesh, PointCloud, Sphere
+from hplan.trajectory.trajectory import Trajectory, write_csv
+
+needs_mujoco = pytest.mark.skipif(
+    importlib.util.find_spec("mujoco") is None, reason="MuJoCo is not installed: pip install 'hplan[execution]'"
+)
+
+script = load_script("execute")
+
+
+@pytest.fixture(scope="module")
+def planned(robot: Robot, scene: Scene) -> PlanResult:
+    return plan(robot, scene)
+
+
+@pytest.fixture(scope="module")
+def csv_file(planned: PlanResult, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_csv(planned.trajectory, tmp_path_factory.mktemp("motion") / "trajectory.csv")
+
+
+def straight(robot: Robot, scene: Scene, duration: float, rows: int = 201) -> RecordedMotion:
+    """From start to goal in a straight line, with a smooth start and end."""
+    start, goal = scene.start.joints(), scene.goal.joints()
+    assert start is not None
+    assert goal is not None
+    u = np.linspace(0.0, 1.0, rows)
+    share, rate = u**3 * (10 - 15 * u + 6 * u**2), 30 * u**2 * (1 - u) ** 2 / duration
+    return RecordedMotion(
+        robot.joint_names,
+        u * duration,
+        start + share[:, None] * (goal - start),
+        rate[:, None] * (goal - start),
+    )
+
+
+def faster(trajectory: Trajectory, factor: float) -> RecordedMotion:
+    return RecordedMotion(
+        trajectory.joint_names, trajectory.time / factor, trajectory.position, trajectory.velocity * factor
+    )
+
+
+def off_deg(result: Execution) -> float:
+    return math.degrees(max(result.max_tracking_error_rad))
+
+
+# Ours
+
+
+@needs_mujoco
+def test_the_exported_reference_plan(robot: Robot, scene: Scene, planned: PlanResult, csv_file: Path) -> None:
+    result = execute(robot, scene, read_motion(csv_file))
+    assert result.ok
+    assert result.contacts == ()
+    assert result.ended_at_goal
+    assert off_deg(result) < 0.5
+    assert math.degrees(max(result.final_error_rad)) < 0.5
+    assert max(result.start_error_rad) == 0.0
+    assert result.torque_exceeded == ()
+    assert result.saturated_s == 0.0
+    assert result.duration_s == planned.trajectory.duration
+    assert result.nearest is not None
+    assert result.nearest.distance_m > 0.0
+    np.testing.assert_allclose(result.needed_torque_nm, np.abs(planned.trajectory.torque).max(axis=0), rtol=1e-2)
+    assert result.position.shape == (len(result.time), robot.dof)
+    assert result.time[-1] == pytest.approx(result.duration_s + HOLD, abs=2e-3)
+    assert not result.position.flags.writeable
+
+
+@needs_mujoco
+def test_a_trajectory_is_a_motion(robot: Robot, scene: Scene, planned: PlanResult, csv_file: Path) -> None:
+    first, second = execute(robot, scene, planned.trajectory), execute(robot, scene, read_motion(csv_file))
+    np.testing.assert_array_equal(first.position, second.position)
+    assert first.contacts == second.contacts
+
+
+@needs_mujoco
+def test_the_empty_motion_rests(robot: Robot) -> None:
+    here = Scene(name="here", start=Start(joints_deg=(0, 30, 20, 10)), goal=Goal(joints_deg=(0, 30, 20, 10)))
+    result = execute(robot, here, plan(robot, here).trajectory)
+    assert result.ok
+    assert result.duration_s == 0.0
+    assert off_deg(result) < 0.1
+    assert result.nearest is None
+
+
+@needs_mujoco
+def test_random_planar_scenes(robot: Robot) -> None:
+    rng = np.random.default_rng(7)
+    done = 0
+    for _ in range(60):
+        balls = tuple(
+            Sphere(name=f"ball {i}", center=(x, 0.0, 0.6 + z), radius=r)
+            for i, (x, z, r) in enumerate(
+                zip(rng.uniform(-0.2, 1.9, 4), rng.uniform(0.1, 1.9, 4), rng.uniform(0.05, 0.2, 4), strict=True)
+            )
+        )
+        start, goal = ((0.0, *rng.uniform(0.0, 90.0, 3)) for _ in range(2))
+        scene = Scene(name="random", start=Start(joints_deg=start), goal=Goal(joints_deg=goal), obstacles=balls)
+        try:
+            motion = plan(robot, scene).trajectory
+        except (ConfigurationInCollisionError, NoPathError):
+            continue
+        result = execute(robot, scene, motion)
+        assert result.ok, (scene, result.contacts, result.final_error_rad)
+        assert off_deg(result) < 0.5
+        assert result.torque_exceeded == ()
+        done += 1
+        if done == 5:
+            return
+    pytest.fail(f"only {done} of the random scenes could be planned")
+
+
+# What is wrong is caught
+
+
+@needs_mujoco
+def test_straight_through_the_obstacle(robot: Robot, scene: Scene) -> None:
+    motion = straight(robot, scene, 4.0)
+    result = execute(robot, scene, motion)
+    assert not result.ok
+    assert not result.ended_at_goal  # the ball does not give way
+    touch = result.contacts[0]
+    assert touch.obstacle == "ball"
+    assert touch.depth_m > 0.0
+    checker = CoalScene(robot, scene.solids)
+    first = int(np.argmax(checker.in_collision(motion.position)))
+    assert touch.time_s == pytest.approx(motion.time[first], abs=0.03)
+    nearest = checker.nearest(motion.position[first])
+    assert nearest is not None
+    assert touch.link == nearest.link
+
+
+@needs_mujoco
+def test_a_motion_that_only_grazes(robot: Robot) -> None:
+    """The tip passes a small ball that reaches 2 mm into its way, or stays 2 mm clear of it."""
+    arm = robot.arm
+    tip = robot.tool_positions(np.radians([0.0, 30.0, 0.0, 0.0]))
+    outward = (tip - robot.plane_origin) / np.linalg.norm(tip - robot.plane_origin)
+    for gap, touches in ((-0.002, True), (0.002, False)):
+        centre = tip + (arm.half_widths[-1] + 0.02 + gap) * outward
+        ball = Sphere(name="small", center=tuple(centre), radius=0.02)
+        scene = Scene(
+            name="graze", start=Start(joints_deg=(0,) * 4), goal=Goal(joints_deg=(0, 60, 0, 0)), obstacles=(ball,)
+        )
+        result = execute(robot, scene, straight(robot, scene, 2.5))
+        assert [(touch.link, touch.obstacle) for touch in result.contacts] == ([("hand", "small")] if touches else [])
+
+
+@needs_mujoco
+def test_too_fast_for_the_motors(robot: Robot, scene: Scene, planned: PlanResult) -> None:
+    free = scene.with_obstacles(())
+    result = execute(robot, free, faster(planned.trajectory, 5.0))
+    assert off_deg(result) > 5.0
+    assert "shoulder" in result.torque_exceeded
+    assert result.saturated_s > 0.05
+    assert result.needed_torque_nm[1] > result.torque_limit_nm[1]
+    assert not result.ended_at_goal
+    assert result.contacts == ()
+
+
+@needs_mujoco
+def test_ending_elsewhere_or_moving(robot: Robot, scene: Scene) -> None:
+    free = scene.with_obstacles(())
+    motion = straight(robot, free, 3.0)
+    short = RecordedMotion(motion.joint_names, motion.time[:150], motion.position[:150], motion.velocity[:150])
+    assert not execute(robot, free, short).ended_at_goal
+    # It reaches the goal with speed, and so does not stay there.
+    speed = np.array([0.0, 0.0, 0.0, 1.0])
+    goal = motion.position[-1]
+    rushing = RecordedMotion(
+        motion.joint_names, np.array([0.0, 0.5]), np.stack([goal - 0.5 * speed, goal]), np.stack([speed, speed])
+    )
+    result = execute(robot, free, rushing)
+    assert not result.ended_at_goal
+    assert max(result.start_error_rad) > 0.1
+    # Without goal joints, the last row is the goal.
+    elsewhere = free.model_copy(update={"goal": Goal(position=(1.0, 0.0, 1.0))})
+    resting = RecordedMotion.from_positions(motion.joint_names, np.array([0.0, 3.0]), motion.position[[0, 100]])
+    assert execute(robot, elsewhere, resting).ended_at_goal
+
+
+@needs_mujoco
+@pytest.mark.parametrize(
+    "obstacle",
+    [
+        Sphere(name="it", center=(1.9, 0.0, 0.6), radius=0.1),
+        Capsule(name="it", start=(1.9, -0.5, 0.4), end=(1.9, 0.5, 0.7), radius=0.05),
+        Capsule(name="it", start=(1.9, 0.0, 0.6), end=(1.9, 0.0, 0.6), radius=0.05),
+        Box(name="it", center=(1.9, 0.0, 0.6), size=(0.1, 0.4, 0.02), rpy_deg=(20.0, 40.0, 70.0)),
+        Cylinder(name="it", center=(1.9, 0.0, 0.6), length=0.3, radius=0.08, rpy_deg=(20.0, 40.0, 70.0)),
+        Mesh.of("it", *torus(0.2, 0.03, 12), position=(1.9, 0.0, 0.6), rpy_deg=(90.0, 0.0, 20.0)),
+        PointCloud.of("it", np.random.default_rng(0).uniform(-0.1, 0.1, (40, 3)), 0.02, position=(1.9, 0.0, 0.6)),
+    ],
+)
+def test_contacts_of_mujoco_are_those_of_coal(robot: Robot, obstacle: Any) -> None:
+    """The same obstacle at the same place for both: configurations near its surface."""
+    scene = Scene(name="one", start=Start(joints_deg=(0,) * 4), goal=Goal(joints_deg=(0,) * 4), obstacles=(obstacle,))
+    checker = CoalScene(robot, scene.solids)
+    rng = np.random.default_rng(3)
+    seen = set()
+    for _ in range(400):
+        q = rng.uniform([-0.3, 0.0, 0.0, 0.0], [0.3, 0.4, 0.4, 0.4])
+        distances = checker.distances(q).min(axis=1)
+        if np.abs(distances).min() < 1e-4 or (len(seen) == 2 and rng.random() > 0.1):
+            continue
+        still = RecordedMotion(robot.joint_names, np.zeros(1), q[None], np.zeros((1, 4)))
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(simulation, "HOLD", 0.0)
+            result = execute(robot, scene, still)
+        touched = {touch.link for touch in result.contacts}
+        assert touched == {name for name, d in zip(checker.link_names, distances, strict=True) if d < 0.0}
+        seen.add(bool(touched))
+    assert seen == {True, False}
+
+
+@needs_mujoco
+def test_a_grown_hull_is_held(robot: Robot) -> None:
+    """A ball of many triangles: MuJoCo's hull holds the simplified one with its rounding."""
+    mesh = Mesh.of("ball", *ball(0.1), position=(2.0, 0.0, 0.95))
+    (hull,) = mesh.solids
+    assert hull.rounding > 1e-3
+    scene = Scene(name="one", start=Start(joints_deg=(0,) * 4), goal=Goal(joints_deg=(0,) * 4), obstacles=(mesh,))
+    checker = CoalScene(robot, scene.solids)
+    up = np.linspace(0.0, 0.5, 60)
+    deep = [checker.distances(np.array([0.0, angle, 0.0, 0.0])).min() for angle in up]
+    first = int(np.argmax(np.array(deep) < 0.0))
+    for index, expected in ((first, True), (int(np.argmax(np.array(deep) < 1.3 * hull.rounding)) - 1, False)):
+        still = RecordedMotion(robot.joint_names, np.zeros(1), np.array([[0.0, up[index], 0.0, 0.0]]), np.zeros((1, 4)))
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(simulation, "HOLD", 0.0)
+            assert bool(execute(robot, scene, still).contacts) is expected
+
+
+@needs_mujoco
+def test_too_many_balls(robot: Robot, scene: Scene) -> None:
+    cloud = PointCloud.of("canopy", np.random.default_rng(0).uniform(2, 3, (MOST_BALLS + 1, 3)), 0.01)
+    crowded = scene.with_obstacles([cloud])
+    with pytest.raises(InputError, match="'canopy' has 2001 balls, too many for MuJoCo; thin its points"):
+        execute(robot, crowded, straight(robot, crowded, 1.0))
+
+
+@needs_mujoco
+def test_other_robots_and_the_order_of_joints(tmp_path: Path) -> None:
+    spec = ArmSpec(
+        name="two-link",
+        link_lengths=(0.5, 0.4),
+        link_half_widths=(0.04, 0.03),
+        link_masses=(3.0, 1.5),
+        lower=(-1.0, -1.0),
+        upper=(1.5, 1.5),
+        velocity=(2.0, 2.0),
+        effort=(60.0, 20.0),
+        acceleration=(5.0, 5.0),
+        has_yaw=False,
+    )
+    robot = load_robot(write_robot(spec, tmp_path / "two.urdf")[0])
+    wire = Capsule(name="wire", start=(0.6, -0.3, 1.1), end=(0.6, 0.3, 1.1), radius=0.01)
+    scene = Scene(name="two", start=Start(joints_rad=(0.0, 0.0)), goal=Goal(joints_rad=(1.2, 0.2)), obstacles=(wire,))
+    motion = straight(robot, scene, 2.0)
+    result = execute(robot, scene, motion)
+    assert {touch.obstacle for touch in result.contacts} == {"wire"}
+    turned = RecordedMotion(motion.joint_names[::-1], motion.time, motion.position[:, ::-1], motion.velocity[:, ::-1])
+    np.testing.assert_array_equal(execute(robot, scene, turned).position, result.position)
+    free = scene.with_obstacles(())
+    assert execute(robot, free, turned).ok
+
+
+@needs_mujoco
+def test_the_turret_counts_and_the_pedestal_does_not_move(robot: Robot) -> None:
+    still = RecordedMotion(robot.joint_names, np.zeros(1), np.zeros((1, 4)), np.zeros((1, 4)))
+    for height, links in ((0.5, ["turret"]), (0.1, [])):
+        nut = Sphere(name="nut", center=(0.0, 0.15, height), radius=0.05)
+        scene = Scene(name="nut", start=Start(joints_deg=(0,) * 4), goal=Goal(joints_deg=(0,) * 4), obstacles=(nut,))
+        assert [touch.link for touch in execute(robot, scene, still).contacts] == links
+
+
+# Motions and their files
+
+
+def test_the_reference_is_the_hermite_cubic(robot: Robot) -> None:
+    rng = np.random.default_rng(2)
+    # Any cubic in time is its own Hermite interpolant.
+    coefficients = rng.normal(size=(4, 4))
+    time = np.array([3.0, 3.1, 3.7, 4.0])
+
+    def cubic(t: np.ndarray, derivative: int) -> np.ndarray:
+        return np.stack([np.polyval(np.polyder(row, derivative), t) for row in coefficients], axis=-1)
+
+    reference = simulation._Reference.of(robot, RecordedMotion(robot.joint_names, time, cubic(time, 0), cubic(time, 1)))
+    clock = np.linspace(0.0, 1.0, 77)
+    for derivative, values in enumerate(reference.at(clock)):
+        np.testing.assert_allclose(values, cubic(clock + 3.0, derivative), atol=1e-11)
+    q, v, a = reference.at(np.array([1.2]))
+    np.testing.assert_array_equal(q[0], cubic(time, 0)[-1])
+    assert not v.any()
+    assert not a.any()
+
+
+def test_velocities_from_positions() -> None:
+    time = np.array([0.0, 0.3, 0.4, 1.0])
+    motion = RecordedMotion.from_positions(["a"], time, (2.0 * time**2 - time)[:, None])
+    np.testing.assert_allclose(motion.velocity[:, 0], [0.0, 0.2, 0.6, 0.0], atol=1e-12)
+    assert RecordedMotion.from_positions(["a"], np.zeros(1), np.ones((1, 1))).velocity.tolist() == [[0.0]]
+
+
+def test_reading_our_own_file(planned: PlanResult, csv_file: Path) -> None:
+    motion = read_motion(csv_file)
+    assert motion.joint_names == planned.trajectory.joint_names
+    np.testing.assert_array_equal(motion.time, planned.trajectory.time)
+    np.testing.assert_array_equal(motion.position, planned.trajectory.position)
+    np.testing.assert_array_equal(motion.velocity, planned.trajectory.velocity)
+
+
+def test_reading_positions_alone(tmp_path: Path) -> None:
+    path = tmp_path / "plain.csv"
+    path.write_text("effort, b_pos_rad,time_s, a_pos_rad,a_vel_rad_s\nx,1,5,2,9\nx,2,6,4,9\nx,4,7,8,9\n")
+    motion = read_motion(path)
+    assert motion.joint_names == ("b", "a")
+    assert motion.time.tolist() == [5.0, 6.0, 7.0]
+    assert motion.position.tolist() == [[1.0, 2.0], [2.0, 4.0], [4.0, 8.0]]
+    assert motion.velocity.tolist() == [[0.0, 0.0], [1.5, 3.0], [0.0, 0.0]]  # only one joint has velocities
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "line 1: expected a header"),
+        ("time_s,x\n0,1\n", "line 1: expected a header"),
+        ("a_pos_rad\n0\n", "line 1: expected a header"),
+        ("time_s,a_pos_rad,a_pos_rad\n0,1,1\n", "line 1: column 'a_pos_rad' is there twice"),
+        ("time_s,a_pos_rad\n", "line 1: no rows"),
+        ("time_s,a_pos_rad\n0,1\n1\n", "line 3: 1 values, expected 2"),
+        ("time_s,a_pos_rad\n0,1\n1,one\n", "line 3: a_pos_rad is 'one'"),
+        ("time_s,a_pos_rad\n0,nan\n", "line 2: a_pos_rad is 'nan'"),
+        ("time_s,a_pos_rad\n0,1\n0,1\n", "line 3: time_s is 0, no later"),
+        ('time_s,a_pos_rad\n0,"1\n', "line 2"),
+    ],
+)
+def test_bad_files(tmp_path: Path, text: str, message: str) -> None:
+    path = tmp_path / "bad.csv"
+    path.write_text(text)
+    with pytest.raises(InputError) as caught:
+        read_motion(path)
+    assert message in str(caught.value)
+    assert str(path) in str(caught.value)
+
+
+def test_missing_and_binary_files(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="No such file"):
+        read_motion(tmp_path / "none.csv")
+    (tmp_path / "binary.csv").write_bytes(b"\xff\xfe\x00\x01")
+    with pytest.raises(InputError, match="UTF-8"):
+        read_motion(tmp_path / "binary.csv")
+
+
+@needs_mujoco
+def test_bad_motions(robot: Robot, scene: Scene) -> None:
+    names = robot.joint_names
+    time, still = np.array([0.0, 1.0]), np.zeros((2, 4))
+    bad = [
+        (RecordedMotion(names[1:], time, still[:, 1:], still[:, 1:]), "missing base_yaw"),
+        (RecordedMotion((*names[:3], "knee"), time, still, still), "unknown knee"),
+        (RecordedMotion(names, time, still[:1], still), "do not match"),
+        (RecordedMotion(names, np.zeros(0), np.zeros((0, 4)), np.zeros((0, 4))), "do not match"),
+        (RecordedMotion(names, np.array([0.0, np.nan]), still, still), "not finite"),
+        (RecordedMotion(names, time[::-1], still, still), "does not increase"),
+    ]
+    for motion, message in bad:
+        with pytest.raises(InputError, match=message):
+            execute(robot, scene, motion)
+
+
+@needs_mujoco
+def test_a_urdf_that_mujoco_refuses(tmp_path: Path, robot: Robot, scene: Scene) -> None:
+    # Pinocchio takes a moving link without mass; a simulation cannot.
+    text = robot.urdf_path.read_text()
+    begin = text.index("<inertial>", text.index('<link name="hand">'))
+    end = text.index("</inertial>", begin) + len("</inertial>")
+    shapes = text.index('<collision name="hand_capsule_side">')
+    path = tmp_path / "massless.urdf"
+    massless = '<inertial><mass value="0"/><inertia ixx="0" ixy="0" ixz="0" iyy="0" iyz="0" izz="0"/></inertial>'
+    path.write_text(text[:begin] + massless + text[end:shapes] + text[shapes:])
+    path.with_suffix(".limits.yaml").write_text(robot.urdf_path.with_suffix(".limits.yaml").read_text())
+    light = load_robot(path)
+    still = RecordedMotion(light.joint_names, np.zeros(1), np.zeros((1, 4)), np.zeros((1, 4)))
+    with pytest.raises(RobotFileError, match="MuJoCo refuses it"):
+        execute(light, scene, still)
+
+
+def test_without_mujoco(robot: Robot, scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    real = builtins.__import__
+
+    def refuse(name: str, *args: Any, **kwargs: Any) -> Any:
+        if name.split(".")[0] == "mujoco":
+            raise ModuleNotFoundError("No module named 'mujoco'", name="mujoco")
+        return real(name, *args, **kwargs)
+
+    monkeypatch.setattr(builtins, "__import__", refuse)
+    still = RecordedMotion(robot.joint_names, np.zeros(1), np.zeros((1, 4)), np.zeros((1, 4)))
+    with pytest.raises(InputError, match=r"hplan\[execution\]") as caught:
+        execute(robot, scene, still)
+    assert caught.value.exit_status == 2
+    assert isinstance(caught.value, HplanError)
+
+
+# The command
+
+
+@needs_mujoco
+def test_command(robot: Robot, scene: Scene, csv_file: Path, tmp_path: Path, capsys: Any) -> None:
+    assert script.main([str(csv_file)]) == 0
+    text = capsys.readouterr().out
+    assert "touched nothing, ended at the goal" in text
+    assert all(joint in text for joint in robot.joint_names)
+
+    motion = straight(robot, scene, 4.0)
+    header = ",".join(["time_s", *(f"{name}_pos_rad" for name in robot.joint_names)])
+    rows = [",".join(map(repr, row)) for row in np.column_stack([motion.time, motion.position]).tolist()]
+    plain = tmp_path / "plain [1].csv"
+    plain.write_text("\n".join([header, *rows]))
+    assert script.main([str(plain)]) == 5
+    text = capsys.readouterr().out
+    assert "touched ball, did not end at the goal" in text
+    assert "plain [1].csv" in text
+
+    assert script.main([str(tmp_path / "none.csv")]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert "none.csv" in captured.err
+    assert script.main([str(csv_file), str(tmp_path / "none.yaml")]) == 2

@@ -1,0 +1,115 @@
+"""`hplan time --scene`: a job like a plan, from waypoints that were given."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hplan.apps.cli.main import main
+from hplan.robot.model import load_robot
+from hplan.scene.file import load_scene
+from hplan.trajectory.trajectory import read_csv
+
+START = (0.0, 0.5, 0.4, 0.3)
+FILES = {"report.json", "scene.html", "scene.yaml", "trajectory.csv"}
+
+
+def waypoints(path: Path, rows: list[tuple[float, ...]]) -> Path:
+    header = ",".join(load_robot().joint_names)
+    path.write_text("\n".join([header, *(",".join(map(str, row)) for row in rows)]) + "\n", encoding="utf-8")
+    return path
+
+
+def scene(path: Path, radius: float) -> Path:
+    at = load_robot().tool_positions(np.array([[0.2, *START[1:]]]))[0].round(3).tolist()
+    path.write_text(
+        "format: hplan-scene/1\nname: ball\nstart: {joints_deg: [0, 0, 0, 0]}\ngoal: {joints_deg: [0, 9, 9, 9]}\n"
+        f"obstacles:\n- {{kind: sphere, name: ball, center: [{at[0] * 1.3}, {at[1] * 1.3}, {at[2]}], "
+        f"radius: {radius}}}\n",
+        encoding="utf-8",
+    )
+    return path
+
+
+def test_a_path_becomes_a_job(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rows = [START, (0.1, 0.55, 0.4, 0.3), (0.3, 0.45, 0.4, 0.3), (0.4, *START[1:])]
+    way, given = waypoints(tmp_path / "way.csv", rows), scene(tmp_path / "ball.yaml", 0.05)
+    out = tmp_path / "job"
+    words = ["time", "harvester", str(way), "--scene", str(given), "--out", str(out), "--effort", "quick"]
+    assert main(words) == 0
+    out_words = capsys.readouterr().out
+    assert "4 waypoints were given" in out_words
+    assert "scene.yaml" in out_words
+    assert {path.name for path in out.iterdir()} == FILES
+    report = json.loads((out / "report.json").read_text(encoding="utf-8"))
+    assert report["certificate"]["verified"]
+    assert report["given"]["waypoints"] == 4
+    assert read_csv(out / "trajectory.csv").position[[0, -1]] == pytest.approx(np.array(rows)[[0, -1]], abs=1e-7)
+    assert load_scene(out / "scene.yaml").goal.joints() == pytest.approx(rows[-1])
+    # What was written is certified again as it stands.
+    assert main(["certify", str(out), str(out / "scene.yaml")]) == 0
+    assert main(["certify", str(out), "--quiet"]) == 0  # its report names the robot, and the scene is in the folder
+    assert main(["view", str(out), "--no-serve", "--quiet"]) == 0
+    kept_s = report["trajectory"]["duration_s"]
+    assert main([*words, "--keep-path", "--quiet"]) == 0
+    report = json.loads((out / "report.json").read_text(encoding="utf-8"))
+    assert report["trajectory"]["duration_s"] > kept_s
+
+
+def test_a_path_in_contact_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    way = waypoints(tmp_path / "way.csv", [START, (0.4, *START[1:])])
+    given = scene(tmp_path / "ball.yaml", 0.44)
+    out = tmp_path / "job"
+    out.mkdir()
+    (out / "trajectory.csv").write_text("of an earlier job", encoding="utf-8")
+    assert main(["time", "harvester", str(way), "--scene", str(given), "--out", str(out)]) == 5
+    assert "ball" in capsys.readouterr().err
+    assert [path.name for path in out.iterdir()] == ["report.json"]
+    error = json.loads((out / "report.json").read_text(encoding="utf-8"))["error"]
+    assert error["kind"] == "PathInContactError"
+    assert error["obstacle"] == "ball"
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["--scene", "table-1", "--acceleration", "3"],
+        ["--scene", "table-1", "--joints", "yaw"],
+        ["--keep-path"],
+        ["--deadline", "5"],
+    ],
+)
+def test_options_out_of_place(tmp_path: Path, words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    way = waypoints(tmp_path / "way.csv", [START, (0.4, *START[1:])])
+    assert main(["time", "harvester", str(way), "--out", str(tmp_path / "out"), *words]) == 2
+    assert "--scene" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["scene.yaml", "trajectory.csv"])
+def test_files_that_are_read_are_not_removed(tmp_path: Path, name: str) -> None:
+    out = tmp_path / "job"
+    out.mkdir()
+    way, given = waypoints(out / "trajectory.csv", [START, (0.4, *START[1:])]), scene(out / "scene.yaml", 0.05)
+    elsewhere = waypoints(tmp_path / "way.csv", [START, (0.4, *START[1:])])
+    before = {file: file.read_bytes() for file in (way, given)}
+    read = {"trajectory.csv": [str(way), "--scene", "table-1"], "scene.yaml": [str(elsewhere), f"--scene={given}"]}[
+        name
+    ]
+    words = ["time", "harvester", *read, "--out", str(out), "--quiet"]
+    assert main(words) == 2
+    assert {file: file.read_bytes() for file in out.iterdir()} == before
+
+
+def test_nothing_of_an_earlier_plan_stays(tmp_path: Path) -> None:
+    way = waypoints(tmp_path / "way.csv", [START, (0.4, *START[1:])])
+    given = scene(tmp_path / "ball.yaml", 0.05)
+    out = tmp_path / "job"
+    out.mkdir()
+    for name in ("motion.mcap", "cspace.html", "cspace.png", "report.json"):
+        (out / name).write_text('{"status": "ok"}', encoding="utf-8")
+    words = ["--scene", str(given), "--out", str(out), "--effort", "quick", "--quiet"]
+    assert main(["time", "harvester", str(way), *words]) == 0
+    assert {path.name for path in out.iterdir()} == FILES

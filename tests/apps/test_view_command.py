@@ -1,0 +1,195 @@
+"""`hplan view`: the page of a job anew, byte for byte; what it refuses; what it serves."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import hplan
+from hplan.apps.cli.main import main
+from hplan.base.data_files import shipped_scene
+
+TO_DROP_OFF = ["--drop-off-joints", "90", "45", "45", "45", "--every", "2", "--back"]
+
+
+@pytest.fixture(scope="module")
+def plans(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of a motion to a fruit."""
+    folder = tmp_path_factory.mktemp("plan")
+    assert main(["plan", "trellis", "--out", str(folder), "--quiet"]) == 0
+    return folder
+
+
+@pytest.fixture(scope="module")
+def tours(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of a tour with a CSV for each leg."""
+    folder = tmp_path_factory.mktemp("tour")
+    fruits = ["--fruits", "fruit 01", "fruit 04", "fruit 09"]
+    assert main(["tour", "--out", str(folder), *fruits, *TO_DROP_OFF, "--csv", "each", "--quiet"]) == 0
+    return folder
+
+
+@pytest.fixture
+def job(plans: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(plans, tmp_path / "job"))
+
+
+@pytest.fixture
+def served(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Names of the scenes that were served."""
+    names: list[str] = []
+
+    def serve(console: Any, robot: Any, scene: hplan.Scene, playback: Any) -> None:
+        names.append(scene.name)
+
+    monkeypatch.setattr("hplan.apps.cli.view.serve_page", serve)
+    return names
+
+
+@pytest.mark.parametrize("kind", ["plans", "tours"])
+def test_the_page_of_a_job_is_the_one_that_it_had(
+    kind: str, request: pytest.FixtureRequest, tmp_path: Path, capsys: pytest.CaptureFixture[str], served: list[str]
+) -> None:
+    done: Path = request.getfixturevalue(kind)
+    job = Path(shutil.copytree(done, tmp_path / "job"))
+    (job / "scene.html").unlink()
+    assert main(["view", str(job), "--no-serve"]) == 0
+    assert (job / "scene.html").read_bytes() == (done / "scene.html").read_bytes()
+    assert capsys.readouterr().out == f"written: {job / 'scene.html'}\n"
+    assert served == []
+
+
+def test_a_job_is_served_and_its_scene_is_found(job: Path, served: list[str]) -> None:
+    assert main(["view", str(job), "--quiet"]) == 0
+    assert served == ["trellis"]
+
+
+def test_a_page_elsewhere_is_not_served(job: Path, tmp_path: Path, served: list[str]) -> None:
+    (job / "scene.html").unlink()
+    assert main(["view", str(job), "--out", str(tmp_path / "page.html"), "--quiet"]) == 0
+    assert (tmp_path / "page.html").is_file()
+    assert not (job / "scene.html").exists()
+    assert served == []
+
+
+def test_a_trajectory_by_itself(job: Path, served: list[str]) -> None:
+    """In a scene that it was not planned for: nothing is compared, and its page is no job's."""
+    before = (job / "scene.html").read_bytes()
+    assert main(["view", str(job / "trajectory.csv"), "tour", "--quiet"]) == 0
+    assert served == ["tour"]
+    assert "<h1>tour</h1>" in (job / "trajectory.html").read_text()
+    assert (job / "scene.html").read_bytes() == before
+
+
+def test_the_later_job_of_a_folder(job: Path, tours: Path, served: list[str]) -> None:
+    for file in tours.iterdir():
+        shutil.copy(file, job)
+    for first, second, name in (("report", "tour", "tour"), ("tour", "report", "trellis")):
+        os.utime(job / f"{first}.json", (1e9, 1e9))
+        os.utime(job / f"{second}.json", (2e9, 2e9))
+        assert main(["view", str(job), "--quiet"]) == 0
+        assert served.pop() == name
+
+
+def test_another_scene_robot_or_trajectory_is_not_shown(
+    job: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], served: list[str]
+) -> None:
+    before = (job / "scene.html").read_bytes()
+    assert main(["view", str(job), "tour"]) == 5
+    assert capsys.readouterr().err == f"the scene is not the one of {job / 'report.json'}\n"
+    rows = (job / "trajectory.csv").read_text().splitlines(keepends=True)
+    (job / "trajectory.csv").write_text("".join(rows[:-1]))
+    assert main(["view", str(job)]) == 5
+    assert "the trajectory is not" in capsys.readouterr().err
+    assert (job / "scene.html").read_bytes() == before
+    assert served == []
+
+
+def test_a_scene_of_ones_own_is_given_again(
+    tmp_path: Path, served: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    own = tmp_path / "own.yaml"
+    own.write_text(shipped_scene("table-1").read_text().replace("name: table-1", "name: own"))
+    assert main(["plan", str(own), "--out", str(tmp_path), "--quiet"]) == 0
+    capsys.readouterr()
+    assert main(["view", str(tmp_path), "--quiet"]) == 2
+    assert "it is about the scene 'own', which does not ship with hplan: give its file" in capsys.readouterr().err
+    assert main(["view", str(tmp_path), str(own), "--quiet"]) == 0
+    assert served == ["own"]
+
+
+def test_the_robot_of_a_job_is_that_of_its_report(
+    job: Path, served: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    report = json.loads((job / "report.json").read_text())
+    (job / "report.json").write_text(json.dumps({**report, "robot": "orchard_harvester"}))
+    assert main(["view", str(job), "--quiet"]) == 5  # the digest is another robot's
+    (job / "report.json").write_text(json.dumps({**report, "robot": "my arm"}))
+    assert main(["view", str(job), "--quiet"]) == 2
+    says = "it is about the robot 'my arm', which has no name in hplan: give its URDF by --robot"
+    assert says in capsys.readouterr().err
+    assert main(["view", str(job), "--robot", "harvester", "--quiet"]) == 0
+    assert len(served) == 1
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"phases": None}, "what happens when"),
+        ({"phases": [{"name": "transit"}]}, "what happens when"),
+        ({"grasp": []}, ""),
+        ({"grasp": "tool"}, "what happens when"),
+        ({"files": "trajectory.csv"}, "files: expected names"),
+        ({"files": ["none.csv"]}, "none.csv"),
+        ({"certificate": None}, "no report of a plan with digests"),
+    ],
+)
+def test_reports_that_say_too_little(
+    job: Path, change: dict[str, Any], says: str, capsys: pytest.CaptureFixture[str], served: list[str]
+) -> None:
+    report = {**json.loads((job / "report.json").read_text()), **change}
+    (job / "report.json").write_text(json.dumps(report))
+    assert main(["view", str(job), "--quiet"]) == (2 if says else 0)
+    assert says in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["trajectory.csv", "report.json"])
+def test_what_is_read_is_not_replaced(job: Path, name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    before = (job / name).read_bytes()
+    assert main(["view", str(job), "--out", str(job / name)]) == 2
+    assert "another file than those that are read" in capsys.readouterr().err
+    assert (job / name).read_bytes() == before
+
+
+def test_a_folder_without_a_job(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["view", str(tmp_path)]) == 2
+    assert "report.json" in capsys.readouterr().err
+
+
+def test_interrupting_the_live_view_is_its_end(
+    job: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    closed: list[bool] = []
+
+    class Server:
+        url = "http://127.0.0.1:7000/static/"
+
+        def __enter__(self) -> Server:
+            return self
+
+        def __exit__(self, *_: object) -> None:
+            closed.append(True)
+
+        def wait(self) -> None:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr("hplan.apps.view.page.serve", lambda *_, **__: Server())
+    for arguments in (["view", str(job), "--quiet"], ["plan", "--view", "--quiet", "--out", str(job)]):
+        assert main(arguments) == 0
+        assert closed.pop()
+        assert capsys.readouterr().out == f"serving the scene at {Server.url} (interrupt to stop)\n"

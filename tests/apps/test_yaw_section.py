@@ -1,0 +1,242 @@
+from __future__ import annotations
+
+import io
+import json
+import math
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from hplan.apps.cli.main import main
+from hplan.apps.view.cspace_figure import cspace_at_yaw
+from hplan.apps.view.cspace_page import render_cspace_page, write_cspace_page
+from hplan.apps.view.cspace_surface import surface_net
+from hplan.apps.view.figure_style import png_bytes, write_png
+from hplan.apps.view.playback import Playback
+from hplan.apps.view.yaw_section import YawSection, yaw_section
+from hplan.collision.coal_scene import CoalScene
+from hplan.errors import InputError, OptionError, OutputError
+from hplan.grid.grid import Grid
+from hplan.planning.options import PlanOptions
+from hplan.robot.family.members import HARVESTER, write_robot
+from hplan.robot.model import Robot, load_robot
+from hplan.scene.model import Fruit, Goal, Scene, Start
+from hplan.scene.obstacles import Capsule, Sphere
+from hplan.trajectory.trajectory import Trajectory
+
+GOAL = (math.radians(30.0), math.pi / 4, math.pi / 3, math.radians(70.0))
+
+
+@dataclass(frozen=True)
+class Part:
+    name: str
+    start_s: float
+    end_s: float
+
+
+def motion(robot: Robot, goal: Any = GOAL) -> Trajectory:
+    time = np.linspace(0.0, 2.0, 101)
+    position = (time / 2.0)[:, None] * np.asarray(goal)
+    nothing = np.zeros_like(position)
+    return Trajectory(robot.joint_names, time, position, nothing, nothing, nothing)
+
+
+def scene(**changes: Any) -> Scene:
+    return Scene(
+        **{
+            "name": "test",
+            "start": Start(joints_deg=(0.0, 0.0, 0.0, 0.0)),
+            "goal": Goal(fruit="ripe"),
+            "obstacles": (
+                Sphere(name="ball", center=(0.87, 0.5, 1.9), radius=0.15),
+                Capsule(name="branch", start=(1.0, -0.5, 0.9), end=(1.0, 0.8, 1.1), radius=0.02),
+            ),
+            "fruits": (
+                Fruit(name="ripe", center=(0.8, 0.46, 1.3), radius=0.04),
+                Fruit(name="green", center=(0.6, 0.35, 1.5), radius=0.04),
+            ),
+            **changes,
+        }  # type: ignore[arg-type]
+    )
+
+
+@pytest.fixture(scope="module", autouse=True)
+def coarse() -> Iterator[None]:
+    """A grid of an eighth of the nodes, for speed."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("hplan.apps.view.yaw_section._STEP_DEG", 4.0)
+        yield
+
+
+@pytest.fixture(scope="module")
+def robot() -> Robot:
+    return load_robot()
+
+
+@pytest.fixture(scope="module")
+def section(robot: Robot, coarse: None) -> YawSection:
+    return yaw_section(robot, scene(), Playback(motion(robot)))
+
+
+def test_the_region_is_where_coal_finds_the_arm_in_collision(robot: Robot, section: YawSection) -> None:
+    assert section.yaw == pytest.approx(GOAL[0])
+    checker = CoalScene(robot, scene().solids)
+    random = np.random.default_rng(0)
+    decided = 0
+    for index in random.integers(0, section.grid.shape, (400, 3)):
+        value = section.field[tuple(index)]
+        nearest = checker.nearest(np.array([section.yaw, *section.grid.coordinates(index)]))
+        assert nearest is not None
+        if abs(value) > 1e-6:
+            assert (nearest.distance_m < 0.0) == (value < 0.0)
+            decided += value < 0.0
+    assert decided > 20
+
+
+def test_the_motion_is_evenly_spaced_and_knows_its_yaw(robot: Robot, section: YawSection) -> None:
+    np.testing.assert_allclose(section.path[[0, -1]], [np.zeros(3), GOAL[1:]], atol=1e-9)
+    gaps = np.linalg.norm(np.diff(section.path, axis=0), axis=1)
+    np.testing.assert_allclose(gaps, gaps.mean(), rtol=1e-6)
+    np.testing.assert_allclose(section.yaw_distance[[0, -1]], [GOAL[0], 0.0], atol=1e-9)
+    np.testing.assert_allclose(section.times, np.linspace(0.0, 2.0, len(section.times)), atol=1e-6)
+
+
+def test_another_yaw_is_another_region(robot: Robot, section: YawSection) -> None:
+    other = yaw_section(robot, scene(), Playback(motion(robot)), yaw=0.0)
+    assert other.yaw == 0.0
+    np.testing.assert_allclose(other.yaw_distance[[0, -1]], [0.0, GOAL[0]], atol=1e-9)
+    assert ((other.field < 0.0) != (section.field < 0.0)).any()
+
+
+def test_fruits_to_pick_are_no_part_of_the_region(robot: Robot, section: YawSection) -> None:
+    """The goal's fruit never is, others not where they are named."""
+    all_of_it = yaw_section(robot, scene(goal=Goal(position=(0.8, 0.46, 1.3))), Playback(motion(robot)))
+    less = yaw_section(robot, scene(), Playback(motion(robot), picked={"green": 1.0}))
+    assert (all_of_it.field < 0).sum() > (section.field < 0).sum() > (less.field < 0).sum()
+
+
+def test_clearance_uncertainty_and_tracking_error_grow_the_region(robot: Robot, section: YawSection) -> None:
+    grown = yaw_section(robot, scene(clearance=0.02), Playback(motion(robot)))
+    np.testing.assert_allclose(grown.field, section.field - 0.02, atol=1e-9)
+    vague = scene(obstacles=tuple(item.model_copy(update={"sigma": 0.01}) for item in scene().obstacles), fruits=(),
+                  goal=Goal(position=(0.8, 0.46, 1.3)))  # fmt: skip
+    sure = yaw_section(robot, vague, Playback(motion(robot)), PlanOptions(sigmas=0.0))
+    unsure = yaw_section(robot, vague, Playback(motion(robot)), PlanOptions(sigmas=2.0))
+    np.testing.assert_allclose(unsure.field, sure.field - 0.02, atol=1e-9)
+    is_point_set = yaw_section(robot, vague, Playback(motion(robot)), PlanOptions(sigmas=0.0, tracking_error=0.001))
+    assert (is_point_set.field < sure.field).all()
+
+
+def test_what_follows_the_approach_is_left_out(robot: Robot) -> None:
+    cut = yaw_section(
+        robot, scene(), Playback(motion(robot), phases=(Part("approach", 0.5, 1.0), Part("retreat", 1.0, 2.0)))
+    )
+    np.testing.assert_allclose(cut.path[-1], 0.5 * np.array(GOAL[1:]), atol=1e-9)
+    assert cut.yaw == pytest.approx(0.5 * GOAL[0])
+
+
+def test_without_obstacles_nothing_is_forbidden(robot: Robot) -> None:
+    free = yaw_section(robot, scene(obstacles=(), fruits=(), goal=Goal(position=(1, 0, 1))), Playback(motion(robot)))
+    assert np.isfinite(free.field).all()
+    assert (free.field > 0.0).all()
+    assert len(surface_net(free.field)[1]) == 0
+    assert "/hplan/forbidden" not in render_cspace_page(free, "free")
+    assert png_bytes(cspace_at_yaw(free))
+
+
+def test_a_motion_in_place(robot: Robot) -> None:
+    row = np.array([GOAL])
+    nothing = np.zeros_like(row)
+    still = Trajectory(robot.joint_names, np.zeros(1), row, nothing, nothing, nothing)
+    section = yaw_section(robot, scene(), Playback(still))
+    np.testing.assert_allclose(section.path, np.tile(GOAL[1:], (len(section.path), 1)))
+    assert not [c for c in commands_of(render_cspace_page(section, "still")) if c["type"] == "set_animation"]
+    assert png_bytes(cspace_at_yaw(section))
+
+
+@pytest.mark.parametrize("yaw", [4.0, math.nan, math.inf])
+def test_a_yaw_that_the_arm_cannot_have(robot: Robot, yaw: float) -> None:
+    with pytest.raises(OptionError, match="degrees from -180 to 180"):
+        yaw_section(robot, scene(), Playback(motion(robot)), yaw=yaw)
+
+
+def test_an_arm_of_two_links_and_a_foreign_trajectory(robot: Robot, tmp_path: Path) -> None:
+    names = ("link_lengths", "link_half_widths", "link_masses")
+    names += ("lower", "upper", "velocity", "effort", "acceleration", "jerk")
+    fewer = {name: getattr(HARVESTER, name)[:-1] for name in names}
+    urdf, limits = write_robot(replace(HARVESTER, name="two", **fewer), tmp_path / "two.urdf")
+    with pytest.raises(InputError, match="wants three planar joints; 'two' has 2"):
+        yaw_section(load_robot(urdf, limits=limits), scene(), Playback(motion(robot)))
+    with pytest.raises(InputError, match="the trajectory moves a, b, c, d"):
+        yaw_section(robot, scene(), Playback(replace(motion(robot), joint_names=("a", "b", "c", "d"))))
+
+
+@pytest.mark.parametrize(("axis", "side"), [(0, 1), (0, -1), (1, 1), (1, -1)])
+def test_the_view_is_from_where_the_motion_is_seen(axis: int, side: int) -> None:
+    """A wall across the space: the viewer stands on the motion's side of it."""
+    grid = Grid.over(np.zeros(3), np.full(3, 1.5), 0.05)
+    away = side * (np.moveaxis(np.indices(grid.shape), 0, -1)[..., axis] - 15.0)
+    field = np.where(np.abs(away - 4.0) < 3.5, -0.01, 0.01)
+    path = np.linspace([0.3, 0.3, 0.3], [1.2, 1.2, 1.2], 50)
+    path[:, axis] = 0.75 - side * 0.1
+    section = YawSection(0.0, grid, field, path, np.zeros(50), np.linspace(0.0, 1.0, 50))
+    azimuth = math.radians(section.view[0])
+    assert side * (math.cos(azimuth), math.sin(azimuth))[axis] < 0.0
+
+
+def commands_of(page: str) -> list[dict[str, Any]]:
+    found = re.search(r'<script type="application/json" id="commands">(.*?)</script>', page, re.DOTALL)
+    assert found is not None
+    commands: list[dict[str, Any]] = json.loads(found.group(1))
+    return commands
+
+
+def test_the_page_holds_region_motion_and_labels(section: YawSection) -> None:
+    page = render_cspace_page(section, "a <b> page")
+    assert page == render_cspace_page(section, "a <b> page")
+    assert len(page) < 2_500_000
+    assert "<b>" not in page.split('<script type="application/json"')[0]
+    commands = commands_of(page)
+    found = {c["path"]: c["object"] for c in commands if c["type"] == "set_object"}
+    attributes = found["/hplan/forbidden"]["geometries"][0]["data"]["attributes"]
+    corners = np.reshape(attributes["position"]["array"], (-1, 3))
+    assert np.abs(corners).max() <= 1.0 + 1e-6
+    # In the cube as on the grid: the corner of the angle ranges is the corner of the cube.
+    start, goal = found["/hplan/motion"]["object"]["children"][:2]
+    np.testing.assert_allclose(start["matrix"][12:15], [-1.0] * 3, atol=1e-6)
+    np.testing.assert_allclose(goal["matrix"][12:15], np.degrees(GOAL[1:]) / 45.0 - 1.0, atol=1e-6)
+    texts = [item["textures"][0]["text"] for path, item in found.items() if path.startswith("/hplan/labels")]
+    assert sorted(texts) == sorted([*("0", "30", "60", "90") * 2, "30", "60", "90", *(f"θ{i} [deg]" for i in "₁₂₃")])
+    (animation,) = [c for c in commands if c["type"] == "set_animation"]
+    (track,) = animation["animations"][0]["clip"]["tracks"]
+    np.testing.assert_allclose(track["values"][-3:], goal["matrix"][12:15], atol=1e-6)
+
+
+def test_the_page_and_the_figure_in_files(section: YawSection, tmp_path: Path) -> None:
+    assert write_cspace_page(section, "test", tmp_path / "cspace.html").read_text(encoding="utf-8").startswith("<!DOC")
+    figure = cspace_at_yaw(section, "test")
+    path = write_png(figure, tmp_path / "cspace.png")
+    assert png_bytes(cspace_at_yaw(section, "test")) == path.read_bytes()
+    picture = np.asarray(Image.open(io.BytesIO(path.read_bytes())).convert("RGB"), dtype=np.int64)
+    red, green, blue = np.moveaxis(picture, -1, 0)
+    assert ((red > 150) & (red > 1.3 * green) & (green > 1.3 * blue)).mean() > 0.02  # the region
+    with pytest.raises(OutputError, match="missing"):
+        write_png(figure, tmp_path / "missing" / "cspace.png")
+
+
+def test_the_command_line_writes_the_view(tmp_path: Path) -> None:
+    assert main(["--cspace-yaw", "10", "--out", str(tmp_path), "--quiet"]) == 0
+    files = {"trajectory.csv", "report.json", "scene.html", "cspace.html", "cspace.png"}
+    assert {path.name for path in tmp_path.iterdir()} == files
+    assert "C-space at yaw 10.0°" in (tmp_path / "cspace.html").read_text(encoding="utf-8")
+    # What another job leaves is not taken for this one's; a yaw beyond the limits is told before any work.
+    assert main(["--cspace-yaw", "200", "--out", str(tmp_path), "--quiet"]) == 2
+    assert {path.name for path in tmp_path.iterdir()} == files
+    assert main(["--cspace", "--out", str(tmp_path), "--quiet"]) == 0
+    assert "C-space at yaw 0.0°" in (tmp_path / "cspace.html").read_text(encoding="utf-8")

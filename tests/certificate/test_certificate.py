@@ -1,0 +1,587 @@
+"""The certificate against dense sampling with coal at 0.1 ms, and against motions that are wrong by little."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from planned import on_cubics
+
+from hplan.certificate import certificate as certificates
+from hplan.certificate import clearance_proof
+from hplan.certificate.clearance_proof import place_after
+from hplan.certificate.sway import link_bounds, movers, off_axis
+from hplan.collision.coal_scene import CoalScene
+from hplan.errors import InputError, OptionError
+from hplan.robot.base_shapes import GROUND, TURRET
+from hplan.scene.file import load_scene
+from hplan.scene.obstacles import Box, Capsule, Sphere
+from hplan.trajectory.trajectory import Trajectory, cubic_pieces, read_csv, write_csv
+
+FINE = 1e-4
+
+
+def certify(*arguments, rest_to_rest=False, check_ends=False, **options):
+    """Many motions here run through at speed, and few from a scene's start to its goal."""
+    return certificates.certify(*arguments, rest_to_rest=rest_to_rest, check_ends=check_ends, **options)
+
+
+def rows(robot, time, position, velocity, acceleration=None):
+    """A trajectory from its rows."""
+    position, velocity = np.asarray(position, dtype=float), np.asarray(velocity, dtype=float)
+    acceleration = np.zeros_like(position) if acceleration is None else acceleration
+    return Trajectory(robot.joint_names, np.asarray(time, dtype=float), position, velocity, acceleration, 0 * position)
+
+
+def quintic(robot, start, end, duration=2.0, rate=250.0):
+    """From rest to rest along a straight joint-space motion."""
+    time = np.linspace(0.0, duration, round(duration * rate) + 1)
+    s = time[:, None] / duration
+    turn = np.asarray(end, dtype=float) - start
+    return rows(
+        robot,
+        time,
+        start + turn * (10 * s**3 - 15 * s**4 + 6 * s**5),
+        turn * (30 * s**2 - 60 * s**3 + 30 * s**4) / duration,
+        turn * (60 * s - 180 * s**2 + 120 * s**3) / duration**2,
+    )
+
+
+def interpolated(trajectory, step=FINE):
+    """The cubic Hermite curve through the rows, sampled every `step` seconds."""
+    time = np.union1d(np.arange(0.0, trajectory.duration, step), trajectory.time)
+    return on_cubics(trajectory, time)
+
+
+def sampled_clearance(checker, trajectory, step=FINE):
+    return min(checker.distances(q).min() for q in interpolated(trajectory, step))
+
+
+def swing(robot, start, end, duration, count):
+    """The shoulder at constant speed, the arm stretched out."""
+    time = np.linspace(0.0, duration, count)
+    position = np.zeros((count, 4))
+    position[:, 1] = np.linspace(start, end, count)
+    velocity = np.zeros((count, 4))
+    velocity[:, 1] = (end - start) / duration
+    return rows(robot, time, position, velocity)
+
+
+def grazed_ball(depth, angle):
+    """A ball just beyond the tip of the stretched arm, entered by `depth` as the shoulder passes `angle`."""
+    distance = 2.2 + 0.03 + 0.02 - depth
+    center = (distance * np.cos(angle), 0.0, 0.6 + distance * np.sin(angle))
+    return Sphere(name="bead", center=center, radius=0.02)
+
+
+# Clearance
+
+
+def test_motion_through_the_obstacle_is_refused(robot, scene):
+    certificate = certify(robot, scene, quintic(robot, np.zeros(4), np.radians([0, 45, 60, 70]), 4.0))
+    assert not certificate.verified
+    assert "ball" in certificate.violations[0]
+    assert certificate.min_clearance_m <= 0.0
+
+
+def test_graze_between_rows_is_refused(robot, scene):
+    trajectory = swing(robot, 0.301, 0.901, 0.6, 101)
+    scene = scene.with_obstacles([grazed_ball(1e-4, 0.604)])
+    checker = CoalScene(robot, scene.solids)
+    at_rows = min(checker.distances(q).min() for q in trajectory.position)
+    assert at_rows > 1e-4
+    assert sampled_clearance(checker, trajectory) == pytest.approx(-1e-4, abs=1e-6)
+    certificate = certify(robot, scene, trajectory)
+    assert not certificate.verified
+    assert certificate.nearest.obstacle == "bead"
+    assert certificate.nearest.link == "hand"
+
+
+def test_near_miss_is_verified_and_its_clearance_close(robot, scene):
+    trajectory = swing(robot, 0.301, 0.901, 0.6, 101)
+    for gap in (1e-4, 1e-2):
+        certificate = certify(robot, scene.with_obstacles([grazed_ball(-gap, 0.604)]), trajectory)
+        assert certificate.verified, certificate.violations
+        assert 0.3 * gap < certificate.min_clearance_m <= gap + 1e-9
+
+
+def test_scene_clearance_is_asked_for(robot, scene):
+    trajectory = swing(robot, 0.301, 0.901, 0.6, 101)
+    scene = scene.with_obstacles([grazed_ball(-0.01, 0.604)])
+    assert certify(robot, scene.model_copy(update={"clearance": 0.0099}), trajectory).verified
+    refused = certify(robot, scene.model_copy(update={"clearance": 0.0101}), trajectory)
+    assert not refused.verified
+    assert refused.min_clearance_m == pytest.approx(0.0101, abs=2e-5)  # where the proof gave up
+
+
+def test_contact_at_an_end_is_refused(robot, scene):
+    inside = np.radians([0, 52, 0, 0])
+    checker = CoalScene(robot, scene.solids)
+    depth = checker.distances(inside).min()
+    assert depth < -1e-3
+    resting = rows(robot, [0.0], [inside], np.zeros((1, 4)))
+    certificate = certify(robot, scene, resting)
+    assert not certificate.verified
+    assert certificate.min_clearance_m == pytest.approx(depth)
+    outside = np.zeros(4)
+    for start, end in ((inside, outside), (outside, inside)):
+        assert not certify(robot, scene, quintic(robot, start, end, 6.0)).verified
+
+
+def random_obstacles(rng):
+    obstacles = []
+    for index in range(6):
+        center = rng.uniform([-0.6, -0.6, 0.2], [2.2, 1.5, 2.6])
+        size = rng.uniform(0.02, 0.15)
+        if index % 3 == 0:
+            obstacles.append(Sphere(name=f"o{index}", center=tuple(center), radius=size))
+        elif index % 3 == 1:
+            end = center + rng.uniform(-0.5, 0.5, 3)
+            obstacles.append(Capsule(name=f"o{index}", start=tuple(center), end=tuple(end), radius=size))
+        else:
+            edges = tuple(rng.uniform(0.05, 0.4, 3))
+            rpy = tuple(rng.uniform(-180, 180, 3))
+            obstacles.append(Box(name=f"o{index}", center=tuple(center), size=edges, rpy_deg=rpy))
+    return obstacles
+
+
+def test_random_motions_are_judged_as_dense_sampling_judges_them(robot, scene):
+    rng = np.random.default_rng(3)
+    shown = refused = 0
+    while shown + refused < 60:
+        world = scene.with_obstacles(random_obstacles(rng))
+        checker = CoalScene(robot, world.solids)
+        start, end = rng.uniform(robot.lower, robot.upper, (2, 4))
+        start[0], end[0] = rng.uniform(-0.5, 1.0, 2)
+        if checker.distances(start).min() <= 1e-3:
+            continue
+        trajectory = quintic(robot, start, end, 0.4)  # so fast that limits are broken; only clearance is judged here
+        certificate = certify(robot, world, trajectory, checker=checker)
+        sampled = sampled_clearance(checker, trajectory)
+        if any(violation.startswith("link") for violation in certificate.violations):
+            refused += 1
+            assert sampled < 1e-4
+            assert certificate.min_clearance_m <= 0.0
+        else:
+            shown += 1
+            assert sampled > 0.0
+            assert 0.4 * sampled - 1e-6 < certificate.min_clearance_m <= sampled + 1e-9
+    assert min(shown, refused) >= 10
+
+
+class AskedJudge(CoalScene):
+    """Writes down which pair is asked where, and what the answer is."""
+
+    def pair_distances(self, q, *when):
+        distances = super().pair_distances(q, *when)
+        if not hasattr(self, "asked"):  # at the start all are asked at once
+            self.asked = [(np.array(q), dict(enumerate(distances.tolist())))]
+        return distances
+
+    def place(self, q):
+        if not hasattr(self, "asked"):
+            self.asked = []
+        self.asked.append((np.array(q), {}))
+        super().place(q)
+
+    def distances_of(self, pairs):
+        distances = super().distances_of(pairs)
+        self.asked[-1][1].update(zip(pairs.tolist(), distances.tolist(), strict=True))
+        return distances
+
+
+@pytest.mark.parametrize("links", ["capsule", "urdf"])
+def test_pairs_that_are_not_asked_keep_what_is_shown(robot, scene, links):
+    """Among many obstacles most pairs are seldom asked; dense sampling looks at all of them."""
+    rng = np.random.default_rng(11)
+    shown = 0
+    while shown < 6:
+        obstacles = [o.model_copy(update={"name": f"{k}{o.name}"}) for k in range(7) for o in random_obstacles(rng)]
+        world = scene.with_obstacles(obstacles)
+        checker = AskedJudge(robot, world.solids, links=links)
+        start = rng.uniform(robot.lower, robot.upper)
+        trajectory = quintic(robot, start, start + rng.uniform(-0.3, 0.3, 4), 0.5)
+        certificate = certify(robot, world, trajectory, checker=checker)
+        if any(violation.startswith("link") for violation in certificate.violations):
+            continue
+        shown += 1
+        assert certificate.min_clearance_m <= sampled_clearance(checker, trajectory, 5e-4) + 1e-9
+        assert certificate.checks == len(checker.asked)
+        answers = [answer for _, answers in checker.asked for answer in answers.values()]
+        assert certificate.nearest.distance_m == min(answers)
+        # A sound proof takes half of the smallest answer, less what coal may be over; more is not left of what was
+        # never asked for.
+        errors = checker.distance_errors
+        least = min(answer - errors[pair] for _, found in checker.asked for pair, answer in found.items())
+        assert certificate.min_clearance_m == pytest.approx(0.5 * least)
+        assert len(answers) < 0.7 * len(checker.asked) * len(checker.pairs)
+        for q, answers in checker.asked[::5]:
+            table = checker.distances(q)
+            for pair, answer in answers.items():
+                link, obstacle = checker.pairs[pair]
+                assert answer >= table[link, obstacle] - 1e-5  # where coal iterates, from another start
+
+
+def test_refused_motion_reports_the_smallest_distance_at_the_rows_that_follow(robot, scene):
+    rng = np.random.default_rng(13)
+    refused = 0
+    while refused < 12:
+        world = scene.with_obstacles(random_obstacles(rng))
+        checker = CoalScene(robot, world.solids)
+        start, end = rng.uniform(robot.lower, robot.upper, (2, 4))
+        trajectory = quintic(robot, start, end, 0.4)
+        depths = np.array([checker.distances(q).min() for q in trajectory.position])
+        if depths[0] <= 1e-3 or depths.min() > -1e-3:
+            continue
+        refused += 1
+        certificate = certify(robot, world, trajectory, checker=checker)
+        assert not certificate.verified
+        assert certificate.min_clearance_m == pytest.approx(depths.min(), abs=1e-9)
+        assert certificate.nearest.distance_m == pytest.approx(depths.min(), abs=1e-9)
+        wide = certify(robot, world, trajectory, checker=checker, tracking_error=0.01)
+        after = [(checker.distances(q) - robot.sway(0.01)[:, None]).min() for q in trajectory.position]
+        assert wide.min_clearance_m == pytest.approx(min(after), abs=1e-9)
+
+
+def test_no_more_is_certified_than_what_is_left_when_the_motion_ends_before_the_next_look(robot, scene):
+    """The stretched arm turns straight towards a ball, as fast as can be bounded, and stops at some distance."""
+    ball = Sphere(name="far", center=(0.0, 2.0, 0.6), radius=0.05)
+    world = scene.with_obstacles([ball])
+    checker = CoalScene(robot, world.solids)
+    for end in np.arange(0.1, 1.35, 0.05).tolist():
+        trajectory = quintic(robot, np.zeros(4), np.array([end, 0.0, 0.0, 0.0]), 4.0)
+        certificate = certify(robot, world, trajectory)
+        assert certificate.verified
+        true = checker.distances(trajectory.position[-1]).min()
+        assert 0.25 * true < certificate.min_clearance_m <= true
+
+
+def test_links_that_are_no_capsules_are_bounded_off_their_axes(robot, scene):
+    """Corners of beams against the bound of their travel, joint by joint; that of the axes alone is not enough."""
+    beams = CoalScene(robot, scene.solids, links="box")
+    data, step, beyond = robot.model.createData(), 1e-3, []
+
+    def corners(q, shape):
+        pin.forwardKinematics(robot.model, data, q)
+        half = shape.geometry.halfSide
+        local = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * half
+        return np.array([(data.oMi[shape.parentJoint] * shape.placement).act(corner) for corner in local])
+
+    start = np.array([0.2, 0.5, 0.4, 0.3])
+    for joint in range(4):
+        turn = step * np.eye(4)[joint]
+        rates = np.tile(turn, (1, 3, 1))
+        axes = link_bounds(robot, rates)[0]
+        off = off_axis(beams, [], turn[None])[:, 0]
+        for link, shape in enumerate(beams.link_shapes):
+            moved = np.linalg.norm(corners(start + turn, shape) - corners(start, shape), axis=1).max()
+            assert moved <= axes[link] + off[link] + 1e-12
+            beyond.append(moved > axes[link] + 1e-9)
+    assert any(beyond)
+    # And the proof uses it: the same beams as capsules have more left.
+    trajectory = quintic(robot, start, start + np.array([0.1, 0.2, 0.2, 0.2]), 0.4)
+    travels = []
+    for links in ("box", "capsule"):
+        checker = CoalScene(robot, scene.solids, links=links)
+        bezier, _ = cubic_pieces(trajectory)
+        search = clearance_proof.Advancement(robot, bezier, checker, np.full((1, 4), 0.01), 0.0)
+        travels.append((search.movers[1, :3, -1], search.movers[0, :3, 0]))
+    for more, less in zip(*travels, strict=True):
+        assert (more > less + 1e-3).all()
+
+
+def test_pair_that_may_touch_is_as_good_as_not_there(robot, scene):
+    apart = Sphere(name="apart", center=(-1.5, 0.0, 1.0), radius=0.1)
+    inside = Sphere(name="inside", center=(2.0, 0.0, 0.6), radius=0.1)
+    trajectory = quintic(robot, np.zeros(4), np.array([0.0, 0.1, 0.0, 0.0]))
+    alone = scene.with_obstacles([inside])
+    refused = certify(robot, alone, trajectory, checker=CoalScene(robot, alone.solids))
+    assert not refused.verified
+    shown = certify(robot, alone, trajectory, checker=CoalScene(robot, alone.solids).touching("inside"))
+    assert shown.verified
+    assert 0.0 < shown.min_clearance_m < np.inf
+    assert shown.nearest.link != refused.nearest.link
+    other = scene.with_obstacles([apart])
+    assert certify(robot, other, trajectory, checker=CoalScene(robot, other.solids).touching("apart")).verified
+
+
+def test_place_reached_by_a_travel():
+    travel = np.array([0.0, 0.0, 1.0, 1.0, 3.0])
+    places = np.linspace(0.0, 4.0, 401)
+    reached = np.interp(places, range(5), travel)
+    for at in (0.0, 0.5, 1.0, 1.25, 2.0, 2.9, 3.5):
+        for part in (0.1, 0.5, 1.1):
+            place = place_after(travel, at, part)
+            limit = np.interp(at, range(5), travel) + part
+            if place == np.inf:
+                assert limit >= 3.0 - 1e-12
+            else:
+                assert np.interp(place, range(5), travel) == pytest.approx(limit)
+                assert place > at
+                assert (reached[places <= place] <= limit + 1e-12).all()
+    assert place_after(travel, 4.0, 0.1) == np.inf
+    assert place_after(np.zeros(2), 0.0, 1e-9) == np.inf
+
+
+# Limits
+
+
+@pytest.mark.parametrize(("share", "verified"), [(1.0, True), (1.0009, True), (1.0011, False), (1.005, False)])
+def test_velocity(robot, scene, share, verified):
+    speed = share * robot.velocity_limit[1]
+    certificate = certify(robot, scene.with_obstacles([]), swing(robot, 0.2, 0.2 + 0.5 * speed, 0.5, 101))
+    assert certificate.limit_use.velocity == pytest.approx(share, abs=1e-9)
+    assert certificate.verified is verified
+    assert [v.split()[0] for v in certificate.violations] == ([] if verified else ["velocity"])
+
+
+def test_velocity_between_rows(robot, scene):
+    # Parabola of velocity between rows at zero speed: its extreme, 1.5 times the mean, is between them.
+    q = np.array([[0, 0.2, 0.1, 0.1], [0, 1.2, 0.1, 0.1]])
+    certificate = certify(robot, scene.with_obstacles([]), rows(robot, [0.0, 1.2], q, np.zeros((2, 4))))
+    assert certificate.limit_use.velocity == pytest.approx(1.5 / 1.2 / robot.velocity_limit[1])
+    assert [v.split()[0] for v in certificate.violations] == ["velocity", "acceleration"]
+
+
+@pytest.mark.parametrize(("share", "verified"), [(1.0, True), (1.005, False)])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_acceleration(robot, scene, share, verified, sign):
+    acceleration = sign * share * robot.acceleration_limit
+    time = np.linspace(0.0, 0.2, 51)[:, None]
+    start = 0.5 * (robot.lower + robot.upper)
+    trajectory = rows(robot, time[:, 0], start + 0.5 * acceleration * time**2, acceleration * time)
+    certificate = certify(robot, scene.with_obstacles([]), trajectory)
+    assert certificate.limit_use.acceleration == pytest.approx(share, rel=1e-9)
+    assert certificate.verified is verified
+    assert [v.split()[0] for v in certificate.violations] == ([] if verified else ["acceleration"])
+
+
+@pytest.mark.parametrize(("share", "verified"), [(1.0, True), (1.005, False)])
+def test_torque(robot, scene, share, verified):
+    trajectory = quintic(robot, np.radians([0, 10, 20, 30]), np.radians([20, 40, 40, 10]), 3.0)
+    data = robot.model.createData()
+    torque = np.array(
+        [
+            pin.rnea(robot.model, data, *row)
+            for row in zip(trajectory.position, trajectory.velocity, trajectory.acceleration, strict=True)
+        ]
+    )
+    limit = np.array(robot.torque_limit)
+    limit[2] = np.abs(torque[:, 2]).max() / share
+    certificate = certify(replace(robot, torque_limit=limit), scene.with_obstacles([]), trajectory)
+    assert certificate.limit_use.torque == pytest.approx(share, rel=1e-4)
+    assert certificate.verified is verified
+    assert [v.split()[0] for v in certificate.violations] == ([] if verified else ["torque"])
+
+
+@pytest.mark.parametrize("beyond", [0.0, 0.005])
+@pytest.mark.parametrize("joint", [0, 1, 3])
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_position(robot, scene, beyond, joint, side):
+    middle, half = 0.5 * (robot.lower + robot.upper), 0.5 * (robot.upper - robot.lower)
+    end = middle.copy()
+    end[joint] += side * (1.0 + beyond) * half[joint]
+    certificate = certify(robot, scene.with_obstacles([]), quintic(robot, middle, end, 6.0))
+    assert certificate.limit_use.position == pytest.approx(1.0 + beyond, abs=1e-9)
+    assert [v.split()[0] for v in certificate.violations] == (["position"] if beyond else [])
+
+
+def test_limits_are_exact_for_random_rows(robot, scene):
+    rng = np.random.default_rng(5)
+    time = np.concatenate([[0.0], np.cumsum(rng.uniform(0.05, 0.3, 12))])
+    trajectory = rows(robot, time, rng.uniform(0.2, 1.2, (13, 4)), rng.uniform(-1, 1, (13, 4)))
+    use = certify(robot, scene.with_obstacles([]), trajectory).limit_use
+    curve = interpolated(trajectory)
+    grid = np.union1d(np.arange(0.0, trajectory.duration, FINE), trajectory.time)
+    velocity = np.diff(curve, axis=0) / np.diff(grid)[:, None]
+    assert use.velocity == pytest.approx((np.abs(velocity) / robot.velocity_limit).max(), rel=1e-3)
+    even = interpolated(trajectory)[np.isin(grid, np.arange(0.0, trajectory.duration, FINE))]
+    acceleration = np.diff(even, 2, axis=0) / FINE**2
+    assert use.acceleration == pytest.approx((np.abs(acceleration) / robot.acceleration_limit).max(), rel=0.02)
+    middle, half = 0.5 * (robot.lower + robot.upper), 0.5 * (robot.upper - robot.lower)
+    assert use.position >= (np.abs(curve - middle) / half).max() - 1e-12
+
+
+# Tracking error
+
+
+def test_tracking_error_covers_every_deviation(robot, scene):
+    rng = np.random.default_rng(7)
+    world = scene.with_obstacles([Sphere(name="near", center=(1.9, 0.35, 1.3), radius=0.1)])
+    checker = CoalScene(robot, world.solids)
+    trajectory = quintic(robot, np.radians([-20, 5, 5, 5]), np.radians([-5, 30, 15, 10]), 3.0)
+    error = 0.01
+    exact = certify(robot, world, trajectory)
+    certificate = certify(robot, world, trajectory, tracking_error=error)
+    assert certificate.verified
+    assert certificate.min_clearance_m < exact.min_clearance_m - 0.01
+    for q in trajectory.position[::5]:
+        for deviation in rng.choice([-error, error], (20, 4)):
+            assert checker.distances(q + deviation).min() > certificate.min_clearance_m
+
+
+def test_tracking_error_can_refuse(robot, scene):
+    trajectory = swing(robot, 0.301, 0.901, 0.6, 101)
+    # Away from their lower limits, where the elbow and the wrist would be refused for their position.
+    position = trajectory.position + np.array([0.0, 0.0, 0.05, 0.05])
+    trajectory = rows(robot, trajectory.time, position, trajectory.velocity)
+    world = scene.with_obstacles([grazed_ball(-0.02, 0.7)])
+    assert certify(robot, world, trajectory).verified
+    refused = certify(robot, world, trajectory, tracking_error=0.03)
+    assert not refused.verified
+    assert "bead" in refused.violations[0]
+
+
+@pytest.mark.parametrize("value", [-1e-3, np.nan, np.inf])
+def test_bad_tracking_error(robot, scene, value):
+    with pytest.raises(OptionError) as error:
+        certify(robot, scene, rows(robot, [0.0], np.zeros((1, 4)), np.zeros((1, 4))), tracking_error=value)
+    assert error.value.data["option"] == "tracking_error"
+
+
+# Trajectories from elsewhere
+
+
+def test_csv_is_judged_as_the_trajectory_it_was_written_from(robot, scene, tmp_path):
+    trajectory = quintic(robot, np.radians([0, 0, 0, 0]), np.radians([20, 10, 10, 10]), 2.0)
+    again = read_csv(write_csv(trajectory, tmp_path / "t.csv"))
+    assert certify(robot, scene, again) == certify(robot, scene, trajectory)
+
+
+def test_velocity_column_counts(robot, scene):
+    """Rows of a straight motion that claim to stand still: the controller would stop and go."""
+    time = np.linspace(0.0, 2.0, 101)
+    position = np.linspace([0, 0.2, 0.2, 0.2], [0, 0.6, 0.4, 0.4], 101)
+    true_velocity = np.tile((position[-1] - position[0]) / 2.0, (101, 1))
+    empty = scene.with_obstacles([])
+    assert certify(robot, empty, rows(robot, time, position, true_velocity)).verified
+    claimed = certify(robot, empty, rows(robot, time, position, 0 * position))
+    assert [v.split()[0] for v in claimed.violations] == ["acceleration", "torque"]
+    assert claimed.limit_use.acceleration == pytest.approx(
+        (6.0 * np.abs(np.diff(position, axis=0)).max(axis=0) / 0.02**2 / robot.acceleration_limit).max()
+    )
+
+
+def test_velocity_column_that_leads_into_the_obstacle(robot, scene):
+    """Two equal rows far from the obstacle, with velocities that carry the curve between them into it."""
+    position = np.tile([0.0, 0.5, 0.05, 0.05], (2, 1))
+    velocity = np.array([[0, 1.0, 0, 0], [0, -1.0, 0, 0]])
+    trajectory = rows(robot, [0.0, 1.0], position, velocity)  # rises by 0.25 rad half-way
+    tip = np.array([2.19 * np.cos(0.75), 0.0, 0.6 + 2.19 * np.sin(0.75)])
+    world = scene.with_obstacles([Sphere(name="above", center=tuple(tip), radius=0.05)])
+    assert CoalScene(robot, world.solids).distances(position[0]).min() > 0.3
+    certificate = certify(robot, world, trajectory)
+    assert not certificate.verified
+    assert any("above" in violation for violation in certificate.violations)
+
+
+def test_other_joints_are_refused(robot, scene):
+    names = (*robot.joint_names[:3], "thumb")
+    zero = np.zeros((1, 4))
+    with pytest.raises(InputError, match="thumb"):
+        certify(robot, scene, Trajectory(names, np.zeros(1), zero, zero, zero, zero))
+
+
+def test_single_row(robot, scene):
+    certificate = certify(robot, scene, rows(robot, [0.0], np.zeros((1, 4)), np.zeros((1, 4))))
+    assert certificate.verified
+    expected = CoalScene(robot, scene.solids).distances(np.zeros(4)).min()
+    assert 0.4 * expected < certificate.min_clearance_m <= expected + 1e-12
+    assert certificate.limit_use.velocity == 0.0
+
+
+@pytest.mark.parametrize("turn_deg", [5.0, 10.0, 15.0, 20.0, 25.0, 29.0])
+def test_no_more_is_shown_than_there_is_where_few_looks_do(robot, scene, turn_deg):
+    """The stretched arm turns towards a ball: its tip comes nearer by all that it travels, until one look would do."""
+    tip = robot.tool_positions(np.radians([35.0, 0.0, 0.0, 0.0]))
+    ball = scene.with_obstacles([Sphere(name="ball", center=tuple(tip.tolist()), radius=0.05)])
+    motion = quintic(robot, np.zeros(4), np.radians([turn_deg, 0.0, 0.0, 0.0]))
+    certificate = certify(robot, ball, motion)
+    least = CoalScene(robot, ball.solids).distances(motion.position[-1]).min()
+    assert 0.4 * least < certificate.min_clearance_m <= least + 1e-9
+
+
+def test_without_obstacles_the_clearance_is_infinite(robot, scene):
+    certificate = certify(robot, scene.with_obstacles([]), quintic(robot, np.zeros(4), np.full(4, 0.3)))
+    assert certificate.verified
+    assert certificate.min_clearance_m == np.inf
+    assert certificate.nearest is None
+
+
+# Rest and the columns that a controller may feed forward
+
+
+@pytest.mark.parametrize("end", ["begins", "ends", "both"])
+def test_motion_that_is_not_at_rest_at_its_ends_is_refused(robot, scene, end):
+    moving = swing(robot, 0.3, 0.4, 0.2, 51)
+    velocity = np.array(moving.velocity)
+    if end != "both":
+        velocity[-1 if end == "begins" else 0] = 0.0
+    certificate = certify(robot, scene.with_obstacles([]), replace(moving, velocity=velocity), rest_to_rest=True)
+    told = [violation.split()[2] for violation in certificate.violations if violation.startswith("the motion")]
+    assert told == (["begins", "ends"] if end == "both" else [end])
+
+
+def test_motions_one_after_the_other(robot, scene):
+    """The worst of all parts."""
+    straight = quintic(robot, np.zeros(4), np.array([0.2, 0.0, 0.0, 0.0]))
+    back = straight.reversed
+    moving = replace(back, velocity=np.where(np.arange(back.samples)[:, None] == back.samples - 1, 0.1, back.velocity))
+    near = scene.with_obstacles([Sphere(name="near", center=(1.0, -0.3, 0.6), radius=0.1)])
+    far = scene.with_obstacles([Sphere(name="far", center=(1.0, -0.8, 0.6), radius=0.1)])
+    parts = [certify(robot, far, straight), certify(robot, near, moving, rest_to_rest=True)]
+    for some in (parts, parts[::-1]):
+        whole = certificates.all_of(some)
+        assert not whole.verified
+        assert whole.min_clearance_m == parts[1].min_clearance_m < parts[0].min_clearance_m
+        assert whole.nearest.obstacle == "near"
+        assert whole.checks == parts[0].checks + parts[1].checks
+        assert whole.violations == parts[1].violations
+        for name, value in vars(whole.limit_use).items():
+            assert value == max(getattr(part.limit_use, name) for part in parts)
+    assert certificates.all_of(parts[:1]) is parts[0]
+    assert certificates.all_of([parts[0], parts[0]]).verified
+
+
+def test_single_row_with_velocity_is_refused(robot, scene):
+    still = rows(robot, [0.0], np.zeros((1, 4)), np.zeros((1, 4)))
+    assert certify(robot, scene, still, rest_to_rest=True).verified
+    moving = replace(still, velocity=np.full((1, 4), 1000.0))
+    assert not certify(robot, scene, moving, rest_to_rest=True).verified
+
+
+@pytest.mark.parametrize("column", ["acceleration", "torque"])
+def test_column_beyond_the_limit_is_refused(robot, scene, column):
+    motion = quintic(robot, np.zeros(4), np.array([0.0, 0.2, 0.1, 0.1]))
+    values = np.array(getattr(motion, column))
+    values[7, 2] = 1e4
+    certificate = certify(robot, scene, replace(motion, **{column: values}))
+    assert [violation.split()[0] for violation in certificate.violations] == [column]
+
+
+@pytest.mark.parametrize("spoilt", [None, np.nan, np.inf])
+def test_travel_of_links_is_that_of_plain_numpy(robot, spoilt):
+    rng = np.random.default_rng(7)
+    rates = rng.normal(size=(40, 3, robot.dof)) * 10.0 ** rng.uniform(-3.0, 3.0, size=(40, 1, 1))
+    if spoilt is not None:
+        rates[5, 1, 2] = rates[9, 0, 0] = spoilt
+    turns = np.abs(np.cumsum(robot.arm.signs * rates[..., robot.arm_slice], axis=2)).max(axis=1)
+    expected = np.cumsum(robot.arm.lengths * turns, axis=1) + np.abs(rates[..., :1]).max(axis=1) * robot.yaw_radius
+    np.testing.assert_array_equal(link_bounds(robot, rates), expected)
+
+
+@pytest.mark.parametrize("links", ["capsule", "urdf"])
+@pytest.mark.parametrize("count", [0, 1, 5])
+def test_each_pair_has_the_mover_that_its_bodies_say(robot, links, count):
+    solids = load_scene("orchard-row").solids_with_goal[:count]
+    checker = CoalScene(robot, solids, links=links, clearance=0.01)
+    mover_of, others = movers(checker)
+    all_movers = [*((link, GROUND) for link in range(len(checker.link_names))), *others]
+    seen_from = [GROUND] * (len(checker.pairs) - len(checker.own_others)) + checker.own_others
+    assert len(mover_of) == len(checker.pairs)
+    assert len(set(all_movers)) == len(all_movers)
+    for mover, (body, _), other in zip(mover_of, checker.pairs, seen_from, strict=True):
+        part = body if body < len(checker.link_names) else TURRET
+        assert all_movers[mover] == (part, other)

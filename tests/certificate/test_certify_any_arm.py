@@ -1,0 +1,410 @@
+"""Certificates of robots that are no planar arms, against coal at close times and brute force."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from any_arms import ARMS, loaded_arm
+
+from hplan.certificate import goal_contact
+from hplan.certificate.body_travel import body_motion
+from hplan.certificate.certificate import certify
+from hplan.certificate.clearance_proof import point_at, prove_clearance
+from hplan.certificate.digests import robot_digest
+from hplan.certificate.goal_contact import OFFSET, TURN, contact_window, instant_at
+from hplan.collision.coal_scene import CoalScene
+from hplan.collision.coal_shapes import solid_shape
+from hplan.collision.collision_bodies import body_shapes, collision_bodies
+from hplan.collision.reach import largest_sway, reach, reach_ball
+from hplan.collision.touching_pairs import self_pairs
+from hplan.errors import ConfigurationInCollisionError, InputError, RobotFamilyError
+from hplan.online.arm_shape import arm_solids
+from hplan.planning.world import check_clear
+from hplan.robot.model import Robot
+from hplan.scene.model import Fruit, Goal, Scene, Start
+from hplan.scene.obstacles import Box, Capsule, Sphere
+from hplan.scene.solids import Cloud
+from hplan.scene.tracks import Track
+from hplan.trajectory.trajectory import Trajectory, cubic_pieces
+
+
+@pytest.fixture(scope="module")
+def load(tmp_path_factory):
+    return lambda name: loaded_arm(name, tmp_path_factory)
+
+
+def free_configurations(robot: Robot, count: int, seed: int, clearance: float = 0.01) -> np.ndarray:
+    """Random configurations at which the robot keeps clear of itself."""
+    rng, checker = np.random.default_rng(seed), CoalScene(robot, ())
+    found: list[np.ndarray] = []
+    low, high = np.maximum(robot.lower, -2.5), np.minimum(robot.upper, 2.5)
+    while len(found) < count:
+        q = rng.uniform(low, high)
+        if (checker.pair_distances(q) - checker.kept(clearance) > 1e-3).all():
+            found.append(q)
+    return np.array(found)
+
+
+def motion_between(robot: Robot, start: np.ndarray, end: np.ndarray, samples: int = 40) -> Trajectory:
+    """From rest to rest, straight in joint space, within the limits but for torque."""
+    u = np.linspace(0.0, 1.0, samples)
+    way = end - start
+    fastest = max(
+        (1.875 * np.abs(way) / robot.velocity_limit).max(),
+        np.sqrt((5.8 * np.abs(way) / robot.acceleration_limit).max()),
+        1e-2,
+    )
+    duration = 1.1 * float(fastest)
+    s = u**3 * (10.0 - 15.0 * u + 6.0 * u * u)
+    v = 30.0 * u * u * (1.0 - u) ** 2 / duration
+    a = (60.0 * u - 180.0 * u * u + 120.0 * u**3) / duration**2
+    columns = [start + s[:, None] * way, v[:, None] * way, a[:, None] * way]
+    return Trajectory(robot.joint_names, duration * u, *columns, np.zeros((samples, robot.dof)))
+
+
+def scene_of(robot: Robot, trajectory: Trajectory, obstacles, clearance: float) -> Scene:
+    first, last = trajectory.position[0], trajectory.position[-1]
+    return Scene(name="any", start=Start(joints_rad=tuple(first)), goal=Goal(joints_rad=tuple(last)),
+                 obstacles=tuple(obstacles), clearance=clearance)  # fmt: skip
+
+
+def random_obstacles(rng: np.random.Generator, count: int) -> list:
+    """Obstacles about the arm, some of which it may meet."""
+    found = []
+    for number in range(count):
+        direction = rng.normal(size=3)
+        centre = direction / np.linalg.norm(direction) * rng.uniform(0.4, 1.2)
+        kind = number % 3
+        if kind == 0:
+            found.append(Sphere(name=f"ball {number}", center=tuple(centre), radius=rng.uniform(0.03, 0.2)))
+        elif kind == 1:
+            size = tuple(rng.uniform(0.05, 0.4, 3))
+            found.append(
+                Box(name=f"box {number}", center=tuple(centre), size=size, rpy_deg=tuple(rng.uniform(-90, 90, 3)))
+            )
+        else:
+            end = centre + rng.normal(size=3) * 0.2
+            found.append(
+                Capsule(name=f"stick {number}", start=tuple(centre), end=tuple(end), radius=rng.uniform(0.01, 0.06))
+            )
+    return found
+
+
+def least_distances(robot: Robot, obstacles, bezier: np.ndarray, looks: int) -> tuple[float, float]:
+    """Least distance from obstacles, and of checked pairs of the robot, at many places of a motion, by coal alone.
+
+    Of pairs that are asked only whether they touch, one that does not counts for nothing.
+    """
+    shapes, pairs = body_shapes(robot), self_pairs(robot)
+    geometry = pin.GeometryModel()
+    for shape in (*shapes, *map(solid_shape, obstacles)):
+        geometry.addGeometryObject(shape)
+    moving = [number for number, shape in enumerate(shapes) if shape.parentJoint > 0]
+    for pair in (*itertools.product(moving, range(len(shapes), geometry.ngeoms)), *pairs.checked):
+        geometry.addCollisionPair(pin.CollisionPair(*pair))
+    arm, data = robot.model.createData(), geometry.createData()
+    first, only_touch = len(moving) * len(obstacles), pairs.needed(1e-3) == 0.0
+    from_obstacles = own = np.inf
+    for place in np.linspace(0.0, len(bezier), looks):
+        pin.computeDistances(robot.model, arm, geometry, data, point_at(bezier, place))
+        found = np.array([result.min_distance for result in data.distanceResults])
+        from_obstacles = min(from_obstacles, found[:first].min())
+        of_own = found[first:]
+        own = min(own, np.where(only_touch & (of_own > 0.0), np.inf, of_own).min())
+    return from_obstacles, own
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_verified_motions_are_clear_at_close_times(load, name):
+    """Some random motions are verified, some meet something; the shown clearance is below what brute force finds."""
+    robot, rng = load(name), np.random.default_rng(8)
+    ends = free_configurations(robot, 8, seed=9)
+    outcomes = set()
+    for start, end in itertools.pairwise(ends):
+        trajectory = motion_between(robot, start, end)
+        obstacles = random_obstacles(rng, 5)
+        certificate = certify(robot, scene_of(robot, trajectory, obstacles, 0.005), trajectory)
+        bezier, _ = cubic_pieces(trajectory)
+        around, own = least_distances(robot, obstacles, bezier, 200)
+        clear = not [line for line in certificate.violations if "limit" not in line and "deep" not in line]
+        if clear:
+            assert min(around, own) >= certificate.min_clearance_m - 1e-9
+            assert certificate.min_clearance_m > 0.005
+        else:
+            assert certificate.min_clearance_m <= min(around, own) + 2e-2
+        if min(around, own) <= 0.005:
+            assert not clear
+        outcomes.add(clear)
+    assert outcomes == {True, False}
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_grazing_motions_are_never_verified(load, name):
+    """A ball stands so that the arm comes 0.1 to 5 mm nearer than the clearance, between rows."""
+    robot, rng = load(name), np.random.default_rng(10)
+    ends = free_configurations(robot, 7, seed=11)
+    refused = 0
+    for start, end in itertools.pairwise(ends):
+        trajectory = motion_between(robot, start, end, samples=12)
+        bezier, _ = cubic_pieces(trajectory)
+        place = rng.uniform(4.2, 6.8)
+        tip = robot.tool_positions(point_at(bezier, place))
+        free = scene_of(robot, trajectory, [], 0.0)
+        if [line for line in certify(robot, free, trajectory).violations if "comes to" in line]:
+            continue
+        for nearer in (1e-4, 1e-3, 5e-3):
+            direction = rng.normal(size=3)
+            radius = 0.05
+            centre = tip + direction / np.linalg.norm(direction) * 0.3
+            ball = Sphere(name="ball", center=tuple(centre), radius=radius)
+            looks = np.linspace(0.0, len(bezier), 1500)
+            checker = CoalScene(robot, [ball])
+            first = len(checker.pairs) - len(checker.own_others)
+            least = min(float(checker.pair_distances(point_at(bezier, at))[:first].min()) for at in looks)
+            if not 1e-3 < least < 0.3:
+                continue
+            scene = scene_of(robot, trajectory, [ball], least + nearer)
+            certificate = certify(robot, scene, trajectory)
+            assert any("comes to" in line for line in certificate.violations)
+            refused += 1
+    assert refused >= 6
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_no_body_travels_farther_than_its_bound(load, name):
+    """Points of the bodies, and those of one seen from another, along random cubics."""
+    robot, rng = load(name), np.random.default_rng(12)
+    checker = CoalScene(robot, [Sphere(name="far", center=(9.0, 0.0, 0.0), radius=0.1)])
+    bodies, pairs = collision_bodies(robot), checker.own_bodies
+    bezier = rng.uniform(robot.lower, robot.upper)[None, None] + rng.normal(size=(12, 4, robot.dof)) * 0.3
+    bezier[::2] = bezier[::2, :1] + np.linspace(0.0, 1.0, 4)[:, None] * (bezier[::2, -1:] - bezier[::2, :1])
+    bezier = np.clip(bezier, robot.lower, robot.upper)
+    mover_of, moved, _ = body_motion(checker, pairs, bezier, np.zeros((1, robot.dof)))
+    first, second = robot.model.createData(), robot.model.createData()
+    moving = [number for number, body in enumerate(bodies) if body.joint >= 0]
+    used = np.zeros(len(moving))
+    for piece in range(len(bezier)):
+        at = np.sort(rng.uniform(0.0, 1.0, 2)) if piece % 2 else np.array([0.0, 1.0])
+        for data, place in zip((first, second), at, strict=True):
+            pin.forwardKinematics(robot.model, data, point_at(bezier[piece : piece + 1], float(place)))
+        for row, number in enumerate(moving):
+            body = bodies[number]
+            places = [data.oMi[body.joint + 1] for data in (first, second)]
+            a, b = (body.core @ place.rotation.T + place.translation for place in places)
+            went = np.linalg.norm(b - a, axis=1).max()
+            assert went <= moved[mover_of[row], piece] + 1e-9
+            used[row] = max(used[row], went / moved[mover_of[row], piece])
+        for row, (i, j) in enumerate(pairs.checked):
+            seen = []
+            for data in (first, second):
+                relative = data.oMi[bodies[i].joint + 1].inverse() * data.oMi[bodies[j].joint + 1]
+                seen.append(bodies[j].core @ relative.rotation.T + relative.translation)
+            went = np.linalg.norm(seen[1] - seen[0], axis=1).max()
+            serial = bodies[i].joint < bodies[j].joint
+            assert not serial or went <= moved[mover_of[len(moving) + row], piece] + 1e-9
+    assert used.max() > 0.4
+
+
+@pytest.mark.parametrize("name", ["toy", "lift"])
+def test_tracking_errors_take_from_the_clearance(load, name):
+    robot = load(name)
+    start, end = free_configurations(robot, 2, seed=13)
+    trajectory = motion_between(robot, start, end)
+    tip = robot.tool_positions(trajectory.position).mean(axis=0)
+    ball = Sphere(name="ball", center=tuple(tip + np.array([0.0, 0.0, 1.0])), radius=0.1)
+    scene = scene_of(robot, trajectory, [ball], 0.0)
+    exact = certify(robot, scene, trajectory, tracking_error=0.0)
+    loose = certify(robot, scene, trajectory, tracking_error=0.01, tracking_delay_s=0.01)
+    assert loose.min_clearance_m < exact.min_clearance_m
+    # Configurations that are off by as much keep the clearance that was shown.
+    if not [line for line in loose.violations if "comes to" in line]:
+        bezier, _ = cubic_pieces(trajectory)
+        checker, rng = CoalScene(robot, [ball]), np.random.default_rng(14)
+        for place in np.linspace(0.0, len(bezier), 50):
+            off = rng.choice([-1.0, 1.0], robot.dof) * 0.01
+            distances = checker.pair_distances(point_at(bezier, float(place)) + off)
+            assert (distances - (checker.kept(1.0) == 0.0) * -1.0).min() >= loose.min_clearance_m - 1e-9
+
+
+def test_clouds_and_what_stands_still(load):
+    robot = load("toy")
+    start, end = free_configurations(robot, 2, seed=15)
+    trajectory = motion_between(robot, start, end)
+    points = np.random.default_rng(16).normal(size=(500, 3))
+    cloud = Cloud("leaves", 1.5 * points / np.linalg.norm(points, axis=1)[:, None], 0.02, np.zeros((0, 7)))
+    bezier, _ = cubic_pieces(trajectory)
+    checker = CoalScene(robot, [cloud])
+    proof = prove_clearance(robot, bezier, checker, np.zeros((1, robot.dof)), 0.0)
+    first = len(checker.pairs) - len(checker.own_others)
+    seen = min(checker.pair_distances(point_at(bezier, at))[:first].min() for at in np.linspace(0.0, len(bezier), 100))
+    assert proof.shown == (seen > 0.0)
+    pole = Sphere(name="pole", center=(0.0, 0.0, -0.1), radius=0.05)
+    certificate = certify(robot, scene_of(robot, trajectory, [pole], 0.0), trajectory)
+    assert any("'pole'" in line and "'base_link', which does not move" in line for line in certificate.violations)
+
+
+def test_start_in_contact_with_itself_is_named(load):
+    robot = load("toy")
+    rng, checker = np.random.default_rng(17), CoalScene(robot, ())
+    touching = next(
+        q for q in rng.uniform(robot.lower, robot.upper, (500, robot.dof)) if checker.in_collision(q[None])[0]
+    )
+    with pytest.raises(ConfigurationInCollisionError) as caught:
+        check_clear(checker, touching, 0.0, "start")
+    assert caught.value.data["link"] in checker.link_names
+
+
+def test_what_needs_the_planar_family_says_so(load):
+    robot = load("toy")
+    with pytest.raises(RobotFamilyError, match="'wrist_2'"):
+        assert robot.has_yaw
+
+
+def test_digest_says_what_may_touch_and_how_joints_are(load):
+    robot = load("toy")
+    assert robot_digest(robot) == robot_digest(replace(robot))
+    assert robot_digest(robot) != robot_digest(replace(robot, may_touch=(("a", "b", "Default"),)))
+    assert robot_digest(robot) != robot_digest(replace(robot, upper=robot.upper + 1e-6))
+
+
+def test_other_joints_are_refused(load):
+    robot = load("toy")
+    start, end = free_configurations(robot, 2, seed=18)
+    trajectory = motion_between(robot, start, end)
+    with pytest.raises(InputError, match="the trajectory moves"):
+        certify(load("lift"), scene_of(robot, trajectory, [], 0.0), trajectory)
+
+
+def straight_in(robot: Robot, grasp: np.ndarray, length: float, aside: float = 0.0) -> Trajectory:
+    """To a grasp along the tool's z axis, turning about it, and back; from a place `aside` of that line."""
+    data, frame = robot.model.createData(), robot.model.getFrameId(robot.tool_frame)
+    goal = robot.tool_poses(grasp)
+    q, rows, count = grasp.copy(), [grasp], 60
+    for number in range(1, count + 1):
+        part = (number / count) ** 2 * (3.0 - 2.0 * number / count)  # slow at both ends
+        target = pin.SE3(goal[:3, :3] @ pin.utils.rotate("z", 0.3 * part), goal[:3, 3] - part * length * goal[:3, 2])
+        target.translation += part * aside * goal[:3, 0]
+        for _ in range(8):
+            pin.framesForwardKinematics(robot.model, data, q)
+            error = pin.log(data.oMf[frame].inverse() * target).vector
+            jacobian = pin.computeFrameJacobian(robot.model, data, q, frame)
+            q = q + jacobian.T @ np.linalg.solve(jacobian @ jacobian.T + 1e-8 * np.eye(6), error)
+        rows.append(q)
+    position = np.array([*rows[::-1], *rows[1:]])
+    time = 0.05 * np.arange(len(position))
+    velocity = np.gradient(position, time, axis=0)
+    velocity[[0, count, -1]] = 0.0
+    zero = np.zeros_like(position)
+    return Trajectory(robot.joint_names, time, position, velocity, zero, zero)
+
+
+@pytest.mark.parametrize("name", ["toy", "panda", "ur5"])
+def test_fruit_may_be_touched_on_a_straight_approach_along_the_tools_axis(load, name):
+    """Everything within the window, between rows too, keeps to line and direction; what comes aside has none there."""
+    robot = load(name)
+    grasp = np.array([0.3, -0.6, 0.5, -1.6, 0.2, 1.2, 0.4] if name == "panda" else [0.3, -1.2, 1.4, -0.6, 1.1, 0.4])
+    length, found = 0.12, []
+    for aside in (0.0, 0.03):
+        motion = straight_in(robot, grasp, length, aside)
+        bezier, _ = cubic_pieces(motion)
+        goal = robot.tool_poses(grasp)
+        window = contact_window(robot, bezier, goal[:3, 3])
+        assert window is not None
+        assert window.start <= 60 <= window.stop
+        places = np.linspace(window.start, window.stop, 400)
+        poses = robot.tool_poses(np.array([point_at(bezier, float(place)) for place in places]))
+        row, _ = instant_at(robot, np.vstack([bezier[:, 0], bezier[-1:, 3]]), goal[:3, 3])
+        there = robot.tool_poses(bezier[row, 0])
+        away = poses[:, :3, 3] - there[:3, 3]
+        behind = np.maximum(-(away @ there[:3, 2]), 0.0)
+        assert np.linalg.norm(away + behind[:, None] * there[:3, 2], axis=1).max() <= OFFSET
+        assert np.arccos(np.clip(poses[:, :3, 2] @ there[:3, 2], -1.0, 1.0)).max() <= TURN + 1e-6
+        found.append(behind.max())
+    assert found[0] > 0.9 * length
+    assert found[1] < 0.03
+
+
+@pytest.mark.parametrize("name", ["toy", "panda", "ur5"])
+def test_bends_of_the_tool_are_bounded(load, name):
+    robot, rng = load(name), np.random.default_rng(19)
+    for scale in (0.02, 0.3):
+        bezier = rng.uniform(0.5 * robot.lower, 0.5 * robot.upper) + scale * rng.normal(size=(6, 4, robot.dof))
+        rates, pushes = goal_contact._largest_rates(bezier)
+        bent, turned = goal_contact._bent_along_z(robot, rates, pushes)
+        for piece in range(len(bezier)):
+            places = np.linspace(0.0, 1.0, 401)
+            poses = robot.tool_poses(np.array([point_at(bezier[piece : piece + 1], float(at)) for at in places]))
+            for values, bound in ((poses[:, :3, 3], bent[piece]), (poses[:, :3, 2], turned[piece])):
+                curved = np.linalg.norm(np.diff(values, 2, axis=0), axis=1).max() * 400.0**2
+                assert curved <= bound + 1e-6
+
+
+def test_a_fruit_is_a_goal_of_any_robot(load):
+    robot = load("toy")
+    grasp = np.array([0.3, -1.2, 1.4, -0.6, 1.1, 0.4])
+    motion = straight_in(robot, grasp, 0.12)
+    rows = motion.position[:61]
+    velocity = motion.velocity[:61].copy()
+    velocity[-1] = 0.0
+    zero = np.zeros_like(rows)
+    motion = Trajectory(robot.joint_names, 20.0 * motion.time[:61], rows, velocity / 20.0, zero, zero)
+    fruit = Fruit(name="apple", center=tuple(robot.tool_positions(grasp)), radius=0.03)
+    scene = Scene(name="apple", start=Start(joints_rad=tuple(rows[0])), goal=Goal(fruit="apple"), fruits=(fruit,))
+    certificate = certify(robot, scene, motion)
+    assert not [line for line in certificate.violations if "comes to" in line or "tool" in line]
+    assert certificate.contact_s is not None
+    whole = certify(robot, scene, motion, checker=CoalScene(robot, scene.solids_with_goal))
+    assert [line for line in whole.violations if "'apple'" in line]
+
+
+@pytest.mark.parametrize("name", ["seven", "lift"])
+def test_obstacles_that_move(load, name):
+    """A ball flies past, or through, an arm that moves slowly; against coal at close times."""
+    robot, rng = load(name), np.random.default_rng(20)
+    start, end = free_configurations(robot, 2, seed=21)
+    trajectory = motion_between(robot, start, start + 0.1 * (end - start))
+    duration, bezier = trajectory.duration, cubic_pieces(trajectory)[0]
+    outcomes = set()
+    for _ in range(12):
+        middle = robot.tool_positions(trajectory.position[20]) + rng.normal(size=3) * 0.25
+        way = rng.normal(size=3) * 0.5
+        track = Track(times_s=(0.0, duration), shifts_m=(tuple(-way), tuple(way)))
+        ball = Sphere(name="ball", center=tuple(middle), radius=0.05, track=track)
+        certificate = certify(robot, scene_of(robot, trajectory, [ball], 0.002), trajectory)
+        least = np.inf
+        for part in np.linspace(0.0, 1.0, 200):
+            there = Sphere(name="ball", center=tuple(middle - way + 2.0 * part * way), radius=0.05)
+            checker = CoalScene(robot, [there])
+            of_ball = len(checker.pairs) - len(checker.own_others)
+            q = point_at(bezier, float(np.interp(part * duration, trajectory.time, np.arange(trajectory.samples))))
+            least = min(least, float(checker.pair_distances(q)[:of_ball].min()))
+        clear = not [line for line in certificate.violations if "comes" in line]
+        if clear:
+            assert least >= certificate.min_clearance_m - 1e-9
+        if least <= 0.002:
+            assert not clear
+        outcomes.add(clear)
+    assert outcomes == {True, False}
+
+
+@pytest.mark.parametrize("name", ["seven", "lift", "panda"])
+def test_ball_of_all_bodies_holds_them(load, name):
+    robot, rng = load(name), np.random.default_rng(22)
+    *centre, radius = reach_ball(robot)
+    for q in rng.uniform(robot.lower, robot.upper, (50, robot.dof)):
+        for solid in arm_solids(robot, q):
+            away = np.linalg.norm(solid.core - centre, axis=1).max() + solid.rounding
+            assert away <= radius + 1e-9
+    assert len(arm_solids(robot, q)) == len(collision_bodies(robot))
+
+
+def test_sway_of_any_robot(load, robot):
+    seven = load("seven")
+    off = np.full(seven.dof, 0.01)
+    assert largest_sway(seven, off) == (reach(seven) @ off).max()
+    assert largest_sway(robot, np.full(robot.dof, 0.01)) == robot.sway(0.01).max()
+    assert seven.yaw_of(np.ones(7)) == 0.0

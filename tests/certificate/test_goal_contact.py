@@ -1,0 +1,261 @@
+"""The fruit that is the goal: touched by the last link alone, on a straight approach and on the way back."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import hplan
+from hplan.base.data_files import scenes_dir
+from hplan.certificate.certificate import certify
+from hplan.certificate.goal_contact import OFFSET, THERE, TURN, contact_window
+from hplan.errors import CertificationError, OptionError
+from hplan.kinematics.planar_inverse_kinematics import reach
+from hplan.kinematics.straight_approach import ApproachPath
+from hplan.planning import certified_motion
+from hplan.scene.file import load_scene
+from hplan.scene.model import Fruit, Goal, Scene, Start
+from hplan.trajectory.trajectory import Trajectory, cubic_pieces, joined, read_csv, write_csv
+
+GRASP = np.radians([0.0, 20.0, 20.0, 20.0])
+
+
+@pytest.fixture(scope="module")
+def apple(robot):
+    """A fruit where the tool is at `GRASP`."""
+    return Fruit(name="apple", center=tuple(robot.tool_positions(GRASP).tolist()), radius=0.04)
+
+
+@pytest.fixture(scope="module")
+def picked(robot, apple):
+    """A plan to the fruit and its scene."""
+    scene = orchard(apple, np.radians([-40.0, 30.0, 40.0, 30.0]))
+    return scene, hplan.plan(robot, scene)
+
+
+def orchard(fruit, start, **changes):
+    return Scene(
+        name="one apple", start=Start(joints_rad=tuple(start)), goal=Goal(fruit="apple"), fruits=(fruit,), **changes
+    )
+
+
+def through(robot, *configurations, seconds=4.0, rate=250):
+    """From rest to rest along straight joint motions, one after the other."""
+    parts = []
+    for start, end in itertools.pairwise(configurations):
+        time = np.linspace(0.0, seconds, round(seconds * rate) + 1)
+        s = time[:, None] / seconds
+        turn = np.asarray(end) - start
+        q = start + turn * (10 * s**3 - 15 * s**4 + 6 * s**5)
+        v = turn * (30 * s**2 - 60 * s**3 + 30 * s**4) / seconds
+        a = turn * (60 * s - 180 * s**2 + 120 * s**3) / seconds**2
+        parts.append(Trajectory(robot.joint_names, time, q, v, a, robot.dynamics.torques(q, v, a)))
+    return joined(parts)
+
+
+def test_what_plan_exports_certify_verifies(robot, picked, tmp_path):
+    scene, result = picked
+    assert result.grasp.distance > 0.0
+    again = read_csv(write_csv(result.trajectory, tmp_path / "t.csv"))
+    certificate = certify(robot, scene, again)
+    assert certificate.verified, certificate.violations
+    begin, end = certificate.contact_s
+    # At least approach and retreat; where the transit comes to the stand-off it is straight too.
+    assert (begin, end) == pytest.approx(result.certificate.contact_s, abs=1e-12)
+    assert begin <= result.phases[1].start_s < end == result.trajectory.duration
+    assert result.phases[1].start_s - begin < 0.1
+    # There the last link may be at the fruit, which the plan keeps it from until the stand-off.
+    assert certificate.min_clearance_m >= 0.8 * result.certificate.min_clearance_m
+    assert certificate.goal_contact == result.certificate.goal_contact == "approach"
+    assert certificate.digests == result.certificate.digests
+
+
+@pytest.mark.parametrize("name", ["orchard-row", "trellis", "tour", "dense-canopy"])
+def test_shipped_scenes(robot, name):
+    scene = load_scene(scenes_dir() / f"{name}.yaml")
+    if scene.goal.fruit is None:
+        scene = scene.model_copy(update={"goal": Goal(fruit=scene.fruits[0].name)})
+    result = hplan.plan(robot, scene)
+    certificate = certify(robot, scene, result.trajectory)
+    assert certificate.verified, certificate.violations
+    assert result.certificate.verified
+
+
+def test_forearm_through_the_fruit_is_refused(robot):
+    """The yaw sweeps the forearm through it; to the scene it is the goal all the same."""
+    start, end = np.radians([-30.0, 20.0, 20.0, 20.0]), np.radians([30.0, 20.0, 20.0, 20.0])
+    elbow, wrist = (robot.plane_origin + robot.arm.joint_points(GRASP[1:])[k] @ robot.plane_axes for k in (1, 2))
+    fruit = Fruit(name="apple", center=tuple((0.5 * (elbow + wrist)).tolist()), radius=0.06)
+    for ends in (True, False):
+        certificate = certify(robot, orchard(fruit, start), through(robot, start, end), check_ends=ends)
+        assert not certificate.verified
+        assert any("'forearm'" in violation and "apple" in violation for violation in certificate.violations)
+        assert certificate.contact_s is None
+
+
+def test_last_link_sideways_through_the_fruit_is_refused(robot, apple):
+    """By the yaw: past the fruit, and up to it, where the tool is at its centre in the end."""
+    for last in (20.0, 0.0):
+        for wrist in (20.0, 5.0):
+            q = np.radians([0.0, 20.0, 20.0, wrist])
+            fruit = apple.model_copy(update={"center": tuple(robot.tool_positions(q).tolist())})
+            start, end = q + np.radians([-20.0, 0, 0, 0]), q + np.radians([last, 0, 0, 0])
+            certificate = certify(robot, orchard(fruit, start), through(robot, start, end))
+            assert not certificate.verified
+            assert "'hand'" in certificate.violations[-1]
+            assert "apple" in certificate.violations[-1]
+            assert certify(
+                robot, orchard(fruit, start), through(robot, start, end), goal_contact="motion", check_ends=False
+            ).verified
+
+
+def test_deeper_than_to_the_centre_is_refused(robot, picked):
+    """The approach goes on beyond the fruit's centre, and comes back to it."""
+    scene, result = picked
+    fruit = scene.fruits[0]
+    direction = np.array(fruit.center) - robot.tool_positions(result.grasp.standoff)
+    direction /= np.linalg.norm(direction)
+    for deeper, verified in ((0.0, True), (0.8 * OFFSET, True), (1.2 * OFFSET, False), (0.03, False)):
+        # Smaller, so that only the approach comes near it.
+        center = tuple((np.array(fruit.center) - deeper * direction).tolist())
+        moved = fruit.model_copy(update={"center": center, "radius": 0.02})
+        world = scene.model_copy(update={"fruits": (moved,)})
+        certificate = certify(robot, world, result.trajectory)
+        assert certificate.verified is verified, (deeper, certificate.violations)
+
+
+def test_a_second_visit_is_refused(robot, picked):
+    """Straight to the fruit and back twice: a picked fruit is gone, another visit is not asked for."""
+    scene, _ = picked
+    result = hplan.plan(robot, scene, hplan.PlanOptions(effort="quick"))  # it stops at the stand-off
+    approach = result.phases[1]
+    rows = (result.trajectory.time >= approach.start_s - 1e-9) & (result.trajectory.time <= result.phases[-1].end_s)
+    first = int(np.flatnonzero(rows)[0])
+    there = Trajectory(
+        robot.joint_names,
+        result.trajectory.time[rows] - result.trajectory.time[first],
+        *(getattr(result.trajectory, name)[rows] for name in ("position", "velocity", "acceleration", "torque")),
+    )
+    again = joined([result.trajectory, there])
+    # All of it is one straight stretch: back and forth on the line is no contact of another kind.
+    assert certify(robot, scene, again).verified
+    aside = there.position[0] + np.radians([8.0, 0.0, 0.0, 0.0])
+    away = joined([result.trajectory, through(robot, there.position[0], aside, there.position[0]), there])
+    certificate = certify(robot, scene, away)
+    assert not certificate.verified
+    assert "apple" in certificate.violations[0]
+
+
+def test_window_is_the_straight_part_alone(robot, picked):
+    """Within it tool and direction keep to the line, densely sampled; the piece before it does not."""
+    scene, result = picked
+    bezier, _ = cubic_pieces(result.trajectory)
+    window = contact_window(robot, bezier, scene.fruits[0].center)
+    t = np.linspace(0.0, 1.0, 20)[:, None, None]
+    u = 1.0 - t
+    points = np.moveaxis(bezier, 1, 0)[:, None]
+    q = u**3 * points[0] + 3 * u**2 * t * points[1] + 3 * u * t**2 * points[2] + t**3 * points[3]
+    tool = robot.tool_positions(q)
+    row = np.linalg.norm(robot.tool_positions(bezier[:, 0]) - scene.fruits[0].center, axis=1).argmin()
+    grasp, center = bezier[row, 0], robot.tool_positions(bezier[row, 0])
+    joints = robot.arm.joint_points(grasp[1:])
+    along = (joints[-1] - joints[-2]) @ robot.plane_at(grasp[0])[1][:2]
+    along /= np.linalg.norm(along)
+    behind = np.maximum(-(tool - center) @ along, 0.0)
+    off = np.linalg.norm(tool - center + behind[..., None] * along, axis=-1).max(axis=0)
+    turned = np.abs(q[..., 1:].sum(axis=-1) - grasp[1:].sum()).max(axis=0) + np.abs(q[..., 0] - grasp[0]).max(axis=0)
+    assert off[window].max() <= OFFSET
+    assert turned[window].max() <= TURN + 1e-9
+    assert off[window.start - 1] > 0.98 * OFFSET or turned[window.start - 1] > 0.98 * TURN
+
+
+def test_curves_between_rows_far_apart_are_not_taken_for_straight(robot, apple):
+    """Rows on the line, the cubic between them beside it."""
+    scene = orchard(apple, np.radians([0.0, 30.0, 20.0, 10.0]))
+    result = hplan.plan(robot, scene)
+    bezier, _ = cubic_pieces(result.trajectory)
+    window = contact_window(robot, bezier, apple.center)
+    inside = (window.start + window.stop) // 2
+    bent = np.array(bezier)
+    for joint, shift in ((0, 0.02), (1, 0.02)):
+        bent = np.array(bezier)
+        bent[inside - 20, 1:3, joint] += shift
+        other = contact_window(robot, bent, apple.center)
+        assert window.start <= inside - 20 < other.start
+
+
+def test_tool_that_is_not_there(robot, picked):
+    scene, result = picked
+    for gap, there in ((0.9 * THERE, True), (1.1 * THERE, False)):
+        center = (*scene.fruits[0].center[:2], scene.fruits[0].center[2] + gap)
+        moved = scene.model_copy(update={"fruits": (scene.fruits[0].model_copy(update={"center": center}),)})
+        certificate = certify(robot, moved, result.trajectory)
+        assert certificate.verified is there
+        assert (certificate.contact_s is not None) is there
+        if not there:
+            assert "no nearer than 1.1 mm" in certificate.violations[0]
+            assert "'hand'" in certificate.violations[1]
+
+
+def test_other_contact_is_refused(robot, picked):
+    with pytest.raises(OptionError) as error:
+        certify(robot, picked[0], picked[1].trajectory, goal_contact="sometimes")
+    assert error.value.data["option"] == "goal_contact"
+
+
+def test_without_a_straight_approach_the_certificate_says_so(robot):
+    """A fruit behind which a wall leaves no room for an approach along the last link."""
+    scene = load_scene(scenes_dir() / "orchard-row.yaml")
+    scene = scene.model_copy(update={"goal": Goal(fruit="fruit 02")})
+    result = hplan.plan(robot, scene)
+    assert result.grasp.distance == 0.0
+    assert result.certificate.verified
+    assert result.certificate.goal_contact == "motion"
+    assert result.certificate.contact_s == (0.0, result.trajectory.duration)
+    assert result.report["certificate"]["goal_contact"] == "motion"
+    refused = certify(robot, scene, result.trajectory)
+    assert not refused.verified
+    assert "'hand'" in refused.violations[0]
+    shown = certify(robot, scene, result.trajectory, goal_contact="motion")
+    assert shown.verified
+    assert shown.contact_s == result.certificate.contact_s
+    assert shown.min_clearance_m == pytest.approx(result.certificate.min_clearance_m)
+
+
+def test_approach_that_is_not_straight_is_not_certified(robot, picked, monkeypatch):
+    """What plan makes is judged by the same rule."""
+    scene, _ = picked
+    timed = certified_motion.timed
+
+    def bent(task, path, *more):
+        motion = timed(task, path, *more)
+        if not isinstance(path, ApproachPath):
+            return motion
+        s = np.sin(np.linspace(0.0, np.pi, motion.samples))[:, None] ** 2
+        return replace(motion, position=motion.position + s * np.radians([3.0, 0.0, 0.0, 0.0]))
+
+    monkeypatch.setattr(certified_motion, "timed", bent)
+    with pytest.raises(CertificationError, match=r"link 'hand' comes to -\S+ mm of obstacle 'apple'"):
+        hplan.plan(robot, scene)
+
+
+def test_last_link_that_pivots_about_the_fruit_leaves_its_direction(robot, apple):
+    """The tool stays at the centre, the hand turns about it by 10 deg: at most `TURN` to both sides is one approach."""
+    q, rows = GRASP, []
+    for angle in np.arange(52.0, 62.01, 0.1):
+        found = reach(robot, apple.center, approach_deg=angle).configurations
+        q = found[np.abs(found - q).max(axis=1).argmin()]
+        rows.append(q)
+    position = np.array(rows)
+    time = 0.02 * np.arange(len(position))
+    velocity = np.gradient(position, time, axis=0)
+    zero = 0.0 * position
+    bezier, _ = cubic_pieces(Trajectory(robot.joint_names, time, position, velocity, zero, zero))
+    assert np.linalg.norm(robot.tool_positions(position) - apple.center, axis=1).max() < THERE
+    window = contact_window(robot, bezier, apple.center)
+    angles = position[window.start : window.stop + 1, 1:].sum(axis=1)
+    assert TURN - np.radians(0.11) <= np.ptp(angles) <= 2.0 * TURN + 1e-9
+    assert np.ptp(position[:, 1:].sum(axis=1)) > 4.0 * TURN

@@ -1,0 +1,693 @@
+"""All that moves is in the proof, and the planner knows it: turret, masts, cabinets, folds. Truth is coal's."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import pickle
+from dataclasses import replace
+
+import coal
+import numpy as np
+import pytest
+from arm_variants import axis_points, random_obstacles
+from fitted_arms import Bodies, box, distance, fitted, mesh, quintic, scene_of
+from studies.planar_cspace import arm_sections, joint_grid
+
+from hplan.certificate.certificate import certify
+from hplan.collision.clearance_field import ClearanceField
+from hplan.collision.coal_scene import CoalScene
+from hplan.errors import BlockedError, ConfigurationInCollisionError, InputError, NoPathError
+from hplan.grid.occupancy import occupancy
+from hplan.grid.prepared_obstacles import prepare_obstacles
+from hplan.grid.sections import only, sections_at
+from hplan.planning.joint_ranges import MARGIN, joint_ranges
+from hplan.planning.options import PlanOptions
+from hplan.planning.plan import plan
+from hplan.planning.world import World
+from hplan.robot.base_shapes import BASE_DEPTH, GROUND, TURRET, always, base_shapes, ever, turret_radius
+from hplan.robot.folding import Fold, folded_angles, folds
+from hplan.robot.self_contact import pair_rates, pair_sway, self_contact
+from hplan.scene.model import Goal
+from hplan.scene.obstacles import Box, Capsule, Sphere
+
+COUNTERWEIGHT = box((0.5, 0.1, 0.1), (-0.3, 0.0, 0.45))
+REST = (0.0, 45.0, 45.0, 45.0)
+FAR = (120.0, 45.0, 45.0, 45.0)
+POST = Capsule(name="post", start=(0.0, -0.4, 0.3), end=(0.0, -0.4, 0.55), radius=0.05)
+
+
+def shown(certificate) -> bool:
+    """Whether the clearance is, whatever is said of limits."""
+    return not any("comes to" in violation for violation in certificate.violations)
+
+
+def solids_of(obstacles):
+    """Obstacles in coal, without hplan."""
+    placed = []
+    for obstacle in obstacles:
+        if isinstance(obstacle, Capsule):
+            a, b = np.array(obstacle.start), np.array(obstacle.end)
+            assert abs((b - a)[:2]).max() == 0.0  # upright
+            placed.append((coal.Capsule(obstacle.radius, (b - a)[2]), coal.Transform3s(np.eye(3), 0.5 * (a + b))))
+        elif isinstance(obstacle, Sphere):
+            placed.append((coal.Sphere(obstacle.radius), coal.Transform3s(np.eye(3), np.array(obstacle.center))))
+        else:
+            placed.append((coal.Box(*obstacle.size), coal.Transform3s(obstacle.rotation, np.array(obstacle.center))))
+    return placed
+
+
+# Turret and obstacles
+
+
+def test_a_counterweight_does_not_sweep_through_a_post(tmp_path):
+    robot = fitted(tmp_path, {"turret": [COUNTERWEIGHT]})
+    bodies, solids = Bodies(robot), solids_of([POST])
+    certificate = certify(robot, scene_of(REST, FAR, [POST]), quintic(robot, REST, FAR))
+    assert not shown(certificate)
+    assert (certificate.nearest.link, certificate.nearest.obstacle) == ("turret", "post")
+    assert certificate.min_clearance_m < -0.08
+    with pytest.raises(NoPathError, match="'turret' is in obstacle 'post'") as caught:
+        plan(robot, scene_of(REST, FAR, [POST]))
+    # The yaws that are said to be blocked are, and those beside them are not.
+    (blocker,) = caught.value.blockers
+    low, high = blocker["slices_deg"]
+    for yaw in np.linspace(0.0, 120.0, 481):
+        inside = low + 0.05 < yaw < high - 0.05
+        if inside or not low - 0.05 < yaw < high + 0.05:
+            assert (bodies.clearance(np.radians([yaw, *REST[1:]]), solids) <= 0.0) == inside
+    # On this side of it, all is as it was.
+    near = (60.0, 45.0, 45.0, 45.0)
+    result = plan(robot, scene_of(REST, near, [POST]))
+    assert result.certificate.verified
+    least = min(bodies.from_obstacles(q, solids) for q in result.trajectory.position[::4])
+    assert least >= result.certificate.min_clearance_m > 0.0
+
+
+def test_the_ways_around_are_found(tmp_path):
+    # By more than a whole turn of the base there are two yaws for a point, and one is on this side of the post.
+    robot = fitted(tmp_path, {"turret": [COUNTERWEIGHT]}, yaw_deg=350.0)
+    position = robot.tool_positions(np.radians([120.0, 10.0, 10.0, 10.0])).tolist()  # out of reach backwards
+    scene = scene_of(REST, obstacles=[POST], goal=Goal(position=tuple(position)))
+    result = plan(robot, scene)
+    assert result.certificate.verified
+    assert math.degrees(result.grasp.goal[0]) == pytest.approx(-240.0)
+    bodies, solids = Bodies(robot), solids_of([POST])
+    assert min(bodies.clearance(q, solids) for q in result.trajectory.position[::4]) > 0.0
+    # With less than that there is one, which is said to be blocked, and by what.
+    near = fitted(tmp_path, {"turret": [COUNTERWEIGHT]}, name="near")
+    with pytest.raises(BlockedError) as caught:
+        plan(near, scene)
+    assert {(found["link"], found["obstacle"]) for found in caught.value.obstacles} == {("turret", "post")}
+
+
+def test_turns_are_taken_up_to_the_obstacle(tmp_path):
+    """A goal a degree before the wall is reached, one behind it is not, and one in it is refused as such."""
+    robot = fitted(tmp_path, {"turret": [COUNTERWEIGHT]})
+    checker = CoalScene(robot, [POST])
+    edge = math.degrees(joint_ranges(checker, np.radians(REST)).upper[0])
+    assert 70.0 < edge < 80.0
+    goal = (edge - 0.3, *REST[1:])
+    result = plan(robot, scene_of(REST, goal, [POST]))
+    assert result.certificate.verified
+    assert result.problem.upper[0] < math.radians(edge + 0.3)
+    with pytest.raises(ConfigurationInCollisionError, match=r"'turret' is .* mm deep in obstacle 'post'"):
+        plan(robot, scene_of(REST, (90.0, *REST[1:]), [POST]))
+    with pytest.raises(InputError, match="deep in the robot's 'turret', at a yaw of 90 deg"):
+        plan(robot, scene_of((90.0, *REST[1:]), REST, [POST]))
+
+
+@pytest.mark.parametrize("clearance", [0.0, 0.03])
+@pytest.mark.parametrize("sigma", [0.0, 0.004])
+def test_ranges_of_yaw_are_those_of_coal(tmp_path, clearance, sigma):
+    rng = np.random.default_rng(3)
+    carried = [box((0.4, 0.2, 0.1), (-0.3, 0.05, 0.45), (0.2, 0.1, 0.4)), box((0.1,) * 3, (0.1, 0.4, 0.5))]
+    robot = fitted(tmp_path, {"turret": carried})
+    bodies, walls = Bodies(robot), 0
+    turning = [shape for shape in bodies.shapes if shape[0] == 1][1:]
+    lowest = [shape.bottom for shape in base_shapes(robot) if shape.carrier == TURRET][1:]
+    for _ in range(12):
+        obstacles = [
+            Sphere(name=f"o{i}", center=(r * math.cos(a), r * math.sin(a), z), radius=0.06, sigma=sigma)
+            for i, (r, a, z) in enumerate(rng.uniform([0.2, -3.1, 0.2], [0.7, 3.1, 0.7], (2, 3)))
+        ]
+        world = World.of(robot, obstacles, clearance=clearance, sigmas=2.0)
+
+        def spare(yaw, obstacles=obstacles):
+            found = [1.0]
+            for (_, _, shape, placement), low in zip(turning, lowest, strict=True):
+                where = coal.Transform3s(*_turned(yaw, placement))
+                # What is below for good is left out.
+                reached = solids_of(o for o in obstacles if o.center[2] + o.radius > low + BASE_DEPTH)
+                found += [distance(shape, where, *solid) for solid in reached]
+            return min(found) - clearance - 2.0 * sigma
+
+        start = np.zeros(4)
+        if spare(0.0) < 0.01:
+            continue
+        ranges = joint_ranges(world.checker, start)
+        for sign, end in ((-1.0, ranges.lower[0]), (1.0, ranges.upper[0])):
+            assert min(spare(yaw) for yaw in np.linspace(0.0, end, 400)) >= 0.99 * MARGIN
+            if abs(end) < math.pi:
+                walls += 1
+                assert spare(end + sign * 2e-3) < 1.2 * MARGIN
+    assert walls > 6
+
+
+def _turned(yaw, placement):
+    turn = np.array([[math.cos(yaw), -math.sin(yaw), 0], [math.sin(yaw), math.cos(yaw), 0], [0, 0, 1.0]])
+    return turn @ placement.rotation, turn @ placement.translation
+
+
+def test_the_ground_is_below_whatever_the_yaw(tmp_path):
+    """A counterweight may stand on the floor, and a box that turns above a table."""
+    robot = fitted(tmp_path, {"turret": [box((0.5, 0.1, 0.2), (-0.3, 0.0, 0.1))]})
+    floor = Box(name="floor", center=(0.0, 0.0, -0.05), size=(6.0, 6.0, 0.1))
+    checker = CoalScene(robot, [floor], clearance=0.02)
+    assert checker.mover_names[3:] == ("turret",)
+    assert checker.distances(np.zeros(4))[3, 0] == np.inf
+    assert plan(robot, scene_of(REST, FAR, [floor])).certificate.verified
+    kerb = Box(name="kerb", center=(0.0, 0.45, 0.0), size=(0.1, 0.1, 0.1))
+    motion = quintic(robot, REST, (-170.0, *REST[1:]))
+    assert not shown(certify(robot, scene_of(REST, FAR, [floor, kerb]), motion))
+    assert shown(certify(robot, scene_of(REST, FAR, [floor]), motion))
+
+
+@pytest.mark.parametrize("depth", [1e-4, 5e-4, 9e-4, -1e-3])
+@pytest.mark.parametrize("kind", ["ball", "box"])
+def test_what_the_turret_grazes_from_above_is_in_its_way(tmp_path, kind, depth):
+    """However little: it does not stand on it, but turns into it."""
+    robot = fitted(tmp_path, {"turret": [box((0.2, 0.1, 0.1), (-0.3, 0.0, 0.45))]})
+    top = max((shape for shape in base_shapes(robot) if shape.carrier == TURRET), key=lambda shape: shape.radius).bottom
+    top += depth
+    obstacle = Sphere(name="kerb", center=(0.0, 0.3, top - 0.05), radius=0.05)
+    if kind == "box":
+        obstacle = Box(name="kerb", center=(0.0, 0.3, top - 0.05), size=(0.1, 0.1, 0.1))
+    motion = quintic(robot, REST, (-170.0, *REST[1:]))
+    assert bool(shown(certify(robot, scene_of(REST, FAR, [obstacle]), motion))) == (depth < 0.0)
+
+
+def test_round_turrets_are_looked_at_once(robot):
+    checker = CoalScene(robot, [POST])
+    assert turret_radius(robot) == 0.0
+    assert checker.mover_names == checker.link_names
+    assert checker.own_others == []
+    assert joint_ranges(checker, np.zeros(4)).walls == ()
+
+
+def test_what_the_turret_may_not_touch_counts_with_its_uncertainty(tmp_path):
+    robot = fitted(tmp_path, {"turret": [COUNTERWEIGHT]})
+    ball = Sphere(name="ball", center=(0.0, 0.62, 0.45), radius=0.05, sigma=0.01)  # 20 mm from the sweep
+    motion = quintic(robot, REST, (-170.0, *REST[1:]))
+    bodies, solids = Bodies(robot), solids_of([ball])
+    least = min(bodies.from_obstacles(q, solids) for q in motion.position)
+    for sigmas, clearance, error, expected in (
+        (0.0, 0.0, 0.0, True),
+        (3.0, 0.0, 0.0, False),
+        (0.0, least + 1e-4, 0.0, False),
+        (0.0, 0.0, 1.1 * least / turret_radius(robot), False),
+        (0.0, 0.0, 0.9 * least / turret_radius(robot), True),
+    ):
+        checker = CoalScene(robot, [ball], growth=sigmas * ball.sigma)
+        certificate = certify(
+            robot, scene_of(REST, obstacles=[ball], clearance=clearance), motion, tracking_error=error, checker=checker
+        )
+        assert shown(certificate) == expected
+        if expected:
+            assert clearance < certificate.min_clearance_m <= least - error * turret_radius(robot) + 1e-6
+
+
+# Turret and pedestal
+
+
+def test_turret_and_pedestal_are_pairs_where_they_can_touch(tmp_path):
+    stop = box((0.1, 0.1, 0.3), (0.0, -0.4, 0.4))
+    robot = fitted(tmp_path, {"turret": [COUNTERWEIGHT], "base_link": [stop]})
+    ((turning, standing),) = self_contact(robot).turret
+    assert (turning.name, standing.name) == ("turret", "base_link")
+    certificate = certify(robot, scene_of(REST), quintic(robot, REST, FAR))
+    assert not shown(certificate)
+    assert (certificate.nearest.link, certificate.nearest.obstacle) == ("turret", "base_link")
+    with pytest.raises(NoPathError, match="'turret' is in link 'base_link'"):
+        plan(robot, scene_of(REST, FAR))
+    result = plan(robot, scene_of(REST, (60.0, 45.0, 45.0, 45.0)))
+    assert result.certificate.verified
+    bodies = Bodies(robot)
+    assert min(bodies.clearance(q) for q in result.trajectory.position[::4]) > 0.0
+
+
+def test_turret_and_pedestal_that_always_or_never_touch_are_left_out(tmp_path):
+    flange = box((0.2, 0.2, 0.1), (0.0, 0.0, 0.4))
+    cases = {
+        "mounted": ([box((0.3, 0.3, 0.1), (0.0, 0.0, 0.42))], [flange]),
+        "resting on it": ([box((0.3, 0.3, 0.1), (0.0, 0.0, 0.5))], [flange]),
+        "beside it": ([COUNTERWEIGHT], [box((0.1, 0.1, 0.5), (0.0, -0.8, 0.4))]),
+    }
+    for name, (turret, base) in cases.items():
+        robot = fitted(tmp_path, {"turret": turret, "base_link": base}, name=name.replace(" ", "_"))
+        assert self_contact(robot).turret == (), name
+    # Only within the limits: a stop at the back that the base never reaches.
+    stop = box((0.1, 0.1, 0.3), (0.4, 0.0, 0.4))
+    for yaw_deg, expected in ((180.0, 1), (100.0, 0), (166.0, 1)):
+        robot = fitted(
+            tmp_path, {"turret": [COUNTERWEIGHT], "base_link": [stop]}, yaw_deg=yaw_deg, name=f"yaw{yaw_deg:g}"
+        )
+        assert len(self_contact(robot).turret) == expected
+    # A tracking error and a clearance bring them together.
+    robot = fitted(tmp_path, {"turret": [COUNTERWEIGHT], "base_link": [stop]}, yaw_deg=157.0, name="nearly")
+    turning, standing = base_shapes(robot)[-1], base_shapes(robot)[1]
+    ends = (robot.lower[0], robot.upper[0])
+    gap = min(turning.distance_to(yaw, standing.geometry, standing.placement) for yaw in ends)
+    assert 0.0 < gap < 0.05
+    assert len(self_contact(robot).turret) == 0
+    assert len(self_contact(robot, clearance=gap + 1e-3).turret) == 1
+    assert len(self_contact(robot, deviation=gap / 0.3).turret) == 1
+
+
+def test_always_and_ever_are_sure():
+    rng = np.random.default_rng(4)
+    for _ in range(200):
+        shift, low = rng.uniform(-3.0, 3.0, 2)
+        high = low + rng.uniform(0.0, 4.0)
+        level = float(rng.uniform(-1.2, 1.2))
+        values = np.sin(np.linspace(low, high, 2001) + shift)
+        wave = lambda x, shift=shift: math.sin(x + shift)  # noqa: E731
+        if abs(values.min() - level) > 2e-4:
+            assert ever(wave, low, high, 1.0, level) == (values.min() < level)
+        if abs(values.max() - level) > 2e-4:
+            assert always(wave, low, high, 1.0, level) == (values.max() < level)
+
+
+# Links, turret and pedestal
+
+
+def test_a_mast_on_the_turret_is_asked_against_every_link(tmp_path):
+    mast = box((0.05, 0.05, 0.8), (0.3, 0.0, 1.2))
+    robot = fitted(tmp_path, {"turret": [mast]})
+    contact = self_contact(robot)
+    assert [(body.carrier, body.links[0]) for body in contact.bodies] == [(TURRET, 0)]
+    low, high = (0.0, 5.0, 0.0, 0.0), (0.0, 85.0, 0.0, 0.0)
+    certificate = certify(robot, scene_of(low), quintic(robot, low, high))
+    assert not shown(certificate)
+    assert (certificate.nearest.link, certificate.nearest.obstacle) == ("upper_arm", "turret")
+    with pytest.raises(NoPathError):
+        plan(robot, scene_of(low, high, locked_joints=("base_yaw",)), PlanOptions(step_deg=3.0))
+    # The mast turns with the arm: it is no nearer after a turn.
+    checker, field = CoalScene(robot, []), ClearanceField.of(robot, [])
+    for yaw in (-2.0, 0.7, 3.0):
+        q = np.array([yaw, 0.1, 0.4, 0.2])
+        assert checker.nearest(q).distance_m == pytest.approx(checker.nearest([0.0, *q[1:]]).distance_m, abs=1e-9)
+        assert field.clearance(q) == pytest.approx(field.clearance([0.0, *q[1:]]), abs=1e-12)
+    result = plan(robot, scene_of((-100.0, 5.0, 0.0, 0.0), (100.0, 5.0, 80.0, 10.0)))
+    assert result.certificate.verified
+    bodies = Bodies(robot)
+    assert min(bodies.clearance(q) for q in result.trajectory.position[::4]) > 0.0
+
+
+def test_a_mast_beside_the_arm_plane_is_no_pair(tmp_path):
+    robot = fitted(tmp_path, {"turret": [box((0.05, 0.05, 0.8), (0.3, 0.15, 1.2))]})
+    assert not self_contact(robot).possible
+    assert self_contact(robot, clearance=0.08).possible
+
+
+def test_a_cabinet_on_the_pedestal_is_asked_against_the_upper_arm(tmp_path):
+    robot = fitted(tmp_path, {"base_link": [box((0.2, 0.2, 1.0), (0.6, 0.0, 0.5))]})
+    assert [(body.carrier, body.links[0], body.is_round) for body in self_contact(robot).bodies] == [(GROUND, 0, False)]
+    start, goal = (-90.0, 2.0, 90.0, 0.0), (90.0, 2.0, 90.0, 0.0)
+    certificate = certify(robot, scene_of(start), quintic(robot, start, goal))
+    assert not shown(certificate)
+    assert (certificate.nearest.link, certificate.nearest.obstacle) == ("upper_arm", "base_link")
+    result = plan(robot, scene_of(start, goal))
+    assert result.certificate.verified
+    bodies = Bodies(robot)
+    assert min(bodies.clearance(q) for q in result.trajectory.position[::4]) >= result.certificate.min_clearance_m > 0.0
+
+
+def test_thick_layers_hold_what_stands_on_the_pedestal(tmp_path):
+    robot = fitted(tmp_path, {"base_link": [box((0.2, 0.2, 1.0), (0.6, 0.0, 0.5))]})
+    checker, grid = CoalScene(robot, []), joint_grid(robot.arm, math.radians(15.0))
+    nodes = grid.coordinates(np.stack(np.unravel_index(np.arange(grid.size), grid.shape), axis=-1))
+    middle, half_angle, contacts = 0.4, 0.2, 0
+    thin, thick = (
+        occupancy(robot.arm, sections_at(robot, prepare_obstacles([]), middle, half_angle=half), grid).occupied.ravel()
+        for half in (0.0, half_angle)
+    )
+    assert (thin <= thick).all()
+    for node, occupied, inside in zip(nodes, thick, thin, strict=True):
+        if checker.distances([middle - 0.95 * half_angle, *node]).min() < -1e-6:
+            assert occupied
+            contacts += not inside
+    assert contacts > 10
+
+
+def test_what_carries_the_shoulder_is_left_out_and_nothing_else(tmp_path):
+    forks = [box((0.08, 0.011, 0.108), (0.0, y, 0.546)) for y in (-0.0365, 0.0365)]
+    beside = box((0.1, 0.1, 0.3), (0.2, 0.0, 0.35))
+    robot = fitted(tmp_path, {"turret": [*forks, beside]}, low=-60.0)
+    assert {shape.number for shape in base_shapes(robot)} == {0, 1, 2, 3, 4}
+    found = {body.shape: body.links for body in self_contact(robot).bodies}
+    assert 0 in found[4]
+    assert all(0 not in found.get(shape, ()) for shape in (1, 2, 3))
+
+
+def _fitted_arms(folder, rng, count):
+    """Arms with boxes on pedestal and turret, masts, wide ranges."""
+    for number in range(count):
+        links = int(rng.integers(2, 4))
+        more = {"turret": [], "base_link": []}
+        for carrier, boxes in more.items():
+            for _ in range(int(rng.integers(0, 3))):
+                angle, r = rng.uniform(-math.pi, math.pi), rng.uniform(0.15, 0.5)
+                top = 1.4 if carrier == "turret" else 0.6
+                at = (r * math.cos(angle), r * math.sin(angle), rng.uniform(0.3, top))
+                boxes.append(box(rng.uniform(0.04, 0.3, 3), at, rng.uniform(-1.0, 1.0, 3)))
+        yield fitted(
+            folder,
+            more,
+            low=-rng.uniform(0.0, 150.0, links),
+            high=rng.uniform(40.0, 150.0, links),
+            yaw_deg=float(rng.uniform(90.0, 300.0)) if rng.random() < 0.85 else None,
+            lengths=rng.uniform(0.3, 1.0, links).round(3).tolist(),
+            widths=np.sort(rng.uniform(0.02, 0.06, links))[::-1].round(3).tolist(),
+            name=f"arm{number}",
+        )
+
+
+def test_distances_and_sections_of_what_is_on_the_base_are_those_of_coal(tmp_path):
+    rng = np.random.default_rng(21)
+    near = {TURRET: 0, GROUND: 0}
+    for robot in _fitted_arms(tmp_path, rng, 14):
+        contact = self_contact(robot)
+        bodies = [body for body in contact.bodies if not body.is_round]
+        if not bodies:
+            continue
+        only_them = replace(contact, bodies=tuple(bodies), links=())
+        checker = CoalScene(robot, [], single_joint_pairs=False)
+        field = ClearanceField.of(robot, [])
+        grid = joint_grid(robot.arm, math.radians(25.0))
+        nodes = grid.coordinates(np.stack(np.unravel_index(np.arange(grid.size), grid.shape), axis=-1))
+        yaws = rng.uniform(robot.lower[0], robot.upper[0], 2) if robot.has_yaw else [0.0]
+        for yaw, half_angle in zip(yaws, (0.0, 0.2), strict=False):
+            sections = sections_at(
+                robot, prepare_obstacles([]), float(yaw), half_angle=half_angle if robot.has_yaw else 0.0
+            )
+            ours = occupancy(robot.arm, sections, grid).occupied.ravel()
+            for node, occupied in zip(nodes, ours, strict=True):
+                # Thick layers hold what is met anywhere in them.
+                q = [yaw + 0.95 * half_angle, *node] if robot.has_yaw else node
+                table = checker.distances(q)
+                least = float(table.min())
+                if least < -1e-6:
+                    assert occupied
+                elif least > 0.05 + half_angle * 2.5:
+                    assert not occupied
+                found = float(field.clearance(q))
+                own = min(
+                    (0.5 if name in checker.link_names else 1.0) * float(table[:, k].min())
+                    for k, name in enumerate(checker.obstacle_names)
+                )
+                if least > 1e-6:
+                    assert -3e-3 + own <= found <= own + 1e-6
+                else:
+                    assert found <= 1e-6
+                for body in only_them.bodies:
+                    near[body.carrier] += float(table[:, checker.obstacle_names.index(body.name)].min()) < 0.05
+    assert min(near.values()) > 100
+
+
+def test_a_clearance_field_near_a_motion_keeps_what_turns_with_the_arm(tmp_path):
+    robot = fitted(tmp_path, {"turret": [box((0.05, 0.05, 0.8), (0.4, 0.0, 1.2))]})
+    obstacles = random_obstacles(np.random.default_rng(2))
+    field = ClearanceField.of(robot, obstacles).sparing(np.arange(len(obstacles)) == 1)
+    for yaw in (-2.5, 1.0):
+        q = np.array([yaw, 0.3, 0.2, 0.1])
+        near = field.near([q, q], 0.3)
+        alone = ClearanceField.of(robot, []).link_clearances(q)
+        assert alone[0] < 0.3
+        assert near.link_clearances(q)[0] <= alone[0]
+        np.testing.assert_allclose(field.only(np.zeros(len(obstacles), bool)).link_clearances(q), alone, atol=1e-12)
+
+
+@pytest.mark.parametrize(("at", "link"), [((0.8, 0.0, 0.95), 0), ((1.9, 0.0, 1.2), 2)])
+def test_what_turns_with_the_arm_is_behind_nothing_else(tmp_path, at, link):
+    """Its bounding ball is at every yaw where it is: another obstacle, farther away, does not hide it."""
+    robot = fitted(tmp_path, {"turret": [box((0.05, 0.05, 0.3), at)]})
+    for yaw in (-2.5, 0.0, 3.0):
+        q = np.array([yaw, 0.1, 0.2, 0.1])
+        alone = ClearanceField.of(robot, []).link_clearances(q)[link]
+        assert 0.01 < alone < 0.15
+        assert alone == pytest.approx(CoalScene(robot, []).distances(q)[link].min(), abs=1e-6)
+        end = axis_points(robot, q)[link + 1]
+        beside = end + 0.4 * np.array([-math.sin(yaw), math.cos(yaw), 0.0])
+        field = ClearanceField.of(robot, [Sphere(name="ball", center=tuple(beside), radius=0.05)])
+        assert field.link_clearances(q)[link] == pytest.approx(alone, abs=1e-12)
+        assert field.near([q, q], 0.2).link_clearances(q)[link] == pytest.approx(alone, abs=1e-12)
+
+
+# Neighbours that fold
+
+
+def test_neighbours_fold_up_to_the_convention(tmp_path):
+    """From 19.5 degrees between them on; a wide elbow of 150 degrees folds into nothing."""
+    wide = fitted(tmp_path, low=-150.0, high=150.0, name="wide")
+    assert self_contact(wide).folds == ()
+    robot = fitted(tmp_path, low=0.0, high=(90.0, 178.0), lengths=(1.0, 0.7), widths=(0.05, 0.04), name="fold")
+    (fold,) = self_contact(robot).folds
+    assert fold == Fold(0, pytest.approx(0.27), (0, 1))
+    ((low, _),) = folded_angles(robot.arm, fold, 0.09)
+    assert math.degrees(low) == pytest.approx(180.0 - math.degrees(math.asin(1.0 / 3.0)))
+    goal = (0.0, 80.0, 177.0)
+    with pytest.raises(ConfigurationInCollisionError, match=r"'link_2' is .* mm deep in link 'link_1'"):
+        plan(robot, scene_of((0.0, 80.0, 60.0), goal))
+    certificate = certify(robot, scene_of((0.0, 80.0, 60.0)), quintic(robot, (0.0, 80.0, 60.0), goal))
+    assert not shown(certificate)
+    assert (certificate.nearest.link, certificate.nearest.obstacle) == ("link_2", "link_1")
+    result = plan(robot, scene_of((0.0, 80.0, 60.0), (0.0, 60.0, 159.0)))
+    assert result.certificate.verified
+    assert result.problem.upper[2] < low
+    assert result.problem.upper[2] > low - 0.02
+
+
+@pytest.mark.parametrize("aside", [0.0, 0.06])
+@pytest.mark.parametrize("lengths", [(1.0, 0.7), (0.26, 0.7), (0.7, 0.26), (0.2, 0.8)])
+def test_folded_angles_are_those_of_coal(tmp_path, lengths, aside):
+    """Whichever link is the shorter one; what lies beyond the joint's own reach is trimmed by the test itself."""
+    robot = fitted(tmp_path, low=-179.0, high=(90.0, 179.0), lengths=lengths, widths=(0.05, 0.04))
+    robot = robot.with_arm(replace(robot.arm, lateral=np.array([0.0, aside])))
+    checker, reach = CoalScene(robot, []), 0.27
+    found_folds = self_contact(robot).folds
+    assert bool(found_folds) == (max(lengths) > reach and min(lengths) > reach - math.sqrt(0.09**2 - aside**2))
+    assert len(found_folds) == bool(found_folds)
+    for angle in np.radians(np.arange(-179.0, 180.0, 0.5)):
+        points = axis_points(robot, np.array([0.3, 0.4, angle]))
+        expected = math.inf
+        for joint, end, other in ((points[1], points[2], points[0]), (points[1], points[0], points[2])):
+            length = np.linalg.norm(end - joint)
+            if length > reach:
+                beyond = joint + (end - joint) * np.linspace(reach / length, 1.0, 60)[:, None]
+                t = np.clip(((beyond - joint) @ (other - joint)) / ((other - joint) @ (other - joint)), 0.0, 1.0)
+                in_plane = np.linalg.norm(beyond - joint - t[:, None] * (other - joint), axis=1).min()
+                expected = min(expected, np.hypot(in_plane, aside) - 0.09)
+        if found_folds:
+            found = float(checker.distances([0.3, 0.4, angle])[1, checker.obstacle_names.index("link_1")])
+            assert found == pytest.approx(expected, abs=1e-6)
+            blocked = any(low < angle < high for low, high in folded_angles(robot.arm, found_folds[0], 0.09))
+            if abs(expected) > 1e-6:
+                assert blocked == (expected < 0.0)
+
+
+def test_an_elbow_does_not_pass_through_its_fold(tmp_path):
+    robot = fitted(tmp_path, low=0.0, high=(90.0, 300.0), lengths=(1.0, 0.7), widths=(0.05, 0.04))
+    start, goal = (0.0, 60.0, 60.0), (0.0, 60.0, 260.0)
+    with pytest.raises(NoPathError, match="'link_2' is in link 'link_1'") as caught:
+        plan(robot, scene_of(start, goal))
+    low, high = caught.value.blockers[0]["slices_deg"]
+    assert (low, high) == (pytest.approx(160.5, abs=0.1), pytest.approx(199.5, abs=0.1))
+    # A clearance makes what is the joint's own as much larger: the angle is the same.
+    with pytest.raises(NoPathError) as wider:
+        plan(robot, scene_of(start, goal, clearance=0.03))
+    assert wider.value.blockers[0]["slices_deg"] == pytest.approx((low, high), abs=0.2)
+    with pytest.raises(NoPathError) as uncertain:
+        plan(robot, scene_of(start, goal), PlanOptions(tracking_error=0.01))
+    assert uncertain.value.blockers[0]["slices_deg"][0] < low - 0.5
+
+
+def test_neighbours_that_lie_beside_each_other_do_not_fold(tmp_path):
+    robot = fitted(tmp_path, low=-179.0, high=(90.0, 179.0), lengths=(1.0, 0.7), widths=(0.05, 0.04))
+    apart = robot.with_arm(replace(robot.arm, lateral=np.array([0.0, 0.0901])))
+    assert self_contact(apart.with_arm(replace(apart.arm, lateral=np.array([0.0, 0.0899])))).folds
+    assert folds(apart.arm, 0.0, 0.0) == ()
+    assert folds(apart.arm, 1e-3, 0.0) != ()
+
+
+# Limits, tracking error and clearance
+
+
+def test_what_a_deviation_or_a_clearance_brings_together_is_asked(tmp_path):
+    """Two links that come to 1 mm of each other at their limits, and no nearer."""
+
+    def arm(limit, name):
+        return fitted(tmp_path, high=(85.0, 150.0, limit), name=name)
+
+    def least(robot):
+        planar = robot.arm.joint_points(np.column_stack([np.zeros(1501), elbows, np.full(1501, robot.upper[3])]))
+        hand = planar[:, 2:3] + np.linspace(0.0, 1.0, 101)[:, None] * (planar[:, 3:] - planar[:, 2:3])
+        apart = np.hypot(hand[..., 0] - np.clip(hand[..., 0], 0.0, 1.0), hand[..., 1]).min(axis=1) - 0.08
+        return float(apart.min()), float(elbows[apart.argmin()])
+
+    elbows = np.radians(np.linspace(0.0, 150.0, 1501))
+    low, high = 60.0, 110.0
+    for step in range(25):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if least(arm(middle, f"a{step}"))[0] > 1e-3 else (low, middle)
+    robot = arm(low, "nearly")
+    spare, elbow = least(robot)
+    assert spare == pytest.approx(1e-3, abs=1e-4)
+    assert self_contact(robot).links == ()
+    end = np.degrees([0.0, math.radians(83.0), elbow, robot.upper[3]])
+    motion = quintic(robot, end - [0.0, 0.0, 17.0, 17.0], end)
+    for error, clearance, expected in ((0.0, 0.0, True), (0.5, 0.0, False), (0.0, 0.02, False), (0.01, 0.0, True)):
+        certificate = certify(robot, scene_of(end, clearance=clearance), motion, tracking_error=math.radians(error))
+        assert shown(certificate) == expected
+    # Whatever the scene in coal was made for.
+    checker = CoalScene(robot, [])
+    assert "upper_arm" not in checker.obstacle_names
+    assert not shown(certify(robot, scene_of(end), motion, tracking_error=0.01, checker=checker))
+    assert "upper_arm" in checker.covering(0.01, 0.0).obstacle_names
+
+
+def test_a_scene_made_anew_knows_what_may_be_touched_and_grows(tmp_path):
+    robot = fitted(tmp_path, {"turret": [COUNTERWEIGHT], "base_link": [box((0.1,) * 3, (0.4, 0.0, 0.45))]})
+    ball = Sphere(name="ball", center=(0.0, 0.62, 0.45), radius=0.05)
+    checker = CoalScene(robot, [ball, POST], growth=[0.01, 0.0]).touching("post")
+    wider = checker.covering(0.02, 0.01)
+    q = np.array([1.5, 0.4, 0.3, 0.2])
+    for other in (wider, pickle.loads(pickle.dumps(wider))):
+        assert (other.deviation, other.clearance) == (0.02, 0.01)
+        np.testing.assert_allclose(other.distances(q), checker.distances(q))
+        assert other.distances(q)[2, 1] == np.inf  # the last link; the turret may not
+        assert other.distances(q)[3, 1] < np.inf
+
+
+def test_pairs_of_the_turret_move_with_the_yaw_alone(tmp_path):
+    robot = fitted(tmp_path, {"turret": [COUNTERWEIGHT]})
+    rates = np.random.default_rng(1).uniform(-1.0, 1.0, (5, 3, 4))
+    radius = math.hypot(0.55, 0.05)
+    np.testing.assert_allclose(pair_rates(robot, TURRET, GROUND, rates), radius * np.abs(rates[..., 0]).max(axis=1))
+    assert pair_sway(robot, TURRET, GROUND, 0.01) == pytest.approx(0.01 * radius)
+
+
+# Random members
+
+
+def test_certified_motions_of_random_arms_touch_nothing(tmp_path):
+    """Coal on all of the URDF's bodies finds no contact where a certificate says there is none."""
+    rng = np.random.default_rng(8)
+    verified = {"any": 0, "turret": 0}
+    refused = 0
+    for robot in _fitted_arms(tmp_path, rng, 16):
+        bodies = Bodies(robot)
+        obstacles = [
+            Sphere(name=f"o{i}", center=tuple(rng.uniform([-0.9, -0.9, 0.0], [0.9, 0.9, 1.2])), radius=0.05)
+            for i in range(2)
+        ]
+        solids = solids_of(obstacles)
+        for _ in range(6):
+            start, end = np.degrees(rng.uniform(robot.lower, robot.upper, (2, robot.dof)))
+            end = start + rng.uniform(0.2, 1.0) * (end - start)
+            motion = quintic(robot, start, end)
+            certificate = certify(robot, scene_of(start, obstacles=obstacles), motion)
+            least = min(bodies.clearance(q, solids) for q in motion.position[::2])
+            if shown(certificate):
+                assert least > 0.0
+                verified["any"] += 1
+                verified["turret"] += turret_radius(robot) > 0.0
+            else:
+                refused += 1
+    assert verified["turret"] > 8
+    assert refused > 8
+
+
+# Tools
+
+
+@pytest.mark.parametrize("kind", ["box", "mesh"])
+@pytest.mark.parametrize("hung", [False, True])
+def test_a_gripper_is_in_the_last_link(tmp_path, kind, hung):
+    """Off the axis, on `tool0` or on a fixed link farther out: its capsule lies where it is thinnest."""
+    half, at = np.array([0.05, 0.02, 0.03]), np.array([0.02, 0.06, -0.01])
+    corners = half * np.array(list(itertools.product((-1, 1), repeat=3)))
+    shape = box(2.0 * half, at) if kind == "box" else mesh(tmp_path / "gripper.obj", corners, at)
+    out = np.array([0.03, 0.0, 0.02]) if hung else np.zeros(3)
+    more, fixed = ({}, {"gripper": ("tool0", out, shape)}) if hung else ({"tool0": [shape]}, {})
+    robot = fitted(tmp_path, more, hung=fixed)
+    points = corners + at + out  # from the tool, x along the link
+    beyond = np.maximum(points[:, 0], 0.0)
+    beside = np.append(np.linspace(-0.1, 0.1, 20_001), -robot.arm.lateral[-1])  # the plane's normal is -y
+    radii = np.sqrt(beyond**2 + (points[:, 1] - beside[:, None]) ** 2 + points[:, 2] ** 2).max(axis=1)
+    radii = np.maximum(radii, np.abs(beside) + 0.03)  # and the hand's own
+    # A cylinder beside the axis counts as the polygon about it.
+    assert radii[-1] - 1e-9 <= robot.arm.half_widths[-1] <= radii[-1] + 0.0013 * 0.03
+    assert radii[-1] <= radii.min() + 0.0013 * 0.03
+    assert beside[-1] > 0.01
+    assert robot.arm.half_widths[:-1] == pytest.approx([0.05, 0.04])
+
+
+def test_fixed_links_count_wherever_they_hang(tmp_path):
+    shape = box((0.1, 0.1, 0.1), (0.0, 0.0, 0.0))
+    hung = {
+        "camera": ("upper_arm", (0.5, 0.0, 0.15), shape),
+        "cabinet": ("base_link", (0.5, 0.0, 0.3), shape),
+        "mast": ("turret", (0.0, 0.5, 0.3), shape),
+    }
+    robot = fitted(tmp_path, hung=hung)
+    assert robot.arm.half_widths[0] == pytest.approx(math.hypot(0.2, 0.05))
+    by_name = {base.name: base for base in base_shapes(robot)}
+    assert {name: by_name[name].carrier for name in ("cabinet", "mast")} == {"cabinet": GROUND, "mast": TURRET}
+    assert turret_radius(robot) == pytest.approx(math.hypot(0.05, 0.55))
+    assert [(a.name, b.name) for a, b in self_contact(robot).turret] == [("mast", "cabinet")]
+    ball = Sphere(name="ball", center=(-0.5, 0.0, 0.3), radius=0.05)
+    assert not shown(certify(robot, scene_of(REST, obstacles=[ball]), quintic(robot, (0, 0, 0, 0), (140, 0, 0, 0))))
+
+
+# Links in the C-space
+
+
+def test_own_contact_of_four_links_is_where_it_is(tmp_path):
+    """A link meets one before it as far as both are thick, whatever lies between."""
+    rng = np.random.default_rng(17)
+    contacts = 0
+    for number in range(6):
+        lengths = rng.uniform(0.3, 0.6, 4).round(3).tolist()
+        robot = fitted(
+            tmp_path, low=-150.0, high=150.0, lengths=lengths, widths=(0.1, 0.08, 0.08, 0.06), name=f"four{number}"
+        )
+        sections = arm_sections(robot, [])
+        grid = joint_grid(robot.arm, math.radians(30.0))
+        nodes = grid.coordinates(np.stack(np.unravel_index(np.arange(grid.size), grid.shape), axis=-1))
+        points = robot.arm.joint_points(nodes)
+        widths = robot.arm.half_widths
+        for i, j in self_contact(robot).links:
+            ours = occupancy(robot.arm, only(sections, j, sections.obstacle_names.index(robot.arm.link_names[i])), grid)
+            apart = _apart(points[:, i], points[:, i + 1], points[:, j], points[:, j + 1]) - widths[i] - widths[j]
+            sure = np.abs(apart) > 1e-9
+            np.testing.assert_array_equal(ours.occupied.ravel()[sure], (apart < 0.0)[sure])
+            contacts += int((apart < 0.0).sum())
+    assert contacts > 1000
+
+
+def _apart(a, b, c, d):
+    """Distances of segments a-b and c-d of a plane."""
+
+    def from_point(p, start, end):
+        along = end - start
+        t = np.clip(((p - start) * along).sum(axis=1) / (along**2).sum(axis=1), 0.0, 1.0)
+        return np.linalg.norm(p - start - t[:, None] * along, axis=1)
+
+    def side(p, start, end):
+        along, off = end - start, p - start
+        return along[:, 0] * off[:, 1] - along[:, 1] * off[:, 0]
+
+    least = np.min([from_point(a, c, d), from_point(b, c, d), from_point(c, a, b), from_point(d, a, b)], axis=0)
+    crossing = (side(a, c, d) * side(b, c, d) < 0.0) & (side(c, a, b) * side(d, a, b) < 0.0)
+    return np.where(crossing, 0.0, least)

@@ -1,0 +1,192 @@
+"""Certificates of joints that slide: an error of theirs is in metres, and has no largest value as a turn has."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from any_arms import GANTRY
+
+import hplan
+from hplan.apps.cli.main import main
+from hplan.apps.execution.recorded_motion import read_motion
+from hplan.apps.view.motion_data import motion_data
+from hplan.apps.view.playback import Playback
+from hplan.certificate.certificate import certify
+from hplan.certificate.sway import largest_deviations
+from hplan.errors import InputError, JointLimitError, NotOnMotionError, RobotFileError, StartStateError, TimingError
+from hplan.robot.model import load_robot
+from hplan.robot.tracking import TrackingModel
+from hplan.scene.model import Goal, Scene, Start
+from hplan.scene.obstacles import Sphere
+from hplan.scene.tracks import Track
+from hplan.trajectory import limits_of, read_waypoints, time_waypoints
+from hplan.trajectory.time_scaling import scaled
+from hplan.trajectory.trajectory import Trajectory
+
+ROBOT = load_robot(GANTRY)
+BEGIN, END = np.array([0.2, 0.3]), np.array([0.7, 0.5])
+
+
+def motion() -> Trajectory:
+    u, pace = np.linspace(0.0, 1.0, 20)[:, None], 0.25
+    q = BEGIN + (3.0 * u**2 - 2.0 * u**3) * (END - BEGIN)
+    v, a = 6.0 * u * (1.0 - u) * pace * (END - BEGIN), (6.0 - 12.0 * u) * pace**2 * (END - BEGIN)
+    return Trajectory(ROBOT.joint_names, u[:, 0] / pace, q, v, a, ROBOT.dynamics.torques(q, v, a))
+
+
+def scene(*obstacles: Sphere) -> Scene:
+    ends = Start(joints_rad=tuple(BEGIN.tolist())), Goal(joints_rad=tuple(END.tolist()))
+    return Scene(name="rail", start=ends[0], goal=ends[1], obstacles=obstacles)
+
+
+@pytest.mark.parametrize(("far", "clear"), [(0.05, True), (6.0, True), (8.0, False), (1e3, False), (1e300, False)])
+@pytest.mark.parametrize("kind", ["at rest", "of velocity"])
+def test_a_trolley_may_be_off_as_far_as_the_tracking_error_says(kind: str, far: float, clear: bool) -> None:
+    """Whatever it is: more than 2 pi is a whole turn of a joint that turns alone."""
+    ball = Sphere(name="ball", center=(9.0, 0.0, 1.0), radius=0.1)
+    # The fastest row is at 0.1875 m/s, and its cubic is bounded by a little more.
+    options = {"tracking_error": far} if kind == "at rest" else {"tracking_delay_s": far / 0.19}
+    assert certify(ROBOT, scene(ball), motion(), **options).verified == clear
+
+
+def test_a_turn_that_is_off_by_more_than_a_whole_one_is_where_it_is() -> None:
+    largest = largest_deviations(ROBOT, TrackingModel(1e9), np.zeros((1, 2)))
+    assert largest[0].tolist() == pytest.approx([1e6, math.tau])
+    assert (largest_deviations(ROBOT, TrackingModel(0.1, 2.0), np.full((1, 2), 0.5)) == 1.1).all()
+
+
+def test_an_arm_at_rest_may_be_off_as_far_too() -> None:
+    coming = Track(times_s=(0.0, 60.0), shifts_m=((0.0, 0.0, 0.0), (-5.0, 0.0, 0.0)))
+    ball = Sphere(name="ball", center=(15.0, 0.0, 1.0), radius=0.1, track=coming)
+    assert certify(ROBOT, scene(ball), motion(), tracking_error=6.0).clear_until_s == math.inf
+    found = certify(ROBOT, scene(ball), motion(), tracking_error=10.0)
+    assert found.verified
+    assert 4.0 < found.clear_until_s < 60.0
+
+
+def test_a_place_beyond_the_rail_is_told_in_metres() -> None:
+    with pytest.raises(JointLimitError, match=r"'rail' is at 2.5 m, outside its limits \[-2, 2\] m"):
+        ROBOT.check_configuration([2.5, 0.0], "start")
+    with pytest.raises(JointLimitError, match=r"'boom' is at 2.5 rad, outside its limits \[-2, 2\] rad"):
+        ROBOT.check_configuration([0.0, 2.5], "start")
+    with pytest.raises(JointLimitError, match=r"hold: joint 'rail' is at 2.5 m"):
+        load_robot(GANTRY, hold={"rail": 2.5})
+
+
+def test_degrees_of_what_slides_are_refused() -> None:
+    ends = Start(joints_rad=(0.2, 0.3)), Goal(joints_rad=(0.7, 0.5))
+    degrees = {"start": Start(joints_deg=(0.2, 17.0))}, {"goal": Goal(joints_deg=(0.7, 28.0))}
+    for given in degrees:
+        asked = Scene(name="rail", **{"start": ends[0], "goal": ends[1], **given})
+        which = next(iter(given))
+        for call in (lambda asked=asked: hplan.plan(ROBOT, asked), lambda asked=asked: certify(ROBOT, asked, motion())):
+            with pytest.raises(InputError, match=f"{which}: joints_deg, but joint 'rail' slides; give joints_rad"):
+                call()
+
+
+def test_columns_of_what_slides_are_in_metres(tmp_path: Path) -> None:
+    found = hplan.plan(ROBOT, scene()).trajectory
+    path = hplan.write_csv(found, tmp_path / "motion.csv")
+    header = path.read_text().splitlines()[0]
+    rail, boom = "rail_pos_m,rail_vel_m_s,rail_acc_m_s2,rail_force_n", "boom_pos_rad,boom_vel_rad_s,boom_acc_rad_s2"
+    assert header == f"time_s,{rail},{boom},boom_torque_nm"
+    again = hplan.read_csv(path)
+    assert again.slides == found.slides == again.until(3).since(1).reversed.slides == (True, False)
+    assert certify(ROBOT, scene(), again).digests == certify(ROBOT, scene(), found).digests
+    np.testing.assert_array_equal(read_motion(path).position, found.position)
+    np.testing.assert_array_equal(read_waypoints(path, ROBOT.joint_names, ROBOT.slides), found.position)
+
+
+def test_radians_of_what_slides_are_refused(tmp_path: Path) -> None:
+    path = hplan.write_csv(hplan.plan(ROBOT, scene()).trajectory, tmp_path / "motion.csv")
+    as_before = tmp_path / "before.csv"
+    as_before.write_text(
+        path.read_text().replace("rail_pos_m,rail_vel_m_s,rail_acc_m_s2,rail_force_n",
+                                 "rail_pos_rad,rail_vel_rad_s,rail_acc_rad_s2,rail_torque_nm")
+    )  # fmt: skip
+    with pytest.raises(InputError, match="'rail' slides, but the motion has it in radians; its columns are rail_pos_m"):
+        certify(ROBOT, scene(), hplan.read_csv(as_before))
+    with pytest.raises(InputError, match="joint 'rail' has no column; expected rail_pos_m or rail"):
+        read_waypoints(as_before, ROBOT.joint_names, ROBOT.slides)
+
+
+def test_a_motion_that_does_not_end_at_rest_is_not_scaled_and_it_is_said_why() -> None:
+    with pytest.raises(TimingError, match=r"'rail' at 0 m/s with an acceleration of 0.187 m/s\^2") as error:
+        scaled(motion(), 0.5, ROBOT)
+    assert error.value.data["cause"] == "not at rest at the end"
+
+
+def test_charts_of_what_slides_are_in_metres() -> None:
+    charts = motion_data(ROBOT, scene(), Playback(motion()))["charts"]
+    assert [chart["units"] for chart in charts] == [["m", "deg"], ["m/s", "deg/s"], ["m/s²", "deg/s²"], ["N", "N m"]]
+    assert [chart["limit"][0] for chart in charts] == [2.0, 2.0, 5.0, 500.0]
+    assert charts[1]["limit"][1] == pytest.approx(math.degrees(2.0), abs=1e-3)
+
+
+def test_what_is_said_of_what_slides_is_in_metres() -> None:
+    going = replace(motion(), velocity=motion().velocity + np.array([0.01, 0.0]))
+    (begins, ends) = certify(ROBOT, scene(), going, check_ends=False, tracking_error=0.02).violations[:2]
+    assert (begins, ends) == tuple(
+        f"the motion {where} with joint 'rail' at 0.01 m/s, not at rest" for where in ("begins", "ends")
+    )
+    moving = scene().start.model_copy(update={"velocity_rad_s": (3.0, 0.0)})
+    with pytest.raises(StartStateError, match="'rail' has the velocity 3 m/s; its limit is 2 m/s"):
+        hplan.plan(ROBOT, scene().model_copy(update={"start": moving}))
+    with pytest.raises(JointLimitError, match=r"waypoint 2: joint 'rail' is at 2.5 m, outside") as beyond:
+        time_waypoints(ROBOT.model, [[0.0, 0.0], [2.5, 0.0]], limits_of(ROBOT.model, 1.0))
+    assert beyond.value.data["value_m"] == 2.5
+    planner = hplan.Planner(ROBOT, scene())
+    planner.plan(begins_s=0.0)
+    with pytest.raises(NotOnMotionError, match=r"'rail' is 0.3 m from .*; a tracking error of 0 m is covered"):
+        planner.stop_at(0.1, now=0.0, measured=BEGIN + np.array([0.3, 0.0]))
+    assert TrackingModel(0.01).summary((True, False)) == "0.573 deg, 10 mm where a joint slides"
+    assert TrackingModel(0.01, 0.002).summary((True,)) == "10 mm + 2 ms of velocity"
+
+
+def test_limits_of_what_slides_are_in_metres(tmp_path: Path) -> None:
+    path = tmp_path / "a.limits.yaml"
+    for text, names in (
+        ("acceleration_rad_s2: {boom: 4}\nacceleration_m_s2: {rail: 3}", None),
+        ("acceleration_rad_s2: {rail: 3, boom: 4}", None),
+        (
+            "acceleration_rad_s2: {rail: 3, boom: 4}\nacceleration_m_s2: {rail: 3}",
+            "'rail' is in acceleration_rad_s2 too",
+        ),
+        ("acceleration_rad_s2: {boom: 4}", r"joints missing \['rail'\]"),
+        ("acceleration_m_s2: {rail: 3, boom: 4}", "acceleration_m_s2: joint 'boom' turns; .* acceleration_rad_s2"),
+        ("jerk_m_s3: {rail: 3}", "acceleration_rad_s2 is missing"),
+    ):
+        path.write_text(f"format: hplan-limits/1\n{text}\n")
+        if names is None:
+            assert load_robot(GANTRY, limits=path).acceleration_limit.tolist() == [3.0, 4.0]
+        else:
+            with pytest.raises(RobotFileError, match=names):
+                load_robot(GANTRY, limits=path)
+
+
+def test_a_trajectory_made_by_hand_is_written_in_the_robots_units(tmp_path: Path) -> None:
+    path = hplan.write_csv(motion(), tmp_path / "motion.csv", ROBOT)
+    assert path.read_text().startswith("time_s,rail_pos_m,")
+    assert motion().stop_at(1.0, ROBOT).slides == (True, False)
+    with pytest.raises(InputError, match="'rail' slides, but the motion has it in radians"):
+        hplan.write_csv(replace(motion(), slides=(False, False)), path, ROBOT)
+
+
+def test_degrees_alone_are_no_tracking_error_of_what_slides(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    urdf, ends = tmp_path / "gantry.urdf", tmp_path / "scene.yaml"
+    urdf.write_text(GANTRY)
+    hplan.save_scene(scene(Sphere(name="ball", center=(9.0, 0.0, 1.0), radius=0.1)), ends)
+    path = hplan.write_csv(motion(), tmp_path / "motion.csv", ROBOT)
+    given = ["certify", str(path), str(ends), "--robot", str(urdf)]
+    for options, says in (
+        (["--tracking-error", "0.5"], "--tracking-error-m = None: expected a length in metres: joint 'rail' slides"),
+        (["--tracking-error-m", "0.01"], "--tracking-error = None: expected an angle in degrees: joint 'boom' turns"),
+    ):
+        assert main([*given, *options]) == 2
+        assert says in " ".join(capsys.readouterr().err.split())
+    assert main([*given, "--tracking-error", "0.5", "--tracking-error-m", "0.01"]) == 0
+    assert "tracking error 0.573 deg, 10 mm where a joint slides" in " ".join(capsys.readouterr().out.split())

@@ -1,0 +1,756 @@
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+
+import coal
+import numpy as np
+import pinocchio as pin
+import pytest
+from arm_variants import VARIANTS, load_variant, random_obstacles
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from studies.planar_cspace import RoundedPolygon, arm_sections, joint_grid, planar_sections
+from test_occupancy import point_segment, segment_polygon
+
+from hplan.collision.coal_scene import CoalScene
+from hplan.errors import InputError, OptionError
+from hplan.grid.cutting_arrays import ArmPlane, LinkExtents
+from hplan.grid.occupancy import occupancy
+from hplan.grid.prepared_obstacles import prepare_obstacles
+from hplan.grid.section_kernels import cut_balls, cut_hulls
+from hplan.grid.sections import LINK_MODELS, MAX_HALF_ANGLE, SECTION_ERROR, only, sections_at
+from hplan.scene.obstacles import Box, Capsule, Cylinder, Sphere
+
+#: The plane of x and z at yaw 0, as a robot on a yaw has it: horizontal axis, upward axis, normal.
+UPRIGHT = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+
+
+@dataclass(frozen=True)
+class Solid:
+    """What a section needs to know of an obstacle."""
+
+    core: np.ndarray
+    rounding: float
+    is_point_set: bool = False
+    name: str = "solid"
+
+
+def cut(
+    obstacle, *, origin=(0.0, 0.0, 0.0), axes=UPRIGHT, half_angle=0.0, reach=math.inf, axis=(0.0, 0.0), lateral=0.0
+):
+    """Sections of one obstacle with a plane, for a link of no width."""
+    prepared, none = prepare_obstacles([obstacle]), np.zeros(1)
+    plane = ArmPlane(np.array(origin, dtype=float), axes, half_angle, np.array(axis))
+    links = LinkExtents(none, none, np.array([reach]), np.array([lateral]))
+    sections = cut_balls(prepared.balls, plane, links, False, SECTION_ERROR)
+    if len(prepared.hulls.owners):
+        sections = cut_hulls(prepared.hulls, plane, links, SECTION_ERROR, sections)
+    link_start, vertex_start, vertices, discs, _ = sections
+    return [RoundedPolygon(vertices[slice(*vertex_start[s : s + 2])], discs[s, 3]) for s in range(link_start[1])]
+
+
+def plane_section(core, radius):
+    """Section with the plane where the third coordinate is 0, or None."""
+    sections = cut(Solid(np.asarray(core, dtype=float), radius), axes=np.eye(3))
+    return sections[0] if sections else None
+
+
+BOX_CORNERS = np.array([(x, y, z) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
+
+
+def beyond(section, points):
+    """Distances of plane points (k, 2) from a section; 0 inside."""
+    return np.maximum(segment_polygon(points, points, section.vertices) - section.radius, 0.0)
+
+
+def box_distance(points, centre, rotation, size):
+    local = (points - centre) @ rotation
+    return np.linalg.norm(np.maximum(np.abs(local) - 0.5 * np.asarray(size), 0.0), axis=1)
+
+
+def in_space(points):
+    return np.column_stack([points, np.zeros(len(points))])
+
+
+def around(core, radius, rng, count=2000):
+    """Plane points in and around the shadow of a body."""
+    low, high = core[:, :2].min(axis=0) - 1.3 * radius, core[:, :2].max(axis=0) + 1.3 * radius
+    return rng.uniform(low, high, (count, 2))
+
+
+# The section itself
+
+
+def random_capsule(rng):
+    """Ends beside, across or nearly in the plane."""
+    core = rng.uniform(-1.0, 1.0, (2, 3)) * rng.choice([1.0, 0.2, 0.01], (2, 3))
+    return core, rng.choice([0.01, 0.05, 0.3])
+
+
+def random_box(rng):
+    rotation = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    size = rng.choice([0.02, 0.3, 1.0], 3) * rng.uniform(0.5, 1.0, 3)
+    centre = np.array([0.3, 0.2, rng.uniform(-0.5, 0.5) * rng.choice([0.0, 0.1, 1.0])])
+    return centre, rotation, size, rng.choice([0.001, 0.03, 0.2])
+
+
+def check(core, radius, distances_of, rng):
+    """Nothing of the body outside the section, nothing of the section SECTION_ERROR outside the body."""
+    section = plane_section(core, radius)
+    points = around(core, radius, rng)
+    distances = distances_of(in_space(points))
+    touching = distances <= radius
+    if section is None:
+        assert not touching.any()
+        return 0
+    assert beyond(section, points[touching]).max(initial=0.0) == 0.0
+    directions = unit(np.linspace(0.0, 2.0 * math.pi, 721))
+    if len(section.vertices) >= 3:
+        # Of two convex sets, one in the other, the largest distance is the largest difference of supports. It shows
+        # at the corners.
+        along = np.roll(section.vertices, -1, axis=0) - section.vertices
+        normals = np.column_stack([along[:, 1], -along[:, 0]]) / np.linalg.norm(along, axis=1)[:, None]
+        middle = normals + np.roll(normals, 1, axis=0)
+        directions = np.vstack([directions, middle / np.linalg.norm(middle, axis=1)[:, None]])
+        assert np.all(
+            normals[:, 0] * np.roll(normals, -1, axis=0)[:, 1] > normals[:, 1] * np.roll(normals, -1, 0)[:, 0]
+        )
+    stands_out = support_of(section, directions) - supports(core, radius, directions)
+    assert stands_out.max() <= SECTION_ERROR
+    assert stands_out.min() >= -1e-13
+    return len(section.vertices)
+
+
+def unit(angles):
+    return np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+
+
+def support_of(section, directions):
+    return np.max(section.vertices @ directions.T, axis=0) + section.radius
+
+
+def supports(core, radius, directions):
+    """Support of the section by projection along the plane, where the code goes by convex duality.
+
+    Seen so, the core's points stand at `reach` (along the direction) and `heights`; the section ends where the last
+    of the arcs about them, or of the sides that join two arcs, crosses height 0.
+    """
+    reach, heights = core[:, :2] @ directions.T, core[:, 2]
+    near = np.abs(heights) <= radius
+    ends = [reach[near] + np.sqrt(radius**2 - heights[near] ** 2)[:, None]]
+    for i, j in zip(*np.triu_indices(len(core), k=1), strict=True):
+        rise, run = heights[j] - heights[i], reach[j] - reach[i]
+        if abs(rise) > 1e-12:
+            outward = radius / np.hypot(rise, run)
+            place = -(heights[i] - np.copysign(outward, rise) * run) / rise
+            side = reach[i] + place * run + outward * abs(rise)
+            ends.append(np.where((place >= 0.0) & (place <= 1.0), side, -np.inf)[None])
+    return np.max(np.concatenate(ends), axis=0)
+
+
+def test_capsules():
+    rng = np.random.default_rng(1)
+    sides = []
+    for _ in range(200):
+        core, radius = random_capsule(rng)
+        sides.append(check(core, radius, lambda p, c=core: point_segment(p, c[0], c[1]), rng))
+    assert np.mean(np.array(sides) > 0) > 0.5
+
+
+def test_boxes():
+    rng = np.random.default_rng(2)
+    sides = []
+    for _ in range(200):
+        centre, rotation, size, radius = random_box(rng)
+        core = centre + (BOX_CORNERS * size) @ rotation.T
+        sides.append(check(core, radius, lambda p, b=(centre, rotation, size): box_distance(p, *b), rng))
+    assert np.mean(np.array(sides) > 0) > 0.5
+
+
+@settings(max_examples=60)
+@given(st.integers(0, 2**32 - 1))
+def test_any_capsule(seed):
+    rng = np.random.default_rng(seed)
+    core, radius = random_capsule(rng)
+    check(core, radius, lambda p: point_segment(p, core[0], core[1]), rng)
+
+
+def test_no_point_of_the_section_is_far_outside():
+    """The bound in the plane itself, against a fine raster, for a long branch a little out of the plane."""
+    core, radius = np.array([[-0.3, -0.1, -0.02], [0.4, 0.2, 0.03]]), 0.05
+    section = plane_section(core, radius)
+    step = 5e-4
+    raster = np.meshgrid(np.arange(-0.4, 0.5, step), np.arange(-0.2, 0.3, step))
+    points = np.stack(raster, axis=-1).reshape(-1, 2)
+    distances = point_segment(in_space(points), core[0], core[1])
+    rim = points[(distances <= radius) & (distances > radius - 2 * step)]
+    outside = points[(distances > radius) & (distances < radius + 4 * SECTION_ERROR)]
+    assert beyond(section, rim).max() == 0.0
+    too_much = outside[beyond(section, outside) == 0.0]
+    assert len(too_much) > 10
+    worst = max(np.linalg.norm(rim - point, axis=1).min() for point in too_much)
+    assert worst <= SECTION_ERROR + step
+
+
+@pytest.mark.parametrize("height", [0.0, 0.1, 0.2, -0.2499])
+def test_sphere_is_exact(height):
+    section = plane_section(np.array([[1.0, 2.0, height]]), 0.25)
+    assert section.vertices.tolist() == [[1.0, 2.0]]
+    assert section.radius == pytest.approx(math.sqrt(0.25**2 - height**2), abs=1e-15)
+
+
+def test_core_in_the_plane_is_exact():
+    section = plane_section(np.array([[0.0, 0.0, 0.0], [1.0, 0.5, 0.0]]), 0.1)
+    assert section.vertices.tolist() == [[0.0, 0.0], [1.0, 0.5]]
+    assert section.radius == 0.1
+
+
+def test_capsule_along_the_plane_is_exact():
+    section = plane_section([[0.0, 0.0, 0.03], [1.0, 0.5, 0.03]], 0.05)
+    assert section.vertices.tolist() == [[0.0, 0.0], [1.0, 0.5]]
+    assert section.radius == pytest.approx(0.04, abs=1e-15)
+
+
+def test_flat_box_in_the_plane_keeps_its_corners_counter_clockwise():
+    corners = np.array([(x, y, 0.0) for x in (0.0, 2.0) for y in (0.0, 1.0)])
+    section = plane_section(corners, 0.1)
+    first = int(section.vertices.sum(axis=1).argmin())
+    np.testing.assert_allclose(
+        np.roll(section.vertices, -first, axis=0), [[0.0, 0.0], [2.0, 0.0], [2.0, 1.0], [0.0, 1.0]], atol=1e-11
+    )
+    assert section.radius == pytest.approx(0.1, abs=1e-11)
+
+
+def test_upright_cylinder_is_a_disc():
+    section = plane_section([[0.2, 0.3, -1.0], [0.2, 0.3, 1.0]], 0.04)
+    np.testing.assert_allclose(section.vertices, [[0.2, 0.3]], atol=1e-11)
+    assert 0.04 <= section.radius < 0.04 + 1e-11
+
+
+def test_square_post_has_four_rounded_corners():
+    """Its own rounding is kept, and no tangent is drawn but the four sides."""
+    section = plane_section(BOX_CORNERS * [0.1, 0.2, 2.0], 0.03)
+    assert len(section.vertices) == 4
+    assert section.radius == pytest.approx(0.03, abs=2e-4)
+
+
+def test_square_post_keeps_its_corners():
+    corners = BOX_CORNERS * [0.1, 0.2, 2.0]
+    section = plane_section(corners, 1e-6)
+    low, high = section.vertices.min(axis=0), section.vertices.max(axis=0)
+    np.testing.assert_allclose([low, high], [[-0.05, -0.1], [0.05, 0.1]], atol=2e-6)
+    assert beyond(section, np.array([[0.05, 0.1]])) == 0.0
+    assert beyond(section, np.array([[0.051, 0.1]])) > 0.9e-3
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+@pytest.mark.parametrize("core", [[[0, 0, 1], [1, 0, 2]], [[0, 0, 1]], [[0, 0, 1], [1, 0, 1], [0, 1, 1], [0, 0, 3]]])
+def test_plane_that_just_touches(core, side):
+    core = np.array(core, dtype=float) * [1.0, 1.0, side]
+    assert plane_section(core, math.nextafter(1.0, 0.0)) is None
+    touched = plane_section(core, 1.0)
+    lowest = core[np.abs(core[:, 2]) == 1.0][:, :2]
+    assert beyond(touched, lowest).max() == 0.0
+    spread = max(np.ptp(lowest, axis=0))
+    assert np.ptp(touched.vertices, axis=0).max() <= spread + 2e-3
+    near = plane_section(core, 1.0 + 1e-9)
+    assert np.ptp(near.vertices, axis=0).max() <= spread + 2e-3
+
+
+def test_capsule_of_no_length_is_a_ball():
+    section = plane_section(np.array([[0.1, 0.2, 0.03]] * 2), 0.05)
+    points = np.array([[0.1 + 0.04 * math.cos(a), 0.2 + 0.04 * math.sin(a)] for a in np.linspace(0, 7, 50)])
+    assert beyond(section, points * (1 - 1e-12)).max() < 1e-9
+    assert beyond(section, np.array([[0.1 + 0.041, 0.2]])) > 0.0
+
+
+@pytest.mark.parametrize("half_angle", [0.0, 0.01])
+@pytest.mark.parametrize("size", [1e-9, 1e-4, 1e3, 1e6])
+def test_any_size_ends(size, half_angle):
+    core = size * np.array([[-1.0, 0.3, -1.0], [1.0, 0.1, 1.0], [0.2, -0.7, 0.4], [0.3, 0.2, -0.5]])
+    for count in (1, 2, 4):
+        solid = Solid(core[-count:] - core[-1] * [0.0, 1.0, 0.0], 0.1 * size)
+        (section,) = cut(solid, half_angle=half_angle)
+        assert np.isfinite(section.vertices).all()
+        assert len(section.vertices) <= 256
+
+
+def test_section_too_large_for_the_error_is_coarse_all_round():
+    """More tangents than there is room for: the error grows evenly, by a small factor."""
+    core, radius = np.array([[-40.0, 1.0, -20.0], [50.0, -2.0, 30.0], [3.0, 40.0, 5.0]]), 25.0
+    section = plane_section(core, radius)
+    directions = unit(np.linspace(0.0, 2.0 * math.pi, 2001))
+    stands_out = support_of(section, directions) - supports(core, radius, directions)
+    assert 0.0 <= stands_out.min() <= stands_out.max() <= 16.0 * SECTION_ERROR
+
+
+def test_many_core_points():
+    """More than are searched for a rounding; a ball as a hull."""
+    rng = np.random.default_rng(5)
+    points = rng.normal(size=(400, 3))
+    points *= 0.2 / np.linalg.norm(points, axis=1)[:, None]
+    section = plane_section(points, 0.05)
+    directions = unit(np.linspace(0.0, 7.0, 99))
+    stands_out = support_of(section, directions) - supports(points, 0.05, directions)
+    assert 0.0 <= stands_out.min() <= stands_out.max() <= SECTION_ERROR
+
+
+# An interval of yaw, against bodies that are turned point by point
+
+
+def turned(points, angle):
+    c, s = math.cos(angle), math.sin(angle)
+    return points @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def random_core(kind, rng, size, place):
+    if kind == "ball":
+        return place[None]
+    if kind == "capsule":
+        return place + size * rng.normal(size=(2, 3)) * rng.choice([1.0, 0.1], 3)
+    if kind == "box":
+        return place + (BOX_CORNERS * size * rng.uniform(0.1, 2.0, 3)) @ np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    return place + size * rng.normal(size=(rng.integers(3, 20), 3))
+
+
+def inside_of_a_body(core, radius, rng, count=100):
+    """Core points: the corners, points between any two, and means of all."""
+    pairs = core[rng.integers(len(core), size=(count, 2))]
+    shares = rng.uniform(size=(count, 1))
+    weights = rng.dirichlet(np.full(len(core), 0.3), count)
+    return np.vstack([core, shares * pairs[:, 0] + (1.0 - shares) * pairs[:, 1], weights @ core])
+
+
+def check_interval(core, radius, origin, half_angle, reach, rng):
+    """All discs that a turned body shows lie in the section, as far as the arm reaches."""
+    sections = cut(Solid(core, radius), origin=origin, half_angle=half_angle, reach=reach)
+    seen = 0
+    for angle in (-half_angle, half_angle, 0.0, *rng.uniform(-half_angle, half_angle, 3)):
+        inner = (turned(inside_of_a_body(core, radius, rng), -angle) - origin) @ UPRIGHT.T
+        shown = inner[np.abs(inner[:, 2]) <= radius]
+        rims = np.sqrt(radius**2 - shown[:, 2] ** 2)[:, None, None] * unit(np.linspace(0.0, 6.0, 12))
+        points = (shown[:, None, :2] + rims).reshape(-1, 2)
+        points = points[np.linalg.norm(points, axis=1) <= reach]
+        seen += len(points)
+        if len(points):
+            assert len(sections) == 1
+            # Of what turned the last bits are lost, the more of them the farther away.
+            assert beyond(sections[0], points).max() <= 1e-15 * np.abs(core).max()
+    return seen
+
+
+PLACES = {
+    "before the arm": [1.3, 0.0, 1.0],
+    "beside the plane": [1.3, 0.06, 1.0],
+    "behind the base": [-1.2, 0.02, 0.7],
+    "on the axis": [0.0, 0.0, 0.8],
+    "round the axis": [0.05, -0.03, 0.4],
+    "far away": [30.0, 0.1, 2.0],
+}
+
+
+@settings(max_examples=100)
+@given(
+    st.integers(0, 2**32 - 1),
+    st.sampled_from(["ball", "capsule", "box", "hull"]),
+    st.sampled_from(list(PLACES)),
+    st.sampled_from([1e-4, 0.02, 0.3, 3.0, 100.0]),
+    st.sampled_from([1e-6, 0.02, 0.1, 1.5]),
+    st.sampled_from([1e-9, 0.005, 0.0175, 0.05, 0.5]),
+    st.sampled_from([(0.0, 0.0, 0.6), (0.25, 0.0, 0.5), (-0.12, 0.16, 0.5), (0.1, 1e-7, 0.4)]),
+    st.sampled_from([2.2, math.inf]),
+)
+def test_interval_holds_all_that_turns_through_the_plane(seed, kind, place, size, radius, half_angle, origin, reach):
+    rng = np.random.default_rng(seed)
+    core = random_core(kind, rng, size, np.array(PLACES[place]) + rng.normal(size=3) * rng.choice([0.0, 0.02]))
+    check_interval(core, radius, np.array(origin), half_angle, reach, rng)
+
+
+@pytest.mark.parametrize("kind", ["ball", "capsule", "box", "hull"])
+@pytest.mark.parametrize("origin", [(0.0, 0.0, 0.6), (-0.12, 0.16, 0.5), (0.1, -0.4, 0.5)])
+def test_small_body_that_only_an_end_of_the_interval_meets(kind, origin):
+    """Also where the plane passes beside the axis."""
+    rng = np.random.default_rng(2)
+    for radius in (0.01, 0.1):
+        for end in (-1.0, 1.0):
+            in_plane = np.add(origin, [1.4, end * 0.8 * radius, 0.3])
+            core = turned(random_core(kind, rng, 1e-3, np.zeros(3)) + in_plane, end * 0.2)
+            assert check_interval(core, radius, np.array(origin), 0.2, math.inf, rng) > 100
+
+
+def test_interval_test_sees_points():
+    rng = np.random.default_rng(0)
+    for place in PLACES.values():
+        core = np.array(place) * [1.0, 0.0, 1.0] + [[0.0, -0.2, 0.0], [0.1, 0.2, 0.3]]
+        assert check_interval(core, 0.1, np.array([0.0, 0.0, 0.6]), 0.02, math.inf, rng) > 100
+
+
+def test_core_that_touches_the_axis():
+    rng = np.random.default_rng(0)
+    for core in ([[0, 0, 0], [0, 0, 2]], [[0, 0, 1], [1, 0, 1]], [[-1, 0, 1], [1, 0, 1]], [[0, -1, 1], [0, 1, 1]]):
+        check_interval(np.array(core, dtype=float), 0.03, np.array([0.0, 0.0, 0.6]), 0.03, math.inf, rng)
+
+
+@pytest.mark.parametrize("kind", ["ball", "capsule", "box"])
+def test_interval_is_tight(kind):
+    """Over a degree each way nothing stands farther than 4 mm outside the hull of the sections at 41 yaws."""
+    rng = np.random.default_rng(11)
+    origin, half_angle, directions = np.array([0.0, 0.0, 0.6]), math.radians(1.0), unit(np.linspace(0.0, 6.3, 91))
+    worst = []
+    for _ in range(60):
+        place = np.array([rng.uniform(0.7, 2.0), rng.uniform(-0.05, 0.05), rng.uniform(0.2, 2.0)])
+        core, radius = random_core(kind, rng, rng.choice([0.1, 0.5]), place), rng.choice([0.03, 0.08])
+        union = np.full(len(directions), -np.inf)
+        for angle in np.linspace(-half_angle, half_angle, 41):
+            local = (turned(core, -angle) - origin) @ UPRIGHT.T
+            if local[:, 2].min() <= radius and local[:, 2].max() >= -radius:
+                union = np.maximum(union, supports(local, radius, directions))
+        sections = cut(Solid(core, radius), origin=origin, half_angle=half_angle)
+        if sections and np.isfinite(union).all() and len(sections[0].vertices):
+            worst.append((support_of(sections[0], directions) - union).max())
+    assert len(worst) > 20
+    assert np.median(worst) < 1.2e-3
+    assert np.percentile(worst, 90) < (1e-4 if kind == "ball" else 4e-3)
+
+
+def test_ball_over_an_interval_is_the_disc_at_the_nearest_yaw():
+    ball = Solid(np.array([[1.2, 0.06, 1.0]]), 0.1)
+    away = math.atan2(0.06, 1.2)
+    for half_angle in (0.5 * away, 2.0 * away):
+        (section,) = cut(ball, half_angle=half_angle)
+        nearest = turned(ball.core, -min(half_angle, away))
+        (there,) = cut(Solid(nearest, 0.1))
+        np.testing.assert_allclose(section.vertices, there.vertices, atol=1e-12)
+        assert section.radius == pytest.approx(there.radius, abs=1e-11)
+
+
+def test_part_far_from_the_plane_does_not_loosen():
+    """A beam of 0.4 m or of 20 m across the plane shows the same."""
+    origin = np.array([0.0, 0.0, 0.6])
+    widths = []
+    for length in (0.4, 20.0):
+        core = np.array([1.5, 0.0, 1.0]) + length * np.array([[0.0, -0.5, 0.0], [0.0, 0.5, 0.0]])
+        (section,) = cut(Solid(core, 0.03), origin=origin, half_angle=math.radians(1.5), reach=2.2)
+        widths.append(np.ptp(section.vertices[:, 0]) + 2.0 * section.radius)
+    np.testing.assert_allclose(widths[0], widths[1], atol=1e-3)
+    assert widths[1] < 2.0 * 0.03 + 0.006
+
+
+# Sections for an arm
+
+
+KINDS = ("sphere", "capsule", "cylinder", "box")
+
+
+def random_solid(kind, rng, yaw=0.0):
+    """An obstacle near the arm plane at the given yaw."""
+    turned = pin.utils.rotate("z", yaw)
+    place = rng.uniform([0.2, -0.3, 0.2], [1.7, 0.3, 2.3])
+    center = tuple(turned @ place)
+    if kind == "sphere":
+        return Sphere(name="ball", center=center, radius=rng.uniform(0.02, 0.3))
+    if kind == "capsule":
+        end = tuple(turned @ (place + rng.normal(0.0, 0.5, 3) * rng.choice([0.02, 1.0], 3)))
+        return Capsule(name="branch", start=center, end=end, radius=rng.uniform(0.005, 0.1))
+    if kind == "cylinder":
+        length, radius, rpy = rng.uniform(0.02, 0.6), rng.uniform(0.01, 0.3), tuple(rng.uniform(-180.0, 180.0, 3))
+        return Cylinder(name="can", center=center, length=length, radius=radius, rpy_deg=rpy)
+    size, rpy = tuple(rng.uniform(0.02, 0.6, 3)), tuple(rng.uniform(-180.0, 180.0, 3))
+    return Box(name="crate", center=center, size=size, rpy_deg=rpy)
+
+
+def coal_model(robot, obstacle):
+    """The robot's arm links and one obstacle, in coal."""
+    geometry = robot.collision_model.copy()
+    if isinstance(obstacle, Sphere):
+        shape, rotation, centre = coal.Sphere(obstacle.radius), np.eye(3), obstacle.center
+    elif isinstance(obstacle, Box):
+        shape, rotation, centre = coal.Box(*obstacle.size), obstacle.rotation, obstacle.center
+    elif isinstance(obstacle, Cylinder):
+        shape = coal.Cylinder(obstacle.radius, obstacle.length)
+        rotation, centre = obstacle.rotation, obstacle.center
+    else:
+        axis = np.subtract(obstacle.end, obstacle.start)
+        shape = coal.Capsule(obstacle.radius, float(np.linalg.norm(axis)))
+        rotation = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), axis).matrix()
+        centre = 0.5 * np.add(obstacle.start, obstacle.end)
+    placement = pin.SE3(rotation, np.array(centre))
+    index = geometry.addGeometryObject(pin.GeometryObject(obstacle.name, 0, placement, shape))
+    for other, shape in enumerate(geometry.geometryObjects):
+        if shape.parentJoint > (1 if robot.has_yaw else 0):
+            geometry.addCollisionPair(pin.CollisionPair(other, index))
+    return geometry
+
+
+def coal_occupied(robot, obstacle, yaw, grid):
+    geometry = coal_model(robot, obstacle)
+    index = np.stack(np.meshgrid(*(np.arange(n) for n in grid.shape), indexing="ij"), axis=-1).reshape(-1, 3)
+    q = np.column_stack([np.full(len(index), yaw), grid.coordinates(index)])
+    pool = pin.GeometryPool(robot.model, geometry, 1)
+    return np.array(pin.computeCollisionsInParallel(1, pool, q.T, True, False), dtype=bool).reshape(grid.shape)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_coal_finds_no_collision_in_a_free_node(robot, kind):
+    rng = np.random.default_rng(7)
+    grid = joint_grid(robot.arm, math.radians(6.0))
+    collisions = refused = free = 0
+    for _ in range(60):
+        yaw = rng.uniform(-math.pi, math.pi)
+        obstacle = random_solid(kind, rng, yaw)
+        ours = occupancy(robot.arm, arm_sections(robot, [obstacle], yaw=yaw), grid).occupied
+        theirs = coal_occupied(robot, obstacle, yaw, grid)
+        assert not (theirs & ~ours).any(), obstacle
+        collisions += theirs.sum()
+        refused += (ours & ~theirs).sum()
+        free += (~theirs).sum()
+    assert collisions > 10_000
+    # Balls agree node for node; polygons stand out by up to SECTION_ERROR and so refuse a few free nodes.
+    assert refused <= (0 if kind == "sphere" else 2e-3 * free)
+
+
+def test_clearance_grows_the_obstacle(robot):
+    ball = Sphere(name="ball", center=(1.0, 0.0, 1.9), radius=0.15)
+    grown = Sphere(name="ball", center=(1.0, 0.0, 1.9), radius=0.17)
+    grid = joint_grid(robot.arm, 0.1)
+    with_clearance = occupancy(robot.arm, arm_sections(robot, [ball], clearance=0.02), grid)
+    np.testing.assert_array_equal(
+        with_clearance.free_words,
+        occupancy(robot.arm, arm_sections(robot, [grown]), grid).free_words,
+    )
+
+
+def test_links_meet_their_own_sections(robot):
+    """A ball that only the thickest link can reach across the plane; names and indices follow."""
+    near = Sphere(name="near", center=(1.0, 0.0, 1.0), radius=0.1)
+    aside = Sphere(name="aside", center=(1.0, 0.145, 1.0), radius=0.1)
+    sections = arm_sections(robot, [near, aside])
+    assert sections.obstacle_names == ("near", "aside")
+    assert sections.link_start.tolist() == [0, 2, 3, 4]
+    assert sections.obstacle_of.tolist() == [0, 1, 0, 0]
+    assert sections.radii == pytest.approx([0.15, math.sqrt(0.15**2 - 0.145**2), 0.14, 0.13])
+
+
+def test_bounds_hold_the_sections(robot):
+    rng = np.random.default_rng(4)
+    for _ in range(20):
+        sections = arm_sections(robot, [random_solid(kind, rng) for kind in KINDS])
+        for s, (x, y, radius) in enumerate(sections.bounds):
+            vertices = sections.vertices[sections.vertex_start[s] : sections.vertex_start[s + 1]]
+            assert np.linalg.norm(vertices - [x, y], axis=1).max() + sections.radii[s] <= radius + 1e-12
+
+
+def test_rectangle_takes_a_ball_beside_its_flank_as_nearer(robot):
+    """Half-width 0.05 across the plane: of a ball 0.15 aside only what reaches the flank counts."""
+    ball = Sphere(name="ball", center=(1.0, 0.15, 1.0), radius=0.125)
+    sections = arm_sections(robot, [ball], link_model="rectangle")
+    assert sections.link_start.tolist() == [0, 1, 2, 3]
+    assert sections.radii[0] == pytest.approx(0.075)
+    assert arm_sections(robot, [ball.model_copy(update={"radius": 0.09})], link_model="rectangle").radii.size == 0
+
+
+# Many obstacles, many yaws
+
+
+@pytest.mark.parametrize("name", [name for name in VARIANTS if VARIANTS[name][0]])
+def test_coal_finds_no_collision_outside_the_sections_of_an_interval(name, tmp_path):
+    robot = load_variant(name, tmp_path)
+    rng = np.random.default_rng(13)
+    collisions = clear = 0
+    for _ in range(12):
+        yaw, half_angle = rng.uniform(-2.5, 2.5), rng.choice([0.004, 0.02, 0.1])
+        obstacles = random_obstacles(rng)
+        sections = sections_at(robot, prepare_obstacles(obstacles, clearance=0.01), yaw, half_angle=half_angle)
+        q = rng.uniform(robot.lower, robot.upper, (300, robot.dof))
+        q[:, 0] = yaw + half_angle * rng.choice([-1.0, 1.0, *rng.uniform(-1.0, 1.0, 3)], len(q))
+        theirs = CoalScene(robot, obstacles).in_collision(q, margin=0.01 - 1e-9)
+        ours = met(robot, sections, q)
+        assert not (theirs & ~ours).any()
+        collisions += theirs.sum()
+        clear += (~ours).sum()
+    assert collisions > 50
+    assert clear > 100
+
+
+def met(robot, sections, q):
+    """Whether each configuration's link axes meet a section, straight from the polygons."""
+    points = robot.arm.joint_points(q[:, robot.arm_slice])
+    found = np.zeros(len(q), dtype=bool)
+    for k in range(robot.arm.link_count):
+        for s in range(sections.link_start[k], sections.link_start[k + 1]):
+            vertices = sections.vertices[sections.vertex_start[s] : sections.vertex_start[s + 1]]
+            found |= segment_polygon(points[:, k], points[:, k + 1], vertices) <= sections.radii[s]
+    return found
+
+
+@pytest.mark.parametrize("link_model", LINK_MODELS)
+def test_interval_holds_the_occupancy_at_each_yaw(robot, link_model):
+    rng = np.random.default_rng(17)
+    grid = joint_grid(robot.arm, math.radians(6.0))
+    balls = [random_solid("sphere", rng) for _ in range(4)]
+    bodies, half_angle = prepare_obstacles(balls), 0.03
+    whole = occupancy(robot.arm, sections_at(robot, bodies, 0.1, half_angle=half_angle, link_model=link_model), grid)
+    union = np.zeros(grid.shape, dtype=bool)
+    for yaw in np.linspace(0.1 - half_angle, 0.1 + half_angle, 9):
+        union |= occupancy(robot.arm, sections_at(robot, bodies, yaw, link_model=link_model), grid).occupied
+    assert not (union & ~whole.occupied).any()
+    assert 0 < union.sum() <= whole.occupied.sum() <= 1.03 * union.sum()
+
+
+def test_out_of_reach_changes_nothing_but_the_number_of_sections(robot):
+    rng = np.random.default_rng(19)
+    grid = joint_grid(robot.arm, math.radians(5.0))
+    obstacles = [random_solid(kind, rng, yaw) for kind in KINDS for yaw in rng.uniform(-0.1, 0.1, 20)]
+    obstacles += [Sphere(name="far", center=(9.0, 0.0, 1.0), radius=0.1)]
+    for link_model in ("capsule", "paper", "rectangle"):
+        chosen = [o for o in obstacles if isinstance(o, Sphere)] if link_model == "rectangle" else obstacles
+        every = arm_sections(robot, chosen, link_model=link_model)
+        near = sections_at(robot, prepare_obstacles(chosen), link_model=link_model)
+        assert len(near.radii) < len(every.radii)
+        assert len(chosen) - 1 in every.obstacle_of
+        assert len(chosen) - 1 not in near.obstacle_of
+        np.testing.assert_array_equal(
+            occupancy(robot.arm, near, grid).free_words, occupancy(robot.arm, every, grid).free_words
+        )
+
+
+def same(first, second, *but):
+    for field in fields(first):
+        if field.name not in but:
+            np.testing.assert_array_equal(getattr(first, field.name), getattr(second, field.name), field.name)
+
+
+@pytest.mark.parametrize("half_angle", [0.0, 0.02])
+@pytest.mark.parametrize("link_model", LINK_MODELS)
+def test_loose_points_are_balls(robot, half_angle, link_model):
+    rng = np.random.default_rng(23)
+    points = rng.uniform([-2.0, -0.2, 0.0], [2.0, 0.2, 2.0], (500, 3))
+    post = Solid(np.array([[1.0, 0.0, 1.0]]), 0.2)
+    solids = [Solid(points, 0.02, is_point_set=True, name="cloud"), post]
+    prepared = prepare_obstacles(solids, clearance=[0.01, 0.0])
+    cloud = sections_at(robot, prepared, 0.1, half_angle=half_angle, link_model=link_model)
+    balls = [Solid(point[None], 0.03) for point in points]
+    one_by_one = sections_at(
+        robot, prepare_obstacles([*balls, post]), 0.1, half_angle=half_angle, link_model=link_model
+    )
+    same(cloud, one_by_one, "obstacle_of", "obstacle_names")
+    assert len(cloud.radii) > 30
+    assert cloud.obstacle_of.tolist() == (one_by_one.obstacle_of == len(points)).astype(int).tolist()
+    assert cloud.obstacle_names == ("cloud", "solid")
+
+
+def test_each_obstacle_keeps_its_own_clearance(robot):
+    rng = np.random.default_rng(29)
+    obstacles = [random_solid(kind, rng) for kind in KINDS]
+    margins = np.array([0.0, 0.03, 0.01, 0.02])
+    together = arm_sections(robot, obstacles, clearance=margins)
+    for index, margin in enumerate(margins):
+        alone = arm_sections(robot, obstacles[index : index + 1], clearance=margin)
+        mine = together.obstacle_of == index
+        np.testing.assert_array_equal(together.radii[mine], alone.radii)
+        np.testing.assert_array_equal(together.bounds[mine], alone.bounds)
+
+
+def test_only_is_one_link_and_one_obstacle(robot):
+    obstacles = random_obstacles(np.random.default_rng(31), 9)
+    sections = arm_sections(robot, obstacles)
+    for link in range(robot.arm.link_count):
+        for obstacle in range(len(obstacles)):
+            one = only(sections, link, obstacle)
+            kept = np.flatnonzero(sections.obstacle_of[slice(*sections.link_start[link : link + 2])] == obstacle)
+            kept += sections.link_start[link]
+            assert np.diff(one.link_start).tolist() == [len(kept) if k == link else 0 for k in range(3)]
+            assert one.radii.tolist() == sections.radii[kept].tolist()
+            parts = [sections.vertices[slice(*sections.vertex_start[s : s + 2])] for s in kept]
+            np.testing.assert_array_equal(one.vertices, np.concatenate([np.zeros((0, 2)), *parts]))
+            assert one.obstacle_names == sections.obstacle_names
+
+
+def test_many_sections_of_many_vertices(robot):
+    """Each has its own, however many there are."""
+    rng = np.random.default_rng(37)
+    centres = rng.uniform([0.3, -0.05, 0.2], [1.5, 0.05, 2.0], (60, 3))
+    hulls = [Solid(centre + rng.normal(0.0, 0.2, (12, 3)), 0.01) for centre in centres]
+    together = arm_sections(robot, hulls)
+    assert len(together.vertices) > 8 * len(together.radii)
+    alone = [arm_sections(robot, [hull]) for hull in hulls]
+    for k in range(robot.arm.link_count):
+        first, last = together.vertex_start[together.link_start[k : k + 2]]
+        parts = [one.vertices[slice(*one.vertex_start[one.link_start[k : k + 2]])] for one in alone]
+        np.testing.assert_array_equal(together.vertices[first:last], np.concatenate(parts))
+
+
+def test_same_input_same_sections(robot):
+    bodies = prepare_obstacles(random_obstacles(np.random.default_rng(41), 12))
+    first, second = (sections_at(robot, bodies, 0.2, half_angle=0.02) for _ in range(2))
+    same(first, second)
+    assert not first.vertices.flags.writeable
+
+
+def test_no_obstacle_no_section(robot):
+    sections = sections_at(robot, prepare_obstacles([]), half_angle=0.1)
+    assert sections.link_start.tolist() == [0, 0, 0, 0]
+    assert sections.vertices.shape == (0, 2)
+
+
+# What cannot be asked
+
+
+def test_unknown_link_model(robot):
+    with pytest.raises(OptionError, match="link_model = 'stick': expected one of capsule, paper, rectangle"):
+        arm_sections(robot, [], link_model="stick")
+    with pytest.raises(OptionError, match="link_model"):
+        planar_sections([], np.array([0.1]), link_model="stick")
+
+
+@pytest.mark.parametrize("clearance", [-0.1, math.nan, math.inf])
+def test_bad_clearance(robot, clearance):
+    with pytest.raises(OptionError, match="clearance"):
+        arm_sections(robot, [], clearance=clearance)
+
+
+def test_rectangle_takes_only_balls(robot):
+    box = Box(name="crate", center=(1, 0, 1), size=(0.1, 0.1, 0.1))
+    with pytest.raises(OptionError, match="'crate' is none"):
+        arm_sections(robot, [box], link_model="rectangle")
+    with pytest.raises(OptionError, match="'section 0' is none"):
+        planar_sections([RoundedPolygon(np.eye(2), 0.1)], np.array([0.1]), link_model="rectangle")
+
+
+@pytest.mark.parametrize("clearance", [[0.1], [0.1, 0.1, 0.1], [0.1, -0.1], [[0.1, 0.1]], [0.1, math.nan]])
+def test_clearances_for_others(robot, clearance):
+    balls = [Sphere(name=name, center=(1, 0, 1), radius=0.1) for name in "ab"]
+    with pytest.raises(OptionError, match="clearance"):
+        arm_sections(robot, balls, clearance=clearance)
+
+
+@pytest.mark.parametrize("solid", [
+    Solid(np.zeros((0, 3)), 0.1), Solid(np.zeros((0, 3)), 0.1, is_point_set=True),
+    Solid(np.full((2, 3), math.nan), 0.1),
+    Solid(np.array([[0.0, math.inf, 0.0]]), 0.1), Solid(np.zeros((1, 3)), math.nan),
+])  # fmt: skip
+def test_obstacle_that_is_none(robot, solid):
+    ball = Solid(np.ones((1, 3)), 0.1, name="ball")
+    with pytest.raises(InputError, match="obstacle 'solid': expected finite core points") as caught:
+        arm_sections(robot, [ball, solid])
+    assert caught.value.data["name"] == "solid"
+
+
+@pytest.mark.parametrize("half_angle", [-0.1, math.nan, math.inf, 1.001 * MAX_HALF_ANGLE])
+def test_bad_half_angle(robot, half_angle):
+    with pytest.raises(OptionError, match="half_angle"):
+        sections_at(robot, prepare_obstacles([]), half_angle=half_angle)
+
+
+def test_interval_needs_a_yaw(tmp_path):
+    robot = load_variant("no yaw", tmp_path)
+    assert sections_at(robot, prepare_obstacles([])).radii.size == 0
+    with pytest.raises(OptionError, match="this arm has no yaw"):
+        sections_at(robot, prepare_obstacles([]), half_angle=0.1)
+
+
+@pytest.mark.parametrize("yaw", [math.nan, math.inf])
+def test_bad_yaw(robot, yaw):
+    with pytest.raises(OptionError, match="yaw"):
+        sections_at(robot, prepare_obstacles([]), yaw)

@@ -1,0 +1,440 @@
+"""Inverse kinematics against forward kinematics, and what cannot be reached against plain scans."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from arm_variants import VARIANTS, axis_points, load_variant
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from hplan.base.arrays import readonly
+from hplan.errors import InputError, JointLimitError, OptionError, UnreachableError
+from hplan.kinematics.planar_chain import FreeChain
+from hplan.kinematics.planar_inverse_kinematics import AXIS_YAWS, reach
+from hplan.robot.model import Robot
+
+EXACT = 1e-9
+SMALL = [name for name, (_, _, _, axes) in VARIANTS.items() if len(axes) in (2, 3)]
+
+
+@pytest.fixture(scope="module")
+def variants(tmp_path_factory):
+    return {name: load_variant(name, tmp_path_factory.mktemp("arm")) for name in VARIANTS}
+
+
+def with_arm(robot: Robot, **changes) -> Robot:
+    """The robot with other lengths or limits of its planar joints."""
+    arm = replace(robot.arm, **{key: readonly(value) for key, value in changes.items()})
+    yaw = slice(0, robot.dof - arm.link_count)
+    lower = readonly(np.concatenate([robot.lower[yaw], arm.lower]))
+    upper = readonly(np.concatenate([robot.upper[yaw], arm.upper]))
+    return replace(robot.with_arm(arm), lower=lower, upper=upper)
+
+
+def random_arm(robot: Robot, rng: np.random.Generator) -> Robot:
+    lower = rng.uniform(-3.0, 1.0, 3)
+    return with_arm(
+        robot,
+        lengths=rng.uniform(0.1, 1.0, 3),
+        signs=rng.choice([-1.0, 1.0], 3),
+        offsets=rng.uniform(-3.0, 3.0, 3),
+        lower=lower,
+        upper=lower + rng.uniform(0.05, 3.0, 3),
+    )
+
+
+def approach_of(robot: Robot, q: np.ndarray) -> np.ndarray:
+    arm = robot.arm
+    return (arm.signs * q[..., robot.arm_slice] + arm.offsets).sum(axis=-1)
+
+
+def elbow_side(robot: Robot, q: np.ndarray) -> np.ndarray:
+    arm = robot.arm
+    return np.sign(np.sin((arm.signs * q[..., robot.arm_slice] + arm.offsets)[..., 1]))
+
+
+def turned(difference: np.ndarray) -> np.ndarray:
+    """Angles up to whole turns."""
+    return np.abs(np.angle(np.exp(1j * difference)))
+
+
+def assert_reached(robot: Robot, candidates, position) -> None:
+    q = candidates.configurations
+    assert len(q)
+    assert not q.flags.writeable
+    np.testing.assert_allclose(robot.tool_positions(q), np.tile(position, (len(q), 1)), rtol=0.0, atol=EXACT)
+    assert ((q >= robot.lower) & (q <= robot.upper)).all()
+    assert turned(approach_of(robot, q) - candidates.approach).max() < EXACT
+    assert (np.abs(candidates.approach) <= np.pi).all()
+    apart = np.abs(q[:, None] - q[None]).max(axis=-1) + np.eye(len(q))
+    assert apart.min() > 1e-8
+
+
+def nearest(candidates, q) -> float:
+    return float(np.abs(candidates.configurations - q).max(axis=1).min())
+
+
+def scan(robot: Robot, point: complex, angles: np.ndarray) -> np.ndarray:
+    """(angles,) whether the planar arm's tool reaches a point with these angles of the last link, one by one."""
+    arm = robot.arm
+    l1, l2, l3 = arm.lengths
+    found = np.zeros(len(angles), dtype=bool)
+    for i, angle in enumerate(angles):
+        wrist = point - l3 * np.exp(1j * angle)
+        cos = (abs(wrist) ** 2 - l1**2 - l2**2) / (2 * l1 * l2)
+        if abs(cos) > 1.0:
+            continue
+        for bend in (np.arccos(cos), -np.arccos(cos)):
+            first = np.angle(wrist / (l1 + l2 * np.exp(1j * bend)))
+            relative = np.array([first, bend, angle - first - bend])
+            q = arm.signs * (relative - arm.offsets)
+            q += 2 * np.pi * np.ceil((arm.lower - q) / (2 * np.pi))
+            found[i] |= bool((q <= arm.upper).all())
+    return found
+
+
+# What can be reached
+
+
+@pytest.mark.parametrize("name", SMALL)
+def test_every_configuration_is_found(variants, name):
+    robot, rng = variants[name], np.random.default_rng(1)
+    three = robot.arm.link_count == 3
+    for q in rng.uniform(robot.lower, robot.upper, (40, robot.dof)):
+        position = axis_points(robot, q)[-1]
+        angle = float(np.degrees(approach_of(robot, q)))
+        given_angle = reach(robot, position, approach_deg=angle, start=q)
+        assert_reached(robot, given_angle, position)
+        assert nearest(given_angle, q) < 1e-6
+        every = reach(robot, position, count=64)
+        assert_reached(robot, every, position)
+        for candidate in every.configurations[:: max(1, len(every.configurations) // 5)]:
+            np.testing.assert_allclose(axis_points(robot, candidate)[-1], position, rtol=0.0, atol=EXACT)
+        if not three:
+            assert nearest(every, q) < 1e-6
+            continue
+        same = elbow_side(robot, every.configurations) == elbow_side(robot, q)
+        if robot.has_yaw:
+            same &= np.abs(every.configurations[:, 0] - q[0]) < 1e-6
+        gap = turned(every.approach[same] - approach_of(robot, q)).min()
+        assert gap < 8.0 * np.pi / 64
+
+
+def test_harvester_grid_is_found(robot):
+    """Joints at their limits, stretched elbows and points above the axis among them."""
+    grid = np.radians(np.arange(0.0, 91.0, 15.0))
+    for theta in np.stack(np.meshgrid(grid, grid, grid), axis=-1).reshape(-1, 3):
+        q = np.array([0.4, *theta])
+        position = robot.tool_positions(q)
+        found = reach(robot, position, approach_deg=float(np.degrees(theta.sum())), start=q)
+        assert_reached(robot, found, position)
+        assert nearest(found, q) < 1e-6
+        assert_reached(robot, reach(robot, position, start=q), position)
+
+
+@settings(max_examples=60, suppress_health_check=list(HealthCheck))
+@given(seed=st.integers(0, 2**32 - 1))
+def test_random_arms(robot, seed):
+    rng = np.random.default_rng(seed)
+    arm = random_arm(robot, rng)
+    q = rng.uniform(arm.lower, arm.upper)
+    # Some joints at their limits, where intervals end or are single points.
+    q = np.where(rng.random(4) < 0.3, rng.choice([arm.lower, arm.upper]), q)
+    position = arm.tool_positions(q)
+    assert_reached(arm, reach(arm, position), position)
+    given_angle = reach(arm, position, approach_deg=float(np.degrees(approach_of(arm, q))), start=q)
+    assert_reached(arm, given_angle, position)
+    assert nearest(given_angle, q) < 1e-5
+
+
+@settings(max_examples=40, suppress_health_check=list(HealthCheck))
+@given(seed=st.integers(0, 2**32 - 1))
+def test_feasible_directions_against_a_scan(robot, seed):
+    rng = np.random.default_rng(seed)
+    arm = random_arm(robot, rng)
+    point = complex(*rng.uniform(-1.5, 1.5, 2))
+    chain = FreeChain.of(arm.arm, (0, 1, 2), np.zeros(3))
+    spans = chain.feasible_directions(np.array([point]), np.zeros(1))
+    angles = rng.uniform(-np.pi, np.pi, 400)
+    inside = np.zeros(400, dtype=bool)
+    for low, high in spans:
+        assert low <= high <= low + 2.0 * np.pi
+        inside |= (angles - low) % (2.0 * np.pi) <= high - low
+    np.testing.assert_array_equal(inside, scan(arm, point, angles))
+
+
+def test_stretched_at_the_limits(robot):
+    """One configuration, and rounding bends neither elbow nor wrist out of its range."""
+    rng = np.random.default_rng(4)
+    for _ in range(200):
+        q = np.array([*rng.uniform(-3.0, 3.0, 2), 0.0, 0.0])
+        arm = with_arm(robot, lengths=rng.uniform(0.1, 1.0, 3), lower=[q[1], 0.0, 0.0], upper=[q[1] + 1.0, 1.0, 1.0])
+        found = reach(arm, arm.tool_positions(q))
+        assert_reached(arm, found, arm.tool_positions(q))
+        assert nearest(found, q) < 1e-7
+
+
+def test_both_yaws(robot):
+    q = np.array([0.5, np.pi / 2, 1.2, 0.9])
+    position = robot.tool_positions(q)
+    found = reach(robot, position)
+    assert_reached(robot, found, position)
+    assert np.unique(np.round(found.configurations[:, 0], 9)) == pytest.approx([0.5 - np.pi, 0.5])
+
+
+def test_point_on_the_yaw_axis(robot):
+    wide = with_arm(robot, lower=[-3.0] * 3, upper=[3.0] * 3)
+    position = np.array([0.0, 0.0, 2.0])
+    every = reach(wide, position)
+    assert_reached(wide, every, position)
+    assert len(np.unique(every.configurations[:, 0])) == AXIS_YAWS
+    start = np.array([0.7, 0.0, 0.0, 0.0])
+    assert set(reach(wide, position, start=start).configurations[:, 0]) == {0.7}
+
+
+def test_yaw_at_both_ends_of_its_range(robot):
+    found = reach(robot, robot.tool_positions([np.pi, 0.3, 0.4, 0.5]))
+    assert set(np.round(found.configurations[:, 0], 9)) == {round(-np.pi, 9), round(np.pi, 9)}
+
+
+def test_joints_that_turn_more_than_once(robot):
+    many = with_arm(robot, lower=[-7.0, -1.0, -1.0], upper=[7.0, 1.0, 1.0])
+    q = np.array([0.2, 0.5, 0.4, 0.3])
+    position = many.tool_positions(q)
+    found = reach(many, position, approach_deg=float(np.degrees(1.2)))
+    for turn in (-1, 0, 1):
+        assert nearest(found, q + np.array([0.0, 2 * np.pi * turn, 0.0, 0.0])) < 1e-9
+
+
+def test_approach_interval(robot):
+    position = robot.tool_positions([0.2, 0.4, 0.5, 0.5])
+    whole = reach(robot, position).approach
+    low, high = np.degrees([whole.min(), whole.max()])
+    middle = 0.5 * (low + high)
+    part = reach(robot, position, approach_deg=(middle, high + 50.0))
+    assert_reached(robot, part, position)
+    assert np.degrees([part.approach.min(), part.approach.max()]) == pytest.approx([middle, high])
+    again = reach(robot, position, approach_deg=(middle + 360.0, high + 410.0))
+    np.testing.assert_allclose(again.configurations, part.configurations, rtol=0.0, atol=1e-12)
+
+
+def test_count(robot):
+    position = robot.tool_positions([0.2, 0.4, 0.5, 0.5])
+    few, many = (len(reach(robot, position, count=count).configurations) for count in (1, 100))
+    assert 1 <= few <= 12
+    assert 100 <= many <= 116
+    spaced = np.diff(np.sort(reach(robot, position, count=100).approach))
+    assert spaced[1:-1] == pytest.approx(np.full(len(spaced) - 2, spaced[1]))
+
+
+def test_same_input_same_output(robot):
+    position = robot.tool_positions([0.2, 0.4, 0.5, 0.5])
+    first, second = reach(robot, position), reach(robot, position)
+    np.testing.assert_array_equal(first.configurations, second.configurations)
+
+
+# Locked joints
+
+
+@pytest.mark.parametrize("name", ["upright on a yaw", "shoulder aside and behind, arm turned", "tilted plane"])
+@pytest.mark.parametrize("locked", [(0,), (1,), (-1,), (-2,), (0, -1), (-1, -2), (0, 1, 2)])
+def test_locked_joints_keep_their_values(variants, name, locked):
+    robot, rng = variants[name], np.random.default_rng(2)
+    joints = sorted({j % robot.dof for j in locked})
+    names = [robot.joint_names[j] for j in joints]
+    for _ in range(10):
+        start, q = rng.uniform(robot.lower, robot.upper, (2, robot.dof))
+        q[joints] = start[joints]
+        position = robot.tool_positions(q)
+        found = reach(robot, position, start=start, locked=names)
+        assert_reached(robot, found, position)
+        np.testing.assert_array_equal(found.configurations[:, joints], np.tile(start[joints], (len(found.approach), 1)))
+        angle = float(np.degrees(approach_of(robot, q)))
+        assert nearest(reach(robot, position, start=start, locked=names, approach_deg=angle), q) < 1e-6
+
+
+def test_all_joints_locked(robot):
+    start = np.array([0.1, 0.2, 0.3, 0.4])
+    found = reach(robot, robot.tool_positions(start), start=start, locked=robot.joint_names)
+    np.testing.assert_array_equal(found.configurations, start[None])
+
+
+def test_lock_in_the_way(robot):
+    position = robot.tool_positions([0.2, 0.4, 0.5, 0.5])
+    with pytest.raises(UnreachableError, match="base_yaw locked: the arm plane passes it at") as caught:
+        reach(robot, position, start=[0.0, 0.4, 0.5, 0.5], locked=["base_yaw"])
+    assert caught.value.reason == "locked"
+    assert caught.value.exit_status == 3
+    assert caught.value.data["locked_joints"] == ["base_yaw"]
+    assert caught.value.data["beside_m"] == pytest.approx(np.hypot(*position[:2]) * np.sin(0.2))
+    with pytest.raises(UnreachableError) as caught:
+        reach(robot, position, start=[0.0, 0.0, 0.0, 0.5], locked=["shoulder", "elbow"])
+    assert caught.value.reason == "locked"
+
+
+@pytest.mark.parametrize("name", ["plane beside the yaw axis", "links beside each other, off the axis"])
+def test_points_nearer_to_the_yaw_axis_than_the_plane(variants, name):
+    """Just outside there are two yaws, with the point ahead and with it behind; inside it is told by how much."""
+    robot = variants[name]
+    _, across = robot.shoulder_from_axis
+    assert abs(across) > 0.1
+    height = robot.plane_origin[2] + 0.9
+    direction = np.array([math.cos(0.3), math.sin(0.3)])
+    outside = np.append(robot.yaw_axis + (abs(across) + 1e-3) * direction, height)
+    found = reach(robot, outside, count=8)
+    assert_reached(robot, found, outside)
+    yaws = np.unique(found.configurations[:, 0].round(6))
+    assert len(yaws) == 2
+    assert np.diff(yaws) == pytest.approx(2.0 * math.acos(abs(across) / (abs(across) + 1e-3)), abs=1e-5)
+    for part in (0.0, 0.5, 0.99):
+        inside = np.append(robot.yaw_axis + part * abs(across) * direction, height)
+        with pytest.raises(UnreachableError, match="nearer to the yaw axis than the arm plane") as caught:
+            reach(robot, inside)
+        assert caught.value.reason == "off_plane"
+        assert caught.value.data["beside_m"] == pytest.approx((1.0 - part) * abs(across), abs=1e-12)
+
+
+# Other numbers of joints
+
+
+def test_one_joint(variants):
+    robot = variants["one link on a yaw"]
+    q = np.array([0.4, 0.7])
+    found = reach(robot, robot.tool_positions(q))
+    assert nearest(found, q) < 1e-9
+    with pytest.raises(UnreachableError) as caught:
+        reach(robot, robot.tool_positions(q) + np.array([0.0, 0.0, 0.3]))
+    assert caught.value.reason in ("too_far", "too_near")
+
+
+def test_five_joints(variants):
+    robot, rng = variants["five links on a yaw"], np.random.default_rng(3)
+    for q in rng.uniform(0.8 * robot.lower, 0.8 * robot.upper, (20, robot.dof)):
+        position = robot.tool_positions(q)
+        found = reach(robot, position)
+        assert_reached(robot, found, position)
+        locked = reach(robot, position, start=q, locked=["j0", "j3"])
+        assert_reached(robot, locked, position)
+        assert (locked.configurations[:, [1, 4]] == q[[1, 4]]).all()
+
+
+def test_not_found_is_not_unreachable(variants):
+    """Just in reach of the stretched arm, which no joint of the grid points at: nothing else is claimed."""
+    robot = variants["five links on a yaw"]
+    direction = np.array([np.cos(0.3), 0.0, np.sin(0.3)])
+    with pytest.raises(UnreachableError, match="j0, j1 at values of a grid") as caught:
+        reach(robot, robot.plane_origin + (robot.arm.lengths.sum() - 1e-9) * direction)
+    assert caught.value.reason == "not_found"
+
+
+# What cannot be reached
+
+
+def test_too_far(robot):
+    with pytest.raises(UnreachableError, match=r"0\.3 m beyond the reach of 2\.2 m") as caught:
+        reach(robot, [2.5, 0.0, 0.6])
+    assert caught.value.reason == "too_far"
+    assert caught.value.data["excess_m"] == pytest.approx(0.3)
+
+
+def test_too_near(robot):
+    stiff = with_arm(robot, lengths=[1.0, 0.3, 0.2])
+    with pytest.raises(UnreachableError, match="nearer than the arm can fold") as caught:
+        reach(stiff, [0.4, 0.0, 0.6])
+    assert caught.value.reason == "too_near"
+    assert caught.value.data["excess_m"] == pytest.approx(0.1)
+
+
+def test_beside_the_plane(variants):
+    robot = variants["no yaw"]
+    position = robot.tool_positions([0.3, 0.4]) + 0.05 * robot.plane_at(0.0)[1][2]
+    with pytest.raises(UnreachableError, match=r"0\.05 m beside the arm plane") as caught:
+        reach(robot, position)
+    assert caught.value.reason == "off_plane"
+
+
+def test_approach_out_of_reach(robot):
+    position = robot.tool_positions([0.2, 0.4, 0.5, 0.5])
+    with pytest.raises(UnreachableError) as caught:
+        reach(robot, position, approach_deg=-90.0)
+    assert caught.value.reason == "approach"
+    assert caught.value.data["approach_deg"] == [-90.0, -90.0]
+    ((low, high),) = caught.value.data["reachable_deg"]
+    whole = np.degrees(reach(robot, position).approach)
+    assert (low, high) == pytest.approx((whole.min(), whole.max()))
+    assert reach(robot, position, approach_deg=(low, low)).approach == pytest.approx(np.radians([low]))
+
+
+@settings(max_examples=60, suppress_health_check=list(HealthCheck))
+@given(seed=st.integers(0, 2**32 - 1))
+def test_limits_in_the_way(robot, seed):
+    """With the limits that are named moved by as much as is said, the point is reached; by less, it is not."""
+    rng = np.random.default_rng(seed)
+    arm = random_arm(robot, rng)
+    while True:
+        position = rng.uniform([-1.5, -1.5, -0.5], [1.5, 1.5, 1.8])
+        try:
+            reach(arm, position)
+        except UnreachableError as error:
+            if error.reason != "joint_limit":
+                continue
+            fault = error
+            break
+    assert fault.data["passed"][0] == {key: fault.data[key] for key in ("joint", "limit_deg", "excess_deg")}
+    assert fault.data["joint"] in fault.message
+
+    def relaxed(share: float) -> Robot:
+        lower, upper = np.array(arm.arm.lower), np.array(arm.arm.upper)
+        for entry in fault.data["passed"]:
+            index = arm.arm.joint_names.index(entry["joint"])
+            by, limit = share * np.radians(entry["excess_deg"]), np.radians(entry["limit_deg"])
+            if abs(limit - lower[index]) < 1e-9:
+                lower[index] -= by
+            else:
+                assert limit == pytest.approx(upper[index])
+                upper[index] += by
+        return with_arm(arm, lower=lower, upper=upper)
+
+    reach(relaxed(1.0 + 1e-3), position)
+    with pytest.raises(UnreachableError):
+        reach(relaxed(0.98), position)
+
+
+def test_yaw_limit_in_the_way(robot):
+    lower, upper = np.array(robot.lower), np.array(robot.upper)
+    lower[0], upper[0] = -1.0, 1.0
+    narrow = replace(robot, lower=readonly(lower), upper=readonly(upper))
+    with pytest.raises(UnreachableError) as caught:
+        reach(narrow, robot.tool_positions([1.1, 0.2, 0.3, 0.3]))
+    assert caught.value.data["joint"] == "base_yaw"
+    assert caught.value.data["excess_deg"] == pytest.approx(np.degrees(0.1))
+
+
+# What is no question
+
+
+@pytest.mark.parametrize("position", [[1.0, 2.0], [np.nan, 0.0, 0.0], [np.inf, 0.0, 0.0], "far", None, [[1, 2, 3]]])
+def test_positions_that_are_none(robot, position):
+    with pytest.raises(InputError, match="position"):
+        reach(robot, position)
+
+
+@pytest.mark.parametrize("approach", [(50.0, 10.0), np.nan, (1.0, 2.0, 3.0), "up", (0.0, np.inf), ()])
+def test_approaches_that_are_none(robot, approach):
+    with pytest.raises(OptionError, match="approach_deg"):
+        reach(robot, [1.5, 0.0, 1.0], approach_deg=approach)
+
+
+def test_other_input(robot):
+    with pytest.raises(OptionError, match="count"):
+        reach(robot, [1.5, 0.0, 1.0], count=0)
+    with pytest.raises(OptionError, match="start"):
+        reach(robot, [1.5, 0.0, 1.0], locked=["wrist"])
+    with pytest.raises(InputError, match="no joint 'hand'"):
+        reach(robot, [1.5, 0.0, 1.0], locked=["hand"], start=[0.0] * 4)
+    with pytest.raises(JointLimitError):
+        reach(robot, [1.5, 0.0, 1.0], start=[0.0, -1.0, 0.0, 0.0])

@@ -1,0 +1,462 @@
+"""Shortened, rounded, pushed: ends, limits and clearance kept, as coal judges many samples."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.optimize import linprog
+
+from hplan.base.polyline import path_length
+from hplan.collision.clearance_field import ClearanceField
+from hplan.collision.coal_scene import CoalScene
+from hplan.errors import CertificationError, InputError
+from hplan.optimization import coarse_profile as coarse
+from hplan.optimization import smooth_path as postprocess_path
+from hplan.optimization.coarse_profile import coarse_profile
+from hplan.optimization.options import PostprocessOptions
+from hplan.optimization.push_clear import clear_spline
+from hplan.optimization.shortcut import shorten
+from hplan.optimization.smooth_path import clear_path, short_path
+from hplan.planning.options import PlanOptions
+from hplan.planning.plan import plan
+from hplan.robot.limits import Limits
+from hplan.scene.obstacles import Sphere
+from hplan.trajectory.retime import time_path
+from hplan.trajectory.round_corners import smooth
+from hplan.trajectory.spline import SplinePath
+
+MARGIN = 2e-3
+PLANAR = np.array([1, 2, 3])
+
+
+@pytest.fixture(scope="module")
+def field(robot, scene):
+    return ClearanceField.of(robot, scene.solids)
+
+
+@pytest.fixture(scope="module")
+def checker(robot, scene):
+    return CoalScene(robot, scene.solids)
+
+
+@pytest.fixture(scope="module")
+def grid_path(robot, scene):
+    return plan(robot, scene, PlanOptions(objective="length")).grid_path
+
+
+@pytest.fixture(scope="module")
+def options(robot):
+    return PostprocessOptions(
+        lower=robot.lower,
+        upper=robot.upper,
+        velocity=robot.velocity_limit,
+        acceleration=robot.acceleration_limit,
+        movable=PLANAR,
+        margin=MARGIN,
+    )
+
+
+@pytest.fixture(scope="module")
+def limits(robot):
+    return Limits(robot.velocity_limit, robot.acceleration_limit, robot.torque_limit, robot.jerk_limit)
+
+
+def samples_of(path, spacing=2e-3):
+    """Configurations along a polyline or a spline, no farther apart than the spacing [rad]."""
+    if isinstance(path, SplinePath):
+        return path.evaluate(np.linspace(0.0, path.end, 2 + int(path.length / spacing)))
+    pieces = [np.linspace(a, b, 2 + int(np.linalg.norm(b - a) / spacing)) for a, b in itertools.pairwise(path)]
+    return np.concatenate(pieces)
+
+
+def assert_kept(robot, checker, path, start, goal):
+    """Ends kept, within the joint limits, clear under dense sampling, and the base where it was."""
+    samples = samples_of(path)
+    if not isinstance(path, SplinePath):
+        np.testing.assert_array_equal(path[[0, -1]], [start, goal])
+    np.testing.assert_allclose(samples[[0, -1]], [start, goal], rtol=0, atol=1e-15)
+    assert (samples >= robot.lower - 1e-12).all()
+    assert (samples <= robot.upper + 1e-12).all()
+    assert np.abs(samples[:, 0] - start[0]).max() <= 1e-12
+    if checker.obstacle_names:
+        assert min(checker.distances(q).min() for q in samples) > 0.0
+    if isinstance(path, SplinePath):
+        assert (path.control[:, 0] == start[0]).all()
+        assert (path.control >= robot.lower).all()
+        assert (path.control <= robot.upper).all()
+
+
+def assert_same(first, second):
+    if isinstance(first, SplinePath):
+        assert first.knots.tobytes() == second.knots.tobytes()
+        first, second = first.control, second.control
+    assert first.tobytes() == second.tobytes()
+
+
+def staircase(start, end, steps=20):
+    """A clear path in free space that moves one planar joint at a time."""
+    q = np.array(start, dtype=float)
+    path = [q.copy()]
+    for _ in range(steps):
+        for joint in PLANAR:
+            q[joint] += (end[joint] - start[joint]) / steps
+            path.append(q.copy())
+    path[-1] = np.array(end, dtype=float)
+    return np.array(path)
+
+
+# Shortening
+
+
+@pytest.mark.parametrize("margin", [1e-4, MARGIN, 0.01])
+def test_shortened_reference_path(robot, field, checker, grid_path, margin):
+    taut = shorten(grid_path, field, margin=margin)
+    assert_kept(robot, checker, taut, grid_path[0], grid_path[-1])
+    assert path_length(taut) < 0.98 * path_length(grid_path)
+    assert np.linalg.norm(np.diff(taut, axis=0), axis=1).min() > 0.0
+    assert_same(taut, shorten(grid_path, field, margin=margin))
+    assert path_length(shorten(taut, field, margin=margin)) <= path_length(taut) * (1 + 1e-12)
+
+
+def test_more_rounds_are_never_longer(field, grid_path):
+    lengths = [path_length(shorten(grid_path, field, margin=MARGIN, rounds=n)) for n in (0, 1, 3, 10, 30, 100, 300)]
+    assert all(b <= a * (1 + 1e-12) for a, b in itertools.pairwise(lengths))
+    assert lengths[-1] < 0.995 * lengths[0]
+
+
+def test_shortened_without_obstacles_is_straight(robot):
+    start, end = np.array([0.3, 0.1, 0.2, 0.3]), np.array([0.3, 1.4, 1.1, 0.9])
+    taut = shorten(staircase(start, end), ClearanceField.of(robot, []), margin=MARGIN)
+    np.testing.assert_array_equal(taut, [start, end])
+
+
+def test_shortened_random_paths(robot):
+    """Wandering paths among random balls: those that are clear stay so and never grow, locked joints stay."""
+    rng = np.random.default_rng(5)
+    seen = 0
+    while seen < 25:
+        balls = [
+            Sphere(
+                name=f"b{i}",
+                center=(rng.uniform(-1, 2), rng.uniform(-0.3, 0.3), rng.uniform(0.8, 2.6)),
+                radius=rng.uniform(0.03, 0.2),
+            )
+            for i in range(4)
+        ]
+        field, checker = ClearanceField.of(robot, balls), CoalScene(robot, balls)
+        path = np.clip(
+            np.cumsum(np.vstack([rng.uniform(0, 1.5, 4), rng.normal(0, 0.12, (30, 4))]), axis=0), 0, robot.upper
+        )
+        path[:, 0] = path[0, 0]
+        if not field.is_clear(path, 1e-5):
+            continue
+        seen += 1
+        taut = shorten(path, field, margin=1e-5)
+        assert_kept(robot, checker, taut, path[0], path[-1])
+        assert (taut[:, 0] == path[0, 0]).all()
+        assert path_length(taut) <= path_length(path) * (1 + 1e-12)
+        assert_kept(robot, checker, smooth(taut, field, margin=1e-5), path[0], path[-1])
+
+
+def test_a_second_locked_joint_stays(robot, field):
+    """Shortcuts of single joints included."""
+    path = staircase(np.array([0.4, 0.1, 0.2, 0.5]), np.array([0.4, 0.7, 1.0, 0.5]))
+    taut = shorten(path, field, margin=MARGIN)
+    assert (taut[:, [0, 3]] == path[0, [0, 3]]).all()
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_short_paths_are_left_alone(field, count):
+    path = np.radians([[0.0, 0, 0, 0], [0, 10, 5, 0]])[:count]
+    np.testing.assert_array_equal(shorten(path, field, margin=MARGIN), path)
+
+
+def test_duplicate_points_do_not_matter(robot, field, checker, grid_path):
+    taut = shorten(np.repeat(grid_path, 2, axis=0), field, margin=MARGIN)
+    assert_kept(robot, checker, taut, grid_path[0], grid_path[-1])
+    assert np.linalg.norm(np.diff(taut, axis=0), axis=1).min() > 0.0
+    assert path_length(taut) < 0.98 * path_length(grid_path)
+
+
+def test_duplicate_points_closer_than_the_margin(field, grid_path):
+    taut = shorten(np.repeat(grid_path, 2, axis=0), field, margin=0.3)
+    assert np.linalg.norm(np.diff(taut, axis=0), axis=1).min() > 0.0
+
+
+def test_path_closer_than_the_margin_is_kept(robot, field, checker, grid_path):
+    """What stays of the path keeps its own clearance."""
+    taut = shorten(grid_path, field, margin=0.3)
+    assert_kept(robot, checker, taut, grid_path[0], grid_path[-1])
+    assert path_length(taut) <= path_length(grid_path)
+
+
+def test_tiny_segments(robot, field, checker):
+    start, end = np.array([0.2, 0.1, 0.1, 0.1]), np.array([0.2, 0.4, 0.3, 0.2])
+    path = np.vstack([start, start + 1e-10 * PLANAR[[0, 0, 1, 2]] * [0, 1, 1, 1], end, end])
+    path[2] -= 1e-12
+    path[2, 0] = 0.2
+    assert_kept(robot, checker, shorten(path, field, margin=MARGIN), start, end)
+
+
+# Corners rounded
+
+
+def test_rounded_reference_path(robot, field, checker, grid_path):
+    margin = 1e-4  # of the motions between nodes that stay, some have less than MARGIN
+    taut = shorten(grid_path, field, margin=margin)
+    assert field.is_clear(taut, margin)
+    path = smooth(taut, field, margin=margin)
+    assert_kept(robot, checker, path, taut[0], taut[-1])
+    assert path.is_clear(field, 0.5 * margin)
+    assert path.length < path_length(taut)
+    assert_same(path, smooth(taut, field, margin=margin))
+    # It stays near the polyline.
+    fine = samples_of(taut)
+    off = [np.linalg.norm(fine - q, axis=1).min() for q in samples_of(path, 0.02)]
+    assert max(off) < 0.1
+
+
+def test_rounded_two_point_path_is_straight(robot, field):
+    ends = np.radians([[10.0, 0, 0, 0], [10, 20, 15, 0]])
+    path = smooth(ends, field, margin=MARGIN)
+    assert path.length == pytest.approx(np.linalg.norm(ends[1] - ends[0]), rel=1e-12)
+    np.testing.assert_array_equal(path.evaluate([0.0, path.end]), ends)
+
+
+def test_corner_beside_an_obstacle_is_rounded_less(robot):
+    """Beads about the tool where a wide rounding passes and the polyline does not."""
+    path = np.array([[0, 0.42, 0.1, 0.07], [0, 0.29, 0.12, 1.44], [0, 0.15, 1.52, 1.05]])
+    wide = smooth(path, ClearanceField.of(robot, []), margin=1e-5)
+    rounded_less = 0
+    for share, bearing in itertools.product((0.35, 0.45, 0.5, 0.55, 0.65), np.linspace(0.0, 2 * np.pi, 13)[:-1]):
+        hand = robot.tool_positions(wide.evaluate(share * wide.end))
+        place = hand + 0.0305 * np.array([np.cos(bearing), 0.0, np.sin(bearing)])
+        bead = Sphere(name="bead", center=tuple(map(float, place)), radius=1e-3)
+        field, checker = ClearanceField.of(robot, [bead]), CoalScene(robot, [bead])
+        if wide.is_clear(field, 5e-6) or not field.is_clear(path, 1e-5):
+            continue
+        rounded_less += 1
+        rounded = smooth(path, field, margin=1e-5)
+        assert_kept(robot, checker, rounded, path[0], path[-1])
+        corner = [np.linalg.norm(samples_of(spline) - path[1], axis=1).min() for spline in (wide, rounded)]
+        assert 0.1 * corner[0] < corner[1] < 0.9 * corner[0]
+    assert rounded_less > 0
+
+
+def test_corner_in_contact_cannot_be_rounded(robot):
+    path = np.array([[0, 0.2, 0, 0], [0, 0.8, 0, 0], [0, 0.8, 0.6, 0.0]])
+    tip = robot.tool_positions(path[1])
+    ball = Sphere(name="ball", center=tuple(map(float, tip)), radius=0.05)
+    with pytest.raises(CertificationError, match="corners cannot be rounded"):
+        smooth(path, ClearanceField.of(robot, [ball]), margin=1e-3)
+
+
+# Splines pushed, and how fast they are
+
+
+def test_pushed(robot, field, checker, grid_path, options):
+    taut = shorten(grid_path, field, margin=MARGIN)
+    pushed = clear_spline(taut, field, options, count=44, margin=MARGIN)
+    assert_kept(robot, checker, pushed, grid_path[0], grid_path[-1])
+    assert pushed.is_clear(field, 0.5 * MARGIN)
+    assert len(pushed.control) == 44
+
+
+def test_pushing_keeps_the_joint_limits(robot, field, grid_path, options):
+    """Limits as narrow as the path: pushing would leave them on one side or the other."""
+    taut = shorten(grid_path, field, margin=MARGIN)
+    tight = replace(options, lower=taut.min(axis=0), upper=taut.max(axis=0))
+    left = 0
+    for count in range(6, 31):
+        for limited in (options, tight):
+            spline = clear_spline(taut, field, limited, count=count, margin=MARGIN)
+            if spline is None:
+                continue
+            outside = np.maximum(spline.control - tight.upper, tight.lower - spline.control).max()
+            if limited is tight:
+                assert outside <= 0.0
+            else:
+                left += int(outside > 1e-3)
+    assert left > 0
+
+
+def test_no_spline_where_pushing_cannot_succeed(robot, options):
+    """The goal itself is in contact: no control point may move it."""
+    path = np.array([[0, 0.2, 0, 0], [0, 0.8, 0, 0]])
+    ball = Sphere(name="ball", center=tuple(map(float, robot.tool_positions(path[1]))), radius=0.05)
+    assert clear_spline(path, ClearanceField.of(robot, [ball]), options, count=6, margin=MARGIN) is None
+
+
+def test_coarse_profile_is_about_that_of_toppra(robot, field, grid_path, options, limits):
+    """Without torque and jerk limits, to a few per cent."""
+    pushed = clear_spline(shorten(grid_path, field, margin=MARGIN), field, options, count=8, margin=MARGIN)
+    exact = time_path(pushed, robot.model, Limits(limits.velocity, limits.acceleration))
+    assert coarse_profile(pushed, options).duration == pytest.approx(exact.duration, rel=0.05)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_largest_speeds_at_which_all_joints_can_accelerate(options, seed):
+    """Against linear programs: the largest x with |q' u + q'' x| <= a for some u, and |q'|^2 x <= v^2."""
+    control = np.random.default_rng(seed).uniform(-1.0, 1.0, (9, 4))
+    grid = coarse._grid_of(SplinePath.through(control).knots, 6)
+    demands = np.empty((len(grid.first), 9))
+    velocity = 100.0 * options.velocity  # where joints disagree, not how fast each of them is
+    coarse._demands(control, grid, replace(options, velocity=velocity, movable=np.arange(4)).joints, demands)
+    for row, (weights, bends) in enumerate(zip(grid.first, grid.second, strict=True)):
+        piece = min(row // 8, 5)
+        p, c = weights @ control[piece : piece + 4], bends @ control[piece : piece + 4]
+        sides = np.stack([p, c], axis=1)
+        found = linprog(
+            [0.0, -1.0],
+            np.vstack([sides, -sides]),
+            np.tile(options.acceleration, 2),
+            bounds=[(None, None), (0.0, float(((velocity / p) ** 2).min()))],
+        )
+        assert demands[row, -1] == pytest.approx(found.x[1], rel=1e-6)
+
+
+def test_estimate_of_a_straight_motion_by_hand(options):
+    """Accelerate, cruise, brake: v / a + length / v."""
+    path = SplinePath.through(np.linspace([0, 0.1, 0.2, 0.2], [0, 1.5, 0.2, 0.2], 8))
+    assert coarse_profile(path, options).duration == pytest.approx(1.4 / 1.2 + 1.2 / 3.0, rel=0.03)
+
+
+# The whole way
+
+
+@pytest.mark.parametrize("smoothed", [clear_path, short_path])
+def test_reference_path(robot, field, checker, grid_path, options, smoothed):
+    path = smoothed(grid_path, field, options)
+    assert_kept(robot, checker, path, grid_path[0], grid_path[-1])
+    assert path.is_clear(field, 0.5 * 0.05 * MARGIN)
+    assert path.length < path_length(grid_path)
+    assert_same(path, smoothed(grid_path, field, options))
+    assert_same(path, smoothed(grid_path.copy(), ClearanceField.of(robot, [*_solids(checker)]), options))
+
+
+def _solids(checker):
+    """The reference obstacle anew: the result hangs on values, not on objects."""
+    return [Sphere(name="again", center=(1.0, 0.0, 1.9), radius=0.15)]
+
+
+def test_short_is_short(field, grid_path, options):
+    """The taut string is about 138.3 deg long."""
+    assert np.degrees(short_path(grid_path, field, options).length) <= 138.8
+
+
+@pytest.mark.parametrize("smoothed", [clear_path, short_path])
+@pytest.mark.parametrize("case", ["two points", "twins at the start", "twins at the goal", "tiny steps", "tiny"])
+def test_small_paths(robot, field, checker, options, smoothed, case):
+    start, end = np.array([0.3, 0.0, 0.0, 0.0]), np.array([0.3, 0.4, 0.3, 0.2])
+    near = end + np.array([0, 0, 0, 1e-10])
+    path = {
+        "two points": [start, end],
+        "twins at the start": [start, start, end],
+        "twins at the goal": [start, end, end],
+        "tiny steps": [start, start + np.array([0, 1e-10, 0, 0]), end, near],
+        "tiny": [start, start + np.array([0, 1e-7, 0, 0])],
+    }[case]
+    path = np.array(path)
+    found = smoothed(path, field, options)
+    assert_kept(robot, checker, found, path[0], path[-1])
+    straight = np.linalg.norm(path[-1] - path[0])
+    assert straight * (1 - 1e-9) <= found.length <= 1.2 * straight
+
+
+@pytest.mark.parametrize("smoothed", [clear_path, short_path])
+def test_path_back_to_its_start(field, options, smoothed):
+    start, far = np.zeros(4), np.array([0.0, 0.4, 0.2, 0.1])
+    with pytest.raises(InputError, match="ends where it begins"):
+        smoothed(np.array([start, far, start]), field, options)
+
+
+@pytest.mark.parametrize("smoothed", [clear_path, short_path])
+def test_locked_joints_do_not_move(robot, field, options, smoothed):
+    path = staircase(np.array([0.4, 0.1, 0.2, 0.5]), np.array([0.4, 0.7, 1.0, 0.5]), 10)
+    found = smoothed(path, field, replace(options, movable=np.array([1, 2])))
+    assert (found.control[:, [0, 3]] == [0.4, 0.5]).all()
+
+
+@pytest.mark.parametrize("smoothed", [clear_path, short_path])
+def test_path_in_contact_is_refused(robot, field, options, smoothed):
+    path = np.radians([[0.0, 0, 0, 0], [0, 90, 0, 0]])
+    with pytest.raises(CertificationError, match="cannot be verified collision-free"):
+        smoothed(path, field, options)
+
+
+@pytest.mark.parametrize("smoothed", [clear_path, short_path])
+def test_random_clear_paths(robot, options, smoothed):
+    rng = np.random.default_rng(6)
+    seen = 0
+    while seen < 12:
+        balls = [
+            Sphere(name=f"b{i}", center=(rng.uniform(-1, 2), 0.0, rng.uniform(0.8, 2.6)), radius=rng.uniform(0.03, 0.2))
+            for i in range(4)
+        ]
+        field, checker = ClearanceField.of(robot, balls), CoalScene(robot, balls)
+        path = np.clip(
+            np.cumsum(np.vstack([rng.uniform(0, 1.5, 4), rng.normal(0, 0.12, (25, 4))]), axis=0), 0, robot.upper
+        )
+        path[:, 0] = 0.0
+        if not field.is_clear(path, 1e-3):
+            continue
+        seen += 1
+        found = smoothed(path, field, options)
+        assert_kept(robot, checker, found, path[0], path[-1])
+        assert_same(found, smoothed(path, field, options))
+
+
+# Straight motions, and what is far away
+
+
+def test_clear_straight_motion_stays_straight(robot, options):
+    """Where one joint takes longest anyway, the straight line is as fast as any: no search, whatever way led there."""
+    free = replace(options, movable=np.arange(4))
+    field = ClearanceField.of(robot, [Sphere(name="far", center=(-1.5, 0.0, 1.0), radius=0.1)])
+    start, end = np.array([0.0, 0.4, 0.3, 0.2]), np.array([1.0, 0.7, 0.3, 0.3])
+    detour = np.array([start, [0.4, 0.9, 0.3, 0.2], end])
+    for path in (np.array([start, end]), detour):
+        found = clear_path(path, field, free)
+        np.testing.assert_allclose(found.evaluate([0.0, 0.5 * found.end, found.end]), [start, 0.5 * (start + end), end])
+        assert found.length == pytest.approx(np.linalg.norm(end - start))
+
+
+def test_straight_motion_in_contact_is_not_taken(robot, options):
+    free = replace(options, movable=np.arange(4))
+    ball = Sphere(name="ball", center=(1.7 * np.cos(0.5), 1.7 * np.sin(0.5), 1.25), radius=0.05)
+    field, checker = ClearanceField.of(robot, [ball]), CoalScene(robot, [ball])
+    start, end = np.array([0.0, 0.4, 0.0, 0.2]), np.array([1.0, 0.4, 0.0, 0.2])
+    assert not field.is_clear(np.array([start, end]), MARGIN)
+    path = np.array([start, [0.0, 0.9, 0.0, 0.2], [1.0, 0.9, 0.0, 0.2], end])
+    found = clear_path(path, field, free)
+    samples = samples_of(found)
+    assert min(checker.distances(q).min() for q in samples) > 0.0
+    assert samples[:, 1].max() > 0.42
+
+
+@pytest.mark.parametrize("smoothed", [clear_path, short_path])
+def test_far_obstacles_change_nothing(robot, grid_path, scene, options, smoothed):
+    """Many of them, beyond where the optimisers look: the path is that without them."""
+    rng = np.random.default_rng(12)
+    far = [Sphere(name=f"f{i}", center=(*rng.uniform(-6, -4, 2), rng.uniform(0, 3)), radius=0.1) for i in range(30)]
+    alone = smoothed(grid_path, ClearanceField.of(robot, scene.solids), options)
+    among = smoothed(grid_path, ClearanceField.of(robot, [*far, *scene.solids]), options)
+    assert_same(alone, among)
+
+
+def test_what_the_optimisers_left_out_is_not_touched(robot, options, monkeypatch):
+    """With next to nothing in sight the proof still has everything, and the search is repeated with all of it."""
+    monkeypatch.setattr(postprocess_path, "NEAR", 1e-6)
+    monkeypatch.setattr(postprocess_path, "FEW", 0)
+    ball = Sphere(name="ball", center=(1.0, 0.0, 1.9), radius=0.15)
+    field, checker = ClearanceField.of(robot, [ball]), CoalScene(robot, [ball])
+    path = np.radians([[0, 0, 0, 0], [0, 0, 90, 90], [0, 60, 90, 90], [0, 60, 0, 0]])
+    assert field.is_clear(path, 1e-4)
+    unseen = field.near(path, 1e-6)
+    assert len(unseen.solids) == 0
+    assert not clear_path(path, unseen, options).is_clear(field, 1e-6)  # would go straight through the ball
+    found = clear_path(path, field, options)
+    assert_kept(robot, checker, found, path[0], path[-1])

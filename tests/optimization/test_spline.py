@@ -1,0 +1,234 @@
+"""The spline against scipy's, its pieces against dense sampling."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from arm_variants import VARIANTS, link_axes, load_variant, random_obstacles
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hplan.collision.clearance_field import ClearanceField
+from hplan.collision.coal_scene import CoalScene
+from hplan.scene.obstacles import Sphere
+from hplan.trajectory.spline import (
+    STRIDE,
+    MovableSpline,
+    SplinePath,
+    first_contact,
+    piece_bounds,
+    piece_is_clear,
+    pieces_are_clear,
+)
+
+
+@st.composite
+def control_points(draw):
+    seed, count, dof = draw(st.integers(0, 2**32 - 1)), draw(st.integers(4, 14)), draw(st.integers(1, 5))
+    rng = np.random.default_rng(seed)
+    points = rng.uniform(-1.5, 1.5, (count, dof))
+    if draw(st.booleans()):  # very different spacings
+        points = np.cumsum(points * rng.choice([1e-3, 1.0], (count, 1)), axis=0)
+    return points
+
+
+everywhere = settings(max_examples=60)
+
+
+@everywhere
+@given(control_points())
+def test_values_and_derivatives_are_those_of_scipy(control):
+    interpolate = pytest.importorskip("scipy.interpolate")
+    path = SplinePath.through(control)
+    reference = interpolate.BSpline(path.knots, path.control, 3)
+    s = np.linspace(0.0, path.end, 137)
+    for derivative in (0, 1, 2):
+        expected = reference.derivative(derivative)(s) if derivative else reference(s)
+        np.testing.assert_allclose(
+            path.evaluate(s, derivative), expected, rtol=1e-9, atol=1e-9 * max(1.0, np.abs(expected).max())
+        )
+
+
+@everywhere
+@given(control_points())
+def test_ends_are_exact_and_nothing_jumps_at_breaks(control):
+    path = SplinePath.through(control)
+    np.testing.assert_array_equal(path.evaluate(0.0), control[0])
+    np.testing.assert_allclose(path.evaluate(path.end), control[-1], rtol=0, atol=1e-15 * np.abs(control).max())
+    b = path.pieces
+    width = np.diff(path.breaks)[:, None]
+    for derivative, (before, after) in enumerate(
+        [
+            (b[:-1, 3], b[1:, 0]),
+            ((b[:, 3] - b[:, 2])[:-1] / width[:-1], (b[:, 1] - b[:, 0])[1:] / width[1:]),
+            (
+                (b[:, 3] - 2 * b[:, 2] + b[:, 1])[:-1] / width[:-1] ** 2,
+                (b[:, 2] - 2 * b[:, 1] + b[:, 0])[1:] / width[1:] ** 2,
+            ),
+        ]
+    ):
+        scale = max(1.0, np.abs(before).max(initial=0.0))
+        np.testing.assert_allclose(before, after, atol=1e-8 * scale, err_msg=f"derivative {derivative}")
+
+
+@everywhere
+@given(control_points())
+def test_path_is_in_the_hull_of_its_control_points(control):
+    path = SplinePath.through(control)
+    points = path.evaluate(np.linspace(0.0, path.end, 301))
+    assert (points >= control.min(axis=0) - 1e-12).all()
+    assert (points <= control.max(axis=0) + 1e-12).all()
+    # Span by span: along any direction, within its four control points.
+    rng = np.random.default_rng(0)
+    for i, (low, high) in enumerate(zip(path.breaks[:-1], path.breaks[1:], strict=True)):
+        span = path.evaluate(np.linspace(low, high, 9)[:-1])
+        for direction in rng.normal(size=(5, control.shape[1])):
+            reach = control[i : i + 4] @ direction
+            assert (span @ direction >= reach.min() - 1e-10).all()
+            assert (span @ direction <= reach.max() + 1e-10).all()
+
+
+@everywhere
+@given(control_points())
+def test_length(control):
+    path = SplinePath.through(control)
+    points = path.evaluate(np.linspace(0.0, path.end, 20001))
+    chords = np.linalg.norm(np.diff(points, axis=0), axis=1).sum()
+    polygon = np.linalg.norm(np.diff(control, axis=0), axis=1).sum()
+    assert path.length == pytest.approx(chords, rel=2e-2)  # near a cusp quadrature is not exact
+    assert path.length <= polygon * (1 + 2e-2)
+
+
+def test_length_of_a_path_without_cusps():
+    s = np.linspace(0.0, 1.0, 12)
+    path = SplinePath.through(np.column_stack([s, np.sin(2 * s), 0.5 * np.cos(3 * s)]))
+    points = path.evaluate(np.linspace(0.0, path.end, 20001))
+    chords = np.linalg.norm(np.diff(points, axis=0), axis=1).sum()
+    assert path.length == pytest.approx(chords, rel=1e-8)
+
+
+def test_straight_path_runs_as_its_length():
+    start, end = np.array([0.1, -0.3]), np.array([1.3, 0.2])
+    path = SplinePath.through(start + np.linspace(0.0, 1.0, 9)[:, None] * (end - start))
+    length = np.linalg.norm(end - start)
+    assert path.end == pytest.approx(length, rel=1e-14)
+    assert path.length == pytest.approx(length, rel=1e-12)
+    inner = np.linspace(path.breaks[3], path.breaks[-4], 50)
+    speed = np.linalg.norm(path.evaluate(inner, 1), axis=1)
+    np.testing.assert_allclose(speed, 1.0, rtol=1e-9)
+
+
+def test_evaluate_clips_and_keeps_shapes():
+    path = SplinePath.through(np.random.default_rng(1).uniform(size=(6, 3)))
+    np.testing.assert_array_equal(path.evaluate([-1.0, 99.0]), path.control[[0, -1]])
+    assert path.evaluate(0.3).shape == (3,)
+    assert path.evaluate(np.zeros((2, 5)), 2).shape == (2, 5, 3)
+    for array in (path.control, path.knots, path.breaks, path.pieces):
+        assert not array.flags.writeable
+
+
+def test_joint_that_stands_still_stays_to_rounding():
+    control = np.random.default_rng(2).uniform(size=(9, 3))
+    control[:, 1] = 0.7
+    path = SplinePath.through(control)
+    assert np.ptp(path.pieces[:, :, 1]) <= 1e-15
+    assert np.abs(path.evaluate(np.linspace(0, path.end, 200))[:, 1] - 0.7).max() <= 5e-16
+
+
+# Pieces in the world
+
+
+def bezier(piece, t):
+    t = np.asarray(t)[:, None]
+    u = 1 - t
+    return u**3 * piece[0] + 3 * u**2 * t * piece[1] + 3 * u * t**2 * piece[2] + t**3 * piece[3]
+
+
+@pytest.mark.parametrize("name", VARIANTS)
+def test_no_axis_point_is_faster_than_the_bound_of_its_piece(name, tmp_path):
+    robot = load_variant(name, tmp_path)
+    field = ClearanceField.of(robot, [])
+    rng = np.random.default_rng(3)
+    bounds = np.empty(robot.arm.link_count)
+    closest = 0.0
+    for case in range(10):
+        piece = rng.uniform(robot.lower, robot.upper, (4, robot.dof))
+        if case % 3 == 0:
+            piece = piece[0] + 0.05 * (piece - piece[0])
+        if case == 1 and robot.has_yaw:
+            piece[:, 1:] = piece[0, 1:]
+        piece_bounds(piece, field.chain, field.base, bounds)
+        t = np.linspace(0.0, 1.0, 60)
+        points = np.array([link_axes(robot, q) for q in bezier(piece, t)])
+        moved = np.linalg.norm(np.diff(points, axis=0), axis=3) / np.diff(t)[:, None, None]
+        fastest = moved.max(axis=(0, 2))
+        assert (fastest <= bounds * (1 + 1e-9) + 1e-12).all()
+        closest = max(closest, (fastest / bounds).max())
+    assert closest > 0.5
+
+
+def test_no_piece_in_contact_is_accepted_and_few_others_refused(robot):
+    rng = np.random.default_rng(4)
+    margin = 2e-3
+    accepted = refused = 0
+    while accepted + refused < 250:
+        obstacles = random_obstacles(rng, 3)
+        checker, field = CoalScene(robot, obstacles), ClearanceField.of(robot, obstacles)
+        for _ in range(20):
+            piece = rng.uniform(robot.lower, robot.upper) + np.cumsum(rng.uniform(-0.2, 0.2, (4, 4)), axis=0)
+            if field.clearance(piece[0]) <= 0.0 or not -0.05 < field.clearance(bezier(piece, [0.5])[0]) < 0.2:
+                continue
+            arrays = field.arrays
+            least = min(checker.distances(q).min() for q in bezier(piece, np.linspace(0.0, 1.0, 200)))
+            bounds = np.empty(3)
+            piece_bounds(piece, field.chain, field.base, bounds)
+            if piece_is_clear(piece, arrays, margin, 0.0):
+                accepted += 1
+                assert least >= 0.5 * margin
+                assert piece_is_clear(piece, arrays, margin, STRIDE)  # fewer looks find no more
+            else:
+                refused += 1
+                assert least < margin + bounds.max() / 398
+    assert min(accepted, refused) > 25
+
+
+def test_contact_of_a_piece_for_a_moment_is_refused(robot):
+    """A bead grazed by the tip between free configurations, and one just missed."""
+    shoulder = np.linspace(0.3, 0.9, 4)
+    piece = np.column_stack([0 * shoulder, shoulder, 0 * shoulder, 0 * shoulder])
+    for depth in (1e-4, 1e-2):
+        for at in (0.31, 0.455, 0.52, 0.6037, 0.7, 0.88):
+            for gap, clear in ((-depth, False), (depth, True)):
+                reach = 2.2 + 0.03 + 0.001 + gap
+                bead = Sphere(name="bead", center=(reach * np.cos(at), 0, 0.6 + reach * np.sin(at)), radius=0.001)
+                field = ClearanceField.of(robot, [bead])
+                arrays = field.arrays
+                assert piece_is_clear(piece, arrays, 0.5e-4, 0.0) is clear
+                assert piece_is_clear(np.ascontiguousarray(piece[::-1]), arrays, 0.5e-4, 0.0) is clear
+
+
+def test_the_piece_in_contact_is_named(robot, scene):
+    field = ClearanceField.of(robot, scene.solids)
+    control = np.radians(np.column_stack([np.zeros(12), np.linspace(0, 88, 12), np.zeros(12), np.zeros(12)]))
+    path = SplinePath.through(control)
+    checker = CoalScene(robot, scene.solids)
+    expected = []
+    for low, high in zip(path.breaks[:-1], path.breaks[1:], strict=True):
+        expected.append(min(checker.distances(q).min() for q in path.evaluate(np.linspace(low, high - 1e-12, 300))) < 0)
+    found = first_contact(path.pieces, field, 1e-6)
+    assert found.tolist() == expected
+    assert 0 < sum(expected) < len(expected)
+    assert not path.is_clear(field, 1e-6)
+    arrays = field.arrays
+    first = expected.index(True)
+    spline = MovableSpline(path.control, path.knots)
+    assert pieces_are_clear(spline, 0, first - 1, arrays, 1e-6, 0.0)
+    assert not pieces_are_clear(spline, 0, first, arrays, 1e-6, 0.0)
+    assert not pieces_are_clear(spline, first, len(expected) - 1, arrays, 1e-6, 0.0)
+
+
+def test_spline_that_is_not_a_number_is_not_clear(robot, scene):
+    control = np.zeros((5, 4))
+    control[:, 1] = [0.0, 0.1, np.nan, 0.3, 0.4]
+    knots = SplinePath.through(np.linspace(0.0, 1.0, 5)[:, None]).knots
+    assert not SplinePath(control, knots).is_clear(ClearanceField.of(robot, scene.solids), 1e-3)

@@ -1,0 +1,328 @@
+"""Plans among obstacles that move: it waits, goes around, or goes at once; judged by coal at times close together."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import coal
+import numpy as np
+import pinocchio as pin
+import pytest
+from arm_variants import link_axes, upright_capsule
+from planned import task
+
+import hplan
+from hplan.certificate.certificate import LIMIT_TOLERANCE
+from hplan.collision.coal_shapes import solid_shape
+from hplan.errors import ConfigurationInCollisionError, MovingObstacleError, ObstacleInTimeError
+from hplan.planning.moving.obstacles_at import among_poses, without_moving
+from hplan.planning.moving.path_in_time import MovingField, PathInTime
+from hplan.planning.moving.schedule import CHANGES, LEVELS, STEP_S, USED, earliest_schedule, room_to_change
+from hplan.planning.options import PlanOptions
+from hplan.planning.plan import PlanResult, plan
+from hplan.robot.model import Robot
+from hplan.scene.model import Fruit, Goal, Scene
+from hplan.scene.obstacles import Box, Sphere
+from hplan.scene.tracks import Track
+
+START, GOAL = (0.0, 0.0, 0.0, 0.0), (0.0, 45.0, 60.0, 70.0)
+PLANAR = {"locked_joints": ("base_yaw",)}
+
+
+def on_the_way(robot: Robot) -> np.ndarray:
+    """Where the tool is in the middle of the motion."""
+    return robot.tool_positions(np.radians([0.0, 20.0, 30.0, 35.0]))
+
+
+def ball(robot: Robot, *points: tuple[float, tuple[float, float, float]], radius: float = 0.2) -> Sphere:
+    times, shifts = zip(*points, strict=True)
+    center = tuple(on_the_way(robot).tolist())
+    return Sphere(name="ball", center=center, radius=radius, track=Track(times_s=times, shifts_m=shifts))
+
+
+def least_by_coal(robot: Robot, scene: Scene, result: PlanResult, step_s: float = 2e-3) -> float:
+    """Smallest distance of a link from an obstacle at times, each obstacle put where it is then."""
+    clock = np.arange(0.0, result.trajectory.duration + step_s, step_s)
+    poses = scene.poses_at(clock)
+    least = math.inf
+    for number, q in enumerate(result.trajectory.positions(clock)):
+        links = [
+            upright_capsule(*axis, half) for axis, half in zip(link_axes(robot, q), robot.arm.half_widths, strict=True)
+        ]
+        for obstacle in scene.obstacles:
+            shape = solid_shape(obstacle)
+            there = shape.placement
+            if obstacle.name in poses:
+                rotations, shifts = poses[obstacle.name]
+                there = pin.SE3(rotations[number], shifts[number]) * there
+            place = coal.Transform3s(there.rotation, there.translation)
+            for link, at in links:
+                found = coal.distance(link, at, shape.geometry, place, coal.DistanceRequest(), coal.DistanceResult())
+                least = min(least, found)
+    return least
+
+
+def assert_sound(robot: Robot, scene: Scene, result: PlanResult) -> None:
+    motion = result.trajectory
+    assert result.certificate.verified
+    assert result.report["certificate"]["verified"]
+    assert least_by_coal(robot, scene, result) > 0.0
+    for values, limit in (
+        (motion.velocity, robot.velocity_limit),
+        (motion.acceleration, robot.acceleration_limit),
+        (motion.torque, robot.torque_limit),
+    ):
+        assert (np.abs(values) <= LIMIT_TOLERANCE * limit).all()
+    np.testing.assert_allclose(motion.position[0], scene.start.configuration, atol=1e-12)
+    if scene.goal.joints() is not None:
+        np.testing.assert_allclose(motion.position[-1], scene.goal.configuration, atol=1e-9)
+    assert [result.phases[0].start_s, result.phases[-1].end_s] == [0.0, motion.duration]
+
+
+def test_a_motion_that_is_not_in_the_way_is_as_if_nothing_moved(robot):
+    scene = task(START, GOAL, [ball(robot, (0.0, (0.0, 3.0, 0.0)), (1.0, (0.0, 1.0, 0.0)))], **PLANAR)
+    result = plan(robot, scene)
+    alone = plan(robot, without_moving(scene))
+    assert_sound(robot, scene, result)
+    assert result.trajectory.duration == alone.trajectory.duration
+    assert result.report["in_time"]["waits_s"] == 0.0
+    assert result.report["scene"] == scene.name
+    assert result.motion.task.scene is scene
+
+
+def test_it_goes_at_once_before_what_comes(robot):
+    """Something comes that stays: planned around as it will be, the motion takes longer than going at once does."""
+    comes = ball(robot, (0.0, (0.0, 2.0, 0.0)), (1.3, (0.0, 0.0, 0.0)))
+    scene = task(START, GOAL, [comes], **PLANAR)
+    result = plan(robot, scene)
+    around = plan(robot, scene.at(1.3))
+    assert_sound(robot, scene, result)
+    assert result.trajectory.duration < around.trajectory.duration - 0.1
+    assert result.certificate.clear_until_s == math.inf
+
+
+def wall(gone_s: float) -> Box:
+    """A wall through the arm's plane above the start, that goes up and away."""
+    up = Track(times_s=(0.0, gone_s, gone_s + 0.5), shifts_m=((0, 0, 0.0), (0, 0, 0.0), (0, 3.0, 0.0)))
+    return Box(name="wall", center=(1.9, 0.0, 1.4), size=(3.0, 0.1, 0.2), track=up)
+
+
+def test_it_waits_where_there_is_no_way_around(robot):
+    scene = task(START, GOAL, [wall(1.0)], **PLANAR)
+    result = plan(robot, scene)
+    assert_sound(robot, scene, result)
+    told = result.report["in_time"]
+    assert told["waits_s"] > 0.3 or told["slows_down"]
+    # Waiting until nothing moves any more, and then going, takes longer.
+    assert result.trajectory.duration < scene.at_rest_s + told["at_full_speed_s"]
+    assert result.trajectory.duration > told["at_full_speed_s"]
+
+
+def test_it_goes_around_what_stays_in_the_way_for_long(robot):
+    low = ball(robot, (0.0, (0.0, 0.0, 0.0)), (30.0, (0.0, 0.0, 0.01)))
+    scene = task(START, GOAL, [low], **PLANAR)
+    result = plan(robot, scene)
+    assert_sound(robot, scene, result)
+    assert "around" in result.report["in_time"]["path"]
+    assert result.trajectory.duration < 3.0
+
+
+def test_what_never_goes_away_is_named(robot):
+    scene = task(START, GOAL, [wall(1.0)], **PLANAR)
+    stays = scene.obstacles[0].track.model_copy(update={"shifts_m": ((0, 0, 0.0), (0, 0, 0.001), (0, 0, 0.002))})
+    scene = scene.with_obstacles([scene.obstacles[0].model_copy(update={"track": stays})])
+    with pytest.raises(ObstacleInTimeError) as caught:
+        plan(robot, scene)
+    assert caught.value.obstacle == "wall"
+    assert 0.0 <= caught.value.at_s < 3.0
+    assert caught.value.exit_status == 6
+    assert "wall" in caught.value.message
+
+
+def test_a_start_that_is_met_at_once_is_named(robot):
+    end = robot.tool_positions(np.radians(START))
+    there = Sphere(
+        name="it",
+        center=tuple(end.tolist()),
+        radius=0.1,
+        track=Track(times_s=(0.0, 1.0), shifts_m=((0, 0, 0.0), (0, 0, 0.1))),
+    )
+    with pytest.raises(ObstacleInTimeError) as caught:
+        plan(robot, task(START, GOAL, [there], **PLANAR))
+    assert caught.value.obstacle == "it"
+    # What stands still there is an error of its own, as ever.
+    with pytest.raises(ConfigurationInCollisionError):
+        plan(robot, task(START, GOAL, [wall(0.1), there.model_copy(update={"track": None, "name": "still"})]))
+
+
+def test_the_base_creeps_along_the_row(robot):
+    """Trees go by: posts that stand in a row, and a base that moves past them while the arm swings."""
+    creep = Track(times_s=(0.0, 10.0), shifts_m=((0.0, 0.0, 0.0), (0.0, 2.0, 0.0)))
+    end = on_the_way(robot)
+    post = Sphere(name="post", center=(float(end[0]), 0.45, float(end[2])), radius=0.2)
+    scene = task(START, GOAL, [post], base_track=creep, **PLANAR)
+    result = plan(robot, scene)
+    assert_sound(robot, scene, result)
+    # The same scene with the post moved the other way.
+    back = Track(times_s=(0.0, 10.0), shifts_m=((0.0, 0.0, 0.0), (0.0, -2.0, 0.0)))
+    other = task(START, GOAL, [post.model_copy(update={"track": back})], **PLANAR)
+    assert least_by_coal(robot, other, result) == pytest.approx(least_by_coal(robot, scene, result), abs=1e-9)
+
+
+def test_a_fruit_is_picked_while_something_passes(robot):
+    """All phases are in the new timing, and the contact with the fruit is where it was on the path."""
+    apple = Fruit(name="apple", center=(1.3, 0.3, 1.5), radius=0.04)
+    still = task(START, Goal(fruit="apple"), [], fruits=(apple,))
+    first = plan(robot, still)
+    middle = robot.tool_positions(first.trajectory.position[first.trajectory.samples // 3])
+    track = Track(times_s=(0.0, 0.6, 1.2), shifts_m=((0.0, 0.0, 1.2), (0.0, 0.0, 0.0), (0.0, 0.0, 1.2)))
+    passes = Sphere(name="it", center=tuple(middle.tolist()), radius=0.15, track=track)
+    scene = task(START, Goal(fruit="apple"), [passes], fruits=(apple,))
+    result = plan(robot, scene)
+    assert_sound(robot, scene, result)
+    assert [phase.name for phase in result.phases] == [phase.name for phase in first.phases]
+    assert result.certificate.contact_s is not None
+    reached = result.picked["apple"]
+    np.testing.assert_allclose(
+        robot.tool_positions(result.trajectory.positions(np.array([reached]))[0]),
+        robot.tool_positions(result.grasp.goal),
+        atol=2e-3,
+    )
+    moves = apple.model_copy(update={"track": track})
+    with pytest.raises(MovingObstacleError, match="must not move"):
+        plan(robot, task(START, Goal(fruit="apple"), [passes], fruits=(moves,)))
+
+
+def test_a_stop_among_what_moves_is_certified_in_time(robot):
+    scene = task(START, GOAL, [wall(1.0)], **PLANAR)
+    result = plan(robot, scene)
+    stop = result.stop_at(0.5 * result.trajectory.duration)
+    assert stop.certificate.verified
+    assert stop.certificate.nearest_s is not None
+    # Faster or slower, it is another motion among them: nothing is taken from the path.
+    slower = result.scaled(0.5)
+    assert slower.certificate.nearest_s is not None
+
+
+def test_the_same_every_time(robot):
+    scene = task(START, GOAL, [wall(0.7)], **PLANAR)
+    first, second = plan(robot, scene), plan(robot, scene)
+    np.testing.assert_array_equal(first.trajectory.position, second.trajectory.position)
+
+
+def test_poses_that_stand_for_a_movement_are_close_together(robot):
+    scene = task(START, GOAL, [ball(robot, (0.0, (0, 0, 0.0)), (2.0, (0, 0.3, 0.0))), wall(1.0)], **PLANAR)
+    among = among_poses(scene, 0.0, 2.0)
+    assert not among.moves
+    centers = np.array([item.center for item in among.obstacles if item.name.startswith("ball")])
+    assert len(centers) >= 0.3 / 0.03
+    steps = np.linalg.norm(np.diff(centers, axis=0), axis=1)
+    assert steps.max() < 0.031
+    np.testing.assert_allclose(centers[[0, -1]], on_the_way(robot) + np.array([[0, 0, 0], [0, 0.3, 0]]), atol=1e-12)
+    assert len({item.name for item in among.obstacles}) == len(among.obstacles)
+
+
+def test_cells_that_are_clear_are_clear_all_the_time(robot):
+    scene = task(START, GOAL, [ball(robot, (0.0, (0.0, -1.5, 0.0)), (0.5, (0.0, 1.5, 0.0)))], **PLANAR)
+    motion = plan(robot, without_moving(scene), PlanOptions(effort="quick")).trajectory
+    field = MovingField(robot, scene, sigmas=3.0, tracking_error=0.0)
+    spare_s, count = 0.06, 0
+    cells = PathInTime(motion, field, robot, step_s=STEP_S, spare_s=spare_s)
+    for row in range(12):
+        clear = cells.clear(row)
+        count += clear.sum()
+        for time_s in row * STEP_S + np.linspace(-0.5 * STEP_S - spare_s, 0.5 * STEP_S + spare_s, 9):
+            assert (field.at(max(time_s, 0.0)).along(cells.configurations[clear]) > 0.0).all()
+    assert 0.3 < count / (12 * len(cells.configurations)) < 1.0
+
+
+def test_what_moves_is_passed_farther_off_where_it_is_uncertain(robot):
+    certain = ball(robot, (0.0, (0.0, -1.0, 0.0)), (1.0, (0.0, 1.0, 0.0)))
+    away = [
+        MovingField(robot, task(START, GOAL, [item]), sigmas=2.0, tracking_error=0.0).at(0.0).along(np.zeros((1, 4)))
+        for item in (certain, certain.model_copy(update={"sigma": 0.01}))
+    ]
+    np.testing.assert_allclose(away[0] - away[1], 0.02, atol=1e-9)
+
+
+def test_the_speed_changes_where_acceleration_and_torque_have_room(robot):
+    """By the equations of motion, for an arm that is barely strong enough."""
+    motion = plan(robot, task(START, GOAL, [], **PLANAR), PlanOptions(effort="quick")).trajectory
+    arm = replace(robot, torque_limit=1.02 * np.abs(motion.torque).max(axis=0))
+    stations = 9
+    room = room_to_change(motion, arm, stations)
+    rows = np.searchsorted(motion.time, np.linspace(0.0, motion.duration, stations)).clip(max=motion.samples - 1)
+    expected = np.ones_like(room)
+    for (station, level, change), _ in np.ndenumerate(room):
+        q, v, a = (values[rows[station]] for values in (motion.position, motion.velocity, motion.acceleration))
+        speed, rate = level / LEVELS, (change - CHANGES) / (LEVELS * STEP_S)
+        acceleration = speed**2 * a + rate * v
+        torque = arm.dynamics.torques(q[None], speed * v[None], acceleration[None])[0]
+        limit = np.maximum(USED * arm.torque_limit, np.abs(arm.dynamics.gravity(q[None])[0]))
+        within = (np.abs(acceleration) <= USED * arm.acceleration_limit).all() and (np.abs(torque) <= limit).all()
+        expected[station, level, change] = within or change == CHANGES
+    assert (room == expected).all()
+    assert 0.2 < room.mean() < 0.98
+
+
+class Window:
+    """Cells of a path that is blocked in the middle until a row."""
+
+    def __init__(self, stations: int, opens: int) -> None:
+        self.configurations = np.zeros((stations, 1))
+        self._opens = opens
+
+    def clear(self, row: int) -> np.ndarray:
+        clear = np.ones(len(self.configurations), dtype=np.bool_)
+        middle = len(clear) // 2
+        clear[middle - 1 : middle + 2] = row >= self._opens
+        return clear
+
+
+def test_the_earliest_schedule_against_a_search_of_all(robot):
+    """On a small grid: breadth first over all states in plain Python."""
+    duration = 0.3
+    for opens in (0, 4, 9, 15):
+        cells = Window(61, opens)
+        room = np.ones((61, LEVELS + 1, 2 * CHANGES + 1), dtype=np.bool_)
+        found = earliest_schedule(cells, duration, room, at_rest_s=opens * STEP_S)
+        assert found is not None
+        unit = STEP_S / (2 * LEVELS)
+        places = math.ceil(duration / unit - 1e-9)
+
+        def station(place, duration=duration, unit=unit):
+            return min(int(np.rint(place * unit / duration * 60)), 60)
+
+        states, row = {(0, 0)}, 0
+        while not any(place == places for place, _ in states):
+            before, after, following = cells.clear(row), cells.clear(row + 1), set()
+            for place, speed in states:
+                top = LEVELS if (place, speed) == (0, 0) else speed + CHANGES
+                for new in range(max(0, speed - CHANGES), min(LEVELS, top) + 1):
+                    to, middle = min(place + speed + new, places), min(place + (3 * speed + new) // 4, places)
+                    if (
+                        before[station(place) : station(middle) + 1].all()
+                        and after[station(middle) : station(to) + 1].all()
+                    ):
+                        following.add((to, new))
+            states, row = following, row + 1
+        assert len(found.time) - 1 == row
+        assert found.place[0] == 0.0
+        assert found.place[-1] == duration
+        assert (np.diff(found.place) >= 0.0).all()
+        # Without room to change the speed it starts late, at full speed.
+        fixed = room.copy()
+        fixed[:] = False
+        fixed[:, :, CHANGES] = True
+        late = earliest_schedule(cells, duration, fixed, at_rest_s=opens * STEP_S)
+        assert late.time[-1] >= found.time[-1]
+        assert late.waiting_s == pytest.approx(late.time[-1] - duration, abs=2.0 * STEP_S)
+    assert earliest_schedule(Window(61, 10**6), duration, room, at_rest_s=1.0) is None
+
+
+def test_options_are_those_of_a_plan(robot):
+    scene = task(START, GOAL, [wall(0.7)], clearance=0.01, **PLANAR)
+    result = hplan.plan(robot, scene, PlanOptions(tracking_error=0.002, effort="quick"))
+    assert result.certificate.verified
+    assert least_by_coal(robot, scene, result) > 0.01

@@ -1,0 +1,97 @@
+"""RRT-Connect on the compiled clearance field."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+
+from hplan.base.arrays import FloatArray
+from hplan.collision.coal_scene import CoalScene
+from hplan.planning.definition import Problem, check_problem
+from hplan.planning.sampling.rrt_connect import EDGE_S, TreeEffort, tree_path
+from hplan.planning.world import World
+from hplan.robot.model import Robot
+from hplan.scene import Box, Scene, Sphere
+
+MARGIN = 2e-4
+START, GOAL = np.array([0.0, 1.2, 0.3, 0.3]), np.array([0.0, 0.1, 0.3, 0.3])
+
+
+def path_of(robot: Robot, problem: Problem, world: World, effort: TreeEffort) -> FloatArray | None:
+    return tree_path(problem, world.field, robot.velocity_limit, MARGIN, effort)[0]
+
+
+@pytest.fixture
+def blocked(robot: Robot) -> tuple[Problem, World]:
+    ball = Sphere(name="ball", center=(1.6, 0.0, 1.6), radius=0.25)
+    world = World.of(robot, [ball], clearance=0.005)
+    assert not world.field.is_clear(np.stack([START, GOAL]), MARGIN)
+    return check_problem(world, START, GOAL), world
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_path_is_clear_all_along(robot: Robot, blocked: tuple[Problem, World], seed: int) -> None:
+    problem, world = blocked
+    path = path_of(robot, problem, world, TreeEffort(50_000, seed))
+    assert path is not None
+    assert (path[0] == problem.start).all()
+    assert (path[-1] == problem.goal).all()
+    assert world.field.is_clear(path, 0.5 * MARGIN)
+    assert (path >= problem.lower - 1e-12).all()
+    assert (path <= problem.upper + 1e-12).all()
+    # An edge is no longer than it may be, and not of no length.
+    times = (np.abs(np.diff(path, axis=0)) / robot.velocity_limit).max(axis=1)
+    assert (times > 0.0).all()
+    assert times.max() <= EDGE_S * (1.0 + 1e-9)
+    # coal, which shares no formula with the kernels, agrees at points in between.
+    checker = CoalScene(robot, world.solids)
+    dense = np.concatenate([np.linspace(a, b, 5) for a, b in itertools.pairwise(path)])
+    assert min(checker.distances(q).min() for q in dense) >= 0.005
+
+
+def test_same_seed_same_path(robot: Robot, blocked: tuple[Problem, World]) -> None:
+    problem, world = blocked
+    first, again, other = (path_of(robot, problem, world, TreeEffort(50_000, seed)) for seed in (1, 1, 2))
+    assert (first == again).all()
+    assert first.shape != other.shape or (first != other).any()
+
+
+def test_nothing_is_found_through_a_plate(robot: Robot) -> None:
+    """A plate in front of the shoulder, which the first link would have to pass: the trees end with their effort."""
+    plate = Box(name="plate", center=(0.9, 0.0, 1.5), size=(2.0, 3.0, 0.02), rpy_deg=(0.0, -45.0, 0.0))
+    world = World.of(robot, [plate])
+    start, goal = np.array([0.0, 1.5, 0.1, 0.1]), np.array([0.0, 0.0, 0.1, 0.1])
+    problem = check_problem(world, start, goal, locked_joints=("base_yaw",))
+    assert path_of(robot, problem, world, TreeEffort(20_000)) is None
+
+
+def test_locked_joints_stay(robot: Robot, scene: Scene) -> None:
+    world = World.of(robot, scene.solids, clearance=scene.clearance)
+    ends = scene.start.configuration, scene.goal.configuration
+    problem = check_problem(world, *ends, locked_joints=("base_yaw",))
+    path = path_of(robot, problem, world, TreeEffort(100_000))
+    assert path is not None
+    assert (path[:, 0] == problem.start[0]).all()
+
+
+def test_less_effort_than_it_takes(robot: Robot, blocked: tuple[Problem, World]) -> None:
+    problem, world = blocked
+    assert path_of(robot, problem, world, TreeEffort(5)) is None
+
+
+def test_evaluations_are_counted(robot: Robot, blocked: tuple[Problem, World]) -> None:
+    problem, world = blocked
+
+    def spent(evaluations: int) -> tuple[FloatArray | None, int]:
+        return tree_path(problem, world.field, robot.velocity_limit, MARGIN, TreeEffort(evaluations))
+
+    path, least = spent(50_000)
+    assert path is not None
+    again, same = spent(least)
+    assert again is not None
+    assert same == least
+    missed, few = spent(5)
+    assert missed is None
+    assert 5 <= few < least  # an edge that was begun is gone along to its end

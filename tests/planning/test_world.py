@@ -1,0 +1,288 @@
+"""What keeps the arm away: growth by uncertainty, the fruit that may be touched, what stands in the base."""
+
+from __future__ import annotations
+
+import inspect
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from arm_variants import load_variant, random_obstacles
+from planned import post
+
+from hplan.base import deadline
+from hplan.base.arrays import FloatArray
+from hplan.collision.clearance_field import ClearanceField
+from hplan.collision.coal_scene import CoalScene, base_contacts
+from hplan.errors import ConfigurationInCollisionError, InputError
+from hplan.grid.sections import sections_at
+from hplan.planning.world import BASE_DEPTH, World, without_inside
+from hplan.robot.family.members import write_robot
+from hplan.robot.family.spec import ArmSpec
+from hplan.robot.model import Robot, load_robot
+from hplan.robot.self_contact import pair_sway
+from hplan.scene.model import Fruit, Goal, Scene, Start
+from hplan.scene.obstacles import Box, Capsule, PointCloud, Sphere
+
+BALLS = (
+    Sphere(name="sure", center=(1.0, 0.3, 1.0), radius=0.1),
+    Sphere(name="vague", center=(0.6, -0.4, 1.2), radius=0.1, sigma=0.01),
+    Sphere(name="vaguer", center=(1.6, 0.2, 0.9), radius=0.1, sigma=0.02),
+)
+
+
+def test_each_obstacle_grows_by_its_own_uncertainty(robot: Robot) -> None:
+    rng = np.random.default_rng(0)
+    for sigmas in (0.0, 1.0, 3.0):
+        world = World.of(robot, BALLS, clearance=0.02, sigmas=sigmas)
+        np.testing.assert_allclose(world.growth, sigmas * np.array([0.0, 0.01, 0.02]))
+        assert world.clearance == 0.02
+        plain = CoalScene(robot, BALLS)
+        for q in rng.uniform(robot.lower, robot.upper, (20, 4)):
+            grown = plain.distances(q) - sigmas * np.array([0.0, 0.01, 0.02])
+            np.testing.assert_allclose(world.checker.distances(q), grown, atol=1e-9)
+            np.testing.assert_allclose(world.field.link_clearances(q), grown.min(axis=1) - 0.02, atol=1e-6)
+
+
+def test_field_bodies_and_judge_agree(robot: Robot) -> None:
+    """A configuration is in contact for the sections if it is for the field, which gives no less than coal."""
+    world = World.of(robot, BALLS, clearance=0.01, tracking_error=0.002, sigmas=2.0)
+    bodies = world.bodies(0.003)
+    assert bodies.deviation == 0.002
+    radii = np.array([0.1, 0.12, 0.14]) + world.clearance + 0.003
+    np.testing.assert_allclose(bodies.balls.radii, radii)
+    assert bodies.names == ("sure", "vague", "vaguer")
+
+
+def test_without_solids(robot: Robot) -> None:
+    world = World.of(robot, [], clearance=0.1, sigmas=3.0)
+    assert world.field.clearance(np.zeros(4)) == np.inf
+    assert world.checker.nearest(np.zeros(4)) is None
+    assert world.bodies().names == ()
+    world.check_base(0.0)
+    assert world.touching("none").bodies().names == ()
+
+
+def test_the_arm_keeps_the_clearance_from_itself_too(tmp_path: Path) -> None:
+    """With and without obstacles, and whatever their uncertainty."""
+    spec = ArmSpec(
+        name="bendy",
+        has_yaw=False,
+        link_lengths=(1.0, 0.8, 0.4),
+        link_half_widths=(0.05, 0.04, 0.03),
+        link_masses=(4.0, 3.0, 1.0),
+        lower=(-2.6,) * 3,
+        upper=(2.6,) * 3,
+        velocity=(1.5,) * 3,
+        effort=(300.0,) * 3,
+        acceleration=(3.0,) * 3,
+        jerk=(150.0,) * 3,
+    )
+    bendy = load_robot(write_robot(spec, tmp_path / "bendy.urdf")[0])
+    rng = np.random.default_rng(3)
+    far = Sphere(name="far", center=(0.0, 0.0, 9.0), radius=0.1, sigma=0.05)
+    plain, seen = ClearanceField.of(bendy, []), 0
+    for solids in ([], [far]):
+        world = World.of(bendy, solids, clearance=0.03, tracking_error=0.001, sigmas=3.0)
+        # From the pedestal a link keeps its own sway; two links keep what the outer one may sway, seen from the inner.
+        keep = world.clearance + float(pair_sway(bendy, 2, 0, 0.001))
+        most = world.clearance + float(bendy.sway(0.001).max())
+        # The first link, too, is asked against the pedestal, which does not carry its joint: it sways least.
+        least = world.clearance + float(bendy.sway(0.001)[0])
+        for q in rng.uniform(bendy.lower, bendy.upper, (60, bendy.dof)):
+            before, after = plain.clearance(q), world.field.clearance(q)
+            if before < 0.5:
+                seen += 1
+                assert after < before
+                low, high = (ClearanceField.of(bendy, [], own_clearance=own).clearance(q) for own in (most, least))
+                assert low - 1e-12 <= after <= high + 1e-12
+        assert world.bodies(0.002).own_clearance == 0.032
+        sections = sections_at(bendy, world.bodies(0.002), 0.0)
+        np.testing.assert_allclose(sections.own_radii, 0.05 + 0.03 + keep + 0.002)
+    assert seen > 20
+
+
+def test_each_link_sways_by_its_own(robot: Robot) -> None:
+    """Field and sections are those of an arm that is as much thicker; coal has the same distances less the sway."""
+    error, rng = 0.01, np.random.default_rng(4)
+    arm = replace(robot.arm, half_widths=robot.arm.half_widths + robot.sway(error))
+    thicker = robot.with_arm(arm)
+    world, same = World.of(robot, BALLS, tracking_error=error), World.of(thicker, BALLS)
+    for yaw in (0.0, 0.1):
+        ours, theirs = (sections_at(one.robot, one.bodies(), yaw) for one in (world, same))
+        np.testing.assert_allclose(ours.radii, theirs.radii, rtol=1e-12)
+        np.testing.assert_array_equal(ours.link_start, theirs.link_start)
+    for q in rng.uniform(robot.lower, robot.upper, (20, 4)):
+        np.testing.assert_allclose(world.field.link_clearances(q), same.field.link_clearances(q), atol=1e-12)
+        least = (world.checker.distances(q) - robot.sway(error)[:, None]).min()
+        if least > 0.0:
+            assert world.check_clear(q, "here") == pytest.approx(least, abs=1e-12)
+        else:
+            with pytest.raises(ConfigurationInCollisionError):
+                world.check_clear(q, "here")
+
+
+def test_refusal_of_a_configuration_names_the_largest_error(robot: Robot) -> None:
+    """True: with a little less the configuration is taken, with a little more it is not."""
+    rng, kinds = np.random.default_rng(6), {"free": 0, "margin": 0, "contact": 0}
+
+    def check(q: FloatArray, error: float) -> None:
+        World.of(robot, BALLS, clearance=0.01, tracking_error=error).check_clear(q, "start")
+
+    for q in rng.uniform(robot.lower, robot.upper, (40, 4)):
+        distances = World.of(robot, BALLS).checker.distances(q) - 0.01
+        if (distances > robot.sway(0.1)[:, None]).all():
+            kinds["free"] += 1
+            check(q, 0.1)
+            continue
+        with pytest.raises(ConfigurationInCollisionError) as refused:
+            check(q, 0.1)
+        facts = refused.value.data
+        if distances.min() <= 0.0:
+            kinds["contact"] += 1
+            assert "largest_tracking_error_deg" not in facts
+            continue
+        kinds["margin"] += 1
+        assert facts["tracking_error_deg"] == pytest.approx(math.degrees(0.1))
+        assert "would do is up to" in str(refused.value)
+        largest = math.radians(facts["largest_tracking_error_deg"])
+        check(q, 0.999 * largest)
+        with pytest.raises(ConfigurationInCollisionError):
+            check(q, 1.001 * largest)
+    assert min(kinds.values()) >= 1
+
+
+def test_the_last_link_alone_may_touch(robot: Robot) -> None:
+    solids = [*BALLS, Sphere(name="fruit", center=(1.2, 0.0, 0.6), radius=0.04, sigma=0.01)]
+    world = World.of(robot, solids, clearance=0.01, sigmas=3.0)
+    near, without = world.touching("fruit"), World.of(robot, BALLS, clearance=0.01, sigmas=3.0)
+    rng = np.random.default_rng(1)
+    for q in rng.uniform([-0.3, 0.0, 0.0, 0.0], [0.3, 0.5, 0.5, 0.5], (60, 4)):
+        full, table = world.checker.distances(q), near.checker.distances(q)
+        assert table[-1, 3] == np.inf
+        np.testing.assert_array_equal(table[:, :3], full[:, :3])
+        np.testing.assert_array_equal(table[:-1], full[:-1])
+        expected = world.field.link_clearances(q)
+        expected[-1] = without.field.link_clearances(q)[-1]
+        np.testing.assert_allclose(near.field.link_clearances(q), expected, atol=1e-12)
+    # The C-space knows the fruit for the other links.
+    some, every = (sections_at(robot, one.bodies(), 0.0, within_reach=False) for one in (near, world))
+    for link in range(3):
+        mine, all_ = (list(one.obstacle_of[one.link_start[link] : one.link_start[link + 1]]) for one in (some, every))
+        assert 3 in all_
+        assert mine == [number for number in all_ if number != 3 or link < 2]
+    # What it was made from is as it was.
+    assert world.bodies().touched == -1
+    assert world.checker.distances(np.zeros(4))[-1, 3] < np.inf
+
+
+# What stands in the base
+
+
+def test_ground_may_touch_the_pedestal(robot: Robot) -> None:
+    ground = Box(name="ground", center=(0.0, 0.0, -0.05), size=(6.0, 6.0, 0.1))
+    World.of(robot, [ground], clearance=0.05, sigmas=3.0).check_base(0.0)
+    deeper = Box(name="ground", center=(0.0, 0.0, -0.05 + 2.0 * BASE_DEPTH), size=(6.0, 6.0, 0.1))
+    with pytest.raises(InputError, match="'ground' is 2 mm deep in the robot's 'base_link'"):
+        World.of(robot, [deeper]).check_base(0.0)
+
+
+@pytest.mark.parametrize(
+    ("obstacle", "link"),
+    [
+        (Sphere(name="rock", center=(0.1, 0.0, 0.2), radius=0.1), "base_link"),
+        (post("pole", 40.0, 0.05, 0.0, 3.0), "base_link"),
+        (Box(name="lid", center=(0.0, 0.0, 0.5), size=(0.05, 0.05, 0.05)), "turret"),
+        (PointCloud.of("dust", [[0.0, 0.0, 0.48], [2.0, 0.0, 1.0]], 0.01), "turret"),
+    ],
+    ids=["ball", "capsule", "box", "cloud"],
+)
+@pytest.mark.parametrize("yaw", [0.0, -2.0])
+def test_what_stands_in_the_base_is_named(robot: Robot, obstacle, link: str, yaw: float) -> None:
+    world = World.of(robot, [*BALLS, *obstacle.solids])
+    with pytest.raises(InputError) as caught:
+        world.check_base(yaw)
+    assert caught.value.data["obstacle"] == obstacle.name
+    assert caught.value.data["link"] == link
+    assert caught.value.data["depth_m"] > BASE_DEPTH
+    assert repr(obstacle.name) in caught.value.message
+
+
+def test_deepest_is_named(robot: Robot) -> None:
+    grazing = Sphere(name="grazing", center=(0.25, 0.0, 0.2), radius=0.14)
+    deep = Sphere(name="deep", center=(0.1, 0.0, 0.2), radius=0.14)
+    for solids in ([grazing, deep], [deep, grazing]):
+        with pytest.raises(InputError, match="'deep'"):
+            World.of(robot, solids).check_base(0.0)
+
+
+def test_no_obstacle_is_missed(robot: Robot) -> None:
+    """Only what is near the base is asked for; the answer is that of all."""
+    rng, refused = np.random.default_rng(2), 0
+    for _ in range(60):
+        solids = random_obstacles(rng, 6)
+        yaw = float(rng.uniform(-3.0, 3.0))
+        world = World.of(robot, solids, clearance=0.1)
+        if base_contacts(robot, solids, yaw, margin=-BASE_DEPTH):
+            refused += 1
+            with pytest.raises(InputError, match="deep in the robot's"):
+                world.check_base(yaw)
+        else:
+            world.check_base(yaw)
+    assert refused > 3
+
+
+def test_a_base_without_shape_has_nothing_in_it(tmp_path: Path) -> None:
+    bare = load_variant("upright on a yaw", tmp_path)
+    rock = Sphere(name="rock", center=(0.0, 0.0, 0.2), radius=0.1)
+    World.of(bare, [rock]).check_base(0.0)
+
+
+def test_what_stands_in_the_pedestal_is_left_out(robot: Robot) -> None:
+    scene = Scene(
+        name="row",
+        start=Start(joints_deg=(0.0, 90.0, 90.0, 90.0)),
+        goal=Goal(fruit="goal"),
+        obstacles=(
+            Capsule(name="through", start=(-1.0, 0.0, 0.2), end=(1.0, 0.0, 0.2), radius=0.02),
+            Capsule(name="beyond", start=(1.5, 0.0, 0.2), end=(1.5, 1.0, 0.2), radius=0.02),
+            Box(name="ground", center=(0.0, 0.0, -0.05), size=(6.0, 6.0, 0.1)),
+        ),
+        fruits=(
+            Fruit(name="goal", center=(0.0, 0.0, 0.3), radius=0.04),
+            Fruit(name="in", center=(0.0, 0.0, 0.1), radius=0.04),
+            Fruit(name="out", center=(1.0, 0.0, 1.9), radius=0.04),
+        ),
+    )
+    smaller, left_out = without_inside(robot, scene)
+    assert left_out == ("through", "goal", "in")
+    assert [obstacle.name for obstacle in smaller.obstacles] == ["beyond", "ground"]
+    assert [fruit.name for fruit in smaller.fruits] == ["out"]
+    assert smaller.goal == Goal(fruit="out")
+    assert smaller.start == scene.start
+    assert without_inside(robot, smaller) == (smaller, ())
+
+
+def test_the_deadline_is_looked_at_all_the_while_that_a_world_is_made(
+    robot: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    wood = [
+        Capsule(name=f"twig {k}", start=(1, 0.01 * k, 1), end=(1.1, 0.01 * k, 1.2), radius=0.005) for k in range(300)
+    ]
+    looks: list[str] = []
+
+    def is_up(_: deadline.TimeLimit) -> bool:
+        frame = inspect.currentframe()
+        while frame is not None and frame.f_code.co_filename in (__file__, deadline.__file__):
+            frame = frame.f_back
+        looks.append("" if frame is None else frame.f_code.co_qualname)
+        return False
+
+    monkeypatch.setattr(deadline.TimeLimit, "is_up", property(is_up))
+    with deadline.time_limit(1e3):
+        World.of(robot, wood, clearance=0.01)
+    assert looks.count("capsule_shapes") == len(wood)
+    assert {"rows_of", "World.of", "CoalScene.__init__"} <= set(looks)
+    assert looks.count("_QueryData.__init__") == 3  # of each 128 obstacles, which take milliseconds

@@ -1,0 +1,480 @@
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import coal
+import numpy as np
+import pinocchio as pin
+import pytest
+import yaml
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from hplan.base.data_files import urdf_dir
+from hplan.errors import OptionError, OutputError, RobotFileError
+from hplan.robot.base_shapes import turning_shapes
+from hplan.robot.family import HARVESTER, ORCHARD_HARVESTER, ArmSpec, Gripper, cross_check, write_robot
+from hplan.robot.family.urdf import limits_text, urdf_text
+from hplan.robot.files import LIMITS_FORMAT
+from hplan.robot.model import load_robot
+
+URDF = urdf_dir() / "harvester.urdf"
+HALF_PI = math.pi / 2
+
+
+def arm(n: int, *, has_yaw: bool = True, name: str = "test_arm") -> ArmSpec:
+    joints = n + has_yaw
+    return ArmSpec(
+        name=name,
+        link_lengths=tuple(0.6 - 0.05 * i for i in range(n)),
+        link_half_widths=(0.03,) * n,
+        link_masses=(2.0,) * n,
+        lower=(-1.0,) * joints,
+        upper=(1.5,) * joints,
+        velocity=(1.0,) * joints,
+        effort=(200.0,) * joints,
+        acceleration=(2.0,) * joints,
+        has_yaw=has_yaw,
+    )
+
+
+def tool_position(model: pin.Model, q: list[float]) -> np.ndarray:
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, np.array(q))
+    return data.oMf[model.getFrameId("tool0")].translation
+
+
+# The shipped robot
+
+
+@pytest.mark.parametrize("spec", [HARVESTER, ORCHARD_HARVESTER], ids=lambda spec: spec.name)
+def test_shipped_files_are_what_the_writer_writes(tmp_path, spec):
+    urdf, limits = write_robot(spec, tmp_path / f"{spec.name}.urdf")
+    shipped = URDF.with_name(f"{spec.name}.urdf")
+    assert urdf.read_text() == shipped.read_text()
+    assert limits.read_text() == shipped.with_suffix(".limits.yaml").read_text()
+
+
+def test_gripper_has_mass_and_shape(tmp_path):
+    """It is fixed to the last link: its capsule widens that link's, its mass hangs on the wrist."""
+    with_gripper, without = load_robot("orchard_harvester"), load_robot()
+    assert with_gripper.arm.half_widths == pytest.approx([0.05, 0.04, ORCHARD_HARVESTER.gripper.half_width])
+    straight = np.zeros((1, 4))
+    more = with_gripper.dynamics.gravity(straight) - without.dynamics.gravity(straight)
+    assert abs(more[0, 3]) == pytest.approx(0.7 * 9.81 * (0.4 - 0.07), rel=1e-6)
+    urdf, _ = write_robot(replace(HARVESTER, name="thin", gripper=Gripper(1.0, 0.1, 0.01)), tmp_path / "thin.urdf")
+    assert load_robot(urdf).arm.half_widths[2] == pytest.approx(0.03)
+
+
+@pytest.mark.parametrize("values", [(0.0, 0.1, 0.03), (1.0, -0.1, 0.03), (1.0, 0.1, math.nan)])
+def test_wrong_gripper(values):
+    with pytest.raises(OptionError):
+        Gripper(*values)
+
+
+def test_shipped_robot_reads_alike_everywhere():
+    check = cross_check(URDF)
+    assert check.frames == ("base_link", "turret", "upper_arm", "forearm", "hand", "tool0")
+    assert check.samples == 100
+    assert check.max_position_deviation < 1e-12
+    assert check.max_rotation_deviation < 1e-12
+    assert check.limits_equal
+    assert check.masses_equal
+
+
+def test_shipped_limits_are_exact():
+    model = pin.buildModelFromUrdf(str(URDF))
+    assert list(model.names)[1:] == ["base_yaw", "shoulder", "elbow", "wrist"]
+    assert model.lowerPositionLimit.tolist() == [-math.pi, 0.0, 0.0, 0.0]
+    assert model.upperPositionLimit.tolist() == [math.pi, HALF_PI, HALF_PI, HALF_PI]
+    assert model.velocityLimit.tolist() == [1.5, 1.2, 1.5, 2.0]
+    assert model.effortLimit.tolist() == [150.0, 250.0, 120.0, 30.0]
+
+
+def test_shipped_limits_file():
+    limits = yaml.safe_load(URDF.with_suffix(".limits.yaml").read_text())
+    assert limits == {
+        "format": LIMITS_FORMAT,
+        "acceleration_rad_s2": {"base_yaw": 3.0, "shoulder": 3.0, "elbow": 4.0, "wrist": 6.0},
+        "jerk_rad_s3": {"base_yaw": 150.0, "shoulder": 150.0, "elbow": 200.0, "wrist": 300.0},
+    }
+
+
+@pytest.mark.parametrize(
+    ("q_deg", "expected"),
+    [
+        ([0, 0, 0, 0], [2.2, 0.0, 0.6]),
+        ([0, 90, 0, 0], [0.0, 0.0, 2.8]),
+        ([90, 0, 0, 0], [0.0, 2.2, 0.6]),
+        ([180, 0, 90, 0], [-1.0, 0.0, 1.8]),
+        ([0, 0, 0, 90], [1.8, 0.0, 1.0]),
+        ([0, 90, 90, 90], [-0.8, 0.0, 1.2]),
+    ],
+)
+def test_shipped_tool_frame(q_deg, expected):
+    model = pin.buildModelFromUrdf(str(URDF))
+    q = [math.radians(angle) for angle in q_deg]
+    np.testing.assert_allclose(tool_position(model, q), expected, atol=1e-12)
+
+
+def test_shipped_frames_point_along_x_at_zero():
+    model = pin.buildModelFromUrdf(str(URDF))
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, np.zeros(4))
+    expected = {
+        "base_link": [0, 0, 0],
+        "turret": [0, 0, 0],
+        "upper_arm": [0, 0, 0.6],
+        "forearm": [1.0, 0, 0.6],
+        "hand": [1.8, 0, 0.6],
+        "tool0": [2.2, 0, 0.6],
+    }
+    for frame, position in expected.items():
+        placement = data.oMf[model.getFrameId(frame)]
+        np.testing.assert_allclose(placement.translation, position, atol=1e-12)
+        np.testing.assert_allclose(placement.rotation, np.eye(3), atol=1e-12)
+
+
+def test_shipped_masses_and_inertias():
+    model = pin.buildModelFromUrdf(str(URDF))
+    assert [inertia.mass for inertia in model.inertias] == pytest.approx([40, 12, 6, 3.5, 1.2])
+    upper_arm = model.inertias[model.getJointId("shoulder")]
+    np.testing.assert_allclose(upper_arm.lever, [0.5, 0, 0], atol=1e-12)
+    across = 6.0 * (3 * 0.05**2 + 1.0) / 12
+    np.testing.assert_allclose(upper_arm.inertia, np.diag([6.0 * 0.05**2 / 2, across, across]), atol=1e-9)
+
+
+def test_shipped_static_torques_leave_room():
+    model = pin.buildModelFromUrdf(str(URDF))
+    data = model.createData()
+    worst = np.zeros(4)
+    angles = np.linspace(0, HALF_PI, 13)
+    for shoulder in angles:
+        for elbow in angles:
+            for wrist in angles:
+                q = np.array([0.4, shoulder, elbow, wrist])
+                torque = pin.rnea(model, data, q, np.zeros(4), np.zeros(4))
+                worst = np.maximum(worst, np.abs(torque))
+    assert np.all(worst <= 0.45 * model.effortLimit)
+    assert worst[1] == pytest.approx(9.81 * (6 * 0.5 + 3.5 * 1.4 + 1.2 * 2.0), rel=1e-9)
+
+
+# Geometry
+
+
+def segment_distance(point: np.ndarray, start: np.ndarray, end: np.ndarray) -> float:
+    along = end - start
+    part = np.clip((point - start) @ along / (along @ along), 0.0, 1.0)
+    return float(np.linalg.norm(point - start - part * along))
+
+
+def test_collision_shapes_of_a_link_are_its_exact_capsule():
+    model, collision_model, _ = pin.buildModelsFromUrdf(str(URDF))
+    data, collision_data = model.createData(), collision_model.createData()
+    rng = np.random.default_rng(1)
+    radius = 0.1
+    ball = coal.Sphere(radius)
+    lengths, half_widths = HARVESTER.link_lengths, HARVESTER.link_half_widths
+    for _ in range(100):
+        q = rng.uniform(model.lowerPositionLimit, model.upperPositionLimit)
+        pin.updateGeometryPlacements(model, data, collision_model, collision_data, q)
+        pin.updateFramePlacements(model, data)
+        for link, length, half_width in zip(HARVESTER.arm_link_names, lengths, half_widths, strict=True):
+            placement = data.oMf[model.getFrameId(link)]
+            start, end = placement.translation, placement.act(np.array([length, 0.0, 0.0]))
+            center = start + rng.uniform(0.5, 2.0) * direction(rng) + rng.random() * (end - start)
+            expected = segment_distance(center, start, end) - half_width - radius
+            if expected <= 0:
+                continue
+            measured = min(
+                coal.distance(
+                    shape.geometry,
+                    coal.Transform3s(pose.rotation, pose.translation),
+                    ball,
+                    coal.Transform3s(np.eye(3), center),
+                    coal.DistanceRequest(),
+                    coal.DistanceResult(),
+                )
+                for shape, pose in zip(collision_model.geometryObjects, collision_data.oMg, strict=True)
+                if shape.name.startswith(f"{link}_")
+            )
+            assert measured == pytest.approx(expected, abs=1e-9)
+
+
+def direction(rng: np.random.Generator) -> np.ndarray:
+    vector = rng.normal(size=3)
+    return vector / np.linalg.norm(vector)
+
+
+def test_fixed_body_stays_low_and_slim():
+    _, collision_model, _ = pin.buildModelsFromUrdf(str(URDF))
+    body = [g for g in collision_model.geometryObjects if g.name.startswith(("base_", "turret_"))]
+    assert body
+    for shape in body:
+        assert shape.geometry.radius <= 0.15
+        top = shape.placement.translation[2] + shape.geometry.halfLength
+        assert top <= 0.6 + 1e-12
+
+
+def outline(shape: pin.GeometryObject) -> np.ndarray:
+    """Points of a primitive, in its link's frame, that no other point of it is further out than."""
+    geometry = shape.geometry
+    if isinstance(geometry, coal.Box):
+        x, y, z = geometry.halfSide
+        points = [[i * x, j * y, k * z] for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)]
+    elif isinstance(geometry, coal.Cylinder):
+        r, h = geometry.radius, geometry.halfLength
+        turns = np.linspace(0, 2 * math.pi, 73)
+        points = [[r * math.cos(t), r * math.sin(t), k * h] for t in turns for k in (-1, 1)]
+    else:
+        raise TypeError(type(geometry))
+    return np.array([shape.placement.act(np.array(point)) for point in points])
+
+
+@pytest.mark.parametrize(
+    "spec",
+    [
+        HARVESTER,
+        arm(1),
+        arm(5),
+        replace(
+            arm(2),
+            link_lengths=(0.3, 0.1),
+            link_half_widths=(0.02, 0.15),
+            shoulder_height=0.2,
+        ),
+    ],
+    ids=["harvester", "one", "five", "stubby"],
+)
+def test_what_one_sees_is_what_is_checked(spec, tmp_path):
+    urdf, _ = write_robot(spec, tmp_path / "arm.urdf")
+    model, _, visual_model = pin.buildModelsFromUrdf(str(urdf))
+    sizes = dict(
+        zip(
+            spec.arm_link_names,
+            zip(spec.link_lengths, spec.link_half_widths, strict=True),
+            strict=True,
+        )
+    )
+    seen = set()
+    for shape in visual_model.geometryObjects:
+        link = model.frames[shape.parentFrame].name
+        if link not in sizes:
+            continue
+        seen.add(link)
+        length, half_width = sizes[link]
+        end = np.array([length, 0.0, 0.0])
+        for point in outline(shape):
+            assert segment_distance(point, np.zeros(3), end) <= half_width + 0.01, shape.name
+    assert seen == set(spec.arm_link_names)
+
+
+# The family
+
+
+@pytest.mark.parametrize("has_yaw", [True, False])
+@pytest.mark.parametrize("n", [1, 2, 3, 5])
+def test_other_members(n, has_yaw, tmp_path):
+    spec = arm(n, has_yaw=has_yaw)
+    urdf, _ = write_robot(spec, tmp_path / "arm.urdf")
+    model = pin.buildModelFromUrdf(str(urdf))
+    assert model.nq == model.nv == n + has_yaw
+    assert tuple(model.names)[1:] == spec.joint_names
+    np.testing.assert_allclose(tool_position(model, [0.0] * model.nq), [sum(spec.link_lengths), 0, 0.6], atol=1e-12)
+    check = cross_check(urdf, samples=10)
+    assert check.max_position_deviation < 1e-12
+    assert check.frames == spec.link_names
+    assert check.limits_equal
+    assert check.masses_equal
+
+
+def test_names():
+    assert arm(3).joint_names == ("base_yaw", "shoulder", "elbow", "wrist")
+    assert arm(3).arm_link_names == ("upper_arm", "forearm", "hand")
+    assert arm(2, has_yaw=False).joint_names == ("joint_1", "joint_2")
+    assert arm(2).link_names == ("base_link", "turret", "link_1", "link_2", "tool0")
+
+
+def test_spec_takes_any_sequence_of_numbers():
+    assert replace(arm(2), link_lengths=[1, 2]) == replace(arm(2), link_lengths=np.array([1.0, 2.0]))
+    assert replace(arm(2), link_lengths=[1, 2]).link_lengths == (1.0, 2.0)
+
+
+def test_header_says_how_to_write_it_again():
+    spec = arm(2, name="two-links")
+    text = urdf_text(spec)
+    header = text[text.index("<!--") : text.index("-->")]
+    code = header[header.index("spec = ") : header.index("    write_robot(")]
+    scope: dict[str, object] = {"ArmSpec": ArmSpec}
+    exec(code, scope)
+    assert scope["spec"] == spec
+    assert "HARVESTER" in urdf_text(HARVESTER).split("-->")[0]
+
+
+def test_jerk_is_optional():
+    assert "jerk_rad_s3" not in yaml.safe_load(limits_text(arm(2)))
+
+
+positive = st.floats(1e-3, 1e3)
+
+
+@st.composite
+def specs(draw: st.DrawFn) -> ArmSpec:
+    n = draw(st.integers(1, 6))
+    has_yaw = draw(st.booleans())
+
+    def values(elements: st.SearchStrategy[float], count: int) -> list[float]:
+        return draw(st.lists(elements, min_size=count, max_size=count))
+
+    joints = n + has_yaw
+    lower = values(st.floats(-3.0, 3.0), joints)
+    return ArmSpec(
+        name=draw(st.from_regex(r"[A-Za-z][A-Za-z0-9_]{0,8}", fullmatch=True)),
+        link_lengths=tuple(values(st.floats(0.01, 10.0), n)),
+        link_half_widths=tuple(values(st.floats(0.001, 1.0), n)),
+        link_masses=tuple(values(positive, n)),
+        lower=tuple(lower),
+        upper=tuple(low + span for low, span in zip(lower, values(positive, joints), strict=True)),
+        velocity=tuple(values(positive, joints)),
+        effort=tuple(values(positive, joints)),
+        acceleration=tuple(values(positive, joints)),
+        jerk=draw(st.none() | st.just(tuple(values(positive, joints)))),
+        shoulder_height=draw(st.floats(0.01, 3.0)),
+        has_yaw=has_yaw,
+        yaw_axis=tuple(values(st.floats(-2.0, 2.0), 2)),
+        shoulder_offset=draw(st.floats(-0.5, 0.5)),
+        link_offsets=draw(st.none() | st.just(tuple(values(st.floats(-0.3, 0.3), n)))),
+    )
+
+
+@settings(max_examples=15, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(spec=specs())
+def test_any_spec_survives_the_files(spec, tmp_path):
+    urdf, limits_path = write_robot(spec, tmp_path / "arm.urdf")
+    model, collision_model, _ = pin.buildModelsFromUrdf(str(urdf))
+    assert tuple(model.names)[1:] == spec.joint_names
+    assert tuple(model.lowerPositionLimit) == spec.lower
+    assert tuple(model.upperPositionLimit) == spec.upper
+    assert tuple(model.velocityLimit) == spec.velocity
+    assert tuple(model.effortLimit) == spec.effort
+    for k, link in enumerate(spec.arm_link_names):
+        shapes = [g.geometry for g in collision_model.geometryObjects if g.name[:-2] == link]
+        side, *ends = shapes
+        assert [sphere.radius for sphere in ends] == [spec.link_half_widths[k]] * 2
+        assert side.radius == spec.link_half_widths[k]
+        assert 2 * side.halfLength == spec.link_lengths[k]
+    limits = yaml.safe_load(limits_path.read_text())
+    assert tuple(limits["acceleration_rad_s2"]) == spec.joint_names
+    assert tuple(limits["acceleration_rad_s2"].values()) == spec.acceleration
+    if spec.jerk is not None:
+        assert tuple(limits["jerk_rad_s3"].values()) == spec.jerk
+    assert cross_check(urdf, samples=3).max_position_deviation < 1e-10
+
+
+def test_offsets_are_read_as_they_were_written(tmp_path):
+    spec = replace(HARVESTER, name="aside", yaw_axis=(0.3, -0.2), shoulder_offset=0.15, link_offsets=(0.06, -0.02, 0.0))
+    robot = load_robot(write_robot(spec, tmp_path / "aside.urdf")[0])
+    assert robot.yaw_axis.tolist() == [0.3, -0.2]
+    assert robot.plane_origin == pytest.approx([0.3, -0.2 + 0.15, 0.6], abs=1e-15)
+    assert robot.plane_axes.tolist() == [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
+    assert robot.shoulder_from_axis == pytest.approx((0.0, -0.15), abs=1e-15)
+    assert robot.arm.lateral.tolist() == [-0.06, 0.02, 0.0]  # the plane's normal is -y
+    assert robot.arm.half_widths == pytest.approx(HARVESTER.link_half_widths, rel=1e-9)
+    (axle,) = turning_shapes(robot)  # the pedestal and the turret's body are round about the yaw axis
+    assert axle.radius == pytest.approx(math.hypot(0.15 + 0.06, 0.8 * 0.05), rel=2e-3)
+
+
+# Faults
+
+
+@pytest.mark.parametrize(
+    ("change", "option"),
+    [
+        ({"name": ""}, "name"),
+        ({"name": "a--b"}, "name"),
+        ({"name": "a<b"}, "name"),
+        ({"name": 3}, "name"),
+        ({"link_lengths": ()}, "link_lengths"),
+        ({"link_lengths": (1.0, math.nan)}, "link_lengths[1]"),
+        ({"link_lengths": (1.0, 0.0)}, "link_lengths[1]"),
+        ({"link_lengths": (1.0, -1.0)}, "link_lengths[1]"),
+        ({"link_lengths": "12"}, "link_lengths"),
+        ({"link_lengths": 1.0}, "link_lengths"),
+        ({"link_lengths": (1.0, "x")}, "link_lengths[1]"),
+        ({"link_half_widths": (0.1,)}, "link_half_widths"),
+        ({"link_masses": (1.0, 1.0, 1.0)}, "link_masses"),
+        ({"velocity": (1.0, 1.0)}, "velocity"),
+        ({"effort": (1.0, math.inf, 1.0)}, "effort[1]"),
+        ({"acceleration": (0.0, 1.0, 1.0)}, "acceleration[0]"),
+        ({"jerk": (1.0, 1.0)}, "jerk"),
+        ({"lower": (-1.0, 1.5, -1.0)}, "lower[joint_1]"),
+        ({"upper": (-2.0, 1.5, 1.0)}, "lower[base_yaw]"),
+        ({"upper": (math.nan, 1.5, 1.0)}, "upper[0]"),
+        ({"shoulder_height": -0.1}, "shoulder_height"),
+        ({"base_mass": math.nan}, "base_mass"),
+        ({"turret_mass": None}, "turret_mass"),
+        ({"has_yaw": "yes"}, "has_yaw"),
+        ({"yaw_axis": (0.1,)}, "yaw_axis"),
+        ({"yaw_axis": (0.1, math.nan)}, "yaw_axis[1]"),
+        ({"shoulder_offset": math.inf}, "shoulder_offset"),
+        ({"link_offsets": (0.1,)}, "link_offsets"),
+    ],
+)
+def test_bad_specs_name_the_field(change, option):
+    with pytest.raises(OptionError) as caught:
+        replace(arm(2), **change)
+    assert caught.value.option == option
+
+
+def test_missing_folder(tmp_path):
+    with pytest.raises(OutputError) as caught:
+        write_robot(HARVESTER, tmp_path / "missing" / "arm.urdf")
+    assert "missing" in str(caught.value.path)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_folder_that_is_a_file(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(OutputError):
+        write_robot(HARVESTER, tmp_path / "file" / "arm.urdf")
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+@pytest.mark.parametrize("name", ["arm.urdf", "arm.limits.yaml"])
+def test_folder_in_the_place_of_a_file(name, tmp_path):
+    (tmp_path / name).mkdir()
+    with pytest.raises(OutputError) as caught:
+        write_robot(HARVESTER, tmp_path / "arm.urdf")
+    assert caught.value.path == tmp_path / name
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+
+
+def test_writing_leaves_the_two_files_only(tmp_path):
+    write_robot(HARVESTER, tmp_path / "arm.urdf")
+    write_robot(arm(2), tmp_path / "arm.urdf")
+    assert {path.name for path in tmp_path.iterdir()} == {"arm.urdf", "arm.limits.yaml"}
+    assert (tmp_path / "arm.urdf").read_text() == urdf_text(arm(2))
+
+
+def test_urdf_path_has_its_suffix(tmp_path):
+    with pytest.raises(OptionError):
+        write_robot(HARVESTER, tmp_path / "arm.xml")
+
+
+def test_cross_check_finds_a_missing_file(tmp_path):
+    with pytest.raises(RobotFileError):
+        cross_check(tmp_path / "none.urdf")
+
+
+def test_cross_check_refuses_a_continuous_joint(tmp_path):
+    text = urdf_text(HARVESTER).replace('"base_yaw" type="revolute"', '"base_yaw" type="continuous"')
+    path = tmp_path / "arm.urdf"
+    path.write_text(text)
+    with pytest.raises(RobotFileError, match="base_yaw"):
+        cross_check(path)
+
+
+def test_cross_check_needs_samples():
+    with pytest.raises(OptionError):
+        cross_check(URDF, samples=0)

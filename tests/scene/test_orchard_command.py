@@ -1,0 +1,183 @@
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+from script_loader import SCRIPTS, load_script
+
+from hplan.scene.file import load_scene
+from hplan.scene.model import Scene
+from hplan.scene.orchard import SHIPPED, FruitZone, MeasuredOptions, OrchardOptions, generate, measured_orchard
+
+TREE = (
+    "kind,x1,y1,z1,x2,y2,z2,radius\ntrunk,0,0,0,0,0,2,0.02\n"
+    "branch,0,0,1.5,-0.9,0,1.6,0.005\nbranch,0,0,1.8,0,-0.9,1.9,0.005\n"
+)
+
+
+@pytest.fixture(scope="module")
+def script() -> ModuleType:
+    return load_script("make_orchard")
+
+
+@pytest.fixture
+def make(script: ModuleType, tmp_path: Path) -> Callable[..., Scene]:
+    """The scene that the command writes."""
+
+    def make(*options: str) -> Scene:
+        out = tmp_path / "out.yaml"
+        assert script.main([*options, "--out", str(out)]) == 0
+        return load_scene(out)
+
+    return make
+
+
+@pytest.fixture
+def tree(tmp_path: Path) -> Path:
+    path = tmp_path / "tree.csv"
+    path.write_text(TREE)
+    return path
+
+
+def test_defaults(make: Callable[..., Scene], capsys: pytest.CaptureFixture[str]) -> None:
+    assert make() == generate(OrchardOptions(name="out"))
+    shown = capsys.readouterr().out
+    assert "24, 1.4" in shown
+    assert "fruit 01" in shown
+
+
+def test_every_option_of_a_grown_row(make: Callable[..., Scene], capsys: pytest.CaptureFixture[str]) -> None:
+    text = (
+        "--name row --seed 7 --form trellis --trees 2 --spacing 1 --distance 1.5 --tree-height 2.5 --branches 20 "
+        "--branch-length 0.4 --shoots 1 --fruits 5 --fruit-radius 0.035 --fruit-heights 1 2 --fruit-reach 1.8 "
+        "--vehicle --ground --clearance 0.01 --start 0 80 80 80 --quiet"
+    )
+    options = OrchardOptions(
+        name="row",
+        seed=7,
+        form="trellis",
+        trees=2,
+        spacing=1.0,
+        distance=1.5,
+        tree_height=2.5,
+        branches=20,
+        branch_length=0.4,
+        shoots=1,
+        fruits=5,
+        fruit_radius=0.035,
+        fruit_zone=FruitZone(1.0, 2.0, 1.8),
+        vehicle=True,
+        ground=True,
+        clearance=0.01,
+        goal="fruit 03",
+    )
+    assert make(*text.split(), "--goal", "fruit 03") == generate(options, start_deg=(0, 80, 80, 80))
+    assert capsys.readouterr().out == ""
+
+
+def test_reach_alone_keeps_the_usual_heights(make: Callable[..., Scene]) -> None:
+    usual = OrchardOptions().fruit_zone
+    zone = FruitZone(usual.low, usual.high, 1.6)
+    assert make("--fruit-reach", "1.6", "--fruits", "9") == generate(
+        OrchardOptions(name="out", fruit_zone=zone, fruits=9)
+    )
+
+
+def test_robot_gives_the_heights(make: Callable[..., Scene]) -> None:
+    scene = make("--robot", "orchard_harvester", "--fruits", "30")
+    assert scene.robot == "orchard_harvester"
+    assert min(fruit.center[2] for fruit in scene.fruits) < OrchardOptions().fruit_zone.low
+    assert make("--robot", "harvester", "--fruits", "9") == generate(
+        OrchardOptions(name="out", robot="harvester", fruits=9)
+    )
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_shipped_scenes_made_anew(make: Callable[..., Scene], name: str) -> None:
+    assert make("--shipped", name) == generate(SHIPPED[name])
+
+
+def test_measured_trees(make: Callable[..., Scene], tree: Path) -> None:
+    assert make("--import", str(tree), "--fruits", "2") == measured_orchard(
+        [tree], MeasuredOptions(fruits=2, name="out")
+    )
+    assert len(make("--import", str(tree)).fruits) == 20
+    text = (
+        "--fruits 6 --distance 1.6 --spacing 2 --height 0.3 --turn 40 --seed 3 --fruit-heights 1.8 3 --clearance 0.01"
+    )
+    assert make("--import", str(tree), str(tree), *text.split()) == measured_orchard(
+        [tree, tree],
+        MeasuredOptions(
+            fruits=6,
+            name="out",
+            distance=1.6,
+            spacing=2.0,
+            height=0.3,
+            yaw_deg=40.0,
+            seed=3,
+            fruit_zone=FruitZone(1.8, 3.0),
+            clearance=0.01,
+        ),
+    )
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ("--seed -1", "seed = -1"),
+        ("--robot orchard", "robot = 'orchard': expected one of harvester, orchard_harvester"),
+        ("--distance nan", "distance = nan"),
+        ("--trees 0", "trees = 0"),
+        ("--fruits 1000", "which found room in their zone"),
+        ("--fruit-heights 2 1", "high = 1.0"),
+        ("--goal plum", "goal = 'plum'"),
+        ("--shipped orchid", "--shipped = 'orchid': expected one of orchard-row"),
+        ("--shipped tour --seed 0", "--seed = 0: expected nothing together with --shipped"),
+        ("--shipped tour --ground", "--ground = True: expected nothing together with --shipped"),
+        ("--import TREE --trees 3", "--trees = 3: expected nothing together with --import"),
+        ("--import TREE --fruits 100", "at most"),
+        ("--import none.csv", "No such file"),
+        ("--turn 3", "--turn = 3.0: expected measured trees, by --import"),
+        ("--height 0", "--height = 0.0: expected measured trees, by --import"),
+    ],
+)
+def test_bad_input(
+    script: ModuleType,
+    tree: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    options: str,
+    message: str,
+) -> None:
+    out = tmp_path / "out.yaml"
+    words = [str(tree) if word == "TREE" else word for word in options.split()]
+    assert script.main([*words, "--out", str(out)]) == 2
+    assert message in capsys.readouterr().err.replace("\n", " ")
+    assert not out.exists()
+
+
+def test_what_is_read_is_not_replaced(
+    script: ModuleType, tree: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert script.main(["--import", str(tree), "--out", str(tree)]) == 2
+    assert "another file than those that are read" in capsys.readouterr().err
+    assert tree.read_text() == TREE
+    assert script.main(["--out", str(tmp_path / "no" / "scene.yaml")]) == 2
+    assert "its folder does not exist" in capsys.readouterr().err
+
+
+def test_help_loads_nothing_heavy() -> None:
+    code = (
+        "import runpy, sys\nsys.argv = ['make_orchard.py', '--help']\n"
+        f"try: runpy.run_path({str(SCRIPTS / 'make_orchard.py')!r}, run_name='__main__')\n"
+        "except SystemExit: print([m for m in ('numpy', 'pydantic', 'rich', 'pinocchio', 'numba') if m in sys.modules])"
+    )
+    process = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    lines = process.stdout.splitlines()
+    assert lines[-1] == "[]"
+    assert "exit status:" in lines
+    assert max(map(len, lines)) <= 80

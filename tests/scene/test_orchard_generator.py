@@ -1,0 +1,358 @@
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import math
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hplan.base.data_files import scenes_dir
+from hplan.collision.coal_scene import CoalScene, base_contacts
+from hplan.errors import InputError, OptionError
+from hplan.robot.model import load_robot
+from hplan.scene.file import dump_scene, load_scene, parse_scene
+from hplan.scene.obstacles import Capsule, Sphere
+from hplan.scene.orchard import (
+    SHIPPED,
+    TUCKED_DEG,
+    FruitZone,
+    MeasuredOptions,
+    OrchardOptions,
+    generate,
+    measured_orchard,
+)
+from hplan.scene.orchard.fruits import Canopy
+
+MEASURED = Path(__file__).parents[3] / "shared" / "data" / "measured_trees"
+
+VARIANTS = {
+    "default": OrchardOptions(),
+    "trellis": OrchardOptions(form="trellis", wire_heights=(0.6, 1.1, 1.6), seed=5),
+    "one tree": OrchardOptions(trees=1, fruits=6, posts=False, wire_heights=(), seed=2),
+    "all": OrchardOptions(ground=True, vehicle=True, clearance=0.01, fruits=10, seed=3, branch_length=0.8),
+}
+
+
+@pytest.fixture(params=VARIANTS.values(), ids=VARIANTS.keys(), scope="module")
+def grown(request):
+    return request.param, generate(request.param)
+
+
+def wood_of(scene) -> list[Capsule]:
+    return [obstacle for obstacle in scene.obstacles if isinstance(obstacle, Capsule)]
+
+
+def balls(scene) -> list[Sphere]:
+    return [Sphere(name=f.name, center=f.center, radius=f.radius) for f in scene.fruits]
+
+
+def kind_of(capsule: Capsule) -> str:
+    return capsule.name.rsplit(" ", 1)[0].removeprefix("tree 1 ")
+
+
+# Trees
+
+
+def test_same_seed_same_scene(grown):
+    options, scene = grown
+    again = generate(dataclasses.replace(options))
+    assert again == scene
+    assert dump_scene(again) == dump_scene(scene)
+    assert generate(dataclasses.replace(options, seed=options.seed + 1)) != scene
+
+
+def test_defaults():
+    assert generate() == generate(OrchardOptions())
+
+
+def test_file_holds_it_all(grown):
+    _, scene = grown
+    text = dump_scene(scene)
+    assert parse_scene(text) == scene
+    assert len(text) < 100_000
+
+
+def test_lengths_are_whole_tenths_of_a_millimetre(grown):
+    _, scene = grown
+    numbers = [x for capsule in wood_of(scene) for x in (*capsule.start, *capsule.end)]
+    numbers += [x for fruit in scene.fruits for x in fruit.center]
+    assert all(number == round(number, 4) and len(repr(number)) <= 8 for number in numbers)
+    assert all(repr(number) != "-0.0" for number in numbers)
+
+
+def test_names_say_what_it_is(grown):
+    options, scene = grown
+    kinds = Counter(name.rsplit(" ", 1)[0] for name in (o.name for o in scene.obstacles))
+    for tree in range(1, options.trees + 1):
+        assert kinds[f"tree {tree} trunk"] == 6
+        assert kinds[f"tree {tree} branch"] == 3 * options.branches
+        assert kinds[f"tree {tree} shoot"] == options.branches * options.shoots
+        arms = 6 * len(options.wire_heights) if options.form == "trellis" else 0
+        assert kinds[f"tree {tree} arm"] == arms
+    assert kinds["wire"] == len(options.wire_heights)
+    assert kinds["post"] == 2 * options.posts
+    assert kinds["ground"] == options.ground
+    assert kinds["vehicle"] == options.vehicle
+    assert [fruit.name for fruit in scene.fruits] == [f"fruit {n:02d}" for n in range(1, options.fruits + 1)]
+
+
+def test_all_wood_of_a_tree_hangs_together(grown):
+    """From the trunk's foot every piece is reached through pieces that begin where another one is."""
+    _, scene = grown
+    tree = [capsule for capsule in wood_of(scene) if capsule.name.startswith("tree 1 ")]
+    canopy = Canopy(tree, 0.04, FruitZone())
+    for index, capsule in enumerate(tree):
+        nearest = np.delete(canopy.wood_distances(np.array(capsule.start)), index).min()
+        assert nearest < 0.0 or capsule.start[2] == 0.0
+
+
+def test_trunks_taper_upright_in_their_row(grown):
+    options, scene = grown
+    roots = []
+    for tree in range(1, options.trees + 1):
+        trunk = [c for c in wood_of(scene) if c.name.startswith(f"tree {tree} trunk ")]
+        roots.append(trunk[0].start)
+        radii = [piece.radius for piece in trunk]
+        assert radii == sorted(radii, reverse=True)
+        assert 0.2 * options.trunk_radius < radii[-1] < 0.5 * radii[0]
+        assert trunk[-1].end[2] == pytest.approx(options.tree_height)
+        assert all(math.dist(piece.end[:2], trunk[0].start[:2]) < 0.15 for piece in trunk)
+        assert all(a.end == b.start for a, b in itertools.pairwise(trunk))
+    assert {root[0] for root in roots} == {options.distance}
+    ys = [root[1] for root in roots]
+    assert sum(ys) == pytest.approx(0.0)
+    assert all(b - a == pytest.approx(options.spacing) for a, b in itertools.pairwise(ys))
+
+
+def test_a_spindle_narrows_upwards():
+    scene = generate(OrchardOptions(trees=1, fruits=1, seed=8))
+    wood = [c for c in wood_of(scene) if "branch" in c.name]
+    spread = {
+        half: max(math.dist(c.end[:2], (1.4, 0.0)) for c in wood if (c.end[2] > 1.7) == half) for half in (False, True)
+    }
+    assert 0.4 < spread[False] < 0.75
+    assert spread[True] < 0.8 * spread[False]
+    angles = sorted(math.atan2(c.end[1], c.end[0] - 1.4) for c in wood)
+    assert max(b - a for a, b in itertools.pairwise(angles)) < math.radians(60)
+
+
+def test_trellis_arms_follow_the_wires():
+    options = VARIANTS["trellis"]
+    arms = [c for c in wood_of(generate(options)) if " arm " in c.name]
+    for arm in arms:
+        assert min(abs(z - h) for z in (arm.start[2], arm.end[2]) for h in options.wire_heights) < 0.08
+        assert abs(arm.end[0] - options.distance) < 0.15
+
+
+def test_a_longer_row_has_the_same_trees():
+    short = [c for c in wood_of(generate(OrchardOptions(trees=1, fruits=3))) if c.name.startswith("tree 1 ")]
+    long = [c for c in wood_of(generate(OrchardOptions(trees=3))) if c.name.startswith("tree 1 ")]
+    for a, b in zip(short, long, strict=True):
+        np.testing.assert_allclose(b.core - a.core, np.tile([0.0, -1.1, 0.0], (2, 1)), atol=1.1e-4)
+        assert a.radius == b.radius
+
+
+def test_bare_tree_bears_nothing():
+    with pytest.raises(OptionError, match="fruits = 1: expected at most 0, which found room") as caught:
+        generate(OrchardOptions(branches=0, fruits=1))
+    assert caught.value.option == "fruits"
+    with pytest.raises(OptionError, match="which found room"):
+        generate(OrchardOptions(trees=1, branches=3, fruits=500))
+
+
+# Fruit
+
+
+def test_fruit_hangs_clear_of_wood_and_of_each_other(grown):
+    options, scene = grown
+    canopy = Canopy(wood_of(scene), options.fruit_radius, FruitZone())
+    for fruit in scene.fruits:
+        gaps = canopy.wood_distances(np.array(fruit.center)) - fruit.radius
+        assert gaps.min() >= -1e-9
+        bearing = [g for g, c in zip(gaps, canopy.wood, strict=True) if kind_of(c).split()[-1] not in ("trunk", "wire")]
+        assert min(bearing) <= options.stem + 2e-4
+        assert options.fruit_zone.holds(*fruit.center)
+    for a, b in itertools.combinations(scene.fruits, 2):
+        assert math.dist(a.center, b.center) >= a.radius + b.radius
+
+
+def test_fruit_counts_from_the_base_outwards(grown):
+    _, scene = grown
+    reach = [math.hypot(*fruit.center[:2]) for fruit in scene.fruits]
+    assert reach == sorted(reach)
+
+
+def test_picked_fruit_is_gone():
+    every = generate(OrchardOptions())
+    rest = generate(OrchardOptions(picked=(24, 1, 5)))
+    kept = [fruit.center for n, fruit in enumerate(every.fruits, start=1) if n not in (1, 5, 24)]
+    assert [fruit.center for fruit in rest.fruits] == kept
+    assert [fruit.name for fruit in rest.fruits] == [f"fruit {n:02d}" for n in range(1, 22)]
+    assert rest.obstacles == every.obstacles
+
+
+def test_goal():
+    assert generate().goal.fruit == "fruit 01"
+    assert generate(OrchardOptions(goal="fruit 07")).goal.fruit == "fruit 07"
+    with pytest.raises(OptionError, match="goal = 'plum': expected one of the fruits, fruit 01 to fruit 24"):
+        generate(OrchardOptions(goal="plum"))
+
+
+# Arm
+
+
+def within_reach(robot, point, *, clear_of=None) -> bool:
+    """Whether the tool can be at a point: a sweep of the hand's angle, the other two joints in closed form."""
+    lengths = robot.arm.lengths
+    yaw, z = math.atan2(point[1], point[0]), point[2] - 0.6
+    for angle in np.radians(np.arange(0.0, 270.5, 1.0)):
+        x, y = math.hypot(*point[:2]) - lengths[2] * math.cos(angle), z - lengths[2] * math.sin(angle)
+        cosine = (x * x + y * y - lengths[0] ** 2 - lengths[1] ** 2) / (2.0 * lengths[0] * lengths[1])
+        if abs(cosine) > 1.0:
+            continue
+        elbow = math.acos(cosine)
+        inner = math.atan2(lengths[1] * math.sin(elbow), lengths[0] + lengths[1] * math.cos(elbow))
+        shoulder = math.atan2(y, x) - inner
+        q = np.array([yaw, shoulder, elbow, angle - shoulder - elbow])
+        if (q < robot.lower).any() or (q > robot.upper).any():
+            continue
+        np.testing.assert_allclose(robot.tool_positions(q), point, atol=1e-9)
+        if clear_of is None or clear_of.distances(q).min() > 0.005:
+            return True
+    return False
+
+
+def test_start_is_tucked_away_from_trees_and_vehicle(grown, robot):
+    options, scene = grown
+    start = scene.start.joints()
+    assert scene.start.joints_deg == TUCKED_DEG
+    # At any yaw the arm is behind its axis or beside it.
+    obstacles = [o for o in (*scene.obstacles, *balls(scene)) if o.name not in ("vehicle", "ground")]
+    assert CoalScene(robot, obstacles).distances(start).min() > 0.3
+    if options.vehicle:
+        vehicle = [o for o in scene.obstacles if o.name == "vehicle"]
+        checker = CoalScene(robot, vehicle)
+        assert min(checker.distances([yaw, *start[1:]]).min() for yaw in np.linspace(-math.pi, math.pi, 73)) > 0.1
+    assert base_contacts(robot, [o for o in scene.obstacles if o.name in ("vehicle", "ground")]) == ()
+
+
+def test_start_as_given():
+    assert generate(start_deg=[1, 2.5]).start.joints_deg == (1.0, 2.5)
+    for start in ("0 0", 3.0, [math.nan], [None]):
+        with pytest.raises(OptionError, match="start_deg"):
+            generate(start_deg=start)
+
+
+def test_most_fruit_is_within_reach(robot):
+    for seed in range(4):
+        fruits = generate(OrchardOptions(seed=seed)).fruits
+        assert sum(within_reach(robot, fruit.center) for fruit in fruits) >= 0.8 * len(fruits)
+
+
+# Scenes that ship
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_shipped_scene_is_what_its_options_give(name):
+    path = scenes_dir() / f"{name}.yaml"
+    assert load_scene(path) == generate(SHIPPED[name])
+    assert path.stat().st_size < 100_000
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_a_hand_can_be_at_the_goal(name):
+    scene = load_scene(scenes_dir() / f"{name}.yaml")
+    robot = load_robot(scene.robot)
+    (goal,) = [fruit for fruit in scene.fruits if fruit.name == scene.goal.fruit]
+    assert within_reach(robot, goal.center, clear_of=CoalScene(robot, scene.solids))
+
+
+def test_every_fruit_of_the_tour_can_be_picked(robot):
+    scene = load_scene(scenes_dir() / "tour.yaml")
+    assert len(scene.fruits) == 20
+    for fruit in scene.fruits:
+        others = [ball for ball in balls(scene) if ball.name != fruit.name]
+        assert within_reach(robot, fruit.center, clear_of=CoalScene(robot, [*scene.obstacles, *others])), fruit
+
+
+@pytest.mark.parametrize("name", ["orchard-arm-row", "orchard-arm-tour"])
+def test_orchard_arm_has_fruit_above_and_below_its_shoulder(name):
+    scene = load_scene(scenes_dir() / f"{name}.yaml")
+    assert scene.robot == "orchard_harvester"
+    shoulder = load_robot(scene.robot).plane_origin[-1]
+    heights = np.array([fruit.center[2] for fruit in scene.fruits])
+    assert len(heights) >= 20
+    assert (heights < shoulder).sum() >= 3
+    assert (heights > shoulder + 1.0).sum() >= 3
+    assert "ground" in {obstacle.name for obstacle in scene.obstacles}
+
+
+# Measured trees
+
+
+@pytest.fixture
+def stick(tmp_path):
+    path = tmp_path / "stick.csv"
+    path.write_text(
+        "kind,x1,y1,z1,x2,y2,z2,radius\ntrunk,0,0,0,0,0,2,0.02\n"
+        "branch,0,0,1.5,-0.3,0,1.6,0.0051234\nbranch,0,0,1.8,0,-0.30004,1.9,0.005\n"
+    )
+    return path
+
+
+def test_measured_row(stick):
+    options = MeasuredOptions(name="two", fruits=3, distance=1.5, spacing=0.8, height=0.2, clearance=0.01)
+    scene = measured_orchard([stick, stick], options)
+    assert scene.name == "two"
+    assert scene.clearance == 0.01
+    assert [o.name for o in scene.obstacles] == [
+        f"tree {tree} {piece}" for tree in (1, 2) for piece in ("trunk 1", "branch 1", "branch 2")
+    ]
+    assert scene.obstacles[0].start == (1.5, -0.4, 0.2)
+    assert scene.obstacles[5].end == (1.5, 0.1, 2.1)
+    assert scene.obstacles[1].radius == 0.0051234
+    assert (len(scene.fruits), scene.goal.fruit, scene.start.joints_deg) == (3, "fruit 01", TUCKED_DEG)
+
+
+def test_measured_tree_alone_turns_about_its_trunk(stick):
+    options = MeasuredOptions(fruits=2, yaw_deg=90.0, goal="fruit 02")
+    scene = measured_orchard([stick], options, start_deg=(0, 0, 0, 0))
+    assert scene.obstacles[1].name == "branch 1"
+    assert scene.obstacles[1].end == (1.4, -0.3, 1.6)
+    assert scene.goal.fruit == "fruit 02"
+    assert scene.start.joints_deg == (0.0, 0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"fruits": 0}, "fruits = 0: expected at least one"),
+        ({"fruits": 50}, "which found room at these branches"),
+        ({"distance": math.nan}, "distance = nan"),
+        ({"spacing": -1.0}, "spacing = -1.0"),
+        ({"height": "1"}, "height = '1'"),
+        ({"clearance": -0.1}, "clearance = -0.1"),
+        ({"yaw_deg": math.inf}, "yaw_deg = inf"),
+        ({"name": ""}, "name = ''"),
+        ({"goal": "plum"}, "goal = 'plum'"),
+        ({"paths": []}, "at least one file"),
+        ({"paths": ["none.csv"]}, "No such file"),
+    ],
+)
+def test_measured_orchard_out_of_range(stick, options, message):
+    paths = options.get("paths", [stick])
+    wanted = {"fruits": 2, **{option: value for option, value in options.items() if option != "paths"}}
+    with pytest.raises(InputError, match=message):
+        measured_orchard(paths, MeasuredOptions(**wanted))
+
+
+@pytest.mark.skipif(not MEASURED.is_dir(), reason="the measured trees are not beside the project")
+def test_measured_trees_in_a_row():
+    files = sorted(MEASURED.glob("*.csv"))[:3]
+    scene = measured_orchard(files, MeasuredOptions(fruits=60, seed=4))
+    assert len(scene.fruits) == 60
+    assert parse_scene(dump_scene(scene)) == scene
+    assert scene == measured_orchard(files, MeasuredOptions(fruits=60, seed=4))

@@ -1,0 +1,619 @@
+"""Timed motions against their limits, at rows and between them, and against motions timed by hand."""
+
+from __future__ import annotations
+
+import time
+import tracemalloc
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from planned import on_cubics
+
+from hplan.collision.clearance_field import ClearanceField
+from hplan.errors import InputError, OptionError, TimingError
+from hplan.planning.options import PlanOptions
+from hplan.planning.plan import plan
+from hplan.robot.family.members import ArmSpec, write_robot
+from hplan.robot.limits import Limits
+from hplan.robot.model import Robot, load_robot
+from hplan.trajectory import rounded_path
+from hplan.trajectory.retime import GRID_POINTS, resting, time_path
+from hplan.trajectory.spline import SplinePath
+
+RATE = 250.0
+FINE = 1e-4
+
+START, GOAL = np.array([0.1, 0.2, 0.3, 0.2]), np.array([0.4, 1.2, 0.8, 1.0])
+
+
+@pytest.fixture(scope="module")
+def limits(robot):
+    return Limits(robot.velocity_limit, robot.acceleration_limit, robot.torque_limit, robot.jerk_limit)
+
+
+@pytest.fixture(scope="module")
+def smooth_limits(limits):
+    """Without limits on jerk."""
+    return replace(limits, jerk=None)
+
+
+@pytest.fixture(scope="module")
+def reference_path(robot, scene):
+    return SplinePath.through(plan(robot, scene, PlanOptions(effort="quick")).trajectory.position[::40])
+
+
+def straight(start, end, count=5):
+    return SplinePath.through(np.linspace(start, end, count))
+
+
+def curve(seed, robot, count=7, share=0.8):
+    """A random spline within the joint limits."""
+    rng = np.random.default_rng(seed)
+    middle, half = 0.5 * (robot.lower + robot.upper), 0.5 * share * (robot.upper - robot.lower)
+    half[0] = min(half[0], 1.0)
+    return SplinePath.through(middle + rng.uniform(-half, half, (count, robot.dof)))
+
+
+def joint_turn(robot, joint, angle, start=0.1):
+    q = np.full(robot.dof, start)
+    end = q.copy()
+    end[joint] += angle
+    return straight(q, end)
+
+
+def hermite(trajectory, step=FINE):
+    """Time and position of the cubic Hermite curve through the rows, every `step` seconds."""
+    time = np.arange(0.0, trajectory.duration + 0.5 * step, step)
+    return on_cubics(trajectory, time)
+
+
+def inverse_dynamics(model, q, v, a):
+    data = model.createData()
+    return np.array([pin.rnea(model, data, *row) for row in zip(q, v, a, strict=True)])
+
+
+def row_uses(trajectory, limits):
+    """(rows,) largest share of any limit, jerk between rows included where it is limited."""
+    shares = [np.abs(trajectory.velocity) / limits.velocity, np.abs(trajectory.acceleration) / limits.acceleration]
+    if limits.torque is not None:
+        shares.append(np.abs(trajectory.torque) / limits.torque)
+    use = np.max(shares, axis=(0, 2))
+    if limits.jerk is not None:
+        jerk = jerk_uses(trajectory, limits)
+        use = np.maximum(use, np.maximum(np.append(jerk, 0.0), np.append(0.0, jerk)))
+    return use
+
+
+def jerk_uses(trajectory, limits):
+    """(rows - 1,) share of the jerk limit; between rows acceleration is linear."""
+    step = np.diff(trajectory.time)[:, None]
+    return (np.abs(np.diff(trajectory.acceleration, axis=0)) / step / limits.jerk).max(axis=1)
+
+
+def assert_sound(trajectory, model, limits, *, rate=RATE, path=None, jerk=True, rest=(True, True)):
+    """Uniform time, rest, exact ends, columns that belong together, limits at rows and between."""
+    steps = np.diff(trajectory.time)
+    assert trajectory.time[0] == 0.0
+    assert (steps > 0.0).all()
+    np.testing.assert_allclose(trajectory.time, np.arange(trajectory.samples) / rate, rtol=1e-12)
+    for row, rests, s in ((0, rest[0], 0.0), (-1, rest[1], None)):
+        if rests:
+            assert not trajectory.velocity[row].any()
+            assert not trajectory.acceleration[row].any()
+        if rests and path is not None:
+            np.testing.assert_array_equal(trajectory.position[row], path.evaluate(path.breaks[-1] if s is None else s))
+    torque = inverse_dynamics(model, trajectory.position, trajectory.velocity, trajectory.acceleration)
+    np.testing.assert_allclose(trajectory.torque, torque, atol=1e-9)
+    assert (np.abs(trajectory.velocity) <= 1.001 * limits.velocity + 1e-12).all()
+    assert (np.abs(trajectory.acceleration) <= 1.001 * limits.acceleration + 1e-12).all()
+    if limits.torque is not None:
+        assert (np.abs(torque) <= 1.001 * limits.torque + 1e-12).all()
+    if jerk and limits.jerk is not None:
+        assert jerk_uses(trajectory, limits).max(initial=0.0) <= 1.001
+    if trajectory.samples < 3:
+        return
+    # The rows are one cubic spline: acceleration by position and velocity of two rows is that of the column.
+    h, q, w = 1.0 / rate, np.diff(trajectory.position, axis=0), trajectory.velocity
+    noise = 5e-12 / h**2 * (1.0 + np.abs(trajectory.position).max()) + 1e-7
+    np.testing.assert_allclose(6 * q / h**2 - (4 * w[:-1] + 2 * w[1:]) / h, trajectory.acceleration[:-1], atol=noise)
+    np.testing.assert_allclose((2 * w[:-1] + 4 * w[1:]) / h - 6 * q / h**2, trajectory.acceleration[1:], atol=noise)
+    # As a controller will interpolate it.
+    step = min(FINE, 0.1 / rate)
+    q = hermite(trajectory, step)[:200_000]
+    v, a = np.diff(q, axis=0) / step, np.diff(q, 2, axis=0) / step**2
+    noise = 8 * np.finfo(float).eps * np.abs(q).max()
+    assert (np.abs(v) <= 1.001 * limits.velocity + noise / step).all()
+    assert (np.abs(a) <= 1.001 * limits.acceleration + noise / step**2).all()
+    if limits.torque is not None:
+        keep = slice(None, None, max(1, len(a) // 2000))
+        torque = inverse_dynamics(model, q[1:-1][keep], 0.5 * (v[1:] + v[:-1])[keep], a[keep])
+        assert (np.abs(torque) <= 1.001 * limits.torque + 1e-6).all()
+
+
+# Limits
+
+
+@pytest.mark.parametrize("jerk", [False, True])
+def test_reference_motion(robot, limits, smooth_limits, reference_path, jerk):
+    kept = limits if jerk else smooth_limits
+    trajectory = time_path(reference_path, robot.model, kept)
+    assert_sound(trajectory, robot.model, kept, path=reference_path)
+    assert (trajectory.position >= robot.lower - 1e-12).all()
+    assert (trajectory.position <= robot.upper + 1e-12).all()
+    assert (trajectory.position[:, 0] == trajectory.position[0, 0]).all()
+
+
+def test_reference_motion_is_at_a_limit_nearly_all_the_time(robot, limits, reference_path):
+    use = row_uses(time_path(reference_path, robot.model, limits), limits)
+    assert (use >= 0.99).mean() >= 0.8
+    assert (use >= 0.999).mean() >= 0.7
+
+
+@settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.integers(0, 10**6), st.integers(4, 12), st.sampled_from([60.0, 250.0, 1000.0]), st.booleans())
+def test_random_motions_keep_their_limits(robot, limits, smooth_limits, seed, count, rate, with_jerk):
+    path = curve(seed, robot, count)
+    kept = limits if with_jerk else smooth_limits
+    trajectory = time_path(path, robot.model, kept, rate_hz=rate)
+    assert_sound(trajectory, robot.model, kept, rate=rate, path=path, jerk=False)
+
+
+@pytest.mark.parametrize("angle", [1e-3, 0.02, 0.3, 1.2])
+@pytest.mark.parametrize("joint", range(4))
+def test_jerk_of_straight_motions(robot, limits, joint, angle):
+    trajectory = time_path(joint_turn(robot, joint, angle), robot.model, limits)
+    assert jerk_uses(trajectory, limits).max() <= 1.001
+
+
+@pytest.mark.parametrize("rate", [60.0, 250.0, 1000.0])
+def test_jerk_of_random_motions(robot, limits, rate):
+    uses = [
+        jerk_uses(time_path(curve(s, robot, 8), robot.model, limits, rate_hz=rate), limits).max() for s in range(12)
+    ]
+    assert max(uses) <= 1.001
+
+
+def test_jerk_of_a_straight_motion_at_a_high_rate(robot, limits):
+    trajectory = time_path(straight(START, GOAL), robot.model, limits, rate_hz=5000.0)
+    assert jerk_uses(trajectory, limits).max() <= 1.001
+
+
+def test_tight_torque_slows_the_motion_and_is_kept(robot, smooth_limits):
+    path = straight(START, GOAL)
+    data = robot.model.createData()
+    static = np.abs(
+        [pin.computeGeneralizedGravity(robot.model, data, q) for q in path.evaluate(np.linspace(0, path.end, 400))]
+    ).max(axis=0)
+    durations = []
+    for share in (1.003, 1.03, 1.3, 3.0):
+        kept = replace(smooth_limits, torque=np.maximum(share * static, 5.0))
+        trajectory = time_path(path, robot.model, kept)
+        assert_sound(trajectory, robot.model, kept, path=path)
+        durations.append(trajectory.duration)
+    assert durations == sorted(durations, reverse=True)
+    assert durations[0] > 1.5 * durations[-1]
+    without = time_path(path, robot.model, replace(smooth_limits, torque=None))
+    assert without.duration <= durations[-1] + 1e-9
+
+
+def torque_bound(robot, smooth_limits, path, share):
+    """Limits where torque, a share beyond what gravity takes, is what binds."""
+    data = robot.model.createData()
+    static = [
+        np.abs(pin.computeGeneralizedGravity(robot.model, data, q))
+        for q in path.evaluate(np.linspace(0, path.end, 400))
+    ]
+    return Limits(
+        2.0 * smooth_limits.velocity,
+        10.0 * smooth_limits.acceleration,
+        np.maximum(share * np.max(static, axis=0), 3.0),
+    )
+
+
+@pytest.mark.parametrize("rate", [10.0, 25.0, 50.0])
+def test_torque_of_motions_bound_by_it(robot, smooth_limits, rate):
+    for seed in range(4):
+        path = curve(seed, robot)
+        kept = torque_bound(robot, smooth_limits, path, 1.3)
+        assert_sound(time_path(path, robot.model, kept, rate_hz=rate), robot.model, kept, rate=rate, path=path)
+
+
+def test_torque_little_above_what_gravity_takes(robot, smooth_limits):
+    path = curve(1, robot)
+    kept = torque_bound(robot, smooth_limits, path, 1.05)
+    assert_sound(time_path(path, robot.model, kept), robot.model, kept, path=path)
+
+
+def test_rows_are_near_the_path(robot, limits):
+    path = curve(3, robot)
+    fine = path.evaluate(np.linspace(0.0, path.end, 20001))
+    trajectory = time_path(path, robot.model, limits)
+    off = max(np.abs(fine - q).max(axis=1).min() for q in trajectory.position)
+    window = 2.0 * (limits.acceleration / limits.jerk).max() + 2.0 / RATE
+    assert off <= limits.acceleration.max() * window**2 / 24.0
+
+
+@pytest.mark.parametrize("seed", [2, 7])
+@pytest.mark.parametrize(("points", "with_jerk"), [(3200, True), (3200, False), (GRID_POINTS, True)])
+def test_random_motions_are_at_a_limit_nearly_all_the_time(robot, limits, smooth_limits, seed, points, with_jerk):
+    kept = limits if with_jerk else smooth_limits
+    use = row_uses(time_path(curve(seed, robot), robot.model, kept, grid_points=points), kept)
+    assert (use >= 0.99).mean() >= 0.8
+
+
+@pytest.mark.parametrize("seed", [2, 7])
+def test_little_is_lost_with_few_points(robot, smooth_limits, seed):
+    """What passes a limit between two of few points is remedied there: it does not slow the whole motion."""
+    few, many = (
+        time_path(curve(seed, robot), robot.model, smooth_limits, grid_points=points) for points in (GRID_POINTS, 3200)
+    )
+    assert few.duration <= 1.015 * many.duration
+    assert np.median(row_uses(few, smooth_limits)) >= 0.9
+
+
+def test_same_motion_twice(robot, limits, reference_path):
+    first, second = (time_path(reference_path, robot.model, limits) for _ in range(2))
+    for name in ("time", "position", "velocity", "acceleration", "torque"):
+        assert getattr(first, name).tobytes() == getattr(second, name).tobytes()
+
+
+# Durations by hand
+
+
+@pytest.mark.parametrize("with_jerk", [False, True])
+@pytest.mark.parametrize("angle", [-1.2, 0.01, 0.1, 0.47, 1.3])
+@pytest.mark.parametrize("joint", [0, 1, 3])
+def test_duration_of_a_single_joint(robot, limits, smooth_limits, joint, angle, with_jerk):
+    kept = replace(limits if with_jerk else smooth_limits, torque=None)
+    v, a = kept.velocity[joint], kept.acceleration[joint]
+    turn = abs(angle)
+    fastest = 2.0 * np.sqrt(turn / a) if turn <= v * v / a else turn / v + v / a
+    allowed = 4.0 / RATE + (2.0 * a / kept.jerk[joint] if with_jerk else 0.0)
+    path = joint_turn(robot, joint, angle, start=1.3 if angle < 0 else 0.1)
+    duration = time_path(path, robot.model, kept).duration
+    assert fastest * (1 - 1e-3) <= duration <= fastest * (1 + 1e-3) + allowed
+
+
+def test_the_joint_that_takes_longest_sets_the_pace(robot, smooth_limits):
+    kept = replace(smooth_limits, torque=None)
+    path = straight(START, GOAL, 9)
+    turn = np.abs(GOAL - START)
+    v, a = (kept.velocity / turn).min(), (kept.acceleration / turn).min()
+    fastest = 1.0 / v + v / a if v * v / a < 1.0 else 2.0 / np.sqrt(a)
+    assert time_path(path, robot.model, kept).duration == pytest.approx(fastest + 2.0 / RATE, abs=2.0 / RATE)
+
+
+def test_share_of_the_speed(robot, limits, smooth_limits):
+    path = curve(5, robot)
+    free = replace(smooth_limits, torque=None)
+    full = time_path(path, robot.model, free).duration
+    for share in (0.5, 0.1):
+        slow = free.scaled(share)
+        trajectory = time_path(path, robot.model, slow)
+        assert_sound(trajectory, robot.model, slow, path=path)
+        assert trajectory.duration == pytest.approx(full / share, rel=0.02)
+    half = limits.scaled(0.5)
+    np.testing.assert_array_equal(half.velocity, 0.5 * limits.velocity)
+    np.testing.assert_array_equal(half.acceleration, 0.25 * limits.acceleration)
+    np.testing.assert_array_equal(half.jerk, 0.125 * limits.jerk)
+    np.testing.assert_array_equal(half.torque, limits.torque)
+    assert smooth_limits.scaled(1.0).jerk is None
+    assert free.scaled(0.3).torque is None
+
+
+@pytest.mark.parametrize("share", [0.0, -0.5, 1.0001, np.nan, np.inf])
+def test_bad_share_of_the_speed(limits, share):
+    with pytest.raises(OptionError) as caught:
+        limits.scaled(share)
+    assert caught.value.option == "speed"
+
+
+# From and to a given speed
+
+
+MOVING_ENDS = [
+    (None, GRID_POINTS, 1e-5),
+    (7, 3200, 1e-4),
+]
+
+
+@pytest.mark.parametrize("speed", [0.05, 0.3])
+@pytest.mark.parametrize("with_jerk", [False, True])
+@pytest.mark.parametrize(("seed", "points", "near"), MOVING_ENDS)
+def test_from_a_given_speed(robot, limits, smooth_limits, seed, points, near, with_jerk, speed):
+    """Rows are averages: where the path curves, a moving end is off it by a little."""
+    kept, path = limits if with_jerk else smooth_limits, curve(seed, robot) if seed else straight(START, GOAL)
+    trajectory = time_path(path, robot.model, kept, end_speeds=(speed, 0.0), grid_points=points)
+    assert_sound(trajectory, robot.model, kept, path=path, rest=(False, True), jerk=False)
+    np.testing.assert_allclose(trajectory.position[0], path.evaluate(0.0), rtol=0, atol=near)
+    assert np.linalg.norm(trajectory.velocity[0]) == pytest.approx(speed, rel=0.01)
+    along = path.evaluate(0.0, 1)
+    assert trajectory.velocity[0] @ along == pytest.approx(speed * np.linalg.norm(along), rel=0.011)
+
+
+@pytest.mark.parametrize("speed", [0.05, 0.3])
+@pytest.mark.parametrize("with_jerk", [False, True])
+@pytest.mark.parametrize(("seed", "points", "near"), MOVING_ENDS)
+def test_to_a_given_speed(robot, limits, smooth_limits, seed, points, near, with_jerk, speed):
+    kept, path = limits if with_jerk else smooth_limits, curve(seed, robot) if seed else straight(START, GOAL)
+    trajectory = time_path(path, robot.model, kept, end_speeds=(0.0, speed), grid_points=points)
+    assert_sound(trajectory, robot.model, kept, path=path, rest=(True, False), jerk=False)
+    np.testing.assert_allclose(trajectory.position[-1], path.evaluate(path.end), rtol=0, atol=near)
+    assert np.linalg.norm(trajectory.velocity[-1]) == pytest.approx(speed, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("rate", "speeds", "off"),
+    [
+        (RATE, (0.05, 0.05), 1e-5),
+        (RATE, (0.5, 0.2), 1e-5),
+        (25.0, (0.3, 0.3), 0.02 * 0.3 / 25.0),  # as the text of `time_path` says
+    ],
+)
+def test_from_and_to_given_speeds(robot, limits, rate, speeds, off):
+    path = straight(START, GOAL)
+    trajectory = time_path(path, robot.model, limits, rate_hz=rate, end_speeds=speeds)
+    ends = np.linalg.norm(trajectory.velocity[[0, -1]], axis=1)
+    assert (ends <= np.array(speeds) * (1 + 1e-6)).all()
+    assert (ends >= np.array(speeds) * (1 - 2.0 / rate)).all()
+    np.testing.assert_allclose(trajectory.position[[0, -1]], path.evaluate([0.0, path.end]), rtol=0, atol=off)
+
+
+def test_speeds_shorten_the_motion(robot, limits):
+    path = straight(START, GOAL)
+    rest, moving = (time_path(path, robot.model, limits, end_speeds=(v, v)).duration for v in (0.0, 0.5))
+    assert moving < 0.9 * rest
+
+
+@pytest.mark.parametrize("end", [0, 1])
+@pytest.mark.parametrize("value", [-0.1, np.nan, np.inf])
+def test_bad_speeds(robot, limits, end, value):
+    with pytest.raises(OptionError) as caught:
+        time_path(straight(START, GOAL), robot.model, limits, end_speeds=at_one_end(value, end))
+    assert caught.value.option == "end_speeds"
+
+
+@pytest.mark.parametrize("end", [0, 1])
+def test_speed_that_no_motion_can_have(robot, limits, end):
+    with pytest.raises(TimingError):
+        time_path(straight(START, GOAL), robot.model, limits, end_speeds=at_one_end(50.0, end))
+    with pytest.raises(TimingError, match="too short"):
+        time_path(straight(START, START + 1e-3), robot.model, limits, end_speeds=at_one_end(1.0, end))
+
+
+def at_one_end(speed, end):
+    return (speed, 0.0) if end == 0 else (0.0, speed)
+
+
+# What cannot be timed
+
+
+@pytest.mark.parametrize("quantity", ["velocity", "acceleration", "jerk"])
+@pytest.mark.parametrize("joint", [0, 2])
+def test_limit_of_zero_for_a_joint_that_must_move(robot, limits, quantity, joint):
+    values = np.array(getattr(limits, quantity))
+    values[joint] = 0.0
+    with pytest.raises(TimingError) as caught:
+        time_path(straight(START, GOAL), robot.model, replace(limits, **{quantity: values}))
+    error = caught.value
+    assert error.joint == robot.joint_names[joint]
+    assert error.cause == f"{quantity} limit of zero"
+    assert repr(error.joint) in error.message
+    assert error.exit_status == 4
+
+
+def test_limits_of_zero_for_joints_that_stay(robot, limits):
+    end = START.copy()
+    end[1:3] += 0.5
+    idle = np.array([0.0, 1.0, 1.0, 0.0])
+    kept = Limits(limits.velocity * idle, limits.acceleration * idle, limits.torque, limits.jerk * idle)
+    trajectory = time_path(straight(START, end), robot.model, kept)
+    assert (trajectory.position[:, [0, 3]] == START[[0, 3]]).all()
+    assert trajectory.duration == time_path(straight(START, end), robot.model, limits).duration
+
+
+@pytest.mark.parametrize("torque", [60.0, 0.0])
+def test_torque_that_cannot_hold_the_arm(robot, limits, torque):
+    values = np.array(limits.torque)
+    values[1] = torque
+    with pytest.raises(TimingError) as caught:
+        time_path(straight(START, GOAL), robot.model, replace(limits, torque=values))
+    error = caught.value
+    assert error.joint == "shoulder"
+    assert error.cause == "static torque exceeds the limit"
+    data = robot.model.createData()
+    path = straight(START, GOAL)
+    static = [
+        abs(pin.computeGeneralizedGravity(robot.model, data, q)[1]) for q in path.evaluate(np.linspace(0, path.end, 99))
+    ]
+    assert f"{max(static):.3g}"[:3] in error.message
+
+
+@pytest.mark.parametrize("rate", [0.0, 0.5, -250.0, 1e6, np.nan, np.inf])
+def test_bad_rates(robot, limits, rate):
+    with pytest.raises(OptionError) as caught:
+        time_path(straight(START, GOAL), robot.model, limits, rate_hz=rate)
+    assert caught.value.option == "rate_hz"
+
+
+# Small, closed and awkward motions
+
+
+@pytest.mark.parametrize("angle", [2e-7, 1e-6, 1e-5, 1e-4])
+@pytest.mark.parametrize("joint", [1, 3])
+def test_tiny_motion(robot, limits, joint, angle):
+    path = joint_turn(robot, joint, angle)
+    trajectory = time_path(path, robot.model, limits)
+    assert_sound(trajectory, robot.model, limits, path=path)
+    assert 0.0 < trajectory.duration < 0.05
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-9])
+def test_no_motion_rests(robot, limits, angle):
+    end = START + np.array([0, angle, 0, 0])
+    points = np.linspace(START, end, 5)
+    knots = SplinePath.through(np.linspace(0.0, 1.0, 5)[:, None]).knots
+    trajectory = time_path(SplinePath(points, knots), robot.model, limits)
+    assert_rests(robot, trajectory, START)
+
+
+def assert_rests(robot, trajectory, q):
+    assert trajectory.joint_names == robot.joint_names
+    assert trajectory.time.tolist() == [0.0]
+    assert trajectory.duration == 0.0
+    np.testing.assert_array_equal(trajectory.position, [q])
+    assert not trajectory.velocity.any()
+    assert not trajectory.acceleration.any()
+    gravity = pin.computeGeneralizedGravity(robot.model, robot.model.createData(), q)
+    np.testing.assert_allclose(trajectory.torque, [gravity], atol=1e-12)
+
+
+def test_resting(robot):
+    assert_rests(robot, resting(robot.model, GOAL), GOAL)
+
+
+@pytest.mark.parametrize("with_jerk", [False, True])
+def test_closed_path_is_a_motion(robot, limits, smooth_limits, with_jerk):
+    away = START + np.array([[0, 0.3, 0.1, 0], [0.2, 0.3, 0.4, 0.2], [0.2, 0.1, 0.4, 0.2], [0.0, -0.1, 0.1, 0.1]])
+    path = SplinePath.through(np.vstack([START, away, START]))
+    kept = limits if with_jerk else smooth_limits
+    trajectory = time_path(path, robot.model, kept)
+    assert_sound(trajectory, robot.model, kept, path=path, jerk=False)
+    assert trajectory.duration > 0.8
+    np.testing.assert_array_equal(trajectory.position[0], trajectory.position[-1])
+
+
+def there_and_back():
+    out = np.linspace(START, GOAL, 7)
+    return np.vstack([out, out[-2::-1]])
+
+
+def with_twins(count, spread=0.0):
+    rng = np.random.default_rng(1)
+    middle = 0.5 * (START + GOAL) + np.array([0.0, 0.2, 0.0, 0.0])
+    twins = middle + spread * rng.normal(size=(count, 4))
+    return np.vstack([START, twins, GOAL - [0.0, 0.3, 0.0, 0.1], GOAL])
+
+
+AWKWARD = {
+    "twin control points": partial(with_twins, 2),
+    "three equal control points": partial(with_twins, 3),
+    "nearly equal control points": partial(with_twins, 2, 1e-6),
+    "there and back": there_and_back,
+    "many control points": lambda: np.linspace(START, GOAL, 90) + 1e-3 * np.random.default_rng(2).normal(size=(90, 4)),
+    "a crooked step at the end": lambda: np.vstack([np.linspace(START, GOAL, 8), GOAL + np.array([1e-3, 0, -1e-3, 0])]),
+    "steps of very different size": lambda: (
+        START + np.cumsum(0.3 * np.logspace(-4, 0, 8)[:, None] * np.random.default_rng(3).normal(size=(8, 4)), axis=0)
+    ),
+}
+
+
+@pytest.mark.parametrize("case", AWKWARD)
+def test_awkward_paths(robot, smooth_limits, case):
+    path = SplinePath.through(AWKWARD[case]())
+    trajectory = time_path(path, robot.model, smooth_limits)
+    assert_sound(trajectory, robot.model, smooth_limits, path=path)
+    assert trajectory.duration < 12.0
+
+
+@pytest.mark.parametrize("case", ["start twice", "start thrice", "four equal"])
+def test_paths_with_many_equal_control_points(case):
+    control = {
+        "start twice": np.vstack([START, START, GOAL - 0.2, GOAL + np.array([0.1, 0, 0, 0]), GOAL]),
+        "start thrice": np.vstack([START, START, START, GOAL - 0.2, GOAL]),
+        "four equal": with_twins(4),
+    }[case]
+    with pytest.raises(InputError, match="coincide"):
+        SplinePath.through(control)
+
+
+@pytest.mark.parametrize("quantity", ["velocity", "acceleration"])
+@pytest.mark.parametrize("factor", [1e-2, 1e2])
+def test_limits_of_very_different_size(robot, smooth_limits, quantity, factor):
+    values = np.array(getattr(smooth_limits, quantity))
+    values[2] *= factor
+    kept = replace(smooth_limits, torque=None, **{quantity: values})
+    path = curve(11, robot)
+    assert_sound(time_path(path, robot.model, kept, rate_hz=100.0), robot.model, kept, rate=100.0, path=path)
+
+
+# Rates and robots
+
+
+@pytest.mark.parametrize("rate", [1.0, 3.7, 20.0, 125.0, 5000.0])
+@pytest.mark.parametrize("with_jerk", [False, True])
+def test_rates(robot, limits, smooth_limits, rate, with_jerk):
+    kept = limits if with_jerk else smooth_limits
+    path = straight(START, GOAL)
+    trajectory = time_path(path, robot.model, kept, rate_hz=rate)
+    assert_sound(trajectory, robot.model, kept, rate=rate, path=path, jerk=rate < 1000.0)
+    fastest = time_path(path, robot.model, smooth_limits, rate_hz=2000.0).duration
+    window = 2.0 * (limits.acceleration / limits.jerk).max() if with_jerk else 0.0
+    assert fastest * (1 - 5e-3) <= trajectory.duration <= fastest * (1 + 5e-3) + 4.0 / rate + window
+
+
+@pytest.mark.parametrize("with_jerk", [False, True])
+@pytest.mark.parametrize("links", [1, 2, 5])
+def test_robots_of_other_sizes(tmp_path, links, with_jerk):
+    spec = ArmSpec(
+        name="cousin",
+        link_lengths=[0.6 - 0.05 * k for k in range(links)],
+        link_half_widths=[0.04] * links,
+        link_masses=[2.0 / (k + 1) for k in range(links)],
+        lower=[-2.0] * links,
+        upper=[2.0] * links,
+        velocity=[1.0 + 0.5 * k for k in range(links)],
+        effort=[120.0] * links,
+        acceleration=[4.0 + k for k in range(links)],
+        jerk=[100.0 + 10 * k for k in range(links)] if with_jerk else None,
+        has_yaw=False,
+    )
+    robot = load_robot(write_robot(spec, tmp_path / "cousin.urdf")[0])
+    assert ClearanceField.of(robot, []).is_clear(np.zeros((2, links)), 1e-3)
+    kept = Limits(robot.velocity_limit, robot.acceleration_limit, robot.torque_limit, robot.jerk_limit)
+    for path in (straight(np.full(links, -0.5), np.linspace(0.7, 0.9, links)), curve(13, robot, 6)):
+        trajectory = time_path(path, robot.model, kept)
+        assert trajectory.joint_names == robot.joint_names
+        assert_sound(trajectory, robot.model, kept, path=path, jerk=False)
+
+
+def test_motions_of_too_many_rows_are_refused_before_they_are_made(robot, scene):
+    """A thousandth of full speed: half an hour, 450,000 rows."""
+    begin = time.process_time()
+    tracemalloc.start()
+    with pytest.raises(OptionError, match=r"lasts 1\d\d\d s and would have 4\d\d,\d\d\d") as error:
+        plan(robot, scene, PlanOptions(speed=1e-3))
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert error.value.data["option"] == "rate_hz"
+    assert peak < 2e8
+    assert time.process_time() - begin < 100.0  # seconds, kernels compiled in it
+    with pytest.raises(OptionError, match="rows"):
+        plan(robot, scene, PlanOptions(speed=1e-9))
+
+
+def test_a_hundredth_of_full_speed(robot, scene):
+    """Averages over a thousand rows keep the jerk: they are not tried one by one."""
+    begin = time.process_time()
+    result = plan(robot, scene, PlanOptions(speed=0.01))
+    assert result.certificate.verified
+    assert time.process_time() - begin < 200.0
+    assert result.trajectory.duration == pytest.approx(100.0 * plan(robot, scene).trajectory.duration, rel=0.05)
+
+
+def test_a_sharp_bend_does_not_slow_the_whole_motion(robot: Robot) -> None:
+    """A corner rounded within 1e-4 rad: what grid points about it miss must not cost the rest of the motion."""
+    corner = np.array([[0.0, 0.2, 0.2, 0.2], [0.0, 0.9, 0.2, 0.9], [0.0, 0.9, 0.9, 0.9]])
+    path = rounded_path(corner, 1e-4)
+    limits = Limits(robot.velocity_limit, robot.acceleration_limit, robot.torque_limit, robot.jerk_limit)
+    trajectory = time_path(path, robot.dynamics, limits)
+    parts = [rounded_path(corner[:2], 1e-4), rounded_path(corner[1:], 1e-4)]
+    apart = sum(time_path(part, robot.dynamics, limits).duration for part in parts)
+    assert trajectory.duration <= 1.02 * apart
+    assert (np.abs(trajectory.velocity) <= robot.velocity_limit * (1.0 + 1e-3)).all()
+    assert (np.abs(trajectory.acceleration) <= robot.acceleration_limit * (1.0 + 1e-3)).all()

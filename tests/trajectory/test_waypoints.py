@@ -1,0 +1,348 @@
+from __future__ import annotations
+
+import csv
+import importlib.util
+import math
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from toy_urdf import urdf
+
+from hplan.errors import InputError, JointLimitError, OptionError, TimingError
+from hplan.robot.limits import Limits
+from hplan.trajectory import (
+    largest_deviation,
+    limit_shares,
+    limits_of,
+    read_machine,
+    read_waypoints,
+    time_waypoints,
+)
+from hplan.trajectory.trajectory import read_csv
+
+SCRIPT = Path(__file__).resolve().parents[2] / "scripts" / "time_waypoints.py"
+
+
+@pytest.fixture(scope="session")
+def script():
+    spec = importlib.util.spec_from_file_location("time_waypoints_script", SCRIPT)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+# The CSV
+
+
+def test_waypoints_in_any_order_with_other_columns(write):
+    path = write("w.csv", "\ufefftime_s, b ,a_pos_rad,note\r\n0,1,2,x\r\n\r\n1,-3e-1,4,y\r\n")
+    np.testing.assert_array_equal(read_waypoints(path, ("a", "b")), [[2, 1], [4, -0.3]])
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("", "line 1: expected a header"),
+        ("a,c\n0,0\n", "line 1: joint 'b' has no column; expected b_pos_rad or b .the columns are a, c"),
+        ("a,b,b_pos_rad\n0,0,0\n", "line 1: joint 'b' has two columns"),
+        ("a,b\n", "line 1: no waypoints"),
+        ("a,b\n0,0\n\n1\n", "line 4: 1 values, expected 2"),
+        ("a,b\n0,0\n1,x\n", "line 3: b is 'x', expected a finite number"),
+        ("a,b\n0,nan\n", "line 2: b is 'nan'"),
+        ("a,b\n0,1_0\n", "line 2: b is '1_0'"),
+        ('a,b\n0,"1\n', "line 2: "),
+    ],
+)
+def test_bad_csv(write, text, reason):
+    with pytest.raises(InputError, match=reason) as caught:
+        read_waypoints(write("w.csv", text), ("a", "b"))
+    assert caught.value.data["line"] >= 1
+
+
+def test_unreadable_csv(tmp_path):
+    with pytest.raises(InputError, match="No such file"):
+        read_waypoints(tmp_path / "none.csv", ("a",))
+    (tmp_path / "w.csv").write_bytes(b"a\n\xff\n")
+    with pytest.raises(InputError, match="not UTF-8"):
+        read_waypoints(tmp_path / "w.csv", ("a",))
+
+
+# The motion
+
+
+def check_by_differencing(model: pin.Model, motion, limits: Limits, allowed: float = 1.001) -> None:
+    """Limits of the rows, of what differencing their positions gives, and of the torque by inverse dynamics."""
+    step = np.diff(motion.time)[:, None]
+    change = np.diff(motion.position, axis=0) / step
+    assert (np.abs(change) <= allowed * limits.velocity).all()
+    assert (np.abs(np.diff(change, axis=0) / step[1:]) <= allowed * limits.acceleration).all()
+    assert (np.abs(motion.velocity) <= allowed * limits.velocity).all()
+    assert (np.abs(motion.acceleration) <= allowed * limits.acceleration).all()
+    np.testing.assert_allclose(
+        np.diff(motion.velocity, axis=0) / step, 0.5 * (motion.acceleration[1:] + motion.acceleration[:-1]), atol=1e-8
+    )
+    data = model.createData()
+    rows = zip(motion.position, motion.velocity, motion.acceleration, strict=True)
+    torque = np.array([pin.rnea(model, data, *row) for row in rows])
+    np.testing.assert_allclose(torque, motion.torque, atol=1e-9)
+    if limits.torque is not None:
+        assert (np.abs(torque) <= allowed * limits.torque).all()
+    for values in (motion.velocity, motion.acceleration):
+        assert np.abs(values[[0, -1]]).max() == 0.0
+
+
+CORNERS = np.array([[0.0, 0.0], [1.0, 0.5], [0.2, 1.5], [0.21, 1.5], [-1.0, -1.0], [1.0, 0.5]])
+
+
+@pytest.mark.parametrize("deviation", [1e-4, 0.005, 0.1])
+def test_motion_keeps_its_limits_and_is_fast(toy, deviation):
+    limits = limits_of(toy.model, [4.0, 6.0])
+    motion = time_waypoints(toy.model, CORNERS, limits, deviation_rad=deviation)
+    check_by_differencing(toy.model, motion, limits)
+    np.testing.assert_array_equal(motion.position[[0, -1]], CORNERS[[0, -1]])
+    assert largest_deviation(motion.position, CORNERS) <= deviation
+    assert limit_shares(motion, limits).bound >= 0.9
+
+
+def test_torque_limits_the_motion(toy):
+    free = limits_of(toy.model, 40.0)
+    tight = Limits(free.velocity, free.acceleration, np.array([12.0, 4.0]))
+    waypoints = [[-1.0, 0.0], [1.0, 1.0], [1.0, -1.0]]
+    slow, fast = (time_waypoints(toy.model, waypoints, limits) for limits in (tight, free))
+    check_by_differencing(toy.model, slow, tight)
+    assert slow.duration > fast.duration
+    assert limit_shares(slow, tight).torque.max() == pytest.approx(1.0, abs=2e-3)
+
+
+def test_jerk_is_kept(toy):
+    limits = limits_of(toy.model, 4.0, 80.0)
+    motion = time_waypoints(toy.model, CORNERS, limits)
+    assert limit_shares(motion, limits).jerk.max() <= 1.001
+    check_by_differencing(toy.model, motion, limits)
+
+
+def test_speed_scales_the_duration(toy):
+    limits = limits_of(toy.model, 4.0)
+    full, half = (time_waypoints(toy.model, CORNERS, limits, speed=speed) for speed in (1.0, 0.5))
+    assert half.duration == pytest.approx(2.0 * full.duration, rel=0.02)
+    with pytest.raises(OptionError, match="speed"):
+        time_waypoints(toy.model, CORNERS, limits, speed=1.5)
+
+
+@pytest.mark.parametrize("deviation", [0.0, 1e-5, -1.0, math.nan, math.inf])
+def test_bad_deviation(toy, deviation):
+    with pytest.raises(OptionError, match="deviation_rad"):
+        time_waypoints(toy.model, [[0, 0]], limits_of(toy.model, 1.0), deviation_rad=deviation)
+
+
+@pytest.mark.parametrize("rate", [0.0, math.nan, 1e6])
+def test_bad_rate(toy, rate):
+    with pytest.raises(OptionError, match="rate_hz"):
+        time_waypoints(toy.model, CORNERS, limits_of(toy.model, 4.0), rate_hz=rate)
+
+
+@pytest.mark.parametrize("waypoints", [[[0.3, 0.2]], [[0.3, 0.2]] * 4, [[0.3, 0.2], [0.3, 0.2 + 1e-9]]])
+def test_no_motion_is_an_empty_motion(toy, waypoints):
+    motion = time_waypoints(toy.model, waypoints, limits_of(toy.model, 0.0))
+    assert motion.samples == 1
+    assert motion.torque[0, 0] > 0.0
+
+
+@pytest.mark.parametrize("size", [1e-6, 1e-5, 1e-4, 1e-3])
+@pytest.mark.parametrize("acceleration", [0.5, 50.0])
+def test_small_motions(toy, size, acceleration):
+    limits = limits_of(toy.model, acceleration)
+    motion = time_waypoints(toy.model, [[0, 0], [size, size / 3]], limits, deviation_rad=1e-4)
+    check_by_differencing(toy.model, motion, limits)
+    np.testing.assert_array_equal(motion.position[-1], [size, size / 3])
+
+
+def test_reversal_and_a_detour_within_the_deviation(toy):
+    limits = limits_of(toy.model, 4.0)
+    way = [[0, 0], [1, 1], [0, 0]]
+    motion = time_waypoints(toy.model, way, limits)
+    check_by_differencing(toy.model, motion, limits)
+    assert motion.position.max() >= 1.0 - math.radians(1.0)
+    assert time_waypoints(toy.model, [[0, 0], [1e-3, 0], [0, 0]], limits).samples == 1
+
+
+def test_waypoint_outside_the_joint_limits(toy):
+    with pytest.raises(JointLimitError, match=r"waypoint 3: joint 'b' is at 3\.5 rad") as caught:
+        time_waypoints(toy.model, [[0, 0], [1, 1], [0, 3.5]], limits_of(toy.model, 1.0))
+    assert (caught.value.which, caught.value.joint) == ("waypoint 3", "b")
+
+
+def test_wrong_number_of_joints(toy):
+    with pytest.raises(InputError, match="3 values each, expected 2"):
+        time_waypoints(toy.model, [[0, 0, 0]], limits_of(toy.model, 1.0))
+
+
+def test_model_with_a_continuous_joint_of_pinocchio(write):
+    path = write("c.urdf", urdf('<joint name="spin" type="continuous"><limit velocity="2" effort="60"/>'))
+    model = pin.buildModelFromUrdf(str(path))
+    with pytest.raises(InputError, match=r"'spin' .* has 2 coordinates and 1 velocities"):
+        time_waypoints(model, [[1.0, 0.0]], limits_of(model, 1.0))
+
+
+@pytest.mark.parametrize(
+    ("change", "joint", "cause"),
+    [
+        ({"velocity": [2.0, 0.0]}, "b", "velocity limit of zero"),
+        ({"acceleration": [0.0, 1.0]}, "a", "acceleration limit of zero"),
+        ({"torque": [60.0, 0.0]}, "b", "torque limit of zero"),
+        ({"torque": [1.0, 60.0]}, "a", "static torque exceeds the limit"),
+        ({"jerk": [10.0, 0.0]}, "b", "jerk limit of zero"),
+    ],
+)
+def test_what_cannot_be_timed_names_joint_and_cause(toy, change, joint, cause):
+    limits = {"velocity": [2.0, 2.0], "acceleration": [4.0, 4.0], "torque": [60.0, 60.0]} | change
+    with pytest.raises(TimingError, match=f"'{joint}'") as caught:
+        time_waypoints(toy.model, CORNERS, Limits(**{key: np.array(value) for key, value in limits.items()}))
+    assert (caught.value.joint, caught.value.cause) == (joint, cause)
+
+
+def test_joint_at_rest_may_have_limits_of_zero(toy):
+    limits = Limits(np.array([2.0, 0.0]), np.array([4.0, 0.0]), np.array([60.0, 60.0]))
+    motion = time_waypoints(toy.model, [[0, 1], [1, 1]], limits)
+    assert np.ptp(motion.position[:, 1]) == 0.0
+    assert limit_shares(motion, limits).velocity[1] == 0.0
+
+
+# The script
+
+
+def run(script, capsys, *arguments) -> tuple[int, str, str]:
+    status = script.main([str(argument) for argument in arguments])
+    return status, *capsys.readouterr()
+
+
+@pytest.fixture
+def files(write):
+    return write("toy.urdf", urdf()), write("w.csv", "b,a\n0,0\n1,0.5\n-1,0.5\n")
+
+
+def test_script_writes_the_csv(script, capsys, files, tmp_path):
+    out = tmp_path / "o.csv"
+    status, text, _ = run(script, capsys, *files, "--acceleration", 4, "--out", out)
+    assert status == 0
+    motion = read_csv(out)
+    assert motion.joint_names == ("a", "b")
+    np.testing.assert_array_equal(motion.position[-1], [0.5, -1.0])
+    for word in ("w.csv", "toy", f"{motion.duration:.3f} s", "1 deg allowed", "holds the motion back"):
+        assert word in text
+    # What hplan wrote can be timed again.
+    status, text, _ = run(script, capsys, files[0], out, "--acceleration", 4, "--out", tmp_path / "o2.csv", "--quiet")
+    assert (status, text) == (0, "")
+    assert read_csv(tmp_path / "o2.csv").duration == pytest.approx(motion.duration, rel=0.1)
+
+
+def test_script_takes_limits_from_files(script, capsys, files, write, tmp_path):
+    out = tmp_path / "o.csv"
+    text = "format: hplan-limits/1\nacceleration_rad_s2: {a: 4.0, b: 2.0}\njerk_rad_s3: {a: 90.0, b: 90.0}\n"
+    beside, elsewhere = write("toy.limits.yaml", text), write("other.yaml", text)
+    assert run(script, capsys, *files, "--out", out)[0] == 0
+    first = out.read_bytes()
+    beside.unlink()
+    assert run(script, capsys, *files, "--limits", elsewhere, "--out", out)[0] == 0
+    assert out.read_bytes() == first
+    # A file for all joints serves those that move.
+    arguments = ("--limits", elsewhere, "--joints", "b", "--hold", "a=0.3", "--out", out)
+    status, text, _ = run(script, capsys, *files, *arguments)
+    assert status == 0
+    assert "a at 0.3 rad" in text
+    assert np.abs(read_csv(out).acceleration).max() <= 2.001
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "reason"),
+    [
+        ((), 2, "--acceleration = None"),
+        (("--acceleration", "-1"), 2, "--acceleration = -1.0"),
+        (("--acceleration", "0"), 4, "acceleration limit is 0"),
+        (("--acceleration", "4", "--rate", "0"), 2, "rate_hz"),
+        (("--acceleration", "4", "--speed", "2"), 2, "speed"),
+        (("--acceleration", "4", "--deviation", "0"), 2, "deviation_rad"),
+        (("--acceleration", "4", "--joints", "c"), 2, "no joint 'c'"),
+        (("--acceleration", "4", "--joints", "a", "--hold", "b"), 2, "--hold = 'b'"),
+        (("--limits", "none.yaml"), 2, "No such file"),
+    ],
+)
+def test_script_failures(script, capsys, files, tmp_path, arguments, status, reason):
+    out = tmp_path / "o.csv"
+    out.write_text("an earlier result")
+    result, _, text = run(script, capsys, *files, *arguments, "--out", out)
+    assert result == status
+    assert reason in text
+    assert out.read_text() == "an earlier result"
+
+
+def test_script_does_not_overwrite_what_it_reads(script, capsys, files, tmp_path):
+    before = files[1].read_bytes()
+    for out, reason in ((files[1], "another file"), (tmp_path / "none" / "o.csv", "folder does not exist")):
+        status, _, text = run(script, capsys, *files, "--acceleration", 4, "--out", out)
+        assert status == 2
+        assert reason in text
+    assert files[1].read_bytes() == before
+
+
+def test_a_robot_by_its_name_has_its_own_limits(script, capsys, write, tmp_path):
+    names = ("base_yaw", "shoulder", "elbow", "wrist")
+    rows = write("way.csv", f"{','.join(names)}\n0,0.3,0.3,0.3\n0.5,0.8,0.2,0.4\n")
+    assert run(script, capsys, "harvester", rows, "--out", tmp_path / "a.csv", "--quiet")[0] == 0
+    assert (
+        run(script, capsys, "harvester", rows, "--out", tmp_path / "b.csv", "--quiet", "--limits", "harvester")[0] == 0
+    )
+    assert (tmp_path / "a.csv").read_bytes() == (tmp_path / "b.csv").read_bytes()
+    assert run(script, capsys, "harvester", rows, "--out", tmp_path / "c.csv", "--quiet", "--limits", "ur5")[0] == 2
+    assert run(script, capsys, "harvestr", rows, "--out", tmp_path / "c.csv", "--quiet")[0] == 2
+
+
+def test_script_without_torque_limits(script, capsys, files, tmp_path):
+    files[0].write_text(urdf().replace('effort="60"', 'effort="0"'))
+    arguments = (*files, "--acceleration", 4, "--out", tmp_path / "o.csv")
+    status, _, text = run(script, capsys, *arguments)
+    assert status == 4
+    assert "torque limit is 0" in text
+    status, text, _ = run(script, capsys, *arguments, "--no-torque")
+    assert status == 0
+    assert "torque is not limited" in text
+
+
+# Robots of others
+
+
+def others_robot(name: str) -> Path:
+    """A URDF of the package example-robot-data, which holds data only."""
+    cmeel = pytest.importorskip("cmeel", reason="example-robot-data is not installed (extra `robots`)")
+    path = Path(cmeel.__file__).parents[1] / "cmeel.prefix/share/example-robot-data/robots" / name
+    if not path.exists():
+        pytest.skip("example-robot-data is not installed (extra `robots`)")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("name", "joints", "held"),
+    [
+        ("ur_description/urdf/ur5_robot.urdf", 6, 0),
+        ("panda_description/urdf/panda.urdf", 7, 2),
+        ("kinova_description/robots/kinova.urdf", 6, 0),  # three of its joints are continuous
+    ],
+)
+def test_other_arms(name, joints, held, script, capsys, tmp_path):
+    machine = read_machine(others_robot(name))
+    assert (len(machine.joint_names), len(machine.held)) == (joints, held)
+    rng = np.random.default_rng(0)
+    low, high = machine.model.lowerPositionLimit, machine.model.upperPositionLimit
+    waypoints = rng.uniform(np.maximum(low, -2.0), np.minimum(high, 2.0), (6, joints))
+    limits = limits_of(machine.model, 8.0)
+    motion = time_waypoints(machine.model, waypoints, limits)
+    check_by_differencing(machine.model, motion, limits)
+    assert largest_deviation(motion.position, waypoints) <= math.radians(1.0)
+    assert limit_shares(motion, limits).bound >= 0.9
+    with (tmp_path / "w.csv").open("w", newline="") as stream:
+        csv.writer(stream).writerows([machine.joint_names, *waypoints.tolist()])
+    out = tmp_path / "o.csv"
+    assert run(script, capsys, others_robot(name), tmp_path / "w.csv", "--acceleration", 8, "--out", out)[0] == 0
+    np.testing.assert_array_equal(read_csv(out).position, motion.position)

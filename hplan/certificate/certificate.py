@@ -6,7 +6,8 @@ Hermite`); a trajectory of hplan is exactly that curve. On it
 - **clearance** is shown over continuous time, from obstacles, and of parts of the arm that can touch one another
   (conservative advancement; the bound is in `hplan.certificate.clearance_proof`);
 - the **fruit that is the goal** may be touched by the last link only, and only on a straight approach to the grasp and
-  in the retreat (`hplan.certificate.goal_contact`); all other fruits are obstacles;
+  in the retreat (`hplan.certificate.goal_contact`); all other fruits are obstacles, but for windows of time that are
+  given: those of fruits that the motion had to do with before it was led elsewhere;
 - **position, velocity, acceleration and torque** are bounded for all times (`hplan.certificate.limit_use`,
   `hplan.certificate.torque_bound`);
 - the acceleration and torque columns, which a controller may feed forward, must keep the limits too;
@@ -29,6 +30,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -46,7 +48,7 @@ from hplan.certificate.clearance_curve import (
 )
 from hplan.certificate.clearance_proof import Proof, prove_clearance
 from hplan.certificate.digests import Digests
-from hplan.certificate.goal_contact import contact_window
+from hplan.certificate.goal_contact import FruitContact, contact_window
 from hplan.certificate.limit_use import LimitUse, limit_use
 from hplan.certificate.moving_obstacles import checker_in_time, clear_until, moving_base_contacts
 from hplan.certificate.start_state import start_violations
@@ -89,7 +91,8 @@ class Certificate:
         checks: Number of configurations at which distances were evaluated.
         violations: A message for everything that was not verified; empty when verified.
         goal_contact: When the last link may touch the fruit that is the goal; None where no fruit is.
-        contact_s: The same as times, from and to [s]; None for never.
+        contacts: All windows of time in which the last link may touch a fruit, in their order: that of the goal, and
+            those of fruits that the motion had to do with before it was led elsewhere.
         digests: The robot, the scene and the trajectory that it is about; None for a part of a motion.
         subject: The motions that it is about, for `clearance_curve`; None where it was made by hand.
         nearest_s: When `nearest` was seen, counted as the tracks' times are [s]; None where nothing moves but the arm.
@@ -104,11 +107,16 @@ class Certificate:
     checks: int
     violations: tuple[str, ...]
     goal_contact: GoalContact | None = None
-    contact_s: tuple[float, float] | None = None
+    contacts: tuple[FruitContact, ...] = ()
     digests: Digests | None = None
     nearest_s: float | None = None
     clear_until_s: float | None = None
     subject: Subject | None = field(default=None, compare=False, repr=False)
+
+    @property
+    def contact_s(self) -> tuple[float, float] | None:
+        """The last of `contacts` as times, from and to [s]; None for none."""
+        return self.contacts[-1].span_s if self.contacts else None
 
     @property
     def clearance_curve(self) -> ClearanceCurve | None:
@@ -129,10 +137,10 @@ class Certificate:
         if self.nearest_s is not None:
             raise MovingObstacleError(None if self.nearest is None else self.nearest.obstacle)
         subject = None if self.subject is None else self.subject.reversed
-        return replace(self, subject=subject, contact_s=None, digests=None)
+        return replace(self, subject=subject, contacts=(), digests=None)
 
 
-# Eleven parameters: three subjects, and options that callers name by keyword.
+# Twelve parameters: three subjects, and options that callers name by keyword.
 def certify(
     robot: Robot,
     scene: Scene,
@@ -142,6 +150,7 @@ def certify(
     tracking_delay_s: float = 0.0,
     sigmas: float = 3.0,
     goal_contact: GoalContact = "approach",
+    contacts: Sequence[FruitContact] = (),
     check_ends: bool = True,
     rest_to_rest: bool = True,
     checker: CoalScene | None = None,
@@ -159,11 +168,14 @@ def certify(
         goal_contact: `approach`: the last link may touch the fruit that is the goal on a straight approach and on the
             retreat, found in the motion. `motion`: it may during the whole motion; so `plan` certifies where no
             straight approach is clear.
+        contacts: Windows of time in which it may touch fruits besides, as the certificate of a motion that was led
+            elsewhere has them (`Certificate.contacts`). They are taken as they are; what is no fruit of the scene now,
+            equal in every value, stays an obstacle.
         check_ends: Whether the motion has to solve the scene's task: begin at its start, reach its goal, leave its
             locked joints where they are.
         rest_to_rest: Whether the motion has to begin and end at rest; where the scene's start is in motion, to end.
-        checker: The arm among other solids than the scene's. They are taken as they are: `sigmas` and `goal_contact`
-            are not checked, nor what pedestal and turret stand in.
+        checker: The arm among other solids than the scene's. They are taken as they are: `sigmas`, `goal_contact`
+            and `contacts` are not checked, nor what pedestal and turret stand in.
         begin_s: Time at which the motion begins, as the tracks of the scene count it [s]: a motion that starts later,
             or takes over from a running one, sees what moves from that time on.
 
@@ -186,25 +198,28 @@ def certify(
     one_of("goal_contact", goal_contact, GOAL_CONTACTS)
     number("begin_s", begin_s, "a finite number of seconds")
     check_joints(trajectory, robot)
-    # Joints beyond that are over every limit, wherever the tool would be.
-    bezier = np.clip(cubic_pieces(trajectory)[0], -FARTHEST_JOINT, FARTHEST_JOINT)
-    contact, violations, fruit = None, list[str](), None
+    allowed, violations, fruit = list[FruitContact](), list[str](), None
     if checker is None:
         checker, fruit = checker_in_time(robot, scene, sigmas), scene.goal_fruit
         if fruit is not None:
             if fruit.track is not None or scene.base_track is not None:
                 raise MovingObstacleError(None if fruit.track is None else fruit.name, "a fruit to pick must not move")
-            contact = _contact_pieces(robot, bezier, fruit, goal_contact)
+            allowed += goal_contacts(robot, trajectory, fruit, goal_contact)
+        for contact in contacts:
+            instance("contacts", contact, FruitContact, "Certificate.contacts")
+            if contact.fruit in scene.fruits and not any(known.covers(contact) for known in allowed):
+                allowed.append(contact)
+        allowed.sort(key=lambda contact: contact.span_s)
         violations += base_violations(robot, scene, checker, trajectory, begin_s)
     instance("checker", checker, CoalScene, "CoalScene")
     if check_ends:
-        violations += [*task_violations(robot, scene, bezier), *start_violations(robot, scene, trajectory)]
+        violations += [*task_violations(robot, scene, _pieces(trajectory)), *start_violations(robot, scene, trajectory)]
     if rest_to_rest and scene.start.is_moving:
         violations += rest_violations(robot, trajectory, {"ends": -1})
     certificate = certify_among(
         robot,
         trajectory,
-        stretches(checker, len(bezier), contact, scene.goal.fruit),
+        stretches(checker, trajectory.time, allowed),
         clearance=scene.clearance,
         tracking=tracking,
         rest_to_rest=rest_to_rest and not scene.start.is_moving,
@@ -216,23 +231,29 @@ def certify(
         verified=certificate.verified and not violations,
         violations=(*violations, *certificate.violations),
         goal_contact=None if fruit is None else goal_contact,
-        contact_s=None if contact is None else _times(trajectory, contact),
+        contacts=tuple(allowed),
         clear_until_s=None if violations else certificate.clear_until_s,
         digests=Digests.of(robot, scene, trajectory),
     )
 
 
-def _contact_pieces(robot: Robot, bezier: FloatArray, fruit: Fruit, goal_contact: GoalContact) -> slice | None:
-    """The cubics of a motion within which the last link may touch a fruit; None for none."""
-    return slice(0, len(bezier)) if goal_contact == "motion" else contact_window(robot, bezier, fruit.center)
-
-
-def contact_times(
+def goal_contacts(
     robot: Robot, trajectory: Trajectory, fruit: Fruit, goal_contact: GoalContact
-) -> tuple[float, float] | None:
-    """When the last link may touch the fruit that is the goal, from and to [s]; None for never."""
-    pieces = _contact_pieces(robot, cubic_pieces(trajectory)[0], fruit, goal_contact)
-    return None if pieces is None else _times(trajectory, pieces)
+) -> tuple[FruitContact, ...]:
+    """The window of time in which the last link may touch the fruit that is the goal; none where it never is there."""
+    time, last = trajectory.time, trajectory.samples - 1
+    pieces: slice | None = slice(0, last)
+    if goal_contact != "motion":
+        pieces = contact_window(robot, _pieces(trajectory), fruit.center)
+    if pieces is None:
+        return ()
+    return (FruitContact(fruit, float(time[min(pieces.start, last)]), float(time[min(pieces.stop, last)])),)
+
+
+def _pieces(trajectory: Trajectory) -> FloatArray:
+    """(pieces, 4, dof) Bezier points of a motion's cubics; joints beyond any limit are as far as matters."""
+    bezier: FloatArray = np.clip(cubic_pieces(trajectory)[0], -FARTHEST_JOINT, FARTHEST_JOINT)
+    return bezier
 
 
 def base_violations(
@@ -257,23 +278,24 @@ def base_violations(
         yield f"obstacle {found.obstacle!r} is {depth}"
 
 
-def stretches(checker: CoalScene, pieces: int, contact: slice | None, fruit: str | None) -> list[Stretch]:
-    """The ranges of a motion of some cubics before, within and after that in which the last link may touch a fruit.
+def stretches(checker: CoalScene, clock: FloatArray, contacts: Iterable[FruitContact]) -> list[Stretch]:
+    """The ranges of a motion before, within and after those in which the last link may touch fruits.
 
     Args:
         checker: The arm among everything.
-        pieces: Number of cubics.
-        contact: The range; None for none.
-        fruit: Name of the fruit.
+        clock: (n,) times of the motion's rows, as the windows count them.
+        contacts: The windows.
     """
-    if contact is None or fruit is None:
-        return [(slice(0, pieces), checker)]
-    found = [
-        (slice(0, contact.start), checker),
-        (contact, checker.touching(fruit)),
-        (slice(contact.stop, pieces), checker),
-    ]
-    return [(part, among) for part, among in found if part.start < part.stop]
+    inside = [(pieces, each.fruit.name) for each in contacts if (pieces := each.pieces(clock)) is not None]
+    ends = {end for pieces, _ in inside for end in (pieces.start, pieces.stop)}
+    found = []
+    for first, last in pairwise(sorted({0, max(1, len(clock) - 1), *ends})):
+        among = checker
+        for pieces, fruit in inside:
+            if pieces.start <= first and last <= pieces.stop:
+                among = among.touching(fruit)
+        found.append((slice(first, last), among))
+    return found
 
 
 def certify_among(
@@ -422,9 +444,3 @@ def _nearest(contacts: Iterable[Contact | None]) -> Contact | None:
     """The contact at the smallest distance; None for none."""
     found = [contact for contact in contacts if contact is not None]
     return found[ties.argmin([contact.distance_m for contact in found])] if found else None
-
-
-def _times(trajectory: Trajectory, pieces: slice) -> tuple[float, float]:
-    """Begin and end of a range of a motion's cubics [s]."""
-    last = trajectory.samples - 1
-    return float(trajectory.time[min(pieces.start, last)]), float(trajectory.time[min(pieces.stop, last)])

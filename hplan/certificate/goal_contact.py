@@ -34,18 +34,57 @@ and the direction leaves the chord between two rows by at most :math:`h^2 / 8 \m
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import ArrayLike
 
 from hplan.base.arrays import BoolArray, FloatArray
 from hplan.collision.reach import carriers, joint_axis, points_reach
 from hplan.robot.model import Robot
+from hplan.scene.model import Fruit
+from hplan.trajectory.time_scaling import SAME_TIME
 
 #: Distance from the point to be reached at which the tool counts as there [m].
 THERE = 1e-3
 
 #: How far the tool may leave the line of its approach [m], and the last link its direction there [rad].
 OFFSET, TURN = 5e-3, np.radians(2.0)
+
+
+@dataclass(frozen=True)
+class FruitContact:
+    """A window of time in which the last link may touch a fruit.
+
+    Attributes:
+        fruit: The fruit, as it was when contact was allowed: another one of its name is an obstacle.
+        begin_s: When it begins [s].
+        end_s: When it ends [s].
+    """
+
+    fruit: Fruit
+    begin_s: float
+    end_s: float
+
+    @property
+    def span_s(self) -> tuple[float, float]:
+        """When it begins and ends [s]."""
+        return self.begin_s, self.end_s
+
+    def covers(self, other: FruitContact) -> bool:
+        """True if another one allows nothing more."""
+        begins, ends = self.begin_s <= other.begin_s + SAME_TIME, other.end_s <= self.end_s + SAME_TIME
+        return self.fruit == other.fruit and begins and ends
+
+    def pieces(self, clock: FloatArray) -> slice | None:
+        """Those of a motion's cubics that are within the window; None for none.
+
+        Args:
+            clock: (n,) times of the motion's rows.
+        """
+        begins, ends = (clock, clock) if len(clock) == 1 else (clock[:-1], clock[1:])
+        inside = np.flatnonzero((begins >= self.begin_s - SAME_TIME) & (ends <= self.end_s + SAME_TIME))
+        return slice(int(inside[0]), int(inside[-1]) + 1) if len(inside) else None
 
 
 def instant_at(robot: Robot, rows: FloatArray, point: ArrayLike) -> tuple[int, float]:

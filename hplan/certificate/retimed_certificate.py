@@ -17,7 +17,6 @@ from hplan.base.arrays import FloatArray, Record
 from hplan.certificate.body_travel import largest_body_sway
 from hplan.certificate.certificate import (
     Certificate,
-    Stretch,
     all_of,
     base_violations,
     certify_among,
@@ -28,6 +27,7 @@ from hplan.certificate.certificate import (
     with_violations,
 )
 from hplan.certificate.digests import Digests
+from hplan.certificate.goal_contact import FruitContact
 from hplan.certificate.limit_use import limit_use
 from hplan.certificate.moving_obstacles import checker_in_time
 from hplan.certificate.sway import movers, sways
@@ -81,7 +81,6 @@ def certified_retiming(
         anew: Whether to show the clearance anew, even where that of the path suffices.
     """
     whole, row = retimed.trajectory, retimed.row
-    contact_s = later(retimed, running.contact_s)
     nearer = _nearer(robot, retimed.off_path)
     left = running.min_clearance_m - nearer
     # Where obstacles move another timing meets others.
@@ -91,12 +90,12 @@ def certified_retiming(
     else:
         first = row if known else 0
         checker = checker_in_time(robot, scene, sigmas)
-        part = certified_from(robot, (scene, checker), running, retimed, first, scene.goal.fruit, tracking=tracking)
+        part = certified_from(robot, (scene, checker), running.contacts, retimed, first, tracking=tracking)
         certificate = replace(all_of([running, part]), subject=None) if known else part
     certificate = replace(
         with_violations(certificate, rest_violations(robot, whole, {"ends": -1})),
         goal_contact=running.goal_contact,
-        contact_s=contact_s,
+        contacts=later(retimed, running.contacts),
         digests=Digests.of(robot, scene, whole),
     )
     return CertifiedMotion(whole, certificate, float(whole.time[row]), retimed.off_path_m)
@@ -105,10 +104,9 @@ def certified_retiming(
 def certified_from(
     robot: Robot,
     among: tuple[Scene, CoalScene],
-    running: Certificate,
+    contacts: Sequence[FruitContact],
     retimed: Retimed,
     row: int,
-    touched: str | None,
     *,
     tracking: TrackingModel,
 ) -> Certificate:
@@ -117,10 +115,9 @@ def certified_from(
     Args:
         robot: The arm.
         among: Obstacles and the clearance to keep, and the arm among them.
-        running: The certificate of the other one.
+        contacts: When the last link may touch fruits in the other motion; where it is there, it may here.
         retimed: The motion.
         row: Where it begins.
-        touched: The fruit that the last link may touch where it could in the other motion; None for none.
         tracking: Deviation of the joints that is covered.
     """
     scene, checker = among
@@ -128,7 +125,7 @@ def certified_from(
     found = certify_among(
         robot,
         motion,
-        _stretches_of(checker, retimed, running.contact_s, touched, row),
+        stretches(checker, retimed.clock[row:], contacts),
         clearance=scene.clearance,
         tracking=tracking,
         rest_to_rest=False,
@@ -156,29 +153,12 @@ def _nearer(robot: Robot, off_path: FloatArray) -> float:
     return float(sways(robot, [*own, *turning], off_path[None]).max())
 
 
-def later(retimed: Retimed, times: tuple[float, float] | None) -> tuple[float, float] | None:
-    """When the motion is where the other one is between two times; None where it does not come there, or for none."""
-    if times is None:
-        return None
-    inside = np.flatnonzero((retimed.clock >= times[0] - SAME_TIME) & (retimed.clock <= times[1] + SAME_TIME))
-    if len(inside) == 0:
-        return None
-    time = retimed.trajectory.time
-    return float(time[inside[0]]), float(time[inside[-1]])
-
-
-def _stretches_of(
-    checker: CoalScene, retimed: Retimed, contact_s: tuple[float, float] | None, fruit: str | None, first: int
-) -> Sequence[Stretch]:
-    """What the motion is certified among from a row on: the last link may touch the fruit where it could."""
-    clock = retimed.clock[first:]
-    pieces = max(1, len(clock) - 1)
-    if contact_s is None or fruit is None:
-        return stretches(checker, pieces, None, None)
-    if len(clock) == 1:
-        inside = np.array([contact_s[0] - SAME_TIME <= clock[0] <= contact_s[1] + SAME_TIME])
-    else:
-        inside = (clock[:-1] >= contact_s[0] - SAME_TIME) & (clock[1:] <= contact_s[1] + SAME_TIME)
-    touching = np.flatnonzero(inside)
-    contact = slice(int(touching[0]), int(touching[-1]) + 1) if len(touching) else None
-    return stretches(checker, pieces, contact, fruit)
+def later(retimed: Retimed, contacts: Sequence[FruitContact]) -> tuple[FruitContact, ...]:
+    """When the motion is where the other one may touch fruits; none of those to which it does not come."""
+    found, time = [], retimed.trajectory.time
+    for contact in contacts:
+        inside = retimed.clock >= contact.begin_s - SAME_TIME
+        rows = np.flatnonzero(inside & (retimed.clock <= contact.end_s + SAME_TIME))
+        if len(rows):
+            found.append(FruitContact(contact.fruit, float(time[rows[0]]), float(time[rows[-1]])))
+    return tuple(found)

@@ -59,14 +59,16 @@ def _state_at(trajectory: Trajectory, row: int) -> Start:
 
 
 def _since(certificate: Certificate, time_s: float) -> Certificate:
-    """The certificate with all times counted from a time on; of a contact that is over by then none is left."""
+    """The certificate with all times counted from a time on; of contacts that are over by then none is left."""
     nearest_s, clear_until_s = (
         None if when is None else when - time_s for when in (certificate.nearest_s, certificate.clear_until_s)
     )
-    contact_s = certificate.contact_s
-    if contact_s is not None:
-        contact_s = (max(contact_s[0] - time_s, 0.0), contact_s[1] - time_s) if contact_s[1] >= time_s else None
-    return replace(certificate, nearest_s=nearest_s, clear_until_s=clear_until_s, contact_s=contact_s)
+    contacts = tuple(
+        replace(contact, begin_s=max(contact.begin_s - time_s, 0.0), end_s=contact.end_s - time_s)
+        for contact in certificate.contacts
+        if contact.end_s >= time_s
+    )
+    return replace(certificate, nearest_s=nearest_s, clear_until_s=clear_until_s, contacts=contacts)
 
 
 def _as_it_is(trajectory: Trajectory) -> Retimed:
@@ -122,8 +124,8 @@ class RunningMotion:
         still = without_moving(scene.since(self.begins_s)) if scene.moves else scene
         self._world = cache.world(still, options)
         self._checker = checker_in_time(plan.robot, scene, options.sigmas) if scene.moves else self._world.checker
-        # What it may touch is the fruit that was there when it was planned, not another one of that name.
-        self._touched = plan.scene.goal.fruit if plan.scene.goal_fruit in scene.fruits else None
+        # What it may touch are the fruits that were there when it was planned, not others of their names.
+        self._contacts = tuple(each for each in plan.certificate.contacts if each.fruit in scene.fruits)
 
     def _since_begin(self, option: str, value: float, low: float) -> float:
         """A time on the controller's clock as one since the motion began, refused before `low` of these [s]."""
@@ -195,12 +197,11 @@ class RunningMotion:
 
     def _certificate(self, retimed: Retimed, row: int, *, rest: bool = False) -> Certificate:
         """What is shown of a motion along the running one's path from a row on, among the obstacles as they are now."""
-        robot, running, among = self.plan.robot, self.plan.certificate, (self._scene, self._checker)
-        tracking, fruit = self._options.certified_tracking, self._touched
-        found = certified_from(robot, among, running, retimed, row, fruit, tracking=tracking)
+        robot, among, tracking = self.plan.robot, (self._scene, self._checker), self._options.certified_tracking
+        found = certified_from(robot, among, self._contacts, retimed, row, tracking=tracking)
         found = with_violations(found, rest_violations(robot, retimed.trajectory, {"ends": -1}) if rest else ())
-        contact_s = None if fruit is None else later(retimed, running.contact_s)
-        return replace(found, goal_contact=None if fruit is None else running.goal_contact, contact_s=contact_s)
+        goal_contact = self.plan.certificate.goal_contact if self._contacts else None
+        return replace(found, goal_contact=goal_contact, contacts=later(retimed, self._contacts))
 
     def _blocked(self, reasons: Sequence[str]) -> HplanError:
         """The error that the running motion cannot be taken over, with the stop from now on where it is certified."""
@@ -225,10 +226,9 @@ class RunningMotion:
         before = self.plan.trajectory.until(seam).since(self.row)
         seam_s = before.duration
         whole = joined([before, new.trajectory]) if before.samples > 1 else new.trajectory
-        later = _since(new.certificate, -seam_s)
-        certificate = replace(
-            all_of([_since(until, self.begins_s), later]), goal_contact=later.goal_contact, contact_s=later.contact_s
-        )
+        parts = _since(until, self.begins_s), _since(new.certificate, -seam_s)
+        contacts = tuple(contact for part in parts for contact in part.contacts if contact.end_s > contact.begin_s)
+        certificate = replace(all_of(parts), goal_contact=new.certificate.goal_contact, contacts=contacts)
         phases = [Phase(phase.name, phase.start_s + seam_s, phase.end_s + seam_s) for phase in new.phases]
         phases[0] = replace(phases[0], start_s=0.0)
         return self._result(new, phases, whole, certificate, seam_s, is_kept=False)

@@ -14,8 +14,7 @@ import numpy as np
 
 from hplan.base.arrays import FloatArray
 from hplan.base.deadline import check_deadline
-from hplan.certificate.certificate import Stretch, stretches
-from hplan.certificate.goal_contact import contact_window
+from hplan.certificate.certificate import Stretch, goal_contacts, stretches
 from hplan.errors import CertificationError, ConfigurationInCollisionError, HplanError, TimingError
 from hplan.optimization.minimize_time import Effort, minimize_time
 from hplan.optimization.timed_spline import BoundaryState, TimedSpline
@@ -35,7 +34,7 @@ from hplan.planning.task import PlanningContext, PlanningTask
 from hplan.planning.tool_paths import largest_standoff, tool_path
 from hplan.robot.model import Robot
 from hplan.trajectory.spline import SplinePath
-from hplan.trajectory.trajectory import Trajectory, cubic_pieces
+from hplan.trajectory.trajectory import Trajectory
 
 _Last = TypeVar("_Last")
 
@@ -179,10 +178,8 @@ def retreat_of(approach: Part) -> Part:
 
 def _contact_stretches(context: PlanningContext, target: Target, approach: Trajectory) -> list[Stretch]:
     """What an approach is certified among: the last link may touch the fruit while it moves straight."""
-    bezier, _ = cubic_pieces(approach)
-    fruit = target.fruit
-    contact = None if fruit is None else contact_window(context.robot, bezier, fruit.center)
-    return stretches(target.world.checker, len(bezier), contact, None if fruit is None else fruit.name)
+    contacts = () if target.fruit is None else goal_contacts(context.robot, approach, target.fruit, "approach")
+    return stretches(target.world.checker, approach.time, contacts)
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,7 @@ import numpy as np
 from hplan.base.arguments import function, instance
 from hplan.base.arrays import FloatArray, Record
 from hplan.base.deadline import Cancel, TimeIsUpError, TimeLimit, check_deadline, time_limit
-from hplan.certificate.certificate import REST, Certificate, GoalContact, all_of, certify, contact_times
+from hplan.certificate.certificate import REST, Certificate, GoalContact, all_of, certify, goal_contacts
 from hplan.certificate.digests import Digests
 from hplan.certificate.retimed_certificate import CertifiedMotion, certified_retiming
 from hplan.certificate.start_state import start_state
@@ -351,8 +351,8 @@ def plan_result(
     if fruit is not None:
         # Without an approach the last link may touch the fruit all the time.
         goal_contact: GoalContact = "motion" if len(phases) == 1 else "approach"
-        contact_s = contact_times(context.robot, trajectory, fruit, goal_contact)
-        certificate = replace(certificate, goal_contact=goal_contact, contact_s=contact_s)
+        contacts = goal_contacts(context.robot, trajectory, fruit, goal_contact)
+        certificate = replace(certificate, goal_contact=goal_contact, contacts=contacts)
     certificate = replace(certificate, digests=Digests.of(context.robot, scene, trajectory))
     bounded = _bounded(parts)
     bound = _bound(context, grasp, motion, bounded) if context.options.bound else None

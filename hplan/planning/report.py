@@ -112,6 +112,8 @@ def certificate_report(certificate: Certificate, options: PlanOptions, scene: Sc
         scene: What it was asked for.
     """
     nearest, digests, until = certificate.nearest, certificate.digests, certificate.clear_until_s
+    told = [{"fruit": at.fruit.name, "begin_s": at.begin_s, "end_s": at.end_s} for at in certificate.contacts]
+    only_goal = [at["fruit"] for at in told] in ([], [scene.goal.fruit])
     return {
         "verified": certificate.verified,
         "min_clearance_m": certificate.min_clearance_m,
@@ -122,6 +124,7 @@ def certificate_report(certificate: Certificate, options: PlanOptions, scene: Sc
         **uncertainty_report(scene, options.sigmas),
         "goal_contact": certificate.goal_contact,
         "contact_s": None if certificate.contact_s is None else list(certificate.contact_s),
+        **({} if only_goal else {"contacts": told}),
         "limit_use": vars(certificate.limit_use),
         "violations": list(certificate.violations),
         "digests": None if digests is None else vars(digests),

@@ -10,8 +10,8 @@ import pytest
 
 import hplan
 from hplan.base.data_files import scenes_dir
-from hplan.certificate.certificate import certify
-from hplan.certificate.goal_contact import OFFSET, THERE, TURN, contact_window
+from hplan.certificate.certificate import certify, stretches
+from hplan.certificate.goal_contact import OFFSET, THERE, TURN, FruitContact, contact_window
 from hplan.errors import CertificationError, OptionError
 from hplan.kinematics.planar_inverse_kinematics import reach
 from hplan.kinematics.straight_approach import ApproachPath
@@ -259,3 +259,29 @@ def test_last_link_that_pivots_about_the_fruit_leaves_its_direction(robot, apple
     angles = position[window.start : window.stop + 1, 1:].sum(axis=1)
     assert TURN - np.radians(0.11) <= np.ptp(angles) <= 2.0 * TURN + 1e-9
     assert np.ptp(position[:, 1:].sum(axis=1)) > 4.0 * TURN
+
+
+class Touching(frozenset):
+    """Names of what may be touched, in place of a collision checker."""
+
+    def touching(self, name):
+        return Touching(self | {name})
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_windows_of_several_fruits(seed):
+    """Piece by piece what the windows say that hold all of the piece."""
+    random = np.random.default_rng(seed)
+    clock = np.cumsum(random.uniform(0.001, 0.1, random.integers(1, 12)))
+    ends = [np.sort(random.choice([*clock, *random.uniform(0.0, clock[-1], 4)], 2)) for _ in range(random.integers(4))]
+    contacts = [
+        FruitContact(Fruit(name=f"{k % 2}", center=(1.0, 0.0, 1.0), radius=0.04), *span.tolist())
+        for k, span in enumerate(ends)
+    ]
+    found = stretches(Touching(), clock, contacts)
+    assert [part.start for part, _ in found] == [0, *(part.stop for part, _ in found[:-1])]
+    pieces = list(itertools.pairwise(clock)) if len(clock) > 1 else [(clock[0], clock[0])]
+    assert found[-1][0].stop == len(pieces)
+    for part, among in found:
+        for begin, end in pieces[part]:
+            assert among == {each.fruit.name for each in contacts if each.begin_s <= begin and end <= each.end_s}

@@ -3,21 +3,26 @@
 from __future__ import annotations
 
 import functools
+from pathlib import Path
 
 import numpy as np
 import pytest
 from arm_variants import coal_distances
 from planned import fruit, post, task
+from script_loader import load_script
 
-from hplan.certificate.certificate import certify
-from hplan.errors import HplanError
+from hplan.certificate.certificate import Certificate, certify
+from hplan.errors import HplanError, InputError
 from hplan.online.planner import Planner
+from hplan.online.splice import SplicedResult
 from hplan.planning.plan import PlanResult, plan
+from hplan.planning.report import write_report
 from hplan.robot.model import Robot
-from hplan.scene.file import load_scene
+from hplan.scene.file import load_scene, save_scene
 from hplan.scene.model import Fruit, Goal
 from hplan.scene.obstacles import Box, Sphere
-from hplan.trajectory.trajectory import Trajectory
+from hplan.scene.tracks import Track
+from hplan.trajectory.trajectory import Trajectory, write_csv
 
 APPLE = fruit("apple", 20.0, 1.5, 1.4)
 SCENE = task((-20.0, 45.0, 45.0, 30.0), Goal(fruit="apple"), [post("post", 0.0, 1.2, 0.0, 0.9)], fruits=(APPLE,))
@@ -135,3 +140,85 @@ def test_a_splice_tells_the_window_of_its_new_motion(robot: Robot) -> None:
         again = certify(robot, result.scene, result.trajectory)
         assert again.verified
         assert again.contact_s == pytest.approx(result.certificate.contact_s, abs=1e-9)
+
+
+PEAR = fruit("pear", -20.0, 1.5, 1.4)
+AWAY = Track(times_s=(4.0, 9.0), shifts_m=((0.0, 0.0, 0.0), (0.0, 0.5, 0.0)))
+PASSING = Sphere(name="passing", center=(-1.5, 0.0, 1.0), radius=0.1, track=AWAY)
+
+
+def leaving_the_apple(robot: Robot, goal: Goal, *obstacles: Sphere) -> tuple[Planner, SplicedResult]:
+    """A planner whose motion goes elsewhere as soon as the tool is out of the apple, told before it is in it."""
+    planner = Planner(robot, SCENE.model_copy(update={"fruits": (APPLE, PEAR)}).with_obstacles(obstacles))
+    begin_s, end_s = planner.plan(begins_s=5.0).certificate.contact_s
+    planner.aim(goal=goal)
+    new = planner.replan(at=5.0 + end_s - 0.01, now=5.0 + begin_s - 0.05)
+    assert not new.is_kept
+    return planner, new
+
+
+def agrees(robot: Robot, planner: Planner, trajectory: Trajectory, certificate: Certificate) -> None:
+    """What is verified is so by `certify`, told of the same contacts; and nothing of it is without them."""
+    assert certificate.verified, certificate.violations
+    scene = planner.scene.since(planner.last.begins_s)
+    given = {"check_ends": False, "rest_to_rest": False}
+    again = certify(robot, scene, trajectory, contacts=certificate.contacts, **given)
+    assert again.verified, again.violations
+    assert [at.fruit for at in again.contacts] == [at.fruit for at in certificate.contacts]
+    np.testing.assert_allclose(*([at.span_s for at in each.contacts] for each in (again, certificate)), atol=1e-9)
+    others = scene.model_copy(update={"goal": Goal(joints_rad=tuple(trajectory.position[-1].tolist()))})
+    assert not certify(robot, others, trajectory, **given).verified
+
+
+@pytest.mark.parametrize(
+    "goal", [Goal(joints_deg=(-20.0, 45.0, 45.0, 30.0)), Goal(fruit="pear")], ids=["joints", "pear"]
+)
+@pytest.mark.parametrize("obstacles", [(), (PASSING,)], ids=["still", "moving"])
+def test_a_splice_holds_the_contact_that_it_leaves(robot: Robot, goal: Goal, obstacles: tuple[Sphere, ...]) -> None:
+    planner, new = leaving_the_apple(robot, goal, *obstacles)
+    picked = ["apple"] if goal.fruit is None else ["apple", "pear"]
+    assert [contact.fruit.name for contact in new.certificate.contacts] == picked
+    assert new.certificate.contacts[0].begin_s == pytest.approx(0.05, abs=5e-3)
+    assert new.certificate.contacts[0].end_s <= new.seam_s + 1e-9
+    agrees(robot, planner, new.trajectory, new.certificate)
+    told = new.report["certificate"]["contacts"]
+    assert [at["fruit"] for at in told] == picked
+    later = planner.stop_at(new.begins_s + 0.4, now=new.begins_s)
+    for slow in (new.stop_at(0.3), new.scaled(0.5), later):
+        assert slow.certificate.contacts[0].fruit == APPLE
+        agrees(robot, planner, slow.trajectory, slow.certificate)
+    # And on while the tool is in the apple.
+    in_s = new.begins_s + new.certificate.contacts[0].begin_s + 0.1
+    kept = planner.replan(at=in_s + 0.02, now=in_s)
+    assert kept.is_kept
+    agrees(robot, planner, kept.trajectory, kept.certificate)
+    planner.aim(goal=Goal(joints_deg=(-30.0, 45.0, 45.0, 30.0)))
+    again = planner.replan(at=new.begins_s + new.seam_s, now=in_s)
+    assert [contact.fruit.name for contact in again.certificate.contacts] == ["apple"]
+    agrees(robot, planner, again.trajectory, again.certificate)
+    # Out of it nothing is left of that.
+    out = planner.replan(at=new.begins_s + new.seam_s + 0.1, now=new.begins_s + new.seam_s + 0.05)
+    assert out.certificate.contacts == ()
+
+
+def test_contact_that_is_given_is_with_the_very_fruit(robot: Robot) -> None:
+    _, new = leaving_the_apple(robot, Goal(joints_deg=(-20.0, 45.0, 45.0, 30.0)))
+    moved = APPLE.model_copy(update={"center": tuple(np.add(APPLE.center, (0.0, 0.0, 0.002)).tolist())})
+    elsewhere = new.scene.model_copy(update={"fruits": (moved, PEAR)})
+    shown = certify(robot, elsewhere, new.trajectory, contacts=new.certificate.contacts)
+    assert not shown.verified
+    assert shown.contacts == ()
+    with pytest.raises(InputError, match="contacts"):
+        certify(robot, new.scene, new.trajectory, contacts=[new.certificate.contact_s])
+
+
+@pytest.mark.parametrize(
+    ("told", "status"), [(None, 0), ([], 5), ([{"fruit": "plum", "begin_s": 0, "end_s": 1}], 2), (7, 2)]
+)
+def test_the_folder_of_a_splice_is_certified(robot: Robot, tmp_path: Path, told: object, status: int) -> None:
+    _, new = leaving_the_apple(robot, Goal(joints_deg=(-20.0, 45.0, 45.0, 30.0)))
+    certificate = new.report["certificate"] | ({} if told is None else {"contacts": told})
+    write_csv(new.trajectory, tmp_path / "trajectory.csv")
+    write_report({**new.report, "certificate": certificate, "given": {}}, tmp_path / "report.json")
+    save_scene(new.scene, tmp_path / "scene.yaml")
+    assert load_script("certify").main([str(tmp_path)]) == status

@@ -98,6 +98,7 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int
         tracking_delay_s=tracking.delay_s,
         sigmas=arguments.sigmas,
         goal_contact=arguments.goal_contact,
+        contacts=() if job is None else job.contacts(scene),
         check_ends=not arguments.any_ends,
         rest_to_rest=not arguments.moving_ends,
         begin_s=arguments.begin,
@@ -161,10 +162,12 @@ def _show(console: Console, report: dict[str, Any], error: str) -> None:
         left = proof["uncertain"]
         one, some = 100.0 * left["one_beyond"], 100.0 * left["any_beyond_at_most"]
         table.add_row("not covered", f"{one:.2g} % of each sigma's places, of {left['obstacles']} in all {some:.2g} %")
-    if proof["contact_s"] is not None:
-        begin, end = proof["contact_s"]
-        rule = "on a straight approach" if proof["goal_contact"] == "approach" else "during the whole motion"
-        table.add_row("contact", f"last link and fruit, {rule}: {begin:.3f} to {end:.3f} s")
+    rule = "on a straight approach" if proof["goal_contact"] == "approach" else "during the whole motion"
+    windows = [(f"fruit {escape(at['fruit'])!r}", at["begin_s"], at["end_s"]) for at in proof.get("contacts", ())]
+    if not windows and proof["contact_s"] is not None:
+        windows = [(f"fruit, {rule}", *proof["contact_s"])]
+    for what, begin, end in windows:
+        table.add_row("contact", f"last link and {what}: {begin:.3f} to {end:.3f} s")
     for what in report["differs"]:
         table.add_row("differs", f"[bold red]the {what} is not the one of {REPORT}[/]")
     for what, digest in proof["digests"].items():

@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from hplan.certificate.certificate import Certificate
     from hplan.certificate.clearance_curve import ClearanceCurve
     from hplan.certificate.digests import Digests
+    from hplan.certificate.goal_contact import FruitContact
+    from hplan.scene.model import Scene
     from hplan.trajectory.trajectory import Trajectory
 
 
@@ -142,6 +144,23 @@ class FinishedJob:
             )
         except (AttributeError, KeyError, TypeError, ValueError) as error:
             raise self._fault("its certificate is not complete") from error
+
+    def contacts(self, scene: Scene) -> tuple[FruitContact, ...]:
+        """Windows of time in which the last link may touch fruits of the job's scene, where it is not the goal alone.
+
+        Raises:
+            InputError: They are malformed, or about fruits that the scene does not have.
+        """
+        from hplan.certificate.goal_contact import FruitContact
+
+        fruits = {fruit.name: fruit for fruit in scene.fruits}
+        try:
+            return tuple(
+                FruitContact(fruits[told["fruit"]], float(told["begin_s"]), float(told["end_s"]))
+                for told in self.report["certificate"].get("contacts", ())
+            )
+        except (KeyError, TypeError, ValueError) as error:
+            raise self._fault("its contacts are no times with fruits of the scene") from error
 
     def clearance_curve(self) -> ClearanceCurve | None:
         """The clearance over time that the report has; None where it has none.

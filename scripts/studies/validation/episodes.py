@@ -167,7 +167,6 @@ class Episode:
         except HplanError as error:
             self.tally.refused[error.kind] += 1
             return
-        self.planned_for = self.world
         self.look("plan", found.begins_s, found.trajectory, found.certificate)
         self.retimed(found, found.begins_s)
         for _ in range(CHANGES):
@@ -217,11 +216,7 @@ class Episode:
         jump = float(np.abs(found.trajectory.position[0] - before).max())
         if jump > JUMP:
             self.tally.faults.append({"case": self.name, "kind": "splice", "jump": jump})
-        windows = self.windows(running.certificate, found.begins_s - running.begins_s, found.seam_s)
-        if not found.is_kept:
-            self.planned_for = self.world
-        kind = "kept" if found.is_kept else "splice"
-        self.look(kind, found.begins_s, found.trajectory, found.certificate, windows=windows)
+        self.look("kept" if found.is_kept else "splice", found.begins_s, found.trajectory, found.certificate)
         self.retimed(found, found.begins_s)
         return found
 
@@ -234,32 +229,17 @@ class Episode:
                 return
             self.tally.faults.append({"case": self.name, "kind": "an arm elsewhere was taken for on the motion"})
 
-    def windows(self, certificate: Certificate, since_s: float, until_s: float) -> list[Window]:
-        """When the motion up to now may touch its fruit, until a seam."""
-        if certificate.contact_s is None:
-            return []
-        from_s, to_s = (time - since_s for time in certificate.contact_s)
-        return self.window((max(from_s, 0.0), min(to_s, until_s))) if to_s >= 0.0 else []
-
-    def window(self, contact_s: tuple[float, float] | None) -> list[Window]:
-        """The window of the fruit that the motion was planned for, while that is where it was."""
-        name = self.planned_for.target
-        if name is None or contact_s is None or _fruit(self.planned_for, name) != _fruit(self.world, name):
-            return []
-        return [Window(name, *contact_s)]
-
     def look(
-        self, kind: str, begin_s: float, trajectory: Trajectory, certificate: Certificate, *, from_s: float = 0.0,
-        windows: Sequence[Window] = (),
-    ) -> None:  # fmt: skip
+        self, kind: str, begin_s: float, trajectory: Trajectory, certificate: Certificate, *, from_s: float = 0.0
+    ) -> None:
         """Judge a motion, if it is verified."""
         if not certificate.verified:
             self.tally.unverified[kind] += 1
             return
         path = write_csv(trajectory, self.folder / "motion.csv")
         motion = Motion.read(path, from_s)
-        allowed = [*windows, *self.window(certificate.contact_s)]
         world = self.world
+        allowed = windows(certificate, world.fruits)
         found = contacts(self.drawn.arm, motion, world.things, base=world.moves, begin_s=begin_s, windows=allowed)
         self.tally.looked[kind] += 1
         self.tally.looked_in[f"{'moving' if self.moves else 'still'}{', cloud' if world.seen is not None else ''}"] += 1
@@ -345,8 +325,14 @@ def impatient() -> Callable[[], bool]:
     return lambda: time.process_time() > until
 
 
-def _fruit(world: World, name: str) -> Any:
-    return next((fruit for fruit in world.fruits if fruit["name"] == name), None)
+def windows(certificate: Certificate, fruits: Sequence[dict[str, Any]]) -> list[Window]:
+    """When fruits may be touched that are where they were when that was allowed."""
+    where = {fruit["name"]: tuple(fruit["center"]) for fruit in fruits}
+    return [
+        Window(contact.fruit.name, *contact.span_s)
+        for contact in certificate.contacts
+        if where.get(contact.fruit.name) == contact.fruit.center
+    ]
 
 
 def shifted(item: dict[str, Any], shift: FloatArray) -> dict[str, Any]:

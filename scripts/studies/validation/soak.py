@@ -1,9 +1,9 @@
 """One planner for an hour: four threads call its methods by chance, at the rate of a camera.
 
 One thread hands in frames, one plans and replans while the motion runs by the clock on the wall, one asks for stops,
-one changes obstacles and goal. Counted are errors that are not hplan's, how long frames take, how much memory is in
-use, and contacts: a sample of what was handed out is written down, with the true points of the frame that its scene
-holds, and looked at by the judge when the hour is over.
+one changes obstacles and goal, gives obstacles tracks and has the base drive, or stand again. Counted are errors that
+are not hplan's, how long frames take, how much memory is in use, and contacts: a sample of what was handed out is
+written down, with the true points of the frame that its scene holds, and looked at by the judge when the hour is over.
 """
 
 from __future__ import annotations
@@ -16,24 +16,40 @@ import threading
 import time
 from array import array
 from collections import OrderedDict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from studies.validation.arms import DrawnArm, named_arm
-from studies.validation.episodes import Tally
-from studies.validation.judge import Motion, Thing, Window, contacts, things_of
+from studies.validation.episodes import Tally, windows
+from studies.validation.judge import Motion, Moves, Thing, contacts, things_of
 from studies.validation.random_scenes import direction
-from studies.validation.worlds import BALL_M, SEEN, World, draw_ends, draw_item, free, obstacle, surface
+from studies.validation.worlds import (
+    BALL_M,
+    SEEN,
+    Item,
+    World,
+    draw_ends,
+    draw_item,
+    draw_track,
+    free,
+    middle_of,
+    obstacle,
+    seen_from_base,
+    surface,
+)
 
 from hplan.base.arrays import FloatArray
+from hplan.certificate.certificate import Certificate
 from hplan.errors import HplanError
 from hplan.online.planner import Planner
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import PlanResult
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import PointCloud
+from hplan.scene.tracks import Track
 from hplan.trajectory.trajectory import Trajectory, write_csv
 
 #: Frames, replans, stops and changes per second.
@@ -48,6 +64,9 @@ DEADLINE_S, AHEAD_S = 0.5, 0.6
 #: Known obstacles at most, and samples of motions that are looked at, at most.
 MOST_KNOWN, MOST_SAMPLES = 30, 1500
 
+#: Share of obstacles that get a track, and of changes with which the base drives or stands.
+MOVING, DRIVING = 0.3, 0.03
+
 #: Memory is looked at so often, and counts from then on [s].
 MEMORY_EVERY_S, WARM_S = 10.0, 120.0
 
@@ -58,6 +77,9 @@ class _Soak:
     def __init__(self, drawn: DrawnArm, seed: int, seconds: float, folder: Path) -> None:
         self.drawn, self.seed, self.folder = drawn, seed, folder
         self.tally, self.lock = Tally(), threading.Lock()
+        # The camera stands on the base, which begins to drive, or stands, between two frames.
+        self.driving = threading.Lock()
+        self.base: Item | None = None
         self.until = time.monotonic() + seconds
         self.share = MOST_SAMPLES / (seconds * (REPLAN_HZ + STOP_HZ))
         rng = np.random.default_rng(seed)
@@ -65,7 +87,7 @@ class _Soak:
         if ends is None:
             raise ValueError("the arm has no place to begin")
         self.home = World(*ends)
-        items = free(drawn, self.home, [draw_item(drawn, self.home, rng, f"known {k}") for k in range(8)])
+        items = free(drawn, self.home, [self.item(rng, f"known {k}") for k in range(8)])
         fruits = tuple(
             {"name": f"fruit {k}", "kind": "sphere", "center": at.tolist(), "radius": 0.035}
             for k, at in enumerate(drawn.robot.tool_positions(q) for q in drawn.arm.drawn(rng, 4))
@@ -92,6 +114,14 @@ class _Soak:
             found.append(points[self.drawn.arm.beside(self.home.start, points) > 0.05])
         return np.concatenate(found)[:POINTS]
 
+    def item(self, rng: np.random.Generator, name: str) -> Item:
+        """An obstacle that stands, or has a track from about now on."""
+        item = draw_item(self.drawn, self.home, rng, name)
+        return {**item, **self.track(rng, middle_of(item))} if rng.random() < MOVING else item
+
+    def track(self, rng: np.random.Generator, about: list[float], turn_deg: float = 60.0) -> Item:
+        return {"track": draw_track(rng, time.monotonic(), about, turn_deg)}
+
     def every(self, rate_hz: float, call: Callable[[np.random.Generator], None], number: int) -> None:
         """Call again and again until time is up; what is not hplan's error is a fault."""
         rng = np.random.default_rng([self.seed, number])
@@ -110,10 +140,10 @@ class _Soak:
             getattr(self.tally, name)[what] += 1
 
     def keep(
-        self, kind: str, scene: Scene, trajectory: Trajectory, certificate: Any, windows: Sequence[Window],
+        self, kind: str, scene: Scene, trajectory: Trajectory, certificate: Certificate, *, begin_s: float = 0.0,
         from_s: float = 0.0,
     ) -> None:  # fmt: skip
-        """Write a sample of what was handed out."""
+        """Write a sample of what was handed out; `begin_s` is when it begins, on the clock of the scene's tracks."""
         if not certificate.verified:
             self.count("unverified", kind)
             return
@@ -123,13 +153,19 @@ class _Soak:
         self.count("looked", kind)
         if cloud is None or np.random.default_rng().random() > self.share:
             return
-        listed = [item.model_dump(by_alias=True, mode="json") for item in scene.obstacles if item.name != SEEN]
-        known = [{**item, **self.data.get(item["name"], {})} for item in listed]
-        known += [{"kind": "sphere", **item.model_dump(mode="json")} for item in scene.fruits]
+        known = [
+            {**item.model_dump(by_alias=True, mode="json"), **self.data.get(item.name, {}), **_told(item.track)}
+            for item in scene.obstacles
+            if item.name != SEEN
+        ]
+        fruits = [{"kind": "sphere", **item.model_dump(mode="json")} for item in scene.fruits]
         with self.lock:
             number, self.samples = self.samples, self.samples + 1
+        sample = pickle.dumps(
+            ([*known, *fruits], kind, cloud, windows(certificate, fruits), begin_s, from_s, _told(scene.base_track))
+        )
         write_csv(trajectory, self.folder / f"{number}.csv")
-        (self.folder / f"{number}.pickle").write_bytes(pickle.dumps((kind, known, cloud, windows, from_s)))
+        (self.folder / f"{number}.pickle").write_bytes(sample)
 
     # What the four threads do
 
@@ -140,9 +176,12 @@ class _Soak:
         turn[:, 0] *= np.linalg.det(turn)
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = turn, rng.uniform(-2.0, 2.0, 3)
-        points = np.asarray((self.clouds[number] - pose[:3, 3]) @ turn)
-        begin, cpu = time.perf_counter(), time.thread_time()
-        self.planner.set_cloud(SEEN, points, radius=BALL_M, pose=pose)
+        with self.driving:
+            taken_s = time.monotonic()
+            there = seen_from_base(replace(self.home, base=self.base), self.clouds[number], taken_s)
+            points = np.asarray((there - pose[:3, 3]) @ turn)
+            begin, cpu = time.perf_counter(), time.thread_time()
+            self.planner.set_cloud(SEEN, points, radius=BALL_M, pose=pose, time_s=taken_s)
         self.frame_ms.extend((1e3 * (time.perf_counter() - begin), 1e3 * (time.thread_time() - cpu)))
         # No other thread replaces this obstacle.
         digest = _digest(self.planner.scene)
@@ -156,47 +195,53 @@ class _Soak:
     def plan(self, rng: np.random.Generator) -> None:
         """A new motion, before the last one begins, while it runs, or from its end."""
         planner, last = self.planner, self.planner.last
-        now = time.monotonic()
+        now = time.monotonic() if last is None else max(time.monotonic(), last.begins_s)
         if last is None or _end_s(last) < now + AHEAD_S or rng.random() < 0.05:
             end = self.home.start if last is None else last.trajectory.position[-1]
-            planner.aim(start=Start(joints_rad=tuple(end.tolist())))
-            found: PlanResult = planner.plan() if rng.random() < 0.7 else planner.replan()
-            planner.began(time.monotonic())
-            self.keep("plan", found.scene, found.trajectory, found.certificate, _windows(found))
+            with self.driving:
+                planner.aim(start=Start(joints_rad=tuple(end.tolist())))
+            ask = planner.plan if rng.random() < 0.7 else planner.replan
+            # Among what moves a motion is planned for when it begins.
+            begins_s = now + DEADLINE_S if planner.scene.moves else None
+            found: PlanResult = ask(begins_s=begins_s)
+            if begins_s is None:
+                planner.began(time.monotonic())
+            self.keep("plan", found.scene, found.trajectory, found.certificate)
             return
         measured = last.trajectory.positions(np.array([now - last.begins_s]))[0]
         spliced = planner.replan(at=now + AHEAD_S, now=now, measured=measured)
-        windows = [*_windows(last, spliced.begins_s - last.begins_s, spliced.seam_s), *_windows(spliced)]
         kind = "kept" if spliced.is_kept else "splice"
-        self.keep(kind, spliced.scene, spliced.trajectory, spliced.certificate, windows)
+        self.keep(kind, spliced.scene, spliced.trajectory, spliced.certificate)
 
     def stop(self, rng: np.random.Generator) -> None:
         """A stop, and a scaling, of what runs."""
         scene, last = self.planner.scene, self.planner.last
-        if last is None or not (now := time.monotonic()) < _end_s(last):
+        if last is None or not (now := max(time.monotonic(), last.begins_s)) < _end_s(last):
             return
         stop = self.planner.stop_at(float(rng.uniform(now, _end_s(last))), now=now)
         if self.planner.scene is scene and self.planner.last is last:
-            windows = _windows(last, contact_s=stop.certificate.contact_s)
-            self.keep("stop", scene, stop.trajectory, stop.certificate, windows, now - last.begins_s)
+            self.keep(
+                "stop", scene, stop.trajectory, stop.certificate, begin_s=last.begins_s, from_s=now - last.begins_s
+            )
         if rng.random() < 0.2:
             slower = last.scaled(float(rng.uniform(0.3, 1.0)))
-            windows = _windows(last, contact_s=slower.certificate.contact_s)
-            self.keep("scaled", last.scene, slower.trajectory, slower.certificate, windows)
+            self.keep("scaled", last.scene, slower.trajectory, slower.certificate)
 
     def change(self, rng: np.random.Generator) -> None:
         """An obstacle comes, moves or goes; or another goal."""
         planner = self.planner
         names = [item.name for item in planner.scene.obstacles if item.name != SEEN]
-        what = rng.choice(["add", "move", "remove", "aim"])
+        if rng.random() < DRIVING:
+            self.drive(rng)
+        what = rng.choice(["add", "move", "track", "remove", "aim"])
         if what == "add" and len(names) < MOST_KNOWN:
-            for item in free(
-                self.drawn, self.home, [draw_item(self.drawn, self.home, rng, f"new {rng.integers(1 << 40)}")]
-            ):
+            for item in free(self.drawn, self.home, [self.item(rng, f"new {rng.integers(1 << 40)}")]):
                 if item["kind"] not in ("mesh", "points"):
                     planner.add(obstacle(item))
         elif what == "remove" and names:
             planner.remove(names[int(rng.integers(len(names)))])
+        elif what == "track" and names:
+            planner.move(names[int(rng.integers(len(names)))], track=Track(**self.track(rng, [0.0, 0.0, 1.0])["track"]))
         elif what == "move" and names:
             name = names[int(rng.integers(len(names)))]
             kind = next((each.kind for each in planner.scene.obstacles if each.name == name), "sphere")
@@ -205,20 +250,35 @@ class _Soak:
         elif what == "aim":
             goals = [q for q in self.drawn.arm.drawn(rng, 10) if self.drawn.arm.has_room(q, 0.02)]
             fruit = str(rng.choice([fruit.name for fruit in planner.scene.fruits]))
-            goal = Goal(fruit=fruit) if rng.random() < 0.5 or not goals else Goal(joints_rad=tuple(goals[0].tolist()))
-            planner.aim(goal=goal)
+            # Where the base drives no fruit is picked.
+            if self.base is None and (rng.random() < 0.5 or not goals):
+                planner.aim(goal=Goal(fruit=fruit))
+            elif goals:
+                planner.aim(goal=Goal(joints_rad=tuple(goals[0].tolist())))
+
+    def drive(self, rng: np.random.Generator) -> None:
+        """The base drives from where it stood, or stands there."""
+        base = self.track(rng, [0.0, 0.0, 0.0], 20.0)["track"] if rng.random() < 0.5 else None
+        with self.driving:
+            self.base = base
+            track = None if base is None else Track(**base)
+            self.planner.scene = self.planner.scene.model_copy(update={"base_track": track})
 
     # Afterwards
 
     def judge(self, say: Callable[[str], None]) -> None:
         """Look at the samples."""
         for number in range(self.samples):
-            kind, known, cloud, windows, from_s = pickle.loads((self.folder / f"{number}.pickle").read_bytes())
+            sample = pickle.loads((self.folder / f"{number}.pickle").read_bytes())
+            known, kind, cloud, allowed, begin_s, from_s, base = sample
             things = things_of(known)
             if cloud >= 0:
                 things.append(Thing({"name": SEEN, "kind": "points", "points": self.clouds[cloud], "radius": BALL_M}))
             motion = Motion.read(self.folder / f"{number}.csv", from_s)
-            found = contacts(self.drawn.arm, motion, things, windows=windows)
+            moves = Moves(base["track"]) if base else None
+            found = contacts(self.drawn.arm, motion, things, base=moves, begin_s=begin_s, windows=allowed)
+            tracked = any("track" in item for item in known)
+            self.tally.looked_in["base drives" if base else "obstacles move" if tracked else "still"] += 1
             self.tally.ticks += len(motion.times)
             for contact in found:
                 self.tally.faults.append({"kind": kind, "sample": number, **vars(contact)})
@@ -263,14 +323,9 @@ def _end_s(plan: PlanResult) -> float:
     return plan.begins_s + plan.trajectory.duration
 
 
-def _windows(
-    plan: PlanResult, since_s: float = 0.0, until_s: float = math.inf, contact_s: tuple[float, float] | None = None
-) -> list[Window]:
-    """When a motion along a plan's path may touch the plan's fruit, on a clock that begins later."""
-    contact_s = plan.certificate.contact_s if contact_s is None else contact_s
-    if contact_s is None or contact_s[1] < since_s:
-        return []
-    return [Window(str(plan.scene.goal.fruit), max(contact_s[0] - since_s, 0.0), min(contact_s[1] - since_s, until_s))]
+def _told(track: Track | None) -> Item:
+    """A track as scenes list it."""
+    return {} if track is None else {"track": track.model_dump(mode="json")}
 
 
 def _digest(scene: Scene) -> str | None:

@@ -133,12 +133,12 @@ def draw_world(drawn: DrawnArm, rng: np.random.Generator, *, moving: bool, camer
         return None
     world = World(*ends, clearance=clearance, begin_s=float(rng.choice([0.0, rng.uniform(-5.0, 50.0)])))
     if moving and rng.random() < 0.5:
-        world = replace(world, base=_track(rng, world.begin_s, rng.uniform(-0.3, 0.3, 3).tolist(), 20.0))
+        world = replace(world, base=draw_track(rng, world.begin_s, rng.uniform(-0.3, 0.3, 3).tolist(), 20.0))
     items = [draw_item(drawn, world, rng, f"o{k}") for k in range(int(rng.integers(2, 9)))]
     if moving:
         for k in range(len(items)):
             if rng.random() < (0.6 if world.base is None else 0.3) or (k == 0 and world.base is None):
-                items[k] = {**items[k], "track": _track(rng, world.begin_s, middle_of(items[k]), 60.0)}
+                items[k] = {**items[k], "track": draw_track(rng, world.begin_s, middle_of(items[k]), 60.0)}
     for k, item in enumerate(items):
         if "track" not in item and rng.random() < 0.15:
             sway = {"direction": tuple(direction(rng).tolist()), "amplitude_m": float(rng.uniform(0.005, 0.05))}
@@ -218,7 +218,7 @@ def middle_of(item: Item) -> list[float]:
     return list(item["center"] if "center" in item else item["position"])
 
 
-def _track(rng: np.random.Generator, begin_s: float, about: list[float], turn_deg: float) -> Item:
+def draw_track(rng: np.random.Generator, begin_s: float, about: list[float], turn_deg: float) -> Item:
     """Somewhere else in a second or a few, and perhaps on from there."""
     count = int(rng.integers(2, 5))
     times = begin_s + np.cumsum(rng.uniform(0.2, 2.0, count)) - rng.uniform(0.0, 1.0)

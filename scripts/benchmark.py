@@ -28,7 +28,6 @@ STUDIES = {
     "clutter": "planar:CLUTTER",
     "trees": "trees:TREES",
     "tours": "trees:TOURS",
-    "narrow": "narrow:NARROW",
     "fastest": "fastest:FASTEST",
     "bound": "planar:BOUND",
     "recheck": "planar:RECHECK",
@@ -42,7 +41,7 @@ STUDIES = {
 }
 
 _DESCRIPTION = """\
-Measure hplan, beside peers with --peer: OMPL's planners, toppra on their paths, IPOPT (extra bench). Times are CPU
+Measure hplan, beside peers with --peer: OMPL's planners, toppra on their paths (extra bench). Times are CPU
 times of a thread; trust ratios within one run. Without names all studies are run that need nothing else.
 """
 
@@ -52,7 +51,6 @@ studies:
   clutter     random planar scenes: searches, motions, toppra and stops on the grid path
   trees       motions among trees, all joints free
   tours       picking tours over a tree each
-  narrow      windows, traps and pinches for three kinds of arm
   fastest     durations with each effort to the best known of 200 problems
   bound       lower bounds of durations beside certified motions
   recheck     certified motions looked at every 0.1 ms from their CSV
@@ -92,7 +90,7 @@ def _parser() -> argparse.ArgumentParser:
     add("--jobs", type=int, default=1, metavar="N", help="processes (default: 1)")
     add("--effort", choices=("quick", "default", "best"), default="default", help="of hplan (default: default)")
     add("--peer", nargs="?", const="RRTConnect", choices=("RRTConnect", "BITstar"), help="let OMPL's planner solve the "
-        "problems too, in fastest IPOPT as well (default of the planner: RRTConnect)")  # fmt: skip
+        "problems too (default: RRTConnect)")  # fmt: skip
     add("--trees", type=Path, metavar="DIR", help="folder of measured trees, a CSV of capsules each")
     add("--files", type=Path, metavar="DIR", help="folder of MotionBenchMaker's sets, panda_SET.json each")
     add("--values", nargs="+", default=[], metavar="NAME=X,Y", help="numbers of a study, as deadlines=20,50 [ms]")

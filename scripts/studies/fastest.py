@@ -4,9 +4,8 @@ The file `best_known.json` says what each problem is made from. In each the stra
 plane of the default arm and of the orchard arm, pinches for both and for arms drawn at random, all with the base
 locked; and measured trees, one at a time, with all joints. A digest of robot and scene makes sure that it is still the
 problem whose best duration is known. A motion counts only if hplan certifies its rows. Others look for quicker ones:
-
-- RRTConnect's paths, and detours by way of random configurations, each finished by hplan with its best effort;
-- IPOPT (`studies.transcription`), from hplan's own motion.
+RRTConnect's paths, and detours by way of random configurations, each finished by hplan with its best effort. IPOPT on
+the whole timed motion, whose durations the file has too, is no longer run.
 """
 
 from __future__ import annotations
@@ -22,10 +21,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from studies.harness import Asked, Row, Study, evenly_chosen
 from studies.measure import planned, smallest
-from studies.narrow import narrow_problem
 from studies.peers import finished_s, ompl_path, seed_ompl, world_of
+from studies.pinches import pinch
 from studies.planar import random_scene
-from studies.transcription import optimized
 from studies.trees import Orchard, measured_orchard
 
 from hplan.base.arrays import FloatArray
@@ -89,8 +87,8 @@ def _made(record: dict[str, Any], trees: Path | None) -> tuple[Robot, Scene]:
         robot = load_robot(record["arm"])
         return robot, random_scene(robot, SEED, record["number"]).scene
     if record["kind"] == "pinch":
-        pinch = narrow_problem(SEED, record["number"], "pinch", record["arm"], record["room_m"])
-        return pinch.robot, pinch.scene
+        drawn = pinch(SEED, record["number"], record["arm"], record["room_m"])
+        return drawn.robot, drawn.scene
     if trees is None:
         raise InputError(f"{record['name']}: the folder of measured trees is not given", name=record["name"])
     orchard = _orchard(record["arm"], trees / f"{record['tree']}.csv", record["distance_m"])
@@ -149,11 +147,9 @@ def _row(asked: Asked, problem: FastestProblem) -> Row:
     record, robot, scene = problem
     row: Row = {"name": record["name"], "group": group_of(record), "certified": True, "fault": False}
     found: dict[str, float | None] = {}
-    starts = []
     for effort in EFFORT_NAMES:
-        result, told = planned(robot, scene, PlanOptions(effort=effort))
+        _, told = planned(robot, scene, PlanOptions(effort=effort))
         found[effort] = told.get("duration_s") if told["certified"] else None
-        starts += [] if result is None else [result.trajectory]
         row |= {f"{effort}_ms": told["ms"], f"{effort}_s": found[effort]}
         row["certified"], row["fault"] = (
             row["certified"] and told["certified"],
@@ -161,8 +157,6 @@ def _row(asked: Asked, problem: FastestProblem) -> Row:
         )
     if asked.peer is not None:
         found |= _others(asked, robot, scene, int(record["digest"], 16))
-        better = optimized(robot, scene, starts)
-        found["ipopt"] = None if better is None else better.duration
     known_s = record["duration_s"] * (1.0 - SHORTER)
     best_s, by = min((known_s, record["by"]), *((s, who) for who, s in found.items() if s is not None))
     improved = best_s < known_s
@@ -200,7 +194,7 @@ FASTEST = Study(
     _row,
     (
         *("certified", *(f"to_best_{effort}" for effort in EFFORT_NAMES), *(f"{effort}_ms" for effort in EFFORT_NAMES)),
-        *("to_best_rrtconnect", "to_best_detours", "to_best_ipopt", "improved", "by"),
+        *("to_best_rrtconnect", "to_best_detours", "improved", "by"),
     ),
     problems=_problems,
     by="group",

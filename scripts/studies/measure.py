@@ -28,7 +28,7 @@ from hplan.scene.model import Scene
 _T = TypeVar("_T")
 
 #: Packages beside those of a report whose versions matter here.
-_PEERS = ("ompl", "casadi", "scipy")
+_PEERS = ("ompl", "scipy")
 
 
 def timed(run: Callable[[], _T]) -> tuple[_T, float]:

@@ -10,9 +10,9 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 from studies.harness import Asked, Row, Study
 from studies.measure import planned, ratio, timed
-from studies.narrow import ARMS, ROOMS, narrow_problem
 from studies.outside import TimedMotion, findings
 from studies.peers import MARGIN_M, peer_row, quickest_polyline, stopping_duration, toppra_motion, world_of
+from studies.pinches import ARMS, ROOMS, pinch
 from studies.planar_cspace import arm_sections, joint_grid
 
 from hplan.base.arrays import FloatArray, IntArray
@@ -217,8 +217,8 @@ def bound_problem(seed: int, number: int) -> tuple[Robot, Scene, str]:
     """Arm, scene and kind of a problem of bounds, from the seed and its number alone."""
     kind, turn = BOUND_KINDS[number % len(BOUND_KINDS)], number // len(BOUND_KINDS)
     if kind == "pinch":
-        pinch = narrow_problem(seed, number, kind, ARMS[turn % len(ARMS)], ROOMS[turn // len(ARMS) % len(ROOMS)])
-        return pinch.robot, pinch.scene, kind
+        drawn = pinch(seed, number, ARMS[turn % len(ARMS)], ROOMS[turn // len(ARMS) % len(ROOMS)])
+        return drawn.robot, drawn.scene, kind
     robot, clearance = load_robot(kind), CLEARANCES[turn % len(CLEARANCES)]
     return robot, random_scene(robot, seed, number).scene.model_copy(update={"clearance": clearance}), kind
 

@@ -1,0 +1,151 @@
+"""Pinches: motions with corners, the base locked, to whose sweep balls are put so close that this room is left.
+
+Each from the seed and its own number alone; along a pinch there always is a motion.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import cache
+from itertools import pairwise
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+from studies.validation.random_scenes import vector
+
+from hplan.base.arrays import FloatArray
+from hplan.errors import HplanError
+from hplan.planning.definition import check_problem
+from hplan.planning.options import PlanOptions
+from hplan.planning.task import PlanningCache
+from hplan.robot.family.members import write_robot
+from hplan.robot.family.spec import ArmSpec
+from hplan.robot.model import Robot, load_robot
+from hplan.scene.model import Goal, Scene, Start
+from hplan.scene.obstacles import Sphere
+
+#: Kinds of arms: those that ship, and members of the family drawn with wide ranges.
+ARMS = ("harvester", "orchard_harvester", "drawn")
+
+#: What balls leave beside the sweep [m].
+ROOMS = (2e-4, 5e-4, 2e-3, 6e-3)
+
+#: Start and goal have so much clearance [m].
+LEAST = 1e-3
+
+#: Balls of a pinch, how many of them leave no more than the room, their radii, and what the others leave more [m].
+BALLS, CLOSE_BALLS, RADII, FARTHER = (6, 12), (2, 4), (0.02, 0.25), (0.005, 0.06)
+
+#: Spacing of the samples of a pinch's motion [rad].
+SAMPLE = math.radians(0.1)
+
+#: Where URDFs of drawn members are written to, which are read again.
+_FOLDER = TemporaryDirectory()
+
+#: Start, goal, and what is drawn about them.
+_Drawn: TypeAlias = tuple[FloatArray, FloatArray, Sequence[Sphere]]
+
+
+class Pinch(NamedTuple):
+    """A problem: its number, the room that is left [m], arm, robot and scene."""
+
+    number: int
+    room_m: float
+    arm: str
+    robot: Robot
+    scene: Scene
+
+
+def pinch(seed: int, number: int, arm: str, room: float) -> Pinch:
+    """The pinch with a number, for one of `ARMS`, with so much room [m]."""
+    random = np.random.default_rng([seed, number])
+    robot = drawn_member(seed, number) if arm == "drawn" else load_robot(arm)
+    while True:
+        if (drawn := _drawn(robot, random, room)) is None:
+            continue
+        start, goal, obstacles = drawn
+        scene = Scene(
+            name=f"narrow-{number}",
+            start=Start(joints_rad=tuple(start.tolist())),
+            goal=Goal(joints_rad=tuple(goal.tolist())),
+            locked_joints=robot.joint_names[:1],
+            obstacles=tuple(obstacles),
+        )
+        if _is_narrow(robot, scene):
+            return Pinch(number, room, arm, robot, scene)
+
+
+def _is_narrow(robot: Robot, scene: Scene) -> bool:
+    """True if planning takes base, start and goal, and the straight motion is not clear."""
+    world = PlanningCache(robot).world(scene, PlanOptions())
+    try:
+        world.check_base(robot.yaw_of(scene.start.configuration))
+        problem = check_problem(
+            world, scene.start.configuration, scene.goal.configuration, locked_joints=scene.locked_joints
+        )
+    except HplanError:
+        return False
+    ends = np.stack([problem.start, problem.goal])
+    return problem.spare_clearance >= LEAST and not world.field.is_clear(ends, 1e-6)
+
+
+@cache
+def drawn_member(seed: int, number: int) -> Robot:
+    """A member of the family with three or four links and wide joint ranges."""
+    random = np.random.default_rng([seed, number, 1])
+    count = int(random.integers(3, 5))
+    lengths = np.sort(random.uniform(0.35, 1.0, count))[::-1]
+    widths = np.sort(random.uniform(0.02, 0.05, count))[::-1]
+    bends = np.radians(random.uniform(100.0, 170.0, (2, count - 1)))
+    spec = ArmSpec(
+        name=f"drawn_{number}",
+        link_lengths=tuple(lengths.tolist()),
+        link_half_widths=tuple(widths.tolist()),
+        link_masses=tuple(random.uniform(1.0, 6.0, count).tolist()),
+        lower=(-math.pi, math.radians(random.uniform(-90.0, -45.0)), *(-bends[0]).tolist()),
+        upper=(math.pi, math.radians(random.uniform(120.0, 160.0)), *bends[1].tolist()),
+        velocity=tuple(random.uniform(1.0, 2.5, count + 1).tolist()),
+        effort=(500.0,) * (count + 1),
+        acceleration=tuple(random.uniform(2.0, 6.0, count + 1).tolist()),
+        shoulder_height=float(random.uniform(0.5, 0.9)),
+    )
+    return load_robot(write_robot(spec, Path(_FOLDER.name) / f"drawn_{seed}_{number}.urdf")[0])
+
+
+def _drawn(robot: Robot, random: np.random.Generator, room: float) -> _Drawn | None:
+    """A motion with a corner or two, and balls in the arm plane beside what it sweeps."""
+    arm = robot.arm
+    corners = random.uniform(arm.lower, arm.upper, (int(random.integers(3, 5)), arm.link_count))
+    parts = []
+    for a, b in pairwise(corners):
+        count = max(2, math.ceil(float(np.abs(b - a).max()) / SAMPLE))
+        parts.append(a + np.linspace(0.0, 1.0, count)[:, None] * (b - a))
+    swept = arm.joint_points(np.concatenate(parts))
+    reach, origin = float(arm.lengths.sum()), robot.plane_origin
+    balls: list[Sphere] = []
+    close, count = int(random.integers(*CLOSE_BALLS)), int(random.integers(*BALLS))
+    for _ in range(40 * count):
+        bearing, distance = random.uniform(-math.pi, math.pi), reach * math.sqrt(random.uniform(0.05, 1.0))
+        center = distance * np.array([math.cos(bearing), math.sin(bearing)])
+        if center[1] < 0.1 - origin[2]:
+            continue
+        left = room if len(balls) < close else room + random.uniform(*FARTHER)
+        radius = _least_distance(swept, arm.half_widths, center) - left
+        if RADII[0] <= radius <= RADII[1]:
+            place = origin + center @ robot.plane_axes
+            balls.append(Sphere(name=f"ball {len(balls)}", center=vector(place), radius=radius))
+        if len(balls) == count:
+            yaw = [0.0] * robot.yaw_joints
+            return np.array([*yaw, *corners[0]]), np.array([*yaw, *corners[-1]]), balls
+    return None
+
+
+def _least_distance(swept: FloatArray, half_widths: FloatArray, center: FloatArray) -> float:
+    """Distance of a point in the plane from links on the way: (n, links + 1, 2) joint points [m]."""
+    first, axis = swept[:, :-1], np.diff(swept, axis=1)
+    along = (((center - first) * axis).sum(axis=2) / (axis**2).sum(axis=2)).clip(0.0, 1.0)
+    distance = np.linalg.norm(first + along[..., None] * axis - center, axis=2) - half_widths
+    return float(distance.min())

@@ -10,15 +10,10 @@ import pytest
 from planned import on_cubics
 
 from hplan.certificate import certificate as certificates
-from hplan.certificate import clearance_proof
-from hplan.certificate.clearance_proof import place_after
-from hplan.certificate.sway import link_bounds, movers, off_axis
+from hplan.certificate.sway import link_bounds, off_axis
 from hplan.collision.coal_scene import CoalScene
-from hplan.errors import InputError, OptionError
-from hplan.robot.base_shapes import GROUND, TURRET
-from hplan.scene.file import load_scene
 from hplan.scene.obstacles import Box, Capsule, Sphere
-from hplan.trajectory.trajectory import Trajectory, cubic_pieces, read_csv, write_csv
+from hplan.trajectory.trajectory import Trajectory
 
 FINE = 1e-4
 
@@ -79,13 +74,6 @@ def grazed_ball(depth, angle):
 # Clearance
 
 
-def test_motion_through_the_obstacle_is_refused(robot, scene):
-    certificate = certify(robot, scene, quintic(robot, np.zeros(4), np.radians([0, 45, 60, 70]), 4.0))
-    assert not certificate.verified
-    assert "ball" in certificate.violations[0]
-    assert certificate.min_clearance_m <= 0.0
-
-
 def test_graze_between_rows_is_refused(robot, scene):
     trajectory = swing(robot, 0.301, 0.901, 0.6, 101)
     scene = scene.with_obstacles([grazed_ball(1e-4, 0.604)])
@@ -105,15 +93,6 @@ def test_near_miss_is_verified_and_its_clearance_close(robot, scene):
         certificate = certify(robot, scene.with_obstacles([grazed_ball(-gap, 0.604)]), trajectory)
         assert certificate.verified, certificate.violations
         assert 0.3 * gap < certificate.min_clearance_m <= gap + 1e-9
-
-
-def test_scene_clearance_is_asked_for(robot, scene):
-    trajectory = swing(robot, 0.301, 0.901, 0.6, 101)
-    scene = scene.with_obstacles([grazed_ball(-0.01, 0.604)])
-    assert certify(robot, scene.model_copy(update={"clearance": 0.0099}), trajectory).verified
-    refused = certify(robot, scene.model_copy(update={"clearance": 0.0101}), trajectory)
-    assert not refused.verified
-    assert refused.min_clearance_m == pytest.approx(0.0101, abs=2e-5)  # where the proof gave up
 
 
 def test_contact_at_an_end_is_refused(robot, scene):
@@ -171,80 +150,6 @@ def test_random_motions_are_judged_as_dense_sampling_judges_them(robot, scene):
     assert min(shown, refused) >= 10
 
 
-class AskedJudge(CoalScene):
-    """Writes down which pair is asked where, and what the answer is."""
-
-    def pair_distances(self, q, *when):
-        distances = super().pair_distances(q, *when)
-        if not hasattr(self, "asked"):  # at the start all are asked at once
-            self.asked = [(np.array(q), dict(enumerate(distances.tolist())))]
-        return distances
-
-    def place(self, q):
-        if not hasattr(self, "asked"):
-            self.asked = []
-        self.asked.append((np.array(q), {}))
-        super().place(q)
-
-    def distances_of(self, pairs):
-        distances = super().distances_of(pairs)
-        self.asked[-1][1].update(zip(pairs.tolist(), distances.tolist(), strict=True))
-        return distances
-
-
-@pytest.mark.parametrize("links", ["capsule", "urdf"])
-def test_pairs_that_are_not_asked_keep_what_is_shown(robot, scene, links):
-    """Among many obstacles most pairs are seldom asked; dense sampling looks at all of them."""
-    rng = np.random.default_rng(11)
-    shown = 0
-    while shown < 6:
-        obstacles = [o.model_copy(update={"name": f"{k}{o.name}"}) for k in range(7) for o in random_obstacles(rng)]
-        world = scene.with_obstacles(obstacles)
-        checker = AskedJudge(robot, world.solids, links=links)
-        start = rng.uniform(robot.lower, robot.upper)
-        trajectory = quintic(robot, start, start + rng.uniform(-0.3, 0.3, 4), 0.5)
-        certificate = certify(robot, world, trajectory, checker=checker)
-        if any(violation.startswith("link") for violation in certificate.violations):
-            continue
-        shown += 1
-        assert certificate.min_clearance_m <= sampled_clearance(checker, trajectory, 5e-4) + 1e-9
-        assert certificate.checks == len(checker.asked)
-        answers = [answer for _, answers in checker.asked for answer in answers.values()]
-        assert certificate.nearest.distance_m == min(answers)
-        # A sound proof takes half of the smallest answer, less what coal may be over; more is not left of what was
-        # never asked for.
-        errors = checker.distance_errors
-        least = min(answer - errors[pair] for _, found in checker.asked for pair, answer in found.items())
-        assert certificate.min_clearance_m == pytest.approx(0.5 * least)
-        assert len(answers) < 0.7 * len(checker.asked) * len(checker.pairs)
-        for q, answers in checker.asked[::5]:
-            table = checker.distances(q)
-            for pair, answer in answers.items():
-                link, obstacle = checker.pairs[pair]
-                assert answer >= table[link, obstacle] - 1e-5  # where coal iterates, from another start
-
-
-def test_refused_motion_reports_the_smallest_distance_at_the_rows_that_follow(robot, scene):
-    rng = np.random.default_rng(13)
-    refused = 0
-    while refused < 12:
-        world = scene.with_obstacles(random_obstacles(rng))
-        checker = CoalScene(robot, world.solids)
-        start, end = rng.uniform(robot.lower, robot.upper, (2, 4))
-        trajectory = quintic(robot, start, end, 0.4)
-        depths = np.array([checker.distances(q).min() for q in trajectory.position])
-        if depths[0] <= 1e-3 or depths.min() > -1e-3:
-            continue
-        refused += 1
-        certificate = certify(robot, world, trajectory, checker=checker)
-        assert not certificate.verified
-        assert certificate.min_clearance_m == pytest.approx(depths.min(), abs=1e-9)
-        assert certificate.nearest.distance_m == pytest.approx(depths.min(), abs=1e-9)
-        wide = certify(robot, world, trajectory, checker=checker, tracking_error=0.01)
-        after = [(checker.distances(q) - robot.sway(0.01)[:, None]).min() for q in trajectory.position]
-        assert wide.min_clearance_m == pytest.approx(min(after), abs=1e-9)
-
-
 def test_no_more_is_certified_than_what_is_left_when_the_motion_ends_before_the_next_look(robot, scene):
     """The stretched arm turns straight towards a ball, as fast as can be bounded, and stops at some distance."""
     ball = Sphere(name="far", center=(0.0, 2.0, 0.6), radius=0.05)
@@ -280,49 +185,6 @@ def test_links_that_are_no_capsules_are_bounded_off_their_axes(robot, scene):
             assert moved <= axes[link] + off[link] + 1e-12
             beyond.append(moved > axes[link] + 1e-9)
     assert any(beyond)
-    # And the proof uses it: the same beams as capsules have more left.
-    trajectory = quintic(robot, start, start + np.array([0.1, 0.2, 0.2, 0.2]), 0.4)
-    travels = []
-    for links in ("box", "capsule"):
-        checker = CoalScene(robot, scene.solids, links=links)
-        bezier, _ = cubic_pieces(trajectory)
-        search = clearance_proof.Advancement(robot, bezier, checker, np.full((1, 4), 0.01), 0.0)
-        travels.append((search.movers[1, :3, -1], search.movers[0, :3, 0]))
-    for more, less in zip(*travels, strict=True):
-        assert (more > less + 1e-3).all()
-
-
-def test_pair_that_may_touch_is_as_good_as_not_there(robot, scene):
-    apart = Sphere(name="apart", center=(-1.5, 0.0, 1.0), radius=0.1)
-    inside = Sphere(name="inside", center=(2.0, 0.0, 0.6), radius=0.1)
-    trajectory = quintic(robot, np.zeros(4), np.array([0.0, 0.1, 0.0, 0.0]))
-    alone = scene.with_obstacles([inside])
-    refused = certify(robot, alone, trajectory, checker=CoalScene(robot, alone.solids))
-    assert not refused.verified
-    shown = certify(robot, alone, trajectory, checker=CoalScene(robot, alone.solids).touching("inside"))
-    assert shown.verified
-    assert 0.0 < shown.min_clearance_m < np.inf
-    assert shown.nearest.link != refused.nearest.link
-    other = scene.with_obstacles([apart])
-    assert certify(robot, other, trajectory, checker=CoalScene(robot, other.solids).touching("apart")).verified
-
-
-def test_place_reached_by_a_travel():
-    travel = np.array([0.0, 0.0, 1.0, 1.0, 3.0])
-    places = np.linspace(0.0, 4.0, 401)
-    reached = np.interp(places, range(5), travel)
-    for at in (0.0, 0.5, 1.0, 1.25, 2.0, 2.9, 3.5):
-        for part in (0.1, 0.5, 1.1):
-            place = place_after(travel, at, part)
-            limit = np.interp(at, range(5), travel) + part
-            if place == np.inf:
-                assert limit >= 3.0 - 1e-12
-            else:
-                assert np.interp(place, range(5), travel) == pytest.approx(limit)
-                assert place > at
-                assert (reached[places <= place] <= limit + 1e-12).all()
-    assert place_after(travel, 4.0, 0.1) == np.inf
-    assert place_after(np.zeros(2), 0.0, 1e-9) == np.inf
 
 
 # Limits
@@ -335,14 +197,6 @@ def test_velocity(robot, scene, share, verified):
     assert certificate.limit_use.velocity == pytest.approx(share, abs=1e-9)
     assert certificate.verified is verified
     assert [v.split()[0] for v in certificate.violations] == ([] if verified else ["velocity"])
-
-
-def test_velocity_between_rows(robot, scene):
-    # Parabola of velocity between rows at zero speed: its extreme, 1.5 times the mean, is between them.
-    q = np.array([[0, 0.2, 0.1, 0.1], [0, 1.2, 0.1, 0.1]])
-    certificate = certify(robot, scene.with_obstacles([]), rows(robot, [0.0, 1.2], q, np.zeros((2, 4))))
-    assert certificate.limit_use.velocity == pytest.approx(1.5 / 1.2 / robot.velocity_limit[1])
-    assert [v.split()[0] for v in certificate.violations] == ["velocity", "acceleration"]
 
 
 @pytest.mark.parametrize(("share", "verified"), [(1.0, True), (1.005, False)])
@@ -422,46 +276,7 @@ def test_tracking_error_covers_every_deviation(robot, scene):
             assert checker.distances(q + deviation).min() > certificate.min_clearance_m
 
 
-def test_tracking_error_can_refuse(robot, scene):
-    trajectory = swing(robot, 0.301, 0.901, 0.6, 101)
-    # Away from their lower limits, where the elbow and the wrist would be refused for their position.
-    position = trajectory.position + np.array([0.0, 0.0, 0.05, 0.05])
-    trajectory = rows(robot, trajectory.time, position, trajectory.velocity)
-    world = scene.with_obstacles([grazed_ball(-0.02, 0.7)])
-    assert certify(robot, world, trajectory).verified
-    refused = certify(robot, world, trajectory, tracking_error=0.03)
-    assert not refused.verified
-    assert "bead" in refused.violations[0]
-
-
-@pytest.mark.parametrize("value", [-1e-3, np.nan, np.inf])
-def test_bad_tracking_error(robot, scene, value):
-    with pytest.raises(OptionError) as error:
-        certify(robot, scene, rows(robot, [0.0], np.zeros((1, 4)), np.zeros((1, 4))), tracking_error=value)
-    assert error.value.data["option"] == "tracking_error"
-
-
 # Trajectories from elsewhere
-
-
-def test_csv_is_judged_as_the_trajectory_it_was_written_from(robot, scene, tmp_path):
-    trajectory = quintic(robot, np.radians([0, 0, 0, 0]), np.radians([20, 10, 10, 10]), 2.0)
-    again = read_csv(write_csv(trajectory, tmp_path / "t.csv"))
-    assert certify(robot, scene, again) == certify(robot, scene, trajectory)
-
-
-def test_velocity_column_counts(robot, scene):
-    """Rows of a straight motion that claim to stand still: the controller would stop and go."""
-    time = np.linspace(0.0, 2.0, 101)
-    position = np.linspace([0, 0.2, 0.2, 0.2], [0, 0.6, 0.4, 0.4], 101)
-    true_velocity = np.tile((position[-1] - position[0]) / 2.0, (101, 1))
-    empty = scene.with_obstacles([])
-    assert certify(robot, empty, rows(robot, time, position, true_velocity)).verified
-    claimed = certify(robot, empty, rows(robot, time, position, 0 * position))
-    assert [v.split()[0] for v in claimed.violations] == ["acceleration", "torque"]
-    assert claimed.limit_use.acceleration == pytest.approx(
-        (6.0 * np.abs(np.diff(position, axis=0)).max(axis=0) / 0.02**2 / robot.acceleration_limit).max()
-    )
 
 
 def test_velocity_column_that_leads_into_the_obstacle(robot, scene):
@@ -477,37 +292,12 @@ def test_velocity_column_that_leads_into_the_obstacle(robot, scene):
     assert any("above" in violation for violation in certificate.violations)
 
 
-def test_other_joints_are_refused(robot, scene):
-    names = (*robot.joint_names[:3], "thumb")
-    zero = np.zeros((1, 4))
-    with pytest.raises(InputError, match="thumb"):
-        certify(robot, scene, Trajectory(names, np.zeros(1), zero, zero, zero, zero))
-
-
 def test_single_row(robot, scene):
     certificate = certify(robot, scene, rows(robot, [0.0], np.zeros((1, 4)), np.zeros((1, 4))))
     assert certificate.verified
     expected = CoalScene(robot, scene.solids).distances(np.zeros(4)).min()
     assert 0.4 * expected < certificate.min_clearance_m <= expected + 1e-12
     assert certificate.limit_use.velocity == 0.0
-
-
-@pytest.mark.parametrize("turn_deg", [5.0, 10.0, 15.0, 20.0, 25.0, 29.0])
-def test_no_more_is_shown_than_there_is_where_few_looks_do(robot, scene, turn_deg):
-    """The stretched arm turns towards a ball: its tip comes nearer by all that it travels, until one look would do."""
-    tip = robot.tool_positions(np.radians([35.0, 0.0, 0.0, 0.0]))
-    ball = scene.with_obstacles([Sphere(name="ball", center=tuple(tip.tolist()), radius=0.05)])
-    motion = quintic(robot, np.zeros(4), np.radians([turn_deg, 0.0, 0.0, 0.0]))
-    certificate = certify(robot, ball, motion)
-    least = CoalScene(robot, ball.solids).distances(motion.position[-1]).min()
-    assert 0.4 * least < certificate.min_clearance_m <= least + 1e-9
-
-
-def test_without_obstacles_the_clearance_is_infinite(robot, scene):
-    certificate = certify(robot, scene.with_obstacles([]), quintic(robot, np.zeros(4), np.full(4, 0.3)))
-    assert certificate.verified
-    assert certificate.min_clearance_m == np.inf
-    assert certificate.nearest is None
 
 
 # Rest and the columns that a controller may feed forward
@@ -545,13 +335,6 @@ def test_motions_one_after_the_other(robot, scene):
     assert certificates.all_of([parts[0], parts[0]]).verified
 
 
-def test_single_row_with_velocity_is_refused(robot, scene):
-    still = rows(robot, [0.0], np.zeros((1, 4)), np.zeros((1, 4)))
-    assert certify(robot, scene, still, rest_to_rest=True).verified
-    moving = replace(still, velocity=np.full((1, 4), 1000.0))
-    assert not certify(robot, scene, moving, rest_to_rest=True).verified
-
-
 @pytest.mark.parametrize("column", ["acceleration", "torque"])
 def test_column_beyond_the_limit_is_refused(robot, scene, column):
     motion = quintic(robot, np.zeros(4), np.array([0.0, 0.2, 0.1, 0.1]))
@@ -570,18 +353,3 @@ def test_travel_of_links_is_that_of_plain_numpy(robot, spoilt):
     turns = np.abs(np.cumsum(robot.arm.signs * rates[..., robot.arm_slice], axis=2)).max(axis=1)
     expected = np.cumsum(robot.arm.lengths * turns, axis=1) + np.abs(rates[..., :1]).max(axis=1) * robot.yaw_radius
     np.testing.assert_array_equal(link_bounds(robot, rates), expected)
-
-
-@pytest.mark.parametrize("links", ["capsule", "urdf"])
-@pytest.mark.parametrize("count", [0, 1, 5])
-def test_each_pair_has_the_mover_that_its_bodies_say(robot, links, count):
-    solids = load_scene("orchard-row").solids_with_goal[:count]
-    checker = CoalScene(robot, solids, links=links, clearance=0.01)
-    mover_of, others = movers(checker)
-    all_movers = [*((link, GROUND) for link in range(len(checker.link_names))), *others]
-    seen_from = [GROUND] * (len(checker.pairs) - len(checker.own_others)) + checker.own_others
-    assert len(mover_of) == len(checker.pairs)
-    assert len(set(all_movers)) == len(all_movers)
-    for mover, (body, _), other in zip(mover_of, checker.pairs, seen_from, strict=True):
-        part = body if body < len(checker.link_names) else TURRET
-        assert all_movers[mover] == (part, other)

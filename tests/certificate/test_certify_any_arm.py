@@ -19,13 +19,12 @@ from hplan.certificate.goal_contact import OFFSET, TURN, contact_window, instant
 from hplan.collision.coal_scene import CoalScene
 from hplan.collision.coal_shapes import solid_shape
 from hplan.collision.collision_bodies import body_shapes, collision_bodies
-from hplan.collision.reach import largest_sway, reach, reach_ball
+from hplan.collision.reach import reach_ball
 from hplan.collision.touching_pairs import self_pairs
-from hplan.errors import ConfigurationInCollisionError, InputError, RobotFamilyError
+from hplan.errors import InputError
 from hplan.online.arm_shape import arm_solids
-from hplan.planning.world import check_clear
 from hplan.robot.model import Robot
-from hplan.scene.model import Fruit, Goal, Scene, Start
+from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Box, Capsule, Sphere
 from hplan.scene.solids import Cloud
 from hplan.scene.tracks import Track
@@ -247,23 +246,6 @@ def test_clouds_and_what_stands_still(load):
     assert any("'pole'" in line and "'base_link', which does not move" in line for line in certificate.violations)
 
 
-def test_start_in_contact_with_itself_is_named(load):
-    robot = load("toy")
-    rng, checker = np.random.default_rng(17), CoalScene(robot, ())
-    touching = next(
-        q for q in rng.uniform(robot.lower, robot.upper, (500, robot.dof)) if checker.in_collision(q[None])[0]
-    )
-    with pytest.raises(ConfigurationInCollisionError) as caught:
-        check_clear(checker, touching, 0.0, "start")
-    assert caught.value.data["link"] in checker.link_names
-
-
-def test_what_needs_the_planar_family_says_so(load):
-    robot = load("toy")
-    with pytest.raises(RobotFamilyError, match="'wrist_2'"):
-        assert robot.has_yaw
-
-
 def test_digest_says_what_may_touch_and_how_joints_are(load):
     robot = load("toy")
     assert robot_digest(robot) == robot_digest(replace(robot))
@@ -343,24 +325,6 @@ def test_bends_of_the_tool_are_bounded(load, name):
                 assert curved <= bound + 1e-6
 
 
-def test_a_fruit_is_a_goal_of_any_robot(load):
-    robot = load("toy")
-    grasp = np.array([0.3, -1.2, 1.4, -0.6, 1.1, 0.4])
-    motion = straight_in(robot, grasp, 0.12)
-    rows = motion.position[:61]
-    velocity = motion.velocity[:61].copy()
-    velocity[-1] = 0.0
-    zero = np.zeros_like(rows)
-    motion = Trajectory(robot.joint_names, 20.0 * motion.time[:61], rows, velocity / 20.0, zero, zero)
-    fruit = Fruit(name="apple", center=tuple(robot.tool_positions(grasp)), radius=0.03)
-    scene = Scene(name="apple", start=Start(joints_rad=tuple(rows[0])), goal=Goal(fruit="apple"), fruits=(fruit,))
-    certificate = certify(robot, scene, motion)
-    assert not [line for line in certificate.violations if "comes to" in line or "tool" in line]
-    assert certificate.contact_s is not None
-    whole = certify(robot, scene, motion, checker=CoalScene(robot, scene.solids_with_goal))
-    assert [line for line in whole.violations if "'apple'" in line]
-
-
 @pytest.mark.parametrize("name", ["seven", "lift"])
 def test_obstacles_that_move(load, name):
     """A ball flies past, or through, an arm that moves slowly; against coal at close times."""
@@ -400,11 +364,3 @@ def test_ball_of_all_bodies_holds_them(load, name):
             away = np.linalg.norm(solid.core - centre, axis=1).max() + solid.rounding
             assert away <= radius + 1e-9
     assert len(arm_solids(robot, q)) == len(collision_bodies(robot))
-
-
-def test_sway_of_any_robot(load, robot):
-    seven = load("seven")
-    off = np.full(seven.dof, 0.01)
-    assert largest_sway(seven, off) == (reach(seven) @ off).max()
-    assert largest_sway(robot, np.full(robot.dof, 0.01)) == robot.sway(0.01).max()
-    assert seven.yaw_of(np.ones(7)) == 0.0

@@ -2,33 +2,30 @@
 
 from __future__ import annotations
 
-import itertools
 import math
-import pickle
 from dataclasses import replace
 
 import coal
 import numpy as np
 import pytest
-from arm_variants import axis_points, random_obstacles
-from fitted_arms import Bodies, box, distance, fitted, mesh, quintic, scene_of
-from studies.planar_cspace import arm_sections, joint_grid
+from arm_variants import axis_points
+from fitted_arms import Bodies, box, distance, fitted, quintic, scene_of
+from studies.planar_cspace import joint_grid
 
 from hplan.certificate.certificate import certify
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.coal_scene import CoalScene
-from hplan.errors import BlockedError, ConfigurationInCollisionError, InputError, NoPathError
+from hplan.errors import ConfigurationInCollisionError, InputError, NoPathError
 from hplan.grid.occupancy import occupancy
 from hplan.grid.prepared_obstacles import prepare_obstacles
-from hplan.grid.sections import only, sections_at
+from hplan.grid.sections import sections_at
 from hplan.planning.joint_ranges import MARGIN, joint_ranges
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
 from hplan.planning.world import World
 from hplan.robot.base_shapes import BASE_DEPTH, GROUND, TURRET, always, base_shapes, ever, turret_radius
-from hplan.robot.folding import Fold, folded_angles, folds
+from hplan.robot.folding import Fold, folded_angles
 from hplan.robot.self_contact import pair_rates, pair_sway, self_contact
-from hplan.scene.model import Goal
 from hplan.scene.obstacles import Box, Capsule, Sphere
 
 COUNTERWEIGHT = box((0.5, 0.1, 0.1), (-0.3, 0.0, 0.45))
@@ -82,23 +79,6 @@ def test_a_counterweight_does_not_sweep_through_a_post(tmp_path):
     assert result.certificate.verified
     least = min(bodies.from_obstacles(q, solids) for q in result.trajectory.position[::4])
     assert least >= result.certificate.min_clearance_m > 0.0
-
-
-def test_the_ways_around_are_found(tmp_path):
-    # By more than a whole turn of the base there are two yaws for a point, and one is on this side of the post.
-    robot = fitted(tmp_path, {"turret": [COUNTERWEIGHT]}, yaw_deg=350.0)
-    position = robot.tool_positions(np.radians([120.0, 10.0, 10.0, 10.0])).tolist()  # out of reach backwards
-    scene = scene_of(REST, obstacles=[POST], goal=Goal(position=tuple(position)))
-    result = plan(robot, scene)
-    assert result.certificate.verified
-    assert math.degrees(result.grasp.goal[0]) == pytest.approx(-240.0)
-    bodies, solids = Bodies(robot), solids_of([POST])
-    assert min(bodies.clearance(q, solids) for q in result.trajectory.position[::4]) > 0.0
-    # With less than that there is one, which is said to be blocked, and by what.
-    near = fitted(tmp_path, {"turret": [COUNTERWEIGHT]}, name="near")
-    with pytest.raises(BlockedError) as caught:
-        plan(near, scene)
-    assert {(found["link"], found["obstacle"]) for found in caught.value.obstacles} == {("turret", "post")}
 
 
 def test_turns_are_taken_up_to_the_obstacle(tmp_path):
@@ -185,14 +165,6 @@ def test_what_the_turret_grazes_from_above_is_in_its_way(tmp_path, kind, depth):
         obstacle = Box(name="kerb", center=(0.0, 0.3, top - 0.05), size=(0.1, 0.1, 0.1))
     motion = quintic(robot, REST, (-170.0, *REST[1:]))
     assert bool(shown(certify(robot, scene_of(REST, FAR, [obstacle]), motion))) == (depth < 0.0)
-
-
-def test_round_turrets_are_looked_at_once(robot):
-    checker = CoalScene(robot, [POST])
-    assert turret_radius(robot) == 0.0
-    assert checker.mover_names == checker.link_names
-    assert checker.own_others == []
-    assert joint_ranges(checker, np.zeros(4)).walls == ()
 
 
 def test_what_the_turret_may_not_touch_counts_with_its_uncertainty(tmp_path):
@@ -304,42 +276,6 @@ def test_a_mast_on_the_turret_is_asked_against_every_link(tmp_path):
     assert min(bodies.clearance(q) for q in result.trajectory.position[::4]) > 0.0
 
 
-def test_a_mast_beside_the_arm_plane_is_no_pair(tmp_path):
-    robot = fitted(tmp_path, {"turret": [box((0.05, 0.05, 0.8), (0.3, 0.15, 1.2))]})
-    assert not self_contact(robot).possible
-    assert self_contact(robot, clearance=0.08).possible
-
-
-def test_a_cabinet_on_the_pedestal_is_asked_against_the_upper_arm(tmp_path):
-    robot = fitted(tmp_path, {"base_link": [box((0.2, 0.2, 1.0), (0.6, 0.0, 0.5))]})
-    assert [(body.carrier, body.links[0], body.is_round) for body in self_contact(robot).bodies] == [(GROUND, 0, False)]
-    start, goal = (-90.0, 2.0, 90.0, 0.0), (90.0, 2.0, 90.0, 0.0)
-    certificate = certify(robot, scene_of(start), quintic(robot, start, goal))
-    assert not shown(certificate)
-    assert (certificate.nearest.link, certificate.nearest.obstacle) == ("upper_arm", "base_link")
-    result = plan(robot, scene_of(start, goal))
-    assert result.certificate.verified
-    bodies = Bodies(robot)
-    assert min(bodies.clearance(q) for q in result.trajectory.position[::4]) >= result.certificate.min_clearance_m > 0.0
-
-
-def test_thick_layers_hold_what_stands_on_the_pedestal(tmp_path):
-    robot = fitted(tmp_path, {"base_link": [box((0.2, 0.2, 1.0), (0.6, 0.0, 0.5))]})
-    checker, grid = CoalScene(robot, []), joint_grid(robot.arm, math.radians(15.0))
-    nodes = grid.coordinates(np.stack(np.unravel_index(np.arange(grid.size), grid.shape), axis=-1))
-    middle, half_angle, contacts = 0.4, 0.2, 0
-    thin, thick = (
-        occupancy(robot.arm, sections_at(robot, prepare_obstacles([]), middle, half_angle=half), grid).occupied.ravel()
-        for half in (0.0, half_angle)
-    )
-    assert (thin <= thick).all()
-    for node, occupied, inside in zip(nodes, thick, thin, strict=True):
-        if checker.distances([middle - 0.95 * half_angle, *node]).min() < -1e-6:
-            assert occupied
-            contacts += not inside
-    assert contacts > 10
-
-
 def test_what_carries_the_shoulder_is_left_out_and_nothing_else(tmp_path):
     forks = [box((0.08, 0.011, 0.108), (0.0, y, 0.546)) for y in (-0.0365, 0.0365)]
     beside = box((0.1, 0.1, 0.3), (0.2, 0.0, 0.35))
@@ -413,19 +349,6 @@ def test_distances_and_sections_of_what_is_on_the_base_are_those_of_coal(tmp_pat
                 for body in only_them.bodies:
                     near[body.carrier] += float(table[:, checker.obstacle_names.index(body.name)].min()) < 0.05
     assert min(near.values()) > 100
-
-
-def test_a_clearance_field_near_a_motion_keeps_what_turns_with_the_arm(tmp_path):
-    robot = fitted(tmp_path, {"turret": [box((0.05, 0.05, 0.8), (0.4, 0.0, 1.2))]})
-    obstacles = random_obstacles(np.random.default_rng(2))
-    field = ClearanceField.of(robot, obstacles).sparing(np.arange(len(obstacles)) == 1)
-    for yaw in (-2.5, 1.0):
-        q = np.array([yaw, 0.3, 0.2, 0.1])
-        near = field.near([q, q], 0.3)
-        alone = ClearanceField.of(robot, []).link_clearances(q)
-        assert alone[0] < 0.3
-        assert near.link_clearances(q)[0] <= alone[0]
-        np.testing.assert_allclose(field.only(np.zeros(len(obstacles), bool)).link_clearances(q), alone, atol=1e-12)
 
 
 @pytest.mark.parametrize(("at", "link"), [((0.8, 0.0, 0.95), 0), ((1.9, 0.0, 1.2), 2)])
@@ -512,14 +435,6 @@ def test_an_elbow_does_not_pass_through_its_fold(tmp_path):
     assert uncertain.value.blockers[0]["slices_deg"][0] < low - 0.5
 
 
-def test_neighbours_that_lie_beside_each_other_do_not_fold(tmp_path):
-    robot = fitted(tmp_path, low=-179.0, high=(90.0, 179.0), lengths=(1.0, 0.7), widths=(0.05, 0.04))
-    apart = robot.with_arm(replace(robot.arm, lateral=np.array([0.0, 0.0901])))
-    assert self_contact(apart.with_arm(replace(apart.arm, lateral=np.array([0.0, 0.0899])))).folds
-    assert folds(apart.arm, 0.0, 0.0) == ()
-    assert folds(apart.arm, 1e-3, 0.0) != ()
-
-
 # Limits, tracking error and clearance
 
 
@@ -554,19 +469,6 @@ def test_what_a_deviation_or_a_clearance_brings_together_is_asked(tmp_path):
     assert "upper_arm" not in checker.obstacle_names
     assert not shown(certify(robot, scene_of(end), motion, tracking_error=0.01, checker=checker))
     assert "upper_arm" in checker.covering(0.01, 0.0).obstacle_names
-
-
-def test_a_scene_made_anew_knows_what_may_be_touched_and_grows(tmp_path):
-    robot = fitted(tmp_path, {"turret": [COUNTERWEIGHT], "base_link": [box((0.1,) * 3, (0.4, 0.0, 0.45))]})
-    ball = Sphere(name="ball", center=(0.0, 0.62, 0.45), radius=0.05)
-    checker = CoalScene(robot, [ball, POST], growth=[0.01, 0.0]).touching("post")
-    wider = checker.covering(0.02, 0.01)
-    q = np.array([1.5, 0.4, 0.3, 0.2])
-    for other in (wider, pickle.loads(pickle.dumps(wider))):
-        assert (other.deviation, other.clearance) == (0.02, 0.01)
-        np.testing.assert_allclose(other.distances(q), checker.distances(q))
-        assert other.distances(q)[2, 1] == np.inf  # the last link; the turret may not
-        assert other.distances(q)[3, 1] < np.inf
 
 
 def test_pairs_of_the_turret_move_with_the_yaw_alone(tmp_path):
@@ -611,28 +513,6 @@ def test_certified_motions_of_random_arms_touch_nothing(tmp_path):
 # Tools
 
 
-@pytest.mark.parametrize("kind", ["box", "mesh"])
-@pytest.mark.parametrize("hung", [False, True])
-def test_a_gripper_is_in_the_last_link(tmp_path, kind, hung):
-    """Off the axis, on `tool0` or on a fixed link farther out: its capsule lies where it is thinnest."""
-    half, at = np.array([0.05, 0.02, 0.03]), np.array([0.02, 0.06, -0.01])
-    corners = half * np.array(list(itertools.product((-1, 1), repeat=3)))
-    shape = box(2.0 * half, at) if kind == "box" else mesh(tmp_path / "gripper.obj", corners, at)
-    out = np.array([0.03, 0.0, 0.02]) if hung else np.zeros(3)
-    more, fixed = ({}, {"gripper": ("tool0", out, shape)}) if hung else ({"tool0": [shape]}, {})
-    robot = fitted(tmp_path, more, hung=fixed)
-    points = corners + at + out  # from the tool, x along the link
-    beyond = np.maximum(points[:, 0], 0.0)
-    beside = np.append(np.linspace(-0.1, 0.1, 20_001), -robot.arm.lateral[-1])  # the plane's normal is -y
-    radii = np.sqrt(beyond**2 + (points[:, 1] - beside[:, None]) ** 2 + points[:, 2] ** 2).max(axis=1)
-    radii = np.maximum(radii, np.abs(beside) + 0.03)  # and the hand's own
-    # A cylinder beside the axis counts as the polygon about it.
-    assert radii[-1] - 1e-9 <= robot.arm.half_widths[-1] <= radii[-1] + 0.0013 * 0.03
-    assert radii[-1] <= radii.min() + 0.0013 * 0.03
-    assert beside[-1] > 0.01
-    assert robot.arm.half_widths[:-1] == pytest.approx([0.05, 0.04])
-
-
 def test_fixed_links_count_wherever_they_hang(tmp_path):
     shape = box((0.1, 0.1, 0.1), (0.0, 0.0, 0.0))
     hung = {
@@ -648,46 +528,3 @@ def test_fixed_links_count_wherever_they_hang(tmp_path):
     assert [(a.name, b.name) for a, b in self_contact(robot).turret] == [("mast", "cabinet")]
     ball = Sphere(name="ball", center=(-0.5, 0.0, 0.3), radius=0.05)
     assert not shown(certify(robot, scene_of(REST, obstacles=[ball]), quintic(robot, (0, 0, 0, 0), (140, 0, 0, 0))))
-
-
-# Links in the C-space
-
-
-def test_own_contact_of_four_links_is_where_it_is(tmp_path):
-    """A link meets one before it as far as both are thick, whatever lies between."""
-    rng = np.random.default_rng(17)
-    contacts = 0
-    for number in range(6):
-        lengths = rng.uniform(0.3, 0.6, 4).round(3).tolist()
-        robot = fitted(
-            tmp_path, low=-150.0, high=150.0, lengths=lengths, widths=(0.1, 0.08, 0.08, 0.06), name=f"four{number}"
-        )
-        sections = arm_sections(robot, [])
-        grid = joint_grid(robot.arm, math.radians(30.0))
-        nodes = grid.coordinates(np.stack(np.unravel_index(np.arange(grid.size), grid.shape), axis=-1))
-        points = robot.arm.joint_points(nodes)
-        widths = robot.arm.half_widths
-        for i, j in self_contact(robot).links:
-            ours = occupancy(robot.arm, only(sections, j, sections.obstacle_names.index(robot.arm.link_names[i])), grid)
-            apart = _apart(points[:, i], points[:, i + 1], points[:, j], points[:, j + 1]) - widths[i] - widths[j]
-            sure = np.abs(apart) > 1e-9
-            np.testing.assert_array_equal(ours.occupied.ravel()[sure], (apart < 0.0)[sure])
-            contacts += int((apart < 0.0).sum())
-    assert contacts > 1000
-
-
-def _apart(a, b, c, d):
-    """Distances of segments a-b and c-d of a plane."""
-
-    def from_point(p, start, end):
-        along = end - start
-        t = np.clip(((p - start) * along).sum(axis=1) / (along**2).sum(axis=1), 0.0, 1.0)
-        return np.linalg.norm(p - start - t[:, None] * along, axis=1)
-
-    def side(p, start, end):
-        along, off = end - start, p - start
-        return along[:, 0] * off[:, 1] - along[:, 1] * off[:, 0]
-
-    least = np.min([from_point(a, c, d), from_point(b, c, d), from_point(c, a, b), from_point(d, a, b)], axis=0)
-    crossing = (side(a, c, d) * side(b, c, d) < 0.0) & (side(c, a, b) * side(d, a, b) < 0.0)
-    return np.where(crossing, 0.0, least)

@@ -13,17 +13,15 @@ from any_arms import GANTRY
 import hplan
 from hplan.apps.cli.main import main
 from hplan.apps.execution.recorded_motion import read_motion
-from hplan.apps.view.motion_data import motion_data
-from hplan.apps.view.playback import Playback
 from hplan.certificate.certificate import certify
 from hplan.certificate.sway import largest_deviations
-from hplan.errors import InputError, JointLimitError, NotOnMotionError, RobotFileError, StartStateError, TimingError
+from hplan.errors import InputError, JointLimitError, RobotFileError, TimingError
 from hplan.robot.model import load_robot
 from hplan.robot.tracking import TrackingModel
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Sphere
 from hplan.scene.tracks import Track
-from hplan.trajectory import limits_of, read_waypoints, time_waypoints
+from hplan.trajectory import read_waypoints
 from hplan.trajectory.time_scaling import scaled
 from hplan.trajectory.trajectory import Trajectory
 
@@ -118,33 +116,6 @@ def test_a_motion_that_does_not_end_at_rest_is_not_scaled_and_it_is_said_why() -
     with pytest.raises(TimingError, match=r"'rail' at 0 m/s with an acceleration of 0.187 m/s\^2") as error:
         scaled(motion(), 0.5, ROBOT)
     assert error.value.data["cause"] == "not at rest at the end"
-
-
-def test_charts_of_what_slides_are_in_metres() -> None:
-    charts = motion_data(ROBOT, scene(), Playback(motion()))["charts"]
-    assert [chart["units"] for chart in charts] == [["m", "deg"], ["m/s", "deg/s"], ["m/s²", "deg/s²"], ["N", "N m"]]
-    assert [chart["limit"][0] for chart in charts] == [2.0, 2.0, 5.0, 500.0]
-    assert charts[1]["limit"][1] == pytest.approx(math.degrees(2.0), abs=1e-3)
-
-
-def test_what_is_said_of_what_slides_is_in_metres() -> None:
-    going = replace(motion(), velocity=motion().velocity + np.array([0.01, 0.0]))
-    (begins, ends) = certify(ROBOT, scene(), going, check_ends=False, tracking_error=0.02).violations[:2]
-    assert (begins, ends) == tuple(
-        f"the motion {where} with joint 'rail' at 0.01 m/s, not at rest" for where in ("begins", "ends")
-    )
-    moving = scene().start.model_copy(update={"velocity_rad_s": (3.0, 0.0)})
-    with pytest.raises(StartStateError, match="'rail' has the velocity 3 m/s; its limit is 2 m/s"):
-        hplan.plan(ROBOT, scene().model_copy(update={"start": moving}))
-    with pytest.raises(JointLimitError, match=r"waypoint 2: joint 'rail' is at 2.5 m, outside") as beyond:
-        time_waypoints(ROBOT.model, [[0.0, 0.0], [2.5, 0.0]], limits_of(ROBOT.model, 1.0))
-    assert beyond.value.data["value_m"] == 2.5
-    planner = hplan.Planner(ROBOT, scene())
-    planner.plan(begins_s=0.0)
-    with pytest.raises(NotOnMotionError, match=r"'rail' is 0.3 m from .*; a tracking error of 0 m is covered"):
-        planner.stop_at(0.1, now=0.0, measured=BEGIN + np.array([0.3, 0.0]))
-    assert TrackingModel(0.01).summary((True, False)) == "0.573 deg, 10 mm where a joint slides"
-    assert TrackingModel(0.01, 0.002).summary((True,)) == "10 mm + 2 ms of velocity"
 
 
 def test_limits_of_what_slides_are_in_metres(tmp_path: Path) -> None:

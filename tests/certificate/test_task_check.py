@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -27,12 +25,6 @@ def free():
 @pytest.fixture(scope="module")
 def motion(robot, free):
     return hplan.plan(robot, free).trajectory
-
-
-def off(joint, by):
-    values = list(GOAL)
-    values[joint] += by
-    return tuple(values)
 
 
 @pytest.mark.parametrize("joint", range(4))
@@ -149,12 +141,3 @@ def test_obstacle_in_the_base_is_refused(robot, free, motion):
                 hplan.plan(robot, scene)
             # Among solids of the caller's own nothing is asked about the base.
             assert certify(robot, scene, motion, checker=CoalScene(robot, scene.solids)).verified
-
-
-def test_each_end_at_rest_on_its_own(robot, free, motion):
-    for row, word in ((0, "begins"), (-1, "ends")):
-        velocity = np.array(motion.velocity)
-        velocity[row, 2] = 1e-4
-        (violation,) = certify(robot, free, replace(motion, velocity=velocity)).violations
-        assert violation.startswith(f"the motion {word} with joint ")
-        assert certify(robot, free, replace(motion, velocity=velocity), rest_to_rest=False).verified

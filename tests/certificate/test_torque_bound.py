@@ -113,18 +113,6 @@ def test_torque_that_jumps_at_rows_is_seen_on_both_sides(tmp_path):
         assert [violation.split()[0] for violation in certificate.violations] == ["torque"]
 
 
-def test_torque_between_rows_far_apart(robot):
-    """Two rows at rest, 1 s apart: at speed, half-way, the elbow pulls the most."""
-    position = np.array([[0.0, 1.0, 0.05, 0.05], [1.0, 0.2, 1.4, 0.9]])
-    bezier, duration = cubic_pieces(hermite(robot, np.array([0.0, 1.0]), position, 0.0 * position))
-    true = np.abs(sampled(robot, bezier, duration, 4001)[0])
-    bound = largest_torques(robot.dynamics, bezier, duration, robot.torque_limit)
-    ends = true[[0, -1]].max(axis=0)
-    assert (true.max(axis=0) > 1.05 * ends).any()
-    joint = int((bound / robot.torque_limit).argmax())
-    assert bound[joint] == pytest.approx(true[:, joint].max(), abs=1.1 * GAP * robot.torque_limit[joint])
-
-
 @pytest.mark.parametrize("joint", [1, 2, 3])
 def test_bound_of_one_joint_that_turns_slowly(tmp_path, joint):
     """Gravity alone: the remainder is close to the truth, so that every half of an interval needs both its ends."""
@@ -139,16 +127,6 @@ def test_bound_of_one_joint_that_turns_slowly(tmp_path, joint):
         bezier, duration = cubic_pieces(hermite(robot, np.array([0.0, 40.0 * span]), position, velocity))
         true = np.abs(sampled(robot, bezier, duration, 501))[..., joint].max()
         assert true * (1.0 - 1e-9) <= largest_torques(robot.dynamics, bezier, duration, limit)[joint] <= 1.001 * true
-
-
-@pytest.mark.parametrize("length", [1.0, 1e3, 1e9])
-def test_a_pause_takes_no_samples(robot, length, monkeypatch):
-    position = np.tile([0.0, 0.3, 0.5, 0.2], (2, 1))
-    bezier, duration = cubic_pieces(hermite(robot, np.array([0.0, length]), position, 0.0 * position))
-    monkeypatch.setattr(torque_bound, "SAMPLES", 0)
-    monkeypatch.setattr(torque_bound, "SAMPLES_PER_PIECE", 0)
-    bound = largest_torques(robot.dynamics, bezier, duration, robot.torque_limit)
-    np.testing.assert_allclose(bound, np.abs(robot.dynamics.gravity(position[:1])[0]), rtol=1e-12)
 
 
 def test_without_samples_to_spare_the_bound_holds_all_the_same(robot, monkeypatch):

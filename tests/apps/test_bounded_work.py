@@ -45,7 +45,7 @@ def certified_as_required(*arguments, **options):
     return certificate
 
 
-@pytest.mark.parametrize("value", [1e3, 1e9, 1e100, 1e300, -1e300, 1.7e308])
+@pytest.mark.parametrize("value", [1e9, -1e300, 1.7e308])
 @pytest.mark.parametrize("column", ["position", "velocity", "acceleration", "torque"])
 def test_one_cell(robot, scene, motion, tmp_path, column, value):
     values = np.array(getattr(motion, column))

@@ -16,7 +16,6 @@ import pytest
 import hplan
 from hplan.apps.cli.job_folder import JobFolder
 from hplan.apps.cli.main import main
-from hplan.apps.cli.terminal import run_command
 from hplan.errors import HplanError, OutputError
 from hplan.scene.obstacles import PointCloud
 
@@ -155,34 +154,21 @@ def test_a_signal_that_is_ignored_stays_so(tmp_path: Path) -> None:
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 7
 
 
-def test_signals_are_as_before_when_a_command_has_ended() -> None:
-    before = [signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGHUP)]
-    assert run_command(lambda *_: 3) == 3
-    assert [signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGHUP)] == before
-
-
 @pytest.mark.parametrize(
     "arguments",
     [
         ["--rate", "fast"],
-        ["--nothing"],
-        ["a", "b"],
         ["certfy"],
         ["missing.yaml"],
         ["broken.yaml"],
         ["--limits", "broken.yaml"],
         ["--step", "1e-308"],
-        ["--rate", "1e9"],
-        ["n" * 300],
-        ["--robot", "n" * 300],
         ["tour", "--every", "x"],
         ["tour", "--fruits", "no such"],
         ["time", "harvester", "missing.csv", "--scene", "table-1"],
-        ["time", "harvester", "broken.yaml"],
         ["certify", "out", "--report", "out/report.json"],
         ["certify", "out", "--report", "out/trajectory.csv"],
         ["view", "out", "--no-serve", "--out", "out/trajectory.csv"],
-        ["view", "n" * 300],
         ["orchard", "--import", "broken.yaml"],
     ],
     ids=lambda words: " ".join(words)[:60],
@@ -252,14 +238,6 @@ def test_files_follow_the_umask(tmp_path: Path) -> None:
     assert {"motion.mcap", "cspace.html"} < {path.name for path in made}
 
 
-def test_help_leaves_an_earlier_job_alone(tmp_path: Path) -> None:
-    (tmp_path / "trajectory.csv").write_text("an earlier job's")
-    with pytest.raises(SystemExit) as ended:
-        main(["--out", str(tmp_path), "--help"])
-    assert not ended.value.code
-    assert names(tmp_path) == {"trajectory.csv"}
-
-
 # Terminals that cannot take it
 
 SCENE = """
@@ -290,13 +268,10 @@ def shell(command: str, folder: Path, **environment: str) -> subprocess.Complete
 @pytest.mark.parametrize(
     ("command", "said"),
     [
-        ("hplan", ""),
         ("hplan > /dev/full", "cannot write to standard output: No space left on device\n"),
         ("hplan | head -c 0", ""),
-        ("hplan >&-", ""),
         ("hplan <&- >&- 2>&-", ""),
         ("hplan > /dev/full 2> /dev/full", ""),
-        ("PYTHONUNBUFFERED=1 hplan > /dev/full", "cannot write to standard output: No space left on device\n"),
     ],
 )
 def test_what_the_terminal_cannot_take_changes_nothing(command: str, said: str, tmp_path: Path) -> None:
@@ -313,12 +288,8 @@ def test_a_fault_is_one_whatever_the_terminal(command: str, tmp_path: Path) -> N
 
 @pytest.mark.parametrize(
     "environment",
-    [
-        {"PYTHONIOENCODING": "ascii"},
-        {"PYTHONIOENCODING": "latin-1"},
-        {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"},
-    ],
-    ids=["ascii", "latin-1", "the C locale"],
+    [{"PYTHONIOENCODING": "ascii"}, {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}],
+    ids=["ascii", "the C locale"],
 )
 def test_a_name_that_the_terminal_cannot_show(environment: dict[str, str], tmp_path: Path) -> None:
     (tmp_path / "scene.yaml").write_text(SCENE, encoding="utf-8")
@@ -353,20 +324,7 @@ def test_a_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: py
     assert names(tmp_path) == {"report.json"}
 
 
-@pytest.mark.skipif(os.geteuid() != 0, reason="only root may mount a small disk")
-def test_a_disk_that_is_really_full(tmp_path: Path) -> None:
-    if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=256k", "tmpfs", tmp_path], check=False).returncode != 0:
-        pytest.skip("a small disk cannot be mounted here")
-    try:
-        done = shell("hplan --quiet --out .", tmp_path)
-        assert done.returncode == 2
-        assert "No space left on device" in done.stderr
-        assert names(tmp_path) <= {"report.json"}
-    finally:
-        subprocess.run(["umount", tmp_path], check=True)
-
-
-@pytest.mark.parametrize("name", sorted(SCRIPTS))
+@pytest.mark.parametrize("name", ["hplan", "time_waypoints"])
 def test_commands_run_nothing_of_the_working_directory(name: str, tmp_path: Path) -> None:
     """But for `python -m`, which looks there by itself unless told not to."""
     for module in ("yaml", "rich", "numpy"):

@@ -15,12 +15,10 @@ import numpy as np
 import pytest
 
 import hplan
-from hplan.apps.view.motion_data import LARGEST_SHARE, STRETCHES, certificate_words, motion_data
+from hplan.apps.view.motion_data import STRETCHES, motion_data
 from hplan.apps.view.page import MOST_VIOLATIONS, render_page
 from hplan.apps.view.playback import Playback
 from hplan.base.data_files import view_asset
-from hplan.certificate.certificate import Certificate
-from hplan.certificate.limit_use import LimitUse
 from hplan.collision.coal_scene import Contact
 from hplan.planning.plan import Phase, PlanResult
 from hplan.robot.model import Robot
@@ -98,16 +96,6 @@ def test_a_long_motion_keeps_its_peaks_in_few_points(robot: Robot) -> None:
     assert min(data["charts"][3]["shares"][0]) == -2000
 
 
-def test_a_joint_without_room_or_with_huge_values_stays_on_the_paper(robot: Robot) -> None:
-    trajectory = waving(robot, 50)
-    stuck = replace(robot, velocity_limit=np.zeros(robot.dof))
-    huge = replace(trajectory, velocity=np.where(np.arange(50)[:, None] == 7, 1e300, 0.0) * np.ones(robot.dof))
-    (velocity,) = [c for c in motion_data(stuck, load_scene(), Playback(huge))["charts"] if c["title"] == "Velocity"]
-    shares = np.array(velocity["shares"])
-    assert (shares[:, 7] == 1e3 * LARGEST_SHARE).all()
-    assert (np.delete(shares, 7, axis=1) == 0).all()
-
-
 def test_the_clearance_is_the_certificates(robot: Robot, playback: Playback, result: PlanResult) -> None:
     clearance = motion_data(robot, load_scene("trellis"), playback)["clearance"]
     curve = result.certificate.clearance_curve
@@ -119,15 +107,6 @@ def test_the_clearance_is_the_certificates(robot: Robot, playback: Playback, res
     names = {name for pair in clearance["pairs"] for name in pair}
     assert "forearm" in names
     assert max(clearance["nearest"]) < len(clearance["pairs"])
-
-
-def test_where_nothing_is_to_meet_or_certain_there_are_nulls(robot: Robot, playback: Playback) -> None:
-    assert playback.curve is not None
-    curve = replace(playback.curve, clearance_m=np.full(len(playback.curve.time), -np.inf))
-    clearance = motion_data(robot, load_scene(), replace(playback, clearance_curve=curve))["clearance"]
-    assert set(clearance["certain"]) == {None}
-    assert None not in clearance["distance"]
-    assert motion_data(robot, load_scene(), replace(playback, certificate=None))["clearance"] is None
 
 
 def test_phases_say_which_fruit_they_are_about(robot: Robot) -> None:
@@ -167,25 +146,6 @@ def test_a_motion_that_is_not_certified_says_so_and_why(robot: Robot, result: Pl
     assert "and 3 more" in section
 
 
-def test_without_a_certificate_the_page_says_that(robot: Robot, result: PlanResult) -> None:
-    page = render_page(robot, load_scene("trellis"), Playback(result.trajectory))
-    assert "<b>no certificate</b>" in page
-    assert data_of(page)["clearance"] is None
-
-
-def test_words_of_certificates() -> None:
-    use = LimitUse(0.5, 0.5, 0.5, 0.5)
-    clear = Certificate(True, 0.0123456, Contact("hand", "post", 0.02), use, 1, ())
-    assert certificate_words(clear)[:2] == (
-        "ok",
-        "clearance 12.34 mm or more at all times; nearest: hand – post, 20.00 mm",  # noqa: RUF001
-    )
-    assert certificate_words(replace(clear, min_clearance_m=np.inf, nearest=None)) == ("ok", "nothing to meet", [])
-    assert certificate_words(replace(clear, verified=False, min_clearance_m=-0.001, violations=("no", "no"))) == (
-        "bad", "smallest clearance found -1.00 mm, tracking errors taken off; nearest: hand – post, 20.00 mm", ["no"],  # noqa: RUF001
-    )  # fmt: skip
-
-
 @pytest.mark.parametrize("name", ["</script><b>x", '"><img src=x onerror=alert(1)>', "${title}", "früh & spät"])
 def test_names_of_obstacles_and_fruits_cannot_break_the_panel(robot: Robot, result: PlanResult, name: str) -> None:
     certificate = replace(result.certificate, verified=False, nearest=Contact(name, name, 0.1), violations=(name,))
@@ -212,22 +172,6 @@ def test_the_panel_is_self_contained_and_small(robot: Robot, page: str, playback
         assert not re.search(r"https?://|@import|url\(|innerHTML|document\.write|\beval\b", view_asset(asset))
     assert len(json.dumps(data_of(page))) < 100_000
     assert render_page(robot, load_scene("trellis"), playback) == page
-
-
-def test_a_tour_of_a_minute_is_a_page_of_two_megabytes_at_most(robot: Robot) -> None:
-    phases = [Phase("transit", float(k), k + 1.0) for k in range(60)]
-    picked = {fruit.name: 2.0 * k + 1.0 for k, fruit in enumerate(load_scene("tour").fruits)}
-    page = render_page(robot, load_scene("tour"), Playback(waving(robot, 15_000), picked, phases=phases))
-    assert len(page) < 2_500_000
-    assert len(json.dumps(data_of(page))) < 250_000
-
-
-def test_an_arm_at_rest_has_no_panel(robot: Robot) -> None:
-    row = np.zeros((1, robot.dof))
-    page = render_page(robot, load_scene(), Playback(Trajectory(robot.joint_names, [0.0], row, row, row, row)))
-    assert '<body class="picture">' in page
-    assert "player" not in page.split("<body")[1].split("<script")[0]
-    assert 'id="motion"' not in page
 
 
 # In a browser.

@@ -5,8 +5,6 @@ import math
 import re
 import shutil
 import subprocess
-import sys
-import urllib.request
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,14 +17,11 @@ from PIL import Image
 from shapes import crate
 
 from hplan.apps.view import three_js as three
-from hplan.apps.view.page import render_page, serve, write_page
+from hplan.apps.view.page import render_page
 from hplan.apps.view.playback import Playback
-from hplan.apps.view.scene_stage import APPROACH_COLOR, FRAME_RATE_HZ, MOST_FRAMES, REST_S, keyframe_times, stage
+from hplan.apps.view.scene_stage import FRAME_RATE_HZ, REST_S, keyframe_times, stage
 from hplan.apps.view.scenery import OTHER
-from hplan.errors import InputError, OutputError
-from hplan.planning.plan import Phase
-from hplan.robot.family.members import ArmSpec, write_robot
-from hplan.robot.model import Robot, load_robot
+from hplan.robot.model import Robot
 from hplan.scene.file import load_scene
 from hplan.scene.model import Fruit, Goal, Scene, Start
 from hplan.scene.obstacles import Box, Capsule, Mesh, PointCloud, Sphere
@@ -56,12 +51,6 @@ def motion(robot: Robot, goal: Any = GOAL, *, duration: float = 2.0, rate: float
     position = (10 * x**3 - 15 * x**4 + 6 * x**5)[:, None] * np.asarray(goal)
     nothing = np.zeros_like(position)
     return Trajectory(robot.joint_names, time, position, nothing, nothing, nothing)
-
-
-def standing(robot: Robot, q: Any = None) -> Trajectory:
-    row = np.zeros((1, robot.dof)) if q is None else np.array([q])
-    nothing = np.zeros_like(row)
-    return Trajectory(robot.joint_names, np.zeros(1), row, nothing, nothing, nothing)
 
 
 def orchard(**changes: Any) -> Scene:
@@ -139,18 +128,6 @@ def test_the_animation_puts_every_visual_geometry_where_pinocchio_puts_it(robot:
         np.testing.assert_allclose(poses[item.name][:3, 3], placement.translation, atol=1e-5, err_msg=item.name)
 
 
-def test_the_visual_colours_of_the_urdf_are_kept(robot: Robot) -> None:
-    colors = set()
-    for path, item in objects(stage(robot, load_scene(), Playback(motion(robot)))).items():
-        if path.startswith("/hplan/arm"):
-            colors |= {surface["color"] for surface in item["materials"]}
-    expected = {
-        sum(round(255 * float(value)) << shift for value, shift in zip(item.meshColor[:3], (16, 8, 0), strict=True))
-        for item in robot.visual_model.geometryObjects
-    }
-    assert colors == expected
-
-
 def test_it_plays_in_real_time_again_and_again(robot: Robot) -> None:
     animation = animation_of(stage(robot, load_scene(), Playback(motion(robot, duration=2.0))))
     assert animation["options"]["play"] is True
@@ -165,31 +142,6 @@ def test_it_plays_in_real_time_again_and_again(robot: Robot) -> None:
         assert times[-1] == 2.0 + REST_S
         assert np.diff(times[:-1]).max() <= 1.001 / FRAME_RATE_HZ
         assert len(track["values"]) == 4 * len(times)
-
-
-def test_a_long_tour_has_no_more_keyframes_than_the_page_can_take(robot: Robot) -> None:
-    times = keyframe_times(motion(robot, duration=100.0, rate=50.0))
-    assert len(times) == MOST_FRAMES + 1
-    assert (times[0], times[-1]) == (0.0, 100.0)
-
-
-def test_few_samples_are_all_keyframes(robot: Robot) -> None:
-    trajectory = motion(robot, duration=2.0, rate=10.0)
-    np.testing.assert_array_equal(keyframe_times(trajectory), trajectory.time)
-
-
-def test_the_page_is_self_contained(robot: Robot) -> None:
-    page = render_page(robot, load_scene(), Playback(motion(robot)))
-    assert "MeshCat.Viewer" in page
-    assert not re.search(r"""(src|href)\s*=\s*["']?(https?:)?//""", page)
-    assert not re.search(r"@import|url\(", page.split("</style>")[0])
-    assert len(page) < 1_500_000
-
-
-def test_the_same_input_gives_the_same_page(robot: Robot) -> None:
-    assert render_page(robot, orchard(), Playback(motion(robot))) == render_page(
-        robot, orchard(), Playback(motion(robot))
-    )
 
 
 def test_obstacles_and_fruits_are_where_the_scene_has_them(robot: Robot) -> None:
@@ -221,20 +173,6 @@ def test_names_cannot_break_the_page(robot: Robot, name: str) -> None:
     assert "<b>" not in page.split('<script type="application/json"')[0]
 
 
-def test_a_single_sample_is_an_arm_that_stands_still(robot: Robot) -> None:
-    commands = commands_of(render_page(robot, load_scene(), Playback(standing(robot, GOAL))))
-    assert not [c for c in commands if c["type"] == "set_animation"]
-    paths = objects(commands)
-    assert any(path.startswith("/hplan/arm") for path in paths)
-    assert not any("pose" in path or "tool path" in path for path in paths)
-
-
-def test_a_motion_in_place_has_no_tube(robot: Robot) -> None:
-    trajectory = motion(robot, np.zeros(robot.dof))
-    body = objects(stage(robot, load_scene(), Playback(trajectory)))["/hplan/tool path"]
-    assert [mesh["name"] for mesh in body["object"]["children"]] == ["start", "goal"]
-
-
 def test_the_tool_path_goes_through_the_tool_positions(robot: Robot) -> None:
     trajectory = motion(robot)
     body = objects(stage(robot, load_scene(), Playback(trajectory)))["/hplan/tool path"]
@@ -245,23 +183,6 @@ def test_the_tool_path_goes_through_the_tool_positions(robot: Robot) -> None:
     assert distance.max() < 0.01
     assert np.isfinite(data["attributes"]["normal"]["array"]).all()
     assert max(data["index"]["array"]) == 10 * len(rings) - 1
-
-
-def test_the_approach_is_apart_and_the_way_back_is_not_drawn_twice(robot: Robot) -> None:
-    trajectory = motion(robot)
-    phases = (Phase("transit", 0.0, 1.0), Phase("approach", 1.0, 1.4), Phase("retreat", 1.4, 2.0))
-    body = objects(stage(robot, load_scene(), Playback(trajectory, phases=phases)))["/hplan/tool path"]
-    start, goal, way, approach = body["object"]["children"]
-    assert [mesh["name"] for mesh in (start, goal, way, approach)] == ["start", "goal", "way", "approach"]
-    tool = robot.tool_positions(trajectory.position)
-    np.testing.assert_allclose(matrix_of(goal)[:3, 3], tool[350], atol=1e-6)  # the end of the approach
-    attributes = {g["uuid"]: g["data"]["attributes"] for g in body["geometries"] if g["type"] == "BufferGeometry"}
-    for mesh, first, last in ((way, 0, 250), (approach, 250, 350)):
-        rings = np.reshape(attributes[mesh["geometry"]]["position"]["array"], (-1, 10, 3)).mean(axis=1)
-        np.testing.assert_allclose(rings[[0, -1]], tool[[first, last]], atol=1e-5)
-    colors = np.reshape(attributes[approach["geometry"]]["color"]["array"], (-1, 3))
-    expected = [(APPROACH_COLOR >> shift & 0xFF) / 255 for shift in (16, 8, 0)]
-    np.testing.assert_allclose(colors, np.tile(expected, (len(colors), 1)), atol=1e-3)
 
 
 def test_meshes_and_clouds_are_drawn(robot: Robot) -> None:
@@ -301,42 +222,6 @@ def test_the_camera_holds_arm_and_obstacles(robot: Robot) -> None:
         assert abs(point @ right) < depth * half_height * 1.3
 
 
-def test_the_camera_does_not_stand_back_for_the_ground(robot: Robot) -> None:
-    trajectory, scene = motion(robot, (1.2, *GOAL[1:])), orchard()
-    ground = Box(name="ground", center=(0.0, 0.0, -0.051), size=(6.0, 6.0, 0.1))
-    places = [
-        next(
-            c["value"]
-            for c in stage(robot, one, Playback(trajectory))
-            if c["path"] == "/Cameras/default/rotated/<object>"
-        )
-        for one in (scene, scene.with_obstacles([*scene.obstacles, ground]))
-    ]
-    assert places[0] == places[1]
-
-
-@pytest.mark.parametrize("has_yaw", [True, False])
-def test_other_arms(tmp_path: Path, has_yaw: bool) -> None:
-    joints = 2 + has_yaw
-    spec = ArmSpec(
-        name="short",
-        link_lengths=(0.5, 0.4),
-        link_half_widths=(0.03, 0.02),
-        link_masses=(2.0, 1.0),
-        lower=(-1.0,) * joints,
-        upper=(1.5,) * joints,
-        velocity=(1.0,) * joints,
-        effort=(100.0,) * joints,
-        acceleration=(2.0,) * joints,
-        has_yaw=has_yaw,
-    )
-    urdf, limits = write_robot(spec, tmp_path / "short.urdf")
-    arm = load_robot(urdf, limits=limits)
-    trajectory = motion(arm, np.full(joints, 0.5))
-    poses = replayed(stage(arm, load_scene(), Playback(trajectory)), len(keyframe_times(trajectory)) - 1)
-    assert len(poses) == len(arm.visual_model.geometryObjects)
-
-
 def test_every_kind_of_shape() -> None:
     mesh = coal.BVHModelOBBRSS()
     mesh.beginModel(1, 3)
@@ -357,50 +242,6 @@ def test_every_kind_of_shape() -> None:
     nothing = three.Body()
     three.add_shape(nothing, coal.Halfspace(np.array([0.0, 0.0, 1.0]), 0.0), {}, np.eye(4))
     assert len(nothing) == 0
-
-
-def test_a_trajectory_of_another_robot_is_refused(robot: Robot) -> None:
-    row = np.zeros((1, 2))
-    other = Trajectory(("a", "b"), np.zeros(1), row, row, row, row)
-    with pytest.raises(InputError, match="moves a, b"):
-        render_page(robot, load_scene(), Playback(other))
-
-
-def test_write_page(robot: Robot, tmp_path: Path) -> None:
-    path = write_page(robot, load_scene(), Playback(motion(robot)), tmp_path / "scene.html")
-    assert path.read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
-
-
-def test_a_path_that_cannot_be_written(robot: Robot, tmp_path: Path) -> None:
-    with pytest.raises(OutputError, match=r"scene\.html"):
-        write_page(robot, load_scene(), Playback(motion(robot)), tmp_path / "missing" / "scene.html")
-
-
-def test_a_page_needs_no_import_of_meshcat() -> None:
-    code = (
-        "import sys, numpy as np\n"
-        "from hplan.robot.model import load_robot\n"
-        "from hplan.scene.file import load_scene\n"
-        "from hplan.trajectory.trajectory import Trajectory\n"
-        "from hplan.apps.view.page import render_page\n"
-        "from hplan.apps.view.playback import Playback\n"
-        "row = np.zeros((1, 4))\n"
-        "robot = load_robot()\n"
-        "render_page(robot, load_scene(), Playback(Trajectory(robot.joint_names, np.zeros(1), row, row, row, row)))\n"
-        "assert not {'meshcat', 'zmq', 'matplotlib'} & set(sys.modules)\n"
-    )
-    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
-
-
-def test_the_live_server_answers_and_ends(robot: Robot, capsys: pytest.CaptureFixture[str]) -> None:
-    with serve(robot, load_scene(), Playback(motion(robot, duration=0.5))) as view:
-        assert view.running
-        with urllib.request.urlopen(view.url, timeout=10) as answer:
-            assert b"MeshCat" in answer.read()
-        view.wait(0.01)
-        assert view.running
-    assert not view.running
-    assert capsys.readouterr().out == ""
 
 
 @pytest.mark.browser

@@ -69,14 +69,6 @@ def test_a_job_is_served_and_its_scene_is_found(job: Path, served: list[str]) ->
     assert served == ["trellis"]
 
 
-def test_a_page_elsewhere_is_not_served(job: Path, tmp_path: Path, served: list[str]) -> None:
-    (job / "scene.html").unlink()
-    assert main(["view", str(job), "--out", str(tmp_path / "page.html"), "--quiet"]) == 0
-    assert (tmp_path / "page.html").is_file()
-    assert not (job / "scene.html").exists()
-    assert served == []
-
-
 def test_a_trajectory_by_itself(job: Path, served: list[str]) -> None:
     """In a scene that it was not planned for: nothing is compared, and its page is no job's."""
     before = (job / "scene.html").read_bytes()
@@ -141,11 +133,8 @@ def test_the_robot_of_a_job_is_that_of_its_report(
     ("change", "says"),
     [
         ({"phases": None}, "what happens when"),
-        ({"phases": [{"name": "transit"}]}, "what happens when"),
-        ({"grasp": []}, ""),
         ({"grasp": "tool"}, "what happens when"),
         ({"files": "trajectory.csv"}, "files: expected names"),
-        ({"files": ["none.csv"]}, "none.csv"),
         ({"certificate": None}, "no report of a plan with digests"),
     ],
 )
@@ -164,32 +153,3 @@ def test_what_is_read_is_not_replaced(job: Path, name: str, capsys: pytest.Captu
     assert main(["view", str(job), "--out", str(job / name)]) == 2
     assert "another file than those that are read" in capsys.readouterr().err
     assert (job / name).read_bytes() == before
-
-
-def test_a_folder_without_a_job(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["view", str(tmp_path)]) == 2
-    assert "report.json" in capsys.readouterr().err
-
-
-def test_interrupting_the_live_view_is_its_end(
-    job: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    closed: list[bool] = []
-
-    class Server:
-        url = "http://127.0.0.1:7000/static/"
-
-        def __enter__(self) -> Server:
-            return self
-
-        def __exit__(self, *_: object) -> None:
-            closed.append(True)
-
-        def wait(self) -> None:
-            raise KeyboardInterrupt
-
-    monkeypatch.setattr("hplan.apps.view.page.serve", lambda *_, **__: Server())
-    for arguments in (["view", str(job), "--quiet"], ["plan", "--view", "--quiet", "--out", str(job)]):
-        assert main(arguments) == 0
-        assert closed.pop()
-        assert capsys.readouterr().out == f"serving the scene at {Server.url} (interrupt to stop)\n"

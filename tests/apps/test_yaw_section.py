@@ -5,7 +5,7 @@ import json
 import math
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,7 @@ from hplan.apps.view.figure_style import png_bytes, write_png
 from hplan.apps.view.playback import Playback
 from hplan.apps.view.yaw_section import YawSection, yaw_section
 from hplan.collision.coal_scene import CoalScene
-from hplan.errors import InputError, OptionError, OutputError
+from hplan.errors import InputError, OutputError
 from hplan.grid.grid import Grid
 from hplan.planning.options import PlanOptions
 from hplan.robot.family.members import HARVESTER, write_robot
@@ -31,13 +31,6 @@ from hplan.scene.obstacles import Capsule, Sphere
 from hplan.trajectory.trajectory import Trajectory
 
 GOAL = (math.radians(30.0), math.pi / 4, math.pi / 3, math.radians(70.0))
-
-
-@dataclass(frozen=True)
-class Part:
-    name: str
-    start_s: float
-    end_s: float
 
 
 def motion(robot: Robot, goal: Any = GOAL) -> Trajectory:
@@ -99,21 +92,6 @@ def test_the_region_is_where_coal_finds_the_arm_in_collision(robot: Robot, secti
     assert decided > 20
 
 
-def test_the_motion_is_evenly_spaced_and_knows_its_yaw(robot: Robot, section: YawSection) -> None:
-    np.testing.assert_allclose(section.path[[0, -1]], [np.zeros(3), GOAL[1:]], atol=1e-9)
-    gaps = np.linalg.norm(np.diff(section.path, axis=0), axis=1)
-    np.testing.assert_allclose(gaps, gaps.mean(), rtol=1e-6)
-    np.testing.assert_allclose(section.yaw_distance[[0, -1]], [GOAL[0], 0.0], atol=1e-9)
-    np.testing.assert_allclose(section.times, np.linspace(0.0, 2.0, len(section.times)), atol=1e-6)
-
-
-def test_another_yaw_is_another_region(robot: Robot, section: YawSection) -> None:
-    other = yaw_section(robot, scene(), Playback(motion(robot)), yaw=0.0)
-    assert other.yaw == 0.0
-    np.testing.assert_allclose(other.yaw_distance[[0, -1]], [0.0, GOAL[0]], atol=1e-9)
-    assert ((other.field < 0.0) != (section.field < 0.0)).any()
-
-
 def test_fruits_to_pick_are_no_part_of_the_region(robot: Robot, section: YawSection) -> None:
     """The goal's fruit never is, others not where they are named."""
     all_of_it = yaw_section(robot, scene(goal=Goal(position=(0.8, 0.46, 1.3))), Playback(motion(robot)))
@@ -133,14 +111,6 @@ def test_clearance_uncertainty_and_tracking_error_grow_the_region(robot: Robot, 
     assert (is_point_set.field < sure.field).all()
 
 
-def test_what_follows_the_approach_is_left_out(robot: Robot) -> None:
-    cut = yaw_section(
-        robot, scene(), Playback(motion(robot), phases=(Part("approach", 0.5, 1.0), Part("retreat", 1.0, 2.0)))
-    )
-    np.testing.assert_allclose(cut.path[-1], 0.5 * np.array(GOAL[1:]), atol=1e-9)
-    assert cut.yaw == pytest.approx(0.5 * GOAL[0])
-
-
 def test_without_obstacles_nothing_is_forbidden(robot: Robot) -> None:
     free = yaw_section(robot, scene(obstacles=(), fruits=(), goal=Goal(position=(1, 0, 1))), Playback(motion(robot)))
     assert np.isfinite(free.field).all()
@@ -148,22 +118,6 @@ def test_without_obstacles_nothing_is_forbidden(robot: Robot) -> None:
     assert len(surface_net(free.field)[1]) == 0
     assert "/hplan/forbidden" not in render_cspace_page(free, "free")
     assert png_bytes(cspace_at_yaw(free))
-
-
-def test_a_motion_in_place(robot: Robot) -> None:
-    row = np.array([GOAL])
-    nothing = np.zeros_like(row)
-    still = Trajectory(robot.joint_names, np.zeros(1), row, nothing, nothing, nothing)
-    section = yaw_section(robot, scene(), Playback(still))
-    np.testing.assert_allclose(section.path, np.tile(GOAL[1:], (len(section.path), 1)))
-    assert not [c for c in commands_of(render_cspace_page(section, "still")) if c["type"] == "set_animation"]
-    assert png_bytes(cspace_at_yaw(section))
-
-
-@pytest.mark.parametrize("yaw", [4.0, math.nan, math.inf])
-def test_a_yaw_that_the_arm_cannot_have(robot: Robot, yaw: float) -> None:
-    with pytest.raises(OptionError, match="degrees from -180 to 180"):
-        yaw_section(robot, scene(), Playback(motion(robot)), yaw=yaw)
 
 
 def test_an_arm_of_two_links_and_a_foreign_trajectory(robot: Robot, tmp_path: Path) -> None:

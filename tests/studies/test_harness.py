@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
 
-import numpy as np
 import pytest
 from studies import harness
-from studies.harness import Asked, Row, Study, compare, evenly_chosen, plain, run, summary, told_of
-
-from hplan.errors import InputError
+from studies.harness import Asked, Row, Study, compare, run, summary, told_of
 
 SOLVED: list[int] = []
 
@@ -50,12 +45,6 @@ def test_rows_come_in_order_on_any_executor() -> None:
     assert [row["name"] for row in run(STUDY, Asked(count=2, first=3))] == ["3", "4"]
 
 
-def test_what_is_needed_is_asked_for() -> None:
-    study = Study("toy", "numbers", _row, (), needs=("trees", "robot"))
-    with pytest.raises(InputError, match="toy: needs --trees and --robot"):
-        list(run(study, Asked(count=1)))
-
-
 def test_summary_has_groups_and_faults() -> None:
     lines = summary(STUDY, list(run(STUDY, Asked(count=5))))
     assert lines[2:7] == [
@@ -75,14 +64,3 @@ def test_runs_are_compared_problem_by_problem() -> None:
     lines = compare(before, after, ("ms", "good"))
     assert lines[0] == "4 rows before, 4 after, 3 of the same problems"
     assert lines[4:] == ["| ms | 3 | 2 | 2 / 2 / 2 | 3 more, 0 less |", "| good | 3 | 1: True -> False |  |  |"]
-
-
-def test_chosen_problems_are_spread_over_each_group() -> None:
-    problems = [f"{group}{i}" for group in "ab" for i in range(9)]
-    assert evenly_chosen(problems, 3, lambda problem: problem[0]) == ["a1", "a4", "a7", "b1", "b4", "b7"]
-    assert evenly_chosen(problems, None, lambda problem: problem[0]) == problems
-
-
-def test_rows_are_json() -> None:
-    value: dict[str, Any] = {"a": np.float64(1.5), "b": (math.nan, np.int64(2)), "c": np.bool_(True)}
-    assert plain(value) == {"a": 1.5, "b": [None, 2], "c": True}

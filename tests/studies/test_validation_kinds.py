@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +14,6 @@ from studies.validation.kinds import (
     CONTACT_TOLERANCE,
     EXAMPLES,
     MOST_LOST,
-    KindResult,
     KindsValidation,
     _CoalWithShapes,
     validate_kinds,
@@ -24,15 +21,12 @@ from studies.validation.kinds import (
 from studies.validation.scenes import KINDS, Kind, random_scene
 
 from hplan.collision.clearance_field import ClearanceField
-from hplan.errors import OptionError
 from hplan.grid.grid import Grid, Occupancy
 from hplan.grid.occupancy import occupancy
 from hplan.grid.prepared_obstacles import prepare_obstacles
 from hplan.grid.sections import sections_at
 from hplan.planning.report import write_report
 from hplan.robot.model import Robot
-from hplan.scene.obstacles import Mesh, PointCloud
-from hplan.scene.solids import Cloud
 
 #: A bucket, a ring and a notched plate that are cut in a moment.
 _QUICK_SHAPES = (3, 1, 17)
@@ -48,21 +42,17 @@ def look(robot: Robot, *kinds: Kind, scenes: int = 2, configurations: int = 3_00
     return validate_kinds(robot, kinds, scenes=scenes, configurations=configurations)
 
 
-def untimed(result: KindResult) -> KindResult:
-    return replace(result, seconds=0.0)
-
-
 # Nothing is missed, little is lost
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_nothing_is_missed_and_little_lost(robot: Robot, kind: Kind) -> None:
-    result = validate_kinds(robot, [kind], scenes=4, configurations=4_000, seed=1)
+    result = validate_kinds(robot, [kind], scenes=4, configurations=1_500, seed=1)
     fixed, turning = result.results
     assert result.ok
     assert (fixed.kind, turning.kind, fixed.layers, turning.layers) == (kind, kind, False, True)
-    assert fixed.configurations == fixed.nodes == 16_000
-    assert turning.configurations == 5 * turning.nodes >= 16_000
+    assert fixed.configurations == fixed.nodes == 6_000
+    assert turning.configurations == 5 * turning.nodes >= 6_000
     for row in (fixed, turning):
         assert row.ok
         assert row.scenes == 4
@@ -121,13 +111,6 @@ def test_other_arms(variant: str, tmp_path: Path) -> None:
     assert all(row.colliding > 0 for row in result.results)
 
 
-def test_the_same_again(robot: Robot) -> None:
-    first, second = (look(robot, "capsule", configurations=1_000) for _ in range(2))
-    assert [untimed(row) for row in first.results] == [untimed(row) for row in second.results]
-    other = validate_kinds(robot, ["capsule"], scenes=2, configurations=1_000, seed=5)
-    assert untimed(other.results[0]) != untimed(first.results[0])
-
-
 # What is wrong is seen
 
 
@@ -150,72 +133,4 @@ def test_a_blind_cspace_is_caught(robot: Robot, monkeypatch: pytest.MonkeyPatch,
     assert len(content["results"][0]["examples"][0]["joints_rad"]) == 4
 
 
-@pytest.mark.parametrize("kind", ["capsule", "box", "points"])
-def test_sections_a_little_aside_are_caught(robot: Robot, monkeypatch: pytest.MonkeyPatch, kind: Kind) -> None:
-    monkeypatch.setattr(
-        validation_kinds, "sections_at", lambda robot, bodies, yaw, **more: sections_at(robot, bodies, yaw + 0.05)
-    )
-    result = look(robot, kind, scenes=4)
-    assert [row.missed > 0 for row in result.results] == [True, True]
-    assert not result.ok
-
-
-def test_too_much_care_is_caught(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(
-        validation_kinds,
-        "prepare_obstacles",
-        lambda solids, clearance: prepare_obstacles(solids, clearance=clearance + 0.05),
-    )
-    fixed, turning = look(robot, "box").results
-    assert fixed.lost_share > MOST_LOST
-    assert 0.04 < fixed.widest_gap_m <= 0.05 + 1e-3
-    assert not fixed.ok
-    assert turning.lost_share > MOST_LOST
-    assert turning.ok  # told, not judged
-
-
-@pytest.mark.parametrize(("off", "side"), [(0.002, "contact"), (-0.002, "distances")])
-def test_wrong_distances_are_caught(robot: Robot, monkeypatch: pytest.MonkeyPatch, off: float, side: str) -> None:
-    of = ClearanceField.of
-    monkeypatch.setattr(
-        ClearanceField, "of", lambda robot, solids, clearance: of(robot, solids, clearance=clearance + off)
-    )
-    fixed, turning = look(robot, "sphere", scenes=4).results
-    assert fixed.differing > 0
-    assert fixed.missed == 0
-    assert {example.side for example in fixed.examples} == {side}
-    assert not fixed.ok
-    assert turning.ok  # distances decide nothing there
-
-
-def test_a_piece_that_is_not_there_is_caught(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
-    solids: Callable[[Mesh], tuple[object, ...]] = Mesh.solids.fget  # type: ignore[attr-defined]
-    monkeypatch.setattr(Mesh, "solids", property(lambda mesh: solids(mesh)[1:]))
-    result = look(robot, "mesh")
-    assert all(row.missed > 0 for row in result.results)
-
-
-def test_points_that_are_not_there_are_caught(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
-    def thin(cloud: PointCloud) -> tuple[Cloud, ...]:
-        return (Cloud.of(cloud.name, cloud.points, cloud.radius - 0.002),)
-
-    monkeypatch.setattr(PointCloud, "solids", property(thin))
-    assert look(robot, "points").results[0].missed > 0
-
-
 # Input
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({"kinds": ["ball"]}, "kinds"),
-        ({"kinds": []}, "kinds"),
-        ({"scenes": 0}, "scenes"),
-        ({"configurations": -1}, "configurations"),
-        ({"seed": -1}, "seed"),
-    ],
-)
-def test_bad_input(robot: Robot, arguments: dict[str, object], message: str) -> None:
-    with pytest.raises(OptionError, match=message):
-        validate_kinds(robot, **arguments)  # type: ignore[arg-type]
